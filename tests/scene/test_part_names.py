@@ -23,7 +23,8 @@ def test_glass_is_found_again_in_a_file_by_its_name(tmp_path):
     found = kinds_of_names(names) == "glass"
     assert found.sum() == is_glass.sum()
     middle_m = [each.vertex_m[each.triangle].mean(axis=1) for each in (mesh, car)]
-    first, second = (np.sort(np.round(middle[kept], 2), axis=0) for middle, kept in zip(middle_m, (found, is_glass)))
+    kept = zip(middle_m, (found, is_glass), strict=True)
+    first, second = (np.sort(np.round(middle[flag], 2), axis=0) for middle, flag in kept)
     np.testing.assert_allclose(first, second, atol=0.011)
 
 

@@ -16,6 +16,7 @@ from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
 from warpav.raster.pane import Pane
 from warpav.rig.glass import propose_panes, simplified
+from warpav.rig.housing_fit import with_room
 from warpav.rig.module import Module
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.zone import NORMALS, Zone
@@ -46,6 +47,7 @@ def chart_of(
     min_zone_normal: float = 0.9,
     modules: Sequence[Module] = (),
     pair_spacing_m: float | None = None,
+    pitch_rad: tuple[float, float] = (0.0, 0.0),
 ) -> MountSurface:
     """All zones of a vehicle in one chart, once for every module that they carry.
 
@@ -55,12 +57,14 @@ def chart_of(
         modules: Camera modules, each of which stands in the zones that it fits; none: whatever cameras, in all zones.
         pair_spacing_m: Of a symmetric rig the least distance of a camera and its mirror image [m]: zones that are not
             centred then are their left halves, and a camera there stands for both. None: the rig need not be symmetric.
+        pitch_rad: Of modules in zones that do not say their own [rad]; their housings need room.
         cell_m: Edge of a cell [m].
         min_upward_normal: As in `mount_surface_from_mesh`, along every zone's normal.
         min_zone_normal: Likewise.
 
     Raises:
-        InputError: There is no zone, two have one name, one selects nothing of the body, or a module fits none.
+        InputError: There is no zone, two have one name, one selects nothing of the body, a module fits none, or
+            its housing has room in none.
     """
     names = [zone.name for zone in zones]
     if not names or len(set(names)) != len(names):
@@ -74,8 +78,12 @@ def chart_of(
         surface_of = _left_halves(zones, surface_of, pair_spacing_m)
     if modules:
         there = [zone for zone in zones if zone.name in surface_of]
-        zones, names, module_of_zone, pairs = _sheets(modules, there, is_symmetric=pair_spacing_m is not None)
-    surfaces = [surface_of[zone.name] for zone in zones]
+        sheets, names, module_of_zone, pairs = _sheets(
+            modules, there, surface_of, is_symmetric=pair_spacing_m is not None, pitch_rad=pitch_rad
+        )
+        zones, surfaces = [zone for zone, _ in sheets], [surface for _, surface in sheets]
+    else:
+        surfaces = [surface_of[zone.name] for zone in zones]
     firsts, size = _packed([each.height_m.shape for each in surfaces], math.ceil(GAP_M / cell_m))
     # the first zone keeps its own coordinates
     origin_m = surfaces[0].origin_m - np.multiply(firsts[0], cell_m)
@@ -156,20 +164,44 @@ def pane_under(zone: Zone, surface: MountSurface, mesh: Mesh) -> Pane:
 
 
 def _sheets(
-    modules: Sequence[Module], zones: Sequence[Zone], *, is_symmetric: bool
-) -> tuple[list[Zone], list[str], np.ndarray, tuple[bool, ...]]:
+    modules: Sequence[Module],
+    zones: Sequence[Zone],
+    surface_of: dict[str, MountSurface],
+    *,
+    is_symmetric: bool,
+    pitch_rad: tuple[float, float],
+) -> tuple[list[tuple[Zone, MountSurface]], list[str], np.ndarray, tuple[bool, ...]]:
     """The zones once for each module that they carry: they, the modules' names, which each carries, which are pairs."""
     sheets, names, carried, pairs = [], [], [], []
     for module in modules:
-        fitting = _fitting(module, zones)
+        fitting = _roomy(module, _fitting(module, zones), surface_of, pitch_rad)
         for is_pair in (True, False) if is_symmetric else (False,):
-            own = [zone for zone in fitting if not is_symmetric or zone.is_centred != is_pair]
+            own = [each for each in fitting if not is_symmetric or each[0].is_centred != is_pair]
             if own:
                 sheets += own
                 carried += [len(names)] * len(own)
                 names.append(module.name)
                 pairs.append(is_pair)
     return sheets, names, np.array(carried), tuple(pairs) if is_symmetric else ()
+
+
+def _roomy(
+    module: Module, zones: Sequence[Zone], surface_of: dict[str, MountSurface], pitch_rad: tuple[float, float]
+) -> list[tuple[Zone, MountSurface]]:
+    """Those of a module's zones in which its housing has room, as they are then, and their surfaces."""
+    found = {zone.name: with_room(module, zone, surface_of[zone.name], pitch_rad=pitch_rad) for zone in zones}
+    roomy = [each for each in found.values() if isinstance(each, tuple)]
+    if not roomy:
+        needed = (
+            f"{zone.name} needs {1e3 * each:.0f} mm and allows {1e3 * zone.stand_off_m[1]:.0f}"
+            for zone, each in zip(zones, found.values(), strict=True)
+            if not isinstance(each, tuple)
+        )
+        raise InputError(
+            f"module {module.name!r}: housing: expected room for it in a zone, got none: {', '.join(needed)}; raise "
+            "stand_off_m or recess_m of a zone, or narrow its angles"
+        )
+    return roomy
 
 
 def _left_halves(

@@ -77,7 +77,7 @@ def propose_keep_out(mesh: Mesh, kind: np.ndarray | None = None) -> list[tuple[s
                 boxes.append(np.stack([corner_m[patch].min(axis=(0, 1)), corner_m[patch].max(axis=(0, 1))]))
         if name == "wheel":  # one that hangs together with the body has its like on the other side
             boxes += [box * [1.0, 0.0, 1.0] - box[::-1] * [0.0, 1.0, 0.0] for box in boxes]
-        found += [(name, np.round(box + [[-margin_m], [margin_m]], 3)) for box in _merged(boxes)]
+        found += [(name, np.round(box + np.array([[-margin_m], [margin_m]]), 3)) for box in _merged(boxes)]
     return found
 
 

@@ -34,7 +34,18 @@ BEHIND_GLASS_M = (0.03, 0.15)
 """Stand-off of a zone behind glass that says none, inwards."""
 
 _KEYS = (
-    *("normal", "kind", "centred", "behind_glass", "origin_m", "box_m", "outline_m", "keep_out_m", "stand_off_m"),
+    *(
+        "normal",
+        "kind",
+        "centred",
+        "behind_glass",
+        "origin_m",
+        "box_m",
+        "outline_m",
+        "keep_out_m",
+        "stand_off_m",
+        "recess_m",
+    ),
     *("yaw_deg", "pitch_deg", "roll_deg"),
 )
 
@@ -61,6 +72,8 @@ class Zone:
         roll_rad: Least and greatest roll [rad]; None: 0.
         kinds: What kinds of place it is, such as ``windscreen`` or ``b_pillar``: camera modules say which they fit.
         is_behind_glass: Whether cameras stand inside of the body and look through what of it belongs to the zone.
+        recess_m: How deep the housing of a module may go into the body [m], at least 0; None: no matter. Behind glass
+            no housing reaches the pane.
         outline_m: Corners of a convex polygon in the ego frame, in order along the border [m], [corner, 3]: only what
             is inside of it, seen along the normal, belongs to the zone; None: no matter.
         is_centred: Whether cameras stand in the vehicle's plane of symmetry alone, with y = 0, and look along it.
@@ -83,6 +96,7 @@ class Zone:
     kinds: tuple[str, ...] = ()
     is_centred: bool = False
     is_behind_glass: bool = False
+    recess_m: float | None = None
     outline_m: np.ndarray | None = None
     axes: np.ndarray = field(init=False)
 
@@ -112,6 +126,9 @@ class Zone:
         object.__setattr__(self, "axes", axes)
         if self.is_behind_glass and self.stand_off_m[0] <= 0.0:
             raise ValueError(f"stand_off_m: expected more than 0, inwards, behind glass, got {self.stand_off_m}")
+        if self.recess_m is not None and (self.is_behind_glass or not 0.0 <= self.recess_m < math.inf):
+            expected = "none behind glass" if self.is_behind_glass else "metres from 0 on"
+            raise ValueError(f"recess_m: expected {expected}, got {self.recess_m:g}")
         if self.outline_m is not None and not _is_convex(np.asarray(self.outline_m) @ axes[:2].T):
             raise ValueError(
                 "outline_m: expected at least three corners of a convex polygon, in order along its border"
@@ -213,6 +230,7 @@ def _zone(name: str, record: Record) -> Zone:
             kinds=_kinds(record.at("kind")),
             is_centred=_flag(record.at("centred")),
             is_behind_glass=_flag(record.at("behind_glass")),
+            recess_m=None if record.at("recess_m").value is None else record.at("recess_m").number(),
             outline_m=np.array([each.numbers(3) for each in record.at("outline_m").items("a list of corners")])
             if "outline_m" in fields
             else None,
@@ -312,6 +330,7 @@ def mirrored(zone: Zone) -> Zone:
         pitch_rad=zone.pitch_rad,
         kinds=zone.kinds,
         is_behind_glass=zone.is_behind_glass,
+        recess_m=zone.recess_m,
         outline_m=None if zone.outline_m is None else np.asarray(zone.outline_m)[::-1] * [1.0, -1.0, 1.0],
         yaw_rad=turned(zone.yaw_rad),
         roll_rad=turned(zone.roll_rad),
@@ -354,6 +373,8 @@ def write_zones(zones: Sequence[Zone], path: Path | str) -> None:
         if zone.keep_out_m:
             lines += ["    keep_out_m:", *(f"      - {box(each)}" for each in zone.keep_out_m)]
         lines.append(f"    stand_off_m: {numbers(zone.stand_off_m)}")
+        if zone.recess_m is not None:
+            lines.append(f"    recess_m: {zone.recess_m:g}")
         for name, pair in (("yaw", zone.yaw_rad), ("pitch", zone.pitch_rad), ("roll", zone.roll_rad)):
             if pair is not None:
                 lines.append(f"    {name}_deg: {numbers(np.degrees(pair))}")

@@ -133,6 +133,7 @@ def mount_surface(config: Config, ego: Mesh) -> MountSurface:
         ego,
         modules=rig_modules(config),
         pair_spacing_m=config.rig.min_spacing_m if config.rig.symmetric else None,
+        pitch_rad=free_ranges(config).pitch_rad or (0.0, 0.0),
         cell_m=config.mount.cell_m,
         min_upward_normal=config.mount.min_upward_normal,
         min_zone_normal=config.mount.min_zone_normal,
