@@ -256,3 +256,36 @@ def test_coarse_triangles_are_refused():
         InputError, match=r"^zone 'windscreen': behind_glass: expected triangles that lie under the zone"
     ):
         chart_of((zone,), cuboid((4.0, 1.8, 1.4), (0.2, 0.0, 0.9)))
+
+
+def test_pairs_look_through_the_pane_on_either_side():
+    """A pair detects what its two cameras do, each rendered by itself on a mount that knows no pairs."""
+    from warpav.rig.module import Housing, Module, Price
+
+    module = Module(
+        name="eye",
+        sensor_px=(64, 64),
+        fov_rad=math.radians(100.0),
+        housing=Housing((0.02, 0.02, 0.02)),
+        price=Price(1.0),
+        source="test",
+    )
+    model = replace(module.camera_model(), near_m=0.01)
+    options = {"cell_m": 0.05, "modules": [module]}
+    mounts = [
+        CameraMount(chart_of((ROOF, WINDSCREEN), street().ego, **options, **more), camera=(model,), height_offset_m=0.0)
+        for more in ({"pair_spacing_m": 0.3}, {})
+    ]
+    paired, single = mounts
+    constraints = ZoneAndSpacing(paired.surface, camera_count=1, margin_m=0.05)
+    pose = spread_mount_poses(paired, constraints, 24, seed=1)
+    assert any(paired.panes_of(pose))
+    assert not all(paired.panes_of(pose))
+    rig = paired.rig(pose)
+    assert len(rig.cameras) == 48
+    assert len(rig.panes) == 1  # the windscreen lies across the middle
+    found = cameras_of(mount=paired).detection_probability(pose, packed_street())
+    each = cameras_of(mount=single).detection_probability(single.mount_pose_of_rig(rig), packed_street())
+    expected = 1.0 - (1.0 - each[0::2]) * (1.0 - each[1::2])
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+    assert found.max() > 0.1
