@@ -6,6 +6,7 @@ shows.
 
 from __future__ import annotations
 
+import math
 import shutil
 import sys
 import tempfile
@@ -55,6 +56,32 @@ def draw_zones(folder: Path) -> None:
     _warpav("scenes", "make", "--seeds", "3", "--out", str(folder))
     image = str(PICTURES / "zones.png")
     _warpav("vehicle", "zones", str(folder / "scene_3.glb"), "--out", str(folder / "zones.yaml"), "--image", image)
+
+
+def draw_behind_glass(folder: Path) -> None:
+    """behind_glass.png: what a camera behind the windscreen sees, in the embedded car, the bus and the pickup truck."""
+    import warpav as wa
+    from warpav.optimisation.mount import X_M, Y_M, CameraMount
+    from warpav.rig.chart import chart_of
+    from warpav.rig.glass import propose_panes
+    from warpav.scene.own_vehicle import read_vehicle
+
+    [town], images = wa.town([3]), []
+    for scene in (town, town.around(read_vehicle("bus")), town.around(read_vehicle("truck"))):
+        surface = chart_of(propose_panes(scene.ego)[:1], scene.ego)
+        model = wa.CameraModel(420, 300, math.radians(110.0), near_m=0.01)
+        mount = CameraMount(surface, camera=model, height_offset_m=0.0)
+        cell_m = surface.origin_m + surface.cell_m * np.argwhere(surface.is_mountable)
+        point_m = surface.point_m(cell_m, surface.height_at_m(cell_m))
+        wanted_m = [point_m[:, 0].mean(), 0.0, np.quantile(point_m[:, 2], 0.85)]  # in the middle, near the upper edge
+        place_m = cell_m[np.linalg.norm((point_m - wanted_m) * [0.0, 1.0, 1.0], axis=1).argmin()]
+        pose = np.zeros((1, 7), np.float32)
+        pose[0, [X_M, Y_M]], pose[0, 3] = place_m, 0.1
+        [image] = wa.render(mount.rig(mount.clipped(pose)), scene, supersampling=3).values()
+        images.append(image.rgb)
+    gap = np.full((images[0].shape[0], 8, 3), 255, np.uint8)
+    row = np.concatenate([images[0], gap, images[1], gap, images[2]], axis=1)
+    Image.fromarray(row).save(PICTURES / "behind_glass.png", optimize=True)
 
 
 def draw_gain(folder: Path) -> None:
@@ -210,6 +237,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "vehicle.png": draw_vehicle,
     "front.png": draw_front,
     "zones.png": draw_zones,
+    "behind_glass.png": draw_behind_glass,
     "gain.png": draw_gain,
     "requirements.png": draw_requirements,
     "stages.jpg": draw_stages,

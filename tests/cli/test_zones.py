@@ -34,7 +34,11 @@ def test_zones_are_proposed_edited_and_used(working_directory, car, capsys):
     assert all(f"  {name}" in said for name in ("roof", "bonnet", "left", "right", "front", "rear"))
     assert "mount.zones=all.yaml" in said
     assert (working_directory / "zones.png").stat().st_size > 10_000
-    assert len(read_zones("all.yaml")) == 6
+    assert "kept out: 4 x wheel" in said
+    zones = read_zones("all.yaml")
+    assert len(zones) == 7
+    assert [zone.name for zone in zones if zone.is_behind_glass] == ["windscreen"]
+    assert any(zone.keep_out_m for zone in zones)
     # edited: the doors alone, flush
     (working_directory / "doors.yaml").write_text(
         "zones:\n  door:\n    normal: left\n    box_m: [[0.5, 0.5, 0.6], [2.0, 1.0, 1.0]]\n    stand_off_m: 0.02\n"

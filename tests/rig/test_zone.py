@@ -11,7 +11,10 @@ import warpav as wa
 from tests.raster.bodies import ball, cuboid
 from warpav.core.errors import InputError
 from warpav.rig.chart import chart_of, propose_zones
+from warpav.rig.glass import propose_panes
 from warpav.rig.zone import NORMALS, Zone, mirrored, read_zones, write_zones
+from warpav.scene.own_vehicle import read_vehicle
+from warpav.scene.town.vehicle_shapes import ego_glass, ego_mesh
 
 SIZE_M, PLACE_M = (4.0, 1.8, 1.4), (1.3, 0.0, 0.9)
 LOW_M, HIGH_M = np.array(PLACE_M) - np.array(SIZE_M) / 2.0, np.array(PLACE_M) + np.array(SIZE_M) / 2.0
@@ -114,6 +117,13 @@ def test_a_file_of_zones_comes_back(tmp_path):
             roll_rad=(-0.05, 0.05),
         ),
         Zone("slant", (0.6, 0.0, 0.8), origin_m=(1.0, 0.0, 0.5)),
+        Zone(
+            "windscreen",
+            (0.6, 0.0, 0.8),
+            outline_m=np.array([[2.0, -0.5, 1.0], [2.0, 0.5, 1.0], [1.5, 0.4, 1.5], [1.5, -0.4, 1.5]]),
+            stand_off_m=(0.04, 0.1),
+            is_behind_glass=True,
+        ),
     )
     write_zones(zones, tmp_path / "zones.yaml")
     again = read_zones(tmp_path / "zones.yaml")
@@ -122,12 +132,79 @@ def test_a_file_of_zones_comes_back(tmp_path):
         np.testing.assert_allclose(one.axes, other.axes, atol=1e-3)
         np.testing.assert_allclose(one.origin_m, other.origin_m, atol=1e-3)
         assert one.stand_off_m == other.stand_off_m
+        assert one.is_behind_glass == other.is_behind_glass
+        assert one.rise_m == other.rise_m
+        assert (one.outline_m is None) == (other.outline_m is None)
+        if one.outline_m is not None:
+            np.testing.assert_allclose(one.outline_m, other.outline_m, atol=1e-3)
         for name in ("yaw_rad", "pitch_rad", "roll_rad"):
             pair, found = getattr(one, name), getattr(other, name)
             assert (pair is None) == (found is None)
             np.testing.assert_allclose(pair or (0.0, 0.0), found or (0.0, 0.0), atol=1e-4)
         assert (one.box_m is None) == (other.box_m is None)
         assert len(one.keep_out_m) == len(other.keep_out_m)
+
+
+def test_an_outline_limits_a_zone():
+    corner_m = np.array([[0.0, 0.9, 0.4], [2.0, 0.9, 0.4], [1.0, 0.9, 1.2]])
+    chart = chart_of([Zone("left", NORMALS["left"], outline_m=corner_m)], BOX, cell_m=0.02)
+    _, point_m = cells(chart, 0)
+    assert len(point_m) * 0.02**2 == pytest.approx(0.5 * 2.0 * 0.8, rel=0.06)
+    assert ((point_m[:, 2] - 0.4) <= 0.8 - np.abs(point_m[:, 0] - 1.0) * 0.8 + 0.03).all()
+    other = mirrored(mirrored(Zone("left", NORMALS["left"], outline_m=corner_m)))
+    np.testing.assert_allclose(other.outline_m, corner_m)
+
+
+def test_a_zone_behind_glass_has_a_pane_as_large_as_its_outline():
+    """Without an outline it is the hull of its cells, a margin of 2 cm wider."""
+    normal = (0.6, 0.0, 0.8)
+    sphere = ball(0.8, np.array([0.5, 0.2, 1.0]))
+    zone = Zone("dome", normal, stand_off_m=(0.03, 0.15), is_behind_glass=True)
+    chart = chart_of([Zone("roof", NORMALS["up"]), zone], sphere, cell_m=0.02, min_zone_normal=0.9)
+    assert chart.panes[0] is None
+    pane = chart.panes[1]
+    radius_m = 0.8 * math.sqrt(1.0 - 0.9**2) + 0.02
+    # the hull of whole cells is up to half their diagonal wider
+    assert math.pi * radius_m**2 < pane.area_m2 < math.pi * (radius_m + 0.03) ** 2
+    assert pane.clear_area_m2(sphere) == pytest.approx(pane.area_m2, rel=0.06)
+    place_m, _ = cells(chart, 1)
+    assert chart.panes_at(place_m) == [pane] * len(place_m)
+    inside_m = chart.point_m(place_m, chart.height_at_m(place_m) + zone.rise_m[0])
+    away_m = 0.8 - np.linalg.norm(inside_m - [0.5, 0.2, 1.0], axis=1)
+    assert (away_m > 0.12).all()
+    assert (away_m < 0.16).all()
+
+
+@pytest.mark.parametrize("name", ["bus", "minibus", "moving_truck", "truck"])
+def test_the_panes_of_the_shipped_vehicles_are_found_by_their_colour(name):
+    mesh = read_vehicle(name)
+    panes = propose_panes(mesh)
+    assert [zone.name for zone in panes] == ["windscreen", "rear_window"]
+    corner_m = mesh.vertex_m[mesh.triangle]
+    is_dark = mesh.vertex_rgb[mesh.triangle].mean(axis=(1, 2)) < 40.0
+    for zone in panes:
+        chart = chart_of([zone], mesh, cell_m=0.03)
+        clear = chart.panes[0].is_clear(corner_m)
+        area_m2 = 0.5 * np.linalg.norm(
+            np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0]), axis=1
+        )
+        assert area_m2[clear & is_dark].sum() > 0.85 * area_m2[clear].sum()
+        assert area_m2[clear].sum() > 1.0
+
+
+def test_the_windscreen_of_the_town_s_car_is_found_by_its_shape():
+    car, is_glass = ego_mesh(), ego_glass()
+    [zone] = propose_panes(car)
+    named = propose_panes(car, is_glass)
+    assert [each.name for each in named] == ["windscreen", "rear_window"]
+    corner_m = car.vertex_m[car.triangle]
+    doubled = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
+    area_m2 = 0.5 * np.linalg.norm(doubled, axis=1)
+    is_screen = is_glass & (doubled[:, 0] > 0.8 * area_m2)
+    for each in (zone, named[0]):
+        clear = chart_of([each], car, cell_m=0.02).panes[0].is_clear(corner_m)
+        assert area_m2[clear & is_screen].sum() > 0.9 * area_m2[is_screen].sum()
+        assert area_m2[clear & ~is_glass].sum() < 0.3  # of its black border
 
 
 def test_a_mirrored_zone_is_on_the_other_side(tmp_path):
@@ -157,6 +234,13 @@ def test_a_mirrored_zone_is_on_the_other_side(tmp_path):
         ("zones: {a: {normal: up, yaw_deg: [0, 500]}}", ["zones.a", "whole turn"]),
         ("zones: {a: {box_m: [[0, 0, 0], [1, 1, 1]]}}", ["zones.a.normal", "got nothing"]),
         ("zones: {a: {normal: up, mirror: maybe}}", ["zones.a.mirror", "true or false"]),
+        ("zones: {a: {normal: front, behind_glass: 3}}", ["zones.a.behind_glass", "true or false"]),
+        ("zones: {a: {normal: front, behind_glass: true, stand_off_m: 0}}", ["zones.a", "more than 0, inwards"]),
+        ("zones: {a: {normal: up, outline_m: [[0, 0, 0], [1, 0, 0]]}}", ["zones.a", "outline_m", "convex"]),
+        (
+            "zones: {a: {normal: up, outline_m: [[0, 0, 0], [2, 0, 0], [0.5, 0.5, 0], [0, 2, 0]]}}",
+            ["zones.a", "outline_m", "convex"],
+        ),
         ("zones: []", ["zones", "a mapping"]),
         ("zones: {}", ["at least one zone"]),
         ("zone: {}", ["'zone'"]),
@@ -187,7 +271,7 @@ def test_what_is_proposed_for_the_town_s_car_lies_on_it():
 
     ego = wa.town([0])[0].ego
     zones = propose_zones(ego)
-    assert {zone.name for zone in zones} == {"roof", "bonnet", "left", "right", "front", "rear"}
+    assert {zone.name for zone in zones} == {"roof", "bonnet", "left", "right", "front", "rear", "windscreen"}
     chart = chart_of(zones, ego, cell_m=0.04)
     body = EmbreeScene()
     TriangleMesh(body, ego.vertex_m[ego.triangle])

@@ -68,7 +68,7 @@ def render_images(
 
     Args:
         scene: The scene; packed first if it is not.
-        cameras: Cameras in the ego frame; those of one image size are rendered together.
+        cameras: Cameras in the ego frame; those of one image size that look through one pane are rendered together.
         supersampling: Samples per pixel along each axis; colours are averaged, ids and depths are those nearest the
             centre.
         device: Warp device.
@@ -79,8 +79,9 @@ def render_images(
     """
     packed = scene if isinstance(scene, DeviceScene) else DeviceScene.pack(scene, device=device)
     image_of: dict[int, CameraImage] = {}
-    for size in dict.fromkeys((camera.model.width_px, camera.model.height_px) for camera in cameras):
-        group = [i for i, c in enumerate(cameras) if (c.model.width_px, c.model.height_px) == size]
+    kinds = [(camera.model.width_px, camera.model.height_px, camera.behind_glass) for camera in cameras]
+    for kind in dict.fromkeys(kinds):
+        group = [i for i, each in enumerate(kinds) if each == kind]
         renderer = Renderer(
             [cameras[i].model for i in group],
             supersampling=supersampling,
@@ -90,7 +91,7 @@ def render_images(
         )
         transform = np.stack([cameras[i].ego_from_camera for i in group])
         frame = renderer.render(
-            packed.raster,
+            packed.raster.through(kind[2]),
             wp.array(transform[:, :3, 3].astype(np.float32), dtype=wp.vec3, device=device),
             wp.array(transform[:, :3, :3].transpose(0, 2, 1).astype(np.float32), dtype=wp.mat33, device=device),
         )

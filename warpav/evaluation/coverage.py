@@ -17,6 +17,7 @@ import warp as wp
 
 from warpav.core.devices import checked_device
 from warpav.raster.buffers import available_cores
+from warpav.raster.pane import Pane
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
@@ -185,12 +186,25 @@ class Ground:
             is_inside = (point_px >= 0.0) & (point_px < [camera.model.width_px, camera.model.height_px])
         is_seen = np.asarray(is_inside.all(axis=-1))
         asked = np.flatnonzero(is_seen)
-        share = free_shares(self.scene, ego_from_camera[:3, 3], point_m[asked], near_m=camera.model.near_m)
+        share = free_shares(
+            self.scene,
+            ego_from_camera[:3, 3],
+            point_m[asked],
+            near_m=camera.model.near_m,
+            behind_glass=camera.behind_glass,
+        )
         is_seen[asked] = share == 1.0
         return is_seen
 
 
-def free_shares(scene: DeviceScene, start_m: np.ndarray, end_m: np.ndarray, *, near_m: float = 0.0) -> np.ndarray:
+def free_shares(
+    scene: DeviceScene,
+    start_m: np.ndarray,
+    end_m: np.ndarray,
+    *,
+    near_m: float = 0.0,
+    behind_glass: Pane | None = None,
+) -> np.ndarray:
     """Share of the line of sight from one point to others that is free of occluders.
 
     Args:
@@ -198,11 +212,12 @@ def free_shares(scene: DeviceScene, start_m: np.ndarray, end_m: np.ndarray, *, n
         start_m: Start point in the ego frame [m], [3].
         end_m: End points in the ego frame [m], [point, 3].
         near_m: Surfaces nearer to the start point are ignored [m].
+        behind_glass: What of the ego vehicle hides nothing; None: all of it hides.
 
     Returns:
         Share of the distance up to the first occluder, float32 [point]; 1 for an unobstructed line of sight.
     """
-    raster = scene.raster  # held while kernels read it
+    raster = scene.raster.through(behind_glass)  # held while kernels read it
     device, count = raster.device, len(end_m)
     if count == 0:
         return np.zeros(0, np.float32)

@@ -303,7 +303,7 @@ class RigObserver:
         device: str,
         probability_of: Callable[[CameraModel], CameraProbability | None] | None = None,
     ) -> None:
-        """Create the renderers; cameras of one model share one.
+        """Create the renderers; cameras of one model that look through one pane share one.
 
         Args:
             rig: The rig.
@@ -318,22 +318,25 @@ class RigObserver:
         """
         self._probability_of = probability_of
         self._detector, self._confidence_min, self._iou_min = detector, confidence_min, iou_min
-        models = list(dict.fromkeys(camera.model for camera in rig.cameras))
+        kind_of = [(camera.model, camera.behind_glass) for camera in rig.cameras]
+        kinds = list(dict.fromkeys(kind_of))
         self._groups: list[tuple[Renderer, Rig]] = []
-        for model in models:
-            part = Rig([camera for camera in rig.cameras if camera.model == model])
+        for kind in kinds:
+            model, _ = kind
+            part = Rig([camera for camera, each in zip(rig.cameras, kind_of, strict=True) if each == kind])
             renderer = Renderer(
                 [model] * len(part.cameras), supersampling=supersampling, occlusion=occlusion, device=device
             )
             self._groups.append((renderer, part))
-        self._camera = [k for model in models for k, camera in enumerate(rig.cameras) if camera.model == model]
+        self._camera = [k for kind in kinds for k, each in enumerate(kind_of) if each == kind]
 
     def observe(self, scene: DeviceScene) -> RigObservation:
         """Render the scene in all cameras and run the detector."""
         observations, area_px, found = [], [], []
         for renderer, part in self._groups:
             views = views_of_rig(part, rotation_count=1, rotation_step_rad=0.0, device=str(renderer.device))
-            frame = renderer.render(scene.raster, views.position_ego_m, views.camera_from_ego)
+            raster = scene.raster.through(part.cameras[0].behind_glass)
+            frame = renderer.render(raster, views.position_ego_m, views.camera_from_ego)
             forward_view = list(range(len(part.cameras)))
             observation = observe(
                 frame,
@@ -425,19 +428,23 @@ def observe_scenes(
         scenes: Test scenes with vehicles assigned to the rig's cameras (for the objective).
         objective: Supplies the mount, the detector and the thresholds of a match. Losses are only defined for rigs
             whose cameras all have the mount's model (of any zoom, where that is free), or where the objective is by
-            single cameras and knows all of the rig's; everything else is measured with the rig's own cameras.
+            single cameras and knows all of the rig's; of those that look through panes only where single cameras give
+            them. Everything else is measured with the rig's own cameras.
         with_objective: Whether to evaluate the objective.
         with_probability: Whether to ask for the detection probabilities where the objective does not need them; they
             are known of cameras of the mount's model.
     """
     mount: CameraMount = objective.mount
     is_of_mount = all(mount.has_model(camera.model) for camera in rig.cameras)
+    # one render does not show what they see
+    sees_apart = mount.is_mixed or bool(rig.panes)
     is_placed = with_objective and is_of_mount and (mount.is_mixed or len(rig.cameras) == objective.camera_count)
+    is_placed &= objective.is_by_single_cameras or not sees_apart
     is_known = not is_of_mount and objective.is_by_single_cameras
     is_known = is_known and all(objective.probability_of(camera.model) is not None for camera in rig.cameras)
     has_objective = is_placed or (with_objective and is_known)
     observer = None
-    if mount.is_mixed or not is_placed:
+    if sees_apart or not is_placed:
         observer = RigObserver(
             rig,
             objective.detector,

@@ -7,6 +7,7 @@ import warp as wp
 
 from warpav.raster.buffers import Content
 from warpav.raster.mesh import Mesh
+from warpav.raster.pane import Pane
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import BACKGROUND_ID
 from warpav.raster.scene import Scene as RasterScene
@@ -19,7 +20,7 @@ def body_shares(rig: Rig, scene: DeviceScene) -> dict[str, float]:
 
     The vehicle is drawn alone, so nothing of the scene counts but its ego vehicle. Pixels whose centres show it are
     counted over all pixels of the image, those included in which the lens sees nothing. Surfaces nearer than a camera's
-    ``near_m`` are cut away, as in every render.
+    ``near_m`` are cut away, as in every render, and so is a pane that a camera stands behind.
 
     Args:
         rig: Cameras of any lens and image size, anywhere in the ego frame.
@@ -28,10 +29,11 @@ def body_shares(rig: Rig, scene: DeviceScene) -> dict[str, float]:
     Returns:
         0 to 1, by the camera's name in the order of the rig.
     """
-    body = _body_alone(scene)
     share: dict[str, float] = {}
-    for size in dict.fromkeys((camera.model.width_px, camera.model.height_px) for camera in rig.cameras):
-        group = [camera for camera in rig.cameras if (camera.model.width_px, camera.model.height_px) == size]
+    kinds = [(camera.model.width_px, camera.model.height_px, camera.behind_glass) for camera in rig.cameras]
+    for kind in dict.fromkeys(kinds):
+        group = [camera for camera, each in zip(rig.cameras, kinds, strict=True) if each == kind]
+        body = _body_alone(scene, kind[2])
         transform = np.stack([camera.ego_from_camera for camera in group])
         renderer = Renderer([camera.model for camera in group], device=str(body.device))
         frame = renderer.render(
@@ -45,9 +47,9 @@ def body_shares(rig: Rig, scene: DeviceScene) -> dict[str, float]:
     return {camera.name: share[camera.name] for camera in rig.cameras}
 
 
-def _body_alone(scene: DeviceScene) -> RasterScene:
-    """The ego vehicle of a scene, and nothing else, on the scene's device."""
-    raster = scene.raster
+def _body_alone(scene: DeviceScene, pane: Pane | None) -> RasterScene:
+    """The ego vehicle of a scene as cameras behind a pane see it, and nothing else, on the scene's device."""
+    raster = scene.raster.through(pane)
     body = raster.layer_body.numpy()[raster.foreground_layer]
     triangles = raster.triangles
     triangle = triangles.triangle.numpy()[triangles.triangle_body.numpy() == body]

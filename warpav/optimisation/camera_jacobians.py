@@ -23,6 +23,7 @@ from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, PlacedViews
 from warpav.optimisation.recording import Recording
 from warpav.raster.areas import MEASURE_COUNT, Measures, WindowMeasures
 from warpav.raster.camera import CameraModel
+from warpav.raster.pane import Pane
 from warpav.raster.renderer import Renderer
 from warpav.scene.device_scene import DeviceScene, UprightBoxes
 
@@ -39,6 +40,7 @@ class CameraJacobians:
         camera: CameraModel,
         probability: CameraProbability,
         renderers_for: Callable[[int], list[Renderer]],
+        pane: Pane | None = None,
     ) -> None:
         """Prepare nothing yet.
 
@@ -47,9 +49,10 @@ class CameraJacobians:
             camera: Which of the mount's models they have.
             probability: How likely a camera is to detect.
             renderers_for: Makes renderers of so many views, one for each thread.
+            pane: What of the own vehicle the cameras look through; None: they stand outside.
         """
         self.mount, self.camera, self.probability = mount, camera, probability
-        self._renderers_for = renderers_for
+        self._renderers_for, self._pane = renderers_for, pane
         self._views: dict[int, _Views] = {}
 
     def of(self, mount_pose: np.ndarray, scenes: Sequence[DeviceScene]) -> tuple[np.ndarray, np.ndarray]:
@@ -69,7 +72,7 @@ class CameraJacobians:
         if count not in self._views:
             if not wp.get_device(self.mount.device).is_cuda:
                 self._views.clear()
-            self._views[count] = _Views(self.mount, self._renderers_for(count))
+            self._views[count] = _Views(self.mount, self._renderers_for(count), self._pane)
         return self._views[count]
 
     def _differentiated(
@@ -116,8 +119,8 @@ class _Views:
         placed: Their poses, always in the same arrays.
     """
 
-    def __init__(self, mount: CameraMount, renderers: list[Renderer]) -> None:
-        self._mount = mount
+    def __init__(self, mount: CameraMount, renderers: list[Renderer], pane: Pane | None) -> None:
+        self._mount, self._pane = mount, pane
         self._renderers = renderers
         self._pose = wp.zeros((renderers[0].view_count, MOUNT_POSE_SIZE), dtype=float, device=mount.device)
         self.placed = PlacedViews.zeros(self._pose, 1)
@@ -181,7 +184,8 @@ class _Views:
     def _draw(self, renderer: Renderer, scene: DeviceScene, room: _Room) -> None:
         """Render a scene and measure it, nothing taped."""
         placed = self.placed
-        frame = renderer.render(scene.raster, placed.position_ego_m, placed.camera_from_ego, log_focal=placed.log_zoom)
+        raster = scene.raster.through(self._pane)
+        frame = renderer.render(raster, placed.position_ego_m, placed.camera_from_ego, log_focal=placed.log_zoom)
         measures = frame.measure(into=room.measures)
         frame.window_area(visible=False, into=room.in_frame)
         wp.copy(room.contrast, frame.contrast(measures.value))

@@ -15,6 +15,7 @@ import warp as wp
 from warpav.core.errors import InputError
 from warpav.raster.buffers import lens_of
 from warpav.raster.camera import CameraModel, rotational_additions
+from warpav.raster.pane import Pane
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import Rig, RigCamera
 from warpav.rig.zone import Zone
@@ -175,6 +176,15 @@ class CameraMount:
         """Which of `cameras` the cameras at ``mount_pose`` [camera, 7] are: the zone says it, int [camera]."""
         return self.surface.module_at(mount_pose[:, [X_M, Y_M]])
 
+    def panes_of(self, mount_pose: np.ndarray) -> list[Pane | None]:
+        """What of the body the cameras at ``mount_pose`` [camera, 7] look through; None for those outside of it."""
+        return self.surface.panes_at(mount_pose[:, [X_M, Y_M]])
+
+    @property
+    def sees_apart(self) -> bool:
+        """Whether one render cannot show what all cameras see: they differ in image, or look through the body."""
+        return self.is_mixed or any(pane is not None for pane in self.surface.panes)
+
     @property
     def is_symmetric(self) -> bool:
         """Whether its rigs are symmetric: cameras beside the middle stand for themselves and their mirror images."""
@@ -192,6 +202,9 @@ class CameraMount:
         plane_m, axes = np.array(self.surface.plane_m), np.array(self.surface.axes)
         plane_m[:, 1] *= -1.0
         axes[..., 1] *= -1.0
+        if self.surface.panes:
+            mirrored = tuple(pane and pane.mirrored() for pane in self.surface.panes)
+            mount.surface = dataclasses.replace(self.surface, panes=mirrored)
         mount._plane_m = wp.array(plane_m, dtype=wp.vec3, device=self.device)
         mount._axes = wp.array(axes, dtype=wp.mat33, device=self.device)
         return mount
@@ -226,7 +239,7 @@ class CameraMount:
             if least > _ROUNDING or greatest < -_ROUNDING:
                 raise ValueError(f"the free ranges must hold what is configured, got {free}")
         if zone is not None:
-            low_m, high_m = zone.stand_off_m
+            low_m, high_m = zone.rise_m
             ranges[HEIGHT_DELTA_M] = (low_m - self.height_offset_m, high_m - self.height_offset_m)
             # what a zone does not say is fixed there, as others may leave it free
             level = (0.0, 0.0) if free.pitch_rad is None else None
@@ -270,7 +283,8 @@ class CameraMount:
         Raises:
             ValueError: The rig has no camera of a name, all of them stay, or one that stays is no zoom of the mount's
                 camera: all share image size and lens.
-            InputError: One that stays is above none of the surface's zones.
+            InputError: One that stays is above none of the surface's zones, or looks through another pane than there
+                is.
         """
         is_frozen = np.array([camera.name in names for camera in rig.cameras])
         if is_frozen.sum() != len(set(names)) or is_frozen.all():
@@ -287,6 +301,13 @@ class CameraMount:
                 raise InputError(
                     f"camera {camera.name!r}: expected one above a zone of mount.zones, as it is to stay, got one at "
                     f"{', '.join(f'{each:g}' for each in camera.position_m)} m; let a zone reach there"
+                )
+        for camera, pane in zip(rig.cameras, self.panes_of(mount_pose), strict=True):
+            if camera.name in names and camera.behind_glass != pane:
+                there, given = (each.name if each else "none" for each in (pane, camera.behind_glass))
+                raise InputError(
+                    f"camera {camera.name!r}: behind_glass: expected that of its place in mount.zones, {there}, as it "
+                    f"is to stay, got {given}{' with another outline' if there == given else ''}"
                 )
         mount = copy.copy(self)
         mount.frozen = FrozenCameras(rig.cameras, is_frozen, mount_pose)
@@ -423,6 +444,7 @@ class CameraMount:
         position_m = self.position_m(mount_pose)
         module = self.module_of(mount_pose)
         modules = self.surface.modules
+        panes = self.panes_of(mount_pose)
         names = _numbered([modules[k] for k in module]) if modules else [f"camera_{i}" for i in range(len(module))]
         cameras: list[RigCamera] = []
         for i, (pose, is_pair) in enumerate(zip(mount_pose, self.is_pair(mount_pose), strict=True)):
@@ -437,6 +459,7 @@ class CameraMount:
                 roll_rad=float(pose[ROLL_RAD]),
                 model=self.cameras[module[i]].zoomed(float(pose[LOG_ZOOM])),
                 module=modules[module[i]] if modules else None,
+                behind_glass=panes[i],
             )
             cameras += _both(camera) if is_pair else [camera]
         return Rig(cameras)
@@ -511,7 +534,10 @@ class CameraMount:
 def _mirror_image(camera: RigCamera) -> RigCamera:
     """The camera on the other side of the vehicle."""
     position_m = camera.position_m * [1.0, -1.0, 1.0]
-    return dataclasses.replace(camera, position_m=position_m, yaw_rad=-camera.yaw_rad, roll_rad=-camera.roll_rad)
+    pane = camera.behind_glass and camera.behind_glass.mirrored()
+    return dataclasses.replace(
+        camera, position_m=position_m, yaw_rad=-camera.yaw_rad, roll_rad=-camera.roll_rad, behind_glass=pane
+    )
 
 
 def _both(camera: RigCamera) -> list[RigCamera]:

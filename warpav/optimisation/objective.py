@@ -131,8 +131,8 @@ class RigObjective:
 
         Raises:
             InputError: There is no loss, two have one name, or one needs something that is not there: the detection
-                probability, or one field of view for all cameras while the mount's are free. A mount of modules asks
-                for the expected miss rate alone, which single cameras give.
+                probability, or one field of view for all cameras while the mount's are free. A mount of modules, or
+                of zones behind glass, asks for the expected miss rate alone, which single cameras give.
         """
         self.mount = mount
         self.detector = detector
@@ -189,10 +189,11 @@ class RigObjective:
                 raise InputError(f"losses: {loss.name} needs the model of detection probability, got none")
             if needs.one_field and not self.mount.has_one_field:
                 raise InputError(f"losses: {loss.name} takes one field of view for all cameras, got several")
-        if self.mount.is_mixed and not self.is_by_single_cameras:
+        if self.mount.sees_apart and not self.is_by_single_cameras:
+            what = "modules of different images" if self.mount.is_mixed else "cameras behind glass"
             raise InputError(
-                "losses: expected the expected_miss_rate alone, with combine=any and detector_share=0, for modules of "
-                f"different images, got {', '.join(names)}"
+                "losses: expected the expected_miss_rate alone, with combine=any and detector_share=0, for "
+                f"{what}, got {', '.join(names)}"
             )
 
     @property
@@ -303,7 +304,7 @@ class RigObjective:
         """
         started = time.perf_counter()
         pose = np.asarray(mount_pose, np.float32)
-        if self.mount.is_mixed:
+        if self.mount.sees_apart:
             return self._evaluate_single_cameras(pose, scenes, gradient=gradient)
         seconds = {"render": 0.0, "detect": 0.0, "backward": 0.0}
         schedule = schedule or self.final_schedule
@@ -364,7 +365,7 @@ class RigObjective:
     def _evaluate_single_cameras(
         self, pose: np.ndarray, scenes: Sequence[AssignedScene], *, gradient: bool
     ) -> Evaluation:
-        """The same of cameras of different images, each rendered by itself; constraints are left out."""
+        """The same of cameras that see apart, each rendered by itself; constraints are left out."""
         started = time.perf_counter()
         packed, [(weight, loss)] = [each.scene for each in scenes], self.losses
         jacobian = None

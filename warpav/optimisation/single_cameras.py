@@ -6,6 +6,7 @@ taken, so no outline is measured, and only pixels that a probability depends on 
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -28,7 +29,9 @@ from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import chunk_view_count
 from warpav.raster.decide import Occlusion
+from warpav.raster.pane import Pane
 from warpav.raster.renderer import Renderer
+from warpav.raster.scene import Scene as RasterScene
 from warpav.scene.device_scene import DeviceScene
 
 CPU_VIEWS = 16
@@ -37,6 +40,10 @@ CUDA_STREAMS = 12
 """Scenes that a GPU renders beside each other for Jacobians: the few cameras of a rig do not fill it."""
 CUDA_CHUNKS = 8
 """Chunks of `chunk_view_count` that a GPU renders at once: it fills with more views than a CPU's caches hold."""
+
+
+_Kind = tuple[int, Pane | None]
+"""Which of the mount's models a camera has, and what of the own vehicle it looks through."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +66,7 @@ class SingleCameras:
     supersampling: int = 1
     thread_count: int | None = None
     is_mirrored: bool = False
-    _kept_jacobians: dict[int, CameraJacobians] = field(default_factory=dict, init=False, repr=False)
+    _kept_jacobians: dict[_Kind, CameraJacobians] = field(default_factory=dict, init=False, repr=False)
     _renderers: dict[tuple[int, int], SimpleQueue[Renderer]] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -100,6 +107,7 @@ class SingleCameras:
             detectors += [model.constant, each.probability]
         modules = (surface.module_of_zone.tobytes(),) if mount.is_mixed else ()
         modules += (surface.pairs,) if mount.is_symmetric else ()
+        modules += (surface.panes,) if any(surface.panes) else ()
         return {
             "vehicle": digest(
                 surface.height_m.shape,
@@ -132,10 +140,11 @@ class SingleCameras:
         if found.size == 0:
             return found
         if isinstance(scene, GhostScene):
-            found = scene.probability(*self.in_ego(pose))
+            for pane, row in self._by_pane(pose):
+                found[row] = _seen_through(pane, scene).probability(*self.in_ego(pose[row]))
         else:
-            for module, row in self._by_module(pose):
-                found[row] = self._detected(module, pose[row], scene)
+            for kind, row in self._by_kind(pose):
+                found[row] = self._detected(kind, pose[row], scene)
         pair = np.flatnonzero(self.mount.is_pair(pose)) if self._finds_pairs else ()
         if len(pair):
             image = self._mirrored.detection_probability(pose[pair] * MIRROR, scene)
@@ -153,23 +162,32 @@ class SingleCameras:
         others = (self.probability, self.occlusion, self.supersampling, self.thread_count)
         return SingleCameras(self.mount.mirrored, *others, is_mirrored=True)
 
-    def _by_module(self, mount_pose: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-        """The cameras of each of the mount's models: its number, and their rows, int [camera of the model]."""
-        if not self.mount.is_mixed:
-            yield 0, np.arange(len(mount_pose))
+    def _by_kind(self, mount_pose: np.ndarray) -> Iterator[tuple[_Kind, np.ndarray]]:
+        """The cameras of each kind, and their rows, int [camera of the kind]."""
+        if not self.mount.sees_apart:
+            yield (0, None), np.arange(len(mount_pose))
             return
         module_of = self.mount.module_of(mount_pose)
-        for module in np.unique(module_of):
-            yield int(module), np.flatnonzero(module_of == module)
+        for pane, of_pane in self._by_pane(mount_pose):
+            for module in np.unique(module_of[of_pane]):
+                yield (int(module), pane), of_pane[module_of[of_pane] == module]
 
-    def _detected(self, module: int, pose: np.ndarray, scene: DeviceScene) -> np.ndarray:
-        """The probability that cameras of one model detect each object, float32 [camera, object]."""
+    def _by_pane(self, mount_pose: np.ndarray) -> Iterator[tuple[Pane | None, np.ndarray]]:
+        """The cameras that look through each pane, and their rows, int [camera of the pane]."""
+        panes = self.mount.panes_of(mount_pose)
+        for pane in dict.fromkeys(panes):
+            yield pane, np.array([row for row, each in enumerate(panes) if each == pane])
+
+    def _detected(self, kind: _Kind, pose: np.ndarray, scene: DeviceScene) -> np.ndarray:
+        """The probability that cameras of one kind detect each object, float32 [camera, object]."""
+        module, pane = kind
         found = np.zeros((len(pose), scene.vehicle_count), np.float32)
         chunk_count = -(-len(pose) // self._most_views(module))
         view_count = -(-len(pose) // chunk_count)  # chunks of about equal size
         firsts = range(0, len(pose), view_count)
         renderers = self._renderers_of(module, view_count)
         scene.upright_box  # noqa: B018 (found once, before threads ask for it)
+        raster = scene.raster.through(pane)  # held, and made once
 
         def draw(first: int) -> None:
             end = min(first + view_count, len(pose))
@@ -177,7 +195,7 @@ class SingleCameras:
             chunk = pose[np.minimum(np.arange(first, first + view_count), end - 1)]
             renderer = renderers.get()
             try:
-                found[first:end] = self._drawn(module, chunk, scene, renderer)[: end - first]
+                found[first:end] = self._drawn(module, chunk, scene, raster, renderer)[: end - first]
             finally:
                 renderers.put(renderer)
 
@@ -189,11 +207,13 @@ class SingleCameras:
             list(threads.map(draw, firsts))
         return found
 
-    def _drawn(self, module: int, mount_pose: np.ndarray, scene: DeviceScene, renderer: Renderer) -> np.ndarray:
-        """What as many cameras of one model as the renderer has views detect, float32 [camera, object]."""
+    def _drawn(
+        self, module: int, mount_pose: np.ndarray, scene: DeviceScene, raster: RasterScene, renderer: Renderer
+    ) -> np.ndarray:
+        """What as many cameras of one kind as the renderer has views detect, float32 [camera, object]."""
         views = self.mount.place(wp.array(mount_pose, dtype=float, device=self.mount.device), 1)
         frame = renderer.render(
-            scene.raster,
+            raster,
             views.position_ego_m,
             views.camera_from_ego,
             log_focal=views.log_zoom,
@@ -232,16 +252,18 @@ class SingleCameras:
             InputError: The images or their supersampling are too large.
         """
         traffic = [scene for scene in scenes if isinstance(scene, DeviceScene)]
-        if len(traffic) == len(scenes) and not self.mount.is_mixed:
-            return self._jacobians(0).of(mount_pose, traffic)
+        if len(traffic) == len(scenes) and not self.mount.sees_apart:
+            return self._jacobians((0, None)).of(mount_pose, traffic)
         pose = np.ascontiguousarray(mount_pose, np.float32).reshape(-1, MOUNT_POSE_SIZE)
         count = sum(scene.vehicle_count for scene in traffic)
         probability, jacobian = np.zeros((len(pose), count)), np.zeros((len(pose), count, MOUNT_POSE_SIZE))
-        for module, row in self._by_module(pose):
-            probability[row], jacobian[row] = self._jacobians(module).of(pose[row], traffic)
+        for kind, row in self._by_kind(pose):
+            probability[row], jacobian[row] = self._jacobians(kind).of(pose[row], traffic)
         for ghosts in scenes[len(traffic) :]:
             assert isinstance(ghosts, GhostScene), "requirements stand behind all scenes"
-            seen, by_view = ghosts.with_jacobian(*self.in_ego(pose))
+            seen, by_view = np.zeros((len(pose), len(ghosts.ghosts))), np.zeros((len(pose), len(ghosts.ghosts), 7))
+            for pane, row in self._by_pane(pose):
+                seen[row], by_view[row] = _seen_through(pane, ghosts).with_jacobian(*self.in_ego(pose[row]))
             slope = placing_slope(self.mount, pose)
             by_pose = np.einsum("cov,cvk->cok", by_view[..., :3], slope.position)
             by_pose += np.einsum("cov,cvk->cok", by_view[..., 3:6], slope.rotation)
@@ -256,18 +278,20 @@ class SingleCameras:
             probability[pair] = 1.0 - (1.0 - probability[pair]) * (1.0 - image)
         return probability, jacobian
 
-    def _jacobians(self, module: int) -> CameraJacobians:
-        """Probabilities and Jacobians of cameras of one of the mount's models; kept for the next call."""
-        if module not in self._kept_jacobians:
+    def _jacobians(self, kind: _Kind) -> CameraJacobians:
+        """Probabilities and Jacobians of cameras of one kind; kept for the next call."""
+        module, pane = kind
+        if kind not in self._kept_jacobians:
             is_cuda = wp.get_device(self.mount.device).is_cuda
             count = CUDA_STREAMS if is_cuda else self.thread_count or available_cores()
-            self._kept_jacobians[module] = CameraJacobians(
+            self._kept_jacobians[kind] = CameraJacobians(
                 self.mount,
                 self.mount.cameras[module],
                 self.probabilities[module],
                 lambda views: self._renderers_for(module, views, count),
+                pane,
             )
-        return self._kept_jacobians[module]
+        return self._kept_jacobians[kind]
 
     def _most_views(self, module: int) -> int:
         """Views that are rendered at once: as many as the caches of a core hold, or as a GPU takes."""
@@ -299,6 +323,15 @@ class SingleCameras:
             )
             for _ in range(count)
         ]
+
+
+def _seen_through(pane: Pane | None, ghosts: GhostScene) -> GhostScene:
+    """Requirements around the vehicle as cameras behind a pane see it."""
+    if pane is None:
+        return ghosts
+    opened = copy.copy(ghosts)
+    opened.ego = pane.opened(ghosts.ego)
+    return opened
 
 
 def _unpacked(mount: tuple[Any, ...], *others: Any) -> SingleCameras:  # noqa: ANN401

@@ -14,6 +14,7 @@ import warp as wp
 from warpav.core.errors import InputError
 from warpav.core.warp_setup import load_warp
 from warpav.raster.mesh import Mesh, merge
+from warpav.raster.pane import Pane
 from warpav_kernels.raster.triangles import Triangles
 
 CLUSTER_SIZE = 64
@@ -36,6 +37,13 @@ _TYPES: dict[str, object] = {
     "vertex_rgb": wp.vec3,
 }
 """Arrays of a scene on its device: the members of `Triangles`, then the scene's own."""
+
+_OF_TRIANGLES = ("triangle", "triangle_body", "triangle_plane", "neighbour")
+_OF_CLUSTERS = (
+    *("cluster_first", "cluster_count", "cluster_vertices", "cluster_layer", "cluster_sphere_world_m"),
+    "cluster_closed_world_m",
+)
+_CACHED = ("mesh", "occluder_mesh", "_through")
 
 BACKGROUND_ID = -1
 """What ids say where nothing is hit. Object k is k, occluder j is ``-2 - j``; the foreground is the last occluder."""
@@ -297,6 +305,62 @@ class Scene:
         self._occluder_triangle_count = int(np.searchsorted(arrays["triangle_body"], self.occluder_count))
         self.occluder_cluster_count = int(np.searchsorted(arrays["cluster_first"], self._occluder_triangle_count))
         self.source_triangle, self.source_vertex = arrays["source_triangle"], arrays["source_vertex"]
+
+    def through(self, pane: Pane | None) -> Scene:
+        """The scene for views that look through a pane: without what of the foreground is clear.
+
+        It shares its vertices with this one, which keeps it, so that the same pane gives the same scene. Surfaces that
+        have lost triangles are open: from the inside their backs are seen.
+
+        Args:
+            pane: In the world frame; None: the scene itself is returned.
+
+        Raises:
+            ValueError: There is no foreground.
+        """
+        if pane is None:
+            return self
+        if self.foreground_layer < 0:
+            raise ValueError("pane: expected a scene with a foreground, got none")
+        kept: dict[Pane, Scene] = self.__dict__.setdefault("_through", {})
+        if pane not in kept:
+            kept[pane] = self._without(pane)
+        return kept[pane]
+
+    def _without(self, pane: Pane) -> Scene:
+        """See `through`."""
+        host = {name: getattr(self.triangles, name).numpy() for name in _OF_TRIANGLES + _OF_CLUSTERS}
+        body = self.occluder_count - 1  # the foreground is the last occluder
+        own = np.flatnonzero(host["triangle_body"] == body)
+        vertex_m = self.triangles.vertex_world_m.numpy()
+        gone = own[pane.is_clear(vertex_m[host["triangle"][own]])]
+        stays = np.ones(len(host["triangle"]), bool)
+        stays[gone] = False
+        number = np.append(np.where(stays, np.cumsum(stays) - 1, -1), -1).astype(np.int32)  # -1 stays -1
+        cluster = np.repeat(np.arange(self.cluster_count), host["cluster_count"])
+        count = np.bincount(cluster[stays], minlength=self.cluster_count).astype(np.int32)
+        arrays = {name: host[name][stays] for name in _OF_TRIANGLES}
+        arrays["neighbour"] = number[arrays["neighbour"]]
+        is_own = np.zeros(self.cluster_count, bool)
+        is_own[cluster[own]] = len(gone) > 0
+        # a hole lets see the backs of what hangs together with it
+        host["cluster_closed_world_m"] = host["cluster_closed_world_m"].copy()
+        host["cluster_closed_world_m"][is_own] = (-np.inf, -np.inf, -np.inf), (np.inf, np.inf, np.inf)
+        host["cluster_count"], host["cluster_first"] = count, np.cumsum(count, dtype=np.int32) - count
+        arrays |= {name: host[name][count > 0] for name in _OF_CLUSTERS}
+        scene = Scene.__new__(Scene)
+        scene.__dict__.update({name: value for name, value in vars(self).items() if name not in _CACHED})
+        scene.triangles = Triangles()
+        for name in Triangles.vars:
+            array = getattr(self.triangles, name)
+            if name in arrays:
+                array = wp.array(arrays[name], dtype=_TYPES[name], device=self.device)  # pyright: ignore[reportArgumentType]
+            setattr(scene.triangles, name, array)
+        scene.cluster_count, scene.triangle_count = len(arrays["cluster_first"]), len(arrays["triangle"])
+        scene._occluder_triangle_count = int(np.searchsorted(arrays["triangle_body"], self.occluder_count))
+        scene.occluder_cluster_count = int(np.searchsorted(arrays["cluster_first"], scene._occluder_triangle_count))
+        scene.source_triangle = self.source_triangle[stays]
+        return scene
 
     @cached_property
     def mesh(self) -> wp.Mesh:

@@ -250,7 +250,8 @@ def check_requirements(
 ) -> RequirementResult:
     """Check whether a rig meets requirements on a vehicle.
 
-    Each test object stands alone on flat ground; only the vehicle's body hides it.
+    Each test object stands alone on flat ground; only the vehicle's body hides it, without the pane that a camera
+    stands behind.
 
     Args:
         rig: Cameras of any lenses and sizes.
@@ -268,7 +269,19 @@ def check_requirements(
     mesh = ego if isinstance(ego, Mesh) else ego.ego
     ghosts = Ghosts.of(requirements, mesh)
     pose, models = poses_of(rig)
-    visibility = ghost_visibility(
-        pose, models, ghosts, mesh, render_width_px=render_width_px, supersampling=supersampling, device=device
-    )
+    panes = [camera.behind_glass for camera in rig.cameras]
+    share, pixels = np.zeros((len(panes), len(ghosts))), np.zeros((len(panes), len(ghosts)))
+    for pane in dict.fromkeys(panes):
+        group = [k for k, each in enumerate(panes) if each == pane]
+        seen = ghost_visibility(
+            pose[group],
+            [models[k] for k in group],
+            ghosts,
+            mesh if pane is None else pane.opened(mesh),
+            render_width_px=render_width_px,
+            supersampling=supersampling,
+            device=device,
+        )
+        share[group], pixels[group] = seen.visible_share, seen.pixels
+    visibility = Visibility(share, pixels)
     return RequirementResult(tuple(each.name for each in rig.cameras), ghosts, Body.of(mesh), visibility)

@@ -14,6 +14,9 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
+from warpav.raster.pane import Pane
+from warpav.rig.glass import propose_panes, simplified
+from warpav.rig.housing_fit import with_room
 from warpav.rig.module import Module
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.zone import NORMALS, Zone
@@ -24,7 +27,14 @@ GAP_M = 1.0
 CENTRE_M = 0.1
 """Half the width of what of a centred zone is drawn: cameras stand in its middle."""
 
+PANE_MARGIN_M = 0.02
+"""How far a pane reaches beyond the cells of its zone, along them and across [m]."""
+
+MIN_CLEAR = 0.5
+"""Least share of a pane's area that has to be clear: less shows that its triangles are larger than the pane."""
+
 _SKIRT_CELLS = 3
+_SIMPLER_M = 0.003
 _BIG_M = 1e6
 
 
@@ -37,6 +47,7 @@ def chart_of(
     min_zone_normal: float = 0.9,
     modules: Sequence[Module] = (),
     pair_spacing_m: float | None = None,
+    pitch_rad: tuple[float, float] = (0.0, 0.0),
 ) -> MountSurface:
     """All zones of a vehicle in one chart, once for every module that they carry.
 
@@ -46,25 +57,33 @@ def chart_of(
         modules: Camera modules, each of which stands in the zones that it fits; none: whatever cameras, in all zones.
         pair_spacing_m: Of a symmetric rig the least distance of a camera and its mirror image [m]: zones that are not
             centred then are their left halves, and a camera there stands for both. None: the rig need not be symmetric.
+        pitch_rad: Of modules in zones that do not say their own [rad]; their housings need room.
         cell_m: Edge of a cell [m].
         min_upward_normal: As in `mount_surface_from_mesh`, along every zone's normal.
         min_zone_normal: Likewise.
 
     Raises:
-        InputError: There is no zone, two have one name, one selects nothing of the body, or a module fits none.
+        InputError: There is no zone, two have one name, one selects nothing of the body, a module fits none, or
+            its housing has room in none.
     """
     names = [zone.name for zone in zones]
     if not names or len(set(names)) != len(names):
         raise InputError(f"zones: expected at least one, and names that differ, got {names}")
     options = {"cell_m": cell_m, "min_upward_normal": min_upward_normal, "min_zone_normal": min_zone_normal}
-    surface_of = {zone.name: _with_skirt(zone_surface(zone, mesh, **options)) for zone in zones}
+    field_of = {zone.name: zone_surface(zone, mesh, **options) for zone in zones}
+    pane_of = {zone.name: pane_under(zone, field_of[zone.name], mesh) for zone in zones if zone.is_behind_glass}
+    surface_of = {name: _with_skirt(surface) for name, surface in field_of.items()}
     names, module_of_zone, pairs = [module.name for module in modules], np.zeros(0, np.int64), ()
     if pair_spacing_m is not None:
         surface_of = _left_halves(zones, surface_of, pair_spacing_m)
     if modules:
         there = [zone for zone in zones if zone.name in surface_of]
-        zones, names, module_of_zone, pairs = _sheets(modules, there, is_symmetric=pair_spacing_m is not None)
-    surfaces = [surface_of[zone.name] for zone in zones]
+        sheets, names, module_of_zone, pairs = _sheets(
+            modules, there, surface_of, is_symmetric=pair_spacing_m is not None, pitch_rad=pitch_rad
+        )
+        zones, surfaces = [zone for zone, _ in sheets], [surface for _, surface in sheets]
+    else:
+        surfaces = [surface_of[zone.name] for zone in zones]
     firsts, size = _packed([each.height_m.shape for each in surfaces], math.ceil(GAP_M / cell_m))
     # the first zone keeps its own coordinates
     origin_m = surfaces[0].origin_m - np.multiply(firsts[0], cell_m)
@@ -89,24 +108,100 @@ def chart_of(
         tuple(names),
         module_of_zone,
         pairs,
+        tuple(pane_of.get(zone.name) for zone in zones) if pane_of else (),
     )
 
 
+def pane_under(zone: Zone, surface: MountSurface, mesh: Mesh) -> Pane:
+    """What of the body the cameras of a zone behind glass look through.
+
+    Its outline is that of the zone, or else the convex hull of the cells that carry a camera, `PANE_MARGIN_M` wider. It
+    reaches so much beyond the skin to either side, so a second sheet of glass is clear as well.
+
+    Args:
+        zone: Behind glass.
+        surface: Its height field, of `zone_surface`.
+        mesh: The vehicle in the ego frame [m].
+
+    Raises:
+        InputError: Less than half of the pane would be clear, as the triangles below it are larger than it is.
+    """
+    from scipy.spatial import ConvexHull
+
+    assert surface.is_mountable is not None
+    cell = np.argwhere(surface.is_mountable)
+    place_m = surface.origin_m + surface.cell_m * cell
+    height_m = surface.height_m[surface.is_mountable].astype(np.float64)
+    middle_m = float(height_m.mean())
+    if zone.outline_m is not None:
+        corner_m = (np.asarray(zone.outline_m) - zone.origin_m) @ zone.axes[:2].T
+    else:
+        half_m = 0.5 * surface.cell_m
+        around_m = half_m * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
+        corner_m = (place_m[:, None] + around_m).reshape(-1, 2)
+    angle_rad = np.arange(0.0, 2.0 * math.pi, math.pi / 8.0)
+    round_m = PANE_MARGIN_M * np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=1)
+    corner_m = (corner_m[:, None] + round_m).reshape(-1, 2)
+    corner_m = simplified(corner_m[ConvexHull(corner_m).vertices], _SIMPLER_M)
+    outline_m = np.c_[corner_m, np.full(len(corner_m), middle_m)] @ zone.axes + zone.origin_m
+    pane = Pane(
+        zone.name,
+        tuple(np.round(zone.axes[2], 6).tolist()),
+        tuple(tuple(corner) for corner in np.round(outline_m, 6).tolist()),
+        (
+            round(float(height_m.min()) - middle_m - PANE_MARGIN_M, 6),
+            round(float(height_m.max()) - middle_m + PANE_MARGIN_M, 6),
+        ),
+    )
+    clear_m2 = pane.clear_area_m2(mesh)
+    zone_m2 = len(cell) * surface.cell_m**2
+    if clear_m2 < MIN_CLEAR * zone_m2:
+        raise InputError(
+            f"zone {zone.name!r}: behind_glass: expected triangles that lie under the zone, got {clear_m2:.2f} of "
+            f"{zone_m2:.2f} m2 clear; the others reach beyond it: let box_m or outline_m cover the whole pane"
+        )
+    return pane
+
+
 def _sheets(
-    modules: Sequence[Module], zones: Sequence[Zone], *, is_symmetric: bool
-) -> tuple[list[Zone], list[str], np.ndarray, tuple[bool, ...]]:
+    modules: Sequence[Module],
+    zones: Sequence[Zone],
+    surface_of: dict[str, MountSurface],
+    *,
+    is_symmetric: bool,
+    pitch_rad: tuple[float, float],
+) -> tuple[list[tuple[Zone, MountSurface]], list[str], np.ndarray, tuple[bool, ...]]:
     """The zones once for each module that they carry: they, the modules' names, which each carries, which are pairs."""
     sheets, names, carried, pairs = [], [], [], []
     for module in modules:
-        fitting = _fitting(module, zones)
+        fitting = _roomy(module, _fitting(module, zones), surface_of, pitch_rad)
         for is_pair in (True, False) if is_symmetric else (False,):
-            own = [zone for zone in fitting if not is_symmetric or zone.is_centred != is_pair]
+            own = [each for each in fitting if not is_symmetric or each[0].is_centred != is_pair]
             if own:
                 sheets += own
                 carried += [len(names)] * len(own)
                 names.append(module.name)
                 pairs.append(is_pair)
     return sheets, names, np.array(carried), tuple(pairs) if is_symmetric else ()
+
+
+def _roomy(
+    module: Module, zones: Sequence[Zone], surface_of: dict[str, MountSurface], pitch_rad: tuple[float, float]
+) -> list[tuple[Zone, MountSurface]]:
+    """Those of a module's zones in which its housing has room, as they are then, and their surfaces."""
+    found = {zone.name: with_room(module, zone, surface_of[zone.name], pitch_rad=pitch_rad) for zone in zones}
+    roomy = [each for each in found.values() if isinstance(each, tuple)]
+    if not roomy:
+        needed = (
+            f"{zone.name} needs {1e3 * each:.0f} mm and allows {1e3 * zone.stand_off_m[1]:.0f}"
+            for zone, each in zip(zones, found.values(), strict=True)
+            if not isinstance(each, tuple)
+        )
+        raise InputError(
+            f"module {module.name!r}: housing: expected room for it in a zone, got none: {', '.join(needed)}; raise "
+            "stand_off_m or recess_m of a zone, or narrow its angles"
+        )
+    return roomy
 
 
 def _left_halves(
@@ -217,15 +312,18 @@ def _words(normal: np.ndarray) -> str:
     return f"along {np.round(normal, 3).tolist()}"
 
 
-def propose_zones(mesh: Mesh) -> tuple[Zone, ...]:
-    """Zones of a vehicle for a person to edit: roof and bonnet, both sides, front and rear.
+def propose_zones(mesh: Mesh, is_glass: np.ndarray | None = None) -> tuple[Zone, ...]:
+    """Zones of a vehicle for a person to edit: roof and bonnet, both sides, front and rear, windscreen, rear window.
 
     The roof is what faces upwards in the upper third, the bonnet what does ahead of and below it. Sides keep out of the
     lowest third, where wheels and sills are; front and rear out of what bumpers touch. A zone of which the body has
     nothing is left out.
 
+    Cameras stand behind windscreen and rear window, see `propose_panes`.
+
     Args:
         mesh: The vehicle in the ego frame [m].
+        is_glass: Which triangles are known to be glass, bool [triangle]; None: not known.
     """
     low_m, high_m = mesh.bounds_m().astype(np.float64)
     length, _, height = high_m - low_m
@@ -251,6 +349,7 @@ def propose_zones(mesh: Mesh) -> tuple[Zone, ...]:
         Zone(
             "rear", NORMALS["rear"], box_m=box({2: above_ground}, {}), pitch_rad=upright, kinds=("bumper", "tailgate")
         ),
+        *propose_panes(mesh, is_glass),
     )
     found = []
     for zone in wanted:

@@ -12,6 +12,7 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
+from warpav.raster.pane import Pane
 from warpav.rig.zone import Zone
 
 if TYPE_CHECKING:
@@ -53,6 +54,8 @@ class MountSurface:
         module_of_zone: Which of these a zone carries, int64 [zone]; empty without modules.
         pairs: Which of the modules stand for two cameras: one on the left, where the zone is, and its mirror image;
             empty: none.
+        panes: What of the body the cameras of every zone look through, None where they stand outside, [zone]; empty:
+            all stand outside.
     """
 
     height_m: np.ndarray
@@ -65,6 +68,7 @@ class MountSurface:
     modules: tuple[str, ...] = ()
     module_of_zone: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     pairs: tuple[bool, ...] = ()
+    panes: tuple[Pane | None, ...] = ()
 
     @cached_property
     def axes(self) -> np.ndarray:
@@ -84,6 +88,12 @@ class MountSurface:
         """Number of the module that a camera at places [..., 2] of the chart is, 0 without modules; int [...]."""
         zone = self.zone_at(position_m)
         return self.module_of_zone[zone] if self.modules else np.zeros_like(zone)
+
+    def panes_at(self, position_m: np.ndarray) -> list[Pane | None]:
+        """What cameras at places [camera, 2] of the chart look through; None outside of the body."""
+        if not self.panes:
+            return [None] * len(position_m)
+        return [self.panes[zone] for zone in self.zone_at(position_m)]
 
     def carriers_of(self, cameras: Sequence[RigCamera]) -> np.ndarray | None:
         """Which modules' zones a rig's cameras may stand in: those of their names, bool [camera, module].
@@ -136,7 +146,7 @@ class MountSurface:
             local_m = (point_m - self.plane_m[number]) @ self.axes[number].T
             here_m = local_m[..., :2]
             above_m = local_m[..., 2] - self.height_at_m(here_m)
-            low_m, high_m = zone.stand_off_m
+            low_m, high_m = zone.rise_m
             away_m = np.maximum(-self.zone_distance_m(here_m), 0.0) + np.abs(above_m - np.clip(above_m, low_m, high_m))
             away_m = np.where(self.zone_at(here_m) == number, away_m, np.inf)
             if carriers is not None:

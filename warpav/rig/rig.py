@@ -20,6 +20,7 @@ from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, yaw_p
 from warpav.core.yaml_file import Location, dotted, read_yaml
 from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import Lens, LensShape
+from warpav.raster.pane import Pane
 from warpav.rig.catalogue import builtin_modules, read_modules
 
 if TYPE_CHECKING:
@@ -46,6 +47,8 @@ class RigCamera:
         model: Image size and lens; by default a pinhole of 256 x 256 px and 90 degrees.
         module: Name of the camera module that it is, if it is one of a catalogue; the model is that of the network's
             image then.
+        behind_glass: The pane of the own vehicle that it looks through from inside; what of the body belongs to it is
+            clear for this camera and for nobody else. None: the whole body is opaque.
 
     Raises:
         InputError: A name is unfit, or a number is not finite.
@@ -58,6 +61,7 @@ class RigCamera:
     roll_rad: float = 0.0
     model: CameraModel = _QUICK_MODEL
     module: str | None = None
+    behind_glass: Pane | None = None
 
     def __post_init__(self) -> None:
         location = f"camera {self.name!r}"
@@ -126,6 +130,24 @@ class Rig:
                     f"rig: cameras[{i}].name: expected every name once, got {camera.name!r} again "
                     f"(first as cameras[{first}])"
                 )
+        self.panes  # noqa: B018 (says whether they can be told apart by name)
+
+    @property
+    def panes(self) -> dict[str, Pane]:
+        """What its cameras look through, by name.
+
+        Raises:
+            InputError: Two different ones have one name.
+        """
+        found: dict[str, Pane] = {}
+        for camera in self.cameras:
+            pane = camera.behind_glass
+            if pane is not None and found.setdefault(pane.name, pane) != pane:
+                raise InputError(
+                    f"rig: camera {camera.name!r}: behind_glass: expected one pane called {pane.name!r}, got two that "
+                    "differ; rename one of their zones"
+                )
+        return found
 
     def __repr__(self) -> str:
         return f"Rig({', '.join(camera.name for camera in self.cameras)})"
@@ -219,8 +241,10 @@ _EXPECTED = {
     "centre_px": "two finite numbers of pixels [cx, cy] from the image's upper left corner, such as [320.0, 240.0]",
     "distortion": "a list of finite numbers in OpenCV's order, such as [-0.31, 0.11, 0.0, 0.0]",
     "module": "the name of a camera module, such as side_2mp_100",
+    "behind_glass": "the name of one of the file's panes, such as windscreen",
 }
-_OPTIONAL = ("lens", "focal_px", "centre_px", "distortion", "module")
+_OPTIONAL = ("lens", "focal_px", "centre_px", "distortion", "module", "behind_glass")
+_OF_MODEL = ("lens", "focal_px", "centre_px", "distortion")
 _OF_MODULE = ("fov_deg", "width_px", "height_px")
 """What a camera need not say that is a module of the catalogue."""
 
@@ -234,7 +258,23 @@ def rig_text(rig: Rig) -> str:
     ]
     if any(camera.model.focal_px for camera in rig.cameras):
         lines.append("# centre_px is the principal point from the image's upper left corner: OpenCV's plus 0.5.")
-    lines += ["frame: ego", "cameras:"]
+    lines.append("frame: ego")
+    if rig.panes:
+        lines += [
+            "# What of the own body is clear for the cameras that name it in behind_glass: triangles under the",
+            "# outline, seen along the normal, from the least to the greatest reach_m along it from the outline's",
+            "# middle.",
+            "panes:",
+        ]
+    for pane in rig.panes.values():
+        lines += [
+            f"  {_name(pane.name)}:",
+            f"    normal: {_numbers(pane.normal)}",
+            "    outline_m:",
+            *(f"      - {_numbers(corner)}" for corner in pane.outline_m),
+            f"    reach_m: {_numbers(pane.reach_m)}",
+        ]
+    lines.append("cameras:")
     for camera in rig.cameras:
         position = ", ".join(_number(value) for value in camera.position_m)
         lines += [
@@ -244,6 +284,7 @@ def rig_text(rig: Rig) -> str:
             f"    pitch_deg: {_angle(camera.pitch_rad)}",
             f"    roll_deg: {_angle(camera.roll_rad)}",
             *([] if camera.module is None else [f"    module: {_name(camera.module)}"]),
+            *([] if camera.behind_glass is None else [f"    behind_glass: {_name(camera.behind_glass.name)}"]),
             *_model_lines(camera.model),
         ]
     return "\n".join(lines) + "\n"
@@ -274,6 +315,8 @@ def read_rig(path: str | Path) -> Rig:
         path: The file: ``frame: ego`` and ``cameras``, a list of mappings with name, position_m, yaw_deg, pitch_deg,
             roll_deg, fov_deg (horizontal), width_px and height_px, all of them required. A camera may also have a lens
             (else pinhole), distortion, and focal_px and centre_px instead of fov_deg; see `CameraModel`. With
+            ``behind_glass`` it looks through a pane of the own vehicle: ``panes`` beside ``frame`` has them by name,
+            with normal, outline_m and reach_m (see `warpav.raster.pane.Pane`). With
             ``module`` and no image size it is that module of the shipped catalogue, or of the file that ``modules``
             names beside ``frame``.
 
@@ -302,6 +345,10 @@ def _number(value: float) -> str:
     text = f"{value:.{_DECIMALS}f}".rstrip("0")
     text += "0" if text.endswith(".") else ""
     return "0.0" if text == "-0.0" else text
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return f"[{', '.join(_number(value) for value in values)}]"
 
 
 def _angle(angle_rad: float) -> str:
@@ -345,6 +392,7 @@ class _RigReader:
         self.line_of = line_of
         self.mistakes: list[str] = []
         self.modules = builtin_modules()
+        self.panes: dict[str, Pane] = {}
 
     def cameras(self, data: object) -> list[Any]:
         """What the file says of each camera."""
@@ -353,7 +401,12 @@ class _RigReader:
             hint = "this is a configuration: of a run, give the folder instead" if is_config else _OTHER_TOOLS_TEXT
             self.report((), "a mapping with frame, cameras", data, f"; {hint}")
             raise InputError(self.mistakes[0])
-        root = self.mapping(data, (), ("frame", "cameras", "modules"), ("modules",))
+        root = self.mapping(data, (), ("frame", "cameras", "modules", "panes"), ("modules", "panes"))
+        panes = root.get("panes", {})
+        if not isinstance(panes, dict):
+            self.report(("panes",), "a mapping from names to panes", panes)
+            panes = {}
+        self.panes = {str(name): pane for name, each in panes.items() if (pane := self._pane(str(name), each))}
         if "modules" in root:
             self.modules = self._catalogue(root["modules"])
         if "frame" in root and root["frame"] != "ego":
@@ -374,6 +427,11 @@ class _RigReader:
             if not _is_fit(field, value, item.get("lens", Lens.PINHOLE)):
                 near = difflib.get_close_matches(str(value), list(Lens), 1, 0.5) if field == "lens" else []
                 self.report((*location, field), _EXPECTED[field], value, f"; did you mean {near[0]}?" if near else "")
+        glass = item.get("behind_glass")
+        if _is_fit("behind_glass", glass, None) and glass not in self.panes:
+            near = difflib.get_close_matches(str(glass), self.panes, 1, 0.5)
+            expected = f"one of panes, {', '.join(self.panes)}" if self.panes else "panes beside frame, with this name"
+            self.report((*location, "behind_glass"), expected, glass, f"; did you mean {near[0]}?" if near else "")
         model = self.model(item, location) if len(self.mistakes) == known_count else None
         if model is None:
             return None
@@ -385,7 +443,29 @@ class _RigReader:
             math.radians(item["roll_deg"]),
             model,
             item.get("module"),
+            self.panes[item["behind_glass"]] if "behind_glass" in item else None,
         )
+
+    def _pane(self, name: str, data: object) -> Pane | None:
+        """A pane; None where it is a mistake."""
+        location = ("panes", name)
+        known_count = len(self.mistakes)
+        item = self.mapping(data, location, ("normal", "outline_m", "reach_m"))
+        for field, count in (("normal", 3), ("reach_m", 2)):
+            if field in item and not _are_numbers(item[field], count):
+                self.report((*location, field), f"{count} finite numbers", item[field])
+        corners = item.get("outline_m", [])
+        if not isinstance(corners, list) or not all(_are_numbers(corner, 3) for corner in corners):
+            self.report((*location, "outline_m"), "a list of corners, each [x, y, z] in metres", corners)
+        if len(self.mistakes) > known_count:
+            return None
+        try:
+            outline_m = tuple((float(x), float(y), float(z)) for x, y, z in corners)
+            (x, y, z), (low_m, high_m) = item["normal"], item["reach_m"]
+            return Pane(name, (float(x), float(y), float(z)), outline_m, (float(low_m), float(high_m)))
+        except ValueError as error:
+            self.mistakes.append(f"{self.line(location)}: {dotted(location)}: {error}")
+            return None
 
     def _catalogue(self, path: object) -> dict[str, Module]:
         """The modules of a file beside the rig's, or the shipped ones where it cannot be read."""
@@ -405,7 +485,7 @@ class _RigReader:
             self.report((*location, "module"), expected, name, f"; did you mean {near[0]}?" if near else "")
             return None
         angle = {"fov_rad": math.radians(item["fov_deg"])} if "fov_deg" in item else {}
-        given = {field: item[field] for field in _OPTIONAL if field in item and field != "module"}
+        given = {field: item[field] for field in _OF_MODEL if field in item}
         try:
             return CameraModel(item["width_px"], item["height_px"], **angle, **given)
         except ValueError as error:
@@ -453,7 +533,7 @@ def _are_numbers(value: object, count: int | None = None) -> bool:
 
 def _is_fit(field: str, value: Any, lens: object) -> bool:  # noqa: ANN401
     match field:
-        case "name" | "module":
+        case "name" | "module" | "behind_glass":
             return isinstance(value, str) and _NAME.fullmatch(value) is not None
         case "position_m":
             return _are_numbers(value, 3)

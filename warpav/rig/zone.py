@@ -30,8 +30,22 @@ FLUSH_M = (0.0, 0.03)
 OUTWARD_RAD = math.radians(85.0)
 """How far cameras turn from a zone's normal where the zone does not say."""
 
+BEHIND_GLASS_M = (0.03, 0.15)
+"""Stand-off of a zone behind glass that says none, inwards."""
+
 _KEYS = (
-    *("normal", "kind", "centred", "origin_m", "box_m", "keep_out_m", "stand_off_m"),
+    *(
+        "normal",
+        "kind",
+        "centred",
+        "behind_glass",
+        "origin_m",
+        "box_m",
+        "outline_m",
+        "keep_out_m",
+        "stand_off_m",
+        "recess_m",
+    ),
     *("yaw_deg", "pitch_deg", "roll_deg"),
 )
 
@@ -40,8 +54,9 @@ _KEYS = (
 class Zone:
     """A part of the body that may carry cameras, and how they may stand there.
 
-    A camera's centre is at ``origin_m + u * U + v * V + (height(u, v) + stand-off) * N``, with the rows U, V and N of
-    ``axes``. Yaw, pitch and roll are those of the ego frame, wherever the zone is.
+    A camera's centre is at ``origin_m + u * U + v * V + (height(u, v) + rise) * N``, with the rows U, V and N of
+    ``axes``; the rise is the stand-off, behind glass it is inwards. Yaw, pitch and roll are those of the ego frame,
+    wherever the zone is.
 
     Attributes:
         name: Its name.
@@ -49,12 +64,18 @@ class Zone:
         origin_m: A point of its plane in the ego frame [m].
         box_m: Lowest and highest corner of what belongs to it [m], in the ego frame; None: all that faces outwards.
         keep_out_m: Boxes in the ego frame that carry no camera, such as plates and lamps [m].
-        stand_off_m: Least and greatest height of a camera's centre above the surface [m].
+        stand_off_m: Least and greatest distance of a camera's centre from the surface [m]: outwards, behind glass
+            inwards.
         yaw_rad: Least and greatest yaw [rad], at most a whole turn; None: 85 degrees to either side of a normal that
-            is level, all round on others.
+            is level, and behind glass; all round on others.
         pitch_rad: Least and greatest pitch, nose-down positive [rad]; None: as the rig's other cameras.
         roll_rad: Least and greatest roll [rad]; None: 0.
         kinds: What kinds of place it is, such as ``windscreen`` or ``b_pillar``: camera modules say which they fit.
+        is_behind_glass: Whether cameras stand inside of the body and look through what of it belongs to the zone.
+        recess_m: How deep the housing of a module may go into the body [m], at least 0; None: no matter. Behind glass
+            no housing reaches the pane.
+        outline_m: Corners of a convex polygon in the ego frame, in order along the border [m], [corner, 3]: only what
+            is inside of it, seen along the normal, belongs to the zone; None: no matter.
         is_centred: Whether cameras stand in the vehicle's plane of symmetry alone, with y = 0, and look along it.
         axes: Rows U, V and N in the ego frame: V upwards along the zone, or on a level one forwards; upright zones that
             face up have those of the ego frame; float64 [3, 3].
@@ -74,6 +95,9 @@ class Zone:
     roll_rad: tuple[float, float] | None = None
     kinds: tuple[str, ...] = ()
     is_centred: bool = False
+    is_behind_glass: bool = False
+    recess_m: float | None = None
+    outline_m: np.ndarray | None = None
     axes: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
@@ -100,6 +124,21 @@ class Zone:
             v /= np.linalg.norm(v)
             axes = np.stack([np.cross(v, normal), v, normal])
         object.__setattr__(self, "axes", axes)
+        if self.is_behind_glass and self.stand_off_m[0] <= 0.0:
+            raise ValueError(f"stand_off_m: expected more than 0, inwards, behind glass, got {self.stand_off_m}")
+        if self.recess_m is not None and (self.is_behind_glass or not 0.0 <= self.recess_m < math.inf):
+            expected = "none behind glass" if self.is_behind_glass else "metres from 0 on"
+            raise ValueError(f"recess_m: expected {expected}, got {self.recess_m:g}")
+        if self.outline_m is not None and not _is_convex(np.asarray(self.outline_m) @ axes[:2].T):
+            raise ValueError(
+                "outline_m: expected at least three corners of a convex polygon, in order along its border"
+            )
+
+    @property
+    def rise_m(self) -> tuple[float, float]:
+        """Least and greatest height of a camera's centre above the surface [m], negative behind glass."""
+        low_m, high_m = self.stand_off_m
+        return (-high_m, -low_m) if self.is_behind_glass else (low_m, high_m)
 
     @property
     def yaw_range_rad(self) -> tuple[float, float] | None:
@@ -109,7 +148,7 @@ class Zone:
             return yaw_rad, yaw_rad
         if self.yaw_rad is not None:
             return None if self.yaw_rad[1] - self.yaw_rad[0] >= 2.0 * math.pi - 1e-9 else self.yaw_rad
-        if abs(self.axes[2, 2]) > 0.5:
+        if abs(self.axes[2, 2]) > (0.99 if self.is_behind_glass else 0.5):
             return None
         outward_rad = math.atan2(self.axes[2, 1], self.axes[2, 0])
         return outward_rad - OUTWARD_RAD, outward_rad + OUTWARD_RAD
@@ -120,6 +159,14 @@ class Zone:
         inside = np.ones(ego_m.shape[:-1], bool)
         if self.box_m is not None:
             inside &= ((ego_m >= self.box_m[0]) & (ego_m <= self.box_m[1])).all(axis=-1)
+        if self.outline_m is not None:
+            corner = np.asarray(self.outline_m, np.float64) @ self.axes[:2].T
+            at = ego_m @ self.axes[:2].T
+            side = [
+                (dx * (at[..., 1] - y) - dy * (at[..., 0] - x))
+                for (x, y), (dx, dy) in zip(corner, np.roll(corner, -1, axis=0) - corner, strict=True)
+            ]
+            inside &= (np.min(side, axis=0) >= 0.0) | (np.max(side, axis=0) <= 0.0)
         for low_m, high_m in self.keep_out_m:
             inside &= ~((ego_m >= low_m) & (ego_m <= high_m)).all(axis=-1)
         return inside
@@ -130,7 +177,8 @@ def read_zones(path: Path | str) -> tuple[Zone, ...]:
 
     A zone has a ``normal`` (up, left, right, front, rear, or three numbers), and may have ``kind`` (a name or a list of
     them, as the ``zones`` of modules name them), ``centred``, ``origin_m``, ``box_m`` and
-    ``keep_out_m`` (boxes as [lowest corner, highest corner]), ``stand_off_m``, ``yaw_deg``, ``pitch_deg`` and
+    ``keep_out_m`` (boxes as [lowest corner, highest corner]), ``outline_m`` (corners of a convex polygon),
+    ``behind_glass`` (cameras stand inside and look through), ``stand_off_m``, ``yaw_deg``, ``pitch_deg`` and
     ``roll_deg`` (a number, or [least, greatest]); see `Zone`. Beside it, ``mirror: true`` adds its mirror image on the
     other side of the vehicle, called ``<name>_mirrored``.
 
@@ -174,12 +222,18 @@ def _zone(name: str, record: Record) -> Zone:
             keep_out_m=tuple(_box(each) for each in record.at("keep_out_m").items("a list of boxes"))
             if "keep_out_m" in fields
             else (),
-            stand_off_m=_range(record.at("stand_off_m")) or FLUSH_M,
+            stand_off_m=_range(record.at("stand_off_m"))
+            or (BEHIND_GLASS_M if _flag(record.at("behind_glass")) else FLUSH_M),
             yaw_rad=_radians(record.at("yaw_deg")),
             pitch_rad=_radians(record.at("pitch_deg")),
             roll_rad=_radians(record.at("roll_deg")),
             kinds=_kinds(record.at("kind")),
             is_centred=_flag(record.at("centred")),
+            is_behind_glass=_flag(record.at("behind_glass")),
+            recess_m=None if record.at("recess_m").value is None else record.at("recess_m").number(),
+            outline_m=np.array([each.numbers(3) for each in record.at("outline_m").items("a list of corners")])
+            if "outline_m" in fields
+            else None,
         )
     except ValueError as error:
         raise InputError(str(error) if isinstance(error, InputError) else f"{record.location}: {error}") from None
@@ -214,6 +268,19 @@ def _kinds(record: Record) -> tuple[str, ...]:
         if not isinstance(each, str):
             raise record.error("a kind of place, or a list of them, such as [b_pillar, mirror]", f"{each!r}")
     return tuple(given)
+
+
+def _is_convex(corner: np.ndarray) -> bool:
+    """Whether points [corner, 2] are those of a convex polygon in order along its border."""
+    if len(corner) < 3:
+        return False
+    side = np.roll(corner, -1, axis=0) - corner
+    after = np.roll(side, -1, axis=0)
+    turn = side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0]
+    turned_rad = np.arctan2(turn, (side * after).sum(axis=1)).sum()
+    slack = 1e-3 * np.linalg.norm(side, axis=1) * np.linalg.norm(after, axis=1)  # numbers in files are rounded
+    is_one_way = bool((turn >= -slack).all() or (turn <= slack).all())
+    return is_one_way and abs(abs(turned_rad) - 2.0 * math.pi) < 1e-6
 
 
 def _box(record: Record) -> np.ndarray:
@@ -262,6 +329,9 @@ def mirrored(zone: Zone) -> Zone:
         stand_off_m=zone.stand_off_m,
         pitch_rad=zone.pitch_rad,
         kinds=zone.kinds,
+        is_behind_glass=zone.is_behind_glass,
+        recess_m=zone.recess_m,
+        outline_m=None if zone.outline_m is None else np.asarray(zone.outline_m)[::-1] * [1.0, -1.0, 1.0],
         yaw_rad=turned(zone.yaw_rad),
         roll_rad=turned(zone.roll_rad),
     )
@@ -290,15 +360,21 @@ def write_zones(zones: Sequence[Zone], path: Path | str) -> None:
         lines += [f"  {zone.name}:", f"    normal: {normal or numbers(zone.normal)}"]
         if zone.is_centred:
             lines.append("    centred: true")
+        if zone.is_behind_glass:
+            lines.append("    behind_glass: true")
         if zone.kinds:
             lines.append(f"    kind: [{', '.join(zone.kinds)}]")
         if any(zone.origin_m):
             lines.append(f"    origin_m: {numbers(zone.origin_m)}")
         if zone.box_m is not None:
             lines.append(f"    box_m: {box(zone.box_m)}")
+        if zone.outline_m is not None:
+            lines += ["    outline_m:", *(f"      - {numbers(corner)}" for corner in zone.outline_m)]
         if zone.keep_out_m:
             lines += ["    keep_out_m:", *(f"      - {box(each)}" for each in zone.keep_out_m)]
         lines.append(f"    stand_off_m: {numbers(zone.stand_off_m)}")
+        if zone.recess_m is not None:
+            lines.append(f"    recess_m: {zone.recess_m:g}")
         for name, pair in (("yaw", zone.yaw_rad), ("pitch", zone.pitch_rad), ("roll", zone.roll_rad)):
             if pair is not None:
                 lines.append(f"    {name}_deg: {numbers(np.degrees(pair))}")

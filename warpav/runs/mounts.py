@@ -136,6 +136,7 @@ def mount_surface(config: Config, ego: Mesh) -> MountSurface:
         ego,
         modules=rig_modules(config),
         pair_spacing_m=config.rig.min_spacing_m if config.rig.symmetric else None,
+        pitch_rad=free_ranges(config).pitch_rad or (0.0, 0.0),
         cell_m=config.mount.cell_m,
         min_upward_normal=config.mount.min_upward_normal,
         min_zone_normal=config.mount.min_zone_normal,
@@ -162,6 +163,12 @@ def camera_mount(config: Config, ego: Mesh) -> CameraMount:
     from warpav.optimisation.mount import CameraMount
 
     surface = mount_surface(config, ego)
+    if any(surface.panes) and (config.descends or not config.losses.suits_pool):
+        raise OptionError(
+            "mount.zones",
+            "expected no zone with behind_glass, as only the search by a pool, with the loss expected_miss_rate alone, "
+            "knows such cameras; set optimiser.search=pool, or leave the losses as they are",
+        )
     models = dict(zip(config.rig.modules or (), camera_models(config), strict=False))
     return CameraMount(
         surface,

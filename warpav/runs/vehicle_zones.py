@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from warpav.core.errors import InputError
+from warpav.raster.mesh import Mesh
 from warpav.rig.chart import chart_of, propose_zones
-from warpav.rig.zone import write_zones
+from warpav.rig.keep_out import kinds_of_names, propose_keep_out
+from warpav.rig.zone import Zone, write_zones
 from warpav.runs.config import Config
 from warpav.scene.own_vehicle import read_vehicle
+from warpav.scene.part_names import part_names
 
 
 def propose(path: Path, config: Config, *, out: Path, image: Path | None = None) -> Iterator[str]:
@@ -29,7 +34,11 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
     from warpav.view.plotting import plot
 
     mesh = read_vehicle(path)
-    zones = propose_zones(mesh)
+    names = part_names(path, mesh)
+    kind = None if names is None else kinds_of_names(names)
+    is_glass = None if kind is None or not (kind == "glass").any() else kind == "glass"
+    boxes = propose_keep_out(mesh, kind)
+    zones = tuple(each for zone in propose_zones(mesh, is_glass) if (each := _kept_clear(zone, mesh, boxes)))
     if not zones:
         raise InputError(f"{path}: expected a body that faces upwards, sideways, forwards or backwards, got none")
     mount = config.mount
@@ -41,6 +50,11 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
         min_zone_normal=mount.min_zone_normal,
     )
     write_zones(zones, out)
+    counts = Counter(
+        name for name, box in boxes if any((box == each).all() for zone in zones for each in zone.keep_out_m)
+    )
+    if counts:
+        yield "  kept out: " + ", ".join(f"{count} x {name}" for name, count in counts.items())
     for number, zone in enumerate(zones):
         inside = (chart.zone_of_cell == number) & np.asarray(chart.is_mountable)
         yield f"  {zone.name:9} {np.count_nonzero(inside) * chart.cell_m**2:.2f} m2"
@@ -48,3 +62,20 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
     if image is not None:
         plot(mesh, mount_surface=chart, title=f"zones of {path.name}", out=image)
         yield f"wrote {image}"
+
+
+def _kept_clear(zone: Zone, mesh: Mesh, boxes: Sequence[tuple[str, np.ndarray]]) -> Zone | None:
+    """A zone with the boxes that reach into it, which carry no camera; None where they leave nothing of it."""
+    if zone.is_behind_glass:
+        return zone
+    chart = chart_of([zone], mesh, cell_m=0.04)
+    assert chart.is_mountable is not None
+    place_m = chart.origin_m + chart.cell_m * np.argwhere(chart.is_mountable)
+    point_m = chart.point_m(place_m, chart.height_at_m(place_m))
+    inside = [box for _, box in boxes if ((point_m >= box[0]) & (point_m <= box[1])).all(axis=1).any()]
+    clear = replace(zone, keep_out_m=(*zone.keep_out_m, *inside))
+    try:
+        chart_of([clear], mesh, cell_m=0.04)
+    except InputError:
+        return None
+    return clear

@@ -150,9 +150,10 @@ class InspectedRig:
         stood_there = bool(self._constraints.contains(old_place_m[None])[0])
         above_m = float(was_above_m) if stood_there else self._height_offset_m
         if surface.zones:
-            above_m = float(np.clip(above_m, *surface.zones[int(surface.zone_at(at_m))].stand_off_m))
+            above_m = float(np.clip(above_m, *surface.zones[int(surface.zone_at(at_m))].rise_m))
         height_m = float(surface.height_at_m(at_m[None])[0]) + above_m
-        return self._change(camera, position_m=surface.point_m(at_m, height_m))
+        [pane] = surface.panes_at(at_m[None])
+        return self._change(camera, position_m=surface.point_m(at_m, height_m), behind_glass=pane)
 
     def turn(self, camera: int, yaw_rad: float) -> RigCamera:
         """Turn a camera about the vertical, to a yaw left positive [rad], and return it as it is then."""

@@ -66,7 +66,13 @@ def visibility_to_pyvista(
     ray_m = farthest_m * ray / np.linalg.norm(ray, axis=-1, keepdims=True)
     share = np.full(len(ray), np.nan)
     has_ray = np.isfinite(ray).all(axis=-1)
-    share[has_ray] = free_shares(scene, transform[:3, 3], transform[:3, 3] + ray_m[has_ray], near_m=model.near_m)
+    share[has_ray] = free_shares(
+        scene,
+        transform[:3, 3],
+        transform[:3, 3] + ray_m[has_ray],
+        near_m=model.near_m,
+        behind_glass=camera.behind_glass,
+    )
     # a little before the surface, so that it is drawn above it
     point_m = (
         transform[:3, 3] + np.maximum(share - np.where(share < 1.0, _LIFT_M / farthest_m, 0.0), 0.0)[:, None] * ray_m
