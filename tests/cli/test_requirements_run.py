@@ -57,7 +57,7 @@ def test_hard_requirements_that_cannot_be_met_are_named(working_directory, capsy
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        (["requirements=near_feild"], "did you mean near_field"),
+        (["requirements=near_fild"], "did you mean near_field"),
         (["requirements=near_field", "optimiser.search=descent", "run.batch_size=2"], "only the search by a pool"),
     ],
 )
