@@ -8,7 +8,7 @@ import pytest
 
 import warpav as wa
 from tests.optimisation.test_modules import cameras_of as mixed_cameras
-from tests.optimisation.test_modules import spread
+from tests.optimisation.test_modules import columns, spread, symmetric_cameras
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from warpav.core.errors import InputError
 from warpav.evaluation.camera_outage import CameraOutages
@@ -164,3 +164,24 @@ def test_errors_inwards_end_at_the_skin():
     inside = missed(0, -0.02) - found.nominal
     assert inside == pytest.approx(lost.cameras[0].difference_per_100, abs=0.5)
     assert inside > 1.0
+
+
+def test_cameras_of_pairs_are_off_one_by_one():
+    """As on a mount that knows no pairs; there the cameras may stand in other zones, with x, y and z of their own."""
+    cameras = symmetric_cameras()
+    seen = cameras.detection_probability(columns(), streets()[0]).sum(axis=1)
+    first = columns()[np.argsort(-seen)]
+    is_pair = cameras.mount.is_pair(first)
+    pose = np.concatenate([first[is_pair][:2], first[~is_pair][:1]])
+    rig = cameras.mount.rig(pose)
+    names = [f"c{k}" for k in range(len(rig.cameras))]
+    plain = mixed_cameras()
+    options = {"position_m": 0.05, "angle_rad": 0.03, "sample_count": 2, "seed": 0}
+    found = MountTolerance.of(names, pose, cameras, streets(), **options)
+    expected = MountTolerance.of(names, plain.mount.mount_pose_of_rig(rig), plain, streets(), **options)
+    assert len(rig.cameras) == 5
+    assert found.nominal == pytest.approx(expected.nominal, abs=1e-3)
+    for one, other in zip(found.effects, expected.effects, strict=True):
+        if one.degree in ("yaw", "pitch"):
+            assert sorted((one.below, one.above)) == pytest.approx(sorted((other.below, other.above)), abs=2e-2), one
+    assert found.worst.worst > 0.1

@@ -140,7 +140,7 @@ class MountTolerance:
                 raise ArgumentError(name, f"expected a positive number, got {value!r}")
         if not any(scene.vehicle_count for scene in scenes):
             raise ArgumentError("scenes", "expected at least one object, got none")
-        pose = np.asarray(mount_pose, np.float64)
+        pose, side = cameras.apart(np.asarray(mount_pose, np.float64))
         count, columns = len(pose), list(COLUMNS.values())
         tolerance = np.array([angle_rad if degree in ANGLES else position_m for degree in COLUMNS])
         rng = np.random.default_rng(seed)
@@ -155,13 +155,14 @@ class MountTolerance:
         skin_m = np.minimum(pose[:, HEIGHT_DELTA_M], -cameras.mount.height_offset_m).astype(np.float32)
         every[..., HEIGHT_DELTA_M] = np.maximum(every[..., HEIGHT_DELTA_M], skin_m)
         progress = progress or NullProgress()
-        found = np.concatenate(
-            [
-                cameras.detection_probability(every.reshape(-1, pose.shape[1]), scene)
-                for scene in progress.steps("mount errors", scenes, count=len(scenes))
-            ],
-            axis=1,
-        ).reshape(*every.shape[:2], -1)
+        found = np.zeros((*every.shape[:2], sum(scene.vehicle_count for scene in scenes)))
+        first = 0
+        for scene in progress.steps("mount errors", scenes, count=len(scenes)):
+            objects = slice(first, first := first + scene.vehicle_count)
+            for number, of_side in enumerate(cameras.sides):
+                own = np.flatnonzero(side == number)
+                seen = of_side.detection_probability(every[:, own].reshape(-1, pose.shape[1]), scene)
+                found[:, own, objects] = seen.reshape(len(every), len(own), -1)
         share = shares_of(weight)
 
         def misses(probability: np.ndarray) -> float:
@@ -170,7 +171,7 @@ class MountTolerance:
         plain, single, together = found[0], found[1 : 1 + 2 * len(columns)], found[1 + 2 * len(columns) :]
         nominal = misses(plain)
         single = single.reshape(2, len(columns), count, -1)
-        slope = _slopes(cameras, pose.astype(np.float32), scenes, share)
+        slope = _slopes(cameras, pose.astype(np.float32), side, scenes, share)
         effects = []
         for c, name in enumerate(camera):
             for k, degree in enumerate(COLUMNS):
@@ -184,7 +185,16 @@ class MountTolerance:
 
 
 def _slopes(
-    cameras: SingleCameras, mount_pose: np.ndarray, scenes: Sequence[DeviceScene], share: np.ndarray | None
+    cameras: SingleCameras,
+    mount_pose: np.ndarray,
+    side: np.ndarray,
+    scenes: Sequence[DeviceScene],
+    share: np.ndarray | None,
 ) -> np.ndarray:
-    """Derivatives of the expected misses per 100 to every number of every camera, float64 [camera, 7]."""
-    return 100.0 * expected_miss_slope(*cameras.with_jacobian(mount_pose, scenes), share)
+    """Derivatives of the expected misses per 100 to every number of every camera of a side, float64 [camera, 7]."""
+    objects = sum(scene.vehicle_count for scene in scenes)
+    probability, jacobian = np.zeros((len(side), objects)), np.zeros((len(side), objects, mount_pose.shape[1]))
+    for number, of_side in enumerate(cameras.sides):
+        own = np.flatnonzero(side == number)
+        probability[own], jacobian[own] = of_side.with_jacobian(mount_pose[own], scenes)
+    return 100.0 * expected_miss_slope(probability, jacobian, share)

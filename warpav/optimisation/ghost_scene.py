@@ -7,7 +7,7 @@ misses a road user.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -98,8 +98,7 @@ class GhostScene:
             ego_from_camera: Poses, float [camera, 4, 4].
             models: Model of every camera.
         """
-        seen = ghost_visibility(ego_from_camera, models, self.ghosts, self.ego, device=self.device)
-        return self._probability(seen)[0].astype(np.float32)
+        return self._probability(self.visibility(ego_from_camera, models))[0].astype(np.float32)
 
     def with_jacobian(
         self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]
@@ -147,15 +146,16 @@ class GhostScene:
         """Whether cameras meet points that they see so surely, bool, in the shape of the probabilities."""
         return np.asarray(probability) >= MET - 1e-4
 
-    def check(
-        self, probability: np.ndarray, ego_from_camera: np.ndarray, models: Sequence[CameraModel], count: int
-    ) -> None:
+    def visibility(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> Visibility:
+        """What each camera sees of each point; arguments as of `probability`."""
+        return ghost_visibility(ego_from_camera, models, self.ghosts, self.ego, device=self.device)
+
+    def check(self, probability: np.ndarray, seen: Callable[[], Visibility], count: int) -> None:
         """Make sure that a pool of cameras can meet every hard point.
 
         Args:
             probability: Of the pool, [camera, point].
-            ego_from_camera: Poses of its cameras, float [camera, 4, 4].
-            models: Their models.
+            seen: Says what its cameras see; asked where they cannot.
             count: Cameras of a rig.
 
         Raises:
@@ -165,5 +165,4 @@ class GhostScene:
         needed = self.ghosts.of_each("cameras")
         if not (self.is_hard & ((found < needed) | (needed > count))).any():
             return
-        seen = ghost_visibility(ego_from_camera, models, self.ghosts, self.ego, device=self.device)
-        require_meetable(seen, self.ghosts, count=count)
+        require_meetable(seen(), self.ghosts, count=count)

@@ -299,7 +299,7 @@ class _Search:
         """Reject a pool that cannot meet the hard requirements, with the names of those."""
         assert self.ghosts is not None
         found = self.pool.detection_probability[:, -self.ghosts.vehicle_count :]
-        self.ghosts.check(found, *self.cameras.in_ego(self.pool.mount_pose), self.camera_count)
+        self.ghosts.check(found, partial(self.cameras.visibility, self.pool.mount_pose, self.ghosts), self.camera_count)
 
     def _first_share(self, limit: int) -> int:
         """Camera renders that the first pool may take of so many."""

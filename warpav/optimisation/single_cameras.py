@@ -32,6 +32,7 @@ from warpav.raster.decide import Occlusion
 from warpav.raster.pane import Pane
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene as RasterScene
+from warpav.requirements.visibility import Visibility
 from warpav.scene.device_scene import DeviceScene
 
 CPU_VIEWS = 16
@@ -151,10 +152,41 @@ class SingleCameras:
             found[pair] = 1.0 - (1.0 - found[pair]) * (1.0 - image)
         return found
 
+    def visibility(self, mount_pose: np.ndarray, ghosts: GhostScene) -> Visibility:
+        """What each camera sees of each point of requirements, of a pair the camera that is not mirrored.
+
+        Args:
+            mount_pose: As the mount counts them, float [camera, 7].
+            ghosts: The points.
+        """
+        share, pixels = np.zeros((2, len(mount_pose), ghosts.vehicle_count))
+        for pane, row in self._by_pane(mount_pose):
+            seen = _seen_through(pane, ghosts).visibility(*self.in_ego(mount_pose[row]))
+            share[row], pixels[row] = seen.visible_share, seen.pixels
+        return Visibility(share, pixels)
+
     @property
     def _finds_pairs(self) -> bool:
         """Whether cameras stand for themselves and their mirror images: not on the mirrored side."""
         return self.mount.is_symmetric and not self.is_mirrored
+
+    @cached_property
+    def sides(self) -> tuple[SingleCameras, ...]:
+        """Those of the vehicle's left side and its middle, and of a symmetric mount their mirror images, all single."""
+        if not self._finds_pairs:
+            return (self,)
+        others = (self.probability, self.occlusion, self.supersampling, self.thread_count)
+        return SingleCameras(self.mount, *others, is_mirrored=True), self._mirrored
+
+    def apart(self, mount_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The cameras of a rig one by one, those of pairs too, in the order of `CameraMount.rig`.
+
+        Returns:
+            Mount poses, float [camera, 7], each as that of `sides` counts it to which it belongs, int [camera].
+        """
+        row = self.mount.rows_of_cameras(mount_pose)
+        side = np.append(False, row[1:] == row[:-1]).astype(int)
+        return np.where(side[:, None] == 1, mount_pose[row] * MIRROR, mount_pose[row]), side
 
     @cached_property
     def _mirrored(self) -> SingleCameras:

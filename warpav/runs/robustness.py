@@ -88,10 +88,10 @@ def tolerance_on(
 ) -> MountTolerance | None:
     """What errors of mounting cost a rig on scenes that are on the device, see `mount_tolerance`.
 
-    None where the objective is not the expected miss rate alone, and of symmetric rigs, whose pairs move as one.
+    None where the objective is not the expected miss rate alone.
     """
     cameras = single_cameras_of(placement.objective)
-    if cameras is None or placement.mount.is_symmetric:
+    if cameras is None:
         return None
     packed = [each.scene for each in scenes]
     return MountTolerance.of(
@@ -147,6 +147,9 @@ def soiling_of(
     rig: Rig, scenes: Sequence[Scene], placement: Placement, part: SoiledPart, *, progress: Progress
 ) -> Soiling:
     """`soiling` with a part of an image."""
+    if placement.mount.is_symmetric:
+        text = "expected null for what dirt costs, as the cameras of a pair are known together alone"
+        raise InputError(f"rig.symmetric: {text}")
     pose, cameras, seen, weight = _posed(rig, scenes, placement, "what dirt costs", progress)
     names = [camera.name for camera in rig.cameras]
     return Soiling.of(names, pose, cameras, seen, part, weight=weight, progress=progress)
@@ -198,15 +201,13 @@ def _posed(
     """A rig's mount pose, its cameras, scenes as the placement sees them, and the weights of their objects."""
     observed = placement.observed(scenes, progress=progress)
     cameras = single_cameras_of(placement.objective)
-    if cameras is None or placement.mount.is_symmetric:
+    if cameras is None:
         raise _unknown_probability(placement, what)
     weight = weights_on([each.scene for each in observed], placement)
     return placement.mount_pose_of(rig), cameras, list(placement.as_seen(scenes)), weight
 
 
 def _unknown_probability(placement: Placement, what: str) -> InputError:
-    if placement.mount.is_symmetric:
-        return InputError(f"rig.symmetric: expected null for {what}, as the cameras of a pair are known together alone")
     got = ", ".join(loss.name for _, loss in placement.objective.losses)
     return InputError(f"losses: expected the expected_miss_rate alone, with combine=any, for {what}, got {got}")
 
