@@ -35,6 +35,8 @@ def test_a_run_sees_more_of_what_it_has_to_see(working_directory, capsys):
     page = (working_directory / "near" / "report.html").read_text(encoding="utf-8")
     assert "Seen near the vehicle" in page
     assert "Requirements near the vehicle" in page
+    assert "of expected misses and points of the requirements together, below" in page
+    assert "is expected to miss less than" not in page  # that is not what the bound is over
     assert main(["optimise", *POOL, "run.out=plain"]) == 0
     capsys.readouterr()
     assert main(["rig", "requirements", "plain", "--requirements", "near/requirements.yaml", "--json", "out.json"]) == 0

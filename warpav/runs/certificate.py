@@ -12,7 +12,8 @@ class Bound:
     """What a selection has proven.
 
     Attributes:
-        bound: No rig of the pool's cameras is expected to miss less than this share of the objects.
+        bound: No rig of the pool's cameras is expected to miss less than this share of the objects; with requirements
+            or a robust objective: none has a lower objective.
         pool_cameras: Cameras of the pool.
         camera_renders: Camera renders (one camera, one scene) until then, those that the cache has spared among them.
     """

@@ -232,12 +232,15 @@ def _objective(run: RunContent, evaluation: EvaluationRecord) -> Statement | Non
     text = f"What the {search} lowers {_change(training.start, training.optimised)} on the {search_scenes(run)} scenes"
     if evaluation.robust is not None:
         return Statement("Objective", f"{text}: {robust_text(evaluation.robust.model_dump())}.")
+    if _counts_points(run):
+        text += ", expected misses and points of the requirements that are not met together"
     arms = evaluation.arms
     before = arms["start"].numbers["objective"] if "start" in arms else None
     after = arms[evaluation.first].numbers["objective"]
     if before is None or after is None:
         return Statement("Objective", f"{text}.")
-    text += f"; on the test scenes it {_change(before, after)}"
+    what = "what is expected to be missed" if _counts_points(run) else "it"
+    text += f"; on the test scenes {what} {_change(before, after)}"
     found = evaluation.paired.get("start", {}).get("objective")
     if found is not None and found.low is not None:
         text += f", a difference of {interval(found)} a scene"
@@ -255,6 +258,11 @@ def _objective(run: RunContent, evaluation: EvaluationRecord) -> Statement | Non
     return Statement("Objective", text, tone)
 
 
+def _counts_points(run: RunContent) -> bool:
+    """Whether requirements are part of what the search lowers."""
+    return bool(run.events and "requirements" in (run.events[-1].terms or {}))
+
+
 def _bound(run: RunContent) -> Statement | None:
     found = run.certificate
     if found is None:
@@ -266,6 +274,14 @@ def _bound(run: RunContent) -> Statement | None:
             f"below {number(found.bound, 4)}, which is proven and not tight; the rig that was found has "
             f"{number(found.objective, 4)}. Of cameras that the pool does not hold, and of other scenes, nothing is "
             "proven."
+        )
+        return Statement("Bound", text)
+    if _counts_points(run):
+        text = (
+            f"On {scenes} of the search no rig of the pool's {found.pool_cameras} cameras has an objective, of expected "
+            f"misses and points of the requirements together, below {number(found.bound, 4)}, which is proven; the "
+            f"rig that was found has {number(found.objective, 4)}. Of cameras that the pool does not hold, and of other "
+            "scenes, nothing is proven."
         )
         return Statement("Bound", text)
     beyond = "more" if found.gap >= 0.0 else "less, as its cameras were polished to where the pool has none"
@@ -342,8 +358,8 @@ def _requirements(evaluation: EvaluationRecord) -> Statement | None:
         return None
     parts = []
     for each in outcomes:
-        asked = "" if each.need.share == 1.0 else f" of the {percent(each.need.share, 0)} asked"
-        text = f"{each.name} is met at {percent(each.share)}{asked} of {each.points} points"
+        asked = "" if each.need.share == 1.0 else f" ({percent(each.need.share, 0)} asked)"
+        text = f"{each.name} is met at {percent(each.share)} of {each.points} points{asked}"
         if not each.is_met and each.worst:
             x, y = each.worst[0].position_m
             text += f", least at ({number(x, 1)}, {number(y, 1)}){SPACE}m"
