@@ -278,10 +278,10 @@ def _bound(run: RunContent) -> Statement | None:
         return Statement("Bound", text)
     if _counts_points(run):
         text = (
-            f"On {scenes} of the search no rig of the pool's {found.pool_cameras} cameras has an objective, of expected "
-            f"misses and points of the requirements together, below {number(found.bound, 4)}, which is proven; the "
-            f"rig that was found has {number(found.objective, 4)}. Of cameras that the pool does not hold, and of other "
-            "scenes, nothing is proven."
+            f"On {scenes} of the search no rig of the pool's {found.pool_cameras} cameras has an objective, of "
+            f"expected misses and points of the requirements together, below {number(found.bound, 4)}, which is "
+            f"proven; the rig that was found has {number(found.objective, 4)}. Of cameras that the pool does not "
+            "hold, and of other scenes, nothing is proven."
         )
         return Statement("Bound", text)
     beyond = "more" if found.gap >= 0.0 else "less, as its cameras were polished to where the pool has none"
