@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+import warpav as wa
 from tests.cli.small_run import complaint
 from tests.cli.test_pool_run import POOL
 from warpav.cli.app import main
@@ -37,7 +38,7 @@ def test_a_run_sees_more_of_what_it_has_to_see(working_directory, capsys):
     assert "Requirements near the vehicle" in page
     assert "of expected misses and points of the requirements together, below" in page
     assert "is expected to miss less than" not in page  # that is not what the bound is over
-    assert main(["optimise", *POOL, "run.out=plain"]) == 0
+    assert main(["optimise", *POOL, "requirements=null", "run.out=plain"]) == 0
     capsys.readouterr()
     assert main(["rig", "requirements", "plain", "--requirements", "near/requirements.yaml", "--json", "out.json"]) == 0
     plain = json.loads((working_directory / "out.json").read_text())["requirements"][0]["share"]
@@ -45,6 +46,42 @@ def test_a_run_sees_more_of_what_it_has_to_see(working_directory, capsys):
     assert main(["evaluate", "near", "--json", "again.json"]) == 0
     again = json.loads((working_directory / "again.json").read_text())
     assert next(iter(again["requirements"].values()))[0]["share"] == share["optimised"]
+
+
+def test_the_near_field_counts_by_default_and_asks_for_nothing(working_directory, capsys):
+    assert main(["optimise", *POOL, "run.out=default"]) == 0
+    shown = capsys.readouterr().out
+    assert "points met: near_field" in shown
+    assert "not met" not in shown.lower()
+    folder = RunFolder.open("default")
+    assert folder.config().requirements == "auto"
+    found = json.loads((working_directory / "default" / "evaluation.json").read_text())
+    outcome = found["requirements"]["optimised"][0]
+    assert (outcome["need"]["share"], outcome["is_met"]) == (None, True)
+    terms = folder.events()[-1]["terms"]
+    assert found["training_objective"]["optimised"] == pytest.approx(
+        (terms["expected_miss_rate"] + 0.1 * terms["requirements"]) / 1.1
+    )
+    page = (working_directory / "default" / "report.html").read_text(encoding="utf-8")
+    assert "near_field is met at" in page
+    assert "Not met: " not in page
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"requirements": ()},
+        {"config": wa.Config.load("quick", "requirements=null")},
+        {"config": wa.Config.load("quick", "optimiser.search=descent")},
+        {"config": wa.Config.load("quick", "method=thesis")},
+        {"robust": {"camera_loss": "mean"}},
+        {"losses": [(1.0, wa.losses.DetectedArea())]},
+    ],
+)
+def test_the_near_field_is_left_out(options):
+    town = wa.town([0])
+    assert [each.name for each in wa.Placement(town).requirements] == ["near_field"]
+    assert wa.Placement(town, **options).requirements == ()
 
 
 def test_hard_requirements_that_cannot_be_met_are_named(working_directory, capsys):

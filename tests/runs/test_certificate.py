@@ -18,7 +18,11 @@ from warpav.runs.certificate import Certificate
 from warpav.runs.report.report import write_report
 from warpav.runs.verdict import show_verdict
 
-BASE = [*(each for each in SMALL if not each.startswith("losses")), "losses={expected_miss_rate: 1.0}"]
+BASE = [
+    *(each for each in SMALL if not each.startswith("losses")),
+    "losses={expected_miss_rate: 1.0}",
+    "requirements=null",
+]
 POOL = ["optimiser.search=pool", "optimiser.pool_cameras=16", "optimiser.pool_rounds=1", "run.iterations=60"]
 
 

@@ -42,6 +42,7 @@ from warpav.raster.mesh import Mesh
 from warpav.rig.rig import write_rig
 from warpav.runs.commit import running_commit
 from warpav.runs.config import (
+    AUTO,
     Config,
     changed_config,
     overridden_option,
@@ -258,6 +259,8 @@ def run_experiment(
         InputError: Something in the input is wrong, or the folder holds something else.
         KeyboardInterrupt: The user stopped it; what is finished stays.
     """
+    if config.requirements == AUTO:  # its arms are compared by what they are expected to miss
+        config = changed_config(config, ["requirements=null"])
     runs_of = {} if runs is not None else experiment.runs_of
     runs = experiment.runs if runs is None else runs
     camera_renders_max = experiment.camera_renders_max if camera_renders_max is None else camera_renders_max

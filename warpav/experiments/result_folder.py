@@ -15,7 +15,6 @@ from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json
 from warpav.core.fingerprint import digest
-from warpav.requirements.template import template_names
 from warpav.runs.config import Config, dump_config, option_values
 from warpav.runs.config.rig_options import LATER_BASELINE_OPTIONS, LATER_RIG_OPTIONS
 from warpav.runs.environment import environment
@@ -134,8 +133,8 @@ def _options(config: Config) -> dict[str, Any]:
         values["rig.catalogue"] = f"{config.rig.catalogue.name} {digest(config.rig.catalogue.read_bytes())}"
     if config.mount.zones is not None:
         values["mount.zones"] = f"{config.mount.zones.name} {digest(config.mount.zones.read_bytes())}"
-    if config.requirements is not None and config.requirements not in template_names():
-        file = Path(config.requirements).expanduser()
+    if config.requirements_file is not None:
+        file = config.requirements_file
         values["requirements"] = f"{file.name} {digest(file.read_bytes())}"
     if config.scenes.ego is not None:  # what it holds, wherever it lies
         values["scenes.ego"] = f"{config.scenes.ego.name} {own_vehicle_digest(config)}"

@@ -24,7 +24,7 @@ from warpav.optimisation.polish import expected_miss_rate, shares_of
 from warpav.optimisation.pool_search import Found, PoolSearchSettings, pool_search
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.decide import Occlusion
-from warpav.runs.config import Config, changed_config, dump_config, with_absolute_paths
+from warpav.runs.config import AUTO, Config, changed_config, dump_config, with_absolute_paths
 from warpav.runs.environment import environment
 from warpav.runs.mounts import constraints_of
 from warpav.runs.placement import needed_fit
@@ -122,6 +122,8 @@ def run_scene_count(
         InputError: Something in the input is wrong.
         KeyboardInterrupt: The user stopped it; what is finished stays.
     """
+    if config.requirements == AUTO:  # searches are compared by what they are expected to miss
+        config = changed_config(config, ["requirements=null"])
     name = f"{NAME}_quick" if quick else NAME
     folder = (out or config.run.out or RUNS_FOLDER / name).absolute()
     runs = (1 if quick else RUNS) if runs is None else runs

@@ -179,10 +179,12 @@ class CameraPool:
         is_new = row >= len(self.mount_pose)
         found[len(self.mount_pose) :][is_new] = drawn[row[is_new] - len(self.mount_pose)]
         found[len(self.mount_pose) :][~is_new] = self.detection_probability[row[~is_new]]
-        if not found.any():
+        traffic = [scene for scene in self._source.scenes if not isinstance(scene, GhostScene)]
+        count = sum(scene.vehicle_count for scene in traffic)  # requirements stand behind
+        if not found[:, :count].any():
             raise InputError(
-                f"pool: expected cameras that see something, got {shape[0]} of which none sees any of the {shape[1]} "
-                f"objects of {len(self._source.scenes)} scenes; check scenes.targets, and where the cameras stand"
+                f"pool: expected cameras that see something, got {shape[0]} of which none sees any of the {count} "
+                f"objects of {len(traffic)} scenes; check scenes.targets, and where the cameras stand"
             )
         return replace(
             self,

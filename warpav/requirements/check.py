@@ -68,8 +68,9 @@ class RequirementOutcome:
 
     @property
     def is_met(self) -> bool:
-        """Whether as many points are met as it asks for."""
-        return self.met >= self.requirement.share * self.points - 1e-9
+        """Whether as many points are met as it asks for; where it asks for none, always."""
+        asked = self.requirement.share
+        return asked is None or self.met >= asked * self.points - 1e-9
 
     def to_json(self) -> dict[str, Any]:
         """As a JSON file has it."""
@@ -148,7 +149,7 @@ class RequirementResult:
         """In words, which requirements are not met, how far, and where; None where all are."""
         lines = [
             f"{each.requirement.name} is met at {100.0 * each.share:.1f} % of {each.points} points, "
-            f"asked {100.0 * each.requirement.share:g} %; worst at {_worst_text(each.worst)}"
+            f"asked {100.0 * (each.requirement.share or 0.0):g} %; worst at {_worst_text(each.worst)}"
             for each in self.outcomes
             if not each.is_met
         ]

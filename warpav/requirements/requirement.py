@@ -35,7 +35,8 @@ class Requirement:
             up to the second [rad]; None: all.
         weight: What it costs a search when all its points are missed, over missing all the traffic; None: the
             requirement is hard, every point has to be met.
-        share: Share of its points that must be met, in (0, 1]; 1 of a hard one.
+        share: Share of its points that must be met, in (0, 1]; 1 of a hard one. None: a term of the search alone, that
+            asks for none.
     """
 
     name: str
@@ -47,7 +48,7 @@ class Requirement:
     cameras: int = 1
     sector_rad: tuple[float, float] | None = None
     weight: float | None = None
-    share: float = 1.0
+    share: float | None = 1.0
 
     @property
     def is_hard(self) -> bool:
@@ -60,7 +61,7 @@ class Requirement:
         if self.pixels > 0.0:
             seen += f" and {self.pixels:g} px"
         text = f"{seen} of a {self.test_object.kind} by {self.cameras} camera{'s' if self.cameras > 1 else ''}"
-        return text if self.share == 1.0 else f"{text}, at {100.0 * self.share:g} % of the points"
+        return text if self.share in (None, 1.0) else f"{text}, at {100.0 * self.share:g} % of the points"
 
     def points_m(self, body: Body) -> np.ndarray:
         """Where the test object is put [m], [point, 2]: only where it does not reach under the body.

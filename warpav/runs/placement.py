@@ -44,7 +44,7 @@ from warpav.raster.mesh import Mesh
 from warpav.requirements.read import read_requirements
 from warpav.requirements.requirement import Requirement
 from warpav.rig.rig import Rig
-from warpav.runs.config import Config, RigConfig, changed_config, flow_text
+from warpav.runs.config import AUTO, Config, RigConfig, changed_config, flow_text
 from warpav.runs.config.schema import NO_REQUIREMENTS
 from warpav.runs.detector_fit import ensure_fit
 from warpav.runs.mounts import camera_models, checked_frozen, constraints_of, rig_limits
@@ -191,7 +191,7 @@ class Placement:
                 `warpav.losses` or of one's own (see `LossFunction`); they replace those of the method.
             importance: Weights of road users, as in the section ``importance``: ``{"category": {"pedestrian": 2.0}}``.
             requirements: What has to be seen near the vehicle: a YAML file, the name of a template such as
-                ``"near_field"``, or what `warpav.read_requirements` gives; None: as ``config`` says.
+                ``"near_field"``, or what `warpav.read_requirements` gives; ``()``: nothing; None: as ``config`` says.
             robust: Whether the loss of a camera counts, as in the section ``robust``: ``{"camera_loss": "worst"}``.
             probability: The detector's model of detection probability, as `warpav.runs.detector_fit.fit` gives it;
                 None: the stored one, which is fitted first if there is none.
@@ -427,6 +427,11 @@ class Placement:
         if self._parts.requirements is not None:
             return self._parts.requirements
         source = self.config.requirements
+        if source == AUTO:
+            is_robust = self.config.robust.camera_loss is not None
+            if self._parts.losses is not None or is_robust or not self.config.knows_requirements:
+                return ()
+            return tuple(replace(each, share=None) for each in read_requirements("near_field"))
         return () if source is None else read_requirements(source)
 
     @cached_property
@@ -636,7 +641,7 @@ def _checked_requirements(requirements: Sequence[Requirement], config: Config) -
     for each in found:
         if not isinstance(each, Requirement):
             raise TypeError(f"requirements: expected what read_requirements gives, got {type(each).__name__}")
-    if found and config.descends:
+    if found and not config.knows_requirements:
         raise ArgumentError("requirements", f"expected none: {NO_REQUIREMENTS}")
     return found
 

@@ -28,7 +28,6 @@ from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError, OptionError
 from warpav.core.files import json_ready, write_json, write_text, writing
 from warpav.requirements.read import copy_requirements
-from warpav.requirements.template import template_names
 from warpav.rig.presets import preset_names
 from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.zone import read_zones, write_zones
@@ -125,8 +124,8 @@ class RunFolder:
             write_zones(read_zones(config.mount.zones), path / ZONES_FILE)
         if config.rig.catalogue is not None:
             shutil.copyfile(config.rig.catalogue, path / CATALOGUE_FILE)
-        if config.requirements is not None and config.requirements not in template_names():
-            copy_requirements(Path(config.requirements), path / REQUIREMENTS_FILE)
+        if config.requirements_file is not None:
+            copy_requirements(config.requirements_file, path / REQUIREMENTS_FILE)
         folder.replace_config(config)
         write_json(path / "env.json", {**environment(config, device), "own_detector": own_detector})
         return folder

@@ -206,7 +206,7 @@ def unmet_requirements(evaluation: Mapping[str, Any]) -> list[str]:
         if each["is_met"]:
             continue
         text = f"REQUIREMENT NOT MET: {each['name']} at {each['share']:.1%} of {each['points']} points"
-        if each["need"]["share"] < 1.0:
+        if each["need"]["share"] not in (None, 1.0):
             text += f", asked {each['need']['share']:.0%}"
         if each["worst"]:
             x, y = each["worst"][0]["position_m"]

@@ -22,6 +22,7 @@ from warpav.runs.config.load import (
 )
 from warpav.runs.config.rig_options import NAMED_STARTS, START_TEXT, RigConfig
 from warpav.runs.config.schema import (
+    AUTO,
     CATALOGUE_FILE,
     REQUIREMENTS_FILE,
     START_FILE,
@@ -36,6 +37,7 @@ from warpav.runs.config.schema import (
 from warpav.runs.config.shipped import config_dir, config_names, find_config
 
 __all__ = [
+    "AUTO",
     "CATALOGUE_FILE",
     "COMMAND_LINE",
     "NAMED_STARTS",

@@ -152,7 +152,6 @@ def option_values(config: ConfigTree) -> dict[str, object]:
     """Every option by its dotted name, such as ``rig.cameras``, in the order of the tree, as written in files."""
     unset = {"importance": config.importance, "robust": config.robust}
     tree = {
-        "requirements": None,
         **{name: section.model_dump(mode="json") for name, section in unset.items()},
         **config.model_dump(mode="json"),
     }

@@ -18,7 +18,6 @@ from pydantic import ValidationError
 from warpav.core.errors import InputError, OptionError
 from warpav.core.section import move_option, renamed_options, shown, warn_renamed
 from warpav.core.yaml_file import Location, read_yaml
-from warpav.requirements.template import template_names
 from warpav.runs.config.explain import COMMAND_LINE, explain, option_locations, option_values, place_of, placed
 from warpav.runs.config.rig_options import NAMED_STARTS
 from warpav.runs.config.schema import (
@@ -140,7 +139,7 @@ def with_absolute_paths(config: Config) -> Config:
         ("rig.start", config.rig.start if _is_path(config.rig.start) else None),
         ("mount.zones", config.mount.zones),
         ("rig.catalogue", config.rig.catalogue),
-        ("requirements", None if config.requirements in template_names() else config.requirements),
+        ("requirements", config.requirements_file),
     ):
         if value is not None:
             overrides.append(f"{option}={flow_text(str(Path(value).expanduser().absolute()))}")

@@ -478,15 +478,19 @@ class ExecutorConfig(Section):
     )
 
 
-_REQUIREMENTS_TEXT = "the name of a template, such as near_field, or the path of a YAML file"
+_REQUIREMENTS_TEXT = "auto, the name of a template, such as near_field, or the path of a YAML file"
+
+AUTO = "auto"
+"""Requirements that are the near field, as a term of the objective alone, where the search knows requirements."""
 
 NO_REQUIREMENTS = "only the search by a pool, with the loss expected_miss_rate alone, knows requirements"
 """Why others take none."""
 
 
 def _read_requirements(value: object) -> object:
-    if isinstance(value, str) and value not in template_names():
-        existing_file(value, f"one of {', '.join(template_names())}, or a YAML file", [value], template_names())
+    named = [AUTO, *template_names()]
+    if isinstance(value, str) and value not in named:
+        existing_file(value, f"one of {', '.join(named)}, or a YAML file", [value], named)
     return value
 
 
@@ -540,9 +544,10 @@ class ConfigTree(Section):
     )
     importance: ImportanceSettings = Field(default=ImportanceSettings(), description="which road users matter more")
     requirements: Annotated[str, BeforeValidator(_read_requirements), Expectation(_REQUIREMENTS_TEXT)] | None = Field(
-        default=None,
+        default=AUTO,
         description="what has to be seen near the vehicle besides the traffic: the name of a template, such as "
-        "near_field, or the path of a YAML file; null: nothing",
+        "near_field, or the path of a YAML file; null: nothing; auto: where the search is the one by a pool, without "
+        "robust, the points of near_field join the objective, and none is asked for",
     )
     robust: RobustSettings = Field(default=RobustSettings(), description="rigs that are to bear the loss of a camera")
     visibility: VisibilitySettings = Field(default=VisibilitySettings(), description="what hides a vehicle")
@@ -570,8 +575,6 @@ class ConfigTree(Section):
         result = written(self)
         if not self.importance.is_set:
             result.pop("importance", None)
-        if self.requirements is None:
-            result.pop("requirements", None)
         if self.robust.camera_loss is None:
             result.pop("robust", None)
         if self.mount.zones is None:
@@ -581,6 +584,17 @@ class ConfigTree(Section):
                 if getattr(getattr(self, section), name) is None:
                     result[section].pop(name, None)
         return result
+
+    @property
+    def requirements_file(self) -> Path | None:
+        """The file of requirements; None where a template is meant, or nothing."""
+        known = (None, AUTO, *template_names())
+        return None if self.requirements in known else Path(str(self.requirements)).expanduser()
+
+    @property
+    def knows_requirements(self) -> bool:
+        """Whether the search is one that knows requirements."""
+        return not self.descends and self.losses.suits_pool and self.method != "thesis"
 
     @property
     def descends(self) -> bool:
@@ -603,7 +617,7 @@ class ConfigTree(Section):
         self._check_freeze()
         self._check_zones()
         self._check_importance()
-        if self.requirements is not None and (self.descends or self.method == "thesis"):
+        if self.requirements not in (None, AUTO) and not self.knows_requirements:
             mistake(f"expected null: {NO_REQUIREMENTS}", "requirements", "optimiser.search")
         if self.robust.camera_loss is not None and (self.descends or not self.losses.suits_pool):
             text = "expected null, as only the search by a pool, with the loss expected_miss_rate alone, knows it"

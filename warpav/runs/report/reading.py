@@ -209,7 +209,7 @@ class NeedRecord(_Part):
     visible_share: float
     pixels: float
     cameras: int
-    share: float = 1.0
+    share: float | None = 1.0
 
 
 class PointRecord(_Part):

@@ -358,13 +358,16 @@ def _requirements(evaluation: EvaluationRecord) -> Statement | None:
         return None
     parts = []
     for each in outcomes:
-        asked = "" if each.need.share == 1.0 else f" ({percent(each.need.share, 0)} asked)"
+        share = each.need.share
+        asked = "" if share in (None, 1.0) else f" ({percent(share, 0)} asked)"
         text = f"{each.name} is met at {percent(each.share)} of {each.points} points{asked}"
-        if not each.is_met and each.worst:
+        if (not each.is_met or share is None) and each.worst:
             x, y = each.worst[0].position_m
             text += f", least at ({number(x, 1)}, {number(y, 1)}){SPACE}m"
         parts.append(text)
     is_met = all(each.is_met for each in outcomes)
+    if all(each.need.share is None for each in outcomes):  # terms of the objective that ask for nothing
+        return Statement("Seen near the vehicle", f"{_listed(parts)}.", "open")
     lead = "Met: " if is_met else "Not met: "
     parts = parts if is_met else [text for text, each in zip(parts, outcomes, strict=True) if not each.is_met]
     return Statement("Seen near the vehicle", f"{lead}{_listed(parts)}.", "good" if is_met else "bad")
