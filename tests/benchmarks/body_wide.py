@@ -1,0 +1,226 @@
+"""Flush cameras anywhere on the body against flush cameras on the roof, and against known rigs on the same vehicle.
+
+A program, not a test: ``python tests/benchmarks/body_wide.py --device cuda:0 --workers 12 --out body_wide.json``. For
+each vehicle it searches among the zones that the body suggests (none behind glass) and among its roof alone, at equal
+numbers of equal cameras and equal settings; for each known rig with as many cameras, of its most frequent field of view
+and proportions. All rigs are judged by what they are expected to miss in scenes that no search saw. Differences come
+with 95 % intervals over these scenes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import tempfile
+import time
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import cache
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import trimesh
+import warp as wp
+
+import warpav as wa
+from warpav.evaluation.statistics import paired_difference
+from warpav.raster.buffers import Content
+from warpav.raster.mesh import Mesh
+from warpav.raster.renderer import Renderer
+from warpav.rig.presets import preset_names
+from warpav.rig.zone import read_zones, write_zones
+from warpav.runs.config import Config, changed_config
+from warpav.runs.detector_fit import ensure_fit
+from warpav.runs.preset_rigs import preset_for
+from warpav.runs.vehicle_zones import propose
+
+VEHICLES = {"car": None, "van": "minibus", "bus": "bus"}
+PIXELS = 65_536
+"""Of every image, about."""
+UNSEEN_FROM = 30_000
+
+
+@dataclass(frozen=True)
+class Task:
+    """One search.
+
+    Attributes:
+        vehicle: A key of `VEHICLES`.
+        where: ``body`` or ``roof``.
+        like: The known rig whose cameras it has; None: four of 90 degrees.
+        seed: Of the search; its training scenes begin at a thousand times this.
+        settings: What the command line says.
+    """
+
+    vehicle: str
+    where: str
+    like: str | None
+    seed: int
+    settings: argparse.Namespace
+
+
+def main() -> None:
+    """Search, judge, compare."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--workers", type=int, default=1, help="searches at a time")
+    parser.add_argument("--vehicles", default=",".join(VEHICLES))
+    parser.add_argument("--like", default=",".join(preset_names()), help="known rigs")
+    parser.add_argument("--seeds", type=int, default=2, help="searches with four cameras of 90 degrees, by vehicle")
+    parser.add_argument("--train", type=int, default=200, help="scenes of a search")
+    parser.add_argument("--unseen", type=int, default=200, help="scenes that judge")
+    parser.add_argument("--pool", type=int, default=768, help="cameras of the first pool")
+    parser.add_argument("--targets", default="vehicle,pedestrian,cyclist")
+    parser.add_argument("--out", type=Path, default=Path("body_wide.json"))
+    settings = parser.parse_args()
+    known = [name for name in settings.like.split(",") if name]
+    tasks = [
+        Task(vehicle, where, like, seed, settings)
+        for vehicle in settings.vehicles.split(",")
+        for like, seed in [*((None, seed) for seed in range(settings.seeds)), *((name, 0) for name in known)]
+        for where in ("body", "roof")
+    ]
+    began = time.perf_counter()
+    with ProcessPoolExecutor(settings.workers, mp_context=get_context("spawn")) as processes:
+        found = list(processes.map(searched, tasks))
+        presets = {
+            (vehicle, name): processes.submit(judged_preset, vehicle, name, settings)
+            for vehicle in settings.vehicles.split(",")
+            for name in known
+        }
+        missed_by = {key: each.result() for key, each in presets.items()}
+    rows = []
+    for body, roof in zip(found[::2], found[1::2], strict=True):
+        row = {key: body[key] for key in ("vehicle", "like", "seed")}
+        arms = {"body": body["missed"], "roof": roof["missed"]}
+        if body["like"] is not None:
+            arms["preset"] = missed_by[body["vehicle"], body["like"]]
+        row |= {f"{name}_per_100": 100.0 * float(np.nanmean(each)) for name, each in arms.items()}
+        for name in list(arms)[1:]:
+            row[f"{name}_less_body"] = str(paired_difference(100.0 * arms[name], 100.0 * arms["body"]))
+        row |= {f"{each['where']}_{key}": each[key] for each in (body, roof) for key in ("zones", "seen", "seconds")}
+        rows.append(row)
+        print(json.dumps(row), flush=True)  # noqa: T201
+    kept = {key: str(value) for key, value in vars(settings).items() if key != "out"}
+    result = {"settings": kept, "seconds": time.perf_counter() - began, "rows": rows}
+    settings.out.write_text(json.dumps(result, indent=1), encoding="utf-8")
+
+
+def searched(task: Task) -> dict[str, object]:
+    """The rig of a search, and what it misses in each unseen scene."""
+    settings = task.settings
+    first = 1000 * task.seed
+    train = wa.town(range(first, first + settings.train))
+    began = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        zones = zones_of(task.vehicle, Path(folder) / "zones.yaml", task.where)
+        placement = wa.Placement(
+            list(train), ego=VEHICLES[task.vehicle], zones=zones, requirements=(), config=config_of(task)
+        )
+        result = wa.optimise(placement, seed=task.seed)
+        places = Counter(_zone_of(placement, result.rig))
+    return {
+        "vehicle": task.vehicle,
+        "where": task.where,
+        "like": task.like,
+        "seed": task.seed,
+        "zones": dict(places),
+        "seen": 100.0 * result.objective,
+        "seconds": time.perf_counter() - began,
+        "missed": misses(result.rig, task.vehicle, settings),
+    }
+
+
+def _zone_of(placement: wa.Placement, rig: wa.Rig) -> list[str]:
+    surface = placement.mount.surface
+    place_m = placement.mount_pose_of(rig)[:, :2].astype(np.float64)
+    return [surface.zones[k].name for k in surface.zone_at(place_m)]
+
+
+def config_of(task: Task) -> Config:
+    """What the cameras are, and how long is searched."""
+    settings = task.settings
+    options = [
+        f"device={settings.device}",
+        f"scenes.targets=[{settings.targets}]",
+        f"optimiser.pool_cameras={settings.pool}",
+        "rig.free.pitch_deg=[-10, 30]",
+    ]
+    if task.like is not None:
+        cameras = wa.preset(task.like).cameras
+        (fov, _), *_ = Counter(round(np.degrees(each.model.fov_rad), 1) for each in cameras).most_common(1)
+        model = next(each.model for each in cameras if round(np.degrees(each.model.fov_rad), 1) == fov)
+        model = model.with_pixels(PIXELS)
+        options += [f"rig.cameras={len(cameras)}", f"camera.fov_deg={fov}"]
+        options += [f"camera.width_px={model.width_px}", f"camera.height_px={model.height_px}"]
+    return changed_config(Config(), options, origin=None)
+
+
+def zones_of(vehicle: str, file: Path, where: str) -> Path:
+    """The zones that a body suggests outside of its glass, or its roof alone, in a file."""
+    mesh, source = vehicle_of(vehicle), file.with_name("vehicle.ply")
+    trimesh.Trimesh(mesh.vertex_m, mesh.triangle, vertex_colors=mesh.vertex_rgb, process=False).export(source)
+    config = changed_config(Config(), ["rig.free.pitch_deg=[-10, 30]"], origin=None)
+    for _ in propose(source, config, out=file):
+        pass
+    zones = [zone for zone in read_zones(file) if not zone.is_behind_glass]
+    zones = [zone for zone in zones if where == "body" or zone.name == "roof"]
+    write_zones([replace(zone, stand_off_m=(0.0, 0.03)) for zone in zones], file)
+    return file
+
+
+def vehicle_of(name: str) -> Mesh:
+    """A vehicle in the ego frame."""
+    scene = wa.town([0])
+    placement = wa.Placement(list(scene), ego=VEHICLES[name], requirements=())
+    return placement.ego
+
+
+def judged_preset(vehicle: str, name: str, settings: argparse.Namespace) -> np.ndarray:
+    """What a known rig on the body of a vehicle misses in each unseen scene."""
+    moved = preset_for(name, config_of(Task(vehicle, "body", None, 0, settings)), vehicle_of(vehicle))
+    return misses(moved.rig, vehicle, settings)
+
+
+def misses(rig: wa.Rig, vehicle: str, settings: argparse.Namespace) -> np.ndarray:
+    """Share of the objects of each unseen scene that a rig is expected to miss, NaN where there is none, [scene]."""
+    config = config_of(Task(vehicle, "body", None, 0, settings))
+    scenes = unseen(vehicle, settings.device, settings.targets, settings.unseen)
+    sizes = dict.fromkeys((each.model.width_px, each.model.height_px) for each in rig.cameras)
+    groups = []
+    for size in sizes:
+        cameras = [each for each in rig.cameras if (each.model.width_px, each.model.height_px) == size]
+        pose = np.stack([each.ego_from_camera for each in cameras])
+        position = wp.array(pose[:, :3, 3].astype(np.float32), dtype=wp.vec3, device=settings.device)
+        turned = pose[:, :3, :3].transpose(0, 2, 1).astype(np.float32)
+        rotation = wp.array(turned, dtype=wp.mat33, device=settings.device)
+        renderer = Renderer([each.model for each in cameras], device=settings.device)
+        fits = [ensure_fit(config, camera=each.model) for each in cameras]
+        groups.append((renderer, position, rotation, fits))
+    found = []
+    for scene in scenes:
+        missed = np.ones(scene.vehicle_count)
+        for renderer, position, rotation, fits in groups if scene.vehicle_count else ():
+            frame = renderer.render(scene.raster, position, rotation, content=Content.COVERAGE)
+            for k, fit in enumerate(fits):
+                missed *= 1.0 - fit.of_coverage(frame, scene, position).probability.numpy()[k]
+        found.append(missed.mean() if len(missed) else np.nan)
+    return np.array(found)
+
+
+@cache
+def unseen(vehicle: str, device: str, targets: str, count: int) -> tuple[object, ...]:
+    """The scenes that judge, on the device."""
+    options = [f"device={device}", f"scenes.targets=[{targets}]"]
+    config = changed_config(Config(), options, origin=None)
+    scenes = wa.town(range(UNSEEN_FROM, UNSEEN_FROM + count))
+    placement = wa.Placement(list(scenes[:1]), ego=VEHICLES[vehicle], requirements=(), config=config)
+    return tuple(each.scene for each in placement.observed(scenes))
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+    main()
