@@ -13,7 +13,8 @@ ELSEWHERE = ("pip ", "python3 ", "warpav doctor", "warpav optimise rig.")
 
 
 LEFT_OUT = re.compile(
-    r"(?:scenes|pool of cameras): \d+/|iteration |[│├┃┡└┏]|recall of the rig|optimised without one camera"
+    r"(?:scenes|cameras of the start|pool of cameras): \d+/|iteration |[│├┃┡└┏]|recall of the rig|"
+    r"optimised without one camera"
 )
 """Lines that the tutorial says it leaves out, or some of."""
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.cli.small_run import SMALL, complaint
 from warpav.cli.app import main
-from warpav.optimisation.pool import CameraPool
+from warpav.optimisation import pool as pool_module
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.optimisation.selection.branching import Search
 from warpav.runs.run_folder import RunFolder
@@ -60,11 +60,38 @@ def test_ctrl_c_during_a_search_by_a_pool_keeps_what_it_knows(working_directory,
     assert main(["report", "stopped"]) == 0
 
 
-def test_ctrl_c_while_the_pool_is_drawn_leaves_no_further_cameras(monkeypatch, capsys):
-    monkeypatch.setattr(CameraPool, "draw", interrupted)
+@pytest.mark.parametrize("scenes_drawn", [1, 3])
+def test_ctrl_c_while_the_pool_is_drawn_leaves_the_start(working_directory, monkeypatch, capsys, scenes_drawn):
+    """In the middle of the start's two scenes there is no state yet, in those of the pool there is."""
+    draw, tasks = pool_module._draw, []
+
+    def interrupted_later(task):
+        tasks.append(task)
+        return interrupted() if len(tasks) > scenes_drawn else draw(task)
+
+    monkeypatch.setattr("warpav.runs.optimise.pool_cache_folder", lambda: working_directory / "cache")
+    monkeypatch.setattr(pool_module, "_draw", interrupted_later)
     assert main(["optimise", *POOL, "run.out=stopped"]) == 130
-    assert capsys.readouterr().err == "interrupted\n"
-    assert RunFolder.open("stopped").further_cameras() is None
+    captured = capsys.readouterr()
+    assert captured.err == "interrupted\n"
+    folder, has_start = RunFolder.open("stopped"), scenes_drawn >= 2
+    assert ("what was reached is in stopped, for warpav evaluate, inspect and report" in captured.out) == has_start
+    assert ("the start is in stopped, for warpav evaluate and inspect" in captured.out) != has_start
+    assert [event["stage"] for event in folder.events()] == (["start"] if has_start else [])
+    assert ("done start" in captured.out) == has_start
+    assert folder.rig_path("best").is_file() == has_start
+    if has_start:
+        assert [event["camera_renders"] for event in folder.events()] == [2 * 2]
+        with np.load(folder.path / "checkpoints" / "last.npz", allow_pickle=False) as state:
+            assert (state["iteration"], len(state["candidate_iteration"])) == (1, 1)
+    written = [[camera.position_m for camera in rig.cameras] for rig in (folder.rig(), folder.rig("initial"))]
+    np.testing.assert_allclose(*written, atol=1e-5)
+    assert main(["evaluate", "stopped"]) == 0
+    assert main(["inspect", "stopped", "--out", "rig.png"]) == 0
+    if has_start:
+        assert main(["report", "stopped"]) == 0
+    assert folder.further_cameras() is None
+    capsys.readouterr()
     message = complaint(capsys, "inspect", "stopped", "--show", "further", "--out", "further.png")
     assert "expected the folder of a run with optimiser.search=pool that has drawn its pool" in message
 

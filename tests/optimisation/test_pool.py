@@ -215,6 +215,10 @@ def test_large_pools_are_kept_in_half_precision(monkeypatch):
     assert half.detection_probability.dtype == np.float16
     error = np.abs(half.detection_probability.astype(float) - exact.detection_probability)
     assert 0.0 < error.max() <= 1.0 / 4096.0
+    # a small pool grows into a large one
+    grown = drawn(5).extended(poses_of(20)[5:])
+    assert grown.detection_probability.dtype == np.float16
+    np.testing.assert_array_equal(grown.detection_probability, half.detection_probability)
     # one more camera joins in the same precision
     assert half.extended(poses_of(21)[20:]).detection_probability.dtype == np.float16
 
@@ -382,6 +386,12 @@ def test_cameras_that_see_nothing_are_refused():
     with pytest.raises(InputError, match="got 3 of which none sees any of the 10 objects of 3 scenes") as caught:
         CameraPool.draw(pose, scenes=streets(), cameras=cameras_of())
     assert "\n" not in str(caught.value)
+    # where others join them they are refused with these
+    blind = CameraPool.draw(pose, scenes=streets(), cameras=cameras_of(), may_see_nothing=True)
+    assert not blind.detection_probability.any()
+    with pytest.raises(InputError, match="got 4 of which none sees any of the 10 objects of 3 scenes"):
+        blind.extended(pose[:1])
+    assert blind.extended(poses_of(4)).detection_probability[3:].any()
     # beside others they may be there
     assert not drawn(4).extended(pose).detection_probability[4:].any()
 

@@ -9,9 +9,10 @@ import pytest
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from warpav.core.errors import InputError
+from warpav.optimisation import pool as pool_module
 from warpav.optimisation.polish import expected_miss_rate
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
-from warpav.optimisation.pool_search import PoolSearchSettings, _Assembly, pool_search
+from warpav.optimisation.pool_search import PoolSearchSettings, _Assembly, pool_search, too_near
 
 SMALL = PoolSearchSettings(pool_cameras=24, rounds=2, priced_cameras=4, gap=0.0)
 
@@ -105,6 +106,75 @@ def test_of_a_budget_enough_is_left_for_the_polish():
     assert "polish" in {state.stage for state in states}
     only = PoolSearchSettings(pool_cameras=1000, camera_renders_max=400, polishes=False, rounds=0)
     assert searched(settings=only)[-1].camera_renders > 400 - len(streets())
+
+
+def assert_same(one, other):
+    """Two states are the same, bit for bit, and their pools are."""
+    for name in ("mount_pose", "objective", "bound", "stage", "camera_renders", "pool_cameras", "round"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    np.testing.assert_array_equal(one.pool.mount_pose, other.pool.mount_pose)
+    np.testing.assert_array_equal(one.pool.detection_probability, other.pool.detection_probability)
+
+
+@pytest.mark.parametrize("is_frozen", [False, True])
+def test_the_start_comes_before_the_pool_is_drawn_and_changes_nothing_that_follows(monkeypatch, is_frozen):
+    mount = mount_of(free=None)
+    start, constraints = poses_of(3, mount, seed=5), zone_of(mount)
+    if is_frozen:
+        mount = mount.freezing(mount.rig(start), ["camera_1"])
+        constraints = zone_of(mount, frozen=mount.frozen)
+    cameras, scenes, drawn = cameras_of(mount=mount), streets(), []
+    draw = pool_module._draw
+    monkeypatch.setattr(pool_module, "_draw", lambda task: (drawn.append(len(task.mount_pose)), draw(task))[1])
+    states = pool_search(cameras, scenes, constraints, 3, start=start, settings=SMALL)
+    first = next(states)
+    assert (first.stage, first.bound, first.pool_cameras, first.camera_renders) == ("start", 0.0, 3, 3 * len(scenes))
+    assert drawn == [3] * len(scenes)
+    found = np.concatenate([cameras.detection_probability(first.mount_pose, scene) for scene in scenes], axis=1)
+    assert first.objective == expected_miss_rate(found)
+    rest = list(states)
+    assert drawn == [3] * len(scenes) + [SMALL.pool_cameras] * len(scenes)
+    assert (rest[0].stage, rest[0].pool_cameras) == ("selection", 3 + SMALL.pool_cameras)
+    assert rest[0].camera_renders == (3 + SMALL.pool_cameras) * len(scenes)
+    # all at once: the cameras of the start, the frozen one first, and behind them the others
+    pose = np.concatenate([first.pool.mount_pose, spread_mount_poses(mount, constraints, SMALL.pool_cameras, seed=0)])
+    np.testing.assert_array_equal(pose[0], first.mount_pose[int(is_frozen)])
+    known = CameraPool.draw(pose, scenes=scenes, cameras=cameras)
+    at_once = list(pool_search(cameras, scenes, constraints, 3, start=start, settings=SMALL, pool=known))
+    assert at_once[0].objective == first.objective
+    for one, other in zip(rest, at_once[1:], strict=True):
+        assert_same(one, other)
+
+
+def test_a_second_search_draws_neither_the_start_nor_the_pool(tmp_path, monkeypatch):
+    options = {"start": poses_of(3, mount_of(free=None), seed=5), "cache": tmp_path}
+    options["settings"] = replace(SMALL, polishes=False)
+    once = searched(**options)
+    assert len(list(tmp_path.glob("pool_*.npz"))) == 2 * len(streets())
+    monkeypatch.setattr(pool_module, "_draw", None)
+    again = searched(**options)
+    assert [state.stage for state in again] == ["start", "selection", "settled"]
+    for one, other in zip(once, again, strict=True):
+        assert_same(one, other)
+    assert (again[-1].pool.drawn_count, once[-1].pool.cached_count) == (0, 0)
+    assert again[-1].camera_renders == 27 * len(streets())
+
+
+def test_a_start_that_sees_nothing_is_no_reason_to_refuse_the_pool():
+    mount = mount_of(free=None)
+    scenes, constraints, cameras = streets()[:1], zone_of(mount), cameras_of(mount=mount)
+    pose = spread_mount_poses(mount, constraints, 400, seed=5)
+    blind = pose[~cameras.detection_probability(pose, scenes[0]).any(axis=1)]
+    apart = too_near(blind[[0, -1, len(blind) // 2]], constraints)
+    assert not apart.nnz
+    start = blind[[0, -1, len(blind) // 2]]
+    first, *_, last = pool_search(cameras, scenes, constraints, 3, start=start, settings=SMALL)
+    assert (first.stage, first.objective) == ("start", 1.0)
+    assert last.objective < 1.0
+    # the budget is that of the start alone, so nothing follows that could see
+    only = PoolSearchSettings(pool_cameras=3, camera_renders_max=3, polishes=False)
+    with pytest.raises(InputError, match="expected cameras that see something, got 3 of which none sees any of the 6"):
+        next(pool_search(cameras, scenes, constraints, 3, start=start, settings=only))
 
 
 def test_refinement_spends_what_rounds_leave_and_finds_better_rigs():

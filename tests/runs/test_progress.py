@@ -88,6 +88,32 @@ def test_piped_output_of_a_search_by_a_pool_is_a_line_for_every_stage():
     assert "objective 0.16  bound 0.15 (of any rig of 40 cameras)  camera renders 400" in lines[3]
 
 
+def test_the_start_of_a_search_by_a_pool_is_shown_before_the_pool_is_drawn():
+    def states(display):
+        start, *others = _states()
+        list(display.steps("cameras of the start", "ab", count=2))
+        yield start
+        list(display.steps("pool of cameras", "ab", count=2))
+        yield from others
+
+    def watch(display):
+        list(display.iterations(states(display), count=None, min_spacing_m=0.2))
+
+    lines = [line.partition("  ")[0] for line in _shown(False, watch).splitlines()]
+    assert lines[:5] == ["searching", "cameras of the start: 2", "done start", "pool of cameras: 2", "done selection"]
+    assert lines.count("done start") == 1
+
+
+def test_a_terminal_shows_the_start_while_the_pool_is_drawn():
+    def states(display):
+        yield next(_states())
+        for _ in display.steps("pool of cameras", "ab", count=2):
+            time.sleep(2.0 / REFRESH_PER_SECOND)
+
+    text = _shown(True, lambda display: list(display.iterations(states(display), count=None, min_spacing_m=0.2)))
+    assert "objective" in text.partition("pool of cameras")[2]
+
+
 def test_an_interrupted_search_by_a_pool_says_what_it_has_come_to():
     def interrupt(display):
         states = display.iterations(_states(), count=None, min_spacing_m=0.2)

@@ -39,6 +39,8 @@ from warpav.scene.device_scene import DeviceScene
 
 CHUNK_CAMERAS = 512
 """Cameras that one task draws in one scene."""
+POOL_NAME = "pool of cameras"
+"""What progress calls the cameras that are drawn."""
 HALF_ABOVE_BYTES = 2**29
 """Matrices that would be larger than this in single precision are kept in half precision."""
 _SPREAD_BLOCK = 1024
@@ -135,6 +137,8 @@ class CameraPool:
         cache: Path | None = None,
         chunk_cameras: int = CHUNK_CAMERAS,
         progress: Progress | None = None,
+        name: str = POOL_NAME,
+        may_see_nothing: bool = False,
     ) -> CameraPool:
         """Draw every camera in every scene; neither executor nor chunks nor cache change a bit of the result.
 
@@ -147,6 +151,8 @@ class CameraPool:
                 executors ``ray`` and ``slurm`` all machines must see it.
             chunk_cameras: Cameras that one task draws in one scene, at least 1.
             progress: Told of every task.
+            name: What progress calls the cameras.
+            may_see_nothing: Whether it is no error that no camera sees any object: others join the pool later.
 
         Raises:
             InputError: There are no cameras or no objects, no camera sees any of them, the cache holds something else
@@ -154,14 +160,24 @@ class CameraPool:
         """
         source = _Source(tuple(scenes), cameras, executor or Executor(), cache, chunk_cameras)
         none = (np.zeros((0, MOUNT_POSE_SIZE), np.float32), np.zeros((0, len(source.scene_index)), np.float32))
-        return cls(*none, source.scene_index, 0, 0, source).extended(mount_pose, progress=progress)
+        pool = cls(*none, source.scene_index, 0, 0, source)
+        return pool.extended(mount_pose, progress=progress, name=name, may_see_nothing=may_see_nothing)
 
-    def extended(self, mount_pose: np.ndarray, *, progress: Progress | None = None) -> CameraPool:
+    def extended(
+        self,
+        mount_pose: np.ndarray,
+        *,
+        progress: Progress | None = None,
+        name: str = POOL_NAME,
+        may_see_nothing: bool = False,
+    ) -> CameraPool:
         """The pool with more cameras behind those that it has; only what it does not have yet is drawn.
 
         Args:
-            mount_pose: The further cameras, as in `draw`.
-            progress: Told of every task.
+            mount_pose: The further cameras, as in `draw`, as are the others.
+            progress: Likewise.
+            name: Likewise.
+            may_see_nothing: Likewise.
 
         Raises:
             InputError: As `draw`.
@@ -169,7 +185,7 @@ class CameraPool:
         more = _checked_poses(mount_pose)
         new = more[rows_of(more, self.mount_pose) < 0]
         new = new[np.sort(np.unique(pose_keys(new), return_index=True)[1])]
-        drawn, drawn_count, cached_count = self._source.probabilities(new, progress or NullProgress())
+        drawn, drawn_count, cached_count = self._source.probabilities(new, progress or NullProgress(), name)
         known = np.concatenate([self.mount_pose, new])
         together = np.concatenate([self.mount_pose, more])
         shape = (len(together), len(self.scene_index))
@@ -181,7 +197,7 @@ class CameraPool:
         found[len(self.mount_pose) :][~is_new] = self.detection_probability[row[~is_new]]
         traffic = [scene for scene in self._source.scenes if not isinstance(scene, GhostScene)]
         count = sum(scene.vehicle_count for scene in traffic)  # requirements stand behind
-        if not found[:, :count].any():
+        if not (may_see_nothing or found[:, :count].any()):
             raise InputError(
                 f"pool: expected cameras that see something, got {shape[0]} of which none sees any of the {count} "
                 f"objects of {len(traffic)} scenes; check scenes.targets, and where the cameras stand"
@@ -330,7 +346,7 @@ class _Source:
     def _kept(self) -> PoolCache | None:
         return None if self.cache is None else PoolCache(self.cache, self.cameras.identity)
 
-    def probabilities(self, mount_pose: np.ndarray, progress: Progress) -> tuple[np.ndarray, int, int]:
+    def probabilities(self, mount_pose: np.ndarray, progress: Progress, name: str) -> tuple[np.ndarray, int, int]:
         """Detection probabilities of some cameras, float32 [camera, object]; how many renders were drawn and cached."""
         ends = np.searchsorted(self.scene_index, np.arange(len(self.scenes) + 1))
         objects = [slice(*pair) for pair in itertools.pairwise(ends)]
@@ -348,7 +364,7 @@ class _Source:
         with self._travelling({number for number, _ in missing}) as (cameras, scene_of):
             tasks = [_Chunk(cameras, scene_of(number), number, row, mount_pose[row]) for number, row in missing]
             outcomes = self.executor.run(_draw, tasks)
-            for outcome in progress.steps("pool of cameras", outcomes, count=len(tasks)):
+            for outcome in progress.steps(name, outcomes, count=len(tasks)):
                 task, scene = outcome.task, self.scenes[outcome.task.scene_number]
                 if outcome.error is not None or outcome.result is None:
                     raise InputError(f"pool: {scene.name}: {outcome.error}")

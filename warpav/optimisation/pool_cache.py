@@ -72,6 +72,8 @@ class PoolCache:
         is_there = np.zeros(len(mount_pose), bool)
         found = np.zeros((len(mount_pose), object_count), np.float32)
         for file in self._chunks(scene):
+            if is_there.all():
+                break
             try:
                 row = self._rows(file, scene, mount_pose)
                 is_new = (row >= 0) & ~is_there

@@ -165,8 +165,8 @@ class PoolDescent:
         return self.best
 
     def further_cameras(self) -> FurtherCameras | None:
-        """What each camera of the pool would add to the best rig, which is in the pool; None before a step."""
-        if self.found is None:
+        """What each camera of the pool would add to the best rig, which is in it; None before the pool is drawn."""
+        if self.found is None or len(self.found.pool.mount_pose) == len(self.found.mount_pose):
             return None
         pool, objective = self.found.pool, self.objective
         rig = rows_of(self.found.mount_pose + np.float32(0.0), pool.mount_pose)

@@ -1,5 +1,6 @@
 """The search for a rig: render a pool of cameras, select a rig with a proven bound, polish it, price further cameras.
 
+The cameras of the start are the pool's first, and rendered before the others: so there is a rig from the beginning.
 The pool makes the choice global: a few hundred single cameras stand for every rig that can be made of them, and an
 integer programme finds the best one and proves how far off it can be. The gradient makes it exact: `polish` moves all
 cameras of the chosen rig at once, on all scenes, below what the pool itself can reach. Then the duals of the selection
@@ -26,7 +27,7 @@ from warpav.core.progress import Progress
 from warpav.optimisation.camera_loss import OTHERS, RobustObjective, RobustValue, exchange_robust, select_robust
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.ghost_scene import GhostScene
-from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.optimisation.mount import HEIGHT_DELTA_M, MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, polish, shares_of, step_unit
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_cache import rows_of
@@ -40,6 +41,8 @@ from warpav.optimisation.single_cameras import SingleCameras
 from warpav.scene.device_scene import DeviceScene
 
 Stage = Literal["start", "selection", "polish", "pricing", "settled"]
+START_NAME = "cameras of the start"
+"""What progress calls them."""
 POOL_SHARE = 0.45
 """Of a budget, the share of the first pool; more where less than the rest is enough for a round with its polishes."""
 PRICED_STEPS = 3
@@ -97,7 +100,7 @@ class Found:
             the pool does not have.
         stage: What has just been done; ``settled`` where nothing is left to do.
         camera_renders: Camera renders so far, those that the cache has spared among them.
-        pool_cameras: Cameras of the pool.
+        pool_cameras: Cameras of the pool; at the start those of the start alone, where the others are drawn next.
         seconds: Wall time so far [s].
         pool: The cameras that the search knows, those of the best rig among them, and what each of them detects.
         price: What further cameras would bring; None before the first relaxation.
@@ -171,7 +174,7 @@ def pool_search(
 
     Raises:
         InputError: The pool sees nothing, or the cameras do not fit.
-        KeyboardInterrupt: Ctrl-C during a selection, after the state that it has come to.
+        KeyboardInterrupt: Ctrl-C: during a selection after the state that it has come to, elsewhere at once.
     """
     settings = settings or PoolSearchSettings()
     if settings.pool_cameras < camera_count:
@@ -271,16 +274,24 @@ class _Search:
         if len(first) + spread_count < self.camera_count:
             expected = f"expected enough for a pool of {self.camera_count} cameras in {len(self.scenes)} scenes"
             raise ArgumentError("camera_renders_max", f"{expected}, got {limit}")
-        pose = first
+        spread = np.zeros((0, MOUNT_POSE_SIZE), np.float32)
         if spread_count > 0 and pool is None:
-            pose = np.concatenate([first, spread_mount_poses(mount, self.constraints, spread_count, seed=self.seed)])
-        if pool is None:
-            self.pool = CameraPool.draw(
-                pose, scenes=self.scenes, cameras=self.cameras, executor=executor, cache=cache, progress=progress
-            )
-        else:
+            spread = spread_mount_poses(mount, self.constraints, spread_count, seed=self.seed)
+        draw = partial(
+            CameraPool.draw,
+            scenes=self.scenes,
+            cameras=self.cameras,
+            executor=executor,
+            cache=cache,
+            progress=progress,
+        )
+        if pool is not None:
             new = first[rows_of(first + np.float32(0.0), pool.mount_pose) < 0]
             self.pool = pool.extended(new, progress=progress) if len(new) else pool
+        elif start is None:
+            self.pool = draw(np.concatenate([first, spread]))
+        else:
+            self.pool = draw(first, name=START_NAME, may_see_nothing=len(spread) > 0)
         if start is not None:
             row = rows_of(first + np.float32(0.0), self.pool.mount_pose)
             of_start = self.pool.detection_probability[row]
@@ -289,6 +300,8 @@ class _Search:
             self._is_better(start, value, of_start)
             if self.best is not None:
                 yield self.found("start")
+            if len(spread):
+                self.pool = self.pool.extended(spread, progress=progress)
         if self.ghosts is not None:
             self._check_requirements()
         if self.settings.polishes:

@@ -66,7 +66,10 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
         evaluation = write_verdict(folder, result, placement.test, placement.shown, timer=timer, progress=progress)
     except KeyboardInterrupt:
         _keep_reached(folder, optimisation.descent)
-        progress.say(f"stopped; what was reached is in {folder.path}, for warpav evaluate, inspect and report")
+        reached = "what was reached is in {}, for warpav evaluate, inspect and report"
+        if not optimisation.records:
+            reached = "there is no step yet; the start is in {}, for warpav evaluate and inspect"
+        progress.say(f"stopped; {reached.format(folder.path)}")
         raise
     return folder, evaluation
 

@@ -134,6 +134,9 @@ class RunDisplay:
                 if last and rows["done"] != last["done"]:
                     self._say_plainly(last)
                 last, self._numbers = rows, _grid(rows)
+                if rows["done"] == "start":  # there is but one, and the pool is drawn next, which takes long
+                    self._say_plainly(rows)
+                    last = {}
                 yield record
         finally:  # an interrupted search has come to something, too
             self._numbers = None
@@ -150,7 +153,6 @@ class RunDisplay:
         self._task = self._bar.add_task(description, total=count, completed=completed, speed="")
 
     def _start(self, description: str, count: int | None) -> None:
-        self._numbers = None
         self._replace_task(description, count)
         if not self.console.is_terminal:
             self.say(description if count is None else f"{description}: {count}")
