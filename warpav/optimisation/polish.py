@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from warpav.optimisation.camera_loss import SOFTNESS, RobustObjective
 from warpav.optimisation.constraints import Constraints
@@ -234,6 +235,7 @@ class _Problem:
         slope[..., [X_M, Y_M, HEIGHT_DELTA_M]] = by_place
         return slope[:, self.is_free]
 
+    @threadpool_limits.wrap(limits=1, user_api="blas")  # more threads only wait for one another, the longer the busier
     def minimised(self, model: TangentModel, pose: np.ndarray, radius: float) -> np.ndarray:
         """The rig with the lowest modelled objective within a radius of a rig and the constraints, [camera, 7]."""
         from scipy.optimize import minimize
