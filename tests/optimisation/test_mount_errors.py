@@ -181,9 +181,7 @@ def test_caches_keep_errors_apart_and_processes_agree(tmp_path):
 def searched(errors, count=3, settings=SMALL, **options):
     mount = mount_of(free=None)
     cameras, constraints = cameras_of(mount=mount), zone_of(mount, count)
-    return list(
-        pool_search(cameras, streets(), constraints, count, settings=settings, mount_errors=errors, **options)
-    )
+    return list(pool_search(cameras, streets(), constraints, count, settings=settings, mount_errors=errors, **options))
 
 
 def over_all_errors(cameras, pose, errors):

@@ -192,7 +192,8 @@ class Placement:
             importance: Weights of road users, as in the section ``importance``: ``{"category": {"pedestrian": 2.0}}``.
             requirements: What has to be seen near the vehicle: a YAML file, the name of a template such as
                 ``"near_field"``, or what `warpav.read_requirements` gives; None: as ``config`` says.
-            robust: Whether the loss of a camera counts, as in the section ``robust``: ``{"camera_loss": "worst"}``.
+            robust: Whether the loss of a camera or errors of mounting count, as in the section ``robust``:
+                ``{"camera_loss": "worst"}``, ``{"mount_error_m": 0.02, "mount_error_deg": 1.0}``.
             probability: The detector's model of detection probability, as `warpav.runs.detector_fit.fit` gives it;
                 None: the stored one, which is fitted first if there is none.
             config: What the arguments leave out; None: the shipped configuration ``quick``.

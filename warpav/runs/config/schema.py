@@ -552,7 +552,9 @@ class ConfigTree(Section):
         description="what has to be seen near the vehicle besides the traffic: the name of a template, such as "
         "near_field, or the path of a YAML file; null: nothing",
     )
-    robust: RobustSettings = Field(default=RobustSettings(), description="rigs that are to bear the loss of a camera, or errors of mounting")
+    robust: RobustSettings = Field(
+        default=RobustSettings(), description="rigs that are to bear the loss of a camera, or errors of mounting"
+    )
     visibility: VisibilitySettings = Field(default=VisibilitySettings(), description="what hides a vehicle")
     optimiser: OptimiserSettings = Field(default=OptimiserSettings(), description="steps and multipliers")
     baselines: BaselineConfig = Field(default=BaselineConfig(), description="rigs to compare with")
