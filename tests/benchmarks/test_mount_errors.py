@@ -12,7 +12,8 @@ import pytest
 
 import warpav as wa
 from warpav.evaluation.statistics import paired_difference
-from warpav.optimisation.mount_errors import COLUMNS, MisplacedCameras, MountErrors, outside_skin
+from warpav.optimisation.misplaced_cameras import MisplacedCameras
+from warpav.optimisation.mount_errors import COLUMNS, MountErrors, outside_skin
 from warpav.optimisation.polish import expected_miss_rate
 from warpav.optimisation.rig_values import single_cameras_of
 

@@ -1,9 +1,4 @@
-"""Cameras that stand and look a little off: what each detects in the mean over errors of its mounting.
-
-The errors of different cameras are independent of each other, and cameras err independently. So the expected share of
-objects that a rig misses, the mean over the errors of all its cameras, is a product of means that know of one camera
-each: ``E[prod_i (1 - p_i(e_i))] = prod_i (1 - E[p_i(e_i)])``. A camera that detects with its mean probability is all
-that a pool, a selection, a polish or a price needs to know; what these prove holds of the expectation.
+"""Errors of mounting: how far cameras may be off, and the few errors that a mean over them is taken of.
 
 The mean is over twelve fixed errors, the same for every camera: the rule of degree 3 that is exact for every cubic
 polynomial of the six degrees of freedom, each even within its tolerance.
@@ -15,15 +10,11 @@ Stroud 1971, Approximate calculation of multiple integrals.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from warpav.core.errors import ArgumentError
-from warpav.core.fingerprint import digest, fingerprint
-from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.mount import (
     HEIGHT_DELTA_M,
     MOUNT_POSE_SIZE,
@@ -34,8 +25,6 @@ from warpav.optimisation.mount import (
     YAW_RAD,
     CameraMount,
 )
-from warpav.optimisation.single_cameras import SingleCameras
-from warpav.scene.device_scene import DeviceScene
 
 COLUMNS = {"x": X_M, "y": Y_M, "z": HEIGHT_DELTA_M, "yaw": YAW_RAD, "pitch": PITCH_RAD, "roll": ROLL_RAD}
 """Degrees of freedom, and their columns in a mount pose: places along the surface that a camera stands on (forwards and
@@ -100,70 +89,3 @@ def outside_skin(misplaced: np.ndarray, mount_pose: np.ndarray, mount: CameraMou
     skin_m = np.minimum(mount_pose[:, HEIGHT_DELTA_M], -mount.height_offset_m).astype(np.float32)
     kept[..., HEIGHT_DELTA_M] = np.maximum(kept[..., HEIGHT_DELTA_M], skin_m)
     return kept
-
-
-@dataclass(frozen=True, eq=False)
-class MisplacedCameras(SingleCameras):
-    """Cameras of one mount, each with the mean of its probabilities over errors of its mounting.
-
-    Poses are those without errors. Of a pair each of the two has errors of its own. Points of requirements, which are
-    met or not, are seen without errors.
-
-    Attributes:
-        errors: Of the mounting.
-    """
-
-    errors: MountErrors = field(kw_only=True)
-
-    @classmethod
-    def of(cls, cameras: SingleCameras, errors: MountErrors) -> MisplacedCameras:
-        """The same cameras with errors of mounting."""
-        others = (cameras.occlusion, cameras.supersampling, cameras.thread_count, cameras.is_mirrored)
-        return cls(cameras.mount, cameras.probability, *others, errors=errors)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _unpacked, (*super().__reduce__(), self.errors)
-
-    @property
-    def identity(self) -> dict[str, str]:
-        """As of cameras without errors; the errors are part of ``camera``."""
-        plain = super().identity
-        code = fingerprint(code=("warpav.optimisation.mount_errors",))
-        return {
-            **plain,
-            "camera": digest(plain["camera"], self.errors.draws.tobytes()),
-            "version": digest(plain["version"], code),
-        }
-
-    def _misplaced(self, pose: np.ndarray) -> np.ndarray:
-        """Cameras [camera, 7] with each of the errors, float32 [draw, camera, 7]."""
-        return outside_skin(pose.astype(np.float64) + self.errors.draws[:, None], pose, self.mount)
-
-    def _alone(self, pose: np.ndarray, scene: DeviceScene | GhostScene) -> np.ndarray:
-        if isinstance(scene, GhostScene):
-            return super()._alone(pose, scene)
-        misplaced = self._misplaced(pose)
-        found = super()._alone(misplaced.reshape(-1, MOUNT_POSE_SIZE), scene)
-        return found.reshape(*misplaced.shape[:2], scene.vehicle_count).mean(axis=0, dtype=np.float64)
-
-    def _alone_with_jacobian(
-        self, pose: np.ndarray, scenes: Sequence[DeviceScene | GhostScene]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        misplaced = self._misplaced(pose)
-        traffic = [scene for scene in scenes if isinstance(scene, DeviceScene)]
-        probability, jacobian = super()._alone_with_jacobian(misplaced.reshape(-1, MOUNT_POSE_SIZE), traffic)
-        shape = (*misplaced.shape[:2], probability.shape[1])
-        # one that ends at the skin stays there when its camera is raised a little
-        is_at_skin = misplaced[..., HEIGHT_DELTA_M] == np.float32(-self.mount.height_offset_m)
-        is_stopped = is_at_skin & (self.errors.draws[:, None, HEIGHT_DELTA_M] < 0.0)
-        jacobian = jacobian.reshape(*shape, MOUNT_POSE_SIZE)
-        jacobian[..., HEIGHT_DELTA_M][is_stopped] = 0.0
-        probability, jacobian = probability.reshape(shape).mean(axis=0), jacobian.mean(axis=0)
-        if len(traffic) == len(scenes):
-            return probability, jacobian
-        seen, slope = super()._alone_with_jacobian(pose, scenes[len(traffic) :])
-        return np.concatenate([probability, seen], axis=1), np.concatenate([jacobian, slope], axis=1)
-
-
-def _unpacked(plain: Callable[..., SingleCameras], parts: tuple[Any, ...], errors: MountErrors) -> MisplacedCameras:
-    return MisplacedCameras.of(plain(*parts), errors)

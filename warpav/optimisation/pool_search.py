@@ -26,8 +26,9 @@ from warpav.core.progress import Progress
 from warpav.optimisation.camera_loss import OTHERS, RobustObjective, RobustValue, exchange_robust, select_robust
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.ghost_scene import GhostScene
+from warpav.optimisation.misplaced_cameras import MisplacedCameras
 from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.mount_errors import MisplacedCameras, MountErrors
+from warpav.optimisation.mount_errors import MountErrors
 from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, polish, shares_of, step_unit
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_cache import rows_of
@@ -168,8 +169,8 @@ def pool_search(
         robust: What is minimised instead of the expected miss rate, by the same weights; see `camera_loss` for what is
             then proven. None: the expected miss rate.
         mount_errors: Over which the mean of every camera's probabilities is taken, and with it that of the objective,
-            see `mount_errors`; what then counts as a camera render is as many renders as there are draws. None: cameras
-            stand where they are meant to.
+            see `misplaced_cameras`; what then counts as a camera render is as many renders as there are draws. None:
+            cameras stand where they are meant to.
 
     Yields:
         Every state that the search comes to; objectives never rise.

@@ -272,8 +272,8 @@ class RobustSettings(Section):
         default=None,
         gt=0.0,
         le=0.25,
-        description="minimise what is missed in the mean over errors of mounting: greatest error of a camera's place in "
-        "each direction; null: none",
+        description="minimise what is missed in the mean over errors of mounting: greatest error of a camera's place "
+        "in each direction; null: none",
     )
     mount_error_deg: Degrees | None = Field(
         default=None,

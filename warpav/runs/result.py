@@ -21,8 +21,8 @@ from warpav.optimisation.further_camera import FurtherCameras
 from warpav.optimisation.history import Candidate, IterationRecord
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.optimisation.rivals import random_search
-from warpav.optimisation.settings import LATER_ROBUST_OPTIONS
 from warpav.optimisation.search import BudgetedValue, SearchSpace, run_search
+from warpav.optimisation.settings import LATER_ROBUST_OPTIONS
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.baseline_rigs import highest_rig
 from warpav.runs.certificate import Certificate

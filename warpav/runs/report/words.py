@@ -456,7 +456,8 @@ def sensitivity(run: RunContent) -> str:
         f"Most sensitive is {worst.camera} in {worst.degree}: off by {off}, the rig is expected to miss "
         f"{number(worst.change_per_100, 2)} more of 100 {objects} ({_counted(tolerance.scenes, 'scene')})"
         if worst.change_per_100 > 0.0
-        else f"No camera that is off by {100.0 * tolerance.position_m:g} cm or {angle} in one direction costs anything ({_counted(tolerance.scenes, 'scene')})"
+        else f"No camera that is off by {100.0 * tolerance.position_m:g} cm or {angle} in one direction costs anything "
+        f"({_counted(tolerance.scenes, 'scene')})"
     )
     outage = evaluation.camera_outage.get(evaluation.first)
     if outage is None:
