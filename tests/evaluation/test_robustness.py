@@ -100,7 +100,7 @@ def test_dirt_costs_nothing_where_nobody_is_and_something_where_they_are(problem
 
 def test_of_a_symmetric_rig_each_camera_of_a_pair_is_soiled_by_itself():
     """Against all cameras of the rig rendered one by one where they stand, without a mount that knows of pairs."""
-    cameras, pose, scenes = symmetric_cameras(), columns(4), [street(6, 0), street(4, 1)]
+    cameras, pose, scenes = symmetric_cameras(), columns()[:10], [street(6, 0), street(4, 1)]
     part, rig = SoiledPart("columns", (0.3, 0.5), 0.4), cameras.mount.rig(pose)
     assert len(pose) < len(rig.cameras) < 2 * len(pose)
     of_model = dict(zip(models(), probabilities(), strict=True))
@@ -127,8 +127,10 @@ def test_of_a_symmetric_rig_each_camera_of_a_pair_is_soiled_by_itself():
     assert found.expected_misses_per_100 == pytest.approx(misses(), abs=0.1)
     for k, each in enumerate(found.cameras):
         assert each.expected_misses_per_100 == pytest.approx(misses(k), abs=0.1), each.camera
-    left, right = (next(each for each in found.cameras if each.camera.endswith(f"_{end}")) for end in ("left", "right"))
-    assert left.difference_per_100 != pytest.approx(right.difference_per_100, abs=0.05)
+    by_side = [
+        [each.difference_per_100 for each in found.cameras if each.camera.endswith(end)] for end in ("_left", "_right")
+    ]
+    assert np.abs(np.subtract(*by_side)).max() > 0.5
 
 
 def moved_with(transform, one):
