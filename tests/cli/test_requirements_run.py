@@ -75,6 +75,7 @@ def test_the_near_field_counts_by_default_and_asks_for_nothing(working_directory
         {"config": wa.Config.load("quick", "optimiser.search=descent")},
         {"config": wa.Config.load("quick", "method=thesis")},
         {"robust": {"camera_loss": "mean"}},
+        {"robust": {"mount_error_m": 0.02}},
         {"losses": [(1.0, wa.losses.DetectedArea())]},
     ],
 )

@@ -9,12 +9,14 @@ import pytest
 import warpav as wa
 from tests.driving_scene import street
 from tests.optimisation.test_modules import cameras_of as mixed_cameras
-from tests.optimisation.test_modules import spread
+from tests.optimisation.test_modules import columns, models, probabilities, spread, symmetric_cameras
 from warpav.core.errors import InputError
 from warpav.evaluation.camera_outage import CameraOutages
 from warpav.evaluation.robustness import LoadState, LoadStates, SoiledPart, Soiling, loaded_scene, soiled_scene
+from warpav.optimisation.mount import views_of_rig
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
+from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.device_scene import DeviceScene
 
@@ -94,6 +96,41 @@ def test_dirt_costs_nothing_where_nobody_is_and_something_where_they_are(problem
     assert middle.worst.difference_per_100 > 10.0  # objects stand around the horizon
     assert middle.worst.camera in str(middle.table())
     assert "band of rows around 50% of the width and 50% of the height" in str(middle.table())
+
+
+def test_of_a_symmetric_rig_each_camera_of_a_pair_is_soiled_by_itself():
+    """Against all cameras of the rig rendered one by one where they stand, without a mount that knows of pairs."""
+    cameras, pose, scenes = symmetric_cameras(), columns()[:10], [street(6, 0), street(4, 1)]
+    part, rig = SoiledPart("columns", (0.3, 0.5), 0.4), cameras.mount.rig(pose)
+    assert len(pose) < len(rig.cameras) < 2 * len(pose)
+    of_model = dict(zip(models(), probabilities(), strict=True))
+
+    def detected(camera, scene):
+        packed = DeviceScene.pack(scene)
+        views = views_of_rig(Rig([camera]), rotation_count=1, rotation_step_rad=0.0)
+        frame = Renderer([camera.model]).render(packed.raster, views.position_ego_m, views.camera_from_ego)
+        seen = of_model[camera.model].model.of_coverage(frame, packed, views.position_ego_m)
+        return seen.probability.numpy()[0]
+
+    def misses(soiled=None):
+        rows = [
+            np.concatenate(
+                [detected(each, soiled_scene(scene, each, part) if k == soiled else scene) for scene in scenes]
+            )
+            for k, each in enumerate(rig.cameras)
+        ]
+        return 100.0 * np.prod(1.0 - np.array(rows, np.float64), axis=0).mean()
+
+    names = [camera.name for camera in rig.cameras]
+    found = Soiling.of(names, pose, cameras, scenes, part)
+    assert [each.camera for each in found.cameras] == names
+    assert found.expected_misses_per_100 == pytest.approx(misses(), abs=0.1)
+    for k, each in enumerate(found.cameras):
+        assert each.expected_misses_per_100 == pytest.approx(misses(k), abs=0.1), each.camera
+    by_side = [
+        [each.difference_per_100 for each in found.cameras if each.camera.endswith(end)] for end in ("_left", "_right")
+    ]
+    assert np.abs(np.subtract(*by_side)).max() > 0.5
 
 
 def moved_with(transform, one):

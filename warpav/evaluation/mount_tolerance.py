@@ -15,16 +15,10 @@ import numpy as np
 from warpav.core.errors import ArgumentError
 from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.rig_evaluation import Table
-from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
+from warpav.optimisation.mount_errors import COLUMNS, MountErrors, outside_skin
 from warpav.optimisation.polish import expected_miss_rate, expected_miss_slope, shares_of
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.scene.device_scene import DeviceScene
-
-COLUMNS = {"x": X_M, "y": Y_M, "z": HEIGHT_DELTA_M, "yaw": YAW_RAD, "pitch": PITCH_RAD, "roll": ROLL_RAD}
-"""Degrees of freedom, and their columns in a mount pose: places along the surface that a camera stands on (forwards and
-to the left on a roof) and off it, directions as in a rig's file."""
-
-ANGLES = ("yaw", "pitch", "roll")
 
 
 @dataclass(frozen=True)
@@ -142,7 +136,7 @@ class MountTolerance:
             raise ArgumentError("scenes", "expected at least one object, got none")
         pose, side = cameras.apart(np.asarray(mount_pose, np.float64))
         count, columns = len(pose), list(COLUMNS.values())
-        tolerance = np.array([angle_rad if degree in ANGLES else position_m for degree in COLUMNS])
+        tolerance = MountErrors(position_m, angle_rad).tolerance
         rng = np.random.default_rng(seed)
         drawn = np.tile(pose, (sample_count, 1, 1))
         drawn[..., columns] += tolerance * rng.uniform(-1.0, 1.0, (sample_count, count, len(columns)))
@@ -150,10 +144,8 @@ class MountTolerance:
         for k, column in enumerate(columns):
             alone[0, k, :, column] -= tolerance[k]
             alone[1, k, :, column] += tolerance[k]
-        every = np.concatenate([pose[None], alone.reshape(-1, count, pose.shape[1]), drawn]).astype(np.float32)
-        # a camera that is flush with the skin cannot be off inwards: there it would see the body's inside alone
-        skin_m = np.minimum(pose[:, HEIGHT_DELTA_M], -cameras.mount.height_offset_m).astype(np.float32)
-        every[..., HEIGHT_DELTA_M] = np.maximum(every[..., HEIGHT_DELTA_M], skin_m)
+        every = np.concatenate([pose[None], alone.reshape(-1, count, pose.shape[1]), drawn])
+        every = outside_skin(every, pose, cameras.mount)
         progress = progress or NullProgress()
         found = np.zeros((*every.shape[:2], sum(scene.vehicle_count for scene in scenes)))
         first = 0

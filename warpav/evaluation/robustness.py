@@ -208,18 +208,23 @@ class Soiling:
                 f"visibility.occlusion: expected exact for dirt to hide something, got {cameras.occlusion.value}"
             )
         _check_objects(scenes)
-        pose = np.asarray(mount_pose, np.float32)
-        standing = cameras.mount.rig(pose).cameras
+        standing = cameras.mount.rig(np.asarray(mount_pose, np.float32)).cameras
+        pose, side = cameras.apart(np.asarray(mount_pose, np.float32))
         share = shares_of(weight)
+
+        def detected(camera: int, scene: Scene) -> np.ndarray:
+            single = cameras.sides[side[camera]]
+            return single.detection_probability(pose[camera : camera + 1], _packed(scene, cameras))[0]
+
         clean, soiled = [], []
         for scene in (progress or NullProgress()).steps("soiled cameras", scenes, count=len(scenes)):
-            clean.append(cameras.detection_probability(pose, _packed(scene, cameras)))
-            soiled.append(
-                [
-                    cameras.detection_probability(pose[k : k + 1], _packed(soiled_scene(scene, each, part), cameras))[0]
-                    for k, each in enumerate(standing)
-                ]
-            )
+            packed = _packed(scene, cameras)
+            seen = np.zeros((len(pose), packed.vehicle_count))
+            for number, of_side in enumerate(cameras.sides):
+                own = np.flatnonzero(side == number)
+                seen[own] = of_side.detection_probability(pose[own], packed)
+            clean.append(seen)
+            soiled.append([detected(k, soiled_scene(scene, each, part)) for k, each in enumerate(standing)])
         plain, dirty = np.concatenate(clean, axis=1), np.concatenate(soiled, axis=1)
         nominal = 100.0 * expected_miss_rate(plain, share)
         found = []

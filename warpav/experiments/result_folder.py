@@ -16,7 +16,7 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json
 from warpav.core.fingerprint import digest
 from warpav.runs.config import Config, dump_config, option_values
-from warpav.runs.config.rig_options import LATER_BASELINE_OPTIONS, LATER_RIG_OPTIONS
+from warpav.runs.config.schema import LATER_OPTIONS
 from warpav.runs.environment import environment
 from warpav.runs.scene_set import own_vehicle_digest
 
@@ -24,10 +24,7 @@ SCHEMA = 2
 DESCRIPTION = "experiment.json"
 RESULTS = "results"
 
-_LATER_OPTIONS = {
-    *(f"rig.{name}" for name in LATER_RIG_OPTIONS),
-    *(f"baselines.{name}" for name in LATER_BASELINE_OPTIONS),
-}
+_LATER_OPTIONS = {f"{section}.{name}" for section, names in LATER_OPTIONS.items() for name in names}
 """Options that earlier results do not have; where they are not set, results do not depend on them."""
 
 
@@ -126,7 +123,7 @@ def _options(config: Config) -> dict[str, Any]:
         and not name.startswith("executor.")
         # results from before there were weights, zones and modules are those of none
         and (value or not name.startswith(("importance.", "mount.zones", "requirements")))
-        and (config.robust.camera_loss is not None or not name.startswith("robust."))
+        and (config.robust.asked_for is not None or not name.startswith("robust."))
         and (value is not None or name not in _LATER_OPTIONS)
     }
     if config.rig.catalogue is not None:

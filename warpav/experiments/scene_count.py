@@ -243,6 +243,7 @@ def _run(task: _Search) -> dict[str, Any]:
                 seed=config.run.seed,
                 object_weight=weight_of(train),
                 robust=config.robust.objective,
+                mount_errors=config.robust.mount_errors,
             )
         )
     )

@@ -28,7 +28,7 @@ UNREADABLE = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZip
 _FORMAT = 1
 _MEANING = {
     "vehicle": "of this vehicle, got one of another",
-    "camera": "of this camera model, supersampling and occlusion, got one of others",
+    "camera": "of this camera model, supersampling, occlusion and errors of mounting, got one of others",
     "detector": "of this model of detection probability, got one of another",
     "scenes": "of these scenes, got one of others",
     "version": "of this version of warpav and this kind of device, got one of others",

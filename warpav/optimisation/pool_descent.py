@@ -20,6 +20,7 @@ from warpav.optimisation.further_camera import FurtherCameras, further_cameras
 from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.history import Candidate, History, IterationRecord
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD
+from warpav.optimisation.mount_errors import MountErrors
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.polish import expected_miss_rate, shares_of
 from warpav.optimisation.pool import CameraPool
@@ -35,6 +36,7 @@ class PoolDescent:
     Attributes:
         objective: Of the rig: the expected miss rate alone; the requirements' points stand beside it.
         robust: What is minimised instead; None: the expected miss rate.
+        mount_errors: Over which the objective is the mean; None: there are none.
         start_value: What the objective of the start is made of, where it is a robust one and the search has begun.
         start: Mount poses that the rig begins with, float32 [camera, 7].
         history: The rigs that were found, each better than those before.
@@ -59,6 +61,7 @@ class PoolDescent:
         pool: CameraPool | None = None,
         requirements: GhostScene | None = None,
         robust: RobustObjective | None = None,
+        mount_errors: MountErrors | None = None,
     ) -> None:
         """A run on some scenes.
 
@@ -75,6 +78,7 @@ class PoolDescent:
             pool: Of an earlier run of the same cameras on the same scenes, which this one goes on with.
             requirements: What has to be seen near the vehicle besides, see `pool_search`.
             robust: What is minimised; None: the expected miss rate.
+            mount_errors: Over which the objective is the mean, see `pool_search`; None: there are none.
 
         Raises:
             InputError: The objective is made of other losses.
@@ -97,12 +101,13 @@ class PoolDescent:
         if requirements is not None:
             count = sum(each.scene.vehicle_count for each in scenes)
             self.object_weight = requirements.weights_with(self._traffic_weight, count)
-        self.robust = robust
+        self.robust, self.mount_errors = robust, mount_errors
+        self._cameras, self._scenes = cameras, [each.scene for each in scenes]
         self.start_value: RobustValue | None = None
         self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
         self._states = pool_search(
             cameras,
-            [each.scene for each in scenes],
+            self._scenes,
             objective.constraints,
             objective.camera_count if limits is None else limits.count[1],
             start=self.start,
@@ -116,6 +121,7 @@ class PoolDescent:
             pool=pool,
             requirements=requirements,
             robust=robust,
+            mount_errors=mount_errors,
         )
 
     @property
@@ -179,6 +185,27 @@ class PoolDescent:
             constraints=objective.constraints,
             weight=self.object_weight,
         )
+
+    def misplaced_miss_rates(self, mount_pose: np.ndarray) -> dict[str, float] | None:
+        """What a rig is expected to miss in the scenes of the search, with errors of mounting and as designed.
+
+        Args:
+            mount_pose: The rig, float [camera, 7].
+
+        Returns:
+            ``expected_miss_rate``, that with the errors, and ``as_designed``; None for a rig that is not in the pool.
+        """
+        assert self.found is not None
+        pool = self.found.pool
+        row = rows_of(mount_pose + np.float32(0.0), pool.mount_pose)
+        if (row < 0).any():
+            return None
+        designed = [self._cameras.detection_probability(mount_pose, scene) for scene in self._scenes]
+        share, count = shares_of(self._traffic_weight), sum(scene.vehicle_count for scene in self._scenes)
+        return {
+            "expected_miss_rate": expected_miss_rate(pool.detection_probability[row, :count], share),
+            "as_designed": expected_miss_rate(np.concatenate(designed, axis=1), share),
+        }
 
     def state(self) -> dict[str, np.ndarray]:
         """What was found so far; the pool itself is in the cache."""

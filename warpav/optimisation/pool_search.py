@@ -27,7 +27,9 @@ from warpav.core.progress import Progress
 from warpav.optimisation.camera_loss import OTHERS, RobustObjective, RobustValue, exchange_robust, select_robust
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.ghost_scene import GhostScene
+from warpav.optimisation.misplaced_cameras import MisplacedCameras
 from warpav.optimisation.mount import HEIGHT_DELTA_M, MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.optimisation.mount_errors import MountErrors
 from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, polish, shares_of, step_unit
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_cache import rows_of
@@ -143,6 +145,7 @@ def pool_search(
     pool: CameraPool | None = None,
     requirements: GhostScene | None = None,
     robust: RobustObjective | None = None,
+    mount_errors: MountErrors | None = None,
 ) -> Iterator[Found]:
     """Search for the rig with the lowest expected miss rate; whoever stops listening keeps the best so far.
 
@@ -168,6 +171,9 @@ def pool_search(
             hard requirement are never the best.
         robust: What is minimised instead of the expected miss rate, by the same weights; see `camera_loss` for what is
             then proven. None: the expected miss rate.
+        mount_errors: Over which the mean of every camera's probabilities is taken, and with it that of the objective,
+            see `misplaced_cameras`; what then counts as a camera render is as many renders as there are draws. None:
+            cameras stand where they are meant to.
 
     Yields:
         Every state that the search comes to; objectives never rise.
@@ -181,6 +187,8 @@ def pool_search(
         raise ArgumentError("pool_cameras", f"expected at least the rig's {camera_count}, got {settings.pool_cameras}")
     if not settings.selection_time_s > 0.0:  # before anything is drawn
         raise ArgumentError("selection_time_s", f"expected more than 0 s, got {settings.selection_time_s:g}")
+    if mount_errors is not None:
+        cameras = MisplacedCameras.of(cameras, mount_errors)
     search = _Search(
         cameras, scenes, constraints, camera_count, settings, seed, object_weight, limits, requirements, robust
     )

@@ -24,6 +24,7 @@ METHOD_LOSSES: dict[str, dict[str, Any]] = {
 
 if TYPE_CHECKING:
     from warpav.optimisation.camera_loss import RobustObjective
+    from warpav.optimisation.mount_errors import MountErrors
 
     LossWeights = Section
 else:
@@ -252,8 +253,12 @@ class ImportanceSettings(Section):
         return bool(self.category or self.distance_m or self.sector_deg)
 
 
+LATER_ROBUST_OPTIONS = ("mount_error_m", "mount_error_deg")
+"""Options of the section ``robust`` that files leave out where they are not set."""
+
+
 class RobustSettings(Section):
-    """How much the loss of a camera counts in the objective of a search by a pool."""
+    """What the rigs of a search by a pool are to bear: the loss of a camera, and errors of mounting."""
 
     camera_loss: Annotated[Literal["mean", "worst"] | None, Expectation("mean, worst or null")] = Field(
         default=None,
@@ -262,6 +267,19 @@ class RobustSettings(Section):
     )
     weight: float = Field(
         default=0.5, gt=0.0, le=1.0, description="of what is missed without one camera; the whole rig has the rest"
+    )
+    mount_error_m: Metres | None = Field(
+        default=None,
+        gt=0.0,
+        le=0.25,
+        description="minimise what is missed in the mean over errors of mounting: greatest error of a camera's place "
+        "in each direction; null: none",
+    )
+    mount_error_deg: Degrees | None = Field(
+        default=None,
+        gt=0.0,
+        le=30.0,
+        description="the same of its yaw, pitch and roll; null: none",
     )
 
     @model_validator(mode="after")
@@ -276,6 +294,21 @@ class RobustSettings(Section):
         from warpav.optimisation.camera_loss import RobustObjective  # it needs scipy, which configurations do not
 
         return None if self.camera_loss is None else RobustObjective(self.camera_loss, self.weight)
+
+    @property
+    def mount_errors(self) -> MountErrors | None:
+        """The errors of mounting that the mean is over; None: there are none."""
+        from warpav.optimisation.mount_errors import MountErrors  # it needs Warp, which configurations do not
+
+        if self.mount_error_m is None and self.mount_error_deg is None:
+            return None
+        return MountErrors(self.mount_error_m or 0.0, math.radians(self.mount_error_deg or 0.0))
+
+    @property
+    def asked_for(self) -> str | None:
+        """The first option that asks for something; None: nothing is."""
+        names = ("camera_loss", "mount_error_m", "mount_error_deg")
+        return next((f"robust.{name}" for name in names if getattr(self, name) is not None), None)
 
 
 class VisibilitySettings(Section):

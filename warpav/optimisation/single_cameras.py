@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
 from queue import SimpleQueue
@@ -140,16 +140,22 @@ class SingleCameras:
         found = np.zeros((len(pose), scene.vehicle_count), np.float32)
         if found.size == 0:
             return found
+        found[:] = self._alone(pose, scene)
+        pair = np.flatnonzero(self.mount.is_pair(pose)) if self._finds_pairs else ()
+        if len(pair):
+            image = self._mirrored.detection_probability(pose[pair] * MIRROR, scene)
+            found[pair] = 1.0 - (1.0 - found[pair]) * (1.0 - image)
+        return found
+
+    def _alone(self, pose: np.ndarray, scene: DeviceScene | GhostScene) -> np.ndarray:
+        """`detection_probability` of cameras, float32 [camera, 7], of pairs without their mirror images."""
+        found = np.zeros((len(pose), scene.vehicle_count), np.float32)
         if isinstance(scene, GhostScene):
             for pane, row in self._by_pane(pose):
                 found[row] = _seen_through(pane, scene).probability(*self.in_ego(pose[row]))
         else:
             for kind, row in self._by_kind(pose):
                 found[row] = self._detected(kind, pose[row], scene)
-        pair = np.flatnonzero(self.mount.is_pair(pose)) if self._finds_pairs else ()
-        if len(pair):
-            image = self._mirrored.detection_probability(pose[pair] * MIRROR, scene)
-            found[pair] = 1.0 - (1.0 - found[pair]) * (1.0 - image)
         return found
 
     def visibility(self, mount_pose: np.ndarray, ghosts: GhostScene) -> Visibility:
@@ -175,8 +181,7 @@ class SingleCameras:
         """Those of the vehicle's left side and its middle, and of a symmetric mount their mirror images, all single."""
         if not self._finds_pairs:
             return (self,)
-        others = (self.probability, self.occlusion, self.supersampling, self.thread_count)
-        return SingleCameras(self.mount, *others, is_mirrored=True), self._mirrored
+        return replace(self, is_mirrored=True), self._mirrored
 
     def apart(self, mount_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The cameras of a rig one by one, those of pairs too, in the order of `CameraMount.rig`.
@@ -191,8 +196,7 @@ class SingleCameras:
     @cached_property
     def _mirrored(self) -> SingleCameras:
         """The same on the other side of the vehicle."""
-        others = (self.probability, self.occlusion, self.supersampling, self.thread_count)
-        return SingleCameras(self.mount.mirrored, *others, is_mirrored=True)
+        return replace(self, mount=self.mount.mirrored, is_mirrored=True)
 
     def _by_kind(self, mount_pose: np.ndarray) -> Iterator[tuple[_Kind, np.ndarray]]:
         """The cameras of each kind, and their rows, int [camera of the kind]."""
@@ -283,10 +287,23 @@ class SingleCameras:
         Raises:
             InputError: The images or their supersampling are too large.
         """
+        pose = np.ascontiguousarray(mount_pose, np.float32).reshape(-1, MOUNT_POSE_SIZE)
+        probability, jacobian = self._alone_with_jacobian(pose, scenes)
+        pair = np.flatnonzero(self.mount.is_pair(pose)) if self._finds_pairs else ()
+        if len(pair):
+            image, slope_of_image = self._mirrored.with_jacobian(pose[pair] * MIRROR, scenes)
+            own = (1.0 - image)[..., None] * jacobian[pair]
+            jacobian[pair] = own + (1.0 - probability[pair])[..., None] * slope_of_image * MIRROR
+            probability[pair] = 1.0 - (1.0 - probability[pair]) * (1.0 - image)
+        return probability, jacobian
+
+    def _alone_with_jacobian(
+        self, pose: np.ndarray, scenes: Sequence[DeviceScene | GhostScene]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """`with_jacobian` of cameras, float32 [camera, 7], of pairs without their mirror images."""
         traffic = [scene for scene in scenes if isinstance(scene, DeviceScene)]
         if len(traffic) == len(scenes) and not self.mount.sees_apart:
-            return self._jacobians((0, None)).of(mount_pose, traffic)
-        pose = np.ascontiguousarray(mount_pose, np.float32).reshape(-1, MOUNT_POSE_SIZE)
+            return self._jacobians((0, None)).of(pose, traffic)
         count = sum(scene.vehicle_count for scene in traffic)
         probability, jacobian = np.zeros((len(pose), count)), np.zeros((len(pose), count, MOUNT_POSE_SIZE))
         for kind, row in self._by_kind(pose):
@@ -302,12 +319,6 @@ class SingleCameras:
             by_pose += by_view[..., 6:] * slope.log_zoom[:, None]
             probability = np.concatenate([probability, seen], axis=1)
             jacobian = np.concatenate([jacobian, by_pose], axis=1)
-        pair = np.flatnonzero(self.mount.is_pair(pose)) if self._finds_pairs else ()
-        if len(pair):
-            image, slope_of_image = self._mirrored.with_jacobian(pose[pair] * MIRROR, scenes)
-            own = (1.0 - image)[..., None] * jacobian[pair]
-            jacobian[pair] = own + (1.0 - probability[pair])[..., None] * slope_of_image * MIRROR
-            probability[pair] = 1.0 - (1.0 - probability[pair]) * (1.0 - image)
         return probability, jacobian
 
     def _jacobians(self, kind: _Kind) -> CameraJacobians:

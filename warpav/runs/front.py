@@ -199,9 +199,10 @@ def front(
     if placement.parts.freeze:
         names = ", ".join(placement.parts.freeze)
         raise OptionError("rig.freeze", f"expected none, as the rigs have different numbers of cameras, got {names}")
-    if placement.config.robust.camera_loss is not None:
+    robust = placement.config.robust
+    if robust.asked_for is not None:
         text = "expected null, as the rigs of a front are compared by their expected misses"
-        raise OptionError("robust.camera_loss", f"{text}, got {placement.config.robust.camera_loss}")
+        raise OptionError(robust.asked_for, f"{text}, got {getattr(robust, robust.asked_for.partition('.')[2])}")
     with shown_progress(progress) as shown:
         placement.prepare(shown)
         if not searches_by_pool(placement):

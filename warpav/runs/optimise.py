@@ -174,6 +174,7 @@ class Optimisation:
                 pool=known_pool,
                 requirements=placement.ghosts,
                 robust=config.robust.objective,
+                mount_errors=config.robust.mount_errors,
             )
             return cls(placement, searched, began_as)
         descent = Descent(

@@ -192,7 +192,8 @@ class Placement:
             importance: Weights of road users, as in the section ``importance``: ``{"category": {"pedestrian": 2.0}}``.
             requirements: What has to be seen near the vehicle: a YAML file, the name of a template such as
                 ``"near_field"``, or what `warpav.read_requirements` gives; ``()``: nothing; None: as ``config`` says.
-            robust: Whether the loss of a camera counts, as in the section ``robust``: ``{"camera_loss": "worst"}``.
+            robust: Whether the loss of a camera or errors of mounting count, as in the section ``robust``:
+                ``{"camera_loss": "worst"}``, ``{"mount_error_m": 0.02, "mount_error_deg": 1.0}``.
             probability: The detector's model of detection probability, as `warpav.runs.detector_fit.fit` gives it;
                 None: the stored one, which is fitted first if there is none.
             config: What the arguments leave out; None: the shipped configuration ``quick``.
@@ -428,7 +429,7 @@ class Placement:
             return self._parts.requirements
         source = self.config.requirements
         if source == AUTO:
-            is_robust = self.config.robust.camera_loss is not None
+            is_robust = self.config.robust.asked_for is not None
             if self._parts.losses is not None or is_robust or not self.config.knows_requirements:
                 return ()
             return tuple(replace(each, share=None) for each in read_requirements("near_field"))

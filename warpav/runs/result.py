@@ -22,6 +22,7 @@ from warpav.optimisation.history import Candidate, IterationRecord
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.optimisation.rivals import random_search
 from warpav.optimisation.search import BudgetedValue, SearchSpace, run_search
+from warpav.optimisation.settings import LATER_ROBUST_OPTIONS
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.baseline_rigs import highest_rig
 from warpav.runs.certificate import Certificate
@@ -61,7 +62,8 @@ class Result:
         start: The rig that it started from.
         found: The rig that was found, the best or the last as ``optimiser.keep`` says, even where it is worse.
         objective: Of `rig`, on all validation scenes (the training scenes if there are none); less is better. With
-            ``robust.camera_loss`` it counts what is missed without a camera, see `robust`.
+            ``robust.camera_loss`` it counts what is missed without a camera, with ``robust.mount_error_m`` and
+            ``robust.mount_error_deg`` errors of mounting, see `robust`.
         start_objective: Of `start`, likewise.
         found_objective: Of `found`, likewise.
         history: Series by name: ``loss``, every loss and constraint, ``seconds``, one number an iteration; and
@@ -144,17 +146,24 @@ class Result:
         """Cameras of the pool that the bound is over; None for a descent."""
         return None if self.certificate is None else self.certificate.pool_cameras
 
-    @property
+    @cached_property
     def robust(self) -> dict[str, Any] | None:
-        """What the objective is made of, of start and `found`, where it counts the loss of a camera; else None."""
-        descent = self._descent
-        if not isinstance(descent, PoolDescent) or descent.found is None or descent.robust is None:
+        """What the objective is made of, of start and `found`, where it is a robust one; else None.
+
+        That is where it counts the loss of a camera or errors of mounting; the latter are in all numbers but those
+        ``as_designed``.
+        """
+        descent, settings = self._descent, self.placement.config.robust
+        if not isinstance(descent, PoolDescent) or descent.found is None or settings.asked_for is None:
             return None
         values = {START: descent.start_value, OPTIMISED: descent.found.robust}
-        return {
-            **asdict(descent.robust),
-            **{name: None if value is None else asdict(value) for name, value in values.items()},
-        }
+        parts = {name: {} if value is None else asdict(value) for name, value in values.items()}
+        options = {} if descent.robust is None else asdict(descent.robust)
+        if descent.mount_errors is not None:
+            options |= {name: getattr(settings, name) for name in LATER_ROBUST_OPTIONS}
+            rigs = {START: descent.candidates[0].mount_pose, OPTIMISED: descent.mount_pose}
+            parts = {name: (descent.misplaced_miss_rates(rigs[name]) or {}) | part for name, part in parts.items()}
+        return {**options, **{name: part or None for name, part in parts.items()}}
 
     @cached_property
     def further_cameras(self) -> FurtherCameras | None:
@@ -407,12 +416,13 @@ def _tolerance(
     scenes = [each for each in test if each.scene.vehicle_count][:_TOLERANCE_SCENES]
     if not scenes:
         return None
+    errors = result.placement.config.robust
     found = tolerance_on(
         result.found,
         scenes,
         result.placement,
-        position_m=_TOLERANCE_M,
-        angle_rad=_TOLERANCE_RAD,
+        position_m=errors.mount_error_m or _TOLERANCE_M,
+        angle_rad=_TOLERANCE_RAD if errors.mount_error_deg is None else math.radians(errors.mount_error_deg),
         sample_count=_TOLERANCE_DRAWS,
     )
     if found is None:

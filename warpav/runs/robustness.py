@@ -147,9 +147,6 @@ def soiling_of(
     rig: Rig, scenes: Sequence[Scene], placement: Placement, part: SoiledPart, *, progress: Progress
 ) -> Soiling:
     """`soiling` with a part of an image."""
-    if placement.mount.is_symmetric:
-        text = "expected null for what dirt costs, as the cameras of a pair are known together alone"
-        raise InputError(f"rig.symmetric: {text}")
     pose, cameras, seen, weight = _posed(rig, scenes, placement, "what dirt costs", progress)
     names = [camera.name for camera in rig.cameras]
     return Soiling.of(names, pose, cameras, seen, part, weight=weight, progress=progress)

@@ -154,16 +154,37 @@ def robust_text(robust: Mapping[str, Any]) -> str:
     Args:
         robust: As in ``evaluation.json``.
     """
+
+    def change(name: str) -> str:
+        return " -> ".join("-" if each is None else f"{100.0 * each[name]:.2f}" for each in map(robust.get, _ENDS))
+
+    errors = mount_errors_text(robust)
+    if robust.get("camera_loss") is None:
+        return (
+            f"the objective is the expected misses in the mean over errors of mounting of {errors}; per 100, start -> "
+            f"end: {change('expected_miss_rate')} with errors, {change('as_designed')} as designed"
+        )
     lost = "the camera that is worst to lose" if robust["camera_loss"] == "worst" else "one camera, in the mean"
-    change = {
-        name: " -> ".join("-" if each is None else f"{100.0 * each[name]:.2f}" for each in map(robust.get, _ENDS))
-        for name in ("expected_miss_rate", "without_camera")
-    }
     weight = robust["weight"]
-    return (
+    text = (
         f"the objective is {1.0 - weight:g} x expected misses + {weight:g} x those without {lost}; per 100, start -> "
-        f"end: {change['expected_miss_rate']} with all cameras, {change['without_camera']} without {lost}"
+        f"end: {change('expected_miss_rate')} with all cameras, {change('without_camera')} without {lost}"
     )
+    if errors is None:
+        return text
+    return f"{text}; all in the mean over errors of mounting of {errors}, as designed {change('as_designed')}"
+
+
+def mount_errors_text(robust: Mapping[str, Any]) -> str | None:
+    """The errors of mounting that an objective is the mean over, such as ``+-2 cm and +-1 deg``; None: there are none.
+
+    Args:
+        robust: As in ``evaluation.json``.
+    """
+    position_m, angle_deg = robust.get("mount_error_m"), robust.get("mount_error_deg")
+    parts = [] if position_m is None else [f"+-{100.0 * position_m:g} cm"]
+    parts += [] if angle_deg is None else [f"+-{angle_deg:g} deg"]
+    return " and ".join(parts) or None
 
 
 def worse_than_start(evaluation: Mapping[str, Any]) -> list[str]:

@@ -18,8 +18,7 @@ from pydantic.fields import FieldInfo
 
 from warpav.core.section import Expectation, Section, section_of, shown
 from warpav.core.yaml_file import Location
-from warpav.runs.config.rig_options import LATER_BASELINE_OPTIONS, LATER_RIG_OPTIONS
-from warpav.runs.config.schema import ConfigTree
+from warpav.runs.config.schema import LATER_OPTIONS, ConfigTree
 
 COMMAND_LINE = "command line"
 
@@ -156,8 +155,8 @@ def option_values(config: ConfigTree) -> dict[str, object]:
         **config.model_dump(mode="json"),
     }
     tree["mount"] = {"zones": None, **tree["mount"]}
-    tree["rig"] = {**dict.fromkeys(LATER_RIG_OPTIONS), **tree["rig"]}
-    tree["baselines"] = {**tree["baselines"], **dict.fromkeys(LATER_BASELINE_OPTIONS), **tree["baselines"]}
+    for section, names in LATER_OPTIONS.items():
+        tree[section] = {**dict.fromkeys(names), **tree[section]}
     return {
         ".".join(location): functools.reduce(operator.getitem, location, tree)
         for location in option_locations(ConfigTree)

@@ -26,6 +26,7 @@ from warpav.core.section import Expectation, Section, mistake, shown
 from warpav.core.units import Degrees, Metres
 from warpav.core.yaml_file import read_yaml
 from warpav.optimisation.settings import (
+    LATER_ROBUST_OPTIONS,
     METHOD_LOSSES,
     ImportanceSettings,
     LossSettings,
@@ -42,6 +43,13 @@ from warpav.runs.config.rig_options import LATER_BASELINE_OPTIONS, LATER_RIG_OPT
 from warpav.runs.config.shipped import shipped_values
 from warpav.scene.scene import ROAD_USERS, road_user_of
 from warpav.scene.vehicles import vehicle_file, vehicle_names
+
+LATER_OPTIONS = {
+    "rig": LATER_RIG_OPTIONS,
+    "baselines": LATER_BASELINE_OPTIONS,
+    "robust": LATER_ROBUST_OPTIONS,
+}
+"""Options by section that files leave out where they are not set."""
 
 EXTENDS = "extends"
 """Key of a file that names another file, on top of which it stands."""
@@ -549,7 +557,9 @@ class ConfigTree(Section):
         "near_field, or the path of a YAML file; null: nothing; auto: where the search is the one by a pool, without "
         "robust, the points of near_field join the objective, and none is asked for",
     )
-    robust: RobustSettings = Field(default=RobustSettings(), description="rigs that are to bear the loss of a camera")
+    robust: RobustSettings = Field(
+        default=RobustSettings(), description="rigs that are to bear the loss of a camera, or errors of mounting"
+    )
     visibility: VisibilitySettings = Field(default=VisibilitySettings(), description="what hides a vehicle")
     optimiser: OptimiserSettings = Field(default=OptimiserSettings(), description="steps and multipliers")
     baselines: BaselineConfig = Field(default=BaselineConfig(), description="rigs to compare with")
@@ -575,13 +585,13 @@ class ConfigTree(Section):
         result = written(self)
         if not self.importance.is_set:
             result.pop("importance", None)
-        if self.robust.camera_loss is None:
+        if self.robust.asked_for is None:
             result.pop("robust", None)
         if self.mount.zones is None:
             result["mount"].pop("zones", None)
-        for section, names in (("rig", LATER_RIG_OPTIONS), ("baselines", LATER_BASELINE_OPTIONS)):
+        for section, names in LATER_OPTIONS.items():
             for name in names:
-                if getattr(getattr(self, section), name) is None:
+                if section in result and getattr(getattr(self, section), name) is None:
                     result[section].pop(name, None)
         return result
 
@@ -619,11 +629,10 @@ class ConfigTree(Section):
         self._check_importance()
         if self.requirements not in (None, AUTO) and not self.knows_requirements:
             mistake(f"expected null: {NO_REQUIREMENTS}", "requirements", "optimiser.search")
-        if self.robust.camera_loss is not None and (self.descends or not self.losses.suits_pool):
+        robust = self.robust.asked_for
+        if robust is not None and (self.descends or not self.losses.suits_pool):
             text = "expected null, as only the search by a pool, with the loss expected_miss_rate alone, knows it"
-            mistake(
-                f"{text}; leave optimiser.search and the losses as they are", "robust.camera_loss", "optimiser.search"
-            )
+            mistake(f"{text}; leave optimiser.search and the losses as they are", robust, "optimiser.search")
         if self.segregation.rotations < self.rig.cameras:
             mistake(
                 f"expected at least one direction per camera ({self.rig.cameras}), got {self.segregation.rotations}",

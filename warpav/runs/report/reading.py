@@ -238,8 +238,10 @@ class RequirementRecord(_Part):
 class RobustRecord(_Part):
     """What a robust objective is made of, see `warpav.optimisation.camera_loss.RobustValue`."""
 
-    camera_loss: Literal["mean", "worst"]
-    weight: float
+    camera_loss: Literal["mean", "worst"] | None = None
+    weight: float | None = None
+    mount_error_m: float | None = None
+    mount_error_deg: float | None = None
     start: dict[str, float] | None
     optimised: dict[str, float] | None
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from warpav.core.frames import wrap_angle_rad
 from warpav.evaluation.metrics import ObjectOutcome
-from warpav.evaluation.mount_tolerance import ANGLES
+from warpav.optimisation.mount_errors import ANGLES
 from warpav.rig.rig import Rig
 from warpav.runs.report.reading import DifferenceRecord, EvaluationRecord, MarginRecord, RunContent
-from warpav.runs.verdict import robust_text
+from warpav.runs.verdict import mount_errors_text, robust_text
 
 Tone = Literal["good", "bad", "open"]
 
@@ -268,7 +268,17 @@ def _bound(run: RunContent) -> Statement | None:
     if found is None:
         return None
     scenes = "the scenes" if found.scenes is None else f"the {_counted(found.scenes, 'scene')}"
-    if run.evaluation is not None and run.evaluation.robust is not None:
+    robust = None if run.evaluation is None else run.evaluation.robust
+    errors = None if robust is None else mount_errors_text(robust.model_dump())
+    if errors is not None and robust is not None and robust.camera_loss is None:
+        text = (
+            f"On {scenes} of the search no rig of the pool's {found.pool_cameras} cameras has an objective, which "
+            f"counts errors of mounting of {errors}, below {number(found.bound, 4)}, which is proven over the errors "
+            f"that were drawn; the rig that was found has {number(found.objective, 4)}. Of other errors, of cameras "
+            "that the pool does not hold, and of other scenes, nothing is proven."
+        )
+        return Statement("Bound", text)
+    if robust is not None:
         text = (
             f"On the scenes of the search no rig of the pool's {found.pool_cameras} cameras has a robust objective "
             f"below {number(found.bound, 4)}, which is proven and not tight; the rig that was found has "
@@ -442,13 +452,15 @@ def sensitivity(run: RunContent) -> str:
         return ""
     worst, objects = tolerance.worst, objects_name(run)
     is_angle = worst.degree in ANGLES
-    off = f"{math.degrees(tolerance.angle_rad):g} degree" if is_angle else f"{100.0 * tolerance.position_m:g} cm"
+    angle_deg = f"{math.degrees(tolerance.angle_rad):g}"
+    angle = f"{angle_deg} degree{'' if angle_deg == '1' else 's'}"
+    off = angle if is_angle else f"{100.0 * tolerance.position_m:g} cm"
     text = (
         f"Most sensitive is {worst.camera} in {worst.degree}: off by {off}, the rig is expected to miss "
         f"{number(worst.change_per_100, 2)} more of 100 {objects} ({_counted(tolerance.scenes, 'scene')})"
         if worst.change_per_100 > 0.0
-        else f"No camera that is off by {100.0 * tolerance.position_m:g} cm or {math.degrees(tolerance.angle_rad):g} "
-        f"degree in one direction costs anything ({_counted(tolerance.scenes, 'scene')})"
+        else f"No camera that is off by {100.0 * tolerance.position_m:g} cm or {angle} in one direction costs anything "
+        f"({_counted(tolerance.scenes, 'scene')})"
     )
     outage = evaluation.camera_outage.get(evaluation.first)
     if outage is None:
