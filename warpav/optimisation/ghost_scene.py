@@ -7,8 +7,10 @@ misses a road user.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -17,8 +19,9 @@ from warpav.optimisation.polish import shares_of
 from warpav.optimisation.requirement_rows import RequirementRows, require_meetable, requirement_rows
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
+from warpav.raster.pane import Pane
 from warpav.requirements.requirement import Ghosts, Requirement
-from warpav.requirements.visibility import Visibility, ghost_jacobians, ghost_visibility
+from warpav.requirements.visibility import GhostScenes, Visibility, ghost_jacobians, ghost_scenes, ghost_visibility
 
 MET = 0.999
 """Probability of a point that a camera meets."""
@@ -52,6 +55,26 @@ class GhostScene:
         """
         self.requirements, self.ego, self.device = tuple(requirements), ego, device
         self.ghosts = Ghosts.of(self.requirements, ego)
+        self._opened: dict[Pane, GhostScene] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """As it travels and is copied: without what is on a device."""
+        kept = {name: value for name, value in self.__dict__.items() if name != "_drawn"}
+        return {**kept, "_opened": {}}
+
+    def through(self, pane: Pane | None) -> GhostScene:
+        """The same as cameras behind a pane of the vehicle see it; None: behind none."""
+        if pane is None:
+            return self
+        if pane not in self._opened:
+            opened = self._opened[pane] = copy.copy(self)
+            opened.ego = pane.opened(self.ego)
+        return self._opened[pane]
+
+    @cached_property
+    def _drawn(self) -> GhostScenes:
+        """The points on the device."""
+        return ghost_scenes(self.ghosts, self.ego, device=self.device)
 
     @property
     def vehicle_count(self) -> int:
@@ -108,9 +131,17 @@ class GhostScene:
         Returns:
             float64 [camera, point] and [camera, point, 7]; where a point is met nothing makes it surer.
         """
-        seen = ghost_jacobians(ego_from_camera, models, self.ghosts, self.ego, device=self.device)
-        probability, by_share, by_pixels = self._probability(Visibility(seen.visible_share, seen.pixels))
-        return probability, (by_share[..., None] * seen.jac_visible_share + by_pixels[..., None] * seen.jac_pixels)
+        seen = self.visibility(ego_from_camera, models)
+        probability, by_share, by_pixels = self._probability(seen)
+        jacobian = np.zeros((*probability.shape, 7))
+        # most points are met, or not seen at all
+        is_steep = (seen.visible_share > 0.0) & ((by_share > 0.0) | (by_pixels > 0.0))
+        which = np.flatnonzero(is_steep.any(axis=0))
+        if len(which):
+            found = ghost_jacobians(ego_from_camera, models, self.ghosts.at(which), self.ego, device=self.device)
+            jacobian[:, which] = by_share[:, which, None] * found.jac_visible_share
+            jacobian[:, which] += by_pixels[:, which, None] * found.jac_pixels
+        return probability, jacobian
 
     def _probability(self, seen: Visibility) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Probabilities, and their derivatives to share and pixels, each [camera, point]."""
@@ -148,7 +179,7 @@ class GhostScene:
 
     def visibility(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> Visibility:
         """What each camera sees of each point; arguments as of `probability`."""
-        return ghost_visibility(ego_from_camera, models, self.ghosts, self.ego, device=self.device)
+        return ghost_visibility(ego_from_camera, models, self.ghosts, self.ego, device=self.device, scenes=self._drawn)
 
     def check(self, probability: np.ndarray, seen: Callable[[], Visibility], count: int) -> None:
         """Make sure that a pool of cameras can meet every hard point.

@@ -6,7 +6,6 @@ taken, so no outline is measured, and only pixels that a probability depends on 
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -152,7 +151,7 @@ class SingleCameras:
         found = np.zeros((len(pose), scene.vehicle_count), np.float32)
         if isinstance(scene, GhostScene):
             for pane, row in self._by_pane(pose):
-                found[row] = _seen_through(pane, scene).probability(*self.in_ego(pose[row]))
+                found[row] = scene.through(pane).probability(*self.in_ego(pose[row]))
         else:
             for kind, row in self._by_kind(pose):
                 found[row] = self._detected(kind, pose[row], scene)
@@ -167,7 +166,7 @@ class SingleCameras:
         """
         share, pixels = np.zeros((2, len(mount_pose), ghosts.vehicle_count))
         for pane, row in self._by_pane(mount_pose):
-            seen = _seen_through(pane, ghosts).visibility(*self.in_ego(mount_pose[row]))
+            seen = ghosts.through(pane).visibility(*self.in_ego(mount_pose[row]))
             share[row], pixels[row] = seen.visible_share, seen.pixels
         return Visibility(share, pixels)
 
@@ -312,7 +311,7 @@ class SingleCameras:
             assert isinstance(ghosts, GhostScene), "requirements stand behind all scenes"
             seen, by_view = np.zeros((len(pose), len(ghosts.ghosts))), np.zeros((len(pose), len(ghosts.ghosts), 7))
             for pane, row in self._by_pane(pose):
-                seen[row], by_view[row] = _seen_through(pane, ghosts).with_jacobian(*self.in_ego(pose[row]))
+                seen[row], by_view[row] = ghosts.through(pane).with_jacobian(*self.in_ego(pose[row]))
             slope = placing_slope(self.mount, pose)
             by_pose = np.einsum("cov,cvk->cok", by_view[..., :3], slope.position)
             by_pose += np.einsum("cov,cvk->cok", by_view[..., 3:6], slope.rotation)
@@ -366,15 +365,6 @@ class SingleCameras:
             )
             for _ in range(count)
         ]
-
-
-def _seen_through(pane: Pane | None, ghosts: GhostScene) -> GhostScene:
-    """Requirements around the vehicle as cameras behind a pane see it."""
-    if pane is None:
-        return ghosts
-    opened = copy.copy(ghosts)
-    opened.ego = pane.opened(ghosts.ego)
-    return opened
 
 
 def _unpacked(mount: tuple[Any, ...], *others: Any) -> SingleCameras:  # noqa: ANN401

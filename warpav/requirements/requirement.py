@@ -131,6 +131,10 @@ class Ghosts:
         """Whether its requirement is hard, bool [ghost]."""
         return self.of_each("is_hard")
 
+    def at(self, which: np.ndarray) -> Ghosts:
+        """Some of them, int [ghost]."""
+        return Ghosts(self.requirements, self.position_m[which], self.requirement[which])
+
     def mesh(self, ghost: int) -> Mesh:
         """The test object where it stands, in the ego frame."""
         body = self.requirements[self.requirement[ghost]].test_object.body

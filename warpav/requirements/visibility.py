@@ -24,7 +24,7 @@ from warpav.raster.scene import Scene
 from warpav.requirements.requirement import Ghosts
 from warpav.rig.rig import Rig
 
-GHOSTS_AT_ONCE = 128
+GHOSTS_AT_ONCE = 1024
 """Objects of one scene; a render of a chunk of views holds this many silhouettes in each."""
 
 RENDER_WIDTH_PX = 640
@@ -82,6 +82,25 @@ def poses_of(rig: Rig) -> tuple[np.ndarray, list[CameraModel]]:
     return np.stack([each.ego_from_camera for each in rig.cameras]), [each.model for each in rig.cameras]
 
 
+GhostScenes = Sequence[tuple[np.ndarray, Scene]]
+"""Which ghosts, and what is drawn of them."""
+
+
+def ghost_scenes(ghosts: Ghosts, ego: Mesh, *, device: str = "cpu") -> GhostScenes:
+    """Ghosts on a device, as `ghost_visibility` draws them; whoever asks often keeps them.
+
+    Args:
+        ghosts: The test objects.
+        ego: The vehicle, which hides them.
+        device: Warp device.
+
+    Raises:
+        InputError: There is no such device.
+    """
+    chunks = np.array_split(np.arange(len(ghosts)), -(-len(ghosts) // GHOSTS_AT_ONCE))
+    return [(which, Scene({str(g): ghosts.mesh(g) for g in which}, foreground=ego, device=device)) for which in chunks]
+
+
 def ghost_visibility(
     ego_from_camera: np.ndarray,
     models: Sequence[CameraModel],
@@ -91,6 +110,7 @@ def ghost_visibility(
     render_width_px: int = RENDER_WIDTH_PX,
     supersampling: int = 1,
     device: str = "cpu",
+    scenes: GhostScenes | None = None,
 ) -> Visibility:
     """What cameras see of ghosts; no gradient.
 
@@ -102,14 +122,17 @@ def ghost_visibility(
         render_width_px: Images are drawn no wider, at least 8; areas are given in the camera's own pixels.
         supersampling: Samples per pixel of the drawn images along each axis.
         device: Warp device.
+        scenes: Of `ghost_scenes`, of these ghosts around this vehicle on this device; None: they are made.
 
     Raises:
         InputError: Not one model for every pose, or no device.
     """
     share = np.zeros((len(models), len(ghosts)))
     pixels = np.zeros_like(share)
+    if scenes is None:
+        scenes = ghost_scenes(ghosts, ego, device=device)
     for cameras, which, frame in _frames(
-        ego_from_camera, models, ghosts, ego, Content.COVERAGE, render_width_px, supersampling, device
+        ego_from_camera, models, scenes, Content.COVERAGE, render_width_px, supersampling, device
     ):
         found = frame.coverage()
         count = len(cameras)
@@ -137,8 +160,9 @@ def ghost_jacobians(
     share = np.zeros((len(models), len(ghosts)))
     pixels = np.zeros_like(share)
     jac_share, jac_pixels = np.zeros((*share.shape, 7)), np.zeros((*share.shape, 7))
+    scenes = ghost_scenes(ghosts, ego, device=device)
     for cameras, which, frame in _frames(
-        ego_from_camera, models, ghosts, ego, Content.ALL, render_width_px, supersampling, device
+        ego_from_camera, models, scenes, Content.ALL, render_width_px, supersampling, device
     ):
         count, at = len(cameras), np.ix_(cameras, which)
         areas = frame.areas()
@@ -192,8 +216,7 @@ def whole_solid_angle_sr(centre_m: np.ndarray, ghosts: Ghosts, which: np.ndarray
 def _frames(
     ego_from_camera: np.ndarray,
     models: Sequence[CameraModel],
-    ghosts: Ghosts,
-    ego: Mesh,
+    scenes: GhostScenes,
     content: Content,
     render_width_px: int,
     supersampling: int,
@@ -204,10 +227,6 @@ def _frames(
     if len(pose) != len(models):
         raise InputError(f"ego_from_camera: expected one pose for each of {len(models)} models, got {len(pose)}")
     drawn = [_drawn(model, render_width_px) for model in models]
-    chunks = np.array_split(np.arange(len(ghosts)), -(-len(ghosts) // GHOSTS_AT_ONCE))
-    scenes = [
-        (which, Scene({str(g): ghosts.mesh(g) for g in which}, foreground=ego, device=device)) for which in chunks
-    ]
     position = pose[:, :3, 3].astype(np.float32)
     rotation = pose[:, :3, :3].transpose(0, 2, 1).astype(np.float32)
     for size in dict.fromkeys((model.width_px, model.height_px) for model in drawn):

@@ -129,7 +129,7 @@ def mount_surface(config: Config, ego: Mesh) -> MountSurface:
     if not has_zones(config):
         return roof_surface(config, ego)
     zones = propose_zones(ego) if config.mount.zones is None else read_zones(config.mount.zones)
-    if config.mount.zones is None and config.rig.symmetric:
+    if config.rig.symmetric and not any(zone.is_centred for zone in zones):
         zones = with_middles(zones)
     return chart_of(
         zones,
