@@ -142,7 +142,10 @@ front.plot()
 
 # %%
 outage = evaluation.camera_outage["optimised"]
-print(outage.table())
+for each in outage.cameras:
+    print(
+        f"without {each.camera:26} {each.expected_misses_per_100:5.2f} per 100 missed, {each.difference_per_100:+.2f}"
+    )
 
 # %%
 tolerance = wa.robustness.mount_tolerance(result.rig, test, placement, sample_count=8)

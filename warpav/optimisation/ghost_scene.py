@@ -21,7 +21,14 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.raster.pane import Pane
 from warpav.requirements.requirement import Ghosts, Requirement
-from warpav.requirements.visibility import GhostScenes, Visibility, ghost_jacobians, ghost_scenes, ghost_visibility
+from warpav.requirements.visibility import (
+    GhostScenes,
+    KeptRenderers,
+    Visibility,
+    ghost_jacobians,
+    ghost_scenes,
+    ghost_visibility,
+)
 
 MET = 0.999
 """Probability of a point that a camera meets."""
@@ -56,11 +63,12 @@ class GhostScene:
         self.requirements, self.ego, self.device = tuple(requirements), ego, device
         self.ghosts = Ghosts.of(self.requirements, ego)
         self._opened: dict[Pane, GhostScene] = {}
+        self._renderers: KeptRenderers = {}
 
     def __getstate__(self) -> dict[str, Any]:
         """As it travels and is copied: without what is on a device."""
         kept = {name: value for name, value in self.__dict__.items() if name != "_drawn"}
-        return {**kept, "_opened": {}}
+        return {**kept, "_opened": {}, "_renderers": {}}
 
     def through(self, pane: Pane | None) -> GhostScene:
         """The same as cameras behind a pane of the vehicle see it; None: behind none."""
@@ -68,7 +76,7 @@ class GhostScene:
             return self
         if pane not in self._opened:
             opened = self._opened[pane] = copy.copy(self)
-            opened.ego = pane.opened(self.ego)
+            opened.ego, opened._renderers = pane.opened(self.ego), self._renderers
         return self._opened[pane]
 
     @cached_property
@@ -138,7 +146,10 @@ class GhostScene:
         is_steep = (seen.visible_share > 0.0) & ((by_share > 0.0) | (by_pixels > 0.0))
         which = np.flatnonzero(is_steep.any(axis=0))
         if len(which):
-            found = ghost_jacobians(ego_from_camera, models, self.ghosts.at(which), self.ego, device=self.device)
+            ghosts = self.ghosts.at(which)
+            found = ghost_jacobians(
+                ego_from_camera, models, ghosts, self.ego, device=self.device, renderers=self._renderers
+            )
             jacobian[:, which] = by_share[:, which, None] * found.jac_visible_share
             jacobian[:, which] += by_pixels[:, which, None] * found.jac_pixels
         return probability, jacobian
@@ -179,7 +190,15 @@ class GhostScene:
 
     def visibility(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> Visibility:
         """What each camera sees of each point; arguments as of `probability`."""
-        return ghost_visibility(ego_from_camera, models, self.ghosts, self.ego, device=self.device, scenes=self._drawn)
+        return ghost_visibility(
+            ego_from_camera,
+            models,
+            self.ghosts,
+            self.ego,
+            device=self.device,
+            scenes=self._drawn,
+            renderers=self._renderers,
+        )
 
     def check(self, probability: np.ndarray, seen: Callable[[], Visibility], count: int) -> None:
         """Make sure that a pool of cameras can meet every hard point.

@@ -85,6 +85,10 @@ def poses_of(rig: Rig) -> tuple[np.ndarray, list[CameraModel]]:
 GhostScenes = Sequence[tuple[np.ndarray, Scene]]
 """Which ghosts, and what is drawn of them."""
 
+KeptRenderers = dict[tuple[int, int, int], Renderer]
+"""By width, height and number of views; `RENDERERS_KEPT` at most."""
+RENDERERS_KEPT = 12
+
 
 def ghost_scenes(ghosts: Ghosts, ego: Mesh, *, device: str = "cpu") -> GhostScenes:
     """Ghosts on a device, as `ghost_visibility` draws them; whoever asks often keeps them.
@@ -111,6 +115,7 @@ def ghost_visibility(
     supersampling: int = 1,
     device: str = "cpu",
     scenes: GhostScenes | None = None,
+    renderers: KeptRenderers | None = None,
 ) -> Visibility:
     """What cameras see of ghosts; no gradient.
 
@@ -123,6 +128,7 @@ def ghost_visibility(
         supersampling: Samples per pixel of the drawn images along each axis.
         device: Warp device.
         scenes: Of `ghost_scenes`, of these ghosts around this vehicle on this device; None: they are made.
+        renderers: Of earlier calls with the same samples and device, used and added to; None: none is kept.
 
     Raises:
         InputError: Not one model for every pose, or no device.
@@ -132,7 +138,7 @@ def ghost_visibility(
     if scenes is None:
         scenes = ghost_scenes(ghosts, ego, device=device)
     for cameras, which, frame in _frames(
-        ego_from_camera, models, scenes, Content.COVERAGE, render_width_px, supersampling, device
+        ego_from_camera, models, scenes, Content.COVERAGE, render_width_px, supersampling, device, renderers
     ):
         found = frame.coverage()
         count = len(cameras)
@@ -155,6 +161,7 @@ def ghost_jacobians(
     render_width_px: int = RENDER_WIDTH_PX,
     supersampling: int = 1,
     device: str = "cpu",
+    renderers: KeptRenderers | None = None,
 ) -> VisibilityJacobian:
     """What cameras see of ghosts, with Jacobians; arguments and errors as of `ghost_visibility`."""
     share = np.zeros((len(models), len(ghosts)))
@@ -162,7 +169,7 @@ def ghost_jacobians(
     jac_share, jac_pixels = np.zeros((*share.shape, 7)), np.zeros((*share.shape, 7))
     scenes = ghost_scenes(ghosts, ego, device=device)
     for cameras, which, frame in _frames(
-        ego_from_camera, models, scenes, Content.ALL, render_width_px, supersampling, device
+        ego_from_camera, models, scenes, Content.ALL, render_width_px, supersampling, device, renderers
     ):
         count, at = len(cameras), np.ix_(cameras, which)
         areas = frame.areas()
@@ -221,6 +228,7 @@ def _frames(
     render_width_px: int,
     supersampling: int,
     device: str,
+    renderers: KeptRenderers | None,
 ) -> Iterator[tuple[np.ndarray, np.ndarray, Frame]]:
     """Renders of chunks of cameras and ghosts: which cameras, which ghosts, the frame, whose first views they are."""
     pose = np.asarray(ego_from_camera, np.float64).reshape(-1, 4, 4)
@@ -232,14 +240,18 @@ def _frames(
     for size in dict.fromkeys((model.width_px, model.height_px) for model in drawn):
         group = np.flatnonzero([(model.width_px, model.height_px) == size for model in drawn])
         most = min(chunk_view_count(drawn[group[0]], supersampling=supersampling), len(group))
-        renderer = None
+        kept = {} if renderers is None else renderers
         for first in range(0, len(group), most):
             cameras = group[first : first + most]
             # a last chunk that is not full is filled up with its last camera
             views = cameras[np.minimum(np.arange(most), len(cameras) - 1)]
             lenses = [drawn[v] for v in views]
+            renderer = kept.get((*size, most))
             if renderer is None:
+                if len(kept) >= RENDERERS_KEPT:
+                    del kept[next(iter(kept))]
                 renderer = Renderer(lenses, supersampling=supersampling, occlusion=Occlusion.OCCLUDERS, device=device)
+                kept[*size, most] = renderer
             else:
                 renderer.set_lenses(lenses)
             for which, scene in scenes:
