@@ -17,7 +17,7 @@
 
 # %% tags=["parameters"]
 train_seeds, test_seeds = range(16), range(5000, 5010)
-pool_cameras, front_cameras = 96, "2..5"
+pool_cameras, steps, front_cameras = 96, 100, "2..5"
 
 # %%
 import math
@@ -80,7 +80,7 @@ for name in chosen:
 # on every half metre of the ground within 5 m, and asks that 99 % of them are seen.
 
 # %%
-config = wa.Config.load("quick", f"optimiser.pool_cameras={pool_cameras}")
+config = wa.Config.load("quick", f"optimiser.pool_cameras={pool_cameras}", f"run.iterations={steps}")
 placement = wa.Placement(
     train,
     zones="zones.yaml",

@@ -40,7 +40,8 @@ SMALL = {
     "train_seeds, test_seeds, iterations = '0..3', '[1000]', 2",
     "06_inspect_and_export": "train_seeds, test_seeds = range(3), range(5000, 5002)",
     "07_rasteriser": "step_count = 5",
-    "08_series_car": "train_seeds, test_seeds = range(2), range(5000, 5002)\npool_cameras, front_cameras = 24, '2..3'",
+    "08_series_car": "train_seeds, test_seeds = range(2), range(5000, 5002)\n"
+    "pool_cameras, steps, front_cameras = 16, 4, '2..3'",
 }
 """Settings for tests, by notebook: they follow the cell that is tagged ``parameters``."""
 

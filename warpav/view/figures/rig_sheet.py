@@ -292,8 +292,9 @@ def _digit() -> dict[str, Any]:
 
 def _write_table(figure: Any, rig: Rig, *, below_mm: float, page_mm: float) -> None:  # noqa: ANN401 (matplotlib)
     head = ("camera", "module or lens", "image [px]", "sees [°]", "x, y, z [m]", "yaw, pitch, roll [°]")
-    start_mm = (0.0, 38.0, 82.0, 107.0, 127.0, 158.0)
     rows = [head, *(_row(index, camera) for index, camera in enumerate(rig.cameras))]
+    names_mm = min(max(38.0, 1.65 * max(len(row[0]) for row in rows)), 54.0)
+    start_mm = (0.0, names_mm, 82.0, 107.0, 127.0, 158.0)
     width_mm = PAGE_MM[0]
     for line, row in enumerate(rows):
         for column, text in enumerate(row):

@@ -95,4 +95,4 @@ def _draw_losses(axis: Any, outages: CameraOutages) -> None:  # noqa: ANN401 (ma
     axis.set_xticks([])
     axis.spines["bottom"].set_visible(False)
     axis.tick_params(left=False)
-    title(axis, "Camera lost", f"{'weighted ' if is_weighted else ''}misses per 100, change")
+    title(axis, "Camera lost", "change, weighted" if is_weighted else "change")
