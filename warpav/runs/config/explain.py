@@ -156,6 +156,7 @@ def option_values(config: ConfigTree) -> dict[str, object]:
         **{name: section.model_dump(mode="json") for name, section in unset.items()},
         **config.model_dump(mode="json"),
     }
+    tree["importance"] = {"time_to_collision_s": {}, **tree["importance"]}
     tree["mount"] = {"zones": None, **tree["mount"]}
     tree["rig"] = {**dict.fromkeys(LATER_RIG_OPTIONS), **tree["rig"]}
     tree["baselines"] = {**tree["baselines"], **dict.fromkeys(LATER_BASELINE_OPTIONS), **tree["baselines"]}

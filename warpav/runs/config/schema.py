@@ -570,6 +570,8 @@ class ConfigTree(Section):
         result = written(self)
         if not self.importance.is_set:
             result.pop("importance", None)
+        elif not self.importance.time_to_collision_s:
+            result["importance"].pop("time_to_collision_s", None)
         if self.requirements is None:
             result.pop("requirements", None)
         if self.robust.camera_loss is None:
