@@ -102,7 +102,7 @@ def draw_front(folder: Path) -> None:
 
 def draw_requirements(folder: Path) -> None:
     """requirements.png: what of the ground within 5 m the cameras of EDGAR see on the embedded vehicle."""
-    _warpav("rig", "requirements", "edgar", "--picture", str(PICTURES / "requirements.png"))
+    _warpav("rig", "requirements", "edgar", "--image", str(PICTURES / "requirements.png"))
 
 
 def draw_stages(folder: Path) -> None:

@@ -11,9 +11,10 @@
 # %% [markdown]
 # # A series car: which modules, where, how many
 #
-# **We may buy a wide 8 MP camera for the windscreen, 2 MP cameras for the sides and small fisheyes. Where on the body do
-# they sit, do they see a child beside the bumper, how many are worth their price, and what if one fails?** Nobody may put
-# a mast on the roof: all cameras stand behind the windscreen or flush with the skin, and left and right are alike.
+# **We may buy a wide 8 MP camera for the windscreen, 2 MP cameras for the sides and small fisheyes. Where on the body
+# do they sit, do they see a child beside the bumper, how many are worth their price, and what if one fails?** Nobody
+# may put a mast on the roof: all cameras stand behind the windscreen or flush with the skin, and left and right are
+# alike.
 
 # %% tags=["parameters"]
 train_seeds, test_seeds = range(16), range(5000, 5010)
@@ -23,6 +24,7 @@ pool_cameras, steps, front_cameras = 96, 100, "2..5"
 import math
 import os
 import tempfile
+from pathlib import Path
 
 import trimesh
 
@@ -54,7 +56,7 @@ Image("zones.png", width=700)
 # cabin:
 
 # %%
-lines = open("zones.yaml").read().splitlines()
+lines = Path("zones.yaml").read_text().splitlines()
 first = lines.index("  windscreen:")
 print("\n".join(lines[first : first + 14]))
 
@@ -68,9 +70,8 @@ catalogue = wa.read_modules()
 chosen = ["front_8mp_120", "side_2mp_100", "fisheye_1_3mp_190"]
 for name in chosen:
     module = catalogue[name]
-    print(
-        f"{name:18} {math.degrees(module.fov_rad):3.0f} deg, price {module.price.value:g}, fits {', '.join(module.zones)}"
-    )
+    fov_deg = math.degrees(module.fov_rad)
+    print(f"{name:18} {fov_deg:3.0f} deg, price {module.price.value:g}, fits {', '.join(module.zones)}")
 
 # %% [markdown]
 # ## One rig

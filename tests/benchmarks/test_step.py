@@ -36,7 +36,12 @@ class Steps:
         packed = pack_workload(workload, device=device)
         vehicles = packed.object_count
         scene = DeviceScene(
-            workload.name, packed, ("vehicle",) * vehicles, np.zeros(vehicles, np.int32), np.zeros((vehicles, 2))
+            workload.name,
+            packed,
+            ("vehicle",) * vehicles,
+            np.zeros(vehicles, np.int32),
+            np.zeros((vehicles, 2)),
+            np.full(vehicles, np.nan),
         )
         self.scenes = [
             OneScene(

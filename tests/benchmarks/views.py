@@ -36,7 +36,9 @@ def main() -> None:
     scene = pack_workload(workload, device=device)
     place, turn = (array.numpy() for array in Bench(workload, scene, device=device)._placed())
     count = scene.object_count
-    cars = DeviceScene("bench", scene, ("car",) * count, np.full(count, -1), np.zeros((count, 3)))
+    cars = DeviceScene(
+        "bench", scene, ("car",) * count, np.full(count, -1), np.zeros((count, 2)), np.full(count, np.nan)
+    )
     rng = np.random.default_rng(0)
     for lens in lenses.split(","):
         fov_rad = math.radians(90.0 if lens == "pinhole" else 190.0)

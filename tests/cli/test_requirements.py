@@ -9,7 +9,7 @@ from warpav.cli.app import main
 
 
 def test_a_preset_is_checked_and_drawn(working_directory, capsys):
-    arguments = ["rig", "requirements", "edgar", "--json", "out.json", "--picture", "out.png"]
+    arguments = ["rig", "requirements", "edgar", "--json", "out.json", "--image", "out.png"]
     assert main([*arguments, "--requirements", "r158_like"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split()[:2] == ["requirement", "needs"]
@@ -33,12 +33,20 @@ def test_what_is_met_is_said(working_directory, capsys):
     assert lines[2] == "all requirements are met"
 
 
+def test_the_old_name_of_the_image_works_with_a_warning(working_directory, capsys):
+    assert main(["rig", "requirements", "edgar", "--requirements", "r158_like", "--picture", "old.png"]) == 0
+    said = capsys.readouterr()
+    assert said.err == "--picture: is called --image now; the old name goes in the next version\n"
+    assert said.out.endswith("wrote old.png\n")
+    assert (working_directory / "old.png").is_file()
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
         (["edgar", "--requirements", "nearfield"], "did you mean near_field?"),
         (["edgr"], "did you mean edgar"),
-        (["edgar", "--picture", "out.jpg"], "expected a name that ends in .png"),
+        (["edgar", "--image", "out.jpg"], "expected a name that ends in .png"),
     ],
 )
 def test_bad_input_is_status_2(working_directory, capsys, arguments, text):

@@ -34,6 +34,9 @@ def test_zones_are_proposed_edited_and_used(working_directory, car, capsys):
     assert all(f"  {name}" in said for name in ("roof", "bonnet", "left", "right", "front", "rear"))
     assert "mount.zones=all.yaml" in said
     assert (working_directory / "zones.png").stat().st_size > 10_000
+    assert main(["vehicle", "zones", "car.glb", "--out", "again.yaml", "--picture", "old.png"]) == 0
+    assert capsys.readouterr().err == "--picture: is called --image now; the old name goes in the next version\n"
+    assert (working_directory / "old.png").is_file()
     assert "kept out: 4 x wheel" in said
     zones = read_zones("all.yaml")
     assert len(zones) == 7

@@ -73,7 +73,7 @@ def scenes_of(device="cpu"):
 # --- the weights -----------------------------------------------------------------------------------------------------
 
 
-def test_a_weight_is_the_product_of_three_from_the_origin_of_the_ego_frame():
+def test_a_weight_is_the_product_of_factors_from_the_origin_of_the_ego_frame():
     for assigned in scenes_of():
         by_hand = weights_by_hand(assigned.scene)
         np.testing.assert_array_equal(Importance(SETTINGS).weights(assigned.scene), by_hand)
@@ -102,6 +102,21 @@ def test_the_category_counts_before_the_kind_and_edges_belong_to_what_they_begin
     np.testing.assert_array_equal(importance.weights_at(["van"] * 4, ["vehicle"] * 4, around), [33.0, 39.0, 39.0, 3.0])
     everywhere = Importance(ImportanceSettings(sector_deg=[{"from": 0, "to": 360, "weight": 2.0}]))
     assert (everywhere.weights_at(["van"] * 2, ["vehicle"] * 2, np.array([[5.0, -1e-300], [5.0, 0.0]])) == 2.0).all()
+
+
+def test_the_time_to_collision_counts_where_it_is_known_and_comes():
+    importance = Importance(
+        ImportanceSettings(category={"bus": 10.0}, time_to_collision_s={0: 3.0, 2: 2.0, "4000 ms": 0.5})
+    )
+    time_s = np.array([0.0, 1.99, 2.0, 3.9, 4.0, 900.0, math.inf, math.nan])
+    category, kind, place_m = ["bus"] + ["van"] * 7, ["vehicle"] * 8, np.full((8, 2), 9.0)
+    found = importance.weights_at(category, kind, place_m, time_s)
+    np.testing.assert_array_equal(found, [30.0, 3.0, 2.0, 2.0, 0.5, 0.5, 1.0, 1.0])
+    np.testing.assert_array_equal(importance.weights_at(category, kind, place_m), [10.0] + [1.0] * 7)
+    scene = dataclasses.replace(scenes_of()[2].scene, time_to_collision_s=np.array([1.0, 3.0, math.nan, 5.0]))
+    np.testing.assert_array_equal(importance.weights(scene), [3.0, 2.0, 1.0, 0.5])
+    # a scene that tells no velocity has equal weights
+    np.testing.assert_array_equal(importance.weights(scenes_of()[0].scene), np.ones(10))
 
 
 # --- the objective ---------------------------------------------------------------------------------------------------
@@ -341,6 +356,16 @@ def test_further_cameras_replacements_and_exchanges_count_by_weight(rng):
         ("distance_m={5: 1}", "expected 0 as the first distance, got 5"),
         ("distance_m={0: 1, far: 2}", "got 'far' as a distance"),
         ("distance_m={0: 0, 20: 0}", "expected a weight above 0 at some distance, got only zeros"),
+        (
+            "time_to_collision_s=[2]",
+            "expected a table of rising times from 0 s on and weights, such as {0: 3.0, 2: 2.0",
+        ),
+        ("time_to_collision_s={0: 2, 4: 1, 2: 1}", "expected rising times, got 2 after 4"),
+        ("time_to_collision_s={-1: 2, 0: 1}", "expected 0 as the first time, got -1"),
+        ("time_to_collision_s={0: 2, -3: 1}", "expected rising times, got -3 after 0"),
+        ("time_to_collision_s={0: 2, 3: -1}", "expected a finite weight of at least 0 for 3 s, got -1"),
+        ("time_to_collision_s={0: 2, 3 m: 1}", "got '3 m' as a time"),
+        ("time_to_collision_s={0: 0}", "expected a weight above 0 at some time, got only zeros"),
         ("sector_deg=[{from: 0, to: 30}]", "expected a list of sectors, such as [{from: -30, to: 30, weight: 2.0}]"),
         ("sector_deg=[{from: 170, to: -170, weight: 1}]", "got 170 to -170; write 170 to 190"),
         (
@@ -395,3 +420,15 @@ def test_weights_are_written_and_read_back_and_what_is_not_set_is_not_written(tm
     assert load_config(config) == config
     assert "importance" not in dump_config(Config())
     assert option_values(Config())["importance.category"] == {}
+
+
+def test_times_are_written_and_read_back_and_files_without_stay_as_they_were(tmp_path):
+    older = load_config(None, ["importance.distance_m={0: 2, 20: 1}"])
+    assert "time_to_collision_s" not in dump_config(older)
+    assert option_values(older)["importance.time_to_collision_s"] == {}
+    config = load_config(None, ["importance.time_to_collision_s={0: 3, 1.5: 2, 4000 ms: 1}"])
+    assert config.importance.time_to_collision_s == {0.0: 3.0, 1.5: 2.0, 4.0: 1.0}
+    file = tmp_path / "config.yaml"
+    file.write_text(dump_config(config))
+    assert load_config(file) == config
+    assert "4 s: 1.0" in file.read_text()

@@ -108,6 +108,12 @@ def test_a_housing_that_fits_nowhere_names_module_and_zone():
     side = Zone("left", NORMALS["left"], stand_off_m=(0.0, 0.03))
     chart = chart_of([zone, side], BOX, cell_m=0.05, modules=[module()])
     assert [each.name for each in chart.zones] == ["left"]
+    [note] = chart.notes  # and that is said
+    assert note.startswith(
+        "module 'cube': left out of zones without room for its housing: roof needs 15 mm and allows 10; raise "
+    )
+    assert chart_of([side], BOX, cell_m=0.05, modules=[module()]).notes == ()
+    assert chart_of([zone, side], BOX, cell_m=0.05).notes == ()
 
 
 def test_a_recess_comes_back_from_its_file(tmp_path):

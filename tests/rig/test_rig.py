@@ -3,6 +3,7 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -308,3 +309,17 @@ def test_showing_a_rig_as_a_table_imports_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_the_rig_files_of_the_reference_can_be_read(tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "files.md").read_text(encoding="utf-8")
+    examples = re.findall(r"^```yaml\n(frame: ego\n.*?)^```", page, re.DOTALL | re.MULTILINE)
+    rigs = []
+    for number, text in enumerate(examples):
+        (tmp_path / f"rig_{number}.yaml").write_text(text, encoding="utf-8")
+        rigs.append(read_rig(tmp_path / f"rig_{number}.yaml"))
+    assert [[camera.name for camera in rig.cameras] for rig in rigs] == [["front", "rear"], ["front"]]
+    pane = rigs[1].cameras[0].behind_glass
+    assert pane is not None
+    assert pane.name == "windscreen"
+    assert pane.area_m2 == pytest.approx(0.5 * 1.2)

@@ -91,3 +91,34 @@ def test_orientations_are_chosen_by_some_of_many_scenes(folder, monkeypatch):
     expected = choose_orientations(areas, 2, config.segregation.rotations, rng)
     np.testing.assert_array_equal(placement.segregation.yaw_rad, expected.yaw_rad)
     assert placement.segregation.seen_instances == expected.seen_instances
+
+
+def test_zones_without_room_for_a_module_are_said(tmp_path):
+    """Once, whichever way the scenes come; a zone named ``roof`` is fine for the module but for its stand-off."""
+    zone = "    stand_off_m: [0.0, 0.005]\n    recess_m: 0.0\n"
+    (tmp_path / "zones.yaml").write_text(
+        f"zones:\n  roof:\n    normal: up\n{zone}  top:\n    normal: up\n    kind: roof\n    stand_off_m: [0.0, 0.3]\n"
+    )
+    options = [
+        f"mount.zones={tmp_path / 'zones.yaml'}",
+        "rig.modules={front_8mp_30: 2}",
+        "scenes.train_seeds=[0]",
+        "scenes.validation_seeds=null",
+        "scenes.test_seeds=[1]",
+    ]
+    config = load_config("quick", options)
+
+    class Listening(NullProgress):
+        def __init__(self):
+            self.said = []
+
+        def say(self, text):
+            self.said.append(text)
+
+    opened, packed = Listening(), Listening()
+    load_scene_set(config, opened)
+    pack_scenes(load_scenes(config, (0, 1)), (1, 0), config, packed)
+    for said in (opened.said, packed.said):
+        [line] = said
+        assert line.startswith("module 'front_8mp_30': left out of zones without room for its housing: roof needs ")
+        assert "and allows 5; raise the zone's stand_off_m" in line

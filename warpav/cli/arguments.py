@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
@@ -67,6 +68,13 @@ def complain(text: str) -> None:
 def warn_renamed(old: str, new: str) -> None:
     """Print that an argument has another name, under which it will be known alone."""
     complain(f"{old}: is called {new} now; the old name goes in the next version")
+
+
+def image_file(image: Path | None, picture: Path | None) -> Path | None:
+    """The file of ``--image``, or of its old name with a warning."""
+    if picture is not None:
+        warn_renamed("--picture", "--image")
+    return image or picture
 
 
 def seeds_of(seeds: str | None, count: int | None) -> tuple[int, ...]:

@@ -15,6 +15,7 @@ from warpav.cli.arguments import (
     Overrides,
     RigSource,
     complain,
+    image_file,
     say,
     with_flags,
 )
@@ -146,7 +147,8 @@ def rig_requirements(
         str, Parameter(help="YAML file, or a template: near_field, r46_like, r158_like, r159_like.")
     ] = "near_field",
     json: Annotated[Path | None, Parameter(help="JSON file to write.")] = None,
-    picture: Annotated[Path | None, Parameter(help="PNG to draw the ground into, seen from above.")] = None,
+    image: Annotated[Path | None, Parameter(help="PNG to draw the ground into, seen from above.")] = None,
+    picture: Annotated[Path | None, Parameter(show=False)] = None,
     config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
 ) -> None:
     """Check which requirements on the ground around the vehicle a rig meets: how much of each, and where not.
@@ -156,6 +158,7 @@ def rig_requirements(
     from warpav.runs.rig_requirements import check_rig
     from warpav.runs.rig_source import config_for
 
+    image = image_file(image, picture)
     with config_for(rig, config, overrides, default=DEFAULT_CONFIG) as settings:
-        for line in check_rig(rig, settings, requirements=requirements, json_file=json, picture=picture):
+        for line in check_rig(rig, settings, requirements=requirements, json_file=json, image=image):
             say(line)

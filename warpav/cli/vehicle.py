@@ -14,8 +14,8 @@ from warpav.cli.arguments import (
     FileAxis,
     Overrides,
     complain,
+    image_file,
     say,
-    warn_renamed,
     with_flags,
 )
 
@@ -77,9 +77,7 @@ def vehicle_check(
     from warpav.runs.config import placed_config
     from warpav.runs.vehicle_check import check_vehicle
 
-    if picture is not None:
-        warn_renamed("--picture", "--image")
-        image = image or picture
+    image = image_file(image, picture)
     with placed_config(config, overrides) as settings:
         report = check_vehicle(
             file, settings, up=up, forward=forward, scale=scale, rear_axle_m=rear_axle, out=out, image=image
@@ -104,12 +102,14 @@ def vehicle_zones(
     *overrides: Overrides,
     out: Annotated[Path, Parameter(help="YAML to write the zones to, for mount.zones.")] = Path("zones.yaml"),
     image: Annotated[Path | None, Parameter(help="PNG to draw them into.")] = None,
+    picture: Annotated[Path | None, Parameter(show=False)] = None,
     config: Config = DEFAULT_CONFIG,
 ) -> int:
     """Propose zones anywhere on a body, where cameras may stand, in a YAML file to edit."""
     from warpav.runs.config import placed_config
     from warpav.runs.vehicle_zones import propose
 
+    image = image_file(image, picture)
     with placed_config(config, overrides) as settings:
         for line in propose(file, settings, out=out, image=image):
             say(line)

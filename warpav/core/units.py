@@ -1,4 +1,4 @@
-"""Lengths and angles that may carry their own unit (``20 cm``, ``1.57 rad``); the unit is part of the field's name."""
+"""Lengths, times and angles that may carry their own unit (``20 cm``, ``1.57 rad``); the field's name has the unit."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, WithJsonSchema
 from warpav.core.section import Expectation, mistake, shown
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
+SECONDS_PER_UNIT = {"s": 1.0, "ms": 1e-3}
 DEGREES_PER_UNIT = {"deg": 1.0, "rad": 180.0 / math.pi}
 
 

@@ -1,8 +1,8 @@
 """What matters: weights of road users by what they are and where they are.
 
-A road user's weight is the product of three factors: that of its category or kind, that of its distance from the ego
-vehicle's origin, and that of its azimuth there. Whatever is not set is 1. Means over objects become weighted means, so
-only ratios of weights count. The objective and the metrics take the same weights.
+A road user's weight is the product of four factors: that of its category or kind, that of its distance from the ego
+vehicle's origin, that of its azimuth there, and that of its time to collision. Whatever is not set is 1. Means over
+objects become weighted means, so only ratios of weights count. The objective and the metrics take the same weights.
 """
 
 from __future__ import annotations
@@ -44,20 +44,29 @@ class Importance:
         if scene not in self._of_scene:
             centre_m = np.asarray(scene.ego_bounds_m, np.float64)[:, :2].mean(axis=0)
             kind = [ROAD_USERS[k] for k in scene.road_user_index]
-            self._of_scene[scene] = self.weights_at(scene.category, kind, scene.from_ego_m + centre_m)
+            place_m, time_s = scene.from_ego_m + centre_m, scene.time_to_collision_s
+            self._of_scene[scene] = self.weights_at(scene.category, kind, place_m, time_s)
         return self._of_scene[scene]
 
     def weights_of(self, scenes: Iterable[DeviceScene]) -> np.ndarray:
         """The same of several scenes, one after the other, float64 [object]."""
         return np.concatenate([np.zeros(0), *map(self.weights, scenes)])
 
-    def weights_at(self, category: Sequence[str], kind: Sequence[str], centre_ego_m: np.ndarray) -> np.ndarray:
+    def weights_at(
+        self,
+        category: Sequence[str],
+        kind: Sequence[str],
+        centre_ego_m: np.ndarray,
+        time_to_collision_s: np.ndarray | None = None,
+    ) -> np.ndarray:
         """Weight of road users, at least 0, float64 [object].
 
         Args:
             category: What each is, such as ``lorry``.
             kind: Its kind, out of `ROAD_USERS`; it decides where the category is not set.
             centre_ego_m: Centre of its box in the ego frame, forward and left of the origin [m], float [object, 2].
+            time_to_collision_s: As `DeviceScene` has it, inf and NaN included: both weigh 1 [s], float [object]. None:
+                no velocity is known.
         """
         place_m = np.asarray(centre_ego_m, np.float64).reshape(-1, 2)
         settings, of_category = self.settings, self.settings.category
@@ -66,6 +75,10 @@ class Importance:
         if settings.distance_m:
             first_m, factor = np.array(list(settings.distance_m.items())).T
             weight *= factor[np.searchsorted(first_m, np.hypot(*place_m.T), side="right") - 1]
+        if settings.time_to_collision_s and time_to_collision_s is not None:
+            first_s, factor = np.array(list(settings.time_to_collision_s.items())).T
+            meets = np.isfinite(time_to_collision_s)
+            weight[meets] *= factor[np.searchsorted(first_s, time_to_collision_s[meets], side="right") - 1]
         azimuth_deg = np.degrees(np.arctan2(place_m[:, 1], place_m[:, 0]))
         for sector in settings.sector_deg:
             weight[sector.contains(azimuth_deg)] *= sector.weight

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, create_model, model_validator
 
 from warpav.core.section import Expectation, Section, mistake, shown
-from warpav.core.units import DEGREES_PER_UNIT, METRES_PER_UNIT, Degrees, Metres, number_in
+from warpav.core.units import DEGREES_PER_UNIT, METRES_PER_UNIT, SECONDS_PER_UNIT, Degrees, Metres, number_in
 from warpav.optimisation.losses.registry import LOSSES
 
 METHOD_LOSSES: dict[str, dict[str, Any]] = {
@@ -143,6 +143,7 @@ class Sector:
 
 _CATEGORY_TEXT = "a table of categories and weights, such as {pedestrian: 2.0}"
 _DISTANCE_TEXT = "a table of rising distances from 0 m on and weights, such as {0: 2.0, 20: 1.0, 50: 0.5}"
+_TIME_TEXT = "a table of rising times from 0 s on and weights, such as {0: 3.0, 2: 2.0, 4: 1.0}"
 _SECTOR_TEXT = "a list of sectors, such as [{from: -30, to: 30, weight: 2.0}]"
 
 
@@ -160,23 +161,32 @@ def _read_categories(value: object) -> dict[str, float]:
     return {name.lower(): _weight(weight, name) for name, weight in value.items()}
 
 
-def _read_distances(value: object) -> dict[float, float]:
+def _read_steps(value: object, *, quantity: str, expected: str, unit_factor: Mapping[str, float]) -> dict[float, float]:
+    """A table of steps: each weight holds from its key, in the first of the units, up to the next."""
     if not isinstance(value, dict):
-        mistake(f"expected {_DISTANCE_TEXT}, got {shown(value)}")
-    weights: dict[float, float] = {}
+        mistake(f"expected {expected}, got {shown(value)}")
+    unit, weights = next(iter(unit_factor)), dict[float, float]()
     for key, weight in value.items():
-        distance_m = number_in(f"{key} m" if re.fullmatch(r"[0-9.]+", str(key)) else key, METRES_PER_UNIT)
-        if distance_m is None:
-            mistake(f"expected {_DISTANCE_TEXT}, got {shown(key)} as a distance")
-        last_m = next(reversed(weights), None)
-        if last_m is None and distance_m != 0.0:
-            mistake(f"expected 0 as the first distance, got {distance_m:g}")
-        if last_m is not None and not last_m < distance_m < math.inf:
-            mistake(f"expected rising distances, got {distance_m:g} after {last_m:g}")
-        weights[distance_m] = _weight(weight, f"{distance_m:g} m")
+        first = number_in(f"{key} {unit}" if re.fullmatch(r"-?[0-9.]+", str(key)) else key, unit_factor)
+        if first is None:
+            mistake(f"expected {expected}, got {shown(key)} as a {quantity}")
+        last = next(reversed(weights), None)
+        if last is None and first != 0.0:
+            mistake(f"expected 0 as the first {quantity}, got {first:g}")
+        if last is not None and not last < first < math.inf:
+            mistake(f"expected rising {quantity}s, got {first:g} after {last:g}")
+        weights[first] = _weight(weight, f"{first:g} {unit}")
     if weights and not any(weights.values()):
-        mistake("expected a weight above 0 at some distance, got only zeros")
+        mistake(f"expected a weight above 0 at some {quantity}, got only zeros")
     return weights
+
+
+def _read_distances(value: object) -> dict[float, float]:
+    return _read_steps(value, quantity="distance", expected=_DISTANCE_TEXT, unit_factor=METRES_PER_UNIT)
+
+
+def _read_times(value: object) -> dict[float, float]:
+    return _read_steps(value, quantity="time", expected=_TIME_TEXT, unit_factor=SECONDS_PER_UNIT)
 
 
 def _read_sectors(value: object) -> tuple[Sector, ...]:
@@ -202,9 +212,9 @@ def _read_sectors(value: object) -> tuple[Sector, ...]:
     return tuple(sectors)
 
 
-def _written_distances(weights: dict[float, float]) -> dict[str, float]:
-    """As files have it: names of a table are text, so distances carry their unit."""
-    return {f"{int(each) if each.is_integer() else each} m": weight for each, weight in weights.items()}
+def _written_steps(weights: dict[float, float], unit: str) -> dict[str, float]:
+    """As files have it: names of a table are text, so distances and times carry their unit."""
+    return {f"{int(each) if each.is_integer() else each} {unit}": weight for each, weight in weights.items()}
 
 
 def _written_sector(sector: Sector) -> dict[str, float]:
@@ -227,13 +237,24 @@ class ImportanceSettings(Section):
     distance_m: Annotated[
         dict[float, float],
         BeforeValidator(_read_distances),
-        PlainSerializer(_written_distances),
+        PlainSerializer(lambda weights: _written_steps(weights, "m")),
         Expectation(_DISTANCE_TEXT),
         WithJsonSchema({"type": "object", "additionalProperties": {"type": "number", "minimum": 0}}),
     ] = Field(
         default={},
         description="by horizontal distance of the box's centre from the ego frame's origin, in steps: each weight "
         "holds from its distance up to the next",
+    )
+    time_to_collision_s: Annotated[
+        dict[float, float],
+        BeforeValidator(_read_times),
+        PlainSerializer(lambda weights: _written_steps(weights, "s")),
+        Expectation(_TIME_TEXT),
+        WithJsonSchema({"type": "object", "additionalProperties": {"type": "number", "minimum": 0}}),
+    ] = Field(
+        default={},
+        description="by the time until the box meets the ego vehicle's at constant velocities, in steps as distances "
+        "are; 1 where they never meet, or where the velocity is unknown",
     )
     sector_deg: Annotated[
         tuple[Sector, ...],
@@ -250,7 +271,7 @@ class ImportanceSettings(Section):
     @property
     def is_set(self) -> bool:
         """Whether anything is."""
-        return bool(self.category or self.distance_m or self.sector_deg)
+        return bool(self.category or self.distance_m or self.time_to_collision_s or self.sector_deg)
 
 
 LATER_ROBUST_OPTIONS = ("mount_error_m", "mount_error_deg")

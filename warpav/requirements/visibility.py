@@ -24,7 +24,7 @@ from warpav.raster.scene import Scene
 from warpav.requirements.requirement import Ghosts
 from warpav.rig.rig import Rig
 
-GHOSTS_AT_ONCE = 1024
+GHOSTS_AT_ONCE = 256
 """Objects of one scene; a render of a chunk of views holds this many silhouettes in each."""
 
 RENDER_WIDTH_PX = 640
@@ -87,7 +87,9 @@ GhostScenes = Sequence[tuple[np.ndarray, Scene]]
 
 KeptRenderers = dict[tuple[int, int, int], Renderer]
 """By width, height and number of views; `RENDERERS_KEPT` at most."""
-RENDERERS_KEPT = 12
+RENDERERS_KEPT = 6
+VIEWS_AT_ONCE = 8
+"""With as many ghosts as one scene holds a view of 640 x 480 pixels takes up to 50 MB."""
 
 
 def ghost_scenes(ghosts: Ghosts, ego: Mesh, *, device: str = "cpu") -> GhostScenes:
@@ -239,7 +241,7 @@ def _frames(
     rotation = pose[:, :3, :3].transpose(0, 2, 1).astype(np.float32)
     for size in dict.fromkeys((model.width_px, model.height_px) for model in drawn):
         group = np.flatnonzero([(model.width_px, model.height_px) == size for model in drawn])
-        most = min(chunk_view_count(drawn[group[0]], supersampling=supersampling), len(group))
+        most = min(chunk_view_count(drawn[group[0]], supersampling=supersampling), VIEWS_AT_ONCE, len(group))
         kept = {} if renderers is None else renderers
         for first in range(0, len(group), most):
             cameras = group[first : first + most]

@@ -73,12 +73,12 @@ def chart_of(
     field_of = {zone.name: zone_surface(zone, mesh, **options) for zone in zones}
     pane_of = {zone.name: pane_under(zone, field_of[zone.name], mesh) for zone in zones if zone.is_behind_glass}
     surface_of = {name: _with_skirt(surface) for name, surface in field_of.items()}
-    names, module_of_zone, pairs = [module.name for module in modules], np.zeros(0, np.int64), ()
+    names, module_of_zone, pairs, notes = [module.name for module in modules], np.zeros(0, np.int64), (), ()
     if pair_spacing_m is not None:
         surface_of = _left_halves(zones, surface_of, pair_spacing_m)
     if modules:
         there = [zone for zone in zones if zone.name in surface_of]
-        sheets, names, module_of_zone, pairs = _sheets(
+        sheets, names, module_of_zone, pairs, notes = _sheets(
             modules, there, surface_of, is_symmetric=pair_spacing_m is not None, pitch_rad=pitch_rad
         )
         zones, surfaces = [zone for zone, _ in sheets], [surface for _, surface in sheets]
@@ -109,6 +109,7 @@ def chart_of(
         module_of_zone,
         pairs,
         tuple(pane_of.get(zone.name) for zone in zones) if pane_of else (),
+        notes,
     )
 
 
@@ -170,11 +171,15 @@ def _sheets(
     *,
     is_symmetric: bool,
     pitch_rad: tuple[float, float],
-) -> tuple[list[tuple[Zone, MountSurface]], list[str], np.ndarray, tuple[bool, ...]]:
-    """The zones once for each module that they carry: they, the modules' names, which each carries, which are pairs."""
-    sheets, names, carried, pairs = [], [], [], []
+) -> tuple[list[tuple[Zone, MountSurface]], list[str], np.ndarray, tuple[bool, ...], tuple[str, ...]]:
+    """The zones once for each module that they carry: they, the modules' names, which each carries, which are pairs.
+
+    Last what has to be said: which zones do not carry a module that fits them.
+    """
+    sheets, names, carried, pairs, notes = [], [], [], [], []
     for module in modules:
-        fitting = _roomy(module, _fitting(module, zones), surface_of, pitch_rad)
+        fitting, left_out = _roomy(module, _fitting(module, zones), surface_of, pitch_rad)
+        notes += left_out
         for is_pair in (True, False) if is_symmetric else (False,):
             own = [each for each in fitting if not is_symmetric or each[0].is_centred != is_pair]
             if own:
@@ -182,26 +187,28 @@ def _sheets(
                 carried += [len(names)] * len(own)
                 names.append(module.name)
                 pairs.append(is_pair)
-    return sheets, names, np.array(carried), tuple(pairs) if is_symmetric else ()
+    return sheets, names, np.array(carried), tuple(pairs) if is_symmetric else (), tuple(notes)
 
 
 def _roomy(
     module: Module, zones: Sequence[Zone], surface_of: dict[str, MountSurface], pitch_rad: tuple[float, float]
-) -> list[tuple[Zone, MountSurface]]:
-    """Those of a module's zones in which its housing has room, as they are then, and their surfaces."""
+) -> tuple[list[tuple[Zone, MountSurface]], list[str]]:
+    """Those of a module's zones in which its housing has room, as they are then, with their surfaces; and a note."""
     found = {zone.name: with_room(module, zone, surface_of[zone.name], pitch_rad=pitch_rad) for zone in zones}
     roomy = [each for each in found.values() if isinstance(each, tuple)]
+    needed = [
+        f"{zone.name} needs {1e3 * each:.0f} mm and allows {1e3 * zone.stand_off_m[1]:.0f}"
+        for zone, each in zip(zones, found.values(), strict=True)
+        if not isinstance(each, tuple)
+    ]
+    fix = "raise the zone's stand_off_m or recess_m, or narrow its angles"
     if not roomy:
-        needed = (
-            f"{zone.name} needs {1e3 * each:.0f} mm and allows {1e3 * zone.stand_off_m[1]:.0f}"
-            for zone, each in zip(zones, found.values(), strict=True)
-            if not isinstance(each, tuple)
-        )
         raise InputError(
-            f"module {module.name!r}: housing: expected room for it in a zone, got none: {', '.join(needed)}; raise "
-            "stand_off_m or recess_m of a zone, or narrow its angles"
+            f"module {module.name!r}: housing: expected room for it in a zone, got none: {', '.join(needed)}; {fix}"
         )
-    return roomy
+    return roomy, [
+        f"module {module.name!r}: left out of zones without room for its housing: {', '.join(needed)}; {fix}"
+    ] if needed else []
 
 
 def _left_halves(

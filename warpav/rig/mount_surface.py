@@ -56,6 +56,7 @@ class MountSurface:
             empty: none.
         panes: What of the body the cameras of every zone look through, None where they stand outside, [zone]; empty:
             all stand outside.
+        notes: What its user should know, a line each: zones that do not carry a module, as its housing has no room.
     """
 
     height_m: np.ndarray
@@ -69,6 +70,7 @@ class MountSurface:
     module_of_zone: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     pairs: tuple[bool, ...] = ()
     panes: tuple[Pane | None, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def axes(self) -> np.ndarray:

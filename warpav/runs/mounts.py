@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -158,11 +158,23 @@ def roof_surface(config: Config, ego: Mesh) -> MountSurface:
     )
 
 
-def camera_mount(config: Config, ego: Mesh) -> CameraMount:
-    """The mount surface of the ego vehicle on the device, with the cameras of the configuration."""
+def camera_mount(config: Config, ego: Mesh, *, say: Callable[[str], None] | None = None) -> CameraMount:
+    """The mount surface of the ego vehicle on the device, with the cameras of the configuration.
+
+    Args:
+        config: The configuration.
+        ego: The vehicle in the ego frame [m].
+        say: Reports zones that carry some module not, as its housing has no room there.
+
+    Raises:
+        InputError: As of `mount_surface`, or a zone lies behind glass and the search knows no such cameras.
+    """
     from warpav.optimisation.mount import CameraMount
 
     surface = mount_surface(config, ego)
+    if say is not None:
+        for note in surface.notes:
+            say(note)
     if any(surface.panes) and (config.descends or not config.losses.suits_pool):
         raise OptionError(
             "mount.zones",

@@ -22,7 +22,7 @@ def check_rig(
     *,
     requirements: str,
     json_file: Path | None = None,
-    picture: Path | None = None,
+    image: Path | None = None,
 ) -> Iterator[str]:
     """Check a rig against requirements; lines that say what it meets.
 
@@ -31,7 +31,7 @@ def check_rig(
         config: Gives the vehicle: ``scenes.ego``, or that of the first test scene.
         requirements: YAML file, or a template's name.
         json_file: JSON file to write.
-        picture: PNG file to draw it into.
+        image: PNG file to draw it into.
 
     Raises:
         InputError: The rig or the requirements cannot be used, or a file cannot be written.
@@ -39,8 +39,8 @@ def check_rig(
     from warpav.view.figures.requirements import requirement_map
     from warpav.view.figures.style import checked_png
 
-    if picture is not None:
-        checked_png(picture)
+    if image is not None:
+        checked_png(image)
     wanted = read_requirements(requirements)
     check_rig_source(source)
     ego = next(load_scenes(config, config.scenes.test_seeds[:1])).ego
@@ -55,6 +55,6 @@ def check_rig(
         with writing(json_file), atomic_write(json_file) as draft:
             draft.write_text(json.dumps(result.to_json(), indent=1) + "\n", encoding="utf-8")
         yield f"wrote {json_file}"
-    if picture is not None:
-        requirement_map(picture, result=result, rig=rig, ego=ego)
-        yield f"wrote {picture}"
+    if image is not None:
+        requirement_map(image, result=result, rig=rig, ego=ego)
+        yield f"wrote {image}"

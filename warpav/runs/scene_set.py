@@ -172,7 +172,7 @@ def load_scene_set(config: Config, progress: Progress) -> SceneSet:
         [*scenes[: until[0]], *scenes[until[2] :]],
         list(scenes[until[0] : until[1]]),
         list(scenes[until[1] : until[2]]),
-        camera_mount(config, ego),
+        camera_mount(config, ego, say=progress.say),
         ego,
         next(shown),
     )
@@ -200,7 +200,7 @@ def pack_scenes(scenes: Iterable[Scene], counts: tuple[int, int], config: Config
         scenes: Those of training, of validation, of the test, one after the other; one is held at a time.
         counts: How many are for training and for validation.
         config: Device, targets, mirror images, cameras.
-        progress: Reports targets that no scene holds.
+        progress: Reports targets that no scene holds, and zones without room for a module.
 
     Raises:
         InputError: A scene has another ego vehicle than the first, or none holds a target.
@@ -225,7 +225,7 @@ def pack_scenes(scenes: Iterable[Scene], counts: tuple[int, int], config: Config
         packed[:train_count] + mirrored,
         packed[train_count:test_from],
         packed[test_from:],
-        camera_mount(config, ego),
+        camera_mount(config, ego, say=progress.say),
         ego,
         shown,
     )

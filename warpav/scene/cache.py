@@ -28,7 +28,7 @@ from warpav.scene.town.town import town_scene
 CAPACITY_BYTES = 512 * 2**20
 """What the cache holds at most: about 300 scenes of 1.8 MB."""
 _PARALLEL_MIN = 4  # fewer scenes are built sooner than processes start
-_FORMAT = 1
+_FORMAT = 2
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 
@@ -121,7 +121,15 @@ def _write(scene: Scene, file: Path) -> None:
         "name": scene.name,
         "source": scene.source,
         "vehicles": len(scene.vehicles),
-        "users": [[user.instance_id, user.category, user.box.yaw_rad] for user in users],
+        "users": [
+            [
+                user.instance_id,
+                user.category,
+                user.box.yaw_rad,
+                None if user.velocity_ego_m_s is None else user.velocity_ego_m_s.tolist(),
+            ]
+            for user in users
+        ],
     }
     with atomic_write(file) as draft, draft.open("wb") as stream:
         np.savez(
@@ -152,8 +160,14 @@ def _read(file: Path) -> Scene:
         )
     ]
     users = tuple(
-        Vehicle(instance_id, category, mesh, Box(box_m[0], box_m[1], yaw_rad))
-        for (instance_id, category, yaw_rad), mesh, box_m in zip(
+        Vehicle(
+            instance_id,
+            category,
+            mesh,
+            Box(box_m[0], box_m[1], yaw_rad),
+            None if velocity is None else np.array(velocity),
+        )
+        for (instance_id, category, yaw_rad, velocity), mesh, box_m in zip(
             words["users"], meshes[2:], arrays["box_m"], strict=True
         )
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -70,6 +71,9 @@ class DeviceScene:
         road_user_index: The kind of every vehicle, index into `ROAD_USERS`, int32 [vehicle].
         from_ego_m: Centre of every vehicle's box as seen from the centre of the ego vehicle: forward and left [m],
             float64 [vehicle, 2].
+        time_to_collision_s: When every vehicle's box meets that of the ego vehicle, seen from above, if both keep their
+            velocities [s]: 0 where they overlap, inf where they never meet, NaN where the velocity is unknown,
+            float64 [vehicle].
     """
 
     name: str
@@ -77,6 +81,7 @@ class DeviceScene:
     category: tuple[str, ...]
     road_user_index: np.ndarray
     from_ego_m: np.ndarray
+    time_to_collision_s: np.ndarray
 
     @property
     def vehicle_count(self) -> int:
@@ -125,6 +130,7 @@ class DeviceScene:
             "category": np.array(self.category, str),
             "road_user_index": self.road_user_index,
             "from_ego_m": self.from_ego_m,
+            "time_to_collision_s": self.time_to_collision_s,
             **{f"box_{name}": array.numpy() for name, array in vars(self.upright_box).items()},
         }
 
@@ -141,6 +147,7 @@ class DeviceScene:
             tuple(str(name) for name in arrays["category"]),
             arrays["road_user_index"],
             arrays["from_ego_m"],
+            arrays["time_to_collision_s"],
         )
         scene.__dict__["upright_box"] = boxes_of_arrays(arrays, device=device)
         return scene
@@ -163,6 +170,7 @@ class DeviceScene:
         scene.ego.check(f"{scene.name}: ego")
         for vehicle in scene.vehicles:
             vehicle.mesh.check(f"{scene.name}: vehicle {vehicle.instance_id}")
+        low_m, high_m = scene.ego.bounds_m()[:, :2].astype(np.float64)
         return cls(
             name=scene.name,
             raster=RasterScene(
@@ -176,6 +184,14 @@ class DeviceScene:
             road_user_index=np.array([ROAD_USERS.index(user.road_user) for user in scene.vehicles], np.int32),
             from_ego_m=np.array([vehicle.box.center_m[:2] for vehicle in scene.vehicles]).reshape(-1, 2)
             - scene.ego.bounds_m()[:, :2].mean(axis=0),
+            time_to_collision_s=np.array(
+                [
+                    math.nan
+                    if vehicle.velocity_ego_m_s is None
+                    else vehicle.box.time_to_meet_s(low_m, high_m, vehicle.velocity_ego_m_s)
+                    for vehicle in scene.vehicles
+                ]
+            ),
         )
 
 

@@ -3,7 +3,8 @@
 Below one root node, whose matrix turns the ego frame (z up) into glTF's axes (y up), stand the nodes ``environment``,
 ``ego``, one ``vehicle_<instance id>`` per vehicle, and one ``other_<instance id>`` per road user that is no vehicle.
 Their vertices are in the ego frame, their colours are exact 8-bit vertex colours, and the extras of vehicles and other
-road users hold instance id, class and 3D box.
+road users hold instance id, class and 3D box, and where it is known their velocity relative to the ego vehicle
+(``velocity_ego_m_s``: forward and left).
 """
 
 from __future__ import annotations
@@ -71,6 +72,8 @@ def write_scene(scene: Scene, path: str | Path) -> None:
                 "box_size_m": [float(value) for value in user.box.size_m],
                 "box_yaw_deg": float(np.degrees(user.box.yaw_rad)),
             }
+            if user.velocity_ego_m_s is not None:
+                extras["velocity_ego_m_s"] = [float(value) for value in user.velocity_ego_m_s]
             _add_node(file, f"{prefix}{user.instance_id}", user.mesh, extras)
     data = file.export(file_type="glb")
     assert isinstance(data, bytes)
@@ -209,7 +212,8 @@ def _read_vehicle(file: trimesh.Scene, name: str, extras: dict[str, Any], where:
         _numbers(extras, "box_size_m", where),
         float(np.radians(_numbers(extras, "box_yaw_deg", where, count=1)[0])),
     )
-    return Vehicle(instance_id, str(_extra(extras, "class", where)), _read_mesh(file, name, where), box)
+    velocity = _numbers(extras, "velocity_ego_m_s", where, count=2) if "velocity_ego_m_s" in extras else None
+    return Vehicle(instance_id, str(_extra(extras, "class", where)), _read_mesh(file, name, where), box, velocity)
 
 
 def _extra(extras: dict[str, Any], key: str, where: str) -> object:

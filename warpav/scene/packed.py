@@ -122,6 +122,7 @@ class StoredScene(DeviceScene):
             category=tuple(str(name) for name in record["category"]),
             road_user_index=np.array(record["road_user_index"]),
             from_ego_m=np.array(record["from_ego_m"]),
+            time_to_collision_s=np.array(record["time_to_collision_s"]),
             fingerprint=str(record["fingerprint"]),
             ego_bounds_m=np.array(record["ego_bounds_m"]),
             left_out=int(record["left_out"]),

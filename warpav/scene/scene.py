@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import math
 from collections import Counter
 from collections.abc import Collection
 from dataclasses import dataclass, replace
@@ -75,6 +76,29 @@ class Box:
                 return False
         return True
 
+    def time_to_meet_s(self, low_m: np.ndarray, high_m: np.ndarray, velocity_m_s: np.ndarray) -> float:
+        """Time until its outline on the ground meets a rectangle that stands still, as it moves without turning.
+
+        Two convex outlines meet while their shadows on the normals of all edges overlap (separating axes); on each the
+        overlap is an interval of time, and they meet in the intersection of all.
+
+        Args:
+            low_m: Corner of the rectangle, x and y [m], shape [2].
+            high_m: The opposite corner [m], shape [2].
+            velocity_m_s: Constant velocity of the box, x and y [m/s], shape [2].
+
+        Returns:
+            From 0, where they overlap already, to inf, where they never do; touching is no overlap [s].
+        """
+        axis = np.concatenate([np.eye(2), self.ego_from_box[:2, :2].T])
+        corner = self.corners_m()[:, :2] @ axis.T
+        rectangle = np.array([[x, y] for x in (low_m[0], high_m[0]) for y in (low_m[1], high_m[1])]) @ axis.T
+        way_m = np.stack([rectangle.min(axis=0) - corner.max(axis=0), rectangle.max(axis=0) - corner.min(axis=0)])
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # still along an axis: at once, or never
+            first_s, last_s = np.sort(way_m / (axis @ velocity_m_s), axis=0)
+        begin_s, end_s = max(float(first_s.max()), 0.0), float(last_s.min())
+        return begin_s if begin_s < end_s else math.inf
+
     def local_m(self, point_m: np.ndarray) -> np.ndarray:
         """Points of the ego frame in the box's axes from its centre [m], shape [point, 3]."""
         return (point_m - self.center_m) @ self.ego_from_box
@@ -101,12 +125,15 @@ class Vehicle:
             that are no vehicles ``pedestrian`` or ``cyclist``. Scenes from elsewhere may hold any word.
         mesh: Its surface in the ego frame.
         box: Its bounding box in the ego frame.
+        velocity_ego_m_s: How it moves in the ego frame, forward and left [m/s], shape [2]: relative to the ego vehicle,
+            which moves itself, so that what stands on the road comes nearer. None: unknown.
     """
 
     instance_id: int
     category: str
     mesh: Mesh
     box: Box
+    velocity_ego_m_s: np.ndarray | None = None
 
     def __repr__(self) -> str:
         """Category and position; the mesh has thousands of numbers."""
@@ -120,7 +147,8 @@ class Vehicle:
 
     def mirrored(self) -> Vehicle:
         """The same with left and right exchanged."""
-        return replace(self, mesh=self.mesh.mirrored(), box=self.box.mirrored())
+        velocity = None if self.velocity_ego_m_s is None else self.velocity_ego_m_s * [1.0, -1.0]
+        return replace(self, mesh=self.mesh.mirrored(), box=self.box.mirrored(), velocity_ego_m_s=velocity)
 
 
 @dataclass(frozen=True)

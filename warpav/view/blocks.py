@@ -69,8 +69,8 @@ def scene_to_pyvista(scene: Scene) -> MultiBlock:
     """A scene as ``pyvista.MultiBlock``: ``environment``, ``ego`` and ``vehicle_<instance id>`` of every road user.
 
     All have the point data ``RGB`` (uint8). Field data of a road user: instance_id, class, box_center_m, box_size_m,
-    box_yaw_deg, and is_target (whether rigs are to see it); of the scene: name, source, sky_horizon_rgb,
-    sky_zenith_rgb.
+    box_yaw_deg, is_target (whether rigs are to see it) and, where it is known, velocity_ego_m_s (relative to the ego
+    vehicle); of the scene: name, source, sky_horizon_rgb, sky_zenith_rgb.
     """
     blocks = load_pyvista_data().MultiBlock()
     blocks["environment"] = mesh_to_pyvista(scene.environment)
@@ -86,6 +86,8 @@ def scene_to_pyvista(scene: Scene) -> MultiBlock:
             "box_yaw_deg": math.degrees(user.box.yaw_rad),
             "is_target": user.instance_id in targets,
         }
+        if user.velocity_ego_m_s is not None:
+            about["velocity_ego_m_s"] = user.velocity_ego_m_s
         _label(surface, about)
         blocks[f"{_VEHICLE}{user.instance_id}"] = surface
     about = {
@@ -128,7 +130,8 @@ def scene_from_pyvista(blocks: MultiBlock, *, name: str | None = None) -> Scene:
             )
             category = str(about["class"][0]) if "class" in about else "car"
             is_target = bool(about["is_target"][0]) if "is_target" in about else True
-            users.append((Vehicle(int(number), category, mesh, box), is_target))
+            velocity = np.asarray(about["velocity_ego_m_s"], np.float64) if "velocity_ego_m_s" in about else None
+            users.append((Vehicle(int(number), category, mesh, box, velocity), is_target))
     users.sort(key=lambda pair: pair[0].instance_id)
     about = blocks.field_data
     has_sky = "sky_horizon_rgb" in about and "sky_zenith_rgb" in about

@@ -25,7 +25,7 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.rig import RigCamera
-from warpav.scene.scene import Scene, Vehicle
+from warpav.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -258,7 +258,7 @@ def reconstructed_scene(seed: int) -> Scene:
         above = middle_m[:, 2] > person.box.center_m[2] - 0.5 * person.box.size_m[2] + _PERSON_FOOT_M
         inside = above & person.box.contains(middle_m, margin_m=_PERSON_MARGIN_M)
         if inside.any():
-            others.append(Vehicle(person.instance_id, person.category, _part(environment, inside), person.box))
+            others.append(replace(person, mesh=_part(environment, inside)))
             environment = _part(environment, ~inside)
     return replace(scene, environment=environment, others=tuple(others))
 

@@ -154,6 +154,7 @@ def option_values(config: ConfigTree) -> dict[str, object]:
         **{name: section.model_dump(mode="json") for name, section in unset.items()},
         **config.model_dump(mode="json"),
     }
+    tree["importance"] = {"time_to_collision_s": {}, **tree["importance"]}
     tree["mount"] = {"zones": None, **tree["mount"]}
     for section, names in LATER_OPTIONS.items():
         tree[section] = {**dict.fromkeys(names), **tree[section]}

@@ -585,6 +585,8 @@ class ConfigTree(Section):
         result = written(self)
         if not self.importance.is_set:
             result.pop("importance", None)
+        elif not self.importance.time_to_collision_s:
+            result["importance"].pop("time_to_collision_s", None)
         if self.robust.asked_for is None:
             result.pop("robust", None)
         if self.mount.zones is None:

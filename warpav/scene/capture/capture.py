@@ -84,6 +84,8 @@ class CapturedVehicle:
         spawn_m: Where it was spawned [m], shape [3].
         spawn_yaw_rad: Its heading there [rad].
         instance_rgb: The simulator's own colour for the instance, 0..255, shape [3].
+        velocity_ego_m_s: As `warpav.scene.scene.Vehicle` has it: relative to the ego vehicle, forward and left [m/s],
+            shape [2]; None: unknown.
     """
 
     instance_id: int
@@ -92,6 +94,7 @@ class CapturedVehicle:
     spawn_m: np.ndarray
     spawn_yaw_rad: float
     instance_rgb: np.ndarray
+    velocity_ego_m_s: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)

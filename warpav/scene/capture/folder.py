@@ -6,7 +6,8 @@
   elsewhere have none, and are never replaced;
 * ``ego``: ``box_center_m``, ``box_size_m``, ``box_yaw_deg``;
 * ``vehicles``: for each ``instance_id`` (1 to 65534), ``class``, the three box fields, ``spawn_m``, ``spawn_yaw_deg``
-  and ``instance_rgb``, the simulator's own colour of the instance;
+  and ``instance_rgb``, the simulator's own colour of the instance, and where it is known ``velocity_ego_m_s`` (forward
+  and left, relative to the ego vehicle);
 * ``images``: for each ``name``, ``kind`` (see `ViewKind`), ``width_px``, ``height_px``, ``intrinsics`` (3 x 3, pixel
   centres at +0.5), ``ego_from_camera`` (4 x 4, camera axes x right, y down, z forward), and the files ``rgb``,
   ``depth`` and ``instance``, relative to the folder;
@@ -114,6 +115,7 @@ class VehicleRecord(BoxRecord):
     spawn_m: Point | None = None
     spawn_yaw_deg: Metres | None = None
     instance_rgb: Annotated[list[Annotated[int, Field(ge=0, le=255)]], Field(min_length=3, max_length=3)] | None = None
+    velocity_ego_m_s: Annotated[list[Metres], Field(min_length=2, max_length=2)] | None = None
 
 
 class ImageRecord(_Record):
@@ -162,6 +164,7 @@ def read_capture(folder: Path) -> Capture:
             np.array(one.spawn_m if one.spawn_m is not None else one.box_center_m),
             math.radians(one.spawn_yaw_deg if one.spawn_yaw_deg is not None else one.box_yaw_deg),
             np.array(one.instance_rgb or (0, 0, 0), np.uint8),
+            None if one.velocity_ego_m_s is None else np.array(one.velocity_ego_m_s),
         )
         for one in sorted(record.vehicles, key=lambda one: one.instance_id)
     )
@@ -381,6 +384,7 @@ def _record_of(
                     "spawn_m": np.asarray(one.spawn_m, float).tolist(),
                     "spawn_yaw_deg": math.degrees(one.spawn_yaw_rad),
                     "instance_rgb": np.asarray(one.instance_rgb).tolist(),
+                    "velocity_ego_m_s": None if one.velocity_ego_m_s is None else one.velocity_ego_m_s.tolist(),
                 }
                 for one in vehicles
             ],

@@ -76,6 +76,7 @@ class TownSimulator:
                     point.position_m,
                     point.yaw_rad,
                     np.array([_VEHICLE_TAG, low, high], np.uint8),
+                    vehicle.velocity_ego_m_s,
                 )
         return None
 

@@ -87,7 +87,7 @@ def reconstruct(
         environment if sphere is None else merge([environment, sphere]),
         ego,
         tuple(
-            Vehicle(vehicle.instance_id, vehicle.category, mesh, vehicle.box)
+            Vehicle(vehicle.instance_id, vehicle.category, mesh, vehicle.box, vehicle.velocity_ego_m_s)
             for vehicle, mesh in zip(capture.vehicles, meshes, strict=True)
         ),
         _sky(images, settings.cloud.far_depth_m),

@@ -46,6 +46,12 @@ class Footprint:
     length_m: float
     width_m: float
 
+    def corners_m(self) -> np.ndarray:
+        """Its corners in the town frame [m], float64 [4, 2]."""
+        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        half = 0.5 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [self.length_m, self.width_m]
+        return np.array([self.x_m, self.y_m]) + half @ np.array([[c, s], [-s, c]])
+
     def nearer(self, other: Footprint, gap_m: float) -> bool:
         """Whether two rectangles come nearer than a gap: no axis of either separates them by it."""
         sizes_m = self.length_m + self.width_m + other.length_m + other.width_m

@@ -2,14 +2,14 @@
 
 The recipe of a scene: a plan (`town_layout`) on level or sloping ground (`ground`), scenery on it (`houses`), furniture
 and road works (`street_life`), vehicles on the plan's spawn slots (`vehicle_shapes`), a check by rays that the traffic
-can be seen from the ego vehicle's roof, and people (`street_life`). Light is baked into vertex colours. The same seed
-gives the same bytes.
+can be seen from the ego vehicle's roof, people (`street_life`), and how fast everybody moves (`motion`). Light is baked
+into vertex colours. The same seed gives the same bytes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from warpav.raster.mesh import Mesh, merge
 from warpav.scene.scene import Scene, Sky, Vehicle
 from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.houses import SceneryBuilder
+from warpav.scene.town.motion import RoadUser, velocities_m_s
 from warpav.scene.town.paint import BUS_COLOURS, PAINT_COLOURS, PAINT_SHARES
 from warpav.scene.town.street_life import Footprint, furnish, people, upright_box
 from warpav.scene.town.town_layout import SPAWN_REACH_M, Layout, Slot, town_layout
@@ -74,6 +75,7 @@ class _Placed:
     mesh: Mesh
     size_m: np.ndarray
     footprint: Footprint
+    lane_yaw_rad: float | None  # None: parked
 
     def standing(self, ground: StreetGround) -> Mesh:
         """The vehicle's mesh in the town frame."""
@@ -175,11 +177,22 @@ def _try_world(seed: int, attempt: int) -> TownWorld | None:
     for number, (one, mesh) in enumerate(zip(placed, meshes, strict=True), start=1):
         in_ego_frame = mesh.transformed(np.eye(3), -origin)
         vehicles.append(Vehicle(number, one.kind, in_ego_frame, upright_box(in_ego_frame, one.footprint.yaw_rad)))
-    others = tuple(person.road_user(number, origin) for number, person in enumerate(persons, start=len(placed) + 1))
+    others = [person.road_user(number, origin) for number, person in enumerate(persons, start=len(placed) + 1)]
+    motion_rng = np.random.default_rng([_TOWN_STREAM, seed, attempt, 2])
+    moving = [
+        RoadUser("ego", ego_footprint, layout.ego.yaw_rad),
+        *(RoadUser(one.kind, one.footprint, one.lane_yaw_rad) for one in placed),
+        *(RoadUser(person.category, person.footprint, person.footprint.yaw_rad) for person in persons),
+    ]
+    velocity = velocities_m_s(moving, furnishing.footprints, layout, motion_rng)
+    users = tuple(
+        replace(user, velocity_ego_m_s=each)
+        for user, each in zip([*vehicles, *others], velocity[1:] - velocity[0], strict=True)
+    )
     environment = merge([scenery.finish(), *furnishing.meshes]).transformed(np.eye(3), -origin)
     name, source = f"town_{seed:04d}", f"town seed {seed}"
     return TownWorld(
-        Scene(name, environment, ego, tuple(vehicles), _sky(rng), source, others),
+        Scene(name, environment, ego, users[: len(vehicles)], _sky(rng), source, users[len(vehicles) :]),
         ego_glass(),
         tuple(vehicle_glass(one.kind, one.variant) for one in placed),
     )
@@ -268,7 +281,8 @@ def _park(slot: Slot, rng: np.random.Generator) -> _Placed | None:
         return None
     x, y = slot.x_m - np.sin(yaw) * across, slot.y_m + np.cos(yaw) * across
     yaw = float(np.arctan2(np.sin(yaw), np.cos(yaw)))
-    return _Placed(kind, variant, mesh, size, Footprint(float(x), float(y), yaw, float(size[0]), float(size[1])))
+    footprint = Footprint(float(x), float(y), yaw, float(size[0]), float(size[1]))
+    return _Placed(kind, variant, mesh, size, footprint, None if slot.parked else slot.yaw_rad)
 
 
 def _sky(rng: np.random.Generator) -> Sky:
