@@ -97,8 +97,7 @@ def test_zones_without_room_for_a_module_are_said(tmp_path):
     """Once, whichever way the scenes come; a zone named ``roof`` is fine for the module but for its stand-off."""
     zone = "    stand_off_m: [0.0, 0.005]\n    recess_m: 0.0\n"
     (tmp_path / "zones.yaml").write_text(
-        f"zones:\n  roof:\n    normal: up\n{zone}"
-        "  top:\n    normal: up\n    kind: roof\n    stand_off_m: [0.0, 0.3]\n"
+        f"zones:\n  roof:\n    normal: up\n{zone}  top:\n    normal: up\n    kind: roof\n    stand_off_m: [0.0, 0.3]\n"
     )
     options = [
         f"mount.zones={tmp_path / 'zones.yaml'}",
