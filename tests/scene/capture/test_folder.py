@@ -74,6 +74,18 @@ def test_what_is_written_is_read(recorded):
     assert list(check_capture(recorded)) == []
 
 
+def test_velocities_are_read_where_they_are_stated(folder):
+    assert [vehicle.velocity_ego_m_s for vehicle in read_capture(folder).vehicles] == [None, None]
+    file = folder / "capture.json"
+    record = json.loads(file.read_text())
+    del record["vehicles"][0]["velocity_ego_m_s"]  # as files were before velocities
+    record["vehicles"][1]["velocity_ego_m_s"] = [-8.5, 0.25]
+    file.write_text(json.dumps(record))
+    unknown, known = (vehicle.velocity_ego_m_s for vehicle in read_capture(folder).vehicles)
+    assert unknown is None
+    assert known.tolist() == [-8.5, 0.25]
+
+
 def test_an_interrupted_capture_goes_on_where_it_stopped(tmp_path, recorded):
     with pytest.raises(KeyboardInterrupt):
         record_capture(PaintingSimulator(stop_after=3), 7, tmp_path / "scene_7", SETTINGS)

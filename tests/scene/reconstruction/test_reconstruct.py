@@ -73,6 +73,7 @@ def test_vehicles_keep_their_ids_boxes_and_categories(scene, capture, town):
         np.testing.assert_allclose(vehicle.box.center_m, truth.box.center_m, atol=1e-9)
         np.testing.assert_allclose(vehicle.box.size_m, truth.box.size_m, atol=1e-9)
         assert vehicle.box.yaw_rad == pytest.approx(truth.box.yaw_rad, abs=1e-9)
+        np.testing.assert_array_equal(vehicle.velocity_ego_m_s, truth.velocity_ego_m_s)
 
 
 def test_every_object_is_reported_once(scene, objects):
