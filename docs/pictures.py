@@ -105,6 +105,12 @@ def draw_requirements(folder: Path) -> None:
     _warpav("rig", "requirements", "edgar", "--image", str(PICTURES / "requirements.png"))
 
 
+def draw_series_car(folder: Path) -> None:
+    """series_car.png: what of the ground within 5 m the rig that ``warpav optimise surround`` found sees."""
+    rig = Path(__file__).parent / "results" / "surround_rig.yaml"
+    _warpav("rig", "requirements", str(rig), "--image", str(PICTURES / "series_car.png"))
+
+
 def draw_stages(folder: Path) -> None:
     """stages.jpg: from images to triangle meshes."""
     _warpav("scenes", "figure", "5", "--seed", "3", "--out", str(folder / "stages.png"))
@@ -240,6 +246,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "behind_glass.png": draw_behind_glass,
     "gain.png": draw_gain,
     "requirements.png": draw_requirements,
+    "series_car.png": draw_series_car,
     "stages.jpg": draw_stages,
     "gradient.png": draw_gradient,
 }
