@@ -21,7 +21,7 @@ from warpav.optimisation.pool_descent import PoolDescent
 from warpav.optimisation.pool_search import PoolSearchSettings, too_near
 from warpav.optimisation.rig_limits import RigLimits, range_text
 from warpav.rig.rig import Rig, write_rig
-from warpav.runs.config import changed_config
+from warpav.runs.config import AUTO, changed_config
 from warpav.runs.evaluate import evaluate_on
 from warpav.runs.optimise import Optimisation, pool_search_settings, searches_by_pool
 from warpav.runs.placement import Placement
@@ -43,7 +43,7 @@ class FrontPoint:
         name: ``4_cameras``, or ``cost_12.5``.
         rig: The rig.
         cost: What its modules cost together; 0 of equal cameras.
-        objective: Expected miss rate on the scenes of the search.
+        objective: Expected miss rate on the scenes of the search; with requirements their points are part of it.
         bound: No rig of the pool's cameras within the same limits is below it, on these scenes.
         pool_cameras: Cameras of that pool.
         misses_per_100: Objects of unseen scenes that the detector does not find, per 100; None without such scenes.
@@ -92,12 +92,14 @@ class Front:
         by: ``cameras`` or ``cost``.
         scenes: Names of the unseen scenes that they were judged on.
         evaluation: All metrics on these; None without such scenes.
+        has_requirements: Whether the searches counted the points of requirements as well.
     """
 
     points: tuple[FrontPoint, ...]
     by: str
     scenes: tuple[str, ...] = ()
     evaluation: RigEvaluation | None = field(repr=False, default=None)
+    has_requirements: bool = False
 
     def table(self) -> Table:
         """One row a rig: text when printed, HTML in a notebook."""
@@ -116,9 +118,9 @@ class Front:
             for each in self.points
         ]
         columns = ("rig", "cameras", "modules", "cost", "seen", "bound", "unseen, expected", "unseen, detector", "")
-        caption = (
-            "Misses per 100: on the scenes of the search, where no rig of the pool is below the bound; and unseen."
-        )
+        seen = "misses and points of the requirements together" if self.has_requirements else "misses"
+        where = "on the scenes of the search, where no rig of the pool is below the bound"
+        caption = f"Per 100: {seen} {where}; and misses on unseen ones."
         return Table(columns, tuple(rows), caption)
 
     def save(self, folder: str | Path) -> Path:
@@ -203,6 +205,9 @@ def front(
     if robust.asked_for is not None:
         text = "expected null, as the rigs of a front are compared by their expected misses"
         raise OptionError(robust.asked_for, f"{text}, got {getattr(robust, robust.asked_for.partition('.')[2])}")
+    if placement.config.requirements == AUTO:  # its rigs are compared by what they are expected to miss
+        placement = placement.with_config(changed_config(placement.config, ["requirements=null"], origin=None))
+    has_requirements = bool(placement.requirements)
     with shown_progress(progress) as shown:
         placement.prepare(shown)
         if not searches_by_pool(placement):
@@ -216,7 +221,7 @@ def front(
         else:
             scenes = [] if placement.parts.has_own_scenes else placement.test
         if not scenes:
-            return Front(_without_dominated(points), by)
+            return Front(_without_dominated(points), by, has_requirements=has_requirements)
         evaluation = evaluate_on({each.name: each.rig for each in points}, scenes, placement, progress=shown)
     judged = []
     for each in points:
@@ -224,7 +229,7 @@ def front(
         expected = None if outage is None else outage.expected_misses_per_100
         found = evaluation.metrics[each.name].misses_per_100
         judged.append(replace(each, misses_per_100=found, expected_misses_per_100=expected))
-    return Front(_without_dominated(judged), by, evaluation.scenes, evaluation)
+    return Front(_without_dominated(judged), by, evaluation.scenes, evaluation, has_requirements)
 
 
 _Step = tuple[str, int, RigLimits | None]

@@ -650,7 +650,7 @@ def _checked_requirements(requirements: Sequence[Requirement], config: Config) -
 def _have_one_objective(one: Config, other: Config) -> bool:
     """Whether two configurations differ in nothing but how the optimiser steps, or what a search by a pool adds."""
     dampings = [{each.optimiser.damping(are_inequalities=flag) for flag in (True, False)} for each in (one, other)]
-    steps = {"run": other.run, "optimiser": other.optimiser, "robust": other.robust}
+    steps = {"run": other.run, "optimiser": other.optimiser, "robust": other.robust, "requirements": other.requirements}
     return one.run.seed == other.run.seed and dampings[0] == dampings[1] and one.model_copy(update=steps) == other
 
 

@@ -43,7 +43,7 @@ def _draw_misses(axis: Any, points: Sequence[Mapping[str, Any]], x: Sequence[flo
     series = (
         ("unseen scenes, detector", "misses_per_100", 1.0, INK_RGB, "o-"),
         ("unseen scenes, expected", "expected_misses_per_100", 1.0, camera_rgb(0), "s-"),
-        ("scenes of the search, expected", "objective", 100.0, camera_rgb(1), "^--"),
+        ("scenes of the search, objective", "objective", 100.0, camera_rgb(1), "^--"),
         ("bound: no rig of the pool is below", "bound", 100.0, MUTED_RGB, "_:"),
     )
     for label, name, scale, rgb, line in series:
