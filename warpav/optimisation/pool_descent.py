@@ -171,19 +171,20 @@ class PoolDescent:
         return self.best
 
     def further_cameras(self) -> FurtherCameras | None:
-        """What each camera of the pool would add to the best rig, which is in it; None before the pool is drawn."""
+        """What traffic each camera of the pool would add to the best rig, which is in it; None before it is drawn."""
         if self.found is None or len(self.found.pool.mount_pose) == len(self.found.mount_pose):
             return None
         pool, objective = self.found.pool, self.objective
         rig = rows_of(self.found.mount_pose + np.float32(0.0), pool.mount_pose)
         assert (rig >= 0).all(), "whatever was rendered is in the pool"
+        count = sum(scene.vehicle_count for scene in self._scenes)  # points of requirements stand behind
         return further_cameras(
             pool.mount_pose,
-            pool.detection_probability,
+            pool.detection_probability[:, :count],
             rig,
             mount=objective.mount,
             constraints=objective.constraints,
-            weight=self.object_weight,
+            weight=self._traffic_weight,
         )
 
     def misplaced_miss_rates(self, mount_pose: np.ndarray) -> dict[str, float] | None:
