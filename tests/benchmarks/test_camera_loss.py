@@ -29,7 +29,7 @@ def loss_per_scene(rig, placement, scenes):
 def test_what_the_worst_loss_costs(benchmark, seed):
     train, unseen = list(wa.town(range(100 * seed, 100 * seed + SCENES))), list(wa.town(UNSEEN))
     placements = {
-        name: wa.Placement(train, cameras=CAMERAS, fov_deg=FOV_DEG, robust=robust)
+        name: wa.Placement(train, cameras=CAMERAS, fov_deg=FOV_DEG, requirements=(), robust=robust)
         for name, robust in (("nominal", None), ("robust", ROBUST))
     }
     found = {}

@@ -44,7 +44,7 @@ def test_what_errors_cost(benchmark, error_m, error_deg, seed):
     train, unseen = list(wa.town(range(100 * seed, 100 * seed + SCENES))), list(wa.town(UNSEEN))
     robust = {"mount_error_m": error_m, "mount_error_deg": error_deg}
     placements = {
-        name: wa.Placement(train, cameras=CAMERAS, fov_deg=FOV_DEG, robust=options)
+        name: wa.Placement(train, cameras=CAMERAS, fov_deg=FOV_DEG, requirements=(), robust=options)
         for name, options in (("nominal", None), ("robust", robust))
     }
     found = {}
