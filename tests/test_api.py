@@ -215,6 +215,17 @@ def test_rigs_to_compare_with_need_no_search():
         assert placement.objective.constraints.violation_m(rig) <= 1e-5
 
 
+def test_random_rigs_of_a_symmetric_placement_keep_to_their_zones():
+    modules = {"front_8mp_120": 1, "fisheye_1_3mp_190": 2}
+    placement = wa.Placement(wa.town([0]), modules=modules, rig={"symmetric": True}, requirements=())
+    for seed in range(4):
+        rig = wa.random_rig(placement, seed)
+        (front,) = [camera for camera in rig.cameras if camera.module == "front_8mp_120"]
+        assert front.position_m[1] == pytest.approx(0.0, abs=1e-6)
+        assert abs(front.yaw_rad) < 1e-6
+        placement.mount_pose_of(rig)  # every other camera has its mirror image
+
+
 def test_a_vehicle_is_read_into_the_ego_frame(tmp_path):
     import trimesh
 

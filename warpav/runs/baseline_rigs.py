@@ -26,6 +26,8 @@ def highest_rig(placement: Placement) -> Rig:
 def random_rig(placement: Placement, seed: int = 0) -> Rig:
     """The cameras of a placement at random positions that satisfy the constraints, in random directions.
 
+    Where zones limit directions, a direction beyond its limits is moved to the nearest one within.
+
     Args:
         placement: As of `highest_rig`.
         seed: The same seed gives the same rig, at least 0.
@@ -36,4 +38,5 @@ def random_rig(placement: Placement, seed: int = 0) -> Rig:
     space = SearchSpace.over(
         placement.mount, placement.objective.camera_count, constraints=placement.objective.constraints
     )
-    return placement.mount.rig(space.random(np.random.default_rng(seed)).astype(np.float32))
+    pose = space.random(np.random.default_rng(seed)).astype(np.float32)
+    return placement.mount.rig(placement.mount.within(pose))
