@@ -62,7 +62,7 @@ def test_ctrl_c_during_a_search_by_a_pool_keeps_what_it_knows(working_directory,
 
 @pytest.mark.parametrize("scenes_drawn", [1, 3])
 def test_ctrl_c_while_the_pool_is_drawn_leaves_the_start(working_directory, monkeypatch, capsys, scenes_drawn):
-    """In the middle of the start's two scenes there is no state yet, in those of the pool there is."""
+    """In the middle of the scenes of the start there is no state yet, in those of the pool there is."""
     draw, tasks = pool_module._draw, []
 
     def interrupted_later(task):
@@ -81,7 +81,8 @@ def test_ctrl_c_while_the_pool_is_drawn_leaves_the_start(working_directory, monk
     assert ("done start" in captured.out) == has_start
     assert folder.rig_path("best").is_file() == has_start
     if has_start:
-        assert [event["camera_renders"] for event in folder.events()] == [2 * 2]
+        # two cameras in two scenes, and the points near the vehicle as a third
+        assert [event["camera_renders"] for event in folder.events()] == [2 * 3]
         with np.load(folder.path / "checkpoints" / "last.npz", allow_pickle=False) as state:
             assert (state["iteration"], len(state["candidate_iteration"])) == (1, 1)
     written = [[camera.position_m for camera in rig.cameras] for rig in (folder.rig(), folder.rig("initial"))]
