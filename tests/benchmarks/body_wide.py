@@ -1,11 +1,11 @@
 """Flush cameras anywhere on the body against flush cameras on the roof, and against known rigs on the same vehicle.
 
-A program, not a test: ``python tests/benchmarks/body_wide.py --device cuda:0 --workers 12 --out body_wide.json``. For
+A program, not a test: ``python tests/benchmarks/body_wide.py --device cuda:0 --workers 8 --out body_wide.json``. For
 each vehicle it searches among the zones that the body suggests (none behind glass) and among its roof alone, with equal
 numbers of equal cameras; for each known rig with as many cameras, of its most frequent field of view and proportions.
-The search of the body begins with the best rig of the roof; each of its two pools has half as many cameras as that of
-the roof alone. All rigs are judged by what they are expected to miss in scenes that no search saw, differences with
-95 % intervals over these scenes.
+Both begin with the rig of one search on the roof; then one looks among all zones and the other once more on the roof,
+with pools as large. All rigs are judged by what they are expected to miss in scenes that no search saw, differences
+with 95 % intervals over these scenes.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import os
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -38,28 +38,29 @@ from warpav.runs.config import Config, changed_config
 from warpav.runs.detector_fit import ensure_fit
 from warpav.runs.preset_rigs import preset_for
 from warpav.runs.vehicle_zones import propose
+from warpav.scene.device_scene import DeviceScene
 
 VEHICLES = {"car": None, "van": "minibus", "bus": "bus"}
 PIXELS = 65_536
 """Of every image, about."""
 UNSEEN_FROM = 30_000
+AT_ONCE = 50
+"""Unseen scenes on the device."""
 warpav.scene.cache.CAPACITY_BYTES = 8 * 2**30  # of more scenes than it holds each process would build all again
 
 
 @dataclass(frozen=True)
 class Task:
-    """One search.
+    """The searches of a vehicle with cameras of a kind.
 
     Attributes:
         vehicle: A key of `VEHICLES`.
-        where: ``body`` or ``roof``.
         like: The known rig whose cameras it has; None: four of 90 degrees.
         seed: Of the search.
         settings: What the command line says.
     """
 
     vehicle: str
-    where: str
     like: str | None
     seed: int
     settings: argparse.Namespace
@@ -75,16 +76,15 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1, help="searches with four cameras of 90 degrees, by vehicle")
     parser.add_argument("--train", type=int, default=200, help="scenes of a search")
     parser.add_argument("--unseen", type=int, default=200, help="scenes that judge")
-    parser.add_argument("--pool", type=int, default=1024, help="cameras of the first pool of the roof")
+    parser.add_argument("--pool", type=int, default=1024, help="cameras of the first pool of a search")
     parser.add_argument("--targets", default="vehicle,pedestrian,cyclist")
     parser.add_argument("--out", type=Path, default=Path("body_wide.json"))
     settings = parser.parse_args()
     known = [name for name in settings.like.split(",") if name]
     tasks = [
-        Task(vehicle, where, like, seed, settings)
+        Task(vehicle, like, seed, settings)
         for vehicle in settings.vehicles.split(",")
         for like, seed in [*((None, seed) for seed in range(settings.seeds)), *((name, 0) for name in known)]
-        for where in ("body", "roof")
     ]
     began = time.perf_counter()
     wa.town([*range(settings.train), *range(UNSEEN_FROM, UNSEEN_FROM + settings.unseen)])  # the processes read them
@@ -97,72 +97,64 @@ def main() -> None:
             for vehicle in settings.vehicles.split(",")
             for name in known
         }
-        for body, roof in zip(searches[::2], searches[1::2], strict=True):
-            row = row_of(body.result(), roof.result(), presets)
+        for search in searches:
+            row = row_of(search.result(), presets)
             print(json.dumps(row), flush=True)  # noqa: T201
             result["rows"].append(row)
             result["seconds"] = time.perf_counter() - began
             settings.out.write_text(json.dumps(result, indent=1), encoding="utf-8")
 
 
-def row_of(body: dict, roof: dict, presets: dict[tuple[str, str], Future]) -> dict[str, object]:
+def row_of(found: dict, presets: dict[tuple[str, str], Future]) -> dict[str, object]:
     """What a rig of the body misses, and how much more others miss."""
-    row = {key: body[key] for key in ("vehicle", "like", "seed")}
-    arms = {"body": body["missed"], "roof": roof["missed"]}
-    if body["like"] is not None:
-        arms["preset"] = presets[body["vehicle"], body["like"]].result()
-    row |= {f"{name}_per_100": 100.0 * float(np.nanmean(each)) for name, each in arms.items()}
+    arms = found.pop("missed")
+    if found["like"] is not None:
+        arms["preset"] = presets[found["vehicle"], found["like"]].result()
+    row = found | {f"{name}_per_100": 100.0 * float(np.nanmean(each)) for name, each in arms.items()}
     for name in list(arms)[1:]:
-        found = paired_difference(100.0 * arms[name], 100.0 * arms["body"])
-        row[f"{name}_less_body"] = {"mean": found.mean, "low": found.low, "high": found.high}
-    return row | {f"{each['where']}_{key}": each[key] for each in (body, roof) for key in ("zones", "seen", "seconds")}
+        difference = paired_difference(100.0 * arms[name], 100.0 * arms["body"])
+        row[f"{name}_less_body"] = {"mean": difference.mean, "low": difference.low, "high": difference.high}
+    return row
 
 
 def searched(task: Task) -> dict[str, object]:
-    """The rig of a search, and what it misses in each unseen scene."""
-    settings = task.settings
-    train = wa.town(range(settings.train))
+    """The rigs of the body and of the roof, and what they miss in each unseen scene."""
     began = time.perf_counter()
-    rig = None
+    row: dict[str, object] = {"vehicle": task.vehicle, "like": task.like, "seed": task.seed}
+    missed = {}
+    first, _ = search(task, "roof", start=None)
+    for where in ("body", "roof"):
+        result, row[f"{where}_zones"] = search(task, where, start=first.rig)
+        row[f"{where}_train_per_100"] = 100.0 * result.objective
+        missed[where] = misses(result.rig, task.vehicle, task.settings)
+    return row | {"missed": missed, "search_seconds": time.perf_counter() - began}
+
+
+def search(task: Task, where: str, *, start: wa.Rig | None) -> tuple[wa.Result, dict[str, int]]:
+    """A search on the body or the roof, and its cameras a zone; a second one, from a start, draws others."""
     with tempfile.TemporaryDirectory() as folder:
-        for where in dict.fromkeys(("roof", task.where)):
-            share = 0.5 if task.where == "body" else 1.0
-            placement = wa.Placement(
-                train,
-                ego=VEHICLES[task.vehicle],
-                zones=zones_of(task.vehicle, Path(folder) / f"{where}.yaml", where),
-                start=rig,
-                requirements=(),
-                config=config_of(task, pool_share=share),
-            )
-            result = wa.optimise(placement, seed=task.seed)
-            rig = result.rig
-        places = Counter(_zone_of(placement, result.rig))
-    return {
-        "vehicle": task.vehicle,
-        "where": task.where,
-        "like": task.like,
-        "seed": task.seed,
-        "zones": dict(places),
-        "seen": 100.0 * result.objective,
-        "seconds": time.perf_counter() - began,
-        "missed": misses(result.rig, task.vehicle, settings),
-    }
+        placement = wa.Placement(
+            wa.town(range(task.settings.train)),
+            ego=VEHICLES[task.vehicle],
+            zones=zones_of(task.vehicle, Path(folder) / "zones.yaml", where),
+            start=start,
+            requirements=(),
+            config=config_of(task, seed=2 * task.seed + (start is not None)),
+        )
+        result = wa.optimise(placement)
+        surface = placement.mount.surface
+        place_m = placement.mount_pose_of(result.rig)[:, :2].astype(np.float64)
+        return result, dict(Counter(surface.zones[k].name for k in surface.zone_at(place_m)))
 
 
-def _zone_of(placement: wa.Placement, rig: wa.Rig) -> list[str]:
-    surface = placement.mount.surface
-    place_m = placement.mount_pose_of(rig)[:, :2].astype(np.float64)
-    return [surface.zones[k].name for k in surface.zone_at(place_m)]
-
-
-def config_of(task: Task, *, pool_share: float = 1.0) -> Config:
+def config_of(task: Task, *, seed: int = 0) -> Config:
     """What the cameras are, and how long is searched."""
     settings = task.settings
     options = [
+        f"run.seed={seed}",
         f"device={settings.device}",
         f"scenes.targets=[{settings.targets}]",
-        f"optimiser.pool_cameras={round(pool_share * settings.pool)}",
+        f"optimiser.pool_cameras={settings.pool}",
         "rig.free.pitch_deg=[-10, 30]",
     ]
     if task.like is not None:
@@ -197,14 +189,13 @@ def vehicle_of(name: str) -> Mesh:
 
 def judged_preset(vehicle: str, name: str, settings: argparse.Namespace) -> np.ndarray:
     """What a known rig on the body of a vehicle misses in each unseen scene."""
-    moved = preset_for(name, config_of(Task(vehicle, "body", None, 0, settings)), vehicle_of(vehicle))
+    moved = preset_for(name, config_of(Task(vehicle, None, 0, settings)), vehicle_of(vehicle))
     return misses(moved.rig, vehicle, settings)
 
 
 def misses(rig: wa.Rig, vehicle: str, settings: argparse.Namespace) -> np.ndarray:
     """Share of the objects of each unseen scene that a rig is expected to miss, NaN where there is none, [scene]."""
-    config = config_of(Task(vehicle, "body", None, 0, settings))
-    scenes = unseen(vehicle, settings.device, settings.targets, settings.unseen)
+    config = config_of(Task(vehicle, None, 0, settings))
     sizes = dict.fromkeys((each.model.width_px, each.model.height_px) for each in rig.cameras)
     groups = []
     for size in sizes:
@@ -217,7 +208,7 @@ def misses(rig: wa.Rig, vehicle: str, settings: argparse.Namespace) -> np.ndarra
         fits = [ensure_fit(config, camera=each.model) for each in cameras]
         groups.append((renderer, position, rotation, fits))
     found = []
-    for scene in scenes:
+    for scene in unseen(vehicle, settings):
         missed = np.ones(scene.vehicle_count)
         for renderer, position, rotation, fits in groups if scene.vehicle_count else ():
             frame = renderer.render(scene.raster, position, rotation, content=Content.COVERAGE)
@@ -227,14 +218,13 @@ def misses(rig: wa.Rig, vehicle: str, settings: argparse.Namespace) -> np.ndarra
     return np.array(found)
 
 
-@cache
-def unseen(vehicle: str, device: str, targets: str, count: int) -> tuple[object, ...]:
-    """The scenes that judge, on the device."""
-    options = [f"device={device}", f"scenes.targets=[{targets}]"]
-    config = changed_config(Config(), options, origin=None)
-    scenes = wa.town(range(UNSEEN_FROM, UNSEEN_FROM + count))
+def unseen(vehicle: str, settings: argparse.Namespace) -> Iterator[DeviceScene]:
+    """The scenes that judge, on the device a few at a time."""
+    config = config_of(Task(vehicle, None, 0, settings))
+    scenes = wa.town(range(UNSEEN_FROM, UNSEEN_FROM + settings.unseen))
     placement = wa.Placement(list(scenes[:1]), ego=VEHICLES[vehicle], requirements=(), config=config)
-    return tuple(each.scene for each in placement.observed(scenes))
+    for first in range(0, len(scenes), AT_ONCE):
+        yield from (each.scene for each in placement.observed(scenes[first : first + AT_ONCE]))
 
 
 if __name__ == "__main__":
