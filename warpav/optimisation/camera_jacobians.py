@@ -64,11 +64,18 @@ class CameraJacobians:
             return np.zeros((len(pose), count)), np.zeros((len(pose), count, MOUNT_POSE_SIZE))
         slope = placing_slope(self.mount, pose)
         views = self._views_of(len(pose))
-        shown = views.shown(pose, peopled)
-        return self._differentiated(shown, views.placed.position_ego_m.numpy(), slope)
+        filled = pose[np.minimum(np.arange(views.count), len(pose) - 1)]
+        shown = views.shown(filled, peopled).first(len(pose))
+        return self._differentiated(shown, views.placed.position_ego_m.numpy()[: len(pose)], slope)
 
     def _views_of(self, count: int) -> _Views:
-        """The views of so many cameras. A GPU keeps them, for what it has recorded, a CPU only the last ones."""
+        """The views of so many cameras. A CPU keeps only the last ones.
+
+        A GPU keeps them all, for what it has recorded; to record less it has views for 1, 2, 4, 8 ... cameras, as
+        recording a scene takes longer than rendering views that nobody asked for.
+        """
+        if wp.get_device(self.mount.device).is_cuda:
+            count = 1 << (count - 1).bit_length()
         if count not in self._views:
             if not wp.get_device(self.mount.device).is_cuda:
                 self._views.clear()
@@ -116,13 +123,15 @@ class _Views:
     """So many views that are rendered in one scene after another.
 
     Attributes:
+        count: How many.
         placed: Their poses, always in the same arrays.
     """
 
     def __init__(self, mount: CameraMount, renderers: list[Renderer], pane: Pane | None) -> None:
         self._mount, self._pane = mount, pane
         self._renderers = renderers
-        self._pose = wp.zeros((renderers[0].view_count, MOUNT_POSE_SIZE), dtype=float, device=mount.device)
+        self.count = renderers[0].view_count
+        self._pose = wp.zeros((self.count, MOUNT_POSE_SIZE), dtype=float, device=mount.device)
         self.placed = PlacedViews.zeros(self._pose, 1)
         self._recorded: WeakKeyDictionary[DeviceScene, _Recorded] = WeakKeyDictionary()
         is_cuda = renderers[0].device.is_cuda
@@ -326,6 +335,15 @@ class _Shown:
                 np.concatenate([each.box[1] for each in shown]),
                 np.concatenate([each.box[2] for each in shown]),
             ),
+        )
+
+    def first(self, count: int) -> _Shown:
+        """What the first so many cameras are shown."""
+        return _Shown(
+            {name: value[:count] for name, value in self.measures.items()},
+            {name: value[:count] for name, value in self.in_frame.items()},
+            self.contrast[:count],
+            self.box,
         )
 
 
