@@ -51,8 +51,15 @@ PAIRED_METRICS = (
     "objective",
 )
 
-WEIGHTED_METRICS = ("weighted_recall", "weighted_misses_per_100")
-"""Metrics that exist where the objects have weights (section ``importance``); likewise defined per scene."""
+OPTIONAL_METRICS = (
+    "weighted_recall",
+    "weighted_misses_per_100",
+    "attainable_rate",
+    "attainable_recall",
+    "attainable_misses_per_100",
+)
+"""Metrics that not every evaluation has: where the objects have weights (section ``importance``), and where it is known
+which of them are attainable (`warpav.evaluation.attainable`); defined per scene as well, but for the rate."""
 
 EQUAL_FALSE_ALARMS_PER_FRAME = 0.5
 """False alarms per image at which the recalls of rigs are compared (`ArmMetrics.recall_at_equal_false_alarms`)."""
@@ -142,10 +149,14 @@ class ArmMetrics:
         frames: Number of images.
         recall_by: The rig's recall by ``distance_m`` (`DISTANCE_EDGES_M`), ``sector`` (`SECTORS`), ``category`` and
             ``road_user``, each a `GroupRecall` by the group's name.
-        per_scene: The metrics of `PAIRED_METRICS` scene by scene, and those of `WEIGHTED_METRICS` where they exist.
+        per_scene: The metrics of `PAIRED_METRICS` scene by scene, and those of `OPTIONAL_METRICS` where they exist.
         weighted_recall: As `rig_recall`, each object counted by its weight; None where no weights are set, or all are
             0.
         weighted_misses_per_100: 100 (1 - `weighted_recall`), beside `misses_per_100`.
+        attainable_rate: Share of all objects that some single camera, anywhere on the mount, is likely to detect; see
+            `warpav.evaluation.attainable`. None where that is not known.
+        attainable_recall: As `rig_recall`, of these objects alone.
+        attainable_misses_per_100: 100 (1 - `attainable_recall`): of what can be found, how much this rig does not find.
     """
 
     map50_average: float | None
@@ -180,11 +191,14 @@ class ArmMetrics:
     per_scene: dict[str, list[float | None]]
     weighted_recall: float | None = None
     weighted_misses_per_100: float | None = None
+    attainable_rate: float | None = None
+    attainable_recall: float | None = None
+    attainable_misses_per_100: float | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """As ``evaluation.json`` has them; without weights the metrics of weights are left out."""
+        """As ``evaluation.json`` has them; of `OPTIONAL_METRICS` those that are known."""
         found = asdict(self)
-        return {name: value for name, value in found.items() if value is not None or name not in WEIGHTED_METRICS}
+        return {name: value for name, value in found.items() if value is not None or name not in OPTIONAL_METRICS}
 
 
 class ObjectOutcome(StrEnum):
@@ -472,8 +486,16 @@ def observe_scenes(
     return SceneObservations(rig, [assigned.scene for assigned in scenes], observations, losses)
 
 
-def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
-    """Metrics of a rig from its observations; the objective supplies the constraints and the thresholds of a match."""
+def metrics_of(
+    seen: SceneObservations, objective: RigObjective, *, attainable: Sequence[np.ndarray] | None = None
+) -> ArmMetrics:
+    """Metrics of a rig from its observations.
+
+    Args:
+        seen: The observations.
+        objective: Supplies the constraints and the thresholds of a match.
+        attainable: Which objects of each scene can be found from the mount, bool [object] each; None: not known.
+    """
     rig, scenes, observations, losses = seen.rig, seen.scenes, seen.observations, seen.losses
     detected, visible = [each.detected for each in observations], [each.visible for each in observations]
     in_frame, confidence = [each.in_frame for each in observations], [each.confidence for each in observations]
@@ -493,6 +515,15 @@ def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
         weighted_recall = _weighted_mean(flags[1], np.concatenate([np.zeros(0), *weights]))
         recalls = [_weighted_mean(*both) for both in zip(detected, weights, strict=True)]
         weighted_of_scene = {"weighted_recall": recalls, "weighted_misses_per_100": [_misses(each) for each in recalls]}
+    can_be, attainable_recall, attainable_of_scene = None, None, {}
+    if attainable is not None:
+        can_be = np.concatenate([np.zeros(0, bool), *attainable])
+        attainable_recall = _mean(flags[1][can_be])
+        recalls = [_mean(found[which]) for found, which in zip(detected, attainable, strict=True)]
+        attainable_of_scene = {
+            "attainable_recall": recalls,
+            "attainable_misses_per_100": [_misses(each) for each in recalls],
+        }
     return ArmMetrics(
         map50_average=_mean(np.array(camera_map)),
         map50_min_camera=min(camera_map, default=None),
@@ -535,9 +566,13 @@ def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
             "false_alarms_per_frame": [_mean(counts) for counts in boxes.false_alarms],
             "objective": [_number(loss) for loss in losses] or [None] * len(scenes),
             **weighted_of_scene,
+            **attainable_of_scene,
         },
         weighted_recall=weighted_recall,
         weighted_misses_per_100=_misses(weighted_recall),
+        attainable_rate=None if can_be is None else _mean(can_be),
+        attainable_recall=attainable_recall,
+        attainable_misses_per_100=_misses(attainable_recall),
     )
 
 
