@@ -40,13 +40,18 @@ _ROOF_COLOURS = np.array([(0.44, 0.32, 0.28), (0.38, 0.38, 0.40), (0.48, 0.37, 0
 class SceneryBuilder:
     """Collects coloured quads; colours are sRGB 0..1."""
 
-    def __init__(self, rng: np.random.Generator, ground: StreetGround) -> None:
+    def __init__(
+        self, rng: np.random.Generator, ground: StreetGround, *, detailed_within_m: float | None = None
+    ) -> None:
         """Nothing yet.
 
         Args:
             rng: Draws colours, houses and their windows.
             ground: What everything stands on; heights above are heights above it.
+            detailed_within_m: Houses farther from the origin have windows without frames, and walls between two houses
+                have none [m]; None: all houses have all.
         """
+        self._detailed_within_m = detailed_within_m
         self._rng = rng
         self._ground = ground
         self._quad: list[np.ndarray] = []
@@ -191,10 +196,12 @@ class SceneryBuilder:
             width = self._rng.uniform(8.0, 15.0)
             if end - at - width < 7.0:
                 width = end - at
-            self._add_house(start + direction * at, direction, width)
+            ends = (at == inset, at + width > length - inset - 1.0)
+            self._add_house(start + direction * at, direction, width, ends)
             at += width
 
-    def _add_house(self, left: np.ndarray, direction: np.ndarray, width: float) -> None:
+    def _add_house(self, left: np.ndarray, direction: np.ndarray, width: float, ends: tuple[bool, bool]) -> None:
+        """A house from its left end as seen from the street; ``ends``: whether its row begins or ends with it."""
         rng = self._rng
         self._house_x_m = float(left[0] + 0.5 * width * direction[0])
         outward = np.array([direction[1], -direction[0]])
@@ -205,8 +212,11 @@ class SceneryBuilder:
         right, depth = left + direction * width, -outward * _HOUSE_DEPTH_M
         self._add_front(left, direction, width, height, wall)
         # Both flanks look like plain walls, or like fronts where they stand at a corner of the block: seldom in view.
-        self._add_front(right, -outward, _HOUSE_DEPTH_M, height, wall * 0.95)
-        self._add_front(left + depth, outward, _HOUSE_DEPTH_M, height, wall * 0.95)
+        for corner, facing, is_end in ((right, -outward, ends[1]), (left + depth, outward, ends[0])):
+            if self._detailed_within_m is None or is_end:
+                self._add_front(corner, facing, _HOUSE_DEPTH_M, height, wall * 0.95)
+            else:
+                self._add_plain_wall(corner, facing, _HOUSE_DEPTH_M, height, wall * 0.9)
         corner = np.stack([left, right, right + depth, left + depth])
         top = np.c_[corner, np.full(4, height)]
         if rng.random() < 0.55:
@@ -243,6 +253,8 @@ class SceneryBuilder:
         strip(_GROUND_FLOOR_M - 0.18, _GROUND_FLOOR_M + 0.10, 0.10, wall * 0.92, wall * 1.05)
         strip(height - 0.35, height, 0.14, wall * 0.85, wall * 1.06)
 
+        middle = left + 0.5 * width * direction
+        has_frames = self._detailed_within_m is None or np.hypot(*middle) < self._detailed_within_m
         count = max(2, int(width / rng.uniform(2.3, 3.2)))
         pitch = width / count
         share = rng.uniform(0.20, 0.26)
@@ -263,11 +275,20 @@ class SceneryBuilder:
         u, z = np.array(u), np.array(z)
         margin = np.array([-0.09, 0.09])
         trim = np.minimum(wall * 1.12, 0.92)
-        rectangles(u + margin, z + margin, 0.02, trim * 0.9, trim)
+        if has_frames:
+            rectangles(u + margin, z + margin, 0.02, trim * 0.9, trim)
         dark = rng.uniform(0.10, 0.26, (len(u), 1)) * np.array([1.0, 1.02, 1.07])
         rectangles(u, z, 0.035, dark, dark + np.array([0.13, 0.16, 0.20]))
         centre = u.mean(axis=1, keepdims=True) + np.array([-0.035, 0.035])
-        rectangles(centre, z, 0.05, trim * 0.92, trim * 0.98)
+        if has_frames:
+            rectangles(centre, z, 0.05, trim * 0.92, trim * 0.98)
+
+    def _add_plain_wall(
+        self, left: np.ndarray, direction: np.ndarray, width: float, height: float, wall: np.ndarray
+    ) -> None:
+        right = left + width * direction
+        corner = np.array([[*left, 0.0], [*right, 0.0], [*right, height], [*left, height]])
+        self.add_quads(corner[None], wall)
 
     def finish(self) -> Mesh:
         """All quads as one mesh; degenerate triangles are left out."""
