@@ -118,7 +118,9 @@ def _add_coarse_rear(builder: SurfaceBuilder, rear: float) -> None:
     half, floor, roof = CARGO.half_width_m, CARGO.floor_m, CARGO.roof_m
     _add_rear_box(builder, rear, 0.018, (half - 0.12, half - 0.005), (floor + 0.01, roof - 0.01), Material.CARGO_FRAME)
     _add_rear_box(builder, rear, 0.012, (-0.03, 0.03), (floor + 0.12, roof - 0.10), Material.SEAM, paired=False)
-    builder.add_box((rear - 0.015, -half + 0.04, 0.50), (rear + 0.14, half - 0.04, floor - 0.02), Material.BLACK_PLASTIC)
+    builder.add_box(
+        (rear - 0.015, -half + 0.04, 0.50), (rear + 0.14, half - 0.04, floor - 0.02), Material.BLACK_PLASTIC
+    )
     _add_rear_box(builder, rear, 0.045, (half - 0.48, half - 0.06), (0.73, floor - 0.09), Material.TAIL_LAMP)
 
 

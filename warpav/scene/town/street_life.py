@@ -195,9 +195,7 @@ class Furnisher:
         self.meshes.append(_turned(mesh, yaw_rad, np.array([place[0], place[1], z])))
 
 
-def furnish(
-    layout: Layout, rng: np.random.Generator, ground: StreetGround, *, reach_m: float = _REACH_M
-) -> Furnishing:
+def furnish(layout: Layout, rng: np.random.Generator, ground: StreetGround, *, reach_m: float = _REACH_M) -> Furnishing:
     """Random furniture on the pavements near the ego vehicle, and in some scenes road works in a lane.
 
     Args:
