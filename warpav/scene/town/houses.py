@@ -104,14 +104,29 @@ class SceneryBuilder:
         self._add_sheet(point, np.full(3, marking.brightness))
 
     def add_contact_shadow(
-        self, center_m: np.ndarray, yaw_rad: float, length_m: float, width_m: float, index: int
+        self,
+        center_m: np.ndarray,
+        yaw_rad: float,
+        length_m: float,
+        width_m: float,
+        index: int,
+        *,
+        segments: int = _SHADOW_SEGMENTS,
     ) -> None:
         """Add the shadow below a vehicle: dark in the centre, fading into the asphalt; `index` keeps shadows apart."""
         grey = self.asphalt_grey * np.array([1.0, 1.0, 1.015])
-        self._add_shadow(center_m, yaw_rad, (length_m, width_m), _SHADOW_HEIGHT_M + 0.0004 * index, grey, 1.0)
+        self._add_shadow(center_m, yaw_rad, (length_m, width_m), _SHADOW_HEIGHT_M + 0.0004 * index, grey, 1.0,
+                         segments)  # fmt: skip
 
     def add_foot_shadow(
-        self, center_m: np.ndarray, yaw_rad: float, size_m: tuple[float, float], index: int, pavement_share: float
+        self,
+        center_m: np.ndarray,
+        yaw_rad: float,
+        size_m: tuple[float, float],
+        index: int,
+        pavement_share: float,
+        *,
+        segments: int = _SHADOW_SEGMENTS,
     ) -> None:
         """Add the small shadow below a person.
 
@@ -121,12 +136,14 @@ class SceneryBuilder:
             size_m: Length and width of the person [m].
             index: Keeps shadows apart.
             pavement_share: How far from the kerb to the houses the person is, 0..1; below 0 on the road.
+            segments: Corners of its outline.
         """
         if pavement_share < 0.0:
             height, grey = 0.0, self.asphalt_grey * np.array([1.0, 1.0, 1.015])
         else:
             height, grey = KERB_HEIGHT_M, self._pavement_rgb() * (1.0 - _PAVEMENT_FADE * pavement_share)
-        self._add_shadow(center_m, yaw_rad, size_m, height + _SHADOW_HEIGHT_M + 0.0004 * index, grey, _FOOT_SHADOW)
+        self._add_shadow(center_m, yaw_rad, size_m, height + _SHADOW_HEIGHT_M + 0.0004 * index, grey, _FOOT_SHADOW,
+                         segments)  # fmt: skip
 
     def _add_shadow(
         self,
@@ -136,9 +153,10 @@ class SceneryBuilder:
         height_m: float,
         grey: np.ndarray,
         strength: float,
+        segments: int,
     ) -> None:
         """Rings around the outline of something; weak shadows are narrow, too."""
-        angle = np.linspace(0.0, 2.0 * np.pi, _SHADOW_SEGMENTS + 1)
+        angle = np.linspace(0.0, 2.0 * np.pi, segments + 1)
         cosine, sine = np.cos(angle), np.sin(angle)
         # A superellipse: a rectangle with rounded corners.
         unit = np.stack([np.sign(cosine) * np.abs(cosine) ** 0.35, np.sign(sine) * np.abs(sine) ** 0.35], axis=-1)

@@ -191,7 +191,7 @@ class _CoarseBuilder(SurfaceBuilder):
 
 
 @cache
-def _baked(category: str, variant: int, coarse: bool) -> tuple[Surface, np.ndarray]:  # noqa: FBT001 (a key of a cache)
+def _baked(category: str, variant: int, coarse: bool) -> tuple[Surface, np.ndarray]:
     builder = _CoarseBuilder() if coarse else SurfaceBuilder()
     surface = (_pedestrian_surface if category == "pedestrian" else _cyclist_surface)(builder, variant)
     surface = replace(surface, vertex_m=surface.vertex_m - [0.0, 0.0, surface.vertex_m[:, 2].min()])

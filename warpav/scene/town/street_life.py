@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,6 +73,34 @@ class Footprint:
         return True
 
 
+class Occupied:
+    """What is taken already: quickly asked whether a rectangle comes near any of it."""
+
+    def __init__(self, footprints: Iterable[Footprint] = ()) -> None:
+        """These are taken."""
+        self._footprints = list(footprints)
+        self._circle = [_circle_of(each) for each in self._footprints]
+
+    def add(self, footprint: Footprint) -> None:
+        """Take a rectangle."""
+        self._footprints.append(footprint)
+        self._circle.append(_circle_of(footprint))
+
+    def is_free(self, footprint: Footprint, gap_m: float) -> bool:
+        """Whether nothing is nearer to it than a gap."""
+        if not self._footprints:
+            return True
+        x, y, radius = _circle_of(footprint)
+        centre_x, centre_y, reach = np.array(self._circle).T
+        near = np.flatnonzero(np.hypot(centre_x - x, centre_y - y) <= reach + radius + 1.5 * gap_m)  # at corners
+        return not any(footprint.nearer(self._footprints[k], gap_m) for k in near)
+
+
+def _circle_of(footprint: Footprint) -> tuple[float, float, float]:
+    """Centre and radius of a circle around a rectangle [m]."""
+    return footprint.x_m, footprint.y_m, 0.5 * float(np.hypot(footprint.length_m, footprint.width_m)) + 1e-6
+
+
 @dataclass(frozen=True)
 class Furnishing:
     """What was set up in a town.
@@ -130,13 +158,16 @@ class Strip:
 
     @property
     def inward(self) -> np.ndarray:
+        """Unit vector towards the houses, shape [2]."""
         return np.array([-self.along[1], self.along[0]])
 
     @property
     def yaw_rad(self) -> float:
+        """Direction of the kerb."""
         return float(np.arctan2(self.along[1], self.along[0]))
 
     def at(self, along_m: float, inward_m: float) -> np.ndarray:
+        """A point so far along the kerb and towards the houses, in the town frame [m], shape [2]."""
         return self.start + along_m * self.along + inward_m * self.inward
 
     def span_m(self, centre: np.ndarray, reach_m: float) -> tuple[float, float] | None:
@@ -323,17 +354,17 @@ def _road_places(layout: Layout, rng: np.random.Generator) -> Iterator[tuple[np.
 class Crowd:
     """Collects people who stand on the ground and in nothing else."""
 
-    def __init__(self, ground: StreetGround, taken: Sequence[Footprint], ego_m: np.ndarray, *, clear_m: float) -> None:
+    def __init__(self, ground: StreetGround, taken: Occupied, ego_m: np.ndarray, *, clear_m: float) -> None:
         """Nobody yet.
 
         Args:
             ground: What they stand on.
-            taken: Vehicles, the ego vehicle, furniture.
+            taken: Vehicles, the ego vehicle, furniture; people are added to it.
             ego_m: Centre of the ego vehicle in the town frame [m], shape [2].
             clear_m: Nobody stands nearer to it [m].
         """
         self.persons: list[Person] = []
-        self._ground, self._taken, self._ego_m, self._clear_m = ground, tuple(taken), ego_m, clear_m
+        self._ground, self._taken, self._ego_m, self._clear_m = ground, taken, ego_m, clear_m
 
     def add(self, category: str, mesh: Mesh, place_m: np.ndarray, yaw_rad: float, pavement_share: float) -> bool:
         """Put somebody at a place, below 0 of the pavement on the road; False where there is no room."""
@@ -347,10 +378,10 @@ class Crowd:
             float(high[0] - low[0]),
             float(high[1] - low[1]),
         )
-        others = (*self._taken, *(person.footprint for person in self.persons))
         near = np.hypot(*(place_m - self._ego_m)) < self._clear_m
-        if near or any(footprint.nearer(other, _GAP_M) for other in others):
+        if near or not self._taken.is_free(footprint, _GAP_M):
             return False
+        self._taken.add(footprint)
         kerb = KERB_HEIGHT_M if pavement_share >= 0.0 else 0.0
         if category == "cyclist":
             rotation, foot = self._ground.stand(float(place_m[0]), float(place_m[1]), yaw_rad, high - low)
@@ -378,7 +409,7 @@ def people(
         taken: Vehicles, the ego vehicle, furniture.
         free_slots: Where no vehicle stands; cyclists take lanes of these.
     """
-    crowd = Crowd(ground, taken, np.array([layout.ego.x_m, layout.ego.y_m]), clear_m=_PEOPLE_CLEAR_M)
+    crowd = Crowd(ground, Occupied(taken), np.array([layout.ego.x_m, layout.ego.y_m]), clear_m=_PEOPLE_CLEAR_M)
     for places, count in (
         (_pavement_places(layout, rng), int(rng.integers(2, 7))),
         (_road_places(layout, rng), int(rng.integers(0, 4))),

@@ -496,7 +496,7 @@ def _build(
 
 
 @cache
-def _baked(kind: str, variant: int, coarse: bool) -> tuple[Surface, np.ndarray]:  # noqa: FBT001 (a key of a cache)
+def _baked(kind: str, variant: int, coarse: bool) -> tuple[Surface, np.ndarray]:
     surface = _build(kind, _varied(kind, variant), shutter=variant % 2 == 1, coarse=coarse)
     centre_x_m = 0.5 * (surface.vertex_m[:, 0].min() + surface.vertex_m[:, 0].max())
     surface = replace(surface, vertex_m=surface.vertex_m - [centre_x_m, 0.0, 0.0])
