@@ -91,9 +91,47 @@ class SceneryBuilder:
             return np.linspace(low_m, high_m, count + 1)
         return np.r_[low_m, self._ground.knots_m(low_m, high_m), high_m]
 
-    def add_asphalt(self, rectangle_m: Rectangle) -> None:
+    def add_box(
+        self,
+        low_m: tuple[float, float, float],
+        high_m: tuple[float, float, float],
+        colour: np.ndarray,
+        *,
+        steps: int = 1,
+    ) -> None:
+        """Add a box without a bottom that follows the ground; x is cut into steps, and where the ground bends.
+
+        Args:
+            low_m: Its lowest corner, above the ground [m].
+            high_m: The opposite corner [m].
+            colour: sRGB, 0..1, shape [3]; sides are darker than the top.
+            steps: Pieces along x on level ground.
+        """
+        (x_low, y_low, z_low), (x_high, y_high, z_high) = low_m, high_m
+        x = self._columns(x_low, x_high, steps)
+        yz = [(y_low, z_low), (y_high, z_low), (y_high, z_high), (y_low, z_high)]
+        for k, shade in ((1, 0.8), (2, 1.0), (3, 0.8)):
+            edge = np.array([[yz[k], yz[(k + 1) % 4]]])
+            point = np.stack([np.stack([x, np.full_like(x, y), np.full_like(x, z)], axis=-1) for y, z in edge[0]], 1)
+            self._add_sheet(point, colour * shade)
+        ends = np.array([[(x_low, *corner) for corner in yz[::-1]], [(x_high, *corner) for corner in yz]])
+        self.add_quads(ends, colour * 0.75)
+
+    def add_level_box(
+        self, low_m: tuple[float, float, float], high_m: tuple[float, float, float], colour: np.ndarray
+    ) -> None:
+        """Add a closed box that is level: heights are above the ground below its middle; see `add_box`."""
+        self._house_x_m = 0.5 * (low_m[0] + high_m[0])
+        (x0, y0, z0), (x1, y1, z1) = low_m, high_m
+        corner = np.array([(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (z0, z1)])
+        quad = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
+        shade = np.array([0.75, 0.75, 0.8, 0.8, 0.55, 1.0])[:, None, None]
+        self.add_quads(corner[quad], shade * colour)
+        self._house_x_m = np.nan
+
+    def add_asphalt(self, rectangle_m: Rectangle, cell_m: float = _GROUND_CELL_M) -> None:
         """Add road surface."""
-        self.add_ground(rectangle_m, 0.0, self.asphalt_grey * np.array([1.0, 1.0, 1.015]), 0.006)
+        self.add_ground(rectangle_m, 0.0, self.asphalt_grey * np.array([1.0, 1.0, 1.015]), 0.006, cell_m)
 
     def add_marking(self, marking: Marking) -> None:
         """Add a painted rectangle."""
@@ -323,10 +361,10 @@ class SceneryBuilder:
     def _add_sheet(self, point: np.ndarray, colour: np.ndarray) -> None:
         """Quads of a grid [a, b, 3] whose outside is d/d(first) x d/d(second)."""
         colour = np.broadcast_to(colour, point.shape)
-        self.add_quads(_cells(point), _cells(colour))
+        self.add_quads(cells_of(point), cells_of(colour))
 
 
-def _cells(grid: np.ndarray) -> np.ndarray:
+def cells_of(grid: np.ndarray) -> np.ndarray:
     """The four corners of every cell of a grid [a, b, 3], shape [cell, 4, 3]."""
     return np.stack([grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]], axis=2).reshape(-1, 4, 3)
 

@@ -59,4 +59,7 @@ def level_scene(seed: int, level: Level = "easy") -> Scene:
 def level_of(source: str) -> tuple[Level, int] | None:
     """Level and seed of `warpav.scene.scene.Scene.source`; None of scenes that are not of the town."""
     match = re.fullmatch(rf"town (?:({'|'.join(LEVELS[1:])}) )?seed (\d+)", source)
-    return None if match is None else (match[1] or "easy", int(match[2]))
+    if match is None:
+        return None
+    (level,) = (each for each in LEVELS if each == (match[1] or "easy"))
+    return level, int(match[2])

@@ -61,7 +61,8 @@ def velocities_m_s(
     velocity = np.zeros((len(users), 2))
     for k, user in enumerate(users):
         usual = {"pedestrian": PEDESTRIAN_M_S, "cyclist": CYCLIST_M_S}.get(user.category, limit_m_s)
-        speed_m_s = rng.uniform(*(user.free_m_s or usual))
+        low, high = user.free_m_s or usual
+        speed_m_s = rng.uniform(low, high)
         if user.heading_rad is None:
             continue
         if user.category != "pedestrian":

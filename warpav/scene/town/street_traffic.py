@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -166,9 +167,8 @@ class _Life:
             inward = -float(np.sign(slot.y_m))
             x = 0.5 * (a.x_m + 0.5 * a.length_m + b.x_m - 0.5 * b.length_m)
             place = np.array([x, slot.y_m + inward * rng.uniform(0.2, 1.25)])
-            self._person(
-                "pedestrian" if rng.random() < 0.75 else "child", place, inward * 0.5 * np.pi + rng.normal(0, 0.2)
-            )
+            heading = inward * 0.5 * np.pi + rng.normal(0.0, 0.2)
+            self._person("pedestrian" if rng.random() < 0.75 else "child", place, heading)
 
     def cross(self) -> None:
         """People on the crossings of a street that waits, and some who cross anywhere."""
@@ -183,7 +183,7 @@ class _Life:
         """Everybody in lanes, and cyclists in cycle lanes and at the edges of others."""
         rng = self._rng
         for lane in self._plan.lanes:
-            draw = lambda: drawn_vehicle(self._traffic.kind_shares, rng)  # noqa: E731
+            draw = partial(drawn_vehicle, lane.kind_shares, rng)
             for drawn, footprint in lane_vehicles(lane, draw, rng):
                 if self._is_near(footprint.x_m, footprint.y_m) and self._leaves_room(footprint):
                     self._world.put_vehicle(drawn, footprint, lane.yaw_rad, gap_m=_CLEARANCE_M)
@@ -228,14 +228,11 @@ class _Life:
                 return -1.0
         for block in self._plan.layout.blocks:
             x_low, y_low, x_high, y_high = block.rectangle_m
-            inset = min(place_m[0] - x_low, x_high - place_m[0], place_m[1] - y_low, y_high - place_m[1])
-            across = sorted(
-                (min(place_m[0] - x_low, x_high - place_m[0]), min(place_m[1] - y_low, y_high - place_m[1]))
-            )
+            insets = (place_m[0] - x_low, x_high - place_m[0]), (place_m[1] - y_low, y_high - place_m[1])
+            inset, other = sorted(map(min, insets))
             if inset >= 0.0:
-                if across[1] < _CORNER_M:  # kerbs are round there
-                    return None
-                return inset / block.pavement_m if 0.35 <= inset <= block.pavement_m - 0.35 else None
+                is_pavement = 0.35 <= inset <= block.pavement_m - 0.35 and other >= _CORNER_M  # kerbs are round there
+                return inset / block.pavement_m if is_pavement else None
         return None
 
     def _is_near(self, x_m: float, y_m: float) -> bool:

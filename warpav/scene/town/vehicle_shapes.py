@@ -394,8 +394,8 @@ def _add_fittings(builder: SurfaceBuilder, kind: str, body: _Body, *, coarse: bo
     x = body.x_at(spec.windscreen[0]) - 0.42
     z = float(body.deck_m(np.array(x))) + 0.07
     if coarse:
-        builder.add_box_pair((x - 0.06, body.half_width_m - 0.04, z - 0.07), (x + 0.06, body.half_width_m + 0.17, z + 0.07),
-                             Material.PAINT)  # fmt: skip
+        half = body.half_width_m
+        builder.add_box_pair((x - 0.06, half - 0.04, z - 0.07), (x + 0.06, half + 0.17, z + 0.07), Material.PAINT)
         return
     builder.add_ellipsoid_pair((x, body.half_width_m + 0.06, z), (0.08, 0.13, 0.08), Material.PAINT)
     for seam in spec.seams[1:]:
