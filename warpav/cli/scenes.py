@@ -19,6 +19,9 @@ from warpav.cli.arguments import (
     seeds_of,
 )
 from warpav.core.errors import InputError
+from warpav.scene.town.levels import Level
+
+SceneLevel = Annotated[Level, Parameter(help="Of the embedded town, for seeds: easy, urban, dense or motorway.")]
 
 scenes_app = App(name="scenes", help="Make and show traffic scenes.")
 
@@ -29,13 +32,14 @@ def scenes_make(
     out: Annotated[Path, Parameter(help="Folder for the files, scene_SEED.glb.")],
     seeds: Annotated[str | None, Parameter(help="Range such as 1000..1009 or list such as [1,2,3].")] = None,
     count: Annotated[int | None, Parameter(help="Instead of --seeds: this many, from seed 0.")] = None,
+    level: SceneLevel = "easy",
     executor: Executor = "serial",
     workers: Workers = None,
 ) -> int:
     """Build embedded street scenes and write each as a GLB file; what is there already stays."""
     from warpav.runs.scenes import build_scenes
 
-    return build_scenes(seeds_of(seeds, count), out, executor=executor, worker_count=workers)
+    return build_scenes(seeds_of(seeds, count), out, level=level, executor=executor, worker_count=workers)
 
 
 @scenes_app.command(name="capture")
@@ -103,11 +107,12 @@ def scenes_show(
     /,
     *,
     out: Annotated[Path | None, Parameter(help="PNG, HTML, GIF or MP4 to write; by default a window.")] = None,
+    level: SceneLevel = "easy",
 ) -> None:
     """Show a scene and list its vehicles."""
     from warpav.runs.scenes import show_scene
 
-    for line in show_scene(scene, out):
+    for line in show_scene(scene, out, level):
         say(line)
 
 

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from typing import Literal
 
 import numpy as np
 
+from warpav.core.errors import ArgumentError
 from warpav.scene.scene import Scene
 
 Level = Literal["easy", "urban", "dense", "motorway"]
 LEVELS: tuple[Level, ...] = ("easy", "urban", "dense", "motorway")
 """Names of the levels, the easiest first."""
-LEVEL_CODE = {
-    "easy": "warpav.scene.town.town",
-    "urban": "warpav.scene.town.street_traffic",
-    "dense": "warpav.scene.town.street_traffic",
-    "motorway": "warpav.scene.town.motorway",
-}
-"""The module that builds the scenes of a level."""
+_CODE = {"easy": "town", "urban": "street_traffic", "dense": "street_traffic", "motorway": "motorway"}
 _LEVEL_STREAM = 0x1E7E1  # keeps the random numbers of levels apart from other uses of the same seed
 
 
@@ -56,10 +52,33 @@ def level_scene(seed: int, level: Level = "easy") -> Scene:
     return world.finish(f"{level}_{seed:04d}", f"town {level} seed {seed}")
 
 
+def checked_level(level: str) -> Level:
+    """A level by its name.
+
+    Raises:
+        InputError: There is no such level.
+    """
+    found: Level | None = next((each for each in LEVELS if each == level), None)
+    if found is None:
+        near = difflib.get_close_matches(str(level), LEVELS, 1, 0.5)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise ArgumentError("level", f"expected one of {', '.join(LEVELS)}, got {level!r}{hint}")
+    return found
+
+
+def level_recipe(seed: int, level: Level) -> tuple[tuple[object, ...], tuple[str, ...]]:
+    """What files of a scene are named after: what chooses it, and the modules that build it.
+
+    Those of ``easy`` are what they were before there were levels.
+    """
+    code = (f"warpav.scene.town.{_CODE[level]}",)
+    return ((seed,), code) if level == "easy" else ((seed, level), (*code, __name__))
+
+
 def level_of(source: str) -> tuple[Level, int] | None:
     """Level and seed of `warpav.scene.scene.Scene.source`; None of scenes that are not of the town."""
     match = re.fullmatch(rf"town (?:({'|'.join(LEVELS[1:])}) )?seed (\d+)", source)
     if match is None:
         return None
-    (level,) = (each for each in LEVELS if each == (match[1] or "easy"))
+    level: Level = next(each for each in LEVELS if each == (match[1] or "easy"))
     return level, int(match[2])
