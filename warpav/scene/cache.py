@@ -1,6 +1,7 @@
 """Scenes of the embedded town, kept in the user's cache folder: built once, several at a time, then read.
 
-A file is named after what it was made of: seed, level, the code that makes scenes, the versions of NumPy and Embree. So it never has to be checked for its age; a file that cannot be read is built again. The folder holds at most
+A file is named after what it was made of: seed, level, the code that makes scenes, and the versions of NumPy and
+Embree. So it never has to be checked for its age; a file that cannot be read is built again. The folder holds at most
 `CAPACITY_BYTES`; beyond that the scenes that were not used for the longest time go.
 """
 
@@ -28,6 +29,7 @@ CAPACITY_BYTES = 512 * 2**20
 """What the cache holds at most: about 300 scenes of 1.8 MB."""
 _PARALLEL_MIN = 4  # fewer scenes are built sooner than processes start
 _FORMAT = 2
+_Task = tuple[int, Level, Path]
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 
@@ -59,7 +61,7 @@ def town_scenes(
     built: dict[int, Scene] = {}
     outcomes = iter(())
     if worker_count > 1 and len(missing) >= _PARALLEL_MIN:
-        tasks = [(seed, level, folder) for seed in missing]
+        tasks: list[_Task] = [(seed, level, folder) for seed in missing]
         outcomes = run_tasks(_build, tasks, executor="process", worker_count=worker_count)
     else:
         missing = []
@@ -104,7 +106,7 @@ def _read_or_build(seed: int, level: Level, folder: Path) -> Scene:
     return scene
 
 
-def _build(task: tuple[int, Level, Path]) -> Scene:
+def _build(task: _Task) -> Scene:
     """Build the scene of a seed and level, and keep it if the folder lets itself be written to."""
     seed, level, folder = task
     scene = level_scene(seed, level)

@@ -32,7 +32,7 @@ _GRADE_SHARE, _GRADE = 0.5, (0.01, 0.04)
 _ROAD_CELL_M, _GRASS_CELL_M = 14.0, 22.0
 _LINE_HALF_M = 0.08
 _BRIDGE_CLEARANCE_M = 5.0
-_CLEARANCE_M, _AHEAD_M = 0.3, 12.0
+_CLEARANCE_M, _EGO_LENGTH_M = 0.3, 4.7
 _STANDING_SHARE = 0.12  # of the scenes have somebody on the hard shoulder
 
 _GRASS, _LEAVES = np.array([0.36, 0.43, 0.24]), np.array([0.24, 0.33, 0.19])
@@ -47,7 +47,7 @@ _SLOW = (
     (23.0, 27.0),
     {"hatchback": 0.13, "saloon": 0.06, "estate": 0.07, "suv": 0.08, "van": 0.16, "lorry": 0.44, "bus": 0.06},
 )
-_HEADWAY_S = 1.3  # the smallest gap is what the slowest of a lane drives in this time
+_HEADWAY_S = 1.4  # the smallest gap is what the slowest of a lane drives in this time
 _ADDED_GAP_M = (12.0, 45.0)  # of a busy and of a free motorway, on average
 
 
@@ -138,7 +138,8 @@ def _drive(section: _Section, side: float, ego: Slot, world: LevelWorld, rng: np
             )
             for drawn, footprint in lane_vehicles(lane, draw, rng):
                 limits = (free_m_s[0], min(free_m_s[1], free_m_s[0] + 2.5)) if drawn.kind in LONG_KINDS else free_m_s
-                own_lane = abs(y - ego.y_m) < 1.0 and abs(footprint.x_m) < _AHEAD_M + 0.5 * drawn.size_m[0]
+                gap_m = abs(footprint.x_m) - 0.5 * (drawn.size_m[0] + _EGO_LENGTH_M)
+                own_lane = abs(y - ego.y_m) < 1.0 and gap_m < _HEADWAY_S * free_m_s[0]
                 in_reach = np.hypot(footprint.x_m, footprint.y_m - ego.y_m) <= USERS_REACH_M
                 if in_reach and not own_lane:
                     world.put_vehicle(drawn, footprint, yaw, gap_m=_CLEARANCE_M, free_m_s=limits)
