@@ -116,6 +116,32 @@ def scenes_show(
         say(line)
 
 
+@scenes_app.command(name="statistics")
+def scenes_statistics(
+    *overrides: Overrides,
+    seeds: Annotated[
+        str | None, Parameter(help="Range such as 0..39 or list such as [1,2,3]; by default scenes.train_seeds.")
+    ] = None,
+    config: Config = DEFAULT_CONFIG,
+) -> None:
+    """Count road users by kind, by distance and by how much of them can be seen, in scenes of any source.
+
+    Such as scenes.level=dense --seeds 0..39, or scenes.source=folder scenes.folder=FOLDER --seeds 0..9.
+    """
+    from warpav.experiments.scene_statistics import scene_statistics
+    from warpav.runs.config import placed_config, read_seeds
+    from warpav.runs.progress import RunDisplay
+    from warpav.runs.scene_set import load_scenes
+
+    with placed_config(config, overrides) as settings:
+        chosen = settings.scenes.train_seeds if seeds is None else read_seeds(seeds, place="command line (--seeds)")
+        with RunDisplay() as display:
+            scenes = display.steps("scenes", load_scenes(settings, chosen), count=len(chosen))
+            table = scene_statistics(scenes, device=settings.device).table()
+    for line in table:
+        say(line)
+
+
 @scenes_app.command(name="figure")
 def scenes_figure(
     number: Annotated[int, Parameter(help="Its number in the thesis: 4 to 12, or 14 to 16.")],
