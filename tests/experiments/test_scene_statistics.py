@@ -14,9 +14,10 @@ def box_at(number, x_m, y_m, size_m, category="car", velocity=None):
     """A road user that is a box standing on the ground."""
     size = np.array(size_m, float)
     corner = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)]) * size
-    side = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [1, 5, 7], [1, 7, 3],
-            [0, 2, 6], [0, 6, 4]]  # fmt: skip
-    mesh = Mesh.create(corner + [x_m, y_m, 0.0], side, [200, 40, 40])
+    place = np.array([x_m, y_m, 0.0])
+    side = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+            [2, 3, 7], [2, 7, 6], [1, 5, 7], [1, 7, 3], [0, 2, 6], [0, 6, 4]]  # fmt: skip
+    mesh = Mesh.create(corner + place, side, [200, 40, 40])
     box = Box(np.array([x_m, y_m, 0.5 * size[2]]), size, 0.0)
     return Vehicle(number, category, mesh, box, None if velocity is None else np.array(velocity))
 

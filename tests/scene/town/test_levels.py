@@ -95,7 +95,7 @@ def check_nobody_drives_into_whom_it_follows(scene):
         )
         for user in vehicles
     ]
-    later = [(yaw, outline + 0.99 * HEADWAY_S * velocity) for yaw, outline, velocity in speed]
+    later = [(yaw, outline + 0.96 * HEADWAY_S * velocity) for yaw, outline, velocity in speed]
     for (yaw, one), (other_yaw, other) in itertools.combinations(later, 2):
         if np.cos(yaw - other_yaw) > 0.99 and np.hypot(*(one.mean(axis=0) - other.mean(axis=0))) < 16.0:
             assert not _rectangles_overlap(one, other), scene.name

@@ -183,7 +183,7 @@ class _Builder:
             low, high = sorted((sign * section.median_m, sign * section.edge_m))
             scenery.add_asphalt((-reach, low, reach, high), _ROAD_CELL_M)
             low, high = sorted((sign * section.edge_m, sign * _FIELD_M))
-            scenery.add_ground((-reach, low, reach, high), 0.0, _GRASS, 0.035, _GRASS_CELL_M)
+            scenery.add_ground((-reach, low, reach, high), 0.0, _GRASS, 0.022, _GRASS_CELL_M)
             self._add_lines(sign)
             self._add_posts(sign)
             self._add_rail(sign * (section.edge_m + 0.9), sign)
