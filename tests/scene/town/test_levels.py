@@ -14,9 +14,10 @@ from warpav.core.errors import InputError
 from warpav.runs.config import changed_config
 from warpav.scene.cache import scene_file, town_scenes
 from warpav.scene.packed import SceneRecipe
-from warpav.scene.town.level_world import COARSE_FROM_M
+from warpav.scene.town.level_world import COARSE_FROM_M, LONG_COARSE_FROM_M
 from warpav.scene.town.levels import LEVELS, level_of, level_recipe, level_scene
 from warpav.scene.town.motion import HEADWAY_S
+from warpav.scene.town.placed_vehicle import LONG_KINDS
 
 HARD = LEVELS[1:]
 REACH_M = {"urban": 80.0, "dense": 80.0, "motorway": 200.0}
@@ -181,7 +182,8 @@ def test_what_is_far_away_is_coarse_and_the_whole_is_small(level, scenes):
     for scene in scenes[level]:
         centre_x = scene.ego.bounds_m()[:, 0].mean()
         for user in scene.road_users:
-            is_far = np.hypot(user.box.center_m[0] - centre_x, user.box.center_m[1]) > COARSE_FROM_M + 1.0
+            from_m = LONG_COARSE_FROM_M if user.category in LONG_KINDS else COARSE_FROM_M
+            is_far = np.hypot(user.box.center_m[0] - centre_x, user.box.center_m[1]) > from_m + 1.0
             most = {"vehicle": 1600, "pedestrian": 400, "cyclist": 600}[user.road_user] if is_far else 5000
             assert len(user.mesh.triangle) <= most, user
         assert len(scene.environment.triangle) <= 70_000

@@ -12,14 +12,14 @@ from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.houses import SceneryBuilder
 from warpav.scene.town.motion import RoadUser, velocities_m_s
 from warpav.scene.town.people import person_mesh
-from warpav.scene.town.placed_vehicle import DrawnVehicle, PlacedVehicle
+from warpav.scene.town.placed_vehicle import LONG_KINDS, DrawnVehicle, PlacedVehicle
 from warpav.scene.town.street_life import Crowd, Footprint, Occupied, Person, upright_box
 from warpav.scene.town.town import drawn_sky, ego_vehicle
 from warpav.scene.town.town_layout import Layout, Slot
 from warpav.scene.town.visibility import Sight
 
-COARSE_FROM_M = 28.0
-"""Road users farther from the ego vehicle have coarse meshes."""
+COARSE_FROM_M, LONG_COARSE_FROM_M = 28.0, 60.0
+"""Road users farther from the ego vehicle have coarse meshes, the second those of lorries and buses [m]."""
 _PERSON_M = 0.45  # room that is looked for before a person is drawn
 _SHADOW_LAYERS = 10
 _FAR_SHADOW_SEGMENTS = 10
@@ -91,7 +91,8 @@ class LevelWorld:
         if not self._occupied.is_free(footprint, gap_m):
             return None
         self._occupied.add(footprint)
-        mesh = drawn.mesh(coarse=self._is_far(footprint))
+        coarse_from_m = LONG_COARSE_FROM_M if drawn.kind in LONG_KINDS else COARSE_FROM_M
+        mesh = drawn.mesh(coarse=self._is_far(footprint, coarse_from_m))
         vehicle = PlacedVehicle(
             drawn.kind, drawn.variant, mesh, drawn.size_m, footprint, lane_yaw_rad, free_m_s
         )  # fmt: skip
@@ -174,5 +175,5 @@ class LevelWorld:
                 width = place.width_m - 0.25  # without mirrors
                 self._scenery.add_contact_shadow(centre, place.yaw_rad, place.length_m, width, layer, **segments)
 
-    def _is_far(self, footprint: Footprint) -> bool:
-        return bool(np.hypot(footprint.x_m - self._centre_m[0], footprint.y_m - self._centre_m[1]) > COARSE_FROM_M)
+    def _is_far(self, footprint: Footprint, from_m: float = COARSE_FROM_M) -> bool:
+        return bool(np.hypot(footprint.x_m - self._centre_m[0], footprint.y_m - self._centre_m[1]) > from_m)

@@ -45,7 +45,7 @@ _FAST = ((32.0, 40.0), {"hatchback": 0.18, "saloon": 0.34, "estate": 0.26, "suv"
 _MIDDLE = ((27.0, 34.0), {"hatchback": 0.26, "saloon": 0.2, "estate": 0.2, "suv": 0.2, "van": 0.14})
 _SLOW = (
     (23.0, 27.0),
-    {"hatchback": 0.13, "saloon": 0.06, "estate": 0.07, "suv": 0.08, "van": 0.16, "lorry": 0.44, "bus": 0.06},
+    {"hatchback": 0.19, "saloon": 0.10, "estate": 0.10, "suv": 0.10, "van": 0.16, "lorry": 0.30, "bus": 0.05},
 )
 _HEADWAY_S = 1.4  # the smallest gap is what the slowest of a lane drives in this time
 _ADDED_GAP_M = (12.0, 45.0)  # of a busy and of a free motorway, on average
