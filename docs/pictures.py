@@ -122,7 +122,7 @@ def draw_town_levels(folder: Path) -> None:
         x_m = float(scene.ego.bounds_m()[:, 0].mean())
         model = wa.CameraModel(420, 270, math.radians(90.0))
         cameras = [
-            wa.Camera(f"yaw {yaw_deg}", np.array([x_m, 0.0, 1.8]), math.radians(yaw_deg), 0.0, 0.0, model)
+            wa.Camera(f"yaw_{yaw_deg}", np.array([x_m, 0.0, 1.8]), math.radians(yaw_deg), 0.0, 0.0, model)
             for yaw_deg in (0, 90, 180)
         ]
         above = wa.CameraModel(270, 270, math.radians(60.0))
