@@ -160,7 +160,7 @@ class LevelWorld:
         eyes = [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (0.6, 1.2)]
         eyes += [(middle[0], y, 1.2) for y in (low[1], high[1])]
         eyes += [(x, middle[1], 1.8) for x in (low[0], middle[0], high[0])]
-        return np.max([sight.shares(np.array(eye), _SAMPLES) for eye in eyes], axis=0) > 0.0
+        return sight.seen_from_any(np.array(eyes), _SAMPLES)
 
     def _add_shadows(self, users: Sequence[PlacedVehicle | Person]) -> None:
         for index, one in enumerate((self._ego_footprint, *users)):
