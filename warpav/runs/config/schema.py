@@ -42,7 +42,7 @@ from warpav.runs.config.file_options import existing_file, read_path
 from warpav.runs.config.rig_options import LATER_BASELINE_OPTIONS, LATER_RIG_OPTIONS, NAMED_STARTS, RigConfig
 from warpav.runs.config.shipped import shipped_values
 from warpav.scene.scene import ROAD_USERS, road_user_of
-from warpav.scene.town.levels import Level
+from warpav.scene.town.levels import LEVELS, Level
 from warpav.scene.vehicles import vehicle_file, vehicle_names
 
 LATER_OPTIONS = {
@@ -178,7 +178,7 @@ class SceneConfig(Section):
         description="town builds the embedded street scenes; captured takes images of them and makes meshes of these; "
         "folder reads scene_<seed>.glb files",
     )
-    level: Level | None = Field(
+    level: Annotated[Level | None, Expectation(f"{', '.join(LEVELS)} or null")] = Field(
         default=None,
         description="of the embedded street scenes: easy, where everything is near and can be seen from the roof; "
         "urban, as long and busy as real streets; dense, full of people and of what hides them; motorway, fast and "
