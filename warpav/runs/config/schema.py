@@ -178,7 +178,7 @@ class SceneConfig(Section):
         description="town builds the embedded street scenes; captured takes images of them and makes meshes of these; "
         "folder reads scene_<seed>.glb files",
     )
-    level: Annotated[Level | None, Expectation(f"{', '.join(LEVELS)} or null")] = Field(
+    level: Annotated[Level | None, Expectation(", ".join(LEVELS))] = Field(
         default=None,
         description="of the embedded street scenes: easy, where everything is near and can be seen from the roof; "
         "urban, as long and busy as real streets; dense, full of people and of what hides them; motorway, fast and "
