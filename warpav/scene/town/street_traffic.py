@@ -25,6 +25,7 @@ _STEP_OUT_GAP_M = 0.75  # between parked cars, for somebody to step out
 _CHILD_M = (1.0, 1.2)
 _TRIES = 10
 _CORNER_M = 3.0
+_KERB_CLEAR_M = 0.5  # people on the road step no nearer to the kerb
 _GRADE_SHARE, _GRADE = 0.4, (0.02, 0.06)
 
 _KINDS = {"hatchback": 0.25, "saloon": 0.18, "estate": 0.14, "suv": 0.18, "van": 0.12, "lorry": 0.07, "bus": 0.06}
@@ -224,7 +225,8 @@ class _Life:
     def _pavement_share(self, place_m: np.ndarray) -> float | None:
         """How far from kerb to houses, 0..1; -1 on the road, None in a house or on a kerb."""
         for x_low, y_low, x_high, y_high in self._plan.layout.asphalt_m:
-            if x_low <= place_m[0] <= x_high and y_low + 0.35 <= place_m[1] <= y_high - 0.35:
+            inset_m = min(place_m[0] - x_low, x_high - place_m[0], place_m[1] - y_low, y_high - place_m[1])
+            if inset_m >= _KERB_CLEAR_M:
                 return -1.0
         for block in self._plan.layout.blocks:
             x_low, y_low, x_high, y_high = block.rectangle_m
