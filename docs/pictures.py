@@ -111,6 +111,30 @@ def draw_series_car(folder: Path) -> None:
     _warpav("rig", "requirements", str(rig), "--image", str(PICTURES / "series_car.png"))
 
 
+def draw_town_levels(folder: Path) -> None:
+    """town_levels.jpg: the levels of the town, one a row: ahead, to the left, behind, and from above."""
+    import warpav as wa
+    from warpav.detection.images import render_images
+
+    rows = []
+    for level, seed, height_m in (("easy", 3, 60.0), ("urban", 3, 120.0), ("dense", 1, 120.0), ("motorway", 6, 170.0)):
+        [scene] = wa.town([seed], level=level)
+        x_m = float(scene.ego.bounds_m()[:, 0].mean())
+        model = wa.CameraModel(420, 270, math.radians(90.0))
+        cameras = [
+            wa.Camera(f"yaw_{yaw_deg}", np.array([x_m, 0.0, 1.8]), math.radians(yaw_deg), 0.0, 0.0, model)
+            for yaw_deg in (0, 90, 180)
+        ]
+        above = wa.CameraModel(270, 270, math.radians(60.0))
+        cameras.append(wa.Camera("above", np.array([x_m, 0.0, height_m]), 0.0, math.radians(89.9), 0.0, above))
+        images = [image.rgb for image in render_images(scene, cameras, supersampling=3)]
+        gap = np.full((270, 6, 3), 255, np.uint8)
+        rows += [np.concatenate([images[0], gap, images[1], gap, images[2], gap, images[3]], axis=1)]
+        rows += [np.full((6, rows[-1].shape[1], 3), 255, np.uint8)]
+    image = Image.fromarray(np.concatenate(rows[:-1]))
+    image.save(PICTURES / "town_levels.jpg", quality=88, optimize=True)
+
+
 def draw_stages(folder: Path) -> None:
     """stages.jpg: from images to triangle meshes."""
     _warpav("scenes", "figure", "5", "--seed", "3", "--out", str(folder / "stages.png"))
@@ -247,6 +271,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "gain.png": draw_gain,
     "requirements.png": draw_requirements,
     "series_car.png": draw_series_car,
+    "town_levels.jpg": draw_town_levels,
     "stages.jpg": draw_stages,
     "gradient.png": draw_gradient,
 }

@@ -10,6 +10,7 @@ import pytest
 
 from warpav.scene import cache as module
 from warpav.scene.cache import scene_file, town_scenes
+from warpav.scene.town.levels import level_scene
 from warpav.scene.town.town import town_scene
 
 SEEDS = (3, 1000, 12)
@@ -41,11 +42,11 @@ def unbuilt(monkeypatch):
     """Seeds that were built in this process, which are none where all is read."""
     seeds = []
 
-    def build(seed):
+    def build(seed, level):
         seeds.append(seed)
-        return town_scene(seed)
+        return level_scene(seed, level)
 
-    monkeypatch.setattr(module, "town_scene", build)
+    monkeypatch.setattr(module, "level_scene", build)
     return seeds
 
 

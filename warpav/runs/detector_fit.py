@@ -501,7 +501,8 @@ def _sample_scenes(
 
     def packed_scenes() -> Iterator[tuple[DeviceScene, MountSurface]]:
         surface = None
-        for scene in load_scenes(config, seeds, ego=ego):
+        level_free = changed_config(config, ["scenes.level=null"], origin=None)
+        for scene in load_scenes(level_free, seeds, ego=ego):
             surface = surface or roof_surface(config, scene.ego)
             yield DeviceScene.pack(scene, device=device), surface
 

@@ -31,6 +31,7 @@ from warpav.scene.packed import SceneRecipe, StoredScene, stored_scenes
 from warpav.scene.reconstruction.settings import METHOD_PACKAGES, ReconstructionSettings
 from warpav.scene.scene import ROAD_USERS, Scene
 from warpav.scene.store import CaptureTask, SceneTask, capture_path, capture_scenes, make_scenes, scene_path
+from warpav.scene.town.levels import Level, level_scene
 from warpav.scene.vehicles import file_of
 
 if TYPE_CHECKING:
@@ -190,7 +191,7 @@ def scene_recipes(config: Config, seeds: Sequence[int], progress: Progress) -> l
         sources = list(progress.steps("captured scenes", _captured(config, seeds), count=len(seeds)))
     elif config.scenes.source != "town":
         sources = _files_of(config, seeds)
-    return [SceneRecipe(source, ego, targets) for source in sources]
+    return [SceneRecipe(source, ego, targets, level=config.scenes.level or "easy") for source in sources]
 
 
 def pack_scenes(scenes: Iterable[Scene], counts: tuple[int, int], config: Config, progress: Progress) -> SceneSet:
@@ -269,7 +270,7 @@ def load_scene(source: str, config: Config | None = None) -> Scene:
         InputError: It is neither.
     """
     ego = None if config is None else own_vehicle(config)
-    scene = _scene_of(source)
+    scene = _scene_of(source, "easy" if config is None else config.scenes.level or "easy")
     return scene if ego is None else scene.around(ego)
 
 
@@ -402,7 +403,7 @@ def _scenes_of(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
     from warpav.scene.glb import read_scene
 
     if config.scenes.source == "town":
-        yield from town_scenes(seeds)
+        yield from town_scenes(seeds, config.scenes.level or "easy")
         return
     if config.scenes.source == "captured":
         yield from map(read_scene, _captured(config, seeds))
@@ -437,12 +438,11 @@ def _captured(config: Config, seeds: Sequence[int]) -> Iterator[Path]:
         yield scene.file
 
 
-def _scene_of(source: str) -> Scene:
+def _scene_of(source: str, level: Level) -> Scene:
     from warpav.scene.glb import read_scene
-    from warpav.scene.town.town import town_scene
 
     if source.isdecimal() and not Path(source).exists():
-        return town_scene(int(source))
+        return level_scene(int(source), level)
     if not Path(source).is_file():
         raise InputError(f"{source}: scene: expected a GLB file or the seed of an embedded scene, got {source!r}")
     return read_scene(source)

@@ -9,7 +9,7 @@ from typing import Any
 
 from warpav.core.executor import ExecutorName, Outcome
 from warpav.core.files import check_folder
-from warpav.runs.config import Config
+from warpav.runs.config import Config, SceneConfig
 from warpav.runs.progress import RunDisplay
 from warpav.runs.scene_set import load_scene, plan_settings, reconstruction_settings
 from warpav.scene.store import (
@@ -22,18 +22,21 @@ from warpav.scene.store import (
     scene_path,
     split_seeds,
 )
+from warpav.scene.town.levels import Level
 
 _SPLIT_FROM = 6  # scenes that make training, validation and test scenes, and a batch of the training scenes
 
 
-def build_scenes(seeds: Sequence[int], out: Path, *, executor: ExecutorName, worker_count: int | None) -> int:
-    """Build embedded scenes as GLB files that are not there yet; returns the exit status.
+def build_scenes(
+    seeds: Sequence[int], out: Path, *, level: Level = "easy", executor: ExecutorName, worker_count: int | None
+) -> int:
+    """Build embedded scenes of a level as GLB files that are not there yet; returns the exit status.
 
     Raises:
         InputError: The folder cannot be written to.
     """
     check_folder(out, "out")
-    tasks = [SceneTask(seed, scene_path(out, seed)) for seed in seeds]
+    tasks = [SceneTask(seed, scene_path(out, seed), level=level) for seed in seeds]
     status = _show_outcomes(
         "building scenes",
         (
@@ -101,7 +104,7 @@ def reconstruct_scenes(
     return status
 
 
-def show_scene(source: str, out: Path | None) -> Iterator[str]:
+def show_scene(source: str, out: Path | None, level: Level | None = None) -> Iterator[str]:
     """Show a scene, in a window when there is a display, else in ``<scene>.png``; yields lines about it.
 
     Raises:
@@ -110,7 +113,7 @@ def show_scene(source: str, out: Path | None) -> Iterator[str]:
     from warpav.view import plot
     from warpav.view.opengl import has_display
 
-    scene = load_scene(source)
+    scene = load_scene(source, Config(scenes=SceneConfig(level=level)))
     meshes = [scene.surroundings(), scene.ego, *(vehicle.mesh for vehicle in scene.vehicles)]
     triangle_count = sum(len(mesh.triangle) for mesh in meshes)
     people = f", {len(scene.others)} people" if scene.others else ""

@@ -1,7 +1,7 @@
 """Scenes of the embedded town, kept in the user's cache folder: built once, several at a time, then read.
 
-A file is named after what it was made of: the seed, the code that makes scenes, and the versions of NumPy and Embree.
-So it never has to be checked for its age; a file that cannot be read is built again. The folder holds at most
+A file is named after what it was made of: seed, level, the code that makes scenes, and the versions of NumPy and
+Embree. So it never has to be checked for its age; a file that cannot be read is built again. The folder holds at most
 `CAPACITY_BYTES`; beyond that the scenes that were not used for the longest time go.
 """
 
@@ -23,12 +23,13 @@ from warpav.core.executor import available_cores, run_tasks
 from warpav.core.fingerprint import fingerprint
 from warpav.raster.mesh import Mesh
 from warpav.scene.scene import Box, Scene, Sky, Vehicle
-from warpav.scene.town.town import town_scene
+from warpav.scene.town.levels import Level, level_recipe, level_scene
 
 CAPACITY_BYTES = 512 * 2**20
 """What the cache holds at most: about 300 scenes of 1.8 MB."""
 _PARALLEL_MIN = 4  # fewer scenes are built sooner than processes start
 _FORMAT = 2
+_Task = tuple[int, Level, Path]
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 
@@ -38,78 +39,80 @@ def scene_cache_folder() -> Path:
 
 
 def town_scenes(
-    seeds: Sequence[int], *, folder: Path | None = None, worker_count: int | None = None
+    seeds: Sequence[int], level: Level = "easy", *, folder: Path | None = None, worker_count: int | None = None
 ) -> Iterator[Scene]:
     """The embedded scenes of ``seeds``, in this order: read where they were built before, built where not.
 
     Args:
-        seeds: As `warpav.scene.town.town.town_scene` takes them.
+        seeds: As `warpav.scene.town.levels.level_scene` takes them.
+        level: The same.
         folder: Where to keep them; None: `scene_cache_folder`. Nothing is kept where it cannot be written to.
         worker_count: Processes that build scenes; None: one for each core.
 
     Yields:
-        Scenes, array for array and bit for bit those of ``town_scene``.
+        Scenes, array for array and bit for bit those of ``level_scene``.
 
     Raises:
         ValueError: A seed is negative.
     """
     folder = folder or scene_cache_folder()
-    missing = [seed for seed in dict.fromkeys(seeds) if not scene_file(seed, folder).is_file()]
+    missing = [seed for seed in dict.fromkeys(seeds) if not scene_file(seed, folder, level).is_file()]
     worker_count = min(worker_count or available_cores(), len(missing))
     built: dict[int, Scene] = {}
     outcomes = iter(())
     if worker_count > 1 and len(missing) >= _PARALLEL_MIN:
-        tasks = [(seed, folder) for seed in missing]
+        tasks: list[_Task] = [(seed, level, folder) for seed in missing]
         outcomes = run_tasks(_build, tasks, executor="process", worker_count=worker_count)
     else:
         missing = []
     for seed in seeds:
         while seed in missing and seed not in built:
             outcome = next(outcomes)
-            number, _ = outcome.task
+            number, _, _ = outcome.task
             # one that failed fails again here, with its own error
             built[number] = _build(outcome.task) if outcome.result is None else outcome.result
-        yield built[seed] if seed in built else _read_or_build(seed, folder)
+        yield built[seed] if seed in built else _read_or_build(seed, level, folder)
     for _ in outcomes:
         pass
     remove_oldest(folder, "town_*.npz", capacity_bytes=CAPACITY_BYTES)
 
 
-def town_scene_once(seed: int) -> Scene:
-    """The embedded scene of a seed, read where it was built before, else built and not kept.
+def town_scene_once(seed: int, level: Level = "easy") -> Scene:
+    """The embedded scene of a seed and level, read where it was built before, else built and not kept.
 
     Raises:
         ValueError: The seed is negative.
     """
     try:
-        return _read(scene_file(seed, scene_cache_folder()))
+        return _read(scene_file(seed, scene_cache_folder(), level))
     except _UNREADABLE:
-        return town_scene(seed)
+        return level_scene(seed, level)
 
 
-def scene_file(seed: int, folder: Path) -> Path:
-    """The file that keeps the scene of a seed."""
-    made_of = fingerprint(_FORMAT, seed, version("numpy"), version("embreex"), code=("warpav.scene.town.town",))
+def scene_file(seed: int, folder: Path, level: Level = "easy") -> Path:
+    """The file that keeps the scene of a seed and level."""
+    chosen_by, code = level_recipe(seed, level)
+    made_of = fingerprint(_FORMAT, *chosen_by, version("numpy"), version("embreex"), code=code)
     return folder / f"town_{seed}_{made_of}.npz"
 
 
-def _read_or_build(seed: int, folder: Path) -> Scene:
-    file = scene_file(seed, folder)
+def _read_or_build(seed: int, level: Level, folder: Path) -> Scene:
+    file = scene_file(seed, folder, level)
     try:
         scene = _read(file)
         file.touch()
     except _UNREADABLE:
-        scene = _build((seed, folder))
+        scene = _build((seed, level, folder))
     return scene
 
 
-def _build(task: tuple[int, Path]) -> Scene:
-    """Build the scene of a seed, and keep it if the folder lets itself be written to."""
-    seed, folder = task
-    scene = town_scene(seed)
+def _build(task: _Task) -> Scene:
+    """Build the scene of a seed and level, and keep it if the folder lets itself be written to."""
+    seed, level, folder = task
+    scene = level_scene(seed, level)
     with contextlib.suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
-        _write(scene, scene_file(seed, folder))
+        _write(scene, scene_file(seed, folder, level))
     return scene
 
 

@@ -13,20 +13,24 @@ from warpav.scene.scene import Scene
 MAX_SEED = 2**31 - 1
 
 
-def town(seeds: Iterable[int]) -> list[Scene]:
+def town(seeds: Iterable[int], level: str = "easy") -> list[Scene]:
     """Embedded street scenes: a street with houses, parked and moving vehicles, people, around one ego vehicle.
 
     They are kept in the user's cache folder; those that are not there yet are built in several processes.
 
     Args:
-        seeds: Their numbers, 0 to 2^31 - 1; the same seed gives the same scene.
+        seeds: Their numbers, 0 to 2^31 - 1; the same seed and level give the same scene.
+        level: ``easy`` is a street in which everything is near and can be seen from the roof; ``urban`` is as long and
+            busy as real ones, ``dense`` full of people and of what hides them, ``motorway`` fast, wide and far.
 
     Raises:
-        InputError: There is none, or one is out of range.
+        InputError: There is none, one is out of range, or there is no such level.
         TypeError: One is no whole number.
     """
     from warpav.scene.cache import town_scenes
+    from warpav.scene.town.levels import checked_level
 
+    name = checked_level(level)
     numbers = [seeds] if isinstance(seeds, int) else list(seeds)
     for seed in numbers:
         if isinstance(seed, bool) or not hasattr(seed, "__index__"):
@@ -35,7 +39,7 @@ def town(seeds: Iterable[int]) -> list[Scene]:
             raise ArgumentError("seeds", f"expected 0 to {MAX_SEED}, got {seed}")
     if not numbers:
         raise ArgumentError("seeds", "expected at least one seed such as [0], got none")
-    return list(town_scenes([int(seed) for seed in numbers]))
+    return list(town_scenes([int(seed) for seed in numbers], name))
 
 
 def read_scenes(files: str | Path | Iterable[str | Path]) -> list[Scene]:

@@ -34,6 +34,7 @@ from warpav.scene.cache import town_scene_once
 from warpav.scene.device_scene import DeviceScene, boxes_of_arrays
 from warpav.scene.glb import read_scene
 from warpav.scene.scene import Scene
+from warpav.scene.town.levels import Level, level_recipe
 
 CAPACITY_BYTES = 4 * 2**30
 """What the cache holds at most: about 750 scenes of 5.5 MB. What a run uses stays until another run needs the room."""
@@ -60,12 +61,14 @@ class SceneRecipe:
         ego: The vehicle that takes the place of the scene's own; None: that stays.
         targets: Kinds of road users that are objects; the others are part of the environment.
         is_mirrored: Whether left and right are exchanged.
+        level: Of an embedded scene.
     """
 
     source: int | Path
     ego: Mesh | None = None
     targets: tuple[str, ...] = ("vehicle",)
     is_mirrored: bool = False
+    level: Level = "easy"
 
     def scene(self) -> tuple[Scene, int]:
         """The scene, and how many road users were left out because the vehicle stands in their places.
@@ -73,7 +76,8 @@ class SceneRecipe:
         Raises:
             InputError: The file cannot be read.
         """
-        scene = town_scene_once(self.source) if isinstance(self.source, int) else read_scene(self.source)
+        source = self.source
+        scene = town_scene_once(source, self.level) if isinstance(source, int) else read_scene(source)
         around = scene if self.ego is None else scene.around(self.ego)
         targeted = around.targeting(self.targets)
         left_out = len(scene.road_users) - len(around.road_users)
@@ -87,7 +91,8 @@ class SceneRecipe:
             OSError: The file of the source cannot be read.
         """
         if isinstance(self.source, int):
-            source, code = (self.source, version("numpy"), version("embreex")), ("warpav.scene.town.town",)
+            chosen_by, code = level_recipe(self.source, self.level)
+            source = (*chosen_by, version("numpy"), version("embreex"))
         else:
             source, code = (digest(self.source.read_bytes()), version("numpy")), ("warpav.scene.glb",)
         ego = self.ego and [array.tobytes() for array in (self.ego.vertex_m, self.ego.triangle, self.ego.vertex_rgb)]

@@ -23,6 +23,7 @@ from warpav.scene.capture.folder import DESCRIPTION, UNFINISHED, check_capture, 
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.capture.simulator import Simulator
 from warpav.scene.reconstruction.settings import ReconstructionSettings
+from warpav.scene.town.levels import Level, level_recipe
 
 SCHEMA = "warpav-collection/1"
 INDEX = "collection.json"
@@ -37,18 +38,21 @@ class SceneTask:
         file: The GLB file to write.
         capture: Folder of its capture; None: it is built directly.
         settings: How a capture becomes a scene.
+        level: Of the embedded town, for one that is built directly.
     """
 
     seed: int
     file: Path
     capture: Path | None = None
     settings: ReconstructionSettings | None = None
+    level: Level = "easy"
 
     @property
     def fingerprint(self) -> str:
         """Hash of all that the file depends on."""
         if self.capture is None:
-            return fingerprint("town", self.seed, code=("warpav.scene.town.town", "warpav.scene.glb"))
+            chosen_by, code = level_recipe(self.seed, self.level)
+            return fingerprint("town", *chosen_by, code=(*code, "warpav.scene.glb"))
         content = hashlib.sha256()
         for file in sorted(path for path in self.capture.rglob("*") if path.is_file()):
             content.update(file.relative_to(self.capture).as_posix().encode() + b"\0")
@@ -201,7 +205,7 @@ def _make_scene(task: SceneTask) -> bool:
     if task.capture is None:
         from warpav.scene.cache import town_scenes
 
-        (scene,) = town_scenes([task.seed])
+        (scene,) = town_scenes([task.seed], task.level)
     else:
         from warpav.scene.reconstruction.reconstruct import reconstruct
 

@@ -42,9 +42,11 @@ from warpav.runs.config.file_options import existing_file, read_path
 from warpav.runs.config.rig_options import LATER_BASELINE_OPTIONS, LATER_RIG_OPTIONS, NAMED_STARTS, RigConfig
 from warpav.runs.config.shipped import shipped_values
 from warpav.scene.scene import ROAD_USERS, road_user_of
+from warpav.scene.town.levels import LEVELS, Level
 from warpav.scene.vehicles import vehicle_file, vehicle_names
 
 LATER_OPTIONS = {
+    "scenes": ("level",),
     "rig": LATER_RIG_OPTIONS,
     "baselines": LATER_BASELINE_OPTIONS,
     "robust": LATER_ROBUST_OPTIONS,
@@ -176,6 +178,12 @@ class SceneConfig(Section):
         description="town builds the embedded street scenes; captured takes images of them and makes meshes of these; "
         "folder reads scene_<seed>.glb files",
     )
+    level: Annotated[Level | None, Expectation(", ".join(LEVELS))] = Field(
+        default=None,
+        description="of the embedded street scenes: easy, where everything is near and can be seen from the roof; "
+        "urban, as long and busy as real streets; dense, full of people and of what hides them; motorway, fast and "
+        "far; null: easy",
+    )
     train_seeds: Seeds = Field(default=tuple(range(60)), description="scenes that the optimiser sees")
     validation_seeds: Seeds | None = Field(
         default=None, description="scenes on which rigs of a run are compared; null: the training scenes"
@@ -229,6 +237,8 @@ class SceneConfig(Section):
                     "test_seeds",
                     name,
                 )
+        if self.level is not None and self.source != "town":
+            mistake(f"expected no level because scenes.source is {self.source}, got {self.level}", "level", "source")
         if self.source == "folder":
             if self.folder is None:
                 mistake("expected a folder of scenes because scenes.source is folder, got none", "folder", "source")

@@ -95,8 +95,7 @@ def _add_head(builder: SurfaceBuilder, centre: Point, *, helmet: bool) -> None:
         _add_ball(builder, (x - 0.027, y, z + 0.028), (0.096, 0.086, 0.108), Material.HAIR)
 
 
-def _pedestrian_surface(variant: int) -> Surface:
-    builder = SurfaceBuilder()
+def _pedestrian_surface(builder: SurfaceBuilder, variant: int) -> Surface:
     stands, coat = variant == 2, variant == 3
     mirror = -1.0 if variant in (1, 4) else 1.0  # which leg leads
     stride, hip_z = (0.02, 0.915) if stands else (0.27, 0.885)
@@ -157,8 +156,7 @@ def _add_bicycle(builder: SurfaceBuilder, bar: Point) -> None:
     builder.add_box((-0.60, -0.035, 0.66), (-0.56, 0.035, 0.72), Material.TAIL_LAMP)
 
 
-def _cyclist_surface(variant: int) -> Surface:
-    builder = SurfaceBuilder()
+def _cyclist_surface(builder: SurfaceBuilder, variant: int) -> Surface:
     upright = variant == 0
     bar = (0.33, 0.0, 1.05) if upright else (0.36, 0.0, 0.98)
     _add_bicycle(builder, bar)
@@ -182,9 +180,20 @@ def _cyclist_surface(variant: int) -> Surface:
     return builder.finish()
 
 
+class _CoarseBuilder(SurfaceBuilder):
+    """Tubes with about half of their sides, for people far away."""
+
+    def add_tube(
+        self, centre_m: np.ndarray, radius_m: np.ndarray, material: np.ndarray | int, *, sides: int, cap: float = 0.45
+    ) -> None:
+        """As `SurfaceBuilder.add_tube`."""
+        super().add_tube(centre_m, radius_m, material, sides=max(3, sides // 2 + 1), cap=cap)
+
+
 @cache
-def _baked(category: str, variant: int) -> tuple[Surface, np.ndarray]:
-    surface = _pedestrian_surface(variant) if category == "pedestrian" else _cyclist_surface(variant)
+def _baked(category: str, variant: int, coarse: bool) -> tuple[Surface, np.ndarray]:
+    builder = _CoarseBuilder() if coarse else SurfaceBuilder()
+    surface = (_pedestrian_surface if category == "pedestrian" else _cyclist_surface)(builder, variant)
     surface = replace(surface, vertex_m=surface.vertex_m - [0.0, 0.0, surface.vertex_m[:, 2].min()])
     return surface, sky_share(surface)
 
@@ -200,12 +209,16 @@ _LEGWEAR_COLOURS = np.array([(0.025, 0.026, 0.032), (0.045, 0.075, 0.16), (0.16,
 _HELMET_COLOURS = np.array([(0.75, 0.75, 0.75), (0.04, 0.04, 0.045), (0.55, 0.05, 0.04)])
 
 
-def person_mesh(category: str, rng: np.random.Generator) -> Mesh:
+def person_mesh(
+    category: str, rng: np.random.Generator, *, height_m: float | None = None, coarse: bool = False
+) -> Mesh:
     """A random person with the light baked in.
 
     Args:
         category: ``pedestrian`` or ``cyclist`` (with the bicycle).
         rng: Draws pose, clothes and size; one pedestrian in seven is a child.
+        height_m: How tall, instead of the drawn size [m].
+        coarse: With about half of the triangles, for where the person is far away.
 
     Returns:
         Closed mesh in the person's frame.
@@ -216,7 +229,7 @@ def person_mesh(category: str, rng: np.random.Generator) -> Mesh:
     if category not in ("pedestrian", "cyclist"):
         raise ValueError(f"no person {category!r}; categories: pedestrian, cyclist")
     variant = int(rng.integers(PEDESTRIAN_VARIANTS if category == "pedestrian" else CYCLIST_VARIANTS))
-    surface, sky = _baked(category, variant)
+    surface, sky = _baked(category, variant, coarse)
 
     def drawn(colours: np.ndarray) -> np.ndarray:
         return colours[int(rng.integers(len(colours)))] * rng.uniform(0.85, 1.15)
@@ -236,5 +249,8 @@ def person_mesh(category: str, rng: np.random.Generator) -> Mesh:
         tall, wide = 0.72 * tall, 0.76 * wide
     if category == "cyclist":
         tall, wide = 0.97 + 0.4 * (tall - 1.0), 1.0
+    if height_m is not None:
+        tall = height_m / float(surface.vertex_m[:, 2].max())
+        wide = 1.06 * tall  # children are stouter
     mesh = painted_mesh(surface, sky, albedo)
     return Mesh((mesh.vertex_m * np.array([wide, wide, tall])).astype(np.float32), mesh.triangle, mesh.vertex_rgb)
