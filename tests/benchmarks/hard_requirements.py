@@ -36,7 +36,9 @@ def requirements_of(case: str) -> list[Requirement]:
     rear = read_requirements("r158_like")[0]
     if case == "surround":
         near = read_requirements("near_field")[0]
-        return [replace(near, weight=None, share=1.0, area=Band((0.5, 4.0)), grid_m=0.5, visible_share=0.4)]
+        return [
+            replace(near, weight=None, share=1.0, area=Band((0.0, 5.0)), grid_m=1.0, visible_share=0.9, pixels=300.0)
+        ]
     return [replace(rear, area=Strip("rear", (1.5, 3.5)), grid_m=0.3)]
 
 
@@ -68,7 +70,7 @@ def of_seed(seed: int, settings: argparse.Namespace) -> dict:
     surround = settings.case == "surround"
     config = load_config("surround" if surround else "quick", [f"run.seed={seed}", "requirements=null"])
     if surround:
-        config = load_config(config, ["camera.width_px=256"])
+        config = load_config(config, ["rig.modules={fisheye_1_3mp_190: 4}"])
     else:
         config = load_config(config, [f"rig.cameras={2 if settings.case == 'two' else 4}"])
     config = load_config(config, [f"scenes.train_seeds={first}..{first + settings.scenes - 1}"])

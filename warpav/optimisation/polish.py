@@ -24,9 +24,9 @@ from threadpoolctl import threadpool_limits
 
 from warpav.optimisation.camera_loss import SOFTNESS, RobustObjective
 from warpav.optimisation.constraints import Constraints
-from warpav.optimisation.hard_points import Edges, HardPoints
+from warpav.optimisation.hard_points import Edges, HardPoints, Margins
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.tangent_model import REACH, SUREST, Rendered, TangentModel
+from warpav.optimisation.tangent_model import REACH, SUREST, TANGENTS, Rendered, TangentModel
 
 Detected = tuple[np.ndarray, np.ndarray]
 """The probability that each camera detects each object [camera, object], and its Jacobian [camera, object, 7]."""
@@ -155,13 +155,14 @@ def polish(
         step_count = min(step_count, (camera_renders_max - renders) // (moving * scene_count))
     best = here = Rendered(pose, probability, jacobian, objective, margins)
     rendered = [here]
+    refused: list[tuple[np.ndarray, Margins]] = []
     for length in _radii(radius, step_count):
         model = TangentModel(
             here, shares, earlier=rendered, reach=REACH * length * step_unit(mount), rig_value=rig_value
         )
         edges = None
         if hard_points is not None and here.margins is not None:
-            edges = hard_points.edges(here.margins, problem.reach(length))
+            edges = hard_points.edges(here.mount_pose, here.margins, problem.reach(length), refused)
         tried = problem.feasible(problem.minimised(model, here.mount_pose, length, edges))
         promised = model.value(tried.astype(np.float64) - here.mount_pose)
         if promised > model.value(np.zeros_like(here.jacobian[:, 0])) - tolerance * here.objective:
@@ -178,6 +179,8 @@ def polish(
         rendered.append(here)
         tried_objective = here.objective
         if is_allowed is not None and not is_allowed(here.probability):
+            if here.margins is not None:
+                refused = [*refused, (here.mount_pose, here.margins)][-TANGENTS:]
             here = best
         elif here.objective < best.objective:
             best = here
@@ -273,7 +276,7 @@ class _Problem:
         }
         constraints = [slack]
         if edges is not None and len(edges.camera):
-            slope, spare = edges.by_rig(len(pose))[:, self.is_free] * unit, edges.value - edges.low
+            slope, spare = edges.slope(len(pose))[:, self.is_free] * unit, edges.spare
             constraints.append({"type": "ineq", "fun": lambda scaled: spare + slope @ scaled, "jac": lambda _: slope})
         found = minimize(
             objective,
