@@ -32,7 +32,7 @@ ARMS = ("rejection", "inequalities")
 
 
 def requirements_of(case: str) -> list[Requirement]:
-    """What has to be seen: like R158 behind a car, or all round one with the cameras of a series car."""
+    """What has to be seen: like R158 behind a car, or with `surround`, its four fisheyes in pairs, all round one."""
     rear = read_requirements("r158_like")[0]
     if case == "surround":
         near = read_requirements("near_field")[0]
@@ -76,6 +76,7 @@ def of_seed(seed: int, settings: argparse.Namespace) -> dict:
     config = load_config(config, [f"scenes.train_seeds={first}..{first + settings.scenes - 1}"])
     placement = wa.Placement.from_config(config)
     cameras = single_cameras_of(placement.objective)
+    assert cameras is not None
     scenes = [each.scene for each in placement.search_scenes]
     ghosts = GhostScene(requirements_of(settings.case), placement.ego)
     limits = placement.limits

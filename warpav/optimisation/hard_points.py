@@ -2,9 +2,9 @@
 
 A camera's margin at a point is what it sees over what is asked of it, so it meets the point from 1 on. A point that so
 many cameras have to meet stays met while its so many best margins stay at 1 or above. Each of these that a step could
-take below 1 becomes an inequality ``margin + jacobian . move >= 1``, by its tangent at the rig and by those at rigs that
-were refused: where an object that is seen whole begins to leave the image the margin has a kink, of which only the far
-side has a slope. They are tangents, so whether a rig meets a point is still for the render of that rig to say.
+take below 1 becomes an inequality ``margin + jacobian . move >= 1``, by its tangent at the rig and by those at rigs
+that were refused: where an object that is seen whole begins to leave the image the margin has a kink, of which only the
+far side has a slope. They are tangents, so whether a rig meets a point is still for the render of that rig to say.
 """
 
 from __future__ import annotations

@@ -1,0 +1,147 @@
+"""Hard points as inequalities of a polish: margins, their Jacobian, and steps along the edge instead of across it."""
+
+import numpy as np
+import pytest
+
+from tests.optimisation.test_ghost_scene import scene
+from tests.optimisation.test_modules import columns, symmetric_cameras, symmetric_mount
+from tests.optimisation.test_polish import zone_of
+from tests.optimisation.test_pool import cameras_of, poses_of
+from tests.optimisation.test_pool import mount_of as roof_mount
+from tests.optimisation.test_zones import MODEL, mount_of, spread
+from warpav.optimisation.ghost_scene import NEAR_EDGE, GhostScene
+from warpav.optimisation.hard_points import KEPT_BACK, HardPoints
+from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
+from warpav.optimisation.polish import polish
+from warpav.optimisation.requirement_margins import camera_margins, hard_points
+from warpav.requirements import visibility
+
+
+def test_margins_reach_one_where_points_are_met():
+    cameras, pose = cameras_of(mount=mount_of()), spread()[:40]
+    margin, _ = camera_margins(cameras, scene(pixels=60.0), pose)
+    is_met = GhostScene.meets(cameras.detection_probability(pose, scene(pixels=60.0)))
+    np.testing.assert_array_equal(margin >= 1.0, is_met)
+    assert 0.0 < is_met.mean() < 1.0
+    assert hard_points(cameras, scene(weight=0.5)) is None
+
+
+def test_a_pair_has_the_greater_margin_of_its_two_cameras():
+    mount, cameras = symmetric_mount(), symmetric_cameras()
+    pose = columns()[mount.is_pair(columns())][:6]
+    margin, jacobian = camera_margins(cameras, scene(), pose)
+    is_met = GhostScene.meets(cameras.detection_probability(pose, scene()))
+    np.testing.assert_array_equal(margin >= 1.0, is_met)
+    alone, slope = camera_margins(cameras.sides[0], scene(), pose)
+    is_image = margin > alone
+    assert is_image.any()
+    np.testing.assert_array_equal(margin[~is_image], alone[~is_image])
+    np.testing.assert_array_equal(jacobian[~is_image], slope[~is_image])
+
+
+@pytest.mark.parametrize(("share", "pixels"), [(0.3, 0.0), (0.01, 3000.0)])
+def test_the_jacobian_of_margins_agrees_with_differences(share, pixels):
+    cameras = cameras_of(mount=mount_of(model=MODEL.resized(640, 640)))  # as wide as they are drawn: less rough
+    pose, ghosts = spread()[:12].astype(np.float64), scene(share=share, pixels=pixels)
+    margin, jacobian = camera_margins(cameras, ghosts, pose)
+    size = 0.01
+    for column in (X_M, Y_M, HEIGHT_DELTA_M, YAW_RAD, PITCH_RAD, ROLL_RAD):
+        ends = [camera_margins(cameras, ghosts, pose + side * size * np.eye(7)[column])[0] for side in (0.0, 1.0, -1.0)]
+        slope = (ends[1] - ends[2]) / (2.0 * size)
+        is_met = (margin > 1.0) & (np.max(ends, axis=0) < NEAR_EDGE) & jacobian.any(axis=2)
+        bend = np.abs(ends[1] + ends[2] - 2.0 * ends[0])
+        is_met &= bend < 0.2 * np.abs(ends[1] - ends[2]) + 0.01  # a kink has no slope
+        one, other = slope[is_met], jacobian[..., column][is_met]
+        assert is_met.sum() > 10, column
+        cosine = one @ other / (np.linalg.norm(one) * np.linalg.norm(other))
+        assert cosine > 0.97, (column, cosine)
+        assert np.linalg.norm(other) == pytest.approx(np.linalg.norm(one), rel=0.1)
+
+
+def test_margins_share_the_renders_of_probabilities(monkeypatch):
+    cameras, pose, ghosts = cameras_of(mount=mount_of()), spread()[40:44], scene()
+    calls = []
+    frames = visibility._frames
+    monkeypatch.setattr(visibility, "_frames", lambda *args: (calls.append(1), frames(*args))[1])
+    cameras.with_jacobian(pose, [ghosts])
+    count = len(calls)
+    assert count > 0
+    camera_margins(cameras, ghosts, pose)
+    assert len(calls) == count
+
+
+def test_only_the_best_cameras_that_could_lose_a_point_are_held():
+    margin = np.array([[1.2, 2.5, 0.0], [1.1, 1.5, 0.8], [2.0, 1.3, 0.3]])
+    jacobian = np.zeros((3, 3, 7))
+    jacobian[..., X_M] = 1.0
+    points = HardPoints(lambda pose: (margin, jacobian), np.array([2, 1, 1]))
+    edges = points.edges(np.zeros((3, 7)), (margin, jacobian), np.full((3, 7), 0.3))
+    # the best two of point 0, of which the other is out of reach; of point 1 likewise; point 2 is not met
+    assert list(zip(edges.camera.tolist(), edges.margin.tolist(), strict=True)) == [(0, 1.2), (1, 0.8)]
+    np.testing.assert_allclose(edges.spare, [0.2 - KEPT_BACK, 0.0])
+
+
+def polished(margin_of, *, knows):
+    """One camera, one object: ever surer the further it turns left, and a little the further left it stands.
+
+    Args:
+        margin_of: Margin of the one hard point and its slope, by y and yaw.
+        knows: Whether the polish has the inequality.
+    """
+    mount = roof_mount(free=None)
+    start = poses_of(1, mount)
+    start[:, :3] = 0.0, -0.3, 0.0
+    tried = []
+
+    def detect(pose):
+        y_m, yaw = (float(each) for each in pose[0, [Y_M, YAW_RAD]])
+        tried.append((y_m, yaw))
+        jacobian = np.zeros((1, 1, 7))
+        jacobian[0, 0, [Y_M, YAW_RAD]] = 0.05, 0.4
+        return np.array([[0.4 + 0.05 * y_m + 0.4 * yaw]]), jacobian
+
+    def margins(pose):
+        value, *slope = margin_of(*(float(each) for each in pose[0, [Y_M, YAW_RAD]]))
+        jacobian = np.zeros((1, 1, 7))
+        jacobian[0, 0, [Y_M, YAW_RAD]] = slope
+        return np.array([[value]]), jacobian
+
+    steps = list(
+        polish(
+            start,
+            detect,
+            mount=mount,
+            constraints=zone_of(mount, 1),
+            scene_count=1,
+            is_allowed=lambda probability: margin_of(*tried[-1])[0] >= 1.0,
+            hard_points=HardPoints(margins, np.array([1])) if knows else None,
+        )
+    )
+    y_m, yaw = (float(each) for each in steps[-1].mount_pose[0, [Y_M, YAW_RAD]])
+    assert margin_of(y_m, yaw)[0] >= 1.0
+    return y_m, yaw, len(steps)
+
+
+def test_where_rejection_stalls_the_inequality_slides_along_the_edge():
+    def margin_of(y_m, yaw):
+        """At the edge from the start; curved, so that tangents lie beyond it."""
+        return 1.06 + (y_m + 0.3) - 2.0 * yaw - 3.0 * yaw**2, 1.0, -2.0 - 6.0 * yaw
+
+    *stalled, _ = polished(margin_of, knows=False)
+    y_m, yaw, _ = polished(margin_of, knows=True)
+    assert stalled[0] < -0.25
+    assert stalled[1] < 0.05
+    assert y_m > 0.3
+    assert yaw > 0.2
+
+
+def test_a_kink_is_known_from_rigs_that_were_refused():
+    def margin_of(y_m, yaw):
+        """An object that is seen whole, without a slope, until it begins to leave the image."""
+        left = yaw - 0.1 - 0.3 * (y_m + 0.3)
+        return (2.0, 0.0, 0.0) if left < 0.0 else (max(2.0 - 10.0 * left, 0.1), 3.0, -10.0)
+
+    *stalled, _ = polished(margin_of, knows=False)
+    y_m, yaw, _ = polished(margin_of, knows=True)
+    assert yaw > stalled[1] + 0.05
+    assert y_m > stalled[0]
