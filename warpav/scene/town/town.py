@@ -192,7 +192,7 @@ def _try_world(seed: int, attempt: int) -> TownWorld | None:
     environment = merge([scenery.finish(), *furnishing.meshes]).transformed(np.eye(3), -origin)
     name, source = f"town_{seed:04d}", f"town seed {seed}"
     return TownWorld(
-        Scene(name, environment, ego, users[: len(vehicles)], _sky(rng), source, users[len(vehicles) :]),
+        Scene(name, environment, ego, users[: len(vehicles)], town_sky(rng), source, users[len(vehicles) :]),
         ego_glass(),
         tuple(vehicle_glass(one.kind, one.variant) for one in placed),
     )
@@ -285,7 +285,8 @@ def _park(slot: Slot, rng: np.random.Generator) -> _Placed | None:
     return _Placed(kind, variant, mesh, size, footprint, None if slot.parked else slot.yaw_rad)
 
 
-def _sky(rng: np.random.Generator) -> Sky:
+def town_sky(rng: np.random.Generator) -> Sky:
+    """A random sky: from bright to overcast."""
     horizon = rng.uniform(0.80, 0.92) * np.array([0.97, 0.99, 1.0])
     zenith = rng.uniform(0.50, 0.72) * np.array([0.72, 0.92, 1.22])
     return Sky(*(np.round(255.0 * np.minimum(colour, 1.0)).astype(np.uint8) for colour in (horizon, zenith)))

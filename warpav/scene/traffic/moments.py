@@ -22,8 +22,8 @@ SPACING_S = 1.0
 """Time between two moments of a recording, at least."""
 OVERLAP_MAX_M = 0.3
 """Boxes of a moment may overlap so far: drones and cameras err."""
-SIZE_TOLERANCE = (0.2, 0.15)
-"""How far length and width of a road user may be from those of the ego vehicle that replaces it, relative to them."""
+LENGTH_RATIO, WIDTH_RATIO = (0.6, 1.2), (0.8, 1.15)
+"""Length and width of the ego vehicle over those of the road user that it replaces: what is shorter fits as well."""
 
 _COMPANY_M, _COMPANY_MIN = 60.0, 2  # other road users near the ego vehicle, one of them no pedestrian
 _MIRRORS_M = 0.22  # by which mirrors make a vehicle wider than its box
@@ -121,28 +121,28 @@ def _candidates(file: Path, content: str, length_m: float, width_m: float) -> tu
     spacing = max(1, int(np.ceil(SPACING_S / recording.step_s - 1e-9)))
     found: list[tuple[int, str]] = []
     deepest: tuple[float, tuple[str, str], int] = (0.0, ("", ""), 0)
-    met = sized = False
+    is_clear = is_sized = False
     for step in range(0, recording.last_step + 1, spacing):
         states = recording.states_at(step)
         depth, pair = deepest_overlap(states)
         if depth > OVERLAP_MAX_M:
             deepest = max(deepest, (depth, pair, step))
             continue
+        is_clear = True
         for state in states:
             if not _may_be_ego(recording, state, length_m, width_m):
                 continue
-            sized = True
+            is_sized = True
             if _has_company(state, states):
-                met = True
                 found.append((step, state.user.user_id))
-    if met:
+    if found:
         return found, ""
-    if sized:
+    if is_sized:
         reason = (
             f"expected moments with at least {_COMPANY_MIN} road users within {_COMPANY_M:g} m of one that can be the "
             "ego vehicle, got none: they are empty"
         )
-    elif deepest[0] > 0.0:
+    elif not is_clear:
         depth, pair, step = deepest
         reason = (
             f"expected boxes that overlap by at most {OVERLAP_MAX_M:g} m, got road users {pair[0]} and {pair[1]}, "
@@ -165,9 +165,9 @@ def _may_be_ego(recording: Recording, state: RecordedState, length_m: float, wid
         return user.user_id == recording.ego_id
     if user.category not in ("car", "truck", "bus"):
         return False
-    long, wide = SIZE_TOLERANCE
-    is_as_wide = min(abs(width - user.size_m[1]) for width in (width_m, width_m - _MIRRORS_M)) <= wide * user.size_m[1]
-    return abs(length_m - user.size_m[0]) <= long * user.size_m[0] and is_as_wide
+    long, wide = length_m / user.size_m[0], width_m / user.size_m[1]
+    without_mirrors = (width_m - _MIRRORS_M) / user.size_m[1]
+    return LENGTH_RATIO[0] <= long <= LENGTH_RATIO[1] and WIDTH_RATIO[0] <= wide and without_mirrors <= WIDTH_RATIO[1]
 
 
 def _has_company(ego: RecordedState, states: Sequence[RecordedState]) -> bool:
