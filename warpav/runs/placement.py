@@ -769,6 +769,8 @@ def _scene_options(train: Sequence[Scene], validation: Sequence[Scene], base: Co
     return {
         **options,
         "scenes.source": "town",
+        "scenes.recordings": None,
+        "scenes.test_recordings": None,
         "scenes.train_seeds": list(dict.fromkeys(seeds[0])),
         "scenes.validation_seeds": list(dict.fromkeys(seeds[1])) or None,
         "scenes.test_seeds": test,

@@ -31,6 +31,9 @@ from warpav.scene.packed import SceneRecipe, StoredScene, stored_scenes
 from warpav.scene.reconstruction.settings import METHOD_PACKAGES, ReconstructionSettings
 from warpav.scene.scene import ROAD_USERS, Scene
 from warpav.scene.store import CaptureTask, SceneTask, capture_path, capture_scenes, make_scenes, scene_path
+from warpav.scene.town.town import ego_vehicle
+from warpav.scene.traffic.moments import moment_of, traffic_of
+from warpav.scene.traffic.traffic_scene import TrafficSource
 from warpav.scene.vehicles import file_of
 
 if TYPE_CHECKING:
@@ -185,9 +188,11 @@ def scene_recipes(config: Config, seeds: Sequence[int], progress: Progress) -> l
         InputError: A file is missing or cannot be used.
     """
     ego, targets = own_vehicle(config), tuple(config.scenes.targets)
-    sources: Sequence[int | Path] = seeds
+    sources: Sequence[int | Path | TrafficSource] = seeds
     if config.scenes.source == "captured":
         sources = list(progress.steps("captured scenes", _captured(config, seeds), count=len(seeds)))
+    elif config.scenes.source == "traffic":
+        sources = _moments(config, seeds, ego)
     elif config.scenes.source != "town":
         sources = _files_of(config, seeds)
     return [SceneRecipe(source, ego, targets) for source in sources]
@@ -250,6 +255,13 @@ def load_scenes(
         InputError: A file is missing or cannot be used.
     """
     ego = own_vehicle(config) if ego is None else ego
+    if config.scenes.source == "traffic":
+        for source in _moments(config, seeds, ego):
+            scene, left_out = source.scene_and_left_out(ego) if ego is not None else (next(town_scenes([source])), 0)
+            if left_out and say is not None:
+                say(_left_out_text(scene.name, left_out))
+            yield scene.targeting(config.scenes.targets)
+        return
     for scene in _scenes_of(config, seeds):
         around = scene if ego is None else scene.around(ego)
         left_out = len(scene.road_users) - len(around.road_users)
@@ -410,6 +422,17 @@ def _scenes_of(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
     yield from map(read_scene, _files_of(config, seeds))
 
 
+def _moments(config: Config, seeds: Sequence[int], ego: Mesh | None) -> list[TrafficSource]:
+    """Moments of recordings: seeds of the test take them from other recordings than those of the search."""
+    scenes = config.scenes
+    bounds_m = (ego_vehicle() if ego is None else ego).bounds_m()
+    traffic = traffic_of(scenes.recordings, scenes.test_recordings, bounds_m)
+    tested = set(scenes.test_seeds)
+    return [
+        TrafficSource(moment_of(traffic.test if seed in tested else traffic.search, seed), seed) for seed in seeds
+    ]
+
+
 def _files_of(config: Config, seeds: Sequence[int]) -> list[Path]:
     """The files of scenes in the configured folder."""
     assert config.scenes.folder is not None
@@ -450,7 +473,7 @@ def _scene_of(source: str) -> Scene:
 
 def _left_out_text(name: str, count: int) -> str:
     users = "1 road user" if count == 1 else f"{count} road users"
-    return f"{name}: {users} left out, where the vehicle of scenes.ego stands"
+    return f"{name}: {users} left out, where the ego vehicle stands"
 
 
 def _check_targets(targets: Sequence[str], scenes: Sequence[DeviceScene], progress: Progress) -> None:

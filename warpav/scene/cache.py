@@ -1,6 +1,7 @@
-"""Scenes of the embedded town, kept in the user's cache folder: built once, several at a time, then read.
+"""Scenes that are built, kept in the user's cache folder: built once, several at a time, then read.
 
-A file is named after what it was made of: the seed, the code that makes scenes, and the versions of NumPy and Embree.
+A file is named after what it was made of: the seed or the moment of a recording, the code that makes scenes, and the
+versions of NumPy and Embree.
 So it never has to be checked for its age; a file that cannot be read is built again. The folder holds at most
 `CAPACITY_BYTES`; beyond that the scenes that were not used for the longest time go.
 """
@@ -20,10 +21,11 @@ import platformdirs
 from warpav.core.atomic_write import atomic_write
 from warpav.core.cache_folder import remove_oldest
 from warpav.core.executor import available_cores, run_tasks
-from warpav.core.fingerprint import fingerprint
+from warpav.core.fingerprint import digest, fingerprint
 from warpav.raster.mesh import Mesh
 from warpav.scene.scene import Box, Scene, Sky, Vehicle
 from warpav.scene.town.town import town_scene
+from warpav.scene.traffic.traffic_scene import TrafficSource
 
 CAPACITY_BYTES = 512 * 2**20
 """What the cache holds at most: about 300 scenes of 1.8 MB."""
@@ -37,26 +39,31 @@ def scene_cache_folder() -> Path:
     return Path(platformdirs.user_cache_dir("warpav", appauthor=False)) / "scenes"
 
 
+Buildable = int | TrafficSource
+"""A seed, as `warpav.scene.town.town.town_scene` takes it, or a moment of a recording."""
+
+
 def town_scenes(
-    seeds: Sequence[int], *, folder: Path | None = None, worker_count: int | None = None
+    seeds: Sequence[Buildable], *, folder: Path | None = None, worker_count: int | None = None
 ) -> Iterator[Scene]:
-    """The embedded scenes of ``seeds``, in this order: read where they were built before, built where not.
+    """The scenes of ``seeds``, in this order: read where they were built before, built where not.
 
     Args:
-        seeds: As `warpav.scene.town.town.town_scene` takes them.
+        seeds: What to build.
         folder: Where to keep them; None: `scene_cache_folder`. Nothing is kept where it cannot be written to.
         worker_count: Processes that build scenes; None: one for each core.
 
     Yields:
-        Scenes, array for array and bit for bit those of ``town_scene``.
+        Scenes, array for array and bit for bit those of ``town_scene`` and ``TrafficSource.scene``.
 
     Raises:
         ValueError: A seed is negative.
+        InputError: A recording cannot be read.
     """
     folder = folder or scene_cache_folder()
     missing = [seed for seed in dict.fromkeys(seeds) if not scene_file(seed, folder).is_file()]
     worker_count = min(worker_count or available_cores(), len(missing))
-    built: dict[int, Scene] = {}
+    built: dict[Buildable, Scene] = {}
     outcomes = iter(())
     if worker_count > 1 and len(missing) >= _PARALLEL_MIN:
         tasks = [(seed, folder) for seed in missing]
@@ -72,7 +79,7 @@ def town_scenes(
         yield built[seed] if seed in built else _read_or_build(seed, folder)
     for _ in outcomes:
         pass
-    remove_oldest(folder, "town_*.npz", capacity_bytes=CAPACITY_BYTES)
+    remove_oldest(folder, "*.npz", capacity_bytes=CAPACITY_BYTES)
 
 
 def town_scene_once(seed: int) -> Scene:
@@ -87,13 +94,15 @@ def town_scene_once(seed: int) -> Scene:
         return town_scene(seed)
 
 
-def scene_file(seed: int, folder: Path) -> Path:
-    """The file that keeps the scene of a seed."""
+def scene_file(seed: Buildable, folder: Path) -> Path:
+    """The file that keeps a scene."""
+    if isinstance(seed, TrafficSource):
+        return folder / f"traffic_{digest(_FORMAT, seed.fingerprint, version('numpy'), version('embreex'))}.npz"
     made_of = fingerprint(_FORMAT, seed, version("numpy"), version("embreex"), code=("warpav.scene.town.town",))
     return folder / f"town_{seed}_{made_of}.npz"
 
 
-def _read_or_build(seed: int, folder: Path) -> Scene:
+def _read_or_build(seed: Buildable, folder: Path) -> Scene:
     file = scene_file(seed, folder)
     try:
         scene = _read(file)
@@ -103,10 +112,10 @@ def _read_or_build(seed: int, folder: Path) -> Scene:
     return scene
 
 
-def _build(task: tuple[int, Path]) -> Scene:
-    """Build the scene of a seed, and keep it if the folder lets itself be written to."""
+def _build(task: tuple[Buildable, Path]) -> Scene:
+    """Build a scene, and keep it if the folder lets itself be written to."""
     seed, folder = task
-    scene = town_scene(seed)
+    scene = town_scene(seed) if isinstance(seed, int) else seed.scene()
     with contextlib.suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
         _write(scene, scene_file(seed, folder))

@@ -34,6 +34,7 @@ from warpav.scene.cache import town_scene_once
 from warpav.scene.device_scene import DeviceScene, boxes_of_arrays
 from warpav.scene.glb import read_scene
 from warpav.scene.scene import Scene
+from warpav.scene.traffic.traffic_scene import TrafficSource
 
 CAPACITY_BYTES = 4 * 2**30
 """What the cache holds at most: about 750 scenes of 5.5 MB. What a run uses stays until another run needs the room."""
@@ -56,13 +57,13 @@ class SceneRecipe:
     """Which scene, and what is done to it before it is packed.
 
     Attributes:
-        source: Seed of an embedded scene, or a GLB file.
+        source: Seed of an embedded scene, moment of a recording, or a GLB file.
         ego: The vehicle that takes the place of the scene's own; None: that stays.
         targets: Kinds of road users that are objects; the others are part of the environment.
         is_mirrored: Whether left and right are exchanged.
     """
 
-    source: int | Path
+    source: int | Path | TrafficSource
     ego: Mesh | None = None
     targets: tuple[str, ...] = ("vehicle",)
     is_mirrored: bool = False
@@ -73,6 +74,10 @@ class SceneRecipe:
         Raises:
             InputError: The file cannot be read.
         """
+        if isinstance(self.source, TrafficSource):
+            scene, left_out = self.source.scene_and_left_out(self.ego)
+            targeted = scene.targeting(self.targets)
+            return targeted.mirrored() if self.is_mirrored else targeted, left_out
         scene = town_scene_once(self.source) if isinstance(self.source, int) else read_scene(self.source)
         around = scene if self.ego is None else scene.around(self.ego)
         targeted = around.targeting(self.targets)
@@ -86,7 +91,9 @@ class SceneRecipe:
         Raises:
             OSError: The file of the source cannot be read.
         """
-        if isinstance(self.source, int):
+        if isinstance(self.source, TrafficSource):
+            source, code = (self.source.fingerprint, version("numpy"), version("embreex")), ()
+        elif isinstance(self.source, int):
             source, code = (self.source, version("numpy"), version("embreex")), ("warpav.scene.town.town",)
         else:
             source, code = (digest(self.source.read_bytes()), version("numpy")), ("warpav.scene.glb",)

@@ -25,6 +25,9 @@ OVERLAP_MAX_M = 0.3
 LENGTH_RATIO, WIDTH_RATIO = (0.6, 1.2), (0.8, 1.15)
 """Length and width of the ego vehicle over those of the road user that it replaces: what is shorter fits as well."""
 
+MOVED_M = 1.0
+"""Way of a road user between two moments in which it is the ego vehicle: who waits counts once."""
+
 _COMPANY_M, _COMPANY_MIN = 60.0, 2  # other road users near the ego vehicle, one of them no pedestrian
 _MIRRORS_M = 0.22  # by which mirrors make a vehicle wider than its box
 _SEARCH_SHARE = 2.0 / 3.0
@@ -122,6 +125,7 @@ def _candidates(file: Path, content: str, length_m: float, width_m: float) -> tu
     found: list[tuple[int, str]] = []
     deepest: tuple[float, tuple[str, str], int] = (0.0, ("", ""), 0)
     is_clear = is_sized = False
+    last_m: dict[str, np.ndarray] = {}
     for step in range(0, recording.last_step + 1, spacing):
         states = recording.states_at(step)
         depth, pair = deepest_overlap(states)
@@ -133,7 +137,10 @@ def _candidates(file: Path, content: str, length_m: float, width_m: float) -> tu
             if not _may_be_ego(recording, state, length_m, width_m):
                 continue
             is_sized = True
-            if _has_company(state, states):
+            before_m = last_m.get(state.user.user_id)
+            has_moved = before_m is None or np.linalg.norm(state.centre_m - before_m) >= MOVED_M
+            if has_moved and _has_company(state, states):
+                last_m[state.user.user_id] = state.centre_m
                 found.append((step, state.user.user_id))
     if found:
         return found, ""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,11 +25,14 @@ from warpav.scene.town.houses import (
 )
 from warpav.scene.traffic.recording import Lanelet
 
+if TYPE_CHECKING:
+    from contourpy import ContourGenerator
+
 CELL_M = 0.1
 ROAD_REACH_M = 85.0
 """Roads end at this distance from the ego vehicle in x and y, in front of a house."""
 
-_LAND_M = 20.0  # around the roads
+_LAND_M = 26.0  # around the roads
 _CLOSED_GAP_M = 1.5  # between lanes
 _ISLAND_MIN_M2 = 6.0  # of land inside the road
 _SMOOTHING_M = 0.25
@@ -83,12 +87,10 @@ class Road:
 
     def contour_m(self, level_m: float) -> list[np.ndarray]:
         """Closed lines at a distance from the road, which lies to their right [m]; each [point, 2], first = last."""
-        import contourpy
         import cv2
 
-        lines = contourpy.contour_generator(z=self.field_m, line_type=contourpy.LineType.Separate).lines(level_m)
         found = []
-        for line in lines:
+        for line in self._contours.lines(level_m):
             closed = np.asarray(line, np.float32)
             slim = cv2.approxPolyDP(closed[:-1, None], _CONTOUR_ERROR_M / CELL_M, True)[:, 0].astype(np.float64)
             if len(slim) < 3:
@@ -100,6 +102,12 @@ class Road:
             is_right = self.distance_m(middle + 0.3 * left) > self.distance_m(middle - 0.3 * left)
             found.append(point_m if is_right else point_m[::-1])
         return found
+
+    @cached_property
+    def _contours(self) -> ContourGenerator:
+        import contourpy
+
+        return contourpy.contour_generator(z=self.field_m, line_type=contourpy.LineType.Separate)
 
     def _cells(self, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         cell = np.round((np.asarray(point_m) - self.low_m) / CELL_M).astype(np.int64)
@@ -335,8 +343,8 @@ def road_of(
 
 
 def pavement_width_m(rng: np.random.Generator) -> float:
-    """A random width of pavements [m]; with a house there is room for it around the roads."""
-    assert _LAND_M > _PAVEMENT_M[1] + HOUSE_DEPTH_M
+    """A random width of pavements [m]; with two rows of houses there is room for it around the roads."""
+    assert _LAND_M > _PAVEMENT_M[1] + 2.0 * HOUSE_DEPTH_M
     return float(rng.uniform(*_PAVEMENT_M))
 
 

@@ -20,6 +20,7 @@ from warpav.scene.traffic.road_users import body_mesh, drawn_kind
 
 _HOUSE_M = (8.0, 15.0)
 _HOUSE_STEP_M = 1.5  # along the kerb, where a house does not fit
+_BEHIND_M = 1.0  # between a house and the row behind it
 _INTO_PAVEMENT_M = 0.5  # by which a corner of a house may reach over the end of the pavement, in bends
 _YARD_SHARE = 0.16  # of the plots
 _BAY_M, _BAY_DEPTH_M, _BAY_COUNT = 2.9, 5.4, (2, 5)
@@ -65,18 +66,19 @@ class Roadside:
         self.furniture: list[Mesh] = []
 
     def build(self, builder: SceneryBuilder) -> None:
-        """Houses and yards behind the pavements, then furniture on these."""
-        for line in self._road.contour_m(self._road.pavement_m):
-            self._build_row(builder, line)
+        """Houses and yards behind the pavements, houses behind their gaps, then furniture on the pavements."""
+        for distance_m in (self._road.pavement_m, self._road.pavement_m + HOUSE_DEPTH_M + _BEHIND_M):
+            for line in self._road.contour_m(distance_m):
+                self._build_row(builder, line, distance_m)
         for line in self._road.contour_m(_KERB_CLEAR_M):
             self._furnish(line)
 
-    def _build_row(self, builder: SceneryBuilder, line_m: np.ndarray) -> None:
+    def _build_row(self, builder: SceneryBuilder, line_m: np.ndarray, distance_m: float) -> None:
         length = _length_m(line_m)
         at = 0.0
         while at < length - 1.0:
             width = float(self._rng.uniform(*_HOUSE_M))
-            is_yard = self._rng.random() < _YARD_SHARE
+            is_yard = self._rng.random() < _YARD_SHARE and distance_m <= self._road.pavement_m
             count = int(self._rng.integers(*_BAY_COUNT))
             for extent in (count * _BAY_M,) if is_yard else (width, 0.7 * _HOUSE_M[0]):
                 start, end = at_distances(line_m, np.array([at, min(at + extent, length)]))
@@ -85,7 +87,7 @@ class Roadside:
                     continue
                 along = (end - start) / chord
                 plot = _behind(start, along, chord, _BAY_DEPTH_M if is_yard else HOUSE_DEPTH_M)
-                if not self._is_free(plot, self._road.pavement_m - _INTO_PAVEMENT_M):
+                if not self._is_free(plot, distance_m - _INTO_PAVEMENT_M):
                     continue
                 self._taken.append(plot)
                 if is_yard:

@@ -48,6 +48,10 @@ class TrafficSource:
 
     def scene(self, ego: Mesh | None = None) -> Scene:
         """The scene; as of `traffic_scene`."""
+        return self.scene_and_left_out(ego)[0]
+
+    def scene_and_left_out(self, ego: Mesh | None = None) -> tuple[Scene, int]:
+        """The scene, and how many road users were left out because the ego vehicle stands in their places."""
         return traffic_scene(read_recording(self.moment.file), self.moment, self.seed, ego=ego)
 
     @property
@@ -71,8 +75,10 @@ class _Body:
     velocity_m_s: np.ndarray
 
 
-def traffic_scene(recording: Recording, moment: Moment, seed: int, *, ego: Mesh | None = None) -> Scene:
-    """The scene of a moment, in the ego frame.
+def traffic_scene(
+    recording: Recording, moment: Moment, seed: int, *, ego: Mesh | None = None
+) -> tuple[Scene, int]:
+    """The scene of a moment, in the ego frame, and how many road users are left out.
 
     Args:
         recording: The recording.
@@ -81,8 +87,8 @@ def traffic_scene(recording: Recording, moment: Moment, seed: int, *, ego: Mesh 
         ego: The vehicle that carries the cameras, in its frame; None: that of the embedded town.
 
     Returns:
-        Road users within `REACH_M`, but for those whose places the ego vehicle takes; velocities are relative to that
-        of the recorded ego vehicle.
+        Road users within `REACH_M`, but for those that the ego vehicle would stand in, which are counted; velocities
+        are relative to that of the recorded ego vehicle.
 
     Raises:
         ValueError: The ego vehicle is not there at this step, or the seed is negative.
@@ -123,7 +129,9 @@ def traffic_scene(recording: Recording, moment: Moment, seed: int, *, ego: Mesh 
     source = f"{recording.recording_id} step {moment.step} ego {moment.ego_id} seed {seed}"
     vehicles = tuple(user for user in users if user.road_user == "vehicle")
     others_ = tuple(user for user in users if user.road_user != "vehicle")
-    return Scene(name, environment, ego, vehicles, town_sky(rng), source, others_).around(ego)
+    scene = Scene(name, environment, ego, vehicles, town_sky(rng), source, others_)
+    around = scene.around(ego)
+    return around, len(users) - len(around.road_users)
 
 
 class _EgoFrame:
