@@ -32,7 +32,8 @@ from warpav.scene.reconstruction.settings import METHOD_PACKAGES, Reconstruction
 from warpav.scene.scene import ROAD_USERS, Scene
 from warpav.scene.store import CaptureTask, SceneTask, capture_path, capture_scenes, make_scenes, scene_path
 from warpav.scene.town.town import ego_vehicle
-from warpav.scene.traffic.moments import moment_of, traffic_of
+from warpav.scene.traffic.files import content_digest
+from warpav.scene.traffic.moments import moment_of, search_and_test, traffic_of
 from warpav.scene.traffic.traffic_scene import TrafficSource
 from warpav.scene.vehicles import file_of
 
@@ -361,6 +362,19 @@ def own_vehicle_digest(config: Config) -> str | None:
         return digest(file_of(path).read_bytes())
     except OSError as error:
         raise OptionError("scenes.ego", f"expected a readable mesh file, got {str(path)!r}: {error.strerror}") from None
+
+
+def recordings_digest(config: Config) -> str | None:
+    """Hash of the recorded traffic, those for the search and those for the test; None where there is none.
+
+    Raises:
+        InputError: One cannot be read.
+    """
+    scenes = config.scenes
+    if scenes.source != "traffic":
+        return None
+    parts = search_and_test(scenes.recordings, scenes.test_recordings)
+    return digest(*(tuple(content_digest(path) for path in part) for part in parts))
 
 
 def plan_settings(config: Config) -> PlanSettings:

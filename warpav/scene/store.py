@@ -23,6 +23,7 @@ from warpav.scene.capture.folder import DESCRIPTION, UNFINISHED, check_capture, 
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.capture.simulator import Simulator
 from warpav.scene.reconstruction.settings import ReconstructionSettings
+from warpav.scene.traffic.traffic_scene import TrafficSource
 
 SCHEMA = "warpav-collection/1"
 INDEX = "collection.json"
@@ -37,16 +38,20 @@ class SceneTask:
         file: The GLB file to write.
         capture: Folder of its capture; None: it is built directly.
         settings: How a capture becomes a scene.
+        moment: Moment of a recording that it is built of; None: it is embedded, or captured.
     """
 
     seed: int
     file: Path
     capture: Path | None = None
     settings: ReconstructionSettings | None = None
+    moment: TrafficSource | None = None
 
     @property
     def fingerprint(self) -> str:
         """Hash of all that the file depends on."""
+        if self.moment is not None:
+            return fingerprint("traffic", self.moment.fingerprint, code=("warpav.scene.glb",))
         if self.capture is None:
             return fingerprint("town", self.seed, code=("warpav.scene.town.town", "warpav.scene.glb"))
         content = hashlib.sha256()
@@ -201,7 +206,7 @@ def _make_scene(task: SceneTask) -> bool:
     if task.capture is None:
         from warpav.scene.cache import town_scenes
 
-        (scene,) = town_scenes([task.seed])
+        (scene,) = town_scenes([task.seed if task.moment is None else task.moment])
     else:
         from warpav.scene.reconstruction.reconstruct import reconstruct
 

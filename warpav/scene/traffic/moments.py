@@ -68,12 +68,28 @@ def traffic_of(
     """The moments of recordings.
 
     Args:
-        recordings: Files and folders; None: those that ship with warpav.
-        test_recordings: Those that only the test sees; None: the last third of the others, by name.
+        recordings: As of `search_and_test`.
+        test_recordings: Likewise.
         ego_bounds_m: Lowest and highest corner of the vehicle that carries the cameras, in its frame [m], [2, 3].
 
     Raises:
-        InputError: There are too few, one cannot be read, one is in both parts, or a part has no moment.
+        InputError: As of `search_and_test`, or a part has no moment.
+    """
+    search, test = search_and_test(recordings, test_recordings)
+    return Traffic(moments_of(search, ego_bounds_m), moments_of(test, ego_bounds_m))
+
+
+def search_and_test(
+    recordings: Sequence[Path] | None, test_recordings: Sequence[Path] | None
+) -> tuple[list[Path], list[Path]]:
+    """The recordings for the search, and those for the test.
+
+    Args:
+        recordings: Files and folders; None: those that ship with warpav.
+        test_recordings: Those that only the test sees; None: the last third of the others, by name.
+
+    Raises:
+        InputError: There are too few, one cannot be read, or one is in both parts.
     """
     search = shipped_recordings() if recordings is None else recordings_in(recordings)
     if test_recordings is not None:
@@ -89,7 +105,7 @@ def traffic_of(
     for path in test:
         if (digest := content_digest(path)) in content:
             raise InputError(f"{path}: expected a recording for the test alone, got the content of {content[digest]}")
-    return Traffic(moments_of(search, ego_bounds_m), moments_of(test, ego_bounds_m))
+    return search, test
 
 
 def moments_of(files: Sequence[Path], ego_bounds_m: np.ndarray) -> tuple[Moment, ...]:
