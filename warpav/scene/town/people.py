@@ -26,7 +26,6 @@ _THIGH_M, _SHIN_M = 0.435, 0.425
 _UPPER_ARM_M, _FOREARM_M = 0.29, 0.26
 _WHEEL_RADIUS_M, _WHEEL_SEGMENTS = 0.335, 13
 _REAR_HUB, _FRONT_HUB = (-0.53, 0.0, _WHEEL_RADIUS_M), (0.53, 0.0, _WHEEL_RADIUS_M)
-_TYRE_RADIUS_M = 0.024
 _CRANK, _SADDLE, _HEAD_TUBE = (-0.09, 0.0, 0.30), (-0.25, 0.0, 0.90), (0.38, 0.0, 0.84)
 
 Point = tuple[float, float, float]
@@ -134,22 +133,17 @@ def _pedestrian_surface(variant: int) -> Surface:
     return builder.finish()
 
 
-def _add_tyre(builder: SurfaceBuilder, hub: Point, wheel_radius: float, tyre_radius: float) -> None:
-    """A ring about a y axis."""
+def _add_bicycle(builder: SurfaceBuilder, bar: Point) -> None:
+    frame = Material.PAINT
     around = np.linspace(0.0, 2.0 * np.pi, _WHEEL_SEGMENTS + 1)[:, None]
     around[-1] = 0.0
     section = np.linspace(0.0, 2.0 * np.pi, 4)[None, :]
     section[0, -1] = 0.0
-    radius = wheel_radius - tyre_radius + tyre_radius * np.cos(section)
-    y = tyre_radius * np.sin(section) + 0.0 * around
-    tyre = np.stack([hub[0] + radius * np.cos(around), y, hub[2] + radius * np.sin(around)], axis=-1)
-    builder.add_grid(tyre, Material.TYRE)
-
-
-def _add_bicycle(builder: SurfaceBuilder, bar: Point) -> None:
-    frame = Material.PAINT
     for hub in (_REAR_HUB, _FRONT_HUB):
-        _add_tyre(builder, hub, _WHEEL_RADIUS_M, _TYRE_RADIUS_M)
+        radius = _WHEEL_RADIUS_M - 0.024 + 0.024 * np.cos(section)
+        y = 0.024 * np.sin(section) + 0.0 * around
+        tyre = np.stack([hub[0] + radius * np.cos(around), y, hub[2] + radius * np.sin(around)], axis=-1)
+        builder.add_grid(tyre, Material.TYRE)
     for start, end, radius in (
         (_CRANK, _SADDLE, 0.020),
         (_CRANK, _HEAD_TUBE, 0.024),
@@ -188,6 +182,18 @@ def _cyclist_surface(variant: int) -> Surface:
     head = (float(shoulder[0]) + 0.07, 0.0, float(shoulder[2]) + 0.185)
     _add_head(builder, head, helmet=upright)
     return builder.finish()
+
+
+def _add_tyre(builder: SurfaceBuilder, hub: Point, wheel_radius: float, tyre_radius: float) -> None:
+    """A ring about a y axis."""
+    around = np.linspace(0.0, 2.0 * np.pi, _WHEEL_SEGMENTS + 1)[:, None]
+    around[-1] = 0.0
+    section = np.linspace(0.0, 2.0 * np.pi, 4)[None, :]
+    section[0, -1] = 0.0
+    radius = wheel_radius - tyre_radius + tyre_radius * np.cos(section)
+    y = tyre_radius * np.sin(section) + 0.0 * around
+    tyre = np.stack([hub[0] + radius * np.cos(around), y, hub[2] + radius * np.sin(around)], axis=-1)
+    builder.add_grid(tyre[::-1], Material.TYRE)
 
 
 def _add_motorcycle(builder: SurfaceBuilder, bar: Point, *, scooter: bool) -> None:

@@ -79,7 +79,7 @@ def _refuse_doctype(*_: object) -> NoReturn:
 
 
 def _obstacles(root: ElementTree.Element) -> Iterator[ElementTree.Element]:
-    for tag in ("obstacle", "staticObstacle", "dynamicObstacle"):
+    for tag in ("obstacle", "dynamicObstacle", "staticObstacle"):
         yield from root.findall(tag)
 
 

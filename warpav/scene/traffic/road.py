@@ -296,7 +296,12 @@ def road_of(
     """
     import cv2
 
-    lanes = [lanelet.outline_m for lanelet in lanelets if not lanelet.is_crosswalk]
+    lanes = [
+        subdivided(line, _CONTOUR_STEP_M)
+        for lanelet in lanelets
+        if not lanelet.is_crosswalk
+        for line in (lanelet.left_m, lanelet.right_m)
+    ]
     inside = [line[(np.abs(line) <= ROAD_REACH_M).all(axis=1)] for line in lanes]
     held = np.concatenate([*inside, *heavy_m, *light_m])
     low_m, high_m = held.min(axis=0) - _LAND_M, held.max(axis=0) + _LAND_M
@@ -337,7 +342,9 @@ def road_of(
     is_small = np.zeros(count, bool)
     is_small[1:] = about[1:, cv2.CC_STAT_AREA] * CELL_M**2 < _ISLAND_MIN_M2
     mask[is_small[label]] = 1
-    field = CELL_M * (cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) - cv2.distanceTransform(mask, cv2.DIST_L2, 5))
+    # distances are to the middles of the cells beyond the edge, half a cell too far
+    away, within = (np.maximum(cv2.distanceTransform(part, cv2.DIST_L2, 5) - 0.5, 0.0) for part in (1 - mask, mask))
+    field = CELL_M * (away - within)
     field = cv2.GaussianBlur(field, (0, 0), _SMOOTHING_M / CELL_M)
     return Road(low_m, field, pavement_m, tuple(lanelets), coverage, owner)
 
