@@ -442,9 +442,7 @@ def _moments(config: Config, seeds: Sequence[int], ego: Mesh | None) -> list[Tra
     bounds_m = (ego_vehicle() if ego is None else ego).bounds_m()
     traffic = traffic_of(scenes.recordings, scenes.test_recordings, bounds_m)
     tested = set(scenes.test_seeds)
-    return [
-        TrafficSource(moment_of(traffic.test if seed in tested else traffic.search, seed), seed) for seed in seeds
-    ]
+    return [TrafficSource(moment_of(traffic.test if seed in tested else traffic.search, seed), seed) for seed in seeds]
 
 
 def _files_of(config: Config, seeds: Sequence[int]) -> list[Path]:

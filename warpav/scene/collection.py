@@ -51,7 +51,6 @@ def read_scenes(files: str | Path | Iterable[str | Path]) -> list[Scene]:
     Raises:
         InputError: There is no such file, or one is no scene and no recording.
     """
-
     sources = [files] if isinstance(files, (str, Path)) else list(files)
     found = [file for source in sources for file in _files_of(source)]
     if not found:

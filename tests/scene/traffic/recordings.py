@@ -53,7 +53,11 @@ def street(*, turn_rad=0.0, shift_m=(0.0, 0.0), users=None, **changes):
     x = (-90.0, 0.0, 90.0)
     lanelets = [
         {"left": [moved(each, 0.0) for each in x], "right": [moved(each, -LANE_M) for each in x], "type": ["urban"]},
-        {"left": [moved(each, 0.0) for each in x[::-1]], "right": [moved(each, LANE_M) for each in x[::-1]], "type": []},
+        {
+            "left": [moved(each, 0.0) for each in x[::-1]],
+            "right": [moved(each, LANE_M) for each in x[::-1]],
+            "type": [],
+        },
     ]
     data = {"id": "street", "source": "by hand", "dt_s": STEP_S, "lanelets": lanelets, "road_users": placed}
     return {**data, **changes}

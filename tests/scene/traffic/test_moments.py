@@ -109,7 +109,11 @@ def two_cars(gap_m):
             r"expected boxes that overlap by at most 0.3 m, got road users a and b, which overlap by 0.80 m at step",
         ),
         (street(users=street()["road_users"][:1]), CAR_M, r"got none: they are empty"),
-        (street(), np.array([[-6, -1.3, 0], [20, 1.3, 3]]), r"expected a road user about as large as the ego vehicle, 26"),
+        (
+            street(),
+            np.array([[-6, -1.3, 0], [20, 1.3, 3]]),
+            r"expected a road user about as large as the ego vehicle, 26",
+        ),
     ],
 )
 def test_recordings_without_a_moment_say_why(tmp_path, data, bounds_m, message):

@@ -48,7 +48,11 @@ def test_distances_are_those_from_the_straight_road():
         assert np.abs(road.distance_m(point) - (np.abs(y) - HALF_M)).max() < 0.16
         near = np.abs(np.abs(y) - HALF_M) < 1.5
         assert np.abs(road.distance_m(point) - (np.abs(y) - HALF_M))[near].max() < 0.08  # worst seen .05
-    assert road.height_m(np.array([[0.0, 3.8], [0.0, 4.2], [500.0, 0.0]])).tolist() == [0.0, KERB_HEIGHT_M, KERB_HEIGHT_M]
+    assert road.height_m(np.array([[0.0, 3.8], [0.0, 4.2], [500.0, 0.0]])).tolist() == [
+        0.0,
+        KERB_HEIGHT_M,
+        KERB_HEIGHT_M,
+    ]
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -91,9 +91,7 @@ def test_every_possible_car_becomes_a_body_of_its_length(length_m, width_m, seed
 
 def test_kinds_follow_class_and_size():
     def kinds(category, length_m, width_m, height_m=math.nan):
-        return {
-            drawn_kind(category, (length_m, width_m, height_m), np.random.default_rng(seed)) for seed in range(80)
-        }
+        return {drawn_kind(category, (length_m, width_m, height_m), np.random.default_rng(seed)) for seed in range(80)}
 
     assert kinds("truck", 8.0, 2.4) == {"lorry"}
     assert kinds("bicycle", 1.8, 0.6) == {"cyclist"}

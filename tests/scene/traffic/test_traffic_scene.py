@@ -114,9 +114,7 @@ def check_scene(scene, recording, moment):
     TriangleMesh(ground, scene.environment.vertex_m[scene.environment.triangle])
     states = recording.states_at(moment.step)
     own = next(state for state in states if state.user.user_id == moment.ego_id)
-    near = [
-        state for state in states if state is not own and np.linalg.norm(state.centre_m - own.centre_m) <= REACH_M
-    ]
+    near = [state for state in states if state is not own and np.linalg.norm(state.centre_m - own.centre_m) <= REACH_M]
     count = len([user for user in scene.road_users if user.instance_id <= len(near)])
     assert count >= len(near) - 2  # but for who stands in the ego vehicle
     low, high = ego_vehicle().bounds_m()[:, :2].astype(np.float64)
@@ -154,7 +152,9 @@ def check_scene(scene, recording, moment):
 
 def _footprint(user):
     box = user.box
-    return Footprint(float(box.center_m[0]), float(box.center_m[1]), box.yaw_rad, float(box.size_m[0]), float(box.size_m[1]))
+    return Footprint(
+        float(box.center_m[0]), float(box.center_m[1]), box.yaw_rad, float(box.size_m[0]), float(box.size_m[1])
+    )
 
 
 def _inside(point, corner):

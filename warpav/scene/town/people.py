@@ -212,7 +212,9 @@ def _add_motorcycle(builder: SurfaceBuilder, bar: Point, *, scooter: bool) -> No
     for side in (-1.0, 1.0):
         _add_rod(builder, (x, 0.30 * side, z), (x + 0.11, 0.34 * side, z + 0.11), 0.010, Material.DARK)
     lamp = (crown[0] + 0.06, 0.0, crown[2] - 0.04)
-    builder.add_tube(np.array([lamp, (lamp[0] + 0.09, 0.0, lamp[2])]), np.full((2, 2), 0.085), Material.HEADLAMP, sides=8)
+    builder.add_tube(
+        np.array([lamp, (lamp[0] + 0.09, 0.0, lamp[2])]), np.full((2, 2), 0.085), Material.HEADLAMP, sides=8
+    )
     builder.add_box((-0.68, -0.13, 0.70), (0.02, 0.13, 0.79), Material.DARK)  # the seat
     builder.add_box((-0.98, -0.09, 0.50), (-0.94, 0.09, 0.62), Material.REAR_PLATE)
     builder.add_box((-0.97, -0.11, 0.64), (-0.92, 0.11, 0.71), Material.TAIL_LAMP)
@@ -255,7 +257,9 @@ def _motorcyclist_surface(variant: int) -> Surface:
     material[:2] = Material.LEGWEAR
     builder.add_tube(hip + share * (shoulder - hip), radius, material, sides=8, cap=0.2)
     head = (float(shoulder[0]) + 0.05, 0.0, float(shoulder[2]) + 0.19)
-    _add_rod(builder, (head[0] - 0.03, 0.0, head[2] - 0.20), (head[0] - 0.01, 0.0, head[2] - 0.06), 0.052, Material.SKIN)
+    _add_rod(
+        builder, (head[0] - 0.03, 0.0, head[2] - 0.20), (head[0] - 0.01, 0.0, head[2] - 0.06), 0.052, Material.SKIN
+    )
     _add_ball(builder, (head[0] - 0.01, 0.0, head[2] + 0.02), (0.145, 0.120, 0.155), Material.HELMET)
     builder.add_box((head[0] + 0.06, -0.085, head[2] - 0.03), (head[0] + 0.13, 0.085, head[2] + 0.05), Material.GLASS)
     return builder.finish()

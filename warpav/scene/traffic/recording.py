@@ -203,7 +203,9 @@ def _check(recording: Recording) -> None:
         raise InputError("road users: expected some, got none")
     lanes = [lanelet for lanelet in recording.lanelets if not lanelet.is_crosswalk]
     if not lanes:
-        raise InputError("lanelets: expected left and right borders of lanes, got none, so there is no road to drive on")
+        raise InputError(
+            "lanelets: expected left and right borders of lanes, got none, so there is no road to drive on"
+        )
     for number, lanelet in enumerate(recording.lanelets):
         for name, line in (("left", lanelet.left_m), ("right", lanelet.right_m)):
             if line.ndim != 2 or line.shape[1] != 2 or len(line) < 2 or not np.isfinite(line).all():

@@ -162,9 +162,7 @@ class Road:
                 colours.append(np.broadcast_to(shade * kerb, (2 * count, 3)))
                 first += 2 * count
         rgb = np.round(255.0 * np.clip(np.concatenate(colours), 0.0, 1.0)).astype(np.uint8)
-        return Mesh(
-            np.concatenate(vertices).astype(np.float32), np.concatenate(triangles).astype(np.int32), rgb
-        )
+        return Mesh(np.concatenate(vertices).astype(np.float32), np.concatenate(triangles).astype(np.int32), rgb)
 
     def _triangulated(
         self, contours: list[list[np.ndarray]], rng: np.random.Generator
@@ -257,7 +255,9 @@ class Road:
         for wanted, shift_m in ((drawn, 0.0), (is_edge, -_EDGE_INSET_M)):
             place = point + shift_m * outward
             use = wanted[:-1] & np.where(is_same[:-1], is_dash[:-1], wanted[1:])
-            use &= (self.distance_m(place[:-1]) < -_LINE_HALF_WIDTH_M) & (self.distance_m(place[1:]) < -_LINE_HALF_WIDTH_M)
+            use &= (self.distance_m(place[:-1]) < -_LINE_HALF_WIDTH_M) & (
+                self.distance_m(place[1:]) < -_LINE_HALF_WIDTH_M
+            )
             normal = side * outward * _LINE_HALF_WIDTH_M
             corner = np.stack([place[:-1] - normal[:-1], place[1:] - normal[1:], place[1:] + normal[1:],
                                place[:-1] + normal[:-1]], axis=1)[use]  # fmt: skip
@@ -351,7 +351,7 @@ def road_of(
 
 def pavement_width_m(rng: np.random.Generator) -> float:
     """A random width of pavements [m]; with two rows of houses there is room for it around the roads."""
-    assert _LAND_M > _PAVEMENT_M[1] + 2.0 * HOUSE_DEPTH_M
+    assert _PAVEMENT_M[1] + 2.0 * HOUSE_DEPTH_M < _LAND_M
     return float(rng.uniform(*_PAVEMENT_M))
 
 

@@ -26,6 +26,7 @@ _CAR_SHARES = {"hatchback": 0.29, "saloon": 0.22, "estate": 0.16, "suv": 0.20, "
 _USUAL_STRETCH = 0.10  # of a kind's own length, within which it is drawn
 _HEIGHT_SPREAD = 0.03
 _RIDER_SCALE = (0.85, 1.15)
+_SOFT_MAX = 8.0  # of what is neither wheel nor cab: a lorry of 30 m
 _TYRE_FOOT_M = 1e-3  # tyres touch the ground there
 _ARCH_M = 0.07  # of the wheel arches around a tyre
 
@@ -119,7 +120,7 @@ def _rigid_m(mesh: Mesh, kind: str) -> list[tuple[float, float]]:
 
 
 def _stretched(x_m: np.ndarray, rigid_m: list[tuple[float, float]], length_m: float, rate: float) -> np.ndarray:
-    """x of a body of another length: rigid stretches grow by a rate, as its height does, the others by what is left.
+    """X of a body of another length: rigid stretches grow by a rate, as its height does, the others by what is left.
 
     Where too little would be left, all grow alike.
     """
@@ -130,6 +131,6 @@ def _stretched(x_m: np.ndarray, rigid_m: list[tuple[float, float]], length_m: fl
     is_rigid = np.arange(len(gap)) % 2 == 1
     left_m = length_m - rate * gap[is_rigid].sum()
     soft = left_m / max(float(gap[~is_rigid].sum()), 1e-6)
-    grown = gap * np.where(is_rigid, rate, soft) if 0.4 <= soft <= 4.0 else gap * length_m / (high - low)
+    grown = gap * np.where(is_rigid, rate, soft) if 0.4 <= soft <= _SOFT_MAX else gap * length_m / (high - low)
     place = np.concatenate([[0.0], np.cumsum(grown)]) - 0.5 * length_m
     return np.interp(x_m, knot, place)

@@ -159,9 +159,7 @@ def _behind(start: np.ndarray, along: np.ndarray, width_m: float, depth_m: float
     """The rectangle to the left of a front, a hand narrower so that rows of houses touch."""
     inward = np.array([-along[1], along[0]])
     centre = start + 0.5 * width_m * along + 0.5 * depth_m * inward
-    return Footprint(
-        float(centre[0]), float(centre[1]), math.atan2(along[1], along[0]), width_m - 0.1, depth_m - 0.1
-    )
+    return Footprint(float(centre[0]), float(centre[1]), math.atan2(along[1], along[0]), width_m - 0.1, depth_m - 0.1)
 
 
 def _is_plot(footprint: Footprint) -> bool:

@@ -75,9 +75,7 @@ class _Body:
     velocity_m_s: np.ndarray
 
 
-def traffic_scene(
-    recording: Recording, moment: Moment, seed: int, *, ego: Mesh | None = None
-) -> tuple[Scene, int]:
+def traffic_scene(recording: Recording, moment: Moment, seed: int, *, ego: Mesh | None = None) -> tuple[Scene, int]:
     """The scene of a moment, in the ego frame, and how many road users are left out.
 
     Args:
@@ -174,9 +172,7 @@ def _road(
 ) -> Road:
     lanelets = []
     for lanelet in recording.lanelets:
-        left, right = (
-            frame.point_in_ego(subdivided(line, _LANE_STEP_M)) for line in (lanelet.left_m, lanelet.right_m)
-        )
+        left, right = (frame.point_in_ego(subdivided(line, _LANE_STEP_M)) for line in (lanelet.left_m, lanelet.right_m))
         if min(np.abs(line).max(axis=1).min() for line in (left, right)) <= REACH_M:
             lanelets.append(Lanelet(left, right, lanelet.kinds))
     heavy = [place, *(body.footprint for body in recorded if body.kind not in _ON_FOOT)]
@@ -190,9 +186,7 @@ def _road(
 
 
 def _grown(footprint: Footprint, room_m: float) -> Footprint:
-    return replace(
-        footprint, length_m=footprint.length_m + 2.0 * room_m, width_m=footprint.width_m + 2.0 * room_m
-    )
+    return replace(footprint, length_m=footprint.length_m + 2.0 * room_m, width_m=footprint.width_m + 2.0 * room_m)
 
 
 def _standing(body: _Body, road: Road) -> Mesh:
@@ -213,4 +207,3 @@ def _add_shadow(builder: SceneryBuilder, road: Road, place: Footprint, kind: str
     height = KERB_HEIGHT_M if distance > 0.0 else 0.0
     width = place.width_m - (_MIRRORS_M if kind == "ego" else 0.0)
     builder.add_contact_shadow(centre, place.yaw_rad, place.length_m, width, layer, height_m=height)
-
