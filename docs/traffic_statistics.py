@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,7 @@ def main(paths: list[str]) -> None:
             away_m = float(np.linalg.norm(state.centre_m - own.centre_m))
             if state is not own and away_m <= REACH_M:
                 count[state.user.category, int(np.searchsorted(EDGES_M[1:], away_m))] += 1
-    spans = [f"{low:g} to {high:g} m" for low, high in zip(EDGES_M[:-1], EDGES_M[1:], strict=True)]
+    spans = [f"{low:g} to {high:g} m" for low, high in pairwise(EDGES_M)]
     lines = [
         f"{len(moments)} scenes of {len(files)} recordings; road users a scene",
         "",

@@ -25,8 +25,8 @@ XML = """<?xml version='1.0' encoding='UTF-8'?>
   </planningProblem>
 </commonRoad>
 """
-STATE = """<{tag}><position><point><x>{x}</x><y>{y}</y></point></position><orientation><exact>{yaw}</exact></orientation>
-<time><exact>{step}</exact></time><velocity><exact>{speed}</exact></velocity></{tag}>"""
+STATE = """<{tag}><position><point><x>{x}</x><y>{y}</y></point></position><orientation>
+<exact>{yaw}</exact></orientation><time><exact>{step}</exact></time><velocity><exact>{speed}</exact></velocity></{tag}>"""
 SHAPE = "<shape><rectangle><length>{length}</length><width>{width}</width></rectangle></shape>"
 
 

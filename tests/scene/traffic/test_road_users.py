@@ -42,7 +42,7 @@ def test_bodies_have_the_recorded_length_width_and_height(kind, size_m):
 
 @pytest.mark.parametrize(("kind", "size_m"), SIZES)
 def test_wheels_stay_round_and_on_the_ground(kind, size_m):
-    """A wheel's lowest point is below its middle, and as far from it as its foremost one, but for the height's spread."""
+    """A wheel's lowest point is below its middle, as far from it as its foremost one, but for the height's spread."""
     mesh = body_mesh(kind, size_m, np.random.default_rng(0))
     own = vehicle_mesh(kind, np.full(3, 0.5), variant=int(np.random.default_rng(0).integers(2)))
     same = body_mesh(kind, (float(np.ptp(own.vertex_m[:, 0])), size_m[1], math.nan), np.random.default_rng(0))

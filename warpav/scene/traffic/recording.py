@@ -224,7 +224,7 @@ def _check(recording: Recording) -> None:
     low, high = border.min(axis=0) - _LANE_REACH_M, border.max(axis=0) + _LANE_REACH_M
     if not ((centre >= low) & (centre <= high)).all(axis=1).any():
         raise InputError(
-            f"lanelets: expected the lanes that the road users drive on, got all of these more than {_LANE_REACH_M:g} m "
+            f"lanelets: expected the lanes that the road users drive on, got all more than {_LANE_REACH_M:g} m "
             "away from the lanes; both must be in metres in one frame"
         )
 

@@ -1,7 +1,7 @@
 """The ground of a recorded scene: lanes become one road with kerbs, pavements and markings.
 
-What is lane, or where a vehicle stands, is road; gaps between lanes are closed. Everything else is land, one kerb higher.
-A field of distances from the road's edge, on a grid of `CELL_M`, says which is which; its contours are the kerbs and the
+What is lane, or where a vehicle stands, is road; gaps between lanes are closed. All else is land, one kerb higher. A
+field of distances from the road's edge, on a grid of `CELL_M`, says which is which; its contours are the kerbs and the
 ends of pavements, and one triangulation that holds all of them is the ground, so there are no gaps.
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -77,7 +78,7 @@ class Road:
         return self.low_m + CELL_M * (np.array(self.field_m.shape[::-1]) - 1)
 
     def distance_m(self, point_m: np.ndarray) -> np.ndarray:
-        """Distance of points from the road's edge, negative on the road [m]; [..., 2] gives [...]; outside it is land."""
+        """Distance of points from the road's edge, negative on the road [m]; [..., 2] gives [...]; outside is land."""
         row, column, is_inside = self._cells(point_m)
         return np.where(is_inside, self.field_m[row, column], 1e3)
 
@@ -375,7 +376,7 @@ def _resampled(line_m: np.ndarray, step_m: float) -> np.ndarray:
 def subdivided(line_m: np.ndarray, step_m: float) -> np.ndarray:
     """The line with no segment longer than a step."""
     parts = []
-    for start, end in zip(line_m[:-1], line_m[1:], strict=True):
+    for start, end in pairwise(line_m):
         count = max(1, int(np.ceil(np.linalg.norm(end - start) / step_m)))
         parts.append(start + np.arange(count)[:, None] / count * (end - start))
     return np.concatenate([*parts, line_m[-1:]])

@@ -73,7 +73,7 @@ def body_mesh(kind: str, size_m: tuple[float, float, float], rng: np.random.Gene
         paint = BUS_COLOURS[int(rng.integers(len(BUS_COLOURS)))]
     spread = 1.0 + rng.uniform(-_HEIGHT_SPREAD, _HEIGHT_SPREAD)
     mesh = vehicle_mesh(kind, paint, variant=variant)
-    low, high = mesh.bounds_m().astype(np.float64)
+    high = mesh.bounds_m()[1].astype(np.float64)
     height = high[2] * spread if math.isnan(size_m[2]) else size_m[2]
     vertex_m = mesh.vertex_m * np.array([1.0, size_m[1] / _body_width_m(kind, variant), height / high[2]])
     vertex_m[:, 0] = _stretched(vertex_m[:, 0], _rigid_m(mesh, kind), size_m[0], float(height / high[2]))

@@ -141,7 +141,7 @@ class Roadside:
         share = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.5, 0.5, 9)), axis=-1).reshape(-1, 2)
         c, s = math.cos(footprint.yaw_rad), math.sin(footprint.yaw_rad)
         point = share * [footprint.length_m, footprint.width_m] @ np.array([[c, s], [-s, c]])
-        point = point + [footprint.x_m, footprint.y_m]
+        point = point + np.array([footprint.x_m, footprint.y_m])
         if not ((point >= self._road.low_m) & (point <= self._road.high_m)).all():
             return False
         if self._road.distance_m(point).min() < distance_m:
