@@ -331,7 +331,7 @@ def road_of(
     mask[np.abs(y) > ROAD_REACH_M] = 0
     mask[:, np.abs(x) > ROAD_REACH_M] = 0
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (round(_CLOSED_GAP_M / CELL_M) | 1,) * 2)
-    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, disc)
+    mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, disc), np.uint8)
     for outline in heavy_m:
         cv2.fillConvexPoly(mask, pixels(outline), 1, shift=_SUBPIXEL_BITS)
     for outline in light_m:
@@ -342,7 +342,7 @@ def road_of(
     count, label, about, _ = cv2.connectedComponentsWithStats(1 - mask, connectivity=4)
     is_small = np.zeros(count, bool)
     is_small[1:] = about[1:, cv2.CC_STAT_AREA] * CELL_M**2 < _ISLAND_MIN_M2
-    mask[is_small[label]] = 1
+    mask[np.take(is_small, np.asarray(label, np.int64))] = 1
     # distances are to the middles of the cells beyond the edge, half a cell too far
     away, within = (np.maximum(cv2.distanceTransform(part, cv2.DIST_L2, 5) - 0.5, 0.0) for part in (1 - mask, mask))
     field = CELL_M * (away - within)

@@ -109,7 +109,8 @@ class Roadside:
         for bay in range(count):
             if self._rng.random() < _FREE_BAY_SHARE:
                 continue
-            size = (*(float(self._rng.uniform(*extent)) for extent in _CAR_M), math.nan)
+            length, width = (float(self._rng.uniform(*extent)) for extent in _CAR_M)
+            size = (length, width, math.nan)
             kind = drawn_kind("car", size, self._rng)
             mesh = body_mesh(kind, size, self._rng)
             yaw = math.atan2(inward[1], inward[0]) + (math.pi if self._rng.random() < 0.4 else 0.0)

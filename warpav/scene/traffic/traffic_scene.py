@@ -103,7 +103,8 @@ def traffic_scene(recording: Recording, moment: Moment, seed: int, *, ego: Mesh 
     frame = _EgoFrame(own, 0.5 * (low_m + high_m)[:2])
     others = [state for state in states if state is not own and _away_m(state, own) <= REACH_M]
     recorded = [_body(state, frame, rng) for state in others]
-    place = Footprint(*frame.centre_ego_m.tolist(), 0.0, *(high_m - low_m)[:2].tolist())
+    (x, y), (length, width) = frame.centre_ego_m.tolist(), (high_m - low_m)[:2].tolist()
+    place = Footprint(x, y, 0.0, length, width)
 
     road = _road(recording, recorded, place, frame, pavement_width_m(rng))
     builder = SceneryBuilder(rng, StreetGround())
