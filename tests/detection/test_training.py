@@ -222,7 +222,7 @@ def test_a_detector_is_judged_by_road_user():
     assert vehicles["false_alarms_per_image"] == 0.5
     assert vehicles["recall_by_distance_m"]["0-10"] == 1.0
     # the false alarm is less confident than the one vehicle of this bin, and comes before the miss of the next
-    assert vehicles["ap50_by_distance_m"]["5-10"] == 1.0
+    assert vehicles["ap50_by_distance_m"]["0-10"] == 1.0
     assert vehicles["ap50_by_distance_m"]["10-20"] == 0.0
     assert vehicles["ap50_by_visible_fraction"]["0.75-inf"] == 1.0
     assert vehicles["recall_by_distance_m"]["10-20"] == 0.0
