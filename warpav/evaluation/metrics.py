@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from typing import Any
@@ -29,7 +29,7 @@ from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import CameraMount, PlacedViews, views_of_rig
 from warpav.optimisation.objective import RigObjective
-from warpav.raster.areas import AMODAL_AREA, Measures
+from warpav.raster.areas import AMODAL_AREA, VISIBLE_AREA, Measures
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.frame import Frame
@@ -225,6 +225,8 @@ class RigObservation:
         observations: One per camera model; its cameras in the order of the rig.
         in_frame: Whether some part of an object lies in some camera's image, occluded or not, bool [object].
         camera: Index in the rig of every camera of the concatenated observations.
+        visible_share: Share of an object's part in the image that nothing hides, in the camera that shows most of it;
+            0 where none shows any, float [object].
         detection_probability: That each camera of the rig detects each object, by the model of detection probability,
             float [camera, object]; None where no model is known for these cameras.
     """
@@ -232,6 +234,7 @@ class RigObservation:
     observations: list[Observation]
     in_frame: np.ndarray
     camera: list[int]
+    visible_share: np.ndarray
     detection_probability: np.ndarray | None = None
 
     @property
@@ -261,6 +264,11 @@ class RigObservation:
         """Whether some camera detects an object at other thresholds, bool [object]; see `Observation`."""
         detected = [each.is_detected_at(confidence_min, iou_min) for each in self.observations]
         return np.asarray(np.concatenate(detected).any(axis=0))
+
+    def detected_up_to(self, iou_min: float) -> np.ndarray:
+        """Highest minimum confidence at which some camera detects an object, -inf without, float64 [object]."""
+        up_to = [each.detected_up_to(iou_min) for each in self.observations]
+        return np.concatenate(up_to).max(axis=0, initial=-np.inf)
 
     @property
     def confidence(self) -> np.ndarray:
@@ -332,7 +340,7 @@ class RigObserver:
 
     def observe(self, scene: DeviceScene) -> RigObservation:
         """Render the scene in all cameras and run the detector."""
-        observations, area_px, found = [], [], []
+        observations, area_px, found = [], [], []  # areas: visible and unoccluded
         for renderer, part in self._groups:
             views = views_of_rig(part, rotation_count=1, rotation_step_rad=0.0, device=str(renderer.device))
             raster = scene.raster.through(part.cameras[0].behind_glass)
@@ -348,13 +356,14 @@ class RigObserver:
             )
             observations.append(observation)
             measures = frame.measure()
-            area_px.append(_amodal_area_px(measures, forward_view))
+            area_px.append(_areas_px(measures, forward_view))
             known = None if self._probability_of is None else self._probability_of(part.cameras[0].model)
             if known is not None:
                 found.append(_detection_probability(known, frame, scene, views, measures))
         is_known = len(found) == len(self._groups)
         probability = np.concatenate(found)[np.argsort(self._camera)] if is_known else None
-        return RigObservation(observations, _is_in_frame(np.concatenate(area_px)), self._camera, probability)
+        areas_px = np.concatenate(area_px)
+        return RigObservation(observations, _is_in_frame(areas_px), self._camera, _visible_share(areas_px), probability)
 
 
 def _detection_probability(
@@ -368,13 +377,22 @@ def _detection_probability(
     return (model.share_of_box(seen) or seen.probability).numpy()
 
 
-def _amodal_area_px(measures: Measures, view: Sequence[int]) -> np.ndarray:
-    return measures.value.numpy()[view][:, :, AMODAL_AREA]
+def _areas_px(measures: Measures, view: Sequence[int]) -> np.ndarray:
+    """Visible and unoccluded area of every object [px^2], float [view, object, 2]."""
+    return measures.value.numpy()[view][:, :, [VISIBLE_AREA, AMODAL_AREA]]
 
 
-def _is_in_frame(area_px: np.ndarray) -> np.ndarray:
-    """Whether some part of an object lies in some image, from the unoccluded areas [view, object]."""
-    return area_px.max(axis=0, initial=0.0) > 0.0
+def _is_in_frame(areas_px: np.ndarray) -> np.ndarray:
+    """Whether some part of an object lies in some image, from `_areas_px`."""
+    return areas_px[:, :, 1].max(axis=0, initial=0.0) > 0.0
+
+
+def _visible_share(areas_px: np.ndarray) -> np.ndarray:
+    """See `RigObservation`; from `_areas_px`."""
+    best = areas_px[:, :, 0].argmax(axis=0)
+    visible_px, whole_px = areas_px[best, np.arange(areas_px.shape[1])].T.astype(np.float64)
+    share = np.divide(visible_px, whole_px, out=np.zeros_like(visible_px), where=(visible_px > 0.0) & (whole_px > 0.0))
+    return np.minimum(share, 1.0)
 
 
 def evaluate_rig(
@@ -411,6 +429,14 @@ class SceneObservations:
         if not found or len(found) < len(self.observations):
             return None
         return np.concatenate(found, axis=1)
+
+    def from_confidence(self, confidence_min: float) -> SceneObservations:
+        """The same by a detector that drops what is less confident; see `Observation.from_confidence`."""
+        observations = [
+            replace(each, observations=[seen.from_confidence(confidence_min) for seen in each.observations])
+            for each in self.observations
+        ]
+        return replace(self, observations=observations)
 
 
 def observe_scenes(
@@ -460,9 +486,10 @@ def observe_scenes(
     for assigned in scenes:
         if observer is None:
             observation, measures, loss, probability = objective.observe_rig(rig, assigned)
-            is_in_frame = _is_in_frame(_amodal_area_px(measures, objective.forward_view))
+            areas_px = _areas_px(measures, objective.forward_view)
             camera = list(range(len(rig.cameras)))
-            observations.append(RigObservation([observation], is_in_frame, camera, probability))
+            share = _visible_share(areas_px)
+            observations.append(RigObservation([observation], _is_in_frame(areas_px), camera, share, probability))
             losses.append(loss)
         else:
             observations.append(observer.observe(assigned.scene))
@@ -470,6 +497,19 @@ def observe_scenes(
             if has_objective and probability is not None:
                 losses.append(objective.value_of(probability, assigned))
     return SceneObservations(rig, [assigned.scene for assigned in scenes], observations, losses)
+
+
+def false_alarm_confidences(seen: SceneObservations, objective: RigObjective) -> np.ndarray:
+    """Confidence of every false alarm in all images, highest first, float64 [detection].
+
+    What is a false alarm, see `ArmMetrics`, follows from more confident detections alone: those from any threshold on
+    are the false alarms of a detector with that threshold. The objective supplies the minimum IoU of a match.
+    """
+    every_size, alarms = [(0.0, math.inf)], [np.zeros(0)]
+    for images in _image_boxes(seen.scenes, [each.observations for each in seen.observations]):
+        scores = score_images(images, iou_min=[objective.iou_min], area_px2=every_size)
+        alarms.append(scores.confidence[scores.counts[0, 0] & ~scores.true_positive[0, 0]])
+    return np.sort(np.concatenate(alarms))[::-1]
 
 
 def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
@@ -541,6 +581,27 @@ def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
     )
 
 
+def _image_boxes(
+    scenes: Sequence[DeviceScene], observations: Sequence[Sequence[Observation]]
+) -> list[list[ImageBoxes]]:
+    """Boxes of every image by kind of road user: [kind][image], scene by scene, camera by camera."""
+    images: list[list[ImageBoxes]] = [[] for _ in ROAD_USERS]
+    for scene, of_scene in zip(scenes, observations, strict=True):
+        for seen in of_scene:
+            for truth, small, found in zip(seen.truth_box_px, seen.too_small_box_px, seen.detections, strict=True):
+                for kind, images_of_kind in enumerate(images):
+                    own, said = scene.road_user_index == kind, found.road_user_index == kind
+                    images_of_kind.append(
+                        ImageBoxes(
+                            np.concatenate([truth[own], small[own]]),
+                            found.box_px[said],
+                            found.confidence[said],
+                            truth_ignored=np.repeat([False, True], own.sum()),
+                        )
+                    )
+    return images
+
+
 class _Boxes:
     """Scores of the boxes of all images, separately for each kind of road user, since boxes never match across kinds.
 
@@ -551,20 +612,7 @@ class _Boxes:
     def __init__(
         self, scenes: Sequence[DeviceScene], observations: Sequence[Sequence[Observation]], objective: RigObjective
     ) -> None:
-        images: list[list[ImageBoxes]] = [[] for _ in ROAD_USERS]  # scene by scene, camera by camera
-        for scene, of_scene in zip(scenes, observations, strict=True):
-            for seen in of_scene:
-                for truth, small, found in zip(seen.truth_box_px, seen.too_small_box_px, seen.detections, strict=True):
-                    for kind, images_of_kind in enumerate(images):
-                        own, said = scene.road_user_index == kind, found.road_user_index == kind
-                        images_of_kind.append(
-                            ImageBoxes(
-                                np.concatenate([truth[own], small[own]]),
-                                found.box_px[said],
-                                found.confidence[said],
-                                truth_ignored=np.repeat([False, True], own.sum()),
-                            )
-                        )
+        images = _image_boxes(scenes, observations)
         shape = (len(scenes), len(images[0]) // max(len(scenes), 1))
         # the last threshold is that of a true positive, for the false alarms
         scores = [score_images(each, iou_min=(*COCO_IOU, objective.iou_min)) for each in images]
