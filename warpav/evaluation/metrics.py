@@ -29,7 +29,7 @@ from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import CameraMount, PlacedViews, views_of_rig
 from warpav.optimisation.objective import RigObjective
-from warpav.raster.areas import AMODAL_AREA, VISIBLE_AREA, Measures
+from warpav.raster.areas import AMODAL_AREA, Measures
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.frame import Frame
@@ -51,8 +51,15 @@ PAIRED_METRICS = (
     "objective",
 )
 
-WEIGHTED_METRICS = ("weighted_recall", "weighted_misses_per_100")
-"""Metrics that exist where the objects have weights (section ``importance``); likewise defined per scene."""
+OPTIONAL_METRICS = (
+    "weighted_recall",
+    "weighted_misses_per_100",
+    "attainable_rate",
+    "attainable_recall",
+    "attainable_misses_per_100",
+)
+"""Metrics that not every evaluation has: where the objects have weights (section ``importance``), and where it is known
+which of them are attainable (`warpav.evaluation.attainable`); defined per scene as well, but for the rate."""
 
 EQUAL_FALSE_ALARMS_PER_FRAME = 0.5
 """False alarms per image at which the recalls of rigs are compared (`ArmMetrics.recall_at_equal_false_alarms`)."""
@@ -142,10 +149,14 @@ class ArmMetrics:
         frames: Number of images.
         recall_by: The rig's recall by ``distance_m`` (`DISTANCE_EDGES_M`), ``sector`` (`SECTORS`), ``category`` and
             ``road_user``, each a `GroupRecall` by the group's name.
-        per_scene: The metrics of `PAIRED_METRICS` scene by scene, and those of `WEIGHTED_METRICS` where they exist.
+        per_scene: The metrics of `PAIRED_METRICS` scene by scene, and those of `OPTIONAL_METRICS` where they exist.
         weighted_recall: As `rig_recall`, each object counted by its weight; None where no weights are set, or all are
             0.
         weighted_misses_per_100: 100 (1 - `weighted_recall`), beside `misses_per_100`.
+        attainable_rate: Share of all objects that some single camera, anywhere on the mount, is likely to detect; see
+            `warpav.evaluation.attainable`. None where that is not known.
+        attainable_recall: As `rig_recall`, of these objects alone.
+        attainable_misses_per_100: 100 (1 - `attainable_recall`): of what can be found, how much this rig does not find.
     """
 
     map50_average: float | None
@@ -180,11 +191,14 @@ class ArmMetrics:
     per_scene: dict[str, list[float | None]]
     weighted_recall: float | None = None
     weighted_misses_per_100: float | None = None
+    attainable_rate: float | None = None
+    attainable_recall: float | None = None
+    attainable_misses_per_100: float | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """As ``evaluation.json`` has them; without weights the metrics of weights are left out."""
+        """As ``evaluation.json`` has them; of `OPTIONAL_METRICS` those that are known."""
         found = asdict(self)
-        return {name: value for name, value in found.items() if value is not None or name not in WEIGHTED_METRICS}
+        return {name: value for name, value in found.items() if value is not None or name not in OPTIONAL_METRICS}
 
 
 class ObjectOutcome(StrEnum):
@@ -225,8 +239,6 @@ class RigObservation:
         observations: One per camera model; its cameras in the order of the rig.
         in_frame: Whether some part of an object lies in some camera's image, occluded or not, bool [object].
         camera: Index in the rig of every camera of the concatenated observations.
-        visible_share: Share of an object's part in the image that nothing hides, in the camera that shows most of it;
-            0 where none shows any, float [object].
         detection_probability: That each camera of the rig detects each object, by the model of detection probability,
             float [camera, object]; None where no model is known for these cameras.
     """
@@ -234,7 +246,6 @@ class RigObservation:
     observations: list[Observation]
     in_frame: np.ndarray
     camera: list[int]
-    visible_share: np.ndarray
     detection_probability: np.ndarray | None = None
 
     @property
@@ -340,7 +351,7 @@ class RigObserver:
 
     def observe(self, scene: DeviceScene) -> RigObservation:
         """Render the scene in all cameras and run the detector."""
-        observations, area_px, found = [], [], []  # areas: visible and unoccluded
+        observations, area_px, found = [], [], []
         for renderer, part in self._groups:
             views = views_of_rig(part, rotation_count=1, rotation_step_rad=0.0, device=str(renderer.device))
             raster = scene.raster.through(part.cameras[0].behind_glass)
@@ -356,14 +367,13 @@ class RigObserver:
             )
             observations.append(observation)
             measures = frame.measure()
-            area_px.append(_areas_px(measures, forward_view))
+            area_px.append(_amodal_area_px(measures, forward_view))
             known = None if self._probability_of is None else self._probability_of(part.cameras[0].model)
             if known is not None:
                 found.append(_detection_probability(known, frame, scene, views, measures))
         is_known = len(found) == len(self._groups)
         probability = np.concatenate(found)[np.argsort(self._camera)] if is_known else None
-        areas_px = np.concatenate(area_px)
-        return RigObservation(observations, _is_in_frame(areas_px), self._camera, _visible_share(areas_px), probability)
+        return RigObservation(observations, _is_in_frame(np.concatenate(area_px)), self._camera, probability)
 
 
 def _detection_probability(
@@ -377,22 +387,13 @@ def _detection_probability(
     return (model.share_of_box(seen) or seen.probability).numpy()
 
 
-def _areas_px(measures: Measures, view: Sequence[int]) -> np.ndarray:
-    """Visible and unoccluded area of every object [px^2], float [view, object, 2]."""
-    return measures.value.numpy()[view][:, :, [VISIBLE_AREA, AMODAL_AREA]]
+def _amodal_area_px(measures: Measures, view: Sequence[int]) -> np.ndarray:
+    return measures.value.numpy()[view][:, :, AMODAL_AREA]
 
 
-def _is_in_frame(areas_px: np.ndarray) -> np.ndarray:
-    """Whether some part of an object lies in some image, from `_areas_px`."""
-    return areas_px[:, :, 1].max(axis=0, initial=0.0) > 0.0
-
-
-def _visible_share(areas_px: np.ndarray) -> np.ndarray:
-    """See `RigObservation`; from `_areas_px`."""
-    best = areas_px[:, :, 0].argmax(axis=0)
-    visible_px, whole_px = areas_px[best, np.arange(areas_px.shape[1])].T.astype(np.float64)
-    share = np.divide(visible_px, whole_px, out=np.zeros_like(visible_px), where=(visible_px > 0.0) & (whole_px > 0.0))
-    return np.minimum(share, 1.0)
+def _is_in_frame(area_px: np.ndarray) -> np.ndarray:
+    """Whether some part of an object lies in some image, from the unoccluded areas [view, object]."""
+    return area_px.max(axis=0, initial=0.0) > 0.0
 
 
 def evaluate_rig(
@@ -486,10 +487,9 @@ def observe_scenes(
     for assigned in scenes:
         if observer is None:
             observation, measures, loss, probability = objective.observe_rig(rig, assigned)
-            areas_px = _areas_px(measures, objective.forward_view)
+            is_in_frame = _is_in_frame(_amodal_area_px(measures, objective.forward_view))
             camera = list(range(len(rig.cameras)))
-            share = _visible_share(areas_px)
-            observations.append(RigObservation([observation], _is_in_frame(areas_px), camera, share, probability))
+            observations.append(RigObservation([observation], is_in_frame, camera, probability))
             losses.append(loss)
         else:
             observations.append(observer.observe(assigned.scene))
@@ -512,8 +512,16 @@ def false_alarm_confidences(seen: SceneObservations, objective: RigObjective) ->
     return np.sort(np.concatenate(alarms))[::-1]
 
 
-def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
-    """Metrics of a rig from its observations; the objective supplies the constraints and the thresholds of a match."""
+def metrics_of(
+    seen: SceneObservations, objective: RigObjective, *, attainable: Sequence[np.ndarray] | None = None
+) -> ArmMetrics:
+    """Metrics of a rig from its observations.
+
+    Args:
+        seen: The observations.
+        objective: Supplies the constraints and the thresholds of a match.
+        attainable: Which objects of each scene can be found from the mount, bool [object] each; None: not known.
+    """
     rig, scenes, observations, losses = seen.rig, seen.scenes, seen.observations, seen.losses
     detected, visible = [each.detected for each in observations], [each.visible for each in observations]
     in_frame, confidence = [each.in_frame for each in observations], [each.confidence for each in observations]
@@ -533,6 +541,15 @@ def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
         weighted_recall = _weighted_mean(flags[1], np.concatenate([np.zeros(0), *weights]))
         recalls = [_weighted_mean(*both) for both in zip(detected, weights, strict=True)]
         weighted_of_scene = {"weighted_recall": recalls, "weighted_misses_per_100": [_misses(each) for each in recalls]}
+    can_be, attainable_recall, attainable_of_scene = None, None, {}
+    if attainable is not None:
+        can_be = np.concatenate([np.zeros(0, bool), *attainable])
+        attainable_recall = _mean(flags[1][can_be])
+        recalls = [_mean(found[which]) for found, which in zip(detected, attainable, strict=True)]
+        attainable_of_scene = {
+            "attainable_recall": recalls,
+            "attainable_misses_per_100": [_misses(each) for each in recalls],
+        }
     return ArmMetrics(
         map50_average=_mean(np.array(camera_map)),
         map50_min_camera=min(camera_map, default=None),
@@ -575,9 +592,13 @@ def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
             "false_alarms_per_frame": [_mean(counts) for counts in boxes.false_alarms],
             "objective": [_number(loss) for loss in losses] or [None] * len(scenes),
             **weighted_of_scene,
+            **attainable_of_scene,
         },
         weighted_recall=weighted_recall,
         weighted_misses_per_100=_misses(weighted_recall),
+        attainable_rate=None if can_be is None else _mean(can_be),
+        attainable_recall=attainable_recall,
+        attainable_misses_per_100=_misses(attainable_recall),
     )
 
 

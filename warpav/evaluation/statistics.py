@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from warpav.evaluation.metrics import PAIRED_METRICS, WEIGHTED_METRICS, ArmMetrics
+from warpav.evaluation.metrics import OPTIONAL_METRICS, PAIRED_METRICS, ArmMetrics
 
 RESAMPLES = 9999
 LEVEL = 0.95
@@ -168,12 +168,12 @@ def paired_differences(
         seed: Of the resampling.
 
     Returns:
-        For every metric of `PAIRED_METRICS`, and of `WEIGHTED_METRICS` where both have them: ``mean``, ``low``,
+        For every metric of `PAIRED_METRICS`, and of `OPTIONAL_METRICS` where both have them: ``mean``, ``low``,
         ``high`` and ``scenes`` of its `Difference`.
     """
     result: dict[str, dict[str, Any]] = {}
-    has_both = [name in optimised.per_scene and name in other.per_scene for name in WEIGHTED_METRICS]
-    for name in (*PAIRED_METRICS, *itertools.compress(WEIGHTED_METRICS, has_both)):
+    has_both = [name in optimised.per_scene and name in other.per_scene for name in OPTIONAL_METRICS]
+    for name in (*PAIRED_METRICS, *itertools.compress(OPTIONAL_METRICS, has_both)):
         found = asdict(paired_difference(optimised.per_scene[name], other.per_scene[name], seed=seed))
         result[name] = {key: found[key] for key in ("mean", "low", "high", "scenes")}
     return result

@@ -53,7 +53,10 @@ RESCORED_OPTIONS = ("camera.width_px", "camera.height_px", "camera.supersampling
 """Such options of other sections."""
 
 CONFIDENCE_FLOOR = 0.05
-"""Minimum confidence down to which `object_record` knows what a detector finds."""
+"""Minimum confidence down to which `object_record` knows what a detector finds; a lower configured one goes further."""
+
+RECORD = "objects"
+"""Key of `object_record` in a result."""
 
 _REFERENCE = "default"
 _RECALL = "tp_detection_rate"
@@ -244,12 +247,11 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
     traffic = traffic_of_process(config, NullProgress())
     said = config
     if task.keeps_objects:  # the detector says more; what counts stays
-        least = min(CONFIDENCE_FLOOR, config.detector.confidence_min)
-        said = changed_config(config, [f"detector.confidence_min={least}"])
+        said = changed_config(config, [f"detector.confidence_min={confidence_floor(config)}"])
     placement = placement_on(traffic, config, load_networks(said), None)
     rig = resized(read_rig(task.source / RESULTS / f"{task.name}.yaml"), config)
     seen = observe_scenes(rig, placement.test, placement.objective, with_objective=False)
-    record = {"objects": object_record(seen, placement.objective, config)} if task.keeps_objects else {}
+    record = {RECORD: object_record(seen, placement.objective)} if task.keeps_objects else {}
     seen = seen.from_confidence(config.detector.confidence_min)
     metrics = metrics_of(seen, placement.objective).to_json()
     old = read_json(task.source / RESULTS / f"{task.name}.json")
@@ -270,30 +272,22 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
     return result
 
 
-def object_record(seen: SceneObservations, objective: RigObjective, config: Config) -> dict[str, Any]:
+def confidence_floor(config: Config) -> float:
+    """The least confidence of which an `object_record` knows."""
+    return min(CONFIDENCE_FLOOR, config.detector.confidence_min)
+
+
+def object_record(seen: SceneObservations, objective: RigObjective) -> dict[str, Any]:
     """What a rig and a detector make of every object at any threshold, and all false alarms, for a JSON file.
 
     Returns:
-        ``confidence_floor``, the least confidence that the detector says; ``images``; ``false_alarm_confidence``,
-        highest first (`false_alarm_confidences`); and ``scenes``: the ``seed`` and, by object, ``category``,
-        ``distance_m`` from the centre of the ego vehicle, ``visible_share`` (`RigObservation`) and ``detected_up_to``,
-        the highest minimum confidence at which some camera detects it, None without one.
+        ``images``; ``false_alarm_confidence``, highest first (`false_alarm_confidences`); and ``detected_up_to``,
+        [scene][object]: the highest minimum confidence at which some camera detects an object, None without one.
     """
-    scenes = [
-        {
-            "seed": seed,
-            "category": list(scene.category),
-            "distance_m": np.hypot(*scene.from_ego_m.T).round(2),
-            "visible_share": each.visible_share.round(4),
-            "detected_up_to": each.detected_up_to(objective.iou_min),
-        }
-        for seed, scene, each in zip(config.scenes.test_seeds, seen.scenes, seen.observations, strict=True)
-    ]
     return {
-        "confidence_floor": min(CONFIDENCE_FLOOR, config.detector.confidence_min),
         "images": len(seen.scenes) * len(seen.rig.cameras),
         "false_alarm_confidence": false_alarm_confidences(seen, objective),
-        "scenes": scenes,
+        "detected_up_to": [each.detected_up_to(objective.iou_min) for each in seen.observations],
     }
 
 
@@ -346,4 +340,4 @@ def _is_there(task: RescoreTask) -> bool:
     result = read_json(task.file)
     if not isinstance(result, dict) or result.get("made_with") != task.made_with:
         return False
-    return "objects" in result or not task.keeps_objects
+    return RECORD in result or not task.keeps_objects

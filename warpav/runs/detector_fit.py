@@ -171,7 +171,8 @@ def ensure_fit(
             f"detection probability is that of the embedded scenes: to fit it on others takes {MIN_FIT_SCENES}, "
             f"scenes.train_seeds has {scene_count}"
         )
-        config = changed_config(config, ["scenes.source=town", "scenes.folder=null"])
+        town = {"source": "town", "folder": "null", "recordings": "null", "test_recordings": "null"}
+        config = changed_config(config, [f"scenes.{name}={value}" for name, value in town.items()])
     use = detector_use(config, ego, camera)
     if detector is None:
         if stored_file(use) is not None:
@@ -501,7 +502,8 @@ def _sample_scenes(
 
     def packed_scenes() -> Iterator[tuple[DeviceScene, MountSurface]]:
         surface = None
-        for scene in load_scenes(config, seeds, ego=ego):
+        level_free = changed_config(config, ["scenes.level=null"], origin=None)
+        for scene in load_scenes(level_free, seeds, ego=ego):
             surface = surface or roof_surface(config, scene.ego)
             yield DeviceScene.pack(scene, device=device), surface
 
