@@ -512,6 +512,23 @@ def false_alarm_confidences(seen: SceneObservations, objective: RigObjective) ->
     return np.sort(np.concatenate(alarms))[::-1]
 
 
+def confidence_at(
+    false_alarm_confidence: np.ndarray, images: int, false_alarms_per_image: float, *, least: float
+) -> float:
+    """The lowest confidence, from ``least`` on, that leaves at most so many false alarms per image.
+
+    Args:
+        false_alarm_confidence: Of every false alarm, highest first.
+        images: In how many images they are.
+        false_alarms_per_image: How many may be left.
+        least: The lowest confidence that is known of.
+    """
+    allowed = math.floor(false_alarms_per_image * images + 1e-9)
+    if len(false_alarm_confidence) <= allowed:
+        return least
+    return float(np.nextafter(false_alarm_confidence[allowed], math.inf))
+
+
 def metrics_of(
     seen: SceneObservations, objective: RigObjective, *, attainable: Sequence[np.ndarray] | None = None
 ) -> ArmMetrics:
@@ -658,10 +675,8 @@ class _Boxes:
 
     def confidence_at(self, false_alarms_per_frame: float) -> float:
         """The lowest confidence, from the configured one on, that leaves at most so many false alarms per image."""
-        allowed = math.floor(false_alarms_per_frame * self.false_alarms.size + 1e-9)
-        if len(self._alarm_confidence) <= allowed:
-            return self._confidence_min
-        return float(np.nextafter(self._alarm_confidence[allowed], math.inf))
+        images = self.false_alarms.size
+        return confidence_at(self._alarm_confidence, images, false_alarms_per_frame, least=self._confidence_min)
 
     def ap50_of_scenes(self) -> list[float | None]:
         """AP50 over the images of each scene."""

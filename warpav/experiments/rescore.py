@@ -100,13 +100,13 @@ def config_file(folder: Path) -> Path:
     return folder / "config.yaml"
 
 
-def check_rescored_options(overrides: Sequence[str]) -> None:
-    """Reject overrides that would change rigs, or nothing.
+def check_rescored_options(overrides: Sequence[str], *, needs_some: bool = True) -> None:
+    """Reject overrides that would change rigs, or, where there have to be some, none.
 
     Raises:
         InputError: One of them is not an option of the evaluation, or there is none.
     """
-    if not overrides:
+    if needs_some and not overrides:
         raise InputError(
             "experiment rescore: expected evaluation options such as detector.model=FILE.onnx or "
             "scenes.source=captured, got none"
@@ -262,7 +262,9 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
         "made_with": task.made_with,
         "commit": asdict(running_commit()),
         **{name: old.get(name) for name in ("arm", "seed", "camera_renders", "rig")},
+        "method": old.get("method"),
         "overrides": old.get("overrides", []),
+        "search_overrides": old.get("search_overrides", []),
         "metrics": metrics,
         "objects_of_scene": [assigned.scene.vehicle_count for assigned in placement.test],
         **record,
@@ -326,7 +328,7 @@ def _name(run: Mapping[str, Any]) -> str:
     return f"{run['arm']}_{run['seed']}"
 
 
-def _task(run: Mapping[str, Any], config: Config, folder: Path, out: Path, keeps_objects: bool) -> RescoreTask:  # noqa: FBT001
+def _task(run: Mapping[str, Any], config: Config, folder: Path, out: Path, keeps_objects: bool) -> RescoreTask:
     # a file may be another network by now
     network = () if config.detector.model == "builtin" else (digest(Path(config.detector.model).read_bytes()),)
     made_with = digest(SCHEMA, run["made_with"], json.dumps(run["rig"]), unseeded(config), *network)
