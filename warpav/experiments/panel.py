@@ -28,6 +28,8 @@ from warpav.experiments.rescore import RECORD, confidence_floor, run_rescore
 from warpav.experiments.result_folder import read_description
 from warpav.runs.config import Config, overridden_option
 from warpav.runs.panel_networks import PanelNetwork, networks_in
+from warpav.runs.scene_set import recordings_digest
+from warpav.runs.text_table import TextTable
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -124,13 +126,13 @@ class Crossed:
     Attributes:
         method: Its name.
         rows: Labels of the rigs, by the detector of their search.
-        behind_own: Recall at equal false alarms of these rigs less that of the network's own, by the detector of the
+        above_own: Recall at equal false alarms of these rigs less that of the network's own, by the detector of the
             search and the network that judges; networks that no search used are left out.
     """
 
     method: str
     rows: dict[str, str]
-    behind_own: dict[str, dict[str, Difference]]
+    above_own: dict[str, dict[str, Difference]]
 
 
 @dataclass(frozen=True)
@@ -161,34 +163,19 @@ class PanelTable:
 
     def markdown(self) -> str:
         """All of it as Markdown."""
-        parts = []
-        for title, heads, lines, note in self._tables():
-            parts += [f"**{title}**", "", _line(heads), _line(["---"] + ["---:"] * (len(heads) - 1))]
-            parts += [*map(_line, lines), "", note, ""]
-        return "\n".join([*parts, *(f"- Failed: {each}" for each in self.failed)]).rstrip() + "\n"
+        tables = [table.markdown() for table in self._tables()]
+        return "\n".join([*tables, *(f"- Failed: {each}" for each in self.failed)]).rstrip() + "\n"
 
     def terminal(self) -> Group:
         """All of it for the console."""
-        from rich import box
         from rich.console import Group
-        from rich.table import Table
-        from rich.text import Text
 
-        parts: list[Text | Table] = []
-        for title, heads, lines, note in self._tables():
-            table = Table(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-            for k, heading in enumerate(heads):
-                table.add_column(heading, justify="right" if k else "left", overflow="fold")
-            for line in lines:
-                table.add_row(*map(Text, line))
-            parts += [Text(title, "bold"), table, Text(f"{note}\n")]
-        return Group(*parts)
+        return Group(*(table.terminal() for table in self._tables()))
 
-    def _tables(self) -> list[tuple[str, list[str], list[list[str]], str]]:
-        """Title, headings, lines and note of every table."""
+    def _tables(self) -> list[TextTable]:
         names, many = [judge.name for judge in self.judges], f"{self.false_alarms_per_image:g}"
         tables = [
-            (
+            TextTable(
                 "Networks",
                 ["network", "image px", "false alarms per image", f"confidence at {many}", "false alarms there"],
                 [
@@ -204,13 +191,13 @@ class PanelTable:
                 "False alarms: over all rigs and test scenes, at the configured minimum confidence and at the one "
                 "where recalls are compared. Fewer there than asked for: the network has no more to say.",
             ),
-            (
+            TextTable(
                 "Misses per 100",
                 ["arm", "runs", *names],
                 self._lines(self.misses_per_100, 1),
                 "At the configured minimum confidence, [95 % interval over scenes and runs].",
             ),
-            (
+            TextTable(
                 f"Recall at {many} false alarms per image",
                 ["arm", "runs", *names],
                 self._lines(self.recall_at_equal_false_alarms, 3),
@@ -219,7 +206,7 @@ class PanelTable:
         ]
         if self.agreements:
             tables.append(
-                (
+                TextTable(
                     "Agreement of the orders of arms",
                     ["networks", "Kendall", "Spearman", f"Kendall at {many}", f"Spearman at {many}"],
                     [
@@ -244,7 +231,7 @@ class PanelTable:
             pairs = len(self.rows) * (len(self.rows) - 1) // 2
             sure = sum(each.is_sure for each in self.disagreements)
             tables.append(
-                (
+                TextTable(
                     f"Pairs of arms in another order: {len(self.disagreements)} of {pairs}, {sure} for sure",
                     ["arms", *names, "sure"],
                     [
@@ -260,7 +247,7 @@ class PanelTable:
                 )
             )
         tables += [
-            (
+            TextTable(
                 f"Searched with one network, judged by another: {each.method}",
                 ["searched with", *names],
                 [
@@ -297,10 +284,10 @@ class PanelTable:
     @staticmethod
     def _crossed_text(crossed: Crossed, name: str, judge: str, recall: Difference) -> str:
         text = _text(recall.mean, None, None, 3)
-        behind = crossed.behind_own.get(name, {}).get(judge)
+        above = crossed.above_own.get(name, {}).get(judge)
         if name == judge:
             return f"{text} (own)"
-        return text if behind is None else f"{text} ({_text(behind.mean, behind.low, behind.high, 3, '+')})"
+        return text if above is None else f"{text} ({_text(above.mean, above.low, above.high, 3, '+')})"
 
 
 def run_panel(
@@ -385,6 +372,11 @@ def _check_same_task(folder: Path, options: Mapping[str, Any], first: Mapping[st
             )
     if options.get("scenes.source") != config.scenes.source:
         return
+    if options.get("scenes.recordings") != recordings_digest(config):
+        raise InputError(
+            f"{folder}: scenes.recordings: expected those of the first experiment, got others, of which some may be "
+            "among the test scenes"
+        )
     seen = {*options.get("scenes.train_seeds", []), *(options.get("scenes.validation_seeds") or [])}
     shared = sorted(seen & set(config.scenes.test_seeds))
     if shared:
@@ -492,7 +484,7 @@ def _table(
         index = {row.searched_with: k for k, row in reversed(list(enumerate(rows))) if row.method == method}
         found = {name: index[name] for name in reversed(index) if name is not None}
         if len(found) > 1:
-            behind = {
+            above = {
                 name: {
                     judge: compared(equal[judge][k], equal[judge][found[judge]])
                     for judge in names
@@ -502,7 +494,7 @@ def _table(
             }
             arms = dict.fromkeys(rows[k].arm for k in found.values())
             shown = next(iter(arms)) if len(arms) == 1 else method
-            crossed.append(Crossed(shown, {name: labels[k] for name, k in found.items()}, behind))
+            crossed.append(Crossed(shown, {name: labels[k] for name, k in found.items()}, above))
     return PanelTable(
         false_alarms_per_image,
         tuple(judges),
@@ -551,10 +543,6 @@ def _mean(table: np.ndarray, weight: Sequence[float]) -> float:
     """Mean over runs and the scenes with objects, [run, scene]."""
     kept = np.asarray(weight) > 0
     return float(np.average(table[:, kept].mean(axis=0), weights=np.asarray(weight)[kept]))
-
-
-def _line(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
 def _text(
