@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 
 from warpav.core.errors import InputError
-from warpav.core.files import write_json, write_text
+from warpav.core.files import write_json, write_text, writing
 from warpav.core.fingerprint import digest
 from warpav.core.progress import Progress
 from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH
@@ -349,6 +349,8 @@ def run_panel(
         raise InputError(f"{folders[0]}: expected a rig that all networks judge, got none: {failed[0]}")
     table = _table(networks, rows, runs_of, config, false_alarms_per_image, tuple(failed), resamples)
     out = folders[0] / f"panel_{name}"
+    with writing(out):
+        out.mkdir(exist_ok=True)
     write_json(out / "panel.json", {"schema": SCHEMA, **vars(table)})
     write_text(out / "panel.md", table.markdown())
     progress.show(table.terminal())
