@@ -3,6 +3,7 @@
 import itertools
 import json
 import shutil
+from collections import namedtuple
 
 import numpy as np
 import pytest
@@ -120,6 +121,9 @@ def made_run(arm, seed, recall_of_scene, *, method="optimiser", search_overrides
     }
 
 
+Judging = namedtuple("Judging", "name detector")
+
+
 @pytest.fixture
 def judged(working_directory, monkeypatch):
     """Runs a panel on made results: ``judged({network: {folder: [run, ...]}}, detector of each folder)``."""
@@ -130,12 +134,12 @@ def judged(working_directory, monkeypatch):
     monkeypatch.setattr(
         panel, "networks_in", lambda folder, _: [PanelNetwork(n, folder / f"{n}.onnx", 64, 64) for n in "abc"]
     )
-    monkeypatch.setattr(PanelNetwork, "config", lambda self, config: (self.name, config))
+    monkeypatch.setattr(PanelNetwork, "config", lambda self, config: Judging(self.name, config.detector))
 
     def run(results, searched_with, failed=(), **options):
         def rescored(folder, config, **_):
             arms = {}
-            for each in results[config[0]][folder.name]:
+            for each in results[config.name][folder.name]:
                 arms.setdefault(each["arm"], []).append(each)
             return Finished(folder, arms, list(failed), 0)
 
@@ -302,6 +306,29 @@ def test_each_network_has_its_own_size(tmp_path):
     write_network(tmp_path / "fixed 64.onnx", "ultralytics", **names)
     with pytest.raises(InputError, match=r"expected networks of different names, got .* both fixed_64; rename one"):
         networks_in(tmp_path, config)
+
+
+def test_a_description_says_what_a_file_does_not(tmp_path):
+    pytest.importorskip("onnx")
+    write_network(tmp_path / "bare.onnx", "ultralytics", size_px=None)
+    config, file = load_config("quick"), tmp_path / "bare.yaml"
+    with pytest.raises(InputError, match="labels"):
+        networks_in(tmp_path, config)
+    file.write_text("labels: [car, bus, person]\nconfidence_min: 0.4\nwidth_px: 320\nheight_px: 160\n")
+    (found,) = networks_in(tmp_path, config)
+    changed = found.config(config)
+    assert changed.detector.labels == ("car", "bus", "person")
+    assert changed.detector.confidence_min == 0.4
+    assert (changed.camera.width_px, changed.camera.height_px) == (320, 160)
+    for text, message in (
+        ("label: [car]", r"bare\.yaml:1: expected one of format, .*, got 'label'; did you mean labels\?"),
+        ("labels: [car, bus, person]\nwidth_px: 320", r"width_px and height_px: expected two whole .*\[320, None\]"),
+        ("- car", r"bare\.yaml: expected options of a network such as input_px: 640, got list"),
+        ("confidence_min: 2", "confidence_min"),
+    ):
+        file.write_text(text)
+        with pytest.raises(InputError, match=message):
+            networks_in(tmp_path, config)
 
 
 def test_networks_that_others_made_have_their_sizes(asset_folder):

@@ -307,7 +307,7 @@ def run_panel(
     Args:
         folders: Folders of the experiments; the comparison goes to ``panel_<name>`` in the first.
         config: Configuration of the first, with the changed evaluation options: all are judged by it.
-        panel: Folder of ONNX files.
+        panel: Folder of ONNX files, maybe with descriptions (`warpav.runs.panel_networks.networks_in`).
         name: The results of each network go to ``rescored_<name>_<network>`` in each folder.
         false_alarms_per_image: At which recalls are compared, at least 0.
         resamples: Of the bootstraps.
@@ -449,7 +449,9 @@ def _table(
     judges, plain, equal = [], {}, {}
     for network in networks:
         of_rows = [runs_of[network.name, row.label] for row in rows]
-        judge = _judge(network, [run for runs in of_rows for run in runs], config, false_alarms_per_image)
+        judge = _judge(
+            network, [run for runs in of_rows for run in runs], network.config(config), false_alarms_per_image
+        )
         judges.append(judge)
         plain[network.name] = [
             np.array([run["metrics"]["per_scene"]["tp_detection_rate"] for run in runs], np.float64) for runs in of_rows

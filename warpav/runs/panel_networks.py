@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from warpav.core.errors import InputError
+from warpav.core.yaml_file import read_yaml
 from warpav.runs.config import Config, changed_config, flow_text
 from warpav.runs.networks import load_detector
 
@@ -17,6 +19,12 @@ if TYPE_CHECKING:
 
 NETWORK_OPTIONS = ("detector.model", "detector.format", "detector.labels", "detector.classes", "detector.input_px")
 """Options that say what a network is: a panel asks the files."""
+
+DESCRIBED = ("format", "labels", "classes", "input_px", "confidence_min", "nms_iou_max")
+"""Options of the section ``detector`` that the description of a network may set."""
+
+IMAGE_SIZE = ("width_px", "height_px")
+"""Size of the images that a network judges, in its description."""
 
 
 @dataclass(frozen=True)
@@ -28,18 +36,21 @@ class PanelNetwork:
         file: Its ONNX file, absolute.
         width_px: Width of the images that it judges.
         height_px: Their height.
+        described: Options that its description sets, as overrides.
     """
 
     name: str
     file: Path
     width_px: int
     height_px: int
+    described: tuple[str, ...] = ()
 
     @property
     def overrides(self) -> tuple[str, ...]:
         """What makes a configuration that of this network."""
         return (
             *_network_overrides(self.file),
+            *self.described,
             f"camera.width_px={self.width_px}",
             f"camera.height_px={self.height_px}",
         )
@@ -57,15 +68,17 @@ def networks_in(folder: Path, config: Config) -> list[PanelNetwork]:
     """The ONNX files of a folder, by name, each tried on an image.
 
     A file that fixes its input gets images that fill it, in the proportions of the configured camera; one that takes
-    any size gets images of the configured size.
+    any size gets images of the configured size. Beside ``name.onnx`` may lie ``name.yaml``, its description: options
+    of the section ``detector`` (`DESCRIBED`) that the file itself does not tell, and the size of its images
+    (`IMAGE_SIZE`).
 
     Args:
         folder: The folder; its own folders are left aside.
         config: How to use them, all but `NETWORK_OPTIONS`.
 
     Raises:
-        InputError: There is no such folder, or no network in it; two have one name; or one is no detector of the
-            targets.
+        InputError: There is no such folder, or no network in it; two have one name; one is no detector of the targets;
+            or a description cannot be used.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of ONNX files, got {'a file' if folder.exists() else 'none'}")
@@ -85,9 +98,38 @@ def networks_in(folder: Path, config: Config) -> list[PanelNetwork]:
         named[name] = file.absolute()
     found = []
     for name, file in named.items():
-        detector = load_detector(changed_config(config, _network_overrides(file)))
-        found.append(PanelNetwork(name, file, *_image_size_px(detector, config)))
+        described, size_px = _description(file.with_suffix(".yaml"))
+        detector = load_detector(changed_config(config, (*_network_overrides(file), *described)))
+        found.append(PanelNetwork(name, file, *(size_px or _image_size_px(detector, config)), described))
     return found
+
+
+def _description(file: Path) -> tuple[tuple[str, ...], tuple[int, int] | None]:
+    """What the description of a network says, if there is one: overrides, and the size of its images.
+
+    Raises:
+        InputError: It cannot be read, or says something else.
+    """
+    if not file.is_file():
+        return (), None
+    data, line_of = read_yaml(file)
+    known = (*DESCRIBED, *IMAGE_SIZE)
+    if not isinstance(data, dict):
+        raise InputError(f"{file}: expected options of a network such as input_px: 640, got {type(data).__name__}")
+    for name in data:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise InputError(f"{file}:{line_of[(name,)]}: expected one of {', '.join(known)}, got {name!r}{hint}")
+    overrides = tuple(f"detector.{name}={flow_text(data[name])}" for name in DESCRIBED if name in data)
+    width_px, height_px = (data.get(name) for name in IMAGE_SIZE)
+    if width_px is None and height_px is None:
+        return overrides, None
+    if type(width_px) is not int or type(height_px) is not int or min(width_px, height_px) < 1:
+        raise InputError(
+            f"{file}: width_px and height_px: expected two whole numbers above 0, got {width_px} and {height_px}"
+        )
+    return overrides, (width_px, height_px)
 
 
 def check_panel_options(option_names: Sequence[str]) -> None:
