@@ -217,7 +217,7 @@ def sample_camera(
         InputError: A scene or the detector cannot be used.
     """
     source = replace(_camera_source(config, camera_model(config)), network_scale=model.network_scale)
-    return _sample_scenes(config, seeds, load_detector(config), None, [source], progress)
+    return _sample_scenes(config, seeds, load_detector(config), None, [source], progress, job="scoring")
 
 
 def _network_scale(detector: ScalingDetector, camera: CameraModel) -> tuple[float, float]:
@@ -520,8 +520,9 @@ def _sample_scenes(
     ego: Mesh | None,
     sources: Sequence[_Source],
     progress: Progress,
+    job: str = "the fit",
 ) -> DetectionSamples:
-    """What the detector finds of the scenes in the views of some sources; says how long it takes, if that is long."""
+    """What the detector finds of the scenes in the views of some sources; says how long the job takes, if long."""
     device = checked_device(config.device)
 
     def packed_scenes() -> Iterator[tuple[DeviceScene, MountSurface]]:
@@ -541,7 +542,7 @@ def _sample_scenes(
         views_s = sum(_trial_seconds(config, detector, each, *known[-1], seed) for each in sources)
         expected_s = len(seeds) * (scene_s + views_s)
         if expected_s > LONG_S:
-            _say(f"the fit takes {_about(expected_s)}", "progress=True shows how far it is", progress)
+            _say(f"{job} takes {_about(expected_s)}", "progress=True shows how far it is", progress)
     samplers = [_Sampler.of(config, detector, source) for source in sources]
 
     def parts() -> Iterator[DetectionSamples]:
