@@ -324,7 +324,7 @@ def test_a_description_says_what_a_file_does_not(tmp_path):
         ("label: [car]", r"bare\.yaml:1: expected one of format, .*, got 'label'; did you mean labels\?"),
         (
             "labels: [car, bus, person]\nwidth_px: 320",
-            r"width_px and height_px: expected two whole .* got 320 and None",
+            r"height_px: expected two whole .* got 320 and None",
         ),
         ("- car", r"bare\.yaml: expected options of a network such as input_px: 640, got list"),
         ("confidence_min: 2", "confidence_min"),
