@@ -383,6 +383,17 @@ def test_an_order_that_hangs_on_the_scenes_is_not_sure():
     assert unsure.kendall.low == -1.0
 
 
+def test_judges_who_agree_by_chance_are_not_sure(rng):
+    """Close items in one order: the correlation is 1, but not that of other scenes."""
+    noise = rng.normal(0.0, 0.1, (2, 5, 20))
+    noise -= noise.mean(axis=-1, keepdims=True)
+    one, other = np.linspace(0.4, 0.45, 5)[:, None] + noise
+    found = order_agreement(list(one), list(other), resamples=499)
+    assert found.kendall.value == found.spearman.value == 1.0
+    assert found.kendall.low < 0.6
+    assert found.spearman.low < 0.8
+
+
 def test_judges_who_see_no_order_have_none():
     level = [[0.5, 0.7], [0.7, 0.5]]
     assert order_agreement(level, [[0.1, 0.2], [0.3, 0.4]], resamples=9).spearman.value is None

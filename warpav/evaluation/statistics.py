@@ -12,7 +12,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -302,7 +302,9 @@ def order_agreement(
         value = float(correlation(*values))
         if len(weights) < 2:
             return Estimate(value, None, None, count)
-        return Estimate(value, *_interval_at(units, statistic, seed=seed, resamples=resamples)(LEVEL), count)
+        # BCa would take it for bias that resamples of a correlation of 1 are all below: [1, 1] however close the items
+        interval_at = _interval_at(units, statistic, seed=seed, resamples=resamples, methods=("percentile",))
+        return Estimate(value, *interval_at(LEVEL), count)
 
     return OrderAgreement(estimate(_spearman), estimate(_kendall))
 
@@ -350,7 +352,12 @@ def run_spread(numbers: Sequence[float | None] | np.ndarray) -> Estimate:
 
 
 def _interval_at(
-    units: Sequence[np.ndarray], statistic: Callable[..., np.ndarray], *, seed: int, resamples: int
+    units: Sequence[np.ndarray],
+    statistic: Callable[..., np.ndarray],
+    *,
+    seed: int,
+    resamples: int,
+    methods: Sequence[Literal["BCa", "percentile"]] = ("BCa", "percentile"),
 ) -> Callable[[float], tuple[float, float]]:
     """Resample, and return a function that gives the statistic's interval at a level.
 
@@ -359,6 +366,7 @@ def _interval_at(
         statistic: Of resampled indices along the last axis.
         seed: Of the resampling.
         resamples: How often.
+        methods: Of the interval; the first that has one.
     """
     from scipy.stats import DegenerateDataWarning, bootstrap
 
@@ -378,7 +386,7 @@ def _interval_at(
 
     def interval_at(level: float) -> tuple[float, float]:
         low = high = math.nan
-        for method in ("BCa", "percentile"):  # BCa has none where leaving out any one unit changes nothing
+        for method in methods:  # BCa has none where leaving out any one unit changes nothing
             with (
                 warnings.catch_warnings(action="ignore", category=DegenerateDataWarning),
                 np.errstate(invalid="ignore"),
