@@ -281,6 +281,12 @@ class _PlacingSlope:
     rotation: np.ndarray
     log_zoom: np.ndarray
 
+    def chained(self, by_view: np.ndarray) -> np.ndarray:
+        """Derivatives to the mount poses of what has such to views, both float64 [camera, object, 7]."""
+        by_pose = np.einsum("cov,cvk->cok", by_view[..., :3], self.position)
+        by_pose += np.einsum("cov,cvk->cok", by_view[..., 3:6], self.rotation)
+        return by_pose + by_view[..., 6:] * self.log_zoom[:, None]
+
 
 def placing_slope(mount: CameraMount, mount_pose: np.ndarray) -> _PlacingSlope:
     """The Jacobian of `CameraMount.place`, by one backward pass for each number of a view."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -25,6 +26,7 @@ from warpav.requirements.visibility import (
     GhostScenes,
     KeptRenderers,
     Visibility,
+    VisibilityJacobian,
     ghost_jacobians,
     ghost_scenes,
     ghost_visibility,
@@ -36,6 +38,25 @@ NEARLY_MET = 0.9
 """Probability just before: two cameras that do not meet a point together stay below one that does."""
 HARD_WEIGHT = 0.1
 """Weight of a hard requirement: it leads the search to where it is met, and the rows keep it there."""
+NEAR_EDGE = 3.0
+"""Margin from which on a hard point counts as met whatever a step does."""
+SEEN_KEPT = 2
+"""Answers with Jacobians that are kept: of a pair's two sides."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What some cameras see.
+
+    Attributes:
+        visibility: Of all points.
+        which: Points with Jacobians, int [point].
+        found: Theirs; None where there are none.
+    """
+
+    visibility: Visibility
+    which: np.ndarray
+    found: VisibilityJacobian | None
 
 
 class GhostScene:
@@ -64,11 +85,12 @@ class GhostScene:
         self.ghosts = Ghosts.of(self.requirements, ego)
         self._opened: dict[Pane, GhostScene] = {}
         self._renderers: KeptRenderers = {}
+        self._seen: dict[tuple[bytes, tuple[CameraModel, ...]], _Seen] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         """As it travels and is copied: without what is on a device."""
         kept = {name: value for name, value in self.__dict__.items() if name != "_drawn"}
-        return {**kept, "_opened": {}, "_renderers": {}}
+        return {**kept, "_opened": {}, "_renderers": {}, "_seen": {}}
 
     def through(self, pane: Pane | None) -> GhostScene:
         """The same as cameras behind a pane of the vehicle see it; None: behind none."""
@@ -76,7 +98,7 @@ class GhostScene:
             return self
         if pane not in self._opened:
             opened = self._opened[pane] = copy.copy(self)
-            opened.ego, opened._renderers = pane.opened(self.ego), self._renderers
+            opened.ego, opened._renderers, opened._seen = pane.opened(self.ego), self._renderers, {}
         return self._opened[pane]
 
     @cached_property
@@ -139,26 +161,66 @@ class GhostScene:
         Returns:
             float64 [camera, point] and [camera, point, 7]; where a point is met nothing makes it surer.
         """
-        seen = self.visibility(ego_from_camera, models)
-        probability, by_share, by_pixels = self._probability(seen)
+        seen = self._differentiated(ego_from_camera, models)
+        probability, by_share, by_pixels = self._probability(seen.visibility)
         jacobian = np.zeros((*probability.shape, 7))
-        # most points are met, or not seen at all
-        is_steep = (seen.visible_share > 0.0) & ((by_share > 0.0) | (by_pixels > 0.0))
-        which = np.flatnonzero(is_steep.any(axis=0))
-        if len(which):
-            ghosts = self.ghosts.at(which)
-            found = ghost_jacobians(
-                ego_from_camera, models, ghosts, self.ego, device=self.device, renderers=self._renderers
-            )
-            jacobian[:, which] = by_share[:, which, None] * found.jac_visible_share
-            jacobian[:, which] += by_pixels[:, which, None] * found.jac_pixels
+        if seen.found is not None:
+            jacobian[:, seen.which] = by_share[:, seen.which, None] * seen.found.jac_visible_share
+            jacobian[:, seen.which] += by_pixels[:, seen.which, None] * seen.found.jac_pixels
         return probability, jacobian
+
+    def margins(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> tuple[np.ndarray, np.ndarray]:
+        """What cameras see of the hard points over what is asked of one camera; 1 and more where one meets a point.
+
+        The lesser of share and pixels counts. Arguments as of `with_jacobian`, which shares the renders.
+
+        Returns:
+            float64 [camera, hard point], and the derivatives as of `with_jacobian`, float64 [camera, hard point, 7]; 0
+            where a camera sees the whole object or nothing of it, and from `NEAR_EDGE` on.
+        """
+        seen = self._differentiated(ego_from_camera, models)
+        share, pixels = self._over_needs(seen.visibility)
+        jacobian = np.zeros((*share.shape, 7))
+        if seen.found is not None:
+            ghosts = self.ghosts.at(seen.which)
+            by_share = seen.found.jac_visible_share / ghosts.of_each("visible_share")[:, None]
+            by_pixels = seen.found.jac_pixels / _needed_px(ghosts)[:, None]
+            is_by_share = (share <= pixels)[:, seen.which, None]
+            jacobian[:, seen.which] = np.where(is_by_share, by_share, by_pixels)
+        return np.minimum(share, pixels)[:, self.is_hard], jacobian[:, self.is_hard]
+
+    def _differentiated(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> _Seen:
+        """What cameras see of all points, with Jacobians where something depends on them; the last answers are kept."""
+        key = (np.asarray(ego_from_camera, np.float64).tobytes(), tuple(models))
+        if key not in self._seen:
+            seen = self.visibility(ego_from_camera, models)
+            _, by_share, by_pixels = self._probability(seen)
+            share, pixels = self._over_needs(seen)
+            margin = np.minimum(share, pixels)
+            is_partial = (seen.visible_share > 0.0) & ((seen.visible_share < 1.0) | (pixels < share))
+            is_near = self.is_hard & (margin >= 1.0) & (margin < NEAR_EDGE) & is_partial
+            # most points are met, or not seen at all
+            is_steep = (seen.visible_share > 0.0) & ((by_share > 0.0) | (by_pixels > 0.0))
+            which = np.flatnonzero((is_steep | is_near).any(axis=0))
+            found = None
+            if len(which):
+                ghosts = self.ghosts.at(which)
+                found = ghost_jacobians(
+                    ego_from_camera, models, ghosts, self.ego, device=self.device, renderers=self._renderers
+                )
+            while len(self._seen) >= SEEN_KEPT:
+                del self._seen[next(iter(self._seen))]
+            self._seen[key] = _Seen(seen, which, found)
+        return self._seen[key]
+
+    def _over_needs(self, seen: Visibility) -> tuple[np.ndarray, np.ndarray]:
+        """Shares and pixels over what is asked of one camera, each [camera, point]."""
+        return seen.visible_share / self.ghosts.of_each("visible_share"), seen.pixels / _needed_px(self.ghosts)
 
     def _probability(self, seen: Visibility) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Probabilities, and their derivatives to share and pixels, each [camera, point]."""
-        need_share = self.ghosts.of_each("visible_share")
-        need_px = np.maximum(self.ghosts.of_each("pixels"), 1e-9)
-        share, pixels = seen.visible_share / need_share, seen.pixels / need_px
+        need_share, need_px = self.ghosts.of_each("visible_share"), _needed_px(self.ghosts)
+        share, pixels = self._over_needs(seen)
         is_met = seen.meets(self.ghosts)
         found = np.where(is_met, MET, NEARLY_MET * np.minimum(np.minimum(share, pixels), 1.0))
         is_by_share = ~is_met & (share < 1.0) & (share <= pixels)
@@ -216,3 +278,8 @@ class GhostScene:
         if not (self.is_hard & ((found < needed) | (needed > count))).any():
             return
         require_meetable(seen(), self.ghosts, count=count)
+
+
+def _needed_px(ghosts: Ghosts) -> np.ndarray:
+    """Pixels that are asked of one camera, above 0, [point]."""
+    return np.maximum(ghosts.of_each("pixels"), 1e-9)

@@ -24,6 +24,7 @@ from threadpoolctl import threadpool_limits
 
 from warpav.optimisation.camera_loss import SOFTNESS, RobustObjective
 from warpav.optimisation.constraints import Constraints
+from warpav.optimisation.hard_points import Edges, HardPoints
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.tangent_model import REACH, SUREST, Rendered, TangentModel
 
@@ -105,6 +106,7 @@ def polish(
     tolerance: float = 1e-4,
     is_allowed: Callable[[np.ndarray], bool] | None = None,
     robust: RobustObjective | None = None,
+    hard_points: HardPoints | None = None,
 ) -> Iterator[PolishStep]:
     """Steps of shrinking radius; fewer where the model sees no gain any more or the next would cost too much.
 
@@ -123,6 +125,8 @@ def polish(
         is_allowed: Whether a rig whose cameras detect so much, float [camera, object], may be the best; the start is
             taken to be. None: every rig may.
         robust: What is minimised; None: the expected miss rate.
+        hard_points: Points that steps keep met as far as tangents tell, while ``is_allowed`` has the last word; asked
+            of cameras that ``detect`` has just rendered. None: there are none.
 
     Yields:
         The start, then every step. Only cameras that moved are rendered.
@@ -133,6 +137,7 @@ def polish(
     pose = nearest_rig(np.asarray(mount_pose, np.float32), mount, constraints)
     problem = _Problem(mount, constraints, pose)
     probability, jacobian = detect(pose)
+    margins = None if hard_points is None else hard_points.margins(pose)
     count = probability.shape[1]
     shares = np.ones(count) if weight is None else np.asarray(weight, np.float64)
     shares = shares / shares.sum()
@@ -148,13 +153,16 @@ def polish(
     moving = len(pose) if mount.frozen is None else int((~mount.frozen.is_frozen).sum())
     if camera_renders_max is not None and moving:
         step_count = min(step_count, (camera_renders_max - renders) // (moving * scene_count))
-    best = here = Rendered(pose, probability, jacobian, objective)
+    best = here = Rendered(pose, probability, jacobian, objective, margins)
     rendered = [here]
     for length in _radii(radius, step_count):
         model = TangentModel(
             here, shares, earlier=rendered, reach=REACH * length * step_unit(mount), rig_value=rig_value
         )
-        tried = problem.feasible(problem.minimised(model, here.mount_pose, length))
+        edges = None
+        if hard_points is not None and here.margins is not None:
+            edges = hard_points.edges(here.margins, problem.reach(length))
+        tried = problem.feasible(problem.minimised(model, here.mount_pose, length, edges))
         promised = model.value(tried.astype(np.float64) - here.mount_pose)
         if promised > model.value(np.zeros_like(here.jacobian[:, 0])) - tolerance * here.objective:
             here = best
@@ -163,7 +171,10 @@ def polish(
         probability, jacobian = here.probability.copy(), here.jacobian.copy()
         probability[moved], jacobian[moved] = detect(tried[moved])
         renders += len(moved) * scene_count
-        here = Rendered(tried, probability, jacobian, value_of(probability))
+        if hard_points is not None and here.margins is not None:
+            margins = (here.margins[0].copy(), here.margins[1].copy())
+            margins[0][moved], margins[1][moved] = hard_points.margins(tried[moved])
+        here = Rendered(tried, probability, jacobian, value_of(probability), margins)
         rendered.append(here)
         tried_objective = here.objective
         if is_allowed is not None and not is_allowed(here.probability):
@@ -225,6 +236,10 @@ class _Problem:
     def feasible(self, pose: np.ndarray) -> np.ndarray:
         return nearest_rig(pose, self.mount, self.constraints)
 
+    def reach(self, radius: float) -> np.ndarray:
+        """How far each number may move in a step, float64 [camera, 7]."""
+        return self.pose_of(np.zeros(self.is_free.shape), radius * self.unit)
+
     def slack_m(self, pose: np.ndarray) -> np.ndarray:
         return self.constraints.slack_m(pose[:, [X_M, Y_M]], pose[:, HEIGHT_DELTA_M])
 
@@ -236,8 +251,8 @@ class _Problem:
         return slope[:, self.is_free]
 
     @threadpool_limits.wrap(limits=1, user_api="blas")  # more threads only wait for one another, the longer the busier
-    def minimised(self, model: TangentModel, pose: np.ndarray, radius: float) -> np.ndarray:
-        """The rig with the lowest modelled objective within a radius of a rig and the constraints, [camera, 7]."""
+    def minimised(self, model: TangentModel, pose: np.ndarray, radius: float, edges: Edges | None = None) -> np.ndarray:
+        """The rig with the lowest modelled objective within a radius of a rig, constraints and edges, [camera, 7]."""
         from scipy.optimize import minimize
 
         here, unit = self.free_of(pose), self.unit
@@ -256,13 +271,17 @@ class _Problem:
             "fun": lambda scaled: self.slack_m(moved(scaled)),
             "jac": lambda scaled: self.slack_slope(moved(scaled)) * unit,
         }
+        constraints = [slack]
+        if edges is not None and len(edges.camera):
+            slope, spare = edges.by_rig(len(pose))[:, self.is_free] * unit, edges.value - edges.low
+            constraints.append({"type": "ineq", "fun": lambda scaled: spare + slope @ scaled, "jac": lambda _: slope})
         found = minimize(
             objective,
             np.clip(np.zeros(len(here)), low, high),
             jac=True,
             method="SLSQP",
             bounds=np.c_[low, high],
-            constraints=slack,
+            constraints=constraints,
             options={"maxiter": 60, "ftol": 1e-8},
         )
         scaled = np.clip(np.nan_to_num(found.x), low, high)

@@ -34,6 +34,7 @@ from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, 
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.replacements import Replacements, joined, within_half_a_turn
+from warpav.optimisation.requirement_margins import hard_points
 from warpav.optimisation.rig_limits import RigLimits
 from warpav.optimisation.selection.exchange import exchange
 from warpav.optimisation.selection.price import Price
@@ -487,6 +488,7 @@ class _Search:
             camera_renders_max=self._left,
             is_allowed=None if self.ghosts is None else self._meets_requirements,
             robust=self.robust,
+            hard_points=None if self.ghosts is None else hard_points(self.cameras, self.ghosts),
         )
         is_better = True
         for step in steps:

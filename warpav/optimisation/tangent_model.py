@@ -19,6 +19,8 @@ from functools import cached_property
 
 import numpy as np
 
+from warpav.optimisation.hard_points import Margins
+
 SUREST = 0.9999
 """Greatest probability that counts, as in the loss."""
 TANGENTS = 6
@@ -42,12 +44,14 @@ class Rendered:
         probability: What each detects, float [camera, object].
         jacobian: Its Jacobian to the mount poses, float [camera, object, 7].
         objective: The expected miss rate.
+        margins: Of its cameras at points of hard requirements; None: there are none.
     """
 
     mount_pose: np.ndarray
     probability: np.ndarray
     jacobian: np.ndarray
     objective: float
+    margins: Margins | None = None
 
     @cached_property
     def logit(self) -> np.ndarray:
