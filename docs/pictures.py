@@ -111,6 +111,30 @@ def draw_series_car(folder: Path) -> None:
     _warpav("rig", "requirements", str(rig), "--image", str(PICTURES / "series_car.png"))
 
 
+def draw_town_levels(folder: Path) -> None:
+    """town_levels.jpg: the levels of the town, one a row: ahead, to the left, behind, and from above."""
+    import warpav as wa
+    from warpav.detection.images import render_images
+
+    rows = []
+    for level, seed, height_m in (("easy", 3, 60.0), ("urban", 3, 120.0), ("dense", 1, 120.0), ("motorway", 6, 170.0)):
+        [scene] = wa.town([seed], level=level)
+        x_m = float(scene.ego.bounds_m()[:, 0].mean())
+        model = wa.CameraModel(420, 270, math.radians(90.0))
+        cameras = [
+            wa.Camera(f"yaw_{yaw_deg}", np.array([x_m, 0.0, 1.8]), math.radians(yaw_deg), 0.0, 0.0, model)
+            for yaw_deg in (0, 90, 180)
+        ]
+        above = wa.CameraModel(270, 270, math.radians(60.0))
+        cameras.append(wa.Camera("above", np.array([x_m, 0.0, height_m]), 0.0, math.radians(89.9), 0.0, above))
+        images = [image.rgb for image in render_images(scene, cameras, supersampling=3)]
+        gap = np.full((270, 6, 3), 255, np.uint8)
+        rows += [np.concatenate([images[0], gap, images[1], gap, images[2], gap, images[3]], axis=1)]
+        rows += [np.full((6, rows[-1].shape[1], 3), 255, np.uint8)]
+    image = Image.fromarray(np.concatenate(rows[:-1]))
+    image.save(PICTURES / "town_levels.jpg", quality=88, optimize=True)
+
+
 def draw_stages(folder: Path) -> None:
     """stages.jpg: from images to triangle meshes."""
     _warpav("scenes", "figure", "5", "--seed", "3", "--out", str(folder / "stages.png"))
@@ -235,6 +259,34 @@ def draw_gradient(folder: Path) -> None:
     plt.close(figure)
 
 
+def draw_traffic(folder: Path) -> None:
+    """traffic.png: scenes of recorded traffic, from above and as a camera sees them."""
+    import pyvista as pv
+
+    import warpav as wa
+
+    _warpav("scenes", "traffic", "--seeds", "[0,2,8]", "--out", str(folder))
+    rows = []
+    for scene in wa.read_scenes(folder):
+        plotter = pv.Plotter(off_screen=True, window_size=(420, 420))
+        for mesh in (scene.environment, scene.ego, *(user.mesh for user in scene.road_users)):
+            surface = pv.PolyData.from_regular_faces(mesh.vertex_m, mesh.triangle)
+            surface["rgb"] = mesh.vertex_rgb
+            plotter.add_mesh(surface, scalars="rgb", rgb=True, lighting=False)
+        plotter.camera_position = [(8.0, 0.0, 140.0), (8.0, 0.0, 0.0), (1.0, 0.0, 0.0)]
+        plotter.camera.parallel_projection, plotter.camera.parallel_scale = True, 36.0
+        images = [np.asarray(plotter.screenshot())]
+        plotter.close()
+        seen = wa.render(wa.preset("nuscenes"), scene, supersampling=2)
+        for name in ("CAM_FRONT", "CAM_FRONT_LEFT"):
+            image = Image.fromarray(seen[name].rgb)
+            images.append(np.asarray(image.resize((round(420 * image.width / image.height), 420))))
+        rows.append(np.concatenate(images, axis=1))
+    Image.fromarray(np.concatenate(rows)).resize((1280, round(1280 * 1260 / rows[0].shape[1]))).save(
+        PICTURES / "traffic.png", optimize=True
+    )
+
+
 DRAWN: dict[str, Callable[[Path], None]] = {
     "rig.png": draw_run,
     "detections.png": draw_run,
@@ -247,8 +299,10 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "gain.png": draw_gain,
     "requirements.png": draw_requirements,
     "series_car.png": draw_series_car,
+    "town_levels.jpg": draw_town_levels,
     "stages.jpg": draw_stages,
     "gradient.png": draw_gradient,
+    "traffic.png": draw_traffic,
 }
 """By file in .github/pictures."""
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.cli.small_run import SMALL, complaint
 from warpav.cli.app import main
-from warpav.evaluation.metrics import WEIGHTED_METRICS
+from warpav.evaluation.metrics import OPTIONAL_METRICS
 from warpav.optimisation.descent import Descent
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.verdict import ARM_ROWS
@@ -66,7 +66,7 @@ def test_the_evaluation_has_the_documented_fields(run_folder):
     assert list(evaluation["paired"]) == ["start", "highest", "random"]
     for metrics in evaluation["arms"].values():
         size_aps = {f"ap50_95_{size}" for size in ("small", "medium", "large")}
-        assert set(ARM_ROWS) - set(WEIGHTED_METRICS) | size_aps | {
+        assert set(ARM_ROWS) - set(OPTIONAL_METRICS) | size_aps | {
             "rig_recall",
             "objects",
             "frames",

@@ -194,7 +194,9 @@ def test_views_at_once_follow_the_size_of_images(monkeypatch):
 
     pose, scenes = poses_of(13), streets()
     monkeypatch.setattr(Renderer, "__init__", noted)
-    for key_bytes, most in ((2**26, 13), (5 * 8 * 50 * 42, 5), (1, 1)):
+    camera = mount_of().cameras[0]
+    view_bytes = 8 * (camera.width_px + 2) * (camera.height_px + 2)
+    for key_bytes, most in ((2**26, 13), (5 * view_bytes, 5), (1, 1)):
         monkeypatch.setattr("warpav.optimisation.single_cameras.CPU_KEY_BYTES", key_bytes)
         for threads in (1, 2):
             made.clear()

@@ -19,6 +19,9 @@ from warpav.cli.arguments import (
     seeds_of,
 )
 from warpav.core.errors import InputError
+from warpav.scene.town.levels import Level
+
+SceneLevel = Annotated[Level, Parameter(help="Of the embedded town, for seeds: easy, urban, dense or motorway.")]
 
 scenes_app = App(name="scenes", help="Make and show traffic scenes.")
 
@@ -29,13 +32,35 @@ def scenes_make(
     out: Annotated[Path, Parameter(help="Folder for the files, scene_SEED.glb.")],
     seeds: Annotated[str | None, Parameter(help="Range such as 1000..1009 or list such as [1,2,3].")] = None,
     count: Annotated[int | None, Parameter(help="Instead of --seeds: this many, from seed 0.")] = None,
+    level: SceneLevel = "easy",
     executor: Executor = "serial",
     workers: Workers = None,
 ) -> int:
     """Build embedded street scenes and write each as a GLB file; what is there already stays."""
     from warpav.runs.scenes import build_scenes
 
-    return build_scenes(seeds_of(seeds, count), out, executor=executor, worker_count=workers)
+    return build_scenes(seeds_of(seeds, count), out, level=level, executor=executor, worker_count=workers)
+
+
+@scenes_app.command(name="traffic")
+def scenes_traffic(
+    *recordings: Annotated[
+        Path,
+        Parameter(
+            help="Recorded traffic: JSON, CommonRoad XML, folders of Argoverse 2 logs, or folders of these; by default "
+            "the crossing that ships with warpav."
+        ),
+    ],
+    out: Annotated[Path, Parameter(help="Folder for the files, scene_SEED.glb.")],
+    seeds: Annotated[str | None, Parameter(help="Range such as 1000..1009 or list such as [1,2,3].")] = None,
+    count: Annotated[int | None, Parameter(help="Instead of --seeds: this many, from seed 0.")] = None,
+    executor: Executor = "serial",
+    workers: Workers = None,
+) -> int:
+    """Build scenes of recorded traffic and write each as a GLB file; what is there already stays."""
+    from warpav.runs.scenes import build_traffic_scenes
+
+    return build_traffic_scenes(recordings, seeds_of(seeds, count), out, executor=executor, worker_count=workers)
 
 
 @scenes_app.command(name="capture")
@@ -103,11 +128,38 @@ def scenes_show(
     /,
     *,
     out: Annotated[Path | None, Parameter(help="PNG, HTML, GIF or MP4 to write; by default a window.")] = None,
+    level: SceneLevel = "easy",
 ) -> None:
     """Show a scene and list its vehicles."""
     from warpav.runs.scenes import show_scene
 
-    for line in show_scene(scene, out):
+    for line in show_scene(scene, out, level):
+        say(line)
+
+
+@scenes_app.command(name="statistics")
+def scenes_statistics(
+    *overrides: Overrides,
+    seeds: Annotated[
+        str | None, Parameter(help="Range such as 0..39 or list such as [1,2,3]; by default scenes.train_seeds.")
+    ] = None,
+    config: Config = DEFAULT_CONFIG,
+) -> None:
+    """Count road users by kind, by distance and by how much of them can be seen, in scenes of any source.
+
+    Such as scenes.level=dense --seeds 0..39, or scenes.source=folder scenes.folder=FOLDER --seeds 0..9.
+    """
+    from warpav.experiments.scene_statistics import scene_statistics
+    from warpav.runs.config import placed_config, read_seeds
+    from warpav.runs.progress import RunDisplay
+    from warpav.runs.scene_set import load_scenes
+
+    with placed_config(config, overrides) as settings:
+        chosen = settings.scenes.train_seeds if seeds is None else read_seeds(seeds, place="command line (--seeds)")
+        with RunDisplay() as display:
+            scenes = display.steps("scenes", load_scenes(settings, chosen), count=len(chosen))
+            table = scene_statistics(scenes, device=settings.device).table()
+    for line in table:
         say(line)
 
 

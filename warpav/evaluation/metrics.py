@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from typing import Any
@@ -51,8 +51,15 @@ PAIRED_METRICS = (
     "objective",
 )
 
-WEIGHTED_METRICS = ("weighted_recall", "weighted_misses_per_100")
-"""Metrics that exist where the objects have weights (section ``importance``); likewise defined per scene."""
+OPTIONAL_METRICS = (
+    "weighted_recall",
+    "weighted_misses_per_100",
+    "attainable_rate",
+    "attainable_recall",
+    "attainable_misses_per_100",
+)
+"""Metrics that not every evaluation has: where the objects have weights (section ``importance``), and where it is known
+which of them are attainable (`warpav.evaluation.attainable`); defined per scene as well, but for the rate."""
 
 EQUAL_FALSE_ALARMS_PER_FRAME = 0.5
 """False alarms per image at which the recalls of rigs are compared (`ArmMetrics.recall_at_equal_false_alarms`)."""
@@ -142,10 +149,14 @@ class ArmMetrics:
         frames: Number of images.
         recall_by: The rig's recall by ``distance_m`` (`DISTANCE_EDGES_M`), ``sector`` (`SECTORS`), ``category`` and
             ``road_user``, each a `GroupRecall` by the group's name.
-        per_scene: The metrics of `PAIRED_METRICS` scene by scene, and those of `WEIGHTED_METRICS` where they exist.
+        per_scene: The metrics of `PAIRED_METRICS` scene by scene, and those of `OPTIONAL_METRICS` where they exist.
         weighted_recall: As `rig_recall`, each object counted by its weight; None where no weights are set, or all are
             0.
         weighted_misses_per_100: 100 (1 - `weighted_recall`), beside `misses_per_100`.
+        attainable_rate: Share of all objects that some single camera, anywhere on the mount, is likely to detect; see
+            `warpav.evaluation.attainable`. None where that is not known.
+        attainable_recall: As `rig_recall`, of these objects alone.
+        attainable_misses_per_100: 100 (1 - `attainable_recall`): of what can be found, how much this rig does not find.
     """
 
     map50_average: float | None
@@ -180,11 +191,14 @@ class ArmMetrics:
     per_scene: dict[str, list[float | None]]
     weighted_recall: float | None = None
     weighted_misses_per_100: float | None = None
+    attainable_rate: float | None = None
+    attainable_recall: float | None = None
+    attainable_misses_per_100: float | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """As ``evaluation.json`` has them; without weights the metrics of weights are left out."""
+        """As ``evaluation.json`` has them; of `OPTIONAL_METRICS` those that are known."""
         found = asdict(self)
-        return {name: value for name, value in found.items() if value is not None or name not in WEIGHTED_METRICS}
+        return {name: value for name, value in found.items() if value is not None or name not in OPTIONAL_METRICS}
 
 
 class ObjectOutcome(StrEnum):
@@ -261,6 +275,11 @@ class RigObservation:
         """Whether some camera detects an object at other thresholds, bool [object]; see `Observation`."""
         detected = [each.is_detected_at(confidence_min, iou_min) for each in self.observations]
         return np.asarray(np.concatenate(detected).any(axis=0))
+
+    def detected_up_to(self, iou_min: float) -> np.ndarray:
+        """Highest minimum confidence at which some camera detects an object, -inf without, float64 [object]."""
+        up_to = [each.detected_up_to(iou_min) for each in self.observations]
+        return np.concatenate(up_to).max(axis=0, initial=-np.inf)
 
     @property
     def confidence(self) -> np.ndarray:
@@ -412,6 +431,14 @@ class SceneObservations:
             return None
         return np.concatenate(found, axis=1)
 
+    def from_confidence(self, confidence_min: float) -> SceneObservations:
+        """The same by a detector that drops what is less confident; see `Observation.from_confidence`."""
+        observations = [
+            replace(each, observations=[seen.from_confidence(confidence_min) for seen in each.observations])
+            for each in self.observations
+        ]
+        return replace(self, observations=observations)
+
 
 def observe_scenes(
     rig: Rig,
@@ -472,8 +499,46 @@ def observe_scenes(
     return SceneObservations(rig, [assigned.scene for assigned in scenes], observations, losses)
 
 
-def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
-    """Metrics of a rig from its observations; the objective supplies the constraints and the thresholds of a match."""
+def false_alarm_confidences(seen: SceneObservations, objective: RigObjective) -> np.ndarray:
+    """Confidence of every false alarm in all images, highest first, float64 [detection].
+
+    What is a false alarm, see `ArmMetrics`, follows from more confident detections alone: those from any threshold on
+    are the false alarms of a detector with that threshold. The objective supplies the minimum IoU of a match.
+    """
+    every_size, alarms = [(0.0, math.inf)], [np.zeros(0)]
+    for images in _image_boxes(seen.scenes, [each.observations for each in seen.observations]):
+        scores = score_images(images, iou_min=[objective.iou_min], area_px2=every_size)
+        alarms.append(scores.confidence[scores.counts[0, 0] & ~scores.true_positive[0, 0]])
+    return np.sort(np.concatenate(alarms))[::-1]
+
+
+def confidence_at(
+    false_alarm_confidence: np.ndarray, images: int, false_alarms_per_image: float, *, least: float
+) -> float:
+    """The lowest confidence, from ``least`` on, that leaves at most so many false alarms per image.
+
+    Args:
+        false_alarm_confidence: Of every false alarm, highest first.
+        images: In how many images they are.
+        false_alarms_per_image: How many may be left.
+        least: The lowest confidence that is known of.
+    """
+    allowed = math.floor(false_alarms_per_image * images + 1e-9)
+    if len(false_alarm_confidence) <= allowed:
+        return least
+    return float(np.nextafter(false_alarm_confidence[allowed], math.inf))
+
+
+def metrics_of(
+    seen: SceneObservations, objective: RigObjective, *, attainable: Sequence[np.ndarray] | None = None
+) -> ArmMetrics:
+    """Metrics of a rig from its observations.
+
+    Args:
+        seen: The observations.
+        objective: Supplies the constraints and the thresholds of a match.
+        attainable: Which objects of each scene can be found from the mount, bool [object] each; None: not known.
+    """
     rig, scenes, observations, losses = seen.rig, seen.scenes, seen.observations, seen.losses
     detected, visible = [each.detected for each in observations], [each.visible for each in observations]
     in_frame, confidence = [each.in_frame for each in observations], [each.confidence for each in observations]
@@ -493,6 +558,15 @@ def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
         weighted_recall = _weighted_mean(flags[1], np.concatenate([np.zeros(0), *weights]))
         recalls = [_weighted_mean(*both) for both in zip(detected, weights, strict=True)]
         weighted_of_scene = {"weighted_recall": recalls, "weighted_misses_per_100": [_misses(each) for each in recalls]}
+    can_be, attainable_recall, attainable_of_scene = None, None, {}
+    if attainable is not None:
+        can_be = np.concatenate([np.zeros(0, bool), *attainable])
+        attainable_recall = _mean(flags[1][can_be])
+        recalls = [_mean(found[which]) for found, which in zip(detected, attainable, strict=True)]
+        attainable_of_scene = {
+            "attainable_recall": recalls,
+            "attainable_misses_per_100": [_misses(each) for each in recalls],
+        }
     return ArmMetrics(
         map50_average=_mean(np.array(camera_map)),
         map50_min_camera=min(camera_map, default=None),
@@ -535,10 +609,35 @@ def metrics_of(seen: SceneObservations, objective: RigObjective) -> ArmMetrics:
             "false_alarms_per_frame": [_mean(counts) for counts in boxes.false_alarms],
             "objective": [_number(loss) for loss in losses] or [None] * len(scenes),
             **weighted_of_scene,
+            **attainable_of_scene,
         },
         weighted_recall=weighted_recall,
         weighted_misses_per_100=_misses(weighted_recall),
+        attainable_rate=None if can_be is None else _mean(can_be),
+        attainable_recall=attainable_recall,
+        attainable_misses_per_100=_misses(attainable_recall),
     )
+
+
+def _image_boxes(
+    scenes: Sequence[DeviceScene], observations: Sequence[Sequence[Observation]]
+) -> list[list[ImageBoxes]]:
+    """Boxes of every image by kind of road user: [kind][image], scene by scene, camera by camera."""
+    images: list[list[ImageBoxes]] = [[] for _ in ROAD_USERS]
+    for scene, of_scene in zip(scenes, observations, strict=True):
+        for seen in of_scene:
+            for truth, small, found in zip(seen.truth_box_px, seen.too_small_box_px, seen.detections, strict=True):
+                for kind, images_of_kind in enumerate(images):
+                    own, said = scene.road_user_index == kind, found.road_user_index == kind
+                    images_of_kind.append(
+                        ImageBoxes(
+                            np.concatenate([truth[own], small[own]]),
+                            found.box_px[said],
+                            found.confidence[said],
+                            truth_ignored=np.repeat([False, True], own.sum()),
+                        )
+                    )
+    return images
 
 
 class _Boxes:
@@ -551,20 +650,7 @@ class _Boxes:
     def __init__(
         self, scenes: Sequence[DeviceScene], observations: Sequence[Sequence[Observation]], objective: RigObjective
     ) -> None:
-        images: list[list[ImageBoxes]] = [[] for _ in ROAD_USERS]  # scene by scene, camera by camera
-        for scene, of_scene in zip(scenes, observations, strict=True):
-            for seen in of_scene:
-                for truth, small, found in zip(seen.truth_box_px, seen.too_small_box_px, seen.detections, strict=True):
-                    for kind, images_of_kind in enumerate(images):
-                        own, said = scene.road_user_index == kind, found.road_user_index == kind
-                        images_of_kind.append(
-                            ImageBoxes(
-                                np.concatenate([truth[own], small[own]]),
-                                found.box_px[said],
-                                found.confidence[said],
-                                truth_ignored=np.repeat([False, True], own.sum()),
-                            )
-                        )
+        images = _image_boxes(scenes, observations)
         shape = (len(scenes), len(images[0]) // max(len(scenes), 1))
         # the last threshold is that of a true positive, for the false alarms
         scores = [score_images(each, iou_min=(*COCO_IOU, objective.iou_min)) for each in images]
@@ -589,10 +675,8 @@ class _Boxes:
 
     def confidence_at(self, false_alarms_per_frame: float) -> float:
         """The lowest confidence, from the configured one on, that leaves at most so many false alarms per image."""
-        allowed = math.floor(false_alarms_per_frame * self.false_alarms.size + 1e-9)
-        if len(self._alarm_confidence) <= allowed:
-            return self._confidence_min
-        return float(np.nextafter(self._alarm_confidence[allowed], math.inf))
+        images = self.false_alarms.size
+        return confidence_at(self._alarm_confidence, images, false_alarms_per_frame, least=self._confidence_min)
 
     def ap50_of_scenes(self) -> list[float | None]:
         """AP50 over the images of each scene."""

@@ -12,8 +12,8 @@ from warpav.core.errors import ArgumentError
 from warpav.evaluation.camera_outage import CameraOutages
 from warpav.evaluation.metrics import (
     EQUAL_FALSE_ALARMS_PER_FRAME,
+    OPTIONAL_METRICS,
     PAIRED_METRICS,
-    WEIGHTED_METRICS,
     ArmMetrics,
     ObjectOutcome,
 )
@@ -30,6 +30,9 @@ TABLE_ROWS = {
     "weighted_recall": "weighted recall",
     "misses_per_100": "misses per 100",
     "weighted_misses_per_100": "weighted misses per 100",
+    "attainable_rate": "attainable by any camera",
+    "attainable_recall": "recall of the attainable",
+    "attainable_misses_per_100": "attainable misses per 100",
     "recall_at_equal_false_alarms": f"recall at {EQUAL_FALSE_ALARMS_PER_FRAME:g} false alarms a frame",
     "rig_recall_visible": "recall of the visible",
     "visible_rate": "visible to the rig",
@@ -43,7 +46,7 @@ TABLE_ROWS = {
     "min_camera_distance_m": "closest cameras [m]",
     "body_share_max": "own body, largest share of an image",
 }
-"""Metrics that a table shows, and their headings; those of weights where these are set."""
+"""Metrics that a table shows, and their headings; those of `OPTIONAL_METRICS` where they are known."""
 
 
 CAPTION = "Recalls pool the objects of all scenes; difference() is a mean over scenes, each counting alike."
@@ -151,7 +154,7 @@ class RigEvaluation:
         Args:
             one: Name of a rig.
             other: Name of another.
-            metric: One of `warpav.evaluation.metrics.PAIRED_METRICS`, or where weights are set of `WEIGHTED_METRICS`.
+            metric: One of `warpav.evaluation.metrics.PAIRED_METRICS`, or of `OPTIONAL_METRICS` where they are known.
 
         Raises:
             InputError: There is no rig or metric of a name.
@@ -159,7 +162,7 @@ class RigEvaluation:
         for argument, name in (("one", one), ("other", other)):
             if name not in self.metrics:
                 raise ArgumentError(argument, f"expected one of {', '.join(self.metrics)}, got {name!r}")
-        metrics = [*PAIRED_METRICS, *(name for name in WEIGHTED_METRICS if name in self.metrics[one].per_scene)]
+        metrics = [*PAIRED_METRICS, *(name for name in OPTIONAL_METRICS if name in self.metrics[one].per_scene)]
         if metric not in metrics:
             raise ArgumentError("metric", f"expected one of {', '.join(metrics)}, got {metric!r}")
         return paired_difference(self.metrics[one].per_scene[metric], self.metrics[other].per_scene[metric])
@@ -172,7 +175,7 @@ class RigEvaluation:
         rows = [
             (heading, *(_cell(getattr(metrics, field)) for metrics in self.metrics.values()))
             for field, heading in TABLE_ROWS.items()
-            if field not in WEIGHTED_METRICS or any(getattr(each, field) is not None for each in self.metrics.values())
+            if field not in OPTIONAL_METRICS or any(getattr(each, field) is not None for each in self.metrics.values())
         ]
         rows += requirement_rows(self.to_json()["requirements"])
         return Table((f"{len(self.scenes)} scenes, {len(self.objects)} objects", *self.metrics), tuple(rows), CAPTION)

@@ -70,16 +70,22 @@ class CameraJacobians:
         views = self._views_of(len(chunks[0]))
         parts, position_m = [], []
         for chunk in chunks:
-            parts.append(views.shown(pose[chunk], peopled))
-            position_m.append(views.placed.position_ego_m.numpy().copy())
+            filled = chunk[np.minimum(np.arange(views.count), len(chunk) - 1)]
+            parts.append(views.shown(pose[filled], peopled).first(len(chunk)))
+            position_m.append(views.placed.position_ego_m.numpy()[: len(chunk)].copy())
         # the last chunk is filled up with copies
-        shown = _Shown.of_all_cameras(parts, len(pose))
+        shown = _Shown.of_all_cameras(parts).first(len(pose))
         return self._differentiated(shown, np.concatenate(position_m)[: len(pose)], slope)
 
     def _views_of(self, count: int) -> _Views:
-        """The views of so many cameras. A GPU keeps them, for what it has recorded."""
+        """Views of at least so many cameras.
+
+        A GPU keeps them, for what it has recorded; to record less it has views for 1, 2, 4, 8 ... cameras, as
+        recording a scene takes longer than rendering views that nobody asked for.
+        """
         if not wp.get_device(self.mount.device).is_cuda:
             return _Views(self.mount, self._renderers_for(count), self._pane)
+        count = 1 << (count - 1).bit_length()
         if count not in self._views:
             self._views[count] = _Views(self.mount, self._renderers_for(count), self._pane)
         return self._views[count]
@@ -125,13 +131,15 @@ class _Views:
     """So many views that are rendered in one scene after another.
 
     Attributes:
+        count: How many.
         placed: Their poses, always in the same arrays.
     """
 
     def __init__(self, mount: CameraMount, renderers: Sequence[Renderer], pane: Pane | None) -> None:
         self._mount, self._pane = mount, pane
         self._renderers = renderers
-        self._pose = wp.zeros((renderers[0].view_count, MOUNT_POSE_SIZE), dtype=float, device=mount.device)
+        self.count = renderers[0].view_count
+        self._pose = wp.zeros((self.count, MOUNT_POSE_SIZE), dtype=float, device=mount.device)
         self.placed = PlacedViews.zeros(self._pose, 1)
         self._recorded: WeakKeyDictionary[DeviceScene, _Recorded] = WeakKeyDictionary()
         is_cuda = renderers[0].device.is_cuda
@@ -324,12 +332,12 @@ class _Shown:
     box: tuple[np.ndarray, np.ndarray, np.ndarray]
 
     @classmethod
-    def of_all_cameras(cls, shown: Sequence[_Shown], count: int) -> _Shown:
-        """What chunks of cameras are shown in the same scenes, of the first ``count``."""
+    def of_all_cameras(cls, shown: Sequence[_Shown]) -> _Shown:
+        """What chunks of cameras are shown in the same scenes."""
         return cls(
-            {name: np.concatenate([each.measures[name] for each in shown])[:count] for name in _MEASURED},
-            {name: np.concatenate([each.in_frame[name] for each in shown])[:count] for name in _MEASURED},
-            np.concatenate([each.contrast for each in shown])[:count],
+            {name: np.concatenate([each.measures[name] for each in shown]) for name in _MEASURED},
+            {name: np.concatenate([each.in_frame[name] for each in shown]) for name in _MEASURED},
+            np.concatenate([each.contrast for each in shown]),
             shown[0].box,
         )
 
@@ -345,6 +353,15 @@ class _Shown:
                 np.concatenate([each.box[1] for each in shown]),
                 np.concatenate([each.box[2] for each in shown]),
             ),
+        )
+
+    def first(self, count: int) -> _Shown:
+        """What the first so many cameras are shown."""
+        return _Shown(
+            {name: value[:count] for name, value in self.measures.items()},
+            {name: value[:count] for name, value in self.in_frame.items()},
+            self.contrast[:count],
+            self.box,
         )
 
 

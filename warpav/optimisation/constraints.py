@@ -629,17 +629,21 @@ class ZoneAndSpacing(Constraints):
         from scipy.spatial import KDTree
 
         if module not in self._borders:
-            surface = self.surface
-            x_m, y_m = (
-                origin + np.arange(4 * (n - 1) + 1) * (0.25 * surface.cell_m)
-                for origin, n in zip(surface.origin_m, surface.height_m.shape, strict=True)
-            )
-            place = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1).reshape(-1, 2)
-            distance_m = surface.zone_distance_m(place)
-            place = place[(distance_m >= self._kept_m) & (distance_m <= self._kept_m + surface.cell_m)]
-            place = place if module < 0 else place[surface.module_at(place) == module]
+            place = self._border_places() if module < 0 else self._border(-1)[0]
+            place = place if module < 0 else place[self.surface.module_at(place) == module]
             self._borders[module] = place, KDTree(place)
         return self._borders[module]
+
+    def _border_places(self) -> np.ndarray:
+        """Places of a fine grid all along the border, in squares between cells that it can lead through, [place, 2]."""
+        surface = self.surface
+        corners = np.lib.stride_tricks.sliding_window_view(surface.border_distance_m, (2, 2))
+        low_m, high_m = corners.min(axis=(2, 3)), corners.max(axis=(2, 3))
+        square = np.argwhere((high_m >= self._kept_m) & (low_m <= self._kept_m + surface.cell_m))
+        fine = (4 * square[:, None] + np.indices((5, 5)).reshape(2, -1).T).reshape(-1, 2)
+        place = surface.origin_m + np.unique(fine, axis=0) * (0.25 * surface.cell_m)
+        distance_m = surface.zone_distance_m(place)
+        return place[(distance_m >= self._kept_m) & (distance_m <= self._kept_m + surface.cell_m)]
 
     def _drawn(self, camera_count: int, rng: np.random.Generator) -> np.ndarray:
         if self.module is not None and len(self.module) == camera_count:

@@ -232,6 +232,11 @@ class CameraPool:
         )
 
     @property
+    def cameras(self) -> SingleCameras:
+        """What drew it; a search that goes on with the pool asks it again, with the renderers and recordings it has."""
+        return self._source.cameras
+
+    @property
     def identity(self) -> Identity:
         """Hashes of all that it was drawn with: vehicle, camera, detector, version and the scenes in their order."""
         return self._source.identity

@@ -102,6 +102,8 @@ class PoolDescent:
             count = sum(each.scene.vehicle_count for each in scenes)
             self.object_weight = requirements.weights_with(self._traffic_weight, count)
         self.robust, self.mount_errors = robust, mount_errors
+        if pool is not None and mount_errors is None:
+            cameras = pool.cameras
         self._cameras, self._scenes = cameras, [each.scene for each in scenes]
         self.start_value: RobustValue | None = None
         self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool

@@ -34,9 +34,10 @@ class KeptRenderers:
 
         Not to be called while renderers of an earlier call are in use.
         """
-        renderers = self._kept.pop(key, None)
+        known = self._kept.pop(key, ())
+        others_max = self.bytes_max - sum(each.held_bytes for each in known)
         # buffers grow as they are used, so this is the time to look; first, so that new ones find room
-        while self._kept and self.held_bytes > self.bytes_max:
+        while self._kept and self.held_bytes > others_max:
             del self._kept[next(iter(self._kept))]
-        self._kept[key] = renderers = tuple(make()) if renderers is None else renderers
-        return renderers
+        self._kept[key] = known or tuple(make())
+        return self._kept[key]

@@ -9,6 +9,7 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import Progress
+from warpav.evaluation.attainable import attainable_objects
 from warpav.evaluation.camera_outage import CameraOutages
 from warpav.evaluation.metrics import SceneObservations, metrics_of, observe_scenes
 from warpav.evaluation.rig_evaluation import RigEvaluation, seen_objects
@@ -101,9 +102,13 @@ def evaluate_on(
         for name, rig in progress.steps("comparing", rigs.items(), count=len(rigs))
     }
     packed = [assigned.scene for assigned in scenes]
+    attainable = attainable_objects(placement.objective, scenes)
     return RigEvaluation(
         dict(rigs),
-        {name: metrics_of(observed, placement.objective) for name, observed in observations.items()},
+        {
+            name: metrics_of(observed, placement.objective, attainable=attainable)
+            for name, observed in observations.items()
+        },
         tuple(scene.name for scene in packed),
         seen_objects(observations, packed, rigs),
         {name: _outages_of(observed, placement) for name, observed in observations.items()},

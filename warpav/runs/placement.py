@@ -53,14 +53,12 @@ from warpav.runs.rig_source import read_start
 from warpav.runs.scene_set import SceneSet, checked_vehicle, load_scene_set, own_vehicle, pack_scenes
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
+from warpav.scene.town.levels import level_of
 
 if TYPE_CHECKING:
     import trimesh
 
     from warpav.detection.detector import Detector
-
-TOWN_SOURCE = "town seed "
-"""How the source of an embedded scene begins; its seed follows."""
 
 ORIENTATION_SCENES = 200
 """Training scenes by which the orientations are chosen, at most; of more, so many that are evenly spread."""
@@ -754,21 +752,27 @@ def _checked_losses(losses: Sequence[tuple[float, Loss | LossFunction]]) -> tupl
 
 
 def _are_town(scenes: Sequence[Scene]) -> bool:
-    """Whether these are embedded scenes as they are made."""
-    return all(scene.source.startswith(TOWN_SOURCE) for scene in scenes)
+    """Whether these are embedded scenes of one level as they are made."""
+    found = [level_of(scene.source) for scene in scenes]
+    return None not in found and len({one[0] for one in found if one is not None}) <= 1
 
 
 def _scene_options(train: Sequence[Scene], validation: Sequence[Scene], base: Config) -> dict[str, object]:
     """What a configuration can say of scenes: the seeds of embedded ones, and no batch larger than they are many."""
     options: dict[str, object] = {"run.batch_size": min(base.run.batch_size, len(train))}
-    if not (_are_town(train) and _are_town(validation)):
+    if not _are_town([*train, *validation]):
         return options
-    seeds = [[int(scene.source.removeprefix(TOWN_SOURCE)) for scene in each] for each in (train, validation)]
+    known = [[one for scene in each if (one := level_of(scene.source)) is not None] for each in (train, validation)]
+    seeds = [[seed for _, seed in each] for each in known]
+    level = known[0][0][0]
     used = {*seeds[0], *seeds[1]}
     test = [seed for seed in base.scenes.test_seeds if seed not in used] or [max(used) + 1]
     return {
         **options,
         "scenes.source": "town",
+        "scenes.level": None if level == "easy" else level,
+        "scenes.recordings": None,
+        "scenes.test_recordings": None,
         "scenes.train_seeds": list(dict.fromkeys(seeds[0])),
         "scenes.validation_seeds": list(dict.fromkeys(seeds[1])) or None,
         "scenes.test_seeds": test,

@@ -9,7 +9,7 @@ from typing import Any
 
 from warpav.core.executor import ExecutorName, Outcome
 from warpav.core.files import check_folder
-from warpav.runs.config import Config
+from warpav.runs.config import Config, SceneConfig
 from warpav.runs.progress import RunDisplay
 from warpav.runs.scene_set import load_scene, plan_settings, reconstruction_settings
 from warpav.scene.store import (
@@ -22,18 +22,57 @@ from warpav.scene.store import (
     scene_path,
     split_seeds,
 )
+from warpav.scene.town.levels import Level, TownSource
+from warpav.scene.town.town import ego_vehicle
+from warpav.scene.traffic.files import recordings_in, shipped_recordings
+from warpav.scene.traffic.moments import moment_of, moments_of
+from warpav.scene.traffic.traffic_scene import TrafficSource
 
 _SPLIT_FROM = 6  # scenes that make training, validation and test scenes, and a batch of the training scenes
 
 
-def build_scenes(seeds: Sequence[int], out: Path, *, executor: ExecutorName, worker_count: int | None) -> int:
-    """Build embedded scenes as GLB files that are not there yet; returns the exit status.
+def build_scenes(
+    seeds: Sequence[int], out: Path, *, level: Level = "easy", executor: ExecutorName, worker_count: int | None
+) -> int:
+    """Build embedded scenes of a level as GLB files that are not there yet; returns the exit status.
 
     Raises:
         InputError: The folder cannot be written to.
     """
+    tasks = [SceneTask(seed, scene_path(out, seed), source=TownSource(seed, level)) for seed in seeds]
+    return _build(tasks, out, executor, worker_count)
+
+
+def build_traffic_scenes(
+    recordings: Sequence[Path],
+    seeds: Sequence[int],
+    out: Path,
+    *,
+    executor: ExecutorName,
+    worker_count: int | None,
+) -> int:
+    """Build scenes of recorded traffic as GLB files that are not there yet; returns the exit status.
+
+    Args:
+        recordings: Files and folders; none: those that ship with warpav.
+        seeds: Each chooses a moment and an ego vehicle, of all recordings, and what was not recorded.
+        out: Folder for the files.
+        executor: How the scenes are spread.
+        worker_count: Processes.
+
+    Raises:
+        InputError: A recording cannot be used, or the folder cannot be written to.
+    """
+    files = recordings_in(recordings) if recordings else shipped_recordings()
+    moments = moments_of(files, ego_vehicle().bounds_m())
+    tasks = [
+        SceneTask(seed, scene_path(out, seed), source=TrafficSource(moment_of(moments, seed), seed)) for seed in seeds
+    ]
+    return _build(tasks, out, executor, worker_count)
+
+
+def _build(tasks: Sequence[SceneTask], out: Path, executor: ExecutorName, worker_count: int | None) -> int:
     check_folder(out, "out")
-    tasks = [SceneTask(seed, scene_path(out, seed)) for seed in seeds]
     status = _show_outcomes(
         "building scenes",
         (
@@ -101,7 +140,7 @@ def reconstruct_scenes(
     return status
 
 
-def show_scene(source: str, out: Path | None) -> Iterator[str]:
+def show_scene(source: str, out: Path | None, level: Level | None = None) -> Iterator[str]:
     """Show a scene, in a window when there is a display, else in ``<scene>.png``; yields lines about it.
 
     Raises:
@@ -110,7 +149,7 @@ def show_scene(source: str, out: Path | None) -> Iterator[str]:
     from warpav.view import plot
     from warpav.view.opengl import has_display
 
-    scene = load_scene(source)
+    scene = load_scene(source, Config(scenes=SceneConfig(level=level)))
     meshes = [scene.surroundings(), scene.ego, *(vehicle.mesh for vehicle in scene.vehicles)]
     triangle_count = sum(len(mesh.triangle) for mesh in meshes)
     people = f", {len(scene.others)} people" if scene.others else ""

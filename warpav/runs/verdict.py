@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from warpav.evaluation.metrics import EQUAL_FALSE_ALARMS_PER_FRAME, WEIGHTED_METRICS
+from warpav.evaluation.metrics import EQUAL_FALSE_ALARMS_PER_FRAME, OPTIONAL_METRICS
 from warpav.evaluation.rig_evaluation import outage_rows, requirement_rows
 
 ARM_ROWS = {
@@ -26,6 +26,9 @@ ARM_ROWS = {
     "weighted_recall": "weighted recall",
     "misses_per_100": "misses per 100",
     "weighted_misses_per_100": "weighted misses per 100",
+    "attainable_rate": "attainable by any camera",
+    "attainable_recall": "recall of the attainable",
+    "attainable_misses_per_100": "attainable misses per 100",
     "recall_at_equal_false_alarms": f"recall at {EQUAL_FALSE_ALARMS_PER_FRAME:g} false alarms",
     "visible_rate": "visible to the rig",
     "rig_recall_visible": "recall of the visible",
@@ -37,7 +40,7 @@ ARM_ROWS = {
     "min_camera_distance_m": "closest [m]",
     "body_share_max": "own body, largest share",
 }
-"""Fields of an arm's metrics and the headings they are shown under; those of weights where there are any."""
+"""Fields of an arm's metrics and the headings they are shown under; of `OPTIONAL_METRICS` those that are known."""
 
 
 RECALL_GROUPS = {"road_user": "", "distance_m": " m", "sector": "", "category": ""}
@@ -76,7 +79,7 @@ def arm_table(arms: Mapping[str, Mapping[str, Any]], *, title: str = "") -> Tabl
     for name in arms:
         table.add_column(Text(name), justify="right", style="bold" if name == "optimised" else None)
     for field, heading in ARM_ROWS.items():
-        if field in WEIGHTED_METRICS and not any(field in metrics for metrics in arms.values()):
+        if field in OPTIONAL_METRICS and not any(field in metrics for metrics in arms.values()):
             continue
         table.add_row(Text(heading), *(_metric(metrics.get(field)) for metrics in arms.values()))
     return table

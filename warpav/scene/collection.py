@@ -9,24 +9,29 @@ from pathlib import Path
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.scene.scene import Scene
+from warpav.scene.traffic.files import is_recording, recordings_in
 
 MAX_SEED = 2**31 - 1
 
 
-def town(seeds: Iterable[int]) -> list[Scene]:
+def town(seeds: Iterable[int], level: str = "easy") -> list[Scene]:
     """Embedded street scenes: a street with houses, parked and moving vehicles, people, around one ego vehicle.
 
     They are kept in the user's cache folder; those that are not there yet are built in several processes.
 
     Args:
-        seeds: Their numbers, 0 to 2^31 - 1; the same seed gives the same scene.
+        seeds: Their numbers, 0 to 2^31 - 1; the same seed and level give the same scene.
+        level: ``easy`` is a street in which everything is near and can be seen from the roof; ``urban`` is as long and
+            busy as real ones, ``dense`` full of people and of what hides them, ``motorway`` fast, wide and far.
 
     Raises:
-        InputError: There is none, or one is out of range.
+        InputError: There is none, one is out of range, or there is no such level.
         TypeError: One is no whole number.
     """
     from warpav.scene.cache import town_scenes
+    from warpav.scene.town.levels import checked_level
 
+    name = checked_level(level)
     numbers = [seeds] if isinstance(seeds, int) else list(seeds)
     for seed in numbers:
         if isinstance(seed, bool) or not hasattr(seed, "__index__"):
@@ -35,25 +40,26 @@ def town(seeds: Iterable[int]) -> list[Scene]:
             raise ArgumentError("seeds", f"expected 0 to {MAX_SEED}, got {seed}")
     if not numbers:
         raise ArgumentError("seeds", "expected at least one seed such as [0], got none")
-    return list(town_scenes([int(seed) for seed in numbers]))
+    return list(town_scenes([int(seed) for seed in numbers], name))
 
 
 def read_scenes(files: str | Path | Iterable[str | Path]) -> list[Scene]:
     """Scenes from GLB files, in the order of their names, in which scene_2 stands before scene_10.
 
+    A recording of traffic (the guide *Recorded traffic* says which files are) gives one scene for every moment, around
+    another road user each: moments are 1 s apart or more.
+
     Args:
         files: A file, a folder, a pattern such as ``"scenes/*.glb"``, or several of these.
 
     Raises:
-        InputError: There is no such file, or one is no scene.
+        InputError: There is no such file, or one is no scene and no recording.
     """
-    from warpav.scene.glb import read_scene
-
     sources = [files] if isinstance(files, (str, Path)) else list(files)
     found = [file for source in sources for file in _files_of(source)]
     if not found:
         raise ArgumentError("files", "expected at least one scene, got none")
-    return [read_scene(file) for file in found]
+    return [scene for file in found for scene in _scenes_in(file)]
 
 
 def write_scenes(scenes: Scene | Iterable[Scene], folder: str | Path) -> list[Path]:
@@ -90,12 +96,30 @@ def write_scenes(scenes: Scene | Iterable[Scene], folder: str | Path) -> list[Pa
     return files
 
 
+def _scenes_in(file: Path) -> list[Scene]:
+    from warpav.scene.glb import read_scene
+
+    if not is_recording(file):
+        return [read_scene(file)]
+    from warpav.scene.cache import built_scenes
+    from warpav.scene.town.town import ego_vehicle
+    from warpav.scene.traffic.moments import Moment, moments_of
+    from warpav.scene.traffic.traffic_scene import TrafficSource
+
+    of_step: dict[int, Moment] = {}
+    for moment in moments_of([file], ego_vehicle().bounds_m()):
+        of_step.setdefault(moment.step, moment)
+    return list(built_scenes([TrafficSource(of_step[step], seed) for seed, step in enumerate(sorted(of_step))]))
+
+
 def _files_of(source: str | Path) -> list[Path]:
     path = Path(source).expanduser()
-    if path.is_file():
+    if path.is_file() or is_recording(path):
         return [path]
     pattern = str(path / "*.glb") if path.is_dir() else str(path)
     matches = sorted(map(Path, glob.glob(pattern)), key=_natural_order)
+    if not matches and path.is_dir() and any(is_recording(each) for each in path.rglob("*")):
+        return recordings_in([path])
     if not matches:
         raise InputError(f"{source}: scenes: expected GLB files, got none; warpav scenes make writes some")
     return matches

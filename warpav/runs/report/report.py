@@ -278,7 +278,13 @@ def _metrics(evaluation: EvaluationRecord) -> list[tuple[str, list[str]]]:
 
 def _paired(evaluation: EvaluationRecord) -> list[tuple[str, list[tuple[str, str]]]]:
     """Rows of differences with intervals: a metric, and for every other arm the text and its tone."""
-    lower = {"misses_per_100", "weighted_misses_per_100", "false_alarms_per_frame", "objective"}
+    lower = {
+        "misses_per_100",
+        "weighted_misses_per_100",
+        "attainable_misses_per_100",
+        "false_alarms_per_frame",
+        "objective",
+    }
     found = evaluation.paired
     return [
         (

@@ -9,25 +9,41 @@ KNOT_SPACING_M = 2.0
 _LEVEL_REACH_M = 4.5  # the ego vehicle stands on level ground
 _CURVE_LENGTH_M = 20.0  # in which the road bends from level to its grade
 _REACH_M = 96.0
+_FLAT_M = 1e-9  # second differences of the height below this are rounding errors
 
 
 class StreetGround:
     """Height of the ground as a function of x in the town frame; it does not depend on y."""
 
-    def __init__(self, centre_x_m: float = 0.0, ahead: float = 0.0, behind: float = 0.0) -> None:
+    def __init__(
+        self,
+        centre_x_m: float = 0.0,
+        ahead: float = 0.0,
+        behind: float = 0.0,
+        *,
+        curve_m: float = _CURVE_LENGTH_M,
+        reach_m: float = _REACH_M,
+        only_bends: bool = False,
+    ) -> None:
         """StreetGround through height 0.
 
         Args:
             centre_x_m: X of the ego vehicle's centre [m].
             ahead: dz/dx far ahead: positive where the street climbs.
             behind: dz/dx far behind: positive where it climbs towards the ego vehicle.
+            curve_m: Length in which the road bends from level to its grade [m].
+            reach_m: How far the grade goes on [m]; a multiple of `KNOT_SPACING_M`.
+            only_bends: Name no knots where one plane goes on: long streets take fewer triangles.
         """
         self.is_level = ahead == 0.0 and behind == 0.0
-        self._knot = np.arange(-_REACH_M, _REACH_M + 0.5 * KNOT_SPACING_M, KNOT_SPACING_M)
+        self._knot = np.arange(-reach_m, reach_m + 0.5 * KNOT_SPACING_M, KNOT_SPACING_M)
         beyond = np.maximum(np.abs(self._knot - centre_x_m) - _LEVEL_REACH_M, 0.0)
-        bent = np.minimum(beyond, _CURVE_LENGTH_M)
-        risen = bent**2 / (2.0 * _CURVE_LENGTH_M) + beyond - bent
+        bent = np.minimum(beyond, curve_m)
+        risen = bent**2 / (2.0 * curve_m) + beyond - bent
         self._height = np.where(self._knot > centre_x_m, ahead, -behind) * risen
+        self._named = self._knot
+        if only_bends:
+            self._named = self._knot[1:-1][np.abs(np.diff(self._height, 2)) > _FLAT_M]
 
     def height_m(self, x_m: np.ndarray | float) -> np.ndarray:
         """Height [m] at x [m], any shape."""
@@ -37,7 +53,7 @@ class StreetGround:
         """Where the surface bends between two x [m]; none on level ground."""
         if self.is_level:
             return np.empty(0)
-        return self._knot[(self._knot > low_m + 1e-6) & (self._knot < high_m - 1e-6)]
+        return self._named[(self._named > low_m + 1e-6) & (self._named < high_m - 1e-6)]
 
     def bulge_m(self, low_m: float, high_m: float) -> float:
         """How far the ground rises above the straight line between two x [m]; at least 0."""

@@ -9,18 +9,18 @@ from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.town_layout import Block, Marking, Rectangle
 
 KERB_HEIGHT_M = 0.13
-_KERB_WIDTH_M = 0.16
-_MARKING_HEIGHT_M = 0.004
+KERB_WIDTH_M = 0.16
+MARKING_HEIGHT_M = 0.004
 _SHADOW_HEIGHT_M = 0.008
 _SHADOW_SEGMENTS = 24
 _FOOT_SHADOW = 0.5  # strength of a person's shadow
-_PAVEMENT_FADE = 0.14  # light that the houses take from the pavement in front of them
+PAVEMENT_FADE = 0.14  # light that the houses take from the pavement in front of them
 _FOOT_HEIGHT_M = 0.3  # what is lower belongs to the ground, or to the foot of a wall that stands on it
 # How far each ring of a contact shadow lies outside the vehicle's outline [m], and the light that is left there.
 _SHADOW_RINGS = ((-0.50, 0.16), (-0.12, 0.20), (0.03, 0.45), (0.16, 0.74), (0.36, 1.0))
 _GROUND_CELL_M, _YARD_CELL_M = 3.0, 16.0
 _CORNER_POINTS = 6
-_HOUSE_DEPTH_M = 9.0
+HOUSE_DEPTH_M = 9.0
 _GROUND_FLOOR_M, _FLOOR_M = 3.5, 3.1
 _WALL_COLOURS = np.array(
     [
@@ -40,13 +40,18 @@ _ROOF_COLOURS = np.array([(0.44, 0.32, 0.28), (0.38, 0.38, 0.40), (0.48, 0.37, 0
 class SceneryBuilder:
     """Collects coloured quads; colours are sRGB 0..1."""
 
-    def __init__(self, rng: np.random.Generator, ground: StreetGround) -> None:
+    def __init__(
+        self, rng: np.random.Generator, ground: StreetGround, *, detailed_within_m: float | None = None
+    ) -> None:
         """Nothing yet.
 
         Args:
             rng: Draws colours, houses and their windows.
             ground: What everything stands on; heights above are heights above it.
+            detailed_within_m: Houses farther from the origin have windows without frames, and walls between two houses
+                have none [m]; None: all houses have all.
         """
+        self._detailed_within_m = detailed_within_m
         self._rng = rng
         self._ground = ground
         self._quad: list[np.ndarray] = []
@@ -86,27 +91,81 @@ class SceneryBuilder:
             return np.linspace(low_m, high_m, count + 1)
         return np.r_[low_m, self._ground.knots_m(low_m, high_m), high_m]
 
-    def add_asphalt(self, rectangle_m: Rectangle) -> None:
+    def add_box(
+        self,
+        low_m: tuple[float, float, float],
+        high_m: tuple[float, float, float],
+        colour: np.ndarray,
+        *,
+        steps: int = 1,
+    ) -> None:
+        """Add a box without a bottom that follows the ground; x is cut into steps, and where the ground bends.
+
+        Args:
+            low_m: Its lowest corner, above the ground [m].
+            high_m: The opposite corner [m].
+            colour: sRGB, 0..1, shape [3]; sides are darker than the top.
+            steps: Pieces along x on level ground.
+        """
+        (x_low, y_low, z_low), (x_high, y_high, z_high) = low_m, high_m
+        x = self._columns(x_low, x_high, steps)
+        yz = [(y_low, z_low), (y_high, z_low), (y_high, z_high), (y_low, z_high)]
+        for k, shade in ((1, 0.8), (2, 1.0), (3, 0.8)):
+            edge = np.array([[yz[k], yz[(k + 1) % 4]]])
+            point = np.stack([np.stack([x, np.full_like(x, y), np.full_like(x, z)], axis=-1) for y, z in edge[0]], 1)
+            self._add_sheet(point, colour * shade)
+        ends = np.array([[(x_low, *corner) for corner in yz[::-1]], [(x_high, *corner) for corner in yz]])
+        self.add_quads(ends, colour * 0.75)
+
+    def add_level_box(
+        self, low_m: tuple[float, float, float], high_m: tuple[float, float, float], colour: np.ndarray
+    ) -> None:
+        """Add a closed box that is level: heights are above the ground below its middle; see `add_box`."""
+        self._house_x_m = 0.5 * (low_m[0] + high_m[0])
+        (x0, y0, z0), (x1, y1, z1) = low_m, high_m
+        corner = np.array([(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (z0, z1)])
+        quad = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
+        shade = np.array([0.75, 0.75, 0.8, 0.8, 0.55, 1.0])[:, None, None]
+        self.add_quads(corner[quad], shade * colour)
+        self._house_x_m = np.nan
+
+    def add_asphalt(self, rectangle_m: Rectangle, cell_m: float = _GROUND_CELL_M) -> None:
         """Add road surface."""
-        self.add_ground(rectangle_m, 0.0, self.asphalt_grey * np.array([1.0, 1.0, 1.015]), 0.006)
+        self.add_ground(rectangle_m, 0.0, self.asphalt_grey * np.array([1.0, 1.0, 1.015]), 0.006, cell_m)
 
     def add_marking(self, marking: Marking) -> None:
         """Add a painted rectangle."""
         x_low, y_low, x_high, y_high = marking.rectangle_m
         along = self._columns(x_low, x_high, max(1, round((x_high - x_low) / 16.0)))
         x, y = np.meshgrid(along, [y_low, y_high], indexing="ij")
-        point = np.stack([x, y, np.full_like(x, _MARKING_HEIGHT_M)], axis=-1)
+        point = np.stack([x, y, np.full_like(x, MARKING_HEIGHT_M)], axis=-1)
         self._add_sheet(point, np.full(3, marking.brightness))
 
     def add_contact_shadow(
-        self, center_m: np.ndarray, yaw_rad: float, length_m: float, width_m: float, index: int
+        self,
+        center_m: np.ndarray,
+        yaw_rad: float,
+        length_m: float,
+        width_m: float,
+        index: int,
+        *,
+        height_m: float = 0.0,
+        segments: int = _SHADOW_SEGMENTS,
     ) -> None:
         """Add the shadow below a vehicle: dark in the centre, fading into the asphalt; `index` keeps shadows apart."""
         grey = self.asphalt_grey * np.array([1.0, 1.0, 1.015])
-        self._add_shadow(center_m, yaw_rad, (length_m, width_m), _SHADOW_HEIGHT_M + 0.0004 * index, grey, 1.0)
+        height_m += _SHADOW_HEIGHT_M + 0.0004 * index
+        self._add_shadow(center_m, yaw_rad, (length_m, width_m), height_m, grey, 1.0, segments)
 
     def add_foot_shadow(
-        self, center_m: np.ndarray, yaw_rad: float, size_m: tuple[float, float], index: int, pavement_share: float
+        self,
+        center_m: np.ndarray,
+        yaw_rad: float,
+        size_m: tuple[float, float],
+        index: int,
+        pavement_share: float,
+        *,
+        segments: int = _SHADOW_SEGMENTS,
     ) -> None:
         """Add the small shadow below a person.
 
@@ -116,12 +175,14 @@ class SceneryBuilder:
             size_m: Length and width of the person [m].
             index: Keeps shadows apart.
             pavement_share: How far from the kerb to the houses the person is, 0..1; below 0 on the road.
+            segments: Corners of its outline.
         """
         if pavement_share < 0.0:
             height, grey = 0.0, self.asphalt_grey * np.array([1.0, 1.0, 1.015])
         else:
-            height, grey = KERB_HEIGHT_M, self._pavement_rgb() * (1.0 - _PAVEMENT_FADE * pavement_share)
-        self._add_shadow(center_m, yaw_rad, size_m, height + _SHADOW_HEIGHT_M + 0.0004 * index, grey, _FOOT_SHADOW)
+            height, grey = KERB_HEIGHT_M, self.pavement_rgb() * (1.0 - PAVEMENT_FADE * pavement_share)
+        self._add_shadow(center_m, yaw_rad, size_m, height + _SHADOW_HEIGHT_M + 0.0004 * index, grey, _FOOT_SHADOW,
+                         segments)  # fmt: skip
 
     def _add_shadow(
         self,
@@ -131,9 +192,10 @@ class SceneryBuilder:
         height_m: float,
         grey: np.ndarray,
         strength: float,
+        segments: int,
     ) -> None:
         """Rings around the outline of something; weak shadows are narrow, too."""
-        angle = np.linspace(0.0, 2.0 * np.pi, _SHADOW_SEGMENTS + 1)
+        angle = np.linspace(0.0, 2.0 * np.pi, segments + 1)
         cosine, sine = np.cos(angle), np.sin(angle)
         # A superellipse: a rectangle with rounded corners.
         unit = np.stack([np.sign(cosine) * np.abs(cosine) ** 0.35, np.sign(sine) * np.abs(sine) ** 0.35], axis=-1)
@@ -148,7 +210,8 @@ class SceneryBuilder:
         shade = (1.0 - strength * (1.0 - light))[:, None, None] * grey
         self._add_sheet(point, np.broadcast_to(shade, point.shape))
 
-    def _pavement_rgb(self) -> np.ndarray:
+    def pavement_rgb(self) -> np.ndarray:
+        """Colour of pavements, sRGB 0..1, shape [3]."""
         return self._pavement_grey * np.array([1.02, 1.0, 0.97])
 
     def add_block(self, block: Block) -> None:
@@ -156,14 +219,14 @@ class SceneryBuilder:
         rng = self._rng
         x_low, y_low, x_high, y_high = block.rectangle_m
         kerb_colour = np.full(3, self._pavement_grey + 0.09)
-        pavement = self._pavement_rgb()
+        pavement = self.pavement_rgb()
         knots = self._ground.knots_m(x_low, x_high)
-        outer, edge, inner = (_rounded_loop(block, inset, knots) for inset in (0.0, _KERB_WIDTH_M, block.pavement_m))
+        outer, edge, inner = (_rounded_loop(block, inset, knots) for inset in (0.0, KERB_WIDTH_M, block.pavement_m))
         low, high = np.zeros(len(outer)), np.full(len(outer), KERB_HEIGHT_M)
         self._add_sheet(np.stack([np.c_[outer, low], np.c_[outer, high]], axis=1), np.stack([kerb_colour * 0.72] * 2))
         self._add_sheet(np.stack([np.c_[outer, high], np.c_[edge, high]], axis=1), kerb_colour)
         wall = np.minimum(1.0, 1.0 + 0.015 * rng.standard_normal((len(outer), 1, 1)))
-        shade = np.stack([pavement, pavement * (1.0 - _PAVEMENT_FADE)]) * wall
+        shade = np.stack([pavement, pavement * (1.0 - PAVEMENT_FADE)]) * wall
         self._add_sheet(np.stack([np.c_[edge, high], np.c_[inner, high]], axis=1), shade)
         if block.corner_m > 0.0:
             for x, y in ((x_low, y_low), (x_high - block.corner_m, y_low), (x_low, y_high - block.corner_m),
@@ -182,7 +245,7 @@ class SceneryBuilder:
             else:
                 start, direction = along_y[front]
                 crossed = any(name in along_x for name in block.fronts)
-                self._add_row(np.array(start), np.array(direction), y_high - y_low, _HOUSE_DEPTH_M if crossed else 0.0)
+                self._add_row(np.array(start), np.array(direction), y_high - y_low, HOUSE_DEPTH_M if crossed else 0.0)
 
     def _add_row(self, start: np.ndarray, direction: np.ndarray, length: float, inset: float) -> None:
         """A row of houses along a street, from the left end as seen from the street."""
@@ -191,10 +254,28 @@ class SceneryBuilder:
             width = self._rng.uniform(8.0, 15.0)
             if end - at - width < 7.0:
                 width = end - at
-            self._add_house(start + direction * at, direction, width)
+            ends = (at == inset, at + width > length - inset - 1.0)
+            self.add_house(start + direction * at, direction, width, ends=ends)
             at += width
 
-    def _add_house(self, left: np.ndarray, direction: np.ndarray, width: float) -> None:
+    def add_house(
+        self,
+        left: np.ndarray,
+        direction: np.ndarray,
+        width: float,
+        *,
+        ends: tuple[bool, bool] = (True, True),
+        is_free_standing: bool = False,
+    ) -> None:
+        """Add a house of two to four floors, `HOUSE_DEPTH_M` deep.
+
+        Args:
+            left: Left end of its front as seen from the street, x and y [m], shape [2].
+            direction: Unit vector along the front, to the right, shape [2].
+            width: Width of the front [m].
+            ends: Whether its row begins and ends with it.
+            is_free_standing: It has a wall at its back, which houses in a row do not show.
+        """
         rng = self._rng
         self._house_x_m = float(left[0] + 0.5 * width * direction[0])
         outward = np.array([direction[1], -direction[0]])
@@ -202,11 +283,16 @@ class SceneryBuilder:
         height = _GROUND_FLOOR_M + floors * _FLOOR_M - 0.2
         wall = _WALL_COLOURS[rng.integers(len(_WALL_COLOURS))] * rng.uniform(0.90, 1.06)
         roof = _ROOF_COLOURS[rng.integers(len(_ROOF_COLOURS))] * rng.uniform(0.9, 1.1)
-        right, depth = left + direction * width, -outward * _HOUSE_DEPTH_M
+        right, depth = left + direction * width, -outward * HOUSE_DEPTH_M
         self._add_front(left, direction, width, height, wall)
         # Both flanks look like plain walls, or like fronts where they stand at a corner of the block: seldom in view.
-        self._add_front(right, -outward, _HOUSE_DEPTH_M, height, wall * 0.95)
-        self._add_front(left + depth, outward, _HOUSE_DEPTH_M, height, wall * 0.95)
+        for corner, facing, is_end in ((right, -outward, ends[1]), (left + depth, outward, ends[0])):
+            if self._detailed_within_m is None or is_end:
+                self._add_front(corner, facing, HOUSE_DEPTH_M, height, wall * 0.95)
+            else:
+                self._add_plain_wall(corner, facing, HOUSE_DEPTH_M, height, wall * 0.9)
+        if is_free_standing:
+            self._add_front(right + depth, -direction, width, height, wall * 0.95)
         corner = np.stack([left, right, right + depth, left + depth])
         top = np.c_[corner, np.full(4, height)]
         if rng.random() < 0.55:
@@ -243,6 +329,8 @@ class SceneryBuilder:
         strip(_GROUND_FLOOR_M - 0.18, _GROUND_FLOOR_M + 0.10, 0.10, wall * 0.92, wall * 1.05)
         strip(height - 0.35, height, 0.14, wall * 0.85, wall * 1.06)
 
+        middle = left + 0.5 * width * direction
+        has_frames = self._detailed_within_m is None or np.hypot(*middle) < self._detailed_within_m
         count = max(2, int(width / rng.uniform(2.3, 3.2)))
         pitch = width / count
         share = rng.uniform(0.20, 0.26)
@@ -263,11 +351,20 @@ class SceneryBuilder:
         u, z = np.array(u), np.array(z)
         margin = np.array([-0.09, 0.09])
         trim = np.minimum(wall * 1.12, 0.92)
-        rectangles(u + margin, z + margin, 0.02, trim * 0.9, trim)
+        if has_frames:
+            rectangles(u + margin, z + margin, 0.02, trim * 0.9, trim)
         dark = rng.uniform(0.10, 0.26, (len(u), 1)) * np.array([1.0, 1.02, 1.07])
         rectangles(u, z, 0.035, dark, dark + np.array([0.13, 0.16, 0.20]))
         centre = u.mean(axis=1, keepdims=True) + np.array([-0.035, 0.035])
-        rectangles(centre, z, 0.05, trim * 0.92, trim * 0.98)
+        if has_frames:
+            rectangles(centre, z, 0.05, trim * 0.92, trim * 0.98)
+
+    def _add_plain_wall(
+        self, left: np.ndarray, direction: np.ndarray, width: float, height: float, wall: np.ndarray
+    ) -> None:
+        right = left + width * direction
+        corner = np.array([[*left, 0.0], [*right, 0.0], [*right, height], [*left, height]])
+        self.add_quads(corner[None], wall)
 
     def finish(self) -> Mesh:
         """All quads as one mesh; degenerate triangles are left out."""
@@ -284,10 +381,10 @@ class SceneryBuilder:
     def _add_sheet(self, point: np.ndarray, colour: np.ndarray) -> None:
         """Quads of a grid [a, b, 3] whose outside is d/d(first) x d/d(second)."""
         colour = np.broadcast_to(colour, point.shape)
-        self.add_quads(_cells(point), _cells(colour))
+        self.add_quads(cells_of(point), cells_of(colour))
 
 
-def _cells(grid: np.ndarray) -> np.ndarray:
+def cells_of(grid: np.ndarray) -> np.ndarray:
     """The four corners of every cell of a grid [a, b, 3], shape [cell, 4, 3]."""
     return np.stack([grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]], axis=2).reshape(-1, 4, 3)
 

@@ -18,13 +18,14 @@ _SLAT_COUNT = 11
 _BOARD_FIELDS = 4
 
 
-def add_lorry_body(builder: SurfaceBuilder, spec: VehicleSpec, *, shutter: bool) -> None:
+def add_lorry_body(builder: SurfaceBuilder, spec: VehicleSpec, *, shutter: bool, coarse: bool = False) -> None:
     """Add everything behind the cab; all parts are closed boxes that overlap or touch nothing flush.
 
     Args:
         builder: Where it goes.
         spec: The lorry.
         shutter: A painted box with a roller shutter rather than a white one with doors.
+        coarse: Without what is too small to be seen far away.
     """
     front = -0.5 * spec.length_m - CARGO.gap_m
     rear = front - CARGO.length_m
@@ -35,12 +36,15 @@ def add_lorry_body(builder: SurfaceBuilder, spec: VehicleSpec, *, shutter: bool)
     builder.add_box((rear + 0.12, -frame, 0.55), (front + 0.55, frame, floor + 0.03), Material.UNDERBODY)
     for x in CARGO.rear_axles_m:
         axle = -0.5 * spec.length_m - x
-        add_wheel_pair(builder, axle, half - 0.03, spec.wheel_radius_m, twin=True)
+        add_wheel_pair(builder, axle, half - 0.03, spec.wheel_radius_m, twin=True, coarse=coarse)
         builder.add_box((axle - 0.09, -half + 0.3, 0.36), (axle + 0.09, half - 0.3, 0.54), Material.UNDERBODY)
         flap = axle - spec.wheel_radius_m - 0.16
         builder.add_box_pair((flap - 0.02, half - 0.64, 0.18), (flap + 0.02, half - 0.04, floor + 0.02),
                              Material.BLACK_PLASTIC)  # fmt: skip
     _add_side(builder, front, -0.5 * spec.length_m - CARGO.rear_axles_m[0] + spec.wheel_radius_m + 0.2, livery)
+    if coarse:
+        _add_coarse_rear(builder, rear)
+        return
     _add_edges(builder, front, rear)
     if shutter:
         _add_shutter(builder, rear)
@@ -107,6 +111,17 @@ def _add_rear_frame(builder: SurfaceBuilder, rear: float) -> None:
     for z in (roof - 0.03, 0.5 * (floor + roof), floor + 0.16):
         _add_rear_box(builder, rear, 0.030, (half - 0.075, half - 0.025), (z - 0.45, z - 0.05), Material.REFLECTOR)
     _add_rear_box(builder, rear, 0.034, (half - 0.20, half - 0.06), (roof - 0.075, roof - 0.035), Material.TAIL_LAMP)
+
+
+def _add_coarse_rear(builder: SurfaceBuilder, rear: float) -> None:
+    """A frame, the gap of the doors, lamps and under-run bar."""
+    half, floor, roof = CARGO.half_width_m, CARGO.floor_m, CARGO.roof_m
+    _add_rear_box(builder, rear, 0.018, (half - 0.12, half - 0.005), (floor + 0.01, roof - 0.01), Material.CARGO_FRAME)
+    _add_rear_box(builder, rear, 0.012, (-0.03, 0.03), (floor + 0.12, roof - 0.10), Material.SEAM, paired=False)
+    builder.add_box(
+        (rear - 0.015, -half + 0.04, 0.50), (rear + 0.14, half - 0.04, floor - 0.02), Material.BLACK_PLASTIC
+    )
+    _add_rear_box(builder, rear, 0.045, (half - 0.48, half - 0.06), (0.73, floor - 0.09), Material.TAIL_LAMP)
 
 
 def _add_doors(builder: SurfaceBuilder, rear: float) -> None:

@@ -34,11 +34,13 @@ class RoadUser:
         category: As `warpav.scene.scene.Vehicle` has it.
         footprint: Where, in the town frame.
         heading_rad: Direction of the lane, or of somebody on foot; None: parked.
+        free_m_s: Lowest and highest speed where nothing is in the way [m/s]; None: that of the category and the street.
     """
 
     category: str
     footprint: Footprint
     heading_rad: float | None
+    free_m_s: tuple[float, float] | None = None
 
 
 def velocities_m_s(
@@ -53,16 +55,21 @@ def velocities_m_s(
         rng: Random numbers, one for each user.
     """
     limit_m_s = np.multiply(CAR_PARK_KM_H if layout.template == "car_park" else STREET_KM_H, _M_S_PER_KM_H)
-    lines = _stop_lines(layout)
+    things = [*(user.footprint for user in users), *obstacles, *_stop_lines(layout)]
+    centre_m = np.array([(thing.x_m, thing.y_m) for thing in things])
+    radius_m = np.array([0.5 * np.hypot(thing.length_m, thing.width_m) for thing in things])
     velocity = np.zeros((len(users), 2))
     for k, user in enumerate(users):
-        low, high = {"pedestrian": PEDESTRIAN_M_S, "cyclist": CYCLIST_M_S}.get(user.category, limit_m_s)
+        usual = {"pedestrian": PEDESTRIAN_M_S, "cyclist": CYCLIST_M_S}.get(user.category, limit_m_s)
+        low, high = user.free_m_s or usual
         speed_m_s = rng.uniform(low, high)
         if user.heading_rad is None:
             continue
         if user.category != "pedestrian":
-            others = (other.footprint for j, other in enumerate(users) if j != k)
-            way_m = _way_m(user.footprint, user.heading_rad, (*others, *obstacles, *lines))
+            # what it reaches later than that does not slow it down
+            far_m = np.hypot(*(centre_m - centre_m[k]).T) - radius_m - radius_m[k]
+            near = np.flatnonzero(far_m <= HEADWAY_S * speed_m_s)
+            way_m = _way_m(user.footprint, user.heading_rad, (things[j] for j in near if j != k))
             speed_m_s = min(speed_m_s, way_m / HEADWAY_S)
         velocity[k] = speed_m_s * np.array([np.cos(user.heading_rad), np.sin(user.heading_rad)])
     return velocity

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,6 +73,34 @@ class Footprint:
         return True
 
 
+class Occupied:
+    """What is taken already: quickly asked whether a rectangle comes near any of it."""
+
+    def __init__(self, footprints: Iterable[Footprint] = ()) -> None:
+        """These are taken."""
+        self._footprints = list(footprints)
+        self._circle = [_circle_of(each) for each in self._footprints]
+
+    def add(self, footprint: Footprint) -> None:
+        """Take a rectangle."""
+        self._footprints.append(footprint)
+        self._circle.append(_circle_of(footprint))
+
+    def is_free(self, footprint: Footprint, gap_m: float) -> bool:
+        """Whether nothing is nearer to it than a gap."""
+        if not self._footprints:
+            return True
+        x, y, radius = _circle_of(footprint)
+        centre_x, centre_y, reach = np.array(self._circle).T
+        near = np.flatnonzero(np.hypot(centre_x - x, centre_y - y) <= reach + radius + 1.5 * gap_m)  # at corners
+        return not any(footprint.nearer(self._footprints[k], gap_m) for k in near)
+
+
+def _circle_of(footprint: Footprint) -> tuple[float, float, float]:
+    """Centre and radius of a circle around a rectangle [m]."""
+    return footprint.x_m, footprint.y_m, 0.5 * float(np.hypot(footprint.length_m, footprint.width_m)) + 1e-6
+
+
 @dataclass(frozen=True)
 class Furnishing:
     """What was set up in a town.
@@ -120,7 +148,7 @@ def upright_box(mesh: Mesh, yaw_rad: float) -> Box:
 
 
 @dataclass(frozen=True)
-class _Strip:
+class Strip:
     """A pavement between kerb and houses: a point of the kerb, unit vectors along it and towards the houses."""
 
     start: np.ndarray
@@ -130,13 +158,16 @@ class _Strip:
 
     @property
     def inward(self) -> np.ndarray:
+        """Unit vector towards the houses, shape [2]."""
         return np.array([-self.along[1], self.along[0]])
 
     @property
     def yaw_rad(self) -> float:
+        """Direction of the kerb."""
         return float(np.arctan2(self.along[1], self.along[0]))
 
     def at(self, along_m: float, inward_m: float) -> np.ndarray:
+        """A point so far along the kerb and towards the houses, in the town frame [m], shape [2]."""
         return self.start + along_m * self.along + inward_m * self.inward
 
     def span_m(self, centre: np.ndarray, reach_m: float) -> tuple[float, float] | None:
@@ -151,8 +182,9 @@ class _Strip:
         return (low, high) if high > low else None
 
 
-def _strips(layout: Layout) -> list[_Strip]:
-    strips = []
+def strips(layout: Layout) -> list[Strip]:
+    """The pavements of a plan that lie in front of houses."""
+    found = []
     for block in layout.blocks:
         x_low, y_low, x_high, y_high = block.rectangle_m
         sides = {
@@ -163,8 +195,8 @@ def _strips(layout: Layout) -> list[_Strip]:
         }
         for front in block.fronts:
             start, along, length = sides[front]
-            strips.append(_Strip(np.array(start), np.array(along), length, block.pavement_m))
-    return strips
+            found.append(Strip(np.array(start), np.array(along), length, block.pavement_m))
+    return found
 
 
 def _turned(mesh: Mesh, yaw_rad: float, place_m: np.ndarray) -> Mesh:
@@ -172,7 +204,7 @@ def _turned(mesh: Mesh, yaw_rad: float, place_m: np.ndarray) -> Mesh:
     return mesh.transformed(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), place_m)
 
 
-class _Furnisher:
+class Furnisher:
     """Collects pieces that do not stand in each other."""
 
     def __init__(self, rng: np.random.Generator, ground: StreetGround) -> None:
@@ -194,26 +226,28 @@ class _Furnisher:
         self.meshes.append(_turned(mesh, yaw_rad, np.array([place[0], place[1], z])))
 
 
-def furnish(layout: Layout, rng: np.random.Generator, ground: StreetGround) -> Furnishing:
+def furnish(layout: Layout, rng: np.random.Generator, ground: StreetGround, *, reach_m: float = _REACH_M) -> Furnishing:
     """Random furniture on the pavements near the ego vehicle, and in some scenes road works in a lane.
 
     Args:
         layout: The plan.
         rng: Random numbers.
         ground: What everything stands on.
+        reach_m: Furniture stands no farther from the ego vehicle [m].
     """
-    furnisher = _Furnisher(rng, ground)
+    furnisher = Furnisher(rng, ground)
     markings: list[Marking] = []
     ego = np.array([layout.ego.x_m, layout.ego.y_m])
     if rng.random() < _WORKS_SHARE:
         markings += _put_works(furnisher, layout, rng)
-    junction_x_m = np.mean([0.5 * (r[0] + r[2]) for r in layout.crossings_m]) if layout.crossings_m else 0.0
+    junctions_m = np.array([0.5 * (r[0] + r[2]) for r in layout.asphalt_m[1:]])
     for x_low, y_low, x_high, y_high in layout.crossings_m:
-        x = x_high + 0.7 if x_low > junction_x_m else x_low - 0.7
+        nearest_m = junctions_m[np.abs(junctions_m - x_low).argmin()]
+        x = x_high + 0.7 if x_low > nearest_m else x_low - 0.7
         for y, yaw in ((y_low - 0.6, np.pi), (y_high + 0.6, 0.0)):
             furnisher.put("traffic_light", np.array([x, y]), yaw, KERB_HEIGHT_M)
-    for strip in _strips(layout):
-        span = strip.span_m(ego, _REACH_M)
+    for strip in strips(layout):
+        span = strip.span_m(ego, reach_m)
         if span is None or strip.depth_m < 2.0:
             continue
         low, high = span
@@ -240,7 +274,7 @@ def furnish(layout: Layout, rng: np.random.Generator, ground: StreetGround) -> F
     return Furnishing(tuple(furnisher.meshes), tuple(furnisher.footprints), tuple(markings))
 
 
-def _put_works(furnisher: _Furnisher, layout: Layout, rng: np.random.Generator) -> list[Marking]:
+def _put_works(furnisher: Furnisher, layout: Layout, rng: np.random.Generator) -> list[Marking]:
     """Close part of a lane off: barriers at both ends, cones along the side, a patch without asphalt inside."""
     ego = np.array([layout.ego.x_m, layout.ego.y_m])
     lanes = [
@@ -291,12 +325,12 @@ def _in_junction(layout: Layout, area: Footprint) -> bool:
 def _pavement_places(layout: Layout, rng: np.random.Generator) -> Iterator[tuple[np.ndarray, float, float]]:
     """Place, heading and share of the pavement of somebody who walks along it; without end."""
     ego = np.array([layout.ego.x_m, layout.ego.y_m])
-    strips = [(strip, span) for strip in _strips(layout) if (span := strip.span_m(ego, _PEOPLE_REACH_M))]
-    if not strips:
+    near = [(strip, span) for strip in strips(layout) if (span := strip.span_m(ego, _PEOPLE_REACH_M))]
+    if not near:
         return
-    weight = np.array([high - low for _, (low, high) in strips])
+    weight = np.array([high - low for _, (low, high) in near])
     while True:
-        strip, (low, high) = strips[int(rng.choice(len(strips), p=weight / weight.sum()))]
+        strip, (low, high) = near[int(rng.choice(len(near), p=weight / weight.sum()))]
         inset = rng.uniform(0.55, strip.depth_m - 0.45)
         heading = strip.yaw_rad + (np.pi if rng.random() < 0.5 else 0.0) + rng.normal(0.0, 0.15)
         yield strip.at(rng.uniform(low, high), inset), heading, inset / strip.depth_m
@@ -317,6 +351,48 @@ def _road_places(layout: Layout, rng: np.random.Generator) -> Iterator[tuple[np.
             yield np.array([slot.x_m, slot.y_m + 1.2 * side]), slot.yaw_rad + rng.normal(0.0, 0.3), -1.0
 
 
+class Crowd:
+    """Collects people who stand on the ground and in nothing else."""
+
+    def __init__(self, ground: StreetGround, taken: Occupied, ego_m: np.ndarray, *, clear_m: float) -> None:
+        """Nobody yet.
+
+        Args:
+            ground: What they stand on.
+            taken: Vehicles, the ego vehicle, furniture; people are added to it.
+            ego_m: Centre of the ego vehicle in the town frame [m], shape [2].
+            clear_m: Nobody stands nearer to it [m].
+        """
+        self.persons: list[Person] = []
+        self._ground, self._taken, self._ego_m, self._clear_m = ground, taken, ego_m, clear_m
+
+    def add(self, category: str, mesh: Mesh, place_m: np.ndarray, yaw_rad: float, pavement_share: float) -> bool:
+        """Put somebody at a place, below 0 of the pavement on the road; False where there is no room."""
+        low, high = mesh.bounds_m().astype(np.float64)
+        c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+        centre = 0.5 * (low + high)
+        footprint = Footprint(
+            float(place_m[0] + c * centre[0] - s * centre[1]),
+            float(place_m[1] + s * centre[0] + c * centre[1]),
+            float(np.arctan2(s, c)),
+            float(high[0] - low[0]),
+            float(high[1] - low[1]),
+        )
+        near = np.hypot(*(place_m - self._ego_m)) < self._clear_m
+        if near or not self._taken.is_free(footprint, _GAP_M):
+            return False
+        self._taken.add(footprint)
+        kerb = KERB_HEIGHT_M if pavement_share >= 0.0 else 0.0
+        if category == "cyclist":
+            rotation, foot = self._ground.stand(float(place_m[0]), float(place_m[1]), yaw_rad, high - low)
+            standing = mesh.transformed(rotation, foot)
+        else:
+            z = kerb + float(self._ground.height_m(place_m[0]))
+            standing = _turned(mesh, yaw_rad, np.array([place_m[0], place_m[1], z]))
+        self.persons.append(Person(category, standing, footprint, pavement_share))
+        return True
+
+
 def people(
     layout: Layout,
     rng: np.random.Generator,
@@ -333,41 +409,14 @@ def people(
         taken: Vehicles, the ego vehicle, furniture.
         free_slots: Where no vehicle stands; cyclists take lanes of these.
     """
-    persons: list[Person] = []
-    ego = np.array([layout.ego.x_m, layout.ego.y_m])
-
-    def add(category: str, mesh: Mesh, place: np.ndarray, yaw: float, share: float) -> bool:
-        low, high = mesh.bounds_m().astype(np.float64)
-        c, s = np.cos(yaw), np.sin(yaw)
-        centre = 0.5 * (low + high)
-        footprint = Footprint(
-            float(place[0] + c * centre[0] - s * centre[1]),
-            float(place[1] + s * centre[0] + c * centre[1]),
-            float(np.arctan2(s, c)),
-            float(high[0] - low[0]),
-            float(high[1] - low[1]),
-        )
-        others = (*taken, *(person.footprint for person in persons))
-        near = np.hypot(*(place - ego)) < _PEOPLE_CLEAR_M
-        if near or any(footprint.nearer(other, _GAP_M) for other in others):
-            return False
-        kerb = KERB_HEIGHT_M if share >= 0.0 else 0.0
-        if category == "cyclist":
-            rotation, foot = ground.stand(float(place[0]), float(place[1]), yaw, high - low)
-            standing = mesh.transformed(rotation, foot)
-        else:
-            z = kerb + float(ground.height_m(place[0]))
-            standing = _turned(mesh, yaw, np.array([place[0], place[1], z]))
-        persons.append(Person(category, standing, footprint, share))
-        return True
-
+    crowd = Crowd(ground, Occupied(taken), np.array([layout.ego.x_m, layout.ego.y_m]), clear_m=_PEOPLE_CLEAR_M)
     for places, count in (
         (_pavement_places(layout, rng), int(rng.integers(2, 7))),
         (_road_places(layout, rng), int(rng.integers(0, 4))),
     ):
         left = count
         for _, (place, yaw, share) in zip(range(_TRIES), places, strict=False):
-            if left > 0 and add("pedestrian", person_mesh("pedestrian", rng), place, yaw, share):
+            if left > 0 and crowd.add("pedestrian", person_mesh("pedestrian", rng), place, yaw, share):
                 left -= 1
     side = 1.0 if layout.ego.y_m > 0.0 else -1.0  # traffic keeps to the right, or to the left
     lanes = [slot for slot in free_slots if not slot.parked]
@@ -377,6 +426,6 @@ def people(
         shift = side * rng.uniform(0.6, 1.0)
         place = np.array([slot.x_m - np.sin(slot.yaw_rad) * shift, slot.y_m + np.cos(slot.yaw_rad) * shift])
         yaw = slot.yaw_rad + rng.normal(0.0, 0.03)
-        if wanted > 0 and add("cyclist", person_mesh("cyclist", rng), place, yaw, -1.0):
+        if wanted > 0 and crowd.add("cyclist", person_mesh("cyclist", rng), place, yaw, -1.0):
             wanted -= 1
-    return persons
+    return crowd.persons

@@ -8,7 +8,6 @@ into vertex colours. The same seed gives the same bytes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,10 +17,11 @@ from warpav.scene.scene import Scene, Sky, Vehicle
 from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.houses import SceneryBuilder
 from warpav.scene.town.motion import RoadUser, velocities_m_s
-from warpav.scene.town.paint import BUS_COLOURS, PAINT_COLOURS, PAINT_SHARES
+from warpav.scene.town.placed_vehicle import LONG_KINDS, PlacedVehicle, drawn_vehicle
 from warpav.scene.town.street_life import Footprint, furnish, people, upright_box
 from warpav.scene.town.town_layout import SPAWN_REACH_M, Layout, Slot, town_layout
-from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, ego_glass, ego_mesh, vehicle_glass, vehicle_mesh
+from warpav.scene.town.vehicle_shapes import ego_glass, ego_mesh, vehicle_glass
+from warpav.scene.town.visibility import visible_shares
 
 VISIBLE_COUNT_MIN, VISIBLE_COUNT_MAX = 5, 15
 EYE_HEIGHT_M = 1.8  # traffic must be visible from here, above the centre of the ego vehicle
@@ -29,26 +29,23 @@ _TARGET_COUNT = (8, 12)  # vehicles per scene, upper end excluded
 _CLEARANCE_M = 0.35  # between any two vehicles
 _VISIBLE_SHARE_MIN = 0.04  # of a vehicle's vertices; about half of them face the eye
 _BARELY_SEEN_SHARE = 0.16  # people keep out of the way where less of a vehicle can be seen
-_VISIBILITY_SAMPLES = 200
 _FILL_ROUNDS = 4
 _SECTOR_COUNT = 8
 # Beside the ego vehicle, where its own body hides much of them, only this share of the vehicles that could stand do.
 _BESIDE_M, _BESIDE_LONG_M, _BESIDE_SHARE = 2.4, 4.0, 0.08
-_LONG_KINDS = ("lorry", "bus")
-_KIND_SHARES = (
-    ("hatchback", 0.25),
-    ("saloon", 0.18),
-    ("estate", 0.14),
-    ("suv", 0.17),
-    ("van", 0.11),
-    ("lorry", 0.08),
-    ("bus", 0.07),
-)
-_SCALE_SPREAD = 0.03
+KIND_SHARES = {
+    "hatchback": 0.25,
+    "saloon": 0.18,
+    "estate": 0.14,
+    "suv": 0.17,
+    "van": 0.11,
+    "lorry": 0.08,
+    "bus": 0.07,
+}
 _LATERAL_JITTER_M, _YAW_JITTER_RAD = 0.10, 0.020
 _GRADE_SHARE = 0.4  # of the streets are on a grade
 _GRADE_MIN, _GRADE_MAX = 0.02, 0.06
-_TOWN_STREAM = 0x70F3  # keeps the town's random numbers apart from other uses of the same seed
+TOWN_STREAM = 0x70F3  # keeps the town's random numbers apart from other uses of the same seed
 
 
 @dataclass(frozen=True)
@@ -64,23 +61,6 @@ class TownWorld:
     scene: Scene
     ego_glass: np.ndarray
     vehicle_glass: tuple[np.ndarray, ...]
-
-
-@dataclass(frozen=True)
-class _Placed:
-    """A vehicle in the town frame: its mesh in the vehicle frame, and where it stands."""
-
-    kind: str
-    variant: int
-    mesh: Mesh
-    size_m: np.ndarray
-    footprint: Footprint
-    lane_yaw_rad: float | None  # None: parked
-
-    def standing(self, ground: StreetGround) -> Mesh:
-        """The vehicle's mesh in the town frame."""
-        place = self.footprint
-        return self.mesh.transformed(*ground.stand(place.x_m, place.y_m, place.yaw_rad, self.size_m))
 
 
 def ego_vehicle() -> Mesh:
@@ -118,8 +98,8 @@ def town_world(seed: int) -> TownWorld:
 
 
 def _try_world(seed: int, attempt: int) -> TownWorld | None:
-    rng = np.random.default_rng([_TOWN_STREAM, seed, attempt])
-    life_rng = np.random.default_rng([_TOWN_STREAM, seed, attempt, 1])
+    rng = np.random.default_rng([TOWN_STREAM, seed, attempt])
+    life_rng = np.random.default_rng([TOWN_STREAM, seed, attempt, 1])
     layout = town_layout(rng)
     ground = _ground(layout, life_rng)
     ego = ego_vehicle()
@@ -142,7 +122,7 @@ def _try_world(seed: int, attempt: int) -> TownWorld | None:
     target = int(rng.integers(*_TARGET_COUNT))
     waiting = _ordered_slots(layout, rng)
     taken = (ego_footprint, *furnishing.footprints)
-    placed: list[_Placed] = []
+    placed: list[PlacedVehicle] = []
     share = np.zeros(0)
     for _ in range(_FILL_ROUNDS):
         while waiting and len(placed) < target:
@@ -150,7 +130,7 @@ def _try_world(seed: int, attempt: int) -> TownWorld | None:
             occupied = (*taken, *(one.footprint for one in placed))
             if not candidate or any(candidate.footprint.nearer(other, _CLEARANCE_M) for other in occupied):
                 continue
-            beside_m = _BESIDE_LONG_M if candidate.kind in _LONG_KINDS else _BESIDE_M
+            beside_m = _BESIDE_LONG_M if candidate.kind in LONG_KINDS else _BESIDE_M
             if not candidate.footprint.nearer(ego_footprint, beside_m) or rng.random() < _BESIDE_SHARE:
                 placed.append(candidate)
         count = len(placed)
@@ -178,7 +158,7 @@ def _try_world(seed: int, attempt: int) -> TownWorld | None:
         in_ego_frame = mesh.transformed(np.eye(3), -origin)
         vehicles.append(Vehicle(number, one.kind, in_ego_frame, upright_box(in_ego_frame, one.footprint.yaw_rad)))
     others = [person.road_user(number, origin) for number, person in enumerate(persons, start=len(placed) + 1)]
-    motion_rng = np.random.default_rng([_TOWN_STREAM, seed, attempt, 2])
+    motion_rng = np.random.default_rng([TOWN_STREAM, seed, attempt, 2])
     moving = [
         RoadUser("ego", ego_footprint, layout.ego.yaw_rad),
         *(RoadUser(one.kind, one.footprint, one.lane_yaw_rad) for one in placed),
@@ -192,7 +172,7 @@ def _try_world(seed: int, attempt: int) -> TownWorld | None:
     environment = merge([scenery.finish(), *furnishing.meshes]).transformed(np.eye(3), -origin)
     name, source = f"town_{seed:04d}", f"town seed {seed}"
     return TownWorld(
-        Scene(name, environment, ego, users[: len(vehicles)], _sky(rng), source, users[len(vehicles) :]),
+        Scene(name, environment, ego, users[: len(vehicles)], drawn_sky(rng), source, users[len(vehicles) :]),
         ego_glass(),
         tuple(vehicle_glass(one.kind, one.variant) for one in placed),
     )
@@ -218,34 +198,6 @@ def _hides(eye_m: np.ndarray, one: Footprint, other: Footprint) -> bool:
     return bool(distance[0] < distance[1] and abs(bearing) < reach)
 
 
-def visible_shares(eye_m: np.ndarray, blockers: Sequence[Mesh], vehicles: Sequence[Mesh]) -> np.ndarray:
-    """Share of each vehicle's vertices that can be seen from a point, 0..1, shape [vehicle].
-
-    Args:
-        eye_m: The point [m], shape [3].
-        blockers: What else can hide a vehicle.
-        vehicles: The vehicles, which hide one another and themselves.
-    """
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-
-    meshes = [*blockers, *vehicles]
-    whole = merge(meshes)
-    owner = np.repeat(np.arange(len(meshes)), [len(mesh.triangle) for mesh in meshes])
-    caster = EmbreeScene()
-    TriangleMesh(caster, whole.vertex_m, whole.triangle)
-    share = np.zeros(len(vehicles))
-    for index, mesh in enumerate(vehicles):
-        # Centres of triangles: a ray to a vertex may miss the surface by a rounding error.
-        step = max(1, len(mesh.triangle) // _VISIBILITY_SAMPLES)
-        target = mesh.vertex_m[mesh.triangle[::step]].mean(axis=1)
-        direction = (target - eye_m).astype(np.float32)
-        origin = np.broadcast_to(eye_m.astype(np.float32), direction.shape)
-        hit = caster.run(np.ascontiguousarray(origin), direction, query="INTERSECT")
-        share[index] = np.mean((hit >= 0) & (owner[np.maximum(hit, 0)] == len(blockers) + index))
-    return share
-
-
 def _ordered_slots(layout: Layout, rng: np.random.Generator) -> list[Slot]:
     """Slots near the ego vehicle in an order that goes round it: one of each sector in turn."""
     sectors: list[list[Slot]] = [[] for _ in range(_SECTOR_COUNT)]
@@ -263,29 +215,24 @@ def _ordered_slots(layout: Layout, rng: np.random.Generator) -> list[Slot]:
     return order
 
 
-def _park(slot: Slot, rng: np.random.Generator) -> _Placed | None:
+def _park(slot: Slot, rng: np.random.Generator) -> PlacedVehicle | None:
     """A random vehicle on a slot, or None if the drawn one is too long for it."""
-    kinds, shares = zip(*_KIND_SHARES, strict=True)
-    kind = kinds[int(rng.choice(len(kinds), p=shares))]
-    paint = PAINT_COLOURS[int(rng.choice(len(PAINT_COLOURS), p=PAINT_SHARES))] * rng.uniform(0.9, 1.1)
-    if kind == "bus":
-        paint = BUS_COLOURS[int(rng.integers(len(BUS_COLOURS)))]
-    scale = 1.0 + rng.uniform(-_SCALE_SPREAD, _SCALE_SPREAD, 3)
-    variant = int(rng.integers(VARIANT_COUNT))
-    mesh = vehicle_mesh(kind, paint, variant=variant, scale=scale)
+    drawn = drawn_vehicle(KIND_SHARES, rng)
+    mesh = drawn.mesh()
     across = rng.uniform(-_LATERAL_JITTER_M, _LATERAL_JITTER_M)
     yaw = slot.yaw_rad + rng.uniform(-_YAW_JITTER_RAD, _YAW_JITTER_RAD)
     bounds = mesh.bounds_m().astype(np.float64)
     size = bounds[1] - bounds[0]
-    if size[0] > slot.room_m or (slot.parked and kind in _LONG_KINDS):
+    if size[0] > slot.room_m or (slot.parked and drawn.kind in LONG_KINDS):
         return None
     x, y = slot.x_m - np.sin(yaw) * across, slot.y_m + np.cos(yaw) * across
     yaw = float(np.arctan2(np.sin(yaw), np.cos(yaw)))
     footprint = Footprint(float(x), float(y), yaw, float(size[0]), float(size[1]))
-    return _Placed(kind, variant, mesh, size, footprint, None if slot.parked else slot.yaw_rad)
+    return PlacedVehicle(drawn.kind, drawn.variant, mesh, size, footprint, None if slot.parked else slot.yaw_rad)
 
 
-def _sky(rng: np.random.Generator) -> Sky:
+def drawn_sky(rng: np.random.Generator) -> Sky:
+    """A random overcast or blue sky."""
     horizon = rng.uniform(0.80, 0.92) * np.array([0.97, 0.99, 1.0])
     zenith = rng.uniform(0.50, 0.72) * np.array([0.72, 0.92, 1.22])
     return Sky(*(np.round(255.0 * np.minimum(colour, 1.0)).astype(np.uint8) for colour in (horizon, zenith)))

@@ -39,6 +39,9 @@ _LINE_GAP_M = 0.0035  # nearer grid lines fall together
 _BODY_SPACING = (0.3, 0.25, 0.11, 0.34, 0.34)  # widest columns of each part of the outline
 _HOUSE_SPACING = (0.5, 0.34, 0.16, 0.5, 0.5)
 _HOUSE_SINK_M = 0.05
+# A coarse vehicle keeps what tells it from others far away: outline, glass, lamps, bumpers, wheels.
+_COARSE_BODY_SPACING, _COARSE_HOUSE_SPACING = (1.0, 0.5, 0.5, 1.0, 1.0), (1.0, 0.5, 0.5, 1.0, 1.0)
+_COARSE_ARCH_SEGMENTS = 4
 _EGO_PAINT = np.array([0.060, 0.085, 0.125])
 _EGO_CELL_M = 0.075  # longest grid spacing of the ego vehicle's bonnet and roof
 _BELT_SHARE = 0.06  # the lowest share of the glass house is body
@@ -193,7 +196,10 @@ def _body_rows(spec: VehicleSpec) -> tuple[np.ndarray, np.ndarray]:
     return rows(spec.front_lamp), rows(spec.rear_lamp)
 
 
-def _body_panels(body: _Body) -> list[tuple[_Row, _Row, float, float, Material]]:
+_COARSE_ROWS = (_Row.BOTTOM, _Row.TRIM, _Row.WAIST_LOW, _Row.LAMP_LOW, _Row.LAMP_HIGH, _Row.DECK)
+
+
+def _body_panels(body: _Body, *, coarse: bool) -> list[tuple[_Row, _Row, float, float, Material]]:
     """What is not in the colour of the paint: (lower row, upper row, outline from, to, material), later ones on top."""
     spec = body.spec
     half_seam = 0.5 * _SEAM_WIDTH_M / (body.side_front_m - body.side_rear_m)
@@ -201,6 +207,16 @@ def _body_panels(body: _Body) -> list[tuple[_Row, _Row, float, float, Material]]
     inner = spec.rear_lamp_inner
     black, seam = Material.BLACK_PLASTIC, Material.SEAM
     bumper = black if spec.dark_bumpers else Material.PAINT
+    if coarse:
+        return [
+            (_Row.BOTTOM, _Row.WAIST_LOW, 0.0, _SIDE_START, bumper),
+            (_Row.BOTTOM, _Row.WAIST_LOW, _SIDE_END, _OUTLINE_END, bumper),
+            (_Row.BOTTOM, _Row.TRIM, 0.0, _OUTLINE_END, black),
+            *((_Row.TRIM, _Row.DECK, *panel[2:4], Material.GLASS) for panel in _glass_doors(body)[1::2]),
+            (_Row.LAMP_LOW, _Row.LAMP_HIGH, 0.0, 0.72, black),
+            (_Row.LAMP_LOW, _Row.LAMP_HIGH, 0.72, 1.62, Material.HEADLAMP),
+            (_Row.LAMP_LOW, _Row.LAMP_HIGH, 3.36, inner, Material.TAIL_LAMP),
+        ]
     return [
         (_Row.BOTTOM, _Row.WAIST_LOW, 0.0, 1.9, bumper),
         (_Row.BOTTOM, _Row.WAIST_LOW, 3.1, _OUTLINE_END, bumper),
@@ -234,13 +250,13 @@ def _glass_doors(body: _Body) -> list[tuple[_Row, _Row, float, float, Material]]
     return panels
 
 
-def _add_body(builder: SurfaceBuilder, body: _Body, fine_m: float | None) -> None:
+def _add_body(builder: SurfaceBuilder, body: _Body, fine_m: float | None, *, coarse: bool) -> None:
     spec = body.spec
-    panels = _body_panels(body)
+    panels = _body_panels(body, coarse=coarse)
     lines = [0.0, 1.0, _SIDE_START, _SIDE_END, 4.0, _OUTLINE_END]
     lines += [edge for panel in panels for edge in panel[2:4]]
     radius = spec.wheel_radius_m + _ARCH_GAP_M
-    angle = np.linspace(0.0, np.pi, _ARCH_SEGMENTS + 1)
+    angle = np.linspace(0.0, np.pi, (_COARSE_ARCH_SEGMENTS if coarse else _ARCH_SEGMENTS) + 1)
     for axle in spec.axles:
         lines += [body.side_parameter(body.x_at(axle) + radius * c) for c in np.cos(angle)]
         lines += [body.side_parameter(body.x_at(axle) + side * (radius + 0.006)) for side in (-1.0, 1.0)]
@@ -248,16 +264,18 @@ def _add_body(builder: SurfaceBuilder, body: _Body, fine_m: float | None) -> Non
     bonnet_end = body.side_parameter(body.x_at(spec.windscreen[0]) - 0.1)
     for low, high in pairwise(tuple(lines)):
         midpoint = 0.5 * (low + high)
-        spacing = _BODY_SPACING[min(int(midpoint), 4)]
+        spacing = (_COARSE_BODY_SPACING if coarse else _BODY_SPACING)[min(int(midpoint), 4)]
         if fine_m is not None and midpoint < bonnet_end:
             spacing = fine_m / (body.side_front_m - body.side_rear_m if midpoint > _SIDE_START else 0.55)
         pieces = int(np.ceil((high - low) / spacing - 1e-6))
         lines += list(np.linspace(low, high, pieces + 1)[1:-1])
     column = np.array(sorted(lines))
 
-    ring = body.ring_m(column, *_body_rows(spec))
+    kept = np.array(_COARSE_ROWS if coarse else tuple(_Row))
+    nose, tail = _body_rows(spec)
+    ring = body.ring_m(column, nose[kept], tail[kept])
     midpoint = _midpoints(column)
-    row = np.arange(len(_Row) - 1)
+    row = kept[:-1]
     material = np.full((len(row), len(midpoint)), Material.PAINT)
     for row_low, row_high, low, high, what in panels:
         material[np.ix_((row >= row_low) & (row < row_high), (midpoint > low) & (midpoint < high))] = what
@@ -265,20 +283,21 @@ def _add_body(builder: SurfaceBuilder, body: _Body, fine_m: float | None) -> Non
         ring,
         material,
         crown_m=0.045,
-        lateral_count=4 if fine_m is None else int(np.ceil(0.8 * spec.width_m / fine_m)),
+        lateral_count=2 if coarse else 4 if fine_m is None else int(np.ceil(0.8 * spec.width_m / fine_m)),
         top=Material.PAINT,
         bottom=Material.UNDERBODY,
     )
 
 
-def _add_house(builder: SurfaceBuilder, body: _Body, fine_m: float | None) -> None:
+def _add_house(builder: SurfaceBuilder, body: _Body, fine_m: float | None, *, coarse: bool) -> None:
     spec = body.spec
     base_front, roof_front = (body.x_at(fraction) for fraction in spec.windscreen)
     base_rear, roof_rear = (body.x_at(fraction) for fraction in spec.rear_window)
     base_half, roof_half = body.half_width_m - 0.95 * spec.shoulder_inset_m, body.half_width_m * spec.roof_width
     # Straight up to the bend, then a quarter ellipse into the roof: (share of the height, share of the bend).
-    straight = np.array([0.0, _BELT_SHARE, 0.3, 0.6, spec.glass_top])
-    bend = 0.5 * np.pi * np.array([0.0, 0.25, 0.5, 0.75, 0.94]) if fine_m else 0.5 * np.pi * np.array([0.2, 0.55, 0.9])
+    straight = np.array([0.0, _BELT_SHARE, *(() if coarse else (0.3, 0.6)), spec.glass_top])
+    quarter = (0.0, 0.25, 0.5, 0.75, 0.94) if fine_m else (0.7,) if coarse else (0.2, 0.55, 0.9)
+    bend = 0.5 * np.pi * np.array(quarter)
     bend_start = max(1.0 - spec.roof_round, spec.glass_top)
     height_share = np.r_[straight, bend_start + (1.0 - bend_start) * np.sin(bend)][:, None]
     inset = np.r_[0.0 * straight, 1.0 - np.cos(bend)][:, None]
@@ -286,14 +305,15 @@ def _add_house(builder: SurfaceBuilder, body: _Body, fine_m: float | None) -> No
 
     low, high = spec.side_glass
     side_lines = [0.0, 1.0, low, high, *(edge for pillar in spec.pillars for edge in pillar)]
-    lines = [0.0, 0.5, 1.0, 1.45, 2.0, *(2.0 + line for line in side_lines if line <= 1.0)]
-    lines += [3.0, 3.5, 4.0, 4.5, _OUTLINE_END]
+    lines = [0.0, 1.0, 1.45, 2.0, *(2.0 + line for line in side_lines if line <= 1.0)]
+    lines += [3.0, 3.5, 4.0, _OUTLINE_END]
+    lines += [] if coarse else [0.5, 4.5]
     if spec.rear_doors:
         lines += [_DOOR_GLASS_OUTER, _DOOR_GLASS_INNER, _DOOR_GAP]
     lines = list(_merged_lines(lines, 0.004))
     for left, right in pairwise(tuple(lines)):
         part = min(int(0.5 * (left + right)), 4)
-        spacing = _HOUSE_SPACING[part]
+        spacing = (_COARSE_HOUSE_SPACING if coarse else _HOUSE_SPACING)[part]
         if fine_m is not None:
             spacing = fine_m / (roof_front - roof_rear) if part == 2 else 0.25
         pieces = int(np.ceil((right - left) / spacing - 1e-6))
@@ -331,19 +351,19 @@ def _add_house(builder: SurfaceBuilder, body: _Body, fine_m: float | None) -> No
         ring,
         material,
         crown_m=0.04,
-        lateral_count=4 if fine_m is None else int(np.ceil(2.0 * roof_half / fine_m)),
+        lateral_count=2 if coarse else 4 if fine_m is None else int(np.ceil(2.0 * roof_half / fine_m)),
         top=Material.PAINT,
         bottom=Material.UNDERBODY,
     )
 
 
-def _add_fittings(builder: SurfaceBuilder, kind: str, body: _Body) -> None:
+def _add_fittings(builder: SurfaceBuilder, kind: str, body: _Body, *, coarse: bool) -> None:
     """Wheels, plates, mirrors, handles: closed solids that sink into the body."""
     spec = body.spec
     tall = kind in ("bus", "lorry")
     for axle in spec.axles:
         x = body.x_at(axle)
-        add_wheel_pair(builder, x, body.half_width_m - 0.015, spec.wheel_radius_m, twin=False)
+        add_wheel_pair(builder, x, body.half_width_m - 0.015, spec.wheel_radius_m, twin=False, coarse=coarse)
         reach = spec.wheel_radius_m + _ARCH_GAP_M
         inner = body.half_width_m - (0.50 if tall else 0.32)
         builder.add_box((x - reach, -inner, 0.7 * spec.sill_m), (x + reach, inner, 2.0 * spec.wheel_radius_m + 0.1),
@@ -359,9 +379,9 @@ def _add_fittings(builder: SurfaceBuilder, kind: str, body: _Body) -> None:
         low, high = sorted((x, x - 0.07 * sign))
         builder.add_box((low, -0.26, point[2] - 0.057), (high, 0.26, point[2] + 0.057), material)
 
-    if spec.rear_doors:
+    if spec.rear_doors and not coarse:
         _add_rear_doors(builder, body)
-    if kind == "bus":
+    if kind == "bus" and not coarse:
         _add_bus_fittings(builder, spec)
     if tall:
         x, z = body.front_m - 0.10, 0.72 * spec.height_m
@@ -373,6 +393,10 @@ def _add_fittings(builder: SurfaceBuilder, kind: str, body: _Body) -> None:
         return
     x = body.x_at(spec.windscreen[0]) - 0.42
     z = float(body.deck_m(np.array(x))) + 0.07
+    if coarse:
+        half = body.half_width_m
+        builder.add_box_pair((x - 0.06, half - 0.04, z - 0.07), (x + 0.06, half + 0.17, z + 0.07), Material.PAINT)
+        return
     builder.add_ellipsoid_pair((x, body.half_width_m + 0.06, z), (0.08, 0.13, 0.08), Material.PAINT)
     for seam in spec.seams[1:]:
         x = body.x_at(seam) + 0.16
@@ -458,20 +482,22 @@ def _varied(kind: str, variant: int) -> VehicleSpec:
     )
 
 
-def _build(kind: str, spec: VehicleSpec, *, fine_m: float | None = None, shutter: bool = False) -> Surface:
+def _build(
+    kind: str, spec: VehicleSpec, *, fine_m: float | None = None, shutter: bool = False, coarse: bool = False
+) -> Surface:
     body = _Body(spec)
     builder = SurfaceBuilder()
-    _add_body(builder, body, fine_m)
-    _add_house(builder, body, fine_m)
-    _add_fittings(builder, kind, body)
+    _add_body(builder, body, fine_m, coarse=coarse)
+    _add_house(builder, body, fine_m, coarse=coarse)
+    _add_fittings(builder, kind, body, coarse=coarse)
     if kind == "lorry":
-        add_lorry_body(builder, spec, shutter=shutter)
+        add_lorry_body(builder, spec, shutter=shutter, coarse=coarse)
     return builder.finish()
 
 
 @cache
-def _baked(kind: str, variant: int) -> tuple[Surface, np.ndarray]:
-    surface = _build(kind, _varied(kind, variant), shutter=variant % 2 == 1)
+def _baked(kind: str, variant: int, coarse: bool) -> tuple[Surface, np.ndarray]:
+    surface = _build(kind, _varied(kind, variant), shutter=variant % 2 == 1, coarse=coarse)
     centre_x_m = 0.5 * (surface.vertex_m[:, 0].min() + surface.vertex_m[:, 0].max())
     surface = replace(surface, vertex_m=surface.vertex_m - [centre_x_m, 0.0, 0.0])
     return surface, sky_share(surface)
@@ -482,7 +508,9 @@ def vehicle_kinds() -> tuple[str, ...]:
     return tuple(VEHICLE_SPECS)
 
 
-def vehicle_mesh(kind: str, paint: np.ndarray, *, variant: int = 0, scale: ArrayLike = (1.0, 1.0, 1.0)) -> Mesh:
+def vehicle_mesh(
+    kind: str, paint: np.ndarray, *, variant: int = 0, scale: ArrayLike = (1.0, 1.0, 1.0), coarse: bool = False
+) -> Mesh:
     """One vehicle with its light baked in.
 
     Shape and occlusion are computed once per kind and variant and kept; paint and scale are cheap.
@@ -492,6 +520,7 @@ def vehicle_mesh(kind: str, paint: np.ndarray, *, variant: int = 0, scale: Array
         paint: Linear albedo of the paint, 0..1, shape [3].
         variant: Which shape, 0..VARIANT_COUNT - 1.
         scale: Factors along x, y, z; near 1.
+        coarse: The same vehicle with a quarter of the triangles, for where it is far away.
 
     Returns:
         Closed mesh in the vehicle frame.
@@ -501,14 +530,20 @@ def vehicle_mesh(kind: str, paint: np.ndarray, *, variant: int = 0, scale: Array
     """
     if kind not in VEHICLE_SPECS or not 0 <= variant < VARIANT_COUNT:
         raise ValueError(f"no vehicle {kind!r} variant {variant}; kinds: {', '.join(VEHICLE_SPECS)}; variants 0..1")
-    surface, sky = _baked(kind, variant)
+    surface, sky = _baked(kind, variant, coarse)
     mesh = painted_mesh(surface, sky, {Material.PAINT: paint})
     return Mesh((mesh.vertex_m * np.asarray(scale, np.float32)).astype(np.float32), mesh.triangle, mesh.vertex_rgb)
 
 
 def vehicle_glass(kind: str, variant: int = 0) -> np.ndarray:
     """Which triangles of `vehicle_mesh` are window panes, bool [triangle]."""
-    return _glass(_baked(kind, variant)[0])
+    return _glass(_baked(kind, variant, False)[0])
+
+
+@cache
+def vehicle_size_m(kind: str, variant: int) -> np.ndarray:
+    """Length, width with mirrors and height of a shape before it is scaled [m], shape [3]."""
+    return np.ptp(_baked(kind, variant, False)[0].vertex_m, axis=0)
 
 
 @cache

@@ -12,10 +12,19 @@ _SPOKES = 5
 # (radius over tyre radius, y offset [m] from the tyre's outer face), from the hub outwards and round to the inside.
 _PROFILE = ((0.0, -0.022), (0.20, -0.022), (0.62, -0.040), (0.70, -0.010), (0.92, 0.0), (1.0, -0.030), (1.0, -1.0),
             (0.0, -1.0))  # fmt: skip
+_COARSE_PROFILE, _COARSE_SEGMENTS = ((0.0, -0.022), (0.68, -0.015), (1.0, -0.010), (1.0, -1.0), (0.0, -1.0)), 8
 _WIDTH_SHARE = 0.66  # tyre width over tyre radius
 
 
-def add_wheel_pair(builder: SurfaceBuilder, x_m: float, outer_face_m: float, radius_m: float, *, twin: bool) -> None:
+def add_wheel_pair(
+    builder: SurfaceBuilder,
+    x_m: float,
+    outer_face_m: float,
+    radius_m: float,
+    *,
+    twin: bool,
+    coarse: bool = False,
+) -> None:
     """Add the wheels of one axle.
 
     Args:
@@ -24,11 +33,16 @@ def add_wheel_pair(builder: SurfaceBuilder, x_m: float, outer_face_m: float, rad
         outer_face_m: y of the tyres' outer faces [m].
         radius_m: Tyre radius [m].
         twin: Two tyres on each side, as on a lorry's rear axle.
+        coarse: Without spokes.
     """
     width = _WIDTH_SHARE * radius_m * (2.0 if twin else 1.0)
-    profile = np.array(_PROFILE)
+    profile = np.array(_COARSE_PROFILE if coarse else _PROFILE)
     profile[:, 0] *= radius_m
     profile[-2:, 1] = -width
+    if coarse:
+        rows = np.array([Material.RIM, Material.TYRE, Material.TYRE, Material.TYRE])
+        builder.add_lathe_pair((x_m, outer_face_m, radius_m), profile, np.tile(rows[:, None], _COARSE_SEGMENTS))
+        return
     segment = np.arange(_SEGMENTS)
     per_spoke = _SEGMENTS // _SPOKES
     spoke = np.where(segment % per_spoke < per_spoke - 1, Material.RIM, Material.DARK)

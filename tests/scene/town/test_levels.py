@@ -1,0 +1,239 @@
+"""The levels of the town: easy keeps its bits; in the others nobody overlaps, everybody stands, as many as promised."""
+
+import hashlib
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import warpav as wa
+from tests.scene.town.test_town import _Caster, _rectangle, _rectangles_overlap
+from warpav.core.errors import InputError
+from warpav.runs.config import changed_config
+from warpav.scene.cache import scene_file, town_scenes
+from warpav.scene.packed import SceneRecipe
+from warpav.scene.town.level_world import COARSE_FROM_M, LONG_COARSE_FROM_M
+from warpav.scene.town.levels import LEVELS, TownSource, level_of, level_scene
+from warpav.scene.town.motion import HEADWAY_S
+from warpav.scene.town.placed_vehicle import LONG_KINDS
+
+HARD = LEVELS[1:]
+REACH_M = {"urban": 80.0, "dense": 80.0, "motorway": 200.0}
+# SHA-256 of seeds 0 to 11 and some more as they were before there were levels, velocities and all
+EASY_SEEDS = (*range(12), 1000, 1001, 5000, 70000)
+EASY = "28c365bc5f68ce2d33ce50b5f8a3f92874ac5c4d166724c4b4a558bc0404df84"
+GENTLE = settings(max_examples=6, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+
+
+def digest_of(scene):
+    found = hashlib.sha256(f"{scene.name} {scene.source}".encode())
+    for mesh in (scene.environment, scene.ego, *(user.mesh for user in scene.road_users)):
+        for array in (mesh.vertex_m, mesh.triangle, mesh.vertex_rgb):
+            found.update(np.ascontiguousarray(array).tobytes())
+    for user in scene.road_users:
+        found.update(repr((user.instance_id, user.category, user.box.yaw_rad)).encode())
+        for array in (user.box.center_m, user.box.size_m, user.velocity_ego_m_s):
+            found.update(np.ascontiguousarray(array).tobytes())
+    found.update(scene.sky.horizon_rgb.tobytes() + scene.sky.zenith_rgb.tobytes())
+    return found.hexdigest()
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return {level: [level_scene(seed, level) for seed in range(8)] for level in HARD}
+
+
+def outline_of(user):
+    return _rectangle(user.box.center_m, user.box.size_m, user.box.yaw_rad)
+
+
+def ego_outline(scene):
+    low, high = scene.ego.bounds_m().astype(np.float64)
+    return _rectangle(0.5 * (low + high), high - low, 0.0)
+
+
+def check_nothing_overlaps(scene):
+    outlines = [ego_outline(scene), *map(outline_of, scene.road_users)]
+    centre, reach = np.array([o.mean(axis=0) for o in outlines]), [np.ptp(o, axis=0).max() for o in outlines]
+    for one, other in itertools.combinations(range(len(outlines)), 2):
+        if np.hypot(*(centre[one] - centre[other])) < reach[one] + reach[other]:
+            assert not _rectangles_overlap(outlines[one], outlines[other]), (scene.name, one, other)
+
+
+def check_everybody_stands_free(scene):
+    """Feet and wheels are on the ground, and nothing of the environment reaches into anybody above them."""
+    caster = _Caster(scene.environment)
+    middle = scene.environment.vertex_m[scene.environment.triangle].mean(axis=1).astype(np.float64)
+    for user in scene.road_users:
+        where = (scene.name, user.instance_id, user.category)
+        vertex = user.mesh.vertex_m.astype(np.float64)
+        sole = vertex[vertex[:, 2] < vertex[:, 2].min() + (0.05 if user.road_user == "pedestrian" else 0.4)]
+        height = caster.height_above_m(sole).min()
+        assert -0.06 < height < 0.06, (*where, height)
+        above = caster.distance_m(np.array([[*user.box.center_m[:2], user.box.center_m[2]]]), 1.0)[0]
+        assert above > 3.0, where  # no roof, but a lamp or a bridge
+        inside = user.box.contains(middle, margin_m=-0.03)
+        assert not (inside & (middle[:, 2] > vertex[:, 2].min() + 0.35 + 0.06 * user.box.size_m[0])).any(), (
+            where
+        )  # on a grade
+
+
+def check_nobody_drives_into_whom_it_follows(scene):
+    """Nobody meets whom it follows within the headway at constant speeds, the ego vehicle neither.
+
+    Vehicles stand askew in their lanes by .02 rad, so that long ones pass each other's mirrors by centimetres.
+    """
+    speed = [(0.0, ego_outline(scene), np.zeros(2))]
+    vehicles = [user for user in scene.road_users if user.road_user == "vehicle"]
+    slim = np.array([1.0, 0.9, 1.0])
+    speed += [
+        (
+            user.box.yaw_rad,
+            _rectangle(user.box.center_m, user.box.size_m * slim, user.box.yaw_rad),
+            user.velocity_ego_m_s,
+        )
+        for user in vehicles
+    ]
+    later = [(yaw, outline + 0.96 * HEADWAY_S * velocity) for yaw, outline, velocity in speed]
+    for (yaw, one), (other_yaw, other) in itertools.combinations(later, 2):
+        if np.cos(yaw - other_yaw) > 0.99 and np.hypot(*(one.mean(axis=0) - other.mean(axis=0))) < 16.0:
+            assert not _rectangles_overlap(one, other), scene.name
+
+
+def test_easy_is_bit_for_bit_what_it_was():
+    whole = hashlib.sha256("".join(digest_of(level_scene(seed)) for seed in EASY_SEEDS).encode()).hexdigest()
+    assert whole == EASY
+
+
+@pytest.mark.parametrize("level", HARD)
+@GENTLE
+@given(seed=st.integers(0, 2**31 - 1))
+def test_nobody_overlaps_with_anything(level, seed):
+    scene = level_scene(seed, level)
+    check_nothing_overlaps(scene)
+    check_everybody_stands_free(scene)
+    check_nobody_drives_into_whom_it_follows(scene)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("level", HARD)
+def test_nobody_overlaps_with_anything_in_many_scenes(level):
+    for seed in range(100, 200):
+        scene = level_scene(seed, level)
+        check_nothing_overlaps(scene)
+        check_everybody_stands_free(scene)
+        check_nobody_drives_into_whom_it_follows(scene)
+
+
+@pytest.mark.parametrize("level", HARD)
+def test_the_same_seed_gives_the_same_bytes_and_another_level_another_scene(level, scenes):
+    again = level_scene(3, level)
+    assert digest_of(again) == digest_of(scenes[level][3])
+    assert len({digest_of(scene) for each in scenes.values() for scene in each}) == 8 * len(HARD)
+
+
+@pytest.mark.parametrize("level", HARD)
+def test_road_users_are_far_away_and_no_farther(level, scenes):
+    distance = [np.hypot(*user.box.center_m[:2]) for scene in scenes[level] for user in scene.road_users]
+    assert REACH_M[level] - 15.0 < max(distance) <= REACH_M[level] + 4.0  # of centres, from the rear axle
+
+
+def test_levels_are_as_full_as_they_are_named(scenes):
+    mean = {level: np.mean([len(scene.road_users) for scene in each]) for level, each in scenes.items()}
+    assert mean["dense"] > 1.4 * mean["urban"] > 40.0
+    assert 15.0 < mean["motorway"] < 60.0
+    kinds = {level: {user.road_user for scene in each for user in scene.road_users} for level, each in scenes.items()}
+    assert kinds["urban"] == kinds["dense"] == {"vehicle", "pedestrian", "cyclist"}
+    assert kinds["motorway"] == {"vehicle"}
+
+
+def test_dense_streets_have_children_and_cyclists_next_to_the_ego_vehicle(scenes):
+    low, high = scenes["dense"][0].ego.bounds_m().astype(np.float64)
+    near = [
+        user
+        for scene in [*scenes["dense"], *(level_scene(seed, "dense") for seed in range(8, 24))]
+        for user in scene.road_users
+        if (np.abs(user.box.center_m[:2] - 0.5 * (low + high)[:2]) < 0.5 * (high - low)[:2] + 3.5).all()
+    ]
+    assert sum(user.road_user == "cyclist" for user in near) >= 8
+    assert sum(user.road_user == "pedestrian" and user.box.size_m[2] < 1.25 for user in near) >= 5
+    assert sum(user.road_user == "vehicle" for user in near) >= 12
+
+
+def test_motorways_are_fast(scenes):
+    for scene in scenes["motorway"]:
+        velocity = np.array([user.velocity_ego_m_s for user in scene.road_users])
+        assert np.abs(velocity[:, 1]).max() < 1.0
+        assert np.abs(velocity[:, 0]).max() <= 80.0
+    oncoming = [
+        -user.velocity_ego_m_s[0]
+        for scene in scenes["motorway"]
+        for user in scene.road_users
+        if np.cos(user.box.yaw_rad) < 0.0
+    ]
+    assert len(oncoming) >= 40
+    assert min(oncoming) > 40.0  # both drive at 20 m/s and more
+
+
+@pytest.mark.parametrize("level", HARD)
+def test_what_is_far_away_is_coarse_and_the_whole_is_small(level, scenes):
+    for scene in scenes[level]:
+        centre_x = scene.ego.bounds_m()[:, 0].mean()
+        for user in scene.road_users:
+            from_m = LONG_COARSE_FROM_M if user.category in LONG_KINDS else COARSE_FROM_M
+            is_far = np.hypot(user.box.center_m[0] - centre_x, user.box.center_m[1]) > from_m + 1.0
+            most = {"vehicle": 1600, "pedestrian": 400, "cyclist": 600}[user.road_user] if is_far else 5000
+            assert len(user.mesh.triangle) <= most, user
+        assert len(scene.environment.triangle) <= 70_000
+        assert sum(len(user.mesh.triangle) for user in scene.road_users) <= 330_000
+
+
+@pytest.mark.parametrize("level", HARD)
+def test_the_ground_reaches_as_far_as_the_road_users_and_carries_the_ego_vehicle(level, scenes):
+    for scene in scenes[level]:
+        along = np.linspace(-0.95, 0.95, 60) * (REACH_M[level] + 10.0)
+        caster = _Caster(scene.environment)
+        below = caster.distance_m(np.c_[along, 0.0 * along, np.full_like(along, 60.0)], -1.0)
+        assert np.isfinite(below).all(), scene.name
+        tyre = scene.ego.vertex_m[scene.ego.vertex_m[:, 2] < 0.02]
+        np.testing.assert_allclose(caster.height_above_m(tyre.astype(np.float64)), tyre[:, 2], atol=0.04)
+
+
+def test_files_are_named_after_seed_and_level(tmp_path):
+    sources = [*(TownSource(7, level) for level in LEVELS), TownSource(8)]
+    assert len({scene_file(source, tmp_path) for source in sources}) == 5
+    assert len({SceneRecipe(source).file_name for source in sources}) == 5
+    assert TownSource(7) == TownSource(7, "easy")
+
+
+def test_scenes_of_a_level_are_read_as_they_were_built(tmp_path, scenes):
+    for _ in range(2):
+        [scene] = town_scenes([3], "motorway", folder=tmp_path)
+        assert digest_of(scene) == digest_of(scenes["motorway"][3])
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_placement_of_scenes_of_a_level_knows_which(scenes):
+    placement = wa.Placement(scenes["dense"][:2], cameras=2)
+    assert placement.config.scenes.level == "dense"
+    assert placement.config.scenes.train_seeds == (0, 1)
+    assert wa.Placement([*scenes["dense"][:1], *scenes["urban"][:1]], cameras=2).config.scenes.level is None
+    assert [level_of(each[0].source) for each in scenes.values()] == [(level, 0) for level in HARD]
+    assert level_of("town seed 12") == ("easy", 12)
+    assert level_of("somewhere else") is None
+
+
+def test_a_level_that_is_none_is_refused():
+    with pytest.raises(InputError, match=r"level: expected one of easy, urban, dense, motorway, got 'dens'; .*dense"):
+        wa.town([0], level="dens")
+    with pytest.raises(ValueError, match="seed must be 0 or more, got -1"):
+        level_scene(-1, "urban")
+    with pytest.raises(InputError, match=r"expected no level because scenes\.source is captured"):
+        changed_config(wa.Config(), ["scenes.source=captured", "scenes.level=urban"])
+
+
+def test_the_option_is_left_out_of_files_where_it_is_not_set():
+    assert "level" not in wa.Config().model_dump(mode="json")["scenes"]
+    assert wa.Config(scenes={"level": "urban"}).model_dump(mode="json")["scenes"]["level"] == "urban"

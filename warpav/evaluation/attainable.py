@@ -1,0 +1,47 @@
+"""Which objects can be found at all: by a single camera somewhere on the mount.
+
+Traffic hides traffic. What stands behind a lorry is missed by every rig, and of what is far away the detector finds
+little from anywhere; so the misses of the best rig are not 0, and how much a rig loses shows only beside what can be
+had. An object counts as attainable if one of many cameras, spread over the mount's places and directions as the first
+pool of a search is, detects it with a probability of at least `LIKELY`. That takes no detector, and no rig.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.pool import spread_mount_poses
+from warpav.optimisation.rig_values import single_cameras_of
+
+CAMERAS = 128
+"""Cameras that are spread over the mount."""
+LIKELY = 0.5
+"""Probability from which on a camera rather detects an object than not."""
+
+
+def attainable_objects(
+    objective: RigObjective, scenes: Sequence[AssignedScene], *, cameras: int = CAMERAS
+) -> list[np.ndarray] | None:
+    """Which objects of each scene some camera on the mount is likely to detect, bool [object] each.
+
+    Args:
+        objective: Supplies the mount, the model of its cameras and how likely they are to detect.
+        scenes: On the device of the mount.
+        cameras: How many are looked through; more find a little more.
+
+    Returns:
+        None where what single cameras detect is not known: of losses other than the expected miss rate.
+
+    Raises:
+        InputError: There is next to no room for a camera.
+    """
+    single = single_cameras_of(objective)
+    if single is None:
+        return None
+    pose = spread_mount_poses(single.mount, objective.constraints.of_single_cameras, cameras, seed=0)
+    found = [single.detection_probability(pose, assigned.scene) for assigned in scenes]
+    return [np.asarray(each.max(axis=0, initial=0.0) >= LIKELY) for each in found]

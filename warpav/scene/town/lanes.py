@@ -1,0 +1,110 @@
+"""Lanes, and who drives in them: queues at lines where drivers wait, free traffic elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpav.scene.town.placed_vehicle import DrawnVehicle
+from warpav.scene.town.street_life import Footprint
+
+_QUEUE_GAP_M = (1.2, 3.0)
+_LINE_GAP_M = (0.4, 1.4)
+_LATERAL_JITTER_M, _YAW_JITTER_RAD = 0.18, 0.012
+
+
+@dataclass(frozen=True)
+class Lane:
+    """A straight lane from where it starts to where it ends, as it is driven.
+
+    Attributes:
+        start_m: Where its middle starts in the town frame, x and y [m].
+        yaw_rad: Direction in which it is driven.
+        length_m: Its length [m].
+        gap_m: Free traffic: smallest gap between two vehicles, and what is added to it on average [m].
+        queue: How many wait at a line on average.
+        lines_m: Where drivers wait now, such as at a red light, from its start [m].
+        closed_m: Stretches in which nobody stands, such as a junction that others cross now, from its start [m].
+        free_m_s: Lowest and highest speed where it is free [m/s]; None: that of a street.
+        kind_shares: What drives in it; the shares add up to 1.
+    """
+
+    start_m: tuple[float, float]
+    yaw_rad: float
+    length_m: float
+    gap_m: tuple[float, float]
+    kind_shares: dict[str, float]
+    queue: float = 0.0
+    lines_m: tuple[float, ...] = ()
+    closed_m: tuple[tuple[float, float], ...] = ()
+    free_m_s: tuple[float, float] | None = None
+
+    def at(self, along_m: float, left_m: float = 0.0) -> np.ndarray:
+        """A point so far along the lane and left of its middle, in the town frame [m], shape [2]."""
+        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        return np.array(self.start_m) + along_m * np.array([c, s]) + left_m * np.array([-s, c])
+
+    def lines(self, half_width_m: float = 1.3) -> Iterator[Footprint]:
+        """The lines as thin rectangles across the lane: what slows drivers down."""
+        for along_m in self.lines_m:
+            x, y = self.at(along_m + 0.2)
+            yield Footprint(float(x), float(y), self.yaw_rad, 0.4, 2.0 * half_width_m)
+
+
+def lane_positions(
+    lane: Lane, length_of: Callable[[], float], rng: np.random.Generator
+) -> Iterator[tuple[float, float]]:
+    """Middles and lengths of what stands in a lane, from its end back to its start; nothing overlaps.
+
+    Args:
+        lane: The lane.
+        length_of: Draws the next one and returns its length [m].
+        rng: Random numbers.
+
+    Yields:
+        Middle, from the lane's start, and length [m].
+    """
+    lines = sorted(lane.lines_m)
+    front_limit = lane.length_m + float(rng.uniform(0.0, lane.gap_m[0] + lane.gap_m[1]))
+    waiting = 0
+    while True:
+        length = length_of()
+        if waiting > 0:
+            front = front_limit - float(rng.uniform(*_QUEUE_GAP_M))
+            waiting -= 1
+        else:
+            front = front_limit - lane.gap_m[0] - float(rng.exponential(lane.gap_m[1]))
+        if lines and front - length < lines[-1]:
+            # whoever would stand on the line, or comes next behind it, is the first to wait
+            line = lines.pop()
+            queue = int(rng.poisson(lane.queue))
+            if queue == 0:
+                front_limit = line + lane.gap_m[0]
+                continue
+            front, waiting = line - float(rng.uniform(*_LINE_GAP_M)), queue - 1
+        rear = front - length
+        if rear < 0.0:
+            return
+        front_limit = rear
+        if front <= lane.length_m and not any(rear < high and front > low for low, high in lane.closed_m):
+            yield 0.5 * (front + rear), length
+
+
+def lane_vehicles(
+    lane: Lane, draw: Callable[[], DrawnVehicle], rng: np.random.Generator
+) -> Iterator[tuple[DrawnVehicle, Footprint]]:
+    """Vehicles and where they drive; see `lane_positions`."""
+    drawn: list[DrawnVehicle] = []
+
+    def length_of() -> float:
+        drawn.append(draw())
+        return float(drawn[-1].size_m[0])
+
+    for middle_m, length_m in lane_positions(lane, length_of, rng):
+        left_m = float(rng.uniform(-_LATERAL_JITTER_M, _LATERAL_JITTER_M))
+        yaw = lane.yaw_rad + float(rng.uniform(-_YAW_JITTER_RAD, _YAW_JITTER_RAD))
+        x, y = lane.at(middle_m, left_m)
+        width_m = float(drawn[-1].size_m[1])
+        yield drawn[-1], Footprint(float(x), float(y), float(np.arctan2(np.sin(yaw), np.cos(yaw))), length_m, width_m)

@@ -1,0 +1,100 @@
+"""The levels of the embedded town: the same seeds, other streets and more of everything."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from warpav.core.errors import ArgumentError
+from warpav.core.fingerprint import fingerprint
+from warpav.scene.scene import Scene
+
+Level = Literal["easy", "urban", "dense", "motorway"]
+LEVELS: tuple[Level, ...] = ("easy", "urban", "dense", "motorway")
+"""Names of the levels, the easiest first."""
+_CODE = {"easy": "town", "urban": "street_traffic", "dense": "street_traffic", "motorway": "motorway"}
+_LEVEL_STREAM = 0x1E7E1  # keeps the random numbers of levels apart from other uses of the same seed
+
+
+def level_scene(seed: int, level: Level = "easy") -> Scene:
+    """The scene of a seed and a level, around the same ego vehicle.
+
+    Args:
+        seed: Any integer from 0; the same seed and level give the same scene, byte for byte.
+        level: ``easy`` is `warpav.scene.town.town.town_scene`.
+
+    Raises:
+        ValueError: The seed is negative, or there is no such level.
+    """
+    if level not in LEVELS:
+        raise ValueError(f"level must be out of {', '.join(LEVELS)}, got {level!r}")
+    if seed < 0:
+        raise ValueError(f"seed must be 0 or more, got {seed}")
+    if level == "easy":
+        from warpav.scene.town.town import town_scene
+
+        return town_scene(seed)
+    from warpav.scene.town.level_world import LevelWorld
+
+    stream = [_LEVEL_STREAM, LEVELS.index(level), seed]
+    world = LevelWorld(np.random.default_rng([*stream, 1]))
+    rng = np.random.default_rng([*stream, 0])
+    if level == "motorway":
+        from warpav.scene.town.motorway import motorway_world
+
+        motorway_world(rng, world)
+    else:
+        from warpav.scene.town.street_traffic import street_world
+
+        street_world(level, rng, world)
+    return world.finish(f"{level}_{seed:04d}", f"town {level} seed {seed}")
+
+
+def checked_level(level: str) -> Level:
+    """A level by its name.
+
+    Raises:
+        InputError: There is no such level.
+    """
+    found: Level | None = next((each for each in LEVELS if each == level), None)
+    if found is None:
+        near = difflib.get_close_matches(str(level), LEVELS, 1, 0.5)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise ArgumentError("level", f"expected one of {', '.join(LEVELS)}, got {level!r}{hint}")
+    return found
+
+
+@dataclass(frozen=True)
+class TownSource:
+    """What an embedded scene is made of.
+
+    Attributes:
+        seed: Any integer from 0.
+        level: Of the town.
+    """
+
+    seed: int
+    level: Level = "easy"
+
+    def scene(self) -> Scene:
+        """The scene; as of `level_scene`."""
+        return level_scene(self.seed, self.level)
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of all that the scene depends on; that of ``easy`` knows nothing of the code of other levels."""
+        code = (f"warpav.scene.town.{_CODE[self.level]}",)
+        return fingerprint(self.seed, self.level, code=code if self.level == "easy" else (*code, __name__))
+
+
+def level_of(source: str) -> tuple[Level, int] | None:
+    """Level and seed of `warpav.scene.scene.Scene.source`; None of scenes that are not of the town."""
+    match = re.fullmatch(rf"town (?:({'|'.join(LEVELS[1:])}) )?seed (\d+)", source)
+    if match is None:
+        return None
+    level: Level = next(each for each in LEVELS if each == (match[1] or "easy"))
+    return level, int(match[2])

@@ -1,0 +1,81 @@
+"""Vehicles of the town before they are meshes: drawn at random, then placed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from warpav.raster.mesh import Mesh
+from warpav.scene.town.ground import StreetGround
+from warpav.scene.town.paint import BUS_COLOURS, PAINT_COLOURS, PAINT_SHARES
+from warpav.scene.town.street_life import Footprint
+from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, vehicle_mesh, vehicle_size_m
+
+LONG_KINDS = ("lorry", "bus")
+_SCALE_SPREAD = 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnVehicle:
+    """A random vehicle, nowhere yet.
+
+    Attributes:
+        kind: As `vehicle_mesh` takes it.
+        variant: As `vehicle_mesh` takes it.
+        paint: Linear albedo, shape [3].
+        scale: Factors along x, y, z, shape [3].
+    """
+
+    kind: str
+    variant: int
+    paint: np.ndarray
+    scale: np.ndarray
+
+    @property
+    def size_m(self) -> np.ndarray:
+        """Length, width with mirrors, height [m], shape [3]."""
+        return vehicle_size_m(self.kind, self.variant) * self.scale
+
+    def mesh(self, *, coarse: bool = False) -> Mesh:
+        """Its mesh in the vehicle frame."""
+        return vehicle_mesh(self.kind, self.paint, variant=self.variant, scale=self.scale, coarse=coarse)
+
+
+def drawn_vehicle(kind_shares: Mapping[str, float], rng: np.random.Generator) -> DrawnVehicle:
+    """A vehicle of one of these kinds, by their shares, which add up to 1."""
+    kind = list(kind_shares)[int(rng.choice(len(kind_shares), p=list(kind_shares.values())))]
+    paint = PAINT_COLOURS[int(rng.choice(len(PAINT_COLOURS), p=PAINT_SHARES))] * rng.uniform(0.9, 1.1)
+    if kind == "bus":
+        paint = BUS_COLOURS[int(rng.integers(len(BUS_COLOURS)))]
+    scale = 1.0 + rng.uniform(-_SCALE_SPREAD, _SCALE_SPREAD, 3)
+    return DrawnVehicle(kind, int(rng.integers(VARIANT_COUNT)), paint, scale)
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedVehicle:
+    """A vehicle in the town frame: its mesh in the vehicle frame, and where it stands.
+
+    Attributes:
+        kind: As `vehicle_mesh` takes it.
+        variant: As `vehicle_mesh` takes it.
+        mesh: In the vehicle frame.
+        size_m: Length, width with mirrors, height [m], shape [3].
+        footprint: Where.
+        lane_yaw_rad: Direction of its lane; None: parked.
+        free_m_s: Lowest and highest speed where nothing is in the way [m/s]; None: that of the street.
+    """
+
+    kind: str
+    variant: int
+    mesh: Mesh
+    size_m: np.ndarray
+    footprint: Footprint
+    lane_yaw_rad: float | None
+    free_m_s: tuple[float, float] | None = None
+
+    def standing(self, ground: StreetGround) -> Mesh:
+        """The vehicle's mesh in the town frame."""
+        place = self.footprint
+        return self.mesh.transformed(*ground.stand(place.x_m, place.y_m, place.yaw_rad, self.size_m))

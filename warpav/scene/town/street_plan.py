@@ -1,0 +1,316 @@
+"""Plans of long streets with junctions, for the levels urban and dense: what drives and stands where, and who waits.
+
+Town frame as in `town_layout`. A street has, from its middle: lanes, maybe a cycle lane, maybe parking bays, pavement,
+houses. At every junction either the main street moves and the side street waits, or the other way round.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from warpav.scene.town.lanes import Lane
+from warpav.scene.town.town_layout import LINE_HALF_WIDTH_M, Block, Layout, Marking, Rectangle, Slot
+
+STREET_REACH_M, SIDE_REACH_M = 95.0, 80.0
+"""Where the main street ends, and the side streets, in front of houses."""
+_BAY_M, _CYCLE_LANE_M, _CROSSING_M, _BLOCK_DEPTH_M = 2.3, 1.7, 2.8, 20.0
+_JUNCTION_SPACING_M = 38.0  # between the middles of two side streets
+_LINE_M, _KERB_RADIUS_M = 1.1, 2.4
+_CYCLIST_M = 1.9
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """How much goes on in a street.
+
+    Attributes:
+        gap_m: In free traffic, smallest gap and what is added on average [m].
+        queue: How many wait at a red light in each lane, on average.
+        cyclist_gap_m: The same as ``gap_m`` between cyclists in a cycle lane [m].
+        kind_shares: What drives.
+        parked_share: Share of the bays that are taken.
+        pavement_m: Length of pavement for every person on it [m].
+        crossing: People on a crossing whose road waits, on average.
+        stepping_out: Share of the gaps between parked cars from which somebody steps.
+        beside: Chance of a cyclist on either side of the ego vehicle.
+        children: Children within a few metres of the ego vehicle, on average.
+        double_parked: Chance that a lorry, bus or van stands in a lane and hides what is behind it.
+    """
+
+    gap_m: tuple[float, float]
+    queue: float
+    cyclist_gap_m: tuple[float, float]
+    kind_shares: dict[str, float]
+    parked_share: float
+    pavement_m: float
+    crossing: float
+    stepping_out: float
+    beside: float
+    children: float
+    double_parked: float
+
+
+@dataclass(frozen=True)
+class StreetPlan:
+    """One plan.
+
+    Attributes:
+        layout: Asphalt, blocks, markings; its slots are parking bays, and places in lanes for road works.
+        lanes: Where vehicles drive.
+        cycle_lanes: Where cyclists do.
+        open_crossings: Where people cross the main street, which waits now.
+        half_m: Half the width of the main street between the kerbs [m].
+        pavement_m: Width of its pavements [m].
+    """
+
+    layout: Layout
+    lanes: tuple[Lane, ...]
+    cycle_lanes: tuple[Lane, ...]
+    open_crossings: tuple[Rectangle, ...]
+    half_m: float
+    pavement_m: float
+
+
+@dataclass
+class _Junction:
+    centre_m: float
+    half_m: float
+    lane_m: float
+    arms: tuple[float, ...]
+    main_moves: bool
+    has_crossings: bool
+
+    @property
+    def west_m(self) -> float:
+        return self.centre_m - self.half_m
+
+    @property
+    def east_m(self) -> float:
+        return self.centre_m + self.half_m
+
+    @property
+    def line_m(self) -> float:
+        """How far before the side street drivers of the main street wait."""
+        return _CROSSING_M + 2.4 if self.has_crossings else _LINE_M
+
+
+@dataclass
+class _Drawing:
+    """A plan as it grows."""
+
+    half_m: float
+    pavement_m: float
+    junctions: list[_Junction]
+    traffic: Traffic
+    markings: list[Marking] = field(default_factory=list)
+    slots: list[Slot] = field(default_factory=list)
+    lanes: list[Lane] = field(default_factory=list)
+    cycle_lanes: list[Lane] = field(default_factory=list)
+    asphalt: list[Rectangle] = field(default_factory=list)
+    blocks: list[Block] = field(default_factory=list)
+    crossings: list[Rectangle] = field(default_factory=list)
+    open_crossings: list[Rectangle] = field(default_factory=list)
+
+    def holes(self, margin_m: float) -> list[tuple[float, float]]:
+        """Stretches of the main street in and around its junctions."""
+        return [(each.west_m - margin_m, each.east_m + margin_m) for each in self.junctions]
+
+
+def street_plan(traffic: Traffic, rng: np.random.Generator) -> StreetPlan:
+    """A random plan, mirrored half of the time."""
+    lane = float(rng.uniform(3.1, 3.5))
+    count = 2 if rng.random() < 0.4 else 1
+    cycle = _CYCLE_LANE_M if rng.random() < 0.5 else 0.0
+    parks = rng.random() < (0.8 if count == 1 else 0.55)
+    half = count * lane + cycle + (_BAY_M if parks else 0.25)
+    drawing = _Drawing(half, float(rng.uniform(2.6, 4.4)), _junctions(rng), traffic)
+    drawing.asphalt.append((-STREET_REACH_M, -half, STREET_REACH_M, half))
+
+    _add_dashes(drawing, 0.0, 3.0, 3.0) if count == 1 else _add_lines(drawing, (-0.11, 0.11))
+    for side in (-1.0, 1.0):
+        for index in range(1, count):
+            _add_dashes(drawing, side * index * lane, 3.0, 4.5)
+        if cycle:
+            _add_dashes(drawing, side * count * lane, 1.0, 0.5)
+        if parks:
+            _add_bays(drawing, side, count * lane + cycle, rng)
+        for index in range(count):
+            drawing.lanes.append(_main_lane(drawing, side, (index + 0.5) * lane))
+        if cycle:
+            drawing.cycle_lanes.append(_main_lane(drawing, side, count * lane + 0.5 * cycle, is_cycle_lane=True))
+    for junction in drawing.junctions:
+        _add_side_street(drawing, junction, rng)
+    _add_blocks(drawing)
+    own_lane = int(rng.integers(count))
+    layout = Layout(
+        "street" if count == 1 else "avenue",
+        tuple(drawing.asphalt),
+        tuple(drawing.blocks),
+        tuple(drawing.markings),
+        tuple(drawing.slots),
+        Slot(0.0, -(own_lane + 0.5) * lane, 0.0, 5.0, parked=False),
+        tuple(drawing.crossings),
+    )
+    lanes, cycle_lanes = tuple(drawing.lanes), tuple(drawing.cycle_lanes)
+    plan = StreetPlan(layout, lanes, cycle_lanes, tuple(drawing.open_crossings), half, drawing.pavement_m)
+    return _mirrored(plan) if rng.random() < 0.5 else plan
+
+
+def _mirrored(plan: StreetPlan) -> StreetPlan:
+    def lane(one: Lane) -> Lane:
+        x, y = one.start_m
+        return Lane(**{**vars(one), "start_m": (x, -y), "yaw_rad": -one.yaw_rad})
+
+    return StreetPlan(
+        plan.layout.mirrored(),
+        tuple(map(lane, plan.lanes)),
+        tuple(map(lane, plan.cycle_lanes)),
+        tuple((r[0], -r[3], r[2], -r[1]) for r in plan.open_crossings),
+        plan.half_m,
+        plan.pavement_m,
+    )
+
+
+def _junctions(rng: np.random.Generator) -> list[_Junction]:
+    """One to three side streets; the ego vehicle stands in none whose traffic moves."""
+    centres: list[float] = []
+    for centre in rng.uniform([-45.0, 8.0, -75.0], [45.0, 75.0, 75.0])[: int(rng.integers(1, 4))]:
+        if all(abs(centre - other) >= _JUNCTION_SPACING_M for other in centres):
+            centres.append(float(centre))
+    found = []
+    for centre in sorted(centres):
+        lane = float(rng.uniform(3.0, 3.4))
+        half = lane + (_BAY_M if rng.random() < 0.5 else 0.25)
+        arms = ((-1.0, 1.0), (-1.0,), (1.0,))[int(rng.choice(3, p=[0.6, 0.2, 0.2]))]
+        occupied = abs(centre) < half + 9.0
+        main_moves = len(arms) == 1 or bool(occupied) or rng.random() < 0.45
+        found.append(_Junction(centre, half, lane, arms, main_moves, len(arms) == 2 and rng.random() < 0.75))
+    return found
+
+
+def _add_lines(drawing: _Drawing, offsets_m: tuple[float, ...]) -> None:
+    edges = [-STREET_REACH_M, *(x for hole in drawing.holes(1.0) for x in hole), STREET_REACH_M]
+    for low, high in zip(edges[::2], edges[1::2], strict=True):
+        for y in offsets_m:
+            drawing.markings.append(Marking((low, y - LINE_HALF_WIDTH_M, high, y + LINE_HALF_WIDTH_M)))
+
+
+def _add_dashes(drawing: _Drawing, y_m: float, dash_m: float, gap_m: float) -> None:
+    for x in np.arange(-STREET_REACH_M + 2.0, STREET_REACH_M - dash_m, dash_m + gap_m):
+        if all(x + dash_m < low or x > high for low, high in drawing.holes(6.5)):
+            rectangle = (float(x), y_m - LINE_HALF_WIDTH_M, float(x) + dash_m, y_m + LINE_HALF_WIDTH_M)
+            drawing.markings.append(Marking(rectangle))
+
+
+def _add_bays(drawing: _Drawing, side: float, edge_m: float, rng: np.random.Generator) -> None:
+    """Bays along a kerb, away from junctions; most cars stand as the lane beside them goes."""
+    pitch = float(rng.uniform(5.6, 6.3))
+    middle = edge_m + 0.5 * _BAY_M
+    for x in np.arange(-STREET_REACH_M + 6.0 + rng.uniform(0.0, pitch), STREET_REACH_M - 6.0, pitch):
+        if any(low < x + 0.5 * pitch and x - 0.5 * pitch < high for low, high in drawing.holes(9.0)):
+            continue
+        low, high = sorted((side * edge_m, side * (edge_m + _BAY_M)))
+        drawing.markings.append(Marking((x - 0.5 * pitch - 0.05, low, x - 0.5 * pitch + 0.05, high), 0.74))
+        yaw = (0.0 if side < 0.0 else np.pi) + (np.pi if rng.random() < 0.08 else 0.0)
+        drawing.slots.append(Slot(float(x), side * middle, yaw, pitch - 0.6, parked=True))
+
+
+def _main_lane(drawing: _Drawing, side: float, offset_m: float, *, is_cycle_lane: bool = False) -> Lane:
+    """A lane of the main street: side -1 goes with the ego vehicle, +1 against it."""
+    traffic = drawing.traffic
+    forward = side < 0.0
+    lines, closed = [], []
+    for junction in drawing.junctions:
+        before, after = (junction.west_m, junction.east_m) if forward else (-junction.east_m, -junction.west_m)
+        if not junction.main_moves:
+            line = before - junction.line_m
+            lines.append(line + STREET_REACH_M)
+            # the crossings before and behind the side street are for people now
+            closed.append((line + 0.3 + STREET_REACH_M, after + junction.line_m + STREET_REACH_M))
+    if not is_cycle_lane:
+        for x in np.arange(-78.0, 79.0, 13.0):
+            drawing.slots.append(Slot(float(x), side * offset_m, 0.0 if forward else np.pi, 12.0, parked=False))
+    return Lane(
+        (-STREET_REACH_M if forward else STREET_REACH_M, side * offset_m),
+        0.0 if forward else np.pi,
+        2.0 * STREET_REACH_M,
+        traffic.cyclist_gap_m if is_cycle_lane else traffic.gap_m,
+        traffic.kind_shares,
+        traffic.queue,
+        tuple(lines),
+        tuple(closed),
+    )
+
+
+def _add_side_street(drawing: _Drawing, junction: _Junction, rng: np.random.Generator) -> None:
+    half, traffic = drawing.half_m, drawing.traffic
+    centre, lane = junction.centre_m, junction.lane_m
+    for side in junction.arms:
+        low, high = sorted((side * half, side * SIDE_REACH_M))
+        drawing.asphalt.append((junction.west_m, low, junction.east_m, high))
+        for y in np.arange(half + 8.0, SIDE_REACH_M - 3.0, 6.0):
+            dash = sorted((side * y, side * (y + 3.0)))
+            drawing.markings.append(Marking((centre - LINE_HALF_WIDTH_M, dash[0], centre + LINE_HALF_WIDTH_M, dash[1])))
+        stop = sorted((centre, centre - side * lane))
+        line = sorted((side * (half + _LINE_M), side * (half + _LINE_M + 0.4)))
+        drawing.markings.append(Marking((stop[0] + 0.1, line[0], stop[1] - 0.1, line[1])))
+        if junction.half_m > lane + 1.0:
+            for y in np.arange(half + 13.0 + rng.uniform(0.0, 5.0), SIDE_REACH_M - 8.0, 6.0):
+                for kerb in (-1.0, 1.0):
+                    yaw = 0.5 * np.pi * kerb + (np.pi if rng.random() < 0.1 else 0.0)
+                    x = centre + kerb * (lane + 0.5 * _BAY_M)
+                    drawing.slots.append(Slot(x, side * float(y), yaw, 5.2, parked=True))
+    up, down = 1.0 in junction.arms, -1.0 in junction.arms
+    bottom, top = (-SIDE_REACH_M if down else half, SIDE_REACH_M if up else -half)
+    for direction in (1.0, -1.0):
+        start, end = (bottom, top) if direction > 0.0 else (top, bottom)
+        enters = down if direction > 0.0 else up  # there is an arm that it comes from
+        lines, closed = (), ()
+        if enters and junction.main_moves:
+            line = abs(start) - half - _LINE_M
+            lines, closed = (line,), ((line + 0.3, abs(start) + half),)
+        if abs(end - start) < 10.0:
+            continue
+        drawing.lanes.append(
+            Lane(
+                (centre + direction * 0.5 * lane, start),
+                direction * 0.5 * np.pi,
+                abs(end - start),
+                traffic.gap_m,
+                traffic.kind_shares,
+                0.6 * traffic.queue,
+                lines,
+                closed,
+            )
+        )
+    if junction.has_crossings:
+        for x in (junction.west_m - _CROSSING_M - 1.0, junction.east_m + 1.0):
+            for y in np.arange(-half + 0.5, half - 0.8, 1.0):
+                drawing.markings.append(Marking((x, float(y), x + _CROSSING_M, float(y) + 0.5)))
+            drawing.crossings.append((x, -half, x + _CROSSING_M, half))
+    if not junction.main_moves:
+        drawing.open_crossings += drawing.crossings[-2:] if junction.has_crossings else []
+
+
+def _add_blocks(drawing: _Drawing) -> None:
+    """Houses on both sides, open where side streets lead away, and at the end of every street."""
+    half, pavement = drawing.half_m, drawing.pavement_m
+    for side in (-1.0, 1.0):
+        facing = "north" if side < 0.0 else "south"
+        arms = [junction for junction in drawing.junctions if side in junction.arms]
+        depth = SIDE_REACH_M if arms else half + _BLOCK_DEPTH_M
+        low, high = sorted((side * half, side * depth))
+        edges = [-STREET_REACH_M, *(x for arm in arms for x in (arm.west_m, arm.east_m)), STREET_REACH_M]
+        for k, (west, east) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
+            fronts = [facing, *(["west"] if k > 0 else []), *(["east"] if k < len(arms) else [])]
+            corner = _KERB_RADIUS_M if arms else 0.0
+            drawing.blocks.append(Block((west, low, east, high), pavement, tuple(fronts), corner))
+        for arm in arms:
+            low, high = sorted((side * depth, side * (depth + _BLOCK_DEPTH_M)))
+            drawing.blocks.append(Block((arm.west_m - 10.0, low, arm.east_m + 10.0, high), 2.5, (facing,)))
+    end = half + 10.0
+    for sign, front in ((1.0, "west"), (-1.0, "east")):
+        low, high = sorted((sign * STREET_REACH_M, sign * (STREET_REACH_M + _BLOCK_DEPTH_M)))
+        drawing.blocks.append(Block((low, -end, high, end), 2.5, (front,)))
