@@ -125,16 +125,16 @@ def searched(task: Task) -> dict[str, object]:
     began = time.perf_counter()
     row: dict[str, object] = {"vehicle": task.vehicle, "like": task.like, "seed": task.seed}
     missed = {}
-    first, _ = search(task, "roof", start=None)
+    first, _, _ = search(task, "roof", start=None)
     for where in ("body", "roof"):
-        result, row[f"{where}_zones"] = search(task, where, start=first.rig)
-        row[f"{where}_train_per_100"] = 100.0 * result.objective
-        missed[where] = misses(result.rig, task.vehicle, task.settings)
+        rig, objective, row[f"{where}_zones"] = search(task, where, start=first)
+        row[f"{where}_train_per_100"] = 100.0 * objective
+        missed[where] = misses(rig, task.vehicle, task.settings)
     return row | {"missed": missed, "search_seconds": time.perf_counter() - began}
 
 
-def search(task: Task, where: str, *, start: wa.Rig | None) -> tuple[wa.Result, dict[str, int]]:
-    """A search on the body or the roof, and its cameras a zone; a second one, from a start, draws others."""
+def search(task: Task, where: str, *, start: wa.Rig | None) -> tuple[wa.Rig, float, dict[str, int]]:
+    """A search on the body or the roof: rig, objective, cameras a zone; a second one, from a start, draws others."""
     with tempfile.TemporaryDirectory() as folder:
         placement = wa.Placement(
             wa.town(range(task.settings.train), task.settings.level),
@@ -147,7 +147,7 @@ def search(task: Task, where: str, *, start: wa.Rig | None) -> tuple[wa.Result, 
         result = wa.optimise(placement)
         surface = placement.mount.surface
         place_m = placement.mount_pose_of(result.rig)[:, :2].astype(np.float64)
-        return result, dict(Counter(surface.zones[k].name for k in surface.zone_at(place_m)))
+        return result.rig, result.objective, dict(Counter(surface.zones[k].name for k in surface.zone_at(place_m)))
 
 
 def config_of(task: Task, *, seed: int = 0) -> Config:

@@ -1,6 +1,7 @@
 """Pools of single cameras: the objective's own probabilities, on every executor and from every cache the same bytes."""
 
 import functools
+import gc
 import importlib.util
 import math
 import pickle
@@ -219,6 +220,22 @@ def test_renderers_of_large_images_are_not_kept_for_every_number_of_cameras(monk
     monkeypatch.setattr(cameras._renderers, "bytes_max", 1)
     cameras.detection_probability(poses_of(8), scene)
     assert len(cameras._renderers) == 1
+
+
+def test_renderers_go_with_the_cameras_that_used_them(device):
+    gc.collect()
+    before = sum(isinstance(each, Renderer) for each in gc.get_objects())
+    gc.disable()  # no circle of references keeps them until somebody looks for circles
+    try:
+        cameras = cameras_of(device, thread_count=2)
+        cameras.detection_probability(poses_of(5), streets(device)[0])
+        for _ in range(3):  # a GPU records the second time
+            cameras.with_jacobian(poses_of(5), streets(device))
+        assert sum(isinstance(each, Renderer) for each in gc.get_objects()) > before
+        del cameras
+        assert sum(isinstance(each, Renderer) for each in gc.get_objects()) == before
+    finally:
+        gc.enable()
 
 
 def is_missing(package):

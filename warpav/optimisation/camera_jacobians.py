@@ -159,7 +159,7 @@ class _Views:
             renderer = free.get()
             try:
                 room = _Room(renderer, scene)
-                self._draw(renderer, scene, room)
+                _draw(renderer, scene, room, self.placed, self._pane)
                 return room.shown()
             finally:
                 free.put(renderer)
@@ -187,25 +187,25 @@ class _Views:
         return _Shown.together([self._recorded[scene].room.shown() for scene in scenes])
 
     def _recording(self, scene: DeviceScene, stream: int) -> _Recorded:
-        """`_draw` of a scene; it holds the scene weakly, so that what is recorded goes with it."""
-        renderer, weak = self._renderers[stream], ref(scene)
+        """`_draw` of a scene; it holds the scene weakly, so that what is recorded goes with it, and these views not."""
+        renderer, weak, placed, pane = self._renderers[stream], ref(scene), self.placed, self._pane
         room = _Room(renderer, scene)
 
         def draw() -> None:
             held = weak()
             assert held is not None
-            self._draw(renderer, held, room)
+            _draw(renderer, held, room, placed, pane)
 
         return _Recorded(room, stream, Recording(draw, renderer))
 
-    def _draw(self, renderer: Renderer, scene: DeviceScene, room: _Room) -> None:
-        """Render a scene and measure it, nothing taped."""
-        placed = self.placed
-        raster = scene.raster.through(self._pane)
-        frame = renderer.render(raster, placed.position_ego_m, placed.camera_from_ego, log_focal=placed.log_zoom)
-        measures = frame.measure(into=room.measures)
-        frame.window_area(visible=False, into=room.in_frame)
-        wp.copy(room.contrast, frame.contrast(measures.value))
+
+def _draw(renderer: Renderer, scene: DeviceScene, room: _Room, placed: PlacedViews, pane: Pane | None) -> None:
+    """Render a scene and measure it, nothing taped."""
+    raster = scene.raster.through(pane)
+    frame = renderer.render(raster, placed.position_ego_m, placed.camera_from_ego, log_focal=placed.log_zoom)
+    measures = frame.measure(into=room.measures)
+    frame.window_area(visible=False, into=room.in_frame)
+    wp.copy(room.contrast, frame.contrast(measures.value))
 
 
 @dataclass(frozen=True, eq=False)

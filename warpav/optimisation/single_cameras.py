@@ -222,7 +222,7 @@ class SingleCameras:
         found = np.zeros((len(pose), scene.vehicle_count), np.float32)
         chunks = equal_chunks(len(pose), self._most_views(module))
         free: SimpleQueue[Renderer] = SimpleQueue()
-        for renderer in self._kept_renderers(module, len(chunks[0])):
+        for renderer in self._maker(module).kept(self._renderers, len(chunks[0])):
             free.put(renderer)
         scene.upright_box  # noqa: B018 (found once, before threads ask for it)
         raster = scene.raster.through(pane)  # held, and made once
@@ -324,12 +324,13 @@ class SingleCameras:
         """Probabilities and Jacobians of cameras of one kind; kept for the next call."""
         module, pane = kind
         if kind not in self._kept_jacobians:
+            maker = self._maker(module)
             self._kept_jacobians[kind] = CameraJacobians(
                 self.mount,
                 self.mount.cameras[module],
                 self.probabilities[module],
                 # recorded launches are bound to the renderers, which therefore are those of the kind
-                partial(self._new_renderers if self._is_cuda else self._kept_renderers, module),
+                partial(maker.new, count=CUDA_STREAMS) if self._is_cuda else partial(maker.kept, self._renderers),
                 self._most_views(module, views_max=MAX_CHUNK_VIEWS),
                 pane,
             )
@@ -346,26 +347,40 @@ class SingleCameras:
             return CUDA_CHUNKS * chunk_view_count(camera, supersampling=self.supersampling)
         return min(chunk_view_count(camera, supersampling=self.supersampling, key_bytes=CPU_KEY_BYTES), views_max)
 
-    def _kept_renderers(self, module: int, view_count: int) -> Sequence[Renderer]:
-        """Renderers of so many views of a module, one for each thread, that others asked for before."""
-        key = (self.mount.cameras[module], view_count, self.supersampling, self.occlusion, self.thread_count)
-        count = 1 if self._is_cuda else None
-        return self._renderers.of(key, lambda: self._new_renderers(module, view_count, count))
+    def _maker(self, module: int) -> _RendererMaker:
+        return _RendererMaker(
+            self.mount.cameras[module], self.supersampling, self.occlusion, self.mount.device, self.thread_count
+        )
 
-    def _new_renderers(self, module: int, view_count: int, count: int | None = None) -> list[Renderer]:
-        """Renderers of so many views of a module, which do not share launches over threads; None: one for each."""
-        if count is None:
-            count = CUDA_STREAMS if self._is_cuda else self.thread_count or available_cores()
+
+@dataclass(frozen=True)
+class _RendererMaker:
+    """What renderers of one of the mount's models are like; knows nothing of who asks, so that no circle is closed."""
+
+    camera: CameraModel
+    supersampling: int
+    occlusion: Occlusion
+    device: str
+    thread_count: int | None
+
+    def new(self, view_count: int, count: int) -> list[Renderer]:
+        """So many renderers of so many views, which do not share launches over threads."""
         return [
             Renderer(
-                [self.mount.cameras[module]] * view_count,
+                [self.camera] * view_count,
                 supersampling=self.supersampling,
                 occlusion=self.occlusion,
-                device=self.mount.device,
+                device=self.device,
                 thread_count=1,
             )
             for _ in range(count)
         ]
+
+    def kept(self, renderers: KeptRenderers, view_count: int) -> Sequence[Renderer]:
+        """One for each thread, of a GPU one, that others asked for before."""
+        is_cuda = wp.get_device(self.device).is_cuda
+        count = 1 if is_cuda else self.thread_count or available_cores()
+        return renderers.of((self, view_count), lambda: self.new(view_count, count))
 
 
 def _unpacked(mount: tuple[Any, ...], *others: Any) -> SingleCameras:  # noqa: ANN401
