@@ -259,6 +259,34 @@ def draw_gradient(folder: Path) -> None:
     plt.close(figure)
 
 
+def draw_traffic(folder: Path) -> None:
+    """traffic.png: scenes of recorded traffic, from above and as a camera sees them."""
+    import pyvista as pv
+
+    import warpav as wa
+
+    _warpav("scenes", "traffic", "--seeds", "[0,2,8]", "--out", str(folder))
+    rows = []
+    for scene in wa.read_scenes(folder):
+        plotter = pv.Plotter(off_screen=True, window_size=(420, 420))
+        for mesh in (scene.environment, scene.ego, *(user.mesh for user in scene.road_users)):
+            surface = pv.PolyData.from_regular_faces(mesh.vertex_m, mesh.triangle)
+            surface["rgb"] = mesh.vertex_rgb
+            plotter.add_mesh(surface, scalars="rgb", rgb=True, lighting=False)
+        plotter.camera_position = [(8.0, 0.0, 140.0), (8.0, 0.0, 0.0), (1.0, 0.0, 0.0)]
+        plotter.camera.parallel_projection, plotter.camera.parallel_scale = True, 36.0
+        images = [np.asarray(plotter.screenshot())]
+        plotter.close()
+        seen = wa.render(wa.preset("nuscenes"), scene, supersampling=2)
+        for name in ("CAM_FRONT", "CAM_FRONT_LEFT"):
+            image = Image.fromarray(seen[name].rgb)
+            images.append(np.asarray(image.resize((round(420 * image.width / image.height), 420))))
+        rows.append(np.concatenate(images, axis=1))
+    Image.fromarray(np.concatenate(rows)).resize((1280, round(1280 * 1260 / rows[0].shape[1]))).save(
+        PICTURES / "traffic.png", optimize=True
+    )
+
+
 DRAWN: dict[str, Callable[[Path], None]] = {
     "rig.png": draw_run,
     "detections.png": draw_run,
@@ -274,6 +302,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "town_levels.jpg": draw_town_levels,
     "stages.jpg": draw_stages,
     "gradient.png": draw_gradient,
+    "traffic.png": draw_traffic,
 }
 """By file in .github/pictures."""
 

@@ -89,3 +89,9 @@ def pool_folder():
 def vehicle_folder():
     """Outside vehicle meshes as downloaded, with their textures; the test is skipped without them."""
     return _folder("WARPAV_TEST_VEHICLES")
+
+
+@pytest.fixture
+def traffic_folder():
+    """Outside recordings of traffic (`sind_json`, `ngsim_json`); the test is skipped without them."""
+    return _folder("WARPAV_TEST_TRAFFIC")

@@ -39,6 +39,7 @@ from warpav.runs.detector_fit import ensure_fit
 from warpav.runs.preset_rigs import preset_for
 from warpav.runs.vehicle_zones import propose
 from warpav.scene.device_scene import DeviceScene
+from warpav.scene.town.levels import LEVELS
 
 VEHICLES = {"car": None, "van": "minibus", "bus": "bus"}
 PIXELS = 65_536
@@ -77,6 +78,7 @@ def main() -> None:
     parser.add_argument("--train", type=int, default=200, help="scenes of a search")
     parser.add_argument("--unseen", type=int, default=200, help="scenes that judge")
     parser.add_argument("--pool", type=int, default=1024, help="cameras of the first pool of a search")
+    parser.add_argument("--level", default="easy", choices=LEVELS, help="of the town")
     parser.add_argument("--targets", default="vehicle,pedestrian,cyclist")
     parser.add_argument("--out", type=Path, default=Path("body_wide.json"))
     settings = parser.parse_args()
@@ -87,7 +89,8 @@ def main() -> None:
         for like, seed in [*((None, seed) for seed in range(settings.seeds)), *((name, 0) for name in known)]
     ]
     began = time.perf_counter()
-    wa.town([*range(settings.train), *range(UNSEEN_FROM, UNSEEN_FROM + settings.unseen)])  # the processes read them
+    seeds = [*range(settings.train), *range(UNSEEN_FROM, UNSEEN_FROM + settings.unseen)]
+    wa.town(seeds, settings.level)  # the processes read them
     kept = {key: str(value) for key, value in vars(settings).items() if key != "out"}
     result: dict[str, object] = {"settings": kept, "rows": []}
     with ProcessPoolExecutor(settings.workers, mp_context=get_context("spawn")) as processes:
@@ -122,19 +125,19 @@ def searched(task: Task) -> dict[str, object]:
     began = time.perf_counter()
     row: dict[str, object] = {"vehicle": task.vehicle, "like": task.like, "seed": task.seed}
     missed = {}
-    first, _ = search(task, "roof", start=None)
+    first, _, _ = search(task, "roof", start=None)
     for where in ("body", "roof"):
-        result, row[f"{where}_zones"] = search(task, where, start=first.rig)
-        row[f"{where}_train_per_100"] = 100.0 * result.objective
-        missed[where] = misses(result.rig, task.vehicle, task.settings)
+        rig, objective, row[f"{where}_zones"] = search(task, where, start=first)
+        row[f"{where}_train_per_100"] = 100.0 * objective
+        missed[where] = misses(rig, task.vehicle, task.settings)
     return row | {"missed": missed, "search_seconds": time.perf_counter() - began}
 
 
-def search(task: Task, where: str, *, start: wa.Rig | None) -> tuple[wa.Result, dict[str, int]]:
-    """A search on the body or the roof, and its cameras a zone; a second one, from a start, draws others."""
+def search(task: Task, where: str, *, start: wa.Rig | None) -> tuple[wa.Rig, float, dict[str, int]]:
+    """A search on the body or the roof: rig, objective, cameras a zone; a second one, from a start, draws others."""
     with tempfile.TemporaryDirectory() as folder:
         placement = wa.Placement(
-            wa.town(range(task.settings.train)),
+            wa.town(range(task.settings.train), task.settings.level),
             ego=VEHICLES[task.vehicle],
             zones=zones_of(task.vehicle, Path(folder) / "zones.yaml", where),
             start=start,
@@ -144,7 +147,7 @@ def search(task: Task, where: str, *, start: wa.Rig | None) -> tuple[wa.Result, 
         result = wa.optimise(placement)
         surface = placement.mount.surface
         place_m = placement.mount_pose_of(result.rig)[:, :2].astype(np.float64)
-        return result, dict(Counter(surface.zones[k].name for k in surface.zone_at(place_m)))
+        return result.rig, result.objective, dict(Counter(surface.zones[k].name for k in surface.zone_at(place_m)))
 
 
 def config_of(task: Task, *, seed: int = 0) -> Config:
@@ -221,7 +224,7 @@ def misses(rig: wa.Rig, vehicle: str, settings: argparse.Namespace) -> np.ndarra
 def unseen(vehicle: str, settings: argparse.Namespace) -> Iterator[DeviceScene]:
     """The scenes that judge, on the device a few at a time."""
     config = config_of(Task(vehicle, None, 0, settings))
-    scenes = wa.town(range(UNSEEN_FROM, UNSEEN_FROM + settings.unseen))
+    scenes = wa.town(range(UNSEEN_FROM, UNSEEN_FROM + settings.unseen), settings.level)
     placement = wa.Placement(list(scenes[:1]), ego=VEHICLES[vehicle], requirements=(), config=config)
     for first in range(0, len(scenes), AT_ONCE):
         yield from (each.scene for each in placement.observed(scenes[first : first + AT_ONCE]))

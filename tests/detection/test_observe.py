@@ -109,3 +109,30 @@ def test_a_detection_must_hold_something_of_the_vehicle(device):
     empty = np.array([box[0], box[1] - 40.0, box[2], box[1] - 1.0])
     detector = ConstantDetector([[empty], [], []], [[0.9], [], []])
     assert (observed(detector, device, iou_min=0.0).match == -1).all()
+
+
+def test_what_is_found_up_to_a_confidence_is_found_at_all_lower_ones(device, boxes_at_pixels, rng):
+    """Against matching again at every threshold, with boxes about every car that contend for it."""
+    found, confidence = [], []
+    for boxes in boxes_at_pixels:
+        cars = boxes[np.isfinite(boxes[:, 0])]
+        some = np.repeat(cars, 4, axis=0) + rng.uniform(-6.0, 6.0, (4 * len(cars), 4))
+        found.append(some)
+        confidence.append(np.sort(rng.uniform(0.1, 0.95, len(some)))[::-1])
+    observation = observed(ConstantDetector(found, confidence), device)
+    up_to = observation.detected_up_to(0.5)
+    assert np.isfinite(up_to).any()
+    assert (np.isfinite(up_to) == (observation.match >= 0)).all()
+    for threshold in np.r_[0.1, np.concatenate(confidence).astype(np.float32), 0.99]:
+        np.testing.assert_array_equal(up_to >= threshold, observation.is_detected_at(float(threshold), 0.5))
+
+
+def test_a_detector_that_drops_more_says_the_same_of_the_rest(device, boxes_at_pixels):
+    boxes = [each[np.isfinite(each[:, 0])] for each in boxes_at_pixels]
+    confidence = [np.linspace(0.9, 0.3, len(each)) for each in boxes]
+    observation = observed(ConstantDetector(boxes, confidence), device, confidence_min=0.6)
+    fewer = observation.from_confidence(0.6)
+    assert sum(map(len, fewer.detections)) < sum(map(len, observation.detections))
+    assert min(found.confidence.min() for found in fewer.detections if len(found)) >= 0.6
+    np.testing.assert_array_equal(fewer.is_detected_at(0.6, 0.5), observation.match >= 0)
+    np.testing.assert_array_equal(fewer.matched_confidence(), observation.matched_confidence())

@@ -12,13 +12,16 @@ from warpav.core.errors import InputError
 from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.detection.training import CLASS_NAMES, data
+from warpav.detection.training import train as train_module
 from warpav.detection.training.augmentation import _move, _warp
 from warpav.detection.training.evaluate import evaluate
 from warpav.detection.training.export import export_network
 from warpav.detection.training.loss import TargetBoxes, assign_cells, detection_loss, generalised_iou, pairwise_iou
 from warpav.detection.training.network import TownNetwork
 from warpav.detection.training.train import DeviceData, Training, train_detector
+from warpav.raster.camera import Lens
 from warpav.runs.detector_training import tables
+from warpav.scene.town.levels import TownSource
 
 SIDE_PX = 64
 
@@ -217,16 +220,16 @@ def test_a_detector_is_judged_by_road_user():
     assert (pedestrians["recall"], pedestrians["precision"], pedestrians["ap50"]) == (1.0, 1.0, 1.0)
     assert vehicles["ap50"] == pytest.approx(51 / 101, abs=1e-4)
     assert vehicles["false_alarms_per_image"] == 0.5
-    assert vehicles["recall_by_distance_m"]["5-10"] == 1.0
+    assert vehicles["recall_by_distance_m"]["0-10"] == 1.0
     # the false alarm is less confident than the one vehicle of this bin, and comes before the miss of the next
-    assert vehicles["ap50_by_distance_m"]["5-10"] == 1.0
+    assert vehicles["ap50_by_distance_m"]["0-10"] == 1.0
     assert vehicles["ap50_by_distance_m"]["10-20"] == 0.0
     assert vehicles["ap50_by_visible_fraction"]["0.75-inf"] == 1.0
     assert vehicles["recall_by_distance_m"]["10-20"] == 0.0
     text = tables({"direct": {"64": report}})
     assert "| **AP50, headline** | 0.505 |" in text
     assert "| 10 to 20 m | 0.000 |" in text
-    assert "| 20 to 30 m | - |" in text
+    assert "| 20 to 40 m | - |" in text
 
 
 def test_cameras_stand_around_the_ego_vehicle(rng):
@@ -241,7 +244,9 @@ def test_cameras_stand_around_the_ego_vehicle(rng):
         assert (position_m > low_m - 0.31).all()
         assert (position_m[:2] < high_m[:2] + 0.31).all()
         assert 0.3 <= position_m[2] <= 3.0
-        assert math.radians(50) <= camera.model.fov_rad <= math.radians(120)
+        low_deg, high_deg = (130, 190) if camera.model.lens is Lens.FISHEYE else (25, 120)
+        assert math.radians(low_deg) <= camera.model.fov_rad <= math.radians(high_deg)
+    assert 1 <= sum(camera.model.lens is Lens.FISHEYE for camera in cameras) <= 20
 
 
 def test_labels_are_those_of_the_rendered_objects():
@@ -263,10 +268,26 @@ def test_labels_are_those_of_the_rendered_objects():
     assert (labels.distance_m[exists] > 1.0).all()
 
 
-def test_seeds_of_training_and_tests_are_apart():
-    seeds = [seed for subset in data.SUBSETS.values() for seed in subset.seeds]
+def test_scenes_of_training_and_tests_are_apart():
+    subsets = {**data.TRAIN_SUBSETS, **data.TEST_SUBSETS}
+    seeds = [seed for subset in subsets.values() for seed in subset.seeds]
     assert len(set(seeds)) == len(seeds)
     assert min(seeds) >= 1_000_000
+    train, test = (
+        {source.moment.file for source in replace(subsets[name], scene_count=200).sources()}
+        for name in ("train_recorded", "test_recorded")
+    )
+    assert train
+    assert test
+    assert not train & test
+
+
+def test_a_subset_is_of_a_level_or_of_recordings():
+    assert data.Subset("dense", 7, 2, {}).sources() == [TownSource(7, "dense"), TownSource(8, "dense")]
+    assert data.Subset("reconstructed", 7, 1, {}).sources() == [TownSource(7)]
+    (source,) = data.Subset("search recordings", 7, 1, {}).sources()
+    assert source.seed == 7
+    assert source.moment.file.name.startswith("sind")
 
 
 @pytest.mark.slow
@@ -285,18 +306,20 @@ def test_people_are_cut_out_of_reconstructed_scenes():
 
 @pytest.mark.slow
 def test_data_is_written_trained_on_and_gone_on_from(tmp_path, monkeypatch):
-    few = {256: 2, 384: 1, 640: 1}
-    monkeypatch.setitem(data.SUBSETS, "train", data.Subset(1_000_000, 2, False, few))
-    monkeypatch.setitem(data.SUBSETS, "train_reconstructed", data.Subset(1_000_100, 1, False, few))
+    few = {256: 2, 384: 1, 640: 1, 1280: 1}
+    monkeypatch.setattr(train_module, "TRAIN_SUBSETS", {
+        "train": data.Subset("dense", 1_000_000, 2, few),
+        "train_recorded": data.Subset("search recordings", 1_000_100, 1, few),
+    })  # fmt: skip
     settings = {"image_folder": tmp_path / "images", "device": "cpu", "processes": 1, "step_count": 3, "batch_size": 2}
     assert train_detector(tmp_path, **settings, seed=0, stop_after_minutes=0.0) is None
     file = train_detector(tmp_path, **settings, seed=0, stop_after_minutes=math.inf)
     assert OnnxDetector(file).names == CLASS_NAMES
-    monkeypatch.setitem(data.SUBSETS, "train", data.Subset(1_000_001, 2, False, few))
+    monkeypatch.setitem(train_module.TRAIN_SUBSETS, "train", data.Subset("dense", 1_000_001, 2, few))
     with pytest.raises(InputError, match="expected images of 2 scenes from seed 1000001 on"):
         train_detector(tmp_path, **settings, seed=0, stop_after_minutes=math.inf)
     read = data.load_images(tmp_path / "images" / "train")
-    assert list(read) == [256, 384, 640]
+    assert list(read) == [256, 384, 640, 1280]
     assert len(read[256].images_rgb) == 4
     assert read[256].images_rgb.any(axis=(1, 2, 3)).all()
     assert len(read[256].first(1).images_rgb) == 1

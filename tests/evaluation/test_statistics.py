@@ -16,6 +16,7 @@ from warpav.evaluation.statistics import (
     Estimate,
     compare_arms,
     holm,
+    order_agreement,
     paired_difference,
     paired_differences,
     rank_correlation,
@@ -348,3 +349,57 @@ def test_intervals_of_run_spreads_are_right_about_as_often_as_they_say():
     rng = np.random.default_rng(6)
     found = [run_spread(rng.normal(0.5, 0.02, 10)) for _ in range(1000)]
     assert 0.93 <= np.mean([each.low <= 0.02 <= each.high for each in found]) <= 0.97
+
+
+# ------------------------------------------------------------------------------------------------ orders of two judges
+
+
+def test_the_agreement_of_two_judges_is_that_of_scipy(rng):
+    truth = rng.normal(0.0, 1.0, 7)
+    judges = [[truth[k] + rng.normal(0.0, 0.8, (1 + k % 3, 15)) for k in range(7)] for _ in range(2)]
+    weight = rng.integers(1, 9, 15)
+    found = order_agreement(*judges, weight=weight, resamples=199)
+    means = [[np.average(item.mean(axis=0), weights=weight) for item in judge] for judge in judges]
+    assert found.spearman.value == pytest.approx(scipy.stats.spearmanr(*means).statistic, abs=1e-12)
+    assert found.kendall.value == pytest.approx(scipy.stats.kendalltau(*means).statistic, abs=1e-12)
+    assert found.kendall.low < found.kendall.value <= found.kendall.high
+    assert found.kendall.count == 7
+
+
+def test_the_agreement_of_judges_with_ties_is_that_of_scipy(rng):
+    means = rng.integers(0, 3, (2, 12)).astype(float)
+    found = order_agreement(*[[[value, value] for value in judge] for judge in means], resamples=19)
+    assert found.spearman.value == pytest.approx(scipy.stats.spearmanr(*means).statistic, abs=1e-12)
+    assert found.kendall.value == pytest.approx(scipy.stats.kendalltau(*means).statistic, abs=1e-12)
+    assert found.kendall.low == found.kendall.high == found.kendall.value  # the same in every scene
+
+
+def test_an_order_that_hangs_on_the_scenes_is_not_sure():
+    scenes = np.arange(20) % 2
+    clear, close = [0.2 + 0 * scenes, 0.5 + 0 * scenes], [scenes * 0.98, 0.5 + 0 * scenes]
+    sure, unsure = (order_agreement(clear, judge, resamples=499) for judge in (clear, close))
+    assert (sure.kendall.low, sure.kendall.high) == (1.0, 1.0)
+    assert unsure.kendall.value == 1.0
+    assert unsure.kendall.low == -1.0
+
+
+def test_judges_who_agree_by_chance_are_not_sure(rng):
+    """Close items in one order: the correlation is 1, but not that of other scenes."""
+    noise = rng.normal(0.0, 0.1, (2, 5, 20))
+    noise -= noise.mean(axis=-1, keepdims=True)
+    one, other = np.linspace(0.4, 0.45, 5)[:, None] + noise
+    found = order_agreement(list(one), list(other), resamples=499)
+    assert found.kendall.value == found.spearman.value == 1.0
+    assert found.kendall.low < 0.6
+    assert found.spearman.low < 0.8
+
+
+def test_judges_who_see_no_order_have_none():
+    level = [[0.5, 0.7], [0.7, 0.5]]
+    assert order_agreement(level, [[0.1, 0.2], [0.3, 0.4]], resamples=9).spearman.value is None
+    assert order_agreement(level[:1], level[:1], resamples=9).kendall.value is None
+    assert order_agreement([[0.1], [0.2]], [[0.1], [0.2]], resamples=9).kendall == Estimate(1.0, None, None, 2)
+    with pytest.raises(ValueError, match="same items, runs and scenes"):
+        order_agreement(level, [[0.1], [0.2]])
+    with pytest.raises(ValueError, match="weight of at least 0"):
+        order_agreement(level, level, weight=[1.0, -1.0])

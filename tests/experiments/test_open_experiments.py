@@ -315,14 +315,14 @@ def test_rigs_are_rescored_and_stay_as_they_are(copied, capsys):
 def test_what_another_judge_said_is_none_of_it(copied, monkeypatch):
     words = ["experiment", "rescore", str(copied), "--name", "new"]
     assert main([*words, "camera.width_px=176"]) == 0
-    real = rescore.evaluate_rig
+    real = rescore.observe_scenes
 
     def fails_for_nuscenes(rig, *given, **options):
         if len(rig.cameras) == 6:
             raise ValueError("a judge that fails")
         return real(rig, *given, **options)
 
-    monkeypatch.setattr(rescore, "evaluate_rig", fails_for_nuscenes)
+    monkeypatch.setattr(rescore, "observe_scenes", fails_for_nuscenes)
     assert main([*words, "camera.width_px=160"]) == 1
     written = json.loads((copied / "rescored_new" / "rescored.json").read_text())
     assert written["missing"] == ["nuscenes"]

@@ -1,6 +1,7 @@
 """Pools of single cameras: the objective's own probabilities, on every executor and from every cache the same bytes."""
 
 import functools
+import gc
 import importlib.util
 import math
 import pickle
@@ -29,6 +30,7 @@ from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.lens import Lens
+from warpav.raster.renderer import Renderer
 from warpav.rig.mount_surface import MountSurface
 from warpav.scene.device_scene import DeviceScene
 
@@ -181,6 +183,59 @@ def test_neither_chunks_nor_threads_nor_neighbours_change_a_bit(monkeypatch):
     backwards = CameraPool.draw(pose[::-1], scenes=streets(), cameras=cameras_of())
     np.testing.assert_array_equal(backwards.detection_probability[::-1], expected)
     assert (backwards.drawn_count, backwards.cached_count) == (37 * 3, 0)
+
+
+def test_views_at_once_follow_the_size_of_images(monkeypatch):
+    """Neither probabilities nor Jacobians depend on it, to the bit."""
+    made, init = [], Renderer.__init__
+
+    def noted(renderer, models, **options):
+        made.append(len(models))
+        init(renderer, models, **options)
+
+    pose, scenes = poses_of(13), streets()
+    monkeypatch.setattr(Renderer, "__init__", noted)
+    camera = mount_of().cameras[0]
+    view_bytes = 8 * (camera.width_px + 2) * (camera.height_px + 2)
+    for key_bytes, most in ((2**26, 13), (5 * view_bytes, 5), (1, 1)):
+        monkeypatch.setattr("warpav.optimisation.single_cameras.CPU_KEY_BYTES", key_bytes)
+        for threads in (1, 2):
+            made.clear()
+            cameras = cameras_of(thread_count=threads)
+            found = cameras.detection_probability(pose, scenes[0]), *cameras.with_jacobian(pose, scenes)
+            if most == 13 and threads == 1:
+                expected = found
+            for one, other in zip(found, expected, strict=True):
+                np.testing.assert_array_equal(one, other)
+            assert max(made) == -(-13 // -(-13 // most))
+    assert np.abs(expected[2]).max() > 0.1
+
+
+def test_renderers_of_large_images_are_not_kept_for_every_number_of_cameras(monkeypatch):
+    cameras = cameras_of(thread_count=1)
+    scene = streets()[0]
+    for count in range(1, 8):
+        cameras.detection_probability(poses_of(count), scene)
+    assert len(cameras._renderers) == 7
+    monkeypatch.setattr(cameras._renderers, "bytes_max", 1)
+    cameras.detection_probability(poses_of(8), scene)
+    assert len(cameras._renderers) == 1
+
+
+def test_renderers_go_with_the_cameras_that_used_them(device):
+    gc.collect()
+    before = sum(isinstance(each, Renderer) for each in gc.get_objects())
+    gc.disable()  # no circle of references keeps them until somebody looks for circles
+    try:
+        cameras = cameras_of(device, thread_count=2)
+        cameras.detection_probability(poses_of(5), streets(device)[0])
+        for _ in range(3):  # a GPU records the second time
+            cameras.with_jacobian(poses_of(5), streets(device))
+        assert sum(isinstance(each, Renderer) for each in gc.get_objects()) > before
+        del cameras
+        assert sum(isinstance(each, Renderer) for each in gc.get_objects()) == before
+    finally:
+        gc.enable()
 
 
 def is_missing(package):

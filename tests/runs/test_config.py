@@ -258,7 +258,7 @@ FILE_MISTAKES = [
     ("camera: 5\n", "mine.yaml:1: camera: expected a section with fov_deg,"),
     ("device: cuda\n", "mine.yaml:1: device: expected cpu or a GPU such as cuda:0, got 'cuda'; write cuda:0 for"),
     ("method: thesi\n", "mine.yaml:1: method: expected thesis or default, got 'thesi'"),
-    ("scenes: {source: film}\n", "mine.yaml:1: scenes.source: expected town, captured or folder, got 'film'"),
+    ("scenes: {source: film}\n", "mine.yaml:1: scenes.source: expected town, traffic, captured or folder, got 'film'"),
     ("scenes: {source: folder}\n", "mine.yaml:1: scenes.folder: expected a folder of scenes because scenes.source is"),
     (
         "scenes:\n  source: folder\n  folder: nowhere\n",

@@ -1,6 +1,5 @@
 """`warpav detector fit`: what it takes, refuses, writes and uses again."""
 
-import dataclasses
 import json
 import math
 import re
@@ -18,8 +17,7 @@ from warpav.raster.camera import CameraModel
 from warpav.runs import detector_fit
 from warpav.runs.config import load_config
 from warpav.runs.detector_fit import TOWN_HELD_OUT, TOWN_SEEDS, chosen_seeds
-from warpav.runs.mounts import camera_model
-from warpav.runs.networks import any_camera_config, any_camera_use, detector_use, load_detector
+from warpav.runs.networks import any_camera_config, any_camera_use, detector_use
 
 
 @pytest.fixture(autouse=True)
@@ -272,18 +270,8 @@ def test_a_calibrated_camera_is_none_of_a_configuration():
 def outcomes(words, *, scene_count, model):
     """Probabilities of a model, and what the detector found, in scenes that nothing has been fitted on."""
     config = load_config("quick", words)
-    samples = detector_fit._sample_scenes(
-        config,
-        range(500_200, 500_200 + scene_count),
-        load_detector(config),
-        None,
-        [
-            dataclasses.replace(
-                detector_fit._camera_source(config, camera_model(config)), network_scale=model.network_scale
-            )
-        ],
-        NullProgress(),
-    )
+    seeds = range(500_200, 500_200 + scene_count)
+    samples = detector_fit.sample_camera(config, seeds, model, progress=NullProgress())
     return model.of_features(samples.feature), samples.is_detected
 
 

@@ -23,8 +23,9 @@ def working_directory(working_directory):
 
 @pytest.fixture(autouse=True)
 def few_images(monkeypatch):
-    for name, seed in (("test", 3_000_000), ("test_reconstructed", 3_000_001)):
-        monkeypatch.setitem(data.SUBSETS, name, data.Subset(seed, 1, False, SIDES_PX))
+    few = {f"test_{level}": data.Subset(level, 3_000_000, 1, SIDES_PX) for level in ("easy", "urban")}
+    monkeypatch.setattr("warpav.runs.detector_training.TEST_SUBSETS", few)
+    monkeypatch.setattr(data, "TEST_SUBSETS", few)
 
 
 def refused(capsys, *words):
@@ -90,32 +91,32 @@ def test_an_evaluation_counts_and_uses_its_images_again(capsys, working_director
     capsys.readouterr()
     report = json.loads((working_directory / "out/evaluation.json").read_text())
     assert {kind: list(sides) for kind, sides in report.items()} == {
-        "direct": ["64", "96"],
-        "reconstructed": ["64", "96"],
+        "easy": ["64", "96"],
+        "urban": ["64", "96"],
     }
-    assert report["direct"]["64"]["images"] == 2
-    labelled = data.load_images(working_directory / "out/images/test")
+    assert report["easy"]["64"]["images"] == 2
+    labelled = data.load_images(working_directory / "out/images/test_easy")
     labels = labelled[64].labels
-    is_vehicle = (labels.class_index >= 0) & (labels.class_index < 4) & ~labels.ignored
-    assert report["direct"]["64"].get("vehicle", {"objects": 0})["objects"] == is_vehicle.sum()
-    file = working_directory / "out/images/test/images_64.npy"
+    is_vehicle = (labels.class_index >= 0) & (labels.class_index < 5) & ~labels.ignored
+    assert report["easy"]["64"].get("vehicle", {"objects": 0})["objects"] == is_vehicle.sum()
+    file = working_directory / "out/images/test_easy/images_64.npy"
     written = file.stat().st_mtime_ns
     assert main([*words, "--images", "1"]) == 0
     assert file.stat().st_mtime_ns == written
     report = json.loads((working_directory / "out/evaluation.json").read_text())
-    assert report["direct"]["64"]["images"] == 1
+    assert report["easy"]["64"]["images"] == 1
 
 
 def test_damaged_images_are_named(capsys, working_directory):
-    folder = working_directory / "out/images/test"
-    data.write_images(data.SUBSETS["test"], folder, processes=1)
+    folder = working_directory / "out/images/test_easy"
+    data.write_images(data.TEST_SUBSETS["test_easy"], folder, processes=1)
     for side_px in SIDES_PX:
         (folder / f"labels_{side_px}.npz").write_text("no labels")
     line = refused(capsys, "evaluate", "--out", "out")
     assert "labels_64.npz: expected labels and images that warpav wrote" in line
     assert line.endswith("remove the folder, and they are made again")
     # labels and images that do not belong together
-    data.write_images(data.SUBSETS["test"], working_directory / "other", processes=1)
+    data.write_images(data.TEST_SUBSETS["test_easy"], working_directory / "other", processes=1)
     np.save(working_directory / "other/images_64.npy", np.zeros((3, 64, 64, 3), np.uint8))
     with pytest.raises(InputError, match=r"images of shape \(3, 64, 64, 3\) for 2 labels"):
         data.load_images(working_directory / "other")

@@ -229,7 +229,7 @@ def test_left_out_road_users_are_reported(tmp_path, monkeypatch):
     told = []
     (scene,) = load_scenes(load_config("quick", ["scenes.ego=bus.glb"]), [1], say=told.append)
     assert scene.vehicles == ()
-    assert told == ["s1: 1 road user left out, where the vehicle of scenes.ego stands"]
+    assert told == ["s1: 1 road user left out, where the ego vehicle stands"]
 
 
 def test_an_unfit_vehicle_is_rejected_with_the_command_that_examines_it(car, tmp_path, capsys):

@@ -10,7 +10,7 @@ import pytest
 
 from warpav.scene import cache as module
 from warpav.scene.cache import scene_file, town_scenes
-from warpav.scene.town.levels import level_scene
+from warpav.scene.town.levels import TownSource, level_scene
 from warpav.scene.town.town import town_scene
 
 SEEDS = (3, 1000, 12)
@@ -33,7 +33,7 @@ def built():
 def filled_folder(tmp_path_factory, built):
     folder = tmp_path_factory.mktemp("cache")
     for seed, scene in built.items():
-        module._write(scene, scene_file(seed, folder))
+        module._write(scene, scene_file(TownSource(seed), folder))
     return folder
 
 
@@ -46,7 +46,7 @@ def unbuilt(monkeypatch):
         seeds.append(seed)
         return level_scene(seed, level)
 
-    monkeypatch.setattr(module, "level_scene", build)
+    monkeypatch.setattr("warpav.scene.town.levels.level_scene", build)
     return seeds
 
 
@@ -92,8 +92,8 @@ def test_processes_build_the_same_scenes_from_a_script_of_any_kind(tmp_path):
     folder = tmp_path / "cache"
     done = subprocess.run([sys.executable, script, folder], check=True, capture_output=True, text=True)
     assert (done.stdout.split(), done.stderr) == ([f"town_{seed:04d}" for seed in range(4)], "")
-    assert {file.name for file in folder.iterdir()} == {scene_file(seed, folder).name for seed in range(4)}
-    assert_identical(module._read(scene_file(2, folder)), town_scene(2))
+    assert {file.name for file in folder.iterdir()} == {scene_file(TownSource(seed), folder).name for seed in range(4)}
+    assert_identical(module._read(scene_file(TownSource(2), folder)), town_scene(2))
 
 
 @pytest.mark.parametrize(
@@ -107,8 +107,8 @@ def test_processes_build_the_same_scenes_from_a_script_of_any_kind(tmp_path):
     ids=["empty", "words", "cut", "overwritten"],
 )
 def test_a_damaged_file_is_built_again(tmp_path, filled_folder, built, unbuilt, damage):
-    file = scene_file(3, tmp_path)
-    whole = scene_file(3, filled_folder).read_bytes()
+    file = scene_file(TownSource(3), tmp_path)
+    whole = scene_file(TownSource(3), filled_folder).read_bytes()
     file.write_bytes(damage(whole))
     [scene] = town_scenes([3], folder=tmp_path)
     assert unbuilt == [3]
@@ -124,13 +124,13 @@ def test_where_nothing_can_be_kept_scenes_are_built(tmp_path, built):
 
 def test_the_scenes_unused_for_longest_go_first(tmp_path, filled_folder, monkeypatch):
     for age, seed in enumerate(SEEDS):
-        file = scene_file(seed, tmp_path)
-        file.write_bytes(scene_file(seed, filled_folder).read_bytes())
+        file = scene_file(TownSource(seed), tmp_path)
+        file.write_bytes(scene_file(TownSource(seed), filled_folder).read_bytes())
         os.utime(file, (1e9 - age, 1e9 - age))
-    size = max(scene_file(seed, tmp_path).stat().st_size for seed in SEEDS)
+    size = max(scene_file(TownSource(seed), tmp_path).stat().st_size for seed in SEEDS)
     monkeypatch.setattr(module, "CAPACITY_BYTES", 2 * size)
     assert len(list(town_scenes([SEEDS[2]], folder=tmp_path))) == 1
-    kept = [seed for seed in SEEDS if scene_file(seed, tmp_path).exists()]
+    kept = [seed for seed in SEEDS if scene_file(TownSource(seed), tmp_path).exists()]
     assert kept == [SEEDS[0], SEEDS[2]]  # the second was used longest ago
 
 
@@ -140,6 +140,6 @@ def test_a_seed_below_zero_fails_as_it_does_without_a_cache(tmp_path):
 
 
 def test_other_code_has_other_files(tmp_path, monkeypatch):
-    before = scene_file(3, tmp_path)
-    monkeypatch.setattr(module, "fingerprint", lambda *parts, code: "another")
-    assert scene_file(3, tmp_path) != before
+    before = scene_file(TownSource(3), tmp_path)
+    monkeypatch.setattr("warpav.scene.town.levels.fingerprint", lambda *parts, code: "another")
+    assert scene_file(TownSource(3), tmp_path) != before

@@ -18,6 +18,7 @@ from warpav.scene import packed as module
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.packed import SceneRecipe, StoredScene, stored_scenes
+from warpav.scene.town.levels import TownSource
 from warpav.scene.town.town import town_scene
 from warpav.scene.town.vehicle_shapes import ego_mesh
 
@@ -82,22 +83,22 @@ def assert_identical(stored, packed):
 
 
 def test_stored_scenes_are_those_that_are_made_and_packed(tmp_path, made):
-    recipes = [SceneRecipe(seed) for seed in SEEDS]
+    recipes = [SceneRecipe(TownSource(seed)) for seed in SEEDS]
     for _ in range(2):
         for seed, scene in zip(SEEDS, stored_scenes(recipes, folder=tmp_path), strict=True):
             assert_identical(scene, DeviceScene.pack(town_scene(seed)))
             np.testing.assert_array_equal(scene.ego_bounds_m, ego_mesh().bounds_m())
-    assert made == list(SEEDS)
+    assert made == [TownSource(seed) for seed in SEEDS]
 
 
 def test_vehicle_targets_and_mirror_images_are_part_of_a_scene(tmp_path):
     ego = ego_mesh().transformed(1.2 * np.eye(3), np.array([7.0, 0.0, 0.0]))
     targets = ("vehicle", "pedestrian")
     recipes = [
-        SceneRecipe(7, ego, targets),
-        SceneRecipe(7, None, targets),
-        SceneRecipe(7, ego),
-        SceneRecipe(7, ego, targets, is_mirrored=True),
+        SceneRecipe(TownSource(7), ego, targets),
+        SceneRecipe(TownSource(7), None, targets),
+        SceneRecipe(TownSource(7), ego),
+        SceneRecipe(TownSource(7), ego, targets, is_mirrored=True),
     ]
     assert len({recipe.file_name for recipe in recipes}) == 4
     whole = town_scene(7)
@@ -171,9 +172,9 @@ def test_other_code_and_other_content_have_other_files(tmp_path, recipes, glb_fi
     copy.write_bytes(glb_files[0].read_bytes())
     assert SceneRecipe(copy).file_name == recipes[0].file_name  # the content counts, not the place
     assert len({recipe.file_name for recipe in recipes}) == 3
-    before = SceneRecipe(3).file_name
+    before = SceneRecipe(TownSource(3)).file_name
     monkeypatch.setattr(module, "fingerprint", lambda *parts, code: "another")
-    assert SceneRecipe(3).file_name != before
+    assert SceneRecipe(TownSource(3)).file_name != before
 
 
 def test_where_nothing_can_be_kept_scenes_stay_in_memory(tmp_path, glb_files, recipes):

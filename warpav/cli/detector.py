@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import App, Parameter
 
@@ -77,6 +77,35 @@ def detector_fit(
             progress=display,
         )
     say(f"detection probability model: {file}")
+
+
+@detector_app.command(name="score")
+def detector_score(
+    config: Config = DEFAULT_CONFIG,
+    /,
+    *overrides: Overrides,
+    panel: Annotated[
+        Path | None, Parameter(help="Folder of ONNX files, each at its own image size; by default detector.model.")
+    ] = None,
+    fitted_on: Annotated[
+        Literal["town", "own"], Parameter(help="Which fit: that of the embedded scenes, or of the configuration's own.")
+    ] = "town",
+    scenes: Annotated[str | None, Parameter(help="Seeds of the scenes; by default scenes.test_seeds.")] = None,
+    out: Annotated[Path | None, Parameter(help="Folder for scores.json, scores.md and reliability diagrams.")] = None,
+) -> None:
+    """Measure how well the fitted detection probability holds on other scenes, of any level or source."""
+    from warpav.runs.config import placed_config, read_seeds
+    from warpav.runs.detector_scores import score_detectors
+    from warpav.runs.panel_networks import check_panel_options
+    from warpav.runs.progress import RunDisplay
+
+    if "=" in config:
+        config, overrides = DEFAULT_CONFIG, (config, *overrides)
+    if panel is not None:
+        check_panel_options(overrides)
+    seeds = None if scenes is None else read_seeds(scenes, place="command line (--scenes)")
+    with placed_config(config, overrides) as settings, RunDisplay() as display:
+        score_detectors(settings, panel=panel, fitted_on=fitted_on, seeds=seeds, out=out, progress=display)
 
 
 @detector_app.command(name="evaluate")

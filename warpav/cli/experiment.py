@@ -137,6 +137,15 @@ def experiment_rescore(
     folder: Annotated[Path, Parameter(help="Folder of an experiment.")],
     /,
     *overrides: Overrides,
+    panel: Annotated[
+        Path | None, Parameter(help="Folder of ONNX files: each judges the rigs, at its own image size.")
+    ] = None,
+    also: Annotated[
+        list[Path] | None, Parameter(help="With --panel: folder of a further experiment; may be given several times.")
+    ] = None,
+    false_alarms: Annotated[
+        float | None, Parameter(help="With --panel: false alarms per image at which recalls are compared; 0.5.")
+    ] = None,
     name: Annotated[str | None, Parameter(help="Of the new results; by default made of the options.")] = None,
     executor: TaskExecutor = None,
     workers: Annotated[int | None, Parameter(help="Rigs at a time.")] = None,
@@ -145,15 +154,32 @@ def experiment_rescore(
     """Evaluate the rigs of an experiment with another detector, image size or source of scenes.
 
     Such as detector.model=FILE.onnx camera.width_px=640 camera.height_px=640, or scenes.source=captured. Prints the
-    same table, and whether the arms rank in the same order; writes to FOLDER/rescored_NAME.
+    same table, and whether the arms rank in the same order; writes to FOLDER/rescored_NAME. With --panel the networks
+    of a folder judge, one after the other, and are compared: FOLDER/panel_NAME.
     """
+    from warpav.core.errors import ArgumentError
+    from warpav.evaluation.metrics import EQUAL_FALSE_ALARMS_PER_FRAME
+    from warpav.experiments.panel import run_panel
     from warpav.experiments.rescore import check_rescored_options, config_file, folder_name, run_rescore
     from warpav.runs.config import placed_config
+    from warpav.runs.panel_networks import check_panel_options
     from warpav.runs.progress import RunDisplay
 
+    given = executor_overrides(executor, workers, address)
+    if panel is not None:
+        check_rescored_options(overrides, needs_some=False)
+        check_panel_options(overrides)
+        name = folder_name(name, [f"panel={panel.resolve().name}", *overrides])
+        many = EQUAL_FALSE_ALARMS_PER_FRAME if false_alarms is None else false_alarms
+        folders = [folder, *(also or [])]
+        with placed_config(config_file(folder), [*overrides, *given]) as settings, RunDisplay() as display:
+            table = run_panel(folders, settings, panel, name=name, false_alarms_per_image=many, progress=display)
+        return 1 if table.failed else 0
+    for option, value in (("also", also), ("false_alarms", false_alarms)):
+        if value is not None:
+            raise ArgumentError(option, "expected nothing, as it is an option of --panel, got it without one")
     check_rescored_options(overrides)
     name = folder_name(name, overrides)
-    given = executor_overrides(executor, workers, address)
     with placed_config(config_file(folder), [*overrides, *given]) as settings, RunDisplay() as display:
         done = run_rescore(folder, settings, name=name, progress=display)
     return 1 if done.failed else 0

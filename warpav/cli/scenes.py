@@ -42,6 +42,27 @@ def scenes_make(
     return build_scenes(seeds_of(seeds, count), out, level=level, executor=executor, worker_count=workers)
 
 
+@scenes_app.command(name="traffic")
+def scenes_traffic(
+    *recordings: Annotated[
+        Path,
+        Parameter(
+            help="Recorded traffic: JSON, CommonRoad XML, folders of Argoverse 2 logs, or folders of these; by default "
+            "the crossing that ships with warpav."
+        ),
+    ],
+    out: Annotated[Path, Parameter(help="Folder for the files, scene_SEED.glb.")],
+    seeds: Annotated[str | None, Parameter(help="Range such as 1000..1009 or list such as [1,2,3].")] = None,
+    count: Annotated[int | None, Parameter(help="Instead of --seeds: this many, from seed 0.")] = None,
+    executor: Executor = "serial",
+    workers: Workers = None,
+) -> int:
+    """Build scenes of recorded traffic and write each as a GLB file; what is there already stays."""
+    from warpav.runs.scenes import build_traffic_scenes
+
+    return build_traffic_scenes(recordings, seeds_of(seeds, count), out, executor=executor, worker_count=workers)
+
+
 @scenes_app.command(name="capture")
 def scenes_capture(
     *overrides: Overrides,

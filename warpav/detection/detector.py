@@ -44,6 +44,16 @@ class Detections:
         """The label of every detection."""
         return tuple(self.names[index] for index in self.class_index)
 
+    def most_confident(self, count: int) -> Detections:
+        """The first ``count`` of them."""
+        return Detections(
+            self.box_px[:count],
+            self.confidence[:count],
+            self.class_index[:count],
+            self.names,
+            self.road_user_index[:count],
+        )
+
     @classmethod
     def none(cls, names: tuple[str, ...] = ()) -> Detections:
         """Nothing found."""

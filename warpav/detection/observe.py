@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import warp as wp
 
 from warpav.detection.detector import Detections, Detector, TensorDetector
 from warpav.detection.ground_truth import largest_component_box
-from warpav.detection.matching import match_detections
+from warpav.detection.matching import iou_matrix, match_detections
 from warpav.raster.frame import Frame
 from warpav.scene.device_scene import DeviceScene
 from warpav_kernels.detection import network_input as network_input_kernels
@@ -92,6 +92,41 @@ class Observation:
             self.truth_box_px, self.detections, self.may_match, confidence_min=confidence_min, iou_min=iou_min
         )
         return match >= 0
+
+    def detected_up_to(self, iou_min: float) -> np.ndarray:
+        """Highest minimum confidence at which a detection still matches a vehicle, -inf without one.
+
+        Objects are matched again at every threshold. A higher one only takes detections away, which never gives an
+        object one that it did not have: what is found at a threshold is found at all lower ones.
+
+        Args:
+            iou_min: Minimum intersection over union of a match.
+
+        Returns:
+            float64 [camera, vehicle].
+        """
+        up_to = np.full(self.truth_box_px.shape[:2], -np.inf)
+        for camera, (found, may) in enumerate(zip(self.detections, self.may_match, strict=True)):
+            truth_px = self.truth_box_px[camera]
+            reaches = (may & (iou_matrix(truth_px, found.box_px) >= iou_min)).any(axis=0)
+            for confidence in np.unique(found.confidence[reaches]):  # upwards: the last one that matches stays
+                match = match_detections(
+                    truth_px,
+                    found.box_px,
+                    found.confidence,
+                    confidence_min=float(confidence),
+                    iou_min=iou_min,
+                    seen_inside=may,
+                )
+                up_to[camera, match >= 0] = confidence
+        return up_to
+
+    def from_confidence(self, confidence_min: float) -> Observation:
+        """The same by a detector that drops what is less confident; matches below are to be none."""
+        counts = [int((found.confidence >= confidence_min).sum()) for found in self.detections]
+        kept = [found.most_confident(count) for found, count in zip(self.detections, counts, strict=True)]
+        may = [each[:, :count] for each, count in zip(self.may_match, counts, strict=True)]
+        return replace(self, detections=kept, may_match=may)
 
     def matched_box_px(self) -> np.ndarray:
         """Box of the detection matched to every vehicle [px], 0 where none is, float32 [camera, vehicle, 4]."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from typing import Any
@@ -276,6 +276,11 @@ class RigObservation:
         detected = [each.is_detected_at(confidence_min, iou_min) for each in self.observations]
         return np.asarray(np.concatenate(detected).any(axis=0))
 
+    def detected_up_to(self, iou_min: float) -> np.ndarray:
+        """Highest minimum confidence at which some camera detects an object, -inf without, float64 [object]."""
+        up_to = [each.detected_up_to(iou_min) for each in self.observations]
+        return np.concatenate(up_to).max(axis=0, initial=-np.inf)
+
     @property
     def confidence(self) -> np.ndarray:
         """Highest confidence of a matched detection of every object, NaN without one, float64 [object]."""
@@ -426,6 +431,14 @@ class SceneObservations:
             return None
         return np.concatenate(found, axis=1)
 
+    def from_confidence(self, confidence_min: float) -> SceneObservations:
+        """The same by a detector that drops what is less confident; see `Observation.from_confidence`."""
+        observations = [
+            replace(each, observations=[seen.from_confidence(confidence_min) for seen in each.observations])
+            for each in self.observations
+        ]
+        return replace(self, observations=observations)
+
 
 def observe_scenes(
     rig: Rig,
@@ -484,6 +497,36 @@ def observe_scenes(
             if has_objective and probability is not None:
                 losses.append(objective.value_of(probability, assigned))
     return SceneObservations(rig, [assigned.scene for assigned in scenes], observations, losses)
+
+
+def false_alarm_confidences(seen: SceneObservations, objective: RigObjective) -> np.ndarray:
+    """Confidence of every false alarm in all images, highest first, float64 [detection].
+
+    What is a false alarm, see `ArmMetrics`, follows from more confident detections alone: those from any threshold on
+    are the false alarms of a detector with that threshold. The objective supplies the minimum IoU of a match.
+    """
+    every_size, alarms = [(0.0, math.inf)], [np.zeros(0)]
+    for images in _image_boxes(seen.scenes, [each.observations for each in seen.observations]):
+        scores = score_images(images, iou_min=[objective.iou_min], area_px2=every_size)
+        alarms.append(scores.confidence[scores.counts[0, 0] & ~scores.true_positive[0, 0]])
+    return np.sort(np.concatenate(alarms))[::-1]
+
+
+def confidence_at(
+    false_alarm_confidence: np.ndarray, images: int, false_alarms_per_image: float, *, least: float
+) -> float:
+    """The lowest confidence, from ``least`` on, that leaves at most so many false alarms per image.
+
+    Args:
+        false_alarm_confidence: Of every false alarm, highest first.
+        images: In how many images they are.
+        false_alarms_per_image: How many may be left.
+        least: The lowest confidence that is known of.
+    """
+    allowed = math.floor(false_alarms_per_image * images + 1e-9)
+    if len(false_alarm_confidence) <= allowed:
+        return least
+    return float(np.nextafter(false_alarm_confidence[allowed], math.inf))
 
 
 def metrics_of(
@@ -576,6 +619,27 @@ def metrics_of(
     )
 
 
+def _image_boxes(
+    scenes: Sequence[DeviceScene], observations: Sequence[Sequence[Observation]]
+) -> list[list[ImageBoxes]]:
+    """Boxes of every image by kind of road user: [kind][image], scene by scene, camera by camera."""
+    images: list[list[ImageBoxes]] = [[] for _ in ROAD_USERS]
+    for scene, of_scene in zip(scenes, observations, strict=True):
+        for seen in of_scene:
+            for truth, small, found in zip(seen.truth_box_px, seen.too_small_box_px, seen.detections, strict=True):
+                for kind, images_of_kind in enumerate(images):
+                    own, said = scene.road_user_index == kind, found.road_user_index == kind
+                    images_of_kind.append(
+                        ImageBoxes(
+                            np.concatenate([truth[own], small[own]]),
+                            found.box_px[said],
+                            found.confidence[said],
+                            truth_ignored=np.repeat([False, True], own.sum()),
+                        )
+                    )
+    return images
+
+
 class _Boxes:
     """Scores of the boxes of all images, separately for each kind of road user, since boxes never match across kinds.
 
@@ -586,20 +650,7 @@ class _Boxes:
     def __init__(
         self, scenes: Sequence[DeviceScene], observations: Sequence[Sequence[Observation]], objective: RigObjective
     ) -> None:
-        images: list[list[ImageBoxes]] = [[] for _ in ROAD_USERS]  # scene by scene, camera by camera
-        for scene, of_scene in zip(scenes, observations, strict=True):
-            for seen in of_scene:
-                for truth, small, found in zip(seen.truth_box_px, seen.too_small_box_px, seen.detections, strict=True):
-                    for kind, images_of_kind in enumerate(images):
-                        own, said = scene.road_user_index == kind, found.road_user_index == kind
-                        images_of_kind.append(
-                            ImageBoxes(
-                                np.concatenate([truth[own], small[own]]),
-                                found.box_px[said],
-                                found.confidence[said],
-                                truth_ignored=np.repeat([False, True], own.sum()),
-                            )
-                        )
+        images = _image_boxes(scenes, observations)
         shape = (len(scenes), len(images[0]) // max(len(scenes), 1))
         # the last threshold is that of a true positive, for the false alarms
         scores = [score_images(each, iou_min=(*COCO_IOU, objective.iou_min)) for each in images]
@@ -624,10 +675,8 @@ class _Boxes:
 
     def confidence_at(self, false_alarms_per_frame: float) -> float:
         """The lowest confidence, from the configured one on, that leaves at most so many false alarms per image."""
-        allowed = math.floor(false_alarms_per_frame * self.false_alarms.size + 1e-9)
-        if len(self._alarm_confidence) <= allowed:
-            return self._confidence_min
-        return float(np.nextafter(self._alarm_confidence[allowed], math.inf))
+        images = self.false_alarms.size
+        return confidence_at(self._alarm_confidence, images, false_alarms_per_frame, least=self._confidence_min)
 
     def ap50_of_scenes(self) -> list[float | None]:
         """AP50 over the images of each scene."""

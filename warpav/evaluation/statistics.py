@@ -12,7 +12,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -200,8 +200,6 @@ def rank_correlation(
     Raises:
         ValueError: The metrics have different lengths.
     """
-    from scipy.stats import rankdata
-
     if len(one) != len(other):
         raise ValueError(f"both must have as many numbers, got {len(one)} and {len(other)}")
     pairs = np.array([one, other], np.float64)
@@ -213,16 +211,125 @@ def rank_correlation(
     def correlation(rigs: np.ndarray, axis: int = -1) -> np.ndarray:
         """Of resampled rigs, [..., rig]; 0 where all are the same."""
         del axis  # always the last
-        ranks = [rankdata(numbers[rigs], axis=-1) for numbers in pairs]
-        x, y = (rank - rank.mean(axis=-1, keepdims=True) for rank in ranks)
-        scale = np.sqrt((x * x).sum(axis=-1) * (y * y).sum(axis=-1))
-        return np.divide((x * y).sum(axis=-1), scale, out=np.zeros_like(scale), where=scale > 0.0)
+        return _spearman(pairs[0][rigs], pairs[1][rigs])
 
     value = float(correlation(np.arange(count)))
     if count < 4:
         return Estimate(value, None, None, count)
     interval_at = _interval_at([np.arange(count)], correlation, seed=seed, resamples=resamples)
     return Estimate(value, *interval_at(LEVEL), count)
+
+
+@dataclass(frozen=True)
+class OrderAgreement:
+    """Whether two judges put the same items in the same order; 1 if so, -1 in the opposite order.
+
+    Attributes:
+        spearman: Spearman's rank correlation of the items' means.
+        kendall: Kendall's tau-b of them.
+    """
+
+    spearman: Estimate
+    kendall: Estimate
+
+
+def order_agreement(
+    one: Sequence[Numbers],
+    other: Sequence[Numbers],
+    *,
+    weight: Sequence[float] | np.ndarray | None = None,
+    seed: int = 0,
+    resamples: int = RESAMPLES,
+) -> OrderAgreement:
+    """Rank correlations of two metrics of the same items, such as arms that two detectors judge on the same scenes.
+
+    The items stay; the scenes are resampled, together for all items and both metrics, and so are the runs of an item
+    that has several. An item that leads by chance of the scenes changes its rank in the resamples.
+
+    Args:
+        one: A metric of every item.
+        other: Another metric of the same items, runs and scenes.
+        weight: Of every scene, as in `paired_difference`.
+        seed: Of the resampling.
+        resamples: How often.
+
+    Returns:
+        Estimates, ``count`` is the number of items; None where a metric puts all items level, or with fewer than two;
+        without an interval for fewer than two scenes.
+
+    Raises:
+        ValueError: The metrics are not of the same items, runs and scenes, or a weight is missing or negative.
+    """
+    tables = [[np.atleast_2d(np.array(numbers, np.float64)) for numbers in items] for items in (one, other)]
+    shapes = [[table.shape for table in each] for each in tables]
+    scene_count = shapes[0][0][1] if shapes[0] else 0
+    if shapes[0] != shapes[1] or any(shape[1] != scene_count for shape in shapes[0]):
+        raise ValueError(f"both must have the same items, runs and scenes, got {shapes[0]} and {shapes[1]}")
+    weights = np.ones(scene_count) if weight is None else np.asarray(weight, np.float64)
+    if weights.shape != (scene_count,) or not (weights >= 0.0).all():
+        raise ValueError(f"expected a weight of at least 0 for each of {scene_count} scenes, got {weights}")
+    count = len(tables[0])
+    kept = weights > 0.0
+    for table in (*tables[0], *tables[1]):
+        kept &= np.isfinite(table).all(axis=0)
+    weights = weights[kept]
+    tables = [[table[:, kept] for table in each] for each in tables]
+    nothing = Estimate(None, None, None, count)
+    if count < 2 or not len(weights):
+        return OrderAgreement(nothing, nothing)
+
+    def means(items: Sequence[np.ndarray], scenes: np.ndarray, runs: Sequence[np.ndarray]) -> np.ndarray:
+        """Of resampled indices, [..., item]."""
+        runs_left = iter(runs)
+        of_item = [
+            table[next(runs_left)[..., :, None], scenes[..., None, :]].mean(axis=-2)
+            if len(table) > 1
+            else table[0, scenes]
+            for table in items
+        ]
+        return np.stack([np.average(numbers, weights=weights[scenes], axis=-1) for numbers in of_item], axis=-1)
+
+    units = [np.arange(len(weights)), *(np.arange(len(table)) for table in tables[0] if len(table) > 1)]
+
+    def estimate(correlation: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Estimate:
+        def statistic(scenes: np.ndarray, *runs: np.ndarray, axis: int = -1) -> np.ndarray:
+            del axis  # always the last
+            return correlation(*(_without_rounding(means(items, scenes, runs)) for items in tables))
+
+        values = [_without_rounding(means(items, units[0], units[1:])) for items in tables]
+        if not all(np.ptp(numbers) for numbers in values):
+            return nothing
+        value = float(correlation(*values))
+        if len(weights) < 2:
+            return Estimate(value, None, None, count)
+        # BCa would take it for bias that resamples of a correlation of 1 are all below: [1, 1] however close the items
+        interval_at = _interval_at(units, statistic, seed=seed, resamples=resamples, methods=("percentile",))
+        return Estimate(value, *interval_at(LEVEL), count)
+
+    return OrderAgreement(estimate(_spearman), estimate(_kendall))
+
+
+def _without_rounding(means: np.ndarray) -> np.ndarray:
+    """Means whose sums differ by rounding alone are level."""
+    return means.round(12)
+
+
+def _spearman(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Spearman's rank correlation along the last axis, 0 where all of one are level."""
+    from scipy.stats import rankdata
+
+    ranks = [rankdata(numbers, axis=-1) for numbers in (one, other)]
+    x, y = (rank - rank.mean(axis=-1, keepdims=True) for rank in ranks)
+    scale = np.sqrt((x * x).sum(axis=-1) * (y * y).sum(axis=-1))
+    return np.divide((x * y).sum(axis=-1), scale, out=np.zeros_like(scale), where=scale > 0.0)
+
+
+def _kendall(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Kendall's tau-b along the last axis, 0 where all of one are level."""
+    first, second = np.triu_indices(one.shape[-1], 1)
+    x, y = (np.sign(numbers[..., first] - numbers[..., second]) for numbers in (one, other))
+    scale = np.sqrt((x * x).sum(axis=-1) * (y * y).sum(axis=-1))
+    return np.divide((x * y).sum(axis=-1), scale, out=np.zeros_like(scale), where=scale > 0.0)
 
 
 def run_spread(numbers: Sequence[float | None] | np.ndarray) -> Estimate:
@@ -245,7 +352,12 @@ def run_spread(numbers: Sequence[float | None] | np.ndarray) -> Estimate:
 
 
 def _interval_at(
-    units: Sequence[np.ndarray], statistic: Callable[..., np.ndarray], *, seed: int, resamples: int
+    units: Sequence[np.ndarray],
+    statistic: Callable[..., np.ndarray],
+    *,
+    seed: int,
+    resamples: int,
+    methods: Sequence[Literal["BCa", "percentile"]] = ("BCa", "percentile"),
 ) -> Callable[[float], tuple[float, float]]:
     """Resample, and return a function that gives the statistic's interval at a level.
 
@@ -254,6 +366,7 @@ def _interval_at(
         statistic: Of resampled indices along the last axis.
         seed: Of the resampling.
         resamples: How often.
+        methods: Of the interval; the first that has one.
     """
     from scipy.stats import DegenerateDataWarning, bootstrap
 
@@ -273,7 +386,7 @@ def _interval_at(
 
     def interval_at(level: float) -> tuple[float, float]:
         low = high = math.nan
-        for method in ("BCa", "percentile"):  # BCa has none where leaving out any one unit changes nothing
+        for method in methods:  # BCa has none where leaving out any one unit changes nothing
             with (
                 warnings.catch_warnings(action="ignore", category=DegenerateDataWarning),
                 np.errstate(invalid="ignore"),

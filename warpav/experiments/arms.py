@@ -210,6 +210,12 @@ def find_rig_of(arm: Arm, placement: Placement, camera_renders_max: int | None) 
     return METHODS.get(arm.method, preset)(placement, camera_renders_max)
 
 
+def resized(rig: Rig, config: Config) -> Rig:
+    """The same rig with images of the configuration's size; positions, directions and fields of view stay."""
+    camera = config.camera
+    return Rig([replace(each, model=each.model.resized(camera.width_px, camera.height_px)) for each in rig.cameras])
+
+
 def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
     """The arm of this name: one of the given ones, or one of `common_arms`.
 

@@ -22,7 +22,7 @@ from warpav.core.files import write_json
 from warpav.core.fingerprint import digest
 from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.metrics import evaluate_rig
-from warpav.experiments.arms import Arm, FoundRig, constraint_loss, find_arm, find_rig_of
+from warpav.experiments.arms import Arm, FoundRig, constraint_loss, find_arm, find_rig_of, resized
 from warpav.experiments.gradient_magnitude import measure_gradient_magnitudes
 from warpav.experiments.result_folder import (
     RESULTS,
@@ -57,6 +57,7 @@ from warpav.runs.scene_set import (
     load_scene_set,
     load_scenes,
     own_vehicle_digest,
+    recordings_digest,
     same_scenes,
     scene_part,
 )
@@ -217,15 +218,15 @@ class _TrafficOfProcess:
 
     def __init__(self) -> None:
         self._key: Config | None = None
-        self._vehicle: str | None = None
+        self._made_of: tuple[str | None, str | None] = (None, None)  # what files hold
         self._traffic: SceneSet | None = None
 
     def __call__(self, config: Config, progress: Progress) -> SceneSet:
-        key, vehicle = scene_part(config), own_vehicle_digest(config)
-        is_same = self._key is not None and same_scenes(key, self._key) and vehicle == self._vehicle
+        key, made_of = scene_part(config), (own_vehicle_digest(config), recordings_digest(config))
+        is_same = self._key is not None and same_scenes(key, self._key) and made_of == self._made_of
         if self._traffic is None or not is_same:
             self._traffic = None  # two of them may not fit into memory
-            self._traffic, self._key, self._vehicle = load_scene_set(config, progress), key, vehicle
+            self._traffic, self._key, self._made_of = load_scene_set(config, progress), key, made_of
         elif key != self._key:
             self._traffic, self._key = self._traffic.with_cameras(config), key
         return self._traffic
@@ -353,6 +354,8 @@ def _rig(task: ArmTask) -> dict[str, Any]:
     placement = _placement(task.arm.search_config(task.config)) if task.arm.search_overrides else evaluation
     loaded = time.perf_counter()
     found = find_rig_of(task.arm, placement, task.camera_renders_max)
+    if placement.config.camera != evaluation.config.camera:  # all arms are judged with images of one size
+        found = replace(found, rig=resized(found.rig, evaluation.config))
     searched = time.perf_counter()
     scenes = evaluation.assigned(evaluation.test, found.began_as)
     if task.is_judged:
@@ -367,7 +370,9 @@ def _rig(task: ArmTask) -> dict[str, Any]:
     return {
         **tested,
         "objects_of_scene": [assigned.scene.vehicle_count for assigned in evaluation.test],
+        "method": task.arm.method,
         "overrides": list(task.arm.overrides),
+        "search_overrides": list(task.arm.search_overrides),
         "training_objective": found.training_objective,
         "validation_objectives": _validation_objectives(task, found),
         "constraint_loss": None if found.mount_pose is None else constraint_loss(evaluation, found.mount_pose),

@@ -6,7 +6,6 @@ again does what is missing.
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import re
 import time
@@ -22,8 +21,9 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json, write_text
 from warpav.core.fingerprint import digest
 from warpav.core.progress import NullProgress, Progress
-from warpav.evaluation.metrics import evaluate_rig
+from warpav.evaluation.metrics import SceneObservations, false_alarm_confidences, metrics_of, observe_scenes
 from warpav.evaluation.statistics import RESAMPLES, rank_correlation
+from warpav.experiments.arms import resized
 from warpav.experiments.experiment import Finished, make_scenes_ready, outcomes, traffic_of_process
 from warpav.experiments.goals import RIVALS, Goal
 from warpav.experiments.result_folder import (
@@ -37,7 +37,8 @@ from warpav.experiments.result_folder import (
 from warpav.experiments.summary import SUMMARY, read_summary, write_summary
 from warpav.experiments.tables import COMPARED, Results, compare_results
 from warpav.optimisation.losses.registry import LOSSES
-from warpav.rig.rig import Rig, read_rig
+from warpav.optimisation.objective import RigObjective
+from warpav.rig.rig import read_rig
 from warpav.runs.commit import running_commit
 from warpav.runs.config import Config, changed_config, overridden_option, with_absolute_paths
 from warpav.runs.environment import environment
@@ -50,6 +51,12 @@ RESCORED_SECTIONS = ("detector", "scenes", "capture", "reconstruction", "visibil
 
 RESCORED_OPTIONS = ("camera.width_px", "camera.height_px", "camera.supersampling")
 """Such options of other sections."""
+
+CONFIDENCE_FLOOR = 0.05
+"""Minimum confidence down to which `object_record` knows what a detector finds; a lower configured one goes further."""
+
+RECORD = "objects"
+"""Key of `object_record` in a result."""
 
 _REFERENCE = "default"
 _RECALL = "tp_detection_rate"
@@ -65,6 +72,7 @@ class RescoreTask:
         source: Folder of the results that it comes from.
         folder: Folder of the new results.
         made_with: Hash of all that the new result depends on.
+        keeps_objects: Whether the new result also says what becomes of every object (`object_record`).
     """
 
     name: str
@@ -72,6 +80,7 @@ class RescoreTask:
     source: Path
     folder: Path
     made_with: str
+    keeps_objects: bool = False
 
     @property
     def file(self) -> Path:
@@ -91,13 +100,13 @@ def config_file(folder: Path) -> Path:
     return folder / "config.yaml"
 
 
-def check_rescored_options(overrides: Sequence[str]) -> None:
-    """Reject overrides that would change rigs, or nothing.
+def check_rescored_options(overrides: Sequence[str], *, needs_some: bool = True) -> None:
+    """Reject overrides that would change rigs, or, where there have to be some, none.
 
     Raises:
         InputError: One of them is not an option of the evaluation, or there is none.
     """
-    if not overrides:
+    if needs_some and not overrides:
         raise InputError(
             "experiment rescore: expected evaluation options such as detector.model=FILE.onnx or "
             "scenes.source=captured, got none"
@@ -149,6 +158,8 @@ def run_rescore(
     config: Config,
     *,
     name: str,
+    keeps_objects: bool = False,
+    is_shown: bool = True,
     resamples: int = RESAMPLES,
     progress: Progress,
 ) -> Finished:
@@ -158,6 +169,8 @@ def run_rescore(
         folder: Folder of the experiment.
         config: Its configuration with the changed evaluation options.
         name: The new results go to ``<folder>/rescored_<name>``.
+        keeps_objects: Whether the new results also say what becomes of every object; those without are made again.
+        is_shown: Whether to show the table, and not only to write it.
         resamples: Of the bootstraps.
         progress: Where to show it.
 
@@ -168,7 +181,7 @@ def run_rescore(
     before = read_rigs(folder)
     config = with_absolute_paths(changed_config(config, light_overrides(config)))
     out = (folder / f"rescored_{name}").absolute()
-    tasks = [_task(run, config, folder, out) for runs in before.values() for run in runs]
+    tasks = [_task(run, config, folder, out, keeps_objects) for runs in before.values() for run in runs]
     load_networks(config)  # what is wrong with the detector shows before anything else begins
     waiting = [task for task in tasks if not _is_there(task)]
     if waiting:
@@ -199,9 +212,10 @@ def run_rescore(
         write_text(out / "rescored.md", text)
         write_json(out / "rescored.json", {**table.data(), "goals": [goal.data() for goal in goals]})
         write_summary(out, after, text, goals)
-        progress.show(table.terminal())
-        for goal in goals:
-            progress.say(str(goal))
+        if is_shown:
+            progress.show(table.terminal())
+            for goal in goals:
+                progress.say(str(goal))
     for failure in failed:
         progress.say(f"failed: {failure}")
     progress.say(f"{len(waiting) - len(failed)} new results; tables and results: {out}")
@@ -231,9 +245,15 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
     began = time.perf_counter()
     config = task.config
     traffic = traffic_of_process(config, NullProgress())
-    placement = placement_on(traffic, config, load_networks(config), None)
+    said = config
+    if task.keeps_objects:  # the detector says more; what counts stays
+        said = changed_config(config, [f"detector.confidence_min={confidence_floor(config)}"])
+    placement = placement_on(traffic, config, load_networks(said), None)
     rig = resized(read_rig(task.source / RESULTS / f"{task.name}.yaml"), config)
-    metrics = evaluate_rig(rig, placement.test, placement.objective, with_objective=False).to_json()
+    seen = observe_scenes(rig, placement.test, placement.objective, with_objective=False)
+    record = {RECORD: object_record(seen, placement.objective)} if task.keeps_objects else {}
+    seen = seen.from_confidence(config.detector.confidence_min)
+    metrics = metrics_of(seen, placement.objective).to_json()
     old = read_json(task.source / RESULTS / f"{task.name}.json")
     for name in ("constraint_violation", "min_camera_distance_m"):  # of the rig, independent of the evaluation
         metrics[name] = old["metrics"][name]
@@ -242,21 +262,35 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
         "made_with": task.made_with,
         "commit": asdict(running_commit()),
         **{name: old.get(name) for name in ("arm", "seed", "camera_renders", "rig")},
+        "method": old.get("method"),
         "overrides": old.get("overrides", []),
+        "search_overrides": old.get("search_overrides", []),
         "metrics": metrics,
         "objects_of_scene": [assigned.scene.vehicle_count for assigned in placement.test],
+        **record,
         "seconds": {"search": old["seconds"]["search"], "rescore": time.perf_counter() - began},
     }
     write_json(task.file, result)
     return result
 
 
-def resized(rig: Rig, config: Config) -> Rig:
-    """The same rig with images of the configuration's size; positions, directions and fields of view stay."""
-    camera = config.camera
-    return Rig(
-        [dataclasses.replace(each, model=each.model.resized(camera.width_px, camera.height_px)) for each in rig.cameras]
-    )
+def confidence_floor(config: Config) -> float:
+    """The least confidence of which an `object_record` knows."""
+    return min(CONFIDENCE_FLOOR, config.detector.confidence_min)
+
+
+def object_record(seen: SceneObservations, objective: RigObjective) -> dict[str, Any]:
+    """What a rig and a detector make of every object at any threshold, and all false alarms, for a JSON file.
+
+    Returns:
+        ``images``; ``false_alarm_confidence``, highest first (`false_alarm_confidences`); and ``detected_up_to``,
+        [scene][object]: the highest minimum confidence at which some camera detects an object, None without one.
+    """
+    return {
+        "images": len(seen.scenes) * len(seen.rig.cameras),
+        "false_alarm_confidence": false_alarm_confidences(seen, objective),
+        "detected_up_to": [each.detected_up_to(objective.iou_min) for each in seen.observations],
+    }
 
 
 def same_order(before: Results, after: Results) -> list[Goal]:
@@ -294,9 +328,11 @@ def _name(run: Mapping[str, Any]) -> str:
     return f"{run['arm']}_{run['seed']}"
 
 
-def _task(run: Mapping[str, Any], config: Config, folder: Path, out: Path) -> RescoreTask:
-    made_with = digest(SCHEMA, run["made_with"], json.dumps(run["rig"]), unseeded(config))
-    return RescoreTask(_name(run), config, folder.absolute(), out, made_with)
+def _task(run: Mapping[str, Any], config: Config, folder: Path, out: Path, keeps_objects: bool) -> RescoreTask:
+    # a file may be another network by now
+    network = () if config.detector.model == "builtin" else (digest(Path(config.detector.model).read_bytes()),)
+    made_with = digest(SCHEMA, run["made_with"], json.dumps(run["rig"]), unseeded(config), *network)
+    return RescoreTask(_name(run), config, folder.absolute(), out, made_with, keeps_objects)
 
 
 def _is_there(task: RescoreTask) -> bool:
@@ -304,4 +340,6 @@ def _is_there(task: RescoreTask) -> bool:
     if not task.file.is_file():
         return False
     result = read_json(task.file)
-    return isinstance(result, dict) and result.get("made_with") == task.made_with
+    if not isinstance(result, dict) or result.get("made_with") != task.made_with:
+        return False
+    return RECORD in result or not task.keeps_objects

@@ -18,7 +18,7 @@ from warpav.core.fingerprint import digest
 from warpav.runs.config import Config, dump_config, option_values
 from warpav.runs.config.schema import LATER_OPTIONS
 from warpav.runs.environment import environment
-from warpav.runs.scene_set import own_vehicle_digest
+from warpav.runs.scene_set import own_vehicle_digest, recordings_digest
 
 SCHEMA = 2
 DESCRIPTION = "experiment.json"
@@ -135,6 +135,10 @@ def _options(config: Config) -> dict[str, Any]:
         values["requirements"] = f"{file.name} {digest(file.read_bytes())}"
     if config.scenes.ego is not None:  # what it holds, wherever it lies
         values["scenes.ego"] = f"{config.scenes.ego.name} {own_vehicle_digest(config)}"
+    recordings = recordings_digest(config)
+    if recordings is not None:
+        values.pop("scenes.test_recordings", None)
+        values["scenes.recordings"] = recordings
     return json.loads(json.dumps(values))
 
 

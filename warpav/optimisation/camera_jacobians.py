@@ -23,6 +23,7 @@ from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, PlacedViews
 from warpav.optimisation.recording import Recording
 from warpav.raster.areas import MEASURE_COUNT, Measures, WindowMeasures
 from warpav.raster.camera import CameraModel
+from warpav.raster.chunks import equal_chunks
 from warpav.raster.pane import Pane
 from warpav.raster.renderer import Renderer
 from warpav.scene.device_scene import DeviceScene, UprightBoxes
@@ -39,7 +40,8 @@ class CameraJacobians:
         mount: CameraMount,
         camera: CameraModel,
         probability: CameraProbability,
-        renderers_for: Callable[[int], list[Renderer]],
+        renderers_for: Callable[[int], Sequence[Renderer]],
+        most_views: int,
         pane: Pane | None = None,
     ) -> None:
         """Prepare nothing yet.
@@ -48,11 +50,12 @@ class CameraJacobians:
             mount: Where the cameras stand.
             camera: Which of the mount's models they have.
             probability: How likely a camera is to detect.
-            renderers_for: Makes renderers of so many views, one for each thread.
+            renderers_for: Gives renderers of so many views, one for each thread; on a GPU always new ones.
+            most_views: How many are rendered at once, at least 1.
             pane: What of the own vehicle the cameras look through; None: they stand outside.
         """
         self.mount, self.camera, self.probability = mount, camera, probability
-        self._renderers_for, self._pane = renderers_for, pane
+        self._renderers_for, self._most_views, self._pane = renderers_for, most_views, pane
         self._views: dict[int, _Views] = {}
 
     def of(self, mount_pose: np.ndarray, scenes: Sequence[DeviceScene]) -> tuple[np.ndarray, np.ndarray]:
@@ -63,22 +66,27 @@ class CameraJacobians:
             count = sum(scene.vehicle_count for scene in peopled)
             return np.zeros((len(pose), count)), np.zeros((len(pose), count, MOUNT_POSE_SIZE))
         slope = placing_slope(self.mount, pose)
-        views = self._views_of(len(pose))
-        filled = pose[np.minimum(np.arange(views.count), len(pose) - 1)]
-        shown = views.shown(filled, peopled).first(len(pose))
-        return self._differentiated(shown, views.placed.position_ego_m.numpy()[: len(pose)], slope)
+        chunks = equal_chunks(len(pose), self._most_views)
+        views = self._views_of(len(chunks[0]))
+        parts, position_m = [], []
+        for chunk in chunks:
+            filled = chunk[np.minimum(np.arange(views.count), len(chunk) - 1)]
+            parts.append(views.shown(pose[filled], peopled).first(len(chunk)))
+            position_m.append(views.placed.position_ego_m.numpy()[: len(chunk)].copy())
+        # the last chunk is filled up with copies
+        shown = _Shown.of_all_cameras(parts).first(len(pose))
+        return self._differentiated(shown, np.concatenate(position_m)[: len(pose)], slope)
 
     def _views_of(self, count: int) -> _Views:
-        """The views of so many cameras. A CPU keeps only the last ones.
+        """Views of at least so many cameras.
 
-        A GPU keeps them all, for what it has recorded; to record less it has views for 1, 2, 4, 8 ... cameras, as
+        A GPU keeps them, for what it has recorded; to record less it has views for 1, 2, 4, 8 ... cameras, as
         recording a scene takes longer than rendering views that nobody asked for.
         """
-        if wp.get_device(self.mount.device).is_cuda:
-            count = 1 << (count - 1).bit_length()
+        if not wp.get_device(self.mount.device).is_cuda:
+            return _Views(self.mount, self._renderers_for(count), self._pane)
+        count = 1 << (count - 1).bit_length()
         if count not in self._views:
-            if not wp.get_device(self.mount.device).is_cuda:
-                self._views.clear()
             self._views[count] = _Views(self.mount, self._renderers_for(count), self._pane)
         return self._views[count]
 
@@ -127,7 +135,7 @@ class _Views:
         placed: Their poses, always in the same arrays.
     """
 
-    def __init__(self, mount: CameraMount, renderers: list[Renderer], pane: Pane | None) -> None:
+    def __init__(self, mount: CameraMount, renderers: Sequence[Renderer], pane: Pane | None) -> None:
         self._mount, self._pane = mount, pane
         self._renderers = renderers
         self.count = renderers[0].view_count
@@ -151,7 +159,7 @@ class _Views:
             renderer = free.get()
             try:
                 room = _Room(renderer, scene)
-                self._draw(renderer, scene, room)
+                _draw(renderer, scene, room, self.placed, self._pane)
                 return room.shown()
             finally:
                 free.put(renderer)
@@ -179,25 +187,25 @@ class _Views:
         return _Shown.together([self._recorded[scene].room.shown() for scene in scenes])
 
     def _recording(self, scene: DeviceScene, stream: int) -> _Recorded:
-        """`_draw` of a scene; it holds the scene weakly, so that what is recorded goes with it."""
-        renderer, weak = self._renderers[stream], ref(scene)
+        """`_draw` of a scene; it holds the scene weakly, so that what is recorded goes with it, and these views not."""
+        renderer, weak, placed, pane = self._renderers[stream], ref(scene), self.placed, self._pane
         room = _Room(renderer, scene)
 
         def draw() -> None:
             held = weak()
             assert held is not None
-            self._draw(renderer, held, room)
+            _draw(renderer, held, room, placed, pane)
 
         return _Recorded(room, stream, Recording(draw, renderer))
 
-    def _draw(self, renderer: Renderer, scene: DeviceScene, room: _Room) -> None:
-        """Render a scene and measure it, nothing taped."""
-        placed = self.placed
-        raster = scene.raster.through(self._pane)
-        frame = renderer.render(raster, placed.position_ego_m, placed.camera_from_ego, log_focal=placed.log_zoom)
-        measures = frame.measure(into=room.measures)
-        frame.window_area(visible=False, into=room.in_frame)
-        wp.copy(room.contrast, frame.contrast(measures.value))
+
+def _draw(renderer: Renderer, scene: DeviceScene, room: _Room, placed: PlacedViews, pane: Pane | None) -> None:
+    """Render a scene and measure it, nothing taped."""
+    raster = scene.raster.through(pane)
+    frame = renderer.render(raster, placed.position_ego_m, placed.camera_from_ego, log_focal=placed.log_zoom)
+    measures = frame.measure(into=room.measures)
+    frame.window_area(visible=False, into=room.in_frame)
+    wp.copy(room.contrast, frame.contrast(measures.value))
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,6 +336,16 @@ class _Shown:
     in_frame: dict[str, np.ndarray]
     contrast: np.ndarray
     box: tuple[np.ndarray, np.ndarray, np.ndarray]
+
+    @classmethod
+    def of_all_cameras(cls, shown: Sequence[_Shown]) -> _Shown:
+        """What chunks of cameras are shown in the same scenes."""
+        return cls(
+            {name: np.concatenate([each.measures[name] for each in shown]) for name in _MEASURED},
+            {name: np.concatenate([each.in_frame[name] for each in shown]) for name in _MEASURED},
+            np.concatenate([each.contrast for each in shown]),
+            shown[0].box,
+        )
 
     @classmethod
     def together(cls, shown: Sequence[_Shown]) -> _Shown:

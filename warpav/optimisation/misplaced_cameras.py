@@ -39,7 +39,7 @@ class MisplacedCameras(SingleCameras):
     def of(cls, cameras: SingleCameras, errors: MountErrors) -> MisplacedCameras:
         """The same cameras with errors of mounting."""
         others = (cameras.occlusion, cameras.supersampling, cameras.thread_count, cameras.is_mirrored)
-        return cls(cameras.mount, cameras.probability, *others, errors=errors)
+        return cls(cameras.mount, cameras.probability, *others, errors=errors, _renderers=cameras._renderers)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _unpacked, (*super().__reduce__(), self.errors)

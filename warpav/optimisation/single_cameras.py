@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.metadata import version
 from queue import SimpleQueue
 from typing import Any
@@ -26,8 +26,9 @@ from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import LOG_ZOOM, MIRROR, MOUNT_POSE_SIZE, CameraMount
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.chunks import chunk_view_count
+from warpav.raster.chunks import MAX_CHUNK_VIEWS, chunk_view_count, equal_chunks
 from warpav.raster.decide import Occlusion
+from warpav.raster.kept import KeptRenderers
 from warpav.raster.pane import Pane
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene as RasterScene
@@ -35,7 +36,9 @@ from warpav.requirements.visibility import Visibility
 from warpav.scene.device_scene import DeviceScene
 
 CPU_VIEWS = 16
-"""Views that one thread renders at once."""
+"""Views that one thread renders at once, at most."""
+CPU_KEY_BYTES = 2**26
+"""Of the views that one thread renders at once: one of 8 MP, four of 1920 x 1080 pixels, all of smaller ones."""
 CUDA_STREAMS = 12
 """Scenes that a GPU renders beside each other for Jacobians: the few cameras of a rig do not fill it."""
 CUDA_CHUNKS = 8
@@ -67,7 +70,7 @@ class SingleCameras:
     thread_count: int | None = None
     is_mirrored: bool = False
     _kept_jacobians: dict[_Kind, CameraJacobians] = field(default_factory=dict, init=False, repr=False)
-    _renderers: dict[tuple[int, int], SimpleQueue[Renderer]] = field(default_factory=dict, init=False, repr=False)
+    _renderers: KeptRenderers = field(default_factory=KeptRenderers, kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
         if len(self.probabilities) != len(self.mount.cameras):
@@ -217,29 +220,26 @@ class SingleCameras:
         """The probability that cameras of one kind detect each object, float32 [camera, object]."""
         module, pane = kind
         found = np.zeros((len(pose), scene.vehicle_count), np.float32)
-        chunk_count = -(-len(pose) // self._most_views(module))
-        view_count = -(-len(pose) // chunk_count)  # chunks of about equal size
-        firsts = range(0, len(pose), view_count)
-        renderers = self._renderers_of(module, view_count)
+        chunks = equal_chunks(len(pose), self._most_views(module))
+        free: SimpleQueue[Renderer] = SimpleQueue()
+        for renderer in self._maker(module).kept(self._renderers, len(chunks[0])):
+            free.put(renderer)
         scene.upright_box  # noqa: B018 (found once, before threads ask for it)
         raster = scene.raster.through(pane)  # held, and made once
 
-        def draw(first: int) -> None:
-            end = min(first + view_count, len(pose))
-            # a last chunk that is not full is filled up with its last camera
-            chunk = pose[np.minimum(np.arange(first, first + view_count), end - 1)]
-            renderer = renderers.get()
+        def draw(chunk: np.ndarray) -> None:
+            renderer = free.get()
             try:
-                found[first:end] = self._drawn(module, chunk, scene, raster, renderer)[: end - first]
+                found[chunk] = self._drawn(module, pose[chunk], scene, raster, renderer)
             finally:
-                renderers.put(renderer)
+                free.put(renderer)
 
-        if renderers.qsize() == 1 or len(firsts) == 1:
-            for first in firsts:
-                draw(first)
+        if free.qsize() == 1 or len(chunks) == 1:
+            for chunk in chunks:
+                draw(chunk)
             return found
-        with ThreadPoolExecutor(renderers.qsize()) as threads:
-            list(threads.map(draw, firsts))
+        with ThreadPoolExecutor(free.qsize()) as threads:
+            list(threads.map(draw, chunks))
         return found
 
     def _drawn(
@@ -324,47 +324,63 @@ class SingleCameras:
         """Probabilities and Jacobians of cameras of one kind; kept for the next call."""
         module, pane = kind
         if kind not in self._kept_jacobians:
-            is_cuda = wp.get_device(self.mount.device).is_cuda
-            count = CUDA_STREAMS if is_cuda else self.thread_count or available_cores()
+            maker = self._maker(module)
             self._kept_jacobians[kind] = CameraJacobians(
                 self.mount,
                 self.mount.cameras[module],
                 self.probabilities[module],
-                lambda views: self._renderers_for(module, views, count),
+                # recorded launches are bound to the renderers, which therefore are those of the kind
+                partial(maker.new, count=CUDA_STREAMS) if self._is_cuda else partial(maker.kept, self._renderers),
+                self._most_views(module, views_max=MAX_CHUNK_VIEWS),
                 pane,
             )
         return self._kept_jacobians[kind]
 
-    def _most_views(self, module: int) -> int:
+    @property
+    def _is_cuda(self) -> bool:
+        return wp.get_device(self.mount.device).is_cuda
+
+    def _most_views(self, module: int, *, views_max: int = CPU_VIEWS) -> int:
         """Views that are rendered at once: as many as the caches of a core hold, or as a GPU takes."""
-        most = chunk_view_count(self.mount.cameras[module], supersampling=self.supersampling)
-        return CUDA_CHUNKS * most if wp.get_device(self.mount.device).is_cuda else min(most, CPU_VIEWS)
+        camera = self.mount.cameras[module]
+        if self._is_cuda:
+            return CUDA_CHUNKS * chunk_view_count(camera, supersampling=self.supersampling)
+        return min(chunk_view_count(camera, supersampling=self.supersampling, key_bytes=CPU_KEY_BYTES), views_max)
 
-    def _renderers_of(self, module: int, view_count: int) -> SimpleQueue[Renderer]:
-        """Renderers of so many views, one for each thread; of every module the last that were asked for are kept."""
-        key = (module, view_count)
-        if key not in self._renderers:
-            for old in [each for each in self._renderers if each[0] == module]:
-                del self._renderers[old]
-            self._renderers[key] = renderers = SimpleQueue()
-            is_cuda = wp.get_device(self.mount.device).is_cuda
-            threads = 1 if is_cuda else self.thread_count or available_cores()
-            for renderer in self._renderers_for(module, view_count, threads):
-                renderers.put(renderer)
-        return self._renderers[key]
+    def _maker(self, module: int) -> _RendererMaker:
+        return _RendererMaker(
+            self.mount.cameras[module], self.supersampling, self.occlusion, self.mount.device, self.thread_count
+        )
 
-    def _renderers_for(self, module: int, view_count: int, count: int) -> list[Renderer]:
-        """New renderers of so many views of a module, which do not share launches over threads."""
+
+@dataclass(frozen=True)
+class _RendererMaker:
+    """What renderers of one of the mount's models are like; knows nothing of who asks, so that no circle is closed."""
+
+    camera: CameraModel
+    supersampling: int
+    occlusion: Occlusion
+    device: str
+    thread_count: int | None
+
+    def new(self, view_count: int, count: int) -> list[Renderer]:
+        """So many renderers of so many views, which do not share launches over threads."""
         return [
             Renderer(
-                [self.mount.cameras[module]] * view_count,
+                [self.camera] * view_count,
                 supersampling=self.supersampling,
                 occlusion=self.occlusion,
-                device=self.mount.device,
+                device=self.device,
                 thread_count=1,
             )
             for _ in range(count)
         ]
+
+    def kept(self, renderers: KeptRenderers, view_count: int) -> Sequence[Renderer]:
+        """One for each thread, of a GPU one, that others asked for before."""
+        is_cuda = wp.get_device(self.device).is_cuda
+        count = 1 if is_cuda else self.thread_count or available_cores()
+        return renderers.of((self, view_count), lambda: self.new(view_count, count))
 
 
 def _unpacked(mount: tuple[Any, ...], *others: Any) -> SingleCameras:  # noqa: ANN401

@@ -208,6 +208,15 @@ class Buffers:
             self._kept[key] = self.zeros(shape, dtype)
         return self._kept[key]
 
+    @property
+    def held_bytes(self) -> int:
+        """See `Renderer.held_bytes`: of all arrays that have a number for each sample, or are kept for one purpose."""
+        atlas, rays = self.layers, self.rays
+        arrays = [self.key, self.ones, self.strip, atlas.inverse_depth_bits, atlas.crossing_key, *self._kept.values()]
+        arrays += [each for hiding in (self.hiding, self.foreground_hiding) for each in (hiding.bits, hiding.source)]
+        arrays += [rays.ray, rays.block, rays.block_row] if self._rays_of else []
+        return sum(each.capacity for each in arrays)
+
     def image(self, count: int, dtype: object, into: wp.array | None) -> wp.array:
         """A fresh array of images, or ``into`` if that has their shape."""
         shape = (count, self.height_px, self.width_px)

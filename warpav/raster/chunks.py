@@ -18,10 +18,22 @@ CHUNK_KEY_BYTES = 2**28
 MAX_CHUNK_VIEWS = 64
 
 
-def chunk_view_count(model: CameraModel, *, supersampling: int = 1) -> int:
-    """Views that are rendered at once by default: as many as fit into 256 MiB of keys, at most 64."""
+def chunk_view_count(model: CameraModel, *, supersampling: int = 1, key_bytes: int = CHUNK_KEY_BYTES) -> int:
+    """Views that are rendered at once: as many as fit into so many bytes of keys, 1 to 64; by default 256 MiB.
+
+    Street scenes take about as much again for silhouettes.
+    """
     view_bytes = 8 * (model.width_px * supersampling + 2) * (model.height_px * supersampling + 2)
-    return max(1, min(MAX_CHUNK_VIEWS, CHUNK_KEY_BYTES // view_bytes))
+    return max(1, min(MAX_CHUNK_VIEWS, key_bytes // view_bytes))
+
+
+def equal_chunks(count: int, most: int) -> list[np.ndarray]:
+    """Which of ``count`` views each chunk holds, int [view of the chunk]: chunks of one size, at most ``most``.
+
+    A last chunk that is not full is filled up with copies of the last view.
+    """
+    size = -(-count // -(-count // most)) if count else 1
+    return [np.minimum(np.arange(first, first + size), count - 1) for first in range(0, count, size)]
 
 
 def render_in_chunks(

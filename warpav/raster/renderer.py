@@ -78,6 +78,11 @@ class Renderer:
         return self._buffers.thread_count
 
     @property
+    def held_bytes(self) -> int:
+        """Memory that its buffers hold on the device; they grow with what is rendered."""
+        return self._buffers.held_bytes
+
+    @property
     def generation(self) -> int:
         """Grows when arrays that recorded launches refer to have moved; such recordings are void."""
         return self._buffers.generation

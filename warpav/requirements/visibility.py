@@ -18,6 +18,7 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import chunk_view_count
 from warpav.raster.decide import Occlusion
 from warpav.raster.frame import Frame
+from warpav.raster.kept import KEPT_BYTES
 from warpav.raster.mesh import Mesh
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene
@@ -86,8 +87,7 @@ GhostScenes = Sequence[tuple[np.ndarray, Scene]]
 """Which ghosts, and what is drawn of them."""
 
 KeptRenderers = dict[tuple[int, int, int], Renderer]
-"""By width, height and number of views; `RENDERERS_KEPT` at most."""
-RENDERERS_KEPT = 6
+"""By width, height and number of views; all together hold at most `KEPT_BYTES` when the next is added."""
 VIEWS_AT_ONCE = 8
 """With as many ghosts as one scene holds a view of 640 x 480 pixels takes up to 50 MB."""
 
@@ -250,7 +250,7 @@ def _frames(
             lenses = [drawn[v] for v in views]
             renderer = kept.get((*size, most))
             if renderer is None:
-                if len(kept) >= RENDERERS_KEPT:
+                while kept and sum(each.held_bytes for each in kept.values()) > KEPT_BYTES:
                     del kept[next(iter(kept))]
                 renderer = Renderer(lenses, supersampling=supersampling, occlusion=Occlusion.OCCLUDERS, device=device)
                 kept[*size, most] = renderer

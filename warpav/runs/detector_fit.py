@@ -171,7 +171,7 @@ def ensure_fit(
             f"detection probability is that of the embedded scenes: to fit it on others takes {MIN_FIT_SCENES}, "
             f"scenes.train_seeds has {scene_count}"
         )
-        config = changed_config(config, ["scenes.source=town", "scenes.folder=null"])
+        config = town_config(config)
     use = detector_use(config, ego, camera)
     if detector is None:
         if stored_file(use) is not None:
@@ -194,6 +194,30 @@ def ensure_fit(
         found = fit(config, seeds, detector=detector, any_camera=True, progress=progress)
         kept[any_use.identity] = found.model
     return replace(kept[any_use.identity], network_scale=scale)
+
+
+def town_config(config: Config) -> Config:
+    """The configuration with embedded scenes for its own."""
+    town = {"source": "town", "folder": "null", "recordings": "null", "test_recordings": "null"}
+    return changed_config(config, [f"scenes.{name}={value}" for name, value in town.items()])
+
+
+def sample_camera(
+    config: Config, seeds: Sequence[int], model: DetectionProbability, *, progress: Progress
+) -> DetectionSamples:
+    """What the configured detector finds in views of scenes by the configured camera, anywhere on roof and bonnet.
+
+    Args:
+        config: Detector, camera, scenes; of these also their level.
+        seeds: Numbers of the scenes.
+        model: Of `ensure_fit` for this configuration; says what pixels count.
+        progress: Where to show it.
+
+    Raises:
+        InputError: A scene or the detector cannot be used.
+    """
+    source = replace(_camera_source(config, camera_model(config)), network_scale=model.network_scale)
+    return _sample_scenes(config, seeds, load_detector(config), None, [source], progress, job="scoring")
 
 
 def _network_scale(detector: ScalingDetector, camera: CameraModel) -> tuple[float, float]:
@@ -336,7 +360,8 @@ def fit(
         sources = [_any_camera_source(config, window, detector, k) for k, window in enumerate(windows_of(detector))]
     else:
         sources = [_camera_source(config, camera or camera_model(config))]
-    samples = _sample_scenes(config, (*seeds.fit, *seeds.held_out), detector, ego, sources, progress)
+    level_free = changed_config(config, ["scenes.level=null"], origin=None)
+    samples = _sample_scenes(level_free, (*seeds.fit, *seeds.held_out), detector, ego, sources, progress)
     progress.stage("fitting")
     known, unseen = samples.of_seeds(seeds.fit), samples.of_seeds(seeds.held_out)
     try:
@@ -495,14 +520,14 @@ def _sample_scenes(
     ego: Mesh | None,
     sources: Sequence[_Source],
     progress: Progress,
+    job: str = "the fit",
 ) -> DetectionSamples:
-    """What the detector finds of the scenes in the views of some sources; says how long it takes, if that is long."""
+    """What the detector finds of the scenes in the views of some sources; says how long the job takes, if long."""
     device = checked_device(config.device)
 
     def packed_scenes() -> Iterator[tuple[DeviceScene, MountSurface]]:
         surface = None
-        level_free = changed_config(config, ["scenes.level=null"], origin=None)
-        for scene in load_scenes(level_free, seeds, ego=ego):
+        for scene in load_scenes(config, seeds, ego=ego):
             surface = surface or roof_surface(config, scene.ego)
             yield DeviceScene.pack(scene, device=device), surface
 
@@ -517,7 +542,7 @@ def _sample_scenes(
         views_s = sum(_trial_seconds(config, detector, each, *known[-1], seed) for each in sources)
         expected_s = len(seeds) * (scene_s + views_s)
         if expected_s > LONG_S:
-            _say(f"the fit takes {_about(expected_s)}", "progress=True shows how far it is", progress)
+            _say(f"{job} takes {_about(expected_s)}", "progress=True shows how far it is", progress)
     samplers = [_Sampler.of(config, detector, source) for source in sources]
 
     def parts() -> Iterator[DetectionSamples]:

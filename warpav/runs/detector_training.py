@@ -12,7 +12,7 @@ from typing import Any
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json
 from warpav.detection.detector import ROAD_USERS
-from warpav.detection.training.data import SUBSETS, load_images, write_images
+from warpav.detection.training.data import TEST_SUBSETS, load_images, write_images
 from warpav.detection.training.evaluate import evaluate
 from warpav.runs.config import Config
 from warpav.runs.networks import load_detector
@@ -20,7 +20,6 @@ from warpav.runs.networks import load_detector
 MIN_CONFIDENCE = 0.01
 """Detections from here on take part in the average precision."""
 
-_SUBSETS = {"test": "direct", "test_reconstructed": "reconstructed"}
 _FIGURES = {
     "objects": "objects",
     "objects_headline": "of these in the headline",
@@ -139,9 +138,10 @@ def measure_detector(
     detector = load_detector(found, every_road_user=True)
     folder = _made_folders(out, image_folder)
     report: dict[str, dict[str, dict[str, Any]]] = {}
-    for name, title in _SUBSETS.items():
-        say(f"{title} scenes: {len(SUBSETS[name].seeds)} from seed {SUBSETS[name].first_seed} on")
-        write_images(SUBSETS[name], folder / name, processes=processes)
+    for name, subset in TEST_SUBSETS.items():
+        title = name.removeprefix("test_")
+        say(f"{title} scenes: {len(subset.seeds)} from seed {subset.first_seed} on")
+        write_images(subset, folder / name, processes=processes)
         report[title] = {
             str(side_px): evaluate(detector, each.first(image_count))
             for side_px, each in load_images(folder / name).items()

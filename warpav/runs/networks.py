@@ -15,7 +15,7 @@ from warpav.core.fingerprint import digest
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.runs.config import Config, changed_config, flow_text, with_absolute_paths
 from warpav.runs.mounts import camera_model
-from warpav.runs.scene_set import own_vehicle_digest
+from warpav.runs.scene_set import own_vehicle_digest, recordings_digest
 
 if TYPE_CHECKING:
     from warpav.detection.detector import Detector
@@ -155,9 +155,11 @@ def _model_path(config: Config) -> Path:
 
 
 def _scene_settings(config: Config) -> dict[str, Any]:
-    # curves of embedded scenes are fitted on those of the level easy
-    unseen = {"train_seeds", "validation_seeds", "test_seeds", "mirror", "ego", "level"}
-    return config.scenes.model_dump(mode="json", exclude=unseen)
+    unseen = {"train_seeds", "validation_seeds", "test_seeds", "mirror", "ego", "recordings", "test_recordings"}
+    unseen |= {"level"}  # curves of embedded scenes are fitted on those of the level easy
+    recordings = recordings_digest(config)
+    settings = config.scenes.model_dump(mode="json", exclude=unseen)
+    return settings if recordings is None else {**settings, "recordings": recordings}
 
 
 def _camera_settings(config: Config, camera: CameraModel | None) -> dict[str, Any]:

@@ -771,6 +771,8 @@ def _scene_options(train: Sequence[Scene], validation: Sequence[Scene], base: Co
         **options,
         "scenes.source": "town",
         "scenes.level": None if level == "easy" else level,
+        "scenes.recordings": None,
+        "scenes.test_recordings": None,
         "scenes.train_seeds": list(dict.fromkeys(seeds[0])),
         "scenes.validation_seeds": list(dict.fromkeys(seeds[1])) or None,
         "scenes.test_seeds": test,

@@ -483,6 +483,8 @@ def _with_scenes(config: Config, placement: Placement, test: Sequence[Scene], fo
     options = {
         "scenes.source": "folder",
         "scenes.folder": str(scenes),
+        "scenes.recordings": None,
+        "scenes.test_recordings": None,
         "scenes.ego": None,
         "scenes.train_seeds": seeds[0],
         "scenes.validation_seeds": seeds[1] or None,

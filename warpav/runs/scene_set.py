@@ -24,14 +24,18 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.runs.config import Config, RigConfig, RunConfig
 from warpav.runs.mounts import camera_mount
-from warpav.scene.cache import town_scenes
+from warpav.scene.cache import BuiltSource, built_scenes, town_scenes
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.packed import SceneRecipe, StoredScene, stored_scenes
 from warpav.scene.reconstruction.settings import METHOD_PACKAGES, ReconstructionSettings
 from warpav.scene.scene import ROAD_USERS, Scene
 from warpav.scene.store import CaptureTask, SceneTask, capture_path, capture_scenes, make_scenes, scene_path
-from warpav.scene.town.levels import Level, level_scene
+from warpav.scene.town.levels import Level, TownSource, level_scene
+from warpav.scene.town.town import ego_vehicle
+from warpav.scene.traffic.files import content_digest
+from warpav.scene.traffic.moments import moment_of, search_and_test, traffic_of
+from warpav.scene.traffic.traffic_scene import TrafficSource
 from warpav.scene.vehicles import file_of
 
 if TYPE_CHECKING:
@@ -186,12 +190,16 @@ def scene_recipes(config: Config, seeds: Sequence[int], progress: Progress) -> l
         InputError: A file is missing or cannot be used.
     """
     ego, targets = own_vehicle(config), tuple(config.scenes.targets)
-    sources: Sequence[int | Path] = seeds
+    sources: Sequence[BuiltSource | Path]
     if config.scenes.source == "captured":
         sources = list(progress.steps("captured scenes", _captured(config, seeds), count=len(seeds)))
-    elif config.scenes.source != "town":
+    elif config.scenes.source == "traffic":
+        sources = _moments(config, seeds, ego)
+    elif config.scenes.source == "town":
+        sources = [TownSource(seed, config.scenes.level or "easy") for seed in seeds]
+    else:
         sources = _files_of(config, seeds)
-    return [SceneRecipe(source, ego, targets, level=config.scenes.level or "easy") for source in sources]
+    return [SceneRecipe(source, ego, targets) for source in sources]
 
 
 def pack_scenes(scenes: Iterable[Scene], counts: tuple[int, int], config: Config, progress: Progress) -> SceneSet:
@@ -251,6 +259,13 @@ def load_scenes(
         InputError: A file is missing or cannot be used.
     """
     ego = own_vehicle(config) if ego is None else ego
+    if config.scenes.source == "traffic":
+        for source in _moments(config, seeds, ego):
+            scene, left_out = source.scene_and_left_out(ego) if ego is not None else (next(built_scenes([source])), 0)
+            if left_out and say is not None:
+                say(_left_out_text(scene.name, left_out))
+            yield scene.targeting(config.scenes.targets)
+        return
     for scene in _scenes_of(config, seeds):
         around = scene if ego is None else scene.around(ego)
         left_out = len(scene.road_users) - len(around.road_users)
@@ -352,6 +367,19 @@ def own_vehicle_digest(config: Config) -> str | None:
         raise OptionError("scenes.ego", f"expected a readable mesh file, got {str(path)!r}: {error.strerror}") from None
 
 
+def recordings_digest(config: Config) -> str | None:
+    """Hash of the recorded traffic, those for the search and those for the test; None where there is none.
+
+    Raises:
+        InputError: One cannot be read.
+    """
+    scenes = config.scenes
+    if scenes.source != "traffic":
+        return None
+    parts = search_and_test(scenes.recordings, scenes.test_recordings)
+    return digest(*(tuple(content_digest(path) for path in part) for part in parts))
+
+
 def plan_settings(config: Config) -> PlanSettings:
     """What is recorded of a situation."""
     capture = config.capture
@@ -411,6 +439,15 @@ def _scenes_of(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
     yield from map(read_scene, _files_of(config, seeds))
 
 
+def _moments(config: Config, seeds: Sequence[int], ego: Mesh | None) -> list[TrafficSource]:
+    """Moments of recordings: seeds of the test take them from other recordings than those of the search."""
+    scenes = config.scenes
+    bounds_m = (ego_vehicle() if ego is None else ego).bounds_m()
+    traffic = traffic_of(scenes.recordings, scenes.test_recordings, bounds_m)
+    tested = set(scenes.test_seeds)
+    return [TrafficSource(moment_of(traffic.test if seed in tested else traffic.search, seed), seed) for seed in seeds]
+
+
 def _files_of(config: Config, seeds: Sequence[int]) -> list[Path]:
     """The files of scenes in the configured folder."""
     assert config.scenes.folder is not None
@@ -450,7 +487,7 @@ def _scene_of(source: str, level: Level) -> Scene:
 
 def _left_out_text(name: str, count: int) -> str:
     users = "1 road user" if count == 1 else f"{count} road users"
-    return f"{name}: {users} left out, where the vehicle of scenes.ego stands"
+    return f"{name}: {users} left out, where the ego vehicle stands"
 
 
 def _check_targets(targets: Sequence[str], scenes: Sequence[DeviceScene], progress: Progress) -> None:

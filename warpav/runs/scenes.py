@@ -22,7 +22,11 @@ from warpav.scene.store import (
     scene_path,
     split_seeds,
 )
-from warpav.scene.town.levels import Level
+from warpav.scene.town.levels import Level, TownSource
+from warpav.scene.town.town import ego_vehicle
+from warpav.scene.traffic.files import recordings_in, shipped_recordings
+from warpav.scene.traffic.moments import moment_of, moments_of
+from warpav.scene.traffic.traffic_scene import TrafficSource
 
 _SPLIT_FROM = 6  # scenes that make training, validation and test scenes, and a batch of the training scenes
 
@@ -35,8 +39,40 @@ def build_scenes(
     Raises:
         InputError: The folder cannot be written to.
     """
+    tasks = [SceneTask(seed, scene_path(out, seed), source=TownSource(seed, level)) for seed in seeds]
+    return _build(tasks, out, executor, worker_count)
+
+
+def build_traffic_scenes(
+    recordings: Sequence[Path],
+    seeds: Sequence[int],
+    out: Path,
+    *,
+    executor: ExecutorName,
+    worker_count: int | None,
+) -> int:
+    """Build scenes of recorded traffic as GLB files that are not there yet; returns the exit status.
+
+    Args:
+        recordings: Files and folders; none: those that ship with warpav.
+        seeds: Each chooses a moment and an ego vehicle, of all recordings, and what was not recorded.
+        out: Folder for the files.
+        executor: How the scenes are spread.
+        worker_count: Processes.
+
+    Raises:
+        InputError: A recording cannot be used, or the folder cannot be written to.
+    """
+    files = recordings_in(recordings) if recordings else shipped_recordings()
+    moments = moments_of(files, ego_vehicle().bounds_m())
+    tasks = [
+        SceneTask(seed, scene_path(out, seed), source=TrafficSource(moment_of(moments, seed), seed)) for seed in seeds
+    ]
+    return _build(tasks, out, executor, worker_count)
+
+
+def _build(tasks: Sequence[SceneTask], out: Path, executor: ExecutorName, worker_count: int | None) -> int:
     check_folder(out, "out")
-    tasks = [SceneTask(seed, scene_path(out, seed), level=level) for seed in seeds]
     status = _show_outcomes(
         "building scenes",
         (

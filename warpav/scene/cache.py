@@ -1,7 +1,7 @@
-"""Scenes of the embedded town, kept in the user's cache folder: built once, several at a time, then read.
+"""Scenes that are built, kept in the user's cache folder: built once, several at a time, then read.
 
-A file is named after what it was made of: seed, level, the code that makes scenes, and the versions of NumPy and
-Embree. So it never has to be checked for its age; a file that cannot be read is built again. The folder holds at most
+A file is named after what it was made of: the source, the code that makes scenes, and the versions of NumPy and Embree.
+So it never has to be checked for its age; a file that cannot be read is built again. The folder holds at most
 `CAPACITY_BYTES`; beyond that the scenes that were not used for the longest time go.
 """
 
@@ -20,16 +20,16 @@ import platformdirs
 from warpav.core.atomic_write import atomic_write
 from warpav.core.cache_folder import remove_oldest
 from warpav.core.executor import available_cores, run_tasks
-from warpav.core.fingerprint import fingerprint
+from warpav.core.fingerprint import digest
 from warpav.raster.mesh import Mesh
 from warpav.scene.scene import Box, Scene, Sky, Vehicle
-from warpav.scene.town.levels import Level, level_recipe, level_scene
+from warpav.scene.town.levels import Level, TownSource
+from warpav.scene.traffic.traffic_scene import TrafficSource
 
 CAPACITY_BYTES = 512 * 2**20
 """What the cache holds at most: about 300 scenes of 1.8 MB."""
 _PARALLEL_MIN = 4  # fewer scenes are built sooner than processes start
 _FORMAT = 2
-_Task = tuple[int, Level, Path]
 _UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 
@@ -38,81 +38,97 @@ def scene_cache_folder() -> Path:
     return Path(platformdirs.user_cache_dir("warpav", appauthor=False)) / "scenes"
 
 
+BuiltSource = TownSource | TrafficSource
+"""What a scene can be built of: a seed and a level of the town, or a moment of a recording."""
+
+
 def town_scenes(
     seeds: Sequence[int], level: Level = "easy", *, folder: Path | None = None, worker_count: int | None = None
 ) -> Iterator[Scene]:
-    """The embedded scenes of ``seeds``, in this order: read where they were built before, built where not.
-
-    Args:
-        seeds: As `warpav.scene.town.levels.level_scene` takes them.
-        level: The same.
-        folder: Where to keep them; None: `scene_cache_folder`. Nothing is kept where it cannot be written to.
-        worker_count: Processes that build scenes; None: one for each core.
-
-    Yields:
-        Scenes, array for array and bit for bit those of ``level_scene``.
+    """The embedded scenes of ``seeds`` and a level; see `built_scenes`.
 
     Raises:
         ValueError: A seed is negative.
     """
+    return built_scenes([TownSource(seed, level) for seed in seeds], folder=folder, worker_count=worker_count)
+
+
+def built_scenes(
+    sources: Sequence[BuiltSource], *, folder: Path | None = None, worker_count: int | None = None
+) -> Iterator[Scene]:
+    """The scenes of ``sources``, in this order: read where they were built before, built where not.
+
+    Args:
+        sources: What they are built of.
+        folder: Where to keep them; None: `scene_cache_folder`. Nothing is kept where it cannot be written to.
+        worker_count: Processes that build scenes; None: one for each core.
+
+    Yields:
+        Scenes, array for array and bit for bit those of ``source.scene()``.
+
+    Raises:
+        ValueError: A seed is negative.
+        InputError: A recording cannot be read.
+    """
     folder = folder or scene_cache_folder()
-    missing = [seed for seed in dict.fromkeys(seeds) if not scene_file(seed, folder, level).is_file()]
+    missing = [source for source in dict.fromkeys(sources) if not scene_file(source, folder).is_file()]
     worker_count = min(worker_count or available_cores(), len(missing))
-    built: dict[int, Scene] = {}
+    built: dict[BuiltSource, Scene] = {}
     outcomes = iter(())
     if worker_count > 1 and len(missing) >= _PARALLEL_MIN:
-        tasks: list[_Task] = [(seed, level, folder) for seed in missing]
+        tasks = [(source, folder) for source in missing]
         outcomes = run_tasks(_build, tasks, executor="process", worker_count=worker_count)
     else:
         missing = []
-    for seed in seeds:
-        while seed in missing and seed not in built:
+    for source in sources:
+        while source in missing and source not in built:
             outcome = next(outcomes)
-            number, _, _ = outcome.task
+            finished, _ = outcome.task
             # one that failed fails again here, with its own error
-            built[number] = _build(outcome.task) if outcome.result is None else outcome.result
-        yield built[seed] if seed in built else _read_or_build(seed, level, folder)
+            built[finished] = _build(outcome.task) if outcome.result is None else outcome.result
+        yield built[source] if source in built else _read_or_build(source, folder)
     for _ in outcomes:
         pass
-    remove_oldest(folder, "town_*.npz", capacity_bytes=CAPACITY_BYTES)
+    remove_oldest(folder, "*.npz", capacity_bytes=CAPACITY_BYTES)
 
 
-def town_scene_once(seed: int, level: Level = "easy") -> Scene:
-    """The embedded scene of a seed and level, read where it was built before, else built and not kept.
+def scene_once(source: BuiltSource) -> Scene:
+    """The scene of a source, read where it was built before, else built and not kept.
 
     Raises:
         ValueError: The seed is negative.
+        InputError: A recording cannot be read.
     """
     try:
-        return _read(scene_file(seed, scene_cache_folder(), level))
+        return _read(scene_file(source, scene_cache_folder()))
     except _UNREADABLE:
-        return level_scene(seed, level)
+        return source.scene()
 
 
-def scene_file(seed: int, folder: Path, level: Level = "easy") -> Path:
-    """The file that keeps the scene of a seed and level."""
-    chosen_by, code = level_recipe(seed, level)
-    made_of = fingerprint(_FORMAT, *chosen_by, version("numpy"), version("embreex"), code=code)
-    return folder / f"town_{seed}_{made_of}.npz"
+def scene_file(source: BuiltSource, folder: Path) -> Path:
+    """The file that keeps a scene."""
+    made_of = digest(_FORMAT, source.fingerprint, version("numpy"), version("embreex"))
+    name = f"town_{source.seed}" if isinstance(source, TownSource) else "traffic"
+    return folder / f"{name}_{made_of}.npz"
 
 
-def _read_or_build(seed: int, level: Level, folder: Path) -> Scene:
-    file = scene_file(seed, folder, level)
+def _read_or_build(source: BuiltSource, folder: Path) -> Scene:
+    file = scene_file(source, folder)
     try:
         scene = _read(file)
         file.touch()
     except _UNREADABLE:
-        scene = _build((seed, level, folder))
+        scene = _build((source, folder))
     return scene
 
 
-def _build(task: _Task) -> Scene:
-    """Build the scene of a seed and level, and keep it if the folder lets itself be written to."""
-    seed, level, folder = task
-    scene = level_scene(seed, level)
+def _build(task: tuple[BuiltSource, Path]) -> Scene:
+    """Build a scene, and keep it if the folder lets itself be written to."""
+    source, folder = task
+    scene = source.scene()
     with contextlib.suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
-        _write(scene, scene_file(seed, folder, level))
+        _write(scene, scene_file(source, folder))
     return scene
 
 

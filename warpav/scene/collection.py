@@ -9,6 +9,7 @@ from pathlib import Path
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.scene.scene import Scene
+from warpav.scene.traffic.files import is_recording, recordings_in
 
 MAX_SEED = 2**31 - 1
 
@@ -45,19 +46,20 @@ def town(seeds: Iterable[int], level: str = "easy") -> list[Scene]:
 def read_scenes(files: str | Path | Iterable[str | Path]) -> list[Scene]:
     """Scenes from GLB files, in the order of their names, in which scene_2 stands before scene_10.
 
+    A recording of traffic (the guide *Recorded traffic* says which files are) gives one scene for every moment, around
+    another road user each: moments are 1 s apart or more.
+
     Args:
         files: A file, a folder, a pattern such as ``"scenes/*.glb"``, or several of these.
 
     Raises:
-        InputError: There is no such file, or one is no scene.
+        InputError: There is no such file, or one is no scene and no recording.
     """
-    from warpav.scene.glb import read_scene
-
     sources = [files] if isinstance(files, (str, Path)) else list(files)
     found = [file for source in sources for file in _files_of(source)]
     if not found:
         raise ArgumentError("files", "expected at least one scene, got none")
-    return [read_scene(file) for file in found]
+    return [scene for file in found for scene in _scenes_in(file)]
 
 
 def write_scenes(scenes: Scene | Iterable[Scene], folder: str | Path) -> list[Path]:
@@ -94,12 +96,30 @@ def write_scenes(scenes: Scene | Iterable[Scene], folder: str | Path) -> list[Pa
     return files
 
 
+def _scenes_in(file: Path) -> list[Scene]:
+    from warpav.scene.glb import read_scene
+
+    if not is_recording(file):
+        return [read_scene(file)]
+    from warpav.scene.cache import built_scenes
+    from warpav.scene.town.town import ego_vehicle
+    from warpav.scene.traffic.moments import Moment, moments_of
+    from warpav.scene.traffic.traffic_scene import TrafficSource
+
+    of_step: dict[int, Moment] = {}
+    for moment in moments_of([file], ego_vehicle().bounds_m()):
+        of_step.setdefault(moment.step, moment)
+    return list(built_scenes([TrafficSource(of_step[step], seed) for seed, step in enumerate(sorted(of_step))]))
+
+
 def _files_of(source: str | Path) -> list[Path]:
     path = Path(source).expanduser()
-    if path.is_file():
+    if path.is_file() or is_recording(path):
         return [path]
     pattern = str(path / "*.glb") if path.is_dir() else str(path)
     matches = sorted(map(Path, glob.glob(pattern)), key=_natural_order)
+    if not matches and path.is_dir() and any(is_recording(each) for each in path.rglob("*")):
+        return recordings_in([path])
     if not matches:
         raise InputError(f"{source}: scenes: expected GLB files, got none; warpav scenes make writes some")
     return matches

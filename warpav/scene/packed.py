@@ -30,11 +30,12 @@ from warpav.core.executor import available_cores, run_tasks
 from warpav.core.fingerprint import digest, fingerprint
 from warpav.raster.mesh import Mesh
 from warpav.raster.scene import Scene as RasterScene
-from warpav.scene.cache import town_scene_once
+from warpav.scene.cache import BuiltSource, scene_once
 from warpav.scene.device_scene import DeviceScene, boxes_of_arrays
 from warpav.scene.glb import read_scene
 from warpav.scene.scene import Scene
-from warpav.scene.town.levels import Level, level_recipe
+from warpav.scene.town.levels import TownSource
+from warpav.scene.traffic.traffic_scene import TrafficSource
 
 CAPACITY_BYTES = 4 * 2**30
 """What the cache holds at most: about 750 scenes of 5.5 MB. What a run uses stays until another run needs the room."""
@@ -57,18 +58,16 @@ class SceneRecipe:
     """Which scene, and what is done to it before it is packed.
 
     Attributes:
-        source: Seed of an embedded scene, or a GLB file.
+        source: What it is built of, or a GLB file.
         ego: The vehicle that takes the place of the scene's own; None: that stays.
         targets: Kinds of road users that are objects; the others are part of the environment.
         is_mirrored: Whether left and right are exchanged.
-        level: Of an embedded scene.
     """
 
-    source: int | Path
+    source: BuiltSource | Path
     ego: Mesh | None = None
     targets: tuple[str, ...] = ("vehicle",)
     is_mirrored: bool = False
-    level: Level = "easy"
 
     def scene(self) -> tuple[Scene, int]:
         """The scene, and how many road users were left out because the vehicle stands in their places.
@@ -76,8 +75,11 @@ class SceneRecipe:
         Raises:
             InputError: The file cannot be read.
         """
-        source = self.source
-        scene = town_scene_once(source, self.level) if isinstance(source, int) else read_scene(source)
+        if isinstance(self.source, TrafficSource):
+            scene, left_out = self.source.scene_and_left_out(self.ego)
+            targeted = scene.targeting(self.targets)
+            return targeted.mirrored() if self.is_mirrored else targeted, left_out
+        scene = scene_once(self.source) if isinstance(self.source, TownSource) else read_scene(self.source)
         around = scene if self.ego is None else scene.around(self.ego)
         targeted = around.targeting(self.targets)
         left_out = len(scene.road_users) - len(around.road_users)
@@ -90,11 +92,10 @@ class SceneRecipe:
         Raises:
             OSError: The file of the source cannot be read.
         """
-        if isinstance(self.source, int):
-            chosen_by, code = level_recipe(self.source, self.level)
-            source = (*chosen_by, version("numpy"), version("embreex"))
-        else:
+        if isinstance(self.source, Path):
             source, code = (digest(self.source.read_bytes()), version("numpy")), ("warpav.scene.glb",)
+        else:
+            source, code = (self.source.fingerprint, version("numpy"), version("embreex")), ()
         ego = self.ego and [array.tobytes() for array in (self.ego.vertex_m, self.ego.triangle, self.ego.vertex_rgb)]
         made_of = (_FORMAT, *source, self.targets, self.is_mirrored, *(ego or ()))
         return f"scene_{fingerprint(*made_of, code=(*code, 'warpav.scene.device_scene'))}.npy"

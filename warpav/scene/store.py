@@ -19,11 +19,12 @@ from warpav.core.errors import InputError
 from warpav.core.executor import ExecutorName, Outcome, Task, run_tasks
 from warpav.core.fingerprint import fingerprint
 from warpav.core.warp_setup import load_warp
+from warpav.scene.cache import BuiltSource, built_scenes
 from warpav.scene.capture.folder import DESCRIPTION, UNFINISHED, check_capture, read_capture, record_capture
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.capture.simulator import Simulator
 from warpav.scene.reconstruction.settings import ReconstructionSettings
-from warpav.scene.town.levels import Level, level_recipe
+from warpav.scene.town.levels import TownSource
 
 SCHEMA = "warpav-collection/1"
 INDEX = "collection.json"
@@ -38,21 +39,21 @@ class SceneTask:
         file: The GLB file to write.
         capture: Folder of its capture; None: it is built directly.
         settings: How a capture becomes a scene.
-        level: Of the embedded town, for one that is built directly.
+        source: What it is built of; None: it is captured, or the embedded scene of the seed.
     """
 
     seed: int
     file: Path
     capture: Path | None = None
     settings: ReconstructionSettings | None = None
-    level: Level = "easy"
+    source: BuiltSource | None = None
 
     @property
     def fingerprint(self) -> str:
         """Hash of all that the file depends on."""
         if self.capture is None:
-            chosen_by, code = level_recipe(self.seed, self.level)
-            return fingerprint("town", *chosen_by, code=(*code, "warpav.scene.glb"))
+            source = self.source or TownSource(self.seed)
+            return fingerprint(source.fingerprint, code=("warpav.scene.glb",))
         content = hashlib.sha256()
         for file in sorted(path for path in self.capture.rglob("*") if path.is_file()):
             content.update(file.relative_to(self.capture).as_posix().encode() + b"\0")
@@ -203,9 +204,7 @@ def _make_scene(task: SceneTask) -> bool:
     from warpav.scene.glb import write_scene
 
     if task.capture is None:
-        from warpav.scene.cache import town_scenes
-
-        (scene,) = town_scenes([task.seed], task.level)
+        (scene,) = built_scenes([task.source or TownSource(task.seed)])
     else:
         from warpav.scene.reconstruction.reconstruct import reconstruct
 

@@ -15,7 +15,7 @@ from warpav.runs.config import changed_config
 from warpav.scene.cache import scene_file, town_scenes
 from warpav.scene.packed import SceneRecipe
 from warpav.scene.town.level_world import COARSE_FROM_M, LONG_COARSE_FROM_M
-from warpav.scene.town.levels import LEVELS, level_of, level_recipe, level_scene
+from warpav.scene.town.levels import LEVELS, TownSource, level_of, level_scene
 from warpav.scene.town.motion import HEADWAY_S
 from warpav.scene.town.placed_vehicle import LONG_KINDS
 
@@ -201,12 +201,11 @@ def test_the_ground_reaches_as_far_as_the_road_users_and_carries_the_ego_vehicle
         np.testing.assert_allclose(caster.height_above_m(tyre.astype(np.float64)), tyre[:, 2], atol=0.04)
 
 
-def test_files_are_named_after_the_level_and_those_of_easy_as_before(tmp_path):
-    assert level_recipe(7, "easy") == ((7,), ("warpav.scene.town.town",))
-    assert len({scene_file(7, tmp_path, level) for level in LEVELS}) == 4
-    assert scene_file(7, tmp_path) == scene_file(7, tmp_path, "easy")
-    assert len({SceneRecipe(7, level=level).file_name for level in LEVELS}) == 4
-    assert SceneRecipe(7).file_name == SceneRecipe(7, level="easy").file_name
+def test_files_are_named_after_seed_and_level(tmp_path):
+    sources = [*(TownSource(7, level) for level in LEVELS), TownSource(8)]
+    assert len({scene_file(source, tmp_path) for source in sources}) == 5
+    assert len({SceneRecipe(source).file_name for source in sources}) == 5
+    assert TownSource(7) == TownSource(7, "easy")
 
 
 def test_scenes_of_a_level_are_read_as_they_were_built(tmp_path, scenes):

@@ -8,6 +8,20 @@ from warpav.scene.town.furniture import FOOTPRINT_M, furniture_mesh
 from warpav.scene.town.people import person_mesh
 
 
+def test_motorcyclists_are_closed_and_of_credible_size(rng):
+    for seed in range(12):
+        mesh = person_mesh("motorcyclist", np.random.default_rng(seed))
+        low, high = mesh.bounds_m()
+        assert len(mesh.triangle) <= 1_300
+        assert low[2] == pytest.approx(0.0, abs=1e-3)
+        assert 1.8 < high[0] - low[0] < 2.1
+        assert 0.6 < high[1] - low[1] < 0.9
+        assert 1.5 < high[2] < 1.8
+        assert unmatched_edge_count(mesh) == 0
+        assert signed_volume_m3(mesh) > 0.1
+    assert back_face_share(mesh, rng, ray_count=40_000, hit_share_min=0.1) == 0.0
+
+
 @pytest.mark.parametrize("category", ["pedestrian", "cyclist"])
 def test_people_are_closed_and_of_credible_size(category):
     height = []

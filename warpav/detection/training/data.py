@@ -1,4 +1,4 @@
-"""Labelled images of town scenes for training and evaluating the detector."""
+"""Labelled images of the town and of recorded traffic for training and evaluating the detector."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from zipfile import BadZipFile
 
 import numpy as np
@@ -21,11 +21,15 @@ from warpav.core.fingerprint import fingerprint
 from warpav.core.warp_setup import load_warp
 from warpav.detection.ground_truth import visible_boxes
 from warpav.detection.training import CLASS_NAMES
-from warpav.raster.camera import CameraModel
+from warpav.raster.camera import CameraModel, Lens
 from warpav.raster.mesh import Mesh
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.rig import RigCamera
 from warpav.scene.scene import Scene
+from warpav.scene.town.levels import Level, TownSource
+from warpav.scene.town.town import ego_vehicle
+from warpav.scene.traffic.moments import moment_of, moments_of, search_and_test
+from warpav.scene.traffic.traffic_scene import TrafficSource
 
 
 @dataclass(frozen=True)
@@ -33,15 +37,16 @@ class Subset:
     """Scenes that serve one purpose.
 
     Attributes:
+        made_of: A level of the town; ``reconstructed``: scenes of the level easy that are recorded by cameras and made
+            of their images again; or recordings that ship with warpav, those of the search or those of the test.
         first_seed: Seeds count up from here; those below a million belong to experiments.
         scene_count: Number of scenes.
-        is_reconstructed: Whether the scenes are recorded by cameras and made of their images again.
         views_per_scene: Images per scene, by their side [px].
     """
 
+    made_of: Level | Literal["reconstructed", "search recordings", "test recordings"]
     first_seed: int
     scene_count: int
-    is_reconstructed: bool
     views_per_scene: dict[int, int]
 
     @property
@@ -49,15 +54,35 @@ class Subset:
         """Seeds of the scenes."""
         return range(self.first_seed, self.first_seed + self.scene_count)
 
+    def sources(self) -> list[TownSource | TrafficSource]:
+        """What the scenes are built of; those that are reconstructed, before that."""
+        if self.made_of == "reconstructed":
+            return [TownSource(seed) for seed in self.seeds]
+        if self.made_of in ("search recordings", "test recordings"):
+            search, test = search_and_test(None, None)
+            moments = moments_of(test if self.made_of == "test recordings" else search, ego_vehicle().bounds_m())
+            return [TrafficSource(moment_of(moments, seed), seed) for seed in self.seeds]
+        return [TownSource(seed, self.made_of) for seed in self.seeds]
 
-_FEW, _MANY = {256: 10, 384: 4, 640: 2}, {256: 30, 384: 12, 640: 6}
-SUBSETS = {
-    "train": Subset(1_000_000, 3000, False, _FEW),
-    "train_reconstructed": Subset(1_500_000, 160, True, _MANY),
-    "validation": Subset(2_000_000, 60, False, _FEW),
-    "test": Subset(3_000_000, 120, False, _FEW),
-    "test_reconstructed": Subset(3_500_000, 24, True, _MANY),
+
+_TRAIN_VIEWS, _TEST_VIEWS = {256: 10, 384: 4, 640: 3, 1280: 1}, {256: 10, 384: 4, 640: 3, 1280: 2}
+TRAIN_SUBSETS = {
+    "train_easy": Subset("easy", 1_000_000, 700, _TRAIN_VIEWS),
+    "train_urban": Subset("urban", 1_100_000, 500, _TRAIN_VIEWS),
+    "train_dense": Subset("dense", 1_200_000, 800, _TRAIN_VIEWS),
+    "train_motorway": Subset("motorway", 1_300_000, 400, _TRAIN_VIEWS),
+    "train_recorded": Subset("search recordings", 1_400_000, 600, _TRAIN_VIEWS),
+    "train_reconstructed": Subset("reconstructed", 1_500_000, 45, {256: 50, 384: 20, 640: 15, 1280: 5}),
 }
+"""Scenes of the training, by the name of their folder; none is a scene of a test."""
+TEST_SUBSETS = {
+    "test_easy": Subset("easy", 3_000_000, 60, _TEST_VIEWS),
+    "test_dense": Subset("dense", 3_200_000, 60, _TEST_VIEWS),
+    "test_motorway": Subset("motorway", 3_300_000, 40, _TEST_VIEWS),
+    "test_recorded": Subset("test recordings", 3_400_000, 60, _TEST_VIEWS),
+    "test_reconstructed": Subset("reconstructed", 3_500_000, 16, {256: 30, 384: 12, 640: 8, 1280: 4}),
+}
+"""Scenes that evaluate, likewise."""
 
 CLASS_OF_CATEGORY = {
     "car": "car",
@@ -68,12 +93,14 @@ CLASS_OF_CATEGORY = {
     "van": "van",
     "lorry": "lorry",
     "bus": "bus",
+    "motorcycle": "motorcycle",
     "pedestrian": "pedestrian",
     "cyclist": "cyclist",
 }
 
-_OBJECT_MAX = 24
+_OBJECT_MAX = 40
 _MIN_AREA_PX = 16
+_FISHEYE_SHARE = 0.125
 # Reconstructed people extend this far beyond their boxes, and start this high above their feet [m].
 _PERSON_MARGIN_M, _PERSON_FOOT_M = 0.15, 0.08
 
@@ -137,8 +164,9 @@ def sample_cameras(
     """Random cameras on and around the ego vehicle.
 
     Three of five stand 5 to 50 cm above roof or bonnet, one of four beside the body, 2 to 30 cm off it and 0.3 to 2 m
-    high, the others above the body, up to 3 m high. They look anywhere around, pitched and rolled by some degrees, half
-    of them with the thesis's 90 degrees.
+    high, the others above the body, up to 3 m high. They look anywhere around, pitched and rolled by some degrees. One
+    of eight is a fisheye of 130 to 190 degrees, half of the others have the thesis's 90 degrees, and the rest 25 to
+    120.
 
     Args:
         rng: Random numbers.
@@ -163,7 +191,11 @@ def sample_cameras(
             xy_m = rng.uniform(low_xy_m, high_xy_m)
             height_m = float(surface.height_at_m(xy_m[None])[0])
             z_m = height_m + rng.uniform(0.05, 0.5) if place < 0.6 else rng.uniform(height_m + 0.05, 3.0)
-        fov_deg = 90.0 if rng.random() < 0.5 else rng.uniform(50.0, 120.0)
+        lens = Lens.FISHEYE if rng.random() < _FISHEYE_SHARE else Lens.PINHOLE
+        if lens is Lens.FISHEYE:
+            fov_deg = rng.uniform(130.0, 190.0)
+        else:
+            fov_deg = 90.0 if rng.random() < 0.5 else rng.uniform(25.0, 120.0)
         cameras.append(
             RigCamera(
                 name=f"camera_{number}",
@@ -171,7 +203,7 @@ def sample_cameras(
                 yaw_rad=rng.uniform(-math.pi, math.pi),
                 pitch_rad=math.radians(float(np.clip(rng.normal(2.0, 6.0), -15.0, 25.0))),
                 roll_rad=math.radians(float(np.clip(rng.normal(0.0, 2.0), -6.0, 6.0))),
-                model=CameraModel(width_px=side_px, height_px=side_px, fov_rad=math.radians(fov_deg)),
+                model=CameraModel(width_px=side_px, height_px=side_px, fov_rad=math.radians(fov_deg), lens=lens),
             )
         )
     return cameras
@@ -184,6 +216,7 @@ def render_scene(
     *,
     views_per_scene: dict[int, int],
     ignored_ids: Sequence[int] = (),
+    device: str = "cpu",
     thread_count: int | None = None,
 ) -> dict[int, LabelledImages]:
     """Images of one scene by random cameras, by their side [px].
@@ -194,7 +227,8 @@ def render_scene(
         seed: Of the cameras, and of the choice of one or four samples per pixel.
         views_per_scene: How many, by the side of the image [px].
         ignored_ids: Instance ids of objects that are drawn but ignored in training.
-        thread_count: Views that are drawn at once; None: as many as there are cores.
+        device: Warp device.
+        thread_count: Views that are drawn at once on a CPU; None: as many as there are cores.
 
     Returns:
         Images for every size of ``views_per_scene``.
@@ -204,7 +238,7 @@ def render_scene(
 
     rng = np.random.default_rng([seed, 1])
     scene = replace(scene, vehicles=scene.vehicles + scene.others, others=())
-    packed = DeviceScene.pack(scene)
+    packed = DeviceScene.pack(scene, device=device)
     center_m = np.array([vehicle.box.center_m for vehicle in scene.vehicles]).reshape(-1, 3)
     label = np.array([CLASS_NAMES.index(CLASS_OF_CATEGORY[vehicle.category]) for vehicle in scene.vehicles], np.int8)
     is_ignored = np.isin([vehicle.instance_id for vehicle in scene.vehicles], ignored_ids)
@@ -212,7 +246,7 @@ def render_scene(
     for side_px, count in views_per_scene.items():
         cameras = sample_cameras(rng, surface, scene.ego.bounds_m(), side_px=side_px, count=count)
         supersampling = int(rng.integers(1, 3))
-        rendered = render_images(packed, cameras, supersampling=supersampling, thread_count=thread_count)
+        rendered = render_images(packed, cameras, supersampling=supersampling, device=device, thread_count=thread_count)
         labels = Labels.empty(count)
         for image, (camera, render) in enumerate(zip(cameras, rendered, strict=True)):
             box_px = visible_boxes(render.object_index, len(scene.vehicles), min_area_px=1)
@@ -295,8 +329,6 @@ def load_images(folder: Path) -> dict[int, LabelledImages]:
 
 @functools.cache
 def _town_surface() -> MountSurface:
-    from warpav.scene.town.town import ego_vehicle
-
     return mount_surface_from_mesh(ego_vehicle())
 
 
@@ -305,25 +337,26 @@ class _Job:
     """One scene and its index in the files of its subset."""
 
     index: int
-    seed: int
+    source: TownSource | TrafficSource
     subset: Subset
     folder: Path
+    device: str
     thread_count: int | None
 
 
 def _write_scene(job: _Job) -> dict[int, Labels]:
-    """Render one town scene into the folder's files and return its labels."""
-    from warpav.scene.town.town import town_scene
-
+    """Render one scene into the folder's files and return its labels."""
     load_warp()  # without its start-up messages, in every process
     subset = job.subset
-    scene = reconstructed_scene(job.seed) if subset.is_reconstructed else town_scene(job.seed)
+    is_reconstructed = subset.made_of == "reconstructed"
+    scene = reconstructed_scene(job.source.seed) if is_reconstructed else job.source.scene()
     labelled = render_scene(
         scene,
         _town_surface(),
-        job.seed,
+        job.source.seed,
         views_per_scene=subset.views_per_scene,
-        ignored_ids=[other.instance_id for other in scene.others] if subset.is_reconstructed else (),
+        ignored_ids=[other.instance_id for other in scene.others] if is_reconstructed else (),
+        device=job.device,
         thread_count=job.thread_count,
     )
     for side_px, count in subset.views_per_scene.items():
@@ -332,8 +365,8 @@ def _write_scene(job: _Job) -> dict[int, Labels]:
     return {side_px: each.labels for side_px, each in labelled.items()}
 
 
-def write_images(subset: Subset, folder: Path, *, processes: int) -> None:
-    """Render town scenes and save their images: ``images_<side>.npy`` and ``labels_<side>.npz``.
+def write_images(subset: Subset, folder: Path, *, processes: int, device: str = "cpu") -> None:
+    """Render scenes and save their images: ``images_<side>.npy`` and ``labels_<side>.npz``.
 
     Nothing is done where they are there already, made of the same scenes by the same code.
 
@@ -341,6 +374,7 @@ def write_images(subset: Subset, folder: Path, *, processes: int) -> None:
         subset: The scenes.
         folder: Where to; made if it does not exist.
         processes: That share the scenes.
+        device: Warp device that renders.
 
     Raises:
         RuntimeError: A scene could not be rendered.
@@ -363,14 +397,14 @@ def write_images(subset: Subset, folder: Path, *, processes: int) -> None:
         labels[side_px] = [Labels.empty(count)] * subset.scene_count
 
     thread_count = None if processes == 1 else 1
-    jobs = [_Job(index, seed, subset, folder, thread_count) for index, seed in enumerate(subset.seeds)]
+    jobs = [_Job(index, each, subset, folder, device, thread_count) for index, each in enumerate(subset.sources())]
     start_s = time.perf_counter()
     # The first scene fills the kernel cache, which processes would otherwise all compile at once.
     first = run_tasks(_write_scene, jobs[:1])
     rest = run_tasks(_write_scene, jobs[1:], executor="serial" if processes == 1 else "process", worker_count=processes)
     for done, outcome in enumerate(itertools.chain(first, rest), start=1):
         if outcome.result is None:
-            raise RuntimeError(f"seed {outcome.task.seed}: {outcome.error}")
+            raise RuntimeError(f"seed {outcome.task.source.seed}: {outcome.error}")
         for side_px, each in outcome.result.items():
             labels[side_px][outcome.task.index] = each
         if done % 100 == 0:

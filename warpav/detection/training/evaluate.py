@@ -18,7 +18,7 @@ from warpav.detection.training.data import LabelledImages
 HEADLINE_HEIGHT_PX = 12.0
 HEIGHT_BINS_PX = (0.0, 8.0, 12.0, 16.0, 24.0, 32.0, 64.0, 128.0, np.inf)
 VISIBLE_FRACTION_BINS = (0.0, 0.25, 0.5, 0.75, np.inf)
-DISTANCE_BINS_M = (0.0, 5.0, 10.0, 20.0, 30.0, np.inf)
+DISTANCE_BINS_M = (0.0, 10.0, 20.0, 40.0, 80.0, np.inf)
 # Confidence threshold of recall, precision and labels.
 OPERATING_CONFIDENCE = 0.25
 

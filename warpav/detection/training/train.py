@@ -17,13 +17,13 @@ from torch import Tensor, nn
 
 from warpav.core.errors import InputError
 from warpav.detection.training.augmentation import MIN_SIDE_PX, augment
-from warpav.detection.training.data import SUBSETS, LabelledImages, load_images, write_images
+from warpav.detection.training.data import TRAIN_SUBSETS, LabelledImages, load_images, write_images
 from warpav.detection.training.export import export_network
 from warpav.detection.training.loss import TargetBoxes, detection_loss
 from warpav.detection.training.network import TownNetwork
 
 # Relative frequency of batches by image side [px].
-SIZE_PROBABILITY = {256: 0.55, 384: 0.25, 640: 0.2}
+SIZE_PROBABILITY = {256: 0.4, 384: 0.2, 640: 0.25, 1280: 0.15}
 
 _LEARNING_RATE = 2e-3
 _LAST_LEARNING_RATE_FRACTION = 0.01
@@ -268,7 +268,6 @@ def train_detector(
         InputError: The checkpoint is of another training, or the images are damaged.
         RuntimeError: A scene cannot be rendered, the loss is not finite, or the ONNX file differs from the network.
     """
-    names = ("train", "train_reconstructed")
     torch.backends.cudnn.benchmark = True
     torch.set_float32_matmul_precision("high")
     training = Training(torch.device(device), step_count=step_count, seed=seed)
@@ -276,11 +275,11 @@ def train_detector(
     if checkpoint.exists():
         training.load(checkpoint)
         _logger.info("going on from step %d of %d", training.step, training.step_count)
-    for name in names:
-        write_images(SUBSETS[name], image_folder / name, processes=processes)
+    for name, subset in TRAIN_SUBSETS.items():
+        write_images(subset, image_folder / name, processes=processes, device=device)
     if training.step < training.step_count:
         start_s = time.perf_counter()
-        loaded = [load_images(image_folder / name) for name in names]
+        loaded = [load_images(image_folder / name) for name in TRAIN_SUBSETS]
         data = {
             side_px: DeviceData.load([each[side_px] for each in loaded], training.device)
             for side_px in SIZE_PROBABILITY

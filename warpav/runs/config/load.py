@@ -143,6 +143,10 @@ def with_absolute_paths(config: Config) -> Config:
     ):
         if value is not None:
             overrides.append(f"{option}={flow_text(str(Path(value).expanduser().absolute()))}")
+    for name in ("recordings", "test_recordings"):
+        paths = getattr(config.scenes, name)
+        if paths is not None:
+            overrides.append(f"scenes.{name}={flow_text([str(path.expanduser().absolute()) for path in paths])}")
     return changed_config(config, overrides) if overrides else config
 
 

@@ -46,7 +46,7 @@ from warpav.scene.town.levels import LEVELS, Level
 from warpav.scene.vehicles import vehicle_file, vehicle_names
 
 LATER_OPTIONS = {
-    "scenes": ("level",),
+    "scenes": ("level", "recordings", "test_recordings"),
     "rig": LATER_RIG_OPTIONS,
     "baselines": LATER_BASELINE_OPTIONS,
     "robust": LATER_ROBUST_OPTIONS,
@@ -170,13 +170,35 @@ class RunConfig(Section):
     batch_size: int = Field(default=4, ge=1, description="scenes per step of a descent")
 
 
+def _read_recordings(value: object) -> object:
+    paths = [value] if isinstance(value, str) else value
+    if not isinstance(paths, (list, tuple)):
+        return value
+    if not paths:
+        mistake(f"expected {_RECORDINGS_TEXT}, got none")
+    for path in paths:
+        if isinstance(path, str) and not Path(path).expanduser().exists():
+            mistake(f"expected {_RECORDINGS_TEXT}, got {path!r}; no such file or folder")
+    return tuple(read_path(path) for path in paths)
+
+
+_RECORDINGS_TEXT = "paths of recorded traffic, such as [log.xml, recordings]"
+Recordings = Annotated[
+    tuple[Path, ...],
+    BeforeValidator(_read_recordings),
+    PlainSerializer(lambda value: [str(path) for path in value]),
+    Expectation(_RECORDINGS_TEXT),
+    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}),
+]
+
+
 class SceneConfig(Section):
     """Which traffic scenes are trained and tested on."""
 
-    source: Literal["town", "captured", "folder"] = Field(
+    source: Literal["town", "traffic", "captured", "folder"] = Field(
         default="town",
-        description="town builds the embedded street scenes; captured takes images of them and makes meshes of these; "
-        "folder reads scene_<seed>.glb files",
+        description="town builds the embedded street scenes; traffic builds scenes of recorded traffic; captured takes "
+        "images of embedded ones and makes meshes of these; folder reads scene_<seed>.glb files",
     )
     level: Annotated[Level | None, Expectation(", ".join(LEVELS))] = Field(
         default=None,
@@ -222,6 +244,16 @@ class SceneConfig(Section):
         description="the road users that rigs are optimised and evaluated for; all others only hide them",
     )
 
+    recordings: Recordings | None = Field(
+        default=None,
+        description="files and folders of recorded traffic that source: traffic takes, as warpav scenes traffic does; "
+        "null: those that ship with warpav",
+    )
+    test_recordings: Recordings | None = Field(
+        default=None,
+        description="the same for the test scenes alone; null: the last third of scenes.recordings, by name",
+    )
+
     @property
     def search_scene_count(self) -> int:
         """Scenes on which a search by a pool chooses: of training, with their mirror images, and of validation."""
@@ -239,6 +271,9 @@ class SceneConfig(Section):
                 )
         if self.level is not None and self.source != "town":
             mistake(f"expected no level because scenes.source is {self.source}, got {self.level}", "level", "source")
+        for name in ("recordings", "test_recordings"):
+            if getattr(self, name) is not None and self.source != "traffic":
+                mistake("expected null, as scenes.source is not traffic", name, "source")
         if self.source == "folder":
             if self.folder is None:
                 mistake("expected a folder of scenes because scenes.source is folder, got none", "folder", "source")

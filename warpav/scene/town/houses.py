@@ -9,18 +9,18 @@ from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.town_layout import Block, Marking, Rectangle
 
 KERB_HEIGHT_M = 0.13
-_KERB_WIDTH_M = 0.16
-_MARKING_HEIGHT_M = 0.004
+KERB_WIDTH_M = 0.16
+MARKING_HEIGHT_M = 0.004
 _SHADOW_HEIGHT_M = 0.008
 _SHADOW_SEGMENTS = 24
 _FOOT_SHADOW = 0.5  # strength of a person's shadow
-_PAVEMENT_FADE = 0.14  # light that the houses take from the pavement in front of them
+PAVEMENT_FADE = 0.14  # light that the houses take from the pavement in front of them
 _FOOT_HEIGHT_M = 0.3  # what is lower belongs to the ground, or to the foot of a wall that stands on it
 # How far each ring of a contact shadow lies outside the vehicle's outline [m], and the light that is left there.
 _SHADOW_RINGS = ((-0.50, 0.16), (-0.12, 0.20), (0.03, 0.45), (0.16, 0.74), (0.36, 1.0))
 _GROUND_CELL_M, _YARD_CELL_M = 3.0, 16.0
 _CORNER_POINTS = 6
-_HOUSE_DEPTH_M = 9.0
+HOUSE_DEPTH_M = 9.0
 _GROUND_FLOOR_M, _FLOOR_M = 3.5, 3.1
 _WALL_COLOURS = np.array(
     [
@@ -138,7 +138,7 @@ class SceneryBuilder:
         x_low, y_low, x_high, y_high = marking.rectangle_m
         along = self._columns(x_low, x_high, max(1, round((x_high - x_low) / 16.0)))
         x, y = np.meshgrid(along, [y_low, y_high], indexing="ij")
-        point = np.stack([x, y, np.full_like(x, _MARKING_HEIGHT_M)], axis=-1)
+        point = np.stack([x, y, np.full_like(x, MARKING_HEIGHT_M)], axis=-1)
         self._add_sheet(point, np.full(3, marking.brightness))
 
     def add_contact_shadow(
@@ -149,12 +149,13 @@ class SceneryBuilder:
         width_m: float,
         index: int,
         *,
+        height_m: float = 0.0,
         segments: int = _SHADOW_SEGMENTS,
     ) -> None:
         """Add the shadow below a vehicle: dark in the centre, fading into the asphalt; `index` keeps shadows apart."""
         grey = self.asphalt_grey * np.array([1.0, 1.0, 1.015])
-        self._add_shadow(center_m, yaw_rad, (length_m, width_m), _SHADOW_HEIGHT_M + 0.0004 * index, grey, 1.0,
-                         segments)  # fmt: skip
+        height_m += _SHADOW_HEIGHT_M + 0.0004 * index
+        self._add_shadow(center_m, yaw_rad, (length_m, width_m), height_m, grey, 1.0, segments)
 
     def add_foot_shadow(
         self,
@@ -179,7 +180,7 @@ class SceneryBuilder:
         if pavement_share < 0.0:
             height, grey = 0.0, self.asphalt_grey * np.array([1.0, 1.0, 1.015])
         else:
-            height, grey = KERB_HEIGHT_M, self._pavement_rgb() * (1.0 - _PAVEMENT_FADE * pavement_share)
+            height, grey = KERB_HEIGHT_M, self.pavement_rgb() * (1.0 - PAVEMENT_FADE * pavement_share)
         self._add_shadow(center_m, yaw_rad, size_m, height + _SHADOW_HEIGHT_M + 0.0004 * index, grey, _FOOT_SHADOW,
                          segments)  # fmt: skip
 
@@ -209,7 +210,8 @@ class SceneryBuilder:
         shade = (1.0 - strength * (1.0 - light))[:, None, None] * grey
         self._add_sheet(point, np.broadcast_to(shade, point.shape))
 
-    def _pavement_rgb(self) -> np.ndarray:
+    def pavement_rgb(self) -> np.ndarray:
+        """Colour of pavements, sRGB 0..1, shape [3]."""
         return self._pavement_grey * np.array([1.02, 1.0, 0.97])
 
     def add_block(self, block: Block) -> None:
@@ -217,14 +219,14 @@ class SceneryBuilder:
         rng = self._rng
         x_low, y_low, x_high, y_high = block.rectangle_m
         kerb_colour = np.full(3, self._pavement_grey + 0.09)
-        pavement = self._pavement_rgb()
+        pavement = self.pavement_rgb()
         knots = self._ground.knots_m(x_low, x_high)
-        outer, edge, inner = (_rounded_loop(block, inset, knots) for inset in (0.0, _KERB_WIDTH_M, block.pavement_m))
+        outer, edge, inner = (_rounded_loop(block, inset, knots) for inset in (0.0, KERB_WIDTH_M, block.pavement_m))
         low, high = np.zeros(len(outer)), np.full(len(outer), KERB_HEIGHT_M)
         self._add_sheet(np.stack([np.c_[outer, low], np.c_[outer, high]], axis=1), np.stack([kerb_colour * 0.72] * 2))
         self._add_sheet(np.stack([np.c_[outer, high], np.c_[edge, high]], axis=1), kerb_colour)
         wall = np.minimum(1.0, 1.0 + 0.015 * rng.standard_normal((len(outer), 1, 1)))
-        shade = np.stack([pavement, pavement * (1.0 - _PAVEMENT_FADE)]) * wall
+        shade = np.stack([pavement, pavement * (1.0 - PAVEMENT_FADE)]) * wall
         self._add_sheet(np.stack([np.c_[edge, high], np.c_[inner, high]], axis=1), shade)
         if block.corner_m > 0.0:
             for x, y in ((x_low, y_low), (x_high - block.corner_m, y_low), (x_low, y_high - block.corner_m),
@@ -243,7 +245,7 @@ class SceneryBuilder:
             else:
                 start, direction = along_y[front]
                 crossed = any(name in along_x for name in block.fronts)
-                self._add_row(np.array(start), np.array(direction), y_high - y_low, _HOUSE_DEPTH_M if crossed else 0.0)
+                self._add_row(np.array(start), np.array(direction), y_high - y_low, HOUSE_DEPTH_M if crossed else 0.0)
 
     def _add_row(self, start: np.ndarray, direction: np.ndarray, length: float, inset: float) -> None:
         """A row of houses along a street, from the left end as seen from the street."""
@@ -253,11 +255,27 @@ class SceneryBuilder:
             if end - at - width < 7.0:
                 width = end - at
             ends = (at == inset, at + width > length - inset - 1.0)
-            self._add_house(start + direction * at, direction, width, ends)
+            self.add_house(start + direction * at, direction, width, ends=ends)
             at += width
 
-    def _add_house(self, left: np.ndarray, direction: np.ndarray, width: float, ends: tuple[bool, bool]) -> None:
-        """A house from its left end as seen from the street; ``ends``: whether its row begins or ends with it."""
+    def add_house(
+        self,
+        left: np.ndarray,
+        direction: np.ndarray,
+        width: float,
+        *,
+        ends: tuple[bool, bool] = (True, True),
+        is_free_standing: bool = False,
+    ) -> None:
+        """Add a house of two to four floors, `HOUSE_DEPTH_M` deep.
+
+        Args:
+            left: Left end of its front as seen from the street, x and y [m], shape [2].
+            direction: Unit vector along the front, to the right, shape [2].
+            width: Width of the front [m].
+            ends: Whether its row begins and ends with it.
+            is_free_standing: It has a wall at its back, which houses in a row do not show.
+        """
         rng = self._rng
         self._house_x_m = float(left[0] + 0.5 * width * direction[0])
         outward = np.array([direction[1], -direction[0]])
@@ -265,14 +283,16 @@ class SceneryBuilder:
         height = _GROUND_FLOOR_M + floors * _FLOOR_M - 0.2
         wall = _WALL_COLOURS[rng.integers(len(_WALL_COLOURS))] * rng.uniform(0.90, 1.06)
         roof = _ROOF_COLOURS[rng.integers(len(_ROOF_COLOURS))] * rng.uniform(0.9, 1.1)
-        right, depth = left + direction * width, -outward * _HOUSE_DEPTH_M
+        right, depth = left + direction * width, -outward * HOUSE_DEPTH_M
         self._add_front(left, direction, width, height, wall)
         # Both flanks look like plain walls, or like fronts where they stand at a corner of the block: seldom in view.
         for corner, facing, is_end in ((right, -outward, ends[1]), (left + depth, outward, ends[0])):
             if self._detailed_within_m is None or is_end:
-                self._add_front(corner, facing, _HOUSE_DEPTH_M, height, wall * 0.95)
+                self._add_front(corner, facing, HOUSE_DEPTH_M, height, wall * 0.95)
             else:
-                self._add_plain_wall(corner, facing, _HOUSE_DEPTH_M, height, wall * 0.9)
+                self._add_plain_wall(corner, facing, HOUSE_DEPTH_M, height, wall * 0.9)
+        if is_free_standing:
+            self._add_front(right + depth, -direction, width, height, wall * 0.95)
         corner = np.stack([left, right, right + depth, left + depth])
         top = np.c_[corner, np.full(4, height)]
         if rng.random() < 0.55:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import difflib
 import re
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from warpav.core.errors import ArgumentError
+from warpav.core.fingerprint import fingerprint
 from warpav.scene.scene import Scene
 
 Level = Literal["easy", "urban", "dense", "motorway"]
@@ -66,13 +68,27 @@ def checked_level(level: str) -> Level:
     return found
 
 
-def level_recipe(seed: int, level: Level) -> tuple[tuple[object, ...], tuple[str, ...]]:
-    """What files of a scene are named after: what chooses it, and the modules that build it.
+@dataclass(frozen=True)
+class TownSource:
+    """What an embedded scene is made of.
 
-    Those of ``easy`` are what they were before there were levels.
+    Attributes:
+        seed: Any integer from 0.
+        level: Of the town.
     """
-    code = (f"warpav.scene.town.{_CODE[level]}",)
-    return ((seed,), code) if level == "easy" else ((seed, level), (*code, __name__))
+
+    seed: int
+    level: Level = "easy"
+
+    def scene(self) -> Scene:
+        """The scene; as of `level_scene`."""
+        return level_scene(self.seed, self.level)
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of all that the scene depends on; that of ``easy`` knows nothing of the code of other levels."""
+        code = (f"warpav.scene.town.{_CODE[self.level]}",)
+        return fingerprint(self.seed, self.level, code=code if self.level == "easy" else (*code, __name__))
 
 
 def level_of(source: str) -> tuple[Level, int] | None:

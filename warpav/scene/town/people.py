@@ -1,4 +1,4 @@
-"""People on foot and on bicycles: closed shells of limbs, torso, head and clothes.
+"""People on foot, on bicycles and on motorcycles: closed shells of limbs, torso, head and clothes.
 
 Frame: x forward, y left, z up, metres; the origin lies on the ground below the person or the bicycle's centre. A person
 is 1.75 m tall before it is scaled.
@@ -19,6 +19,8 @@ PEDESTRIAN_VARIANTS = 6
 """Poses and clothes: two steps, standing, a coat, a rucksack, a hand bag."""
 CYCLIST_VARIANTS = 2
 """Upright with a helmet, and leaning forward."""
+MOTORCYCLIST_VARIANTS = 2
+"""On a motorcycle, and on a scooter."""
 
 _THIGH_M, _SHIN_M = 0.435, 0.425
 _UPPER_ARM_M, _FOREARM_M = 0.29, 0.26
@@ -180,6 +182,93 @@ def _cyclist_surface(builder: SurfaceBuilder, variant: int) -> Surface:
     return builder.finish()
 
 
+def _add_tyre(builder: SurfaceBuilder, hub: Point, wheel_radius: float, tyre_radius: float) -> None:
+    """A ring about a y axis."""
+    around = np.linspace(0.0, 2.0 * np.pi, _WHEEL_SEGMENTS + 1)[:, None]
+    around[-1] = 0.0
+    section = np.linspace(0.0, 2.0 * np.pi, 4)[None, :]
+    section[0, -1] = 0.0
+    radius = wheel_radius - tyre_radius + tyre_radius * np.cos(section)
+    y = tyre_radius * np.sin(section) + 0.0 * around
+    tyre = np.stack([hub[0] + radius * np.cos(around), y, hub[2] + radius * np.sin(around)], axis=-1)
+    builder.add_grid(tyre[::-1], Material.TYRE)
+
+
+def _add_motorcycle(builder: SurfaceBuilder, bar: Point, *, scooter: bool) -> None:
+    radius, tyre = (0.25, 0.055) if scooter else (0.30, 0.06)
+    rear, front = (-0.62, 0.0, radius), (0.70, 0.0, radius)
+    for hub in (rear, front):
+        _add_tyre(builder, hub, radius, tyre)
+        x, _, z = hub
+        builder.add_tube(np.array([(x, -0.07, z), (x, 0.07, z)]), np.full((2, 2), 0.6 * radius), Material.RIM, sides=10)
+    crown = (bar[0] + 0.08, 0.0, bar[2] - 0.06)
+    for side in (-0.075, 0.075):
+        _add_rod(builder, (crown[0], side, crown[2]), (front[0], side, front[2]), 0.026, Material.METAL)
+    x, _, z = bar
+    _add_rod(builder, (x, -0.34, z), (x, 0.34, z), 0.018, Material.DARK)
+    builder.add_ellipsoid_pair((x + 0.12, 0.36, z + 0.13), (0.03, 0.07, 0.05), Material.BLACK_PLASTIC)
+    for side in (-1.0, 1.0):
+        _add_rod(builder, (x, 0.30 * side, z), (x + 0.11, 0.34 * side, z + 0.11), 0.010, Material.DARK)
+    lamp = (crown[0] + 0.06, 0.0, crown[2] - 0.04)
+    builder.add_tube(
+        np.array([lamp, (lamp[0] + 0.09, 0.0, lamp[2])]), np.full((2, 2), 0.085), Material.HEADLAMP, sides=8
+    )
+    builder.add_box((-0.68, -0.13, 0.70), (0.02, 0.13, 0.79), Material.DARK)  # the seat
+    builder.add_box((-0.98, -0.09, 0.50), (-0.94, 0.09, 0.62), Material.REAR_PLATE)
+    builder.add_box((-0.97, -0.11, 0.64), (-0.92, 0.11, 0.71), Material.TAIL_LAMP)
+    tail = np.array([(-0.95, 0.0, 0.64), (-0.55, 0.0, 0.60), (-0.10, 0.0, 0.56 if scooter else 0.62)])
+    builder.add_tube(tail, np.array([[0.07, 0.10], [0.15, 0.17], [0.16, 0.17]]), Material.PAINT, sides=8, cap=0.2)
+    if scooter:
+        builder.add_box((-0.25, -0.20, 0.24), (0.42, 0.20, 0.32), Material.PAINT)
+        shield = np.array([(0.44, 0.0, 0.26), (0.47, 0.0, 0.60), (crown[0] - 0.02, 0.0, crown[2])])
+        builder.add_tube(shield, np.array([[0.06, 0.21], [0.07, 0.23], [0.07, 0.14]]), Material.PAINT, sides=8, cap=0.2)
+        builder.add_tube(np.array([(-0.62, -0.13, 0.32), (-0.62, 0.13, 0.32)]), np.full((2, 2), 0.20), Material.DARK,
+                         sides=8)  # fmt: skip
+        return
+    tank = np.array([(-0.12, 0.0, 0.78), (0.10, 0.0, 0.82), (0.34, 0.0, 0.84), (0.46, 0.0, 0.80)])
+    builder.add_tube(tank, np.array([[0.06, 0.09], [0.13, 0.16], [0.12, 0.15], [0.05, 0.07]]), Material.PAINT, sides=8)
+    builder.add_box((-0.22, -0.13, 0.24), (0.26, 0.13, 0.70), Material.CARGO_FRAME)  # the engine
+    _add_rod(builder, (0.30, -0.16, 0.30), (-0.70, -0.18, 0.36), 0.045, Material.CHROME)
+    builder.add_box((-0.62, -0.06, 0.27), (-0.18, 0.06, 0.36), Material.DARK)
+    guard = np.array([(front[0] - 0.22, 0.0, 0.55), (front[0], 0.0, 0.64), (front[0] + 0.20, 0.0, 0.56)])
+    builder.add_tube(guard, np.array([[0.02, 0.06], [0.025, 0.07], [0.02, 0.06]]), Material.PAINT, sides=6)
+
+
+def _motorcyclist_surface(builder: SurfaceBuilder, variant: int) -> Surface:
+    scooter = variant == 1
+    bar = (0.36, 0.0, 1.02) if scooter else (0.34, 0.0, 1.04)
+    _add_motorcycle(builder, bar, scooter=scooter)
+    hip = np.array([-0.28, 0.0, 0.86])
+    shoulder = np.array([-0.16, 0.0, 1.37]) if scooter else np.array([-0.06, 0.0, 1.35])
+    for side in (-1.0, 1.0):
+        ankle = (0.20, 0.11 * side, 0.39) if scooter else (-0.02, 0.19 * side, 0.33)
+        _add_leg(builder, (float(hip[0]), 0.10 * side, float(hip[2])), ankle, 0.05)
+        joint = (float(shoulder[0]), 0.182 * side, float(shoulder[2]) - 0.045)
+        wrist = (bar[0] - 0.07, 0.27 * side, bar[2] + 0.045)
+        elbow = (0.5 * (joint[0] + wrist[0]) - 0.03, 0.30 * side, 0.5 * (joint[2] + wrist[2]) - 0.07)
+        _add_arm(builder, joint, elbow, wrist)
+    share = np.array([-0.14, 0.02, 0.25, 0.55, 0.85, 1.0, 1.07])[:, None]
+    radius = np.array([[0.09, 0.14], [0.135, 0.175], [0.120, 0.160], [0.130, 0.180], [0.118, 0.190], [0.09, 0.150],
+                       [0.055, 0.07]])  # fmt: skip
+    material = np.full(len(radius) + 1, Material.TOP)
+    material[:2] = Material.LEGWEAR
+    builder.add_tube(hip + share * (shoulder - hip), radius, material, sides=8, cap=0.2)
+    head = (float(shoulder[0]) + 0.05, 0.0, float(shoulder[2]) + 0.19)
+    _add_rod(
+        builder, (head[0] - 0.03, 0.0, head[2] - 0.20), (head[0] - 0.01, 0.0, head[2] - 0.06), 0.052, Material.SKIN
+    )
+    _add_ball(builder, (head[0] - 0.01, 0.0, head[2] + 0.02), (0.145, 0.120, 0.155), Material.HELMET)
+    builder.add_box((head[0] + 0.06, -0.085, head[2] - 0.03), (head[0] + 0.13, 0.085, head[2] + 0.05), Material.GLASS)
+    return builder.finish()
+
+
+_SURFACES = {
+    "pedestrian": (_pedestrian_surface, PEDESTRIAN_VARIANTS),
+    "cyclist": (_cyclist_surface, CYCLIST_VARIANTS),
+    "motorcyclist": (_motorcyclist_surface, MOTORCYCLIST_VARIANTS),
+}
+
+
 class _CoarseBuilder(SurfaceBuilder):
     """Tubes with about half of their sides, for people far away."""
 
@@ -192,8 +281,7 @@ class _CoarseBuilder(SurfaceBuilder):
 
 @cache
 def _baked(category: str, variant: int, coarse: bool) -> tuple[Surface, np.ndarray]:
-    builder = _CoarseBuilder() if coarse else SurfaceBuilder()
-    surface = (_pedestrian_surface if category == "pedestrian" else _cyclist_surface)(builder, variant)
+    surface = _SURFACES[category][0](_CoarseBuilder() if coarse else SurfaceBuilder(), variant)
     surface = replace(surface, vertex_m=surface.vertex_m - [0.0, 0.0, surface.vertex_m[:, 2].min()])
     return surface, sky_share(surface)
 
@@ -215,7 +303,7 @@ def person_mesh(
     """A random person with the light baked in.
 
     Args:
-        category: ``pedestrian`` or ``cyclist`` (with the bicycle).
+        category: ``pedestrian``, ``cyclist`` (with the bicycle) or ``motorcyclist`` (with the motorcycle).
         rng: Draws pose, clothes and size; one pedestrian in seven is a child.
         height_m: How tall, instead of the drawn size [m].
         coarse: With about half of the triangles, for where the person is far away.
@@ -226,9 +314,9 @@ def person_mesh(
     Raises:
         ValueError: There is no such category.
     """
-    if category not in ("pedestrian", "cyclist"):
-        raise ValueError(f"no person {category!r}; categories: pedestrian, cyclist")
-    variant = int(rng.integers(PEDESTRIAN_VARIANTS if category == "pedestrian" else CYCLIST_VARIANTS))
+    if category not in _SURFACES:
+        raise ValueError(f"no person {category!r}; categories: {', '.join(_SURFACES)}")
+    variant = int(rng.integers(_SURFACES[category][1]))
     surface, sky = _baked(category, variant, coarse)
 
     def drawn(colours: np.ndarray) -> np.ndarray:
@@ -247,7 +335,7 @@ def person_mesh(
     wide = tall * rng.uniform(0.95, 1.12)
     if category == "pedestrian" and rng.random() < 1.0 / 7.0:
         tall, wide = 0.72 * tall, 0.76 * wide
-    if category == "cyclist":
+    if category != "pedestrian":
         tall, wide = 0.97 + 0.4 * (tall - 1.0), 1.0
     if height_m is not None:
         tall = height_m / float(surface.vertex_m[:, 2].max())

@@ -1,0 +1,135 @@
+"""Moments: spaced, of fitting vehicles, the same for the same seed, and never of one recording in both parts."""
+
+import numpy as np
+import pytest
+
+from tests.scene.traffic.recordings import STEP_S, recording_of, street, track, write
+from warpav.core.errors import InputError
+from warpav.scene.traffic.files import content_digest, read_recording, shipped_recordings
+from warpav.scene.traffic.moments import (
+    LENGTH_RATIO,
+    MOVED_M,
+    OVERLAP_MAX_M,
+    SPACING_S,
+    Moment,
+    moment_of,
+    moments_of,
+    search_and_test,
+    traffic_of,
+)
+from warpav.scene.traffic.recording import deepest_overlap
+
+CAR_M = np.array([[-1.0, -1.1, 0.0], [3.7, 1.1, 1.5]])
+BUS_M = np.array([[-2.0, -1.3, 0.0], [7.0, 1.3, 3.1]])
+
+
+def test_moments_are_spaced_and_of_vehicles_about_as_large(tmp_path):
+    file = write(tmp_path, street())
+    moments = moments_of([file], CAR_M)
+    assert {moment.ego_id for moment in moments} == {"a", "b"}
+    steps = sorted({moment.step for moment in moments})
+    assert min(np.diff(steps)) * STEP_S >= SPACING_S
+    assert steps == [0, 2, 4, 6, 8]
+    assert {moment.ego_id for moment in moments_of([file], BUS_M)} == {"c"}
+
+
+def test_the_recorded_ego_vehicle_is_the_only_one(tmp_path):
+    file = write(tmp_path, street(ego="c"))
+    assert {moment.ego_id for moment in moments_of([file], CAR_M)} == {"c"}
+
+
+def test_who_waits_is_the_ego_vehicle_once(tmp_path):
+    users = [track(str(k), "car", (4.5, 1.8), (9.0 * k, -1.75), 0.0, 0.0 if k else 5.0) for k in range(3)]
+    users[0]["x_m"] = [x - 40.0 for x in users[0]["x_m"]]
+    moments = moments_of([write(tmp_path, street(users=users))], CAR_M)
+    assert sorted((moment.ego_id, moment.step) for moment in moments if moment.ego_id != "0") == [("1", 0), ("2", 0)]
+    assert sum(moment.ego_id == "0" for moment in moments) == 5
+
+
+def test_moments_of_shipped_recordings_keep_what_they_promise():
+    files = shipped_recordings()[:3]
+    moments = moments_of(files, CAR_M)
+    place = {}
+    for moment in sorted(moments, key=lambda each: (each.file, each.ego_id, each.step)):
+        states = {state.user.user_id: state for state in read_recording(moment.file).states_at(moment.step)}
+        assert deepest_overlap(list(states.values()))[0] <= OVERLAP_MAX_M
+        own = states[moment.ego_id]
+        assert LENGTH_RATIO[0] <= 4.7 / own.user.size_m[0] <= LENGTH_RATIO[1]
+        key = (moment.file, moment.ego_id)
+        if key in place:
+            assert np.linalg.norm(own.centre_m - place[key]) >= MOVED_M
+        place[key] = own.centre_m
+    assert len(set(moments)) == len(moments)
+
+
+def test_search_and_test_share_no_recording():
+    traffic = traffic_of(None, None, CAR_M)
+    search, test = ({content_digest(moment.file) for moment in part} for part in (traffic.search, traffic.test))
+    assert (len(search), len(test)) == (10, 5)
+    assert not search & test
+    # the test comes later
+    assert max(moment.file.name for moment in traffic.search) < min(moment.file.name for moment in traffic.test)
+
+
+def test_a_seed_means_the_same_moment_every_time_and_many_seeds_all_of_them():
+    moments = traffic_of(None, None, CAR_M).search
+    assert moments == traffic_of(None, None, CAR_M).search
+    assert {moment_of(moments, seed) for seed in range(7, 7 + len(moments))} == set(moments)
+    assert moment_of(moments, 5) == moment_of(moments, 5 + len(moments))
+    first = [moment_of(moments, seed).file for seed in range(30)]
+    assert len(set(first)) > 5  # mixed
+
+
+def test_recordings_of_the_test_can_be_named(tmp_path):
+    one, other = (write(tmp_path, street(id=name), f"{name}.json") for name in ("one", "other"))
+    assert search_and_test([one], [other]) == ([one], [other])
+    assert search_and_test([tmp_path], None) == ([one], [other])
+    with pytest.raises(InputError, match=r"recordings: expected at least two"):
+        search_and_test([one], None)
+    with pytest.raises(InputError, match=r"one.json: expected a recording for the test alone, got the content of"):
+        search_and_test([one, other], [one])
+
+
+def two_cars(gap_m):
+    return street(
+        users=[
+            track("a", "car", (4.5, 1.8), (0.0, -1.75), 0.0, 5.0),
+            track("b", "car", (4.5, 1.8), (4.5 + gap_m, -1.75), 0.0, 5.0),
+            track("c", "car", (4.5, 1.8), (30.0, 1.75), np.pi, 5.0),
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    ("data", "bounds_m", "message"),
+    [
+        (
+            two_cars(-0.8),
+            CAR_M,
+            r"expected boxes that overlap by at most 0.3 m, got road users a and b, which overlap by 0.80 m at step",
+        ),
+        (street(users=street()["road_users"][:1]), CAR_M, r"got none: they are empty"),
+        (
+            street(),
+            np.array([[-6, -1.3, 0], [20, 1.3, 3]]),
+            r"expected a road user about as large as the ego vehicle, 26",
+        ),
+    ],
+)
+def test_recordings_without_a_moment_say_why(tmp_path, data, bounds_m, message):
+    file = write(tmp_path, data)
+    with pytest.raises(InputError, match=message) as error:
+        moments_of([file], bounds_m)
+    assert str(error.value).startswith(str(file))
+    assert "\n" not in str(error.value)
+
+
+def test_a_small_overlap_is_borne(tmp_path):
+    assert moments_of([write(tmp_path, two_cars(-0.25))], CAR_M)
+
+
+def test_a_recording_without_moments_among_others_is_passed_over(tmp_path):
+    good, bad = write(tmp_path, street(), "good.json"), write(tmp_path, two_cars(-0.8), "bad.json")
+    assert {moment.file for moment in moments_of([bad, good], CAR_M)} == {good}
+    assert recording_of(two_cars(-0.8)).states_at(0)
+    assert Moment(good, 0, "a") in moments_of([good], CAR_M)

@@ -1,0 +1,152 @@
+"""The ground of recorded scenes: road where lanes are, without gaps, kerbs where it ends."""
+
+import numpy as np
+import pytest
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+
+from warpav.scene.town.ground import StreetGround
+from warpav.scene.town.houses import KERB_HEIGHT_M, SceneryBuilder
+from warpav.scene.traffic.recording import Lanelet
+from warpav.scene.traffic.road import CELL_M, ROAD_REACH_M, road_of
+
+HALF_M, END_M = 4.0, 40.0
+
+
+def lane(x, low, high, *kinds):
+    return Lanelet(np.array([[each, high] for each in x], float), np.array([[each, low] for each in x], float), kinds)
+
+
+def straight_road(*more, heavy=(), light=(), end_m=END_M):
+    lanes = [lane((-end_m, end_m), -HALF_M, 0.0), lane((end_m, -end_m), HALF_M, 0.0), *more]
+    place = np.array([[2.5, 1.0], [-2.5, 1.0], [-2.5, -1.0], [2.5, -1.0]])
+    return road_of(lanes, [place, *heavy], list(light), 3.0)
+
+
+def built(road, seed=0):
+    rng = np.random.default_rng(seed)
+    builder = SceneryBuilder(rng, StreetGround())
+    return road.ground(builder, rng), builder
+
+
+def heights_m(mesh, point_m):
+    """Height of the highest surface below points, NaN where a ray falls through."""
+    caster = EmbreeScene()
+    TriangleMesh(caster, mesh.vertex_m[mesh.triangle])
+    origin = np.c_[point_m, np.full(len(point_m), 5.0)].astype(np.float32)
+    down = np.broadcast_to(np.array([0, 0, -1], np.float32), origin.shape)
+    away = caster.run(origin, np.ascontiguousarray(down), query="DISTANCE")
+    return np.where(away < 1e6, 5.0 - away, np.nan)
+
+
+def test_distances_are_those_from_the_straight_road():
+    road = straight_road()
+    y = np.linspace(-12.0, 12.0, 49)
+    for x in (-20.0, 0.0, 20.0):
+        point = np.c_[np.full_like(y, x), y]
+        # cells of .1 m, and smoothing of .25 m where the distance bends; worst seen .11
+        assert np.abs(road.distance_m(point) - (np.abs(y) - HALF_M)).max() < 0.16
+        near = np.abs(np.abs(y) - HALF_M) < 1.5
+        assert np.abs(road.distance_m(point) - (np.abs(y) - HALF_M))[near].max() < 0.08  # worst seen .05
+    assert road.height_m(np.array([[0.0, 3.8], [0.0, 4.2], [500.0, 0.0]])).tolist() == [
+        0.0,
+        KERB_HEIGHT_M,
+        KERB_HEIGHT_M,
+    ]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_ground_has_no_gap_and_one_height_everywhere(seed, rng):
+    road = straight_road(
+        lane((5.0, 9.0), -30.0, 0.0), heavy=[np.array([[10.0, 9.0], [14.0, 9.0], [14.0, 6.0], [10.0, 6.0]])]
+    )
+    mesh, _ = built(road, seed)
+    point = rng.uniform(road.low_m + 0.05, road.high_m - 0.05, (60_000, 2))
+    height = heights_m(mesh, point)
+    assert not np.isnan(height).any()
+    away = np.abs(road.distance_m(point)) > 0.25  # kerbs and their stones
+    assert np.abs(height - road.height_m(point))[away].max() < 5e-3
+    # seen from above, triangles cover the area once, and walls and stones lie upon it
+    corner = mesh.vertex_m[mesh.triangle].astype(np.float64)
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    flat = (np.ptp(corner[..., 2], axis=1) < 1e-6) & (np.abs(corner[:, 0, 2] - KERB_HEIGHT_M - 0.004) > 1e-3)
+    assert (normal[flat, 2] > 0.0).all()
+    assert 0.5 * normal[flat, 2].sum() == pytest.approx(np.prod(road.high_m - road.low_m), rel=1e-5)
+
+
+def test_kerbs_face_the_road():
+    mesh, _ = built(straight_road())
+    corner = mesh.vertex_m[mesh.triangle].astype(np.float64)
+    wall = np.ptp(corner[..., 2], axis=1) > 0.1
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[wall]
+    middle = corner[wall].mean(axis=1)
+    beside = np.abs(middle[:, 0]) < 30.0
+    assert beside.sum() > 20
+    assert (np.sign(normal[beside, 1]) == -np.sign(middle[beside, 1])).all()
+    assert np.abs(np.abs(middle[beside, 1]) - HALF_M).max() < 0.06  # worst seen .02
+
+
+def test_gaps_between_lanes_are_closed_and_islands_stay():
+    gap = straight_road(lane((-40.0, 40.0), 4.8, 8.0))
+    assert (gap.distance_m(np.array([[x, 4.4] for x in range(-30, 31, 5)])) < 0.0).all()
+    island = straight_road(lane((-40.0, 40.0), 8.0, 12.0))
+    assert (island.distance_m(np.array([[x, 6.0] for x in range(-30, 31, 5)])) > 0.0).all()
+
+
+def test_whoever_stands_outside_the_lanes_stands_on_road_and_riders_not_across_a_kerb():
+    away = np.array([[22.0, 15.0], [18.0, 15.0], [18.0, 13.0], [22.0, 13.0]])
+    assert (straight_road(heavy=[away]).distance_m(away * 0.5 + away.mean(axis=0) * 0.5) < 0.0).all()
+    assert (straight_road(light=[away]).distance_m(away) > 0.0).all()
+    across = away - [0.0, 10.0]  # 3 to 5 m from the middle
+    assert (straight_road(light=[across]).distance_m(across * 0.5 + across.mean(axis=0) * 0.5) < 0.0).all()
+
+
+def test_roads_end_within_reach():
+    road = straight_road(end_m=300.0)
+    assert road.distance_m(np.array([[ROAD_REACH_M - 1.0, 0.0]]))[0] < 0.0
+    assert road.distance_m(np.array([[ROAD_REACH_M + 1.0, 0.0]]))[0] > 0.0
+    assert (road.high_m <= ROAD_REACH_M + 30.0).all()
+    assert CELL_M * (np.array(road.field_m.shape[::-1]) - 1) == pytest.approx(road.high_m - road.low_m)
+
+
+def marking_points_m(road):
+    builder = SceneryBuilder(np.random.default_rng(0), StreetGround())
+    road.add_markings(builder)
+    return builder.finish().vertex_m
+
+
+def test_lines_separate_lanes_and_crossings_have_none():
+    point = marking_points_m(straight_road())
+    centre = point[np.abs(point[:, 1]) < 0.5]
+    assert np.ptp(centre[:, 0]) > 70.0
+    assert np.abs(centre[:, 1]).max() == pytest.approx(0.06, abs=1e-3)
+    edge = np.abs(point[np.abs(point[:, 1]) > 0.5, 1])
+    assert np.abs(edge - (HALF_M - 0.2)).max() < 0.07
+    over = Lanelet(np.array([[5.0, -10.0], [5.0, 10.0]]), np.array([[12.0, -10.0], [12.0, 10.0]]))
+    crossed = marking_points_m(straight_road(over))
+    assert not ((crossed[:, 0] > 6.0) & (crossed[:, 0] < 11.0) & (np.abs(crossed[:, 1]) < 4.0)).any()
+
+
+def test_lanes_of_one_direction_have_dashes_between_them():
+    lanes = [lane((-40.0, 40.0), -4.0, 0.0), lane((-40.0, 40.0), 0.0, 4.0)]
+    place = np.array([[2.5, 1.0], [-2.5, 1.0], [-2.5, -1.0], [2.5, -1.0]])
+    point = marking_points_m(road_of(lanes, [place], [], 3.0))
+    x = np.unique(np.round(point[np.abs(point[:, 1]) < 0.5, 0], 2))
+    assert len(x) > 10
+    assert np.diff(x).max() == pytest.approx(3.0, abs=0.2)  # gaps
+
+
+def test_crossings_have_stripes_on_the_road_alone():
+    crossing = Lanelet(np.array([[10.0, -6.0], [10.0, 6.0]]), np.array([[13.0, -6.0], [13.0, 6.0]]), ("crosswalk",))
+    road = straight_road(crossing)
+    point = marking_points_m(road)
+    stripe = point[(point[:, 0] > 9.9) & (point[:, 0] < 13.1) & (np.abs(np.abs(point[:, 1]) - 3.8) > 0.1)]
+    assert np.abs(stripe[:, 1]).max() < HALF_M
+    assert len(np.unique(np.round(stripe[:, 1], 2))) >= 12
+    mesh, builder = built(road)
+    road.add_markings(builder)
+    paint = builder.finish()
+    corner = paint.vertex_m[paint.triangle].astype(np.float64)
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    assert (normal[:, 2] > 0.0).all()
+    assert len(mesh.triangle)

@@ -1,0 +1,103 @@
+"""Bodies of recorded road users: of the recorded sizes, closed, with round wheels on the ground."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.scene.town.closed_surface import unmatched_edge_count
+from warpav.scene.scene import road_user_of
+from warpav.scene.town.vehicle_shapes import vehicle_mesh
+from warpav.scene.traffic.road_users import body_mesh, drawn_kind
+
+SIZES = [
+    ("hatchback", (3.53, 1.62, math.nan)),
+    ("saloon", (4.7, 1.85, 1.45)),
+    ("suv", (4.4, 1.95, math.nan)),
+    ("van", (5.2, 2.03, 2.5)),
+    ("lorry", (6.41, 2.18, math.nan)),
+    ("lorry", (19.8, 2.5, 3.9)),
+    ("bus", (9.05, 2.39, math.nan)),
+    ("bus", (12.25, 2.48, 3.2)),
+]
+
+
+@pytest.mark.parametrize(("kind", "size_m"), SIZES)
+def test_bodies_have_the_recorded_length_width_and_height(kind, size_m):
+    for seed in range(4):
+        mesh = body_mesh(kind, size_m, np.random.default_rng(seed))
+        low, high = mesh.bounds_m().astype(np.float64)
+        assert high[0] - low[0] == pytest.approx(size_m[0], abs=1e-5)
+        assert high[0] + low[0] == pytest.approx(0.0, abs=1e-5)
+        assert low[2] == pytest.approx(0.0, abs=2e-3)
+        if not math.isnan(size_m[2]):
+            assert high[2] == pytest.approx(size_m[2], abs=1e-5)
+        # the body without mirrors: in the lower half, where there are none
+        beside = np.abs(mesh.vertex_m[mesh.vertex_m[:, 2] < 0.35 * high[2], 1]).max()
+        assert 2.0 * beside == pytest.approx(size_m[1], abs=0.05)  # a lorry's guards stand out by .02
+        assert unmatched_edge_count(mesh) == 0
+
+
+@pytest.mark.parametrize(("kind", "size_m"), SIZES)
+def test_wheels_stay_round_and_on_the_ground(kind, size_m):
+    """A wheel's lowest point is below its middle, as far from it as its foremost one, but for the height's spread."""
+    mesh = body_mesh(kind, size_m, np.random.default_rng(0))
+    own = vehicle_mesh(kind, np.full(3, 0.5), variant=int(np.random.default_rng(0).integers(2)))
+    same = body_mesh(kind, (float(np.ptp(own.vertex_m[:, 0])), size_m[1], math.nan), np.random.default_rng(0))
+    for each in (mesh, same):
+        foot = each.vertex_m[each.vertex_m[:, 2] < 1e-3]
+        axles = np.unique(np.round(foot[:, 0], 2))
+        axles = axles[np.r_[True, np.diff(axles) > 0.3]]
+        assert len(axles) >= 2
+    rate = float(mesh.vertex_m[:, 2].max() / own.vertex_m[:, 2].max())
+    tyres = [tyre_length_m(mesh, 0.06 * rate), tyre_length_m(own, 0.06)]
+    assert tyres[0] == pytest.approx(rate * tyres[1], rel=0.03)
+
+
+def tyre_length_m(mesh, height_m):
+    """Length of the rearmost tyre up to a height above the ground."""
+    low = mesh.vertex_m[mesh.vertex_m[:, 2] < height_m]
+    rear = low[low[:, 0] < low[:, 0].min() + 0.6]
+    return float(np.ptp(rear[:, 0]))
+
+
+@pytest.mark.parametrize(
+    ("kind", "size_m"), [("cyclist", (1.8, 0.6)), ("motorcycle", (1.35, 0.64)), ("motorcycle", (2.87, 1.36))]
+)
+def test_riders_are_as_long_as_their_boxes(kind, size_m):
+    mesh = body_mesh(kind, (*size_m, math.nan), np.random.default_rng(1))
+    low, high = mesh.bounds_m()
+    assert high[0] - low[0] == pytest.approx(size_m[0], abs=1e-5)
+    assert low[2] == pytest.approx(0.0, abs=2e-3)
+    assert 1.2 < high[2] < 2.1
+
+
+def test_people_are_as_tall_as_recorded():
+    mesh = body_mesh("pedestrian", (0.7, 0.7, 1.62), np.random.default_rng(1))
+    assert mesh.vertex_m[:, 2].max() == pytest.approx(1.62, abs=1e-5)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(2.0, 25.0), st.floats(0.9, 3.2), st.integers(0, 1000))
+def test_every_possible_car_becomes_a_body_of_its_length(length_m, width_m, seed):
+    size_m = (length_m, width_m, math.nan)
+    kind = drawn_kind("car", size_m, np.random.default_rng(seed))
+    mesh = body_mesh(kind, size_m, np.random.default_rng(seed))
+    assert np.ptp(mesh.vertex_m[:, 0]) == pytest.approx(length_m, abs=1e-4)
+    assert np.isfinite(mesh.vertex_m).all()
+
+
+def test_kinds_follow_class_and_size():
+    def kinds(category, length_m, width_m, height_m=math.nan):
+        return {drawn_kind(category, (length_m, width_m, height_m), np.random.default_rng(seed)) for seed in range(80)}
+
+    assert kinds("truck", 8.0, 2.4) == {"lorry"}
+    assert kinds("bicycle", 1.8, 0.6) == {"cyclist"}
+    assert kinds("car", 12.0, 2.5) == {"lorry"}
+    assert kinds("car", 2.2, 0.9) == {"motorcycle"}
+    assert kinds("car", 3.8, 1.7) == {"hatchback"}
+    assert kinds("car", 4.6, 1.8) == {"saloon", "estate", "suv"}
+    assert kinds("car", 4.6, 1.8, 1.68) == {"suv"}
+    assert road_user_of("motorcycle") == "vehicle"

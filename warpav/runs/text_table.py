@@ -1,0 +1,51 @@
+"""A table of texts, for Markdown and for the console."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Group
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table; the first column is to the left, numbers to the right.
+
+    Attributes:
+        title: What it shows.
+        headings: Of the columns.
+        lines: Cells of every line.
+        note: What a reader has to know.
+    """
+
+    title: str
+    headings: Sequence[str]
+    lines: Sequence[Sequence[str]]
+    note: str
+
+    def markdown(self) -> str:
+        """The table as Markdown."""
+        rule = ["---", *["---:"] * (len(self.headings) - 1)]
+        rows = [_markdown_row(cells) for cells in (self.headings, rule, *self.lines)]
+        return "\n".join([f"**{self.title}**", "", *rows, "", self.note, ""])
+
+    def terminal(self) -> Group:
+        """The table for the console."""
+        from rich import box
+        from rich.console import Group
+        from rich.table import Table
+        from rich.text import Text
+
+        table = Table(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        for k, heading in enumerate(self.headings):
+            table.add_column(heading, justify="right" if k else "left", overflow="fold")
+        for cells in self.lines:
+            table.add_row(*map(Text, cells))
+        return Group(Text(self.title, "bold"), table, Text(f"{self.note}\n"))
+
+
+def _markdown_row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

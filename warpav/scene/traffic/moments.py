@@ -1,0 +1,202 @@
+"""Moments of recordings: when a scene takes place, who becomes the ego vehicle, and what a seed means.
+
+Search and test have recordings of their own, so no moment of a recording is in both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from warpav.core.errors import InputError
+from warpav.scene.traffic.files import content_digest, read_recording, recordings_in, shipped_recordings
+from warpav.scene.traffic.recording import RecordedState, Recording, deepest_overlap
+
+REACH_M = 100.0
+"""Who is farther from the ego vehicle is left out."""
+SPACING_S = 1.0
+"""Time between two moments of a recording, at least."""
+OVERLAP_MAX_M = 0.3
+"""Boxes of a moment may overlap so far: drones and cameras err."""
+LENGTH_RATIO, WIDTH_RATIO = (0.6, 1.2), (0.8, 1.15)
+"""Length and width of the ego vehicle over those of the road user that it replaces: what is shorter fits as well."""
+
+MOVED_M = 1.0
+"""Way of a road user between two moments in which it is the ego vehicle: who waits counts once."""
+
+_COMPANY_M, _COMPANY_MIN = 60.0, 2  # other road users near the ego vehicle, one of them no pedestrian
+_MIRRORS_M = 0.22  # by which mirrors make a vehicle wider than its box
+_SEARCH_SHARE = 2.0 / 3.0
+_STREAM = 0x7AF1C
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A scene's place in a recording.
+
+    Attributes:
+        file: The recording.
+        step: When.
+        ego_id: The road user whose place the ego vehicle takes.
+    """
+
+    file: Path
+    step: int
+    ego_id: str
+
+
+@dataclass(frozen=True)
+class Traffic:
+    """Recordings for the search, and others for the test.
+
+    Attributes:
+        search: Moments that training and validation scenes come from, in the order in which seeds take them.
+        test: Moments of the test scenes, likewise.
+    """
+
+    search: tuple[Moment, ...]
+    test: tuple[Moment, ...]
+
+
+def traffic_of(
+    recordings: Sequence[Path] | None, test_recordings: Sequence[Path] | None, ego_bounds_m: np.ndarray
+) -> Traffic:
+    """The moments of recordings.
+
+    Args:
+        recordings: As of `search_and_test`.
+        test_recordings: Likewise.
+        ego_bounds_m: Lowest and highest corner of the vehicle that carries the cameras, in its frame [m], [2, 3].
+
+    Raises:
+        InputError: As of `search_and_test`, or a part has no moment.
+    """
+    search, test = search_and_test(recordings, test_recordings)
+    return Traffic(moments_of(search, ego_bounds_m), moments_of(test, ego_bounds_m))
+
+
+def search_and_test(
+    recordings: Sequence[Path] | None, test_recordings: Sequence[Path] | None
+) -> tuple[list[Path], list[Path]]:
+    """The recordings for the search, and those for the test.
+
+    Args:
+        recordings: Files and folders; None: those that ship with warpav.
+        test_recordings: Those that only the test sees; None: the last third of the others, by name.
+
+    Raises:
+        InputError: There are too few, one cannot be read, or one is in both parts.
+    """
+    search = shipped_recordings() if recordings is None else recordings_in(recordings)
+    if test_recordings is not None:
+        test = recordings_in(test_recordings)
+    elif len(search) < 2:
+        raise InputError(
+            "recordings: expected at least two, so that one can be kept for the test, got one; name others for the test"
+        )
+    else:
+        count = min(max(round(_SEARCH_SHARE * len(search)), 1), len(search) - 1)
+        search, test = search[:count], search[count:]
+    content = {content_digest(path): path for path in search}
+    for path in test:
+        if (digest := content_digest(path)) in content:
+            raise InputError(f"{path}: expected a recording for the test alone, got the content of {content[digest]}")
+    return search, test
+
+
+def moments_of(files: Sequence[Path], ego_bounds_m: np.ndarray) -> tuple[Moment, ...]:
+    """All moments of recordings in an order that mixes them, the same for the same recordings.
+
+    Raises:
+        InputError: A recording cannot be read, or there is no moment in any.
+    """
+    length, width = np.ptp(np.asarray(ego_bounds_m, np.float64)[:, :2], axis=0).tolist()
+    found: list[Moment] = []
+    reasons: list[str] = []
+    for file in files:
+        candidates, reason = _candidates(file, content_digest(file), round(length, 3), round(width, 3))
+        found += [Moment(file, step, ego_id) for step, ego_id in candidates]
+        reasons += [f"{file}: {reason}"] if reason else []
+    if not found:
+        raise InputError(reasons[0])
+    order = np.random.default_rng([_STREAM, len(found)]).permutation(len(found))
+    return tuple(found[k] for k in order)
+
+
+def moment_of(moments: Sequence[Moment], seed: int) -> Moment:
+    """The moment that a seed means; seeds that are `len(moments)` apart have the same, with other looks."""
+    return moments[seed % len(moments)]
+
+
+@lru_cache(maxsize=4096)
+def _candidates(file: Path, content: str, length_m: float, width_m: float) -> tuple[list[tuple[int, str]], str]:
+    """Steps and ego vehicles of a recording, and where there are none the reason."""
+    del content
+    recording = read_recording(file)
+    spacing = max(1, int(np.ceil(SPACING_S / recording.step_s - 1e-9)))
+    found: list[tuple[int, str]] = []
+    deepest: tuple[float, tuple[str, str], int] = (0.0, ("", ""), 0)
+    is_clear = is_sized = False
+    last_m: dict[str, np.ndarray] = {}
+    for step in range(0, recording.last_step + 1, spacing):
+        states = recording.states_at(step)
+        depth, pair = deepest_overlap(states)
+        if depth > OVERLAP_MAX_M:
+            deepest = max(deepest, (depth, pair, step))
+            continue
+        is_clear = True
+        for state in states:
+            if not _may_be_ego(recording, state, length_m, width_m):
+                continue
+            is_sized = True
+            before_m = last_m.get(state.user.user_id)
+            has_moved = before_m is None or np.linalg.norm(state.centre_m - before_m) >= MOVED_M
+            if has_moved and _has_company(state, states):
+                last_m[state.user.user_id] = state.centre_m
+                found.append((step, state.user.user_id))
+    if found:
+        return found, ""
+    if is_sized:
+        reason = (
+            f"expected moments with at least {_COMPANY_MIN} road users within {_COMPANY_M:g} m of one that can be the "
+            "ego vehicle, got none: they are empty"
+        )
+    elif not is_clear:
+        depth, pair, step = deepest
+        reason = (
+            f"expected boxes that overlap by at most {OVERLAP_MAX_M:g} m, got road users {pair[0]} and {pair[1]}, "
+            f"which overlap by {depth:.2f} m at step {step}, and no moment without"
+        )
+    elif recording.ego_id is not None:
+        reason = f"expected the ego vehicle {recording.ego_id} at some moment, got none where it is there"
+    else:
+        reason = (
+            f"expected a road user about as large as the ego vehicle, {length_m:.2f} m long and {width_m:.2f} m wide "
+            "with mirrors, got none; scenes.ego takes vehicles of other sizes"
+        )
+    return [], reason
+
+
+def _may_be_ego(recording: Recording, state: RecordedState, length_m: float, width_m: float) -> bool:
+    """Whether the ego vehicle can take somebody's place: the recorded one, or one of its size."""
+    user = state.user
+    if recording.ego_id is not None:
+        return user.user_id == recording.ego_id
+    if user.category not in ("car", "truck", "bus"):
+        return False
+    long, wide = length_m / user.size_m[0], width_m / user.size_m[1]
+    without_mirrors = (width_m - _MIRRORS_M) / user.size_m[1]
+    return LENGTH_RATIO[0] <= long <= LENGTH_RATIO[1] and WIDTH_RATIO[0] <= wide and without_mirrors <= WIDTH_RATIO[1]
+
+
+def _has_company(ego: RecordedState, states: Sequence[RecordedState]) -> bool:
+    near = [
+        state.user.category
+        for state in states
+        if state is not ego and np.linalg.norm(state.centre_m - ego.centre_m) <= _COMPANY_M
+    ]
+    return len(near) >= _COMPANY_MIN and any(category != "pedestrian" for category in near)

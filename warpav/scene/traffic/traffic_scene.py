@@ -1,0 +1,210 @@
+"""A scene from a moment of a recording: the recorded road users around the ego vehicle, on a road made of the lanes.
+
+Positions, headings, velocities and sizes are recorded; bodies, paint, houses and furniture are drawn by seed, from the
+makers of the embedded town. The ground is level. The ego vehicle stands where the recorded one did, centre on centre.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from warpav.core.fingerprint import fingerprint
+from warpav.raster.mesh import Mesh, merge
+from warpav.scene.scene import Scene, Vehicle
+from warpav.scene.town.ground import StreetGround
+from warpav.scene.town.houses import KERB_HEIGHT_M, SceneryBuilder
+from warpav.scene.town.street_life import Footprint, upright_box
+from warpav.scene.town.town import drawn_sky, ego_vehicle
+from warpav.scene.traffic.files import content_digest, read_recording
+from warpav.scene.traffic.moments import REACH_M, Moment
+from warpav.scene.traffic.recording import Lanelet, RecordedState, Recording
+from warpav.scene.traffic.road import Road, pavement_width_m, road_of, subdivided
+from warpav.scene.traffic.road_users import body_mesh, drawn_kind
+from warpav.scene.traffic.roadside import Roadside, turned
+
+_ROOM_M = 0.45  # of road around whoever stands on it outside the lanes
+_LANE_STEP_M = 2.0
+_SHADOW_LAYERS = 16  # shadows that lie over each other get heights of their own
+_MIRRORS_M = 0.25
+_STREAM = 0x7AF1D
+_ON_FOOT = ("pedestrian", "cyclist", "motorcycle")
+
+
+@dataclass(frozen=True)
+class TrafficSource:
+    """What a scene from recorded traffic is made of.
+
+    Attributes:
+        moment: Where and when.
+        seed: Draws what was not recorded.
+    """
+
+    moment: Moment
+    seed: int
+
+    def scene(self, ego: Mesh | None = None) -> Scene:
+        """The scene; as of `traffic_scene`."""
+        return self.scene_and_left_out(ego)[0]
+
+    def scene_and_left_out(self, ego: Mesh | None = None) -> tuple[Scene, int]:
+        """The scene, and how many road users were left out because the ego vehicle stands in their places."""
+        return traffic_scene(read_recording(self.moment.file), self.moment, self.seed, ego=ego)
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of all that the scene depends on besides the ego vehicle.
+
+        Raises:
+            InputError: The recording cannot be read.
+        """
+        content = content_digest(self.moment.file)
+        return fingerprint(content, self.moment.step, self.moment.ego_id, self.seed, code=(__name__,))
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """A road user in the ego frame: what it is, its mesh in its own frame, where it is, how fast [m/s], [2]."""
+
+    kind: str
+    mesh: Mesh
+    footprint: Footprint
+    velocity_m_s: np.ndarray
+
+
+def traffic_scene(recording: Recording, moment: Moment, seed: int, *, ego: Mesh | None = None) -> tuple[Scene, int]:
+    """The scene of a moment, in the ego frame, and how many road users are left out.
+
+    Args:
+        recording: The recording.
+        moment: Its step, and whose place the ego vehicle takes.
+        seed: Any integer from 0; draws what was not recorded. The same seed gives the same scene, byte for byte.
+        ego: The vehicle that carries the cameras, in its frame; None: that of the embedded town.
+
+    Returns:
+        Road users within `REACH_M`, but for those that the ego vehicle would stand in, which are counted; velocities
+        are relative to that of the recorded ego vehicle.
+
+    Raises:
+        ValueError: The ego vehicle is not there at this step, or the seed is negative.
+    """
+    if seed < 0:
+        raise ValueError(f"seed must be 0 or more, got {seed}")
+    states = recording.states_at(moment.step)
+    own = next((state for state in states if state.user.user_id == moment.ego_id), None)
+    if own is None:
+        raise ValueError(f"no road user {moment.ego_id!r} at step {moment.step}")
+    rng = np.random.default_rng([_STREAM, seed])
+    ego = ego_vehicle() if ego is None else ego
+    low_m, high_m = ego.bounds_m().astype(np.float64)
+    frame = _EgoFrame(own, 0.5 * (low_m + high_m)[:2])
+    others = [state for state in states if state is not own and _away_m(state, own) <= REACH_M]
+    recorded = [_body(state, frame, rng) for state in others]
+    (x, y), (length, width) = frame.centre_ego_m.tolist(), (high_m - low_m)[:2].tolist()
+    place = Footprint(x, y, 0.0, length, width)
+
+    road = _road(recording, recorded, place, frame, pavement_width_m(rng))
+    builder = SceneryBuilder(rng, StreetGround())
+    roadside = Roadside(road, [place, *(each.footprint for each in recorded)], rng)
+    ground = road.ground(builder, rng)
+    road.add_markings(builder)
+    roadside.build(builder)
+    parked = [_Body(each.kind, each.mesh, each.footprint, np.zeros(2)) for each in roadside.parked]
+    bodies = [*recorded, *parked]
+    users = []
+    for number, body in enumerate(bodies, start=1):
+        mesh = _standing(body, road)
+        box = upright_box(mesh, body.footprint.yaw_rad)
+        velocity = frame.direction_in_ego(body.velocity_m_s - own.velocity_m_s)
+        users.append(Vehicle(number, body.kind, mesh, box, velocity))
+    _add_shadow(builder, road, place, "ego", 0)
+    for number, body in enumerate(bodies, start=1):
+        _add_shadow(builder, road, body.footprint, body.kind, number)
+    environment = merge([ground, builder.finish(), *roadside.furniture])
+    name = f"traffic_{seed:04d}"
+    source = f"{recording.recording_id} step {moment.step} ego {moment.ego_id} seed {seed}"
+    vehicles = tuple(user for user in users if user.road_user == "vehicle")
+    others_ = tuple(user for user in users if user.road_user != "vehicle")
+    scene = Scene(name, environment, ego, vehicles, drawn_sky(rng), source, others_)
+    around = scene.around(ego)
+    return around, len(users) - len(around.road_users)
+
+
+class _EgoFrame:
+    """How the recording's frame becomes the ego frame: the centre of one vehicle's box is that of the other's."""
+
+    def __init__(self, own: RecordedState, centre_ego_m: np.ndarray) -> None:
+        c, s = math.cos(own.yaw_rad), math.sin(own.yaw_rad)
+        self._ego_from_recording = np.array([[c, s], [-s, c]])
+        self._own = own
+        self.centre_ego_m = centre_ego_m
+
+    def point_in_ego(self, point_m: np.ndarray) -> np.ndarray:
+        """Points [..., 2] in the ego frame [m]."""
+        return (point_m - self._own.centre_m) @ self._ego_from_recording.T + self.centre_ego_m
+
+    def direction_in_ego(self, direction: np.ndarray) -> np.ndarray:
+        """A direction or velocity [2] in the ego frame."""
+        return self._ego_from_recording @ direction
+
+    def yaw_in_ego(self, yaw_rad: float) -> float:
+        """A heading in the ego frame, -pi to pi."""
+        turned_rad = yaw_rad - self._own.yaw_rad
+        return math.atan2(math.sin(turned_rad), math.cos(turned_rad))
+
+
+def _away_m(state: RecordedState, own: RecordedState) -> float:
+    return float(np.linalg.norm(state.centre_m - own.centre_m))
+
+
+def _body(state: RecordedState, frame: _EgoFrame, rng: np.random.Generator) -> _Body:
+    size = state.user.size_m
+    kind = drawn_kind(state.user.category, size, rng)
+    x, y = frame.point_in_ego(state.centre_m).tolist()
+    footprint = Footprint(x, y, frame.yaw_in_ego(state.yaw_rad), size[0], size[1])
+    return _Body(kind, body_mesh(kind, size, rng), footprint, state.velocity_m_s)
+
+
+def _road(
+    recording: Recording, recorded: Sequence[_Body], place: Footprint, frame: _EgoFrame, pavement_m: float
+) -> Road:
+    lanelets = []
+    for lanelet in recording.lanelets:
+        left, right = (frame.point_in_ego(subdivided(line, _LANE_STEP_M)) for line in (lanelet.left_m, lanelet.right_m))
+        if min(np.abs(line).max(axis=1).min() for line in (left, right)) <= REACH_M:
+            lanelets.append(Lanelet(left, right, lanelet.kinds))
+    heavy = [place, *(body.footprint for body in recorded if body.kind not in _ON_FOOT)]
+    light = [body.footprint for body in recorded if body.kind in _ON_FOOT]
+    return road_of(
+        lanelets,
+        [_grown(each, _ROOM_M).corners_m() for each in heavy],
+        [_grown(each, _ROOM_M).corners_m() for each in light],
+        pavement_m,
+    )
+
+
+def _grown(footprint: Footprint, room_m: float) -> Footprint:
+    return replace(footprint, length_m=footprint.length_m + 2.0 * room_m, width_m=footprint.width_m + 2.0 * room_m)
+
+
+def _standing(body: _Body, road: Road) -> Mesh:
+    """The body in the ego frame, on the ground below its centre."""
+    place = np.array([body.footprint.x_m, body.footprint.y_m])
+    return turned(body.mesh, body.footprint.yaw_rad, np.append(place, road.height_m(place)))
+
+
+def _add_shadow(builder: SceneryBuilder, road: Road, place: Footprint, kind: str, number: int) -> None:
+    centre = np.array([place.x_m, place.y_m])
+    distance = float(road.distance_m(centre))
+    layer = number % _SHADOW_LAYERS
+    if kind in _ON_FOOT:
+        if distance < road.pavement_m:  # beyond there may be grass
+            share = distance / road.pavement_m if distance > 0.0 else -1.0
+            builder.add_foot_shadow(centre, place.yaw_rad, (place.length_m, place.width_m), layer, share)
+        return
+    height = KERB_HEIGHT_M if distance > 0.0 else 0.0
+    width = place.width_m - (_MIRRORS_M if kind == "ego" else 0.0)
+    builder.add_contact_shadow(centre, place.yaw_rad, place.length_m, width, layer, height_m=height)
