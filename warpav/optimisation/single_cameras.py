@@ -312,10 +312,7 @@ class SingleCameras:
             seen, by_view = np.zeros((len(pose), len(ghosts.ghosts))), np.zeros((len(pose), len(ghosts.ghosts), 7))
             for pane, row in self._by_pane(pose):
                 seen[row], by_view[row] = ghosts.through(pane).with_jacobian(*self.in_ego(pose[row]))
-            slope = placing_slope(self.mount, pose)
-            by_pose = np.einsum("cov,cvk->cok", by_view[..., :3], slope.position)
-            by_pose += np.einsum("cov,cvk->cok", by_view[..., 3:6], slope.rotation)
-            by_pose += by_view[..., 6:] * slope.log_zoom[:, None]
+            by_pose = placing_slope(self.mount, pose).chained(by_view)
             probability = np.concatenate([probability, seen], axis=1)
             jacobian = np.concatenate([jacobian, by_pose], axis=1)
         return probability, jacobian
