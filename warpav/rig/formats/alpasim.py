@@ -1,0 +1,305 @@
+"""AlpaSim's cameras: ``extra_cameras`` of a configuration, which replace cameras of a scene that is rendered neurally.
+
+What AlpaSim calls ``rig_to_camera`` is the camera's pose in the vehicle: it maps camera coordinates to the vehicle's.
+Lenses are NCore's models. Principal points count from the image's corner, as warpav's do; those of ``ftheta`` alone
+count from the centre of the first pixel.
+
+f-theta is a polynomial of the angle from the optical axis. It is read as a fisheye, exactly where it has odd powers
+alone, else by a fit; eucm and double_sphere are written as such a fit. Fits are off by less than `FIT_PX` or refused.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from warpav.core.frames import quaternion_from_rotation
+from warpav.raster.camera import CameraModel
+from warpav.raster.lens import Lens, LensShape
+from warpav.rig.formats.format import (
+    Found,
+    FoundCamera,
+    Losses,
+    Optics,
+    PlacedCamera,
+    RigFormat,
+    file_at,
+    file_in,
+    optics_of_matrix,
+)
+from warpav.rig.formats.record import Record, read_yaml_record, rigid_transform, yaml_number
+
+FIT_PX = 0.01
+"""How far a fit of a lens may be off anywhere in the image [px]."""
+
+_FILE = "alpasim.yaml"
+_SHUTTERS = (
+    "GLOBAL",
+    "ROLLING_TOP_TO_BOTTOM",
+    "ROLLING_BOTTOM_TO_TOP",
+    "ROLLING_LEFT_TO_RIGHT",
+    "ROLLING_RIGHT_TO_LEFT",
+)
+_CAMERAS = (
+    "camera_front_wide_120fov",
+    "camera_front_tele_30fov",
+    "camera_cross_left_120fov",
+    "camera_cross_right_120fov",
+)
+_RADIAL_FACTOR = (0.8, 1.2)  # NCore's pinhole has no image where the distortion moves a point farther
+_SAMPLES = 4001
+_POWERS = np.array([1, 3, 5, 7, 9])
+
+
+def read(path: Path, part: str | None) -> Found:
+    """The cameras of ``extra_cameras``, at the top of the file or under ``runtime``."""
+    del part
+    record = read_yaml_record(file_in(path, _FILE))
+    record.mapping("AlpaSim's configuration with extra_cameras")
+    nested = record.at("runtime").at("extra_cameras")
+    entries = nested if nested.value is not None else record.at("extra_cameras")
+    rows = entries.items("AlpaSim's list of cameras")
+    if not rows:
+        raise entries.error("at least one camera", "an empty list")
+    notes: list[str] = []
+    cameras = []
+    for row in rows:
+        row.mapping("a camera with logical_id, rig_to_camera, intrinsics and resolution_hw")
+        name = row.at("logical_id").text()
+        shutter = row.at("shutter_type")
+        if shutter.value is not None and shutter.value not in _SHUTTERS:
+            raise shutter.error(f"one of {', '.join(_SHUTTERS)}")
+        if shutter.value not in (None, "GLOBAL"):
+            notes.append(f"camera {name!r}: shutter {shutter.value} is not read, warpav's images are of one moment")
+        cameras.append(FoundCamera(name, _rig_from_camera(row.at("rig_to_camera")), _optics(row, name, notes)))
+    return Found(tuple(cameras), tuple(notes))
+
+
+def _rig_from_camera(record: Record) -> np.ndarray:
+    if record.value is None:
+        raise record.error("translation_m and rotation_xyzw; without them the pose is that of a scene, not of this file")
+    turn = record.at("rotation_xyzw")
+    x, y, z, w = turn.numbers(4)
+    return rigid_transform(turn.unit_quaternion((w, x, y, z)), record.at("translation_m").numbers(3), turn)
+
+
+def _optics(row: Record, name: str, notes: list[str]) -> Optics | None:
+    intrinsics, size = row.at("intrinsics"), row.at("resolution_hw")
+    height_px, width_px = (None, None)
+    if size.value is not None:
+        size.numbers(2)
+        height_px, width_px = (each.whole() for each in size.items())
+    if intrinsics.value is None:
+        return None
+    model = intrinsics.at("model")
+    readers = {"opencv_pinhole": _pinhole, "opencv_fisheye": _fisheye, "ftheta": _ftheta}
+    if model.value not in readers:
+        raise model.error(f"one of {', '.join(readers)}")
+    values = intrinsics.at(model.value)
+    values.mapping(f"the parameters of {model.value}")
+    return readers[model.value](values, (width_px, height_px), name, notes)
+
+
+_Size = tuple[int | None, int | None]
+
+
+def _pinhole(values: Record, size: _Size, name: str, notes: list[str]) -> Optics:
+    del name, notes
+    k1, k2, k3, k4, k5, k6 = values.at("radial").numbers(6)
+    p1, p2 = values.at("tangential").numbers(2)
+    if any(values.at("thin_prism").numbers(4)):
+        raise values.at("thin_prism").error("four zeros; warpav has no thin prism")
+    distortion = (k1, k2, p1, p2, k3, k4, k5, k6)
+    count = 8 if any(distortion[5:]) else 5 if k3 else 4
+    return Optics(*size, *_focal_and_centre(values), lens=Lens.BROWN_CONRADY, distortion=distortion[:count])
+
+
+def _fisheye(values: Record, size: _Size, name: str, notes: list[str]) -> Optics:
+    distortion = tuple(values.at("radial").numbers(4))
+    optics = Optics(*size, *_focal_and_centre(values), lens=Lens.FISHEYE, distortion=distortion)
+    _check_max_angle(values, optics, LensShape(Lens.FISHEYE, distortion).limit, name, notes)
+    return optics
+
+
+def _focal_and_centre(values: Record) -> tuple[None, tuple[float, float], tuple[float, float]]:
+    """No field of view, focal lengths and principal point."""
+    (fx, fy), (cx, cy) = values.at("focal_length").numbers(2), values.at("principal_point").numbers(2)
+    if min(fx, fy) <= 0.0:
+        raise values.at("focal_length").error("two positive focal lengths")
+    return None, (fx, fy), (cx, cy)
+
+
+def _ftheta(values: Record, size: _Size, name: str, notes: list[str]) -> Optics:
+    if None in size:
+        raise values.error("resolution_hw beside intrinsics: f-theta is read over the image", "none")
+    linear = values.at("linear_cde")
+    stretch = 1.0
+    if linear.value is not None:
+        stretch = linear.at("linear_c").number()
+        if stretch <= 0.0:
+            raise linear.at("linear_c").error("a positive number")
+        for key in ("linear_d", "linear_e"):
+            if linear.at(key).number() != 0.0:
+                raise linear.at(key).error("0; warpav's pixels have no skew")
+    cx, cy = values.at("principal_point").numbers(2)
+    matrix = Record(values.location, [stretch, 0.0, cx, 0.0, 1.0, cy, 0.0, 0.0, 1.0])
+    unit = optics_of_matrix(matrix, lens=Lens.FISHEYE, width_px=size[0], height_px=size[1])
+    angle, radius_px, odd = _ftheta_curve(values, _farthest(unit))
+    residual_px = 0.0
+    if odd is None:
+        odd, residual_px = fitted_fisheye(angle, radius_px)
+        residual_px *= max(1.0, stretch)
+    shape = _fisheye_shape(odd)
+    if shape is None or residual_px >= FIT_PX or shape.limit < min(angle[-1], math.pi):
+        raise values.error(
+            f"an f-theta polynomial that a fisheye with four coefficients holds within {FIT_PX:g} px",
+            f"one that is off by {residual_px:.2g} px",
+        )
+    if residual_px:
+        notes.append(f"camera {name!r}: f-theta is read as a fisheye, off by at most {residual_px:.1g} px")
+    focal = float(odd[0])
+    optics = Optics(
+        *size, focal_px=(stretch * focal, focal), centre_px=unit.centre_px, lens=Lens.FISHEYE, distortion=shape.distortion
+    )
+    _check_max_angle(values, optics, shape.limit, name, notes)
+    return optics
+
+
+def _ftheta_curve(values: Record, farthest_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Angles [rad] and radii [px] of an f-theta image; and its coefficients, where a fisheye has the same."""
+    limit = values.at("max_angle").number(math.pi)
+    if not 0.0 < limit <= math.pi + 1e-6:
+        raise values.at("max_angle").error("an angle above 0, at most pi")
+    kinds = {"angle_to_pixel": "angle_to_pixeldist", "pixel_to_angle": "pixeldist_to_angle"}
+    reference = values.at("reference_poly")
+    if reference.value not in kinds:
+        raise reference.error(f"one of {', '.join(kinds)}")
+    coefficients = values.at(kinds[reference.value])
+    numbers = np.array(coefficients.numbers(*range(2, 7)))
+    series = np.polynomial.Polynomial(numbers)
+    is_forward = reference.value == "angle_to_pixel"
+    given = np.linspace(0.0, limit if is_forward else farthest_px, _SAMPLES)
+    angle, radius_px = (given, series(given)) if is_forward else (series(given), given)
+    if numbers[0] != 0.0:
+        raise coefficients.error("a polynomial that begins with 0; any other tears the image's middle")
+    if numbers[1] <= 0.0:
+        raise coefficients.error("a polynomial that grows from 0")
+    inside = (radius_px <= farthest_px) & (angle <= limit)
+    grows = np.r_[True, np.diff(radius_px if is_forward else angle) > 0.0]
+    end = min([_SAMPLES, *np.flatnonzero(~(inside & grows))])
+    if not grows[:end].all() or (end < _SAMPLES and not grows[end]):
+        raise coefficients.error("a polynomial that grows over the whole image")
+    odd = None
+    if is_forward and not numbers[2::2].any():
+        odd = np.zeros(len(_POWERS))
+        odd[: len(numbers[1::2])] = numbers[1::2]
+    return angle[:end], radius_px[:end], odd
+
+
+def _check_max_angle(values: Record, optics: Optics, limit: float, name: str, notes: list[str]) -> None:
+    """Note where AlpaSim's lens ends before the image does and before warpav's."""
+    given = values.at("max_angle").number(math.pi)
+    if given <= 0.0:
+        raise values.at("max_angle").error("a positive angle")
+    if optics.width_px is None or optics.focal_px is None:
+        return
+    farthest = float(LensShape(optics.lens, optics.distortion).angle(np.array(_farthest(optics))))
+    if given < min(farthest, limit) - 1e-4:
+        notes.append(
+            f"camera {name!r}: max_angle is not read; beyond {math.degrees(given):.1f} deg its corners are dark in "
+            "AlpaSim and see in warpav"
+        )
+
+
+def _farthest(optics: Optics) -> float:
+    """Distance of the image's farthest corner from the principal point [focal lengths]."""
+    assert optics.width_px is not None
+    assert optics.height_px is not None
+    assert optics.focal_px is not None
+    assert optics.centre_px is not None
+    (fx, fy), (cx, cy) = optics.focal_px, optics.centre_px
+    return math.hypot(max(cx, optics.width_px - cx) / fx, max(cy, optics.height_px - cy) / fy)
+
+
+def fitted_fisheye(angle: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, float]:
+    """The fisheye that is nearest to a radial lens.
+
+    Args:
+        angle: Angles from the optical axis [rad], increasing from 0, shape [sample].
+        radius: Radii of the image there, shape [sample].
+
+    Returns:
+        Coefficients of the angle's powers 1, 3, 5, 7 and 9; and how far they are off at most, both in units of the
+        radius.
+    """
+    share = angle / angle[-1]
+    basis = share[:, None] ** _POWERS
+    weight = (1.0 + 1e-3 - share**2) ** -0.25  # Chebyshev's: errors at the end of the range weigh more
+    scaled = np.linalg.lstsq(basis * weight[:, None], radius * weight, rcond=None)[0]
+    return scaled / angle[-1] ** _POWERS, float(np.abs(basis @ scaled - radius).max())
+
+
+def _fisheye_shape(odd: np.ndarray) -> LensShape | None:
+    """The lens of coefficients as `fitted_fisheye` returns them; None where they do not grow."""
+    if odd[0] <= 0.0:
+        return None
+    return LensShape(Lens.FISHEYE, tuple((odd[1:] / odd[0]).tolist()))
+
+
+def write(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
+    """One file for a folder of AlpaSim's configurations: the cameras, and that they are rendered."""
+    lines = ["# @package _global_", "runtime:", "  simulation_config:", "    cameras:"]
+    for camera in cameras:
+        size = f"height: {camera.model.height_px}, width: {camera.model.width_px}"
+        lines.append(f"    - {{logical_id: {json.dumps(camera.name)}, {size}}}")
+    lines.append("  extra_cameras:")
+    for camera in cameras:
+        x, y, z = (camera.file_from_camera[:3, 3] + 0.0).tolist()
+        qw, qx, qy, qz = (quaternion_from_rotation(camera.file_from_camera[:3, :3]) + 0.0).tolist()
+        lines += [
+            f"  - logical_id: {json.dumps(camera.name)}",
+            "    rig_to_camera:",
+            f"      translation_m: {_row(x, y, z)}",
+            f"      rotation_xyzw: {_row(qx, qy, qz, qw)}",
+            f"    resolution_hw: [{camera.model.height_px}, {camera.model.width_px}]",
+            "    shutter_type: GLOBAL",
+            *_intrinsics(camera, losses),
+        ]
+    others = [camera.name for camera in cameras if camera.name not in _CAMERAS]
+    if others:
+        losses.notes.append(
+            f"AlpaSim replaces cameras of a scene by name and rejects other names, such as {others[0]!r}; NVIDIA's "
+            f"scenes have {', '.join(_CAMERAS)}"
+        )
+    return {file_at(target, (".yaml", ".yml"), _FILE): ("\n".join(lines) + "\n").encode()}
+
+
+def _intrinsics(camera: PlacedCamera, losses: Losses) -> list[str]:
+    model = camera.model
+    (fx, _, cx), (_, fy, cy), _ = model.intrinsics.tolist()
+    if model.lens in (Lens.PINHOLE, Lens.BROWN_CONRADY):
+        k1, k2, p1, p2, k3, k4, k5, k6 = model.shape.coefficients.tolist()
+        _note_dark_parts(camera, losses)
+        kind = "opencv_pinhole"
+        own = {"radial": (k1, k2, k3, k4, k5, k6), "tangential": (p1, p2), "thin_prism": (0.0,) * 4}
+        end = []
+    elif model.shape.is_by_angle:
+        fitting = _fisheye_of(camera, losses)
+        fx, fy = fx * fitting.growth, fy * fitting.growth
+        kind = "opencv_fisheye"
+        own = {"radial": tuple(fitting.shape.coefficients[:4].tolist())}
+        end = [f"        max_angle: {yaml_number(fitting.max_angle_rad)}"]
+    else:
+        raise losses.unsupported(camera.name, f"a {model.lens} lens")
+    numbers = {"focal_length": (fx, fy), "principal_point": (cx, cy), **own}
+    return [
+        "    intrinsics:",
+        f"      model: {kind}",
+        f"      {kind}:",
+        *(f"        {key}: {_row(*values)}" for key, values in numbers.items()),
+        *end,
+    ]
