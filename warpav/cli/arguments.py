@@ -21,8 +21,8 @@ FileFormat = Annotated[
     str,
     Parameter(
         name="--format",
-        help="nuscenes, argoverse2, urdf, autoware, carla-ros-bridge, carla-python, kitti, opencv; kalibr (import), "
-        "camera-info (export).",
+        help="nuscenes, argoverse2, urdf, autoware, carla-ros-bridge, carla-python, kitti, opencv, alpasim; kalibr "
+        "(import), camera-info (export).",
     ),
 ]
 FileOrigin = Annotated[

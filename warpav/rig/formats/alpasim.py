@@ -4,8 +4,9 @@ What AlpaSim calls ``rig_to_camera`` is the camera's pose in the vehicle: it map
 Lenses are NCore's models. Principal points count from the image's corner, as warpav's do; those of ``ftheta`` alone
 count from the centre of the first pixel.
 
-f-theta is a polynomial of the angle from the optical axis. It is read as a fisheye, exactly where it has odd powers
-alone, else by a fit; eucm and double_sphere are written as such a fit. Fits are off by less than `FIT_PX` or refused.
+f-theta, a polynomial of the angle from the optical axis, is read as a fisheye: exactly where it has odd powers alone,
+else by a fit, which is off by less than `READ_PX`. eucm and double_sphere are written as a fisheye that is off by less
+than `WRITE_PX`; f-theta, which has even powers but ends at the fifth, would be 10 to 1000 times farther off.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ from warpav.rig.formats.format import (
 )
 from warpav.rig.formats.record import Record, read_yaml_record, rigid_transform, yaml_number
 
-FIT_PX = 0.01
-"""How far a fit of a lens may be off anywhere in the image [px]."""
+READ_PX, WRITE_PX = 0.25, 0.01
+"""How far a lens that is read, or written, by a fit may be off anywhere in the image [px]."""
 
 _FILE = "alpasim.yaml"
 _SHUTTERS = (
@@ -52,6 +53,7 @@ _CAMERAS = (
 )
 _RADIAL_FACTOR = (0.8, 1.2)  # NCore's pinhole has no image where the distortion moves a point farther
 _SAMPLES = 4001
+_SAME_ANGLE_RAD = 1e-4
 _POWERS = np.array([1, 3, 5, 7, 9])
 
 
@@ -81,7 +83,9 @@ def read(path: Path, part: str | None) -> Found:
 
 def _rig_from_camera(record: Record) -> np.ndarray:
     if record.value is None:
-        raise record.error("translation_m and rotation_xyzw; without them the pose is that of a scene, not of this file")
+        raise record.error(
+            "translation_m and rotation_xyzw; without them the pose is that of a scene, not of this file"
+        )
     turn = record.at("rotation_xyzw")
     x, y, z, w = turn.numbers(4)
     return rigid_transform(turn.unit_quaternion((w, x, y, z)), record.at("translation_m").numbers(3), turn)
@@ -121,7 +125,7 @@ def _pinhole(values: Record, size: _Size, name: str, notes: list[str]) -> Optics
 def _fisheye(values: Record, size: _Size, name: str, notes: list[str]) -> Optics:
     distortion = tuple(values.at("radial").numbers(4))
     optics = Optics(*size, *_focal_and_centre(values), lens=Lens.FISHEYE, distortion=distortion)
-    _check_max_angle(values, optics, LensShape(Lens.FISHEYE, distortion).limit, name, notes)
+    _check_max_angle(values, optics, name, notes)
     return optics
 
 
@@ -135,84 +139,84 @@ def _focal_and_centre(values: Record) -> tuple[None, tuple[float, float], tuple[
 
 def _ftheta(values: Record, size: _Size, name: str, notes: list[str]) -> Optics:
     if None in size:
-        raise values.error("resolution_hw beside intrinsics: f-theta is read over the image", "none")
+        raise values.error("resolution_hw beside intrinsics, because f-theta is fitted over the image", "none")
     linear = values.at("linear_cde")
-    stretch = 1.0
-    if linear.value is not None:
-        stretch = linear.at("linear_c").number()
-        if stretch <= 0.0:
-            raise linear.at("linear_c").error("a positive number")
-        for key in ("linear_d", "linear_e"):
-            if linear.at(key).number() != 0.0:
-                raise linear.at(key).error("0; warpav's pixels have no skew")
+    c, d, e = (1.0, 0.0, 0.0) if linear.value is None else (linear.at(f"linear_{key}").number() for key in "cde")
+    if c <= 0.0:
+        raise linear.at("linear_c").error("a positive number")
     cx, cy = values.at("principal_point").numbers(2)
-    matrix = Record(values.location, [stretch, 0.0, cx, 0.0, 1.0, cy, 0.0, 0.0, 1.0])
+    matrix = Record(values.location, [c, 0.0, cx, 0.0, 1.0, cy, 0.0, 0.0, 1.0])
     unit = optics_of_matrix(matrix, lens=Lens.FISHEYE, width_px=size[0], height_px=size[1])
     angle, radius_px, odd = _ftheta_curve(values, _farthest(unit))
-    residual_px = 0.0
+    off_px = 0.0
     if odd is None:
-        odd, residual_px = fitted_fisheye(angle, radius_px)
-        residual_px *= max(1.0, stretch)
-    shape = _fisheye_shape(odd)
-    if shape is None or residual_px >= FIT_PX or shape.limit < min(angle[-1], math.pi):
+        odd, off_px = fitted_fisheye(angle, radius_px)
+    off_px = off_px * max(1.0, c) + max(abs(d), abs(e)) * float(radius_px[-1])
+    shape = _grown_fisheye(odd, float(angle[-1]))
+    if shape is None or off_px >= READ_PX:
         raise values.error(
-            f"an f-theta polynomial that a fisheye with four coefficients holds within {FIT_PX:g} px",
-            f"one that is off by {residual_px:.2g} px",
+            f"f-theta that a fisheye with four coefficients comes within {READ_PX:g} px of",
+            "another" if shape is None else f"one that it is off by {off_px:.2g} px",
         )
-    if residual_px:
-        notes.append(f"camera {name!r}: f-theta is read as a fisheye, off by at most {residual_px:.1g} px")
-    focal = float(odd[0])
-    optics = Optics(
-        *size, focal_px=(stretch * focal, focal), centre_px=unit.centre_px, lens=Lens.FISHEYE, distortion=shape.distortion
-    )
-    _check_max_angle(values, optics, shape.limit, name, notes)
+    if off_px:
+        notes.append(f"camera {name!r}: f-theta is read as a fisheye, which is off by at most {off_px:.2g} px")
+    focal_px = (c * float(odd[0]), float(odd[0]))
+    optics = Optics(*size, focal_px=focal_px, centre_px=unit.centre_px, lens=Lens.FISHEYE, distortion=shape.distortion)
+    _check_max_angle(values, optics, name, notes)
     return optics
 
 
 def _ftheta_curve(values: Record, farthest_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Angles [rad] and radii [px] of an f-theta image; and its coefficients, where a fisheye has the same."""
+    """Angles [rad] and radii [px] of an f-theta image; and its odd coefficients, where it has no others."""
     limit = values.at("max_angle").number(math.pi)
-    if not 0.0 < limit <= math.pi + 1e-6:
-        raise values.at("max_angle").error("an angle above 0, at most pi")
     kinds = {"angle_to_pixel": "angle_to_pixeldist", "pixel_to_angle": "pixeldist_to_angle"}
     reference = values.at("reference_poly")
     if reference.value not in kinds:
         raise reference.error(f"one of {', '.join(kinds)}")
     coefficients = values.at(kinds[reference.value])
     numbers = np.array(coefficients.numbers(*range(2, 7)))
-    series = np.polynomial.Polynomial(numbers)
-    is_forward = reference.value == "angle_to_pixel"
-    given = np.linspace(0.0, limit if is_forward else farthest_px, _SAMPLES)
-    angle, radius_px = (given, series(given)) if is_forward else (series(given), given)
     if numbers[0] != 0.0:
         raise coefficients.error("a polynomial that begins with 0; any other tears the image's middle")
-    if numbers[1] <= 0.0:
-        raise coefficients.error("a polynomial that grows from 0")
-    inside = (radius_px <= farthest_px) & (angle <= limit)
-    grows = np.r_[True, np.diff(radius_px if is_forward else angle) > 0.0]
-    end = min([_SAMPLES, *np.flatnonzero(~(inside & grows))])
-    if not grows[:end].all() or (end < _SAMPLES and not grows[end]):
-        raise coefficients.error("a polynomial that grows over the whole image")
+    is_forward = reference.value == "angle_to_pixel"
+    given = np.linspace(0.0, min(limit, math.pi) if is_forward else farthest_px, _SAMPLES)
+    found = np.polynomial.Polynomial(numbers)(given)
+    angle, radius_px = (given, found) if is_forward else (found, given)
+    beyond = np.flatnonzero((radius_px > farthest_px) | (angle > min(limit, math.pi)))
+    end = beyond[0] if len(beyond) else _SAMPLES
+    if end < 2 or not np.all(np.diff(found[:end]) > 0.0):
+        raise coefficients.error("a polynomial that grows from the image's middle to its corners")
     odd = None
     if is_forward and not numbers[2::2].any():
-        odd = np.zeros(len(_POWERS))
-        odd[: len(numbers[1::2])] = numbers[1::2]
+        odd = np.pad(numbers[1::2], (0, len(_POWERS) - len(numbers[1::2])))
     return angle[:end], radius_px[:end], odd
 
 
-def _check_max_angle(values: Record, optics: Optics, limit: float, name: str, notes: list[str]) -> None:
-    """Note where AlpaSim's lens ends before the image does and before warpav's."""
+def _check_max_angle(values: Record, optics: Optics, name: str, notes: list[str]) -> None:
+    """Note where AlpaSim's lens ends before the image does."""
     given = values.at("max_angle").number(math.pi)
     if given <= 0.0:
         raise values.at("max_angle").error("a positive angle")
-    if optics.width_px is None or optics.focal_px is None:
+    if None in (optics.width_px, optics.height_px):
         return
-    farthest = float(LensShape(optics.lens, optics.distortion).angle(np.array(_farthest(optics))))
-    if given < min(farthest, limit) - 1e-4:
+    if given < _max_angle(optics) - _SAME_ANGLE_RAD:
         notes.append(
-            f"camera {name!r}: max_angle is not read; beyond {math.degrees(given):.1f} deg its corners are dark in "
-            "AlpaSim and see in warpav"
+            f"camera {name!r}: max_angle is not read; beyond {math.degrees(given):.1f} deg from its axis AlpaSim's "
+            "image is empty, and warpav's is not"
         )
+
+
+def _optics_of(model: CameraModel) -> Optics:
+    (fx, _, cx), (_, fy, cy), _ = model.intrinsics.tolist()
+    size = (model.width_px, model.height_px)
+    return Optics(*size, focal_px=(fx, fy), centre_px=(cx, cy), lens=model.lens, distortion=model.distortion)
+
+
+def _max_angle(optics: Optics) -> float:
+    """Angle from the axis at the image's farthest corner, or where the lens ends before it.
+
+    Radians, but of Brown-Conrady lenses the tangent.
+    """
+    return float(LensShape(optics.lens, optics.distortion).angle(np.array(_farthest(optics))))
 
 
 def _farthest(optics: Optics) -> float:
@@ -243,11 +247,12 @@ def fitted_fisheye(angle: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, f
     return scaled / angle[-1] ** _POWERS, float(np.abs(basis @ scaled - radius).max())
 
 
-def _fisheye_shape(odd: np.ndarray) -> LensShape | None:
-    """The lens of coefficients as `fitted_fisheye` returns them; None where they do not grow."""
+def _grown_fisheye(odd: np.ndarray, angle: float) -> LensShape | None:
+    """The lens of coefficients as `fitted_fisheye` returns them; None where its image does not grow up to the angle."""
     if odd[0] <= 0.0:
         return None
-    return LensShape(Lens.FISHEYE, tuple((odd[1:] / odd[0]).tolist()))
+    shape = LensShape(Lens.FISHEYE, tuple((odd[1:] / odd[0]).tolist()))
+    return shape if shape.limit >= angle else None
 
 
 def write(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
@@ -281,18 +286,18 @@ def write(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict
 def _intrinsics(camera: PlacedCamera, losses: Losses) -> list[str]:
     model = camera.model
     (fx, _, cx), (_, fy, cy), _ = model.intrinsics.tolist()
+    end = []
     if model.lens in (Lens.PINHOLE, Lens.BROWN_CONRADY):
+        _note_empty_parts(camera, losses)
         k1, k2, p1, p2, k3, k4, k5, k6 = model.shape.coefficients.tolist()
-        _note_dark_parts(camera, losses)
         kind = "opencv_pinhole"
         own = {"radial": (k1, k2, k3, k4, k5, k6), "tangential": (p1, p2), "thin_prism": (0.0,) * 4}
-        end = []
     elif model.shape.is_by_angle:
-        fitting = _fisheye_of(camera, losses)
-        fx, fy = fx * fitting.growth, fy * fitting.growth
         kind = "opencv_fisheye"
-        own = {"radial": tuple(fitting.shape.coefficients[:4].tolist())}
-        end = [f"        max_angle: {yaml_number(fitting.max_angle_rad)}"]
+        growth, shape, max_angle_rad = _as_fisheye(camera, losses)
+        fx, fy = fx * growth, fy * growth
+        own = {"radial": tuple(shape.coefficients[:4].tolist())}
+        end = [f"        max_angle: {yaml_number(max_angle_rad)}"]
     else:
         raise losses.unsupported(camera.name, f"a {model.lens} lens")
     numbers = {"focal_length": (fx, fy), "principal_point": (cx, cy), **own}
@@ -303,3 +308,56 @@ def _intrinsics(camera: PlacedCamera, losses: Losses) -> list[str]:
         *(f"        {key}: {_row(*values)}" for key, values in numbers.items()),
         *end,
     ]
+
+
+def _as_fisheye(camera: PlacedCamera, losses: Losses) -> tuple[float, LensShape, float]:
+    """How much longer the focal length of the fisheye with this image is, its lens, and where it ends [rad]."""
+    model = camera.model
+    optics = _optics_of(model)
+    max_angle_rad = _max_angle(optics)
+    if model.lens is Lens.FISHEYE:
+        return 1.0, model.shape, max_angle_rad
+    angle = np.linspace(0.0, max_angle_rad, _SAMPLES)
+    odd, off = fitted_fisheye(angle, model.shape.radius(angle)[0])
+    off_px = off * max(optics.focal_px)
+    shape = _grown_fisheye(odd, max_angle_rad)
+    if shape is None or off_px >= WRITE_PX:
+        raise losses.unsupported(
+            camera.name, f"this {model.lens} lens, from which its nearest fisheye is off by {off_px:.2g} px"
+        )
+    losses.notes.append(
+        f"camera {camera.name!r}: {model.lens} is written as a fisheye, which is off by at most {off_px:.1g} px"
+    )
+    return float(odd[0]), shape, max_angle_rad
+
+
+def _note_empty_parts(camera: PlacedCamera, losses: Losses) -> None:
+    """Note where NCore's pinhole has no image for lack of trust in the distortion."""
+    shape = camera.model.shape
+    if not any(shape.distortion):
+        return
+    tangent = np.linspace(0.0, _max_angle(_optics_of(camera.model)), _SAMPLES)[1:]
+    factor = shape.radius(tangent)[0] / tangent
+    low, high = _RADIAL_FACTOR
+    out = (factor <= low) | (factor >= high)
+    if out.any():
+        losses.notes.append(
+            f"camera {camera.name!r}: warning: NCore's projection leaves the image empty where the radial distortion's "
+            f"factor is not between {low:g} and {high:g}, here from {math.degrees(math.atan(tangent[out][0])):.1f} deg "
+            "from the axis"
+        )
+
+
+def _row(*values: float) -> str:
+    return f"[{', '.join(map(yaml_number, values))}]"
+
+
+FORMAT = RigFormat(
+    "alpasim",
+    frame="camera to rig (AlpaSim calls it rig_to_camera), rig x forward, y left, z up, right-handed, metres; "
+    "quaternions x y z w; cameras x right, y down, z forward",
+    origin="on the ground below the centre of the rear axle, as warpav's",
+    is_ego_origin=True,
+    read=read,
+    write=write,
+)

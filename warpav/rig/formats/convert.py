@@ -36,6 +36,7 @@ _PLACES = {
     "carla-python": ("carla", "PYTHON"),
     "kitti": ("kitti", "FORMAT"),
     "opencv": ("opencv", "FORMAT"),
+    "alpasim": ("alpasim", "FORMAT"),
     "kalibr": ("kalibr", "FORMAT"),
 }
 FORMAT_NAMES = tuple(_PLACES)
