@@ -217,6 +217,31 @@ cam1:
   rostopic: /cam1/image_raw
 """
 
+# principal points count from the image's corner here, and "rig_to_camera" is the camera's pose in the vehicle
+W, X, Y, Z = QUATERNION_WXYZ
+ALPASIM = f"""\
+# @package _global_
+runtime:
+  simulation_config:
+    cameras:
+    - {{logical_id: front_left, height: 320, width: 512, frame_interval_us: 100_000, shutter_duration_us: 30_000}}
+  extra_cameras:
+  - logical_id: front_left
+    rig_to_camera:
+      translation_m: {list(POSITION_M)}
+      rotation_xyzw: [{X}, {Y}, {Z}, {W}]
+    intrinsics:
+      model: opencv_pinhole
+      opencv_pinhole:
+        focal_length: [320.0, 320.0]
+        principal_point: [320.0, 240.0]
+        radial: [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+        tangential: [0.0, 0.0]
+        thin_prism: [0.0, 0.0, 0.0, 0.0]
+    resolution_hw: [480, 640]
+    shutter_type: ROLLING_TOP_TO_BOTTOM
+"""
+
 
 def write_sample(name: str, folder: Path) -> Path:
     """Write the sample of a format into a folder, and return what a user would name."""
@@ -233,6 +258,7 @@ def write_sample(name: str, folder: Path) -> Path:
         "nuscenes": {file: json.dumps(rows) for file, rows in NUSCENES.items()},
         "kitti": {"000000.txt": KITTI},
         "opencv": {"front_left.yml": OPENCV},
+        "alpasim": {"alpasim.yaml": ALPASIM},
         "kalibr": {"camchain.yaml": KALIBR},
     }[name]
     for file, text in texts.items():

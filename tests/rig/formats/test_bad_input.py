@@ -115,6 +115,38 @@ CORRUPT = {
         ("rows: 5", "rows: 7", "distortion_coefficients: expected a list of 4 or 5 or 8 or 12 or 14 finite"),
         ("data: [ 320., ", "data: [ 320.; ", "expected an OpenCV FileStorage file"),
     ],
+    "alpasim": [
+        (
+            "extra_cameras:",
+            "extra_camera:",
+            "alpasim.yaml: extra_cameras: expected AlpaSim's list of cameras, got noth",
+        ),
+        (
+            "- logical_id: front_left\n    rig",
+            "- logical: a\n    rig",
+            "extra_cameras[0].logical_id: expected a text, got",
+        ),
+        ("rig_to_camera:", "camera_to_rig:", "rig_to_camera: expected translation_m and rotation_xyzw; without them"),
+        ("rotation_xyzw: [", "rotation_xyzw: [1", "rotation_xyzw: expected a quaternion of length 1, got [0.62"),
+        ("translation_m: [1.7, ", "translation_m: [", "rig_to_camera.translation_m: expected a list of 3 finite numb"),
+        (
+            "model: opencv_pinhole",
+            "model: omni",
+            "intrinsics.model: expected one of opencv_pinhole, opencv_fisheye, fth",
+        ),
+        (
+            "      opencv_pinhole:",
+            "      pinhole:",
+            "intrinsics.opencv_pinhole: expected the parameters of opencv_pinh",
+        ),
+        ("focal_length: [320.0, 320.0]", "focal_length: [320.0]", "opencv_pinhole.focal_length: expected a list of 2"),
+        ("focal_length: [320.0", "focal_length: [-320.0", "focal_length: expected two positive focal lengths, got [-3"),
+        ("radial: [0.0, ", "radial: [", "opencv_pinhole.radial: expected a list of 6 finite numbers, got"),
+        ("thin_prism: [0.0", "thin_prism: [0.1", "thin_prism: expected four zeros; warpav has no thin prism, got [0.1"),
+        ("resolution_hw: [480, 640]", "resolution_hw: [480]", "resolution_hw: expected a list of 2 finite numbers"),
+        ("resolution_hw: [480, ", "resolution_hw: [480.5, ", "resolution_hw[0]: expected a whole number, got 480.5"),
+        ("ROLLING_TOP_TO_BOTTOM", "ROLLING", "shutter_type: expected one of GLOBAL, ROLLING_TOP_TO_BOTTOM, ROLL"),
+    ],
     "kalibr": [
         (
             "camera_model: pinhole",
@@ -325,7 +357,7 @@ def test_exports_replace_nothing_unless_told(tmp_path):
         export_rig_with_notes(plain_rig("a"), "kitti", Path(os.devnull) / "deep")
     with pytest.raises(InputError, match="expected a folder for the files of 2 cameras"):
         export_rig_with_notes(plain_rig("a", "b"), "kitti", tmp_path / "a.txt")
-    with pytest.raises(InputError, match=r"expected one of nuscenes, .*, opencv; kalibr is for import only"):
+    with pytest.raises(InputError, match=r"expected one of nuscenes, .*, opencv, alpasim; kalibr is for import only"):
         export_rig_with_notes(plain_rig("a"), "kalibr", tmp_path / "a")
 
 

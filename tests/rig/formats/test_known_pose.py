@@ -31,7 +31,7 @@ from warpav.rig.rig import Rig, RigCamera
 SIZED = ImportOptions(width_px=640, height_px=480)
 RIG = Rig([RigCamera("front_left", np.array(POSITION_M), YAW_RAD, PITCH_RAD, ROLL_RAD, CameraModel(640, 480))])
 EXACT = ["urdf", "autoware", "carla-ros-bridge", "carla-python"]
-ROUNDED = ["nuscenes", "kitti", "opencv", "kalibr"]  # their samples hold six decimals
+ROUNDED = ["nuscenes", "kitti", "opencv", "alpasim", "kalibr"]  # their samples hold six decimals
 
 
 @pytest.mark.parametrize("name", [*EXACT, *ROUNDED])

@@ -29,7 +29,7 @@ BOTH_WAYS = [
     for name in FORMAT_NAMES
     if find_format(name).read is not None and find_format(name).write is not None
 ]
-ANY_LENS = ("urdf", "autoware", "opencv")
+ANY_LENS = ("urdf", "autoware", "opencv", "alpasim")
 CENTRED = ("carla-ros-bridge", "carla-python")
 
 metres = st.floats(-5.0, 5.0)
@@ -158,7 +158,7 @@ def test_every_rig_says_which_formats_hold_it():
         assert {*fit, *unfit} == set(FORMAT_NAMES) - {"kalibr"}
         assert all(name in reason for other, reason in unfit.items() if other != "argoverse2")
         fitting[name] = set(fit) - {"argoverse2"}
-    lenses = {"urdf", "autoware", "camera-info", "opencv"}
+    lenses = {"urdf", "autoware", "camera-info", "opencv", "alpasim"}
     assert fitting["plain"] == {*lenses, "nuscenes", "kitti", *CENTRED}
     assert fitting["calibrated"] == {*lenses, "nuscenes", "kitti"}
     assert fitting["barrel"] == fitting["fisheye"] == lenses

@@ -313,13 +313,12 @@ def _intrinsics(camera: PlacedCamera, losses: Losses) -> list[str]:
 def _as_fisheye(camera: PlacedCamera, losses: Losses) -> tuple[float, LensShape, float]:
     """How much longer the focal length of the fisheye with this image is, its lens, and where it ends [rad]."""
     model = camera.model
-    optics = _optics_of(model)
-    max_angle_rad = _max_angle(optics)
+    max_angle_rad = _max_angle(_optics_of(model))
     if model.lens is Lens.FISHEYE:
         return 1.0, model.shape, max_angle_rad
     angle = np.linspace(0.0, max_angle_rad, _SAMPLES)
     odd, off = fitted_fisheye(angle, model.shape.radius(angle)[0])
-    off_px = off * max(optics.focal_px)
+    off_px = off * float(model.intrinsics.diagonal()[:2].max())
     shape = _grown_fisheye(odd, max_angle_rad)
     if shape is None or off_px >= WRITE_PX:
         raise losses.unsupported(
