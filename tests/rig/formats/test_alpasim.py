@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.rig.formats.known_pose import ALPASIM, POSITION_M, QUATERNION_WXYZ, write_sample
+from tests.rig.formats.known_pose import ALPASIM, POSITION_M, write_sample
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
@@ -190,7 +190,6 @@ def ncore_model(row):
             max_angle=values["max_angle"],
             linear_cde=single([linear[f"linear_{key}"] for key in "cde"]),
         )
-    parameters = types.decode_camera_model_parameters(types.encode_camera_model_parameters(parameters))
     return sensors.CameraModel.from_parameters(parameters, device="cpu", dtype=torch.float64)
 
 
@@ -299,7 +298,7 @@ def test_an_image_that_ends_before_its_corners_is_told(tmp_path):
             "angle_to_pixeldist: [0.0, -473",
             "that grows from the image's middle to its",
         ),
-        ("angle_to_pixeldist: [0.0, 473", "angle_to_pixeldist: [0.0, 73", "that grows from the image's middle to its"),
+        ("angle_to_pixeldist: [0.0, 473", "angle_to_pixeldist: [0.0, 13", "that grows from the image's middle to its"),
         (
             "24.94717788696289",
             "224.9",
@@ -334,19 +333,17 @@ def test_f_theta_that_is_none_is_refused(tmp_path, old, new, message):
 def test_a_file_that_breaks_off_is_refused_or_read_as_far_as_it_goes(tmp_path):
     file = tmp_path / "alpasim.yaml"
     whole = ftheta_file(tmp_path).read_text()
-    outcomes = set()
+    outcomes = []
     for length in range(0, len(whole), 7):
         file.write_text(whole[:length])
         try:
-            (camera,) = import_rig_with_notes(file, "alpasim")[0].cameras
+            found = [camera.name for camera in import_rig_with_notes(file, "alpasim")[0].cameras]
         except InputError as error:
-            assert "\n" not in str(error)
-            assert str(error).startswith(str(file))
-            outcomes.add("refused")
-        else:
-            assert camera.name == "front_left"
-            outcomes.add("read")
-    assert outcomes == {"refused", "read"}
+            found = str(error)
+        outcomes.append(found)
+    refused = [outcome for outcome in outcomes if outcome != ["front_left"]]
+    assert all(text.startswith(str(file)) and "\n" not in text for text in refused)
+    assert len(outcomes) / 2 < len(refused) < len(outcomes)  # only the end may be absent
 
 
 def test_lenses_that_ncore_does_not_have_are_refused(tmp_path):

@@ -119,7 +119,7 @@ CORRUPT = {
         (
             "extra_cameras:",
             "extra_camera:",
-            "alpasim.yaml: extra_cameras: expected AlpaSim's list of cameras, got noth",
+            "yaml:2: extra_cameras: expected AlpaSim's list of cameras, got nothing",
         ),
         (
             "- logical_id: front_left\n    rig",
@@ -127,7 +127,7 @@ CORRUPT = {
             "extra_cameras[0].logical_id: expected a text, got",
         ),
         ("rig_to_camera:", "camera_to_rig:", "rig_to_camera: expected translation_m and rotation_xyzw; without them"),
-        ("rotation_xyzw: [", "rotation_xyzw: [1", "rotation_xyzw: expected a quaternion of length 1, got [0.62"),
+        ("rotation_xyzw: [-0.6", "rotation_xyzw: [-1.6", "rotation_xyzw: expected a quaternion of length 1, got [0.62"),
         ("translation_m: [1.7, ", "translation_m: [", "rig_to_camera.translation_m: expected a list of 3 finite numb"),
         (
             "model: opencv_pinhole",
