@@ -169,6 +169,6 @@ for name, (file, origin_m) in exports.items():
 # - Images are small here so that the run is short. For your cameras give `CameraModel` their true size and lens.
 # - Keep the rig with `wa.write_rig(result.rig, "rig.yaml")`, or the whole run with `result.save("runs/mine")`, and
 #   open it with `warpav inspect runs/mine`.
-# - OpenCV, KITTI, nuScenes, Argoverse 2, camera_info and Kalibr work in the same way: [which format holds
+# - AlpaSim, OpenCV, KITTI, nuScenes, Argoverse 2, camera_info and Kalibr work in the same way: [which format holds
 #   what](../warpav/rig/design.md).
 # - Place the cameras for [your own detector](04_own_detector.ipynb).

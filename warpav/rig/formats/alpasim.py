@@ -168,7 +168,7 @@ def _ftheta(values: Record, size: _Size, name: str, notes: list[str]) -> Optics:
 
 def _ftheta_curve(values: Record, farthest_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Angles [rad] and radii [px] of an f-theta image; and its odd coefficients, where it has no others."""
-    limit = values.at("max_angle").number(math.pi)
+    limit = min(_stated_max_angle(values), math.pi)
     kinds = {"angle_to_pixel": "angle_to_pixeldist", "pixel_to_angle": "pixeldist_to_angle"}
     reference = values.at("reference_poly")
     if reference.value not in kinds:
@@ -178,10 +178,10 @@ def _ftheta_curve(values: Record, farthest_px: float) -> tuple[np.ndarray, np.nd
     if numbers[0] != 0.0:
         raise coefficients.error("a polynomial that begins with 0; any other tears the image's middle")
     is_forward = reference.value == "angle_to_pixel"
-    given = np.linspace(0.0, min(limit, math.pi) if is_forward else farthest_px, _SAMPLES)
+    given = np.linspace(0.0, limit if is_forward else farthest_px, _SAMPLES)
     found = np.polynomial.Polynomial(numbers)(given)
     angle, radius_px = (given, found) if is_forward else (found, given)
-    beyond = np.flatnonzero((radius_px > farthest_px) | (angle > min(limit, math.pi)))
+    beyond = np.flatnonzero((radius_px > farthest_px) | (angle > limit))
     end = beyond[0] if len(beyond) else _SAMPLES
     if end < 2 or not np.all(np.diff(found[:end]) > 0.0):
         raise coefficients.error("a polynomial that grows from the image's middle to its corners")
@@ -193,9 +193,7 @@ def _ftheta_curve(values: Record, farthest_px: float) -> tuple[np.ndarray, np.nd
 
 def _check_max_angle(values: Record, optics: Optics, name: str, notes: list[str]) -> None:
     """Note where AlpaSim's lens ends before the image does."""
-    given = values.at("max_angle").number(math.pi)
-    if given <= 0.0:
-        raise values.at("max_angle").error("a positive angle")
+    given = _stated_max_angle(values)
     if None in (optics.width_px, optics.height_px):
         return
     if given < _max_angle(optics) - _SAME_ANGLE_RAD:
@@ -203,6 +201,13 @@ def _check_max_angle(values: Record, optics: Optics, name: str, notes: list[str]
             f"camera {name!r}: max_angle is not read; beyond {math.degrees(given):.1f} deg from its axis AlpaSim's "
             "image is empty, and warpav's is not"
         )
+
+
+def _stated_max_angle(values: Record) -> float:
+    angle = values.at("max_angle")
+    if angle.number(math.pi) <= 0.0:
+        raise angle.error("a positive angle")
+    return angle.number(math.pi)
 
 
 def _optics_of(model: CameraModel) -> Optics:
@@ -299,7 +304,7 @@ def _intrinsics(camera: PlacedCamera, losses: Losses) -> list[str]:
         own = {"radial": tuple(shape.coefficients[:4].tolist())}
         end = [f"        max_angle: {yaml_number(max_angle_rad)}"]
     else:
-        raise losses.unsupported(camera.name, f"a {model.lens} lens")
+        raise losses.unsupported(camera.name, f"the {model.lens} lens")
     numbers = {"focal_length": (fx, fy), "principal_point": (cx, cy), **own}
     return [
         "    intrinsics:",
