@@ -142,15 +142,15 @@ def _ftheta(values: Record, size: _Size, name: str, notes: list[str]) -> Optics:
         raise values.error("resolution_hw beside intrinsics, because f-theta is fitted over the image", "none")
     linear = values.at("linear_cde")
     c, d, e = (1.0, 0.0, 0.0) if linear.value is None else (linear.at(f"linear_{key}").number() for key in "cde")
-    if c <= 0.0:
-        raise linear.at("linear_c").error("a positive number")
+    if not 0.01 < c < 100.0:
+        raise linear.at("linear_c").error("the proportions of a pixel, near 1")
     cx, cy = values.at("principal_point").numbers(2)
     matrix = Record(values.location, [c, 0.0, cx, 0.0, 1.0, cy, 0.0, 0.0, 1.0])
     unit = optics_of_matrix(matrix, lens=Lens.FISHEYE, width_px=size[0], height_px=size[1])
     angle, radius_px, odd = _ftheta_curve(values, _farthest(unit))
     off_px = 0.0
     if odd is None:
-        odd, off_px = fitted_fisheye(angle, radius_px)
+        odd, off_px = _fitted_fisheye(angle, radius_px)
     off_px = off_px * max(1.0, c) + max(abs(d), abs(e)) * float(radius_px[-1])
     shape = _grown_fisheye(odd, float(angle[-1]))
     if shape is None or off_px >= READ_PX:
@@ -178,12 +178,15 @@ def _ftheta_curve(values: Record, farthest_px: float) -> tuple[np.ndarray, np.nd
     if numbers[0] != 0.0:
         raise coefficients.error("a polynomial that begins with 0; any other tears the image's middle")
     is_forward = reference.value == "angle_to_pixel"
-    given = np.linspace(0.0, limit if is_forward else farthest_px, _SAMPLES)
-    found = np.polynomial.Polynomial(numbers)(given)
-    angle, radius_px = (given, found) if is_forward else (found, given)
-    beyond = np.flatnonzero((radius_px > farthest_px) | (angle > limit))
-    end = beyond[0] if len(beyond) else _SAMPLES
-    if end < 2 or not np.all(np.diff(found[:end]) > 0.0):
+    last = limit if is_forward else farthest_px
+    for _ in range(2):  # the second time up to the image's corner, which may be near the axis
+        given = np.linspace(0.0, last, _SAMPLES)
+        found = np.polynomial.Polynomial(numbers)(given)
+        angle, radius_px = (given, found) if is_forward else (found, given)
+        beyond = np.flatnonzero((radius_px > farthest_px) | (angle > limit))
+        end = beyond[0] if len(beyond) else _SAMPLES
+        last = given[min(end, _SAMPLES - 1)]
+    if end < len(_POWERS) or angle[end - 1] < _SAME_ANGLE_RAD or not np.all(np.diff(found[:end]) > 0.0):
         raise coefficients.error("a polynomial that grows from the image's middle to its corners")
     odd = None
     if is_forward and not numbers[2::2].any():
@@ -205,7 +208,7 @@ def _check_max_angle(values: Record, optics: Optics, name: str, notes: list[str]
 
 def _stated_max_angle(values: Record) -> float:
     angle = values.at("max_angle")
-    if angle.number(math.pi) <= 0.0:
+    if angle.number(math.pi) <= _SAME_ANGLE_RAD:
         raise angle.error("a positive angle")
     return angle.number(math.pi)
 
@@ -234,7 +237,7 @@ def _farthest(optics: Optics) -> float:
     return math.hypot(max(cx, optics.width_px - cx) / fx, max(cy, optics.height_px - cy) / fy)
 
 
-def fitted_fisheye(angle: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, float]:
+def _fitted_fisheye(angle: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, float]:
     """The fisheye that is nearest to a radial lens.
 
     Args:
@@ -253,7 +256,7 @@ def fitted_fisheye(angle: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, f
 
 
 def _grown_fisheye(odd: np.ndarray, angle: float) -> LensShape | None:
-    """The lens of coefficients as `fitted_fisheye` returns them; None where its image does not grow up to the angle."""
+    """The lens of coefficients as `_fitted_fisheye` returns them; None where its image does not grow up to the angle."""
     if odd[0] <= 0.0:
         return None
     shape = LensShape(Lens.FISHEYE, tuple((odd[1:] / odd[0]).tolist()))
@@ -322,7 +325,7 @@ def _as_fisheye(camera: PlacedCamera, losses: Losses) -> tuple[float, LensShape,
     if model.lens is Lens.FISHEYE:
         return 1.0, model.shape, max_angle_rad
     angle = np.linspace(0.0, max_angle_rad, _SAMPLES)
-    odd, off = fitted_fisheye(angle, model.shape.radius(angle)[0])
+    odd, off = _fitted_fisheye(angle, model.shape.radius(angle)[0])
     off_px = off * float(model.intrinsics.diagonal()[:2].max())
     shape = _grown_fisheye(odd, max_angle_rad)
     if shape is None or off_px >= WRITE_PX:
