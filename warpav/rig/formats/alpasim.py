@@ -178,20 +178,25 @@ def _ftheta_curve(values: Record, farthest_px: float) -> tuple[np.ndarray, np.nd
     if numbers[0] != 0.0:
         raise coefficients.error("a polynomial that begins with 0; any other tears the image's middle")
     is_forward = reference.value == "angle_to_pixel"
-    last = limit if is_forward else farthest_px
-    for _ in range(2):  # the second time up to the image's corner, which may be near the axis
+    series = np.polynomial.Polynomial(numbers)
+
+    def curve(last: float) -> tuple[np.ndarray, np.ndarray, int]:
+        """Angles and radii up to the last argument of the polynomial, and how many of them lie in the image."""
         given = np.linspace(0.0, last, _SAMPLES)
-        found = np.polynomial.Polynomial(numbers)(given)
-        angle, radius_px = (given, found) if is_forward else (found, given)
+        angle, radius_px = (given, series(given)) if is_forward else (series(given), given)
         beyond = np.flatnonzero((radius_px > farthest_px) | (angle > limit))
-        end = beyond[0] if len(beyond) else _SAMPLES
-        last = given[min(end, _SAMPLES - 1)]
-    if end < len(_POWERS) or angle[end - 1] < _SAME_ANGLE_RAD or not np.all(np.diff(found[:end]) > 0.0):
+        return angle, radius_px, int(beyond[0]) if len(beyond) else _SAMPLES
+
+    angle, radius_px, count = curve(limit if is_forward else farthest_px)
+    corner = min(count, _SAMPLES - 1)  # it may be near the axis
+    angle, radius_px, count = curve((angle if is_forward else radius_px)[corner])
+    grows = np.all(np.diff(angle[:count]) > 0.0) and np.all(np.diff(radius_px[:count]) > 0.0)
+    if count < len(_POWERS) or angle[count - 1] < _SAME_ANGLE_RAD or not grows:
         raise coefficients.error("a polynomial that grows from the image's middle to its corners")
     odd = None
     if is_forward and not numbers[2::2].any():
         odd = np.pad(numbers[1::2], (0, len(_POWERS) - len(numbers[1::2])))
-    return angle[:end], radius_px[:end], odd
+    return angle[:count], radius_px[:count], odd
 
 
 def _check_max_angle(values: Record, optics: Optics, name: str, notes: list[str]) -> None:
@@ -256,7 +261,7 @@ def _fitted_fisheye(angle: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _grown_fisheye(odd: np.ndarray, angle: float) -> LensShape | None:
-    """The lens of coefficients as `_fitted_fisheye` returns them; None where its image does not grow up to the angle."""
+    """The lens of coefficients as `_fitted_fisheye` returns them; None where it does not grow up to the angle."""
     if odd[0] <= 0.0:
         return None
     shape = LensShape(Lens.FISHEYE, tuple((odd[1:] / odd[0]).tolist()))
