@@ -29,6 +29,11 @@ def vehicle_names() -> list[str]:
     return sorted(file.stem for file in _FOLDER.glob("*.glb"))
 
 
+def vehicle_folder() -> Path:
+    """Where they lie."""
+    return _FOLDER
+
+
 def vehicle_file(name: str | Path) -> Path | None:
     """The file of the shipped vehicle of this name; None if there is none."""
     return _FOLDER / f"{name}.glb" if str(name) in vehicle_names() else None
