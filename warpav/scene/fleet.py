@@ -219,9 +219,10 @@ def _body(path: Path) -> _Body:
     point_m = points_on(mesh)
     size_m = np.array([high[0] - low[0], body_width_m(point_m), high[2] - low[2]])
     categories = stated.get("category") or _categories_of(path, size_m)
-    looks = [_look(_decimated(mesh, count)) for count in TRIANGLES_MAX]
+    fine, coarse = (_decimated(mesh, count) for count in TRIANGLES_MAX)
+    look = _look(fine)
     arrays = [array.tobytes() for array in (mesh.vertex_m, mesh.triangle, mesh.vertex_rgb)]
-    return _Body(categories, size_m, _wheels(point_m), (looks[0], looks[1]), digest(categories, *arrays))
+    return _Body(categories, size_m, _wheels(point_m), (look, look if coarse is fine else _look(coarse)), digest(categories, *arrays))
 
 
 def _stated(path: Path) -> dict[str, Any]:
