@@ -37,10 +37,8 @@ from warpav.scene.town.surface_builder import NORMAL_STEPS, corner_normals
 from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, body_size_m
 from warpav.scene.town.vehicle_specs import VEHICLE_SPECS
 from warpav.scene.traffic.road_users import stretched
-from warpav.scene.vehicles import vehicle_folder
+from warpav.scene.vehicles import SHIPPED, vehicle_folder
 
-SHIPPED = "shipped"
-"""What stands for the vehicles that ship with warpav."""
 CATEGORIES = tuple(VEHICLE_SPECS)
 """Vehicles in whose places others can stand."""
 USUAL_SHARE = 0.5
@@ -222,7 +220,8 @@ def _body(path: Path) -> _Body:
     fine, coarse = (_decimated(mesh, count) for count in TRIANGLES_MAX)
     look = _look(fine)
     arrays = [array.tobytes() for array in (mesh.vertex_m, mesh.triangle, mesh.vertex_rgb)]
-    return _Body(categories, size_m, _wheels(point_m), (look, look if coarse is fine else _look(coarse)), digest(categories, *arrays))
+    looks = (look, look if coarse is fine else _look(coarse))
+    return _Body(categories, size_m, _wheels(point_m), looks, digest(categories, *arrays))
 
 
 def _stated(path: Path) -> dict[str, Any]:
@@ -248,8 +247,7 @@ def _stated(path: Path) -> dict[str, Any]:
             refuse(key, f"one of {', '.join(_KEYS)}", key, _KEYS)
         if key in ("up", "forward") and value not in AXES:
             refuse(key, f"one of {', '.join(AXES)}", value)
-        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if key == "scale" and not (is_number and 0.0 < value < math.inf):
+        if key == "scale" and not _is_scale(value):
             refuse(key, "a positive number", value)
         if key == "category":
             names = value if isinstance(value, list) else [value]
@@ -259,6 +257,10 @@ def _stated(path: Path) -> dict[str, Any]:
                 refuse(key, f"one or a list out of {', '.join(CATEGORIES)}", got, CATEGORIES)
             data[key] = tuple(dict.fromkeys(names))
     return data
+
+
+def _is_scale(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and 0.0 < value < math.inf
 
 
 def _categories_of(path: Path, size_m: np.ndarray) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Vehicles that ship with warpav, one GLB file each, for ``scenes.ego``; ``README.md`` says their source."""
+"""Vehicles that ship with warpav, one GLB file each, as egos and in traffic; ``README.md`` says their source."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import difflib
 from dataclasses import dataclass
 from pathlib import Path
 
+SHIPPED = "shipped"
+"""What stands for all of them in traffic."""
 _FOLDER = Path(__file__).parent
 
 
