@@ -53,8 +53,9 @@ _VERTICES_MAX = 2_400  # up to which triangles are split for their textures
 _COARSE_BELOW = 2_000  # triangles of an own mesh that is coarse
 _STREAM = 0xF1EE7
 _KEYS = ("category", "up", "forward", "scale")
-_PAINT_SHARE = 0.3  # of the surface that one colour takes up, if it is a paint that others could replace
-_PAINT_CELL, _PAINT_REACH, _DARK = 32, 40, 60  # of 255
+_INWARDS = 0.35  # of the way from a corner to the middle of its triangle
+_PAINT_SHARE = 0.4  # of the surface that one colour takes up, if it is a paint that others could replace
+_PAINT_CELL, _PAINT_REACH, _DARK = 32, 24, 60  # of 255
 _WHITE_ALBEDO = 0.85
 _PAINT_MIRROR, _GLASS_MIRROR, _OTHER_MIRROR = 0.13, 0.12, 0.03
 _GLASS_ABOVE = 0.45  # of the height: what is dark there is glass
@@ -213,7 +214,7 @@ def _body(path: Path) -> _Body:
             raise InputError(f"{path}: {problem.text.replace('`', '')}{hint}")
     mesh = found.corrected
     low, high = mesh.bounds_m().astype(np.float64)
-    mesh = mesh.transformed(np.eye(3), [-0.5 * (low[0] + high[0]), -0.5 * (low[1] + high[1]), -low[2]])
+    mesh = mesh.transformed(np.eye(3), -np.append(0.5 * (low + high)[:2], low[2]))
     point_m = points_on(mesh)
     size_m = np.array([high[0] - low[0], body_width_m(point_m), high[2] - low[2]])
     categories = stated.get("category") or _categories_of(path, size_m)
@@ -309,12 +310,29 @@ def _look(mesh: Mesh) -> _Look:
     _, first, index = np.unique(row, axis=0, return_index=True, return_inverse=True)
     vertex_m, normal, vertex_rgb = place_m[corner.reshape(-1)[first]], normal[first], rgb.reshape(-1, 3)[first]
     triangle = index.reshape(-1, 3).astype(np.int32)
-    sky = sky_share_at(place_m[corner], vertex_m, normal)
+    sky = _sky(place_m[corner], normal[index.reshape(-1, 3)], index.reshape(-1, 3))
     paint = _paint_of(vertex_m, triangle, vertex_rgb)
     is_glass = (vertex_rgb.max(axis=1) < _DARK) & (vertex_m[:, 2] > _GLASS_ABOVE * place_m[:, 2].max())
     mirror = np.where(paint > 0.0, _PAINT_MIRROR, np.where(is_glass, _GLASS_MIRROR, _OTHER_MIRROR))
     albedo = _WHITE_ALBEDO * (vertex_rgb / 255.0) ** 2.2
     return _Look(vertex_m, triangle, normal, sky, albedo, mirror, paint)
+
+
+def _sky(point_m: np.ndarray, normal: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Share of the sky's light at vertices, the mean of their triangles', float64 [vertex].
+
+    Files of others have parts that stick in each other: rays begin inside the triangles, a little off the corners.
+
+    Args:
+        point_m: Corners of the triangles [m], [triangle, 3, 3].
+        normal: Unit normals there, [triangle, 3, 3].
+        index: Vertices there, int [triangle, 3].
+    """
+    inside_m = point_m + _INWARDS * (point_m.mean(axis=1, keepdims=True) - point_m)
+    light = sky_share_at(point_m, inside_m.reshape(-1, 3), normal.reshape(-1, 3))
+    across = np.cross(point_m[:, 1] - point_m[:, 0], point_m[:, 2] - point_m[:, 0])
+    area = np.repeat(np.linalg.norm(across, axis=1) + 1e-12, 3)
+    return np.bincount(index.reshape(-1), area * light) / np.bincount(index.reshape(-1), area)
 
 
 def _is_inside_out(place_m: np.ndarray, corner: np.ndarray) -> np.ndarray:
