@@ -82,8 +82,13 @@ class Fleet:
 
         Args:
             key: What tells the scene from others, such as level and seed.
+
+        Raises:
+            InputError: The files have changed meanwhile.
         """
         bodies = _bodies(self.paths)
+        if _content(bodies) != self.content:
+            raise InputError(f"{self.paths[0]}: vehicles: expected the files of before, got others; begin again")
 
         def exchanged(number: int, category: str, own: Mesh, size_m: np.ndarray) -> Mesh:
             rng = np.random.default_rng([_STREAM, *key, number])
@@ -114,7 +119,7 @@ def fleet_of(paths: Sequence[Path | str], share: float = USUAL_SHARE) -> Fleet:
             or the YAML file beside it is wrong.
     """
     paths = tuple(paths)
-    return Fleet(paths, share, digest(*(body.content for body in _bodies(paths))))
+    return Fleet(paths, share, _content(_bodies(paths)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,10 +180,22 @@ class _Body:
         return Mesh(vertex_m.astype(np.float32), look.triangle, rgb)
 
 
-@lru_cache(maxsize=8)
 def _bodies(paths: tuple[Path | str, ...]) -> tuple[_Body, ...]:
-    """The vehicles of files and folders, read once in a process."""
-    return tuple(_body(file) for path in paths for file in mesh_files(path))
+    """The vehicles of files and folders, read once in a process as long as the files stay as they are."""
+    files = [file for path in paths for file in mesh_files(path)]
+    return tuple(_body(file, _stamp(file), _stamp(file.with_suffix(".yaml"))) for file in files)
+
+
+def _stamp(file: Path) -> tuple[int, int] | None:
+    """What changes with a file; None where there is none."""
+    if not file.is_file():
+        return None
+    about = file.stat()
+    return about.st_mtime_ns, about.st_size
+
+
+def _content(bodies: Sequence[_Body]) -> str:
+    return digest(*(body.content for body in bodies))
 
 
 def mesh_files(path: Path | str) -> list[Path]:
@@ -201,7 +218,8 @@ def mesh_files(path: Path | str) -> list[Path]:
     return found
 
 
-def _body(path: Path) -> _Body:
+@lru_cache(maxsize=256)
+def _body(path: Path, _stamp: tuple[int, int] | None, _stated_stamp: tuple[int, int] | None) -> _Body:
     stated = _stated(path)
     file = read_vehicle_file(path, vertices_max=_VERTICES_MAX)
     axes = {name: stated[name] for name in ("up", "forward", "scale") if name in stated}
