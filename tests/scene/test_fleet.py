@@ -76,25 +76,26 @@ def test_all_but_the_meshes_of_vehicles_stays(pairs):
 
 
 def test_boxes_are_those_of_the_vehicles_without_mirrors(pairs):
-    slopes = 0
+    scenes_on_level_ground = 0
     for own, other in pairs:
+        level = max(abs(float(user.mesh.vertex_m[:, 2].min())) for user in own.vehicles) < 1e-3
+        scenes_on_level_ground += level
+        tolerance_m = 1e-3 if level else 0.06  # on a grade boxes are upright around tilted meshes
         for a, b in exchanged(own, other):
-            level = abs(float(a.mesh.vertex_m[:, 2].min()) - float(b.mesh.vertex_m[:, 2].min())) < 1e-6
             ratios = [
                 body_width_m(a.category, variant) / vehicle_size_m(a.category, variant)[1]
                 for variant in range(VARIANT_COUNT)
             ]
             widths = a.box.size_m[1] * np.array(ratios)
-            tolerance_m = 1e-3 if level else 0.06  # on a grade the box is upright around a tilted mesh
-            slopes += not level
             assert abs(b.box.size_m[0] - a.box.size_m[0]) < tolerance_m
             assert abs(b.box.size_m[2] - a.box.size_m[2]) < tolerance_m
-            assert np.abs(b.box.size_m[1] - widths).min() < 2e-3 + tolerance_m
+            mirrors_m = 0.03 if len(a.mesh.triangle) < 2000 else 0.0  # coarse mirrors stand out less
+            assert np.abs(b.box.size_m[1] - widths).min() < mirrors_m + tolerance_m
             assert np.linalg.norm((b.box.center_m - a.box.center_m)[:2]) < tolerance_m
             # the box is that of the mesh, and the mesh stands where the own one stood
             assert np.abs(b.box.local_m(b.mesh.vertex_m)).max(axis=0) == pytest.approx(0.5 * b.box.size_m, abs=1e-3)
             assert abs(float(a.mesh.vertex_m[:, 2].min()) - float(b.mesh.vertex_m[:, 2].min())) < tolerance_m
-    assert slopes < 0.6 * sum(len(own.vehicles) for own, _ in pairs)
+    assert scenes_on_level_ground >= 5
 
 
 def test_recorded_boxes_are_kept_to_the_millimetre(tmp_path, fleet):
@@ -299,14 +300,14 @@ def test_what_is_written_beside_a_mesh_counts(tmp_path):
     [
         ("category: saloom", "mine.yaml:1: category: expected one or a list out of .*; did you mean saloon?"),
         ("category: []", "mine.yaml:1: category: expected one or a list out of "),
-        ("kind: saloon", "mine.yaml:1: kind: expected one of category, up, forward, scale, got kind"),
-        ("up: z\nforward: w", "mine.yaml:2: forward: expected one of x, y, z, -x, -y, -z, got w"),
+        ("kind: saloon", "mine.yaml:1: kind: expected one of category, up, forward, scale, got 'kind'"),
+        ("up: z\nforward: w", "mine.yaml:2: forward: expected one of x, y, z, -x, -y, -z, got 'w'"),
         ("scale: 0", "mine.yaml:1: scale: expected a positive number, got 0"),
-        ("saloon", "mine.yaml:1: vehicle: expected category, up, forward, scale, got saloon"),
-        ("forward: y", "axes: expected wheels below and lateral symmetry"),
+        ("saloon", "mine.yaml:1: vehicle: expected category, up, forward, scale, got 'saloon'"),
+        ("forward: y", "mine.yaml: forward: expected an axis across y, which points up, got 'y'"),
         (
             "scale: 0.01",
-            "the size of one of hatchback, .* write category: hatchback or another into mine.yaml beside it",
+            "mine.glb: units: expected a vehicle of 2 to 20 m, .*; write scale: 1 into mine.yaml beside it",
         ),
     ],
 )

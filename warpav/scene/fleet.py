@@ -223,7 +223,11 @@ def _body(path: Path, _stamp: tuple[int, int] | None, _stated_stamp: tuple[int, 
     stated = _stated(path)
     file = read_vehicle_file(path, vertices_max=_VERTICES_MAX)
     axes = {name: stated[name] for name in ("up", "forward", "scale") if name in stated}
-    found = examine(file, file.usual.changed(**axes), stated=frozenset(axes))
+    try:
+        reading = file.usual.changed(**axes)
+    except InputError as error:
+        raise InputError(f"{path.with_suffix('.yaml')}: {error}") from None
+    found = examine(file, reading, stated=frozenset(axes))
     for problem in found.problems:
         if problem.remedy != {}:  # what has to be shifted is shifted
             remedy = {name: value for name, value in (problem.remedy or {}).items() if name in _KEYS}

@@ -85,8 +85,12 @@ class PlacedVehicle:
         if exchange is None:
             return self
         width_m = self.size_m[1] * body_width_m(self.kind, self.variant) / vehicle_size_m(self.kind, self.variant)[1]
-        size_m = np.array([self.size_m[0], width_m, self.size_m[2]])
-        return replace(self, mesh=exchange(number, self.kind, self.mesh, size_m))
+        low_m, high_m = self.mesh.bounds_m().astype(np.float64)  # a coarse mesh is a little shorter
+        found = exchange(number, self.kind, self.mesh, np.array([high_m[0] - low_m[0], width_m, high_m[2]]))
+        if found is self.mesh:
+            return self
+        middle_m = np.array([0.5 * (low_m[0] + high_m[0]), 0.0, 0.0])
+        return replace(self, mesh=found.transformed(np.eye(3), middle_m))
 
     def standing(self, ground: StreetGround) -> Mesh:
         """The vehicle's mesh in the town frame."""
