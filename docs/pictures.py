@@ -146,7 +146,7 @@ def draw_traffic_vehicles(folder: Path) -> None:
     from warpav.scene.traffic.traffic_scene import TrafficSource
 
     model = wa.CameraModel(420, 270, math.radians(75.0))
-    moment = moment_of(moments_of(shipped_recordings(), wa.town([0])[0].ego.bounds_m()), 2)
+    moment = moment_of(moments_of(shipped_recordings(), wa.town([0])[0].ego.bounds_m()), 8)
     gap = np.full((270, 6, 3), 255, np.uint8)
     rows = []
     for fleet in (None, fleet_of(["shipped"], 1.0)):
@@ -155,7 +155,7 @@ def draw_traffic_vehicles(folder: Path) -> None:
             (level_scene(3, "easy", fleet), 0),
             (level_scene(1, "dense", fleet), 90),
             (level_scene(6, "motorway", fleet), 180),
-            (TrafficSource(moment, 2, fleet).scene(), 0),
+            (TrafficSource(moment, 8, fleet).scene(), 90),
         )
         for scene, yaw_deg in scenes:
             place_m = np.array([float(scene.ego.bounds_m()[:, 0].mean()), 0.0, 1.9])
