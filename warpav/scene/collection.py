@@ -38,7 +38,6 @@ def town(
         TypeError: One is no whole number.
     """
     from warpav.scene.cache import built_scenes
-    from warpav.scene.fleet import fleet_of
     from warpav.scene.town.levels import TownSource, checked_level
 
     name = checked_level(level)
@@ -52,8 +51,11 @@ def town(
         raise ArgumentError("seeds", "expected at least one seed such as [0], got none")
     if not 0.0 < vehicles_share <= 1.0:
         raise ArgumentError("vehicles_share", f"expected more than 0 and up to 1, got {vehicles_share!r}")
-    paths = (vehicles,) if isinstance(vehicles, (str, Path)) else vehicles
-    fleet = None if paths is None else fleet_of(list(paths), vehicles_share)
+    fleet = None
+    if vehicles is not None:
+        from warpav.scene.fleet import fleet_of
+
+        fleet = fleet_of([vehicles] if isinstance(vehicles, (str, Path)) else list(vehicles), vehicles_share)
     return list(built_scenes([TownSource(int(seed), name, fleet) for seed in numbers]))
 
 
