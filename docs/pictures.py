@@ -135,6 +135,39 @@ def draw_town_levels(folder: Path) -> None:
     image.save(PICTURES / "town_levels.jpg", quality=88, optimize=True)
 
 
+def draw_traffic_vehicles(folder: Path) -> None:
+    """traffic_vehicles.jpg: the same streets, the town's vehicles above, others in all places they fit below."""
+    import warpav as wa
+    from warpav.detection.images import render_images
+    from warpav.scene.fleet import fleet_of
+    from warpav.scene.town.levels import level_scene
+    from warpav.scene.traffic.files import shipped_recordings
+    from warpav.scene.traffic.moments import moment_of, moments_of
+    from warpav.scene.traffic.traffic_scene import TrafficSource
+
+    model = wa.CameraModel(420, 270, math.radians(75.0))
+    moment = moment_of(moments_of(shipped_recordings(), wa.town([0])[0].ego.bounds_m()), 8)
+    gap = np.full((270, 6, 3), 255, np.uint8)
+    rows = []
+    for fleet in (None, fleet_of(["shipped"], 1.0)):
+        row = []
+        scenes = (
+            (level_scene(3, "easy", fleet), 0),
+            (level_scene(1, "dense", fleet), 90),
+            (level_scene(6, "motorway", fleet), 180),
+            (TrafficSource(moment, 8, fleet).scene(), 90),
+        )
+        for scene, yaw_deg in scenes:
+            place_m = np.array([float(scene.ego.bounds_m()[:, 0].mean()), 0.0, 1.9])
+            [image] = render_images(
+                scene, [wa.Camera("camera", place_m, math.radians(yaw_deg), 0.0, 0.0, model)], supersampling=3
+            )
+            row += [image.rgb, gap]
+        rows += [np.concatenate(row[:-1], axis=1)]
+    image = Image.fromarray(np.concatenate([rows[0], np.full((6, rows[0].shape[1], 3), 255, np.uint8), rows[1]]))
+    image.save(PICTURES / "traffic_vehicles.jpg", quality=88, optimize=True)
+
+
 def draw_stages(folder: Path) -> None:
     """stages.jpg: from images to triangle meshes."""
     _warpav("scenes", "figure", "5", "--seed", "3", "--out", str(folder / "stages.png"))
@@ -299,6 +332,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "gain.png": draw_gain,
     "requirements.png": draw_requirements,
     "series_car.png": draw_series_car,
+    "traffic_vehicles.jpg": draw_traffic_vehicles,
     "town_levels.jpg": draw_town_levels,
     "stages.jpg": draw_stages,
     "gradient.png": draw_gradient,

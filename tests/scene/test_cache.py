@@ -42,7 +42,7 @@ def unbuilt(monkeypatch):
     """Seeds that were built in this process, which are none where all is read."""
     seeds = []
 
-    def build(seed, level):
+    def build(seed, level, fleet):
         seeds.append(seed)
         return level_scene(seed, level)
 

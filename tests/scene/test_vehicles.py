@@ -162,8 +162,11 @@ def test_a_front_that_nothing_tells_is_said_to_be_a_guess(vehicle_folder):
 
 SHIPPED = {
     "bus": (7.57, 2.42, 3.31),
+    "car": (4.12, 1.76, 1.57),
+    "coupe": (4.23, 1.81, 1.44),
     "minibus": (4.98, 1.88, 2.13),
     "moving_truck": (9.23, 2.50, 2.85),
+    "panel_van": (6.08, 2.06, 2.19),
     "truck": (5.25, 2.01, 1.98),
 }
 

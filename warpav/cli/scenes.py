@@ -23,6 +23,18 @@ from warpav.scene.town.levels import Level
 
 SceneLevel = Annotated[Level, Parameter(help="Of the embedded town, for seeds: easy, urban, dense or motorway.")]
 
+TrafficVehicles = Annotated[
+    list[str] | None,
+    Parameter(
+        help="Vehicles of other makers in the places of some: shipped, a mesh file, or a folder of these; may be given "
+        "several times.",
+        negative=(),
+    ),
+]
+VehiclesShare = Annotated[
+    float | None, Parameter(help="With --vehicles: of the vehicles in whose places one could stand; by default 0.5.")
+]
+
 scenes_app = App(name="scenes", help="Make and show traffic scenes.")
 
 
@@ -33,13 +45,16 @@ def scenes_make(
     seeds: Annotated[str | None, Parameter(help="Range such as 1000..1009 or list such as [1,2,3].")] = None,
     count: Annotated[int | None, Parameter(help="Instead of --seeds: this many, from seed 0.")] = None,
     level: SceneLevel = "easy",
+    vehicles: TrafficVehicles = None,
+    vehicles_share: VehiclesShare = None,
     executor: Executor = "serial",
     workers: Workers = None,
 ) -> int:
     """Build embedded street scenes and write each as a GLB file; what is there already stays."""
-    from warpav.runs.scenes import build_scenes
+    from warpav.runs.scenes import build_scenes, chosen_fleet
 
-    return build_scenes(seeds_of(seeds, count), out, level=level, executor=executor, worker_count=workers)
+    fleet = chosen_fleet(vehicles, vehicles_share)
+    return build_scenes(seeds_of(seeds, count), out, level=level, fleet=fleet, executor=executor, worker_count=workers)
 
 
 @scenes_app.command(name="traffic")
@@ -54,13 +69,18 @@ def scenes_traffic(
     out: Annotated[Path, Parameter(help="Folder for the files, scene_SEED.glb.")],
     seeds: Annotated[str | None, Parameter(help="Range such as 1000..1009 or list such as [1,2,3].")] = None,
     count: Annotated[int | None, Parameter(help="Instead of --seeds: this many, from seed 0.")] = None,
+    vehicles: TrafficVehicles = None,
+    vehicles_share: VehiclesShare = None,
     executor: Executor = "serial",
     workers: Workers = None,
 ) -> int:
     """Build scenes of recorded traffic and write each as a GLB file; what is there already stays."""
-    from warpav.runs.scenes import build_traffic_scenes
+    from warpav.runs.scenes import build_traffic_scenes, chosen_fleet
 
-    return build_traffic_scenes(recordings, seeds_of(seeds, count), out, executor=executor, worker_count=workers)
+    fleet = chosen_fleet(vehicles, vehicles_share)
+    return build_traffic_scenes(
+        recordings, seeds_of(seeds, count), out, fleet=fleet, executor=executor, worker_count=workers
+    )
 
 
 @scenes_app.command(name="capture")
@@ -129,11 +149,13 @@ def scenes_show(
     *,
     out: Annotated[Path | None, Parameter(help="PNG, HTML, GIF or MP4 to write; by default a window.")] = None,
     level: SceneLevel = "easy",
+    vehicles: TrafficVehicles = None,
+    vehicles_share: VehiclesShare = None,
 ) -> None:
     """Show a scene and list its vehicles."""
-    from warpav.runs.scenes import show_scene
+    from warpav.runs.scenes import chosen_fleet, show_scene
 
-    for line in show_scene(scene, out, level):
+    for line in show_scene(scene, out, level, chosen_fleet(vehicles, vehicles_share)):
         say(line)
 
 

@@ -60,6 +60,7 @@ from warpav.runs.scene_set import (
     recordings_digest,
     same_scenes,
     scene_part,
+    traffic_fleet_digest,
 )
 
 Task = TypeVar("Task")
@@ -218,11 +219,18 @@ class _TrafficOfProcess:
 
     def __init__(self) -> None:
         self._key: Config | None = None
-        self._made_of: tuple[str | None, str | None] = (None, None)  # what files hold
+        self._made_of: tuple[str | None, ...] = ()  # what files hold
         self._traffic: SceneSet | None = None
 
     def __call__(self, config: Config, progress: Progress) -> SceneSet:
-        key, made_of = scene_part(config), (own_vehicle_digest(config), recordings_digest(config))
+        key, made_of = (
+            scene_part(config),
+            (
+                own_vehicle_digest(config),
+                recordings_digest(config),
+                traffic_fleet_digest(config),
+            ),
+        )
         is_same = self._key is not None and same_scenes(key, self._key) and made_of == self._made_of
         if self._traffic is None or not is_same:
             self._traffic = None  # two of them may not fit into memory

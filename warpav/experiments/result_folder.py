@@ -18,7 +18,7 @@ from warpav.core.fingerprint import digest
 from warpav.runs.config import Config, dump_config, option_values
 from warpav.runs.config.schema import LATER_OPTIONS
 from warpav.runs.environment import environment
-from warpav.runs.scene_set import own_vehicle_digest, recordings_digest
+from warpav.runs.scene_set import own_vehicle_digest, recordings_digest, traffic_fleet_digest
 
 SCHEMA = 2
 DESCRIPTION = "experiment.json"
@@ -139,6 +139,9 @@ def _options(config: Config) -> dict[str, Any]:
     if recordings is not None:
         values.pop("scenes.test_recordings", None)
         values["scenes.recordings"] = recordings
+    vehicles = traffic_fleet_digest(config)
+    if vehicles is not None:
+        values["scenes.vehicles"] = vehicles
     return json.loads(json.dumps(values))
 
 

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 TOWN_SEEDS = tuple(range(500_000, 500_050))
 TOWN_HELD_OUT = tuple(range(500_050, 500_080))
 VIEWS_PER_SCENE = 24
+_NOT_FITTED = ("level", "vehicles", "vehicles_share")  # what curves know nothing of
 MIN_FIT_SCENES = 20
 """Training scenes of the user's own with which a model can be fitted and evaluated."""
 
@@ -360,8 +361,8 @@ def fit(
         sources = [_any_camera_source(config, window, detector, k) for k, window in enumerate(windows_of(detector))]
     else:
         sources = [_camera_source(config, camera or camera_model(config))]
-    level_free = changed_config(config, ["scenes.level=null"], origin=None)
-    samples = _sample_scenes(level_free, (*seeds.fit, *seeds.held_out), detector, ego, sources, progress)
+    usual = changed_config(config, [f"scenes.{name}=null" for name in _NOT_FITTED], origin=None)
+    samples = _sample_scenes(usual, (*seeds.fit, *seeds.held_out), detector, ego, sources, progress)
     progress.stage("fitting")
     known, unseen = samples.of_seeds(seeds.fit), samples.of_seeds(seeds.held_out)
     try:

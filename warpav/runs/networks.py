@@ -156,7 +156,8 @@ def _model_path(config: Config) -> Path:
 
 def _scene_settings(config: Config) -> dict[str, Any]:
     unseen = {"train_seeds", "validation_seeds", "test_seeds", "mirror", "ego", "recordings", "test_recordings"}
-    unseen |= {"level"}  # curves of embedded scenes are fitted on those of the level easy
+    # curves of embedded scenes are fitted on those of the level easy, and all on vehicles of our own
+    unseen |= {"level", "vehicles", "vehicles_share"}
     recordings = recordings_digest(config)
     settings = config.scenes.model_dump(mode="json", exclude=unseen)
     return settings if recordings is None else {**settings, "recordings": recordings}

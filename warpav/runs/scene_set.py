@@ -40,6 +40,7 @@ from warpav.scene.vehicles import file_of
 
 if TYPE_CHECKING:
     from warpav.optimisation.mount import CameraMount
+    from warpav.scene.fleet import Fleet
 
 VEHICLE_RGB = (150, 152, 156)
 """Colour of a vehicle that comes without one."""
@@ -196,7 +197,8 @@ def scene_recipes(config: Config, seeds: Sequence[int], progress: Progress) -> l
     elif config.scenes.source == "traffic":
         sources = _moments(config, seeds, ego)
     elif config.scenes.source == "town":
-        sources = [TownSource(seed, config.scenes.level or "easy") for seed in seeds]
+        fleet = traffic_fleet(config)
+        sources = [TownSource(seed, config.scenes.level or "easy", fleet) for seed in seeds]
     else:
         sources = _files_of(config, seeds)
     return [SceneRecipe(source, ego, targets) for source in sources]
@@ -274,18 +276,22 @@ def load_scenes(
         yield around.targeting(config.scenes.targets)
 
 
-def load_scene(source: str, config: Config | None = None) -> Scene:
+def load_scene(source: str, config: Config | None = None, *, fleet: Fleet | None = None) -> Scene:
     """The scene that ``source`` means: a GLB file, or the embedded scene of a seed.
 
     Args:
         source: What the user wrote.
         config: Its ``scenes.ego`` takes the place of the scene's own vehicle; None: nothing does.
+        fleet: Vehicles of other makers in the traffic of an embedded scene; None: those of ``scenes.vehicles``.
 
     Raises:
         InputError: It is neither.
     """
     ego = None if config is None else own_vehicle(config)
-    scene = _scene_of(source, "easy" if config is None else config.scenes.level or "easy")
+    level: Level = "easy"
+    if config is not None:
+        level, fleet = config.scenes.level or "easy", traffic_fleet(config) if fleet is None else fleet
+    scene = _scene_of(source, level, fleet)
     return scene if ego is None else scene.around(ego)
 
 
@@ -350,6 +356,33 @@ def _mesh_of(ego: Any) -> Mesh:  # noqa: ANN401 (checked here)
         if isinstance(error, InputError):
             raise
         raise ArgumentError("ego", f"expected numbers of shape [vertex, 3] and [face, 3], got: {error}") from None
+
+
+def traffic_fleet(config: Config) -> Fleet | None:
+    """The vehicles of ``scenes.vehicles``; None where there are none.
+
+    Raises:
+        InputError: They cannot be read, or not be used as they are.
+    """
+    scenes = config.scenes
+    if scenes.vehicles is None:
+        return None
+    from warpav.scene.fleet import USUAL_SHARE, fleet_of
+
+    try:
+        return fleet_of(scenes.vehicles, scenes.vehicles_share or USUAL_SHARE)
+    except InputError as error:
+        raise OptionError("scenes.vehicles", str(error)) from None
+
+
+def traffic_fleet_digest(config: Config) -> str | None:
+    """Hash of the meshes of ``scenes.vehicles``; None where there are none.
+
+    Raises:
+        InputError: As of `traffic_fleet`.
+    """
+    fleet = traffic_fleet(config)
+    return None if fleet is None else fleet.content
 
 
 def own_vehicle_digest(config: Config) -> str | None:
@@ -431,7 +464,11 @@ def _scenes_of(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
     from warpav.scene.glb import read_scene
 
     if config.scenes.source == "town":
-        yield from town_scenes(seeds, config.scenes.level or "easy")
+        fleet = traffic_fleet(config)
+        if fleet is None:
+            yield from town_scenes(seeds, config.scenes.level or "easy")
+        else:
+            yield from built_scenes([TownSource(seed, config.scenes.level or "easy", fleet) for seed in seeds])
         return
     if config.scenes.source == "captured":
         yield from map(read_scene, _captured(config, seeds))
@@ -445,7 +482,11 @@ def _moments(config: Config, seeds: Sequence[int], ego: Mesh | None) -> list[Tra
     bounds_m = (ego_vehicle() if ego is None else ego).bounds_m()
     traffic = traffic_of(scenes.recordings, scenes.test_recordings, bounds_m)
     tested = set(scenes.test_seeds)
-    return [TrafficSource(moment_of(traffic.test if seed in tested else traffic.search, seed), seed) for seed in seeds]
+    fleet = traffic_fleet(config)
+    return [
+        TrafficSource(moment_of(traffic.test if seed in tested else traffic.search, seed), seed, fleet)
+        for seed in seeds
+    ]
 
 
 def _files_of(config: Config, seeds: Sequence[int]) -> list[Path]:
@@ -475,11 +516,11 @@ def _captured(config: Config, seeds: Sequence[int]) -> Iterator[Path]:
         yield scene.file
 
 
-def _scene_of(source: str, level: Level) -> Scene:
+def _scene_of(source: str, level: Level, fleet: Fleet | None) -> Scene:
     from warpav.scene.glb import read_scene
 
     if source.isdecimal() and not Path(source).exists():
-        return level_scene(int(source), level)
+        return level_scene(int(source), level, fleet)
     if not Path(source).is_file():
         raise InputError(f"{source}: scene: expected a GLB file or the seed of an embedded scene, got {source!r}")
     return read_scene(source)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from warpav.core.errors import ArgumentError
 from warpav.core.executor import ExecutorName, Outcome
 from warpav.core.files import check_folder
 from warpav.runs.config import Config, SceneConfig
@@ -28,18 +29,27 @@ from warpav.scene.traffic.files import recordings_in, shipped_recordings
 from warpav.scene.traffic.moments import moment_of, moments_of
 from warpav.scene.traffic.traffic_scene import TrafficSource
 
+if TYPE_CHECKING:
+    from warpav.scene.fleet import Fleet
+
 _SPLIT_FROM = 6  # scenes that make training, validation and test scenes, and a batch of the training scenes
 
 
 def build_scenes(
-    seeds: Sequence[int], out: Path, *, level: Level = "easy", executor: ExecutorName, worker_count: int | None
+    seeds: Sequence[int],
+    out: Path,
+    *,
+    level: Level = "easy",
+    fleet: Fleet | None = None,
+    executor: ExecutorName,
+    worker_count: int | None,
 ) -> int:
     """Build embedded scenes of a level as GLB files that are not there yet; returns the exit status.
 
     Raises:
         InputError: The folder cannot be written to.
     """
-    tasks = [SceneTask(seed, scene_path(out, seed), source=TownSource(seed, level)) for seed in seeds]
+    tasks = [SceneTask(seed, scene_path(out, seed), source=TownSource(seed, level, fleet)) for seed in seeds]
     return _build(tasks, out, executor, worker_count)
 
 
@@ -48,6 +58,7 @@ def build_traffic_scenes(
     seeds: Sequence[int],
     out: Path,
     *,
+    fleet: Fleet | None = None,
     executor: ExecutorName,
     worker_count: int | None,
 ) -> int:
@@ -57,6 +68,7 @@ def build_traffic_scenes(
         recordings: Files and folders; none: those that ship with warpav.
         seeds: Each chooses a moment and an ego vehicle, of all recordings, and what was not recorded.
         out: Folder for the files.
+        fleet: Vehicles of other makers, in the places of some; None: none.
         executor: How the scenes are spread.
         worker_count: Processes.
 
@@ -66,7 +78,8 @@ def build_traffic_scenes(
     files = recordings_in(recordings) if recordings else shipped_recordings()
     moments = moments_of(files, ego_vehicle().bounds_m())
     tasks = [
-        SceneTask(seed, scene_path(out, seed), source=TrafficSource(moment_of(moments, seed), seed)) for seed in seeds
+        SceneTask(seed, scene_path(out, seed), source=TrafficSource(moment_of(moments, seed), seed, fleet))
+        for seed in seeds
     ]
     return _build(tasks, out, executor, worker_count)
 
@@ -140,7 +153,24 @@ def reconstruct_scenes(
     return status
 
 
-def show_scene(source: str, out: Path | None, level: Level | None = None) -> Iterator[str]:
+def chosen_fleet(paths: Sequence[str] | None, share: float | None) -> Fleet | None:
+    """The vehicles of other makers that arguments name; None where they name none.
+
+    Raises:
+        InputError: They cannot be read or used as they are, or the share is none.
+    """
+    if paths is None:
+        if share is not None:
+            raise ArgumentError("vehicles_share", f"expected none without `vehicles`, got {share:g}")
+        return None
+    if share is not None and not 0.0 < share <= 1.0:
+        raise ArgumentError("vehicles_share", f"expected more than 0 and up to 1, got {share:g}")
+    from warpav.scene.fleet import USUAL_SHARE, fleet_of
+
+    return fleet_of(paths, share or USUAL_SHARE)
+
+
+def show_scene(source: str, out: Path | None, level: Level | None = None, fleet: Fleet | None = None) -> Iterator[str]:
     """Show a scene, in a window when there is a display, else in ``<scene>.png``; yields lines about it.
 
     Raises:
@@ -149,7 +179,7 @@ def show_scene(source: str, out: Path | None, level: Level | None = None) -> Ite
     from warpav.view import plot
     from warpav.view.opengl import has_display
 
-    scene = load_scene(source, Config(scenes=SceneConfig(level=level)))
+    scene = load_scene(source, Config(scenes=SceneConfig(level=level)), fleet=fleet)
     meshes = [scene.surroundings(), scene.ego, *(vehicle.mesh for vehicle in scene.vehicles)]
     triangle_count = sum(len(mesh.triangle) for mesh in meshes)
     people = f", {len(scene.others)} people" if scene.others else ""

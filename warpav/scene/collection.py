@@ -14,7 +14,13 @@ from warpav.scene.traffic.files import is_recording, recordings_in
 MAX_SEED = 2**31 - 1
 
 
-def town(seeds: Iterable[int], level: str = "easy") -> list[Scene]:
+def town(
+    seeds: Iterable[int],
+    level: str = "easy",
+    *,
+    vehicles: str | Path | Iterable[str | Path] | None = None,
+    vehicles_share: float = 0.5,
+) -> list[Scene]:
     """Embedded street scenes: a street with houses, parked and moving vehicles, people, around one ego vehicle.
 
     They are kept in the user's cache folder; those that are not there yet are built in several processes.
@@ -23,13 +29,16 @@ def town(seeds: Iterable[int], level: str = "easy") -> list[Scene]:
         seeds: Their numbers, 0 to 2^31 - 1; the same seed and level give the same scene.
         level: ``easy`` is a street in which everything is near and can be seen from the roof; ``urban`` is as long and
             busy as real ones, ``dense`` full of people and of what hides them, ``motorway`` fast, wide and far.
+        vehicles: Vehicles of other makers in the places of some of the town's: ``"shipped"``, mesh files, folders of
+            these, or several; None: none.
+        vehicles_share: Of the vehicles in whose places one of these could stand, those in whose places one does, 0..1.
 
     Raises:
-        InputError: There is none, one is out of range, or there is no such level.
+        InputError: There is none, one is out of range, there is no such level, or a mesh cannot be used.
         TypeError: One is no whole number.
     """
-    from warpav.scene.cache import town_scenes
-    from warpav.scene.town.levels import checked_level
+    from warpav.scene.cache import built_scenes
+    from warpav.scene.town.levels import TownSource, checked_level
 
     name = checked_level(level)
     numbers = [seeds] if isinstance(seeds, int) else list(seeds)
@@ -40,7 +49,14 @@ def town(seeds: Iterable[int], level: str = "easy") -> list[Scene]:
             raise ArgumentError("seeds", f"expected 0 to {MAX_SEED}, got {seed}")
     if not numbers:
         raise ArgumentError("seeds", "expected at least one seed such as [0], got none")
-    return list(town_scenes([int(seed) for seed in numbers], name))
+    if not 0.0 < vehicles_share <= 1.0:
+        raise ArgumentError("vehicles_share", f"expected more than 0 and up to 1, got {vehicles_share!r}")
+    fleet = None
+    if vehicles is not None:
+        from warpav.scene.fleet import fleet_of
+
+        fleet = fleet_of([vehicles] if isinstance(vehicles, (str, Path)) else list(vehicles), vehicles_share)
+    return list(built_scenes([TownSource(int(seed), name, fleet) for seed in numbers]))
 
 
 def read_scenes(files: str | Path | Iterable[str | Path]) -> list[Scene]:

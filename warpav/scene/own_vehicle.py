@@ -400,7 +400,7 @@ def examine(
         InputError: Some vertices are NaN or infinite.
     """
     mesh = file.in_ego_frame(reading)
-    point_m = _points_on(mesh)
+    point_m = points_on(mesh)
     problems: list[VehicleProblem] = []
     hints = list(file.notes)
     size_m = np.ptp(mesh.bounds_m().astype(np.float64), axis=0)
@@ -494,6 +494,21 @@ def _mirrors_ahead(point_m: np.ndarray) -> float | None:
     is_both_sides = 0.2 < float(np.mean(widest[:, 1] > 0.0)) < 0.8
     is_mirror = is_both_sides and float(widest[:, 0].std()) < _MIRROR_SPREAD and abs(ahead) > _MIRROR_AHEAD
     return ahead if is_mirror else None
+
+
+def body_width_m(point_m: np.ndarray) -> float:
+    """Width of a vehicle without its mirrors, where it has any [m].
+
+    Args:
+        point_m: Points spread evenly over the vehicle, along its forward, lateral and upward axes [m], [point, 3].
+    """
+    low, high = point_m.min(axis=0), point_m.max(axis=0)
+    ahead = _mirrors_ahead(point_m)
+    if ahead is None:
+        return float(high[1] - low[1])
+    length_m = float(high[0] - low[0])
+    beside = np.abs(point_m[:, 0] - 0.5 * (low[0] + high[0]) - ahead * length_m) < 2.0 * _MIRROR_SPREAD * length_m
+    return float(np.ptp(point_m[~beside, 1]))
 
 
 def wheels_of(point_m: np.ndarray) -> Wheels | None:
@@ -781,7 +796,7 @@ def _joined(parts: list[_Part]) -> tuple[TexturedMesh, list[Texture]]:
     return mesh, textures
 
 
-def _points_on(mesh: Mesh, count: int = _SAMPLE_COUNT) -> np.ndarray:
+def points_on(mesh: Mesh, count: int = _SAMPLE_COUNT) -> np.ndarray:
     """Points spread evenly over a mesh, the same for the same mesh, float64 [point, 3]."""
     rng = np.random.default_rng(0)
     corner = mesh.vertex_m.astype(np.float64)[mesh.triangle]

@@ -30,7 +30,7 @@ from warpav.runs.config.schema import (
     merged,
 )
 from warpav.runs.config.shipped import find_config
-from warpav.scene.vehicles import vehicle_file
+from warpav.scene.vehicles import SHIPPED, vehicle_file
 
 if TYPE_CHECKING:
     from warpav import Placement
@@ -147,6 +147,10 @@ def with_absolute_paths(config: Config) -> Config:
         paths = getattr(config.scenes, name)
         if paths is not None:
             overrides.append(f"scenes.{name}={flow_text([str(path.expanduser().absolute()) for path in paths])}")
+    vehicles = config.scenes.vehicles
+    if vehicles is not None and any(path != SHIPPED for path in vehicles):
+        found = [path if path == SHIPPED else str(Path(path).expanduser().absolute()) for path in vehicles]
+        overrides.append(f"scenes.vehicles={flow_text(found)}")
     return changed_config(config, overrides) if overrides else config
 
 

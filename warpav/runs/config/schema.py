@@ -43,10 +43,10 @@ from warpav.runs.config.rig_options import LATER_BASELINE_OPTIONS, LATER_RIG_OPT
 from warpav.runs.config.shipped import shipped_values
 from warpav.scene.scene import ROAD_USERS, road_user_of
 from warpav.scene.town.levels import LEVELS, Level
-from warpav.scene.vehicles import vehicle_file, vehicle_names
+from warpav.scene.vehicles import SHIPPED, vehicle_file, vehicle_names
 
 LATER_OPTIONS = {
-    "scenes": ("level", "recordings", "test_recordings"),
+    "scenes": ("level", "recordings", "test_recordings", "vehicles", "vehicles_share"),
     "rig": LATER_RIG_OPTIONS,
     "baselines": LATER_BASELINE_OPTIONS,
     "robust": LATER_ROBUST_OPTIONS,
@@ -192,6 +192,33 @@ Recordings = Annotated[
 ]
 
 
+def _read_vehicles(value: object) -> object:
+    paths = [value] if isinstance(value, str) else value
+    if not isinstance(paths, (list, tuple)):
+        return value
+    if not paths:
+        mistake(f"expected {_VEHICLES_TEXT}, got none")
+    for path in paths:
+        if isinstance(path, str) and path != SHIPPED and not Path(path).expanduser().exists():
+            near = difflib.get_close_matches(path, [SHIPPED], 1, 0.6)
+            hint = f"did you mean {near[0]}?" if near else "no such file or folder"
+            mistake(f"expected {_VEHICLES_TEXT}, got {path!r}; {hint}")
+    twice = [path for k, path in enumerate(paths) if path in paths[:k]]
+    if twice:
+        mistake(f"expected every path once, got {shown(str(twice[0]))} twice")
+    return tuple(path if path == SHIPPED else read_path(path) for path in paths)
+
+
+_VEHICLES_TEXT = f"{SHIPPED}, or paths of mesh files or of folders of these, such as [{SHIPPED}, my_vehicles]"
+Vehicles = Annotated[
+    tuple[Literal["shipped"] | Path, ...],
+    BeforeValidator(_read_vehicles),
+    PlainSerializer(lambda value: [str(path) for path in value]),
+    Expectation(_VEHICLES_TEXT),
+    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}),
+]
+
+
 class SceneConfig(Section):
     """Which traffic scenes are trained and tested on."""
 
@@ -253,6 +280,18 @@ class SceneConfig(Section):
         default=None,
         description="the same for the test scenes alone; null: the last third of scenes.recordings, by name",
     )
+    vehicles: Vehicles | None = Field(
+        default=None,
+        description="vehicles of other makers in the places of some in the traffic of town and recordings: shipped, "
+        "mesh files, and folders of these; null: warpav's own alone",
+    )
+    vehicles_share: float | None = Field(
+        default=None,
+        gt=0.0,
+        le=1.0,
+        description="of the vehicles in whose places a mesh of scenes.vehicles could stand, those in whose places one "
+        "does; null: 0.5",
+    )
 
     @property
     def search_scene_count(self) -> int:
@@ -274,6 +313,12 @@ class SceneConfig(Section):
         for name in ("recordings", "test_recordings"):
             if getattr(self, name) is not None and self.source != "traffic":
                 mistake("expected null, as scenes.source is not traffic", name, "source")
+        if self.vehicles is not None and self.source not in ("town", "traffic"):
+            text = f"expected null, as scenes.source {self.source} has vehicles of its own, got {shown(self.vehicles)}"
+            mistake(text, "vehicles", "source")
+        if self.vehicles_share is not None and self.vehicles is None:
+            text = f"expected null without scenes.vehicles, got {self.vehicles_share:g}"
+            mistake(f"{text}; say which vehicles there are", "vehicles_share", "vehicles")
         if self.source == "folder":
             if self.folder is None:
                 mistake("expected a folder of scenes because scenes.source is folder, got none", "folder", "source")

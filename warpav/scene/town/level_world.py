@@ -12,7 +12,7 @@ from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.houses import SceneryBuilder
 from warpav.scene.town.motion import RoadUser, velocities_m_s
 from warpav.scene.town.people import person_mesh
-from warpav.scene.town.placed_vehicle import LONG_KINDS, DrawnVehicle, PlacedVehicle
+from warpav.scene.town.placed_vehicle import LONG_KINDS, DrawnVehicle, Exchange, PlacedVehicle
 from warpav.scene.town.street_life import Crowd, Footprint, Occupied, Person, upright_box
 from warpav.scene.town.town import drawn_sky, ego_vehicle
 from warpav.scene.town.town_layout import Layout, Slot
@@ -113,12 +113,13 @@ class LevelWorld:
         """Where drivers wait now."""
         self._lines = list(lines)
 
-    def finish(self, name: str, source: str) -> Scene:
+    def finish(self, name: str, source: str, exchange: Exchange | None = None) -> Scene:
         """The scene in the ego frame, without those whom nobody on the ego vehicle could see.
 
         Args:
             name: Its name.
             source: Where it came from.
+            exchange: May put other meshes in the places of vehicles; who stands where remains.
         """
         to_ego = -self._origin_m
         persons = self._crowd.persons
@@ -129,6 +130,8 @@ class LevelWorld:
         users, categories = [*self._vehicles, *persons], self._categories()
         found: list[Vehicle] = []
         for k in np.flatnonzero(seen):
+            if exchange is not None and k < len(self._vehicles):
+                meshes[k] = self._vehicles[k].exchanged(exchange, len(found) + 1).standing(self._ground)
             mesh = meshes[k].transformed(np.eye(3), to_ego)
             box = upright_box(mesh, users[k].footprint.yaw_rad)
             found.append(Vehicle(len(found) + 1, categories[k], mesh, box, velocity[1 + k] - velocity[0]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -13,19 +13,25 @@ from warpav.core.errors import ArgumentError
 from warpav.core.fingerprint import fingerprint
 from warpav.scene.scene import Scene
 
+if TYPE_CHECKING:
+    from warpav.scene.fleet import Fleet
+
 Level = Literal["easy", "urban", "dense", "motorway"]
 LEVELS: tuple[Level, ...] = ("easy", "urban", "dense", "motorway")
 """Names of the levels, the easiest first."""
 _CODE = {"easy": "town", "urban": "street_traffic", "dense": "street_traffic", "motorway": "motorway"}
+FLEET_CODE = ("warpav.scene.fleet", "warpav.scene.reconstruction.surface")
+"""Modules that make vehicles of other makers what they are in scenes."""
 _LEVEL_STREAM = 0x1E7E1  # keeps the random numbers of levels apart from other uses of the same seed
 
 
-def level_scene(seed: int, level: Level = "easy") -> Scene:
+def level_scene(seed: int, level: Level = "easy", fleet: Fleet | None = None) -> Scene:
     """The scene of a seed and a level, around the same ego vehicle.
 
     Args:
         seed: Any integer from 0; the same seed and level give the same scene, byte for byte.
         level: ``easy`` is `warpav.scene.town.town.town_scene`.
+        fleet: Vehicles of other makers, in the places of some of the town's; None: none.
 
     Raises:
         ValueError: The seed is negative, or there is no such level.
@@ -34,10 +40,11 @@ def level_scene(seed: int, level: Level = "easy") -> Scene:
         raise ValueError(f"level must be out of {', '.join(LEVELS)}, got {level!r}")
     if seed < 0:
         raise ValueError(f"seed must be 0 or more, got {seed}")
+    exchange = None if fleet is None else fleet.exchange(LEVELS.index(level), seed)
     if level == "easy":
         from warpav.scene.town.town import town_scene
 
-        return town_scene(seed)
+        return town_scene(seed, exchange)
     from warpav.scene.town.level_world import LevelWorld
 
     stream = [_LEVEL_STREAM, LEVELS.index(level), seed]
@@ -51,7 +58,7 @@ def level_scene(seed: int, level: Level = "easy") -> Scene:
         from warpav.scene.town.street_traffic import street_world
 
         street_world(level, rng, world)
-    return world.finish(f"{level}_{seed:04d}", f"town {level} seed {seed}")
+    return world.finish(f"{level}_{seed:04d}", f"town {level} seed {seed}", exchange)
 
 
 def checked_level(level: str) -> Level:
@@ -75,20 +82,25 @@ class TownSource:
     Attributes:
         seed: Any integer from 0.
         level: Of the town.
+        fleet: Vehicles of other makers, in the places of some of the town's; None: none.
     """
 
     seed: int
     level: Level = "easy"
+    fleet: Fleet | None = None
 
     def scene(self) -> Scene:
         """The scene; as of `level_scene`."""
-        return level_scene(self.seed, self.level)
+        return level_scene(self.seed, self.level, self.fleet)
 
     @property
     def fingerprint(self) -> str:
         """Hash of all that the scene depends on; that of ``easy`` knows nothing of the code of other levels."""
         code = (f"warpav.scene.town.{_CODE[self.level]}",)
-        return fingerprint(self.seed, self.level, code=code if self.level == "easy" else (*code, __name__))
+        code = code if self.level == "easy" else (*code, __name__)
+        if self.fleet is None:
+            return fingerprint(self.seed, self.level, code=code)
+        return fingerprint(self.seed, self.level, self.fleet.share, self.fleet.content, code=(*code, *FLEET_CODE))
 
 
 def level_of(source: str) -> tuple[Level, int] | None:

@@ -132,6 +132,12 @@ _ENVIRONMENT_ELEVATION = [-1.0, -0.25, -0.04, 0.04, 0.30, 0.55, 1.0]
 _ENVIRONMENT_LIGHT = [0.10, 0.13, 0.16, 0.22, 0.45, 0.95, 1.0]
 
 
+def drawn_paint(kind: str, rng: np.random.Generator) -> np.ndarray:
+    """A random paint of a kind of vehicle, linear albedo, shape [3]."""
+    paint = PAINT_COLOURS[int(rng.choice(len(PAINT_COLOURS), p=PAINT_SHARES))] * rng.uniform(0.9, 1.1)
+    return BUS_COLOURS[int(rng.integers(len(BUS_COLOURS)))] if kind == "bus" else paint
+
+
 def linear_to_srgb(linear: np.ndarray) -> np.ndarray:
     """Colours 0..255 (uint8) of linear light 0..1 (clipped)."""
     return np.round(255.0 * np.clip(linear, 0.0, 1.0) ** (1.0 / _GAMMA)).astype(np.uint8)
@@ -142,17 +148,28 @@ def sky_share(surface: Surface) -> np.ndarray:
 
     Cosine weighted; the surface itself and the ground (z = 0) take light away. This is ambient occlusion.
     """
+    return sky_share_at(surface.vertex_m[surface.triangle], surface.vertex_m, surface.normal)
+
+
+def sky_share_at(corner_m: np.ndarray, point_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """The same at points of any surface, shape [point].
+
+    Args:
+        corner_m: Corners of its triangles [m], shape [triangle, 3, 3].
+        point_m: The points [m], shape [point, 3].
+        normal: Unit normals there, shape [point, 3].
+    """
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 
     caster = EmbreeScene()
-    TriangleMesh(caster, surface.vertex_m[surface.triangle].astype(np.float32))
-    origin = (surface.vertex_m + _RAY_OFFSET_M * surface.normal).astype(np.float32)
+    TriangleMesh(caster, corner_m.astype(np.float32))
+    origin = (point_m + _RAY_OFFSET_M * normal).astype(np.float32)
     light = np.zeros(len(origin))
     weight = np.zeros(len(origin))
     for direction in _sphere_directions(OCCLUSION_RAYS):
-        cosine = surface.normal[:, 0] * direction[0]
-        cosine += surface.normal[:, 1] * direction[1] + surface.normal[:, 2] * direction[2]
+        cosine = normal[:, 0] * direction[0]
+        cosine += normal[:, 1] * direction[1] + normal[:, 2] * direction[2]
         lit = np.nonzero(cosine > 0.02)[0]
         ray = np.broadcast_to(direction.astype(np.float32), (len(lit), 3))
         free = caster.run(origin[lit], np.ascontiguousarray(ray), query="OCCLUDED") < 0
@@ -172,17 +189,30 @@ def painted_mesh(surface: Surface, sky: np.ndarray, own_albedo: Mapping[Material
     Returns:
         Mesh in the frame of the surface.
     """
-    up = surface.normal[:, 2]
-    irradiance = SKY_LIGHT * sky + SUN_LIGHT * np.maximum(up, 0.0) * np.minimum(2.0 * sky, 1.0) + BOUNCE_LIGHT
     albedo = _ALBEDO.copy()
     for material, colour in own_albedo.items():
         albedo[material] = colour
+    rgb = lit_rgb(surface.normal, sky, albedo[surface.material], _MIRROR[surface.material][:, 0])
+    return Mesh(surface.vertex_m.astype(np.float32), surface.triangle, rgb)
+
+
+def lit_rgb(normal: np.ndarray, sky: np.ndarray, albedo: np.ndarray, mirror: np.ndarray) -> np.ndarray:
+    """Colours of a surface in the light of the town, uint8 [vertex, 3].
+
+    Args:
+        normal: Unit normals, z up, shape [vertex, 3].
+        sky: Share of the sky's light, 0..1, shape [vertex].
+        albedo: Linear, 0..1, shape [vertex, 3].
+        mirror: Strength of reflections, 0..1, shape [vertex].
+    """
+    up = normal[:, 2]
+    irradiance = SKY_LIGHT * sky + SUN_LIGHT * np.maximum(up, 0.0) * np.minimum(2.0 * sky, 1.0) + BOUNCE_LIGHT
     # A level line of sight that meets a surface tilted up by phi leaves it at an elevation of 2 phi.
     mirrored = np.where(up > 0.7, 1.0, 2.0 * up * np.sqrt(np.maximum(1.0 - up * up, 0.0)))
     reflected = np.interp(mirrored, _ENVIRONMENT_ELEVATION, _ENVIRONMENT_LIGHT) * np.minimum(0.35 + sky, 1.0)
-    linear = albedo[surface.material] * irradiance[:, None]
-    linear += _MIRROR[surface.material] * reflected[:, None] * _REFLECTED_TINT
-    return Mesh(surface.vertex_m.astype(np.float32), surface.triangle, linear_to_srgb(linear))
+    linear = albedo * irradiance[:, None]
+    linear += mirror[:, None] * reflected[:, None] * _REFLECTED_TINT
+    return linear_to_srgb(linear)
 
 
 @cache

@@ -172,7 +172,7 @@ class SurfaceBuilder:
         corner = weld[triangle]
         distinct = (corner != np.roll(corner, 1, axis=1)).all(axis=1)
         corner, material = corner[distinct], material[distinct]
-        normal = _corner_normals(position, corner)
+        normal = corner_normals(position, corner)
 
         normal_key = _row_key(np.round(normal.reshape(-1, 3) * NORMAL_STEPS).astype(np.int64))
         row = np.stack([corner.ravel(), np.repeat(material, 3).astype(np.int64), normal_key], axis=1)
@@ -212,7 +212,7 @@ def _row_key(row: np.ndarray) -> np.ndarray:
     return key
 
 
-def _corner_normals(position_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+def corner_normals(position_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
     """Unit normal of every triangle corner, averaged over the neighbours within the crease angle."""
     edge = position_m[triangle[:, 1:]] - position_m[triangle[:, :1]]
     area_normal = np.cross(edge[:, 0], edge[:, 1])

@@ -17,7 +17,7 @@ from warpav.scene.scene import Scene, Sky, Vehicle
 from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.houses import SceneryBuilder
 from warpav.scene.town.motion import RoadUser, velocities_m_s
-from warpav.scene.town.placed_vehicle import LONG_KINDS, PlacedVehicle, drawn_vehicle
+from warpav.scene.town.placed_vehicle import LONG_KINDS, Exchange, PlacedVehicle, drawn_vehicle
 from warpav.scene.town.street_life import Footprint, furnish, people, upright_box
 from warpav.scene.town.town_layout import SPAWN_REACH_M, Layout, Slot, town_layout
 from warpav.scene.town.vehicle_shapes import ego_glass, ego_mesh, vehicle_glass
@@ -71,11 +71,12 @@ def ego_vehicle() -> Mesh:
     return ego_mesh()
 
 
-def town_scene(seed: int) -> Scene:
+def town_scene(seed: int, exchange: Exchange | None = None) -> Scene:
     """A street scene around the ego vehicle with 5 to 15 visible vehicles.
 
     Args:
         seed: Any integer from 0; the same seed gives the same scene, byte for byte.
+        exchange: May put other meshes in the places of vehicles; who stands where remains.
 
     Returns:
         The scene ``town_<seed>`` in the ego frame.
@@ -83,21 +84,26 @@ def town_scene(seed: int) -> Scene:
     Raises:
         ValueError: The seed is negative.
     """
-    return town_world(seed).scene
+    return _world(seed, exchange).scene
 
 
 def town_world(seed: int) -> TownWorld:
-    """The scene of `town_scene` with what only a simulator knows; the same arguments and errors."""
+    """The scene of `town_scene` with what only a simulator knows; the same errors."""
+    return _world(seed, None)
+
+
+def _world(seed: int, exchange: Exchange | None) -> TownWorld:
+    """The world, in which `TownWorld.vehicle_glass` knows nothing of an exchange."""
     if seed < 0:
         raise ValueError(f"seed must be 0 or more, got {seed}")
     for attempt in range(16):
-        world = _try_world(seed, attempt)
+        world = _try_world(seed, attempt, exchange)
         if world is not None:
             return world
     raise RuntimeError(f"no scene with enough visible traffic for seed {seed}")
 
 
-def _try_world(seed: int, attempt: int) -> TownWorld | None:
+def _try_world(seed: int, attempt: int, exchange: Exchange | None) -> TownWorld | None:
     rng = np.random.default_rng([TOWN_STREAM, seed, attempt])
     life_rng = np.random.default_rng([TOWN_STREAM, seed, attempt, 1])
     layout = town_layout(rng)
@@ -142,6 +148,7 @@ def _try_world(seed: int, attempt: int) -> TownWorld | None:
     if not VISIBLE_COUNT_MIN <= len(placed) <= VISIBLE_COUNT_MAX:
         return None
 
+    placed = [one.exchanged(exchange, number) for number, one in enumerate(placed, start=1)]
     meshes = [one.standing(ground) for one in placed]
     persons = people(layout, life_rng, ground, (*taken, *(one.footprint for one in placed)), layout.slots)
     barely_seen = [one.footprint for one, seen in zip(placed, share, strict=True) if seen < _BARELY_SEEN_SHARE]

@@ -18,7 +18,7 @@ from warpav.raster.mesh import Mesh
 from warpav.scene.town.lorry_body import add_lorry_body
 from warpav.scene.town.paint import Material, painted_mesh, sky_share
 from warpav.scene.town.surface_builder import Surface, SurfaceBuilder
-from warpav.scene.town.vehicle_specs import EGO_SPEC, HIGH_VAN, VEHICLE_SPECS, VehicleSpec
+from warpav.scene.town.vehicle_specs import CARGO, EGO_SPEC, HIGH_VAN, VEHICLE_SPECS, VehicleSpec
 from warpav.scene.town.wheels import add_wheel_pair
 
 VARIANT_COUNT = 2  # shapes per kind; instances differ further by paint and scale
@@ -544,6 +544,19 @@ def vehicle_glass(kind: str, variant: int = 0) -> np.ndarray:
 def vehicle_size_m(kind: str, variant: int) -> np.ndarray:
     """Length, width with mirrors and height of a shape before it is scaled [m], shape [3]."""
     return np.ptp(_baked(kind, variant, False)[0].vertex_m, axis=0)
+
+
+def body_width_m(kind: str, variant: int) -> float:
+    """Width without mirrors of a shape before it is scaled [m]."""
+    if kind == "lorry":
+        return 2.0 * CARGO.half_width_m
+    return (HIGH_VAN if kind == "van" and variant % 2 else VEHICLE_SPECS[kind]).width_m
+
+
+def body_size_m(kind: str, variant: int) -> np.ndarray:
+    """Length, width without mirrors and height of a shape before it is scaled [m], shape [3]."""
+    length_m, _, height_m = vehicle_size_m(kind, variant)
+    return np.array([length_m, body_width_m(kind, variant), height_m])
 
 
 @cache

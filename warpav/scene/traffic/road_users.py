@@ -8,14 +8,15 @@ boxes leave out and which stand out here. People have the sizes of people: recor
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from warpav.raster.mesh import Mesh
-from warpav.scene.town.paint import BUS_COLOURS, PAINT_COLOURS, PAINT_SHARES
+from warpav.scene.town.paint import drawn_paint
 from warpav.scene.town.people import person_mesh
-from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, vehicle_mesh
-from warpav.scene.town.vehicle_specs import CARGO, HIGH_VAN, VEHICLE_SPECS
+from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, body_width_m, vehicle_mesh
+from warpav.scene.town.vehicle_specs import CARGO, VEHICLE_SPECS
 
 LORRY_FROM_M = 6.3
 """A recorded car that is longer is a lorry, as in data sets that know cars alone."""
@@ -68,15 +69,13 @@ def body_mesh(kind: str, size_m: tuple[float, float, float], rng: np.random.Gene
     if kind in ("cyclist", "motorcycle"):
         return _rider("cyclist" if kind == "cyclist" else "motorcyclist", rng, size_m)
     variant = int(rng.integers(VARIANT_COUNT))
-    paint = PAINT_COLOURS[int(rng.choice(len(PAINT_COLOURS), p=PAINT_SHARES))] * rng.uniform(0.9, 1.1)
-    if kind == "bus":
-        paint = BUS_COLOURS[int(rng.integers(len(BUS_COLOURS)))]
+    paint = drawn_paint(kind, rng)
     spread = 1.0 + rng.uniform(-_HEIGHT_SPREAD, _HEIGHT_SPREAD)
     mesh = vehicle_mesh(kind, paint, variant=variant)
     high = mesh.bounds_m()[1].astype(np.float64)
     height = high[2] * spread if math.isnan(size_m[2]) else size_m[2]
-    vertex_m = mesh.vertex_m * np.array([1.0, size_m[1] / _body_width_m(kind, variant), height / high[2]])
-    vertex_m[:, 0] = _stretched(vertex_m[:, 0], _rigid_m(mesh, kind), size_m[0], float(height / high[2]))
+    vertex_m = mesh.vertex_m * np.array([1.0, size_m[1] / body_width_m(kind, variant), height / high[2]])
+    vertex_m[:, 0] = stretched(vertex_m[:, 0], _rigid_m(mesh, kind), size_m[0], float(height / high[2]))
     return Mesh(vertex_m.astype(np.float32), mesh.triangle, mesh.vertex_rgb)
 
 
@@ -100,12 +99,6 @@ def _scaled(mesh: Mesh, factor: float) -> Mesh:
     return Mesh((mesh.vertex_m * factor).astype(np.float32), mesh.triangle, mesh.vertex_rgb)
 
 
-def _body_width_m(kind: str, variant: int) -> float:
-    if kind == "lorry":
-        return 2.0 * CARGO.half_width_m
-    return (HIGH_VAN if kind == "van" and variant % 2 else VEHICLE_SPECS[kind]).width_m
-
-
 def _rigid_m(mesh: Mesh, kind: str) -> list[tuple[float, float]]:
     """Stretches of x that keep their proportions, ascending: those of the wheels, and a lorry's cab."""
     spec = VEHICLE_SPECS[kind]
@@ -119,7 +112,7 @@ def _rigid_m(mesh: Mesh, kind: str) -> list[tuple[float, float]]:
     return spans
 
 
-def _stretched(x_m: np.ndarray, rigid_m: list[tuple[float, float]], length_m: float, rate: float) -> np.ndarray:
+def stretched(x_m: np.ndarray, rigid_m: Sequence[tuple[float, float]], length_m: float, rate: float) -> np.ndarray:
     """X of a body of another length: rigid stretches grow by a rate, as its height does, the others by what is left.
 
     Where too little would be left, all grow alike.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from warpav.raster.mesh import Mesh, merge
 from warpav.scene.scene import Scene, Vehicle
 from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.houses import KERB_HEIGHT_M, SceneryBuilder
+from warpav.scene.town.levels import FLEET_CODE
+from warpav.scene.town.placed_vehicle import Exchange
 from warpav.scene.town.street_life import Footprint, upright_box
 from warpav.scene.town.town import drawn_sky, ego_vehicle
 from warpav.scene.traffic.files import content_digest, read_recording
@@ -26,11 +29,15 @@ from warpav.scene.traffic.road import Road, pavement_width_m, road_of, subdivide
 from warpav.scene.traffic.road_users import body_mesh, drawn_kind
 from warpav.scene.traffic.roadside import Roadside, turned
 
+if TYPE_CHECKING:
+    from warpav.scene.fleet import Fleet
+
 _ROOM_M = 0.45  # of road around whoever stands on it outside the lanes
 _LANE_STEP_M = 2.0
 _SHADOW_LAYERS = 16  # shadows that lie over each other get heights of their own
 _MIRRORS_M = 0.25
 _STREAM = 0x7AF1D
+_FLEET_KEY = 0x7AF  # as no level of the town has
 _ON_FOOT = ("pedestrian", "cyclist", "motorcycle")
 
 
@@ -41,10 +48,12 @@ class TrafficSource:
     Attributes:
         moment: Where and when.
         seed: Draws what was not recorded.
+        fleet: Vehicles of other makers, in the places of some of the town's; None: none.
     """
 
     moment: Moment
     seed: int
+    fleet: Fleet | None = None
 
     def scene(self, ego: Mesh | None = None) -> Scene:
         """The scene; as of `traffic_scene`."""
@@ -52,7 +61,7 @@ class TrafficSource:
 
     def scene_and_left_out(self, ego: Mesh | None = None) -> tuple[Scene, int]:
         """The scene, and how many road users were left out because the ego vehicle stands in their places."""
-        return traffic_scene(read_recording(self.moment.file), self.moment, self.seed, ego=ego)
+        return traffic_scene(read_recording(self.moment.file), self.moment, self.seed, ego=ego, fleet=self.fleet)
 
     @property
     def fingerprint(self) -> str:
@@ -62,7 +71,10 @@ class TrafficSource:
             InputError: The recording cannot be read.
         """
         content = content_digest(self.moment.file)
-        return fingerprint(content, self.moment.step, self.moment.ego_id, self.seed, code=(__name__,))
+        made_of = (content, self.moment.step, self.moment.ego_id, self.seed)
+        if self.fleet is None:
+            return fingerprint(*made_of, code=(__name__,))
+        return fingerprint(*made_of, self.fleet.share, self.fleet.content, code=(__name__, *FLEET_CODE))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +87,9 @@ class _Body:
     velocity_m_s: np.ndarray
 
 
-def traffic_scene(recording: Recording, moment: Moment, seed: int, *, ego: Mesh | None = None) -> tuple[Scene, int]:
+def traffic_scene(
+    recording: Recording, moment: Moment, seed: int, *, ego: Mesh | None = None, fleet: Fleet | None = None
+) -> tuple[Scene, int]:
     """The scene of a moment, in the ego frame, and how many road users are left out.
 
     Args:
@@ -83,6 +97,7 @@ def traffic_scene(recording: Recording, moment: Moment, seed: int, *, ego: Mesh 
         moment: Its step, and whose place the ego vehicle takes.
         seed: Any integer from 0; draws what was not recorded. The same seed gives the same scene, byte for byte.
         ego: The vehicle that carries the cameras, in its frame; None: that of the embedded town.
+        fleet: Vehicles of other makers, in the places of some of the town's; None: none.
 
     Returns:
         Road users within `REACH_M`, but for those that the ego vehicle would stand in, which are counted; velocities
@@ -114,9 +129,10 @@ def traffic_scene(recording: Recording, moment: Moment, seed: int, *, ego: Mesh 
     roadside.build(builder)
     parked = [_Body(each.kind, each.mesh, each.footprint, np.zeros(2)) for each in roadside.parked]
     bodies = [*recorded, *parked]
+    exchange = None if fleet is None else fleet.exchange(_FLEET_KEY, seed)
     users = []
     for number, body in enumerate(bodies, start=1):
-        mesh = _standing(body, road)
+        mesh = _standing(_exchanged(body, number, exchange), road)
         box = upright_box(mesh, body.footprint.yaw_rad)
         velocity = frame.direction_in_ego(body.velocity_m_s - own.velocity_m_s)
         users.append(Vehicle(number, body.kind, mesh, box, velocity))
@@ -188,6 +204,14 @@ def _road(
 
 def _grown(footprint: Footprint, room_m: float) -> Footprint:
     return replace(footprint, length_m=footprint.length_m + 2.0 * room_m, width_m=footprint.width_m + 2.0 * room_m)
+
+
+def _exchanged(body: _Body, number: int, exchange: Exchange | None) -> _Body:
+    """The body with the mesh that an exchange gives it, as the road user of this number."""
+    if exchange is None:
+        return body
+    size_m = np.array([body.footprint.length_m, body.footprint.width_m, float(body.mesh.vertex_m[:, 2].max())])
+    return replace(body, mesh=exchange(number, body.kind, body.mesh, size_m))
 
 
 def _standing(body: _Body, road: Road) -> Mesh:

@@ -1,4 +1,4 @@
-"""Vehicles that ship with warpav, one GLB file each, for ``scenes.ego``; ``README.md`` says their source."""
+"""Vehicles that ship with warpav, one GLB file each, as egos and in traffic; ``README.md`` says their source."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import difflib
 from dataclasses import dataclass
 from pathlib import Path
 
+SHIPPED = "shipped"
+"""What stands for all of them in traffic."""
 _FOLDER = Path(__file__).parent
 
 
@@ -27,6 +29,11 @@ class VehicleAbout:
 def vehicle_names() -> list[str]:
     """Names of the shipped vehicles, sorted, such as ``bus``."""
     return sorted(file.stem for file in _FOLDER.glob("*.glb"))
+
+
+def vehicle_folder() -> Path:
+    """Where they lie."""
+    return _FOLDER
 
 
 def vehicle_file(name: str | Path) -> Path | None:

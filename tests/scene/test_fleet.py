@@ -1,0 +1,369 @@
+"""Vehicles of other makers in traffic: same places, sizes, categories and velocities, other bodies."""
+
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from tests.scene.traffic.recordings import street, track, write
+from warpav.cli.app import main
+from warpav.core.errors import InputError
+from warpav.runs.config import load_config
+from warpav.runs.config.explain import option_values
+from warpav.scene.cache import built_scenes, scene_file
+from warpav.scene.fleet import CATEGORIES, STRETCH, TRIANGLES_MAX, _bodies, fleet_of
+from warpav.scene.own_vehicle import write_vehicle
+from warpav.scene.packed import SceneRecipe
+from warpav.scene.town.levels import LEVELS, TownSource, level_scene
+from warpav.scene.town.paint import PAINT_COLOURS
+from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, body_size_m, body_width_m, vehicle_mesh, vehicle_size_m
+from warpav.scene.traffic.files import read_recording
+from warpav.scene.traffic.moments import Moment
+from warpav.scene.traffic.traffic_scene import TrafficSource, traffic_scene
+from warpav.scene.vehicles import SHIPPED, vehicle_folder, vehicle_names
+
+SEEDS = range(3)
+
+
+@pytest.fixture(scope="module")
+def fleet():
+    return fleet_of([SHIPPED], 1.0)
+
+
+@pytest.fixture(scope="module")
+def pairs(fleet):
+    """Scenes of every level, with the town's own vehicles and with others."""
+    return [(level_scene(seed, level), level_scene(seed, level, fleet)) for level in LEVELS for seed in SEEDS]
+
+
+def is_same(one, other):
+    names = ("vertex_m", "triangle", "vertex_rgb")
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in names)
+
+
+def exchanged(own, other):
+    """Pairs of vehicles of which the second has another mesh."""
+    return [(a, b) for a, b in zip(own.vehicles, other.vehicles, strict=True) if not is_same(a.mesh, b.mesh)]
+
+
+def saloon(folder, name="mine", *, height=1.0, scale=1.0):
+    """A car in a GLB file: a mesh that a user may have."""
+    mesh = vehicle_mesh("saloon", np.array([0.4, 0.03, 0.03]))
+    axle_m = mesh.vertex_m[mesh.vertex_m[:, 2] < 1e-3, 0].min()
+    vertex_m = (mesh.vertex_m - [axle_m + 0.1, 0.0, 0.0]) * scale * np.array([1.0, 1.0, height])
+    write_vehicle(type(mesh)(vertex_m, mesh.triangle, mesh.vertex_rgb), folder / f"{name}.glb")
+    return folder / f"{name}.glb"
+
+
+# -------------------------------------------------------------------------------------- places and sizes
+
+
+def test_all_but_the_meshes_of_vehicles_stays(pairs):
+    count = 0
+    for own, other in pairs:
+        assert is_same(own.environment, other.environment)
+        assert own.source == other.source
+        assert all(is_same(a.mesh, b.mesh) for a, b in zip(own.others, other.others, strict=True))
+        for a, b in zip(own.vehicles, other.vehicles, strict=True):
+            assert (a.category, a.instance_id, a.box.yaw_rad) == (b.category, b.instance_id, b.box.yaw_rad)
+            np.testing.assert_array_equal(a.velocity_ego_m_s, b.velocity_ego_m_s)
+        count += len(exchanged(own, other))
+    assert count >= 0.95 * sum(len(own.vehicles) for own, _ in pairs)
+
+
+def test_boxes_are_those_of_the_vehicles_without_mirrors(pairs):
+    scenes_on_level_ground = 0
+    for own, other in pairs:
+        level = max(abs(float(user.mesh.vertex_m[:, 2].min())) for user in own.vehicles) < 1e-3
+        scenes_on_level_ground += level
+        tolerance_m = 1e-3 if level else 0.1  # on a grade boxes are upright around tilted meshes
+        for a, b in exchanged(own, other):
+            ratios = [
+                body_width_m(a.category, variant) / vehicle_size_m(a.category, variant)[1]
+                for variant in range(VARIANT_COUNT)
+            ]
+            widths = a.box.size_m[1] * np.array(ratios)
+            assert abs(b.box.size_m[0] - a.box.size_m[0]) < tolerance_m
+            assert abs(b.box.size_m[2] - a.box.size_m[2]) < tolerance_m
+            mirrors_m = 0.03 if len(a.mesh.triangle) < 2000 else 0.0  # coarse mirrors stand out less
+            assert np.abs(b.box.size_m[1] - widths).min() < mirrors_m + tolerance_m
+            assert np.linalg.norm((b.box.center_m - a.box.center_m)[:2]) < tolerance_m
+            # the box is that of the mesh, and the mesh stands where the own one stood
+            assert np.abs(b.box.local_m(b.mesh.vertex_m)).max(axis=0) == pytest.approx(0.5 * b.box.size_m, abs=1e-3)
+            assert abs(float(a.mesh.vertex_m[:, 2].min()) - float(b.mesh.vertex_m[:, 2].min())) < tolerance_m
+    assert scenes_on_level_ground >= 5
+
+
+def test_recorded_boxes_are_kept_to_the_millimetre(tmp_path, fleet):
+    users = [
+        track("a", "car", (4.5, 1.8), (-10.0, -1.75), 0.0, 8.0),
+        track("b", "car", (4.2, 1.75, 1.5), (8.0, -1.75), 0.0, 6.0),
+        track("c", "truck", (8.0, 2.4, 2.9), (60.0, 1.75), np.pi, 10.0),
+        track("d", "bicycle", (1.8, 0.6), (-30.0, -3.0), 0.0, 4.0),
+        track("e", "bus", (10.5, 2.5, 3.1), (35.0, -1.75), 0.0, 6.0),
+    ]
+    recording = read_recording(write(tmp_path, street(users=users)))
+    moment = Moment(tmp_path, 0, "a")
+    own, other = traffic_scene(recording, moment, 4)[0], traffic_scene(recording, moment, 4, fleet=fleet)[0]
+    recorded = {"b": (4.2, 1.75, 1.5), "c": (8.0, 2.4, 2.9), "e": (10.5, 2.5, 3.1)}
+    changed = exchanged(own, other)
+    found = [tuple(np.round(b.box.size_m, 3)) for _, b in changed]
+    for size_m in recorded.values():
+        assert any(np.allclose(size_m, each, atol=1.001e-3) for each in found), (size_m, found)
+    assert len(changed) >= len(recorded)
+    assert is_same(own.others[0].mesh, other.others[0].mesh)  # the cyclist
+    assert is_same(own.environment, other.environment)
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_meshes_fill_the_size_stand_on_the_ground_and_keep_their_wheels_round(fleet, category):
+    for body in _bodies(fleet.paths):
+        if category not in body.categories:
+            continue
+        for variant in range(VARIANT_COUNT):
+            size_m = body_size_m(category, variant)
+            mesh = body.mesh(size_m, np.array([0.4, 0.03, 0.03]), coarse=False)
+            low, high = mesh.bounds_m()
+            np.testing.assert_allclose(high - low, size_m, atol=1e-4)
+            np.testing.assert_allclose(low, [-0.5 * size_m[0], -0.5 * size_m[1], 0.0], atol=1e-4)
+            x_m = body.looks[0].vertex_m[:, 0]
+            assert len(body.wheel_m) >= 2
+            for first_m, last_m in body.wheel_m:
+                inside = (x_m >= first_m) & (x_m <= last_m)
+                grown = np.ptp(mesh.vertex_m[inside, 0]) / np.ptp(x_m[inside])
+                assert grown == pytest.approx(size_m[2] / body.size_m[2], rel=1e-4)
+            assert np.all(np.diff(mesh.vertex_m[np.argsort(x_m), 0]) >= -1e-4)  # the front stays the front
+            assert body.fits(size_m)
+
+
+def test_what_would_be_distorted_stays_own(fleet):
+    [body] = [body for body in _bodies(fleet.paths) if "bus" in body.categories]
+    bound = STRETCH[1] / STRETCH[0]
+    assert body.fits(body.size_m * [bound - 1e-6, 1.0, 1.0])
+    assert not body.fits(body.size_m * [bound + 1e-6, 1.0, 1.0])
+    assert body.fits(2.0 * body.size_m)
+    own = vehicle_mesh("bus", np.array([0.5, 0.5, 0.5]))
+    exchange = fleet.exchange(1, 2)
+    assert exchange(1, "bus", own, body.size_m * [1.7, 1.0, 1.0]) is own
+    assert exchange(1, "motorcycle", own, body.size_m) is own
+
+
+# --------------------------------------------------------------------------------------- draws and looks
+
+
+def test_as_many_are_exchanged_as_the_share_says(fleet, pairs):
+    half = fleet_of([SHIPPED], 0.5)
+    could = done = 0
+    scenes = iter(pairs)
+    for level in LEVELS:
+        for seed in SEEDS:
+            own, other = next(scenes)
+            mixed = level_scene(seed, level, half)
+            could += len(exchanged(own, other))
+            for vehicle, one, every in zip(mixed.vehicles, own.vehicles, other.vehicles, strict=True):
+                # each is drawn by itself: whoever is exchanged is exchanged alike, whatever the share
+                is_own = is_same(vehicle.mesh, one.mesh)
+                assert is_own or is_same(vehicle.mesh, every.mesh)
+                done += not is_own
+    assert could > 300
+    assert binom.ppf(0.0005, could, 0.5) <= done <= binom.ppf(0.9995, could, 0.5)
+
+
+def test_paint_is_drawn_and_glass_tyres_and_lamps_keep_their_colours(fleet):
+    for body in _bodies(fleet.paths):
+        look = body.looks[0]
+        meshes = [body.mesh(body.size_m, PAINT_COLOURS[k], coarse=False) for k in (0, 9)]
+        differs = (meshes[0].vertex_rgb != meshes[1].vertex_rgb).any(axis=1)
+        np.testing.assert_array_equal(differs, look.paint > 0.0)
+        assert 0.2 < differs.mean() < 0.7
+        red = meshes[1].vertex_rgb[differs].astype(float).mean(axis=0)
+        assert red[0] > 1.5 * red[1]
+        assert len(np.unique(meshes[0].vertex_rgb[~differs] // 16, axis=0)) > 5
+
+
+def test_light_is_baked_in(fleet):
+    for body in _bodies(fleet.paths):
+        look, mesh = body.looks[0], body.mesh(body.size_m, np.array([0.5, 0.5, 0.5]), coarse=False)
+        painted = look.paint > 0.0
+        roof = painted & (look.normal[:, 2] > 0.9) & (look.vertex_m[:, 2] > 0.9 * body.size_m[2])
+        side = painted & (np.abs(look.normal[:, 1]) > 0.95) & (look.sky > 0.3)
+        assert mesh.vertex_rgb[roof].mean() > mesh.vertex_rgb[side].mean() + 15.0
+        assert look.sky[roof].min() > 0.9  # its faces look outwards
+
+
+def test_no_more_triangles_than_the_towns_own(pairs):
+    for own, other in pairs:
+        for a, b in exchanged(own, other):
+            is_coarse = len(a.mesh.triangle) < 2000
+            assert len(b.mesh.triangle) <= TRIANGLES_MAX[is_coarse]
+            assert len(b.mesh.triangle) <= 1.1 * len(a.mesh.triangle)
+            assert len(b.mesh.vertex_m) <= 1.5 * len(a.mesh.vertex_m)
+
+
+def test_large_and_textured_meshes_are_decimated(vehicle_folder):
+    fleet = fleet_of([vehicle_folder / "hatchback" / "meshes", vehicle_folder / "pickup" / "meshes"], 1.0)
+    for body in _bodies(fleet.paths):
+        for look, most in zip(body.looks, TRIANGLES_MAX, strict=True):
+            assert 500 < len(look.triangle) <= most
+        assert not body.looks[0].paint.any()  # a photograph of a car has no paint of one colour
+        assert len(np.unique(body.looks[0].albedo.round(2), axis=0)) > 100
+        assert body.size_m[1] < 2.2  # without mirrors, 2.14 and 2.47 m with them
+
+
+def test_a_fine_mesh_is_decimated_for_far_places(tmp_path):
+    [body] = _bodies((saloon(tmp_path),))
+    own = vehicle_mesh("saloon", np.array([0.4, 0.03, 0.03]))
+    assert len(own.triangle) > TRIANGLES_MAX[0]
+    assert 0.8 * TRIANGLES_MAX[0] < len(body.looks[0].triangle) <= TRIANGLES_MAX[0]
+    assert 0.8 * TRIANGLES_MAX[1] < len(body.looks[1].triangle) <= TRIANGLES_MAX[1]
+    np.testing.assert_allclose(body.size_m, body_size_m("saloon", 0), atol=0.02)  # without mirrors
+    assert "saloon" in body.categories
+    assert "bus" not in body.categories
+
+
+# ------------------------------------------------------------------------------------------ reproducible
+
+
+def test_every_process_makes_the_same_scene(fleet, tmp_path):
+    code = (
+        "import sys; from tests.scene.test_fleet import fleet_of, level_scene, SHIPPED\n"
+        "from tests.scene.town.test_levels import digest_of\n"
+        "f = fleet_of([SHIPPED], 0.6); print(f.content, digest_of(level_scene(1, 'dense', f)))"
+    )
+    found = {
+        subprocess.run(
+            [sys.executable, "-c", code], env={**os.environ, "PYTHONHASHSEED": seed}, capture_output=True, check=True
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(found) == 1
+    assert fleet.content.encode() in next(iter(found))
+
+
+def test_scenes_are_kept_by_share_and_content_of_the_meshes(tmp_path):
+    folder, kept = tmp_path / "mine", tmp_path / "kept"
+    folder.mkdir()
+    saloon(folder)
+    before = fleet_of([folder], 0.5)
+    sources = [TownSource(7), TownSource(7, fleet=before), TownSource(7, fleet=fleet_of([folder], 0.6))]
+    saloon(folder, scale=1.04)
+    after = fleet_of([folder], 0.5)
+    assert before.content != after.content
+    sources += [TownSource(7, fleet=after)]
+    (folder / "mine.yaml").write_text("category: estate\n")
+    sources += [TownSource(7, fleet=fleet_of([folder], 0.5))]
+    assert len({scene_file(source, kept) for source in sources}) == len(sources)
+    assert len({SceneRecipe(source).file_name for source in sources}) == len(sources)
+    with pytest.raises(InputError, match="expected the files of before"):
+        before.exchange(0)
+    [built] = built_scenes([sources[-1]], folder=kept)
+    [again] = built_scenes([sources[-1]], folder=kept)
+    assert all(is_same(a.mesh, b.mesh) for a, b in zip(built.vehicles, again.vehicles, strict=True))
+    moment = Moment(write(tmp_path, street()), 0, "a")
+    assert TrafficSource(moment, 0).fingerprint != TrafficSource(moment, 0, after).fingerprint
+
+
+def test_unset_options_leave_no_trace():
+    config = load_config("quick")
+    assert not [name for name in option_values(config) if "scenes.vehicles" in name and option_values(config)[name]]
+    assert "vehicles" not in config.model_dump(mode="json")["scenes"]
+    chosen = load_config("quick", ["scenes.vehicles=shipped", "scenes.vehicles_share=0.25"])
+    assert chosen.model_dump(mode="json")["scenes"]["vehicles"] == ["shipped"]
+    assert load_config(chosen).scenes == chosen.scenes
+
+
+# ----------------------------------------------------------------------------------------------- input
+
+
+def test_all_shipped_vehicles_say_in_whose_places_they_stand():
+    assert [name for name in vehicle_names() if not (vehicle_folder() / f"{name}.yaml").is_file()] == []
+    assert {category for body in _bodies((SHIPPED,)) for category in body.categories} == set(CATEGORIES)
+
+
+def test_what_is_written_beside_a_mesh_counts(tmp_path):
+    saloon(tmp_path)
+    (tmp_path / "mine.yaml").write_text("category: [suv, van]\nforward: -x\n")
+    [body] = _bodies((tmp_path,))
+    assert body.categories == ("suv", "van")
+    (tmp_path / "mine.yaml").unlink()
+    [forward] = _bodies((tmp_path,))
+    # turned about: what was the front axle's place is the rear axle's
+    assert body.wheel_m[0][0] == pytest.approx(-forward.wheel_m[-1][1], abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("category: saloom", "mine.yaml:1: category: expected one or a list out of .*; did you mean saloon?"),
+        ("category: []", "mine.yaml:1: category: expected one or a list out of "),
+        ("kind: saloon", "mine.yaml:1: kind: expected one of category, up, forward, scale, got 'kind'"),
+        ("up: z\nforward: w", "mine.yaml:2: forward: expected one of x, y, z, -x, -y, -z, got 'w'"),
+        ("scale: 0", "mine.yaml:1: scale: expected a positive number, got 0"),
+        ("saloon", "mine.yaml:1: vehicle: expected category, up, forward, scale, got 'saloon'"),
+        ("forward: y", "mine.yaml: forward: expected an axis across y, which points up, got 'y'"),
+        (
+            "scale: 0.01",
+            "mine.glb: units: expected a vehicle of 2 to 20 m, .*; write scale: 1 into mine.yaml beside it",
+        ),
+    ],
+)
+def test_what_is_wrong_beside_a_mesh_is_refused_in_one_line(tmp_path, text, message):
+    saloon(tmp_path)
+    (tmp_path / "mine.yaml").write_text(text)
+    with pytest.raises(InputError, match=message.replace("?", r"\?").replace("[", r"\[")) as caught:
+        fleet_of([tmp_path])
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("command", ["option", "flag"])
+@pytest.mark.parametrize(
+    ("vehicles", "message"),
+    [
+        ("empty", "expected mesh files (glb, gltf, obj, dae, ply, stl, off), got none in this folder"),
+        ("broken", "broken.glb: vehicle: expected a readable glb file"),
+        ("nowhere", "no such file"),
+        (SHIPPED.replace("pp", "p"), "did you mean shipped?"),
+        ("low.ply", "write scale: "),
+        ("tall.glb", "expected the size of one of hatchback, saloon, estate, suv, van, lorry, bus, got"),
+    ],
+)
+def test_bad_vehicles_end_with_one_line_and_status_2(tmp_path, monkeypatch, capsys, command, vehicles, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "broken.glb").write_bytes(b"no mesh")
+    shutil.copy(vehicle_folder() / "bus.glb", tmp_path / "bus.glb")
+    import trimesh
+
+    mesh = vehicle_mesh("saloon", np.array([0.5, 0.5, 0.5]))
+    trimesh.Trimesh(0.55 * mesh.vertex_m, mesh.triangle, process=False).export(tmp_path / "low.ply")
+    saloon(tmp_path, "tall", height=2.4)
+    words = {
+        "option": ["scenes", "statistics", f"scenes.vehicles={vehicles}", "--seeds", "0..1"],
+        "flag": ["scenes", "make", "--count", "1", "--out", "out", "--vehicles", vehicles],
+    }[command]
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert len(error.strip().splitlines()) == 1
+    assert not list(tmp_path.glob("out/*"))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["scenes.vehicles_share=0.5"], "expected null without scenes.vehicles"),
+        (["scenes.vehicles=shipped", "scenes.vehicles_share=0"], "scenes.vehicles_share: "),
+        (["scenes.vehicles=[]"], "got none"),
+        (["scenes.vehicles=[shipped, shipped]"], "got 'shipped' twice"),
+        (["scenes.vehicles=shipped", "scenes.source=captured"], "scenes.source captured has vehicles of its own"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(overrides, message):
+    with pytest.raises(InputError) as caught:
+        load_config("quick", overrides)
+    assert message in str(caught.value)
