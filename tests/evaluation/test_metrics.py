@@ -123,6 +123,7 @@ def check(metrics, *, has_objective):
     assert (metrics.frames, metrics.false_alarms_per_frame) == (4, 1 / 4)
     assert metrics.misses_per_100 == pytest.approx(100 * 3 / 6)
     assert metrics.per_scene["misses_per_100"] == pytest.approx([100 / 3, 200 / 3])
+    assert (metrics.redundant_rate, metrics.per_scene["redundant_rate"]) == (0.0, [0.0, 0.0])  # each by one camera
     # one false alarm in four images is fewer than half a one per image: the threshold stays
     assert metrics.recall_at_equal_false_alarms == pytest.approx(3 / 6)
     assert metrics.per_scene["false_alarms_per_frame"] == [1 / 2, 0.0]
@@ -142,7 +143,7 @@ def check(metrics, *, has_objective):
     assert metrics.per_scene["detection_confidence"] == pytest.approx([0.7, 0.7])
     # false, true, true over 2 objects; then one true of 3 objects
     assert metrics.per_scene["ap50_pooled"] == pytest.approx([2 / 3, 34 / 101])
-    assert set(metrics.per_scene) == set(PAIRED_METRICS)
+    assert set(metrics.per_scene) == {*PAIRED_METRICS, "redundant_rate"}
     if has_objective:
         assert metrics.objective == pytest.approx(np.mean(metrics.per_scene["objective"]))
     else:

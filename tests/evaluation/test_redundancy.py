@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from warpav.evaluation.redundancy import probability_of_at_least, redundancy, seen_by_camera
+from warpav.evaluation.metrics import RigObservation
+from warpav.evaluation.redundancy import probability_of_at_least, redundancy
 
 
 @pytest.mark.parametrize("cameras", [0, 1, 2, 3, 5])
@@ -39,8 +40,8 @@ def test_cameras_come_in_the_order_of_the_rig():
     # two models: cameras 0 and 2 of one, camera 1 of the other
     boxes = [np.full((2, 2, 4), np.nan), np.zeros((1, 2, 4))]
     boxes[0][1, 0] = 1.0
-    observation = SimpleNamespace(observations=[SimpleNamespace(truth_box_px=each) for each in boxes], camera=[0, 2, 1])
-    np.testing.assert_array_equal(seen_by_camera(observation), [[False, False], [True, True], [True, False]])
+    observation = RigObservation([SimpleNamespace(truth_box_px=each) for each in boxes], np.ones(2, bool), [0, 2, 1])
+    np.testing.assert_array_equal(observation.visible_to_camera, [[False, False], [True, True], [True, False]])
 
 
 def test_wrong_numbers_are_rejected():

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from warpav.detection.detector import ROAD_USERS, Detections, Detector
 from warpav.detection.observe import Observation, observe
 from warpav.detection.probability import Appearance
 from warpav.evaluation.own_body import body_shares
+from warpav.evaluation.redundancy import redundancy
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
@@ -57,9 +58,17 @@ OPTIONAL_METRICS = (
     "attainable_rate",
     "attainable_recall",
     "attainable_misses_per_100",
+    "redundant_rate",
 )
-"""Metrics that not every evaluation has: where the objects have weights (section ``importance``), and where it is known
-which of them are attainable (`warpav.evaluation.attainable`); defined per scene as well, but for the rate."""
+"""Metrics that not every evaluation has: where the objects have weights (section ``importance``), where it is known
+which of them are attainable (`warpav.evaluation.attainable`), and where some are near; defined per scene as well, but
+for the attainable rate."""
+
+REDUNDANT_WITHIN_M = 20.0
+"""Distance within which road users count for `ArmMetrics.redundant_rate` [m]."""
+
+REDUNDANT_CAMERAS = 2
+"""Cameras that have to see them there."""
 
 EQUAL_FALSE_ALARMS_PER_FRAME = 0.5
 """False alarms per image at which the recalls of rigs are compared (`ArmMetrics.recall_at_equal_false_alarms`)."""
@@ -157,6 +166,8 @@ class ArmMetrics:
             `warpav.evaluation.attainable`. None where that is not known.
         attainable_recall: As `rig_recall`, of these objects alone.
         attainable_misses_per_100: 100 (1 - `attainable_recall`): of what can be found, how much this rig does not find.
+        redundant_rate: Share of the objects within `REDUNDANT_WITHIN_M` that `REDUNDANT_CAMERAS` cameras of the rig see
+            well enough for a ground-truth box; see `warpav.evaluation.redundancy`. None without such objects.
     """
 
     map50_average: float | None
@@ -194,6 +205,7 @@ class ArmMetrics:
     attainable_rate: float | None = None
     attainable_recall: float | None = None
     attainable_misses_per_100: float | None = None
+    redundant_rate: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """As ``evaluation.json`` has them; of `OPTIONAL_METRICS` those that are known."""
@@ -287,10 +299,15 @@ class RigObservation:
         return np.where(self.detected, self._best_confidence, np.nan)
 
     @property
+    def visible_to_camera(self) -> np.ndarray:
+        """Which camera of the rig sees which object well enough for a ground-truth box, bool [camera, object]."""
+        box_px = np.concatenate([each.truth_box_px for each in self.observations])
+        return np.asarray(np.isfinite(box_px).all(axis=2)[np.argsort(self.camera)])
+
+    @property
     def visible(self) -> np.ndarray:
         """Whether some camera sees an object well enough for a ground-truth box, bool [object]."""
-        box_px = np.concatenate([each.truth_box_px for each in self.observations])
-        return np.asarray(np.isfinite(box_px).all(axis=2).any(axis=0))
+        return self.visible_to_camera.any(axis=0)
 
     @property
     def outcomes(self) -> list[ObjectOutcome]:
@@ -567,6 +584,8 @@ def metrics_of(
             "attainable_recall": recalls,
             "attainable_misses_per_100": [_misses(each) for each in recalls],
         }
+    redundant = partial(redundancy, radius_m=REDUNDANT_WITHIN_M, cameras=REDUNDANT_CAMERAS)
+    seen_by = [each.visible_to_camera for each in observations]
     return ArmMetrics(
         map50_average=_mean(np.array(camera_map)),
         map50_min_camera=min(camera_map, default=None),
@@ -610,12 +629,14 @@ def metrics_of(
             "objective": [_number(loss) for loss in losses] or [None] * len(scenes),
             **weighted_of_scene,
             **attainable_of_scene,
+            "redundant_rate": [redundant([sees], [scene]).share for sees, scene in zip(seen_by, scenes, strict=True)],
         },
         weighted_recall=weighted_recall,
         weighted_misses_per_100=_misses(weighted_recall),
         attainable_rate=None if can_be is None else _mean(can_be),
         attainable_recall=attainable_recall,
         attainable_misses_per_100=_misses(attainable_recall),
+        redundant_rate=redundant(seen_by, scenes).share,
     )
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpav.evaluation.metrics import RigObservation
 from warpav.scene.device_scene import DeviceScene
 
 
@@ -56,8 +55,8 @@ def redundancy(
     """Share of the road users within a radius that enough cameras see, over some scenes.
 
     Args:
-        sees: Of every scene which camera sees which road user, as flags (`seen_by_camera`), or how likely each is to
-            detect it (`RigObservation.detection_probability`), [camera, object].
+        sees: Of every scene which camera sees which road user, as flags (`RigObservation.visible_to_camera`), or how
+            likely each is to detect it (`RigObservation.detection_probability`), [camera, object].
         scenes: The scenes.
         radius_m: Greatest horizontal distance from the middle of the ego vehicle [m], positive.
         cameras: How many cameras, at least 1.
@@ -75,9 +74,3 @@ def redundancy(
         found.append(probability_of_at_least(cameras, seen)[is_near])
     share = np.concatenate(found)
     return Redundancy(radius_m, cameras, len(share), float(share.mean()) if len(share) else None)
-
-
-def seen_by_camera(observation: RigObservation) -> np.ndarray:
-    """Which camera of the rig sees which road user well enough for a ground-truth box, bool [camera, object]."""
-    seen = np.concatenate([np.isfinite(each.truth_box_px).all(axis=2) for each in observation.observations])
-    return seen[np.argsort(observation.camera)]

@@ -14,6 +14,8 @@ from warpav.evaluation.metrics import (
     EQUAL_FALSE_ALARMS_PER_FRAME,
     OPTIONAL_METRICS,
     PAIRED_METRICS,
+    REDUNDANT_CAMERAS,
+    REDUNDANT_WITHIN_M,
     ArmMetrics,
     ObjectOutcome,
 )
@@ -39,6 +41,7 @@ TABLE_ROWS = {
     "tp_in_frame_rate": "in frame",
     "ap50_pooled": "AP50, all images",
     "ap50_95_pooled": "AP50:95, all images",
+    "redundant_rate": f"seen by {REDUNDANT_CAMERAS} cameras within {REDUNDANT_WITHIN_M:g} m",
     "false_alarms_per_frame": "false alarms a frame",
     "detection_confidence": "confidence",
     "objective": "objective",

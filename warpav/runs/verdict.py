@@ -10,7 +10,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from warpav.evaluation.metrics import EQUAL_FALSE_ALARMS_PER_FRAME, OPTIONAL_METRICS
+from warpav.evaluation.metrics import (
+    EQUAL_FALSE_ALARMS_PER_FRAME,
+    OPTIONAL_METRICS,
+    REDUNDANT_CAMERAS,
+    REDUNDANT_WITHIN_M,
+)
 from warpav.evaluation.rig_evaluation import outage_rows, requirement_rows
 
 ARM_ROWS = {
@@ -32,6 +37,7 @@ ARM_ROWS = {
     "recall_at_equal_false_alarms": f"recall at {EQUAL_FALSE_ALARMS_PER_FRAME:g} false alarms",
     "visible_rate": "visible to the rig",
     "rig_recall_visible": "recall of the visible",
+    "redundant_rate": f"seen by {REDUNDANT_CAMERAS} cameras within {REDUNDANT_WITHIN_M:g} m",
     "false_alarms_per_frame": "false alarms a frame",
     "tp_in_frame_rate": "in frame",
     "detection_confidence": "confidence",
