@@ -33,6 +33,23 @@ def write_json(file: Path, data: object) -> None:
     write_text(file, json.dumps(json_ready(data), indent=2, allow_nan=False) + "\n")
 
 
+def append_line(file: Path, line: str) -> None:
+    """Add a line to a file, whole or not at all, as far as a process that goes on can see to it.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    with writing(file), file.open("ab", buffering=0) as stream:
+        before, left = stream.tell(), line.encode()
+        try:
+            while left:
+                left = left[stream.write(left) :]  # a disk that is nearly full takes a part
+        except OSError:
+            with contextlib.suppress(OSError):
+                stream.truncate(before)
+            raise
+
+
 def check_folder(folder: Path, option: str) -> None:
     """Reject a file where a folder is to be written; the error names ``option``.
 

@@ -17,7 +17,7 @@ from warpav.optimisation.camera_loss import RobustObjective, RobustValue
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.further_camera import FurtherCameras, further_cameras
 from warpav.optimisation.ghost_scene import GhostScene
-from warpav.optimisation.history import Candidate, History, IterationRecord
+from warpav.optimisation.history import Candidate, History, IterationRecord, named_part, part_of
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD
 from warpav.optimisation.mount_errors import MountErrors
 from warpav.optimisation.objective import RigObjective
@@ -222,8 +222,7 @@ class PoolDescent:
 
         ``iteration`` counts the states that the search comes to again.
         """
-        journal = {f"journal_{name}": value for name, value in self._journal.state().items()}
-        return {"iteration": np.array(self._final_states), **journal}
+        return {"iteration": np.array(self._final_states), **named_part("journal", self._journal.state())}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         """Go on from where another run of the same arguments was when it gave `state`; this one has taken no step.
@@ -233,9 +232,8 @@ class PoolDescent:
         Raises:
             InputError: The state is of another search, or not whole.
         """
-        parts = {name.removeprefix("journal_"): each for name, each in state.items() if name.startswith("journal_")}
         try:
-            self._journal.restore(parts)
+            self._journal.restore(part_of(state, "journal"))
             for _ in range(int(state["iteration"])):
                 self.step()
         except (KeyError, StopIteration) as error:

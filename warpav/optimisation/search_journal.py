@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from warpav.core.errors import InputError
+from warpav.optimisation.history import named_part, part_of
 from warpav.optimisation.mount import MOUNT_POSE_SIZE
 from warpav.optimisation.polish import Detected
 from warpav.optimisation.selection.price import Price
@@ -266,12 +267,12 @@ class SearchJournal:
             "rig_objective": np.array([objective for _, _, objective in rigs], float),
             "answer_cameras": np.array([len(answer.mount_pose) for answer in answers], int),
             "answer_pose": np.concatenate([answer.mount_pose for answer in answers] or [no_pose]),
-            **_named("pooled", _Sparse.state([answer.pooled for answer in answers], np.float32)),
-            **_named("told_probability", _Sparse.state([each.probability for each in told], np.float64)),  # pyright: ignore[reportArgumentType]
-            **_named("told_jacobian", _Sparse.state([each.jacobian for each in told], np.float64)),  # pyright: ignore[reportArgumentType]
+            **named_part("pooled", _Sparse.state([answer.pooled for answer in answers], np.float32)),
+            **named_part("told_probability", _Sparse.state([each.probability for each in told], np.float64)),  # pyright: ignore[reportArgumentType]
+            **named_part("told_jacobian", _Sparse.state([each.jacobian for each in told], np.float64)),  # pyright: ignore[reportArgumentType]
         }
         for number, selection in enumerate(selections):
-            state |= _named(f"selection_{number}", _selection_state(selection))
+            state |= named_part(f"selection_{number}", _selection_state(selection))
         return state
 
     def restore(self, state: State) -> None:
@@ -285,13 +286,13 @@ class SearchJournal:
         pose = np.split(np.asarray(state["answer_pose"], np.float32), ends[:-1]) if len(cameras) else []
         answers = [
             _Answer(each, pooled, None, None)
-            for each, pooled in zip(pose, _Sparse.restored(_part(state, "pooled"), cameras), strict=True)
+            for each, pooled in zip(pose, _Sparse.restored(part_of(state, "pooled"), cameras), strict=True)
         ]
         is_open = state["walk_is_open"]
         if len(is_open) and is_open[-1]:
             told_from = len(answers) - int(state["walk_answers"][-1])
             probability, jacobian = (
-                _Sparse.restored(_part(state, name), cameras[told_from:])
+                _Sparse.restored(part_of(state, name), cameras[told_from:])
                 for name in ("told_probability", "told_jacobian")
             )
             for answer, exact, flat in zip(answers[told_from:], probability, jacobian, strict=True):
@@ -308,7 +309,7 @@ class SearchJournal:
         for kind in state["entries"]:
             if kind == _SELECTION:
                 number = len(self._entries) - walks
-                self._entries.append(_restored_selection(_part(state, f"selection_{number}")))
+                self._entries.append(_restored_selection(part_of(state, f"selection_{number}")))
                 continue
             own_answers, own_rigs = int(state["walk_answers"][walks]), int(state["walk_rigs"][walks])
             self._entries.append(_Walk(answers[:own_answers], rigs[:own_rigs], bool(is_open[walks])))
@@ -317,14 +318,6 @@ class SearchJournal:
 
 def _another() -> InputError:
     return InputError("checkpoint: expected that of this search, got one of another; was warpav changed in between?")
-
-
-def _named(name: str, arrays: State) -> dict[str, np.ndarray]:
-    return {f"{name}_{key}": value for key, value in arrays.items()}
-
-
-def _part(state: State, name: str) -> dict[str, np.ndarray]:
-    return {key.removeprefix(f"{name}_"): value for key, value in state.items() if key.startswith(f"{name}_")}
 
 
 def _selection_state(selection: Selection) -> dict[str, np.ndarray]:
