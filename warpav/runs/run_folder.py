@@ -178,19 +178,23 @@ class RunFolder:
         append_line(metrics, _metrics_rows([event], with_names=not metrics.exists()))
         append_line(self.path / "events.jsonl", _event_line(event))
 
-    def keep_events(self, count: int) -> list[dict[str, Any]]:
-        """Leave the first iterations of ``events.jsonl`` and ``metrics.csv`` alone, so many, and return them.
+    def first_events(self, count: int) -> list[dict[str, Any]]:
+        """So many of `events`, the first ones.
 
         Raises:
             InputError: As `events`, or there are fewer.
         """
-        file = self.path / "events.jsonl"
-        events = read_events(file, least=count)[:count]
-        write_text(file, "".join(_event_line(event) for event in events))
-        write_text(self.path / "metrics.csv", _metrics_rows(events, with_names=True) if events else "")
-        if not events:
-            (self.path / "metrics.csv").unlink()
-        return events
+        return read_events(self.path / "events.jsonl", least=count)[:count]
+
+    def replace_events(self, events: Sequence[Mapping[str, Any]]) -> None:
+        """Make ``events.jsonl`` and ``metrics.csv`` those of these iterations."""
+        write_text(self.path / "events.jsonl", "".join(_event_line(event) for event in events))
+        metrics = self.path / "metrics.csv"
+        if events:
+            write_text(metrics, _metrics_rows(events, with_names=True))
+        else:
+            with writing(metrics):
+                metrics.unlink(missing_ok=True)
 
     def write_checkpoint(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Write the state from which the run can go on to ``checkpoints/last.npz``.
