@@ -34,8 +34,8 @@ def optimise(
     resume: Annotated[
         Path | None,
         Parameter(
-            help="Run folder: go on with the run that was stopped there, with its own configuration but for options that "
-            "change nothing of what was computed, such as run.iterations and optimiser.pool_rounds."
+            help="Run folder: go on with the run that was stopped there, with its own configuration but for options "
+            "that change nothing of what was computed, such as run.iterations and optimiser.pool_rounds."
         ),
     ] = None,
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -232,13 +233,20 @@ class PoolDescent:
         Raises:
             InputError: The state is of another search, or not whole.
         """
+        what = "more states than it comes to"
         try:
+            count = int(state["iteration"])
             self._journal.restore(part_of(state, "journal"))
-            for _ in range(int(state["iteration"])):
-                self.step()
-        except (KeyError, StopIteration) as error:
-            what = f"no {error.args[0]}" if isinstance(error, KeyError) else "more states than it comes to"
-            raise InputError(f"checkpoint: expected the state of a search by a pool, got {what}") from None
+        except KeyError as error:
+            what = f"no {error.args[0]}"
+        except (ValueError, IndexError, TypeError):
+            what = "arrays that do not fit together"
+        else:
+            with contextlib.suppress(StopIteration):
+                for _ in range(count):
+                    self.step()
+                return
+        raise InputError(f"checkpoint: expected the state of a search by a pool, got {what}")
 
     def _terms(self, found: Found) -> dict[str, float]:
         """The expected miss rate, and what else there is: the share of the requirements' points that is missed."""

@@ -73,13 +73,20 @@ class _Sparse:
 
     @classmethod
     def restored(cls, state: State, rows: np.ndarray) -> list[_Sparse]:
-        """Those of a state, of so many rows each, int [matrix]."""
+        """Those of a state, of so many rows each, int [matrix].
+
+        Raises:
+            ValueError: They do not fit together.
+        """
         columns, found, row, value = int(state["columns"]), [], 0, 0
         for count in rows:
             bits = state["bits"][row : row + count]
             size = int(np.unpackbits(bits, axis=1, count=columns).sum())
             found.append(cls(bits, state["values"][value : value + size], columns))
             row, value = row + count, value + size
+        shape = (row, -(-columns // 8)) if found else (0, 0)
+        if (state["bits"].shape, len(state["values"])) != (shape, value):
+            raise ValueError(f"expected bits {shape} and {value} values")
         return found
 
 
@@ -280,6 +287,7 @@ class SearchJournal:
 
         Raises:
             KeyError: The state is not whole.
+            ValueError: Its parts do not fit together.
         """
         cameras, told_from = state["answer_cameras"], 0
         ends = np.cumsum(cameras)

@@ -173,7 +173,8 @@ def _kept_when_stopped(folder: RunFolder, optimisation: Optimisation, progress: 
         reached = "what was reached is in {}, for warpav evaluate, inspect and report"
         if not optimisation.records:
             reached = "there is no step yet; the start is in {}, for warpav evaluate and inspect"
-        progress.say(f"stopped; {reached.format(folder.path)}; warpav optimise --resume {folder.path} goes on")
+        with contextlib.suppress(OSError):  # the terminal may be gone
+            progress.say(f"stopped; {reached.format(folder.path)}; warpav optimise --resume {folder.path} goes on")
         raise
 
 
