@@ -184,7 +184,13 @@ class RunFolder:
         Raises:
             InputError: As `events`, or there are fewer.
         """
-        return read_events(self.path / "events.jsonl", least=count)[:count]
+        file = self.path / "events.jsonl"
+        events = read_events(file)[:count]
+        if len(events) < count:
+            raise InputError(
+                f"{file}: expected the {count} iterations of the checkpoint, got {len(events)}; was it changed?"
+            )
+        return events
 
     def replace_events(self, events: Sequence[Mapping[str, Any]]) -> None:
         """Make ``events.jsonl`` and ``metrics.csv`` those of these iterations."""
