@@ -12,6 +12,7 @@ import time
 
 import numpy as np
 import pytest
+import warp as wp
 
 import warpav as wa
 from tests.cli.small_run import complaint
@@ -39,7 +40,10 @@ RUNS = {
     "pool": (PoolDescent, POOL),
     "descent": (Descent, [*FAST, *FEW, "losses={expected_miss_rate: 0, in_frame_rotation: 1, detected_area: 10}"]),
     "thesis": (Descent, [*FAST, *FEW, "method=thesis"]),
+    "pool on a GPU": (PoolDescent, [*POOL, "device=cuda:0"]),
+    "descent on a GPU": (Descent, [*FAST, *FEW, "method=thesis", "device=cuda:0"]),
 }
+GPU = wp.is_cuda_available()
 COMMAND = "import sys; from warpav.cli.app import main; sys.exit(main())"
 KILLED_AT_A_FILE = """
 import os, signal, sys
@@ -85,7 +89,7 @@ def at_once(tmp_path_factory):
 
     def run(name):
         if name not in runs:
-            runs[name] = tmp_path_factory.mktemp(name) / "run"
+            runs[name] = tmp_path_factory.mktemp(name.replace(" ", "_")) / "run"
             optimised(name, f"run.out={runs[name]}")
         return runs[name]
 
@@ -114,11 +118,17 @@ def check_same(found, expected):
     ]
     assert files[0] == files[1]
     for name in files[0]:
-        if name.endswith((".png", ".webp", "ground.npz", "further_cameras.csv")) and "loss_curves" not in name:
+        if name.endswith((".png", ".webp", "ground.npz", "further_cameras.csv")):
             assert (one.path / name).read_bytes() == (other.path / name).read_bytes(), name
 
 
-@pytest.mark.parametrize("name", ["pool", "descent", pytest.param("thesis", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("pool", "descent", pytest.param("thesis", marks=pytest.mark.slow)),
+        *(pytest.param(f"{name} on a GPU", marks=pytest.mark.gpu) for name in ("pool", "descent") if GPU),
+    ],
+)
 def test_a_stopped_run_goes_on_to_what_it_comes_to_at_once(at_once, monkeypatch, capsys, working_directory, name):
     expected = at_once(name)
     stopped(name, "stopped", monkeypatch, after=3)
