@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError, InputError, OptionError, WriteError
 from warpav.core.executor import Executor
-from warpav.core.files import write_json
+from warpav.core.files import json_ready, write_json
 from warpav.core.progress import Progress
 from warpav.evaluation.robustness import LoadState, SoiledPart
 from warpav.optimisation.history import IterationRecord
@@ -186,11 +186,9 @@ def _pool_executor(config: Config) -> Executor:
 
 def _record_step(folder: RunFolder, optimisation: Optimisation, record: IterationRecord) -> None:
     """Write a step before the next, so that a run that is stopped leaves a folder that opens."""
-    descent, mount = optimisation.descent, optimisation.placement.mount
+    descent = optimisation.descent
     folder.append_event(record)
-    if record.training_objective is not None:
-        write_rig(mount.rig(descent.best.mount_pose), folder.rig_path("best"))
-    write_rig(mount.rig(descent.mount_pose), folder.rig_path("final"))
+    _write_rigs(folder, optimisation, ("final",) if record.training_objective is None else ("best", "final"))
     every = optimisation.placement.config.run.checkpoint_every
     if every is None:
         every = 1 if isinstance(descent, PoolDescent) else CHECKPOINT_EVERY
@@ -198,9 +196,22 @@ def _record_step(folder: RunFolder, optimisation: Optimisation, record: Iteratio
         folder.write_checkpoint(optimisation.state())
 
 
+def _write_rigs(folder: RunFolder, optimisation: Optimisation, roles: Sequence[Literal["best", "final"]]) -> None:
+    """Write the best rig so far, and the last one."""
+    descent = optimisation.descent
+    for role in roles:
+        pose = descent.best.mount_pose if role == "best" else descent.mount_pose
+        write_rig(optimisation.placement.mount.rig(pose), folder.rig_path(role))
+
+
 def _keep_reached(folder: RunFolder, optimisation: Optimisation) -> None:
     """Write what a run that is stopped has beside its rigs."""
-    descent = optimisation.descent
+    descent, records = optimisation.descent, optimisation.records
+    if descent.iteration != len(records):  # stopped between a step and its record: the last checkpoint stands
+        return
+    if records:  # the last one may not be there, or in part
+        folder.replace_events([json_ready(each) for each in records])
+        _write_rigs(folder, optimisation, ("best", "final"))
     folder.write_checkpoint(optimisation.state())
     further = descent.further_cameras() if isinstance(descent, PoolDescent) else None
     if further is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -269,15 +269,18 @@ class Optimisation:
             on_step: Called with the record of every step, before the next.
         """
         config, descent = self.placement.config, self.descent
-        left = range(descent.iteration, config.run.iterations)
-        steps = (descent.step() for _ in left if descent.verdict is None)
         count = config.run.iterations if isinstance(descent, Descent) else None
-        for record in progress.iterations(steps, count=count, min_spacing_m=config.rig.min_spacing_m):
-            self.records.append(record)
+        for record in progress.iterations(self._steps(), count=count, min_spacing_m=config.rig.min_spacing_m):
             if on_step is not None:
                 on_step(record)
         if descent.verdict is not None:
             progress.say(f"ended after {descent.iteration} iterations: {descent.verdict}")
+
+    def _steps(self) -> Iterator[IterationRecord]:
+        """The steps that are left; each is known before anybody is told of it."""
+        while self.descent.iteration < self.placement.config.run.iterations and self.descent.verdict is None:
+            self.records.append(self.descent.step())
+            yield self.records[-1]
 
     def result(self) -> Result:
         """What it has come to; the last look at all validation scenes is taken here."""
