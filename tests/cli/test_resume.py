@@ -256,6 +256,28 @@ def test_a_second_run_into_a_folder_is_refused_before_it_builds_scenes(at_once, 
     assert not (working_directory / "a").exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "options", "expected"),
+    [
+        ("pool", [], [1, 2, 3, 4, 4]),
+        ("pool", ["run.checkpoint_every=3"], [3, 4]),
+        ("descent", [], [4]),
+        ("descent", ["run.checkpoint_every=2"], [2, 4, 4]),
+    ],
+)
+def test_the_state_is_written_as_often_as_was_asked_for(monkeypatch, name, options, expected):
+    """And once more at the end."""
+    write, written = RunFolder.write_checkpoint, []
+
+    def noted(self, arrays):
+        written.append(int(arrays["iteration"]))
+        write(self, arrays)
+
+    monkeypatch.setattr(RunFolder, "write_checkpoint", noted)
+    stopped(name, "run", monkeypatch, *options, after=4)
+    assert written == expected
+
+
 @pytest.mark.parametrize("place", ["append_event", "write_checkpoint"])
 def test_ctrl_c_between_a_step_and_what_is_written_of_it_loses_nothing(at_once, monkeypatch, place):
     write, calls = getattr(RunFolder, place), []

@@ -168,7 +168,7 @@ def _kept_when_stopped(folder: RunFolder, optimisation: Optimisation, progress: 
     try:
         yield
     except (KeyboardInterrupt, WriteError) as error:
-        with contextlib.suppress(() if isinstance(error, KeyboardInterrupt) else WriteError):  # may still be full
+        with contextlib.suppress(*([] if isinstance(error, KeyboardInterrupt) else [WriteError])):  # still full
             _keep_reached(folder, optimisation)
         reached = "what was reached is in {}, for warpav evaluate, inspect and report"
         if not optimisation.records:
