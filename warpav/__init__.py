@@ -52,6 +52,7 @@ _PLACES = {
     "read_scenes": ("warpav.scene.collection", "read_scenes"),
     "read_vehicle": ("warpav.scene.own_vehicle", "read_vehicle"),
     "render": ("warpav.detection.images", "render"),
+    "resume": ("warpav.runs.jobs", "resume"),
     "robustness": ("warpav.runs.robustness", None),
     "town": ("warpav.scene.collection", "town"),
     "write_rig": ("warpav.rig.rig", "write_rig"),

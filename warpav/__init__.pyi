@@ -24,6 +24,7 @@ from warpav.runs.baseline_rigs import highest_rig, random_rig
 from warpav.runs.config import Config
 from warpav.runs.evaluate import evaluate
 from warpav.runs.front import front
+from warpav.runs.jobs import resume
 from warpav.runs.networks import read_detector
 from warpav.runs.optimise import optimise
 from warpav.runs.placement import Placement
@@ -72,6 +73,7 @@ __all__ = [
     "read_scenes",
     "read_vehicle",
     "render",
+    "resume",
     "robustness",
     "town",
     "write_rig",

@@ -84,7 +84,7 @@ def test_ctrl_c_while_the_pool_is_drawn_leaves_the_start(working_directory, monk
         # two cameras in two scenes, and the points near the vehicle as a third
         assert [event["camera_renders"] for event in folder.events()] == [2 * 3]
         with np.load(folder.path / "checkpoints" / "last.npz", allow_pickle=False) as state:
-            assert (state["iteration"], len(state["candidate_iteration"])) == (1, 1)
+            assert state["iteration"] == 1
     written = [[camera.position_m for camera in rig.cameras] for rig in (folder.rig(), folder.rig("initial"))]
     np.testing.assert_allclose(*written, atol=1e-5)
     assert main(["evaluate", "stopped"]) == 0

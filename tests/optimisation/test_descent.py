@@ -409,6 +409,50 @@ def test_a_descent_that_is_restored_goes_on_as_if_it_had_never_stopped(tmp_path,
     assert len(second.candidates) == len(whole.candidates)
 
 
+def test_a_step_is_taken_whole_or_not_at_all(monkeypatch):
+    """Ctrl-C in the middle of one, where random numbers are used up and the rig was looked at."""
+
+    def fresh():
+        return Descent(Slope(), street_scenes(), changed(check_every=1), START, np.random.default_rng(3), 8, 1)
+
+    def told(state):
+        return {name: value.tolist() for name, value in state.items()}
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    stopped, whole = fresh(), fresh()
+    for descent in (stopped, whole):
+        for _ in range(3):
+            descent.step()
+    with monkeypatch.context() as patch:
+        patch.setattr(Descent, "_record", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            stopped.step()
+    assert told(stopped.state()) == told(whole.state())
+    assert [stopped.step().loss for _ in range(2)] == [whole.step().loss for _ in range(2)]
+
+
+@pytest.mark.parametrize("schedule", ["constant", "cosine"])
+def test_a_descent_that_has_ended_goes_on_with_more_iterations(schedule):
+    def fresh(iterations):
+        settings = changed(check_every=2, schedule=schedule)
+        return Descent(Slope(), street_scenes(), settings, START, np.random.default_rng(3), iterations, 1)
+
+    ended, further, whole = fresh(4), fresh(8), fresh(8)
+    for _ in range(4):
+        ended.step()
+    ended.finish()
+    further.restore(ended.state())
+    for descent in (further, whole):
+        while descent.iteration < 8:
+            descent.step()
+        descent.finish()
+    assert [each.iteration for each in further.candidates] == [each.iteration for each in whole.candidates]
+    # the first four had another schedule where steps shrink
+    assert np.array_equal(further.mount_pose, whole.mount_pose) == (schedule == "constant")
+
+
 def test_a_state_of_something_else_is_refused():
     descent = Descent(Slope(), street_scenes(), SETTINGS, START, np.random.default_rng(0))
     state = descent.state()

@@ -1,19 +1,25 @@
 """The run folder: what it holds, that it opens at any moment, and what it refuses."""
 
+import contextlib
 import dataclasses
 import json
 import math
+import os
+import resource
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
+from warpav.core.atomic_write import DRAFT
 from warpav.core.errors import InputError
 from warpav.core.files import write_json
 from warpav.raster.camera import CameraModel
 from warpav.rig.presets import preset_rig
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
 from warpav.runs.config import load_config
-from warpav.runs.run_folder import RunFolder, check_new_run
+from warpav.runs.run_folder import RunFolder, check_new_run, held_run, new_run_folder
 
 
 @dataclasses.dataclass
@@ -277,3 +283,116 @@ def test_json_goes_to_a_place_that_exists(tmp_path):
     assert json.loads((tmp_path / "x.json").read_text()) == {"array": [0, 1], "inf": None}
     with pytest.raises(InputError, match=r"expected a place to write to, got: No such file"):
         write_json(tmp_path / "none" / "x.json", {})
+
+
+# --- what a kill leaves -----------------------------------------------------------------------------------------------
+
+
+def test_a_figure_that_was_not_whole_is_none(folder):
+    """K1: killed while it was written, it lay there under another name, and no report could be written any more."""
+    whole, draft = folder.figure_path("rig"), folder.path / "figures" / f"{DRAFT}1234-rig.png"
+    for file in (whole, draft):
+        file.write_bytes(b"image")
+    (folder.path / f"{DRAFT}5678-rig_best.yaml").write_text("frame: eg")
+    assert folder.figures() == [whole]
+    folder.remove_drafts()
+    assert not list(folder.path.rglob(f"{DRAFT}*"))
+    assert whole.is_file()
+
+
+def test_a_run_that_was_killed_before_its_first_best_rig_has_its_start(folder):
+    """K2."""
+    write_rig(_rig(0.5), folder.rig_path("initial"))
+    write_rig(_rig(0.6), folder.rig_path("final"))
+    assert folder.rig().cameras[0].position_m[0] == 0.5
+    write_rig(_rig(0.7), folder.rig_path("best"))
+    assert folder.rig().cameras[0].position_m[0] == 0.7
+    # a run that has ended has had one
+    folder.write_evaluation({})
+    folder.rig_path("best").unlink()
+    with pytest.raises(InputError, match=r"expected rig_best\.yaml, got none; was it removed\?"):
+        folder.rig()
+
+
+def test_a_folder_with_nothing_but_empty_ones_can_be_begun_in(tmp_path):
+    """K3."""
+    out = tmp_path / "run"
+    (out / "checkpoints").mkdir(parents=True)
+    (out / "figures" / "views").mkdir(parents=True)
+    (out / f"{DRAFT}1234-config.yaml").write_text("run:")
+    config = load_config("quick", [f"run.out={out}"])
+    with new_run_folder(config):
+        assert RunFolder.create(config, name="run").config().run.out == out
+    with pytest.raises(InputError, match=rf"does not exist yet.*; warpav optimise --resume {out} goes on with the run"):
+        check_new_run(config)
+
+
+def test_a_folder_of_which_no_run_was_made_goes_again(tmp_path):
+    config = load_config("quick", [f"run.out={tmp_path / 'a' / 'b'}"])
+    with contextlib.suppress(InputError), new_run_folder(config):
+        assert (tmp_path / "a" / "b").is_dir()
+        raise InputError("too many cameras")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_process_at_a_time_holds_a_folder(folder):
+    held = "import time; from warpav.runs.run_folder import RunFolder, held_run\n"
+    held += "with held_run(RunFolder.open('runs/quick')): print(1, flush=True); time.sleep(60)"
+    with subprocess.Popen([sys.executable, "-c", held], stdout=subprocess.PIPE) as other:
+        assert other.stdout.readline() == b"1\n"
+        with pytest.raises(InputError, match="expected one that no run writes to"), held_run(folder):
+            pass
+        other.kill()
+    before = sorted(folder.path.rglob("*"))
+    with held_run(folder):  # nobody who is dead holds anything
+        assert sorted(folder.path.rglob("*")) == before
+
+
+def test_a_line_that_the_disk_has_no_room_for_is_not_there_at_all(folder):
+    folder.append_event(_record(0))
+    events = (folder.path / "events.jsonl").read_bytes()
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(events) + 20, limits[1]))  # a part of a line would fit
+    try:
+        with pytest.raises(InputError, match=r"events\.jsonl: expected a place to write to, got: File too large"):
+            folder.append_event(_record(1))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert (folder.path / "events.jsonl").read_bytes() == events
+    folder.append_event(_record(1))
+    assert [event["iteration"] for event in folder.events()] == [0, 1]
+
+
+def test_iterations_that_go_on_are_those_of_the_checkpoint(folder):
+    for iteration in range(4):
+        folder.append_event(_record(iteration, loss=0.1 + iteration))
+    names = ("events.jsonl", "metrics.csv")
+    whole = [(folder.path / name).read_bytes() for name in names]
+    folder.replace_events(folder.first_events(4))
+    assert [(folder.path / name).read_bytes() for name in names] == whole
+    folder.replace_events(folder.first_events(2))
+    assert [b"".join((folder.path / name).read_bytes().splitlines(True)) for name in names] == [
+        b"".join(content.splitlines(True)[:count]) for content, count in zip(whole, (2, 3), strict=True)
+    ]
+    folder.append_event(_record(2, loss=2.1))
+    assert (folder.path / "metrics.csv").read_bytes() == b"".join(whole[1].splitlines(True)[:4])
+    with pytest.raises(InputError, match=r"events\.jsonl: expected the 9 iterations of the checkpoint, got 3"):
+        folder.first_events(9)
+    folder.replace_events([])
+    folder.append_event(_record(0, loss=0.1))
+    assert (folder.path / "metrics.csv").read_bytes() == b"".join(whole[1].splitlines(True)[:2])
+
+
+def test_a_checkpoint_is_on_the_disk_before_it_takes_its_place(folder, monkeypatch):
+    done, fsync, replace = [], os.fsync, os.replace
+
+    def synced(handle):
+        done.append(os.path.basename(os.readlink(f"/proc/self/fd/{handle}")).rpartition("-")[2])
+        fsync(handle)
+
+    monkeypatch.setattr("os.fsync", synced)
+    monkeypatch.setattr("os.replace", lambda one, other: (done.append("replaced"), replace(one, other)))
+    folder.append_event(_record(0))
+    folder.write_checkpoint({"iteration": np.array(1)})
+    assert done == ["events.jsonl", "last.npz", "replaced", "checkpoints"]
+    assert folder.checkpoint()["iteration"] == 1

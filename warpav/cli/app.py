@@ -1,13 +1,17 @@
 """The command line: one function per verb, which reads its input, calls what does the work, and prints.
 
-Exit status: 0 done, 1 the run failed, 2 the input is wrong, 130 interrupted. Nothing heavy is imported before a verb
-needs it, so that ``--help`` and ``config`` answer at once.
+Exit status: 0 done, 1 the run failed, 2 the input is wrong, 130 interrupted (143 by SIGTERM, 129 by SIGHUP). Nothing
+heavy is imported before a verb needs it, so that ``--help`` and ``config`` answer at once.
 """
 
 from __future__ import annotations
 
+import contextlib
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from types import FrameType
 
 from cyclopts import App, CycloptsError
 
@@ -49,25 +53,62 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
+    received: list[int] = []
     try:
-        status = app(arguments, exit_on_error=False, print_error=False)
-    except KeyboardInterrupt:
-        complain("interrupted")
-        return 130
-    except BrokenPipeError:
-        return 1
+        with _as_ctrl_c(received):
+            status = app(arguments, exit_on_error=False, print_error=False)
+    except (KeyboardInterrupt, OSError) as error:
+        if isinstance(error, KeyboardInterrupt) or received:  # with SIGHUP nobody may be there to be told anything
+            number = received[0] if received else signal.SIGINT
+            with contextlib.suppress(OSError):
+                complain("interrupted" + (f" by {signal.Signals(number).name}" if received else ""))
+            return 128 + number
+        if isinstance(error, BrokenPipeError):
+            return 1
+        return _failed(error, debug)
     except (InputError, CycloptsError) as error:
         if debug:
             raise
         complain(_text_of(error))
         return 2
     except Exception as error:
-        if debug:
-            raise
-        text = " ".join(str(error).split())
-        complain(f"failed: {type(error).__name__}: {text}; run again with --debug to see where")
-        return 1
+        return _failed(error, debug)
     return status if isinstance(status, int) else 0
+
+
+def _failed(error: Exception, debug: bool) -> int:
+    """Say what went wrong that nobody expected, in one line; with ``--debug`` it goes on as it is."""
+    if debug:
+        raise error
+    text = " ".join(str(error).split())
+    complain(f"failed: {type(error).__name__}: {text}; run again with --debug to see where")
+    return 1
+
+
+@contextlib.contextmanager
+def _as_ctrl_c(received: list[int]) -> Iterator[None]:
+    """SIGTERM and SIGHUP end the block as Ctrl-C does, where nobody has said that they mean something else.
+
+    Args:
+        received: Takes the number of each that comes.
+    """
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        del frame
+        received.append(number)
+        raise KeyboardInterrupt
+
+    numbers = [getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP")]
+    taken = [each for each in numbers if each is not None and signal.getsignal(each) == signal.SIG_DFL]
+    if threading.current_thread() is not threading.main_thread():  # no other may ask for signals
+        taken = []
+    for number in taken:
+        signal.signal(number, interrupt)
+    try:
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def _text_of(error: InputError | CycloptsError) -> str:

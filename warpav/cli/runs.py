@@ -18,7 +18,7 @@ from warpav.cli.arguments import (
     say,
     warn_renamed,
 )
-from warpav.core.errors import OptionError
+from warpav.core.errors import ArgumentError, OptionError
 
 
 def optimise(
@@ -31,15 +31,28 @@ def optimise(
     ] = None,
     workers: Annotated[int | None, Parameter(help="Scenes that are drawn at a time.")] = None,
     address: Annotated[str | None, Parameter(help="Of a Ray cluster.")] = None,
+    resume: Annotated[
+        Path | None,
+        Parameter(
+            help="Run folder: go on with the run that was stopped there, with its own configuration but for options "
+            "that change nothing of what was computed, such as run.iterations and optimiser.pool_rounds."
+        ),
+    ] = None,
 ) -> None:
     """Move the cameras of a rig until a detector sees more traffic, and compare the result with baselines."""
     from warpav.runs.config import find_config, placed_config
-    from warpav.runs.jobs import optimise_rig
+    from warpav.runs.jobs import optimise_rig, resume_rig
     from warpav.runs.progress import RunDisplay
+    from warpav.runs.run_folder import RunFolder
     from warpav.runs.verdict import show_verdict, worse_than_start
 
     if "=" in config:
         config, overrides = DEFAULT_CONFIG, (config, *overrides)
+    folder = None if resume is None else RunFolder.open(resume)
+    if folder is not None and config != DEFAULT_CONFIG:
+        raise ArgumentError("resume", f"expected no configuration, as the run has its own, got {config}")
+    if folder is not None:
+        config = str(folder.path / "config.yaml")
     given = executor_overrides(executor, workers, address)
     with placed_config(config, [*overrides, *given]) as settings, RunDisplay() as display:
         if given and settings.optimiser.search == "descent":
@@ -48,7 +61,10 @@ def optimise(
                 f"expected none with optimiser.search={settings.optimiser.search}, whose steps follow one another, got "
                 f"{settings.executor.name}; set optimiser.search=pool",
             )
-        _, evaluation = optimise_rig(settings, name=find_config(config).stem, progress=display)
+        if folder is None:
+            _, evaluation = optimise_rig(settings, name=find_config(config).stem, progress=display)
+        else:
+            _, evaluation = resume_rig(folder, settings, progress=display)
         show_verdict(display.console, evaluation)
     for text in worse_than_start(evaluation):
         complain(f"warning: {text}")

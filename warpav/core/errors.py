@@ -9,6 +9,10 @@ class InputError(ValueError):
     """
 
 
+class WriteError(InputError):
+    """A file cannot be written: the disk is full, the folder is gone, or nobody may write there."""
+
+
 class OptionError(InputError):
     """The value of one option turns out not to fit once it is used; its text begins with the option's name.
 

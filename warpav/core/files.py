@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from warpav.core.atomic_write import atomic_write
-from warpav.core.errors import ArgumentError, InputError
+from warpav.core.errors import ArgumentError, WriteError
 
 
 def write_text(file: Path, text: str) -> None:
     """Write a text in one step.
 
     Raises:
-        InputError: The file cannot be written.
+        WriteError: The file cannot be written.
     """
     with writing(file), atomic_write(file) as draft:
         draft.write_text(text, encoding="utf-8")
@@ -28,9 +28,26 @@ def write_json(file: Path, data: object) -> None:
     """Write data as JSON in one step; dataclasses and arrays are welcome, NaN becomes null.
 
     Raises:
-        InputError: The file cannot be written.
+        WriteError: The file cannot be written.
     """
     write_text(file, json.dumps(json_ready(data), indent=2, allow_nan=False) + "\n")
+
+
+def append_line(file: Path, line: str) -> None:
+    """Add a line to a file, whole or not at all, as far as a process that goes on can see to it.
+
+    Raises:
+        WriteError: The file cannot be written.
+    """
+    with writing(file), file.open("ab", buffering=0) as stream:
+        before, left = stream.tell(), line.encode()
+        try:
+            while left:
+                left = left[stream.write(left) :]  # a disk that is nearly full takes a part
+        except OSError:
+            with contextlib.suppress(OSError):
+                stream.truncate(before)
+            raise
 
 
 def check_folder(folder: Path, option: str) -> None:
@@ -49,7 +66,7 @@ def writing(place: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InputError(f"{place}: expected a place to write to, got: {error.strerror}") from None
+        raise WriteError(f"{place}: expected a place to write to, got: {error.strerror}") from None
 
 
 def json_ready(value: object) -> Any:  # noqa: ANN401

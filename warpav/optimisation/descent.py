@@ -13,7 +13,7 @@ from warpav.core.errors import InputError
 from warpav.optimisation.adamw import AdamW, MultiplierAscent
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import min_camera_distance_m
-from warpav.optimisation.history import Candidate, History, IterationRecord, lowest
+from warpav.optimisation.history import Candidate, History, IterationRecord, lowest, named_part, part_of
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import Evaluation, RigObjective
 from warpav.optimisation.schedule import Schedule
@@ -127,9 +127,19 @@ class Descent:
     def step(self) -> IterationRecord:
         """One batch, one step of the cameras, one of the multipliers; where a descent is over, the first of the next.
 
+        A step is taken whole or not at all: whatever stops it, `state` is that before it.
+
         Raises:
             InputError: The loss is no longer finite.
         """
+        before = self._position()
+        try:
+            return self._step()
+        except BaseException:
+            self._return_to(before)
+            raise
+
+    def _step(self) -> IterationRecord:
         if self.descent < len(self.further_starts) and (
             self._steps >= self._schedule.step_count or self._out_of_patience
         ):
@@ -173,7 +183,13 @@ class Descent:
         return self.best if self.settings.keep == "best" else self.candidates[-1]
 
     def state(self) -> dict[str, np.ndarray]:
-        """Everything that `restore` needs, as arrays of numbers and text."""
+        """Everything that `restore` needs, as arrays of numbers and text: where the last step has led."""
+        stepped = History()  # without what `finish` has looked at, which it does again
+        stepped.candidates = [each for each in self.candidates if each.iteration < self.iteration]
+        return self._position() | named_part("candidate", stepped.state())
+
+    def _position(self) -> dict[str, np.ndarray]:
+        """The state but for its candidates, which steps only add to."""
         return {
             "iteration": np.array(self.iteration),
             "descent": np.array(self.descent),
@@ -181,35 +197,40 @@ class Descent:
             "step_count": np.array(self._schedule.step_count),
             "random_numbers": np.array(json.dumps(self.rng.bit_generator.state)),
             "waiting_scenes": np.array(self._batches.waiting, np.int64),
-            **{f"pose_{name}": value for name, value in self._pose.state().items()},
-            **{f"multiplier_{name}": value for name, value in self._multiplier.state().items()},
-            **{f"candidate_{name}": value for name, value in self.history.state().items()},
+            **named_part("pose", self._pose.state()),
+            **named_part("multiplier", self._multiplier.state()),
         }
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         """Go on from where another descent of the same arguments was when it gave `state`.
 
+        This one may have more iterations. Then the steps that are left of the last of its descents have the schedule
+        that they would have had; those that were taken are as they were.
+
         Raises:
             InputError: The state is of other cameras, of another optimiser, or not whole.
         """
-
-        def part(name: str) -> dict[str, np.ndarray]:
-            return {key.removeprefix(f"{name}_"): value for key, value in state.items() if key.startswith(f"{name}_")}
-
         found, expected = set(state), set(self.state())
         shape = np.shape(state.get("pose_value", ()))
         if not expected <= found or shape != self.start.shape:
             missing = sorted(expected - found)
             what = f"no {missing[0]}" if missing else f"{' x '.join(map(str, shape))} numbers"
             raise InputError(f"checkpoint: expected the state of a run of {len(self.start)} cameras, got {what}")
+        self._return_to(state)
+        if self.descent == len(self.further_starts):
+            self._schedule = Schedule(self.settings, self.iterations - self._begun_at)
+        self.history.restore(part_of(state, "candidate"))
+
+    def _return_to(self, state: Mapping[str, np.ndarray]) -> None:
+        """Be where a `_position` was taken."""
         self.iteration, self.descent = int(state["iteration"]), int(state["descent"])
         self._begun_at = int(state["begun_at"])
         self._schedule = Schedule(self.settings, int(state["step_count"]))
         self.rng.bit_generator.state = json.loads(str(state["random_numbers"]))
         self._batches.waiting = [int(k) for k in state["waiting_scenes"]]
-        self._pose.restore(part("pose"))
-        self._multiplier.restore(part("multiplier"))
-        self.history.restore(part("candidate"))
+        self._pose.restore(part_of(state, "pose"))
+        self._multiplier.restore(part_of(state, "multiplier"))
+        self.history.candidates = [each for each in self.candidates if each.iteration < self.iteration]
 
     @property
     def _steps(self) -> int:

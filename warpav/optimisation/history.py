@@ -76,6 +76,16 @@ class Candidate:
     detection_probability: np.ndarray | None = None
 
 
+def named_part(name: str, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Arrays as the part of a state that has this name."""
+    return {f"{name}_{key}": value for key, value in arrays.items()}
+
+
+def part_of(state: Mapping[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
+    """The arrays that are the part of a state with this name."""
+    return {key.removeprefix(f"{name}_"): value for key, value in state.items() if key.startswith(f"{name}_")}
+
+
 def lowest(candidates: Sequence[Candidate]) -> Candidate:
     """The one with the lowest objective, of equal ones the first."""
     return min(candidates, key=lambda candidate: candidate.training_objective)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
+import contextlib
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from warpav.core.errors import OptionError
+from warpav.core.errors import InputError, OptionError
 from warpav.core.executor import Executor
 from warpav.core.progress import Progress
 from warpav.optimisation.assignment import AssignedScene
@@ -18,7 +18,7 @@ from warpav.optimisation.camera_loss import RobustObjective, RobustValue
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.further_camera import FurtherCameras, further_cameras
 from warpav.optimisation.ghost_scene import GhostScene
-from warpav.optimisation.history import Candidate, History, IterationRecord
+from warpav.optimisation.history import Candidate, History, IterationRecord, named_part, part_of
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD
 from warpav.optimisation.mount_errors import MountErrors
 from warpav.optimisation.objective import RigObjective
@@ -28,6 +28,7 @@ from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import Found, PoolSearchSettings, pool_search
 from warpav.optimisation.rig_limits import RigLimits
 from warpav.optimisation.rig_values import single_cameras_of
+from warpav.optimisation.search_journal import SearchJournal
 
 
 class PoolDescent:
@@ -62,6 +63,7 @@ class PoolDescent:
         requirements: GhostScene | None = None,
         robust: RobustObjective | None = None,
         mount_errors: MountErrors | None = None,
+        is_kept: bool = False,
     ) -> None:
         """A run on some scenes.
 
@@ -79,6 +81,7 @@ class PoolDescent:
             requirements: What has to be seen near the vehicle besides, see `pool_search`.
             robust: What is minimised; None: the expected miss rate.
             mount_errors: Over which the objective is the mean, see `pool_search`; None: there are none.
+            is_kept: Whether `state` is asked for.
 
         Raises:
             InputError: The objective is made of other losses.
@@ -106,6 +109,8 @@ class PoolDescent:
             cameras = pool.cameras
         self._cameras, self._scenes = cameras, [each.scene for each in scenes]
         self.start_value: RobustValue | None = None
+        self._final_states = 0
+        self._journal = SearchJournal(is_kept=is_kept)
         self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
         self._states = pool_search(
             cameras,
@@ -124,6 +129,7 @@ class PoolDescent:
             requirements=requirements,
             robust=robust,
             mount_errors=mount_errors,
+            journal=self._journal,
         )
 
     @property
@@ -144,7 +150,7 @@ class PoolDescent:
     @property
     def verdict(self) -> str | None:
         """Why there is no use in going on, in words; None while there is."""
-        if self.found is None or self.found.stage != "settled":
+        if self.found is None or not self.found.is_over:
             return None
         return f"the search has settled, after {self.found.camera_renders} camera renders"
 
@@ -164,6 +170,8 @@ class PoolDescent:
             self.candidates.append(Candidate(found.mount_pose, found.objective, self.iteration, 0))
         record = self._record(found, time.perf_counter() - began)
         self.iteration += 1
+        if found.is_final:
+            self._final_states = self.iteration
         return record
 
     def finish(self) -> Candidate:
@@ -211,13 +219,34 @@ class PoolDescent:
         }
 
     def state(self) -> dict[str, np.ndarray]:
-        """What was found so far; the pool itself is in the cache."""
-        return {
-            "iteration": np.array(self.iteration),
-            "pose_value": self.mount_pose,
-            "search": np.array(json.dumps({"search": "pool"})),
-            **{f"candidate_{name}": value for name, value in self.history.state().items()},
-        }
+        """Everything that `restore` needs but the pool's own cameras, which are in the cache or are drawn again.
+
+        ``iteration`` counts the states that the search comes to again.
+        """
+        return {"iteration": np.array(self._final_states), **named_part("journal", self._journal.state())}
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Go on from where another run of the same arguments was when it gave `state`; this one has taken no step.
+
+        The settings may be others that do not change how a pool begins: rounds, refinements, gap, time.
+
+        Raises:
+            InputError: The state is of another search, or not whole.
+        """
+        what = "more states than it comes to"
+        try:
+            count = int(state["iteration"])
+            self._journal.restore(part_of(state, "journal"))
+        except KeyError as error:
+            what = f"no {error.args[0]}"
+        except (ValueError, IndexError, TypeError):
+            what = "arrays that do not fit together"
+        else:
+            with contextlib.suppress(StopIteration):
+                for _ in range(count):
+                    self.step()
+                return
+        raise InputError(f"checkpoint: expected the state of a search by a pool, got {what}")
 
     def _terms(self, found: Found) -> dict[str, float]:
         """The expected miss rate, and what else there is: the share of the requirements' points that is missed."""

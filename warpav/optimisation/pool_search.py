@@ -12,8 +12,8 @@ from other places, and the pool is refined around the rig, as the objective is r
 from __future__ import annotations
 
 import time
-from collections.abc import Generator, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -30,12 +30,13 @@ from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.misplaced_cameras import MisplacedCameras
 from warpav.optimisation.mount import HEIGHT_DELTA_M, MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.mount_errors import MountErrors
-from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, polish, shares_of, step_unit
+from warpav.optimisation.polish import SUREST, PolishStep, expected_miss_rate, nearest_rig, polish, shares_of, step_unit
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.replacements import Replacements, joined, within_half_a_turn
 from warpav.optimisation.requirement_margins import hard_points
 from warpav.optimisation.rig_limits import RigLimits
+from warpav.optimisation.search_journal import Detect, SearchJournal, Walked
 from warpav.optimisation.selection.exchange import exchange
 from warpav.optimisation.selection.price import Price
 from warpav.optimisation.selection.problem import Row, SelectionProblem
@@ -109,6 +110,9 @@ class Found:
         price: What further cameras would bring; None before the first relaxation.
         round: Of pricing, from 0.
         robust: What the objective is made of where it is a robust one, else None.
+        is_final: Whether the same search comes to this state whenever it is taken: not after a selection that Ctrl-C
+            has ended.
+        is_over: Whether nothing comes after it.
     """
 
     mount_pose: np.ndarray
@@ -122,6 +126,8 @@ class Found:
     price: Price | None = field(repr=False, default=None)
     round: int = 0
     robust: RobustValue | None = None
+    is_final: bool = True
+    is_over: bool = False
 
     @property
     def gap(self) -> float:
@@ -147,6 +153,7 @@ def pool_search(
     requirements: GhostScene | None = None,
     robust: RobustObjective | None = None,
     mount_errors: MountErrors | None = None,
+    journal: SearchJournal | None = None,
 ) -> Iterator[Found]:
     """Search for the rig with the lowest expected miss rate; whoever stops listening keeps the best so far.
 
@@ -175,6 +182,9 @@ def pool_search(
         mount_errors: Over which the mean of every camera's probabilities is taken, and with it that of the objective,
             see `misplaced_cameras`; what then counts as a camera render is as many renders as there are draws. None:
             cameras stand where they are meant to.
+        journal: Keeps what the search is told. One that was restored tells it to the same search again, which so comes
+            to the same states without rendering; beyond its last answer the settings may be others, and a search that
+            had settled goes on if they are. None: nothing is kept.
 
     Yields:
         Every state that the search comes to; objectives never rise.
@@ -190,11 +200,18 @@ def pool_search(
         raise ArgumentError("selection_time_s", f"expected more than 0 s, got {settings.selection_time_s:g}")
     if mount_errors is not None:
         cameras = MisplacedCameras.of(cameras, mount_errors)
+    journal = journal or SearchJournal(is_kept=False)
+    journal.begin(asdict(settings))
     search = _Search(
-        cameras, scenes, constraints, camera_count, settings, seed, object_weight, limits, requirements, robust
+        cameras, scenes, constraints, camera_count, journal, seed, object_weight, limits, requirements, robust
     )
-    yield from search.states(start, pool, executor, cache, progress)
-    yield search.found("settled")
+    yield from search.begun(start, pool, executor, cache, progress)
+    while True:
+        under = yield from search.settled()
+        is_over = search.settings == under
+        yield search.found("settled", is_over=is_over)
+        if is_over:
+            return
 
 
 class _Search:
@@ -210,7 +227,7 @@ class _Search:
         scenes: Sequence[DeviceScene],
         constraints: Constraints,
         camera_count: int,
-        settings: PoolSearchSettings,
+        journal: SearchJournal,
         seed: int,
         object_weight: np.ndarray | None,
         limits: RigLimits | None,
@@ -222,7 +239,7 @@ class _Search:
         if requirements is not None:
             object_weight = requirements.weights_with(object_weight, sum(scene.vehicle_count for scene in scenes))
             self.scenes = (*scenes, requirements)
-        self.camera_count, self.settings, self.seed, self.limits = camera_count, settings, seed, limits
+        self.camera_count, self.journal, self.seed, self.limits = camera_count, journal, seed, limits
         self.object_weight = object_weight
         self.robust = robust
         self.assembly = _Assembly(cameras.mount)
@@ -234,7 +251,12 @@ class _Search:
         self._row_points = np.zeros(0, int)
         self.round = 0
 
-    def found(self, stage: Stage) -> Found:
+    @property
+    def settings(self) -> PoolSearchSettings:
+        """How much it looks at, from now on."""
+        return PoolSearchSettings(**self.journal.settings)
+
+    def found(self, stage: Stage, *, is_final: bool = True, is_over: bool = False) -> Found:
         """The state of the search."""
         assert self.best is not None
         selection = self.selection
@@ -250,6 +272,8 @@ class _Search:
             selection.price if selection else None,
             self.round,
             self._robust_value(self._rows_of_best()),
+            is_final,
+            is_over,
         )
 
     def _robust_value(self, row: np.ndarray) -> RobustValue | None:
@@ -263,7 +287,7 @@ class _Search:
         """How many cameras rows of the pool stand for, int [camera]; see `_limit_rows`."""
         return np.append(1 + self.cameras.mount.is_pair(mount_pose).astype(int), np.zeros(absent, int))
 
-    def states(
+    def begun(
         self,
         start: np.ndarray | None,
         pool: CameraPool | None,
@@ -271,6 +295,7 @@ class _Search:
         cache: Path | None,
         progress: Progress | None,
     ) -> Iterator[Found]:
+        """Draw the start and the first pool."""
         mount, spread_count = self.cameras.mount, self.settings.pool_cameras
         first = self.assembly.frozen
         if start is not None:
@@ -313,9 +338,6 @@ class _Search:
                 self.pool = self.pool.extended(spread, progress=progress)
         if self.ghosts is not None:
             self._check_requirements()
-        if self.settings.polishes:
-            yield from self._improved()
-        yield from self._select(self.settings.gap)
 
     def _check_requirements(self) -> None:
         """Reject a pool that cannot meet the hard requirements, with the names of those."""
@@ -333,9 +355,22 @@ class _Search:
         rest = limit - of_a_round * len(self.scenes)
         return int(POOL_SHARE * limit) if self.settings.refinements else max(int(POOL_SHARE * limit), rest)
 
-    def _improved(self) -> Iterator[Found]:
-        """Select and polish; price, select and polish until a round brings nothing; what all that led to; refine it."""
-        yield from self._select_and_polish(FIRST_POLISH)
+    def settled(self) -> Generator[Found, None, PoolSearchSettings]:
+        """Improve the best rig, and prove how good it is; returns the settings under which there was nothing to add."""
+        if not self.settings.polishes:
+            under = self.settings
+        else:
+            if self.selection is None:
+                yield from self._select_and_polish(FIRST_POLISH)
+            yield from self._priced()
+            under = self.settings
+            yield from self._select_and_polish(LAST_POLISH)
+            yield from self._refined()
+        yield from self._select(self.settings.gap)
+        return under
+
+    def _priced(self) -> Iterator[Found]:
+        """Price, select and polish until a round brings nothing."""
         while self.round < self.settings.rounds and self._affordable(PRICED_STEPS) == PRICED_STEPS:
             self.round += 1
             before = self.objective
@@ -343,8 +378,6 @@ class _Search:
             yield from self._select_and_polish(FURTHER_POLISH)
             if self.objective > before - _SAME:
                 break
-        yield from self._select_and_polish(LAST_POLISH)
-        yield from self._refined()
 
     def _refined(self) -> Iterator[Found]:
         """What steps along gradients have missed: other places for single cameras, and places near the rig's."""
@@ -406,17 +439,29 @@ class _Search:
 
     def _select(self, gap: float) -> Generator[Found, None, tuple[np.ndarray, bool]]:
         """The best rig of the pool, and whether it is better than what was known."""
-        pool, known = self.pool, None
+        cameras = len(self.pool.mount_pose)
         absent = 0 if self.limits is None else self.limits.absent
-        cameras = len(pool.mount_pose)
+        rows, self._row_points = self._rows_for(self.pool.mount_pose, absent)
+        self.selection = selection = self.journal.selection(partial(self._selection, gap, rows, absent))
+        chosen = selection.cameras[selection.cameras < cameras]
+        chosen = self.assembly.rig(self.pool.mount_pose[chosen], like=self.best)
+        is_better = self._is_better(chosen, selection.objective)
+        is_interrupted = selection.ended == "interrupted"
+        yield self.found("selection", is_final=not is_interrupted)
+        if is_interrupted:  # what it has found is kept, the search ends
+            raise KeyboardInterrupt
+        return chosen, is_better
+
+    def _selection(self, gap: float, rows: list[Row], absent: int) -> Selection:
+        """Choose the best rig of the pool."""
+        pool, known = self.pool, None
         if self.best is not None:
             missing = np.arange(self.camera_count - len(self.best))
-            known = np.concatenate([self._rows_of_best(), cameras + missing])
-        rows, self._row_points = self._rows_for(pool.mount_pose, absent)
+            known = np.concatenate([self._rows_of_best(), len(pool.mount_pose) + missing])
         choose = select
         if self.robust is not None:
             choose = partial(select_robust, objective=self.robust, size=self._sizes(pool.mount_pose, absent))
-        self.selection = selection = choose(
+        return choose(
             _with_absent(np.minimum(pool.detection_probability, SUREST), absent),
             self.camera_count,
             conflict=too_near(pool.mount_pose, self.constraints, absent=absent),
@@ -428,13 +473,6 @@ class _Search:
             time_limit_s=self.settings.selection_time_s,
             seed=self.seed,
         )
-        chosen = selection.cameras[selection.cameras < cameras]
-        chosen = self.assembly.rig(pool.mount_pose[chosen], like=self.best)
-        is_better = self._is_better(chosen, selection.objective)
-        yield self.found("selection")
-        if selection.ended == "interrupted":  # what it has found is kept, the search ends
-            raise KeyboardInterrupt
-        return chosen, is_better
 
     def _limit_rows(self, mount_pose: np.ndarray, absent: int = 0) -> list[Row]:
         """The limits for cameras [camera, 7], behind which some that are not there stand."""
@@ -476,9 +514,9 @@ class _Search:
     def _polish(self, rig: np.ndarray, step_count: int, radius: float) -> Iterator[Found]:
         if self._affordable(len(rig)) < len(rig):
             return
-        steps = polish(
+        steps = partial(
+            polish,
             rig,
-            self._detect_and_keep,
             step_count=step_count,
             radius=radius,
             mount=self.cameras.mount,
@@ -491,8 +529,8 @@ class _Search:
             hard_points=None if self.ghosts is None else hard_points(self.cameras, self.ghosts),
         )
         is_better = True
-        for step in steps:
-            is_better = self._is_better(step.mount_pose, step.objective)
+        for polished, objective in self._polished(steps):
+            is_better = self._is_better(polished, objective)
             if is_better:
                 yield self.found("polish")
         if not is_better:  # what the last steps have cost is the polish's too
@@ -502,11 +540,18 @@ class _Search:
         """Whether a rig whose cameras detect so much, [camera, object], meets all hard requirements."""
         return self.ghosts is None or self.ghosts.is_kept(probability[:, -self.ghosts.vehicle_count :])
 
-    def _detect_and_keep(self, mount_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What cameras detect in all scenes, with the Jacobian; they join the pool."""
-        probability, jacobian = self.cameras.with_jacobian(mount_pose, self.scenes)
+    def _polished(self, steps: Callable[..., Iterator[PolishStep]]) -> Iterator[Walked]:
+        """A polish of the function that it gets as ``detect``."""
+        return self._walk(lambda detect: ((step.mount_pose, step.objective) for step in steps(detect=detect)))
+
+    def _walk(self, steps: Callable[[Detect], Iterator[Walked]]) -> Iterator[Walked]:
+        """A polish or an ascent of what cameras detect in all scenes, with the Jacobian; they join the pool."""
+        return self.journal.walk(steps, lambda pose: self.cameras.with_jacobian(pose, self.scenes), self._join)
+
+    def _join(self, mount_pose: np.ndarray, probability: np.ndarray) -> np.ndarray:
+        """Add cameras that were rendered to the pool; returns what they detect as the pool has it."""
         self.pool = self.pool.joined(mount_pose, probability)
-        return probability, jacobian
+        return self.pool.detection_probability[-len(mount_pose) :]
 
     def _price(self) -> Iterator[Found]:
         """Look for cameras that promise to lower the bound, by gradient ascent from the cheapest of the pool."""
@@ -514,6 +559,12 @@ class _Search:
         count = self._affordable(PRICED_STEPS * self.settings.priced_cameras) // PRICED_STEPS
         if price is None or count < 1:
             return
+        for _ in self._walk(partial(self._ascended, price, count)):
+            pass
+        yield self.found("pricing")
+
+    def _ascended(self, price: Price, count: int, detect: Detect) -> Iterator[Walked]:
+        """Ascend from so many cameras; what counts is what is rendered on the way, so it comes to no rig."""
         found = np.minimum(np.asarray(self.pool.detection_probability, np.float64), SUREST)
         cost = price.reduced_cost(found, self._coefficients_for(self.pool.mount_pose))
         mount, unit = self.cameras.mount, step_unit(self.cameras.mount)
@@ -522,7 +573,7 @@ class _Search:
         lowest, kept, slope = np.full(len(pose), np.inf), pose, np.zeros(pose.shape)
         tried = pose
         for _ in range(PRICED_STEPS):
-            probability, jacobian = self._detect_and_keep(tried)
+            probability, jacobian = detect(tried)
             probability = np.minimum(probability, SUREST)
             cost = price.reduced_cost(probability, self._coefficients_for(tried))
             is_lower = cost < lowest
@@ -535,7 +586,7 @@ class _Search:
             tried = kept + length[:, None] * slope / norm * unit
             tried[:, [X_M, Y_M]] = self.constraints.nearest_place(tried[:, [X_M, Y_M]])
             tried = mount.clipped(tried).astype(np.float32)
-        yield self.found("pricing")
+        return iter(())
 
     @property
     def _replacements(self) -> Replacements:
@@ -572,9 +623,9 @@ class _Search:
         for camera, slot in replacements.starts(REPLACEMENTS, joined(places)):
             if self._affordable(2) < 2:
                 break
-            steps = polish(
+            steps = partial(
+                polish,
                 pose[camera][None],
-                self._detect_and_keep,
                 step_count=step_count,
                 radius=radius,
                 mount=mount,
@@ -583,8 +634,8 @@ class _Search:
                 weight=replacements.missed_by_others[slot],
                 camera_renders_max=self._left,
             )
-            *_, last = steps
-            places += [pose[camera][None], last.mount_pose]
+            *_, (polished, _) = self._polished(steps)
+            places += [pose[camera][None], polished]
         yield self.found("polish")
 
     def _look_nearby(self, radius: float, rng: np.random.Generator) -> Iterator[Found]:

@@ -2,32 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from warpav.core.devices import device_name
-from warpav.core.errors import ArgumentError, OptionError
+from warpav.core.errors import ArgumentError, InputError, OptionError, WriteError
 from warpav.core.executor import Executor
-from warpav.core.files import write_json
+from warpav.core.files import json_ready, write_json
 from warpav.core.progress import Progress
 from warpav.evaluation.robustness import LoadState, SoiledPart
-from warpav.optimisation.descent import Descent
 from warpav.optimisation.history import IterationRecord
 from warpav.optimisation.pool import pool_cache_folder
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.rig.find import is_preset
 from warpav.rig.rig import Rig, write_rig
-from warpav.runs.config import Config
+from warpav.runs.checkpoint import check_options
+from warpav.runs.config import Config, flow_text, placed_config
 from warpav.runs.evaluate import evaluate_on
 from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement
 from warpav.runs.preset_rigs import know_cameras, preset_for
-from warpav.runs.result import StageTimer, write_verdict
+from warpav.runs.progress import shown_progress
+from warpav.runs.result import Result, StageTimer, write_verdict
 from warpav.runs.rig_source import arm_name, check_rig_source, find_rig, is_run_folder
 from warpav.runs.robustness import load_states_of, soiling_of
-from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, check_new_run
+from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, held_run, new_run_folder
 from warpav.runs.scene_set import load_scenes
+
+CHECKPOINT_EVERY = 10
+"""Steps of a descent after which its state is written."""
 
 
 def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunFolder, dict[str, Any]]:
@@ -48,30 +53,129 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
     from warpav.evaluation import blind_ground  # noqa: F401 (so that its kernel is compiled beside the others)
 
     timer = StageTimer()
-    check_new_run(config)
-    placement = Placement.from_config(config).prepare(progress)
-    timer.end("scenes and detector")
-    optimisation = Optimisation.begin(placement, executor=_pool_executor(config), progress=progress)
-    timer.end("searching for a start")
+    with contextlib.ExitStack() as held:
+        held.enter_context(new_run_folder(config))
+        placement = Placement.from_config(config).prepare(progress)
+        timer.end("scenes and detector")
+        optimisation = Optimisation.begin(placement, executor=_pool_executor(config), is_kept=True, progress=progress)
+        timer.end("searching for a start")
+        folder = RunFolder.create(
+            config, name=name, device=device_name(config.device), start=placement.start_rig, freeze=config.rig.freeze
+        )
+        if config.run.out is None:
+            held.enter_context(held_run(folder))
+        progress.say(f"run folder: {folder.path}")
+        _, evaluation = _run_to_the_end(folder, optimisation, timer, progress)
+    return folder, evaluation
 
-    folder = RunFolder.create(
-        config, name=name, device=device_name(config.device), start=placement.start_rig, freeze=config.rig.freeze
-    )
-    progress.say(f"run folder: {folder.path}")
+
+def resume_rig(folder: RunFolder, config: Config, *, progress: Progress) -> tuple[Result, dict[str, Any]]:
+    """Go on with a run that was stopped, or that has ended and is given more iterations or time, in its folder.
+
+    Args:
+        folder: That of the run.
+        config: Its configuration, but for options that may change.
+        progress: Where to show it.
+
+    Returns:
+        The result, and the content of ``evaluation.json``.
+
+    Raises:
+        InputError: Another process writes to the folder, it cannot go on, or something in the input is wrong.
+        KeyboardInterrupt: As of `optimise_rig`.
+    """
+    from warpav.evaluation import blind_ground  # noqa: F401 (as in `optimise_rig`)
+
+    timer = StageTimer()
+    with held_run(folder):
+        check_options(folder.config(), config)
+        state = folder.checkpoint()
+        done = 0 if state is None or "iteration" not in state else int(state["iteration"])
+        if config.run.iterations < done:
+            raise OptionError("run.iterations", f"expected at least the {done} of the run, got {config.run.iterations}")
+        if own := folder.environment().get("own_detector"):
+            raise InputError(
+                f"{folder.path}: run folder: expected one of a detector that is a file, got one of an object of class "
+                f"{own}; optimise again, with the rig as `start`"
+            )
+        folder.remove_drafts()
+        placement = Placement.from_config(config).prepare(progress)
+        timer.end("scenes and detector")
+        executor = _pool_executor(config)
+        events = folder.first_events(done)
+        if state is None:
+            optimisation = Optimisation.begin(placement, executor=executor, is_kept=True, progress=progress)
+        else:
+            progress.stage(f"going on after {done} iterations")
+            optimisation = Optimisation.resumed(placement, state, events, executor=executor, progress=progress)
+        timer.end("searching for a start")
+        evaluation = folder.evaluation()
+        is_over = optimisation.descent.verdict is not None or done >= config.run.iterations
+        if is_over and evaluation is not None and (folder.path / "report.html").is_file():
+            progress.say(f"{folder.path} has ended: {optimisation.descent.verdict or f'{done} iterations'}")
+            return optimisation.result(), evaluation
+        # from here on the folder is written to
+        folder.replace_events(events)
+        folder.remove_verdict()
+        folder.replace_config(config)
+        folder.note_resumed(done)
+        return _run_to_the_end(folder, optimisation, timer, progress)
+
+
+def resume(
+    run: str | Path, *, options: Mapping[str, Any] | None = None, progress: bool | Progress | None = None
+) -> Result:
+    """Go on with a run that was stopped, in its folder, as ``warpav optimise --resume`` does.
+
+    What was computed stays as it is: a run that was stopped and goes on comes to what it would have come to at once.
+    One that has ended goes on where ``options`` allow it more.
+
+    Args:
+        run: The run folder.
+        options: Other values for options that change nothing of what was computed, such as ``{"run.iterations": 200}``
+            or ``{"optimiser.pool_rounds": 4}``.
+        progress: As of `warpav.optimise`.
+
+    Returns:
+        What the whole run has come to.
+
+    Raises:
+        InputError: The folder holds no run, another process writes to it, a file of it cannot be used or written, an
+            option may not change, or scenes, vehicle, detector or version are others than those of the run.
+    """
+    folder = RunFolder.open(run)
+    overrides = [f"{name}={flow_text(value)}" for name, value in (options or {}).items()]
+    with placed_config(folder.path / "config.yaml", overrides) as config, shown_progress(progress) as shown:
+        return resume_rig(folder, config, progress=shown)[0]
+
+
+def _run_to_the_end(
+    folder: RunFolder, optimisation: Optimisation, timer: StageTimer, progress: Progress
+) -> tuple[Result, dict[str, Any]]:
+    """Take the steps that are left, compare, and complete the folder."""
+    placement = optimisation.placement
     write_rig(optimisation.start, folder.rig_path("initial"))
-    try:
+    with _kept_when_stopped(folder, optimisation, progress):
         optimisation.run(progress=progress, on_step=lambda record: _record_step(folder, optimisation, record))
         result = optimisation.result()
         timer.end("descent")
-        evaluation = write_verdict(folder, result, placement.test, placement.shown, timer=timer, progress=progress)
-    except KeyboardInterrupt:
-        _keep_reached(folder, optimisation.descent)
+        return result, write_verdict(folder, result, placement.test, placement.shown, timer=timer, progress=progress)
+
+
+@contextlib.contextmanager
+def _kept_when_stopped(folder: RunFolder, optimisation: Optimisation, progress: Progress) -> Iterator[None]:
+    """Keep what a run has reached when the user stops it or the disk is full, and say how to go on."""
+    try:
+        yield
+    except (KeyboardInterrupt, WriteError) as error:
+        with contextlib.suppress(*([] if isinstance(error, KeyboardInterrupt) else [WriteError])):  # still full
+            _keep_reached(folder, optimisation)
         reached = "what was reached is in {}, for warpav evaluate, inspect and report"
         if not optimisation.records:
             reached = "there is no step yet; the start is in {}, for warpav evaluate and inspect"
-        progress.say(f"stopped; {reached.format(folder.path)}")
+        with contextlib.suppress(OSError):  # the terminal may be gone
+            progress.say(f"stopped; {reached.format(folder.path)}; warpav optimise --resume {folder.path} goes on")
         raise
-    return folder, evaluation
 
 
 def _pool_executor(config: Config) -> Executor:
@@ -82,17 +186,33 @@ def _pool_executor(config: Config) -> Executor:
 
 def _record_step(folder: RunFolder, optimisation: Optimisation, record: IterationRecord) -> None:
     """Write a step before the next, so that a run that is stopped leaves a folder that opens."""
-    descent, mount = optimisation.descent, optimisation.placement.mount
+    descent = optimisation.descent
     folder.append_event(record)
-    write_rig(mount.rig(descent.mount_pose), folder.rig_path("final"))
-    if record.training_objective is not None:
-        write_rig(mount.rig(descent.best.mount_pose), folder.rig_path("best"))
-        folder.write_checkpoint(descent.state())
+    _write_rigs(folder, optimisation, ("final",) if record.training_objective is None else ("best", "final"))
+    every = optimisation.placement.config.run.checkpoint_every
+    if every is None:
+        every = 1 if isinstance(descent, PoolDescent) else CHECKPOINT_EVERY
+    if descent.iteration % every == 0:
+        folder.write_checkpoint(optimisation.state())
 
 
-def _keep_reached(folder: RunFolder, descent: Descent | PoolDescent) -> None:
+def _write_rigs(folder: RunFolder, optimisation: Optimisation, roles: Sequence[Literal["best", "final"]]) -> None:
+    """Write the best rig so far, and the last one."""
+    descent = optimisation.descent
+    for role in roles:
+        pose = descent.best.mount_pose if role == "best" else descent.mount_pose
+        write_rig(optimisation.placement.mount.rig(pose), folder.rig_path(role))
+
+
+def _keep_reached(folder: RunFolder, optimisation: Optimisation) -> None:
     """Write what a run that is stopped has beside its rigs."""
-    folder.write_checkpoint(descent.state())
+    descent, records = optimisation.descent, optimisation.records
+    if descent.iteration != len(records):  # stopped between a step and its record: the last checkpoint stands
+        return
+    if records:  # the last one may not be there, or in part
+        folder.replace_events([json_ready(each) for each in records])
+        _write_rigs(folder, optimisation, ("best", "final"))
+    folder.write_checkpoint(optimisation.state())
     further = descent.further_cameras() if isinstance(descent, PoolDescent) else None
     if further is not None:
         folder.write_further_cameras(further)

@@ -100,7 +100,7 @@ def detector_use(config: Config, ego: Mesh | None = None, camera: CameraModel | 
     vehicle = own_vehicle_digest(config) if ego is None else digest(ego.vertex_m.tobytes(), ego.triangle.tobytes())
     free = {name: pair for name, pair in config.rig.free.model_dump(mode="json").items() if pair is not None}
     return DetectorUse(
-        _model_path(config),
+        model_path(config),
         {
             "detector": config.detector.model_dump(mode="json", exclude={"model", "provider"}),
             "camera": _camera_settings(config, camera),
@@ -126,7 +126,7 @@ def any_camera_use(config: Config) -> DetectorUse:
 
     config = with_absolute_paths(config)
     return DetectorUse(
-        _model_path(config),
+        model_path(config),
         {
             "cameras": f"any, mixture {RECIPE}",
             "detector": config.detector.model_dump(mode="json", exclude={"model", "provider"}),
@@ -148,7 +148,8 @@ def any_camera_config(config: Config) -> Config:
     return changed_config(config, changes, origin=None)
 
 
-def _model_path(config: Config) -> Path:
+def model_path(config: Config) -> Path:
+    """The ONNX file of the detector that a configuration names."""
     from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH
 
     return BUILTIN_MODEL_PATH if config.detector.model == "builtin" else Path(config.detector.model).expanduser()

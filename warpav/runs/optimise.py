@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from warpav.core.errors import ArgumentError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.core.executor import Executor
 from warpav.core.progress import Progress
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimisation.descent import Descent
-from warpav.optimisation.history import IterationRecord
+from warpav.optimisation.history import IterationRecord, named_part, part_of
 from warpav.optimisation.pool import CameraPool, pool_cache_folder
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.optimisation.pool_search import PoolSearchSettings
@@ -19,6 +21,7 @@ from warpav.optimisation.rig_values import single_cameras_of
 from warpav.optimisation.search import SearchSpace
 from warpav.optimisation.starts import evaluate_starts
 from warpav.rig.rig import Rig
+from warpav.runs.checkpoint import check_identity, identity_of
 from warpav.runs.config import Config, changed_config
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress
@@ -61,7 +64,7 @@ def optimise(
         placement = placement.with_config(changed_config(placement.config, overrides, origin=None))
     with shown_progress(progress) as shown:
         placement.prepare(shown)
-        optimisation = Optimisation.begin(placement, progress=shown)
+        optimisation = Optimisation.begin(placement, is_kept=True, progress=shown)
         optimisation.run(progress=shown)
         return optimisation.result()
 
@@ -95,12 +98,19 @@ class Optimisation:
         records: What every step did.
     """
 
-    def __init__(self, placement: Placement, descent: Descent | PoolDescent, began_as: Rig | None) -> None:
-        """A run before its first step."""
+    def __init__(
+        self,
+        placement: Placement,
+        descent: Descent | PoolDescent,
+        began_as: Rig | None,
+        starts: Sequence[np.ndarray],
+    ) -> None:
+        """A run before its first step; ``starts`` are those of its descents, the first one's first."""
         self.placement = placement
         self.descent = descent
         self.began_as = began_as
         self.records: list[IterationRecord] = []
+        self._starts = starts
 
     @classmethod
     def begin(
@@ -108,11 +118,13 @@ class Optimisation:
         placement: Placement,
         *,
         start: np.ndarray | None = None,
+        further_starts: Sequence[np.ndarray] = (),
         began_as: Rig | None = None,
         executor: Executor | None = None,
         pool: PoolSearchSettings | None = None,
         keeps_pool: bool = True,
         known_pool: CameraPool | None = None,
+        is_kept: bool = False,
         progress: Progress | None = None,
     ) -> Optimisation:
         """Find the rig to start from.
@@ -123,11 +135,13 @@ class Optimisation:
         Args:
             placement: What to run on.
             start: Mount poses to start from instead, float32 [camera, 7]; no others are tried.
+            further_starts: With it those of further descents.
             began_as: Whose cameras take the orientations then, see `Placement.assigned`.
             executor: Where the search by a pool draws its cameras; None: here.
             pool: How much a search by a pool looks at; None: as configured.
             keeps_pool: Whether cameras that it draws are kept in the cache, and those found there are not drawn again.
             known_pool: Of an earlier search of the same cameras on the same scenes, which this one goes on with.
+            is_kept: Whether `state` is asked for.
             progress: Shows that several starts are tried.
 
         Raises:
@@ -135,7 +149,7 @@ class Optimisation:
         """
         config, mount, objective = placement.config, placement.mount, placement.objective
         by_pool = searches_by_pool(placement)
-        further: list[np.ndarray] = []
+        further = list(further_starts)
         if start is None:
             if placement.start_rig is not None:
                 start = mount.mount_pose_of_rig(placement.start_rig, as_configured=True)
@@ -175,8 +189,9 @@ class Optimisation:
                 requirements=placement.ghosts,
                 robust=config.robust.objective,
                 mount_errors=config.robust.mount_errors,
+                is_kept=is_kept,
             )
-            return cls(placement, searched, began_as)
+            return cls(placement, searched, began_as, [start])
         descent = Descent(
             objective,
             placement.assigned(placement.train, began_as),
@@ -188,7 +203,58 @@ class Optimisation:
             validation=placement.assigned(placement.validation, began_as),
             further_starts=further,
         )
-        return cls(placement, descent, began_as)
+        return cls(placement, descent, began_as, [start, *further])
+
+    @classmethod
+    def resumed(
+        cls,
+        placement: Placement,
+        state: Mapping[str, np.ndarray],
+        events: Sequence[Mapping[str, Any]],
+        *,
+        executor: Executor | None = None,
+        progress: Progress | None = None,
+    ) -> Optimisation:
+        """A run that goes on from where another of the same placement was when it gave `state`.
+
+        Args:
+            placement: What to run on: the same scenes, vehicle, detector and options, but for those that may change.
+            state: As `state` gave it.
+            events: What its steps did, as ``events.jsonl`` has it.
+            executor: As of `begin`.
+            progress: Likewise.
+
+        Raises:
+            InputError: The state is one of something else, or not whole.
+        """
+        starts = state.get("start_poses")
+        if starts is None or "identity" not in state:
+            raise InputError("checkpoint: expected one that a run can go on from, got one of an earlier version")
+        check_identity(json.loads(str(state["identity"])), identity_of(placement))
+        start, *further = (np.array(each, np.float32) for each in starts)
+        began_as = placement.frozen_rig if placement.has_ordered_start else placement.mount.rig(start)
+        run = cls.begin(
+            placement,
+            start=start,
+            further_starts=further,
+            began_as=began_as,
+            executor=executor,
+            is_kept=True,
+            progress=progress,
+        )
+        run.descent.restore(part_of(state, "search"))
+        run.records = [IterationRecord(**event) for event in events]
+        return run
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Everything that `resumed` needs, as arrays of numbers and text; ``iteration`` is the number of steps."""
+        state = self.descent.state()
+        return {
+            "iteration": state["iteration"],
+            "identity": np.array(json.dumps(identity_of(self.placement))),
+            "start_poses": np.array(self._starts),
+            **named_part("search", state),
+        }
 
     @property
     def start(self) -> Rig:
@@ -203,16 +269,20 @@ class Optimisation:
             on_step: Called with the record of every step, before the next.
         """
         config, descent = self.placement.config, self.descent
-        steps = (descent.step() for _ in range(config.run.iterations) if descent.verdict is None)
         count = config.run.iterations if isinstance(descent, Descent) else None
-        for record in progress.iterations(steps, count=count, min_spacing_m=config.rig.min_spacing_m):
-            self.records.append(record)
+        for record in progress.iterations(self._steps(), count=count, min_spacing_m=config.rig.min_spacing_m):
             if on_step is not None:
                 on_step(record)
         if descent.verdict is not None:
             progress.say(f"ended after {descent.iteration} iterations: {descent.verdict}")
 
+    def _steps(self) -> Iterator[IterationRecord]:
+        """The steps that are left; each is known before anybody is told of it."""
+        while self.descent.iteration < self.placement.config.run.iterations and self.descent.verdict is None:
+            self.records.append(self.descent.step())
+            yield self.records[-1]
+
     def result(self) -> Result:
         """What it has come to; the last look at all validation scenes is taken here."""
         found = self.descent.finish()
-        return Result.of(self.placement, self.descent, found, self.records, self.began_as)
+        return Result.of(self.placement, self.descent, found, self.records, self.began_as, self.state)

@@ -92,7 +92,7 @@ class RunDisplay:
         every = max(1, count // PLAIN_LINES_PER_STAGE) if count > PLAIN_LINES_PER_STAGE else count
         began = time.perf_counter()
         for number, item in enumerate(items, start=1):
-            self._advance(number, began)
+            self._advance(number, (time.perf_counter() - began) / number)
             if not self.console.is_terminal and number % every == 0 and number < count:
                 self.say(f"{description}: {number}/{count}")
             yield item
@@ -111,11 +111,12 @@ class RunDisplay:
         self._start("optimising", count)
         every = max(1, count // PLAIN_LINES_PER_STAGE)
         began = time.perf_counter()
-        for number, record in enumerate(records, start=1):
-            speed = (time.perf_counter() - began) / number
+        for taken, record in enumerate(records, start=1):
+            speed = (time.perf_counter() - began) / taken
+            number = getattr(record, "iteration", taken - 1) + 1  # a run that goes on does not begin with the first
             rows = iteration_rows(record, min_spacing_m=min_spacing_m)
-            self._advance(number, began)
-            if not self.console.is_terminal and (number % every == 0 or number in (1, count)):
+            self._advance(number, speed)
+            if not self.console.is_terminal and (number % every == 0 or number in (1, count) or taken == 1):
                 left_s = speed * (count - number)
                 text = "  ".join(f"{name} {rows[name]}" for name in rows if not name.startswith(_ONLY_LIVE))
                 self.say(f"iteration {number}/{count}  {text}  {speed:.2f} s/it  {left_s:.0f} s left")
@@ -157,9 +158,8 @@ class RunDisplay:
         if not self.console.is_terminal:
             self.say(description if count is None else f"{description}: {count}")
 
-    def _advance(self, number: int, began: float) -> None:
+    def _advance(self, number: int, speed: float) -> None:
         if self._task is not None:
-            speed = (time.perf_counter() - began) / number
             self._bar.update(self._task, completed=number, speed=f"{speed:.2f} s/it" if number > 1 else "")
 
     def _render(self) -> RenderableType:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -41,6 +41,8 @@ from warpav.scene.store import scene_path
 from warpav.view import Canvas, drawing_of, plot
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from warpav.evaluation.camera_outage import CameraOutages
     from warpav.optimisation.assignment import AssignedScene
     from warpav.requirements.check import RequirementResult
@@ -89,6 +91,7 @@ class Result:
     began_as: Rig | None = field(repr=False)
     _descent: Descent | PoolDescent = field(repr=False)
     _kept: Candidate = field(repr=False)
+    _state: Callable[[], dict[str, np.ndarray]] = field(repr=False)
 
     @classmethod
     def of(
@@ -98,8 +101,9 @@ class Result:
         kept: Candidate,
         records: Sequence[IterationRecord],
         began_as: Rig | None,
+        state: Callable[[], dict[str, np.ndarray]],
     ) -> Result:
-        """The result of a descent that has finished with a candidate."""
+        """The result of a descent that has finished with a candidate; ``state`` gives what a checkpoint holds."""
         rig = placement.mount.rig
         begun, end = descent.candidates[0].training_objective, kept.training_objective
         is_worse = not end <= begun
@@ -118,6 +122,7 @@ class Result:
             began_as=began_as,
             _descent=descent,
             _kept=kept,
+            _state=state,
         )
 
     @cached_property
@@ -332,7 +337,7 @@ def write_verdict(
 
     placement, descent = result.placement, result._descent
     mount = placement.mount
-    folder.write_checkpoint(descent.state())
+    folder.write_checkpoint(result._state())
     write_rig(result.rig, folder.rig_path("best"))
     write_rig(mount.rig(descent.candidates[-1].mount_pose), folder.rig_path("final"))
     if result.further_cameras is not None:

@@ -9,24 +9,28 @@
                   figures/ground.npz  figures/views.json  figures/views/*.webp
 
 A file is replaced in one step or extended by one whole line, so a run that is stopped leaves a folder that opens.
+One process at a time writes to a folder, and holds it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import json
 import shutil
+import time
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from warpav.core.atomic_write import atomic_write
+from warpav.core.atomic_write import DRAFT, atomic_write, sync
 from warpav.core.errors import InputError, OptionError
-from warpav.core.files import json_ready, write_json, write_text, writing
+from warpav.core.files import append_line, json_ready, write_json, write_text, writing
+from warpav.core.held_folder import held_folder
 from warpav.requirements.read import copy_requirements
 from warpav.rig.presets import preset_names
 from warpav.rig.rig import Rig, read_rig, write_rig
@@ -42,7 +46,7 @@ from warpav.runs.config import (
     load_config,
     with_absolute_paths,
 )
-from warpav.runs.environment import environment
+from warpav.runs.environment import command_line, environment
 from warpav.runs.events import flat_numbers, of_modules, read_events
 from warpav.view import Canvas, drawing_of, plot
 
@@ -102,20 +106,17 @@ class RunFolder:
             InputError: ``run.out`` exists, or no folder can be made there.
         """
         check_new_run(config)
-        try:
+        with _made_folder():
             if config.run.out is not None:
                 path = config.run.out
                 path.mkdir(parents=True, exist_ok=True)
             else:
                 path = _numbered_folder(name)
             folder = cls(path)
-            (path / "checkpoints").mkdir()
-            (path / "figures").mkdir()
-        except OSError as error:
-            raise OptionError(
-                "run.out", f"expected a folder that can be made, got {error.filename!r}: {error.strerror}"
-            ) from None
+            for name in ("checkpoints", "figures"):
+                (path / name).mkdir(exist_ok=True)
         config = with_absolute_paths(config)
+        folder.replace_config(config)  # from here on a run that is killed can be resumed
         if start is not None and config.rig.start not in preset_names():
             write_rig(start, folder.rig_path("start"))
             rig = config.rig.model_copy(update={"start": START_FILE, "freeze": tuple(freeze)})
@@ -173,19 +174,68 @@ class RunFolder:
             record: A mapping or a dataclass with the fields that the run folder documents for an iteration.
         """
         event = json_ready(record)
-        row = flat_numbers(event)
         metrics = self.path / "metrics.csv"
-        text = io.StringIO()
-        writer = csv.DictWriter(text, list(row), lineterminator="\n")
-        if not metrics.exists():
-            writer.writeheader()
-        writer.writerow(row)
-        self._append("metrics.csv", text.getvalue())
-        self._append("events.jsonl", json.dumps(event, allow_nan=False) + "\n")
+        append_line(metrics, _metrics_rows([event], with_names=not metrics.exists()))
+        append_line(self.path / "events.jsonl", _event_line(event))
+
+    def first_events(self, count: int) -> list[dict[str, Any]]:
+        """So many of `events`, the first ones.
+
+        Raises:
+            InputError: As `events`, or there are fewer.
+        """
+        file = self.path / "events.jsonl"
+        events = read_events(file)[:count]
+        if len(events) < count:
+            raise InputError(
+                f"{file}: expected the {count} iterations of the checkpoint, got {len(events)}; was it changed?"
+            )
+        return events
+
+    def replace_events(self, events: Sequence[Mapping[str, Any]]) -> None:
+        """Make ``events.jsonl`` and ``metrics.csv`` those of these iterations."""
+        write_text(self.path / "events.jsonl", "".join(_event_line(event) for event in events))
+        metrics = self.path / "metrics.csv"
+        if events:
+            write_text(metrics, _metrics_rows(events, with_names=True))
+        else:
+            with writing(metrics):
+                metrics.unlink(missing_ok=True)
 
     def write_checkpoint(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Write the state from which the run can go on to ``checkpoints/last.npz``."""
-        _write_arrays(self.path / "checkpoints" / "last.npz", arrays)
+        """Write the state from which the run can go on to ``checkpoints/last.npz``.
+
+        It is on the disk when this returns, and so are the iterations that it stands on.
+        """
+        with writing(self.path / "events.jsonl"):
+            sync(self.path / "events.jsonl")
+        _write_arrays(self.path / "checkpoints" / "last.npz", arrays, is_durable=True)
+
+    def checkpoint(self) -> dict[str, np.ndarray] | None:
+        """The content of ``checkpoints/last.npz``, or None where the run was stopped before it had any.
+
+        Raises:
+            InputError: It cannot be read.
+        """
+        return _read_arrays(self.path / "checkpoints" / "last.npz")
+
+    def note_resumed(self, iteration: int) -> None:
+        """Write into ``env.json`` that the run goes on after so many iterations, and by which command."""
+        now = {"iteration": iteration, "command": command_line(), "started": time.strftime("%Y-%m-%dT%H:%M:%S%z")}
+        known = self.environment()
+        write_json(self.path / "env.json", {**known, "resumed": [*known.get("resumed", ()), now]})
+
+    def remove_drafts(self) -> None:
+        """Remove files that were not whole when their process was killed."""
+        for draft in self.path.rglob(f"{DRAFT}*"):
+            with writing(draft):
+                draft.unlink(missing_ok=True)
+
+    def remove_verdict(self) -> None:
+        """Remove ``evaluation.json`` and ``report.html``, which speak of fewer iterations than are to come."""
+        for name in ("evaluation.json", "report.html"):
+            with writing(self.path / name):
+                (self.path / name).unlink(missing_ok=True)
 
     def write_evaluation(self, evaluation: Mapping[str, Any]) -> None:
         """Write ``evaluation.json``; NaN becomes null."""
@@ -205,16 +255,7 @@ class RunFolder:
         Raises:
             InputError: It cannot be read.
         """
-        import numpy as np
-
-        file = self.path / "figures" / "ground.npz"
-        try:
-            with np.load(file, allow_pickle=False) as arrays:
-                return dict(arrays)
-        except FileNotFoundError:
-            return None
-        except (*_UNREADABLE_ARRAYS, TypeError) as error:  # the last for a single array, which is no archive
-            raise InputError(f"{file}: expected arrays in NumPy's format, got: {_one_line(error)}") from None
+        return _read_arrays(self.path / "figures" / "ground.npz")
 
     def write_views(self, views: Sequence[Mapping[str, Any]], image_of: Mapping[str, bytes]) -> None:
         """Write what cameras see: ``figures/views.json``, and the images that it names."""
@@ -313,7 +354,7 @@ class RunFolder:
 
     def figures(self) -> list[Path]:
         """The PNG files of the run, by name."""
-        return sorted((self.path / "figures").glob("*.png"))
+        return sorted(each for each in (self.path / "figures").glob("*.png") if not each.name.startswith(DRAFT))
 
     def rig(self, role: RigRole | None = None) -> Rig:
         """A rig of the run; see `rig_file`."""
@@ -323,14 +364,14 @@ class RunFolder:
         """The file of a rig of the run.
 
         Args:
-            role: Which one; None takes the rig of the run, ``rig_best.yaml``. A run that was stopped before its first
-                step has only the rig that it started from.
+            role: Which one; None takes the rig of the run, ``rig_best.yaml``. A run that was stopped in its first step
+                has only the rig that it started from.
 
         Raises:
             InputError: The run was stopped before it had one, or it is missing.
         """
         roles: tuple[RigRole, ...] = ("best", "initial") if role is None else (role,)
-        if role is None and (self.path / "rig_final.yaml").is_file():  # written after the best one
+        if role is None and (self.path / "evaluation.json").is_file():  # the run has ended, so it had one
             roles = ("best",)
         for name in roles:
             file = self.rig_path(name)
@@ -389,10 +430,6 @@ class RunFolder:
         run = self.drawn(scene=scene)
         return run_to_pyvista(run.frames, start=self.rig("initial"), end=run.rig, scene=run.scene)
 
-    def _append(self, name: str, line: str) -> None:
-        with writing(self.path / name), (self.path / name).open("ab", buffering=0) as file:
-            file.write(line.encode())
-
     def _read_json(self, name: str) -> dict[str, Any] | None:
         file = self.path / name
         try:
@@ -418,7 +455,7 @@ def read_run(path: str | Path) -> RunFolder:
 
 
 def check_new_run(config: Config) -> None:
-    """Reject a ``run.out`` that holds something already; an empty folder is welcome.
+    """Reject a ``run.out`` that holds something already; a folder with nothing but empty ones is welcome.
 
     Raises:
         InputError: ``run.out`` is a file, or a folder with content.
@@ -428,12 +465,67 @@ def check_new_run(config: Config) -> None:
         return
     if not out.is_dir():
         raise OptionError("run.out", f"expected a folder to write to, got {str(out)!r}, which is a file")
-    if any(out.iterdir()):
+    # what a run that was killed in its first moment has left is nothing
+    if any(each.is_symlink() or not each.is_dir() for each in out.rglob("*") if not each.name.startswith(DRAFT)):
+        resumes = f"; warpav optimise --resume {out} goes on with the run in it"
         raise OptionError(
             "run.out",
             f"expected a folder that does not exist yet, got {str(out)!r}; "
-            "choose another, or leave run.out away and the run is numbered",
+            "choose another, or leave run.out away and the run is numbered"
+            + (resumes if (out / "config.yaml").is_file() else ""),
         )
+
+
+@contextlib.contextmanager
+def new_run_folder(config: Config) -> Iterator[None]:
+    """Make and hold ``run.out``, before anything takes long; where the block makes no run of it, it goes again.
+
+    Raises:
+        InputError: As `check_new_run`, it cannot be made, or another run is about to use it.
+    """
+    out = config.run.out
+    check_new_run(config)
+    if out is None:  # it is numbered later, so that nobody else has it
+        yield
+        return
+    made = [each for each in (out, *out.parents) if not each.exists()]
+    with _made_folder():
+        out.mkdir(parents=True, exist_ok=True)
+    try:
+        with held_folder(out) as is_free:
+            if not is_free:
+                raise OptionError("run.out", f"expected a folder that no run writes to, got {str(out)!r}; one does now")
+            check_new_run(config)
+            yield
+    finally:
+        for each in made:
+            with contextlib.suppress(OSError):  # there is something in it
+                each.rmdir()
+
+
+@contextlib.contextmanager
+def held_run(folder: RunFolder) -> Iterator[None]:
+    """Hold a run folder while the block writes to it.
+
+    Raises:
+        InputError: Another process does.
+    """
+    with held_folder(folder.path) as is_free:
+        if not is_free:
+            raise InputError(
+                f"{folder.path}: run folder: expected one that no run writes to; one does now, wait for it"
+            )
+        yield
+
+
+@contextlib.contextmanager
+def _made_folder() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise OptionError(
+            "run.out", f"expected a folder that can be made, got {error.filename!r}: {error.strerror}"
+        ) from None
 
 
 def _numbered_folder(name: str) -> Path:
@@ -448,11 +540,40 @@ def _numbered_folder(name: str) -> Path:
             return path
 
 
-def _write_arrays(file: Path, arrays: Mapping[str, np.ndarray]) -> None:
+def _write_arrays(file: Path, arrays: Mapping[str, np.ndarray], *, is_durable: bool = False) -> None:
     import numpy as np
 
-    with writing(file), atomic_write(file) as draft, draft.open("wb") as stream:
+    with writing(file), atomic_write(file, is_durable=is_durable) as draft, draft.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
+
+
+def _read_arrays(file: Path) -> dict[str, np.ndarray] | None:
+    import numpy as np
+
+    try:
+        with np.load(file, allow_pickle=False) as arrays:
+            return dict(arrays)
+    except FileNotFoundError:
+        return None
+    except (*_UNREADABLE_ARRAYS, TypeError) as error:  # the last for a single array, which is no archive
+        raise InputError(f"{file}: expected arrays in NumPy's format, got: {_one_line(error)}") from None
+
+
+def _event_line(event: Mapping[str, Any]) -> str:
+    return json.dumps(event, allow_nan=False) + "\n"
+
+
+def _metrics_rows(events: Sequence[Mapping[str, Any]], *, with_names: bool) -> str:
+    """The rows of ``metrics.csv`` of some iterations."""
+    text = io.StringIO()
+    for event in events:
+        row = flat_numbers(event)
+        writer = csv.DictWriter(text, list(row), lineterminator="\n")
+        if with_names:
+            writer.writeheader()
+        writer.writerow(row)
+        with_names = False
+    return text.getvalue()
 
 
 def _iterations_of(evaluation: object) -> int:

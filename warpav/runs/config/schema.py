@@ -46,6 +46,7 @@ from warpav.scene.town.levels import LEVELS, Level
 from warpav.scene.vehicles import SHIPPED, vehicle_file, vehicle_names
 
 LATER_OPTIONS = {
+    "run": ("checkpoint_every",),
     "scenes": ("level", "recordings", "test_recordings", "vehicles", "vehicles_share"),
     "rig": LATER_RIG_OPTIONS,
     "baselines": LATER_BASELINE_OPTIONS,
@@ -168,6 +169,13 @@ class RunConfig(Section):
     )
     iterations: int = Field(default=100, ge=1, le=1_000_000, description="optimiser steps")
     batch_size: int = Field(default=4, ge=1, description="scenes per step of a descent")
+    checkpoint_every: int | None = Field(
+        default=None,
+        ge=1,
+        le=1_000_000,
+        description="steps after which the state of a run is written, from which warpav optimise --resume goes on; "
+        "null: 10, of a search by a pool 1",
+    )
 
 
 def _read_recordings(value: object) -> object:

@@ -1,0 +1,104 @@
+"""What a run may go on with: options that may change, and hashes of all that it depends on besides its options."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+
+from warpav.core.errors import InputError
+from warpav.core.fingerprint import digest, fingerprint
+from warpav.optimisation.rig_values import single_cameras_of
+from warpav.runs.config import Config, option_values
+from warpav.runs.networks import model_path
+from warpav.runs.placement import Placement
+
+MAY_CHANGE = (
+    "run.iterations",
+    "run.checkpoint_every",
+    "optimiser.pool_rounds",
+    "optimiser.pool_refinements",
+    "optimiser.pool_gap",
+    "optimiser.selection_time_s",
+    "optimiser.patience",
+    "executor",
+)
+"""Options, or sections of them, that a run may go on with other values of: they change nothing of what it has done."""
+_MEANING = {
+    "scenes": "the scenes of the run, got others",
+    "vehicle": "the vehicle of the run, got another",
+    "cameras": "the cameras of the run, got others",
+    "detector": "the detector of the run, got another",
+    "version": "the version of warpav, of its packages and the kind of device of the run, got others",
+}
+
+
+def check_options(before: Config, after: Config) -> None:
+    """Make sure that a run can go on with a configuration.
+
+    Args:
+        before: That of the run so far.
+        after: That with which it is to go on.
+
+    Raises:
+        InputError: Options differ that change what has been computed.
+    """
+    known, given = option_values(before), option_values(after)
+    differ = [
+        name
+        for name, value in given.items()
+        if value != known[name] and not any(name == each or name.startswith(f"{each}.") for each in MAY_CHANGE)
+    ]
+    if differ:
+        raise InputError(
+            f"command line ({', '.join(differ)}): expected the values of the run, as others change what has been "
+            f"computed; may change: {', '.join(MAY_CHANGE)}"
+        )
+
+
+def identity_of(placement: Placement) -> dict[str, str]:
+    """Hashes of what a run depends on besides its options, by what it is."""
+    mount, objective, config = placement.mount, placement.objective, placement.config
+    surface, single = mount.surface, single_cameras_of(objective)
+    single_identity = {} if single is None else single.identity
+    frozen = b"" if mount.frozen is None else mount.frozen.mount_pose.tobytes()
+    own = placement.own_detector
+    return {
+        "scenes": digest(*(each.scene.fingerprint for each in placement.search_scenes)),
+        "vehicle": digest(
+            np.asarray(surface.origin_m, np.float64).tobytes(),
+            float(surface.cell_m),
+            surface.height_m.tobytes(),
+            float(mount.height_offset_m),
+            single_identity.get("vehicle"),
+        ),
+        "cameras": digest(*mount.cameras, frozen, single_identity.get("camera")),
+        "detector": digest(own or _file_digest(model_path(config)), single_identity.get("detector")),
+        "version": _version(wp.get_device(mount.device).is_cuda),
+    }
+
+
+def check_identity(found: Mapping[str, str], expected: Mapping[str, str]) -> None:
+    """Make sure that a run goes on with what it began with.
+
+    Raises:
+        InputError: It would not; the text says what is another.
+    """
+    for name, text in _MEANING.items():
+        if found.get(name) != expected[name]:
+            raise InputError(f"checkpoint: {name}: expected {text}; put back what it was, or begin another run")
+
+
+def _file_digest(file: Path) -> str:
+    return digest(file.read_bytes())
+
+
+@cache
+def _version(is_cuda: bool) -> str:
+    packages = [version(name) for name in ("warp-lang", "numpy", "scipy")]
+    code = ("warpav.optimisation.descent", "warpav.optimisation.pool_descent")
+    return fingerprint(*packages, is_cuda, code=code)
