@@ -38,8 +38,8 @@ class ArmRow:
     Attributes:
         arm: Its name.
         seeds: Its run seeds.
-        seen: Objective on the scenes that rigs are chosen on, by run.
-        unseen: Objective on the unseen scenes, by run.
+        seen: Objective on the scenes that rigs are chosen on, by run; NaN of cameras of other lenses.
+        unseen: Objective on the unseen scenes, by run; NaN where it is not known.
         camera_renders: Of a search, mean.
         seconds: Of a search, mean [s].
         violation_m: Worst violation of the constraints [m].
@@ -168,6 +168,8 @@ def _cells(row: ArmRow) -> list[str]:
 
 
 def _spread(values: Sequence[float]) -> str:
+    if np.isnan(values).any():
+        return "-"
     spread = f" ±{np.std(values, ddof=1):.4f}" if len(values) > 1 else ""
     return f"{np.mean(values):.4f}{spread}"
 
@@ -206,7 +208,10 @@ def rival_table(results: Results, *, pitch_is_free: bool, resamples: int = RESAM
 
 
 def _unseen(run: Mapping[str, Any]) -> float:
-    value = objective_on_tests(run)
+    return _or_nan(objective_on_tests(run))
+
+
+def _or_nan(value: float | None) -> float:
     return float("nan") if value is None else value
 
 
@@ -219,7 +224,7 @@ def _row(
     return ArmRow(
         arm,
         tuple(run["seed"] for run in runs),
-        tuple(next(iter(run["validation_objectives"].values())) for run in runs),
+        tuple(_or_nan(next(iter(run["validation_objectives"].values()))) for run in runs),
         unseen,
         float(np.mean([run["camera_renders"] for run in runs])),
         float(np.mean([run["seconds"]["search"] for run in runs])),
