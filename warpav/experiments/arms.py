@@ -49,6 +49,7 @@ from warpav.raster.camera import CameraModel
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, changed_config, load_config, option_values
+from warpav.runs.mounts import camera_mount, constraints_of
 from warpav.runs.optimise import Optimisation, pool_search_settings, searches_by_pool
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.preset_rigs import know_cameras, preset_for
@@ -507,6 +508,17 @@ def _highest(placement: Placement, camera_renders_max: int | None) -> FoundRig:
     return FoundRig(found, found, 0, {}, mount_pose=pose)
 
 
+def _highest_raised(placement: Placement, camera_renders_max: int | None) -> FoundRig:
+    """Cameras around the highest point, on a rack that is ``rig.height_offset_m`` high, whatever zones there are."""
+    del camera_renders_max
+    config = changed_config(placement.config, ["mount.zones=null"])
+    mount = camera_mount(config, placement.ego)
+    pose = highest_mount_pose(constraints_of(config, mount.surface), config.rig.cameras).astype(np.float32)
+    shared = placement.objective.mount.camera  # whose near plane may be another
+    found = Rig([replace(each, model=shared) for each in mount.rig(mount.within(pose)).cameras])
+    return FoundRig(found, found, 0, {})
+
+
 def _preset(placement: Placement, camera_renders_max: int | None, *, name: str) -> FoundRig:
     """A known rig, moved to the roof of the vehicle, with images of the size of all others."""
     del camera_renders_max
@@ -686,6 +698,7 @@ METHODS: dict[str, Finder] = {
     "start": _start,
     "random_rig": _random_rig,
     "highest": _highest,
+    "highest_raised": _highest_raised,
     "random_batches": _random_batches,
     # random directions would only weaken the baselines: these two keep those of the segregation
     "random": partial(_searched, search=lambda *_: random_search, free_yaw=False),
@@ -700,7 +713,7 @@ METHODS: dict[str, Finder] = {
 }
 """How a rig can be found, by name; the presets' names are methods as well."""
 
-_SEEDLESS = ("highest",)
+_SEEDLESS = ("highest", "highest_raised")
 _STARTING = ("optimiser", "as_configured", "pool_only", "descent_only", "start")
 """Ways that begin with the configuration's start."""
 

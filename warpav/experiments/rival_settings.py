@@ -93,7 +93,7 @@ def find_setting(name: str | None) -> tuple[str, Experiment]:
     if name not in SETTINGS:
         raise ArgumentError(
             "setting",
-            f"expected one of {', '.join(SETTINGS)}, or one on other traffic such as sind_4_roof, got {name or 'none'}",
+            f"expected one of {', '.join(SETTINGS)}, or one on other traffic such as sind_4_rack, got {name or 'none'}",
         )
     return name, SETTINGS[name]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -94,6 +95,7 @@ class RivalTable:
         }
         curves = {arm: found for arm, found in curves.items() if found}
         level = {row.arm: float(np.median(row.seen)) for row in self.rows if row.arm not in curves}
+        level = {arm: value for arm, value in level.items() if math.isfinite(value)}
         if not curves:
             return self
         return replace(self, figure=objective_over_renders(curves, path, level=level, title=title).name)
@@ -108,7 +110,8 @@ class RivalTable:
         every = sorted({seed for row in self.rows for seed in row.seeds})
         for seed in every:
             found = [dict(zip(row.seeds, row.unseen, strict=True)).get(seed) for row in self.rows]
-            seeds.append(f"| {seed} | " + " | ".join("-" if each is None else f"{each:.4f}" for each in found) + " |")
+            cells = ("-" if each is None or math.isnan(each) else f"{each:.4f}" for each in found)
+            seeds.append(f"| {seed} | " + " | ".join(cells) + " |")
         return "\n".join([*lines, "", *(f"- {note}" for note in self.notes), *figure, *seeds, ""])
 
     def terminal(self) -> Group:
@@ -220,6 +223,7 @@ def _row(
 ) -> ArmRow:
     unseen = tuple(_unseen(run) for run in runs)
     pairs = _pairs(ours, dict(zip((run["seed"] for run in runs), unseen, strict=True)))
+    pairs = [pair for pair in pairs if not np.isnan(pair).any()]
     judged = [run["metrics"]["tp_detection_rate"] for run in runs if "metrics" in run]
     return ArmRow(
         arm,

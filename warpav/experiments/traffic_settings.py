@@ -1,8 +1,9 @@
 """The rivals on hard and on real traffic: settings that are composed of a source of traffic, a mount and cameras.
 
 A setting is ``TRAFFIC_CAMERAS_MOUNT``, with ``_bus`` for a bus that carries the cameras and ``_all`` for all road users:
-``sind_4_roof``, ``dense_6_body_bus_all``. Roof and body are zones of one vehicle, cameras are flush with either, so what
-is compared costs the same. Zones of the two vehicles ship with warpav, as they belong to what is compared.
+``sind_4_rack``, ``dense_6_body_bus_all``. On a rack all cameras are 25 cm above roof and bonnet; roof and body are zones
+of the vehicle in which cameras are flush, so that what is compared costs the same. Zones of the two vehicles ship with
+warpav, as they belong to what is compared.
 """
 
 from __future__ import annotations
@@ -25,7 +26,12 @@ TRAFFIC = {
 }
 """Options by source of the traffic; NGSIM is recorded traffic that the user brings (``scenes.recordings``)."""
 
-MOUNTS = ("roof", "body")
+MOUNTS = {
+    "rack": "25 cm above roof and bonnet",
+    "roof": "flush on the roof",
+    "body": "flush anywhere on the body, but on glass, lamps, plates and wheels",
+}
+"""Where the cameras may stand."""
 CAMERAS = (2, 4, 6)
 EGOS = ("car", "bus")
 TARGETS = {"vehicles": ("vehicle",), "all": ("vehicle", "pedestrian", "cyclist")}
@@ -33,6 +39,8 @@ TARGETS = {"vehicles": ("vehicle",), "all": ("vehicle", "pedestrian", "cyclist")
 
 ARMS = ("default", "pool_only", "descent_only", "highest", "random_selected", "cma")
 """Names of the arms of every setting."""
+RAISED = "highest_raised"
+"""The arm that stands on a rack where all others are flush: a flush camera in the middle of a roof sees the roof."""
 PRESETS = {6: "nuscenes"}
 """Known rigs with as many cameras, which stand on a car as they are built."""
 
@@ -64,7 +72,7 @@ _QUICK = (
     "camera.height_px=256",
 )
 _ZONES = Path(__file__).parent / "zones"
-_TEXT = "TRAFFIC_CAMERAS_MOUNT such as sind_4_roof or dense_6_body_bus_all"
+_TEXT = "TRAFFIC_CAMERAS_MOUNT such as sind_4_rack or dense_6_body_bus_all"
 
 
 @dataclass(frozen=True)
@@ -74,7 +82,7 @@ class TrafficSetting:
     Attributes:
         traffic: A key of `TRAFFIC`.
         cameras: How many, out of `CAMERAS`.
-        mount: Out of `MOUNTS`.
+        mount: A key of `MOUNTS`.
         ego: What carries them, out of `EGOS`.
         targets: A key of `TARGETS`.
     """
@@ -92,9 +100,9 @@ class TrafficSetting:
         return f"{self.traffic}_{self.cameras}_{self.mount}{ego}{'_all' if self.targets == 'all' else ''}"
 
     @property
-    def zones(self) -> Path:
-        """The zones in which its cameras stand."""
-        return _ZONES / f"{self.ego}_{self.mount}.yaml"
+    def zones(self) -> Path | None:
+        """The zones in which its cameras are flush; None on a rack."""
+        return None if self.mount == "rack" else _ZONES / f"{self.ego}_{self.mount}.yaml"
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -103,7 +111,7 @@ class TrafficSetting:
             *TRAFFIC[self.traffic],
             *_COMMON,
             f"rig.cameras={self.cameras}",
-            f"mount.zones={self.zones}",
+            *(() if self.zones is None else (f"mount.zones={self.zones}",)),
             f"scenes.targets=[{', '.join(TARGETS[self.targets])}]",
             f"optimiser.pool_cameras={ROOF_POOL * self._factor}",
             *(("scenes.ego=bus",) if self.ego == "bus" else ()),
@@ -112,12 +120,14 @@ class TrafficSetting:
     @property
     def experiment(self) -> Experiment:
         """Its experiment, whose rigs the detector judges, by what can be found from the mount as well."""
-        presets = [PRESETS[self.cameras] + AS_BUILT] if self.ego == "car" and self.cameras in PRESETS else []
+        others = [] if self.mount == "rack" else [RAISED]
+        if self.ego == "car" and self.cameras in PRESETS:
+            others.append(PRESETS[self.cameras] + AS_BUILT)
         common, renders = common_arms(), CAMERA_RENDERS[self.cameras] * self._factor
         return Experiment(
             f"rivals_{self.name}",
             "default",
-            tuple(common[name] for name in (*ARMS, *presets)),
+            tuple(common[name] for name in (*ARMS, *others)),
             RUNS,
             options=self.options,
             quick=_QUICK,
