@@ -77,6 +77,8 @@ def experiment(
     from warpav.experiments import open_experiments, rival_settings, thesis_experiments
     from warpav.experiments.experiment import arms_of, overrides_of
     from warpav.experiments.protocol import sealed_override
+    from warpav.experiments.traffic_protocol import check_sealing
+    from warpav.experiments.traffic_settings import is_traffic_setting
     from warpav.runs.config import placed_config
     from warpav.runs.progress import RunDisplay
 
@@ -116,6 +118,8 @@ def experiment(
         found = (thesis_experiments if is_thesis else open_experiments).EXPERIMENTS[name]
         run = partial(thesis_experiments.run_table if is_thesis else open_experiments.run_open, name)
     if sealed is not None:
+        if is_traffic_setting(setting):
+            check_sealing(sealed)
         overrides = (*overrides, sealed_override(sealed, overrides, quick=quick))
     chosen = arms_of(found, arms)
     whole = overrides_of(found, [*overrides, *given], arms=chosen, quick=quick)

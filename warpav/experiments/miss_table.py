@@ -16,6 +16,7 @@ from warpav.evaluation.statistics import RESAMPLES, Difference, compare_arms, pa
 from warpav.experiments.goals import Goal
 from warpav.experiments.result_folder import ATTAINABLE
 from warpav.experiments.tables import Results
+from warpav.experiments.traffic_protocol import traffic_protocol
 from warpav.runs.text_table import TextTable
 
 OWN_JUDGE = "the detector of the search"
@@ -24,9 +25,9 @@ PRACTICE = ("highest", "highest_raised")
 """Arms that are the practice to beat, as far as a setting has them: around the highest point, flush or on a rack."""
 BEATEN = (*PRACTICE, "random_selected", "cma")
 """Arms that the reference is to miss less than."""
-REDUCTION_MIN = 0.25
+REDUCTION_MIN = next(each.reduction for each in traffic_protocol().hypotheses.values() if each.reduction is not None)
 """Least share by which the reference is to lower what the practice misses of what can be found."""
-OUTSIDE_MIN = 2
+OUTSIDE_MIN = traffic_protocol().outside
 """Outside networks that have to agree."""
 
 EXPECTED, ALL, FOUND = "expected_misses", "misses", "attainable_misses"
@@ -80,6 +81,7 @@ class MissTable:
         objects: Road users in them.
         attainable: Those that can be found.
         practice: The arm of `PRACTICE` that misses least of these; None without one.
+        reduction_p: One-sided p-value of a reduction by the reference below `REDUCTION_MIN`; None without one.
         rows: The arms.
     """
 
@@ -88,7 +90,30 @@ class MissTable:
     objects: int
     attainable: int
     practice: str | None
+    reduction_p: float | None
     rows: tuple[MissRow, ...]
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any]) -> MissTable:
+        """The table that a JSON file holds.
+
+        Raises:
+            KeyError: It holds something else.
+            TypeError: Likewise.
+        """
+        rows = [
+            MissRow(
+                **{
+                    **row,
+                    "seeds": tuple(row["seeds"]),
+                    "misses": {name: Difference(**each) for name, each in row["misses"].items()},
+                    "less": {name: Difference(**each) for name, each in row["less"].items()},
+                    "reduction": None if row["reduction"] is None else Difference(**row["reduction"]),
+                }
+            )
+            for row in data["rows"]
+        ]
+        return cls(**{**data, "rows": tuple(rows)})
 
     def row(self, arm: str) -> MissRow | None:
         """The arm of this name; None if it has no results."""
@@ -102,10 +127,10 @@ class MissTable:
         for row in self.rows:
             cells = [row.arm, str(len(row.seeds))]
             for metric in metrics:
-                cells.append(_text(row.misses.get(metric), 1.0, ".2f"))
+                cells.append(number_text(row.misses.get(metric), 1.0, ".2f"))
                 if metric != EXPECTED:
-                    cells.append(_text(row.less.get(metric), 1.0, "+.2f", with_p=True))
-            cells.append(_text(row.reduction, 100.0, "+.1f"))
+                    cells.append(number_text(row.less.get(metric), 1.0, "+.2f", with_p=True))
+            cells.append(number_text(row.reduction, 100.0, "+.1f"))
             cells.append(f"{row.wins} of {row.compared}" if row.compared else "-")
             lines.append(cells)
         headings = ["arm", "runs"]
@@ -160,6 +185,16 @@ def miss_table(judge: str, results: Results, *, resamples: int = RESAMPLES) -> M
         key=lambda arm: _mean(tables[FOUND][arm], attainable),
         default=None,
     )
+    reduction_p = None
+    if practice is not None and REFERENCE in tables[FOUND]:
+        beyond = paired_difference(
+            tables[FOUND][REFERENCE],
+            (1.0 - REDUCTION_MIN) * tables[FOUND][practice],
+            weight=attainable,
+            resamples=resamples,
+        )
+        if beyond.mean is not None and beyond.p_value is not None:
+            reduction_p = beyond.p_value / 2.0 if beyond.mean < 0.0 else 1.0 - beyond.p_value / 2.0
     ours = {} if REFERENCE not in there else _missed(there[REFERENCE])
     rows = []
     for arm, runs in there.items():
@@ -184,7 +219,7 @@ def miss_table(judge: str, results: Results, *, resamples: int = RESAMPLES) -> M
                 len(pairs),
             )
         )
-    return MissTable(judge, len(objects), int(objects.sum()), int(attainable.sum()), practice, tuple(rows))
+    return MissTable(judge, len(objects), int(objects.sum()), int(attainable.sum()), practice, reduction_p, tuple(rows))
 
 
 def miss_goals(own: MissTable, outside: Sequence[MissTable] | None = None) -> list[Goal]:
@@ -220,7 +255,7 @@ def miss_goals(own: MissTable, outside: Sequence[MissTable] | None = None) -> li
             Goal(
                 f"attainable misses at least {REDUCTION_MIN:.0%} below those of {table.practice or PRACTICE[0]}, by {table.judge}",
                 None if known is None else known >= REDUCTION_MIN,
-                f"{_text(reduction, 100.0, '+.1f')} %" if known is not None else "not among the arms",
+                f"{number_text(reduction, 100.0, '+.1f')} %" if known is not None else "not among the arms",
             )
         )
     return goals
@@ -231,7 +266,7 @@ def _beats(table: MissTable, rival: str) -> tuple[str, bool | None]:
     difference = None if row is None else row.less.get(ALL)
     if difference is None or difference.low is None:
         return "no interval", None
-    return _text(difference, 1.0, "+.2f"), difference.low > 0.0
+    return number_text(difference, 1.0, "+.2f"), difference.low > 0.0
 
 
 def _turned(one: Difference) -> Difference:
@@ -257,7 +292,8 @@ def _pairs(ours: Mapping[int, float], theirs: Mapping[int, float]) -> list[tuple
     return [(value, theirs[seed]) for seed, value in ours.items() if seed in theirs]
 
 
-def _text(number: Difference | None, factor: float, form: str, *, with_p: bool = False) -> str:
+def number_text(number: Difference | None, factor: float, form: str, *, with_p: bool = False) -> str:
+    """A number with its interval, scaled and formatted, maybe with its p-value; ``-`` where there is none."""
     if number is None or number.mean is None:
         return "-"
     text = f"{factor * number.mean:{form}}"
