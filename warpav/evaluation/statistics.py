@@ -183,6 +183,18 @@ def _paired(
     return Difference(mean, *interval_at(LEVEL), p_value, None, count)
 
 
+def mean_over_scenes(numbers: Numbers, weight: Sequence[float] | np.ndarray) -> float:
+    """Mean of a metric over its runs and the scenes that have a weight; NaN where one of these has no number.
+
+    Args:
+        numbers: The metric.
+        weight: Of every scene, at least 0, of one at least above.
+    """
+    table, weights = np.atleast_2d(np.array(numbers, np.float64)), np.asarray(weight, np.float64)
+    kept = weights > 0.0
+    return float(np.average(table[:, kept].mean(axis=0), weights=weights[kept]))
+
+
 def compare_arms(
     one: Numbers,
     others: Mapping[str, Numbers],

@@ -12,7 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from warpav.evaluation.statistics import RESAMPLES, Difference, compare_arms, paired_difference, relative_reduction
+from warpav.evaluation.statistics import (
+    RESAMPLES,
+    Difference,
+    compare_arms,
+    mean_over_scenes,
+    paired_difference,
+    relative_reduction,
+)
 from warpav.experiments.goals import Goal
 from warpav.experiments.result_folder import ATTAINABLE
 from warpav.experiments.tables import Results
@@ -142,10 +149,10 @@ class MissTable:
             f"Misses by {self.judge}",
             [*headings, f"% fewer attainable than {self.practice or 'the practice'}", "wins"],
             lines,
-            f"{self.objects} road users in {self.scenes} unseen scenes, {self.attainable} of them attainable: some single "
-            "camera on the mount is likely to detect them. Brackets: 95 % interval, BCa over scenes and runs; p: of no "
-            f"difference, corrected by Holm's method for the arms, * below 0.05. Wins: runs in which {REFERENCE} misses "
-            "at most as many of all as the run of the same seed.",
+            f"{self.objects} road users in {self.scenes} unseen scenes, {self.attainable} of them attainable: some "
+            "single camera on the mount is likely to detect them. Brackets: 95 % interval, BCa over scenes and runs; "
+            "p: of no difference, corrected by Holm's method for the arms, * below 0.05. Wins: runs in which "
+            f"{REFERENCE} misses at most as many of all as the run of the same seed.",
         )
 
 
@@ -182,7 +189,7 @@ def miss_table(judge: str, results: Results, *, resamples: int = RESAMPLES) -> M
             less[metric] = {arm: _turned(each) for arm, each in compared.items()}
     practice = min(
         (arm for arm in PRACTICE if arm in tables[FOUND]),
-        key=lambda arm: _mean(tables[FOUND][arm], attainable),
+        key=lambda arm: mean_over_scenes(tables[FOUND][arm], attainable),
         default=None,
     )
     reduction_p = None
@@ -251,9 +258,10 @@ def miss_goals(own: MissTable, outside: Sequence[MissTable] | None = None) -> li
         row = table.row(REFERENCE)
         reduction = None if row is None else row.reduction
         known = None if reduction is None else reduction.mean
+        practice = table.practice or PRACTICE[0]
         goals.append(
             Goal(
-                f"attainable misses at least {REDUCTION_MIN:.0%} below those of {table.practice or PRACTICE[0]}, by {table.judge}",
+                f"attainable misses at least {REDUCTION_MIN:.0%} below those of {practice}, by {table.judge}",
                 None if known is None else known >= REDUCTION_MIN,
                 f"{number_text(reduction, 100.0, '+.1f')} %" if known is not None else "not among the arms",
             )
@@ -273,12 +281,6 @@ def _turned(one: Difference) -> Difference:
     """The arm less the reference, from the reference less the arm."""
     ends = [None if each is None else -each for each in (one.mean, one.high, one.low)]
     return Difference(ends[0], ends[1], ends[2], one.p_value, one.p_holm, one.scenes)
-
-
-def _mean(table: np.ndarray, weight: np.ndarray) -> float:
-    """Mean over runs and the scenes that have a weight, [run, scene]."""
-    kept = weight > 0.0
-    return float(np.average(table[:, kept].mean(axis=0), weights=weight[kept]))
 
 
 def _missed(runs: Sequence[Mapping[str, Any]]) -> dict[int, float]:

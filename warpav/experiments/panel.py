@@ -23,7 +23,14 @@ from warpav.core.fingerprint import digest
 from warpav.core.progress import Progress
 from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH
 from warpav.evaluation.metrics import confidence_at
-from warpav.evaluation.statistics import RESAMPLES, Difference, Estimate, order_agreement, paired_difference
+from warpav.evaluation.statistics import (
+    RESAMPLES,
+    Difference,
+    Estimate,
+    mean_over_scenes,
+    order_agreement,
+    paired_difference,
+)
 from warpav.experiments.arms import Arm
 from warpav.experiments.goals import Goal, goals_text
 from warpav.experiments.miss_table import OWN_JUDGE, MissTable, miss_goals, miss_table
@@ -533,7 +540,7 @@ def _table(
         signs = {
             np.sign(gap)
             for name in names
-            if abs(gap := _mean(equal[name][i], weight) - _mean(equal[name][j], weight)) > _LEVEL
+            if abs(gap := mean_over_scenes(equal[name][i], weight) - mean_over_scenes(equal[name][j], weight)) > _LEVEL
         }
         if len(signs) > 1:
             differences = {name: compared(equal[name][i], equal[name][j]) for name in names}
@@ -596,12 +603,6 @@ def recall_of_scenes(record: Mapping[str, Any], confidence_min: float) -> np.nda
     """Recall at a minimum confidence from an `object_record`, NaN without objects, [scene]."""
     found = [np.array(up_to, np.float64) >= confidence_min for up_to in record["detected_up_to"]]
     return np.array([each.mean() if len(each) else np.nan for each in found])
-
-
-def _mean(table: np.ndarray, weight: Sequence[float]) -> float:
-    """Mean over runs and the scenes with objects, [run, scene]."""
-    kept = np.asarray(weight) > 0
-    return float(np.average(table[:, kept].mean(axis=0), weights=np.asarray(weight)[kept]))
 
 
 def _text(

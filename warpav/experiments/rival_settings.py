@@ -1,7 +1,7 @@
 """The rivals at equal terms: settings in which all methods choose on the same scenes with as many camera renders.
 
-`SETTINGS` are those of the frozen protocol, on the easy town; those of `warpav.experiments.traffic_settings` are on hard
-and on recorded traffic.
+`SETTINGS` are those of the frozen protocol, on the easy town; those of `warpav.experiments.traffic_settings` are on
+hard and on recorded traffic.
 """
 
 from __future__ import annotations

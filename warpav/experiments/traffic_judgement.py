@@ -1,8 +1,8 @@
 """What became of the second part of the protocol: every hypothesis is decided by its rule and shown, failed ones too.
 
 A hypothesis holds where its rule does in every decided setting, by the detector of the search and by enough outside
-networks. Its p-value is the largest of all that it joins; that of "at least so many networks" is the partial conjunction
-of Benjamini and Heller (2008).
+networks. Its p-value is the largest of all that it joins; that of "at least so many networks" is the partial
+conjunction of Benjamini and Heller (2008).
 """
 
 from __future__ import annotations
@@ -138,7 +138,10 @@ def _judged(name: str, hypothesis: MissHypothesis, settings: Mapping[str, Judged
                 conjunction = (len(known) - protocol.outside + 1) * known[protocol.outside - 1]
                 p_values += [own.p_value, min(1.0, conjunction)]
             else:  # who have not been asked may still agree
-                verdicts += [own.holds, None if len(others) < protocol.outside or possible >= protocol.outside else False]
+                verdicts += [
+                    own.holds,
+                    None if len(others) < protocol.outside or possible >= protocol.outside else False,
+                ]
                 p_values += [own.p_value, None]
     holds = False if False in verdicts else None if None in verdicts else True
     known = [value for value in p_values if value is not None]
@@ -195,8 +198,8 @@ def judgements_text(judgements: Sequence[MissJudgement]) -> str:
             numbers = one.numbers + (" ✗" if one.holds is False else "")
             lines.append(f"| {each.name} | {one.setting} | {one.rival} | {one.judge} | {numbers} | {p_value} |")
     note = (
-        "Intervals: BCa bootstrap over test scenes and runs, 95 %. p: one-sided; that of a hypothesis is the largest of "
-        f"its comparisons, where at least {traffic_protocol().outside} outside networks have the partial conjunction "
+        "Intervals: BCa bootstrap over test scenes and runs, 95 %. p: one-sided; that of a hypothesis is the largest "
+        f"of its comparisons, where at least {traffic_protocol().outside} outside networks have the partial conjunction "
         "of theirs, corrected by Holm's method for the number of hypotheses. ✗: fails here."
     )
     return "\n".join([*lines, "", note, ""])

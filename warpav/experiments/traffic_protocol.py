@@ -73,7 +73,8 @@ class TrafficProtocol(_Strict):
         }
         parts = [
             _table(
-                ("hypothesis", "rule"), [(f"{name}: {each.text}", rules[name]) for name, each in self.hypotheses.items()]
+                ("hypothesis", "rule"),
+                [(f"{name}: {each.text}", rules[name]) for name, each in self.hypotheses.items()],
             ),
             f"Decided in {', '.join(f'`{name}`' for name in self.decided)}, in each of them by the detector of the "
             f"search and by at least {self.outside} outside networks.",

@@ -1,9 +1,9 @@
 """The rivals on hard and on real traffic: settings that are composed of a source of traffic, a mount and cameras.
 
-A setting is ``TRAFFIC_CAMERAS_MOUNT``, with ``_bus`` for a bus that carries the cameras and ``_all`` for all road users:
-``sind_4_rack``, ``dense_6_body_bus_all``. On a rack all cameras are 25 cm above roof and bonnet; roof and body are zones
-of the vehicle in which cameras are flush, so that what is compared costs the same. Zones of the two vehicles ship with
-warpav, as they belong to what is compared.
+A setting is ``TRAFFIC_CAMERAS_MOUNT``, with ``_bus`` for a bus that carries the cameras and ``_all`` for all road
+users: ``sind_4_rack``, ``dense_6_body_bus_all``. On a rack all cameras are 25 cm above roof and bonnet; roof and body
+are zones of the vehicle in which cameras are flush, so that what is compared costs the same. Zones of the two vehicles
+ship with warpav, as they belong to what is compared.
 """
 
 from __future__ import annotations
