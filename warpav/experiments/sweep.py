@@ -111,7 +111,7 @@ FACTORS = {
         lambda config: config.camera.fov_deg,
     ),
     "height": Factor(
-        "height above the roof [m]",
+        "height over roof [m]",
         (0.02, 0.1, 0.25, 0.75, 1.5),
         (0.05, 1.0),
         float,
@@ -147,9 +147,12 @@ class Point:
     @property
     def name(self) -> str:
         """What its arms are called by."""
-        return (
-            MIDDLE if self.is_middle else f"{self.factor}_{f'{self.value:g}' if _is_number(self.value) else self.value}"
-        )
+        return MIDDLE if self.is_middle else f"{self.factor}_{self.label}"
+
+    @property
+    def label(self) -> str:
+        """The value as a text."""
+        return self.value if isinstance(self.value, str) else f"{self.value:g}"
 
 
 @dataclass(frozen=True)
@@ -345,8 +348,9 @@ def _draw(gains: Sequence[Gain], path: Path) -> Path:
     for each in gains:
         label = each.point.label
         if each.point.factor == "traffic":
-            label += f"\n{each.road_users:.0f} a\nscene"
+            label += f"\n({each.road_users:.0f})"
         gain = each.gain
-        marks = panels.setdefault(FACTORS[each.point.factor].text, [])
+        title = FACTORS[each.point.factor].text + (" (targets)" if each.point.factor == "traffic" else "")
+        marks = panels.setdefault(title, [])
         marks.append(GainMark(label, gain.mean, gain.low, gain.high, each.highest, each.default, each.point.is_middle))
     return gains_by_factor(panels, path)

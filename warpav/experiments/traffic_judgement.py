@@ -199,8 +199,8 @@ def judgements_text(judgements: Sequence[MissJudgement]) -> str:
             lines.append(f"| {each.name} | {one.setting} | {one.rival} | {one.judge} | {numbers} | {p_value} |")
     note = (
         "Intervals: BCa bootstrap over test scenes and runs, 95 %. p: one-sided; that of a hypothesis is the largest "
-        f"of its comparisons, where at least {traffic_protocol().outside} outside networks have the partial conjunction "
-        "of theirs, corrected by Holm's method for the number of hypotheses. ✗: fails here."
+        f"of its comparisons, where at least {traffic_protocol().outside} outside networks have the partial "
+        "conjunction of theirs, corrected by Holm's method for the number of hypotheses. ✗: fails here."
     )
     return "\n".join([*lines, "", note, ""])
 

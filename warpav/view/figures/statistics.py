@@ -137,8 +137,11 @@ def gains_by_factor(panels: Mapping[str, Sequence[GainMark]], path: Path | str) 
         path: PNG file to write.
     """
     with figure_style():
-        figure = new_figure(max(WIDTH_INCH, 2.4 * len(panels)), 5.2)
-        axes = figure.subplots(2, len(panels), squeeze=False, sharex="col", sharey="row", height_ratios=[3, 2])
+        widths = [max(len(marks), 3) for marks in panels.values()]
+        figure = new_figure(max(WIDTH_INCH, 0.75 * sum(widths)), 5.2)
+        axes = figure.subplots(
+            *(2, len(panels)), squeeze=False, sharex="col", sharey="row", height_ratios=[3, 2], width_ratios=widths
+        )
         before, after = hex_colour(BASELINE_RGB["highest"]), hex_colour(camera_rgb(0))
         for column, (title, marks) in enumerate(panels.items()):
             upper, lower = axes[:, column]
@@ -152,9 +155,9 @@ def gains_by_factor(panels: Mapping[str, Sequence[GainMark]], path: Path | str) 
                 if each.gain is not None:
                     face = hex_colour(INK_RGB) if each.is_middle else after
                     lower.plot(at, each.gain, "o", color=face, markersize=6)
-            lower.set_xticks(place, [each.label for each in marks])
+            lower.set_xticks(place, [each.label for each in marks], fontsize=9.0)
             lower.set_xlim(-0.5, len(marks) - 0.5)
-            upper.set_title(title)
+            upper.set_title(title, fontsize=10.0)
             lower.grid(visible=False, axis="x")
             upper.grid(visible=False, axis="x")
         axes[0, 0].set_ylabel("expected misses per 100")
