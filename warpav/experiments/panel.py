@@ -163,6 +163,7 @@ class PanelTable:
         failed: Why some rigs are missing.
         misses: Of the first experiment: what its own detector says of what can be found, and then every network; empty
             where it does not know what can be found.
+        outside: Networks among these judges that no search used.
         goals: What they make of the goals; by networks that no search used where there are any.
     """
 
@@ -176,6 +177,7 @@ class PanelTable:
     crossed: tuple[Crossed, ...]
     failed: tuple[str, ...]
     misses: tuple[MissTable, ...] = ()
+    outside: tuple[str, ...] = ()
     goals: tuple[Goal, ...] = ()
 
     def markdown(self) -> str:
@@ -367,7 +369,10 @@ def run_panel(
         raise InputError(f"{folders[0]}: expected a rig that all networks judge, got none: {failed[0]}")
     table = _table(networks, rows, runs_of, config, false_alarms_per_image, tuple(failed), resamples)
     judged = {network.name: _first_of(folders[0], network.name, results) for network in networks}
-    table = _with_misses(table, folders[0], judged, resamples)
+    used = {row.searched_with for row in table.rows}
+    content = {network.name: digest(network.file.read_bytes()) for network in networks}
+    outside = [name for name in content if content[name] not in {content.get(each or "") for each in used}]
+    table = _with_misses(table, folders[0], judged, outside, resamples)
     out = folders[0] / f"panel_{name}"
     with writing(out):
         out.mkdir(exist_ok=True)
@@ -401,16 +406,18 @@ def _first_of(
     }
 
 
-def _with_misses(table: PanelTable, folder: Path, judged: _Judged, resamples: int) -> PanelTable:
+def _with_misses(
+    table: PanelTable, folder: Path, judged: _Judged, outside: Sequence[str], resamples: int
+) -> PanelTable:
     """The same with what can be found, where the first experiment says it."""
     own = miss_table(OWN_JUDGE, read_rigs(folder), resamples=resamples)
     if own is None:
         return table
     found = [miss_table(name, runs, resamples=resamples) for name, runs in judged.items()]
     tables = [each for each in found if each is not None]
-    searched_with = {row.searched_with for row in table.rows}
-    outside = [each for each in tables if each.judge not in searched_with]
-    return replace(table, misses=(own, *tables), goals=tuple(miss_goals(own, outside)))
+    asked = [each for each in tables if each.judge in outside]
+    goals = tuple(miss_goals(own, asked))
+    return replace(table, misses=(own, *tables), outside=tuple(each.judge for each in asked), goals=goals)
 
 
 def _named_by_judge(judged: _Judged) -> _Judged:

@@ -14,6 +14,7 @@ from typing import Any
 
 from warpav.core.errors import InputError
 from warpav.evaluation.statistics import RESAMPLES, holm
+from warpav.experiments.arms import common_arms
 from warpav.experiments.miss_table import OWN_JUDGE, MissTable, miss_table, number_text
 from warpav.experiments.result_folder import read_json, results_in
 from warpav.experiments.traffic_protocol import MissHypothesis, traffic_protocol
@@ -96,11 +97,10 @@ def read_setting(folder: Path, *, resamples: int = RESAMPLES) -> JudgedSetting:
     for file in sorted(folder.glob("panel_*/panel.json")):
         panel = read_json(file)
         try:
-            searched_with = {row["searched_with"] for row in panel["rows"]}
-            tables = [MissTable.from_data(each) for each in panel["misses"][1:]]
+            tables = [MissTable.from_data(each) for each in panel["misses"] if each["judge"] in panel["outside"]]
         except (KeyError, TypeError) as error:
             raise InputError(f"{file}: expected the numbers of a panel, got none ({error}); judge again") from None
-        outside |= {table.judge: table for table in tables if table.judge not in searched_with}
+        outside |= {table.judge: table for table in tables}
     return JudgedSetting(own, tuple(outside.values()))
 
 
@@ -166,7 +166,7 @@ def _compared(
     missing = MissComparison(setting, rival, judge, None, "no results", None)
     if table is None or ours is None or theirs is None or not seeds <= set(ours.seeds):
         return missing
-    if not rival.startswith("highest") and not seeds <= set(theirs.seeds):
+    if common_arms()[rival].is_seeded and not seeds <= set(theirs.seeds):
         return missing
     if hypothesis.reduction is not None:
         if ours.reduction is None or ours.reduction.mean is None or table.reduction_p is None:

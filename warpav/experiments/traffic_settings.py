@@ -37,10 +37,10 @@ EGOS = ("car", "bus")
 TARGETS = {"vehicles": ("vehicle",), "all": ("vehicle", "pedestrian", "cyclist")}
 """Road users that count, by the word for them."""
 
-ARMS = ("default", "pool_only", "descent_only", "highest", "random_selected", "cma")
+ARMS = ("default", "pool_only", "descent_only", "highest", "roof_edge", "random_selected", "cma")
 """Names of the arms of every setting."""
 RAISED = "highest_raised"
-"""The arm that stands on a rack where all others are flush: a flush camera in the middle of a roof sees the roof."""
+"""The arm that stands on a rack where all others are flush: it costs more, and shows what a rack would see."""
 PRESETS = {6: "nuscenes"}
 """Known rigs with as many cameras, which stand on a car as they are built."""
 
