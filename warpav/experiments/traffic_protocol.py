@@ -52,6 +52,7 @@ class TrafficProtocol(_Strict):
     decided: tuple[str, ...]
     outside: int
     budget: str
+    cameras: str
     scenes: str
     arms: dict[str, str]
     metrics: dict[str, str]
@@ -83,6 +84,7 @@ class TrafficProtocol(_Strict):
             f"Run seeds of every arm: {self.seeds[0]} to {self.seeds[-1]}; arms without a search run once. Test scenes "
             f"of every setting: {self.sealed_scenes}, sealed.",
             f"Budget: {self.budget}",
+            f"Cameras: {self.cameras}",
             f"Scenes: {self.scenes}",
         ]
         return "\n\n".join(part.strip() for part in parts) + "\n"

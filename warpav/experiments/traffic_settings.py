@@ -46,8 +46,10 @@ PRESETS = {6: "nuscenes"}
 
 RUNS = 10
 """Run seeds of an arm."""
-FOV_DEG, WIDTH_PX = 90, 640
-"""All cameras are alike: horizontal field of view, and width and height of the images."""
+FOV_DEG = {2: 90, 4: 90, 6: 60}
+"""Horizontal field of view by number of cameras: of six about that of nuScenes's."""
+WIDTH_PX = 640
+"""Width and height of all images."""
 CAMERA_RENDERS = {2: 30_000, 4: 45_000, 6: 50_000}
 """Of every search on a roof, by number of cameras."""
 BODY_FACTOR = 2
@@ -56,7 +58,6 @@ ROOF_POOL = 128
 """Cameras of the first pool of the default method on a roof."""
 
 _COMMON = (
-    f"camera.fov_deg={FOV_DEG}",
     f"camera.width_px={WIDTH_PX}",
     f"camera.height_px={WIDTH_PX}",
     "rig.free.pitch_deg=[-10, 30]",
@@ -111,6 +112,7 @@ class TrafficSetting:
             *TRAFFIC[self.traffic],
             *_COMMON,
             f"rig.cameras={self.cameras}",
+            f"camera.fov_deg={FOV_DEG[self.cameras]}",
             *(() if self.zones is None else (f"mount.zones={self.zones}",)),
             f"scenes.targets=[{', '.join(TARGETS[self.targets])}]",
             f"optimiser.pool_cameras={ROOF_POOL * self._factor}",
