@@ -16,10 +16,12 @@ from warpav.evaluation.statistics import (
     Estimate,
     compare_arms,
     holm,
+    mean_over_scenes,
     order_agreement,
     paired_difference,
     paired_differences,
     rank_correlation,
+    relative_reduction,
     run_spread,
 )
 
@@ -403,3 +405,39 @@ def test_judges_who_see_no_order_have_none():
         order_agreement(level, [[0.1], [0.2]])
     with pytest.raises(ValueError, match="weight of at least 0"):
         order_agreement(level, level, weight=[1.0, -1.0])
+
+
+# ------------------------------------------------------------------------------------------------ relative reductions
+
+
+def test_a_reduction_is_a_share_of_the_other_mean(rng):
+    one, other, weight = rng.uniform(1.0, 2.0, 50), rng.uniform(3.0, 4.0, 50), rng.integers(0, 5, 50)
+    found = relative_reduction(one, other, weight=weight, resamples=999)
+    assert found.mean == pytest.approx(1.0 - np.average(one, weights=weight) / np.average(other, weights=weight))
+    assert found.low < found.mean < found.high
+    assert found.p_value < 0.01
+    scaled = relative_reduction(7.0 * one, 7.0 * other, weight=weight, resamples=999)
+    assert (scaled.mean, scaled.low, scaled.high) == pytest.approx((found.mean, found.low, found.high))
+
+
+def test_no_reduction_is_not_taken_for_one(rng):
+    table = rng.uniform(size=(4, 60))
+    found = relative_reduction(table, table + rng.normal(0.0, 0.05, table.shape), resamples=999)
+    assert found.low < 0.0 < found.high
+    assert found.p_value > 0.05
+    assert relative_reduction(table, table[:1] * 0.0, resamples=99).mean is None
+
+
+@pytest.mark.slow
+def test_intervals_of_reductions_are_right_about_as_often_as_they_say():
+    rng, right = np.random.default_rng(8), 0
+    for _ in range(200):
+        other = rng.gamma(4.0, 1.0, 60)
+        one = 0.7 * other + rng.normal(0.0, 0.3, 60)
+        found = relative_reduction(one, other, resamples=499)
+        right += found.low <= 0.3 <= found.high
+    assert 0.9 <= right / 200 <= 0.99
+
+
+def test_the_mean_over_scenes_weighs_them_and_leaves_empty_ones_out():
+    assert mean_over_scenes([[1.0, None, 4.0], [3.0, None, 6.0]], [1, 0, 3]) == pytest.approx((2.0 + 3 * 5.0) / 4)

@@ -31,12 +31,14 @@ def experiment(
             "ablations",
             "correlation",
             "scene_count",
+            "sweep",
         ],
         Parameter(
             help="A table of the thesis; open: all methods at equal budgets, judged by the detector; rivals: the same "
             "by their objective, in the setting of --setting; ablations: the descent with one thing changed at a time; "
             "correlation: whether the objective ranks rigs as the detector does; "
-            "scene_count: the search by a pool on 50 to 1500 training scenes, judged on others."
+            "scene_count: the search by a pool on 50 to 1500 training scenes, judged on others; sweep: what a search "
+            "gains over the highest point, by number of cameras, field of view, height and traffic."
         ),
     ],
     config: Annotated[
@@ -51,7 +53,18 @@ def experiment(
     ] = None,
     setting: Annotated[
         str | None,
-        Parameter(help="Of rivals: 4x90, 2x60, 1x120, 6x60 (pitch and height free, all road users), 8x90, bus."),
+        Parameter(
+            help="Of rivals: 4x90, 2x60, 1x120, 6x60 (pitch and height free, all road users), 8x90, bus; or on other "
+            "traffic dense, sind or ngsim, 2, 4 or 6 cameras, rack, roof or body, such as sind_4_body, with _bus and "
+            "_all (road users) behind."
+        ),
+    ] = None,
+    vary: Annotated[
+        list[str] | None,
+        Parameter(
+            help="Of sweep: a factor out of cameras, fov, height, traffic, maybe with values as in cameras=2,4; may be "
+            "given several times. By default all."
+        ),
     ] = None,
     budget: Annotated[
         int | None,
@@ -77,6 +90,8 @@ def experiment(
     from warpav.experiments import open_experiments, rival_settings, thesis_experiments
     from warpav.experiments.experiment import arms_of, overrides_of
     from warpav.experiments.protocol import sealed_override
+    from warpav.experiments.traffic_protocol import check_sealing
+    from warpav.experiments.traffic_settings import is_traffic_setting
     from warpav.runs.config import placed_config
     from warpav.runs.progress import RunDisplay
 
@@ -85,6 +100,19 @@ def experiment(
     given = executor_overrides(executor, workers, address)
     if name != "scene_count" and scenes is not None:
         raise ArgumentError("scenes", f"expected nothing, as it is an option of scene_count, got it with {name}")
+    if name != "sweep" and vary is not None:
+        raise ArgumentError("vary", f"expected nothing, as it is an option of sweep, got it with {name}")
+    if name == "sweep":
+        if setting is not None or detector or sealed is not None or arms is not None:
+            raise ArgumentError("setting", "expected no setting, arms, detector or seal with sweep, got one")
+        from warpav.experiments import sweep
+
+        whole = [*sweep.OPTIONS, *(sweep.QUICK if quick else ()), *overrides, *given]
+        with placed_config(config or "default", whole) as settings, RunDisplay() as display:
+            swept = sweep.run_sweep(
+                settings, vary=vary, runs=runs, camera_renders_max=budget, out=out, quick=quick, progress=display
+            )
+        return 1 if swept.failed else 0
     if name == "scene_count":
         if setting is not None or detector or sealed is not None:
             raise ArgumentError("setting", "expected no setting, detector or seal with scene_count, got one")
@@ -116,6 +144,8 @@ def experiment(
         found = (thesis_experiments if is_thesis else open_experiments).EXPERIMENTS[name]
         run = partial(thesis_experiments.run_table if is_thesis else open_experiments.run_open, name)
     if sealed is not None:
+        if is_traffic_setting(setting):
+            check_sealing(sealed)
         overrides = (*overrides, sealed_override(sealed, overrides, quick=quick))
     chosen = arms_of(found, arms)
     whole = overrides_of(found, [*overrides, *given], arms=chosen, quick=quick)

@@ -93,6 +93,58 @@ def paired_difference(
     Raises:
         ValueError: The arms do not have the same scenes, or a weight is missing or negative.
     """
+
+    def difference(ours: np.ndarray, theirs: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        return np.average(ours - theirs, weights=weights, axis=-1)
+
+    return _paired(one, other, difference, weight=weight, seed=seed, resamples=resamples)
+
+
+def relative_reduction(
+    one: Numbers,
+    other: Numbers,
+    *,
+    weight: Sequence[float] | np.ndarray | None = None,
+    seed: int = 0,
+    resamples: int = RESAMPLES,
+) -> Difference:
+    """By which share the mean of a metric is lower than that of another arm: 1 - one / other, over the same scenes.
+
+    Scenes and runs are resampled as by `paired_difference`, whose arguments these are; the means are divided, not the
+    scenes. The p-value is that of no reduction.
+
+    Returns:
+        A number below 0 where ``one`` is the higher; nothing where the mean of ``other`` is 0.
+    """
+
+    def reduction(ours: np.ndarray, theirs: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        mean, of_other = (np.average(each, weights=weights, axis=-1) for each in (ours, theirs))
+        return 1.0 - np.divide(mean, of_other, out=np.ones_like(mean), where=of_other > 0.0)
+
+    return _paired(one, other, reduction, weight=weight, seed=seed, resamples=resamples, is_share=True)
+
+
+def _paired(
+    one: Numbers,
+    other: Numbers,
+    combine: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+    *,
+    weight: Sequence[float] | np.ndarray | None,
+    seed: int,
+    resamples: int,
+    is_share: bool = False,
+) -> Difference:
+    """A number of two arms on the same scenes with its interval, as `paired_difference` gives it.
+
+    Args:
+        one: As there.
+        other: As there.
+        combine: The number from the means over runs of both arms and the weights, [..., scene].
+        weight: As there.
+        seed: As there.
+        resamples: As there.
+        is_share: Whether the number is a share of the other arm's, which has to be above 0.
+    """
     tables = [np.atleast_2d(np.array(numbers, np.float64)) for numbers in (one, other)]
     scene_count = tables[0].shape[1]
     weights = np.ones(scene_count) if weight is None else np.asarray(weight, np.float64)
@@ -107,10 +159,10 @@ def paired_difference(
     first, second = (table[:, kept] for table in tables)
     weights = weights[kept]
     count = len(weights)
-    if not count:
-        return Difference(None, None, None, None, None, 0)
+    if not count or (is_share and not second.any()):
+        return Difference(None, None, None, None, None, count)
 
-    def difference(scenes: np.ndarray, *runs: np.ndarray, axis: int = -1) -> np.ndarray:
+    def combined(scenes: np.ndarray, *runs: np.ndarray, axis: int = -1) -> np.ndarray:
         """Of resampled indices, [..., scene] and, for every arm of several runs, [..., run]."""
         del axis  # always the last
         runs_left = iter(runs)
@@ -120,15 +172,27 @@ def paired_difference(
                 by_scene.append(table[next(runs_left)[..., :, None], scenes[..., None, :]].mean(axis=-2))
             else:
                 by_scene.append(table[0, scenes])
-        return np.average(by_scene[0] - by_scene[1], weights=weights[scenes], axis=-1)
+        return combine(by_scene[0], by_scene[1], weights[scenes])
 
     units = [np.arange(count), *(np.arange(len(table)) for table in (first, second) if len(table) > 1)]
-    mean = float(difference(*units))
+    mean = float(combined(*units))
     if count < 2:
         return Difference(mean, None, None, None, None, count)
-    interval_at = _interval_at(units, difference, seed=seed, resamples=resamples)
+    interval_at = _interval_at(units, combined, seed=seed, resamples=resamples)
     p_value = _p_value(interval_at, max(1.0 / (resamples + 1), 2.0 ** (1 - count)))
     return Difference(mean, *interval_at(LEVEL), p_value, None, count)
+
+
+def mean_over_scenes(numbers: Numbers, weight: Sequence[float] | np.ndarray) -> float:
+    """Mean of a metric over its runs and the scenes that have a weight; NaN where one of these has no number.
+
+    Args:
+        numbers: The metric.
+        weight: Of every scene, at least 0, of one at least above.
+    """
+    table, weights = np.atleast_2d(np.array(numbers, np.float64)), np.asarray(weight, np.float64)
+    kept = weights > 0.0
+    return float(np.average(table[:, kept].mean(axis=0), weights=weights[kept]))
 
 
 def compare_arms(

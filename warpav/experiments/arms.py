@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
-from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
+from warpav.optimisation.baselines import edge_mount_pose, highest_mount_pose, random_mount_pose
+from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.descent import Descent
 from warpav.optimisation.moved_preset import move_to_vehicle
 from warpav.optimisation.polish import polish
@@ -49,6 +50,7 @@ from warpav.raster.camera import CameraModel
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, changed_config, load_config, option_values
+from warpav.runs.mounts import camera_mount, constraints_of
 from warpav.runs.optimise import Optimisation, pool_search_settings, searches_by_pool
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.preset_rigs import know_cameras, preset_for
@@ -500,11 +502,33 @@ def _random_rig(placement: Placement, camera_renders_max: int | None) -> FoundRi
 def _highest(placement: Placement, camera_renders_max: int | None) -> FoundRig:
     """Cameras around the highest point."""
     del camera_renders_max
+    return _practice(placement, highest_mount_pose)
+
+
+def _roof_edge(placement: Placement, camera_renders_max: int | None) -> FoundRig:
+    """Cameras at the edge of the roof, each on the side that it faces."""
+    del camera_renders_max
+    return _practice(placement, edge_mount_pose)
+
+
+def _practice(placement: Placement, pose_of: Callable[[Constraints, int], np.ndarray]) -> FoundRig:
+    """A rig that needs no search."""
     mount = placement.objective.mount
-    pose = highest_mount_pose(placement.objective.constraints, placement.config.rig.cameras).astype(np.float32)
+    pose = pose_of(placement.objective.constraints, placement.config.rig.cameras).astype(np.float32)
     pose = mount.within(pose)
     found = mount.rig(pose)
     return FoundRig(found, found, 0, {}, mount_pose=pose)
+
+
+def _highest_raised(placement: Placement, camera_renders_max: int | None) -> FoundRig:
+    """Cameras around the highest point, on a rack that is ``rig.height_offset_m`` high, whatever zones there are."""
+    del camera_renders_max
+    config = changed_config(placement.config, ["mount.zones=null"])
+    mount = camera_mount(config, placement.ego)
+    pose = highest_mount_pose(constraints_of(config, mount.surface), config.rig.cameras).astype(np.float32)
+    shared = placement.objective.mount.camera  # whose near plane may be another
+    found = Rig([replace(each, model=shared) for each in mount.rig(mount.within(pose)).cameras])
+    return FoundRig(found, found, 0, {})
 
 
 def _preset(placement: Placement, camera_renders_max: int | None, *, name: str) -> FoundRig:
@@ -686,6 +710,8 @@ METHODS: dict[str, Finder] = {
     "start": _start,
     "random_rig": _random_rig,
     "highest": _highest,
+    "highest_raised": _highest_raised,
+    "roof_edge": _roof_edge,
     "random_batches": _random_batches,
     # random directions would only weaken the baselines: these two keep those of the segregation
     "random": partial(_searched, search=lambda *_: random_search, free_yaw=False),
@@ -700,7 +726,7 @@ METHODS: dict[str, Finder] = {
 }
 """How a rig can be found, by name; the presets' names are methods as well."""
 
-_SEEDLESS = ("highest",)
+_SEEDLESS = ("highest", "highest_raised", "roof_edge")
 _STARTING = ("optimiser", "as_configured", "pool_only", "descent_only", "start")
 """Ways that begin with the configuration's start."""
 

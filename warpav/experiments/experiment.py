@@ -21,10 +21,12 @@ from warpav.core.executor import Outcome, run_tasks
 from warpav.core.files import write_json
 from warpav.core.fingerprint import digest
 from warpav.core.progress import NullProgress, Progress
-from warpav.evaluation.metrics import evaluate_rig
+from warpav.evaluation.attainable import attainable_objects
+from warpav.evaluation.metrics import metrics_of, observe_scenes
 from warpav.experiments.arms import Arm, FoundRig, constraint_loss, find_arm, find_rig_of, resized
 from warpav.experiments.gradient_magnitude import measure_gradient_magnitudes
 from warpav.experiments.result_folder import (
+    ATTAINABLE,
     RESULTS,
     SCHEMA,
     is_there,
@@ -91,6 +93,8 @@ class Experiment:
             descent of the arm's configuration takes.
         quick_camera_renders_max: The same of the small version.
         is_judged: Whether the detector is run on the test scenes for every rig; else only the objective is measured.
+        knows_attainable: Whether rigs that are judged are judged by what can be found from the mount as well
+            (`warpav.evaluation.attainable`).
     """
 
     name: str
@@ -108,6 +112,7 @@ class Experiment:
     camera_renders_max: int | None = None
     quick_camera_renders_max: int | None = None
     is_judged: bool = True
+    knows_attainable: bool = False
 
     def made_quick(self) -> Experiment:
         """Its small version, in a folder of its own; the configuration has to be quick, too (`overrides_of`)."""
@@ -176,6 +181,7 @@ class ArmTask:
         made_with: Hash of all that the result depends on but the seed.
         objectives: As of `Experiment`.
         is_judged: Likewise.
+        knows_attainable: Likewise.
     """
 
     arm: Arm
@@ -185,6 +191,7 @@ class ArmTask:
     made_with: str
     objectives: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     is_judged: bool = True
+    knows_attainable: bool = False
 
     @property
     def name(self) -> str:
@@ -241,6 +248,23 @@ class _TrafficOfProcess:
 
 
 traffic_of_process = _TrafficOfProcess()
+
+
+class _AttainableOfProcess:
+    """What could be found in the test scenes that were asked for last in this process; it does not hang on the rig."""
+
+    def __init__(self) -> None:
+        self._key: str | None = None
+        self._found: list[np.ndarray] | None = None
+
+    def __call__(self, placement: Placement) -> list[np.ndarray] | None:
+        key = unseeded(placement.config)
+        if key != self._key:
+            self._found, self._key = attainable_objects(placement.objective, placement.test), key
+        return self._found
+
+
+attainable_of_process = _AttainableOfProcess()
 
 
 def run_experiment(
@@ -367,7 +391,12 @@ def _rig(task: ArmTask) -> dict[str, Any]:
     searched = time.perf_counter()
     scenes = evaluation.assigned(evaluation.test, found.began_as)
     if task.is_judged:
-        tested: dict[str, Any] = {"metrics": evaluate_rig(found.rig, scenes, evaluation.objective).to_json()}
+        attainable = attainable_of_process(evaluation) if task.knows_attainable else None
+        seen = observe_scenes(found.rig, scenes, evaluation.objective)
+        tested: dict[str, Any] = {
+            "metrics": metrics_of(seen, evaluation.objective, attainable=attainable).to_json(),
+            **({} if attainable is None else {ATTAINABLE: [each.astype(int).tolist() for each in attainable]}),
+        }
     else:
         tested = {
             "test_objective_of_scene": _objective_of_scene(evaluation, found, scenes),
@@ -472,10 +501,12 @@ def _tasks(
             unseeded(arm.search_config(config)),
             sorted(objectives.items()),
             is_judged,
+            *((ATTAINABLE,) if experiment.knows_attainable else ()),
         )
         for k in range(runs_of[arm.name] if arm.is_seeded else 1):
             seeded = changed_config(config, [f"run.seed={config.run.seed + k}"])
-            tasks.append(ArmTask(arm, seeded, camera_renders_max, folder, made_with, objectives, is_judged))
+            what = (objectives, is_judged, experiment.knows_attainable)
+            tasks.append(ArmTask(arm, seeded, camera_renders_max, folder, made_with, *what))
     return tasks
 
 

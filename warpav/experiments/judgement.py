@@ -21,6 +21,9 @@ from warpav.experiments.result_folder import (
     results_in,
 )
 from warpav.experiments.tables import Results
+from warpav.experiments.traffic_judgement import traffic_text
+from warpav.experiments.traffic_protocol import holds_traffic_protocol
+from warpav.experiments.traffic_settings import traffic_settings
 from warpav.runs.config import read_seeds
 
 TOLERANCE = 1e-6
@@ -202,16 +205,23 @@ def judged_text(folders: Sequence[Path]) -> str:
     """Decide the hypotheses by the experiments in folders, and say on which scenes, as Markdown.
 
     Args:
-        folders: One experiment each, named after its setting.
+        folders: One experiment each, named after its setting, of either part of the protocol.
 
     Raises:
         InputError: A folder has no results, is of no setting, or two are of the same.
     """
     results_of: dict[str, Results] = {}
+    on_traffic: dict[str, Path] = {}
     scenes = []
     for folder in folders:
         described = read_description(folder)
         name = described["experiment"].removeprefix("rivals_")
+        if name in traffic_settings() and name not in on_traffic:
+            on_traffic[name] = folder
+            seal = seal_of(read_seeds(json.dumps(described["options"]["scenes.test_seeds"]), str(folder)))
+            seal = seal if seal is not None and holds_traffic_protocol(seal) else None
+            scenes.append(_seal_text(name, seal))
+            continue
         if name not in protocol().settings or name in results_of:
             raise InputError(
                 f"{folder / DESCRIPTION}: experiment: expected a setting of the protocol, each once, out of "
@@ -219,12 +229,17 @@ def judged_text(folders: Sequence[Path]) -> str:
             )
         results_of[name] = results_in(folder)
         seal = seal_of(read_seeds(json.dumps(described["options"]["scenes.test_seeds"]), str(folder)))
-        scenes.append(
-            f"- {name}: " + ("test scenes that nobody sealed: no evidence" if seal is None else f"sealed by {seal}")
-        )
-    if not results_of:
+        scenes.append(_seal_text(name, seal))
+    if not results_of and not on_traffic:
         raise InputError("experiment judge: expected folders of experiments such as runs/rivals_4x90, got none")
-    return "\n".join([judgements_text(judge(results_of)), *scenes, ""])
+    parts = [judgements_text(judge(results_of))] if results_of else []
+    if on_traffic:
+        parts.append(traffic_text(on_traffic))
+    return "\n".join([*parts, *scenes, ""])
+
+
+def _seal_text(name: str, seal: str | None) -> str:
+    return f"- {name}: " + ("test scenes that nobody sealed: no evidence" if seal is None else f"sealed by {seal}")
 
 
 def judgements_text(judgements: Sequence[Judgement]) -> str:

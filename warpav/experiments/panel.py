@@ -9,24 +9,36 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
 
+from warpav.core.devices import device_name
 from warpav.core.errors import InputError
 from warpav.core.files import write_json, write_text, writing
 from warpav.core.fingerprint import digest
 from warpav.core.progress import Progress
 from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH
 from warpav.evaluation.metrics import confidence_at
-from warpav.evaluation.statistics import RESAMPLES, Difference, Estimate, order_agreement, paired_difference
+from warpav.evaluation.statistics import (
+    RESAMPLES,
+    Difference,
+    Estimate,
+    mean_over_scenes,
+    order_agreement,
+    paired_difference,
+)
 from warpav.experiments.arms import Arm
-from warpav.experiments.rescore import RECORD, confidence_floor, run_rescore
-from warpav.experiments.result_folder import read_description
+from warpav.experiments.goals import Goal, goals_text
+from warpav.experiments.miss_table import OWN_JUDGE, MissTable, miss_goals, miss_table
+from warpav.experiments.rescore import RECORD, confidence_floor, read_rigs, run_rescore
+from warpav.experiments.result_folder import DESCRIPTION, read_description
+from warpav.experiments.summary import write_summary
 from warpav.runs.config import Config, overridden_option
+from warpav.runs.environment import environment
 from warpav.runs.panel_networks import PanelNetwork, networks_in
 from warpav.runs.scene_set import recordings_digest
 from warpav.runs.text_table import TextTable
@@ -149,6 +161,10 @@ class PanelTable:
         disagreements: All pairs of arms that some networks rank differently.
         crossed: Of all methods that searched with several detectors.
         failed: Why some rigs are missing.
+        misses: Of the first experiment: what its own detector says of what can be found, and then every network; empty
+            where it does not know what can be found.
+        outside: Networks among these judges that no search used.
+        goals: What they make of the goals; by networks that no search used where there are any.
     """
 
     false_alarms_per_image: float
@@ -160,11 +176,15 @@ class PanelTable:
     disagreements: tuple[Disagreement, ...]
     crossed: tuple[Crossed, ...]
     failed: tuple[str, ...]
+    misses: tuple[MissTable, ...] = ()
+    outside: tuple[str, ...] = ()
+    goals: tuple[Goal, ...] = ()
 
     def markdown(self) -> str:
         """All of it as Markdown."""
         tables = [table.markdown() for table in self._tables()]
-        return "\n".join([*tables, *(f"- Failed: {each}" for each in self.failed)]).rstrip() + "\n"
+        goals = [goals_text(self.goals)] if self.goals else []
+        return "\n".join([*tables, *goals, *(f"- Failed: {each}" for each in self.failed)]).rstrip() + "\n"
 
     def terminal(self) -> Group:
         """All of it for the console."""
@@ -265,7 +285,7 @@ class PanelTable:
             )
             for each in self.crossed
         ]
-        return tables
+        return [*tables, *(each.text for each in self.misses)]
 
     def _lines(self, numbers: Mapping[str, Mapping[str, Difference]], digits: int) -> list[list[str]]:
         lines = []
@@ -348,16 +368,65 @@ def run_panel(
     if not rows:
         raise InputError(f"{folders[0]}: expected a rig that all networks judge, got none: {failed[0]}")
     table = _table(networks, rows, runs_of, config, false_alarms_per_image, tuple(failed), resamples)
+    judged = {network.name: _first_of(folders[0], network.name, results) for network in networks}
+    used = {row.searched_with for row in table.rows}
+    content = {network.name: digest(network.file.read_bytes()) for network in networks}
+    outside = [name for name in content if content[name] not in {content.get(each or "") for each in used}]
+    table = _with_misses(table, folders[0], judged, outside, resamples)
     out = folders[0] / f"panel_{name}"
     with writing(out):
         out.mkdir(exist_ok=True)
     write_json(out / "panel.json", {"schema": SCHEMA, **vars(table)})
     write_text(out / "panel.md", table.markdown())
+    if table.misses:
+        described_as = f"{read_description(folders[0])['experiment']} before the panel {name}"
+        write_json(out / DESCRIPTION, {**read_description(folders[0]), "experiment": described_as})
+        write_json(out / "env.json", environment(config, device_name(config.device)))
+        told = "\n".join([*(each.text.markdown() for each in table.misses), goals_text(table.goals)])
+        write_summary(out, _named_by_judge(judged), told, table.goals)
     progress.show(table.terminal())
+    for goal in table.goals:
+        progress.say(f"- {goal}")
     for failure in failed:
         progress.say(f"failed: {failure}")
     progress.say(f"comparison: {out}")
     return table
+
+
+_Judged = dict[str, dict[str, list[dict[str, Any]]]]
+"""Results of the first experiment by network and arm."""
+
+
+def _first_of(
+    folder: Path, network: str, results: Mapping[tuple[str, Path, str], Mapping[int, dict[str, Any]]]
+) -> dict[str, list[dict[str, Any]]]:
+    """What a network says of the rigs of a folder, by arm."""
+    return {
+        arm: list(runs.values()) for (judge, place, arm), runs in results.items() if (judge, place) == (network, folder)
+    }
+
+
+def _with_misses(
+    table: PanelTable, folder: Path, judged: _Judged, outside: Sequence[str], resamples: int
+) -> PanelTable:
+    """The same with what can be found, where the first experiment says it."""
+    own = miss_table(OWN_JUDGE, read_rigs(folder), resamples=resamples)
+    if own is None:
+        return table
+    found = [miss_table(name, runs, resamples=resamples) for name, runs in judged.items()]
+    tables = [each for each in found if each is not None]
+    asked = [each for each in tables if each.judge in outside]
+    goals = tuple(miss_goals(own, asked))
+    return replace(table, misses=(own, *tables), outside=tuple(each.judge for each in asked), goals=goals)
+
+
+def _named_by_judge(judged: _Judged) -> _Judged:
+    """Results by network and arm in one."""
+    return {
+        f"{name}/{arm}": [{**run, "arm": f"{name}/{arm}"} for run in runs]
+        for name, of_arm in judged.items()
+        for arm, runs in of_arm.items()
+    }
 
 
 def _check_same_task(folder: Path, options: Mapping[str, Any], first: Mapping[str, Any], config: Config) -> None:
@@ -478,7 +547,7 @@ def _table(
         signs = {
             np.sign(gap)
             for name in names
-            if abs(gap := _mean(equal[name][i], weight) - _mean(equal[name][j], weight)) > _LEVEL
+            if abs(gap := mean_over_scenes(equal[name][i], weight) - mean_over_scenes(equal[name][j], weight)) > _LEVEL
         }
         if len(signs) > 1:
             differences = {name: compared(equal[name][i], equal[name][j]) for name in names}
@@ -541,12 +610,6 @@ def recall_of_scenes(record: Mapping[str, Any], confidence_min: float) -> np.nda
     """Recall at a minimum confidence from an `object_record`, NaN without objects, [scene]."""
     found = [np.array(up_to, np.float64) >= confidence_min for up_to in record["detected_up_to"]]
     return np.array([each.mean() if len(each) else np.nan for each in found])
-
-
-def _mean(table: np.ndarray, weight: Sequence[float]) -> float:
-    """Mean over runs and the scenes with objects, [run, scene]."""
-    kept = np.asarray(weight) > 0
-    return float(np.average(table[:, kept].mean(axis=0), weights=np.asarray(weight)[kept]))
 
 
 def _text(

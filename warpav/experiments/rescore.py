@@ -27,6 +27,7 @@ from warpav.experiments.arms import resized
 from warpav.experiments.experiment import Finished, make_scenes_ready, outcomes, traffic_of_process
 from warpav.experiments.goals import RIVALS, Goal
 from warpav.experiments.result_folder import (
+    ATTAINABLE,
     DESCRIPTION,
     RESULTS,
     read_description,
@@ -73,6 +74,7 @@ class RescoreTask:
         folder: Folder of the new results.
         made_with: Hash of all that the new result depends on.
         keeps_objects: Whether the new result also says what becomes of every object (`object_record`).
+        knows_attainable: Whether what can be found in the test scenes is what the old result says of it.
     """
 
     name: str
@@ -81,6 +83,7 @@ class RescoreTask:
     folder: Path
     made_with: str
     keeps_objects: bool = False
+    knows_attainable: bool = False
 
     @property
     def file(self) -> Path:
@@ -179,9 +182,14 @@ def run_rescore(
     """
     described = read_description(folder)
     before = read_rigs(folder)
+    is_same = _same_test_scenes(described["options"], config)
     config = with_absolute_paths(changed_config(config, light_overrides(config)))
     out = (folder / f"rescored_{name}").absolute()
-    tasks = [_task(run, config, folder, out, keeps_objects) for runs in before.values() for run in runs]
+    tasks = [
+        _task(run, config, folder, out, keeps_objects, is_same and ATTAINABLE in run)
+        for runs in before.values()
+        for run in runs
+    ]
     load_networks(config)  # what is wrong with the detector shows before anything else begins
     waiting = [task for task in tasks if not _is_there(task)]
     if waiting:
@@ -253,8 +261,10 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
     seen = observe_scenes(rig, placement.test, placement.objective, with_objective=False)
     record = {RECORD: object_record(seen, placement.objective)} if task.keeps_objects else {}
     seen = seen.from_confidence(config.detector.confidence_min)
-    metrics = metrics_of(seen, placement.objective).to_json()
     old = read_json(task.source / RESULTS / f"{task.name}.json")
+    known = {ATTAINABLE: old[ATTAINABLE]} if task.knows_attainable else {}
+    attainable = [np.array(each, bool) for each in known[ATTAINABLE]] if known else None
+    metrics = metrics_of(seen, placement.objective, attainable=attainable).to_json()
     for name in ("constraint_violation", "min_camera_distance_m"):  # of the rig, independent of the evaluation
         metrics[name] = old["metrics"][name]
     result = {
@@ -267,6 +277,7 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
         "search_overrides": old.get("search_overrides", []),
         "metrics": metrics,
         "objects_of_scene": [assigned.scene.vehicle_count for assigned in placement.test],
+        **known,
         **record,
         "seconds": {"search": old["seconds"]["search"], "rescore": time.perf_counter() - began},
     }
@@ -328,11 +339,21 @@ def _name(run: Mapping[str, Any]) -> str:
     return f"{run['arm']}_{run['seed']}"
 
 
-def _task(run: Mapping[str, Any], config: Config, folder: Path, out: Path, keeps_objects: bool) -> RescoreTask:
+def _same_test_scenes(options: Mapping[str, Any], config: Config) -> bool:
+    """Whether rigs are judged on the very test scenes of their experiment, of which it says what can be found."""
+    now = json.loads(unseeded(config))
+    names = {name for name in (*options, *now) if name.startswith(("scenes.", "capture.", "reconstruction."))}
+    names -= {"scenes.train_seeds", "scenes.validation_seeds", "scenes.mirror"}
+    return all(options.get(name) == now.get(name) for name in names)
+
+
+def _task(
+    run: Mapping[str, Any], config: Config, folder: Path, out: Path, keeps_objects: bool, knows_attainable: bool
+) -> RescoreTask:
     # a file may be another network by now
     network = () if config.detector.model == "builtin" else (digest(Path(config.detector.model).read_bytes()),)
     made_with = digest(SCHEMA, run["made_with"], json.dumps(run["rig"]), unseeded(config), *network)
-    return RescoreTask(_name(run), config, folder.absolute(), out, made_with, keeps_objects)
+    return RescoreTask(_name(run), config, folder.absolute(), out, made_with, keeps_objects, knows_attainable)
 
 
 def _is_there(task: RescoreTask) -> bool:
@@ -342,4 +363,4 @@ def _is_there(task: RescoreTask) -> bool:
     result = read_json(task.file)
     if not isinstance(result, dict) or result.get("made_with") != task.made_with:
         return False
-    return RECORD in result or not task.keeps_objects
+    return (RECORD in result or not task.keeps_objects) and (ATTAINABLE in result or not task.knows_attainable)

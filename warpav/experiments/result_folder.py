@@ -23,6 +23,8 @@ from warpav.runs.scene_set import own_vehicle_digest, recordings_digest, traffic
 SCHEMA = 2
 DESCRIPTION = "experiment.json"
 RESULTS = "results"
+ATTAINABLE = "attainable"
+"""Key of a result that says which objects of the test scenes can be found from the mount: 0 or 1, [scene][object]."""
 
 _LATER_OPTIONS = {f"{section}.{name}" for section, names in LATER_OPTIONS.items() for name in names}
 """Options that earlier results do not have; where they are not set, results do not depend on them."""

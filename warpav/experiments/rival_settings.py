@@ -1,4 +1,8 @@
-"""The rivals at equal terms: settings in which all methods choose on the same scenes with as many camera renders."""
+"""The rivals at equal terms: settings in which all methods choose on the same scenes with as many camera renders.
+
+`SETTINGS` are those of the frozen protocol, on the easy town; those of `warpav.experiments.traffic_settings` are on
+hard and on recorded traffic.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +17,10 @@ from warpav.evaluation.statistics import RESAMPLES
 from warpav.experiments.arms import Arm, common_arms
 from warpav.experiments.experiment import Experiment, Finished, merged_results, run_experiment, say_failures
 from warpav.experiments.goals import goals_text
+from warpav.experiments.miss_table import OWN_JUDGE, miss_goals, miss_table
 from warpav.experiments.rival_table import rival_table
 from warpav.experiments.summary import write_summary
+from warpav.experiments.traffic_settings import find_traffic_setting, is_traffic_setting
 from warpav.runs.config import Config
 
 RUNS = 10
@@ -77,13 +83,18 @@ SETTINGS = {name: _setting(name) for name in _OPTIONS}
 
 
 def find_setting(name: str | None) -> tuple[str, Experiment]:
-    """A setting by its name, and its experiment.
+    """A setting by its name, of either kind, and its experiment.
 
     Raises:
         ArgumentError: There is none of this name.
     """
+    if name is not None and is_traffic_setting(name):
+        return name, find_traffic_setting(name).experiment
     if name not in SETTINGS:
-        raise ArgumentError("setting", f"expected one of {', '.join(SETTINGS)}, got {name or 'none'}")
+        raise ArgumentError(
+            "setting",
+            f"expected one of {', '.join(SETTINGS)}, or one on other traffic such as sind_4_rack, got {name or 'none'}",
+        )
     return name, SETTINGS[name]
 
 
@@ -103,14 +114,15 @@ def run_rivals(
     """Do what is missing of a setting; show its table and its goals, and write them with a figure.
 
     Args:
-        setting: A key of `SETTINGS`.
+        setting: A key of `SETTINGS`, or the name of a setting of `warpav.experiments.traffic_settings`.
         config: The configuration.
         arms: As of `run_experiment`.
         runs: Likewise.
         camera_renders_max: Likewise.
         out: Likewise.
         quick: Fewer runs, in a folder of its own; the configuration has to be quick, too (`overrides_of`).
-        is_judged: Whether the detector is run on the unseen scenes for every rig as well.
+        is_judged: Whether the detector is run on the unseen scenes for every rig as well; on hard and recorded traffic
+            it always is.
         resamples: Of the bootstraps.
         progress: Where to show it.
 
@@ -123,7 +135,10 @@ def run_rivals(
             "experiment rivals --setting bus: scenes.ego: expected the mesh of a bus in the ego frame, got none; give "
             "one such as scenes.ego=bus_ego.glb, which warpav vehicle check writes"
         )
-    experiment = replace(experiment.made_quick() if quick else experiment, is_judged=is_judged)
+    if is_traffic_setting(setting):
+        find_traffic_setting(setting).check(config)
+    experiment = experiment.made_quick() if quick else experiment
+    experiment = replace(experiment, is_judged=is_judged or experiment.knows_attainable)
     done = run_experiment(
         experiment, config, arms=arms, runs=runs, camera_renders_max=camera_renders_max, out=out, progress=progress
     )
@@ -133,12 +148,18 @@ def run_rivals(
         pitch_is_free = config.rig.free.pitch_deg is not None
         table = rival_table(done.results, resamples=resamples, pitch_is_free=pitch_is_free)
         table = table.with_figure(done.results, done.folder / "objective_over_renders.png", title=experiment.name)
-        text = f"{table.markdown()}\n{goals_text(table.goals)}"
+        missed = miss_table(OWN_JUDGE, done.results, resamples=resamples)
+        goals = table.goals if missed is None else tuple(miss_goals(missed))
+        parts = [table.markdown(), *([] if missed is None else [missed.text.markdown()]), goals_text(goals)]
+        text = "\n".join(parts)
         write_text(done.folder / f"{experiment.name}.md", text)
-        write_json(done.folder / f"{experiment.name}.json", table.data())
-        write_summary(done.folder, done.results, text, table.goals)
+        data = {**table.data(), "goals": [goal.data() for goal in goals]}
+        write_json(done.folder / f"{experiment.name}.json", data if missed is None else {**data, "misses": missed})
+        write_summary(done.folder, done.results, text, goals)
         progress.show(table.terminal())
-        progress.say("\n".join(["", "Goals", *(f"- {goal}" for goal in table.goals)]))
+        if missed is not None:
+            progress.show(missed.text.terminal())
+        progress.say("\n".join(["", "Goals", *(f"- {goal}" for goal in goals)]))
     say_failures(done, progress)
     progress.say(f"{done.done} new results; tables and results: {done.folder}")
     return done

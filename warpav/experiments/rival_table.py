@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -38,8 +39,8 @@ class ArmRow:
     Attributes:
         arm: Its name.
         seeds: Its run seeds.
-        seen: Objective on the scenes that rigs are chosen on, by run.
-        unseen: Objective on the unseen scenes, by run.
+        seen: Objective on the scenes that rigs are chosen on, by run; NaN of cameras of other lenses.
+        unseen: Objective on the unseen scenes, by run; NaN where it is not known.
         camera_renders: Of a search, mean.
         seconds: Of a search, mean [s].
         violation_m: Worst violation of the constraints [m].
@@ -94,6 +95,7 @@ class RivalTable:
         }
         curves = {arm: found for arm, found in curves.items() if found}
         level = {row.arm: float(np.median(row.seen)) for row in self.rows if row.arm not in curves}
+        level = {arm: value for arm, value in level.items() if math.isfinite(value)}
         if not curves:
             return self
         return replace(self, figure=objective_over_renders(curves, path, level=level, title=title).name)
@@ -108,7 +110,8 @@ class RivalTable:
         every = sorted({seed for row in self.rows for seed in row.seeds})
         for seed in every:
             found = [dict(zip(row.seeds, row.unseen, strict=True)).get(seed) for row in self.rows]
-            seeds.append(f"| {seed} | " + " | ".join("-" if each is None else f"{each:.4f}" for each in found) + " |")
+            cells = ("-" if each is None or math.isnan(each) else f"{each:.4f}" for each in found)
+            seeds.append(f"| {seed} | " + " | ".join(cells) + " |")
         return "\n".join([*lines, "", *(f"- {note}" for note in self.notes), *figure, *seeds, ""])
 
     def terminal(self) -> Group:
@@ -168,6 +171,8 @@ def _cells(row: ArmRow) -> list[str]:
 
 
 def _spread(values: Sequence[float]) -> str:
+    if np.isnan(values).any():
+        return "-"
     spread = f" ±{np.std(values, ddof=1):.4f}" if len(values) > 1 else ""
     return f"{np.mean(values):.4f}{spread}"
 
@@ -206,7 +211,10 @@ def rival_table(results: Results, *, pitch_is_free: bool, resamples: int = RESAM
 
 
 def _unseen(run: Mapping[str, Any]) -> float:
-    value = objective_on_tests(run)
+    return _or_nan(objective_on_tests(run))
+
+
+def _or_nan(value: float | None) -> float:
     return float("nan") if value is None else value
 
 
@@ -215,11 +223,12 @@ def _row(
 ) -> ArmRow:
     unseen = tuple(_unseen(run) for run in runs)
     pairs = _pairs(ours, dict(zip((run["seed"] for run in runs), unseen, strict=True)))
+    pairs = [pair for pair in pairs if not np.isnan(pair).any()]
     judged = [run["metrics"]["tp_detection_rate"] for run in runs if "metrics" in run]
     return ArmRow(
         arm,
         tuple(run["seed"] for run in runs),
-        tuple(next(iter(run["validation_objectives"].values())) for run in runs),
+        tuple(_or_nan(next(iter(run["validation_objectives"].values()))) for run in runs),
         unseen,
         float(np.mean([run["camera_renders"] for run in runs])),
         float(np.mean([run["seconds"]["search"] for run in runs])),

@@ -19,6 +19,8 @@ from warpav.experiments.goals import Goal
 from warpav.experiments.protocol import code_since_seal, seal_of
 from warpav.experiments.result_folder import DESCRIPTION, objective_on_tests, read_json
 from warpav.experiments.tables import COMPARED, Results
+from warpav.experiments.traffic_protocol import holds_traffic_protocol
+from warpav.experiments.traffic_settings import is_traffic_setting
 from warpav.runs.commit import commit_of_code, history
 from warpav.runs.environment import command_line
 
@@ -82,7 +84,9 @@ def with_history(summary: dict[str, Any]) -> dict[str, Any]:
     summary = {**summary, "commits": commits} if commits else summary
     seeds = summary["options"].get("scenes.test_seeds")
     if not summary.get("sealed_by") and isinstance(seeds, list) and (seal := seal_of(seeds)):
-        summary = {**summary, "sealed_by": seal, "changed_since_seal": code_since_seal(seal, commits)}
+        on_traffic = is_traffic_setting(summary["experiment"].removeprefix("rivals_"))
+        if not on_traffic or holds_traffic_protocol(seal):
+            summary = {**summary, "sealed_by": seal, "changed_since_seal": code_since_seal(seal, commits)}
     return summary
 
 
@@ -97,6 +101,8 @@ def _run(run: Mapping[str, Any]) -> dict[str, Any]:
         metrics = run["metrics"]
         tested: dict[str, Any] = {name: _rounded(metrics.get(name)) for name in _METRICS}
         tested["recall_of_scene"] = [_rounded(value) for value in metrics["per_scene"]["tp_detection_rate"]]
+        if metrics.get("attainable_rate") is not None:
+            tested |= {name: _rounded(metrics[name]) for name in ("attainable_rate", "attainable_misses_per_100")}
     else:
         tested = {
             "objective": _rounded(objective_on_tests(run)),

@@ -9,6 +9,9 @@ import numpy as np
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD
 
+TOP_M = 0.25
+"""How far below the highest point the top of a vehicle may reach [m]."""
+
 
 def highest_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarray:
     """Cameras around the highest point of the mount surface, evenly turned, the first facing forward.
@@ -34,6 +37,40 @@ def highest_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarra
     highest_m = {int(module): constraints.surface.highest_point_m(int(module))[:2] for module in np.unique(modules)}
     place = np.array([highest_m[int(module)] for module in modules]) + radius_m * outward
     pose[:, [X_M, Y_M]] = constraints.project(place)
+    return pose
+
+
+def edge_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarray:
+    """Cameras at the edge of the top of the mount surface, evenly turned, each where the top ends in front of it.
+
+    A flush camera in the middle of a roof sees little but the roof; at the edge it sees the ground below. The top is
+    what is at most `TOP_M` below the highest point, in the same zone. The first camera faces forward.
+
+    Args:
+        constraints: As of `highest_mount_pose`.
+        camera_count: Likewise.
+
+    Returns:
+        Mount poses, float64 [camera, 7].
+
+    Raises:
+        InputError: The cameras do not fit.
+    """
+    surface = constraints.surface
+    pose = np.zeros((camera_count, MOUNT_POSE_SIZE))
+    pose[:, YAW_RAD] = 2.0 * math.pi * np.arange(camera_count) / camera_count
+    is_mountable = np.ones(surface.height_m.shape, bool) if surface.is_mountable is None else surface.is_mountable
+    place = surface.origin_m + surface.cell_m * np.argwhere(is_mountable)
+    if surface.zones:
+        place = place[surface.zone_at(place) == surface.zone_at(surface.highest_point_m()[None, :2])]
+    point = surface.point_m(place, surface.height_at_m(place))
+    is_top = point[:, 2] >= point[:, 2].max() - TOP_M
+    place, from_middle = place[is_top], point[is_top, :2] - point[is_top, :2].mean(axis=0)
+    for camera, yaw in enumerate(pose[:, YAW_RAD]):
+        ahead = from_middle @ np.array([math.cos(yaw), math.sin(yaw)])
+        aside = np.abs(from_middle @ np.array([-math.sin(yaw), math.cos(yaw)]))
+        pose[camera, [X_M, Y_M]] = place[np.where(ahead >= ahead.max() - surface.cell_m, aside, np.inf).argmin()]
+    pose[:, [X_M, Y_M]] = constraints.project(pose[:, [X_M, Y_M]])
     return pose
 
 

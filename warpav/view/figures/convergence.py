@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
@@ -279,8 +280,8 @@ def objective_over_renders(
             if len(known) > 1:
                 ends = table.min(axis=0), table.max(axis=0)
                 axis.fill_between(grid, *ends, step="post", color=colour, alpha=0.15, linewidth=0.0)
-        for name, value in level.items():
-            axis.axhline(value, color=hex_colour(INK_RGB), linestyle=":", linewidth=0.8, label=name)
+        for (name, value), style in zip(level.items(), itertools.cycle((":", "-.", (0, (6, 3)))), strict=False):
+            axis.axhline(value, color=hex_colour(INK_RGB), linestyle=style, linewidth=0.8, label=name)
         axis.set_xscale("log")
         axis.set_yscale("log")
         # where searches end, and not where the worst begin

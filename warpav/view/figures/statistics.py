@@ -106,6 +106,68 @@ def seen_and_unseen(results: Sequence[Mapping[str, Any]], path: Path | str) -> P
         return save_figure(figure, path)
 
 
+@dataclass(frozen=True)
+class GainMark:
+    """What is gained in a circumstance.
+
+    Attributes:
+        label: The circumstance.
+        gain: The gain; None where it is not known.
+        low: Lower end of its 95 % interval; None without one.
+        high: Upper end.
+        before: Misses per 100 without the gain.
+        after: With it.
+        is_middle: Whether it is the middle of all circumstances.
+    """
+
+    label: str
+    gain: float | None
+    low: float | None
+    high: float | None
+    before: float
+    after: float
+    is_middle: bool
+
+
+def gains_by_factor(panels: Mapping[str, Sequence[GainMark]], path: Path | str) -> Path:
+    """Draw misses before and after, and below them what is gained with its interval, a column for every factor.
+
+    Args:
+        panels: Circumstances in order, by what differs among them.
+        path: PNG file to write.
+    """
+    with figure_style():
+        widths = [max(len(marks), 3) for marks in panels.values()]
+        figure = new_figure(max(WIDTH_INCH, 0.75 * sum(widths)), 5.2)
+        axes = figure.subplots(
+            *(2, len(panels)), squeeze=False, sharex="col", sharey="row", height_ratios=[3, 2], width_ratios=widths
+        )
+        before, after = hex_colour(BASELINE_RGB["highest"]), hex_colour(camera_rgb(0))
+        for column, (title, marks) in enumerate(panels.items()):
+            upper, lower = axes[:, column]
+            place = np.arange(len(marks))
+            upper.plot(place, [each.before for each in marks], "D-", color=before, markersize=5, label="highest point")
+            upper.plot(place, [each.after for each in marks], "o-", color=after, markersize=5, label="search")
+            lower.axhline(0.0, color=hex_colour(INK_RGB), linewidth=1.0)
+            for at, each in zip(place, marks, strict=True):
+                if each.low is not None and each.high is not None:
+                    lower.plot([at, at], [each.low, each.high], color=after, linewidth=2.4, alpha=0.5)
+                if each.gain is not None:
+                    face = hex_colour(INK_RGB) if each.is_middle else after
+                    lower.plot(at, each.gain, "o", color=face, markersize=6)
+            lower.set_xticks(place, [each.label for each in marks], fontsize=9.0)
+            lower.set_xlim(-0.5, len(marks) - 0.5)
+            upper.set_title(title, fontsize=10.0)
+            lower.grid(visible=False, axis="x")
+            upper.grid(visible=False, axis="x")
+        axes[0, 0].set_ylabel("expected misses per 100")
+        axes[1, 0].set_ylabel("gain, 95 % interval")
+        axes[0, 0].set_ylim(bottom=0.0)
+        axes[0, 0].legend(loc="lower left")
+        figure.supxlabel("black: the middle, which all panels share", fontsize=9.0, color=hex_colour(MUTED_RGB))
+        return save_figure(figure, path)
+
+
 def reliability_diagram(
     bins: Sequence[CalibrationBin], probability: np.ndarray, is_detected: np.ndarray, path: Path | str, *, title: str
 ) -> Path:
