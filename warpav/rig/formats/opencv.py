@@ -6,12 +6,14 @@ is the direction of OpenCV's own ``rvec`` and ``tvec``; imports also take ``R`` 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.core.bounded_files import LEVELS_MAX, check_nesting, parse_xml, read_text, refuse_levels
 from warpav.core.errors import InputError
 from warpav.raster.lens import Lens
 from warpav.rig.formats.format import (
@@ -24,12 +26,14 @@ from warpav.rig.formats.format import (
     file_for_each,
     optics_of_matrix,
 )
-from warpav.rig.formats.record import Record, read_text, rigid_transform
+from warpav.rig.formats.record import Record, rigid_transform
 
 if TYPE_CHECKING:
     import cv2
 
 _SUFFIXES = (".yaml", ".yml", ".xml", ".json")
+_KIND = "an OpenCV FileStorage file"
+_BYTES_MAX = 5_000_000
 
 
 def read(path: Path, part: str | None) -> Found:
@@ -84,7 +88,8 @@ def _camera_from_ego(record: Record) -> np.ndarray:
 def _record(file: Path) -> Record:
     import cv2
 
-    text = read_text(file, "an OpenCV FileStorage file")
+    text = read_text(file, _KIND, bytes_max=_BYTES_MAX)
+    _check_levels(text, str(file))
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
     except (cv2.error, SystemError) as error:
@@ -98,6 +103,29 @@ def _record(file: Path) -> Record:
     if not storage.isOpened() or not root.isMap():
         raise InputError(f"{file}: expected an OpenCV FileStorage file with camera_matrix, got no mapping")
     return Record(file, {key: _value(root.getNode(key)) for key in root.keys()})  # noqa: SIM118
+
+
+def _check_levels(text: str, place: str) -> None:
+    """Reject a text whose levels overflow the stack of OpenCV's parsers.
+
+    Raises:
+        InputError: It has more than may be.
+    """
+    if text.lstrip().startswith("<"):
+        parse_xml(text.encode(), place, _KIND)
+        return
+    check_nesting(text, place, quotes="\"'")
+    indents = [-1]
+    for number, line in enumerate(re.sub(r"\"[^\"\n]*\"", "", text).splitlines(), 1):
+        begun = line.lstrip(" ")
+        if not begun:
+            continue
+        while indents[-1] >= len(line) - len(begun):
+            indents.pop()
+        indents.append(len(line) - len(begun))
+        # lists and mappings that begin in one line, such as - - a: b: 1
+        if len(indents) - 1 + begun.count("- ") + begun.count(":") > LEVELS_MAX:
+            refuse_levels(f"{place}:{number}")
 
 
 def _value(node: cv2.FileNode) -> Any:  # noqa: ANN401
