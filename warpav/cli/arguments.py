@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from warpav.core.errors import InputError
+from warpav.core.printable import printable
 
 DEFAULT_CONFIG = "quick"
 
@@ -56,12 +57,12 @@ def with_flags(text: str) -> str:
 
 def say(text: str) -> None:
     """Print to stdout."""
-    sys.stdout.write(f"{text}\n")
+    sys.stdout.write(f"{printable(text)}\n")
 
 
 def complain(text: str) -> None:
     """Print to stderr."""
-    for line in text.splitlines():
+    for line in printable(text).splitlines():
         sys.stderr.write(f"{line}\n")
 
 

@@ -123,13 +123,13 @@ def check_nesting(text: str, place: str, *, nodes_max: int = NODES_MAX, quotes: 
     Raises:
         InputError: It has too many values, levels, or digits in a number.
     """
-    import numpy as np
-
     bare = (_QUOTED if quotes == '"' else _ANY_QUOTED).sub("", text)
     brackets = bare.encode().translate(None, _NOT_BRACKETS)
-    if max(bare.count(",") + len(brackets) // 2, len(brackets) // 2) > nodes_max:
+    if bare.count(",") + len(brackets) // 2 > nodes_max:
         refuse_nodes(place, nodes_max)
-    if brackets:
+    if len(brackets) > LEVELS_MAX:
+        import numpy as np
+
         steps = np.where(np.isin(np.frombuffer(brackets, np.uint8), np.frombuffer(b"[{(", np.uint8)), 1, -1)
         if steps.cumsum().max() > LEVELS_MAX:
             refuse_levels(place)

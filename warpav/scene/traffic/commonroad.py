@@ -46,9 +46,7 @@ def read_xml(content: bytes) -> Recording:
     last = max((int(user.step[-1]) for user in users), default=0)
     static_ids = _static_ids(root)
     if last * len(static_ids) > DATA_SET_NODES_MAX:
-        raise InputError(
-            f"expected at most {DATA_SET_NODES_MAX:,} samples of static obstacles, got {last} steps of them"
-        )
+        raise InputError(f"expected at most {DATA_SET_NODES_MAX:,} samples of static obstacles, got {last:,} steps")
     standing = [
         user
         if len(user.step) > 1 or user.user_id not in static_ids
