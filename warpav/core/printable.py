@@ -9,5 +9,5 @@ _UNFIT = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u206
 
 
 def printable(text: str) -> str:
-    r"""The text with what a terminal would obey instead of show written out, such as ``\\\x1b`` for the escape character."""
+    """The text, where what a terminal would obey instead of show is written as an escape sequence of Python."""
     return _UNFIT.sub(lambda found: found[0].encode("unicode_escape").decode(), text)

@@ -32,6 +32,11 @@ if TYPE_CHECKING:
     import cv2
 
 _SUFFIXES = (".yaml", ".yml", ".xml", ".json")
+_MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K")
+_DISTORTION = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "D")
+_SIZE = (("image_width", "image_Width"), ("image_height", "image_Height"))
+_POSE = ("camera_from_ego", "R", "T", "rvec", "tvec")
+_KEYS = ("camera_name", "fisheye_model", *_MATRIX, *_DISTORTION, *_SIZE[0], *_SIZE[1], *_POSE)
 _KIND = "an OpenCV FileStorage file"
 _BYTES_MAX = 5_000_000
 
@@ -49,8 +54,7 @@ def read(path: Path, part: str | None) -> Found:
 
 def _camera(file: Path) -> FoundCamera:
     record = _record(file)
-    matrix = record.first_of("camera_matrix", "Camera_Matrix", "cameraMatrix", "K")
-    coefficients = record.first_of("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "D")
+    matrix, coefficients = record.first_of(*_MATRIX), record.first_of(*_DISTORTION)
     is_fisheye = record.at("fisheye_model").whole(0) != 0
     distortion: list[float] = []
     if is_fisheye:
@@ -60,7 +64,7 @@ def _camera(file: Path) -> FoundCamera:
         if any(distortion[8:]):
             raise coefficients.error("at most 8 coefficients that are not 0; warpav has no thin prism or tilted sensor")
         distortion = distortion[:8]
-    width, height = record.first_of("image_width", "image_Width"), record.first_of("image_height", "image_Height")
+    width, height = (record.first_of(*names) for names in _SIZE)
     optics = optics_of_matrix(
         matrix,
         lens=Lens.FISHEYE if is_fisheye else Lens.BROWN_CONRADY,
@@ -102,7 +106,7 @@ def _record(file: Path) -> Record:
     root = storage.root()
     if not storage.isOpened() or not root.isMap():
         raise InputError(f"{file}: expected an OpenCV FileStorage file with camera_matrix, got no mapping")
-    return Record(file, {key: _value(root.getNode(key)) for key in root.keys()})  # noqa: SIM118
+    return Record(file, {key: _value(root.getNode(key)) for key in _KEYS})  # the search for one goes through all keys
 
 
 def _check_levels(text: str, place: str) -> None:

@@ -35,6 +35,7 @@ from warpav.scene.vehicles import SHIPPED, vehicle_file
 if TYPE_CHECKING:
     from warpav import Placement
 
+_PATH_MAX = 255
 _MISTAKES_MAX = 50  # which messages list; a file may have a hundred thousand
 
 
@@ -233,6 +234,8 @@ def _read_file(file: Path, above: tuple[Path, ...] = ()) -> tuple[dict[str, Any]
     place = written_at[(EXTENDS,)]
     if not isinstance(base, str):
         raise InputError(f"{place}: {EXTENDS}: expected a YAML file or a shipped name such as quick, got {shown(base)}")
+    if len(base) > _PATH_MAX or "\0" in base:
+        raise InputError(f"{place}: {EXTENDS}: expected a YAML file or a shipped name, got a name that no file has")
     beside = file.parent / Path(base).expanduser()
     found = beside if beside.is_file() else _extended(base, place)
     if found.resolve() in (*above, file.resolve()):
