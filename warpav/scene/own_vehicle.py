@@ -764,6 +764,8 @@ def _part(file: trimesh.Scene, name: str, finder: FileFinder) -> _Part | None:
     if not np.array_equal(matrix, np.eye(4)):
         vertex = vertex @ matrix[:3, :3].T + matrix[:3, 3]
     triangle = np.asarray(geometry.faces, np.int64)
+    if vertex.ndim != 2 or vertex.shape[1] != 3 or triangle.min() < 0 or triangle.max() >= len(vertex):
+        raise ValueError("vertices without three coordinates, or faces of vertices that are not there")
     if np.linalg.det(matrix[:3, :3]) < 0.0:
         triangle = triangle[:, ::-1]
     texture = texture_of(geometry, is_plain=finder.lacks_materials)
