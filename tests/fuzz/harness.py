@@ -66,8 +66,8 @@ def _read_once(kind, sample):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             kind.read(sample)
-    except InputError as error:
-        assert str(error).strip()
+    except InputError:
+        pass
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.signal(signal.SIGPROF, previous)

@@ -92,7 +92,8 @@ def read_yaml(source: Path | str, place: str | None = None) -> tuple[Any, dict[L
     """
     line_of: dict[Location, int] = {}
     has_lines = isinstance(source, Path)
-    place = str(source) if place is None else place
+    if place is None:
+        place = str(source) if has_lines else f"{source:.60}"
     text = read_text(source, "a readable YAML file") if isinstance(source, Path) else source
     node_count = 0
 
@@ -106,7 +107,7 @@ def read_yaml(source: Path | str, place: str | None = None) -> tuple[Any, dict[L
         node_count += 1  # of an alias again wherever it stands
         if node_count > NODES_MAX:
             refuse_nodes(at(line))
-        if len(location) > LEVELS_MAX:
+        if len(location) >= LEVELS_MAX and not isinstance(node, yaml.ScalarNode):
             refuse_levels(at(line))
         if node.tag not in _PLAIN_TAGS:
             raise InputError(f"{at(line)}: {dotted(location)}: expected plain YAML, got the tag {node.tag!r}")
