@@ -1,7 +1,10 @@
 """Warp says nothing of itself where warpav is used from Python, and compiles kernels while something else is done."""
 
+import os
 import subprocess
 import sys
+
+import pytest
 
 PACK = """
 from warpav.scene.device_scene import DeviceScene
@@ -36,3 +39,22 @@ def test_kernels_are_compiled_when_the_block_ends(tmp_path):
     compiled = {file.name.rsplit("_", 1)[0].removeprefix("wp_warpav_kernels.") for file in tmp_path.glob("*/wp_*")}
     assert {"placement.lagrangian", "raster.linearise"} <= compiled
     assert "placement.constraint_losses" not in compiled
+
+
+@pytest.mark.parametrize("place", ["/proc/none", "file"])
+def test_a_cache_that_cannot_be_written_names_its_variable(tmp_path, place):
+    (tmp_path / "file").write_text("")
+    code = "import sys; from warpav.cli.app import main; sys.exit(main(['bench', '--items', 'w1', '--json', 'o.json']))"
+    environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path / place), "HOME": "/proc/none"}
+    result = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**environment, "PYTHONPATH": os.pathsep.join(sys.path)},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 2
+    assert result.stderr.count("\n") == 1
+    assert "expected a folder for Warp's compiled kernels that can be written" in result.stderr
+    assert "set WARP_CACHE_PATH" in result.stderr

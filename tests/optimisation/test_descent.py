@@ -17,7 +17,7 @@ from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.adamw import MultiplierAscent
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import BoundsAndSpacing, ZoneAndSpacing
-from warpav.optimisation.descent import Descent
+from warpav.optimisation.descent import Descent, NotFiniteError
 from warpav.optimisation.losses.lagrangian import Lagrangian
 from warpav.optimisation.losses.loss import LossSchedule
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
@@ -214,12 +214,24 @@ def test_a_loss_that_is_not_finite_stops_the_run(total):
         descent.step()
 
 
-def test_cameras_that_run_away_stop_the_run_with_a_message():
-    far = changed(learning_rate_position_m=500.0, keep="last")
+@pytest.mark.parametrize("keep", ["best", "last"])
+def test_cameras_that_run_away_end_the_run_at_the_best_rig(keep):
+    far = changed(learning_rate_position_m=1e9, learning_rate_yaw_rad=1e9, keep=keep, check_every=1)
     descent = Descent(street_objective(), street_scenes(), far, START, np.random.default_rng(0), iterations=3)
-    descent.step()
-    with pytest.raises(InputError, match="iteration 1: expected a finite loss"):
+    assert descent.step().training_objective is not None
+    with pytest.raises(NotFiniteError, match="iteration 1: expected a finite loss"):
         descent.step()
+    assert "iteration 1: expected a finite loss" in descent.verdict
+    found = descent.finish()
+    assert np.isfinite(found.mount_pose).all()
+    assert found.training_objective == descent.candidates[0].training_objective
+
+
+def test_a_rig_without_a_finite_objective_is_never_the_best():
+    descent = scripted([math.nan, 3.0, math.nan, 2.0, math.inf])
+    for _ in range(5):
+        descent.step()
+    assert descent.best.training_objective == 2.0
 
 
 class Scripted(Slope):

@@ -173,7 +173,11 @@ def test_writing_rejects_a_missing_folder(tmp_path):
         ("roll_deg: 2", "roll_deg: two", r":7: cameras\[0\]\.roll_deg: expected a finite number .*, got 'two'"),
         ("roll_deg: 2", "roll_deg: .nan", r":7: cameras\[0\]\.roll_deg: expected a finite number .*, got nan"),
         ("roll_deg: 2", "roll_deg: true", r"roll_deg: expected a finite number .*, got True"),
-        ("roll_deg: 2", "roll_deg: 1" + "0" * 400, r"roll_deg: expected a finite number .*, got 10000.*\.\.\."),
+        (
+            "roll_deg: 2",
+            "roll_deg: 1" + "0" * 400,
+            "roll_deg: expected numbers of at most 300 digits",
+        ),
         ("    roll_deg: 2\n", "", r":3: cameras\[0\]\.roll_deg: expected a finite number .*, got nothing"),
         ("[1.7, 0.5, 1.6]", "[1.7, 0.5]", r":4: cameras\[0\]\.position_m: expected three .*, got \[1\.7, 0\.5\]"),
         ("[1.7, 0.5, 1.6]", "[1.7, .inf, 0]", r"position_m: expected three finite numbers in metres"),

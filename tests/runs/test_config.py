@@ -324,7 +324,7 @@ FILE_MISTAKES = [
     ("rig: {cameras: 4}\nrig: {}\n", "mine.yaml:2: rig: expected every key once, got it again (first in line 1)"),
     ("rig:\n\tcameras: 4\n", "mine.yaml:2: expected valid YAML, got a syntax error:"),
     ("rig: !!python/object:x.y {}\n", "mine.yaml:1: rig: expected plain YAML, got the tag"),
-    ("rig: &a [*a]\n", "mine.yaml:1: expected at most 12 levels, got more"),
+    ("rig: &a [*a]\n", "mine.yaml:1: expected at most 64 levels inside one another, got more"),
     (
         "frame: ego\ncameras: []\n",
         "mine.yaml: expected a configuration, got a rig file; rig.start=mine.yaml begins with it",

@@ -263,7 +263,7 @@ def test_a_body_without_wheels_is_asked_for_its_rear_axle(tmp_path):
         ("car.obj", b"", r"car\.obj: vehicle: expected a mesh with triangles, got none"),
         ("car.obj", b"v 0 0 0\nv 1 0 0\n", r"car\.obj: vehicle: expected a mesh with triangles, got none"),
         ("car.stl", b"x" * 50, r"car\.stl: vehicle: expected a mesh with triangles, got none"),
-        ("cloud.xyz", b"1 2 3\n4 5 6\n", r"cloud\.xyz: vehicle: expected a mesh with triangles, got none"),
+        ("cloud.xyz", b"1 2 3\n4 5 6\n", r"cloud\.xyz: vehicle: expected a mesh file .*, got the suffix '\.xyz'"),
         ("car.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", r"expected triangles with an area, got none"),
         ("car.obj", b"v nan 0 0\nv 1 0 0\nv 2 1 0\nf 1 2 3\n", r"car\.obj: 1 of 3 vertices are NaN or infinite"),
     ],

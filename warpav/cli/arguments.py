@@ -11,8 +11,10 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from warpav.core.errors import InputError
+from warpav.core.printable import printable
 
 DEFAULT_CONFIG = "quick"
+_LINES_MAX, _LINE_MAX = 60, 2000  # of a message; files may have a hundred thousand mistakes
 
 Config = Annotated[str, Parameter(help="YAML file, or the name of a shipped configuration.")]
 Overrides = Annotated[str, Parameter(help="key=value, such as rig.cameras=6.")]
@@ -56,13 +58,16 @@ def with_flags(text: str) -> str:
 
 def say(text: str) -> None:
     """Print to stdout."""
-    sys.stdout.write(f"{text}\n")
+    sys.stdout.write(f"{printable(text)}\n")
 
 
 def complain(text: str) -> None:
-    """Print to stderr."""
-    for line in text.splitlines():
-        sys.stderr.write(f"{line}\n")
+    """Print to stderr; of what is endless the beginning."""
+    lines = printable(text[: _LINES_MAX * _LINE_MAX]).splitlines()
+    for line in lines[:_LINES_MAX]:
+        sys.stderr.write(f"{line if len(line) <= _LINE_MAX else f'{line[:_LINE_MAX]}...'}\n")
+    if len(lines) > _LINES_MAX:
+        sys.stderr.write("and more of these\n")
 
 
 def warn_renamed(old: str, new: str) -> None:

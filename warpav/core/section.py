@@ -86,7 +86,17 @@ def shown(value: object) -> str:
     if value is None:
         return "nothing (null)"
     if isinstance(value, (list, tuple, dict)):
-        text = yaml.safe_dump(value, default_flow_style=True, width=10_000).strip()
+        text = yaml.safe_dump(_beginning(value, [60]), default_flow_style=True, width=10_000).strip()
     else:
         text = repr(value) if isinstance(value, str) else str(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _beginning(value: object, left: list[int]) -> object:
+    """As much of a value as a message shows; ``left`` counts how many more parts that may be."""
+    left[0] -= 1
+    if isinstance(value, dict):
+        return {key: _beginning(inner, left) for key, inner in value.items() if left[0] > 0}
+    if isinstance(value, (list, tuple)):
+        return [_beginning(inner, left) for inner in value if left[0] > 0]
+    return value

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -11,6 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from warpav.core.errors import InputError
 from warpav.core.executor import available_cores
 
 KERNELS = "warpav_kernels"
@@ -21,12 +23,24 @@ def load_warp() -> Any:  # noqa: ANN401 (the module)
     """The module ``warp``, initialised without its start-up messages.
 
     Whoever wants messages raises ``warp.config.log_level`` after the first call.
+
+    Raises:
+        InputError: Its cache folder cannot be written.
     """
     import warp
 
     warp.config.log_level = warp.LOG_ERROR
-    with _muted_stderr():  # without a GPU its native library complains whatever the log level
-        warp.init()
+    try:
+        with _muted_stderr():  # without a GPU its native library complains whatever the log level
+            warp.init()
+        folder = Path(warp.config.kernel_cache_dir or "")
+        if not os.access(folder, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(folder))
+    except OSError as error:
+        raise InputError(
+            f"{error.filename}: expected a folder for Warp's compiled kernels that can be written, got: "
+            f"{error.strerror}; set WARP_CACHE_PATH to one"
+        ) from None
     return warp
 
 

@@ -1,27 +1,60 @@
-"""Strict reading of YAML: plain data with the line of every value, so that messages can point at it."""
+"""Strict reading of YAML: plain data with the line of every value, so that messages can point at it.
+
+Bounds are those of `warpav.core.bounded_files`, held while libyaml parses, event by event.
+"""
 
 from __future__ import annotations
 
 import re
 import typing
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml.composer import Composer
+from yaml.constructor import SafeConstructor
+from yaml.cyaml import CParser
+from yaml.resolver import Resolver
 
+from warpav.core.bounded_files import (
+    DIGITS_MAX,
+    LEVELS_MAX,
+    NODES_MAX,
+    read_text,
+    refuse_digits,
+    refuse_levels,
+    refuse_nodes,
+)
 from warpav.core.errors import InputError
 
 Location = tuple[str, ...]
 """Where a value stands: the keys and list indices that lead to it, as text."""
 
-_MAX_DEPTH = 12
 _PLAIN_TAGS = {f"tag:yaml.org,2002:{name}" for name in ("map", "seq", "null", "bool", "int", "float", "str")}
 
 
-class _Yaml12Loader(yaml.SafeLoader):
-    """Safe loader whose plain scalars follow YAML 1.2."""
+class _Yaml12Loader(Composer, CParser, SafeConstructor, Resolver):  # pyright: ignore[reportIncompatibleMethodOverride]
+    """Safe loader whose plain scalars follow YAML 1.2, and which stops at the bounds of nodes and levels."""
 
     yaml_implicit_resolvers: typing.ClassVar[dict] = {}  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def __init__(self, text: str, at: Callable[[int], str]) -> None:
+        CParser.__init__(self, text)
+        for part in (Composer, SafeConstructor, Resolver):
+            part.__init__(self)
+        self._at, self._values, self._levels = at, 0, 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:  # noqa: ANN401
+        self._values += index is not None  # else it is a key, or the whole
+        self._levels += 1
+        if self._values > NODES_MAX:
+            refuse_nodes(self._at(self.peek_event().start_mark.line + 1))
+        if self._levels > LEVELS_MAX + 1:  # the file itself is one of them
+            refuse_levels(self._at(self.peek_event().start_mark.line + 1))
+        node = super().compose_node(parent, index)
+        self._levels -= 1
+        return node
 
     def construct_decimal(self, node: yaml.ScalarNode) -> int:
         return int(node.value)
@@ -55,31 +88,35 @@ def read_yaml(source: Path | str, place: str | None = None) -> tuple[Any, dict[L
         None, bool, int, float, str, list and dict; the line of every key and list item.
 
     Raises:
-        InputError: The file cannot be read, the text is not YAML, or a key is there twice.
+        InputError: The file cannot be read, the text is not YAML, a key is there twice, or it is beyond a bound.
     """
     line_of: dict[Location, int] = {}
     has_lines = isinstance(source, Path)
-    place = str(source) if place is None else place
-    try:
-        text = source.read_text(encoding="utf-8") if isinstance(source, Path) else source
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise InputError(f"{place}: expected a readable YAML file, got: {reason}") from None
+    if place is None:
+        place = str(source) if has_lines else f"{source:.60}"
+    text = read_text(source, "a readable YAML file") if isinstance(source, Path) else source
+    node_count = 0
 
     def at(line: int) -> str:
         return f"{place}:{line}" if has_lines else place
 
     def plain(loader: _Yaml12Loader, node: yaml.Node, location: Location) -> Any:  # noqa: ANN401
+        nonlocal node_count
         line = node.start_mark.line + 1
         line_of.setdefault(location, line)
-        if len(location) > _MAX_DEPTH:
-            raise InputError(f"{at(line)}: expected at most {_MAX_DEPTH} levels, got more")
+        node_count += 1  # of an alias again wherever it stands
+        if node_count > NODES_MAX:
+            refuse_nodes(at(line))
+        if len(location) >= LEVELS_MAX and not isinstance(node, yaml.ScalarNode):
+            refuse_levels(at(line))
         if node.tag not in _PLAIN_TAGS:
             raise InputError(f"{at(line)}: {dotted(location)}: expected plain YAML, got the tag {node.tag!r}")
         if isinstance(node, yaml.MappingNode):
             mapping: dict[str, Any] = {}
             for key_node, value_node in node.value:
-                inner = (*location, str(key_node.value))
+                if not isinstance(key_node, yaml.ScalarNode):
+                    raise InputError(f"{at(line)}: expected texts as keys, got a list or a mapping")
+                inner = (*location, _whole_text(key_node.value, at(line)))
                 if inner[-1] in mapping:
                     raise InputError(
                         f"{at(key_node.start_mark.line + 1)}: {dotted(inner)}: expected every key once, "
@@ -90,10 +127,13 @@ def read_yaml(source: Path | str, place: str | None = None) -> tuple[Any, dict[L
             return mapping
         if isinstance(node, yaml.SequenceNode):
             return [plain(loader, item, (*location, str(i))) for i, item in enumerate(node.value)]
-        return loader.construct_object(node)
+        if node.tag == "tag:yaml.org,2002:int" and len(node.value) > DIGITS_MAX:
+            refuse_digits(f"{at(line)}: {dotted(location)}" if location else at(line))
+        value = loader.construct_object(node)
+        return _whole_text(value, at(line)) if isinstance(value, str) else value
 
     try:
-        loader = _Yaml12Loader(text)
+        loader = _Yaml12Loader(text, at)
         try:
             node = loader.get_single_node()
             return (None if node is None else plain(loader, node, ())), line_of
@@ -101,10 +141,23 @@ def read_yaml(source: Path | str, place: str | None = None) -> tuple[Any, dict[L
             loader.dispose()
     except yaml.MarkedYAMLError as error:
         where = at(error.problem_mark.line + 1) if error.problem_mark else place
+        if "nesting depth" in str(error.problem):  # of libyaml, which scans ahead
+            refuse_levels(where)
         problem = " ".join(str(error.problem or error.context).split())
         raise InputError(f"{where}: expected valid YAML, got a syntax error: {problem}") from None
     except yaml.YAMLError as error:
         raise InputError(f"{place}: expected valid YAML, got: {' '.join(str(error).split())}") from None
+
+
+def _whole_text(text: str, place: str) -> str:
+    """The text, whose characters are all whole.
+
+    Raises:
+        InputError: One is half of a pair, which no file can hold.
+    """
+    if not text.isascii() and any("\ud800" <= each <= "\udfff" for each in text):
+        raise InputError(f"{place}: expected text, got half of a character, such as \\ud800 alone")
+    return text
 
 
 def dotted(location: Location) -> str:

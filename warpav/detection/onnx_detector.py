@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.core.bounded_files import read_text
 from warpav.core.errors import InputError, OptionError
 from warpav.detection.detector import ROAD_USERS, Detections
+from warpav.detection.external_data import check_external_data
 from warpav.detection.families.letterbox import Letterbox
 from warpav.detection.families.network_file import NetworkFile, Tensor, metadata_labels
 from warpav.detection.families.recognise import recognise
@@ -344,11 +346,14 @@ class OnnxDetector:
         )
 
     def _read_file(self, labels: Sequence[str] | Path | str | None) -> NetworkFile:
-        inputs, outputs = (
-            tuple(_tensor(each.name, each.shape, each.type) for each in listed)
-            for listed in (self._session.get_inputs(), self._session.get_outputs())
-        )
-        metadata = dict(self._session.get_modelmeta().custom_metadata_map)
+        try:
+            inputs, outputs = (
+                tuple(_tensor(each.name, each.shape, each.type) for each in listed)
+                for listed in (self._session.get_inputs(), self._session.get_outputs())
+            )
+            metadata = dict(self._session.get_modelmeta().custom_metadata_map)
+        except UnicodeDecodeError:
+            raise InputError(f"{self._path}: expected names and metadata in UTF-8, got another encoding") from None
         if labels is not None:
             known, origin = _given_labels(labels), "detector.labels"
         else:
@@ -405,12 +410,10 @@ def _given_labels(labels: Sequence[str] | Path | str) -> tuple[str, ...]:
         given = tuple(str(label).strip() for label in labels)
     else:
         try:
-            text = Path(labels).expanduser().read_text(encoding="utf-8")
-            given = tuple(line.strip() for line in text.rstrip().splitlines())
-        except (OSError, UnicodeDecodeError) as error:
-            raise OptionError(
-                "detector.labels", f"expected a text file with one label a line, got {labels}: {error}"
-            ) from error
+            text = read_text(Path(labels).expanduser(), "a text file with one label a line")
+        except InputError as error:
+            raise OptionError("detector.labels", str(error)) from None
+        given = tuple(line.strip() for line in text.rstrip().splitlines())
     if not given or "" in given:
         raise OptionError(
             "detector.labels", f"expected a label for every class, got {'none' if not given else 'an empty one'}"
@@ -434,6 +437,7 @@ def _open_session(path: Path, threads: int | None, provider: str) -> InferenceSe
         )
     if not path.is_file():
         raise InputError(f"detector.model: no such file: {path}; give the path of an ONNX file, or builtin")
+    check_external_data(path)
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
     # Threads that wait in a loop for the next layer would take the cores that render meanwhile.

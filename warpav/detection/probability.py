@@ -20,6 +20,7 @@ import numpy as np
 import platformdirs
 import warp as wp
 
+from warpav.core.bounded_files import DATA_SET_NODES_MAX, read_json
 from warpav.core.errors import InputError
 from warpav.raster.areas import Measures
 from warpav.raster.frame import Frame
@@ -363,10 +364,9 @@ class DetectionProbability:
         """
         again = "run warpav detector fit --again"
         try:
-            data = json.loads(file.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "not JSON"
-            raise InputError(f"{file}: expected a model of detection probability, got {reason}; {again}") from None
+            data = read_json(file, "a model of detection probability", nodes_max=DATA_SET_NODES_MAX)
+        except InputError as error:
+            raise InputError(f"{error}; {again}") from None
         schema = data.get("schema") if isinstance(data, dict) else None
         if schema != SCHEMA:
             raise InputError(f"{file}: schema: expected {SCHEMA}, got {schema!r}; {again}")

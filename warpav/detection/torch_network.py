@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from warpav.core.errors import InputError, OptionError
+from warpav.detection.external_data import check_external_data
 
 MAX_ERROR = 1e-3
 _MIN_OPSET = 11
@@ -66,6 +67,7 @@ class TorchNetwork:
         from onnx import numpy_helper
 
         self._path, self._device = Path(path), device
+        check_external_data(self._path)
         try:
             model = onnx.load(str(path))
         except Exception as error:  # protobuf's own types share no parent

@@ -11,6 +11,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from warpav.core import bounded_files
+from warpav.core.bounded_files import DATA_SET_BYTES_MAX, DATA_SET_NODES_MAX
 from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json
@@ -214,6 +216,8 @@ def read_json(file: Path) -> Any:  # noqa: ANN401 (any JSON value)
         InputError: It cannot be read.
     """
     try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file}: expected a readable JSON file, got: {error}; delete it") from None
+        return bounded_files.read_json(
+            file, "a readable JSON file", bytes_max=DATA_SET_BYTES_MAX, nodes_max=DATA_SET_NODES_MAX
+        )
+    except InputError as error:
+        raise InputError(f"{error}; delete it") from None

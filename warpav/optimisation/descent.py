@@ -22,6 +22,10 @@ from warpav.optimisation.settings import OptimiserSettings
 from warpav.optimisation.starts import exchange_cameras
 
 
+class NotFiniteError(InputError):
+    """A descent ends because its loss is no longer finite; what it has found so far is kept."""
+
+
 @dataclass
 class Descent:
     """A run of the optimiser; call `step` until you have enough, then `finish`.
@@ -60,6 +64,7 @@ class Descent:
                 f"{self.settings.descents} descents need as many starts, got {1 + len(self.further_starts)}"
             )
         self.history = History()
+        self._failure: str | None = None
         self.iteration = 0
         self.descent = 0
         self._mount: CameraMount = self.objective.mount
@@ -119,6 +124,8 @@ class Descent:
     @property
     def verdict(self) -> str | None:
         """Why there is no use in going on, in words; None while there is."""
+        if self._failure is not None:
+            return self._failure
         if self.descent < len(self.further_starts) or not self._out_of_patience:
             return None
         best, count = lowest(self.history.of_descent(self.descent)), self.history.stale_evaluations(self.descent)
@@ -130,7 +137,8 @@ class Descent:
         A step is taken whole or not at all: whatever stops it, `state` is that before it.
 
         Raises:
-            InputError: The loss is no longer finite.
+            NotFiniteError: The loss is no longer finite; the cameras stand at the best rig so far again.
+            InputError: It never was.
         """
         before = self._position()
         try:
@@ -159,10 +167,14 @@ class Descent:
         assert gradient is not None
         assert multiplier_gradient is not None
         if not (math.isfinite(result.total) and np.isfinite(gradient).all()):
-            raise InputError(
+            failure = (
                 f"iteration {self.iteration}: expected a finite loss and gradient, got {result.total:g}; "
                 "lower optimiser.learning_rate_position_m and optimiser.learning_rate_yaw_deg"
             )
+            if not any(math.isfinite(each.training_objective) for each in self.candidates):
+                raise InputError(failure)
+            self._failure, self._pose.value = failure, self.best.mount_pose.copy()
+            raise NotFiniteError(failure)
         record = self._record(pose, multiplier, gradient, result, checked)
         self._pose.step(gradient, self._rate * self._schedule.step_share(self._steps))
         if self._mount.is_free.any():

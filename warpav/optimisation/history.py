@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -87,8 +88,11 @@ def part_of(state: Mapping[str, np.ndarray], name: str) -> dict[str, np.ndarray]
 
 
 def lowest(candidates: Sequence[Candidate]) -> Candidate:
-    """The one with the lowest objective, of equal ones the first."""
-    return min(candidates, key=lambda candidate: candidate.training_objective)
+    """The one with the lowest objective, of equal ones the first; what is not finite is never it beside others."""
+    return min(
+        candidates,
+        key=lambda each: each.training_objective if math.isfinite(each.training_objective) else math.inf,
+    )
 
 
 class History:

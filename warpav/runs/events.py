@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from warpav.core.bounded_files import DATA_SET_BYTES_MAX, parse_json, read_bytes
 from warpav.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,22 +26,19 @@ def read_events(file: Path, *, least: int = 0) -> list[dict[str, Any]]:
     Raises:
         InputError: The file cannot be read, a line is no iteration of a run, or iterations are missing.
     """
-    try:
-        lines = file.read_bytes().split(b"\n")
-    except FileNotFoundError:
+    if not file.exists():
         return []
-    except OSError as error:
-        raise InputError(f"{file}: expected a readable file, got: {error.strerror}") from None
+    lines = read_bytes(file, "the iterations of a run", bytes_max=DATA_SET_BYTES_MAX).split(b"\n")
     events: list[dict[str, Any]] = []
     for number, line in enumerate(lines, start=1):
         try:
-            event = json.loads(line) if line.strip() else None
-        except (ValueError, RecursionError):  # also where the bytes are no text
+            event = parse_json(line, "", "an iteration") if line.strip() else None
+        except InputError as error:
             if number == len(lines):
                 break
             shown = line[:40].decode(errors="backslashreplace")
             raise InputError(
-                f"{file}:{number}: expected one JSON object per line, got {shown!r}; {_MEND_EVENTS}"
+                f"{file}:{number}: expected one JSON object per line, got {shown!r} ({error}); {_MEND_EVENTS}"
             ) from None
         if event is not None:
             # of modules a rig may have more than another

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -12,7 +13,7 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.executor import Executor
 from warpav.core.progress import Progress
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
-from warpav.optimisation.descent import Descent
+from warpav.optimisation.descent import Descent, NotFiniteError
 from warpav.optimisation.history import IterationRecord, named_part, part_of
 from warpav.optimisation.pool import CameraPool, pool_cache_folder
 from warpav.optimisation.pool_descent import PoolDescent
@@ -270,9 +271,10 @@ class Optimisation:
         """
         config, descent = self.placement.config, self.descent
         count = config.run.iterations if isinstance(descent, Descent) else None
-        for record in progress.iterations(self._steps(), count=count, min_spacing_m=config.rig.min_spacing_m):
-            if on_step is not None:
-                on_step(record)
+        with contextlib.suppress(NotFiniteError):  # the verdict says so
+            for record in progress.iterations(self._steps(), count=count, min_spacing_m=config.rig.min_spacing_m):
+                if on_step is not None:
+                    on_step(record)
         if descent.verdict is not None:
             progress.say(f"ended after {descent.iteration} iterations: {descent.verdict}")
 

@@ -15,6 +15,7 @@ from rich.measure import Measurement
 from rich.progress import BarColumn, MofNCompleteColumn, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from warpav.core.printable import printable
 from warpav.core.progress import NullProgress, Progress
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ class RunDisplay:
 
     def say(self, text: str) -> None:
         """Print a line above the table."""
-        self.console.print(text, markup=False)
+        self.console.print(printable(text), markup=False)
 
     def show(self, content: RenderableType) -> None:
         """Print tables and text within the terminal's width, or where output is piped as wide as they are."""

@@ -20,14 +20,13 @@ import io
 import json
 import shutil
 import time
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from warpav.core.atomic_write import DRAFT, atomic_write, sync
+from warpav.core.bounded_files import DATA_SET_NODES_MAX, read_arrays, read_json, read_text
 from warpav.core.errors import InputError, OptionError
 from warpav.core.files import append_line, json_ready, write_json, write_text, writing
 from warpav.core.held_folder import held_folder
@@ -63,10 +62,6 @@ RigRole = Literal["start", "initial", "best", "final"]
 RUNS_FOLDER = Path("runs")
 EVALUATION_SCHEMA = 1
 _FURTHER_COLUMNS = ("gain", "x_m", "y_m", "z_m", "yaw_deg", "pitch_deg", "fov_deg")
-
-
-# what NumPy, the archive and its compression raise; RuntimeError also where a member is encrypted or packed otherwise
-_UNREADABLE_ARRAYS = (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error, RuntimeError)
 
 
 @dataclass(frozen=True)
@@ -301,13 +296,15 @@ class RunFolder:
         if not file.exists():
             return None
         try:
-            heading, *rows = csv.reader(file.read_text(encoding="utf-8").splitlines())
+            heading, *rows = csv.reader(read_text(file, "rows of numbers").splitlines())
             if tuple(heading) != _FURTHER_COLUMNS:
                 raise ValueError(f"columns {', '.join(heading)}")
             table = np.array(rows, np.float64).reshape(len(rows), len(_FURTHER_COLUMNS))
             if not np.isfinite(table).all():
                 raise ValueError("a number that is not finite")
-        except (OSError, ValueError, csv.Error) as error:
+        except InputError:
+            raise
+        except (ValueError, csv.Error) as error:
             raise InputError(
                 f"{file}: expected rows of {', '.join(_FURTHER_COLUMNS)}, got: {_one_line(error)}; "
                 "was the file changed?"
@@ -432,14 +429,7 @@ class RunFolder:
 
     def _read_json(self, name: str) -> dict[str, Any] | None:
         file = self.path / name
-        try:
-            return json.loads(file.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            return None
-        except OSError as error:
-            raise InputError(f"{file}: expected a readable file, got: {error.strerror}") from None
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{file}: expected JSON, got: {error}") from None
+        return read_json(file, "a readable file of a run", nodes_max=DATA_SET_NODES_MAX) if file.exists() else None
 
 
 def read_run(path: str | Path) -> RunFolder:
@@ -548,15 +538,7 @@ def _write_arrays(file: Path, arrays: Mapping[str, np.ndarray], *, is_durable: b
 
 
 def _read_arrays(file: Path) -> dict[str, np.ndarray] | None:
-    import numpy as np
-
-    try:
-        with np.load(file, allow_pickle=False) as arrays:
-            return dict(arrays)
-    except FileNotFoundError:
-        return None
-    except (*_UNREADABLE_ARRAYS, TypeError) as error:  # the last for a single array, which is no archive
-        raise InputError(f"{file}: expected arrays in NumPy's format, got: {_one_line(error)}") from None
+    return read_arrays(file, "arrays in NumPy's format (.npz)") if file.exists() else None
 
 
 def _event_line(event: Mapping[str, Any]) -> str:

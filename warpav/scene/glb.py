@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
+from warpav.scene.mesh_bounds import TRIANGLES_MAX, bounded_mesh
 from warpav.scene.scene import BLACK_SKY, Box, Scene, Sky, Vehicle
 
 if TYPE_CHECKING:
@@ -99,7 +101,7 @@ def read_scene(path: str | Path) -> Scene:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such scene file; write one with `warpav scenes make`")
-    data = path.read_bytes()
+    data = bounded_mesh(path, "glb", str(path))
     if data[:4] != b"glTF":
         raise InputError(f"{path}: expected a GLB file (it starts with 'glTF'), got {data[:4]!r}; export binary glTF")
     try:
@@ -112,15 +114,18 @@ def read_scene(path: str | Path) -> Scene:
         if name not in nodes:
             known = ", ".join(sorted(nodes)) or "none"
             raise InputError(f"{path}: expected a mesh node named '{name}', got {known}; rename the node")
+    count = sum(len(getattr(file.geometry[file.graph.get(name)[1]], "faces", ())) for name in nodes)
+    if count > TRIANGLES_MAX:
+        raise InputError(f"{path}: expected at most {TRIANGLES_MAX:,} triangles in all nodes, got {count:,}")
     users = tuple(
         _read_vehicle(file, name, extras, f"{path}: node '{name}'")
         for name, extras in nodes.items()
         if name.startswith((_VEHICLE_PREFIX, _OTHER_PREFIX))
     )
     ids = [user.instance_id for user in users]
-    for instance_id in ids:
-        if ids.count(instance_id) > 1:
-            raise InputError(f"{path}: instance_id must be unique, got {instance_id} {ids.count(instance_id)} times")
+    instance_id, count = max(Counter(ids).items(), key=lambda each: each[1], default=(0, 0))
+    if count > 1:
+        raise InputError(f"{path}: instance_id must be unique, got {instance_id} {count} times")
     metadata: dict[str, Any] = file.metadata or {}
     scene = Scene(
         str(metadata.get("name", path.stem)),

@@ -16,6 +16,8 @@ from urllib.parse import unquote
 
 import numpy as np
 
+from warpav.core.bounded_files import DATA_SET_BYTES_MAX, is_inner_path, read_bytes
+
 if TYPE_CHECKING:
     from PIL.Image import Image
 
@@ -91,7 +93,7 @@ class FileFinder:
             return data.getvalue()
         path = self.find(name)
         if path is not None:
-            return path.read_bytes()
+            return read_bytes(path, "a part of a mesh file", bytes_max=DATA_SET_BYTES_MAX)
         if name.lower().endswith(MATERIAL_SUFFIX):
             self.missing.append(_plain(name))
             return b""
@@ -103,7 +105,9 @@ class FileFinder:
     def _candidates(self, name: str) -> Iterator[Path]:
         folder = self.mesh.absolute().parent
         scheme = next((each for each in _SCHEMES if name.startswith(each)), None)
-        if scheme is None:
+        if not is_inner_path(name.removeprefix(scheme or "").lstrip("/" if scheme else "")):
+            pass  # names that lead out of the folder are looked up by their last part alone
+        elif scheme is None:
             yield folder / name
         else:  # model://suv/materials/textures/wheels.png lies in a folder suv somewhere above, or this is suv renamed
             inside = name.removeprefix(scheme).lstrip("/")
@@ -112,8 +116,9 @@ class FileFinder:
             for above in (folder, *folder.parents)[:2]:
                 yield above / inside.partition("/")[2]
         last = PureWindowsPath(name).name  # with slashes and backslashes alike
-        for each in _TEXTURE_FOLDERS:
-            yield folder / each / last
+        if is_inner_path(last):
+            for each in _TEXTURE_FOLDERS:
+                yield folder / each / last
 
 
 def corner_rgb(uv: np.ndarray, image: Image) -> np.ndarray:

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.parsers import expat
 
 import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
 from warpav.scene.glb import EGO_NODE, ENVIRONMENT_NODE, GLTF_FROM_EGO, ROOT_NODE, vertex_coloured, write_whole
+from warpav.scene.mesh_bounds import TRIANGLES_MAX, bounded_mesh
 from warpav.scene.mesh_colours import FileFinder, Texture, texture_of, vertex_rgb
 from warpav.scene.simulator_model import SimulatorModel, simulator_model
 from warpav.scene.texture_detail import VERTICES_MAX, TexturedMesh, follow_textures
@@ -279,7 +279,7 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
     ``model.sdf`` of a simulator beside it states; else the ego frame's.
 
     Args:
-        path: GLB, glTF, OBJ, COLLADA, PLY, STL, OFF or any other format that trimesh reads.
+        path: GLB, glTF, OBJ, COLLADA, PLY, STL or OFF.
         vertices_max: Vertices up to which triangles are split for their textures; None: colours at the file's own.
 
     Raises:
@@ -296,11 +296,11 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
         hint = "" if near is None else f"; did you mean {near}?"
         raise InputError(f"{path}: vehicle: expected {expected}, got no such file{hint}")
     suffix = path.suffix.lower().removeprefix(".")
-    # a zipped COLLADA file hides its unit and axes
-    if suffix not in FORMATS and suffix not in trimesh.available_formats() - {"zae"}:
+    if suffix not in FORMATS:  # of archives no bound is known
         raise InputError(
             f"{path}: vehicle: expected a mesh file ({', '.join(FORMATS)}), got the suffix {path.suffix!r}"
         )
+    bounded_mesh(path, suffix, f"{path}: vehicle")
     finder = FileFinder(path)
     # glTF and COLLADA define their up axis; the other formats do not, so the ego frame is assumed
     usual = Reading("y" if suffix in ("glb", "gltf") else "z", "x")
@@ -314,6 +314,9 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
         is_scene = EGO_NODE in nodes and ENVIRONMENT_NODE in nodes
         is_own = (file.metadata or {}).get("schema") == SCHEMA
         names = [name for name in nodes if not is_scene or name == EGO_NODE]
+        count = sum(len(getattr(file.geometry[file.graph.get(name)[1]], "faces", ())) for name in names)
+        if count > TRIANGLES_MAX:
+            raise ValueError(f"{count:,} triangles in all nodes, of at most {TRIANGLES_MAX:,}")
         parts = [part for name in names if (part := _part(file, name, finder)) is not None]
     except InputError:
         raise
@@ -715,9 +718,6 @@ def _collada_frame(path: Path) -> tuple[str, float]:
     from collada import Collada
     from collada.common import DaeUnsupportedError
 
-    parser = expat.ParserCreate()
-    parser.StartDoctypeDeclHandler = _refuse_doctype
-    parser.Parse(path.read_bytes(), True)
     # trimesh leaves out what is broken; here it is an error
     document: Any = Collada(str(path), ignore=[DaeUnsupportedError])
     tag = document.tag
@@ -742,11 +742,6 @@ def _collada_frame(path: Path) -> tuple[str, float]:
     return {"X_UP": "x", "Z_UP": "z"}.get(up, "y"), metres if metres > 0.0 else 1.0
 
 
-def _refuse_doctype(*_: object) -> None:
-    """Its entities may expand without end; COLLADA has none."""
-    raise ValueError("a DOCTYPE, which no COLLADA file has")
-
-
 @dataclass(frozen=True, eq=False)
 class _Part:
     """Vertices in the file's frame, triangles, colours, positions in the texture, and the texture of a node."""
@@ -769,6 +764,8 @@ def _part(file: trimesh.Scene, name: str, finder: FileFinder) -> _Part | None:
     if not np.array_equal(matrix, np.eye(4)):
         vertex = vertex @ matrix[:3, :3].T + matrix[:3, 3]
     triangle = np.asarray(geometry.faces, np.int64)
+    if vertex.ndim != 2 or vertex.shape[1] != 3 or triangle.min() < 0 or triangle.max() >= len(vertex):
+        raise ValueError("vertices without three coordinates, or faces of vertices that are not there")
     if np.linalg.det(matrix[:3, :3]) < 0.0:
         triangle = triangle[:, ::-1]
     texture = texture_of(geometry, is_plain=finder.lacks_materials)

@@ -7,6 +7,9 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
+from warpav.core.bounded_files import parse_xml, read_bytes
+from warpav.core.errors import InputError
+
 MODEL_FILE = "model.sdf"
 
 _ANGLE_TOLERANCE_RAD = 1e-3
@@ -36,8 +39,8 @@ def simulator_model(mesh: Path) -> SimulatorModel | None:
     for folder in (mesh.absolute().parent, mesh.absolute().parent.parent):
         path = folder / MODEL_FILE
         try:
-            root = ET.parse(path).getroot()
-        except (OSError, ET.ParseError):
+            root = parse_xml(read_bytes(path, "a model"), str(path), "a model")
+        except InputError:
             continue
         for visual in (*root.iter("visual"), *root.iter("collision")):
             shape = visual.find("geometry/mesh")

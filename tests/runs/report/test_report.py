@@ -577,7 +577,10 @@ def _ground_of_text(folder):
 
 
 BROKEN = {
-    "evaluation cut off": (_replace("evaluation.json", '{"schema": 1, "arms"'), "evaluation.json: expected JSON"),
+    "evaluation cut off": (
+        _replace("evaluation.json", '{"schema": 1, "arms"'),
+        "evaluation.json:1: expected valid JSON",
+    ),
     "evaluation is a list": (_replace("evaluation.json", "[]"), "evaluation.json: expected what warpav optimise"),
     "no arms": (_evaluation(arms={}), "evaluation.json: arms: expected what"),
     "text for a number": (_evaluation(scenes={"test": "many"}), "evaluation.json: scenes.test: expected what"),
@@ -619,9 +622,12 @@ BROKEN = {
     "ground of another shape": (_ground_of_another_shape, "ground.npz: expected counts of one shape"),
     "evaluation is a folder": (
         lambda folder: [(folder.path / "evaluation.json").unlink(), (folder.path / "evaluation.json").mkdir()],
-        "evaluation.json: expected a readable file, got",
+        "evaluation.json: expected a readable file of a run, got",
     ),
-    "evaluation is too deep": (_replace("evaluation.json", "[" * 200_000), "evaluation.json: expected JSON"),
+    "evaluation is too deep": (
+        _replace("evaluation.json", "[" * 200_000),
+        "evaluation.json: expected at most 64 levels",
+    ),
     "no number of scenes": (_evaluation(scenes={}), "evaluation.json: scenes: expected what"),
     "group without recall": (
         _recall_by(lambda table: table["sector"]["rear left"].update(recall=None)),

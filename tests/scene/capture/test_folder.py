@@ -162,7 +162,10 @@ WRONG = [
         "ego_top_rgb.png: expected an image, got no such",
     ),
     (_truncate("ego_top_depth.png"), "ego_top_depth.png: expected a PNG image, got a file that is truncated"),
-    (_replace("ego_top_depth.png", np.zeros((9, 9), np.uint16)), r"ego_top_depth.png: expected uint16 \[32, 48\] as"),
+    (
+        _replace("ego_top_depth.png", np.zeros((9, 9), np.uint16)),
+        "ego_top_depth.png: expected 48 x 32 px as",
+    ),
     (_replace("ego_top_rgb.png", np.zeros((32, 48), np.uint8)), r"ego_top_rgb.png: expected uint8 \[32, 48, 3\]"),
     (_replace("ego_top_instance.png", np.full((32, 48), 9, np.uint16)), "got 9, which has no box there"),
     (_edit(images__0__ego_from_camera=MIRROR), r"images\.0\.ego_from_camera: expected a rotation .*left-handed"),
@@ -176,8 +179,14 @@ WRONG = [
     (_edit(vehicles__1__instance_id=1), "vehicles: instance_id: expected each once, got 1 2 times"),
     (_edit(images__1__name="ego_top"), "images: name: expected each once, got ego_top 2 times"),
     (_edit(vehicles__0__colour="red"), r"vehicles\.0\.colour: Extra inputs are not permitted"),
+    (
+        _edit(images__0__rgb="/etc/hostname"),
+        r"images\.0\.rgb: expected a file inside .* got '/etc/hostname'",
+    ),
+    (_edit(images__0__depth="../scene_8/d.png"), r"images\.0\.depth: expected a file inside the folder"),
+    (_edit(images__0__instance="a/..\\..\\b.png"), r"images\.0\.instance: expected a file inside the folder"),
     (_edit(schema="warpav-capture/9"), "schema: Input should be 'warpav-capture/1', got warpav-capture/9"),
-    (lambda folder: (folder / DESCRIPTION).write_text("{"), r"capture\.json:1: expected JSON"),
+    (lambda folder: (folder / DESCRIPTION).write_text("{"), r"capture\.json:1: expected valid JSON"),
     (lambda folder: (folder / DESCRIPTION).write_text("[3]"), r"capture\.json:1: expected an object with .* got \[3\]"),
     (lambda folder: (folder / "images" / "ego_top_rgb.png").write_bytes(b""), "ego_top_rgb.png: expected a PNG image"),
 ]

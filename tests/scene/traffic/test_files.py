@@ -102,7 +102,7 @@ BOMB = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;">]>'
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (scenario("2020a")[:-900], r"expected whole XML, got: unclosed token"),
+        (scenario("2020a")[:-900], r"expected a whole CommonRoad scenario, got a syntax error: unclosed token"),
         (scenario("2020a").replace("?>\n", f"?>\n{BOMB}", 1), r"expected XML without a DOCTYPE"),
         (scenario("2021x"), r"commonRoadVersion: expected 2018b or 2020a, got '2021x'"),
         ("<scene/>", r"expected a CommonRoad scenario, got <scene>"),
@@ -133,9 +133,9 @@ def without(name, user=None):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"{", r"expected JSON, got"),
-        (b"\xff\xfe", r"expected JSON, got"),
-        (b"[" * 100_000, r"expected JSON, got"),
+        (b"{", r"line 1: expected valid JSON \(recorded traffic\), got"),
+        (b"\xff\xfe", r"expected recorded traffic, got: not UTF-8 text"),
+        (b"[" * 100_000, r"expected at most 64 levels inside one another, got more"),
         (b"[]", r"expected an object with lanelets and road_users, got list"),
         (without("road_users"), r"road_users: expected a list, got nothing"),
         (without("lanelets"), r"lanelets: expected a list, got nothing"),
@@ -158,10 +158,10 @@ def test_bad_json_is_refused_in_one_line(tmp_path, content, message):
 def test_a_truncated_archive_is_refused(tmp_path):
     file = write(tmp_path, street(), "street.json.gz")
     file.write_bytes(file.read_bytes()[:-20])
-    with pytest.raises(InputError, match=r"expected a whole file that can be read, got: "):
+    with pytest.raises(InputError, match=r"expected recorded traffic, got: "):
         read_recording(file)
     file.write_bytes(b"no archive")
-    with pytest.raises(InputError, match=r"expected a whole file that can be read, got: Not a gzipped file"):
+    with pytest.raises(InputError, match=r"expected recorded traffic, got: Not a gzipped file"):
         read_recording(file)
 
 

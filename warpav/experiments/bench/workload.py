@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.resources import as_file, files
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpav.core.bounded_files import read_arrays
 from warpav.core.errors import InputError
 from warpav.core.frames import EGO_FROM_THESIS
 from warpav.raster.camera import CameraModel
@@ -297,16 +297,9 @@ class _Fields:
 
     def __init__(self, file: Path) -> None:
         self._file = file
-        try:
-            with np.load(file, allow_pickle=False) as content:
-                self.arrays = {name: content[name] for name in content.files}
-        except FileNotFoundError:
-            raise InputError(f"{file}: expected an existing .npz file, got none of that name") from None
-        except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
-            reason = " ".join(str(error).split())
-            raise InputError(
-                f"{file}: expected a benchmark file (.npz), got one that is unreadable: {reason}"
-            ) from None
+        if not file.is_file():
+            raise InputError(f"{file}: expected an existing .npz file, got none of that name")
+        self.arrays = read_arrays(file, "a benchmark file (.npz)")
 
     def error(self, name: str, expected: str, got: object) -> InputError:
         """What is wrong with an array."""

@@ -73,9 +73,7 @@ def read(path: Path, part: str | None) -> Found:
         row.mapping("a camera with logical_id, rig_to_camera, intrinsics and resolution_hw")
         name = row.at("logical_id").text()
         shutter = row.at("shutter_type")
-        if shutter.value is not None and shutter.value not in _SHUTTERS:
-            raise shutter.error(f"one of {', '.join(_SHUTTERS)}")
-        if shutter.value not in (None, "GLOBAL"):
+        if shutter.value is not None and shutter.one_of(_SHUTTERS) != "GLOBAL":
             notes.append(f"camera {name!r}: shutter {shutter.value} is not read, warpav's images are of one moment")
         cameras.append(FoundCamera(name, _rig_from_camera(row.at("rig_to_camera")), _optics(row, name, notes)))
     return Found(tuple(cameras), tuple(notes))
@@ -99,13 +97,11 @@ def _optics(row: Record, name: str, notes: list[str]) -> Optics | None:
         height_px, width_px = (each.whole() for each in size.items())
     if intrinsics.value is None:
         return None
-    model = intrinsics.at("model")
     readers = {"opencv_pinhole": _pinhole, "opencv_fisheye": _fisheye, "ftheta": _ftheta}
-    if model.value not in readers:
-        raise model.error(f"one of {', '.join(readers)}")
-    values = intrinsics.at(model.value)
-    values.mapping(f"the parameters of {model.value}")
-    return readers[model.value](values, (width_px, height_px), name, notes)
+    model = intrinsics.at("model").one_of(readers)
+    values = intrinsics.at(model)
+    values.mapping(f"the parameters of {model}")
+    return readers[model](values, (width_px, height_px), name, notes)
 
 
 _Size = tuple[int | None, int | None]
@@ -170,14 +166,12 @@ def _ftheta_curve(values: Record, farthest_px: float) -> tuple[np.ndarray, np.nd
     """Angles [rad] and radii [px] of an f-theta image; and its odd coefficients, where it has no others."""
     limit = min(_stated_max_angle(values), math.pi)
     kinds = {"angle_to_pixel": "angle_to_pixeldist", "pixel_to_angle": "pixeldist_to_angle"}
-    reference = values.at("reference_poly")
-    if reference.value not in kinds:
-        raise reference.error(f"one of {', '.join(kinds)}")
-    coefficients = values.at(kinds[reference.value])
+    reference = values.at("reference_poly").one_of(kinds)
+    coefficients = values.at(kinds[reference])
     numbers = np.array(coefficients.numbers(*range(2, 7)))
     if numbers[0] != 0.0:
         raise coefficients.error("a polynomial that begins with 0; any other tears the image's middle")
-    is_forward = reference.value == "angle_to_pixel"
+    is_forward = reference == "angle_to_pixel"
     series = np.polynomial.Polynomial(numbers)
 
     def curve(last: float) -> tuple[np.ndarray, np.ndarray, int]:

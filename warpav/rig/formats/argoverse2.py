@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
+from warpav.core.bounded_files import feather_library, read_feather
 from warpav.core.errors import InputError
 from warpav.core.frames import quaternion_from_rotation
 from warpav.rig.formats.format import (
@@ -25,15 +24,6 @@ from warpav.rig.formats.record import Record, rigid_transform
 _POSES, _INTRINSICS = "egovehicle_SE3_sensor.feather", "intrinsics.feather"
 _QUATERNION, _POSITION = ("qw", "qx", "qy", "qz"), ("tx_m", "ty_m", "tz_m")
 _DISTORTION = ("k1", "k2", "k3")
-
-
-def _arrow() -> tuple[Any, Any]:
-    try:
-        return importlib.import_module("pyarrow"), importlib.import_module("pyarrow.feather")
-    except ImportError as error:
-        raise InputError(
-            f'argoverse2: expected the package pyarrow, got: {error}; run: pip install "warpav[av2]"'
-        ) from None
 
 
 def read(path: Path, part: str | None) -> Found:
@@ -66,18 +56,12 @@ def read(path: Path, part: str | None) -> Found:
 
 
 def _rows(file: Path) -> list[Record]:
-    arrow, feather = _arrow()
-    try:
-        table = feather.read_table(file).to_pylist()
-    except (OSError, arrow.ArrowException) as error:
-        text = " ".join(str(error).split())
-        raise InputError(f"{file}: expected Argoverse 2's feather file, got: {text[:120]}") from None
-    return Record(file, table).items()
+    return Record(file, read_feather(file, "Argoverse 2's feather file").to_pylist()).items()
 
 
 def write(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
     """Both files; k1 to k3 are 0, because they describe a lens before its images are undistorted."""
-    arrow, feather = _arrow()
+    arrow, feather = feather_library()
     if target.suffix and not target.is_dir():
         raise InputError(f"{target}: argoverse2: expected a folder for {_POSES} and {_INTRINSICS}, got a file's name")
     poses: dict[str, list] = {"sensor_name": [], **{name: [] for name in (*_QUATERNION, *_POSITION)}}

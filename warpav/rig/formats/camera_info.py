@@ -61,10 +61,7 @@ def read_camera_infos(path: Path) -> dict[str, Optics]:
 def optics_of_info(record: Record) -> Optics:
     """The optics of a camera_info mapping."""
     record.mapping("a camera_info mapping with image_width, image_height, camera_matrix and distortion_model")
-    model = record.at("distortion_model")
-    if model.value not in _MODELS:
-        raise model.error(f"one of {', '.join(_MODELS)}")
-    lens, counts = _MODELS[model.value]
+    lens, counts = _MODELS[record.at("distortion_model").one_of(_MODELS)]
     coefficients = record.at("distortion_coefficients").at("data")
     distortion = coefficients.numbers(*counts) if coefficients.value is not None or 0 not in counts else []
     return optics_of_matrix(

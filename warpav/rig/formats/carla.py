@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from warpav.core.bounded_files import check_nesting, parse_json, read_text
 from warpav.core.errors import InputError
 from warpav.core.frames import carla_from_ego_pose, ego_from_carla_pose
 from warpav.rig.formats.format import (
@@ -31,7 +32,7 @@ from warpav.rig.formats.format import (
     pinhole_of,
     transform_of_link,
 )
-from warpav.rig.formats.record import Record, read_json
+from warpav.rig.formats.record import Record, read_json_record
 
 _CAMERA = "sensor.camera.rgb"
 _ANY_CAMERA = "sensor.camera."
@@ -43,7 +44,7 @@ _DEFAULTS = (800, 600, 90.0)  # of the blueprint sensor.camera.rgb
 def _read_bridge(path: Path, part: str | None) -> Found:
     """The cameras of the only vehicle that has some, or of the one whose id is ``part``."""
     path = file_in(path, _OBJECTS)
-    objects = read_json(path, "the ros-bridge's objects.json").at("objects")
+    objects = read_json_record(path, "the ros-bridge's objects.json").at("objects")
     with_cameras: dict[str, list[Record]] = {}
     for item in objects.items("the ros-bridge's list of objects; carla-python reads a plain list of sensors"):
         sensors = item.at("sensors")
@@ -69,7 +70,7 @@ def _read_python(path: Path, part: str | None) -> Found:
     """The cameras of a list of sensors: JSON, or the list as Python writes it."""
     del part
     path = file_in(path, _SENSORS)
-    data = read_json(path, "a list of sensors, as JSON or as Python writes it", parse=_literal)
+    data = Record(path, _literal(path))
     if isinstance(data.value, dict) and "objects" in data.value:
         raise data.error(
             "a list of sensors", "objects, which is the ros-bridge's dialect: `format_name` carla-ros-bridge"
@@ -78,13 +79,16 @@ def _read_python(path: Path, part: str | None) -> Found:
     return _found(path, sensors.items("a list of sensors"), _python_camera)
 
 
-def _literal(text: str) -> Any:  # noqa: ANN401
+def _literal(file: Path) -> Any:  # noqa: ANN401
+    kind = "a list of sensors, as JSON or as Python writes it"
+    text = read_text(file, kind)
+    check_nesting(text, str(file), quotes="\"'")
     try:
-        return json.loads(text)
-    except ValueError as error:
+        return parse_json(text, str(file), kind)
+    except InputError as error:
         try:
             return ast.literal_eval(text.strip())
-        except (SyntaxError, ValueError, TypeError, MemoryError):
+        except (SyntaxError, ValueError, TypeError, MemoryError, RecursionError):
             raise error from None
 
 

@@ -51,18 +51,18 @@ def read(path: Path, part: str | None) -> Found:
 
 def _optics(entry: Record) -> Optics:
     model, distortion = entry.at("camera_model"), entry.at("distortion_model")
-    if model.value not in ("pinhole", *_UNIFIED):
-        raise model.error(f"one of pinhole, {', '.join(_UNIFIED)}")
+    model.one_of(("pinhole", *_UNIFIED))
     known = _DISTORTION if model.value == "pinhole" else {"none": (_UNIFIED[model.value], 0)}
-    if distortion.value not in known:
-        raise distortion.error(f"one of {', '.join(known)}")
-    lens, count = known[distortion.value]
-    width_px, height_px = (record.whole() for record in entry.at("resolution").items("[width, height]")[:2])
+    lens, count = known[distortion.one_of(known)]
+    size = entry.at("resolution")
+    sides = [each.whole() for each in size.items("[width, height]")]
+    if len(sides) != 2:
+        raise size.error("[width, height]")
     values = entry.at("intrinsics")
     *own, fx, fy, cx, cy = values.numbers(4 if model.value == "pinhole" else 6)
     matrix = Record(values.location, [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
     coefficients = entry.at("distortion_coeffs").numbers(count) if count else own
-    return optics_of_matrix(matrix, lens=lens, distortion=coefficients, width_px=width_px, height_px=height_px)
+    return optics_of_matrix(matrix, lens=lens, distortion=coefficients, width_px=sides[0], height_px=sides[1])
 
 
 FORMAT = RigFormat(

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from warpav.core.bounded_files import read_text
 from warpav.core.errors import InputError
 from warpav.rig.formats.format import (
     Found,
@@ -25,7 +26,7 @@ from warpav.rig.formats.format import (
     optics_of_matrix,
     pinhole_of,
 )
-from warpav.rig.formats.record import Record, read_text, rigid_transform
+from warpav.rig.formats.record import Record, rigid_transform
 
 _COUNT = 4
 

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from warpav.core.bounded_files import DATA_SET_NODES_MAX, refuse_levels
 from warpav.core.errors import InputError
 from warpav.core.frames import quaternion_from_rotation
 from warpav.rig.formats.format import (
@@ -23,7 +24,7 @@ from warpav.rig.formats.format import (
     optics_of_matrix,
     pinhole_of,
 )
-from warpav.rig.formats.record import Record, read_json, rigid_transform
+from warpav.rig.formats.record import Record, read_json_record, rigid_transform
 
 _TABLE = "calibrated_sensor.json"
 _CHUNK = 1 << 20
@@ -40,10 +41,7 @@ def read(path: Path, part: str | None) -> Found:
     if not rows:
         raise InputError(f"{file}: expected rows with a camera_intrinsic, got none" + (f" of {part}" if part else ""))
     name_of = _names(file.parent)
-    names = [
-        name_of[row.at("sensor_token").text()] if row.at("sensor_token").value in name_of else f"camera_{i}"
-        for i, row in enumerate(rows)
-    ]
+    names = [name_of.get(row.at("sensor_token").text(""), f"camera_{i}") for i, row in enumerate(rows)]
     name, count = Counter(names).most_common(1)[0]
     if count > 1:
         raise InputError(
@@ -66,7 +64,7 @@ def read(path: Path, part: str | None) -> Found:
 
 def _rows(file: Path) -> list[Record]:
     kind = f"nuScenes's {file.name}"
-    return read_json(file, kind).items(f"{kind}, a list of rows")
+    return read_json_record(file, kind, nodes_max=DATA_SET_NODES_MAX).items(f"{kind}, a list of rows")
 
 
 def _row_by_row(file: Path) -> Iterator[Record]:
@@ -85,10 +83,14 @@ def _row_by_row(file: Path) -> Iterator[Record]:
                         row, i = decoder.raw_decode(text, i)
                     except ValueError:
                         break  # the rest of the row, or the end
+                    except RecursionError:
+                        refuse_levels(f"{file}: [{count}]")
                     record = Record(file, row, (str(count),))
                     record.mapping("a row")
                     yield record
                     count += 1
+                if len(text) - i > _CHUNK:
+                    raise InputError(f"{file}: [{count}]: expected a row of at most {_CHUNK >> 20} MiB, got more")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise InputError(f"{file}: expected nuScenes's {file.name}, got: {reason}") from None
@@ -111,7 +113,7 @@ def _sizes(folder: Path, tokens: set[str]) -> dict[str, tuple[int, int]]:
     for row in _row_by_row(file):
         if len(size_of) == len(tokens):
             break
-        token = row.at("calibrated_sensor_token").value
+        token = row.at("calibrated_sensor_token").text("")
         if token in tokens and token not in size_of and row.at("width").value:
             size_of[token] = (row.at("width").whole(), row.at("height").whole())
     return size_of
@@ -129,7 +131,7 @@ def _tokens_of_scene(folder: Path, scene: str) -> set[str]:
     return {
         row.at("calibrated_sensor_token").text()
         for row in _row_by_row(folder / "sample_data.json")
-        if row.at("sample_token").value in samples
+        if row.at("sample_token").text("") in samples
     }
 
 

@@ -6,12 +6,14 @@ is the direction of OpenCV's own ``rvec`` and ``tvec``; imports also take ``R`` 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.core.bounded_files import LEVELS_MAX, check_nesting, parse_xml, read_text, refuse_levels
 from warpav.core.errors import InputError
 from warpav.raster.lens import Lens
 from warpav.rig.formats.format import (
@@ -24,12 +26,19 @@ from warpav.rig.formats.format import (
     file_for_each,
     optics_of_matrix,
 )
-from warpav.rig.formats.record import Record, read_text, rigid_transform
+from warpav.rig.formats.record import Record, rigid_transform
 
 if TYPE_CHECKING:
     import cv2
 
 _SUFFIXES = (".yaml", ".yml", ".xml", ".json")
+_MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K")
+_DISTORTION = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "D")
+_SIZE = (("image_width", "image_Width"), ("image_height", "image_Height"))
+_POSE = ("camera_from_ego", "R", "T", "rvec", "tvec")
+_KEYS = ("camera_name", "fisheye_model", *_MATRIX, *_DISTORTION, *_SIZE[0], *_SIZE[1], *_POSE)
+_KIND = "an OpenCV FileStorage file"
+_BYTES_MAX = 5_000_000
 
 
 def read(path: Path, part: str | None) -> Found:
@@ -45,8 +54,7 @@ def read(path: Path, part: str | None) -> Found:
 
 def _camera(file: Path) -> FoundCamera:
     record = _record(file)
-    matrix = record.first_of("camera_matrix", "Camera_Matrix", "cameraMatrix", "K")
-    coefficients = record.first_of("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "D")
+    matrix, coefficients = record.first_of(*_MATRIX), record.first_of(*_DISTORTION)
     is_fisheye = record.at("fisheye_model").whole(0) != 0
     distortion: list[float] = []
     if is_fisheye:
@@ -56,7 +64,7 @@ def _camera(file: Path) -> FoundCamera:
         if any(distortion[8:]):
             raise coefficients.error("at most 8 coefficients that are not 0; warpav has no thin prism or tilted sensor")
         distortion = distortion[:8]
-    width, height = record.first_of("image_width", "image_Width"), record.first_of("image_height", "image_Height")
+    width, height = (record.first_of(*names) for names in _SIZE)
     optics = optics_of_matrix(
         matrix,
         lens=Lens.FISHEYE if is_fisheye else Lens.BROWN_CONRADY,
@@ -84,7 +92,8 @@ def _camera_from_ego(record: Record) -> np.ndarray:
 def _record(file: Path) -> Record:
     import cv2
 
-    text = read_text(file, "an OpenCV FileStorage file")
+    text = read_text(file, _KIND, bytes_max=_BYTES_MAX)
+    _check_levels(text, str(file))
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
     except (cv2.error, SystemError) as error:
@@ -97,7 +106,30 @@ def _record(file: Path) -> Record:
     root = storage.root()
     if not storage.isOpened() or not root.isMap():
         raise InputError(f"{file}: expected an OpenCV FileStorage file with camera_matrix, got no mapping")
-    return Record(file, {key: _value(root.getNode(key)) for key in root.keys()})  # noqa: SIM118
+    return Record(file, {key: _value(root.getNode(key)) for key in _KEYS})  # the search for one goes through all keys
+
+
+def _check_levels(text: str, place: str) -> None:
+    """Reject a text whose levels overflow the stack of OpenCV's parsers.
+
+    Raises:
+        InputError: It has more than may be.
+    """
+    if text.lstrip().startswith("<"):
+        parse_xml(text.encode(), place, _KIND)
+        return
+    check_nesting(text, place, quotes="\"'")
+    indents = [-1]
+    for number, line in enumerate(re.sub(r"\"[^\"\n]*\"", "", text).splitlines(), 1):
+        begun = line.lstrip(" ")
+        if not begun:
+            continue
+        while indents[-1] >= len(line) - len(begun):
+            indents.pop()
+        indents.append(len(line) - len(begun))
+        # lists and mappings that begin in one line, such as - - a: b: 1
+        if len(indents) - 1 + begun.count("- ") + begun.count(":") > LEVELS_MAX:
+            refuse_levels(f"{place}:{number}")
 
 
 def _value(node: cv2.FileNode) -> Any:  # noqa: ANN401

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard
 
 import numpy as np
 
+from warpav.core.bounded_files import NODES_MAX, read_json
 from warpav.core.errors import InputError
 from warpav.core.frames import rotation_from_quaternion
 from warpav.core.yaml_file import Location, dotted, read_yaml
@@ -85,6 +85,13 @@ class Record:
         if not isinstance(self.value, str) or not self.value.strip():
             raise self.error("a text")
         return self.value.strip()
+
+    def one_of(self, words: Iterable[str]) -> str:
+        """One of some words."""
+        known = list(words)
+        if not isinstance(self.value, str) or self.value not in known:
+            raise self.error(f"one of {', '.join(known)}")
+        return self.value
 
     def number(self, default: float | None = None) -> float:
         """A finite number."""
@@ -165,37 +172,18 @@ def rigid_transform(rotation: np.ndarray, position_m: np.ndarray | Sequence[floa
     return transform
 
 
-def read_text(file: Path, kind: str) -> str:
-    """The text of a file.
-
-    Raises:
-        InputError: There is none, or it is not text; ``kind`` is what was expected.
-    """
-    try:
-        return file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise InputError(f"{file}: expected {kind}, got: {reason}") from None
-
-
-def read_json(file: Path, kind: str, *, parse: Callable[[str], Any] = json.loads) -> Record:
+def read_json_record(file: Path, kind: str, *, nodes_max: int = NODES_MAX) -> Record:
     """The data of a JSON file.
 
     Args:
         file: The file.
         kind: What it should be, for messages.
-        parse: Another parser, which raises ValueError.
+        nodes_max: How many values it may hold.
 
     Raises:
         InputError: It cannot be read.
     """
-    text = read_text(file, kind)
-    try:
-        return Record(file, parse(text))
-    except json.JSONDecodeError as error:
-        raise InputError(f"{file}:{error.lineno}: expected valid JSON ({kind}), got: {error.msg}") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{file}: expected {kind}, got: {' '.join(str(error).split())}") from None
+    return Record(file, read_json(file, kind, nodes_max=nodes_max))
 
 
 def read_yaml_record(file: Path) -> Record:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 
+from warpav.core.bounded_files import parse_xml, read_bytes
 from warpav.core.errors import InputError
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
 from warpav.rig.formats.camera_info import FOLDER, camera_info_files
@@ -24,10 +25,11 @@ from warpav.rig.formats.format import (
     file_in,
     link_of_transform,
 )
-from warpav.rig.formats.record import Record, is_number, read_text
+from warpav.rig.formats.record import Record, is_number
 
 BASE = "base_link"
 _FILE = "rig.urdf"
+_NAME_MAX = 200  # beyond which links are no cameras; the patterns below are quadratic in it
 _OPTICAL = re.compile(r"(.+?)[/_](?:camera_)?optical_(?:link|frame)")
 _LINK = re.compile(r"(.+?)[/_]camera_link|((?:.*[/_])?camera[^/]*?)_link")
 
@@ -44,19 +46,16 @@ def read(path: Path, part: str | None) -> Found:
     """The cameras of a URDF: its optical links, and camera links that have none, relative to ``base_link``."""
     del part
     path = file_in(path, _FILE)
-    text = read_text(path, "a URDF file")
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise InputError(f"{path}:{error.position[0]}: expected a URDF file, got a syntax error: {error}") from None
+    content = read_bytes(path, "a URDF file")
+    root = parse_xml(content, str(path), "a URDF file")
     if root.tag != "robot":
         raise InputError(f"{path}: expected a URDF file with <robot>, got <{root.tag}>")
-    if "/xacro" in text and any("xacro" in element.tag for element in root.iter()):
+    if b"/xacro" in content and any("xacro" in element.tag for element in root.iter()):
         raise InputError(f"{path}: expected a plain URDF, got xacro; run: xacro {path.name} > rig.urdf")
-    links = [link.get("name", "") for link in root.findall("link")]
+    links = [link.get("name", "")[:_NAME_MAX] for link in root.findall("link")]
     joint_of = _joints(root, path)
     optical = {link: match[1] for link in links if (match := _OPTICAL.fullmatch(link))}
-    above = {ancestor for link in optical for ancestor in _chain(link, joint_of, path)}
+    above = _above(optical, joint_of)
     plain = {
         link: match[1] or match[2]
         for link in links
@@ -68,10 +67,11 @@ def read(path: Path, part: str | None) -> Found:
             f"{len(links)} links"
         )
     base = BASE if BASE in links else next((link for link in links if link not in joint_of), links[0])
+    tree = _Tree(base, joint_of, path)
     cameras = []
     for link in links:
         if link in optical or link in plain:
-            transform = _between(base, link, joint_of, path)
+            transform = tree.base_from(link)
             if link in plain:
                 transform[:3, :3] = transform[:3, :3] @ FLU_FROM_RDF
             cameras.append(FoundCamera({**optical, **plain}[link], transform))
@@ -112,37 +112,71 @@ def _triple(origin: ElementTree.Element, key: str, joint: str, path: Path) -> li
     return numbers
 
 
-def _chain(link: str, joint_of: dict[str, _Joint], path: Path) -> list[str]:
-    """The links above a link, up to the root."""
-    above: list[str] = []
-    while link in joint_of:
-        link = joint_of[link].parent
-        if link in above:
-            raise InputError(f"{path}: expected a tree of links, got a circle through {link!r}")
-        above.append(link)
+def _above(links: Iterable[str], joint_of: Mapping[str, _Joint]) -> set[str]:
+    """The links above some links, up to the root."""
+    above: set[str] = set()
+    for link in links:
+        below = link
+        while below in joint_of and (parent := joint_of[below].parent) not in above:
+            above.add(parent)
+            below = parent
     return above
 
 
-def _between(base: str, link: str, joint_of: dict[str, _Joint], path: Path) -> np.ndarray:
-    """Coordinates of ``link`` brought to ``base``; both may hang below a third link."""
-    to_base, to_link = ([end, *_chain(end, joint_of, path)] for end in (base, link))
-    shared = next((each for each in to_link if each in to_base), None)
-    if shared is None:
-        raise InputError(f"{path}: link {link!r}: expected joints that lead to {base!r}, got none")
-    transforms = []
-    for ends in (to_base, to_link):
-        transform = np.eye(4)
-        for child in ends[: ends.index(shared)]:
-            joint = joint_of[child]
-            if joint.kind != "fixed":
-                raise InputError(
-                    f"{path}: joint {joint.name!r}: expected a fixed joint on the path from {base!r} to {link!r}, got "
-                    f"type {joint.kind!r}"
-                )
-            transform = joint.parent_from_child @ transform
-        transforms.append(transform)
-    shared_from_base, shared_from_link = transforms
-    return np.linalg.inv(shared_from_base) @ shared_from_link if to_base[0] != shared else shared_from_link
+class _Tree:
+    """Where links are from the base; each is worked out once, so that chains of thousands of links take no time.
+
+    Both may hang below a third link. A joint that moves matters to the links beyond it alone.
+    """
+
+    def __init__(self, base: str, joint_of: Mapping[str, _Joint], path: Path) -> None:
+        self._base, self._joint_of, self._path = base, joint_of, path
+        self._place: dict[str, tuple[np.ndarray, _Joint | None]] = {base: (np.eye(4), None)}
+        link = base
+        while link in joint_of:  # to the root, against the direction of the joints
+            joint = joint_of[link]
+            if joint.parent in self._place:
+                raise self._circle(joint.parent)
+            base_from_link, moving = self._place[link]
+            self._place[joint.parent] = (
+                base_from_link @ np.linalg.inv(joint.parent_from_child),
+                moving or self._if_moving(joint),
+            )
+            link = joint.parent
+
+    def base_from(self, link: str) -> np.ndarray:
+        """Coordinates of a link brought to the base, [4, 4].
+
+        Raises:
+            InputError: No joints lead there, a circle does, or a joint between them moves.
+        """
+        climbed: dict[str, None] = {}
+        at = link
+        while at not in self._place:
+            if at not in self._joint_of:
+                raise InputError(f"{self._path}: link {link!r}: expected joints that lead to {self._base!r}, got none")
+            if at in climbed:
+                raise self._circle(at)
+            climbed[at] = None
+            at = self._joint_of[at].parent
+        for child in reversed(climbed):
+            joint = self._joint_of[child]
+            base_from_parent, moving = self._place[joint.parent]
+            self._place[child] = (base_from_parent @ joint.parent_from_child, moving or self._if_moving(joint))
+        base_from_link, moving = self._place[link]
+        if moving is not None:
+            raise InputError(
+                f"{self._path}: joint {moving.name!r}: expected a fixed joint on the path from {self._base!r} to "
+                f"{link!r}, got type {moving.kind!r}"
+            )
+        return base_from_link.copy()
+
+    def _circle(self, link: str) -> InputError:
+        return InputError(f"{self._path}: expected a tree of links, got a circle through {link!r}")
+
+    @staticmethod
+    def _if_moving(joint: _Joint) -> _Joint | None:
+        return None if joint.kind == "fixed" else joint
 
 
 def write(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:

@@ -35,6 +35,9 @@ from warpav.scene.vehicles import SHIPPED, vehicle_file
 if TYPE_CHECKING:
     from warpav import Placement
 
+_PATH_MAX = 255
+_MISTAKES_MAX = 50  # which messages list; a file may have a hundred thousand
+
 
 class Config(ConfigTree):
     """Every option of warpav; what is left out is as in ``quick``, or with ``method: thesis`` as in ``thesis``."""
@@ -110,8 +113,11 @@ def load_config(
     try:
         return Config.model_validate(data)
     except ValidationError as error:
-        lines = [explain(found, file, written_at, override_of) for found in error.errors(include_url=False)]
-        raise InputError("\n".join(dict.fromkeys(lines))) from None
+        found = error.errors(include_url=False)
+        lines = list(dict.fromkeys(explain(each, file, written_at, override_of) for each in found[:_MISTAKES_MAX]))
+        if len(found) > _MISTAKES_MAX:
+            lines.append(f"and {len(found) - _MISTAKES_MAX} more mistakes")
+        raise InputError("\n".join(lines)) from None
 
 
 def changed_config(config: Config, overrides: Sequence[str], *, origin: str | None = COMMAND_LINE) -> Config:
@@ -228,6 +234,8 @@ def _read_file(file: Path, above: tuple[Path, ...] = ()) -> tuple[dict[str, Any]
     place = written_at[(EXTENDS,)]
     if not isinstance(base, str):
         raise InputError(f"{place}: {EXTENDS}: expected a YAML file or a shipped name such as quick, got {shown(base)}")
+    if len(base) > _PATH_MAX or "\0" in base:
+        raise InputError(f"{place}: {EXTENDS}: expected a YAML file or a shipped name, got a name that no file has")
     beside = file.parent / Path(base).expanduser()
     found = beside if beside.is_file() else _extended(base, place)
     if found.resolve() in (*above, file.resolve()):

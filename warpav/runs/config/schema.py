@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -84,7 +85,7 @@ def _read_seeds(value: object) -> tuple[int, ...]:
             first, last = int(match[1]), int(match[2])
             if last < first:
                 mistake(f"expected a range whose end is not below its start, got {item!r}; write {last}..{first}")
-            if last > MAX_SEED or last - first >= MAX_SEED_COUNT:
+            if last > MAX_SEED or len(seeds) + last - first >= MAX_SEED_COUNT:
                 mistake(f"expected at most {MAX_SEED_COUNT} seeds up to {MAX_SEED}, got {item!r}")
             seeds.extend(range(first, last + 1))
         elif isinstance(item, int) and not isinstance(item, bool):
@@ -95,9 +96,9 @@ def _read_seeds(value: object) -> tuple[int, ...]:
             mistake(f"expected {_SEEDS_TEXT}, got {shown(value)}")
     if not seeds:
         mistake(f"expected {_SEEDS_TEXT}, got none; at least one scene is needed")
-    twice = sorted({seed for seed in seeds if seeds.count(seed) > 1}) if len(set(seeds)) < len(seeds) else []
+    twice = [seed for seed, count in Counter(seeds).items() if count > 1]
     if twice:
-        mistake(f"expected every seed once, got {twice[0]} twice")
+        mistake(f"expected every seed once, got {min(twice)} twice")
     return tuple(seeds)
 
 

@@ -20,10 +20,10 @@ else the instance id; window panes belong to their vehicle.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import shutil
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -33,6 +33,14 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from warpav.core.atomic_write import atomic_write
+from warpav.core.bounded_files import (
+    ARRAY_BYTES_MAX,
+    is_inner_path,
+    parse_json,
+    read_arrays,
+    read_bytes,
+    read_text,
+)
 from warpav.core.errors import InputError
 from warpav.core.fingerprint import digest
 from warpav.raster.camera import CameraModel
@@ -57,6 +65,7 @@ UNFINISHED = "capture.part.json"
 """What an unfinished capture is going to hold."""
 _MAX_ROTATION_ERROR = 1e-3
 _PNG_BEGIN, _PNG_END = b"\x89PNG\r\n", b"IEND"
+_PIXELS_MAX = 1 << 26  # of a view: with its depths and instances half a gigabyte
 
 
 def _checked_pose(rows: list[list[float]]) -> list[list[float]]:
@@ -81,11 +90,18 @@ def _checked_intrinsics(rows: list[list[float]]) -> list[list[float]]:
     return rows
 
 
+def _checked_place(name: str) -> str:
+    if not is_inner_path(name):
+        raise ValueError(f"expected a file inside the folder of {DESCRIPTION}, got {name!r}")
+    return name
+
+
 Metres = Annotated[float, Field(allow_inf_nan=False)]
 Point = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 Matrix3 = Annotated[list[Point], Field(min_length=3, max_length=3), AfterValidator(_checked_intrinsics)]
 Row4 = Annotated[list[Metres], Field(min_length=4, max_length=4)]
 Matrix4 = Annotated[list[Row4], Field(min_length=4, max_length=4), AfterValidator(_checked_pose)]
+Inside = Annotated[str, AfterValidator(_checked_place)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
 PositivePoint = Annotated[list[Annotated[float, Field(gt=0.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)]
 
@@ -127,9 +143,9 @@ class ImageRecord(_Record):
     height_px: int = Field(ge=8, le=16384)
     intrinsics: Matrix3
     ego_from_camera: Matrix4
-    rgb: str
-    depth: str
-    instance: str
+    rgb: Inside
+    depth: Inside
+    instance: Inside
 
 
 class CaptureRecord(_Record):
@@ -295,6 +311,11 @@ class _Images(Sequence[CapturedImage]):
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
         one = self._record.images[index]
+        if one.width_px * one.height_px > _PIXELS_MAX:
+            raise InputError(
+                f"{self._folder / DESCRIPTION}: images.{index}: expected at most {_PIXELS_MAX:,} pixels, got "
+                f"{one.width_px} x {one.height_px}"
+            )
         try:
             view = _view_of(one)
         except ValueError as error:
@@ -316,8 +337,14 @@ class _Images(Sequence[CapturedImage]):
         file = self._folder / name
         if not file.is_file():
             raise InputError(f"{file}: expected an image, got no such file; take or copy it again")
-        data = file.read_bytes()
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if _is_whole(data) else None
+        data = read_bytes(file, "a PNG image", bytes_max=ARRAY_BYTES_MAX)
+        size_px = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")  # stated before all pixels
+        if data.startswith(_PNG_BEGIN) and size_px != shape[1::-1]:
+            raise InputError(
+                f"{file}: expected {shape[1]} x {shape[0]} px as {DESCRIPTION} says, got {size_px[0]} x {size_px[1]}"
+            )
+        is_png = data.startswith(_PNG_BEGIN) and _is_whole(data)
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if is_png else None
         if image is None:
             raise InputError(f"{file}: expected a PNG image, got a file that is truncated or no image")
         if image.ndim == 3 and image.shape[2] == 4 and len(shape) == 3:
@@ -332,14 +359,12 @@ class _Images(Sequence[CapturedImage]):
         if file.suffix != ".npz":
             step = self._read(name, np.uint16, size)
             return np.where(step > 0, np.float32(self._record.depth_step_m) * step, np.inf).astype(np.float32)
-        try:
-            with np.load(file, allow_pickle=False) as arrays:
-                depth_m = arrays["depth_m"]
-        except FileNotFoundError:
-            raise InputError(f"{file}: expected depths, got no such file; take or copy it again") from None
-        except Exception as error:  # zip, header and key errors have no common class
-            reason = " ".join(str(error).split())
-            raise InputError(f"{file}: expected an .npz with the array depth_m, got: {reason}") from None
+        if not file.is_file():
+            raise InputError(f"{file}: expected depths, got no such file; take or copy it again")
+        arrays = read_arrays(file, "an .npz with the array depth_m", names=("depth_m",))
+        if "depth_m" not in arrays:
+            raise InputError(f"{file}: expected an .npz with the array depth_m, got none of that name")
+        depth_m = arrays["depth_m"]
         if depth_m.shape != size or depth_m.dtype.kind != "f":
             raise InputError(
                 f"{file}: expected depth_m as floats {list(size)}, got {depth_m.dtype} {list(depth_m.shape)}"
@@ -410,10 +435,7 @@ def _read_record(file: Path) -> CaptureRecord:
         is_begun = (file.parent / UNFINISHED).is_file()
         got = "an unfinished capture; run warpav scenes capture again" if is_begun else "no such file"
         raise InputError(f"{file}: expected the description of a capture, got {got}")
-    try:
-        content = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f"{file}:{error.lineno}: expected JSON, got: {error.msg}") from None
+    content = parse_json(text, str(file), "the description of a capture")
     if not isinstance(content, dict):
         got = " ".join(text.split())[:60]
         raise InputError(f"{file}:1: expected an object with schema, name, ego, vehicles and images, got {got}")
@@ -425,9 +447,9 @@ def _read_record(file: Path) -> CaptureRecord:
         ("images: name", [one.name for one in record.images]),
         ("vehicles: instance_id", [str(one.instance_id) for one in record.vehicles]),
     ):
-        for value in values:
-            if values.count(value) > 1:
-                raise InputError(f"{file}: {field}: expected each once, got {value} {values.count(value)} times")
+        value, count = max(Counter(values).items(), key=lambda each: each[1], default=("", 0))
+        if count > 1:
+            raise InputError(f"{file}: {field}: expected each once, got {value} {count} times")
     return record
 
 
@@ -439,12 +461,7 @@ def _complaint(file: Path, error: Any) -> str:  # noqa: ANN401 (pydantic's Error
 
 
 def _text(file: Path) -> str | None:
-    try:
-        return file.read_text(encoding="utf-8")
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{file}: expected a text file, got: {' '.join(str(error).split())}") from None
+    return read_text(file, "the description of a capture") if file.exists() else None
 
 
 def _png(image: np.ndarray) -> bytes:

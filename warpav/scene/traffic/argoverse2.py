@@ -8,14 +8,13 @@ have boxes of their own there besides their riders': the rider's counts. Whoever
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from warpav.core.bounded_files import DATA_SET_NODES_MAX, read_feather, read_json
 from warpav.core.errors import InputError
 from warpav.scene.traffic.recording import Lanelet, RecordedUser, Recording
 
@@ -118,8 +117,8 @@ def _lanelets(folder: Path, shift_m: np.ndarray) -> tuple[Lanelet, ...]:
     files = sorted(folder.glob("map/log_map_archive_*.json"))
     if not files:
         raise InputError("lanelets: expected map/log_map_archive_*.json in the log's folder, got none")
+    data = read_json(files[0], "Argoverse 2's map", nodes_max=DATA_SET_NODES_MAX)
     try:
-        data = json.loads(files[0].read_bytes())
         lanelets = [
             Lanelet(
                 _line(segment["left_lane_boundary"], shift_m),
@@ -132,7 +131,7 @@ def _lanelets(folder: Path, shift_m: np.ndarray) -> tuple[Lanelet, ...]:
         lanelets += [
             Lanelet(_line(each["edge1"], shift_m), _line(each["edge2"], shift_m), ("crosswalk",)) for each in crossings
         ]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
             f"{files[0].name}: expected lane_segments with boundaries, got: {type(error).__name__}: {error}"
         ) from None
@@ -144,21 +143,13 @@ def _line(points: list[dict[str, float]], shift_m: np.ndarray) -> np.ndarray:
 
 
 def _columns(file: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
-    try:
-        import pyarrow
-        from pyarrow import feather
-    except ImportError as error:
-        raise InputError(f'expected the package pyarrow, got: {error}; run: pip install "warpav[av2]"') from None
-    try:
-        table: Any = feather.read_table(file)
-    except (OSError, pyarrow.ArrowInvalid) as error:
-        raise InputError(f"{file.name}: expected a feather file, got: {' '.join(str(error).split())}") from None
+    table = read_feather(file, "a feather file")
     missing = [name for name in names if name not in table.column_names]
     if missing:
         raise InputError(f"{file.name}: expected a column {missing[0]}, got {', '.join(table.column_names)}")
     columns = {name: np.asarray(table[name].to_numpy(zero_copy_only=False)) for name in names}
     for name, column in columns.items():
-        if column.dtype.kind == "f" and not np.isfinite(column).all():
+        if name not in ("track_uuid", "category") and not (column.dtype.kind in "iuf" and np.isfinite(column).all()):
             raise InputError(f"{file.name}: {name}: expected finite numbers")
     return columns
 

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import NoReturn
 from xml.etree import ElementTree
-from xml.parsers import expat
 
 import numpy as np
 
+from warpav.core.bounded_files import DATA_SET_NODES_MAX, parse_xml
 from warpav.core.errors import InputError
-from warpav.scene.traffic.recording import Lanelet, RecordedUser, Recording
+from warpav.scene.traffic.recording import STEP_MAX, Lanelet, RecordedUser, Recording
 
 VERSIONS = ("2018b", "2020a")
 _CLASS_OF_TYPE = {
@@ -37,7 +36,7 @@ def read_xml(content: bytes) -> Recording:
     Raises:
         InputError: It is no scenario of these versions, is cut off, has a DOCTYPE, or no recorded traffic.
     """
-    root = _root(content)
+    root = parse_xml(content, "", "a whole CommonRoad scenario", nodes_max=DATA_SET_NODES_MAX)
     if root.tag != "commonRoad":
         raise InputError(f"expected a CommonRoad scenario, got <{root.tag}>")
     version = root.get("commonRoadVersion", "")
@@ -45,9 +44,12 @@ def read_xml(content: bytes) -> Recording:
         raise InputError(f"commonRoadVersion: expected {' or '.join(VERSIONS)}, got {version!r}")
     users = [user for element in _obstacles(root) if (user := _user(element)) is not None]
     last = max((int(user.step[-1]) for user in users), default=0)
+    static_ids = _static_ids(root)
+    if last * len(static_ids) > DATA_SET_NODES_MAX:
+        raise InputError(f"expected at most {DATA_SET_NODES_MAX:,} samples of static obstacles, got {last:,} steps")
     standing = [
         user
-        if len(user.step) > 1 or user.user_id not in _static_ids(root)
+        if len(user.step) > 1 or user.user_id not in static_ids
         else RecordedUser(
             user.user_id, user.category, user.size_m, np.arange(last + 1), np.repeat(user.pose, last + 1, axis=0),
             np.zeros(last + 1),
@@ -61,21 +63,6 @@ def read_xml(content: bytes) -> Recording:
         tuple(_lanelet(element) for element in root.iter("lanelet") if element.find("leftBound") is not None),
         tuple(standing),
     )
-
-
-def _root(content: bytes) -> ElementTree.Element:
-    """The document, without any DOCTYPE, whose entities may expand without end."""
-    parser = expat.ParserCreate()
-    parser.StartDoctypeDeclHandler = _refuse_doctype
-    try:
-        parser.Parse(content, True)
-        return ElementTree.fromstring(content)
-    except (expat.ExpatError, ElementTree.ParseError) as error:
-        raise InputError(f"expected whole XML, got: {error}") from None
-
-
-def _refuse_doctype(*_: object) -> NoReturn:
-    raise InputError("expected XML without a DOCTYPE, which no CommonRoad scenario has and whose entities may expand")
 
 
 def _obstacles(root: ElementTree.Element) -> Iterator[ElementTree.Element]:
@@ -132,8 +119,8 @@ def _rectangle(element: ElementTree.Element, place: str) -> tuple[float, float, 
 def _state(element: ElementTree.Element, place: str) -> tuple[int, float, float, float, float]:
     """Step, x, y [m], yaw [rad], speed [m/s] or NaN."""
     time = _exact(element, "time", place)
-    if time % 1 != 0:
-        raise InputError(f"{place}: time: expected whole steps, got {time:g}")
+    if time % 1 != 0 or time > STEP_MAX:
+        raise InputError(f"{place}: time: expected whole steps up to {STEP_MAX:,}, got {time:g}")
     point = element.find("position/point")
     if point is None:
         raise InputError(f"{place}: position: expected a point, got none; uncertain positions are not taken")

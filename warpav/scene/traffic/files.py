@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import difflib
-import gzip
-import json
 import math
 import re
-import zlib
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -15,17 +12,16 @@ from typing import Any
 
 import numpy as np
 
+from warpav.core.bounded_files import DATA_SET_BYTES_MAX, DATA_SET_NODES_MAX, parse_json, read_bytes
 from warpav.core.errors import InputError
 from warpav.core.fingerprint import digest
 from warpav.scene.traffic.argoverse2 import ANNOTATIONS, read_log
 from warpav.scene.traffic.commonroad import read_xml
-from warpav.scene.traffic.recording import CLASSES, Lanelet, RecordedUser, Recording
+from warpav.scene.traffic.recording import CLASSES, STEP_MAX, Lanelet, RecordedUser, Recording
 
 SUFFIXES = (".json", ".json.gz", ".xml", ".xml.gz")
 SHIPPED = Path(__file__).parent / "sind"
 """SinD, CC0; its README says more."""
-
-_BYTES_MAX = 512 * 2**20  # of a file once it is unpacked
 
 
 def is_recording(path: Path) -> bool:
@@ -93,10 +89,11 @@ def _read(path: Path, stamp: tuple[int, int]) -> Recording:
     try:
         if path.is_dir():
             return read_log(path)
-        content = _unpacked(path)
+        content = read_bytes(path, "recorded traffic", bytes_max=DATA_SET_BYTES_MAX)
         return read_xml(content) if ".xml" in path.name else _from_json(content)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        text = str(error)
+        raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from None
 
 
 @lru_cache(maxsize=1024)
@@ -117,26 +114,12 @@ def _stamp(path: Path) -> tuple[int, int]:
     return about.st_mtime_ns, about.st_size
 
 
-def _unpacked(path: Path) -> bytes:
-    try:
-        with gzip.open(path) if path.name.endswith(".gz") else path.open("rb") as stream:
-            content = stream.read(_BYTES_MAX + 1)
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"expected a whole file that can be read, got: {error}") from None
-    if len(content) > _BYTES_MAX:
-        raise InputError(f"expected at most {_BYTES_MAX >> 20} MiB, got more")
-    return content
-
-
 def _natural_order(path: Path) -> list[tuple[str, int]]:
     return [(text, int(digits or -1)) for text, digits in re.findall(r"(\D*)(\d*)", str(path))]
 
 
 def _from_json(content: bytes) -> Recording:
-    try:
-        data = json.loads(content)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"expected JSON, got: {error}") from None
+    data = parse_json(content, "", "recorded traffic", nodes_max=DATA_SET_NODES_MAX)
     if not isinstance(data, dict):
         raise InputError(f"expected an object with lanelets and road_users, got {type(data).__name__}")
     lanelets = []
@@ -181,8 +164,12 @@ def _user(data: Any, number: int) -> RecordedUser:  # noqa: ANN401
     speed = None if data.get("v_mps") is None else _numbers(data, "v_mps", place, 1)
     if len({len(each) for each in track}) > 1:
         raise InputError(f"{place}: expected as many x_m, y_m and yaw_rad as t, got {[len(each) for each in track]}")
-    if (track[0] % 1 != 0).any():
-        raise InputError(f"{place}: t: expected whole steps, got {track[0][track[0] % 1 != 0][0]:g}")
+    with np.errstate(invalid="ignore"):  # of what is not finite
+        is_whole = track[0] % 1 == 0
+    if not is_whole.all():
+        raise InputError(f"{place}: t: expected whole steps, got {track[0][~is_whole][0]:g}")
+    if len(track[0]) and np.abs(track[0]).max() > STEP_MAX:
+        raise InputError(f"{place}: t: expected steps up to {STEP_MAX:,}, got {track[0][np.abs(track[0]).argmax()]:g}")
     return RecordedUser(user_id, category, size, track[0].astype(np.int64), np.stack(track[1:], axis=1), speed)
 
 

@@ -6,6 +6,7 @@ Recording frame: x and y level, z up, metres; yaw counter-clockwise from x.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,6 +26,8 @@ POSSIBLE_SIZE_M = {
 }
 """Least and greatest length, width and height by class. Recorded cars may be long vehicles of any kind."""
 
+STEP_MAX = 1_000_000
+"""Steps that a recording may have: more than a day at ten in a second."""
 POSSIBLE_SPEED_M_S = 90.0
 SPEED_RATIO = (0.6, 1.7)
 """Recorded speeds over those by positions, median of a recording: what lies outside contradicts the positions."""
@@ -212,7 +215,7 @@ def _check(recording: Recording) -> None:
                 raise InputError(f"lanelet {number}: {name}: expected at least two points of finite x and y")
     names = [user.user_id for user in recording.users]
     if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
+        twice = Counter(names).most_common(1)[0][0]
         raise InputError(f"road user {twice}: expected every id once, got it twice")
     for user in recording.users:
         _check_user(user)
@@ -246,8 +249,8 @@ def _check_user(user: RecordedUser) -> None:
     count = len(user.step)
     if count == 0 or user.pose.shape != (count, 3) or (user.speed_m_s is not None and user.speed_m_s.shape != (count,)):
         raise InputError(f"{place}: expected as many positions, yaws and speeds as steps, at least one")
-    if user.step[0] < 0 or (np.diff(user.step) <= 0).any():
-        raise InputError(f"{place}: t: expected ascending steps from 0")
+    if user.step[0] < 0 or (np.diff(user.step) <= 0).any() or user.step[-1] > STEP_MAX:
+        raise InputError(f"{place}: t: expected ascending steps from 0 up to {STEP_MAX:,}")
     if not np.isfinite(user.pose).all() or (user.speed_m_s is not None and not np.isfinite(user.speed_m_s).all()):
         raise InputError(f"{place}: expected finite positions, yaws and speeds")
     if np.abs(user.pose[:, 2]).max() > 4.0 * math.pi:

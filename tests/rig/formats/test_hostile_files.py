@@ -1,0 +1,148 @@
+"""Rig files that would crash or stall a parser, or of values where none of the kind belongs: one line, in time."""
+
+import json
+import time
+
+import pytest
+
+from tests.rig.formats.known_pose import CAMERA_INFO, KALIBR, write_sample
+from warpav.cli.app import main
+from warpav.core.errors import InputError
+from warpav.rig.formats.convert import ImportOptions, import_rig_with_notes
+
+SIZED = ImportOptions(width_px=640, height_px=480, fov_deg=90.0)
+DEEP = "expected at most 64 levels inside one another, got more"
+
+
+def refusal(path, name):
+    began = time.process_time()
+    with pytest.raises(InputError) as caught:
+        import_rig_with_notes(path, name, SIZED)
+    assert time.process_time() - began < 5.0
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("front.yaml", "%YAML:1.0\n---\na: " + "[" * 40_000),
+        ("front.yaml", "%YAML:1.0\n---\na:\n   " + "- " * 40_000),
+        ("front.yaml", "%YAML:1.0\n---\n" + "a:" * 40_000),
+        ("front.yaml", "%YAML:1.0\n---\n" + "".join(" " * k + "a:\n" for k in range(100))),
+        ("front.json", '{"a": ' + "[" * 40_000),
+        ("front.xml", '<?xml version="1.0"?><opencv_storage>' + "<a>" * 40_000),
+    ],
+    ids=["brackets", "dashes", "colons", "indents", "json", "xml"],
+)
+def test_levels_that_overflow_opencvs_stack_are_counted_before(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    assert DEEP in refusal(tmp_path / name, "opencv")
+
+
+def test_a_file_of_very_many_keys_is_asked_for_few(tmp_path):
+    keys = "".join(f"k{i}: 1\n" for i in range(90_000))
+    (tmp_path / "front.yaml").write_text(f"%YAML:1.0\n---\n{keys}")
+    assert "camera_matrix: expected a 3 x 3 matrix" in refusal(tmp_path / "front.yaml", "opencv")
+
+
+def chain(count, name):
+    links = [name(i) for i in range(count)]
+    joints = [
+        f'<link name="{link}"/><joint name="j{i}" type="fixed"><parent link="{above}"/><child link="{link}"/>'
+        '<origin xyz="0.001 0 0"/></joint>'
+        for i, (above, link) in enumerate(zip(["base_link", *links], links, strict=False))
+    ]
+    return f'<?xml version="1.0"?><robot name="r"><link name="base_link"/>{"".join(joints)}</robot>'
+
+
+@pytest.mark.parametrize("kind", ["camera_link", "camera_optical_link"])
+def test_a_chain_of_4000_links_takes_no_time(tmp_path, kind):
+    file = tmp_path / "chain.urdf"
+    file.write_text(chain(4000, lambda i: f"l{i}/{kind}" if i % 400 == 399 else f"l{i}"))
+    began = time.process_time()
+    rig, _ = import_rig_with_notes(file, "urdf", SIZED)
+    assert time.process_time() - began < 5.0
+    assert [camera.position_m[0] for camera in rig.cameras] == pytest.approx([0.4 * (k + 1) for k in range(10)])
+
+
+def test_a_circle_of_links_is_told(tmp_path):
+    file = tmp_path / "circle.urdf"
+    text = chain(4000, lambda i: f"l{i}/camera_link")
+    text = text.replace('<parent link="l0/camera_link"/>', '<parent link="l3999/camera_link"/>')
+    file.write_text(text)
+    assert "expected a tree of links, got a circle through" in refusal(file, "urdf")
+
+
+@pytest.mark.parametrize("attack", ["<!ENTITY a0 'lol'>", "<!ENTITY x SYSTEM 'file:///etc/hostname'>"])
+def test_entities_are_refused(tmp_path, attack):
+    file = tmp_path / "rig.urdf"
+    file.write_text(f'<?xml version="1.0"?><!DOCTYPE r [{attack}]><robot name="r"><link name="a"/></robot>')
+    assert "expected XML without a DOCTYPE" in refusal(file, "urdf")
+
+
+@pytest.mark.parametrize("value", ["[a]", "{a: {b: [{}]}}", "[]"])
+def test_lists_and_mappings_are_no_names(tmp_path, value):
+    kalibr = tmp_path / "chain.yaml"
+    kalibr.write_text(KALIBR.replace("distortion_model: radtan", f"distortion_model: {value}"))
+    assert "distortion_model: expected one of none, radtan, equidistant" in refusal(kalibr, "kalibr")
+    autoware = write_sample("autoware", tmp_path / "autoware")
+    info = CAMERA_INFO.replace("distortion_model: plumb_bob", f"distortion_model: {value}")
+    (autoware / "camera_info" / "front_left.yaml").write_text(info)
+    assert "distortion_model: expected one of plumb_bob, rational" in refusal(autoware, "autoware")
+    alpasim = write_sample("alpasim", tmp_path / "alpasim")
+    text = alpasim.read_text()
+    alpasim.write_text(text.replace("model: opencv_pinhole", f"model: {value}", 1))
+    assert "intrinsics.model: expected one of opencv_pinhole" in refusal(alpasim, "alpasim")
+
+
+@pytest.mark.parametrize("key", ["sensor_token", "token"])
+def test_tokens_are_texts(tmp_path, key):
+    path = write_sample("nuscenes", tmp_path)
+    rows = json.loads(path.read_text())
+    for row in rows:
+        row[key] = [1]
+    path.write_text(json.dumps(rows))
+    assert f"{key}: expected a text, got [1]" in refusal(path, "nuscenes")
+
+
+def test_a_row_of_a_table_has_an_end(tmp_path):
+    path = write_sample("nuscenes", tmp_path)
+    (tmp_path / "sample_data.json").write_text("[" + '{"a": [' + "1, " * 10_000_000)
+    assert "expected a row of at most 1 MiB" in refusal(path, "nuscenes")
+    (tmp_path / "sample_data.json").write_text("[" + "[" * 100_000)
+    assert DEEP in refusal(path, "nuscenes")
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[" * 100_000, "[{'type': 1, 'id': " + "-" * 100_000 + "1}]", "[0x" + "f" * 5000 + "]", "[" + "{}," * 200_000],
+)
+def test_pythons_own_lists_keep_the_bounds(tmp_path, text):
+    (tmp_path / "sensors.txt").write_text(text)
+    refusal(tmp_path / "sensors.txt", "carla-python")
+
+
+def test_damaged_texts_of_a_feather_file_are_told(tmp_path):
+    pytest.importorskip("pyarrow")
+    from tests.fuzz.kinds import RIG
+    from warpav.rig.formats.convert import export_rig
+
+    export_rig(RIG, "argoverse2", tmp_path)
+    file = tmp_path / "calibration" / "egovehicle_SE3_sensor.feather"
+    export_rig(RIG, "argoverse2", tmp_path / "plain")
+    content = file.read_bytes()
+    assert b"front" in content
+    file.write_bytes(content.replace(b"front", b"fr\xdf\xffnt"[:5]))
+    assert "expected Argoverse 2's feather file, got: " in refusal(tmp_path / "calibration", "argoverse2")
+
+
+def test_the_command_ends_with_status_2(tmp_path, capsys):
+    (tmp_path / "front.yaml").write_text("%YAML:1.0\n---\na: " + "[" * 40_000)
+    out = str(tmp_path / "rig.yaml")
+    assert main(["rig", "import", str(tmp_path / "front.yaml"), "--format", "opencv", "--out", out]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert main(["config", "check", "quick", "scenes.train_seeds=[0..99999,0..99999]"]) == 2
+    assert "expected at most 100000 seeds" in capsys.readouterr().err
+    assert main(["config", "check", "quick", f"run.seed={'9' * 5000}"]) == 2
+    assert "run.seed" in capsys.readouterr().err

@@ -1,0 +1,102 @@
+"""Mesh files that ask for more than they are, and for files of others."""
+
+import json
+import struct
+import time
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.fuzz.kinds import small_scene
+from tests.scene.test_mesh_colours import write_obj, write_texture
+from warpav.core.errors import InputError
+from warpav.scene.glb import read_scene, write_scene
+from warpav.scene.mesh_colours import FileFinder
+from warpav.scene.own_vehicle import read_vehicle_file
+
+
+def refusal(read, path):
+    began = time.process_time()
+    with pytest.raises(InputError) as caught:
+        read(path)
+    assert time.process_time() - began < 5.0
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def changed_glb(path, change):
+    """The scene with another JSON, and lengths that fit."""
+    write_scene(small_scene(), path)
+    content = path.read_bytes()
+    length = int.from_bytes(content[12:16], "little")
+    document = json.loads(content[20 : 20 + length])
+    change(document)
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = content[20 + length :]
+    head = b"glTF" + struct.pack("<III", 2, 20 + len(text) + len(rest), len(text)) + b"JSON"
+    path.write_bytes(head + text + rest)
+    return path
+
+
+def huge(document):
+    del document["accessors"][0]["bufferView"]
+    document["accessors"][0]["count"] = 10**10
+
+
+def endless(document):
+    document["nodes"][0]["children"] = [0]
+
+
+def long_number(document):
+    document["nodes"][-1]["extras"]["instance_id"] = 10**400
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (huge, "arrays of more than 500 MB"),
+        (endless, "bad.glb: "),
+        (long_number, "numbers of at most 300 digits"),
+    ],
+)
+def test_a_scene_takes_no_more_than_it_is(tmp_path, change, told):
+    path = changed_glb(tmp_path / "bad.glb", change)
+    assert told in refusal(read_scene, path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.obj", "v 0 0 0\n" * 2_000_001),
+        ("a.off", "OFF\n1 1 0\n" + "1 " * 600_000),
+        ("a.gltf", "[" * 200_000),
+        ("a.dae", "<a>" * 40_000),
+        ("a.dae", "<!DOCTYPE a [<!ENTITY b 'c'>]><COLLADA>&b;</COLLADA>"),
+        ("a.ply", "ply\nformat ascii 1.0\nelement vertex 999999999999\nproperty float x\nend_header\n1\n"),
+        ("a.zip", "PK"),
+        ("a.zae", "PK"),
+    ],
+)
+def test_vehicles_keep_the_bounds(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    told = refusal(read_vehicle_file, tmp_path / name)
+    assert told.startswith(f"{tmp_path / name}: vehicle: expected a ")
+
+
+@pytest.mark.parametrize(
+    "name", ["../secret.png", "{folder}/secret.png", "model://../secret.png", "a/../../secret.png"]
+)
+def test_textures_come_from_the_folder_of_the_mesh(tmp_path, name):
+    folder = tmp_path / "model"
+    folder.mkdir()
+    Image.fromarray(np.full((2, 2, 3), 7, np.uint8)).save(tmp_path / "secret.png")
+    write_obj(folder / "quad.obj", texture=name.format(folder=tmp_path))
+    file = read_vehicle_file(folder / "quad.obj", vertices_max=None)
+    assert (file.vertex_rgb != 7).all()
+    assert "secret.png not found" in " ".join(file.notes)
+    assert FileFinder(folder / "quad.obj").find("../secret.png") is None
+    # what has the same name beside it is another matter
+    write_texture(folder / "textures" / "secret.png")
+    assert FileFinder(folder / "quad.obj").find("../secret.png") == folder / "textures" / "secret.png"
