@@ -168,7 +168,7 @@ def npy(header):
 HUGE = npy("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000, 1000000)}")
 WORSE = {
     "huge": (archive(a=HUGE), "a: expected arrays of at most 500 MB together, got the shape [1000000, 1000000]"),
-    "many": (archive(**{f"a{i}": b"" for i in range(1001)}), "of at most 1000 arrays, got 1001"),
+    "many": (archive(**{f"a{i}": b"" for i in range(10_001)}), "of at most 10000 arrays, got 10001"),
     "objects": (archive(a=npy("{'descr': '|O', 'fortran_order': False, 'shape': (1,)}")), "Python objects"),
     "tokens": (archive(a=npy("{'descr': '<f8', 'fortran_order': False, 'shape': (1,")), "unreadable"),
     "negative": (archive(a=npy("{'descr': '<f8', 'fortran_order': False, 'shape': (-1, 8)}")), "unreadable"),

@@ -45,7 +45,7 @@ _HALF_CHARACTER = re.compile(
     r"|(?<!\\u[dD][89abAB][0-9a-fA-F]{2})\\u[dD][c-fC-F][0-9a-fA-F]{2})"
 )
 _NOT_BRACKETS = bytes(byte for byte in range(256) if byte not in b"[]{}()")
-_ARRAYS_MAX = 100_000  # a checkpoint has some for every selection of its search
+_ARRAYS_MAX = 10_000  # a checkpoint has some for every selection of its search
 
 
 def read_bytes(file: Path, kind: str, *, bytes_max: int = BYTES_MAX) -> bytes:
