@@ -18,7 +18,7 @@ from warpav.optimisation.pool import pool_cache_folder
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.rig.find import is_preset
 from warpav.rig.rig import Rig, write_rig
-from warpav.runs.checkpoint import check_options
+from warpav.runs.checkpoint import check_options, identity_of
 from warpav.runs.config import Config, flow_text, placed_config
 from warpav.runs.evaluate import evaluate_on
 from warpav.runs.optimise import Optimisation
@@ -60,7 +60,12 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
         optimisation = Optimisation.begin(placement, executor=_pool_executor(config), is_kept=True, progress=progress)
         timer.end("searching for a start")
         folder = RunFolder.create(
-            config, name=name, device=device_name(config.device), start=placement.start_rig, freeze=config.rig.freeze
+            config,
+            name=name,
+            device=device_name(config.device),
+            start=placement.start_rig,
+            freeze=config.rig.freeze,
+            hashes=identity_of(placement),
         )
         if config.run.out is None:
             held.enter_context(held_run(folder))

@@ -26,6 +26,7 @@ from warpav.optimisation.settings import LATER_ROBUST_OPTIONS
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.baseline_rigs import highest_rig
 from warpav.runs.certificate import Certificate
+from warpav.runs.checkpoint import identity_of
 from warpav.runs.config import Config, changed_config, flow_text
 from warpav.runs.evaluate import evaluate_on, requirements_of
 from warpav.runs.events import of_modules
@@ -233,6 +234,7 @@ class Result:
                 start=placement.start_rig,
                 freeze=placement.parts.freeze,
                 own_detector=placement.own_detector,
+                hashes=identity_of(placement),
             )
             write_rig(self.start, written.rig_path("initial"))
             for record in self.records:

@@ -29,6 +29,7 @@ from warpav.core.atomic_write import DRAFT, atomic_write, sync
 from warpav.core.bounded_files import DATA_SET_NODES_MAX, read_arrays, read_json, read_text
 from warpav.core.errors import InputError, OptionError
 from warpav.core.files import append_line, json_ready, write_json, write_text, writing
+from warpav.core.fingerprint import digest
 from warpav.core.held_folder import held_folder
 from warpav.requirements.read import copy_requirements
 from warpav.rig.presets import preset_names
@@ -84,6 +85,7 @@ class RunFolder:
         start: Rig | None = None,
         freeze: Sequence[str] = (),
         own_detector: str | None = None,
+        hashes: Mapping[str, str] | None = None,
     ) -> RunFolder:
         """A new run folder with ``config.yaml`` and ``env.json``; call it once all inputs are known to be good.
 
@@ -96,6 +98,7 @@ class RunFolder:
                 file from elsewhere.
             freeze: Names of its cameras that stay as they are.
             own_detector: Class of the detector where that is an object, which no file of the folder holds.
+            hashes: Of what the run depends on, by what it is (`warpav.runs.checkpoint.identity_of`).
 
         Raises:
             InputError: ``run.out`` exists, or no folder can be made there.
@@ -123,7 +126,9 @@ class RunFolder:
         if config.requirements_file is not None:
             copy_requirements(config.requirements_file, path / REQUIREMENTS_FILE)
         folder.replace_config(config)
-        write_json(path / "env.json", {**environment(config, device), "own_detector": own_detector})
+        nowhere = config.model_copy(update={"run": config.run.model_copy(update={"out": None})})
+        known = {"configuration": digest(dump_config(nowhere)), **(hashes or {})}
+        write_json(path / "env.json", {**environment(config, device), "own_detector": own_detector, "hashes": known})
         return folder
 
     @classmethod
