@@ -22,7 +22,8 @@ def test_all_that_is_installed_has_a_permissive_licence():
 
 
 @pytest.mark.parametrize(
-    "said", ["AGPL-3.0-or-later", "GNU Lesser General Public License v3", "MPL-2.0", "MIT AND GPL-2.0", "", "Proprietary"]
+    "said",
+    ["AGPL-3.0-or-later", "GNU Lesser General Public License v3", "MPL-2.0", "MIT AND GPL-2.0", "", "Proprietary"],
 )
 def test_other_licences_are_seen(said):
     assert _permissive(said) == ()

@@ -1,8 +1,8 @@
 """A long run: whether memory, open files and time a step stay what they are, and the run folder stays bounded.
 
 A program, not a test: ``python tests/benchmarks/load.py --scenes 1000 --cameras 16 --steps 10000``. It optimises by the
-descent with small images and two scenes a step, writes a run folder as ``warpav optimise`` does, and prints memory [MB],
-open files and time a step [ms] as it goes, then what the folder and its report take [MB].
+descent with small images and two scenes a step, writes every step as ``warpav optimise`` does, and prints memory [MB],
+open files and time a step [ms] as it goes, then what the folder takes [MB].
 """
 
 from __future__ import annotations

@@ -25,7 +25,9 @@ def hashes_of(folder):
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no way to take one core")
 def test_one_core_gives_the_bytes_of_all(expected, monkeypatch):
     cores = os.sched_getaffinity(0)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(expected.parent / "no_cache"))  # nothing is read that another run has drawn
+    monkeypatch.setenv(
+        "XDG_CACHE_HOME", str(expected.parent / "no_cache")
+    )  # nothing is read that another run has drawn
     os.sched_setaffinity(0, {min(cores)})
     try:
         assert main(["optimise", *POOL, "run.out=alone"]) == 0
