@@ -30,7 +30,7 @@ def saved(path, location, *, inside):
         functions = [helper.make_function("own", "f", ["x"], ["y"], [constant, product], [])]
         nodes = [helper.make_node("f", ["x"], ["y"], domain="own")]
     graph = helper.make_graph(nodes, "g", values[:1], values[1:], [tensor] if inside == "initializer" else [])
-    path.write_bytes(helper.make_model(graph, functions=functions).SerializeToString())
+    onnx.save(helper.make_model(graph, functions=functions), str(path))
     return path
 
 
