@@ -2,14 +2,19 @@
 
 import json
 import re
+import tarfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from warpav.experiments.experiment import _tasks, overrides_of
 from warpav.experiments.protocol import seal_of, unknown_code
+from warpav.experiments.result_folder import unseeded
+from warpav.experiments.rival_settings import RIVAL_ARMS, SETTINGS
 from warpav.experiments.summary import with_history, write_results_page
 from warpav.runs.commit import code_of, has_history, history
+from warpav.runs.config import load_config
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "results.md"
@@ -59,6 +64,30 @@ needs_history = pytest.mark.skipif(not has_history(), reason="there is no histor
 def test_only_old_results_lack_a_commit():
     without = {name for name, file in SUMMARIES.items() if not json.loads(file.read_text()).get("commits")}
     assert without == BEFORE_THE_PROTOCOL, "take those that were made again off the list"
+
+
+@pytest.mark.parametrize("setting", PROTOCOL)
+def test_the_settings_of_the_published_runs_are_what_they_were(setting, tmp_path):
+    """So the same command goes on from their folders."""
+    summary = json.loads(SUMMARIES[f"rivals_{setting}"].read_text())
+    seeds, experiment = summary["options"]["scenes.test_seeds"], SETTINGS[setting]
+    given = [f"device={summary['options']['device']}", "requirements=null", f"scenes.test_seeds={seeds}"]
+    config = load_config("default", overrides_of(experiment, given, quick=False))
+    assert {**json.loads(unseeded(config)), "scenes.ego": None} == {**summary["options"], "scenes.ego": None}
+    assert experiment.camera_renders_max == summary["camera_renders_max"]
+    assert experiment.name == f"rivals_{setting}"
+    if setting != "bus":  # whose mesh is not published
+        with tarfile.open(PAGE.with_suffix("") / "rivals_runs.tar.xz") as archive:
+            made = {
+                Path(member.name).stem: json.load(archive.extractfile(member))["made_with"]
+                for member in archive
+                if f"rv/{setting}/results/" in member.name and member.name.endswith("_0.json")
+            }
+        tasks = _tasks(
+            experiment, experiment.arms, config, dict.fromkeys(RIVAL_ARMS, 1), experiment.camera_renders_max, tmp_path
+        )
+        assert len(made) >= 11
+        assert {task.name: task.made_with for task in tasks if task.name in made} == made
 
 
 @needs_history

@@ -134,8 +134,9 @@ def test_settings_are_what_their_names_say(setting):
 
 
 def test_bad_words_are_told_in_one_line(scenes, tmp_path, capsys):
-    assert "expected one of 4x90, 2x60, 1x120, 6x60, 8x90, bus, got 3x30" in complaint(
-        capsys, "experiment", "rivals", "--setting", "3x30"
+    assert (
+        "expected one of 4x90, 2x60, 1x120, 6x60, 8x90, bus, or one on other traffic such as sind_4_rack, got 3x30"
+        in complaint(capsys, "experiment", "rivals", "--setting", "3x30")
     )
     assert "got none" in complaint(capsys, "experiment", "rivals")
     assert "it is an option of the experiment rivals" in complaint(capsys, "experiment", "open", "--setting", "4x90")

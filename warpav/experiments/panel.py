@@ -410,11 +410,11 @@ def _with_misses(
     table: PanelTable, folder: Path, judged: _Judged, outside: Sequence[str], resamples: int
 ) -> PanelTable:
     """The same with what can be found, where the first experiment says it."""
-    own = miss_table(OWN_JUDGE, read_rigs(folder), resamples=resamples)
-    if own is None:
-        return table
     found = [miss_table(name, runs, resamples=resamples) for name, runs in judged.items()]
     tables = [each for each in found if each is not None]
+    own = miss_table(OWN_JUDGE, read_rigs(folder), resamples=resamples) if tables else None
+    if own is None:
+        return table
     asked = [each for each in tables if each.judge in outside]
     goals = tuple(miss_goals(own, asked))
     return replace(table, misses=(own, *tables), outside=tuple(each.judge for each in asked), goals=goals)
