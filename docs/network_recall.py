@@ -132,8 +132,8 @@ def judge(detectors: Sequence[Detector], scenes: Iterable[Scene]) -> list[Recall
 
 def _count(image: CameraImage, box_px: np.ndarray, scene: Scene, position_m: np.ndarray, recall: Recall) -> None:
     """Add what detections in an image are of."""
-    boxes, counts = _boxes(image, len(scene.vehicles))
-    met = _matched(boxes[counts], box_px)
+    boxes, counts = visible_boxes(image, len(scene.vehicles))
+    met = matched(boxes[counts], box_px)
     for k, is_met in zip(np.flatnonzero(counts), met, strict=True):
         vehicle = scene.vehicles[k]
         distance_m = float(np.linalg.norm(vehicle.box.center_m[:2] - position_m[:2]))
@@ -149,7 +149,7 @@ def _count(image: CameraImage, box_px: np.ndarray, scene: Scene, position_m: np.
     recall.background_count += int(np.count_nonzero(~meets))
 
 
-def _boxes(image: CameraImage, count: int) -> tuple[np.ndarray, np.ndarray]:
+def visible_boxes(image: CameraImage, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Visible boxes of all vehicles [vehicle, 4] (NaN: invisible) and which of them count."""
     boxes, counts = np.full((count, 4), np.nan), np.zeros(count, bool)
     for k in range(count):
@@ -162,7 +162,7 @@ def _boxes(image: CameraImage, count: int) -> tuple[np.ndarray, np.ndarray]:
     return boxes, counts
 
 
-def _matched(truth_px: np.ndarray, found_px: np.ndarray) -> np.ndarray:
+def matched(truth_px: np.ndarray, found_px: np.ndarray) -> np.ndarray:
     """Which truths are met: pairs of truth and detection, best IoU first, each used once."""
     overlap = iou_matrix(truth_px, found_px)
     is_met = np.zeros(len(truth_px), bool)

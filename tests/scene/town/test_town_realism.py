@@ -5,7 +5,7 @@ Counted are vehicles of 40 px and more, 60 % of which are unoccluded.
 
 import pytest
 
-from docs.network_recall import CONFIDENCE_MIN, FIRST_UNSEEN_SEED, judge
+from network_recall import CONFIDENCE_MIN, FIRST_UNSEEN_SEED, judge
 from tests.scene.capture.town_capture import town_capture
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.scene.capture.plan import PlanSettings
