@@ -79,9 +79,9 @@ def main(argv: Sequence[str] | None = None) -> None:
         own, worker = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, worker_s.ru_maxrss  # KiB
         cores, core_s = available_cores(), worker_s.ru_utime + worker_s.ru_stime  # of all sources so far
         say(
-            f"  {len(every)} scenes on {cores} cores: {made_s:.0f} s to make, pack and keep them ({core_s - before_s:.0f} "
-            f"s of the processor), {size / 1e9:.1f} GB; {opened_s:.0f} s to open them; at most "
-            f"{(own + cores * worker) / 2**20:.2f} GiB of memory"
+            f"  {len(every)} scenes on {cores} cores: {made_s:.0f} s to make, pack and keep them "
+            f"({core_s - before_s:.0f} s of the processor), {size / 1e9:.1f} GB; {opened_s:.0f} s to open them; "
+            f"at most {(own + cores * worker) / 2**20:.2f} GiB of memory"
         )
         before_s = core_s
 
