@@ -170,7 +170,7 @@ wa.plot(evaluation)
 
 # %%
 outcomes = [seen.outcome["optimised"] for seen in evaluation.objects if seen.scene == moment.name]
-wa.plot(result.rig, scene=moment, outcomes=outcomes, zoom=0.4)
+wa.plot(result.rig, scene=moment, outcomes=outcomes, zoom=0.28)
 
 # %% [markdown]
 # ## What to do next
