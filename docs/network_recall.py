@@ -221,11 +221,13 @@ def main(argv: Sequence[str] | None = None) -> None:
         found_by = judge(detectors, _scenes(source, given.scenes, fleet))
         for file, found in zip(given.networks, found_by, strict=True):
             near = found.where(lambda one: one.distance_m < REACH_M and one.visible_share >= UNOCCLUDED)
-            sys.stdout.write(f"{file.stem}, {Path(source).name}: " + "\n    ".join(near.lines()) + "\n")
-            for height_px in HEIGHTS_PX:
-                high = near.where(lambda one, least=height_px: one.height_px >= least)
-                for title, is_motorcycle in (("", False), (", motorcycles", True)):
-                    share, count = high.of(lambda one, wanted=is_motorcycle: (one.kind == "motorcycle") == wanted)
+            cars = near.where(lambda one: one.kind != "motorcycle")
+            sys.stdout.write(f"{file.stem}, {Path(source).name}: " + "\n    ".join(cars.lines()) + "\n")
+            whole = cars.where(lambda one: not one.is_cut)
+            motorcycles = near.where(lambda one: one.kind == "motorcycle")
+            for title, group in (("", cars), (", not cut by edges", whole), (", motorcycles", motorcycles)):
+                for height_px in HEIGHTS_PX:
+                    share, count = group.of(lambda one, least=height_px: one.height_px >= least)
                     cell = f"{share:.3f}".removeprefix("0") + f" of {count}" if count else "none"
                     rows.setdefault(f"{file.stem}, from {height_px} px{title}", []).append(cell)
     sys.stdout.write(f"\n| recall | {' | '.join(Path(source).name for source in given.sources)} |\n")
