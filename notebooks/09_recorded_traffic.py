@@ -156,21 +156,22 @@ for metric, text in texts.items():
 
 # %% [markdown]
 # An interval below 0 says that the search was worth it on this crossing, one that holds 0 that these scenes cannot tell
-# the two rigs apart. Ours just holds it: the search misses fewer of both, yet 80 scenes are too few to be sure. Of other
-# crossings neither says anything, for all scenes are of one. Where the difference comes from:
+# the two rigs apart. Ours just holds it: the search misses fewer of both, yet 80 scenes are too few to be sure. Of
+# other crossings neither says anything, for all scenes are of one. Where the difference comes from:
 
 # %%
 wa.plot(evaluation)
 
 # %% [markdown]
-# Most of what both miss is far away. One moment again: who is detected, who is seen and missed, who is hidden from all
-# four cameras.
+# Most of what both miss is far away. One moment again:
 
 # %%
 outcomes = [seen.outcome["optimised"] for seen in evaluation.objects if seen.scene == moment.name]
 wa.plot(result.rig, scene=moment, outcomes=outcomes, zoom=0.28)
 
 # %% [markdown]
+# Green is detected, orange is seen and missed, violet is hidden from all four cameras.
+#
 # ## What to do next
 #
 # - The same on the command line: `warpav optimise scenes.source=traffic`.
