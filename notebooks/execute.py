@@ -42,6 +42,7 @@ SMALL = {
     "07_rasteriser": "step_count = 5",
     "08_series_car": "train_seeds, test_seeds = range(2), range(5000, 5002)\n"
     "pool_cameras, steps, front_cameras = 16, 4, '2..3'",
+    "09_recorded_traffic": "train_seeds, test_seeds, pool_cameras = '0..2', '5000..5001', 16",
 }
 """Settings for tests, by notebook: they follow the cell that is tagged ``parameters``."""
 

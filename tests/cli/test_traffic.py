@@ -1,12 +1,17 @@
 """``warpav scenes traffic``, and recorded traffic in runs."""
 
+import gzip
+import json
+
 import pytest
 
-from tests.scene.traffic.recordings import street, write
+from tests.scene.traffic.recordings import street, track, write
+from tests.scene.traffic.test_files import BOMB, scenario
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.runs.config import load_config
 from warpav.runs.scene_set import load_scenes, recordings_digest
+from warpav.scene.collection import read_scenes
 
 
 def test_scenes_of_recordings_are_written_once(tmp_path, capsys):
@@ -26,6 +31,114 @@ def test_a_bad_recording_is_one_line_and_leaves_nothing(tmp_path, capsys):
     assert said.count("\n") == 1
     assert "dt_s 0.5 would fit" in said
     assert not (tmp_path / "out").exists()
+
+
+def without_sizes():
+    data = street()
+    for user in data["road_users"]:
+        del user["length_m"], user["width_m"]
+    return data
+
+
+def mirrored():
+    """Y to the right, as in image coordinates, with headings counter-clockwise: what turns left drives to the right."""
+    users = [track(str(k), "car", (4.5, 1.8), (-30.0 + 20.0 * k, -1.75), 0.0, 8.0) for k in range(4)]
+    data = street(users=users, turn_rad=0.8)
+    for user in data["road_users"]:
+        user["y_m"] = [-each for each in user["y_m"]]
+    return data
+
+
+def overlapping():
+    data = street()
+    data["road_users"].append({**data["road_users"][0], "id": "twin"})
+    return data
+
+
+def long_car():
+    data = street()
+    data["road_users"][0]["length_m"] = 400.0
+    return data
+
+
+TOO_LARGE = [
+    track("a", "bus", (12.0, 2.5), (0.0, -1.75), 0.0, 8.0),
+    track("b", "truck", (9.0, 2.5), (30.0, 1.75), 0.0, 8.0),
+]
+ALONE = street()["road_users"][:1]
+EMPTY = {**street()["road_users"][0], "t": [], "x_m": [], "y_m": [], "yaw_rad": [], "v_mps": []}
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.json", json.dumps(without_sizes()), "road user a: length_m: expected a number, got nothing"),
+        (
+            "a.json",
+            json.dumps(overlapping()),
+            "expected boxes that overlap by at most 0.3 m, got road users a and twin",
+        ),
+        ("a.json", json.dumps(street(users=TOO_LARGE)), "expected a road user about as large as the ego vehicle"),
+        ("a.json", json.dumps(street(users=ALONE)), "got none: they are empty"),
+        (
+            "a.json",
+            json.dumps(street(users=[EMPTY])),
+            "expected as many positions, yaws and speeds as steps, at least one",
+        ),
+        ("a.json", json.dumps(long_car()), "length_m: expected 2 to 25 m for a car, got 400"),
+        ("a.json", json.dumps(street(dt_s=500.0)), "dt_s: expected the time between two steps, up to 5 s, got 500"),
+        ("a.json", json.dumps(mirrored()), "yaw_rad: expected headings counter-clockwise from x"),
+        ("a.json.gz", gzip.compress(json.dumps(street()).encode())[:-20], "expected a whole file that can be read"),
+        ("a.xml", scenario("2020a")[:-900], "expected whole XML, got: unclosed token"),
+        ("a.xml.gz", gzip.compress(scenario("2020a").encode())[:-20], "expected a whole file that can be read"),
+        ("a.xml", scenario("2020a").replace("?>\n", f"?>\n{BOMB}", 1), "expected XML without a DOCTYPE"),
+        (
+            "a.xml",
+            scenario("2020a").replace("UTF-8", "UTF-16").replace("?>\n", f"?>\n{BOMB}", 1).encode("utf-16"),
+            "expected XML without a DOCTYPE",
+        ),
+    ],
+)
+def test_bad_recordings_are_one_line_and_leave_nothing(tmp_path, capsys, name, content, message):
+    """Also beside good ones, and in Python."""
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    file = folder / name
+    file.write_bytes(content.encode() if isinstance(content, str) else content)
+    command = ["scenes", "traffic", str(folder), "--count", "1", "--out", str(tmp_path / "out")]
+    assert main(command) == 2
+    said = capsys.readouterr()
+    assert said.err.count("\n") == 1
+    assert f"{file}: " in said.err
+    assert message in said.err
+    assert not said.out
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(InputError) as error:
+        read_scenes(file)
+    assert message in str(error.value)
+
+
+def test_a_bad_recording_beside_good_ones_leaves_nothing(tmp_path, capsys):
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for name in ("one.json", "two.json"):
+        write(folder, street(id=name), name)
+    write(folder, long_car(), "zzz.json")
+    assert main(["scenes", "traffic", str(folder), "--count", "2", "--out", str(tmp_path / "out")]) == 2
+    assert "zzz.json: road user a: length_m: expected 2 to 25 m for a car, got 400" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    options = [f"scenes.recordings={folder}", f"run.out={tmp_path / 'run'}", "run.iterations=1"]
+    assert main(["optimise", "quick", "scenes.source=traffic", *options]) == 2
+    assert "zzz.json: road user a: length_m" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_archives_that_unpack_without_end_are_refused(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("warpav.scene.traffic.files._BYTES_MAX", 2**20)
+    file = tmp_path / "bomb.json.gz"
+    file.write_bytes(gzip.compress(b" " * (2**20 + 1)))
+    assert main(["scenes", "traffic", str(file), "--count", "1", "--out", str(tmp_path / "out")]) == 2
+    assert "bomb.json.gz: expected at most 1 MiB, got more" in capsys.readouterr().err
 
 
 def test_test_scenes_come_from_recordings_of_their_own(tmp_path):

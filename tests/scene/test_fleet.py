@@ -195,6 +195,16 @@ def test_light_is_baked_in(fleet):
         assert look.sky[roof].min() > 0.9  # its faces look outwards
 
 
+def test_lamps_on_doors_do_not_turn_the_doors_inside_out(fleet):
+    """Of the shipped panel van the middle of either rear door is below a lamp."""
+    [van] = _bodies((vehicle_folder() / "panel_van.glb",))
+    look = van.looks[0]
+    rear = (look.paint > 0.0) & (np.abs(look.normal[:, 0]) > 0.99) & (look.vertex_m[:, 0] < -0.48 * van.size_m[0])
+    assert rear.sum() >= 5
+    assert look.normal[rear, 0].max() < -0.99
+    assert look.sky[rear].min() > 0.4
+
+
 def test_no_more_triangles_than_the_towns_own(pairs):
     for own, other in pairs:
         for a, b in exchanged(own, other):

@@ -358,13 +358,18 @@ def _sky(point_m: np.ndarray, normal: np.ndarray, index: np.ndarray) -> np.ndarr
 
 
 def _is_inside_out(place_m: np.ndarray, corner: np.ndarray) -> np.ndarray:
-    """Triangles whose back sees more of the sky than their front, bool [triangle]."""
+    """Triangles whose back sees more of the sky than their front, bool [triangle].
+
+    Both in the middle and all in all: a lamp may stick to the middle of a door, a corner may stick out of the body.
+    """
     point_m = place_m[corner]
     across = np.cross(point_m[:, 1] - point_m[:, 0], point_m[:, 2] - point_m[:, 0])
     normal = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-15)
-    middle_m = point_m.mean(axis=1)
-    front, back = (sky_share_at(point_m, middle_m, sign * normal) for sign in (1.0, -1.0))
-    return back > front + 0.02
+    middle_m = point_m.mean(axis=1, keepdims=True)
+    from_m = np.concatenate([middle_m, point_m + _INWARDS * (middle_m - point_m)], axis=1).reshape(-1, 3)
+    normal = np.repeat(normal, 4, axis=0)
+    front, back = (sky_share_at(point_m, from_m, sign * normal).reshape(-1, 4) for sign in (1.0, -1.0))
+    return (back[:, 0] > front[:, 0] + 0.02) & (back.mean(axis=1) > front.mean(axis=1) + 0.02)
 
 
 def _paint_of(vertex_m: np.ndarray, triangle: np.ndarray, rgb: np.ndarray) -> np.ndarray:

@@ -111,6 +111,10 @@ BOMB = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;">]>'
         (scenario("2020a", shape=SHAPE.format(length="long", width=2)), r"obstacle 7: length: expected a number"),
         (scenario("2020a", shape=SHAPE.format(length="440", width=2)), r"road user 7: length_m: .*, got 440"),
         (scenario("2020a").replace("<exact>0</exact></time>", "<exact>0.5</exact></time>"), r"time: expected whole"),
+        (
+            scenario("2020a").replace("<exact>30</exact></time>", "<exact>1700000000</exact></time>"),
+            r"obstacle 7: time: expected steps from 0 to 1000000, in units of dt_s, got 1700000000",
+        ),
         (scenario("2020a").replace("timeStepSize", "step"), r"timeStepSize: expected a number, got nothing"),
         (scenario("2020a", dynamic="", static=""), r"road users: expected some, got none"),
     ],
@@ -145,6 +149,12 @@ def without(name, user=None):
         (json.dumps(street()).replace('"truck"', '"trck"').encode(), r"road user c: type: .*did you mean truck\?"),
         (json.dumps(street()).replace('"t": [0, 1,', '"t": [0, 1.5,', 1).encode(), r"t: expected whole steps, got 1.5"),
         (json.dumps(street()).replace('"t": [0, 1,', '"t": [1,', 1).encode(), r"expected as many x_m"),
+        (
+            json.dumps(street()).replace(" 8]", " 1732500000]", 1).encode(),
+            r"t: expected steps from 0 to .*, got 1732500000",
+        ),
+        (json.dumps(street()).replace(" 8]", " 1e300]", 1).encode(), r"t: expected steps from 0 to .*, got 1e\+300"),
+        (json.dumps(street()).replace('"t": [0,', '"t": [-1,', 1).encode(), r"t: expected steps from 0 to .*, got -1"),
     ],
 )
 def test_bad_json_is_refused_in_one_line(tmp_path, content, message):

@@ -68,8 +68,24 @@ def test_who_is_far_away_is_left_out():
     data = street()
     data["road_users"].append(track("far", "car", (4.5, 1.8), (-9.0 + REACH_M, -1.75), 0.0, 8.0))
     data["road_users"].append(track("near", "car", (4.5, 1.8), (-11.0 + REACH_M, 1.75), 0.0, 8.0))
+    recorded = [user for user in scene_of(data, "a").road_users if user.instance_id <= 5]  # after them come parked ones
+    assert len([user for user in recorded if abs(user.box.center_m[0] - ego_centre_m()[0]) > 95.0]) == 1
+
+
+@pytest.mark.parametrize(
+    ("category", "size_m", "is_pavement"), [("pedestrian", (0.7, 0.7), True), ("bicycle", (1.8, 0.7), False)]
+)
+def test_people_on_foot_step_over_kerbs_and_riders_are_on_one_level(category, size_m, is_pavement):
+    data = street()
+    data["road_users"].append(track("x", category, size_m, (5.0, -3.6), 0.0, 1.0))
     scene = scene_of(data, "a")
-    assert len([user for user in scene.road_users if abs(user.box.center_m[0] - ego_centre_m()[0]) > 95.0]) == 1
+    ground = EmbreeScene()
+    TriangleMesh(ground, scene.environment.vertex_m[scene.environment.triangle])
+    beside_m = ego_centre_m() + np.array([15.0, -3.95 + 1.75])  # of the kerb, on the side of the pavement
+    origin = np.array([[*beside_m, 2.0]], np.float32)
+    [away] = ground.run(origin, np.array([[0.0, 0.0, -1.0]], np.float32), query="DISTANCE")
+    # shadows lie up to 2 cm above the ground
+    assert 2.0 - away == pytest.approx(KERB_HEIGHT_M if is_pavement else 0.0, abs=0.02)
 
 
 def test_a_longer_ego_vehicle_pushes_nobody_aside():

@@ -14,7 +14,7 @@ import numpy as np
 
 from warpav.core.bounded_files import DATA_SET_NODES_MAX, parse_xml
 from warpav.core.errors import InputError
-from warpav.scene.traffic.recording import STEP_MAX, Lanelet, RecordedUser, Recording
+from warpav.scene.traffic.recording import Lanelet, RecordedUser, Recording, check_step
 
 VERSIONS = ("2018b", "2020a")
 _CLASS_OF_TYPE = {
@@ -119,8 +119,7 @@ def _rectangle(element: ElementTree.Element, place: str) -> tuple[float, float, 
 def _state(element: ElementTree.Element, place: str) -> tuple[int, float, float, float, float]:
     """Step, x, y [m], yaw [rad], speed [m/s] or NaN."""
     time = _exact(element, "time", place)
-    if time % 1 != 0 or time > STEP_MAX:
-        raise InputError(f"{place}: time: expected whole steps up to {STEP_MAX:,}, got {time:g}")
+    check_step(time, f"{place}: time")
     point = element.find("position/point")
     if point is None:
         raise InputError(f"{place}: position: expected a point, got none; uncertain positions are not taken")

@@ -17,7 +17,7 @@ from warpav.core.errors import InputError
 from warpav.core.fingerprint import digest
 from warpav.scene.traffic.argoverse2 import ANNOTATIONS, read_log
 from warpav.scene.traffic.commonroad import read_xml
-from warpav.scene.traffic.recording import CLASSES, STEP_MAX, Lanelet, RecordedUser, Recording
+from warpav.scene.traffic.recording import CLASSES, Lanelet, RecordedUser, Recording, check_step
 
 SUFFIXES = (".json", ".json.gz", ".xml", ".xml.gz")
 SHIPPED = Path(__file__).parent / "sind"
@@ -164,12 +164,8 @@ def _user(data: Any, number: int) -> RecordedUser:  # noqa: ANN401
     speed = None if data.get("v_mps") is None else _numbers(data, "v_mps", place, 1)
     if len({len(each) for each in track}) > 1:
         raise InputError(f"{place}: expected as many x_m, y_m and yaw_rad as t, got {[len(each) for each in track]}")
-    with np.errstate(invalid="ignore"):  # of what is not finite
-        is_whole = track[0] % 1 == 0
-    if not is_whole.all():
-        raise InputError(f"{place}: t: expected whole steps, got {track[0][~is_whole][0]:g}")
-    if len(track[0]) and np.abs(track[0]).max() > STEP_MAX:
-        raise InputError(f"{place}: t: expected steps up to {STEP_MAX:,}, got {track[0][np.abs(track[0]).argmax()]:g}")
+    for value in track[0].tolist():
+        check_step(value, f"{place}: t")
     return RecordedUser(user_id, category, size, track[0].astype(np.int64), np.stack(track[1:], axis=1), speed)
 
 

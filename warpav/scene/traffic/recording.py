@@ -27,7 +27,8 @@ POSSIBLE_SIZE_M = {
 """Least and greatest length, width and height by class. Recorded cars may be long vehicles of any kind."""
 
 STEP_MAX = 1_000_000
-"""Steps that a recording may have: more than a day at ten in a second."""
+"""The last step that a recording may have, 27 hours at 10 Hz: beyond there are timestamps."""
+
 POSSIBLE_SPEED_M_S = 90.0
 SPEED_RATIO = (0.6, 1.7)
 """Recorded speeds over those by positions, median of a recording: what lies outside contradicts the positions."""
@@ -156,6 +157,18 @@ class Recording:
         return RecordedState(user, np.array([x, y]), yaw, velocity)
 
 
+def check_step(value: float, place: str) -> None:
+    """Make sure that a number is a step.
+
+    Raises:
+        InputError: It is no whole number, is negative, or so large that it must be a timestamp.
+    """
+    if value % 1 != 0:
+        raise InputError(f"{place}: expected whole steps, got {value:g}")
+    if not 0 <= value <= STEP_MAX:
+        raise InputError(f"{place}: expected steps from 0 to {STEP_MAX}, in units of dt_s, got {value:.15g}")
+
+
 def overlap_m(one: RecordedState, other: RecordedState) -> float:
     """How far two boxes would have to move apart at least [m]; 0 where they do not overlap."""
     corner = one.corners_m(), other.corners_m()
@@ -249,8 +262,10 @@ def _check_user(user: RecordedUser) -> None:
     count = len(user.step)
     if count == 0 or user.pose.shape != (count, 3) or (user.speed_m_s is not None and user.speed_m_s.shape != (count,)):
         raise InputError(f"{place}: expected as many positions, yaws and speeds as steps, at least one")
-    if user.step[0] < 0 or (np.diff(user.step) <= 0).any() or user.step[-1] > STEP_MAX:
-        raise InputError(f"{place}: t: expected ascending steps from 0 up to {STEP_MAX:,}")
+    check_step(int(user.step.min()), f"{place}: t")
+    check_step(int(user.step.max()), f"{place}: t")
+    if (np.diff(user.step) <= 0).any():
+        raise InputError(f"{place}: t: expected ascending steps from 0")
     if not np.isfinite(user.pose).all() or (user.speed_m_s is not None and not np.isfinite(user.speed_m_s).all()):
         raise InputError(f"{place}: expected finite positions, yaws and speeds")
     if np.abs(user.pose[:, 2]).max() > 4.0 * math.pi:

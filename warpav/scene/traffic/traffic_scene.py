@@ -38,7 +38,8 @@ _SHADOW_LAYERS = 16  # shadows that lie over each other get heights of their own
 _MIRRORS_M = 0.25
 _STREAM = 0x7AF1D
 _FLEET_KEY = 0x7AF  # as no level of the town has
-_ON_FOOT = ("pedestrian", "cyclist", "motorcycle")
+_RIDDEN = ("cyclist", "motorcycle")
+_ON_FOOT = ("pedestrian", *_RIDDEN)
 
 
 @dataclass(frozen=True)
@@ -193,7 +194,7 @@ def _road(
         if min(np.abs(line).max(axis=1).min() for line in (left, right)) <= REACH_M:
             lanelets.append(Lanelet(left, right, lanelet.kinds))
     heavy = [place, *(body.footprint for body in recorded if body.kind not in _ON_FOOT)]
-    light = [body.footprint for body in recorded if body.kind in _ON_FOOT]
+    light = [body.footprint for body in recorded if body.kind in _RIDDEN]  # people on foot step over kerbs
     return road_of(
         lanelets,
         [_grown(each, _ROOM_M).corners_m() for each in heavy],
