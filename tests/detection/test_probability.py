@@ -353,5 +353,5 @@ def test_half_a_file_is_refused(tmp_path, rng):
     use = use_of(tmp_path)
     _, file = written(tmp_path, rng, use)
     file.write_text(file.read_text()[:200])
-    with pytest.raises(InputError, match="got not JSON; run warpav detector fit --again"):
+    with pytest.raises(InputError, match=r"expected valid JSON .*; run warpav detector fit --again"):
         DetectionProbability.find(use)

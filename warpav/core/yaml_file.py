@@ -14,7 +14,7 @@ from typing import Any
 import yaml
 from yaml.composer import Composer
 from yaml.constructor import SafeConstructor
-from yaml.cyaml import CParser
+from yaml.cyaml import CParser  # pyright: ignore[reportAttributeAccessIssue]  # not in its hints
 from yaml.resolver import Resolver
 
 from warpav.core.bounded_files import (

@@ -113,7 +113,7 @@ CORRUPT = {
         ("R: ", "Q: ", "camera_from_ego: expected the camera's pose: camera_from_ego (4 x 4), or R and T"),
         ("camera_matrix", "matrix", "camera_matrix: expected a 3 x 3 matrix of finite numbers, got nothing"),
         ("rows: 5", "rows: 7", "distortion_coefficients: expected a list of 4 or 5 or 8 or 12 or 14 finite"),
-        ("data: [ 320., ", "data: [ 320.; ", "expected an OpenCV FileStorage file"),
+        ("data: [ 320., ", "data: [ 320.; ", "camera_matrix: expected a 3 x 3 matrix of finite numbers, got {}"),
     ],
     "alpasim": [
         (

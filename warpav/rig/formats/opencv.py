@@ -9,12 +9,14 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
-from warpav.core.bounded_files import LEVELS_MAX, check_nesting, parse_xml, read_text, refuse_levels
+from warpav.core.bounded_files import parse_json, parse_xml, read_text
 from warpav.core.errors import InputError
+from warpav.core.yaml_file import read_yaml
 from warpav.raster.lens import Lens
 from warpav.rig.formats.format import (
     Found,
@@ -26,10 +28,7 @@ from warpav.rig.formats.format import (
     file_for_each,
     optics_of_matrix,
 )
-from warpav.rig.formats.record import Record, rigid_transform
-
-if TYPE_CHECKING:
-    import cv2
+from warpav.rig.formats.record import Record, is_number, rigid_transform
 
 _SUFFIXES = (".yaml", ".yml", ".xml", ".json")
 _MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K")
@@ -38,7 +37,7 @@ _SIZE = (("image_width", "image_Width"), ("image_height", "image_Height"))
 _POSE = ("camera_from_ego", "R", "T", "rvec", "tvec")
 _KEYS = ("camera_name", "fisheye_model", *_MATRIX, *_DISTORTION, *_SIZE[0], *_SIZE[1], *_POSE)
 _KIND = "an OpenCV FileStorage file"
-_BYTES_MAX = 5_000_000
+_TAG = re.compile(r"!!opencv-[a-z-]+")
 
 
 def read(path: Path, part: str | None) -> Found:
@@ -90,65 +89,48 @@ def _camera_from_ego(record: Record) -> np.ndarray:
 
 
 def _record(file: Path) -> Record:
-    import cv2
-
-    text = read_text(file, _KIND, bytes_max=_BYTES_MAX)
-    _check_levels(text, str(file))
-    try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-    except (cv2.error, SystemError) as error:
-        reason = str(error.__cause__ or error)
-        found = reason.partition("error: ")[2] or reason
+    """What a file says of one camera, read here: OpenCV's own parsers crash on broken files."""
+    text = read_text(file, _KIND)
+    begun, lines = text.lstrip(), {}
+    if begun.startswith("<"):
+        root = parse_xml(begun.encode(), str(file), _KIND)
+        data: Any = {element.tag: _of_element(element) for element in root}
+    elif begun.startswith("{"):
+        data = parse_json(text, str(file), _KIND)
+    elif begun.startswith("%YAML"):
+        # its first line and its tags are no YAML
+        data, lines = read_yaml(_TAG.sub("", text.replace(text.splitlines()[0], "", 1)), str(file))
+    else:
         raise InputError(
-            f"{file}: expected an OpenCV FileStorage file, which begins with %YAML:1.0, got: "
-            f"{' '.join(found.split())[:120]}"
-        ) from None
-    root = storage.root()
-    if not storage.isOpened() or not root.isMap():
-        raise InputError(f"{file}: expected an OpenCV FileStorage file with camera_matrix, got no mapping")
-    return Record(file, {key: _value(root.getNode(key)) for key in _KEYS})  # the search for one goes through all keys
+            f"{file}: expected {_KIND}, which begins with %YAML:1.0, got: {' '.join(text[:60].split()) or 'nothing'}"
+        )
+    if not isinstance(data, dict):
+        raise InputError(f"{file}: expected {_KIND} with camera_matrix, got no mapping")
+    return Record(file, {key: _value(data.get(key)) for key in _KEYS}, (), lines)
 
 
-def _check_levels(text: str, place: str) -> None:
-    """Reject a text whose levels overflow the stack of OpenCV's parsers.
-
-    Raises:
-        InputError: It has more than may be.
-    """
-    if text.lstrip().startswith("<"):
-        parse_xml(text.encode(), place, _KIND)
-        return
-    check_nesting(text, place, quotes="\"'")
-    indents = [-1]
-    for number, line in enumerate(re.sub(r"\"[^\"\n]*\"", "", text).splitlines(), 1):
-        begun = line.lstrip(" ")
-        if not begun:
-            continue
-        while indents[-1] >= len(line) - len(begun):
-            indents.pop()
-        indents.append(len(line) - len(begun))
-        # lists and mappings that begin in one line, such as - - a: b: 1
-        if len(indents) - 1 + begun.count("- ") + begun.count(":") > LEVELS_MAX:
-            refuse_levels(f"{place}:{number}")
+def _of_element(element: ElementTree.Element) -> Any:  # noqa: ANN401
+    """The data of an element: a mapping, a list, a number, numbers or a text."""
+    if len(element):
+        if all(child.tag == "_" for child in element):
+            return [_of_element(child) for child in element]
+        return {child.tag: _of_element(child) for child in element}
+    text = (element.text or "").strip()
+    try:
+        numbers = [float(word) for word in text.split()]
+    except ValueError:
+        return text.strip('"')
+    return numbers[0] if len(numbers) == 1 else numbers
 
 
-def _value(node: cv2.FileNode) -> Any:  # noqa: ANN401
-    """Plain data of a node; of a matrix its numbers, row by row; of another mapping an empty one."""
-    import cv2
-
-    if node.isInt() or node.isReal():
-        return node.real()
-    if node.isString():
-        return node.string()
-    if node.isMap():
-        try:
-            matrix = node.mat()
-        except cv2.error:
-            matrix = None
-        return {} if matrix is None else [float(value) for value in np.ravel(matrix)]
-    if node.isSeq():
-        return [_value(node.at(i)) for i in range(node.size())]
-    return None
+def _value(value: Any) -> Any:  # noqa: ANN401
+    """Plain data; of a matrix its numbers, row by row; of another mapping an empty one."""
+    if not isinstance(value, dict):
+        return value
+    rows, columns, numbers = value.get("rows"), value.get("cols"), value.get("data")
+    numbers = [numbers] if isinstance(numbers, float) else numbers  # of one element
+    is_whole = is_number(rows) and is_number(columns) and isinstance(numbers, list) and rows * columns == len(numbers)
+    return numbers if is_whole else {}
 
 
 def write(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
