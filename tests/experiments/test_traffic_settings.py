@@ -207,6 +207,9 @@ def test_a_panel_judges_by_the_same_attainable_objects_and_the_page_shows_it(don
         for metric in ("misses", "attainable_misses"):  # files round poses, which may move a pixel
             assert row["misses"][metric]["mean"] == pytest.approx(ours["misses"][metric]["mean"], abs=3.0)
     assert "outside networks" in (folder / "panel_small" / "panel.md").read_text()
+    # the folder has all that judging takes, zones too, wherever it is taken
+    assert load_config(folder / "config.yaml").mount.zones == folder / "zones.yaml"
+    assert (folder / "zones.yaml").read_bytes() == SETTINGS["sind_2_body"].zones.read_bytes()
     # on other scenes nobody knows what can be found
     assert main(["experiment", "rescore", str(folder), "scenes.test_seeds=[1003]", "--name", "elsewhere"]) == 0
     assert all("attainable" not in run for run in runs_in(folder / "rescored_elsewhere"))
