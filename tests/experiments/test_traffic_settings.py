@@ -19,6 +19,7 @@ from warpav.optimisation.search import SearchSpace
 from warpav.rig.rig import read_rig
 from warpav.rig.zone import read_zones, write_zones
 from warpav.runs.config import Config, changed_config, load_config
+from warpav.runs.detector_fit import MIN_FIT_SCENES
 from warpav.runs.mounts import camera_mount, constraints_of
 from warpav.runs.vehicle_zones import propose
 from warpav.scene.own_vehicle import read_vehicle
@@ -72,6 +73,7 @@ def test_settings_are_what_their_names_say(name):
         assert config.scenes.targets == TARGETS[setting.targets]
         assert not set(config.scenes.train_seeds) & set(config.scenes.test_seeds)
         budgets.append(experiment.made_quick().camera_renders_max if quick else experiment.camera_renders_max)
+        assert (len(config.scenes.train_seeds) < MIN_FIT_SCENES) == quick  # a small version leaves no fit behind
         for arm in experiment.arms:
             arm.check(config, budgets[-1])
     arms = [arm.name for arm in experiment.arms]
@@ -205,6 +207,9 @@ def test_a_panel_judges_by_the_same_attainable_objects_and_the_page_shows_it(don
         for metric in ("misses", "attainable_misses"):  # files round poses, which may move a pixel
             assert row["misses"][metric]["mean"] == pytest.approx(ours["misses"][metric]["mean"], abs=3.0)
     assert "outside networks" in (folder / "panel_small" / "panel.md").read_text()
+    # the folder has all that judging takes, zones too, wherever it is taken
+    assert load_config(folder / "config.yaml").mount.zones == folder / "zones.yaml"
+    assert (folder / "zones.yaml").read_bytes() == SETTINGS["sind_2_body"].zones.read_bytes()
     # on other scenes nobody knows what can be found
     assert main(["experiment", "rescore", str(folder), "scenes.test_seeds=[1003]", "--name", "elsewhere"]) == 0
     assert all("attainable" not in run for run in runs_in(folder / "rescored_elsewhere"))

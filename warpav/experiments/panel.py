@@ -420,7 +420,7 @@ def _with_misses(
     return replace(table, misses=(own, *tables), outside=tuple(each.judge for each in asked), goals=goals)
 
 
-def _named_by_judge(judged: _Judged) -> _Judged:
+def _named_by_judge(judged: _Judged) -> dict[str, list[dict[str, Any]]]:
     """Results by network and arm in one."""
     return {
         f"{name}/{arm}": [{**run, "arm": f"{name}/{arm}"} for run in runs]

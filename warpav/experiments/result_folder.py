@@ -1,7 +1,8 @@
 """The folder of an experiment: what its results were made with, and every result in a file of its own.
 
 ``<folder>/experiment.json`` holds the options of the results, ``<folder>/config.yaml`` and ``<folder>/env.json`` all of
-them and the machine, ``<folder>/results/<arm>_<seed>.json`` one result, ``<folder>/results/<arm>_<seed>.yaml`` its rig.
+them and the machine, ``<folder>/zones.yaml`` the zones of the cameras where there are any,
+``<folder>/results/<arm>_<seed>.json`` one result, ``<folder>/results/<arm>_<seed>.yaml`` its rig.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json
 from warpav.core.fingerprint import digest
-from warpav.runs.config import Config, dump_config, option_values
+from warpav.runs.config import ZONES_FILE, Config, dump_config, option_values
 from warpav.runs.config.schema import LATER_OPTIONS
 from warpav.runs.environment import environment
 from warpav.runs.scene_set import own_vehicle_digest, recordings_digest, traffic_fleet_digest
@@ -58,7 +59,11 @@ def open_folder(folder: Path, name: str, config: Config, camera_renders_max: int
         )
     try:
         (folder / RESULTS).mkdir(parents=True, exist_ok=True)
-        (folder / "config.yaml").write_text(dump_config(config), encoding="utf-8")
+        kept = config
+        if config.mount.zones is not None:  # so that rigs can be judged where the file of the zones is not
+            (folder / ZONES_FILE).write_bytes(config.mount.zones.read_bytes())
+            kept = config.model_copy(update={"mount": config.mount.model_copy(update={"zones": Path(ZONES_FILE)})})
+        (folder / "config.yaml").write_text(dump_config(kept), encoding="utf-8")
     except OSError as error:
         raise ArgumentError(
             place=folder, option="out", text=f"expected a folder that can be made, got: {error.strerror}"
