@@ -332,3 +332,14 @@ def test_a_run_of_a_detector_that_is_an_object_is_not_evaluated_with_another(con
     assert "detector.model: expected the ONNX file of the run's detector" in error
     assert "LowerHalf" in error
     assert "rig_best.yaml" in error
+
+
+def test_a_share_of_the_object_asks_no_detector(config, train):
+    detector = LowerHalf()
+    shares = wa.Config.load("quick", *SMALL[:-1], "losses.probability=visible_share", "requirements=null")
+    placement = wa.Placement(train, config=shares, detector=detector).prepare()
+    assert detector.asked == 0  # a fit shows it thousands of images
+    rig = placement.start_rig or wa.random_rig(placement)
+    share = placement.detection_probabilities(rig)
+    assert 0.0 < share.max() <= 1.0
+    assert detector.asked == 0

@@ -185,6 +185,12 @@ class DetectionProbability:
     record: Mapping[str, Any] = field(default_factory=dict)
     network_scale: tuple[float, float] = (1.0, 1.0)
 
+    @classmethod
+    def unfitted(cls) -> DetectionProbability:
+        """A model that knows no detector: every seen object has an even chance, and the features are those of any."""
+        zero = np.zeros(FEATURE_COUNT)
+        return cls(zero, zero + 1.0, np.zeros((FEATURE_COUNT, 2)), 0.0)
+
     def __post_init__(self) -> None:
         shapes = (self.start.shape, self.step.shape, self.coefficient.shape[:1])
         if shapes != ((FEATURE_COUNT,),) * 3 or self.coefficient.ndim != 2 or self.coefficient.shape[1] < 2:

@@ -147,7 +147,8 @@ def ensure_fit(
     camera, as nobody knows what it makes of images of another size.
 
     Where there are too few scenes of the user's own to fit it on, embedded ones take their place. What is fitted for a
-    detector that is an object is kept while the object lives.
+    detector that is an object is kept while the object lives. Where ``losses.probability`` is a share of the object,
+    which stands in for the probability, no detector is asked.
 
     Args:
         config: Detector, camera, scenes.
@@ -163,6 +164,8 @@ def ensure_fit(
     Raises:
         InputError: It cannot be fitted or read, or was fitted on test scenes of a result.
     """
+    if config.losses.probability != "fitted":
+        return DetectionProbability.unfitted()
     progress = progress or NullProgress()
     if camera == camera_model(config):
         camera = None
