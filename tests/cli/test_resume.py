@@ -157,6 +157,21 @@ def test_a_run_that_is_killed_before_its_first_step_begins_in_its_folder(at_once
     check_same("killed", at_once("pool"))
 
 
+def test_a_run_that_is_stopped_after_its_last_step_is_completed(at_once, monkeypatch):
+    """It may have an evaluation already, and a report that somebody asked for."""
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("warpav.runs.run_figures.draw_views", interrupted)
+        assert main(["optimise", *POOL, "run.out=stopped"]) == 130
+    assert RunFolder.open("stopped").evaluation() is not None
+    assert main(["report", "stopped"]) == 0
+    assert main(["optimise", "--resume", "stopped"]) == 0
+    check_same("stopped", at_once("pool"))
+
+
 def test_a_run_that_has_ended_stays_as_it_is_and_goes_on_with_more(at_once, working_directory, capsys):
     shutil.copytree(at_once("pool"), "run")
     before = {file: file.read_bytes() for file in (working_directory / "run").rglob("*") if file.is_file()}

@@ -11,6 +11,7 @@ import os
 import shutil
 import signal
 import socket
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -406,3 +407,25 @@ def serial_runs(tmp_path_factory):
 @pytest.mark.slow
 def test_whole_runs_give_the_same_numbers_bit_for_bit(serial_runs, elsewhere, tmp_path):
     assert runs(tmp_path, **elsewhere) == serial_runs
+
+
+def test_processes_end_with_the_one_that_started_them():
+    """One that is killed cannot end them; they had stayed for ever, each with its memory."""
+    program = (
+        "import time; from warpav.core.executor.processes import Processes\n"
+        "pool = Processes(eval, 1)\n"
+        "print(pool.outcome(pool.start(['__import__(\"os\").getpid()'])[0]).result, flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as driver:
+        worker = int(driver.stdout.readline())
+        driver.kill()
+        try:
+            for _ in range(200):
+                os.kill(worker, 0)
+                time.sleep(0.1)
+            os.kill(worker, signal.SIGKILL)
+            is_left = True
+        except ProcessLookupError:
+            is_left = False
+    assert not is_left

@@ -25,7 +25,7 @@ from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement
 from warpav.runs.preset_rigs import know_cameras, preset_for
 from warpav.runs.progress import shown_progress
-from warpav.runs.result import Result, StageTimer, write_verdict
+from warpav.runs.result import LAST_STAGE, Result, StageTimer, write_verdict
 from warpav.runs.rig_source import arm_name, check_rig_source, find_rig, is_run_folder
 from warpav.runs.robustness import load_states_of, soiling_of
 from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, held_run, new_run_folder
@@ -116,7 +116,8 @@ def resume_rig(folder: RunFolder, config: Config, *, progress: Progress) -> tupl
         timer.end("searching for a start")
         evaluation = folder.evaluation()
         is_over = optimisation.descent.verdict is not None or done >= config.run.iterations
-        if is_over and evaluation is not None and (folder.path / "report.html").is_file():
+        is_complete = evaluation is not None and LAST_STAGE in evaluation.get("seconds", {})
+        if is_over and evaluation is not None and is_complete and (folder.path / "report.html").is_file():
             progress.say(f"{folder.path} has ended: {optimisation.descent.verdict or f'{done} iterations'}")
             return optimisation.result(), evaluation
         # from here on the folder is written to

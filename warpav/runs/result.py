@@ -51,6 +51,9 @@ if TYPE_CHECKING:
 OPTIMISED, START = "optimised", "start"
 """Names of the rigs of a run where it is compared."""
 
+LAST_STAGE = "figures"
+"""The stage of a run without whose seconds `evaluation.json` is that of one which has not ended."""
+
 _TOLERANCE_M, _TOLERANCE_RAD = 0.02, math.radians(1.0)
 _TOLERANCE_SCENES, _TOLERANCE_DRAWS = 10, 8
 """Errors of mounting of which a run says what they cost, and on how much: some percent of a run's time."""
@@ -406,7 +409,7 @@ def write_verdict(
     problem = drawn.result()
     if problem:
         progress.say(f"no image of the rig: {problem}")
-    timer.end("figures")
+    timer.end(LAST_STAGE)
     evaluation = {**evaluation, "seconds": timer.seconds}
     folder.write_evaluation(evaluation)
     progress.say(f"report: {write_report(folder)}   took {timer.total_s():.0f} s")

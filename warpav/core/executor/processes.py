@@ -5,7 +5,9 @@ from __future__ import annotations
 import concurrent.futures
 import contextlib
 import multiprocessing
+import os
 import sys
+import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -24,7 +26,7 @@ class Processes:
 
     def _open(self) -> ProcessPoolExecutor:
         context = multiprocessing.get_context("spawn")  # a forked child could not use Warp
-        return ProcessPoolExecutor(self._worker_count, context)
+        return ProcessPoolExecutor(self._worker_count, context, initializer=_end_with_parent)
 
     def start(self, tasks: Sequence[Any]) -> Sequence[Future[Outcome[Any, Any]]]:
         """Start tasks, each in the pool that is open then."""
@@ -53,6 +55,19 @@ class Processes:
     def close(self, handles: Collection[Future[Outcome[Any, Any]]]) -> None:
         """End the processes, without waiting for tasks that are under way."""
         self._pool.shutdown(wait=not handles, cancel_futures=True)
+
+
+def _end_with_parent() -> None:
+    """End this process when the one that started it is killed; it would wait for tasks for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 @contextlib.contextmanager
