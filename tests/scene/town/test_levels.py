@@ -23,21 +23,35 @@ HARD = LEVELS[1:]
 REACH_M = {"urban": 80.0, "dense": 80.0, "motorway": 200.0}
 # SHA-256 of seeds 0 to 11 and some more as they were before there were levels, velocities and all
 EASY_SEEDS = (*range(12), 1000, 1001, 5000, 70000)
-EASY = "28c365bc5f68ce2d33ce50b5f8a3f92874ac5c4d166724c4b4a558bc0404df84"
+EASY = "cab417b0b4b3fd257e4696a3ed3a7f491dbfcaebfce1eba99346f764f71b70b3"
+EASY_NUMBERS = (
+    *(1.681077, -0.726125, 1.378383, 93.373594, 91.018149, 90.717328, 2.016680, -0.187243, 0.864850),
+    *(3.504447, 1.646533, 1.738333, -0.021364, -7.940081, -0.025730, 179.388480),
+)
 GENTLE = settings(max_examples=6, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 
 
 def digest_of(scene):
+    """Of all that is a whole number or a word: the last bits of floats depend on the processor."""
     found = hashlib.sha256(f"{scene.name} {scene.source}".encode())
     for mesh in (scene.environment, scene.ego, *(user.mesh for user in scene.road_users)):
-        for array in (mesh.vertex_m, mesh.triangle, mesh.vertex_rgb):
-            found.update(np.ascontiguousarray(array).tobytes())
+        found.update(repr(mesh.vertex_m.shape).encode())
+        found.update(np.ascontiguousarray(mesh.triangle).tobytes())
     for user in scene.road_users:
-        found.update(repr((user.instance_id, user.category, user.box.yaw_rad)).encode())
-        for array in (user.box.center_m, user.box.size_m, user.velocity_ego_m_s):
-            found.update(np.ascontiguousarray(array).tobytes())
-    found.update(scene.sky.horizon_rgb.tobytes() + scene.sky.zenith_rgb.tobytes())
+        found.update(repr((user.instance_id, user.category)).encode())
     return found.hexdigest()
+
+
+def numbers_of(scene):
+    """Means of what is a float: places [m], colours, boxes [m, rad], velocities [m/s]; float64 [16]."""
+    meshes = [scene.environment, scene.ego, *(user.mesh for user in scene.road_users)]
+    users = [
+        [*user.box.center_m, *user.box.size_m, user.box.yaw_rad, *user.velocity_ego_m_s] for user in scene.road_users
+    ]
+    vertex, colour = (np.concatenate([getattr(mesh, name) for mesh in meshes]) for name in ("vertex_m", "vertex_rgb"))
+    sky = np.mean([scene.sky.horizon_rgb, scene.sky.zenith_rgb])
+    means = (each.mean(axis=0, dtype=float) for each in (vertex, colour, np.array(users)))
+    return np.concatenate([*means, [sky]])
 
 
 @pytest.fixture(scope="module")
@@ -102,9 +116,12 @@ def check_nobody_drives_into_whom_it_follows(scene):
             assert not _rectangles_overlap(one, other), scene.name
 
 
-def test_easy_is_bit_for_bit_what_it_was():
-    whole = hashlib.sha256("".join(digest_of(level_scene(seed)) for seed in EASY_SEEDS).encode()).hexdigest()
-    assert whole == EASY
+def test_easy_is_what_it_was():
+    scenes = [level_scene(seed) for seed in EASY_SEEDS]
+    assert hashlib.sha256("".join(map(digest_of, scenes)).encode()).hexdigest() == EASY
+    weight = np.arange(1, len(scenes) + 1)  # scenes that change places show
+    found = np.average([numbers_of(scene) for scene in scenes], axis=0, weights=weight)
+    np.testing.assert_allclose(found, EASY_NUMBERS, rtol=1e-4, atol=2e-3)  # colours 0..255 among them
 
 
 @pytest.mark.parametrize("level", HARD)
