@@ -353,7 +353,13 @@ def test_a_folder_that_vanishes_is_one_line(capsys, monkeypatch):
 
 def begun(*words, command=COMMAND):
     arguments = [sys.executable, "-c", command, *words]
-    return subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        arguments,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # whoever started pytest may ignore it
+    )
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])

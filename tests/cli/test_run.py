@@ -75,6 +75,7 @@ def test_the_evaluation_has_the_documented_fields(run_folder):
         } | {
             "confidence_at_equal_false_alarms",
             "body_share",
+            "redundant_rate",
         } == set(metrics)
         assert all(len(values) == 2 for values in metrics["per_scene"].values())
         assert metrics["rig_recall"] == metrics["tp_detection_rate"]

@@ -88,9 +88,17 @@ EMPTY = {**street()["road_users"][0], "t": [], "x_m": [], "y_m": [], "yaw_rad": 
         ("a.json", json.dumps(long_car()), "length_m: expected 2 to 25 m for a car, got 400"),
         ("a.json", json.dumps(street(dt_s=500.0)), "dt_s: expected the time between two steps, up to 5 s, got 500"),
         ("a.json", json.dumps(mirrored()), "yaw_rad: expected headings counter-clockwise from x"),
-        ("a.json.gz", gzip.compress(json.dumps(street()).encode())[:-20], "expected a whole file that can be read"),
-        ("a.xml", scenario("2020a")[:-900], "expected whole XML, got: unclosed token"),
-        ("a.xml.gz", gzip.compress(scenario("2020a").encode())[:-20], "expected a whole file that can be read"),
+        (
+            "a.json.gz",
+            gzip.compress(json.dumps(street()).encode())[:-20],
+            "got: Compressed file ended",
+        ),
+        ("a.xml", scenario("2020a")[:-900], "expected a whole CommonRoad scenario, got a syntax error: unclosed token"),
+        (
+            "a.xml.gz",
+            gzip.compress(scenario("2020a").encode())[:-20],
+            "got: Compressed file ended",
+        ),
         ("a.xml", scenario("2020a").replace("?>\n", f"?>\n{BOMB}", 1), "expected XML without a DOCTYPE"),
         (
             "a.xml",
@@ -134,11 +142,11 @@ def test_a_bad_recording_beside_good_ones_leaves_nothing(tmp_path, capsys):
 
 
 def test_archives_that_unpack_without_end_are_refused(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("warpav.scene.traffic.files._BYTES_MAX", 2**20)
+    monkeypatch.setattr("warpav.scene.traffic.files.DATA_SET_BYTES_MAX", 2**20)
     file = tmp_path / "bomb.json.gz"
     file.write_bytes(gzip.compress(b" " * (2**20 + 1)))
     assert main(["scenes", "traffic", str(file), "--count", "1", "--out", str(tmp_path / "out")]) == 2
-    assert "bomb.json.gz: expected at most 1 MiB, got more" in capsys.readouterr().err
+    assert "bomb.json.gz: expected recorded traffic of at most 1 MB, got more" in capsys.readouterr().err
 
 
 def test_test_scenes_come_from_recordings_of_their_own(tmp_path):

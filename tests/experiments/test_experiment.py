@@ -204,7 +204,7 @@ def test_results_of_another_configuration_are_refused(copied, scenes):
     with pytest.raises(InputError, match=r"sgd_ifr_doa_0\.json: expected a result of schema 2 made with this"):
         run(copied, scenes, arms=changed)
     (copied / "results" / "sgd_ifr_doa_0.json").write_text("{")
-    with pytest.raises(InputError, match=r"sgd_ifr_doa_0\.json: expected a readable JSON file, got: .*; delete it"):
+    with pytest.raises(InputError, match=r"sgd_ifr_doa_0\.json:1: expected valid JSON .*, got: .*; delete it"):
         run(copied, scenes)
 
 

@@ -267,7 +267,7 @@ REFUSED = [
     (shorten("ego_top_rgb.png", 0.0), "images/ego_top_rgb.png: expected a PNG image, got a file that is truncated"),
     (
         replace_image("ego_top_depth.png", np.ones((36, 48), np.uint16)),
-        "images/ego_top_depth.png: expected uint16 [72, 96] as capture.json says, got uint16 [36, 48]",
+        "images/ego_top_depth.png: expected 96 x 72 px as capture.json says, got 48 x 36",
     ),
     (
         edit(images__0__ego_from_camera=HOLLOW),
