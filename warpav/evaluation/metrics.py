@@ -302,12 +302,13 @@ class RigObservation:
     def visible_to_camera(self) -> np.ndarray:
         """Which camera of the rig sees which object well enough for a ground-truth box, bool [camera, object]."""
         box_px = np.concatenate([each.truth_box_px for each in self.observations])
-        return np.asarray(np.isfinite(box_px).all(axis=2)[np.argsort(self.camera)])
+        sees = np.asarray(np.isfinite(box_px).all(axis=2))
+        return sees[np.argsort(self.camera)]
 
     @property
     def visible(self) -> np.ndarray:
         """Whether some camera sees an object well enough for a ground-truth box, bool [object]."""
-        return self.visible_to_camera.any(axis=0)
+        return np.asarray(self.visible_to_camera.any(axis=0))
 
     @property
     def outcomes(self) -> list[ObjectOutcome]:
