@@ -111,6 +111,49 @@ def draw_series_car(folder: Path) -> None:
     _warpav("rig", "requirements", str(rig), "--image", str(PICTURES / "series_car.png"))
 
 
+def draw_sensitivity(folder: Path) -> None:
+    """sensitivity.png: what errors of mounting and the loss of each camera of the series car cost."""
+    _warpav("optimise", "surround", f"run.out={folder / 'run'}")
+    shutil.copyfile(folder / "run" / "figures" / "sensitivity.png", PICTURES / "sensitivity.png")
+
+
+def draw_any_camera(folder: Path) -> None:
+    """any_camera.png: how well the fit of the detection probability for any camera is calibrated."""
+    _warpav("detector", "fit", "quick", "--any-camera", "--again", "--out", str(folder))
+    shutil.copyfile(next(folder.glob("*_reliability.png")), PICTURES / "any_camera.png")
+
+
+def draw_weights(folder: Path) -> None:
+    """weights.png: weights of road users by place, as the page on the configuration sets them."""
+    import matplotlib.pyplot as plt
+
+    from warpav.optimisation.importance import Importance
+    from warpav.runs.config import load_config
+
+    table = (
+        "{category: {pedestrian: 2, bus: 0.5}, distance_m: {0: 2, 20: 1, 50: 0.5}, "
+        "sector_deg: [{from: -30, to: 30, weight: 2}]}"
+    )
+    importance = Importance(
+        load_config("quick", ["scenes.targets=[vehicle, pedestrian]", f"importance={table}"]).importance
+    )
+    edge_m = np.linspace(-60.0, 60.0, 481)
+    middle_m = 0.5 * (edge_m[1:] + edge_m[:-1])
+    place_m = np.stack(np.meshgrid(middle_m, middle_m, indexing="ij"), axis=-1).reshape(-1, 2)  # x forward, y left
+    figure, axes = plt.subplots(1, 3, figsize=(12.5, 4.2), sharey=True, layout="constrained")
+    for axis, (category, kind) in zip(
+        axes, (("pedestrian", "pedestrian"), ("car", "vehicle"), ("bus", "vehicle")), strict=True
+    ):
+        weight = importance.weights_at([category] * len(place_m), [kind] * len(place_m), place_m)
+        drawn = axis.pcolormesh(edge_m, edge_m, weight.reshape(480, 480), cmap="YlOrRd", vmin=0.0, vmax=8.0)
+        axis.set(aspect="equal", title=f"a {category}", xlabel="y, left [m]", xlim=(60.0, -60.0))
+        axis.plot(0.0, 0.0, "k^", markersize=9)
+    axes[0].set_ylabel("x, forward [m]")
+    figure.colorbar(drawn, ax=axes, label="weight")
+    figure.savefig(PICTURES / "weights.png", dpi=90)
+    plt.close(figure)
+
+
 def draw_town_levels(folder: Path) -> None:
     """town_levels.jpg: the levels of the town, one a row: ahead, to the left, behind, and from above."""
     import warpav as wa
@@ -332,6 +375,9 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "gain.png": draw_gain,
     "requirements.png": draw_requirements,
     "series_car.png": draw_series_car,
+    "sensitivity.png": draw_sensitivity,
+    "any_camera.png": draw_any_camera,
+    "weights.png": draw_weights,
     "traffic_vehicles.jpg": draw_traffic_vehicles,
     "town_levels.jpg": draw_town_levels,
     "stages.jpg": draw_stages,
