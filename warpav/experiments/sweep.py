@@ -1,7 +1,7 @@
 """When placement matters: what a search gains over cameras around the highest point, one circumstance at a time.
 
 Around a middle, the configuration, each factor takes several values while the others stay: the number of cameras, their
-field of view, their height above the roof, the traffic. Everywhere the default method searches anew, and both rigs are
+field of view, their height above the roof, the traffic. The default method searches in each of them, and both rigs are
 measured by what they are expected to miss in the same unseen scenes.
 """
 

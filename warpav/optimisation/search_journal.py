@@ -3,7 +3,7 @@
 A search asks for three things that take long: cameras of its pool, selections, and cameras with their Jacobians along a
 walk, which is a polish or an ascent of prices. All else follows from the answers. The pool's own cameras are in its
 cache, or are drawn again to the same bit; a journal keeps the other answers in order. A search with a journal that has
-answers is the same search: it is told what was found then, and asks again only beyond the last answer.
+answers is the same search: it gets what was found then, and asks again only beyond the last answer.
 
 Jacobians are needed only by the walk that they belong to. So they are kept while it goes on, and what is left of one
 that has ended are its cameras, what they detect, and the rigs that it came to.
