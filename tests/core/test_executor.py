@@ -7,6 +7,7 @@ of this machine, which it treats like Slurm's but for who starts them.
 import importlib.util
 import itertools
 import json
+import multiprocessing
 import os
 import shutil
 import signal
@@ -20,7 +21,7 @@ import numpy as np
 import pytest
 
 from warpav.core.errors import InputError, OptionError
-from warpav.core.executor import Outcome, run_tasks
+from warpav.core.executor import Outcome, processes, run_tasks
 
 needs_ray = pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="ray is not installed")
 needs_submitit = pytest.mark.skipif(importlib.util.find_spec("submitit") is None, reason="submitit is not installed")
@@ -429,3 +430,28 @@ def test_processes_end_with_the_one_that_started_them():
         except ProcessLookupError:
             is_left = False
     assert not is_left
+
+
+def test_processes_share_the_gpus_in_turn(monkeypatch):
+    """What a task calls cuda:0 is another GPU in every process, as each sees them in another order."""
+    monkeypatch.setattr("warp.get_cuda_device_count", lambda: 3)
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4,6,7")
+    outcomes = list(run_tasks(os.getenv, ["CUDA_VISIBLE_DEVICES"] * 6, executor="process", worker_count=2, gpu_count=2))
+    assert {outcome.result for outcome in outcomes} <= {"4,6,7", "6,7,4"}
+    started = multiprocessing.get_context("spawn").Value("i", 0)
+    monkeypatch.setattr(processes, "_end_with_parent", lambda: None)
+    seen = []
+    for _ in range(3):
+        processes._begin(started, ["4,6,7", "6,7,4"])
+        seen.append(os.environ["CUDA_VISIBLE_DEVICES"])
+    assert seen == ["4,6,7", "6,7,4", "4,6,7"]
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES")
+    assert processes._gpu_orders(2) == ["0,1,2", "1,2,0"]
+    assert processes._gpu_orders(1) == []
+
+
+@pytest.mark.parametrize(("executor", "expected"), [("serial", "expected 1 with"), ("process", "expected at most 2")])
+def test_gpus_that_are_not_there_are_refused(monkeypatch, executor, expected):
+    monkeypatch.setattr("warp.get_cuda_device_count", lambda: 2)
+    with pytest.raises(OptionError, match=f"executor.gpus: {expected}"):
+        list(run_tasks(str, [1], executor=executor, gpu_count=3))

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import warp as wp
 from scipy.stats import qmc
 
 from tests.detection.test_probability import model_of
@@ -260,6 +261,17 @@ def test_every_executor_gives_the_same_bytes(tmp_path, executor):
     again = drawn(12, cache=cache)
     assert (again.drawn_count, again.cached_count) == (0, 12 * 3)
     np.testing.assert_array_equal(again.detection_probability, here.detection_probability)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(wp.get_cuda_device_count() < 2, reason="needs two GPUs")
+def test_two_gpus_give_the_same_bytes_as_one():
+    cameras, scenes = cameras_of("cuda:0"), streets("cuda:0")
+    alone = drawn(scenes=scenes, cameras=cameras, chunk_cameras=4)
+    shared = drawn(
+        scenes=scenes, cameras=cameras, chunk_cameras=4, executor=Executor("process", worker_count=2, gpu_count=2)
+    )
+    assert shared.detection_probability.tobytes() == alone.detection_probability.tobytes()
 
 
 def test_large_pools_are_kept_in_half_precision(monkeypatch):

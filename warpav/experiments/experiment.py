@@ -579,6 +579,7 @@ def outcomes(
         address=executor.address,
         options=executor.options,
         folder=folder / "slurm_jobs",
+        gpu_count=executor.gpus,
     )
 
 

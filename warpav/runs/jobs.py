@@ -187,7 +187,7 @@ def _kept_when_stopped(folder: RunFolder, optimisation: Optimisation, progress: 
 def _pool_executor(config: Config) -> Executor:
     """Where pools are drawn; what Slurm needs lies beside them, as all machines must see both."""
     of = config.executor
-    return Executor(of.name, of.workers, of.address, of.options, pool_cache_folder() / "slurm_jobs")
+    return Executor(of.name, of.workers, of.address, of.options, pool_cache_folder() / "slurm_jobs", of.gpus)
 
 
 def _record_step(folder: RunFolder, optimisation: Optimisation, record: IterationRecord) -> None:

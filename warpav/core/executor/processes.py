@@ -11,22 +11,35 @@ import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.sharedctypes import Synchronized
 from typing import Any
 
+from warpav.core.errors import OptionError
 from warpav.core.executor.workers import Outcome, WorkerKilledError, outcome_of
 
 
 class Processes:
     """A pool of processes; one that is killed ends the pool, and the next task opens another."""
 
-    def __init__(self, function: Callable[[Any], Any], worker_count: int) -> None:
-        """A pool without a process; they start with the tasks."""
+    def __init__(self, function: Callable[[Any], Any], worker_count: int, gpu_count: int = 1) -> None:
+        """A pool without a process; they start with the tasks.
+
+        Args:
+            function: What is called with every task.
+            worker_count: Processes.
+            gpu_count: GPUs that they share: what a task calls ``cuda:0`` is to the k-th process the GPU k modulo this.
+
+        Raises:
+            OptionError: This machine has not so many GPUs.
+        """
         self._function, self._worker_count = function, worker_count
+        self._orders = _gpu_orders(gpu_count)
         self._pool = self._open()
 
     def _open(self) -> ProcessPoolExecutor:
         context = multiprocessing.get_context("spawn")  # a forked child could not use Warp
-        return ProcessPoolExecutor(self._worker_count, context, initializer=_end_with_parent)
+        started = context.Value("i", 0)
+        return ProcessPoolExecutor(self._worker_count, context, initializer=_begin, initargs=(started, self._orders))
 
     def start(self, tasks: Sequence[Any]) -> Sequence[Future[Outcome[Any, Any]]]:
         """Start tasks, each in the pool that is open then."""
@@ -55,6 +68,33 @@ class Processes:
     def close(self, handles: Collection[Future[Outcome[Any, Any]]]) -> None:
         """End the processes, without waiting for tasks that are under way."""
         self._pool.shutdown(wait=not handles, cancel_futures=True)
+
+
+def _gpu_orders(gpu_count: int) -> list[str]:
+    """In which order processes see the GPUs, as CUDA_VISIBLE_DEVICES; empty where all see them as this one does.
+
+    Raises:
+        OptionError: This machine has not so many GPUs.
+    """
+    if gpu_count == 1:
+        return []
+    import warp
+
+    found = warp.get_cuda_device_count()
+    if gpu_count > found:
+        raise OptionError("executor.gpus", f"expected at most {found}, the GPUs that Warp finds here, got {gpu_count}")
+    visible = os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",")[:found]
+    gpus = visible if len(visible) == found and all(visible) else [str(k) for k in range(found)]
+    return [",".join(gpus[first:] + gpus[:first]) for first in range(gpu_count)]
+
+
+def _begin(started: Synchronized[int], gpu_orders: Sequence[str]) -> None:
+    """What a process does first: before Warp looks for GPUs."""
+    if gpu_orders:
+        with started.get_lock():
+            os.environ["CUDA_VISIBLE_DEVICES"] = gpu_orders[started.value % len(gpu_orders)]
+            started.value += 1
+    _end_with_parent()
 
 
 def _end_with_parent() -> None:

@@ -25,6 +25,7 @@ class Executor:
         address: Of a running Ray cluster.
         options: What a task needs.
         folder: For jobs and logs of ``slurm``.
+        gpu_count: GPUs that the processes of ``process`` share, at least 1.
     """
 
     name: ExecutorName = "serial"
@@ -32,6 +33,7 @@ class Executor:
     address: str | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     folder: Path | str = "slurm_jobs"
+    gpu_count: int = 1
 
     def run(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Outcome[Task, Result]]:
         """Run a function on every task, as `run_tasks`."""
@@ -43,6 +45,7 @@ class Executor:
             address=self.address,
             options=self.options,
             folder=self.folder,
+            gpu_count=self.gpu_count,
         )
 
 
@@ -55,6 +58,7 @@ def run_tasks(
     address: str | None = None,
     options: Mapping[str, Any] | None = None,
     folder: Path | str = "slurm_jobs",
+    gpu_count: int = 1,
 ) -> Iterator[Outcome[Task, Result]]:
     """Run a function on every task; one that fails does not keep the others from running.
 
@@ -74,6 +78,8 @@ def run_tasks(
         options: What a task needs: options of ``ray.remote`` such as ``num_gpus``, or of submitit's ``AutoExecutor``
             such as ``slurm_partition``, ``timeout_min`` (240 by default) and ``gpus_per_node``.
         folder: For jobs and logs of ``slurm``; all machines must see it.
+        gpu_count: GPUs that the processes of ``process`` share in turn, from the tasks' own device on; the results
+            stay the same. Ray and Slurm give a task its GPU by ``options``.
 
     Yields:
         Outcomes, in the order of the tasks with ``serial`` and as they finish with the others. Tasks that were under
@@ -82,8 +88,10 @@ def run_tasks(
 
     Raises:
         OptionError: The executor's package is not installed, nobody answers at the address, or an option is wrong;
-            it names ``executor.name``, ``.workers``, ``.address`` or ``.options``.
+            it names ``executor.name``, ``.workers``, ``.address``, ``.options`` or ``.gpus``.
     """
+    if gpu_count != 1 and executor != "process":
+        raise OptionError("executor.gpus", f"expected 1 with executor.name={executor}, got {gpu_count}; take process")
     if worker_count is not None and worker_count < 1:
         raise OptionError("executor.workers", f"expected 1 or more, or nothing for as many as fit, got {worker_count}")
     if executor == "serial":
@@ -104,7 +112,7 @@ def run_tasks(
             return SlurmJobs(function, address, options or {}, folder)
         from warpav.core.executor.processes import Processes
 
-        return Processes(function, count or 1)
+        return Processes(function, count or 1, gpu_count)
 
     if not tasks:
         return

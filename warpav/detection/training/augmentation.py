@@ -6,6 +6,7 @@ gradient of the light across the image, defocus and sensor noise keep the networ
 
 from __future__ import annotations
 
+import functools
 import math
 
 import torch
@@ -44,7 +45,7 @@ def augment(images_rgb: Tensor, truth: TargetBoxes, generator: torch.Generator) 
     zoom = torch.where(zoomed, uniform(math.log(_ZOOM_MIN), math.log(_ZOOM_MAX), count).exp(), 1.0)
     flipped = uniform(0, 1, count) < 0.5
     # An enlarged image is shifted within the frame that it covers, a reduced one within the frame that holds it.
-    size_px = torch.tensor([columns, rows], dtype=torch.float32, device=device)
+    size_px = _constant((columns, rows), device)
     shift_px = uniform(0, 1, count, 2) * (1.0 - zoom)[:, None] * size_px
 
     image = images_rgb.permute(0, 3, 1, 2).float() / 255.0
@@ -82,9 +83,15 @@ def _recolour(image: Tensor, uniform) -> Tensor:  # noqa: ANN001 - a closure of 
 
 def _blurred(image: Tensor) -> Tensor:
     """The image through a binomial filter of 5 x 5 pixels."""
-    line = torch.tensor([1.0, 4.0, 6.0, 4.0, 1.0], device=image.device) / 16.0
+    line = _constant((1.0, 4.0, 6.0, 4.0, 1.0), image.device) / 16.0
     filters = (line[:, None] * line).expand(3, 1, 5, 5).contiguous()
     return functional.conv2d(functional.pad(image, (2, 2, 2, 2), mode="replicate"), filters, groups=3)
+
+
+@functools.cache
+def _constant(values: tuple[float, ...], device: torch.device) -> Tensor:
+    """These values on the device; copied once, since a copy waits for all that the device has yet to do."""
+    return torch.tensor(values, dtype=torch.float32, device=device)
 
 
 def _move(truth: TargetBoxes, zoom: Tensor, shift_px: Tensor, flipped: Tensor, size_px: Tensor) -> TargetBoxes:

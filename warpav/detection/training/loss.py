@@ -71,10 +71,15 @@ def generalised_iou(first_px: Tensor, second_px: Tensor) -> Tensor:
     second_low, second_high = second_px[..., :2], second_px[..., 2:]
     overlap = torch.minimum(first_high, second_high) - torch.maximum(first_low, second_low)
     hull = torch.maximum(first_high, second_high) - torch.minimum(first_low, second_low)
-    intersection = overlap.clamp(0).prod(dim=-1)
-    union = (first_high - first_low).prod(dim=-1) + (second_high - second_low).prod(dim=-1) - intersection
-    hull_area = hull.prod(dim=-1).clamp(min=_EPSILON)
+    intersection = _area(overlap.clamp(0))
+    union = _area(first_high - first_low) + _area(second_high - second_low) - intersection
+    hull_area = _area(hull).clamp(min=_EPSILON)
     return intersection / union.clamp(min=_EPSILON) - (hull_area - union) / hull_area
+
+
+def _area(size: Tensor) -> Tensor:
+    """Width times height, [..., 2] to [...]; the backward pass of ``prod`` would scan, and wait for the device."""
+    return size[..., 0] * size[..., 1]
 
 
 @torch.no_grad()

@@ -97,7 +97,9 @@ class Training:
         floating = [name for name, value in current.items() if value.is_floating_point()]
         self._averages, self._currents = [average[name] for name in floating], [current[name] for name in floating]
         self.learning_rate = learning_rate
-        self.optimiser = torch.optim.AdamW(_parameter_groups(self.network), lr=learning_rate)
+        self.optimiser = torch.optim.AdamW(
+            _parameter_groups(self.network), lr=learning_rate, fused=device.type == "cuda"
+        )
         self.random = np.random.default_rng(seed)
         self.generator = torch.Generator(device).manual_seed(seed)
         self.step = 0
@@ -152,7 +154,8 @@ class Training:
         """
         for group in self.optimiser.param_groups:
             group["lr"] = self._learning_rate()
-        index = torch.from_numpy(self.random.integers(len(data.images_rgb), size=batch_size)).to(self.device)
+        # Drawn on the device: a copy would wait for all that the device has yet to do.
+        index = torch.randint(len(data.images_rgb), (batch_size,), generator=self.generator, device=self.device)
         images, truth = augment(*data.batch(index), self.generator)
         images = images.contiguous(memory_format=torch.channels_last)
         # The graph does not depend on the precision; a CPU gains nothing from half precision.

@@ -577,6 +577,9 @@ class ExecutorConfig(Section):
         description="serial: one after the other; process: in processes of this machine; ray and slurm: on a cluster",
     )
     workers: int | None = Field(default=None, ge=1, description="tasks at a time; null takes as many as fit")
+    gpus: int = Field(
+        default=1, ge=1, description="GPUs that the processes of a search share in turn, from the one of device on"
+    )
     address: str | None = Field(
         default=None, description="of a Ray cluster; null takes RAY_ADDRESS, else a Ray of this machine"
     )
