@@ -2,8 +2,8 @@
 
 A program, not a test: ``python tests/benchmarks/load.py --scenes 1000 --cameras 16 --steps 10000``. It optimises by the
 descent with small images and eight scenes a step, so that every scene has been seen in the first tenth, writes every
-step as ``warpav optimise`` does, and prints memory [MB], open files and time a step [ms] as it goes, then what the folder
-and the report take [MB].
+step as ``warpav optimise`` does, and prints memory [MB], open files and time a step [ms] as it goes, then what the
+folder and the report take [MB].
 """
 
 from __future__ import annotations
