@@ -16,6 +16,7 @@ from warpav.core.bounded_files import (
     NODES_MAX,
     check_nesting,
     is_inner_path,
+    is_whole_png,
     parse_json,
     parse_xml,
     read_arrays,
@@ -224,6 +225,18 @@ def test_arrays_are_those_that_were_written(tmp_path, rng):
 )
 def test_paths_that_stay_in_their_folder(name, is_inside):
     assert is_inner_path(name) is is_inside
+
+
+def test_parts_of_a_png_lie_within_it():
+    import cv2
+
+    whole = cv2.imencode(".png", np.arange(60, dtype=np.uint8).reshape(6, 10))[1].tobytes()
+    assert is_whole_png(whole)
+    assert is_whole_png(whole + b"behind it")
+    assert not any(is_whole_png(whole[:size]) for size in range(len(whole) - 11))
+    claims_4_gb = whole[:33] + b"\xed\x9f\x00\x24" + whole[37:]
+    assert not is_whole_png(claims_4_gb)
+    assert not is_whole_png(b"\xff\xd8" + whole)
 
 
 def test_what_a_terminal_would_obey_is_written_out(capsys):

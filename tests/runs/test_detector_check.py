@@ -26,6 +26,8 @@ def folder(tmp_path, monkeypatch):
     write_network(tmp_path / "trees.onnx", "ultralytics", metadata={"names": "['oak', 'elm', 'ash']"})
     cv2.imwrite(str(tmp_path / "picture.png"), np.full((SIDE_PX, SIDE_PX, 3), 128, np.uint8))
     (tmp_path / "text.png").write_text("no picture")
+    data = (tmp_path / "picture.png").read_bytes()
+    (tmp_path / "claims.png").write_bytes(data[:33] + b"\xed\x9f\x00\x24" + data[37:])  # a part of 4 GB
     (tmp_path / "empty.jpg").touch()
     (tmp_path / "text.onnx").write_text("no network")
     return tmp_path
@@ -101,6 +103,10 @@ def test_paths_may_begin_at_home(folder, capsys, monkeypatch):
         (["mine.onnx", "scenes.targets=[cyclist]"], "means a cyclist (cyclist, bicyclist, rider); name those"),
         (["mine.onnx", "detector.input_px=320"], "fixes its input at 64 x 64 pixels"),
         (["mine.onnx", "--image", "nothing.png"], "nothing.png: --image: expected an image, got none"),
+        (
+            ["mine.onnx", "--image", "claims.png"],
+            "claims.png: --image: expected an image such as PNG or JPEG, got",
+        ),
         (
             ["mine.onnx", "--image", "text.png"],
             "text.png: --image: expected an image such as PNG or JPEG, got",

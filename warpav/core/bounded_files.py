@@ -36,6 +36,8 @@ DATA_SET_BYTES_MAX = 200_000_000
 """Bytes of the tables and recordings of data sets, and of the iterations of a run."""
 DATA_SET_NODES_MAX = 5_000_000
 """Values in them."""
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+"""What a PNG file begins with."""
 
 _QUOTED = re.compile(r'"(?:[^"\\]++|\\.)*+"?+', re.DOTALL)
 _ANY_QUOTED = re.compile(r"\"(?:[^\"\\]++|\\.)*+\"?+|'(?:[^'\\]++|\\.)*+'?+", re.DOTALL)
@@ -273,6 +275,16 @@ def read_feather(file: Path, kind: str) -> Any:  # noqa: ANN401
     if table.num_rows * table.num_columns > DATA_SET_NODES_MAX:
         refuse_nodes(str(file), DATA_SET_NODES_MAX)
     return table
+
+
+def is_whole_png(data: bytes) -> bool:
+    """Whether all parts of a PNG file lie within it; decoders may take memory for as long a part as it claims."""
+    begin = len(PNG_SIGNATURE)
+    while data.startswith(PNG_SIGNATURE) and begin + 12 <= len(data):
+        if data[begin + 4 : begin + 8] == b"IEND":
+            return True
+        begin += 12 + int.from_bytes(data[begin : begin + 4], "big")
+    return False
 
 
 def is_inner_path(name: str) -> bool:

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import pickle
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -299,14 +300,14 @@ class _Chunk:
     """A task: some cameras in one scene.
 
     Attributes:
-        cameras: What they are.
+        cameras: What they are, or the file that they lie in.
         scene: The scene, or the file that it lies in.
         scene_number: Its place among the scenes.
         row: The cameras' places among those to be drawn.
         mount_pose: They themselves, float32 [camera, 7].
     """
 
-    cameras: SingleCameras
+    cameras: SingleCameras | Path
     scene: _Place
     scene_number: int
     row: np.ndarray
@@ -382,39 +383,57 @@ class _Source:
         return found, drawn_count, len(mount_pose) * len(self.scenes) - drawn_count
 
     @contextlib.contextmanager
-    def _travelling(
-        self, numbers: set[int]
-    ) -> Iterator[tuple[SingleCameras, Callable[[int], DeviceScene | GhostScene | Path]]]:
-        """The cameras and the scenes as a task takes them: as they are, or where all tasks start at once in files."""
+    def _travelling(self, numbers: set[int]) -> Iterator[tuple[SingleCameras | Path, Callable[[int], _Place]]]:
+        """The cameras and the scenes as a task takes them: as they are, or in files that each process reads once."""
+        if self.executor.name == "serial" or not numbers:
+            yield self.cameras, lambda number: self.scenes[number]
+            return
         # a process and a worker of Ray have one core each
         is_alone = self.executor.name in ("process", "ray")
         cameras = replace(self.cameras, thread_count=1) if is_alone else self.cameras
-        if self.executor.name in ("serial", "process"):
-            yield cameras, lambda number: self.scenes[number]
-            return
         in_files = {number for number in numbers if isinstance(self.scenes[number], DeviceScene)}
-        assert self.cache is not None
+        beside = None if self.executor.name == "process" else self.cache  # the cache is seen by all machines
         try:
-            self.cache.mkdir(parents=True, exist_ok=True)
-            folder = tempfile.TemporaryDirectory(prefix="scenes-", dir=self.cache)
+            if beside is not None:
+                beside.mkdir(parents=True, exist_ok=True)
+            folder = tempfile.TemporaryDirectory(prefix="warpav-scenes-", dir=beside)
         except OSError as error:
-            raise InputError(f"{self.cache}: expected a folder to write to, got: {error.strerror}") from None
+            at = beside or tempfile.gettempdir()
+            raise InputError(f"{at}: expected a folder to write to, got: {error.strerror}") from None
         with folder as path:
-            for number in in_files:
-                scene = self.scenes[number]
-                assert isinstance(scene, DeviceScene)
-                with (Path(path) / f"{number}.npz").open("wb") as stream:
-                    np.savez(stream, **scene.arrays())  # pyright: ignore[reportArgumentType]
-            yield cameras, lambda number: Path(path) / f"{number}.npz" if number in in_files else self.scenes[number]
+            try:
+                (Path(path) / "cameras.pickle").write_bytes(pickle.dumps(cameras))
+                for number in in_files:
+                    scene = self.scenes[number]
+                    assert isinstance(scene, DeviceScene)
+                    with (Path(path) / f"{number}.npz").open("wb") as stream:
+                        np.savez(stream, **scene.arrays())  # pyright: ignore[reportArgumentType]
+            except OSError as error:
+                raise InputError(f"{path}: expected room for the scenes, got: {error.strerror}") from None
+            yield (
+                Path(path) / "cameras.pickle",
+                lambda number: Path(path) / f"{number}.npz" if number in in_files else self.scenes[number],
+            )
 
 
 def _draw(chunk: _Chunk) -> np.ndarray:
     """What a task does, maybe in another process."""
-    scene = chunk.scene
-    if isinstance(scene, Path):
-        with np.load(scene, allow_pickle=False) as arrays:
-            scene = DeviceScene.of_arrays(dict(arrays), device=chunk.cameras.mount.device)
-    return chunk.cameras.detection_probability(chunk.mount_pose, scene)
+    cameras = _read_cameras(chunk.cameras) if isinstance(chunk.cameras, Path) else chunk.cameras
+    scene = _read_scene(chunk.scene, cameras.mount.device) if isinstance(chunk.scene, Path) else chunk.scene
+    return cameras.detection_probability(chunk.mount_pose, scene)
+
+
+@lru_cache(maxsize=1)
+def _read_cameras(file: Path) -> SingleCameras:
+    """The cameras of all tasks of a pool, with the renderers that they keep."""
+    return pickle.loads(file.read_bytes())
+
+
+@lru_cache(maxsize=2)
+def _read_scene(file: Path, device: str) -> DeviceScene:
+    """A scene of a pool; tasks in one scene follow each other."""
+    with np.load(file, allow_pickle=False) as arrays:
+        return DeviceScene.of_arrays(dict(arrays), device=device)
 
 
 def _checked_poses(mount_pose: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from warpav.core.bounded_files import PNG_SIGNATURE, is_whole_png
 from warpav.core.errors import ArgumentError
 from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.onnx_detector import OnnxDetector
@@ -121,10 +122,11 @@ def _read_image(file: Path) -> np.ndarray:
     import cv2
 
     try:
-        data = np.frombuffer(file.read_bytes(), np.uint8)
+        data = file.read_bytes()
     except OSError as error:
         raise ArgumentError("image", f"expected an image, got none: {error.strerror}", place=file) from error
-    image_bgr = cv2.imdecode(data, cv2.IMREAD_COLOR) if len(data) else None
+    is_decoded = len(data) > 0 and (is_whole_png(data) or not data.startswith(PNG_SIGNATURE))
+    image_bgr = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if is_decoded else None
     if image_bgr is None:
         raise ArgumentError(
             "image", f"expected an image such as PNG or JPEG, got a file of {len(data)} bytes that is none", place=file

@@ -154,6 +154,17 @@ def _truncate(name):
     return spoil
 
 
+def _claim_4_gb(name):
+    """The first part behind the header says that it is 4 GB long."""
+
+    def spoil(folder):
+        file = folder / "images" / name
+        data = file.read_bytes()
+        file.write_bytes(data[:33] + b"\xed\x9f\x00\x24" + data[37:])
+
+    return spoil
+
+
 MIRROR = [[0, 0, 1, 0], [1, 0, 0, 0], [0, -1, 0, 2], [0, 0, 0, 1]]
 STRETCHED = [[0, 0, 2, 0], [-1, 0, 0, 0], [0, -1, 0, 2], [0, 0, 0, 1]]
 WRONG = [
@@ -162,6 +173,7 @@ WRONG = [
         "ego_top_rgb.png: expected an image, got no such",
     ),
     (_truncate("ego_top_depth.png"), "ego_top_depth.png: expected a PNG image, got a file that is truncated"),
+    (_claim_4_gb("ego_top_rgb.png"), "ego_top_rgb.png: expected a PNG image, got a file that is truncated"),
     (
         _replace("ego_top_depth.png", np.zeros((9, 9), np.uint16)),
         "ego_top_depth.png: expected 48 x 32 px as",

@@ -35,7 +35,9 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from warpav.core.atomic_write import atomic_write
 from warpav.core.bounded_files import (
     ARRAY_BYTES_MAX,
+    PNG_SIGNATURE,
     is_inner_path,
+    is_whole_png,
     parse_json,
     read_arrays,
     read_bytes,
@@ -64,7 +66,6 @@ DEPTH_STEP_M = 0.002
 UNFINISHED = "capture.part.json"
 """What an unfinished capture is going to hold."""
 _MAX_ROTATION_ERROR = 1e-3
-_PNG_BEGIN, _PNG_END = b"\x89PNG\r\n", b"IEND"
 _PIXELS_MAX = 1 << 26  # of a view: with its depths and instances half a gigabyte
 
 
@@ -339,12 +340,11 @@ class _Images(Sequence[CapturedImage]):
             raise InputError(f"{file}: expected an image, got no such file; take or copy it again")
         data = read_bytes(file, "a PNG image", bytes_max=ARRAY_BYTES_MAX)
         size_px = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")  # stated before all pixels
-        if data.startswith(_PNG_BEGIN) and size_px != shape[1::-1]:
+        if data.startswith(PNG_SIGNATURE) and size_px != shape[1::-1]:
             raise InputError(
                 f"{file}: expected {shape[1]} x {shape[0]} px as {DESCRIPTION} says, got {size_px[0]} x {size_px[1]}"
             )
-        is_png = data.startswith(_PNG_BEGIN) and _is_whole(data)
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if is_png else None
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if is_whole_png(data) else None
         if image is None:
             raise InputError(f"{file}: expected a PNG image, got a file that is truncated or no image")
         if image.ndim == 3 and image.shape[2] == 4 and len(shape) == 3:
@@ -478,7 +478,7 @@ def _has_files(folder: Path, one: ImageRecord) -> bool:
 
 def _is_whole(data: bytes) -> bool:
     """Whether a file's content is more than the beginning of one, as far as that shows without decoding it."""
-    return len(data) > 0 and (not data.startswith(_PNG_BEGIN) or _PNG_END in data)
+    return len(data) > 0 and (not data.startswith(PNG_SIGNATURE) or is_whole_png(data))
 
 
 def _write(file: Path, data: bytes) -> None:
