@@ -274,6 +274,56 @@ def test_two_gpus_give_the_same_bytes_as_one():
     assert shared.detection_probability.tobytes() == alone.detection_probability.tobytes()
 
 
+def test_a_process_is_sent_files_not_scenes(tmp_path):
+    sizes = []
+
+    class Measured(Executor):
+        def run(self, function, tasks):
+            sizes.extend(len(pickle.dumps(task)) for task in tasks)
+            return super().run(function, tasks)
+
+    drawn(12, executor=Measured("process", worker_count=1), chunk_cameras=5)
+    assert len(sizes) == 3 * 3
+    assert max(sizes) < 2000  # a street alone takes 100 kB
+
+
+def test_a_renderer_without_room_draws_fewer_cameras_at_once(monkeypatch, caplog):
+    """The same bytes; as Warp tells it on a GPU."""
+    expected, rendered = drawn(40), Renderer.render
+    expected_pose = CameraPool.draw(poses_of(40), scenes=streets(), cameras=cameras_of()).mount_pose
+
+    def render(self, *args, **options):
+        if self.view_count > 3:
+            raise RuntimeError("Failed to allocate 4294967296 bytes on device 'cuda:0'")
+        return rendered(self, *args, **options)
+
+    monkeypatch.setattr(Renderer, "render", render)
+    cameras = cameras_of()
+    found = drawn(40, cameras=cameras)
+    np.testing.assert_array_equal(found.detection_probability, expected.detection_probability)
+    assert caplog.records[-1].getMessage().endswith("going on with 2 views at once")
+    slope = cameras.with_jacobian(expected_pose[:8], streets())
+    monkeypatch.setattr(Renderer, "render", rendered)
+    for fewer, all_at_once in zip(slope, cameras_of().with_jacobian(expected_pose[:8], streets()), strict=True):
+        np.testing.assert_array_equal(fewer, all_at_once)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(wp.get_cuda_device_count() < 1, reason="needs a GPU")
+def test_a_full_gpu_draws_fewer_cameras_at_once(caplog):
+    device = wp.get_device("cuda:0")
+    model = CameraModel(1280, 960, math.pi / 2)
+    mount = mount_of("cuda:0", model=model)
+    expected = drawn(120, scenes=streets("cuda:0"), cameras=cameras_of(mount=mount))
+    gc.collect()
+    wp.synchronize_device(device)
+    full = wp.empty(device.free_memory - 2**29, dtype=wp.uint8, device=device)
+    found = drawn(120, scenes=streets("cuda:0"), cameras=cameras_of(mount=mount))
+    assert full.capacity
+    assert "views at once" in caplog.text
+    np.testing.assert_array_equal(found.detection_probability, expected.detection_probability)
+
+
 def test_large_pools_are_kept_in_half_precision(monkeypatch):
     exact = drawn(20)
     assert exact.detection_probability.dtype == np.float32

@@ -28,7 +28,7 @@ def rendered(renderer, device):
 @pytest.mark.parametrize("lens", ["pinhole", "fisheye"])
 def test_held_bytes_are_those_of_keys_rays_and_silhouettes(device, lens):
     new = renderer_of(3, device, lens=lens)
-    before = new.held_bytes
+    before = new.held_bytes - new._buffers.strip.capacity  # a GPU's queue is there from the first
     found = rendered(new, device).held_bytes
     samples = (SIZE[0] + 2) * (SIZE[1] + 2)
     keys, rays = 8 * 3 * samples, 12 * samples if lens == "fisheye" else 0

@@ -23,7 +23,7 @@ from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, PlacedViews
 from warpav.optimisation.recording import Recording
 from warpav.raster.areas import MEASURE_COUNT, Measures, WindowMeasures
 from warpav.raster.camera import CameraModel
-from warpav.raster.chunks import equal_chunks
+from warpav.raster.chunks import ViewsAtOnce, equal_chunks
 from warpav.raster.pane import Pane
 from warpav.raster.renderer import Renderer
 from warpav.scene.device_scene import DeviceScene, UprightBoxes
@@ -55,7 +55,7 @@ class CameraJacobians:
             pane: What of the own vehicle the cameras look through; None: they stand outside.
         """
         self.mount, self.camera, self.probability = mount, camera, probability
-        self._renderers_for, self._most_views, self._pane = renderers_for, most_views, pane
+        self._renderers_for, self._at_once, self._pane = renderers_for, ViewsAtOnce(most_views), pane
         self._views: dict[int, _Views] = {}
 
     def of(self, mount_pose: np.ndarray, scenes: Sequence[DeviceScene]) -> tuple[np.ndarray, np.ndarray]:
@@ -65,8 +65,12 @@ class CameraJacobians:
         if not peopled or not len(pose):
             count = sum(scene.vehicle_count for scene in peopled)
             return np.zeros((len(pose), count)), np.zeros((len(pose), count, MOUNT_POSE_SIZE))
+        return self._at_once.run(lambda most: self._of(pose, peopled, most), release=self._views.clear)
+
+    def _of(self, pose: np.ndarray, peopled: Sequence[DeviceScene], most: int) -> tuple[np.ndarray, np.ndarray]:
+        """`of`, at most so many cameras at once, in scenes none of which is empty."""
         slope = placing_slope(self.mount, pose)
-        chunks = equal_chunks(len(pose), self._most_views)
+        chunks = equal_chunks(len(pose), most)
         views = self._views_of(len(chunks[0]))
         parts, position_m = [], []
         for chunk in chunks:

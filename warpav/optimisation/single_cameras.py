@@ -26,7 +26,7 @@ from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import LOG_ZOOM, MIRROR, MOUNT_POSE_SIZE, CameraMount
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.chunks import MAX_CHUNK_VIEWS, chunk_view_count, equal_chunks
+from warpav.raster.chunks import MAX_CHUNK_VIEWS, ViewsAtOnce, chunk_view_count, equal_chunks
 from warpav.raster.decide import Occlusion
 from warpav.raster.kept import KeptRenderers
 from warpav.raster.pane import Pane
@@ -71,6 +71,7 @@ class SingleCameras:
     is_mirrored: bool = False
     _kept_jacobians: dict[_Kind, CameraJacobians] = field(default_factory=dict, init=False, repr=False)
     _renderers: KeptRenderers = field(default_factory=KeptRenderers, kw_only=True, repr=False)
+    _at_once: dict[int, ViewsAtOnce] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if len(self.probabilities) != len(self.mount.cameras):
@@ -218,9 +219,14 @@ class SingleCameras:
 
     def _detected(self, kind: _Kind, pose: np.ndarray, scene: DeviceScene) -> np.ndarray:
         """The probability that cameras of one kind detect each object, float32 [camera, object]."""
+        at_once = self._at_once.setdefault(kind[0], ViewsAtOnce(self._most_views(kind[0])))
+        return at_once.run(lambda most: self._detected_at_once(kind, pose, scene, most), release=self._renderers.clear)
+
+    def _detected_at_once(self, kind: _Kind, pose: np.ndarray, scene: DeviceScene, most: int) -> np.ndarray:
+        """`_detected`, at most so many cameras at once."""
         module, pane = kind
         found = np.zeros((len(pose), scene.vehicle_count), np.float32)
-        chunks = equal_chunks(len(pose), self._most_views(module))
+        chunks = equal_chunks(len(pose), most)
         free: SimpleQueue[Renderer] = SimpleQueue()
         for renderer in self._maker(module).kept(self._renderers, len(chunks[0])):
             free.put(renderer)

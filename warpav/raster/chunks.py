@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import gc
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
 
 import numpy as np
 import warp as wp
@@ -16,6 +19,9 @@ from warpav.raster.scene import Scene
 
 CHUNK_KEY_BYTES = 2**28
 MAX_CHUNK_VIEWS = 64
+
+_Result = TypeVar("_Result")
+_logger = logging.getLogger(__name__)
 
 
 def chunk_view_count(model: CameraModel, *, supersampling: int = 1, key_bytes: int = CHUNK_KEY_BYTES) -> int:
@@ -34,6 +40,44 @@ def equal_chunks(count: int, most: int) -> list[np.ndarray]:
     """
     size = -(-count // -(-count // most)) if count else 1
     return [np.minimum(np.arange(first, first + size), count - 1) for first in range(0, count, size)]
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether an error says that a device has not the memory that was asked for; Warp has no class for it."""
+    text = str(error).lower()
+    return isinstance(error, RuntimeError) and ("failed to allocate" in text or "out of memory" in text)
+
+
+class ViewsAtOnce:
+    """How many views are rendered at once: half as many from the first time on that a device's memory is too small.
+
+    Attributes:
+        most: As many at most, at least 1.
+    """
+
+    def __init__(self, most: int) -> None:
+        self.most = most
+
+    def run(self, render: Callable[[int], _Result], *, release: Callable[[], object]) -> _Result:
+        """What ``render(most)`` gives, called again with half as many views as long as memory does not hold them.
+
+        Args:
+            render: Renders so many views at once; its results do not depend on how many.
+            release: Lets go of what it holds on the device.
+
+        Raises:
+            RuntimeError: Not even one view has room, or it failed in another way.
+        """
+        while True:
+            try:
+                return render(self.most)
+            except RuntimeError as error:
+                if self.most == 1 or not is_out_of_memory(error):
+                    raise
+                self.most //= 2
+                _logger.warning("%s; going on with %d views at once", " ".join(str(error).split()), self.most)
+            release()
+            gc.collect()
 
 
 def render_in_chunks(

@@ -29,6 +29,10 @@ class KeptRenderers:
         """What the buffers of all of them hold."""
         return sum(each.held_bytes for renderers in self._kept.values() for each in renderers)
 
+    def clear(self) -> None:
+        """Let go of all of them."""
+        self._kept.clear()
+
     def of(self, key: Hashable, make: Callable[[], Sequence[Renderer]]) -> tuple[Renderer, ...]:
         """The renderers of a key; those that ``make`` gives, if none are kept.
 
