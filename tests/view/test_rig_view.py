@@ -87,7 +87,7 @@ def test_traffic_and_road_are_drawn_and_walls_are_not(draw):
 
 
 def test_far_traffic_is_left_out(draw):
-    plotter = draw(rig(1), ego=ego(), scene=scene(vehicle(1, 50.0, 3.4)))
+    plotter = draw(rig(1), ego=ego(), scene=scene(vehicle(1, 80.0, 3.4)))
     assert "scene/vehicles" not in plotter.actors
 
 

@@ -1,4 +1,4 @@
-"""Commands about runs: optimise, evaluate, render, inspect, report."""
+"""Commands about runs: optimise, evaluate, render, inspect, view, report."""
 
 from __future__ import annotations
 
@@ -215,6 +215,38 @@ def inspect(
         say(f"no window here, as {display_text()}: wrote {file}")
     elif file is not None:
         say(f"wrote {file}")
+
+
+def view(
+    source: Annotated[str, Parameter(help="Run folder, rig YAML, preset, highest, or the GLB of a scene.")],
+    /,
+    *overrides: Overrides,
+    rig: Annotated[str, Parameter(help="Rig to show in the GLB of a scene.")] = "highest",
+    port: Annotated[int, Parameter(help="Port of this machine, 0 for any that is free.")] = 8765,
+    out: Annotated[
+        Path | None, Parameter(help="HTML file to write instead: a page that stands alone, to be sent to others.")
+    ] = None,
+) -> None:
+    """View a rig in a browser: the inspector, served to this machine only, or a page that stands alone."""
+    from warpav.runs.inspect import serve_inspector, write_inspector_page
+    from warpav.runs.rig_source import config_for
+
+    is_scene = source.lower().endswith(".glb")
+    shown, scene = (rig, Path(source)) if is_scene else (source, None)
+    if not is_scene and rig != "highest":
+        raise ArgumentError(
+            "rig", f"expected it beside the GLB of a scene, got {rig!r} beside {source!r}; leave one out"
+        )
+    with config_for(shown, None, overrides, default=DEFAULT_CONFIG) as settings:
+        if out is not None:
+            say(f"wrote {write_inspector_page(shown, settings, out, scene=scene)}")
+            return
+        serve_inspector(shown, settings, scene=scene, port=port, ready=_say_address)
+
+
+def _say_address(url: str, port: int) -> None:
+    say(f"open {url}")
+    say(f"from another machine first: ssh -L {port}:127.0.0.1:{port} THIS_MACHINE; Ctrl-C ends the viewer")
 
 
 def report(run: Annotated[str, Parameter(help="Run folder.")], /) -> None:

@@ -16,9 +16,10 @@ from warpav.runs.networks import load_detector
 from warpav.runs.rig_source import find_rig, is_run_folder
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scenes
+from warpav.scene.glb import read_scene
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from warpav.core.progress import Progress
     from warpav.detection.detector import Detector
@@ -35,6 +36,10 @@ Shown = Literal["rig", "coverage", "redundancy", "outcomes", "visibility", "furt
 """What an image of a rig shows besides: the ground by how many cameras see somebody there, or see the ground itself;
 traffic by what becomes of it; what every camera sees; what one more camera would bring, as arrows, or painted on the
 body; the zones of the body; or, instead, a page to print."""
+
+
+PAGE_SCENES = 3
+"""Scenes that a page holds at most; each takes a megabyte."""
 
 
 def inspect_rig(
@@ -116,7 +121,9 @@ def inspector(
     *,
     begin_with: BEGINNINGS = "coverage",
     requirements: str | None = None,
+    scenes: Sequence[Scene] | None = None,
     off_screen: bool | None = None,
+    panel: Callable[[str], None] | None = None,
 ) -> Inspector:
     """The interactive view of a rig on the test scenes, with the iterations of a run; not yet shown.
 
@@ -125,7 +132,9 @@ def inspector(
         config: Gives scenes, detector, mount surface and constraints.
         begin_with: What is shown at first, see `warpav.view.inspector.Inspector`.
         requirements: YAML file, or a template's name; None: there are none.
+        scenes: To be shown instead of the configuration's test scenes.
         off_screen: Draw without a window; by default when there is no display.
+        panel: Takes the lines about the rig, see `Inspector`.
 
     Raises:
         InputError: The rig or a scene cannot be used, or this machine cannot draw; to begin with what one more camera
@@ -138,7 +147,13 @@ def inspector(
     check = None if requirements is None else _check(requirements, config)
     further = _further(source, begin_with) if begin_with in ("further", "gain") else None
     seeds, device = config.scenes.test_seeds, checked_device(config.device)
-    first = next(load_scenes(config, seeds[:1]))
+    first = next(load_scenes(config, seeds[:1])) if scenes is None else scenes[0]
+
+    def scene_of(index: int) -> Scene:
+        if scenes is not None:
+            return scenes[index]
+        return first if index == 0 else next(load_scenes(config, seeds[index : index + 1]))
+
     rig = find_rig(source, config, first.ego)
     frames, descents, trajectory_m, save_to = [rig], [None], None, Path("rig.yaml")
     if is_run_folder(source):
@@ -156,8 +171,8 @@ def inspector(
     detector = load_detector(config)
     state = InspectedRig(
         frames,
-        lambda index: first if index == 0 else next(load_scenes(config, seeds[index : index + 1])),
-        len(seeds),
+        scene_of,
+        len(seeds) if scenes is None else len(scenes),
         constraints=constraints_of(config, mount.surface),
         height_offset_m=mount.height_offset_m,
         observer_of=lambda rig: _observer(rig, detector, config, device),
@@ -167,7 +182,101 @@ def inspector(
         check=check,
         device=device,
     )
-    return Inspector(state, save_to=save_to, trajectory_m=trajectory_m, begin_with=begin_with, off_screen=off_screen)
+    return Inspector(
+        state,
+        save_to=save_to,
+        trajectory_m=trajectory_m,
+        begin_with=begin_with,
+        off_screen=off_screen,
+        panel=panel,
+    )
+
+
+def serve_inspector(
+    source: str,
+    config: Config,
+    *,
+    scene: Path | None = None,
+    port: int | None = None,
+    ready: Callable[[str, int], None] | None = None,
+) -> None:
+    """Serve the inspector to browsers of this machine until it is interrupted.
+
+    Args:
+        source: Run folder, rig YAML, preset, or ``highest``.
+        config: Gives scenes, detector, mount surface and constraints.
+        scene: GLB of a scene to show instead of the configuration's test scenes.
+        port: Where to listen, 0 for any that is free; None: `warpav.view.browser.DEFAULT_PORT`.
+        ready: Told the address and the port as soon as it can be opened.
+
+    Raises:
+        InputError: As `inspector`, the extra ``web`` is not installed, or the port is taken.
+        KeyboardInterrupt: As it comes.
+    """
+    from warpav.view.browser import DEFAULT_PORT, BrowserInspector, new_token
+
+    scenes = None if scene is None else [read_scene(scene)]
+    shown = BrowserInspector(
+        lambda panel: inspector(source, config, scenes=scenes, off_screen=True, panel=panel), token=new_token()
+    )
+    shown.serve(port=DEFAULT_PORT if port is None else port, ready=ready)
+
+
+def write_inspector_page(
+    source: str,
+    config: Config,
+    out: Path,
+    *,
+    scene: Path | None = None,
+    scene_count: int = PAGE_SCENES,
+) -> Path:
+    """Write a page that stands alone: a rig in some scenes, what its cameras see of the ground, and switches for all.
+
+    Args:
+        source: Run folder, rig YAML, preset, or ``highest``.
+        config: Gives the scenes.
+        out: HTML file to write.
+        scene: GLB of a scene to show instead of the configuration's test scenes.
+        scene_count: How many of these it holds at most.
+
+    Returns:
+        The file.
+
+    Raises:
+        InputError: The rig, a scene or the file cannot be used, this machine cannot draw, or the extra ``web`` is not
+            installed.
+    """
+    from warpav.evaluation.coverage import HEIGHTS_M, PATCH_M, Ground
+    from warpav.scene.device_scene import DeviceScene
+    from warpav.view.output import save_page
+    from warpav.view.page import check_library
+    from warpav.view.rig_view import WIDE_ZOOM, add_range_rings, rig_plotter
+    from warpav.view.visibility_view import add_coverage, patch_words
+
+    if out.suffix.lower() != ".html":
+        raise ArgumentError("out", f"expected a name that ends in .html, got {str(out)!r}")
+    check_library()
+    seeds = config.scenes.test_seeds[:scene_count]
+    shown = list(load_scenes(config, seeds)) if scene is None else [read_scene(scene)]
+    rig = find_rig(source, config, shown[0].ego)
+    is_run = is_run_folder(source)
+    trajectory_m = trajectory(RunFolder.open(source).events()) if is_run else None
+    plotters = {}
+    for each in shown:
+        plotter = rig_plotter(
+            rig, scene=each, trajectory_m=trajectory_m, off_screen=True, zoom=WIDE_ZOOM, sectors=False
+        )
+        add_range_rings(plotter, each.ego.bounds_m())
+        ground = Ground.around(DeviceScene.pack(each, device=checked_device(config.device)))
+        for height_m in (*HEIGHTS_M, PATCH_M):
+            coverage = ground.coverage(rig.cameras, heights_m=(height_m,))
+            add_coverage(plotter, coverage, name=f"coverage/{patch_words(height_m)}", legend=False)
+        plotters[each.name] = plotter
+    try:
+        return save_page(plotters, out, title=Path(source).name, lines=[f"{len(rig.cameras)} cameras"])
+    finally:
+        for plotter in plotters.values():
+            plotter.close()
 
 
 def _modules(config: Config) -> tuple[Module, ...]:

@@ -47,6 +47,7 @@ class InspectedRig:
         rig: The rig as it is now; another one than that of the frame once a camera was moved.
         scene_index: Which scene is shown.
         scene_count: Number of scenes.
+        has_descents: Whether the direction of steepest descent is known at any frame.
         has_further_cameras: Whether it is known what further cameras would add to the rig of the last frame.
         has_modules: Whether cameras may be changed for modules.
         has_requirements: Whether the rig is held against requirements.
@@ -91,6 +92,7 @@ class InspectedRig:
             raise ValueError(f"expected a descent for each of {len(frames)} rigs, got {len(descents)}")
         self.frames = list(frames)
         self._descents = list(descents) or [None] * len(frames)
+        self.has_descents = any(each is not None for each in self._descents)
         self.has_further_cameras = further is not None
         self._further = further
         self._modules, self._check = tuple(modules), check

@@ -23,7 +23,15 @@ from warpav.view.inspected import NEAR_M
 from warpav.view.opengl import load_pyvista, tell_vtk_where_to_draw
 from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
 from warpav.view.requirement_view import add_requirements
-from warpav.view.rig_view import FRUSTUM_DEPTH_M, WIDE_ZOOM, add_camera, add_scene, no_render, rig_plotter
+from warpav.view.rig_view import (
+    FRUSTUM_DEPTH_M,
+    WIDE_ZOOM,
+    add_camera,
+    add_range_rings,
+    add_scene,
+    no_render,
+    rig_plotter,
+)
 from warpav.view.visibility_view import (
     RAYS_PX,
     add_camera_visibility,
@@ -49,6 +57,7 @@ KEYS = {
     "d": "detections",
     "v": "views",
     "g": "descent arrows",
+    "i": "range rings",
     "m": "one more camera",
     "z": "body: zones, one more camera, off",
     "o": "other module",
@@ -96,6 +105,7 @@ class Inspector:
         shows_outcomes: Whether traffic is coloured by what becomes of it.
         shows_visibility: Whether the views of the cameras are painted, up to what hides the rest; the ground carries
             either them or the coverage.
+        shows_rings: Whether circles on the ground say how far it is.
         shows_descent: Whether arrows show where the step of an iteration moves and turns the cameras.
         shows_further: Whether arrows show what one more camera would bring, where that is known.
         shows_requirements: Whether the points of the requirements lie on the ground, where there are any.
@@ -113,6 +123,7 @@ class Inspector:
         begin_with: BEGINNINGS = "coverage",
         off_screen: bool | None = None,
         window_size: tuple[int, int] = (1280, 800),
+        panel: Callable[[str], None] | None = None,
     ) -> None:
         """Draw everything once.
 
@@ -125,17 +136,19 @@ class Inspector:
                 arrows or painted on the body; or zones of the body.
             off_screen: Draw without a window; by default when there is no display.
             window_size: Width and height [px].
+            panel: Takes the lines about the rig, where others than the window show them and have the controls; None:
+                the window has both.
 
         Raises:
             InputError: Nothing can be drawn on this machine.
         """
-        self.state, self.save_to = state, save_to
+        self.state, self.save_to, self._panel = state, save_to, panel
         self.chosen: int | None = None
         first_height = {"coverage": 0, "redundancy": SHOWN_HEIGHTS_M.index(PATCH_M)}
         self.shown_height: int | None = first_height.get(begin_with)
         self.shows_outcomes = begin_with == "outcomes"
         self.shows_visibility = begin_with == "visibility"
-        self.shows_descent = True
+        self.shows_descent, self.shows_rings = True, False
         self.shows_further = begin_with == "further"
         self.shows_requirements = begin_with == "requirements"
         self.shown_on_body: Literal["zones", "gain"] | None = begin_with if begin_with in ("zones", "gain") else None
@@ -163,6 +176,7 @@ class Inspector:
         self._labels = [self._add_label(index) for index in range(len(self._drawn))]
         self._ground: tuple[Ground, tuple[float, ...], Any] | None = None
         self._numbers: Any = None
+        self._view: Any = None
         self._add_controls()
         self._draw_descent()
         self._draw_further()
@@ -191,7 +205,11 @@ class Inspector:
 
     def next_scene(self) -> None:
         """Show the next scene, after the last the first."""
-        self.state.show_scene(self.state.scene_index + 1)
+        self.show_scene(self.state.scene_index + 1)
+
+    def show_scene(self, number: int) -> None:
+        """Show a scene by its number, from 0; beyond the last they begin again."""
+        self.state.show_scene(number)
         with self._one_render():
             self._draw_scene()
             self._draw_visibility()
@@ -229,6 +247,12 @@ class Inspector:
         with self._one_render():
             self._draw_descent()
 
+    def toggle_rings(self) -> None:
+        """Show circles on the ground that say how far it is, or no longer."""
+        self.shows_rings = not self.shows_rings
+        with self._one_render():
+            add_range_rings(self.plotter, self.state.scene.ego.bounds_m() if self.shows_rings else None)
+
     def toggle_further(self) -> None:
         """Show what one more camera would bring, or no longer; nothing happens where that is not known."""
         self.shows_further = not self.shows_further
@@ -261,6 +285,7 @@ class Inspector:
         self.chosen = camera
         with self._one_render():
             self._draw_view()
+            self._say("\n".join(self._lines()))
 
     def drag(self, camera: int, position_m: np.ndarray) -> None:
         """Move a camera while it is dragged: all but what needs the detector follows."""
@@ -345,6 +370,11 @@ class Inspector:
 
     def _add_controls(self) -> None:
         plotter, count = self.plotter, len(self.state.frames)
+        for index in range(len(self.state.rig.cameras)):
+            self._add_ball(index)
+        plotter.render_window.AddObserver("WindowResizeEvent", lambda *_: self._put_view())
+        if self._panel is not None:
+            return
         controls = {"click a ball": "look through the camera", "drag it": "move the camera", **KEYS}
         for key, is_there in (
             ("o", self.state.has_modules),
@@ -365,8 +395,6 @@ class Inspector:
             color=hex_colour(INK_RGB),
             name="help",
         )
-        for index in range(len(self.state.rig.cameras)):
-            self._add_ball(index)
         if count > 1:
             plotter.add_slider_widget(
                 lambda value: self.go_to(round(value)),
@@ -385,6 +413,7 @@ class Inspector:
             "d": self.toggle_outcomes,
             "v": self.toggle_visibility,
             "g": self.toggle_descent,
+            "i": self.toggle_rings,
             "m": self.toggle_further,
             "z": self.cycle_body,
             "o": self.change_module,
@@ -525,6 +554,9 @@ class Inspector:
         return self.state.ground_coverage if height_m == PATCH_M else self.state.coverage, height_m
 
     def _say(self, text: str) -> None:
+        if self._panel is not None:
+            self._panel(text)
+            return
         if self._numbers is None:
             self._numbers = self.plotter.add_text(
                 text, position=(0.02, 0.80), viewport=True, font_size=10, color=hex_colour(INK_RGB), name="numbers"
@@ -535,10 +567,17 @@ class Inspector:
         """The image of the chosen camera with its boxes, in the lower right corner."""
         if self.chosen is None:
             self.plotter.remove_actor("view")
+            self._view = None
             return
-        self.plotter.add_actor(
-            image_actor(self.view_rgb(), right_px=self.plotter.window_size[0] - 16, bottom_px=44), name="view"
-        )
+        self._view = image_actor(self.view_rgb())
+        self._put_view()
+        self.plotter.add_actor(self._view, name="view")
+
+    def _put_view(self) -> None:
+        """Put the image of the chosen camera into the corner of the window as it is now."""
+        if self._view is not None:
+            width_px = self._view.GetMapper().GetInput().GetDimensions()[0]
+            self._view.SetPosition(self.plotter.render_window.GetSize()[0] - 16 - width_px, 44)
 
     def view_rgb(self) -> np.ndarray:
         """The image of the chosen camera: green boxes are found, orange ones missed, red ones false; uint8."""
@@ -584,8 +623,8 @@ def framed_view(observed: CameraObservation, *, scale: float, border_rgb: tuple[
     return cv2.copyMakeBorder(enlarged, 4, 4, 4, 4, cv2.BORDER_CONSTANT, value=border_rgb)
 
 
-def image_actor(image_rgb: np.ndarray, *, right_px: int, bottom_px: int) -> Any:  # noqa: ANN401 (a vtkActor2D)
-    """An image in the plane of the window, whose lower right corner is so far from the left and lower edges [px]."""
+def image_actor(image_rgb: np.ndarray) -> Any:  # noqa: ANN401 (a vtkActor2D)
+    """An image in the plane of the window, with its lower left corner in that of the window."""
     from vtkmodules.vtkRenderingCore import vtkActor2D, vtkImageMapper
 
     pyvista = load_pyvista()
@@ -599,5 +638,4 @@ def image_actor(image_rgb: np.ndarray, *, right_px: int, bottom_px: int) -> Any:
     mapper.SetColorLevel(127.5)
     actor = vtkActor2D()
     actor.SetMapper(mapper)
-    actor.SetPosition(right_px - columns, bottom_px)
     return actor

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import sys
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +16,7 @@ from warpav.view.opengl import optional_module
 from warpav.view.palette import CAMERA_RGB, DESCENT_RGB
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from warpav.core.progress import Progress
 
@@ -64,8 +62,9 @@ def save_image(
 ) -> Path:
     """Write what an off-screen plotter shows.
 
-    ``.png``; ``.html``, which needs trame; ``.gif``, one turn around the ego; ``.mp4``, likewise, which needs imageio
-    with ffmpeg. The file appears complete or not at all; missing folders are made.
+    ``.png``; ``.html``, a page that stands alone, which needs the extra ``web``; ``.gif``, one turn around the ego;
+    ``.mp4``, likewise, which needs imageio with ffmpeg. The file appears complete or not at all; missing folders are
+    made.
 
     Args:
         plotter: What to write, not yet shown.
@@ -78,7 +77,7 @@ def save_image(
         The path.
 
     Raises:
-        InputError: Another suffix, a file that cannot be written, or trame or imageio is missing.
+        InputError: Another suffix, a file that cannot be written, or K3D or imageio is missing.
     """
     path = Path(path)
     check_suffix(path)
@@ -91,9 +90,28 @@ def save_image(
         encoded = io.BytesIO()
         _image(plotter, supersampling).save(encoded, format="PNG", optimize=True)
         return _write(path, encoded.getvalue())
-    optional_module("trame_pyvista", purpose=f"{path}: an interactive page", install='pip install "pyvista[jupyter]"')
-    with _without_module("trame.widgets.vtklocal"):  # it downloads VTK for browsers, which the page does not use
-        return _write(path, plotter.trame.export_html(None).getvalue().encode())
+    return save_page({path.stem: plotter}, path, title=path.stem)
+
+
+def save_page(plotters: Mapping[str, Plotter], path: Path | str, *, title: str, lines: Sequence[str] = ()) -> Path:
+    """Write a page that stands alone: a rig and one or more scenes, see `warpav.view.page.page_of`.
+
+    Args:
+        plotters: What to write, not yet shown, by the names of the scenes.
+        path: File to write, complete or not at all.
+        title: Heading of the page.
+        lines: What its panel says.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: The file cannot be written, or the extra ``web`` is not installed.
+    """
+    from warpav.view.page import page_of
+
+    page = page_of(plotters, title=title, lines=lines)
+    return _write(Path(path), page.html().encode())
 
 
 def save_animation(animation: Animation, path: Path | str, *, progress: Progress | None = None) -> Path:
@@ -194,19 +212,6 @@ def _mp4(image_rgb: Iterable[np.ndarray], *, frame_s: float, last_s: float) -> b
             for _ in range(round(last_s / frame_s)):
                 writer.append_data(image)
         return file.read_bytes()
-
-
-@contextmanager
-def _without_module(name: str) -> Iterator[None]:
-    """Importing the module fails meanwhile, as if it were not installed."""
-    before = sys.modules.get(name)
-    sys.modules[name] = None  # type: ignore[assignment]
-    try:
-        yield
-    finally:
-        del sys.modules[name]
-        if before is not None:
-            sys.modules[name] = before
 
 
 def check_suffix(path: Path, *, further: tuple[str, ...] = ()) -> None:

@@ -38,8 +38,8 @@ WIDE_ZOOM = 0.62
 
 FRUSTUM_DEPTH_M = 1.25
 SECTOR_RADIUS_M = 9.0
-HAZE_START_M = 9.0
-HAZE_END_M = 22.0
+HAZE_START_M = 20.0
+HAZE_END_M = 50.0
 VIEW_AZIMUTH_RAD = math.radians(38.0)
 VIEW_ELEVATION_RAD = math.radians(33.0)
 BODY_ZOOM, BODY_ELEVATION_RAD, BODY_FRUSTUM_DEPTH_M = 1.9, math.radians(52.0), 0.4
@@ -50,6 +50,9 @@ GROUND_CUT_M = 0.6
 
 AXIS_RGB: dict[str, Rgb] = {"x forward": (214, 58, 58), "y left": (38, 148, 68), "z up": (36, 92, 214)}
 """Of the ego frame."""
+
+RING_HEIGHT_M = 0.18
+"""Of range rings: above kerbs, which would hide them."""
 
 GRADE_MAX = 0.08
 """Streets may rise by so much for each metre away from the vehicle and still be ground."""
@@ -283,6 +286,53 @@ def add_ground(
     for radius in (5.0, 10.0, 15.0) if rings else ():
         ring = _polar_grid(middle, np.array([radius - 0.012, radius + 0.012]), turn, height_m=height_m - 0.01)
         plotter.add_mesh(ring, color=(205, 210, 218), lighting=False, name=f"{name}/ring_{radius:.0f}m")
+
+
+def add_range_rings(
+    plotter: Plotter,
+    bounds_m: np.ndarray | None,
+    *,
+    radius_m: Sequence[float] = (5.0, 10.0, 20.0, 40.0),
+    name: str = "rings",
+) -> None:
+    """Add circles on the ground around the ego vehicle's middle, each with its radius; None takes them away.
+
+    Args:
+        plotter: Where to draw.
+        bounds_m: Lowest and highest corner of the ego vehicle [m], [2, 3].
+        radius_m: Radii [m].
+        name: First part of the actors' names.
+    """
+    for actor in [each for each in plotter.actors if each.startswith(f"{name}/")]:
+        plotter.remove_actor(actor)
+    if bounds_m is None:
+        return
+    pyvista = load_pyvista()
+    middle_m = np.asarray(bounds_m, np.float64)[:, :2].mean(axis=0)
+    angle = np.linspace(0.0, 2.0 * math.pi, 181)
+    for radius in radius_m:
+        point_m = np.column_stack(
+            [middle_m + radius * np.column_stack([np.cos(angle), np.sin(angle)]), 0.04 + 0 * angle]
+        )
+        plotter.add_mesh(
+            pyvista.lines_from_points(point_m),
+            color=INK_RGB,
+            line_width=1.5,
+            opacity=0.7,
+            lighting=False,
+            name=f"{name}/{radius:g} m",
+        )
+    at_m = [[middle_m[0] + radius, middle_m[1], RING_HEIGHT_M] for radius in radius_m]
+    plotter.add_point_labels(
+        np.array(at_m),
+        [f"{radius:g} m" for radius in radius_m],
+        text_color=hex_colour(INK_RGB),
+        font_size=14,
+        shape=None,
+        show_points=False,
+        always_visible=True,
+        name=f"{name}/labels",
+    )
 
 
 def add_axes(

@@ -36,6 +36,7 @@ class Chromium:
             self._read, theirs_to_write = os.pipe()
             theirs_to_read, self._write = os.pipe()
             flags = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"]
+            flags += ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]  # WebGL without a GPU
             flags += ["--remote-debugging-pipe", f"--user-data-dir={profile}", "--hide-scrollbars", "about:blank"]
             # DevTools listen on descriptor 3 and answer on 4
             script = f'exec 3<&{theirs_to_read} 4>&{theirs_to_write}; exec "$0" "$@"'
@@ -80,7 +81,7 @@ class Chromium:
             self.events.append(answer)
 
     def open(self, page, *, width_px, height_px=900):
-        """Load a file in a window of this size."""
+        """Load a file, or what an address leads to, in a window of this size."""
         self.ask(
             "Emulation.setDeviceMetricsOverride",
             width=width_px,
@@ -89,7 +90,8 @@ class Chromium:
             mobile=width_px < 600,
         )
         self.events.clear()
-        self.ask("Page.navigate", url=Path(page).absolute().as_uri())
+        address = page if str(page).startswith("http:") else Path(page).absolute().as_uri()
+        self.ask("Page.navigate", url=address)
         while not any(event["method"] == "Page.loadEventFired" for event in self.events):
             self.events.append(self._next())
 
@@ -99,14 +101,34 @@ class Chromium:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
+    def wait_for(self, expression):
+        """Until a JavaScript expression is true."""
+        deadline = time.monotonic() + TIMEOUT_S
+        while not self.evaluate(expression):
+            assert time.monotonic() < deadline, f"not within {TIMEOUT_S:g} s: {expression}"
+            time.sleep(0.05)
+
+    def mouse(self, kind, x_px, y_px, *, held=True):
+        """A move, press or release of the left button."""
+        which = {"move": "mouseMoved", "press": "mousePressed", "release": "mouseReleased"}[kind]
+        self.ask(
+            "Input.dispatchMouseEvent",
+            type=which,
+            x=x_px,
+            y=y_px,
+            button="left" if held else "none",
+            buttons=int(held),
+            clickCount=int(kind != "move"),
+        )
+
     def pdf(self):
         """The page as it is printed, on the paper that it asks for."""
         answer = self.ask("Page.printToPDF", printBackground=True, preferCSSPageSize=True)
         return base64.b64decode(answer["data"])
 
-    def screenshot(self):
-        """The whole page as a PNG file."""
-        return base64.b64decode(self.ask("Page.captureScreenshot", captureBeyondViewport=True)["data"])
+    def screenshot(self, *, whole=True):
+        """The page as a PNG file: the whole, which tells the page of another window, or what the window shows."""
+        return base64.b64decode(self.ask("Page.captureScreenshot", captureBeyondViewport=whole)["data"])
 
     def _next(self):
         deadline = time.monotonic() + TIMEOUT_S

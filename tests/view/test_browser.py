@@ -1,0 +1,223 @@
+"""The viewer in a browser: who is answered, and that controls and the mouse do what they do in the window."""
+
+import contextlib
+import io
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.runs.report.chromium import Chromium, find_chromium
+from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
+from warpav.core.errors import InputError
+from warpav.rig.rig import read_rig, write_rig
+from warpav.scene.glb import write_scene
+from warpav.view import browser as module
+from warpav.view.inspector import TURN_RAD
+from warpav.view.palette import camera_rgb
+
+CHROMIUM = find_chromium()
+pytestmark = [needs_opengl, pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")]
+PANEL_PX = 330
+SMALL = ["camera.width_px=64", "camera.height_px=64", "detector.input_px=64"]
+
+
+@contextlib.contextmanager
+def served(folder, *words):
+    """The address of a viewer that runs in a process of its own."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "PYTHONUNBUFFERED": "1"}
+    command = [sys.executable, "-m", "warpav.cli.app", "view", *words]
+    with subprocess.Popen(
+        command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    ) as process:
+        try:
+            for line in process.stdout:
+                if found := re.search(r"open (http\S+)", line):
+                    yield found[1]
+                    break
+            else:
+                raise AssertionError(f"no address, status {process.wait()}")
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait(timeout=30)
+    assert process.returncode == 128 + signal.SIGINT
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    made = tmp_path_factory.mktemp("viewer")
+    write_scene(scene(vehicle(1, 9.0, 0.5), vehicle(2, -8.0, -2.0)), made / "street.glb")
+    write_rig(rig(4), made / "four.yaml")
+    return made
+
+
+@pytest.fixture(scope="module")
+def address(folder):
+    with served(folder, "street.glb", "--rig", "four.yaml", "--port", "0", *SMALL) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def browser(address):
+    with Chromium(CHROMIUM) as browser:
+        browser.open(address, width_px=1280, height_px=720)
+        browser.wait_for("document.querySelectorAll('.camera').length === 4")
+        browser.wait_for("[...document.images].some(each => each.naturalWidth > 300)")
+        settle(browser)
+        yield browser
+
+
+def wait_until(condition):
+    deadline = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def settle(browser):
+    """Until the image has stayed the same for a while."""
+    before = [None]
+
+    def is_still():
+        last, before[0] = before[0], pixels(browser)
+        time.sleep(0.4)
+        return last is not None and np.abs(before[0] - last).max() == 0
+
+    wait_until(is_still)
+
+
+def is_as(browser, image):
+    """Whether the image is that one again, but for what JPEG loses."""
+    return np.abs(pixels(browser) - image).max() < 50
+
+
+def pixels(browser):
+    """What is right of the panel."""
+    shown = io.BytesIO(browser.screenshot(whole=False))
+    return np.asarray(Image.open(shown).convert("RGB"))[:, PANEL_PX:].astype(int)
+
+
+def click(browser, text):
+    browser.evaluate(
+        "[...document.querySelectorAll('label, button, .camera')]"
+        f".find(each => each.textContent.trim().toLowerCase() === {text!r}).click()"
+    )
+
+
+def lines(browser):
+    return browser.evaluate("document.querySelector('.v-navigation-drawer').innerText")
+
+
+def test_the_rig_is_shown_with_its_numbers(browser):
+    assert "scene test, 2 vehicles" in lines(browser)
+    assert len(np.unique(pixels(browser)[::8, ::8].reshape(-1, 3), axis=0)) > 50
+
+
+def test_switches_change_the_image_and_back(browser):
+    before = pixels(browser)
+    click(browser, "range rings")
+    wait_until(lambda: np.abs(pixels(browser) - before).max() > 60)
+    click(browser, "range rings")
+    wait_until(lambda: is_as(browser, before))
+
+
+def test_a_camera_is_looked_through(browser):
+    before = pixels(browser)
+    click(browser, "cam_1")
+    corner = np.s_[-350:-44, -320:]
+    wait_until(lambda: np.abs(pixels(browser) - before)[corner].mean() > 10.0)
+    wait_until(lambda: "vehicles detected" in lines(browser))
+    click(browser, "cam_1")
+    wait_until(lambda: is_as(browser, before))
+
+
+def test_the_mouse_turns_the_view(browser):
+    before = pixels(browser)
+    drag(browser, (500, 600), (620, 600))
+    wait_until(lambda: np.abs(pixels(browser) - before).mean() > 3.0)
+
+
+def test_a_camera_is_dragged_and_the_rig_is_written(browser, folder):
+    """The ball of a camera follows the mouse along the roof, and the numbers follow the camera."""
+    click(browser, "cam_0")
+    browser.wait_for("[...document.querySelectorAll('button')].some(each => /turn left/i.test(each.textContent))")
+    click(browser, "turn left")
+    click(browser, "write the rig")
+    wait_until((folder / "rig.yaml").is_file)
+    written = read_rig(folder / "rig.yaml").cameras
+    assert written[0].yaw_rad == pytest.approx(rig(4).cameras[0].yaw_rad + TURN_RAD, abs=1e-6)
+    settle(browser)
+    ball_px = ball(browser, 0)
+    drag(browser, ball_px, (ball_px[0] + 25, ball_px[1] + 10))
+    settle(browser)
+    click(browser, "write the rig")
+    wait_until((folder / "rig-2.yaml").is_file)
+    moved = read_rig(folder / "rig-2.yaml").cameras
+    far_m = [np.linalg.norm(a.position_m - b.position_m) for a, b in zip(moved, written, strict=True)]
+    assert max(far_m) > 0.05
+    assert sum(each > 1e-6 for each in far_m) == 1
+
+
+def ball(browser, camera):
+    """Where the ball of a camera is [px]: the largest patch of its colour, as frustums are thin lines."""
+    shown = pixels(browser).astype(np.uint8)
+    hue = cv2.cvtColor(shown, cv2.COLOR_RGB2HSV)
+    own = cv2.cvtColor(np.array([[camera_rgb(camera)]], np.uint8), cv2.COLOR_RGB2HSV)[0, 0]
+    near = (np.abs(hue[..., 0].astype(int) - own[0]) < 8) & (hue[..., 1] > 130)
+    depth = cv2.distanceTransform(near.astype(np.uint8), cv2.DIST_L2, 3)
+    row, column = np.unravel_index(depth.argmax(), depth.shape)
+    return int(column) + PANEL_PX, int(row)
+
+
+def drag(browser, from_px, to_px, steps=8):
+    browser.mouse("move", *from_px, held=False)
+    browser.mouse("press", *from_px)
+    for k in range(1, steps + 1):
+        browser.mouse("move", *(a + (b - a) * k / steps for a, b in zip(from_px, to_px, strict=True)))
+    browser.mouse("release", *to_px)
+
+
+def test_who_does_not_know_the_token_is_not_answered(address):
+    with Chromium(CHROMIUM) as browser:
+        browser.open(address.split("?")[0] + "?secret=guessed", width_px=1280, height_px=720)
+        browser.evaluate("new Promise(done => setTimeout(done, 3000))")
+        assert browser.evaluate("document.querySelectorAll('.camera').length") == 0
+
+
+def test_no_other_address_is_listened_to(address):
+    port = int(re.search(r":(\d+)/", address)[1])
+    others = {each[4][0] for each in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)} - {"127.0.0.1"}
+    for other in [*others, "127.0.0.2"]:
+        with pytest.raises(OSError, match=r"refused|unreachable"):
+            socket.create_connection((other, port), timeout=5.0)
+
+
+def test_a_port_that_is_taken_is_told(folder):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+        words = ["view", "street.glb", "--rig", "four.yaml", "--port", str(port), *SMALL]
+        done = subprocess.run(
+            [sys.executable, "-m", "warpav.cli.app", *words],
+            cwd=folder, env=environment, capture_output=True, text=True, timeout=120, check=False,
+        )  # fmt: skip
+    assert done.returncode == 2
+    assert re.fullmatch(
+        rf"command line \(--port\): expected one that is free, got {port}: .*; try another one\n", done.stderr
+    ), done.stderr
+
+
+def test_without_the_extra_it_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "trame.app", None)
+    with pytest.raises(InputError, match=r"expected the extra web, .* pip install 'warpav\[web\]'"):
+        module.BrowserInspector(lambda panel: pytest.fail("made first"), token="secret")

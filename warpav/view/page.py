@@ -1,0 +1,308 @@
+"""A page that stands alone: what plotters show, turned and switched in any browser, without a network or a server.
+
+K3D (WebGL) draws; the panel beside it is ours. What a page may hide has tags such as ``{"camera": "front"}``, and is
+shown while every control has its value switched on.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from importlib import resources
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from warpav.core.errors import InputError
+from warpav.view.opengl import load_pyvista
+from warpav.view.palette import INK_RGB, camera_rgb, hex_colour
+
+if TYPE_CHECKING:
+    Plotter = Any
+
+Tags = Mapping[str, str]
+"""Values of controls, by their keys."""
+
+_OPAQUE = 255
+_LABELS = "-labels"
+"""What pyvista adds to the names of labels."""
+
+_OF_SCENE = ("scene/", "coverage", "ground", "legend/", "visibility/", "outcomes/")
+"""First parts of the names of what another scene has another one of."""
+
+
+@dataclass(frozen=True)
+class Control:
+    """A control of the panel.
+
+    Attributes:
+        key: Which tags it switches.
+        label: What it is called.
+        kind: ``one`` of the values at a time, or ``any`` of them.
+        values: Its values, in order.
+        colours: Of the values, as ``#rrggbb``; none, or one for each.
+        shown: Which are on at first.
+    """
+
+    key: str
+    label: str
+    kind: Literal["one", "any"]
+    values: Sequence[str]
+    shown: Sequence[str]
+    colours: Sequence[str] = field(default=())
+
+
+class Page:
+    """A page that is being made."""
+
+    def __init__(self, title: str, *, controls: Sequence[Control] = (), lines: Sequence[str] = ()) -> None:
+        """An empty page.
+
+        Args:
+            title: Its heading.
+            controls: What the panel switches.
+            lines: What the panel says below the heading.
+
+        Raises:
+            InputError: The extra ``web`` is not installed.
+        """
+        self._k3d, self._title, self._controls, self._lines = _k3d(), title, controls, lines
+        self._plot = self._k3d.plot(
+            grid_visible=False,
+            axes_helper=0,
+            menu_visibility=False,
+            background_color=0xFFFFFF,
+            camera_auto_fit=False,
+            camera_up_axis="z",
+            minimum_fps=-1,
+            lighting=1.8,
+        )
+        self._tags: list[dict[str, str]] = []
+        self._camera: list[float] = []
+
+    def look_as(self, plotter: Plotter) -> None:
+        """Begin with the view of a plotter."""
+        camera = plotter.camera
+        self._camera = [float(each) for each in (*camera.position, *camera.focal_point, *camera.up)]
+        self._plot.camera = self._camera
+        self._plot.camera_fov = float(camera.view_angle)
+
+    def add(self, plotter: Plotter, tags_of: Callable[[str], Tags | None]) -> None:
+        """Add what a plotter shows: surfaces, lines and names in space, not what lies in the plane of its window.
+
+        Args:
+            plotter: Whose actors are taken.
+            tags_of: The tags of an actor by its name; None leaves it out.
+        """
+        pyvista = load_pyvista()
+        for name, actor in plotter.actors.items():
+            tags = tags_of(name)
+            if tags is None or not actor.GetVisibility():
+                continue
+            if isinstance(actor, pyvista.Label):
+                self._add_name(str(actor.input).strip(), actor.position, _packed(actor.prop.background_color), tags)
+            elif isinstance(actor, pyvista.Actor):
+                self._add_mesh(actor, tags)
+            elif name.endswith(_LABELS):
+                self._add_labels(actor, tags)
+
+    def _add_labels(self, actor: Any, tags: Tags) -> None:  # noqa: ANN401 (a vtkActor2D)
+        """Names that pyvista places so that none hides another."""
+        mapper = actor.GetMapper()
+        named = load_pyvista().wrap(mapper.GetInputConnection(0, 0).GetProducer().GetInputDataObject(0, 0))
+        shape_rgb = [round(255 * each) for each in mapper.GetBackgroundColor()]
+        colour_rgb = shape_rgb if mapper.GetShape() else INK_RGB
+        for at_m, text in zip(named.points, named["labels"], strict=True):
+            self._add_name(str(text).strip(), at_m, int(np.dot(colour_rgb, [65536, 256, 1])), tags)
+
+    def _add_name(self, text: str, position_m: Any, colour: int, tags: Tags) -> None:  # noqa: ANN401 (three numbers)
+        self._put(
+            self._k3d.text(
+                html.escape(text),
+                position=[float(each) for each in position_m],
+                color=colour,
+                reference_point="cc",
+                size=0.8,
+                is_html=True,
+            ),
+            tags,
+        )
+
+    def _add_mesh(self, actor: Any, tags: Tags) -> None:  # noqa: ANN401 (a pyvista.Actor)
+        actor.mapper.Update()
+        surface = load_pyvista().wrap(actor.mapper.GetInput())
+        if surface is None or not surface.n_points:
+            return
+        surface = surface.transform(actor.user_matrix, inplace=False)
+        if surface.n_lines:
+            self._add_lines(surface, actor, tags)
+        surface = surface.triangulate()
+        if not surface.n_faces:
+            return
+        triangle = np.asarray(surface.regular_faces, np.uint32)
+        point_m = np.asarray(surface.points, np.float32)
+        at_corner, opacity = _colours(surface, actor), float(actor.prop.opacity)
+        if at_corner is not None:
+            if at_corner.shape[1] == 4:  # of the ground: nobody stands where nothing is painted
+                is_shown = at_corner[:, 3].reshape(-1, 3).any(axis=1)
+                triangle, at_corner = triangle[is_shown], at_corner[np.repeat(is_shown, 3)]
+                opacity *= float(at_corner[:, 3].mean()) / _OPAQUE if len(triangle) else 0.0
+            point_m, triangle = point_m[triangle.ravel()], np.arange(triangle.size, dtype=np.uint32).reshape(-1, 3)
+        if not triangle.size or opacity <= 0.0:
+            return
+        self._put(
+            self._k3d.mesh(
+                point_m,
+                triangle,
+                color=_packed(actor.prop.color) if at_corner is None else 0xFFFFFF,  # both are multiplied
+                colors=[] if at_corner is None else _packed_all(at_corner),
+                opacity=opacity,
+                flat_shading=True,
+                side="double",
+            ),
+            tags,
+        )
+
+    def _add_lines(self, surface: Any, actor: Any, tags: Tags) -> None:  # noqa: ANN401 (of pyvista)
+        cells, at = np.asarray(surface.lines), 0
+        pieces = []
+        while at < len(cells):
+            run = cells[at + 1 : at + 1 + cells[at]]
+            pieces.append(np.column_stack([run[:-1], run[1:]]))
+            at += 1 + cells[at]
+        self._put(
+            self._k3d.lines(
+                np.asarray(surface.points, np.float32),
+                np.concatenate(pieces).astype(np.uint32),
+                indices_type="segment",
+                color=_packed(actor.prop.color),
+                shader="simple",
+                opacity=float(actor.prop.opacity),
+            ),
+            tags,
+        )
+
+    def _put(self, drawn: Any, tags: Tags) -> None:  # noqa: ANN401 (an object of K3D)
+        self._plot += drawn
+        self._tags.append({**tags, "id": str(drawn.id)})
+
+    def html(self) -> str:
+        """The page."""
+        words = {
+            "title": self._title,
+            "lines": list(self._lines),
+            "controls": [asdict(each) for each in self._controls],
+            "tags": self._tags,
+            "camera": self._camera,
+        }
+        panel = resources.files("warpav.view").joinpath("page_panel.js").read_text(encoding="utf-8")
+        # nothing in it may end the script that it stands in
+        told = json.dumps(words).replace("<", "\\u003c")
+        page = self._plot.get_snapshot(additional_js_code=f"const words = {told};\n{panel}")
+        begin, end = page.index("<title>"), page.index("</title>")
+        return page[:begin] + "<title>" + html.escape(self._title) + page[end:]
+
+
+_GROUND = "ground seen by no camera (red), one, two or more (blue)"
+
+
+def page_of(plotters: Mapping[str, Plotter], *, title: str, lines: Sequence[str] = ()) -> Page:
+    """A page of what plotters show: the rig of the first, and the scenes of all, one at a time.
+
+    The panel switches cameras, names, range rings and paths, and what the ground carries: every actor
+    ``coverage/WORDS`` is one of the choices.
+
+    Args:
+        plotters: At least one, by the names of their scenes.
+        title: Heading of the page.
+        lines: What the panel says below it.
+
+    Raises:
+        InputError: The extra ``web`` is not installed.
+    """
+    tagged = {scene: {name: _tags_of(name) for name in plotter.actors} for scene, plotter in plotters.items()}
+    values: dict[str, dict[str, None]] = {"camera": {}, "show": {}, "ground": {}}
+    for tags_of in tagged.values():
+        for tags in tags_of.values():
+            for key, value in tags.items():
+                values[key][value] = None
+    cameras, shown, ground = (list(each) for each in values.values())
+    controls = [Control("scene", "scene", "one", list(plotters), list(plotters)[:1])] if len(plotters) > 1 else []
+    if ground:
+        controls.append(Control("ground", _GROUND, "one", [*ground, "off"], ground[:1]))
+    if shown:
+        controls.append(Control("show", "show", "any", shown, shown))
+    if cameras:
+        colours = [hex_colour(camera_rgb(k)) for k in range(len(cameras))]
+        controls.append(Control("camera", "cameras", "any", cameras, cameras, colours))
+    page = Page(title, controls=controls, lines=lines)
+    first = next(iter(plotters))
+    page.look_as(plotters[first])
+    for scene, plotter in plotters.items():
+
+        def tags_of(name: str, scene: str = scene) -> Tags | None:
+            if name.startswith(_OF_SCENE):
+                return {**tagged[scene][name], "scene": scene}
+            return tagged[scene][name] if scene == first else None
+
+        page.add(plotter, tags_of)
+    return page
+
+
+def _tags_of(name: str) -> dict[str, str]:
+    """What of the panel switches an actor, by its name."""
+    part = name.removesuffix(_LABELS).split("/")
+    if part[0] in ("rig", "label") and len(part) > 1:
+        is_name = part[0] == "label" or part[-1] == "label"
+        return {"camera": part[1], **({"show": "names"} if is_name else {})}
+    if part[0] == "visibility" and len(part) > 1:
+        return {"camera": part[1], "show": "views of the cameras"}
+    if part[0] == "coverage":
+        return {"ground": part[1] if len(part) > 1 else "cameras"}
+    shown = {"rings": "range rings", "trajectory": "paths of the search", "further": "one more camera"}
+    return {"show": shown[part[0]]} if part[0] in shown else {}
+
+
+def _colours(surface: Any, actor: Any) -> np.ndarray | None:  # noqa: ANN401 (of pyvista)
+    """Colours at the corners of triangles, uint8 [corner, 3 or 4]; None where all have that of the actor."""
+    mapper = actor.mapper
+    if not mapper.scalar_visibility:
+        return None
+    for data, is_of_points in ((surface.point_data, True), (surface.cell_data, False)):
+        name = mapper.array_name
+        if name in data:
+            rgb = np.asarray(data[name])
+            if rgb.ndim != 2 or rgb.dtype != np.uint8:
+                return None
+            return rgb[np.asarray(surface.regular_faces).ravel()] if is_of_points else np.repeat(rgb, 3, axis=0)
+    return None
+
+
+def _packed(colour: Any) -> int:  # noqa: ANN401 (a pyvista.Color)
+    return int(np.dot(np.asarray(colour.int_rgb), [65536, 256, 1]))
+
+
+def _packed_all(rgb: np.ndarray) -> np.ndarray:
+    red, green, blue = (rgb[:, k].astype(np.uint32) for k in range(3))
+    return (red << 16) | (green << 8) | blue
+
+
+def check_library() -> None:
+    """Check that pages can be made here.
+
+    Raises:
+        InputError: The extra ``web`` is not installed.
+    """
+    _k3d()
+
+
+def _k3d() -> Any:  # noqa: ANN401 (a module)
+    try:
+        import k3d
+    except ImportError as error:
+        raise InputError(
+            f"an interactive page: expected the extra web, got: {error}; run: pip install 'warpav[web]'"
+        ) from None
+    return k3d
