@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import os
 import secrets
 from functools import partial
@@ -101,6 +102,8 @@ class BrowserInspector:
                 ) from None
 
     async def _run(self, port: int) -> None:
+        for name in ("wslink", "aiohttp.server"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # a tab that is closed is no error
         await self._server.start(
             port=port,
             host=HOST,
