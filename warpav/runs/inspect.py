@@ -72,6 +72,7 @@ def inspect_rig(
     """
     from warpav.view import plot
     from warpav.view.opengl import has_display
+    from warpav.view.output import check_suffix
 
     if requirements is not None and shown != "rig":
         raise ArgumentError(
@@ -79,6 +80,8 @@ def inspect_rig(
         )
     if shown == "sheet":
         return _write_sheet(source, config, out)
+    if out is not None:
+        check_suffix(out)
     if out is None and has_display():
         first = "requirements" if requirements is not None else "coverage" if shown == "rig" else shown
         inspector(source, config, begin_with=first, requirements=requirements).plotter.show()

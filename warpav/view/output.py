@@ -215,13 +215,21 @@ def _mp4(image_rgb: Iterable[np.ndarray], *, frame_s: float, last_s: float) -> b
 
 
 def check_suffix(path: Path, *, further: tuple[str, ...] = ()) -> None:
-    """Check that an image file has a suffix out of `SUFFIXES`, or one of further ones.
+    """Check that an image file has a suffix out of `SUFFIXES`, or one of further ones, and that it can be made here.
 
     Raises:
-        InputError: It has another one.
+        InputError: It has another one, or needs an extra that is not installed.
     """
-    if path.suffix.lower() not in (*SUFFIXES, *further):
+    suffix = path.suffix.lower()
+    if suffix not in (*SUFFIXES, *further):
         raise InputError(f"{path}: expected a name that ends in {', '.join(SUFFIXES)}, got {path.suffix!r}")
+    if suffix == ".html":
+        from warpav.view.page import check_library
+
+        check_library()
+    if suffix == ".mp4":
+        for name in ("imageio", "imageio_ffmpeg"):
+            optional_module(name, purpose=f"{path}: an animation as MP4", install=_INSTALL_ANIMATION)
 
 
 def _write(path: Path, content: bytes) -> Path:
