@@ -302,13 +302,22 @@ def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
             f"objective {certificate['objective']:.4f} on the {scenes} scenes of the search; there no rig of the "
             f"pool's {count} cameras is below {certificate['bound']:.4f} (bound)"
         )
-    for other, differences in evaluation.get("paired", {}).items():
-        found = differences["tp_detection_rate"]
-        if found["low"] is not None:
-            console.print(
-                f"recall of the rig, {name} - {other}: {found['mean']:+.4f} "
-                f"(95 % of resampled scene sets: {found['low']:+.4f} to {found['high']:+.4f})"
-            )
+    paired = evaluation.get("paired", {})
+    for other, differences in paired.items():
+        _show_difference(console, f"recall of the rig, {name} - {other}", differences["tp_detection_rate"], digits=4)
+    if certificate and not evaluation.get("robust"):  # then the objective is what is expected to be missed
+        for other, differences in paired.items():
+            if "objective" in differences:
+                found = {key: 100.0 * value for key, value in differences["objective"].items() if value is not None}
+                _show_difference(console, f"expected misses per 100, {name} - {other}", found, digits=2)
+
+
+def _show_difference(console: Console, what: str, found: Mapping[str, Any], *, digits: int) -> None:
+    if found.get("low") is not None:
+        console.print(
+            f"{what}: {found['mean']:+.{digits}f} "
+            f"(95 % of resampled scene sets: {found['low']:+.{digits}f} to {found['high']:+.{digits}f})"
+        )
 
 
 def _metric(value: float | None) -> str:

@@ -1,6 +1,7 @@
 """The report: its numbers are those of the run folder, for finished, stopped, old, hostile and broken ones."""
 
 import base64
+import dataclasses
 import json
 import re
 import shlex
@@ -13,6 +14,7 @@ from tests.runs.report.run_parts import ARMS, arm, difference, evaluation, event
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.optimisation.further_camera import FurtherCameras
+from warpav.runs.certificate import Bound, Certificate
 from warpav.runs.config import changed_config, load_config, overrides_from
 from warpav.runs.report.reading import read_run
 from warpav.runs.report.report import MAX_BYTES, MOST_ROWS, _cards, write_report
@@ -313,6 +315,32 @@ def test_no_difference_is_claimed_that_is_not_proven(folder, found, told):
     words = words_of(folder, paired={"start": {"tp_detection_rate": found}})
     assert told in words
     assert "The optimised rig cannot be distinguished from the start by what it detects." in words
+
+
+def test_the_headline_of_a_search_says_what_is_expected_first(folder):
+    open_recall = difference(0.02, -0.02, 0.06)
+    paired = {
+        "start": {"tp_detection_rate": open_recall, "objective": difference(-0.06, -0.09, -0.03)},
+        "highest": {"tp_detection_rate": open_recall, "objective": difference(-0.01, -0.03, 0.01)},
+    }
+    arms = {
+        name: arm(0.5, objective=value) for name, value in (("optimised", 0.06), ("start", 0.12), ("highest", 0.07))
+    }
+    folder.write_evaluation(evaluation(arms=arms, paired=paired))
+    run = read_run(folder)
+    assert not headline(run).text.startswith("In")  # a descent may lower something else
+    search = dataclasses.replace(run, certificate=Certificate(0.06, (Bound(0.06, 100, 5000),)))
+    told = headline(search)
+    assert told.text.replace("\N{NO-BREAK SPACE}", " ") == (
+        "In 12 scenes that no search has seen, the optimised rig is expected to miss 6.0 of 100 vehicles, proven to be "
+        "fewer than the start (12.0). What the detector finds there cannot tell it from the start or the highest rig."
+    )
+    assert told.tone == "good"
+    paired["highest"]["tp_detection_rate"] = difference(-0.1, -0.2, -0.05)
+    folder.write_evaluation(evaluation(arms=arms, paired=paired))
+    worse = dataclasses.replace(read_run(folder), certificate=search.certificate)
+    assert headline(worse).text.startswith("The optimised rig detects fewer than the highest rig")
+    assert headline(worse).tone == "bad"
 
 
 def test_what_is_proven_besides_recall_is_told(folder):
