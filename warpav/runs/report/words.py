@@ -111,8 +111,9 @@ def headline(run: RunContent) -> Statement:
     expected = _expected(run, evaluation)
     if expected is not None and tone != "bad":
         more = f" It detects more than {_listed(named['good'])}." if named["good"] else ""
-        like = _listed(named["open"], "or")
-        text = expected.text + more + (f" What the detector finds there cannot tell it from {like}." if like else "")
+        text = expected.text + more
+        if named["open"]:
+            text += f" What the detector finds there cannot tell it from {_listed(named['open'], 'or')}."
         tone = expected.tone if tone == "open" else tone
     if _is_worse_than_start(evaluation):
         return Statement("", f"Worse than its start, so the rig of this run is the start. {text}", "bad")
