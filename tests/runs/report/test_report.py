@@ -344,7 +344,9 @@ def test_the_headline_of_a_search_says_what_is_expected_first(folder):
     paired["highest"]["tp_detection_rate"] = difference(-0.1, -0.2, -0.05)
     folder.write_evaluation(evaluation(arms=arms, paired=paired))
     worse = dataclasses.replace(read_run(folder), certificate=search.certificate)
-    assert headline(worse).text.startswith("The optimised rig detects fewer than the highest rig")
+    assert headline(worse).text.startswith(
+        "The optimised rig detects more than the start and detects fewer than the highest"
+    )
     assert headline(worse).tone == "bad"
 
 
