@@ -110,6 +110,30 @@ def _write_sheet(source: str, config: Config, out: Path | None) -> Path:
     return plot(find_rig(source, config, ego), sheet=True, ego=ego, title=Path(source).name, out=out)
 
 
+def write_mount_drawing(source: str, config: Config, out: Path) -> list[Path]:
+    """Write the drawing by which a workshop mounts a rig; see `warpav.view.drawing.mount_drawing`.
+
+    Args:
+        source: Run folder, rig YAML, preset, or ``highest``.
+        config: Gives the vehicle, which is that of the first test scene, and the catalogue of modules.
+        out: PDF, SVG, PNG, DXF, CSV or GLB, or a folder that takes all of them.
+
+    Returns:
+        The files.
+
+    Raises:
+        InputError: The rig or a file cannot be used, or ezdxf is missing.
+    """
+    from warpav.rig.catalogue import BUILTIN, read_modules
+    from warpav.view.drawing.mount_drawing import check_out, mount_drawing
+
+    check_out(out)
+    ego = next(load_scenes(config, config.scenes.test_seeds[:1])).ego
+    rig = find_rig(source, config, ego)
+    modules = read_modules(config.rig.catalogue or BUILTIN)
+    return mount_drawing(rig, ego=ego, title=Path(source).name, modules=modules).save(out)
+
+
 def inspector(
     source: str,
     config: Config,

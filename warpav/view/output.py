@@ -90,10 +90,10 @@ def save_image(
     if path.suffix.lower() == ".png":
         encoded = io.BytesIO()
         _image(plotter, supersampling).save(encoded, format="PNG", optimize=True)
-        return _write(path, encoded.getvalue())
+        return write_whole(path, encoded.getvalue())
     optional_module("trame_pyvista", purpose=f"{path}: an interactive page", install='pip install "pyvista[jupyter]"')
     with _without_module("trame.widgets.vtklocal"):  # it downloads VTK for browsers, which the page does not use
-        return _write(path, plotter.trame.export_html(None).getvalue().encode())
+        return write_whole(path, plotter.trame.export_html(None).getvalue().encode())
 
 
 def save_animation(animation: Animation, path: Path | str, *, progress: Progress | None = None) -> Path:
@@ -119,10 +119,10 @@ def save_animation(animation: Animation, path: Path | str, *, progress: Progress
     if progress is not None:
         images = progress.steps("images", images, count=animation.count)
     if path.suffix.lower() == ".gif":
-        return _write(path, _gif(list(images), **times))
+        return write_whole(path, _gif(list(images), **times))
     for name in ("imageio", "imageio_ffmpeg"):
         optional_module(name, purpose=f"{path}: an animation as MP4", install=_INSTALL_ANIMATION)
-    return _write(path, _mp4(images, **times))
+    return write_whole(path, _mp4(images, **times))
 
 
 def render_rgb(plotter: Plotter, *, supersampling: int = 2) -> np.ndarray:
@@ -219,7 +219,12 @@ def check_suffix(path: Path, *, further: tuple[str, ...] = ()) -> None:
         raise InputError(f"{path}: expected a name that ends in {', '.join(SUFFIXES)}, got {path.suffix!r}")
 
 
-def _write(path: Path, content: bytes) -> Path:
+def write_whole(path: Path, content: bytes) -> Path:
+    """Write a file that appears complete or not at all; missing folders are made. Returns the path.
+
+    Raises:
+        InputError: It cannot be written.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as draft:
