@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.atomic_write import atomic_write
+from warpav.core.data_frame import data_frame
 from warpav.core.errors import InputError
 from warpav.core.files import writing
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, yaw_pitch_roll_from_rotation
@@ -24,6 +25,8 @@ from warpav.raster.pane import Pane
 from warpav.rig.catalogue import builtin_modules, read_modules
 
 if TYPE_CHECKING:
+    import pandas  # pyright: ignore[reportMissingImports]
+
     from warpav.rig.module import Module
 
     MultiBlock = Any
@@ -197,6 +200,29 @@ class Rig:
         from warpav.view.blocks import rig_to_pyvista
 
         return rig_to_pyvista(self, depth_m=depth_m)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The cameras as a table of pandas, by name: positions in the ego frame [m], angles [deg], image [px], lens.
+
+        ``fov_deg`` is horizontal; ``module`` is None where a camera is none of a catalogue.
+
+        Raises:
+            ImportError: pandas is not installed.
+        """
+        rows = {}
+        for camera in self.cameras:
+            place = zip(("x_m", "y_m", "z_m"), camera.position_m.tolist(), strict=True)
+            angles = {"yaw": camera.yaw_rad, "pitch": camera.pitch_rad, "roll": camera.roll_rad}
+            angles |= {"fov": camera.model.fov_rad}
+            rows[camera.name] = {
+                **dict(place),
+                **{f"{name}_deg": math.degrees(angle_rad) for name, angle_rad in angles.items()},
+                "width_px": camera.model.width_px,
+                "height_px": camera.model.height_px,
+                "lens": str(camera.model.lens),
+                "module": camera.module,
+            }
+        return data_frame(rows)
 
 
 _TABLE_COLUMNS = (
