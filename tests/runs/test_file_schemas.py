@@ -125,10 +125,10 @@ def test_examples_of_the_documentation_are_valid():
         "guide/zones.md",
         "guide/modules.md",
         "guide/requirements.md",
-        "docs/reference/files.md",
+        "reference/files.md",
     ):
         for text in re.findall(r"^```yaml\n(.*?)^```$", (ROOT / "docs" / page).read_text(), re.MULTILINE | re.DOTALL):
-            data = read_yaml(text)[0]
+            data = read_yaml(text)[0] or {}
             of = {"zones": "zones", "modules": "modules", "requirements": "requirements", "cameras": "rig"}
             of = next((of[key] for key in of if isinstance(data.get(key), (dict, list))), None)
             if of and "as usual" not in text:

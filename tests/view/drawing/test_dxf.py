@@ -32,7 +32,7 @@ def document(written):
     import ezdxf
 
     drawing, folder = written
-    [file] = drawing.save(folder / "mount.dxf")
+    [file] = drawing.save(folder / "mounts.dxf")
     return ezdxf.readfile(file)
 
 

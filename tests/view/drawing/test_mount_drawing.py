@@ -110,7 +110,7 @@ def test_what_does_not_fit_is_named(tmp_path):
 
 
 def test_the_command_writes_a_file_or_a_folder(tmp_path, capsys):
-    out = tmp_path / "mount.csv"
+    out = tmp_path / "mounts.csv"
     assert main(["rig", "drawing", "nuscenes", "--out", str(out)]) == 0
     assert capsys.readouterr().out == f"wrote {out}\n"
     assert out.read_text().count("CAM_") == 6
@@ -119,5 +119,5 @@ def test_the_command_writes_a_file_or_a_folder(tmp_path, capsys):
     if importlib.util.find_spec("ezdxf"):
         assert main(["rig", "drawing", "nuscenes", "--out", str(tmp_path / "folder")]) == 0
         assert sorted(file.name for file in (tmp_path / "folder").iterdir()) == [
-            *("mount.csv", "mount.dxf", "mount.glb", "mount.pdf"),
+            *("mounts.csv", "mounts.dxf", "mounts.glb", "mounts.pdf"),
         ]

@@ -15,7 +15,7 @@ from warpav.view.opengl import optional_module
 from warpav.view.palette import camera_rgb
 
 if TYPE_CHECKING:
-    from warpav.view.drawing.mount_drawing import Mark, MountDrawing
+    from warpav.view.drawing.sheet import Mark, Sheet
 
 LAYERS = {
     "OUTLINE": (7, "CONTINUOUS"),
@@ -43,7 +43,7 @@ def load_ezdxf(place: Path) -> Any:  # noqa: ANN401 (a module)
     return optional_module("ezdxf", purpose=f"{place}: a drawing as DXF", install='pip install "warpav[cad]"')
 
 
-def drawing_dxf(drawing: MountDrawing, *, place: Path) -> bytes:
+def drawing_dxf(drawing: Sheet, *, place: Path) -> bytes:
     """The drawing as a DXF file; the same drawing gives the same bytes.
 
     Model space is in millimetres at 1 : 1. Its origin is the datum of the view from the left, where x of the ego frame
@@ -64,7 +64,7 @@ def drawing_dxf(drawing: MountDrawing, *, place: Path) -> bytes:
     return text.getvalue().encode(document.output_encoding)
 
 
-def _document(ezdxf: Any, drawing: MountDrawing) -> Any:  # noqa: ANN401 (ezdxf)
+def _document(ezdxf: Any, drawing: Sheet) -> Any:  # noqa: ANN401 (ezdxf)
     scale, origin_mm = drawing.scale, drawing.views[0].datum_mm
 
     def model(page_mm: np.ndarray | tuple[float, float]) -> Any:  # noqa: ANN401 (numbers of the file)
@@ -116,7 +116,7 @@ def _add_block(document: Any, scale: float) -> None:  # noqa: ANN401 (ezdxf)
         block.add_line((-dx, -dy), (dx, dy), dxfattribs=as_insert)
 
 
-def _add_mark(space: Any, drawing: MountDrawing, mark: Mark, place: list[float], tip: list[float]) -> None:  # noqa: ANN401 (ezdxf)
+def _add_mark(space: Any, drawing: Sheet, mark: Mark, place: list[float], tip: list[float]) -> None:  # noqa: ANN401 (ezdxf)
     """The block of a camera with its numbers as invisible attributes, and its arrow."""
     camera = drawing.mounts[mark.camera].camera
     colour = camera_rgb(mark.camera)

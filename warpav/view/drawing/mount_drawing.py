@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,8 @@ from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import rig_text
 from warpav.view.drawing.dxf import drawing_dxf, load_ezdxf
 from warpav.view.drawing.mount_model import housing_corners_m, mount_glb
-from warpav.view.drawing.mount_table import Mount, angles_deg, mount_csv, mounts, plain
+from warpav.view.drawing.mount_table import angles_deg, mount_csv, mounts, plain
+from warpav.view.drawing.sheet import TEXT_MM, Mark, Note, Ordinate, Sheet, Stroke, View
 from warpav.view.figures.page import SCALES, Page
 from warpav.view.figures.style import FIGURE_SUFFIXES, figure_style, save_figure
 from warpav.view.output import write_whole
@@ -43,7 +44,7 @@ _FRAME_MM = (20.0, 10.0, 410.0, 287.0)  # ISO 5457: 20 mm to the left, 10 mm to 
 _LABEL_MM, _ABOVE_MM, _GAP_MM = 30.0, 33.0, 17.0
 _BESIDE_MM = 31.0
 _TITLE_MM = (180.0, 36.0)
-_ROW_MM, _TEXT_MM, _APART_MM = 4.3, 2.2, 3.2
+_ROW_MM, _APART_MM = 4.3, 3.2
 _ARROW_MM, _MARK_MM, _SAME_MM = 9.0, 1.0, 2.5
 _TABLE_COLUMN_MM = (0.0, 42.0, 74.0, 103.0, 116.0, 128.5, 141.0, 155.0, 169.0, 183.0, 200.0)
 """Left edges of text, right edges of numbers, which begin with the fourth."""
@@ -61,100 +62,19 @@ _NOTE = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class View:
-    """A view of the vehicle on the page.
-
-    Attributes:
-        name: ``left``, ``front`` or ``top``: from where one looks.
-        right: Direction to the right of the page in the ego frame, unit length.
-        up: Direction upwards, likewise.
-        datum_mm: Where the ego frame's origin is on the page.
-        scale: 20 stands for 1 : 20.
-    """
-
-    name: str
-    right: np.ndarray
-    up: np.ndarray
-    datum_mm: np.ndarray
-    scale: float
-
-    def place_mm(self, point_m: np.ndarray) -> np.ndarray:
-        """Where points of the ego frame [..., 3] are on the page, [..., 2]."""
-        return self.datum_mm + 1000.0 / self.scale * (np.asarray(point_m) @ np.stack([self.right, self.up], axis=1))
-
-
-@dataclass(frozen=True, eq=False)
-class Stroke:
-    """A line on the page through points [point, 2], on a layer; of a camera in its colour."""
-
-    layer: str
-    point_mm: np.ndarray
-    is_closed: bool = False
-    camera: int | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Note:
-    """A line of text on the page; ``place_mm`` is the middle of its left end, of its middle or of its right end."""
-
-    layer: str
-    place_mm: tuple[float, float]
-    text: str
-    height_mm: float = _TEXT_MM
-    align: str = "left"
-    camera: int | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Ordinate:
-    """A coordinate of a point, from the datum of its view, as a line to its number (ISO 129 ordinate dimension)."""
-
-    view: View
-    feature_mm: np.ndarray
-    end_mm: np.ndarray
-    is_across: bool
-    value_mm: float
-    text: str
-
-
-@dataclass(frozen=True, eq=False)
-class Mark:
-    """A camera in a view: its optical centre, and the end of its arrow."""
-
-    view: View
-    camera: int
-    place_mm: np.ndarray
-    tip_mm: np.ndarray
-
-
-@dataclass(eq=False)
-class MountDrawing:
-    """A composed drawing.
+@dataclass(eq=False, kw_only=True)
+class MountDrawing(Sheet):
+    """A composed drawing, with what its table and its model are made of.
 
     Attributes:
         title: Name of the rig.
-        scale: 20 stands for 1 : 20.
-        views: Seen from the left, from the front and from the top, in first-angle projection.
-        mounts: The cameras and how they are mounted.
         ego: The vehicle, if there is one.
         modules: Camera modules by name, for housings.
-        strokes: Lines of the drawing.
-        notes: Its texts.
-        ordinates: Its dimensions.
-        marks: Its cameras.
     """
 
     title: str
-    scale: float
-    views: tuple[View, ...]
-    mounts: tuple[Mount, ...]
     ego: Mesh | None
     modules: Mapping[str, Module]
-    strokes: list[Stroke] = field(default_factory=list)
-    notes: list[Note] = field(default_factory=list)
-    ordinates: list[Ordinate] = field(default_factory=list)
-    marks: list[Mark] = field(default_factory=list)
 
     def figure(self) -> Any:  # noqa: ANN401 (matplotlib)
         """The drawing as a ``matplotlib.figure.Figure`` in the size of the page."""
@@ -168,7 +88,7 @@ class MountDrawing:
                 line_mm = ordinate_line_mm(ordinate)
                 axis.plot(*line_mm.T, color=hex_colour(MUTED_RGB), linewidth=0.35, zorder=3)
                 side = {"rotation": 90, "va": "bottom", "ha": "center"} if ordinate.is_across else {"ha": "right"}
-                style = {"va": "center_baseline", "fontsize": _points(_TEXT_MM), "rotation_mode": "default"} | side
+                style = {"va": "center_baseline", "fontsize": _points(TEXT_MM), "rotation_mode": "default"} | side
                 axis.text(*ordinate.end_mm, f" {ordinate.text} ", **style)
             for mark in self.marks:
                 colour = hex_colour(camera_rgb(mark.camera))
@@ -192,8 +112,8 @@ class MountDrawing:
         Args:
             path: A file that ends as one of `SUFFIXES`: PDF, SVG or PNG (A3), DXF in millimetres at 1 : 1 (needs the
                 extra ``cad``), CSV with the numbers of every camera (`mount_csv`), or GLB with vehicle, housings and
-                frustums (`mount_glb`). Else a folder, which takes ``mount.pdf``, ``mount.dxf``, ``mount.csv`` and
-                ``mount.glb``. Missing folders are made.
+                frustums (`mount_glb`). Else a folder, which takes ``mounts.pdf``, ``mounts.dxf``, ``mounts.csv`` and
+                ``mounts.glb``. Missing folders are made.
 
         Returns:
             The files.
@@ -204,7 +124,7 @@ class MountDrawing:
         path = Path(path)
         check_out(path)
         if not path.suffix or path.is_dir():
-            return [file for end in (".pdf", ".dxf", ".csv", ".glb") for file in self.save(path / f"mount{end}")]
+            return [file for end in (".pdf", ".dxf", ".csv", ".glb") for file in self.save(path / f"mounts{end}")]
         match path.suffix.lower():
             case ".dxf":
                 return [write_whole(path, drawing_dxf(self, place=path))]
@@ -256,7 +176,8 @@ def mount_drawing(
     row_mm = min(_ROW_MM, 100.0 / (len(rig.cameras) + 1))
     table_mm = row_mm * (len(rig.cameras) + 1) + 4.0
     scale, views = _views(low_m, high_m, foot_mm=max(table_mm, _TITLE_MM[1]) + 14.0)
-    drawing = MountDrawing(title, scale, views, found, ego, builtin_modules() if modules is None else modules)
+    catalogue = builtin_modules() if modules is None else modules
+    drawing = MountDrawing(scale=scale, views=views, mounts=found, title=title, ego=ego, modules=catalogue)
     _add_bodies(drawing)
     _add_datums(drawing, low_m, high_m)
     _add_cameras(drawing)
@@ -430,8 +351,8 @@ def _spread(wanted_mm: np.ndarray, least_mm: float) -> np.ndarray:
 def _add_table(drawing: MountDrawing, row_mm: float) -> None:
     """All numbers of the cameras, at the foot of the page."""
     left_mm, bottom_mm = _FRAME_MM[0] + 3.0, _FRAME_MM[1] + 2.0
-    height_mm = min(_TEXT_MM, 0.55 * row_mm)
-    rows = [_TABLE_HEAD]
+    height_mm = min(TEXT_MM, 0.55 * row_mm)
+    rows: list[tuple[str, ...]] = [_TABLE_HEAD]
     for index, mount in enumerate(drawing.mounts):
         camera, model = mount.camera, mount.camera.model
         lens = "" if model.lens is Lens.PINHOLE else f" {model.lens}"

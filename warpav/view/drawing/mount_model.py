@@ -65,9 +65,10 @@ def mount_glb(mounts: Sequence[Mount], ego: Mesh | None, modules: Mapping[str, M
         sides = [[0, 2, 1], [0, 3, 2], [0, 4, 3], [0, 1, 4], [1, 2, 3], [1, 3, 4]]
         point_m = frustum_points(camera, depth_m=FRUSTUM_DEPTH_M)
         add_node(file, f"{camera.name}/frustum", Mesh.create(point_m, sides, colour), numbers)
-        if camera.module in modules:
-            corner_m = housing_corners_m(camera, modules[camera.module].housing)
-            add_node(file, f"{camera.name}/housing", Mesh.create(corner_m, _BOX, colour), {"module": camera.module})
+        module = modules.get(camera.module or "")
+        if module is not None:
+            corner_m = housing_corners_m(camera, module.housing)
+            add_node(file, f"{camera.name}/housing", Mesh.create(corner_m, _BOX, colour), {"module": module.name})
     data = file.export(file_type="glb")
     assert isinstance(data, bytes)
     return data
