@@ -46,7 +46,7 @@ _BESIDE_MM = 31.0
 _TITLE_MM = (180.0, 36.0)
 _ROW_MM, _APART_MM = 4.3, 3.2
 _ARROW_MM, _MARK_MM, _SAME_MM = 9.0, 1.0, 2.5
-_TABLE_COLUMN_MM = (0.0, 42.0, 74.0, 103.0, 116.0, 128.5, 141.0, 155.0, 169.0, 183.0, 200.0)
+_TABLE_COLUMN_MM = (0.0, 47.0, 76.0, 104.0, 116.5, 128.5, 141.0, 155.0, 169.0, 183.0, 200.0)
 """Left edges of text, right edges of numbers, which begin with the fourth."""
 _TABLE_HEAD = (
     *("camera", "module or lens", "image [px]", "fov [°]", "x [mm]", "y [mm]", "z [mm]"),
@@ -175,7 +175,7 @@ def mount_drawing(
     low_m, high_m = point_m.min(axis=0), point_m.max(axis=0)
     row_mm = min(_ROW_MM, 100.0 / (len(rig.cameras) + 1))
     table_mm = row_mm * (len(rig.cameras) + 1) + 4.0
-    scale, views = _views(low_m, high_m, foot_mm=max(table_mm, _TITLE_MM[1]) + 14.0)
+    scale, views = _views(low_m, high_m, foot_mm=max(table_mm, _TITLE_MM[1]) + 15.5)
     catalogue = builtin_modules() if modules is None else modules
     drawing = MountDrawing(scale=scale, views=views, mounts=found, title=title, ego=ego, modules=catalogue)
     _add_bodies(drawing)
@@ -256,27 +256,32 @@ def _add_cameras(drawing: MountDrawing) -> None:
             arrow_mm = _ARROW_MM * ahead if np.linalg.norm(ahead) > 0.1 else np.zeros(2)
             here.append(Mark(view, index, place_mm, place_mm + arrow_mm))
         drawing.marks += here
-        taken_mm = [_box_mm(mark.place_mm, 2.0 * _MARK_MM, 2.0 * _MARK_MM) for mark in here]
+        taken_mm = [_box_mm(mark.place_mm, 2.4 * _MARK_MM, 2.4 * _MARK_MM) for mark in here]
+        for mark in here:  # the arrow, as boxes along it
+            along = np.linspace(0.2, 1.0, 7)[:, None]
+            taken_mm += [_box_mm(each, 1.2, 1.2) for each in mark.place_mm + along * (mark.tip_mm - mark.place_mm)]
         for group in _groups(here):
             numbers = ", ".join(str(mark.camera + 1) for mark in group)
-            width_mm, height_mm = 1.6 * len(numbers), 2.6
             place_mm = np.mean([mark.place_mm for mark in group], axis=0)
             back_mm = place_mm - np.mean([mark.tip_mm for mark in group], axis=0)
-            back = back_mm / max(float(np.linalg.norm(back_mm)), 0.3 * _ARROW_MM) if back_mm.any() else np.ones(2) * 0.7
-            beside_mm = place_mm + back * (2.2 + 0.5 * np.array([width_mm, height_mm]))
-            steps_mm = sorted(range(-30, 31), key=abs)
-            tried = (beside_mm + np.array([0.0, each]) for each in steps_mm)
-            free_mm = next(
-                (
-                    each
-                    for each in tried
-                    if not any(_overlap(_box_mm(each, width_mm, height_mm), other) for other in taken_mm)
-                ),
-                beside_mm,
-            )
-            taken_mm.append(_box_mm(free_mm, width_mm, height_mm))
-            where = float(free_mm[0]), float(free_mm[1])
-            drawing.notes.append(Note("CAMERAS", where, numbers, 2.5, "middle", group[0].camera))
+            box_mm = _free_box_mm(place_mm, back_mm, (1.6 * len(numbers), 2.6), taken_mm)
+            taken_mm.append(box_mm)
+            across_mm, up_mm = box_mm.mean(axis=0).tolist()
+            drawing.notes.append(Note("CAMERAS", (across_mm, up_mm), numbers, 2.5, "middle", group[0].camera))
+
+
+def _free_box_mm(
+    place_mm: np.ndarray, back_mm: np.ndarray, size_mm: tuple[float, float], taken_mm: Sequence[np.ndarray]
+) -> np.ndarray:
+    """A box beside a place that lies on none of others: as near as can be, and behind its arrow if it can be there."""
+    back_rad = math.atan2(back_mm[1], back_mm[0]) if np.linalg.norm(back_mm) > 0.3 * _ARROW_MM else 0.25 * math.pi
+    turns_rad = sorted(np.linspace(-math.pi, math.pi, 16, endpoint=False), key=abs)
+    tried = [
+        _box_mm(place_mm + farther * (1.6 + 0.5 * np.array(size_mm)) * (math.cos(angle), math.sin(angle)), *size_mm)
+        for farther in (1.0, 1.3, 1.7, 2.2, 3.0)
+        for angle in (back_rad + turn_rad for turn_rad in turns_rad)
+    ]
+    return next((box for box in tried if not any(_overlap(box, other) for other in taken_mm)), tried[0])
 
 
 def _box_mm(middle_mm: np.ndarray, width_mm: float, height_mm: float) -> np.ndarray:
@@ -331,7 +336,7 @@ def _add_ordinates(drawing: MountDrawing) -> None:
         for value_mm, label_mm in zip(values, _spread(wanted_mm, _APART_MM), strict=True):
             end_mm = np.array([label_mm, head_mm] if is_across else [edge_mm, label_mm])
             names = ", ".join(name for name in of_value[value_mm] if name != "end")
-            names = names if len(names) <= 6 else f"{names[:4]}, .."
+            names = names if len(names) <= 5 else f"{names.partition(',')[0]}, .."
             text = f"{value_mm:+d}" if value_mm else "0"
             text = f"{names}: {text}" if names else text
             drawing.ordinates.append(Ordinate(view, at_mm[value_mm], end_mm, is_across, float(value_mm), text))
@@ -373,7 +378,7 @@ def _add_table(drawing: MountDrawing, row_mm: float) -> None:
             colour = line - 1 if line and not column else None
             is_number = column >= 3
             place_mm = left_mm + start_mm, at_mm
-            room = (23, 20)[column] if column < 2 else len(text)
+            room = (24, 19)[column] if column < 2 else len(text)
             shown = text if len(text) <= room else f"{text[: room - 2]}.."
             drawing.notes.append(Note("TABLE", place_mm, shown, height_mm, "right" if is_number else "left", colour))
     across_mm = np.array([left_mm, left_mm + _TABLE_COLUMN_MM[-1]])
@@ -414,7 +419,7 @@ def _add_title_block(drawing: MountDrawing, fingerprint: str) -> None:
         drawing.strokes.append(Stroke("FRAME", _circle_mm(centre_mm + np.array([8.0, 0.0]), radius_mm), is_closed=True))
     drawing.strokes.append(Stroke("DATUMS", centre_mm + np.array([[-9.0, 0.0], [13.0, 0.0]])))
     for line, text in enumerate(_NOTE):
-        place_mm = left_mm + 3.0, max(y_mm + height_mm, _table_top_mm(drawing)) + 9.5 - 3.2 * line
+        place_mm = left_mm + 3.0, max(y_mm + height_mm, _table_top_mm(drawing)) + 11.0 - 3.2 * line
         drawing.notes.append(Note("FRAME", place_mm, text, 1.9))
 
 
