@@ -119,7 +119,7 @@ BAD_INPUT = [
     ("argv", "end"),
     [
         (["optimse"], ", optimise, ...; see warpav --help"),
-        (["rig", "send"], " Available commands: presets, import, export, check, requirements; see warpav rig --help"),
+        (["rig", "send"], " export, check, requirements, drawing; see warpav rig --help"),
         (["rig", "export", "nuscenes", "--out", "x"], " --format requires an argument; see warpav rig export --help"),
         (["optimise", "--cameras", "6"], "such as rig.cameras=6; see warpav optimise --help"),
     ],
