@@ -45,6 +45,14 @@ def draw_sheet(folder: Path) -> None:
     _warpav("inspect", "nuscenes", "--show", "sheet", "--out", str(PICTURES / "sheet.png"))
 
 
+def draw_mount_drawing(folder: Path) -> None:
+    """mount_drawing.png: where the cameras of nuScenes are mounted on the town's car."""
+    _warpav("rig", "drawing", "nuscenes", "--out", str(folder / "mounts.png"))
+    with Image.open(folder / "mounts.png") as page:
+        small = page.convert("RGB").resize((1654, 1169), Image.Resampling.LANCZOS)
+        small.save(PICTURES / "mount_drawing.png", optimize=True)
+
+
 def draw_vehicle(folder: Path) -> None:
     """vehicle.png: what of the embedded vehicle can carry cameras."""
     _warpav("scenes", "make", "--seeds", "3", "--out", str(folder))
@@ -368,6 +376,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "detections.png": draw_run,
     "coverage.png": draw_coverage,
     "sheet.png": draw_sheet,
+    "mount_drawing.png": draw_mount_drawing,
     "vehicle.png": draw_vehicle,
     "front.png": draw_front,
     "zones.png": draw_zones,

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 
@@ -118,7 +119,7 @@ BAD_INPUT = [
     ("argv", "end"),
     [
         (["optimse"], ", optimise, ...; see warpav --help"),
-        (["rig", "send"], " Available commands: presets, import, export, check, requirements; see warpav rig --help"),
+        (["rig", "send"], " export, check, requirements, drawing; see warpav rig --help"),
         (["rig", "export", "nuscenes", "--out", "x"], " --format requires an argument; see warpav rig export --help"),
         (["optimise", "--cameras", "6"], "such as rig.cameras=6; see warpav optimise --help"),
     ],
@@ -182,3 +183,17 @@ def test_the_exit_status_reaches_the_shell(tmp_path):
     assert result.returncode == 2
     assert result.stderr.startswith("command line (rig.cameras=0): rig.cameras: expected a whole number")
     assert "Traceback" not in result.stderr
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
+def test_completion_is_installed_and_completes(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("SHELL", shutil.which("bash"))
+    assert main(["--install-completion"]) == 0
+    [script] = [file for file in tmp_path.rglob("warpav*") if file.is_file()]
+    assert str(script) in capsys.readouterr().out
+    for typed, expected in (("rig dr", "drawing"), ("config schema --of zo", "zones")):
+        words = f"warpav {typed}".split()
+        ask = f"source {script}; COMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}; _warpav; echo $COMPREPLY"
+        answer = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
+        assert answer.stdout.split() == [expected]

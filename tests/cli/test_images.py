@@ -259,3 +259,18 @@ def test_the_inspector_goes_through_a_run(run_folder):
         assert {"trajectory", "descent"} <= drawn  # as in the picture of the run
     finally:
         opened.plotter.close()
+
+
+def test_a_run_is_a_recording_and_a_table(run_folder, working_directory, capsys):
+    pandas = pytest.importorskip("pandas")
+    frame, events = run_folder.to_pandas(), run_folder.events()
+    assert frame["loss"].tolist() == [event["loss"] for event in events]
+    written = (
+        pandas.read_csv(run_folder.path / "metrics.csv", index_col="iteration").select_dtypes("number").dropna(axis=1)
+    )
+    pandas.testing.assert_frame_equal(frame[written.columns], written, check_dtype=False, check_names=False, rtol=1e-6)
+    chunks = pytest.importorskip("rerun.chunk")
+    assert main(["inspect", str(run_folder.path), "--out", "run.rrd"]) == 0
+    assert capsys.readouterr().out == "wrote run.rrd\n"
+    of_loss = [chunk for chunk in chunks.RrdReader("run.rrd").stream() if chunk.entity_path == "/loss"]
+    assert sum(chunk.num_rows for chunk in of_loss) == len(events) == 3

@@ -324,3 +324,11 @@ def test_the_shipped_file_is_the_one_that_the_model_card_tells_of():
     names = OnnxDetector("builtin").names
     assert set(names) <= set(CLASS_NAMES)
     assert all(f"`{name}`" in card for name in names)
+
+
+@pytest.mark.parametrize("name", ["best.pt", "BEST.PTH"])
+def test_weights_of_pytorch_are_told_how_to_become_onnx(tmp_path, capsys, name):
+    (tmp_path / name).write_bytes(b"PK\x03\x04")
+    said = f"expected an ONNX file, got weights of PyTorch.*`yolo export model={tmp_path / name} format=onnx`"
+    with pytest.raises(InputError, match=said):
+        OnnxDetector(tmp_path / name)

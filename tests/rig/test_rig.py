@@ -327,3 +327,15 @@ def test_the_rig_files_of_the_reference_can_be_read(tmp_path):
     assert pane is not None
     assert pane.name == "windscreen"
     assert pane.area_m2 == pytest.approx(0.5 * 1.2)
+
+
+def test_a_rig_is_a_table_of_pandas():
+    pytest.importorskip("pandas")
+    model = CameraModel(640, 480, math.radians(190.0), lens="fisheye")
+    frame = Rig([RigCamera("front", np.array([1.5, 0.0, 1.6])), RigCamera("left", np.ones(3), 1.0, 0.5, 0.25, model)])
+    frame = frame.to_pandas()
+    assert list(frame.index) == ["front", "left"]
+    assert frame.loc["front", ["x_m", "y_m", "z_m", "fov_deg"]].tolist() == [1.5, 0.0, 1.6, 90.0]
+    assert frame.loc["left", "yaw_deg":"roll_deg"].tolist() == pytest.approx(np.degrees([1.0, 0.5, 0.25]))
+    assert frame.loc["left", "lens"] == "fisheye"
+    assert frame["module"].isna().all()

@@ -42,6 +42,7 @@ for _group in (experiment_app, scenes_app, config_app, rig_app, modules_app, det
 app.command(optimise, alias="optimize")
 for _verb in (front, evaluate, render, inspect, view, report, doctor, bench):
     app.command(_verb)
+app.register_install_completion_command(help="Install completion for bash, zsh or fish.")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

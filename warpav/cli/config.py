@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import App, Parameter
 
@@ -41,13 +41,18 @@ def config_check(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> N
 
 
 @config_app.command(name="schema")
-def config_schema() -> None:
-    """Print the JSON Schema with which editors complete and check configurations."""
+def config_schema(
+    *,
+    of: Annotated[
+        Literal["config", "rig", "modules", "zones", "requirements"], Parameter(help="Of which file.")
+    ] = "config",
+) -> None:
+    """Print the JSON Schema with which editors complete and check configurations, or other files that people write."""
     import json
 
-    from warpav.runs.config import Config
+    from warpav.runs.file_schemas import file_schema
 
-    say(json.dumps(Config.model_json_schema(), indent=1))
+    say(json.dumps(file_schema(of), indent=1))
 
 
 @config_app.command(name="copy")

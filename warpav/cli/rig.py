@@ -162,3 +162,26 @@ def rig_requirements(
     with config_for(rig, config, overrides, default=DEFAULT_CONFIG) as settings:
         for line in check_rig(rig, settings, requirements=requirements, json_file=json, image=image):
             say(line)
+
+
+@rig_app.command(name="drawing")
+def rig_drawing(
+    rig: RigSource,
+    /,
+    *overrides: Overrides,
+    out: Annotated[
+        Path,
+        Parameter(
+            help="PDF, SVG or PNG (A3); DXF at 1:1 in mm, which needs the extra cad; CSV with the numbers of every "
+            "camera; GLB with vehicle, housings and frustums; else a folder for PDF, DXF, CSV and GLB."
+        ),
+    ],
+    config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
+) -> None:
+    """Draw a rig on its vehicle for the workshop: three views to scale, coordinates from datums, angles, a table."""
+    from warpav.runs.inspect import write_mount_drawing
+    from warpav.runs.rig_source import config_for
+
+    with config_for(rig, config, overrides, default=DEFAULT_CONFIG) as settings:
+        for file in write_mount_drawing(rig, settings, out):
+            say(f"wrote {file}")

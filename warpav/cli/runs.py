@@ -169,7 +169,8 @@ def inspect(
         Path | None,
         Parameter(
             help="PNG, HTML, GIF or MP4 to write, of a sheet PDF, SVG or PNG. GIF and MP4 are one turn around the "
-            "vehicle; of a run, without --show, animations of its iterations."
+            "vehicle; of a run, without --show, animations of its iterations. RRD is a recording for the Rerun viewer, "
+            "which needs the extra rerun."
         ),
     ] = None,
     show: Annotated[

@@ -44,6 +44,8 @@ _BATCH_MAX = 32
 # Beyond this many candidates the least confident are dropped.
 _CANDIDATE_MAX = 1000
 # What onnxruntime calls otherwise than NumPy.
+_TORCH_SUFFIXES = (".pt", ".pth", ".torchscript")
+
 _NUMBER_TYPES = {"float": "float32", "double": "float64"}
 
 
@@ -437,6 +439,11 @@ def _open_session(path: Path, threads: int | None, provider: str) -> InferenceSe
         )
     if not path.is_file():
         raise InputError(f"detector.model: no such file: {path}; give the path of an ONNX file, or builtin")
+    if path.suffix.lower() in _TORCH_SUFFIXES:
+        raise InputError(
+            f"{path}: expected an ONNX file, got weights of PyTorch; those of Ultralytics become one by "
+            f"`yolo export model={path} format=onnx`"
+        )
     check_external_data(path)
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3

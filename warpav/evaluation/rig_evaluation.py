@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from warpav.core.data_frame import data_frame
 from warpav.core.errors import ArgumentError
 from warpav.evaluation.camera_outage import CameraOutages
 from warpav.evaluation.metrics import (
@@ -210,16 +211,12 @@ class RigEvaluation:
         Raises:
             ImportError: pandas is not installed.
         """
-        try:
-            import pandas  # pyright: ignore[reportMissingImports]
-        except ImportError:
-            raise ImportError("to_pandas needs pandas; run: pip install pandas") from None
         skipped = ("body_share", "recall_by", "per_scene")
         rows = {
             name: {field: value for field, value in metrics.to_json().items() if field not in skipped}
             for name, metrics in self.metrics.items()
         }
-        return pandas.DataFrame.from_dict(rows, orient="index")
+        return data_frame(rows)
 
     def to_json(self) -> dict[str, Any]:
         """Metrics and paired differences as ``evaluation.json`` has them; the first rig is compared with the others."""

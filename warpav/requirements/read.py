@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,18 @@ import yaml
 
 from warpav.core.errors import InputError
 from warpav.core.files import write_text
+from warpav.core.json_schema import (
+    FLAG,
+    NUMBER,
+    TEXT,
+    Schema,
+    described,
+    document,
+    either,
+    items,
+    mapping,
+    named,
+)
 from warpav.requirements.area import SIDES, Area, Band, Polygon, Strip
 from warpav.requirements.requirement import Requirement
 from warpav.requirements.template import template_file, template_names
@@ -22,12 +34,48 @@ from warpav.scene.own_vehicle import read_vehicle_file
 SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
 """Sectors of 45 degrees around the middle of the body, the first one centred straight ahead."""
 
-_KEYS = (
-    "area", "grid_m", "object", "visible_share", "pixels", "cameras", "sector", "hard", "weight", "share",
-)  # fmt: skip
-_AREAS = ("around_m", "strip", "box_m", "polygon_m")
-_STRIP = ("side", "distance_m", "along_m")
-_OBJECT = ("kind", "mesh", "height_m", "width_m", "length_m", "yaw_deg")
+_SPAN = items(NUMBER, 2)
+_SIZE: Schema = {"type": "number", "exclusiveMinimum": 0}
+_SHARE: Schema = {"type": "number", "exclusiveMinimum": 0, "maximum": 1}
+_STRIP: dict[str, Schema] = {
+    "side": {"enum": list(SIDES)},
+    "distance_m": described(_SPAN, "least and greatest distance from that side"),
+    "along_m": described(either(_SPAN, {"type": "null"}), "from where to where along it; without it, all of the side"),
+}
+_AREAS: dict[str, Schema] = {
+    "around_m": described(_SPAN, "least and greatest distance from the body"),
+    "strip": mapping(_STRIP, ["side", "distance_m"], about="a strip along one side of the body"),
+    "box_m": described(either(items(_SPAN, 2), items(NUMBER, 4)), "lowest and highest corner [x, y]"),
+    "polygon_m": described(items(_SPAN, least=3), "corners [x, y] in order along the border"),
+}
+_OBJECT: dict[str, Schema] = {
+    "kind": {"enum": list(SIZES_M)},
+    "mesh": described(TEXT, "a mesh file of its own"),
+    **dict.fromkeys(("height_m", "width_m", "length_m"), _SIZE),
+    "yaw_deg": NUMBER,
+}
+_KEYS: dict[str, Schema] = {
+    "area": mapping(_AREAS, about="ground beside the vehicle", minProperties=1, maxProperties=1),
+    "grid_m": described(_SIZE, "distance between points of the ground"),
+    "object": described(either({"enum": list(SIZES_M)}, mapping(_OBJECT)), "what stands at every point"),
+    "visible_share": described(_SHARE, "share of it that has to be seen"),
+    "pixels": described({"type": "number", "minimum": 0}, "area of it in the image that has to be seen [px^2]"),
+    "cameras": described({"type": "integer", "minimum": 1}, "how many cameras have to see it"),
+    "sector": described(
+        either({"enum": [*SECTORS]}, _SPAN, {"type": "null"}), "a name, or two yaws in degrees, counter-clockwise"
+    ),
+    "hard": described(FLAG, "whether it must be met; a weight beside it says how much it counts instead"),
+    "weight": described(either(_SIZE, {"type": "null"}), "how much it counts"),
+    "share": described(_SHARE, "share of the points that must be met, with a weight"),
+}
+"""Every key of a requirement in a file, and its schema."""
+
+
+def requirements_schema() -> Schema:
+    """The JSON Schema of a file of requirements, of the keys by which `read_requirements` reads it."""
+    wanted = named(mapping(_KEYS, ["area", "grid_m", "object"]), about="requirements by name")
+    root = mapping({"requirements": wanted}, ["requirements"])
+    return document("requirements", "requirements on the ground around a vehicle", root)
 
 
 def read_requirements(source: str | Path) -> tuple[Requirement, ...]:
@@ -85,7 +133,7 @@ def _found(source: str | Path) -> Path:
     return path
 
 
-def _check_keys(fields: Mapping[str, Record], known: Sequence[str]) -> None:
+def _check_keys(fields: Mapping[str, Record], known: Collection[str]) -> None:
     for key, record in fields.items():
         if key not in known:
             near = difflib.get_close_matches(key, known, 1, 0.5)

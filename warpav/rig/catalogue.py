@@ -12,8 +12,11 @@ from types import MappingProxyType
 from typing import Any
 
 from warpav.core.errors import InputError
+from warpav.core.json_schema import NAME, NUMBER, TEXT, Schema, described, document, items, mapping
 from warpav.core.yaml_file import Location, dotted, read_yaml
-from warpav.rig.module import Fitting, Housing, Module, ModuleError, Price
+from warpav.raster.camera import MAX_IMAGE_PX
+from warpav.raster.lens import Lens
+from warpav.rig.module import MAX_HOUSING_M, MIN_IMAGE_PX, Fitting, Housing, Module, ModuleError, Price
 
 BUILTIN = "builtin"
 """What a catalogue writes after ``extends:`` to hold the shipped modules as well."""
@@ -104,10 +107,11 @@ def _row(module: Module) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Form:
-    """What a value of the file looks like: words, and whether it is that; numbers are judged by `Module`."""
+    """What a value of the file looks like: words, whether it is that, its schema; numbers are judged by `Module`."""
 
     text: str
     fits: Callable[[Any], bool]
+    schema: Schema
 
 
 def _is_number(value: object) -> bool:
@@ -128,31 +132,67 @@ def _is_text(value: object) -> bool:
     return isinstance(value, str)
 
 
-_PIXELS = _Form("columns and rows as two whole numbers [px], such as [1920, 1080]", _is_list(2, _is_whole))
-_TEXT = _Form("text", _is_text)
+_COUNT = {"type": "integer", "minimum": MIN_IMAGE_PX, "maximum": MAX_IMAGE_PX}
+_PIXELS = _Form(
+    "columns and rows as two whole numbers [px], such as [1920, 1080]", _is_list(2, _is_whole), items(_COUNT, 2)
+)
 _FORMS = {
-    "name": _Form("a name, such as front_8mp_30", _is_text),
+    "name": _Form("a name, such as front_8mp_30", _is_text, NAME),
     "sensor_px": _PIXELS,
     "network_px": _PIXELS,
-    "network_by": _Form(f"one of {', '.join(Fitting)}", _is_text),
-    "lens": _Form("the name of a lens, such as pinhole or fisheye", _is_text),
-    "fov_deg": _Form("the horizontal field of view of the whole sensor in degrees, such as 100.0", _is_number),
-    "vertical_fov_deg": _Form("a number of degrees, such as 60.0", _is_number),
-    "distortion": _Form("a list of finite numbers in OpenCV's order", _is_list(None, _is_number)),
-    "housing": _Form("a mapping with size_m and maybe offset_m", lambda value: isinstance(value, dict)),
-    "price": _Form("a mapping with value and unit", lambda value: isinstance(value, dict)),
-    "power_w": _Form("watts, or null where it is unknown", lambda value: value is None or _is_number(value)),
-    "zones": _Form("a list of names, such as [windscreen]; [] for all zones", _is_list(None, _is_text)),
-    "source": _Form("where the figures come from, as text", _is_text),
-    "housing.size_m": _Form("width, height and depth [m], such as [0.03, 0.03, 0.04]", _is_list(3, _is_number)),
-    "housing.offset_m": _Form("three numbers [m]: right, down, forward", _is_list(3, _is_number)),
-    "price.value": _Form("a number, such as 1.5", _is_number),
-    "price.unit": _Form("a unit, such as EUR or relative", _is_text),
+    "network_by": _Form(f"one of {', '.join(Fitting)}", _is_text, {"enum": [str(each) for each in Fitting]}),
+    "lens": _Form("the name of a lens, such as pinhole or fisheye", _is_text, {"enum": [str(each) for each in Lens]}),
+    "fov_deg": _Form(
+        "the horizontal field of view of the whole sensor in degrees, such as 100.0",
+        _is_number,
+        {"type": "number", "exclusiveMinimum": 0, "maximum": 360},
+    ),
+    "vertical_fov_deg": _Form(
+        "a number of degrees, such as 60.0", _is_number, {"type": "number", "exclusiveMinimum": 0, "maximum": 360}
+    ),
+    "distortion": _Form("a list of finite numbers in OpenCV's order", _is_list(None, _is_number), items(NUMBER)),
+    "housing": _Form(
+        "a mapping with size_m and maybe offset_m", lambda value: isinstance(value, dict), {"type": "object"}
+    ),
+    "price": _Form("a mapping with value and unit", lambda value: isinstance(value, dict), {"type": "object"}),
+    "power_w": _Form(
+        "watts, or null where it is unknown",
+        lambda value: value is None or _is_number(value),
+        {"type": ["number", "null"], "minimum": 0},
+    ),
+    "zones": _Form("a list of names, such as [windscreen]; [] for all zones", _is_list(None, _is_text), items(NAME)),
+    "source": _Form("where the figures come from, as text", _is_text, TEXT),
+    "housing.size_m": _Form(
+        "width, height and depth [m], such as [0.03, 0.03, 0.04]",
+        _is_list(3, _is_number),
+        items({"type": "number", "exclusiveMinimum": 0, "maximum": MAX_HOUSING_M}, 3),
+    ),
+    "housing.offset_m": _Form("three numbers [m]: right, down, forward", _is_list(3, _is_number), items(NUMBER, 3)),
+    "price.value": _Form("a number, such as 1.5", _is_number, {"type": "number", "minimum": 0}),
+    "price.unit": _Form("a unit, such as EUR or relative", _is_text, TEXT),
 }
 _OPTIONAL = {"network_px", "network_by", "lens", "vertical_fov_deg", "distortion", "zones", "housing.offset_m"}
 _AS_WRITTEN = ("name", "lens", "network_by", "power_w", "source")
 _TUPLES = ("sensor_px", "network_px", "distortion", "zones")
 _FIELD_IN_FILE = {"fov_rad": "fov_deg", "vertical_fov_rad": "vertical_fov_deg"}
+
+
+def modules_schema() -> Schema:
+    """The JSON Schema of a catalogue, of the forms by which `read_modules` reads it."""
+
+    def part(prefix: str) -> Schema:
+        fields = [name.removeprefix(prefix) for name in _FORMS if name.startswith(prefix)]
+        fields = [name for name in fields if "." not in name]
+        inner = {name: part(f"{prefix}{name}.") for name in ("housing", "price") if not prefix}
+        properties = {
+            name: described(inner.get(name) or _FORMS[prefix + name].schema, _FORMS[prefix + name].text)
+            for name in fields
+        }
+        return mapping(properties, [name for name in fields if prefix + name not in _OPTIONAL])
+
+    extends = described({"const": BUILTIN}, "to hold the shipped modules as well")
+    root = {"extends": extends, "modules": items(part(""), least=1)}
+    return document("modules", "catalogue of camera modules", mapping(root, ["modules"]))
 
 
 class _CatalogueReader:

@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.atomic_write import atomic_write
+from warpav.core.data_frame import data_frame
 from warpav.core.errors import InputError
 from warpav.core.files import writing
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, yaw_pitch_roll_from_rotation
+from warpav.core.json_schema import NAME, NUMBER, TEXT, Schema, described, document, items, mapping
 from warpav.core.yaml_file import Location, dotted, read_yaml
 from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import Lens, LensShape
@@ -24,6 +26,8 @@ from warpav.raster.pane import Pane
 from warpav.rig.catalogue import builtin_modules, read_modules
 
 if TYPE_CHECKING:
+    import pandas  # pyright: ignore[reportMissingImports]
+
     from warpav.rig.module import Module
 
     MultiBlock = Any
@@ -198,6 +202,29 @@ class Rig:
 
         return rig_to_pyvista(self, depth_m=depth_m)
 
+    def to_pandas(self) -> pandas.DataFrame:
+        """The cameras as a table of pandas, by name: positions in the ego frame [m], angles [deg], image [px], lens.
+
+        ``fov_deg`` is horizontal; ``module`` is None where a camera is none of a catalogue.
+
+        Raises:
+            ImportError: pandas is not installed.
+        """
+        rows = {}
+        for camera in self.cameras:
+            place = zip(("x_m", "y_m", "z_m"), camera.position_m.tolist(), strict=True)
+            angles = {"yaw": camera.yaw_rad, "pitch": camera.pitch_rad, "roll": camera.roll_rad}
+            angles |= {"fov": camera.model.fov_rad}
+            rows[camera.name] = {
+                **dict(place),
+                **{f"{name}_deg": math.degrees(angle_rad) for name, angle_rad in angles.items()},
+                "width_px": camera.model.width_px,
+                "height_px": camera.model.height_px,
+                "lens": str(camera.model.lens),
+                "module": camera.module,
+            }
+        return data_frame(rows)
+
 
 _TABLE_COLUMNS = (
     "x [m]",
@@ -247,6 +274,35 @@ _OPTIONAL = ("lens", "focal_px", "centre_px", "distortion", "module", "behind_gl
 _OF_MODEL = ("lens", "focal_px", "centre_px", "distortion")
 _OF_MODULE = ("fov_deg", "width_px", "height_px")
 """What a camera need not say that is a module of the catalogue."""
+
+_PANE = ("normal", "outline_m", "reach_m")
+
+
+def rig_schema() -> Schema:
+    """The JSON Schema of a rig's YAML file, of the fields by which `read_rig` reads it."""
+    size = {"type": "integer", "minimum": 8, "maximum": MAX_IMAGE_PX}
+    forms: dict[str, Schema] = dict.fromkeys(_EXPECTED, NUMBER)
+    forms |= dict.fromkeys(("name", "module", "behind_glass"), NAME) | dict.fromkeys(("width_px", "height_px"), size)
+    forms |= {"position_m": items(NUMBER, 3), "centre_px": items(NUMBER, 2), "distortion": items(NUMBER)}
+    forms |= {"lens": {"enum": [str(lens) for lens in Lens]}}
+    forms |= {"fov_deg": {"type": "number", "exclusiveMinimum": 0, "maximum": 360}}
+    forms |= {"focal_px": items({"type": "number", "exclusiveMinimum": 0}, 2)}
+    pose = [field for field in _EXPECTED if field not in (*_OPTIONAL, *_OF_MODULE)]
+    image = [
+        {"required": ["module"], "properties": dict.fromkeys((*_OF_MODULE, "focal_px"), False)},
+        {"required": [*_OF_MODULE]},
+        {"required": ["focal_px", "width_px", "height_px"]},
+    ]
+    camera = mapping({field: described(forms[field], text) for field, text in _EXPECTED.items()}, pose, anyOf=image)
+    outline_m = items(items(NUMBER, 3), least=3)
+    pane = mapping(dict(zip(_PANE, (items(NUMBER, 3), outline_m, items(NUMBER, 2)), strict=True)), _PANE)
+    root = {
+        "frame": described({"const": "ego"}, "x forward, y left, z up"),
+        "cameras": items(camera, least=1),
+        "modules": described(TEXT, "path of a catalogue of modules"),
+        "panes": {"type": "object", "description": "what cameras look through, by name", "additionalProperties": pane},
+    }
+    return document("rig", "rig of cameras", mapping(root, ["frame", "cameras"]))
 
 
 def rig_text(rig: Rig) -> str:
@@ -450,7 +506,7 @@ class _RigReader:
         """A pane; None where it is a mistake."""
         location = ("panes", name)
         known_count = len(self.mistakes)
-        item = self.mapping(data, location, ("normal", "outline_m", "reach_m"))
+        item = self.mapping(data, location, _PANE)
         for field, count in (("normal", 3), ("reach_m", 2)):
             if field in item and not _are_numbers(item[field], count):
                 self.report((*location, field), f"{count} finite numbers", item[field])

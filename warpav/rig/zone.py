@@ -13,6 +13,18 @@ import numpy as np
 from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
 from warpav.core.files import writing
+from warpav.core.json_schema import (
+    FLAG,
+    NUMBER,
+    TEXT,
+    Schema,
+    described,
+    document,
+    either,
+    items,
+    mapping,
+    named,
+)
 from warpav.rig.formats.record import Record, read_yaml_record
 
 NORMALS = {
@@ -33,21 +45,34 @@ OUTWARD_RAD = math.radians(85.0)
 BEHIND_GLASS_M = (0.03, 0.15)
 """Stand-off of a zone behind glass that says none, inwards."""
 
-_KEYS = (
-    *(
-        "normal",
-        "kind",
-        "centred",
-        "behind_glass",
-        "origin_m",
-        "box_m",
-        "outline_m",
-        "keep_out_m",
-        "stand_off_m",
-        "recess_m",
+_RANGE = either(NUMBER, items(NUMBER, 2), {"type": "null"})
+_POINT = items(NUMBER, 3)
+_BOX = either(items(_POINT, 2), items(NUMBER, 6))
+_FORMS: dict[str, Schema] = {
+    "normal": described(either({"enum": list(NORMALS)}, _POINT), "which way is outwards"),
+    "kind": described(either(TEXT, items(TEXT), {"type": "null"}), "what kind of place it is, as modules name them"),
+    "centred": described(FLAG, "cameras stand alone in the middle, with y = 0"),
+    "behind_glass": described(FLAG, "cameras stand inside and look through the body"),
+    "origin_m": described(_POINT, "a point of the zone's plane"),
+    "box_m": described(either(_BOX, {"type": "null"}), "lowest and highest corner of what belongs to the zone"),
+    "outline_m": described(items(_POINT, least=3), "corners of a convex polygon, in order along its border"),
+    "keep_out_m": described(items(_BOX), "boxes that carry no camera"),
+    "stand_off_m": described(_RANGE, "how far a camera's centre stands off the skin: a number, or [least, greatest]"),
+    "recess_m": described(
+        either({"type": "number", "minimum": 0}, {"type": "null"}), "how deep a housing may go into the body"
     ),
-    *("yaw_deg", "pitch_deg", "roll_deg"),
-)
+    "yaw_deg": described(_RANGE, "left positive: a number, or [least, greatest]"),
+    "pitch_deg": described(_RANGE, "nose down positive: a number, or [least, greatest]"),
+    "roll_deg": described(_RANGE, "right side down positive: a number, or [least, greatest]"),
+    "mirror": described(FLAG, "whether its mirror image on the other side is a zone as well"),
+}
+"""Every key of a zone in a file, and its schema."""
+
+
+def zones_schema() -> Schema:
+    """The JSON Schema of a file of zones, of the keys by which `read_zones` reads it."""
+    zones = named(mapping(_FORMS, ["normal"]), about="zones by name")
+    return document("zones", "zones of a vehicle's body that may carry cameras", mapping({"zones": zones}, ["zones"]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,12 +228,11 @@ def read_zones(path: Path | str) -> tuple[Zone, ...]:
 
 def _zone(name: str, record: Record) -> Zone:
     fields = record.mapping("a zone: a mapping with normal")
-    known = (*_KEYS, "mirror")
     for key in fields:
-        if key not in known:
-            near = difflib.get_close_matches(key, known, 1, 0.5)
+        if key not in _FORMS:
+            near = difflib.get_close_matches(key, _FORMS, 1, 0.5)
             raise fields[key].error(
-                f"one of {', '.join(known)}", f"the key {key!r}" + (f"; did you mean {near[0]}?" if near else "")
+                f"one of {', '.join(_FORMS)}", f"the key {key!r}" + (f"; did you mean {near[0]}?" if near else "")
             )
     if _flag(record.at("mirror")) and _flag(record.at("centred")):
         raise record.at("mirror").error("false, as a centred zone is its own mirror image", "true")

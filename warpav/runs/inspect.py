@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -56,8 +57,8 @@ def inspect_rig(
     Args:
         source: Run folder, rig YAML, preset, or ``highest``.
         config: Gives the scene, which is the first test scene, and the detector.
-        out: PNG, HTML, GIF or MP4 to write; the last two are animations of a run. Of a sheet PNG, PDF or SVG. None
-            opens a window, or writes ``sheet.pdf``.
+        out: PNG, HTML, GIF or MP4 to write; the last two are animations of a run. Of a sheet PNG, PDF or SVG. RRD is a
+            recording for Rerun. None opens a window, or writes ``sheet.pdf``.
         shown: What is drawn besides the rig and the trajectories of its cameras. The inspector begins with it, and with
             the coverage when it is the rig alone.
         requirements: YAML file, or a template's name: their points lie on the ground by what is met. In a file, only
@@ -80,6 +81,8 @@ def inspect_rig(
         )
     if shown == "sheet":
         return _write_sheet(source, config, out)
+    if out is not None and out.suffix.lower() == ".rrd":
+        return _write_recording(source, config, out, shown, requirements)
     if out is not None:
         check_suffix(out)
     if out is None and has_display():
@@ -116,6 +119,47 @@ def _write_sheet(source: str, config: Config, out: Path | None) -> Path:
     out = out or (Path(source) / "sheet.pdf" if is_run_folder(source) else Path("sheet.pdf"))
     ego = next(load_scenes(config, config.scenes.test_seeds[:1])).ego
     return plot(find_rig(source, config, ego), sheet=True, ego=ego, title=Path(source).name, out=out)
+
+
+def _write_recording(source: str, config: Config, out: Path, shown: Shown, requirements: str | None) -> Path:
+    """Write the rig in the first test scene as a recording for Rerun, of a run with all its iterations."""
+    from warpav.view.recording import load_rerun, write_recording
+
+    if shown != "rig" or requirements is not None:
+        option, value = ("requirements", requirements) if requirements is not None else ("show", shown)
+        raise ArgumentError(option, f"expected a recording alone, got {value!r} as well; leave it out", place=out)
+    load_rerun(out)
+    device = checked_device(config.device)
+    if not is_run_folder(source):
+        scene = next(load_scenes(config, config.scenes.test_seeds[:1]))
+        return write_recording(out, find_rig(source, config, scene.ego), scene, device=device)
+    run = RunFolder.open(source).drawn(config)
+    loss = [math.nan if event.get("loss") is None else float(event["loss"]) for event in run.events]
+    return write_recording(out, run.rig, run.scene, frames=run.frames, loss=loss, device=device)
+
+
+def write_mount_drawing(source: str, config: Config, out: Path) -> list[Path]:
+    """Write the drawing by which a workshop mounts a rig; see `warpav.view.drawing.mount_drawing`.
+
+    Args:
+        source: Run folder, rig YAML, preset, or ``highest``.
+        config: Gives the vehicle, which is that of the first test scene, and the catalogue of modules.
+        out: PDF, SVG, PNG, DXF, CSV or GLB, or a folder that takes all of them.
+
+    Returns:
+        The files.
+
+    Raises:
+        InputError: The rig or a file cannot be used, or ezdxf is missing.
+    """
+    from warpav.rig.catalogue import BUILTIN, read_modules
+    from warpav.view.drawing.mount_drawing import check_out, mount_drawing
+
+    check_out(out)
+    ego = next(load_scenes(config, config.scenes.test_seeds[:1])).ego
+    rig = find_rig(source, config, ego)
+    modules = read_modules(config.rig.catalogue or BUILTIN)
+    return mount_drawing(rig, ego=ego, title=Path(source).name, modules=modules).save(out)
 
 
 def inspector(

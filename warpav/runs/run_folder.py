@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from warpav.core.atomic_write import DRAFT, atomic_write, sync
 from warpav.core.bounded_files import DATA_SET_NODES_MAX, read_arrays, read_json, read_text
+from warpav.core.data_frame import data_frame
 from warpav.core.errors import InputError, OptionError
 from warpav.core.files import append_line, json_ready, write_json, write_text, writing
 from warpav.core.fingerprint import digest
@@ -52,6 +53,7 @@ from warpav.view import Canvas, drawing_of, plot
 
 if TYPE_CHECKING:
     import numpy as np
+    import pandas  # pyright: ignore[reportMissingImports]
 
     from warpav.optimisation.further_camera import FurtherCameras
     from warpav.runs.drawn_run import DrawnRun
@@ -415,6 +417,16 @@ class RunFolder:
             InputError: A file of the folder cannot be used, there is no such iteration, or nothing can be drawn here.
         """
         return plot(self, out=out, **options)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The numbers of its iterations as a table of pandas, by iteration, under the names of ``metrics.csv``.
+
+        Raises:
+            ImportError: pandas is not installed.
+            InputError: ``events.jsonl`` cannot be used.
+        """
+        numbers = map(flat_numbers, self.events())
+        return data_frame({row.pop("iteration"): row for row in numbers})
 
     def to_pyvista(self, *, scene: Scene | None = None) -> MultiBlock:
         """The run as ``pyvista.MultiBlock``: ``start``, ``path``, ``end``, ``scene``.

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 SCHEMA = "warpav-scene/1"
 ROOT_NODE, ENVIRONMENT_NODE, EGO_NODE = "ego_frame", "environment", "ego"
 _VEHICLE_PREFIX, _OTHER_PREFIX = "vehicle_", "other_"
+EGO_FRAME = "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's centre"
 GLTF_FROM_EGO = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]])
 """(x, y, z) in the ego frame is (x, z, -y) in glTF."""
 
@@ -50,7 +51,7 @@ def write_scene(scene: Scene, path: str | Path) -> None:
     file = trimesh.Scene(base_frame="world")
     file.metadata = {
         "schema": SCHEMA,
-        "frame": "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's centre",
+        "frame": EGO_FRAME,
         "units": "m",
         "name": scene.name,
         "source": scene.source,
@@ -58,8 +59,8 @@ def write_scene(scene: Scene, path: str | Path) -> None:
         "sky_zenith_rgb": [int(value) for value in scene.sky.zenith_rgb],
     }
     file.graph.update(frame_from="world", frame_to=ROOT_NODE, matrix=GLTF_FROM_EGO)
-    _add_node(file, ENVIRONMENT_NODE, scene.environment, {"role": "environment"})
-    _add_node(file, EGO_NODE, scene.ego, {"role": "ego"})
+    add_node(file, ENVIRONMENT_NODE, scene.environment, {"role": "environment"})
+    add_node(file, EGO_NODE, scene.ego, {"role": "ego"})
     scene = scene.targeting(("vehicle",))
     for role, prefix, users in (
         ("vehicle", _VEHICLE_PREFIX, scene.vehicles),
@@ -76,7 +77,7 @@ def write_scene(scene: Scene, path: str | Path) -> None:
             }
             if user.velocity_ego_m_s is not None:
                 extras["velocity_ego_m_s"] = [float(value) for value in user.velocity_ego_m_s]
-            _add_node(file, f"{prefix}{user.instance_id}", user.mesh, extras)
+            add_node(file, f"{prefix}{user.instance_id}", user.mesh, extras)
     data = file.export(file_type="glb")
     assert isinstance(data, bytes)
     write_whole(path, data, what="scene")
@@ -155,7 +156,8 @@ def vertex_coloured(mesh: Mesh) -> trimesh.Trimesh:
     )
 
 
-def _add_node(file: trimesh.Scene, name: str, mesh: Mesh, extras: dict[str, Any]) -> None:
+def add_node(file: trimesh.Scene, name: str, mesh: Mesh, extras: dict[str, Any]) -> None:
+    """Add a mesh in the ego frame below `ROOT_NODE`, with its exact colours."""
     geometry = vertex_coloured(mesh)
     file.add_geometry(geometry, node_name=name, geom_name=name, parent_node_name=ROOT_NODE, metadata=extras)
 

@@ -89,7 +89,7 @@ def save_image(
     if path.suffix.lower() == ".png":
         encoded = io.BytesIO()
         _image(plotter, supersampling).save(encoded, format="PNG", optimize=True)
-        return _write(path, encoded.getvalue())
+        return write_whole(path, encoded.getvalue())
     return save_page({path.stem: plotter}, path, title=path.stem)
 
 
@@ -111,7 +111,7 @@ def save_page(plotters: Mapping[str, Plotter], path: Path | str, *, title: str, 
     from warpav.view.page import page_of
 
     page = page_of(plotters, title=title, lines=lines)
-    return _write(Path(path), page.html().encode())
+    return write_whole(Path(path), page.html().encode())
 
 
 def save_animation(animation: Animation, path: Path | str, *, progress: Progress | None = None) -> Path:
@@ -137,10 +137,10 @@ def save_animation(animation: Animation, path: Path | str, *, progress: Progress
     if progress is not None:
         images = progress.steps("images", images, count=animation.count)
     if path.suffix.lower() == ".gif":
-        return _write(path, _gif(list(images), **times))
+        return write_whole(path, _gif(list(images), **times))
     for name in ("imageio", "imageio_ffmpeg"):
         optional_module(name, purpose=f"{path}: an animation as MP4", install=_INSTALL_ANIMATION)
-    return _write(path, _mp4(images, **times))
+    return write_whole(path, _mp4(images, **times))
 
 
 def render_rgb(plotter: Plotter, *, supersampling: int = 2) -> np.ndarray:
@@ -232,7 +232,12 @@ def check_suffix(path: Path, *, further: tuple[str, ...] = ()) -> None:
             optional_module(name, purpose=f"{path}: an animation as MP4", install=_INSTALL_ANIMATION)
 
 
-def _write(path: Path, content: bytes) -> Path:
+def write_whole(path: Path, content: bytes) -> Path:
+    """Write a file that appears complete or not at all; missing folders are made. Returns the path.
+
+    Raises:
+        InputError: It cannot be written.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as draft:

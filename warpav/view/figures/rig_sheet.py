@@ -11,7 +11,8 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError
 from warpav.raster.lens import Lens
-from warpav.view.figures.style import figure_style, new_figure
+from warpav.view.figures.page import SCALES, Page, camera_digit, camera_mark
+from warpav.view.figures.style import figure_style
 from warpav.view.figures.top_view import draw_vehicle
 from warpav.view.frustum import seen_arcs_rad, seen_ground_m
 from warpav.view.palette import INK_RGB, MUTED_RGB, camera_rgb, hex_colour
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 PAGE_MM = (210.0, 297.0)
 """A4; rigs of many cameras make it longer."""
 
-_SCALES = (10, 20, 25, 50, 75, 100, 125, 150, 200, 250, 400, 500, 1000, 2000)
 _MARGIN_MM, _HEAD_MM, _ROW_MM, _NOTE_MM, _GAP_MM = 12.0, 17.0, 4.6, 17.0, 9.0
 _UP = np.array([0.0, 0.0, 1.0])
 _ARC_STEP_RAD = math.radians(1.0)
@@ -105,50 +105,40 @@ def rig_sheet(
     def height_mm(scale: float) -> float:
         return rest_mm + 1000.0 * (2.0 * half_m + top_m) / scale
 
-    wide = [one for one in _SCALES if 2000.0 * half_m / one <= width_mm - 2.0 * _MARGIN_MM] or [_SCALES[-1]]
+    wide = [one for one in SCALES if 2000.0 * half_m / one <= width_mm - 2.0 * _MARGIN_MM] or [SCALES[-1]]
     scale = next((one for one in wide if height_mm(one) <= PAGE_MM[1]), wide[-1] if rest_mm < 200.0 else wide[0])
     page_mm = max(PAGE_MM[1], height_mm(scale))
 
     with figure_style():
-        figure = new_figure(width_mm / 25.4, page_mm / 25.4)
-        figure.set_layout_engine("none")
+        page = Page(width_mm, page_mm)
         drawing_mm = 2000.0 * half_m / scale
         left_mm = 0.5 * (width_mm - drawing_mm)
-
-        def panel(below_mm: float, panel_mm: float) -> Any:  # noqa: ANN401 (matplotlib)
-            """Axes whose upper edge is so far below the page's."""
-            bottom_mm = page_mm - below_mm - panel_mm
-            axis = figure.add_axes((left_mm / width_mm, bottom_mm / page_mm, drawing_mm / width_mm, panel_mm / page_mm))
-            axis.set(xticks=[], yticks=[])
-            axis.grid(visible=False)
-            axis.spines[:].set_visible(False)
-            return axis
-
         below_mm = _MARGIN_MM
         count = len(rig.cameras)
         heading = title or f"Rig of {count} camera{'' if count == 1 else 's'}"
-        figure.text(_MARGIN_MM / width_mm, 1.0 - below_mm / page_mm, heading, va="top", fontsize=13, fontweight="bold")
-        figure.text(
-            1.0 - _MARGIN_MM / width_mm, 1.0 - below_mm / page_mm, f"1 : {scale}", va="top", ha="right", fontsize=10
-        )
+        page.text(_MARGIN_MM, below_mm, heading, fontsize=13, fontweight="bold")
+        page.text(width_mm - _MARGIN_MM, below_mm, f"1 : {scale}", ha="right", fontsize=10)
         below_mm += 0.5 * _HEAD_MM
-        above = panel(below_mm, drawing_mm)
+        above = page.panel(left_mm, below_mm, drawing_mm, drawing_mm)
         above.set(xlim=middle_m[0] + half_m * np.array([-1, 1]), ylim=middle_m[1] + half_m * np.array([-1, 1]))
         below_mm += drawing_mm + _GAP_MM
         side_mm = 1000.0 * top_m / scale
-        side = panel(below_mm, side_mm)
+        side = page.panel(left_mm, below_mm, drawing_mm, side_mm)
         side.set(xlim=middle_m[0] + half_m * np.array([-1, 1]), ylim=(0.0, top_m))
         if ego is not None:
-            draw_vehicle(above, ego, has_outline=True)
-            draw_vehicle(side, ego, from_side=True, has_outline=True)
+            draw_vehicle(above, ego, is_outline=True)
+            draw_vehicle(side, ego, from_side=True, is_outline=True)
         _draw_rings(above, side, ring_m, middle_m)
         _draw_from_above(above, rig, middle_m, reach_m)
         _draw_from_side(side, rig, middle_m, reach_m)
         below_mm += side_mm + _GAP_MM
-        _write_table(figure, rig, below_mm=below_mm, page_mm=page_mm)
+        rows = [_HEADINGS, *(_row(index, camera) for index, camera in enumerate(rig.cameras))]
+        names_mm = min(max(38.0, 1.65 * max(len(row[0]) for row in rows)), 54.0)
+        column_mm = (0.0, names_mm, 82.0, 107.0, 127.0, 158.0)
+        page.camera_table(rows, column_mm, left_mm=_MARGIN_MM, top_mm=below_mm, row_mm=_ROW_MM)
         grey = hex_colour(MUTED_RGB)
-        figure.text(_MARGIN_MM / width_mm, _MARGIN_MM / page_mm, _NOTE, va="bottom", fontsize=6.5, color=grey)
-        return figure
+        page.text(_MARGIN_MM, page_mm - _MARGIN_MM, _NOTE, va="bottom", fontsize=6.5, color=grey)
+        return page.figure
 
 
 def _draw_rings(above: Any, side: Any, ring_m: Sequence[float], middle_m: np.ndarray) -> None:  # noqa: ANN401 (matplotlib)
@@ -191,8 +181,8 @@ def _draw_from_above(axis: Any, rig: Rig, middle_m: np.ndarray, reach_m: float) 
             for outline_m in seen_ground_m(camera, reach_m=2.0 * reach_m):
                 fan = axis.fill(*outline_m.T, facecolor="none", edgecolor=colour, hatch="////", linewidth=0.9, zorder=4)
                 fan[0].set_clip_path(border)
-        axis.plot(*centre_m, **_mark(colour), zorder=7)
-        axis.text(*centre_m, str(index + 1), **_digit(), zorder=8)
+        axis.plot(*centre_m, **camera_mark(colour), zorder=7)
+        axis.text(*centre_m, str(index + 1), **camera_digit(), zorder=8)
         forward = _forward(camera)[:2]
         largest = max(arcs, key=lambda arc: arc[1] - arc[0], default=None)
         if largest is not None and largest[1] - largest[0] < 2.0 * math.pi - _ANGLE_EPSILON:
@@ -227,8 +217,8 @@ def _draw_from_side(axis: Any, rig: Rig, middle_m: np.ndarray, reach_m: float) -
         for arc in vertical_arcs_rad(camera):
             outline_m = _fan_m(arc, centre_m, ground_m, reach_m, sign=sign, on_ground=True)
             _draw_fan(axis, outline_m, colour, alpha=0.05)  # many lie on each other
-        axis.plot(*centre_m, **_mark(colour), zorder=7)
-        axis.text(*centre_m, str(index + 1), **_digit(), zorder=8)
+        axis.plot(*centre_m, **camera_mark(colour), zorder=7)
+        axis.text(*centre_m, str(index + 1), **camera_digit(), zorder=8)
 
 
 def _fan_m(
@@ -282,33 +272,7 @@ def _apart(bearing_rad: Sequence[float]) -> list[float]:
     return [float(each) for each in place]
 
 
-def _mark(colour: str) -> dict[str, Any]:
-    return {"marker": "o", "markersize": 6.5, "color": colour, "markeredgecolor": "white", "markeredgewidth": 0.6}
-
-
-def _digit() -> dict[str, Any]:
-    return {"fontsize": 5, "color": "white", "fontweight": "bold", "ha": "center", "va": "center_baseline"}
-
-
-def _write_table(figure: Any, rig: Rig, *, below_mm: float, page_mm: float) -> None:  # noqa: ANN401 (matplotlib)
-    head = ("camera", "module or lens", "image [px]", "sees [°]", "x, y, z [m]", "yaw, pitch, roll [°]")
-    rows = [head, *(_row(index, camera) for index, camera in enumerate(rig.cameras))]
-    names_mm = min(max(38.0, 1.65 * max(len(row[0]) for row in rows)), 54.0)
-    start_mm = (0.0, names_mm, 82.0, 107.0, 127.0, 158.0)
-    width_mm = PAGE_MM[0]
-    for line, row in enumerate(rows):
-        for column, text in enumerate(row):
-            colour = hex_colour(camera_rgb(line - 1)) if line and not column else hex_colour(INK_RGB)
-            is_bold = not line or not column
-            figure.text(
-                (_MARGIN_MM + start_mm[column]) / width_mm,
-                1.0 - (below_mm + line * _ROW_MM) / page_mm,
-                text,
-                fontsize=7,
-                va="top",
-                color=colour,
-                fontweight="bold" if is_bold else "normal",
-            )
+_HEADINGS = ("camera", "module or lens", "image [px]", "sees [°]", "x, y, z [m]", "yaw, pitch, roll [°]")
 
 
 def _row(index: int, camera: RigCamera) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure, save_figure, svg_text
 from warpav.view.frustum import sector_polygon_m
 from warpav.view.palette import COVERAGE_RGB, GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, further_map, hex_colour
+from warpav.view.silhouette import silhouette_m
 
 if TYPE_CHECKING:
     from warpav.optimisation.further_camera import FurtherCameras
@@ -226,22 +228,32 @@ def draw_vehicle(
     ego: Mesh,
     *,
     from_side: bool = False,
-    has_outline: bool = False,
+    is_outline: bool = False,
 ) -> None:
     """Draw a vehicle as a silhouette in one flat colour, x pointing right: from above, or with z up.
 
-    With an outline the triangles are drawn as pixels in files of vectors too, as there are thousands of them.
+    As an outline it is a few lines (`silhouette_m`) with a border, else all triangles.
     """
     from matplotlib.collections import PolyCollection
 
+    if is_outline:
+        draw_outline(axis, silhouette_m(ego, np.eye(3)[0], np.eye(3)[2 if from_side else 1]))
+        axis.autoscale_view()
+        return
     corner_m = np.asarray(ego.vertex_m)[np.asarray(ego.triangle)][:, :, [0, 2] if from_side else [0, 1]]
     colour = hex_colour(GRID_RGB)
-    border = [(hex_colour(MUTED_RGB), 2.4)] if has_outline else []
-    for edge, width in (*border, (colour, 0.6)):
-        silhouette = PolyCollection(list(corner_m), facecolors=edge, edgecolors=edge, linewidths=width, zorder=1)
-        silhouette.set_rasterized(has_outline)
-        axis.add_collection(silhouette)
+    axis.add_collection(PolyCollection(list(corner_m), facecolors=colour, edgecolors=colour, linewidths=0.6, zorder=1))
     axis.autoscale_view()
+
+
+def draw_outline(axis: Any, lines: Sequence[np.ndarray]) -> None:  # noqa: ANN401 (matplotlib)
+    """Fill closed lines, and their holes not, in the flat colour of vehicles with a border."""
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as Outline
+
+    closed = [Outline(np.vstack([line, line[:1]]), closed=True) for line in lines]
+    style = {"facecolor": hex_colour(GRID_RGB), "edgecolor": hex_colour(MUTED_RGB), "linewidth": 0.9, "zorder": 1}
+    axis.add_patch(PathPatch(Outline.make_compound_path(*closed), **style))
 
 
 def draw_height_map(axis: Any, mount_surface: MountSurface, *, colours: Any) -> Any:  # noqa: ANN401 (matplotlib)

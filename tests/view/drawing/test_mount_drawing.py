@@ -1,0 +1,144 @@
+"""The drawing of the mounts: a page of A3 in the scale that it states, coordinates, labels apart, its files."""
+
+import importlib.util
+import math
+import re
+
+import numpy as np
+import pytest
+
+from tests.view.stand_ins import ego, rig
+from warpav.cli.app import main
+from warpav.core.errors import InputError
+from warpav.rig.catalogue import builtin_modules
+from warpav.rig.rig import Rig, RigCamera
+from warpav.view.drawing.mount_drawing import PAGE_MM, mount_drawing
+
+
+def drawing_of(some=None, **options):
+    return mount_drawing(some or rig(), ego=ego(), **options)
+
+
+def test_the_page_is_a3_and_everything_is_on_it():
+    for some in (rig(), rig(24)):
+        figure = drawing_of(some).figure()
+        assert figure.get_size_inches() * 25.4 == pytest.approx(PAGE_MM)
+        figure.draw_without_rendering()
+        [axis] = figure.axes
+        for text in axis.texts:
+            if text.get_text():
+                low_mm, high_mm = text.get_window_extent().transformed(axis.transData.inverted()).get_points()
+                assert low_mm[0] > 19.5, text
+                assert low_mm[1] > 10.0, text
+                assert high_mm[0] < 410.5, text
+                assert high_mm[1] < 287.5, text
+
+
+def test_views_are_in_the_scale_that_the_page_states():
+    drawing = drawing_of()
+    assert f"1 : {drawing.scale:g}" in [note.text for note in drawing.notes]
+    for view in drawing.views:
+        unit_mm = view.place_mm(np.eye(3)) - view.datum_mm
+        assert sorted(np.linalg.norm(unit_mm, axis=1)) == pytest.approx([0.0, *[1000.0 / drawing.scale] * 2])
+    # views of one row and of one column lie in line, as in first-angle projection
+    left, front, top = (view.datum_mm for view in drawing.views)
+    assert left[1] == front[1] > top[1]
+    assert left[0] == top[0] < front[0]
+    assert np.cross(drawing.views[0].right, drawing.views[0].up) == pytest.approx([0.0, 1.0, 0.0])  # seen from the left
+    assert np.cross(drawing.views[1].right, drawing.views[1].up) == pytest.approx([1.0, 0.0, 0.0])
+    assert np.cross(drawing.views[2].right, drawing.views[2].up) == pytest.approx([0.0, 0.0, 1.0])
+
+
+def test_arrows_are_the_optical_axes():
+    one = RigCamera("cam", np.array([1.0, 0.2, 1.6]), math.radians(30.0), math.radians(10.0))
+    drawing = drawing_of(Rig([one]))
+    for mark in drawing.marks:
+        arrow_mm = mark.tip_mm - mark.place_mm
+        ahead = one.ego_from_camera[:3, 2]
+        expected = np.array([ahead @ mark.view.right, ahead @ mark.view.up])
+        np.testing.assert_allclose(arrow_mm / 9.0, expected, atol=1e-9)
+
+
+def test_coordinates_are_said_once_and_labels_keep_apart():
+    drawing = drawing_of()
+    texts = [each.text for each in drawing.ordinates]
+    assert "1, ..: +1580" in texts  # all four are as high
+    assert "3: +500" in texts
+    assert "1, 3: 0" in texts
+    drawing = drawing_of(rig(24))  # many are nearer to each other than their numbers are high
+    for view in drawing.views:
+        for is_across in (True, False):
+            end_mm = sorted(
+                each.end_mm[0 if is_across else 1]
+                for each in drawing.ordinates
+                if each.view is view and each.is_across == is_across
+            )
+            assert np.diff(end_mm).min(initial=math.inf) >= 3.2 - 1e-9
+
+
+def test_numbers_lie_on_no_other_number_and_on_no_camera():
+    for count in (3, 8, 12):
+        drawing = drawing_of(rig(count))
+        for view in drawing.views:
+            marks_mm = [mark.place_mm for mark in drawing.marks if mark.view is view]
+            near = [
+                note
+                for note in drawing.notes
+                if note.layer == "CAMERAS" and min(np.linalg.norm(np.array(note.place_mm) - at) for at in marks_mm) < 9
+            ]
+            assert sum(len(note.text.split(", ")) for note in near) >= count  # each camera has its number
+            for i, note in enumerate(near):
+                apart_mm = np.abs(np.array([other.place_mm for other in near[:i]]).reshape(-1, 2) - note.place_mm)
+                half_mm = 0.8 * np.array([len(other.text) + len(note.text) for other in near[:i]])
+                assert ((apart_mm[:, 0] > half_mm - 0.01) | (apart_mm[:, 1] > 2.59)).all()
+                across_mm, up_mm = np.abs(np.array(marks_mm) - note.place_mm).T
+                assert ((across_mm > 0.8 * len(note.text)) | (up_mm > 1.3)).all()
+
+
+def test_housings_of_modules_are_drawn():
+    name = "side_2mp_100"
+    one = RigCamera("cam", np.array([1.0, 1.0, 0.9]), math.pi / 2, module=name)
+    drawing = drawing_of(Rig([one]))
+    housings = [stroke for stroke in drawing.strokes if stroke.layer == "HOUSINGS"]
+    assert len(housings) == 3
+    width_m, height_m, _ = builtin_modules()[name].housing.size_m
+    span_mm = np.ptp(housings[0].point_mm, axis=0)  # it looks at the reader
+    np.testing.assert_allclose(span_mm, 1000.0 / drawing.scale * np.array([width_m, height_m]), rtol=1e-4)
+    assert not [stroke for stroke in drawing_of(Rig([one]), modules={}).strokes if stroke.layer == "HOUSINGS"]
+
+
+@pytest.mark.parametrize("count", [1, 8, 40])
+def test_the_table_has_every_camera(count):
+    notes = {note.text for note in drawing_of(rig(count)).notes if note.layer == "TABLE"}
+    assert {f"{i + 1} cam_{i}" for i in range(count)} <= notes
+
+
+def test_it_is_written_the_same_every_time(tmp_path):
+    for suffix, begins in (("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")):
+        [first] = drawing_of().save(tmp_path / "new" / f"a.{suffix}")
+        [second] = drawing_of().save(tmp_path / f"b.{suffix}")
+        assert first.read_bytes() == second.read_bytes()
+        assert first.read_bytes().startswith(begins)
+    page = (tmp_path / "b.pdf").read_bytes()
+    [size] = re.findall(rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", page)
+    assert [float(each) / 72.0 * 25.4 for each in size] == pytest.approx(PAGE_MM, abs=0.01)
+    assert b"/Subtype /Image" not in page  # vectors alone
+
+
+def test_what_does_not_fit_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"x\.step: out: expected a folder or a name that ends .*got '\.step'"):
+        drawing_of().save(tmp_path / "x.step")
+
+
+def test_the_command_writes_a_file_or_a_folder(tmp_path, capsys):
+    out = tmp_path / "mounts.csv"
+    assert main(["rig", "drawing", "nuscenes", "--out", str(out)]) == 0
+    assert capsys.readouterr().out == f"wrote {out}\n"
+    assert out.read_text().count("CAM_") == 6
+    assert main(["rig", "drawing", "nuscenes", "--out", str(tmp_path / "x.stp")]) == 2
+    assert "--out: expected a folder" in capsys.readouterr().err
+    if importlib.util.find_spec("ezdxf"):
+        assert main(["rig", "drawing", "nuscenes", "--out", str(tmp_path / "folder")]) == 0
+        assert sorted(file.name for file in (tmp_path / "folder").iterdir()) == [
+            *("mounts.csv", "mounts.dxf", "mounts.glb", "mounts.pdf"),
+        ]

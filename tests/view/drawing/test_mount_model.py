@@ -1,0 +1,63 @@
+"""The model of the mounts, read back by trimesh: nodes, places, housings and frustums."""
+
+import io
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+from tests.view.stand_ins import ego
+from warpav.raster.camera import CameraModel
+from warpav.rig.catalogue import builtin_modules
+from warpav.rig.rig import Rig, RigCamera
+from warpav.scene.glb import GLTF_FROM_EGO
+from warpav.view.drawing.mount_model import FRUSTUM_DEPTH_M, mount_glb
+from warpav.view.drawing.mount_table import mounts
+
+MODULE = builtin_modules()["side_2mp_100"]
+
+
+def model_of(*cameras):
+    data = mount_glb(mounts(Rig(cameras), ego()), ego(), builtin_modules())
+    assert data == mount_glb(mounts(Rig(cameras), ego()), ego(), builtin_modules())
+    return trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False)
+
+
+def part(model, name):
+    matrix, geometry = model.graph.get(name)
+    mesh = model.geometry[geometry].copy()
+    mesh.apply_transform(np.linalg.inv(GLTF_FROM_EGO) @ matrix)
+    return mesh
+
+
+def test_parts_are_there_and_where_the_cameras_are():
+    left = RigCamera("left", np.array([1.0, 1.0, 0.9]), math.pi / 2, 0.0, 0.0, MODULE.camera_model(), MODULE.name)
+    plain = RigCamera("plain", np.array([2.0, 0.0, 1.6]), 0.0, 0.0, 0.0, CameraModel(200, 100, math.radians(90.0)))
+    model = model_of(left, plain)
+    nodes = set(model.graph.nodes_geometry)
+    assert nodes == {"vehicle", "left/frustum", "left/housing", "plain/frustum"}
+    np.testing.assert_allclose(part(model, "vehicle").bounds, ego().bounds_m(), atol=1e-6)
+    housing = part(model, "left/housing")
+    width_m, height_m, depth_m = MODULE.housing.size_m
+    np.testing.assert_allclose(housing.extents, [width_m, depth_m, height_m], atol=1e-6)  # it looks to the left
+    offset = np.array(MODULE.housing.offset_m)  # right, down, forward
+    middle_m = left.position_m + offset[[0, 2, 1]] * (1.0, 1.0, -1.0)
+    np.testing.assert_allclose(housing.bounds.mean(axis=0), middle_m, atol=1e-6)
+    frustum = part(model, "plain/frustum")
+    d = FRUSTUM_DEPTH_M
+    np.testing.assert_allclose(frustum.bounds, [[2.0, -d, 1.6 - d / 2], [2.0 + d, d, 1.6 + d / 2]], atol=1e-6)
+    for name in ("left/housing", "plain/frustum", "left/frustum"):
+        assert part(model, name).is_watertight
+        assert part(model, name).volume > 0.0  # wound outwards
+    assert part(model, "left/housing").volume == pytest.approx(width_m * height_m * depth_m, rel=1e-5)
+
+
+def test_a_frustum_carries_the_numbers_of_its_camera():
+    model = model_of(RigCamera("cam", np.array([1.0, 0.0, 1.6]), math.radians(30.0), math.radians(5.0)))
+    [extras] = [
+        data["metadata"] for (_, name), data in model.graph.transforms.edge_data.items() if name == "cam/frustum"
+    ]
+    assert extras["position_m"] == [1.0, 0.0, 1.6]
+    assert extras["yaw_deg"] == pytest.approx(30.0)
+    assert extras["pitch_deg"] == pytest.approx(5.0)

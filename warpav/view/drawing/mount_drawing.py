@@ -1,0 +1,472 @@
+"""A rig on a drawing for the workshop: three views to scale, coordinates from datums, and a table, as PDF and DXF.
+
+The drawing is composed once, of strokes, notes, ordinate dimensions and marks in millimetres of paper; `figure` and
+`warpav.view.drawing.dxf` draw these.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.core.errors import ArgumentError
+from warpav.raster.lens import Lens
+from warpav.rig.catalogue import builtin_modules
+from warpav.rig.rig import rig_text
+from warpav.view.drawing.dxf import drawing_dxf, load_ezdxf
+from warpav.view.drawing.mount_model import housing_corners_m, mount_glb
+from warpav.view.drawing.mount_table import angles_deg, mount_csv, mounts, plain
+from warpav.view.drawing.sheet import TEXT_MM, Mark, Note, Ordinate, Sheet, Stroke, View
+from warpav.view.figures.page import SCALES, Page
+from warpav.view.figures.style import FIGURE_SUFFIXES, figure_style, save_figure
+from warpav.view.output import write_whole
+from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
+from warpav.view.silhouette import silhouette_m
+
+if TYPE_CHECKING:
+    from warpav.raster.mesh import Mesh
+    from warpav.rig.module import Module
+    from warpav.rig.rig import Rig
+
+PAGE_MM = (420.0, 297.0)
+"""A3, landscape."""
+
+SUFFIXES = (*FIGURE_SUFFIXES[::-1], ".dxf", ".csv", ".glb")
+"""Of files that `MountDrawing.save` writes."""
+
+_FRAME_MM = (20.0, 10.0, 410.0, 287.0)  # ISO 5457: 20 mm to the left, 10 mm to the others
+_LABEL_MM, _ABOVE_MM, _GAP_MM = 30.0, 33.0, 17.0
+_BESIDE_MM = 31.0
+_TITLE_MM = (180.0, 36.0)
+_ROW_MM, _APART_MM = 4.3, 3.2
+_ARROW_MM, _MARK_MM, _SAME_MM = 9.0, 1.0, 2.5
+_TABLE_COLUMN_MM = (0.0, 47.0, 76.0, 104.0, 116.5, 128.5, 141.0, 155.0, 169.0, 183.0, 200.0)
+"""Left edges of text, right edges of numbers, which begin with the fourth."""
+_TABLE_HEAD = (
+    *("camera", "module or lens", "image [px]", "fov [°]", "x [mm]", "y [mm]", "z [mm]"),
+    *("yaw [°]", "pitch [°]", "roll [°]", "off [mm]"),
+)
+_NOTE = (
+    "Coordinates are those of the optical centres in the vehicle's frame (ISO 8855): x forward from datum B, "
+    "y to the left from datum C, z up from datum A.",
+    "Angles turn a camera that looks forward about its own axes, in the order yaw (to the left), pitch (nose down), "
+    "roll (right side down).",
+    "Cameras are drawn through the body; arrows are optical axes. Off: from the nearest point of the mesh to the "
+    "optical centre. Dashed boxes: housings.",
+)
+
+
+@dataclass(eq=False, kw_only=True)
+class MountDrawing(Sheet):
+    """A composed drawing, with what its table and its model are made of.
+
+    Attributes:
+        title: Name of the rig.
+        ego: The vehicle, if there is one.
+        modules: Camera modules by name, for housings.
+    """
+
+    title: str
+    ego: Mesh | None
+    modules: Mapping[str, Module]
+
+    def figure(self) -> Any:  # noqa: ANN401 (matplotlib)
+        """The drawing as a ``matplotlib.figure.Figure`` in the size of the page."""
+        with figure_style():
+            page = Page(*PAGE_MM)
+            axis = page.panel(0.0, 0.0, *PAGE_MM)
+            axis.set(xlim=(0.0, PAGE_MM[0]), ylim=(0.0, PAGE_MM[1]))
+            for stroke in self.strokes:
+                _draw_stroke(axis, stroke)
+            for ordinate in self.ordinates:
+                line_mm = ordinate_line_mm(ordinate)
+                axis.plot(*line_mm.T, color=hex_colour(MUTED_RGB), linewidth=0.35, zorder=3)
+                side = {"rotation": 90, "va": "bottom", "ha": "center"} if ordinate.is_across else {"ha": "right"}
+                style = {"va": "center_baseline", "fontsize": _points(TEXT_MM), "rotation_mode": "default"} | side
+                axis.text(*ordinate.end_mm, f" {ordinate.text} ", **style)
+            for mark in self.marks:
+                colour = hex_colour(camera_rgb(mark.camera))
+                if np.linalg.norm(mark.tip_mm - mark.place_mm) > 1e-9:
+                    arrow = {"arrowstyle": "-|>,head_width=0.12,head_length=0.3", "color": colour, "linewidth": 0.9}
+                    arrow |= {"shrinkA": 0.0, "shrinkB": 0.0}
+                    axis.annotate("", mark.tip_mm, xytext=mark.place_mm, arrowprops=arrow, zorder=6)
+                axis.plot(*_circle_mm(mark.place_mm).T, color=colour, linewidth=0.8, zorder=7)
+                for cross_mm in mark_cross_mm(mark):
+                    axis.plot(*cross_mm.T, color=colour, linewidth=0.5, zorder=7)
+            for note in self.notes:
+                colour = hex_colour(INK_RGB if note.camera is None else camera_rgb(note.camera))
+                across = {"left": "left", "middle": "center", "right": "right"}[note.align]
+                style = {"ha": across, "va": "center_baseline", "color": colour, "fontsize": _points(note.height_mm)}
+                axis.text(*note.place_mm, note.text, fontweight="normal" if note.camera is None else "bold", **style)
+            return page.figure
+
+    def save(self, path: Path | str) -> list[Path]:
+        """Write the drawing, its table or its model; the same drawing gives the same bytes.
+
+        Args:
+            path: A file that ends as one of `SUFFIXES`: PDF, SVG or PNG (A3), DXF in millimetres at 1 : 1 (needs the
+                extra ``cad``), CSV with the numbers of every camera (`mount_csv`), or GLB with vehicle, housings and
+                frustums (`mount_glb`). Else a folder, which takes ``mounts.pdf``, ``mounts.dxf``, ``mounts.csv`` and
+                ``mounts.glb``. Missing folders are made.
+
+        Returns:
+            The files.
+
+        Raises:
+            InputError: Another suffix, a file that cannot be written, or ezdxf is missing.
+        """
+        path = Path(path)
+        check_out(path)
+        if not path.suffix or path.is_dir():
+            return [file for end in (".pdf", ".dxf", ".csv", ".glb") for file in self.save(path / f"mounts{end}")]
+        match path.suffix.lower():
+            case ".dxf":
+                return [write_whole(path, drawing_dxf(self, place=path))]
+            case ".csv":
+                return [write_whole(path, mount_csv(self.mounts).encode())]
+            case ".glb":
+                return [write_whole(path, mount_glb(self.mounts, self.ego, self.modules))]
+            case _:
+                return [save_figure(self.figure(), path)]
+
+
+def check_out(path: Path) -> None:
+    """Check that a drawing can be written as this file, or into this folder.
+
+    Raises:
+        InputError: It ends otherwise than `SUFFIXES` do, or needs ezdxf, which is missing.
+    """
+    is_folder = not path.suffix or path.is_dir()
+    if not is_folder and path.suffix.lower() not in SUFFIXES:
+        expected = f"a folder or a name that ends in {', '.join(SUFFIXES)}"
+        raise ArgumentError("out", f"expected {expected}, got {path.suffix!r}", place=path)
+    if is_folder or path.suffix.lower() == ".dxf":
+        load_ezdxf(path)
+
+
+def mount_drawing(
+    rig: Rig, *, ego: Mesh | None = None, title: str = "rig", modules: Mapping[str, Module] | None = None
+) -> MountDrawing:
+    """Compose the drawing by which a workshop mounts a rig.
+
+    Three views in first-angle projection, seen from the left, the front and the top, with the outline of the vehicle,
+    the place and optical axis of every camera, housings of modules, and coordinates from the datums: A is the ground,
+    B the rear axle, C the plane of symmetry. A table has all numbers, a block the title, scale and projection.
+
+    Args:
+        rig: The cameras.
+        ego: The vehicle, in the ego frame; None: none is drawn.
+        title: Name of the rig.
+        modules: Camera modules by name, for housings; None: the shipped ones.
+
+    Returns:
+        The drawing: `MountDrawing.save` writes it.
+    """
+    found = mounts(rig, ego)
+    point_m = np.array([camera.position_m for camera in rig.cameras] + [[0.0, 0.0, 0.0]])
+    if ego is not None:
+        point_m = np.vstack([point_m, np.asarray(ego.bounds_m(), np.float64)])
+    low_m, high_m = point_m.min(axis=0), point_m.max(axis=0)
+    row_mm = min(_ROW_MM, 100.0 / (len(rig.cameras) + 1))
+    table_mm = row_mm * (len(rig.cameras) + 1) + 4.0
+    scale, views = _views(low_m, high_m, foot_mm=max(table_mm, _TITLE_MM[1]) + 15.5)
+    catalogue = builtin_modules() if modules is None else modules
+    drawing = MountDrawing(scale=scale, views=views, mounts=found, title=title, ego=ego, modules=catalogue)
+    _add_bodies(drawing)
+    _add_datums(drawing, low_m, high_m)
+    _add_cameras(drawing)
+    _add_ordinates(drawing)
+    _add_table(drawing, row_mm)
+    _add_title_block(drawing, hashlib.sha256(rig_text(rig).encode()).hexdigest()[:12])
+    return drawing
+
+
+def _views(low_m: np.ndarray, high_m: np.ndarray, *, foot_mm: float) -> tuple[float, tuple[View, View, View]]:
+    """The largest scale at which the views have room above the table, and where they are."""
+    left_mm, bottom_mm, right_mm, top_mm = _FRAME_MM
+    length_m, width_m, height_m = high_m - low_m
+    room_mm = right_mm - left_mm - _LABEL_MM - _BESIDE_MM - _GAP_MM, top_mm - bottom_mm - foot_mm - _ABOVE_MM - _GAP_MM
+    fitting = (
+        one
+        for one in SCALES
+        if 1000.0 * (length_m + width_m) <= one * room_mm[0] and 1000.0 * (height_m + width_m) <= one * room_mm[1]
+    )
+    scale = next(fitting, SCALES[-1])
+    per_m = 1000.0 / scale
+    ahead, left, up = np.eye(3)
+    # forward is to the left in the view from the left
+    ground_mm = top_mm - _ABOVE_MM - per_m * high_m[2]
+    axle_mm = left_mm + _LABEL_MM + per_m * high_m[0]
+    middle_mm = axle_mm - per_m * low_m[0] + _BESIDE_MM - per_m * low_m[1]
+    above_mm = ground_mm + per_m * min(low_m[2], 0.0) - _GAP_MM + per_m * low_m[1]
+    return scale, (
+        View("left", -ahead, up, np.array([axle_mm, ground_mm]), scale),
+        View("front", left, up, np.array([middle_mm, ground_mm]), scale),
+        View("top", -ahead, -left, np.array([axle_mm, above_mm]), scale),
+    )
+
+
+def _add_bodies(drawing: MountDrawing) -> None:
+    """The outline of the vehicle, and housings of modules, in every view."""
+    import cv2
+
+    for view in drawing.views:
+        if drawing.ego is not None:
+            for line_m in silhouette_m(drawing.ego, view.right, view.up):
+                place_mm = view.datum_mm + 1000.0 / view.scale * line_m
+                drawing.strokes.append(Stroke("OUTLINE", place_mm, is_closed=True))
+        for index, mount in enumerate(drawing.mounts):
+            module = drawing.modules.get(mount.camera.module or "")
+            if module is not None:
+                corner_mm = view.place_mm(housing_corners_m(mount.camera, module.housing))
+                hull_mm = cv2.convexHull(corner_mm.astype(np.float32))[:, 0]
+                drawing.strokes.append(Stroke("HOUSINGS", hull_mm, is_closed=True, camera=index))
+
+
+def _add_datums(drawing: MountDrawing, low_m: np.ndarray, high_m: np.ndarray) -> None:
+    """The ground, the rear axle and the plane of symmetry, as far as they are lines in a view."""
+    axis = np.eye(3)
+    lines = {"left": (("A", 0), ("B", 2)), "front": (("A", 1), ("C", 2)), "top": (("C", 0), ("B", 1))}
+    for view in drawing.views:
+        for (name, along), is_across in zip(lines[view.name], (True, False), strict=True):
+            beyond_mm = np.array([10.5, 0.0] if is_across else [0.0, 5.0])  # beyond arrows, and within the gap
+            end_mm = view.place_mm(np.stack([min(low_m[along], 0.0) * axis[along], high_m[along] * axis[along]]))
+            end_mm = np.stack([end_mm.min(axis=0) - beyond_mm, end_mm.max(axis=0) + beyond_mm])
+            drawing.strokes.append(Stroke("DATUMS", end_mm))
+            middle_mm = end_mm[1] + np.array([2.2, 0.0]) if is_across else end_mm[0] - np.array([0.0, 2.2])
+            box_mm = middle_mm + 2.2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+            drawing.strokes.append(Stroke("DATUMS", box_mm, is_closed=True))
+            drawing.notes.append(Note("DATUMS", (float(middle_mm[0]), float(middle_mm[1])), name, 2.5, "middle"))
+
+
+def _add_cameras(drawing: MountDrawing) -> None:
+    """The place and the optical axis of every camera in every view, and its number beside it."""
+    for view in drawing.views:
+        here = []
+        for index, mount in enumerate(drawing.mounts):
+            camera = mount.camera
+            place_mm = view.place_mm(camera.position_m)
+            ahead = camera.ego_from_camera[:3, 2] @ np.stack([view.right, view.up], axis=1)
+            arrow_mm = _ARROW_MM * ahead if np.linalg.norm(ahead) > 0.1 else np.zeros(2)
+            here.append(Mark(view, index, place_mm, place_mm + arrow_mm))
+        drawing.marks += here
+        taken_mm = [_box_mm(mark.place_mm, 2.4 * _MARK_MM, 2.4 * _MARK_MM) for mark in here]
+        for mark in here:  # the arrow, as boxes along it
+            along = np.linspace(0.2, 1.0, 7)[:, None]
+            taken_mm += [_box_mm(each, 1.2, 1.2) for each in mark.place_mm + along * (mark.tip_mm - mark.place_mm)]
+        for group in _groups(here):
+            numbers = ", ".join(str(mark.camera + 1) for mark in group)
+            place_mm = np.mean([mark.place_mm for mark in group], axis=0)
+            back_mm = place_mm - np.mean([mark.tip_mm for mark in group], axis=0)
+            box_mm = _free_box_mm(place_mm, back_mm, (1.6 * len(numbers), 2.6), taken_mm)
+            taken_mm.append(box_mm)
+            across_mm, up_mm = box_mm.mean(axis=0).tolist()
+            drawing.notes.append(Note("CAMERAS", (across_mm, up_mm), numbers, 2.5, "middle", group[0].camera))
+
+
+def _free_box_mm(
+    place_mm: np.ndarray, back_mm: np.ndarray, size_mm: tuple[float, float], taken_mm: Sequence[np.ndarray]
+) -> np.ndarray:
+    """A box beside a place that lies on none of others: as near as can be, and behind its arrow if it can be there."""
+    back_rad = math.atan2(back_mm[1], back_mm[0]) if np.linalg.norm(back_mm) > 0.3 * _ARROW_MM else 0.25 * math.pi
+    turns_rad = sorted(np.linspace(-math.pi, math.pi, 16, endpoint=False), key=abs)
+    tried = [
+        _box_mm(place_mm + farther * (1.6 + 0.5 * np.array(size_mm)) * (math.cos(angle), math.sin(angle)), *size_mm)
+        for farther in (1.0, 1.3, 1.7, 2.2, 3.0)
+        for angle in (back_rad + turn_rad for turn_rad in turns_rad)
+    ]
+    return next((box for box in tried if not any(_overlap(box, other) for other in taken_mm)), tried[0])
+
+
+def _box_mm(middle_mm: np.ndarray, width_mm: float, height_mm: float) -> np.ndarray:
+    half_mm = 0.5 * np.array([width_mm, height_mm])
+    return np.stack([middle_mm - half_mm, middle_mm + half_mm])
+
+
+def _overlap(one_mm: np.ndarray, other_mm: np.ndarray) -> bool:
+    return bool((one_mm[0] < other_mm[1]).all() and (other_mm[0] < one_mm[1]).all())
+
+
+def _groups(marks: Sequence[Mark]) -> list[list[Mark]]:
+    """Marks that would lie on each other and look the same way share a number, others stand alone."""
+    groups: list[list[Mark]] = []
+    for mark in marks:
+        for group in groups:
+            first = group[0]
+            apart_mm = max(np.linalg.norm(mark.place_mm - first.place_mm), np.linalg.norm(mark.tip_mm - first.tip_mm))
+            if apart_mm < _SAME_MM:
+                group.append(mark)
+                break
+        else:
+            groups.append([mark])
+    return groups
+
+
+def _add_ordinates(drawing: MountDrawing) -> None:
+    """X above the view from the left, z at its left, y at the left of the view from the top; each value once."""
+    side, _, top = drawing.views
+    edge_mm = _FRAME_MM[0] + _LABEL_MM - 9.0
+    head_mm = _FRAME_MM[3] - _ABOVE_MM + 9.0
+    named = [(str(index + 1), mount.camera.position_m) for index, mount in enumerate(drawing.mounts)]
+    for view, axis in ((side, 0), (side, 2), (top, 1)):
+        of_value: dict[int, list[str]] = {}
+        at_mm: dict[int, np.ndarray] = {}
+        features = [*named]
+        if drawing.ego is not None:
+            vertex_m = drawing.ego.vertex_m.astype(np.float64)
+            ends_m = vertex_m[[vertex_m[:, axis].argmin(), vertex_m[:, axis].argmax()]]
+            features += [("end", end_m) for end_m in ends_m if abs(end_m[axis]) > 1e-3]
+        for name, point_m in features:
+            value_mm = round(1000.0 * float(point_m[axis]))
+            of_value.setdefault(value_mm, []).append(name)
+            place_mm = view.place_mm(point_m)
+            kept_mm = at_mm.setdefault(value_mm, place_mm)
+            # the line begins at the one nearest to the numbers
+            if name != "end" and (place_mm[1] > kept_mm[1] if axis == 0 else place_mm[0] < kept_mm[0]):
+                at_mm[value_mm] = place_mm
+        is_across = axis == 0
+        values = list(of_value)
+        wanted_mm = np.array([at_mm[value][0 if is_across else 1] for value in values])
+        for value_mm, label_mm in zip(values, _spread(wanted_mm, _APART_MM), strict=True):
+            end_mm = np.array([label_mm, head_mm] if is_across else [edge_mm, label_mm])
+            names = ", ".join(name for name in of_value[value_mm] if name != "end")
+            names = names if len(names) <= 5 else f"{names.partition(',')[0]}, .."
+            text = f"{value_mm:+d}" if value_mm else "0"
+            text = f"{names}: {text}" if names else text
+            drawing.ordinates.append(Ordinate(view, at_mm[value_mm], end_mm, is_across, float(value_mm), text))
+
+
+def _spread(wanted_mm: np.ndarray, least_mm: float) -> np.ndarray:
+    """The places nearest to the wanted ones, in the sense of least squares, that are so far apart."""
+    from scipy.optimize import isotonic_regression
+
+    order = np.argsort(wanted_mm, kind="stable")
+    step_mm = least_mm * np.arange(len(wanted_mm))
+    placed_mm = np.empty(len(wanted_mm))
+    placed_mm[order] = isotonic_regression(wanted_mm[order] - step_mm).x + step_mm
+    return placed_mm
+
+
+def _add_table(drawing: MountDrawing, row_mm: float) -> None:
+    """All numbers of the cameras, at the foot of the page."""
+    left_mm, bottom_mm = _FRAME_MM[0] + 3.0, _FRAME_MM[1] + 2.0
+    height_mm = min(TEXT_MM, 0.55 * row_mm)
+    rows: list[tuple[str, ...]] = [_TABLE_HEAD]
+    for index, mount in enumerate(drawing.mounts):
+        camera, model = mount.camera, mount.camera.model
+        lens = "" if model.lens is Lens.PINHOLE else f" {model.lens}"
+        rows.append(
+            (
+                f"{index + 1} {camera.name}",
+                camera.module or f"{math.degrees(model.fov_rad):.0f}°{lens}",
+                f"{model.width_px} x {model.height_px}",
+                plain(math.degrees(model.fov_rad), 1),
+                *(plain(1000.0 * value, 0) for value in camera.position_m),
+                *(plain(each, 1) for each in angles_deg(camera)),
+                "-" if mount.stand_off_m is None else plain(1000.0 * mount.stand_off_m, 0),
+            )
+        )
+    for line, row in enumerate(rows):
+        at_mm = bottom_mm + (len(rows) - line - 0.5) * row_mm
+        for column, (start_mm, text) in enumerate(zip(_TABLE_COLUMN_MM, row, strict=True)):
+            colour = line - 1 if line and not column else None
+            is_number = column >= 3
+            place_mm = left_mm + start_mm, at_mm
+            room = (24, 19)[column] if column < 2 else len(text)
+            shown = text if len(text) <= room else f"{text[: room - 2]}.."
+            drawing.notes.append(Note("TABLE", place_mm, shown, height_mm, "right" if is_number else "left", colour))
+    across_mm = np.array([left_mm, left_mm + _TABLE_COLUMN_MM[-1]])
+    rule_mm = bottom_mm + (len(rows) - 1) * row_mm
+    drawing.strokes.append(Stroke("FRAME", np.stack([across_mm, np.full(2, rule_mm)], axis=1)))
+
+
+def _add_title_block(drawing: MountDrawing, fingerprint: str) -> None:
+    """The frame of the page, the block with title and scale, the sign of the projection, and the notes."""
+    left_mm, bottom_mm, right_mm, top_mm = _FRAME_MM
+
+    def box(x0: float, y0: float, x1: float, y1: float) -> None:
+        drawing.strokes.append(Stroke("FRAME", np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), is_closed=True))
+
+    box(left_mm, bottom_mm, right_mm, top_mm)
+    width_mm, height_mm = _TITLE_MM
+    x_mm, y_mm = right_mm - width_mm, bottom_mm
+    box(x_mm, y_mm, right_mm, y_mm + height_mm)
+    cells = (
+        (0.0, 24.0, 130.0, "camera mounts of the rig", drawing.title[:44], 4.0),
+        (130.0, 24.0, 50.0, "projection: first angle", "", 3.0),
+        (0.0, 12.0, 45.0, "scale", f"1 : {drawing.scale:g}", 3.5),
+        (45.0, 12.0, 45.0, "sheet", "A3", 3.0),
+        (90.0, 12.0, 90.0, "units", "mm, degrees", 3.0),
+        (0.0, 0.0, 90.0, "datums", "A ground, B rear axle, C middle plane", 2.4),
+        (90.0, 0.0, 90.0, "rig file, SHA-256 begins", fingerprint, 3.0),
+    )
+    for x, y, width, head, text, size_mm in cells:
+        box(x_mm + x, y_mm + y, x_mm + x + width, y_mm + y + 12.0)
+        drawing.notes.append(Note("FRAME", (x_mm + x + 1.5, y_mm + y + 9.8), head, 1.8))
+        if text:
+            drawing.notes.append(Note("FRAME", (x_mm + x + 1.5, y_mm + y + 4.6), text, size_mm))
+    # the sign of ISO 128: a cone from the side, and beyond it from its narrow end
+    centre_mm = np.array([x_mm + 150.0, y_mm + 29.0])
+    cone_mm = centre_mm + np.array([[-7.0, -1.5], [1.0, -3.0], [1.0, 3.0], [-7.0, 1.5]])
+    drawing.strokes.append(Stroke("FRAME", cone_mm, is_closed=True))
+    for radius_mm in (1.5, 3.0):
+        drawing.strokes.append(Stroke("FRAME", _circle_mm(centre_mm + np.array([8.0, 0.0]), radius_mm), is_closed=True))
+    drawing.strokes.append(Stroke("DATUMS", centre_mm + np.array([[-9.0, 0.0], [13.0, 0.0]])))
+    for line, text in enumerate(_NOTE):
+        place_mm = left_mm + 3.0, max(y_mm + height_mm, _table_top_mm(drawing)) + 11.0 - 3.2 * line
+        drawing.notes.append(Note("FRAME", place_mm, text, 1.9))
+
+
+def _table_top_mm(drawing: MountDrawing) -> float:
+    return max(note.place_mm[1] for note in drawing.notes if note.layer == "TABLE")
+
+
+def ordinate_line_mm(ordinate: Ordinate) -> np.ndarray:
+    """The line of a dimension on the page, from its feature to its number, with a bend where these are not in line."""
+    along = 1 if ordinate.is_across else 0
+    sign = 1.0 if ordinate.is_across else -1.0
+    bend_mm = ordinate.feature_mm.copy()
+    bend_mm[along] = ordinate.end_mm[along] - sign * 7.0
+    before_mm = ordinate.end_mm.copy()
+    before_mm[along] -= sign * 2.0
+    return np.stack([ordinate.feature_mm, bend_mm, before_mm, ordinate.end_mm])
+
+
+def mark_cross_mm(mark: Mark) -> np.ndarray:
+    """The two lines through the place of a camera, [2, 2, 2]."""
+    reach = 1.6 * _MARK_MM * np.eye(2)
+    return np.stack([mark.place_mm - reach, mark.place_mm + reach], axis=1)
+
+
+def _circle_mm(centre_mm: np.ndarray, radius_mm: float = _MARK_MM) -> np.ndarray:
+    turn = np.linspace(0.0, 2.0 * math.pi, 49)
+    return centre_mm + radius_mm * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+
+
+def _draw_stroke(axis: Any, stroke: Stroke) -> None:  # noqa: ANN401 (matplotlib)
+    ink, grey = hex_colour(INK_RGB), hex_colour(MUTED_RGB)
+    style = {
+        "OUTLINE": {"color": ink, "linewidth": 0.9, "zorder": 1},
+        "DATUMS": {"color": ink, "linewidth": 0.5, "zorder": 2},
+        "FRAME": {"color": ink, "linewidth": 0.5, "zorder": 2},
+        "HOUSINGS": {"color": grey, "linewidth": 0.6, "linestyle": (0, (3, 2)), "zorder": 5},
+    }[stroke.layer]
+    if stroke.layer == "DATUMS" and not stroke.is_closed:
+        style |= {"linestyle": (0, (12, 3, 2, 3))}
+    if stroke.camera is not None:
+        style |= {"color": hex_colour(camera_rgb(stroke.camera))}
+    point_mm = np.vstack([stroke.point_mm, stroke.point_mm[:1]]) if stroke.is_closed else stroke.point_mm
+    if stroke.layer == "OUTLINE":
+        axis.fill(*point_mm.T, facecolor=hex_colour(GRID_RGB), alpha=0.45, linewidth=0, zorder=0)
+    axis.plot(*point_mm.T, **style)
+
+
+def _points(height_mm: float) -> float:
+    """The size of a font whose capital letters are so high, in points."""
+    return height_mm / 0.72 / 25.4 * 72.0

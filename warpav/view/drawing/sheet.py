@@ -1,0 +1,104 @@
+"""What is on a sheet: views, strokes, notes, dimensions and marks, in millimetres from its lower left corner."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from warpav.view.drawing.mount_table import Mount
+
+TEXT_MM = 2.2
+"""Height of capital letters."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A view of the vehicle on the page.
+
+    Attributes:
+        name: ``left``, ``front`` or ``top``: from where one looks.
+        right: Direction to the right of the page in the ego frame, unit length.
+        up: Direction upwards, likewise.
+        datum_mm: Where the ego frame's origin is on the page.
+        scale: 20 stands for 1 : 20.
+    """
+
+    name: str
+    right: np.ndarray
+    up: np.ndarray
+    datum_mm: np.ndarray
+    scale: float
+
+    def place_mm(self, point_m: np.ndarray) -> np.ndarray:
+        """Where points of the ego frame [..., 3] are on the page, [..., 2]."""
+        return self.datum_mm + 1000.0 / self.scale * (np.asarray(point_m) @ np.stack([self.right, self.up], axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Stroke:
+    """A line on the page through points [point, 2], on a layer; of a camera in its colour."""
+
+    layer: str
+    point_mm: np.ndarray
+    is_closed: bool = False
+    camera: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Note:
+    """A line of text on the page; ``place_mm`` is the middle of its left end, of its middle or of its right end."""
+
+    layer: str
+    place_mm: tuple[float, float]
+    text: str
+    height_mm: float = TEXT_MM
+    align: str = "left"
+    camera: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Ordinate:
+    """A coordinate of a point, from the datum of its view, as a line to its number (ISO 129 ordinate dimension)."""
+
+    view: View
+    feature_mm: np.ndarray
+    end_mm: np.ndarray
+    is_across: bool
+    value_mm: float
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class Mark:
+    """A camera in a view: its optical centre, and the end of its arrow."""
+
+    view: View
+    camera: int
+    place_mm: np.ndarray
+    tip_mm: np.ndarray
+
+
+@dataclass(eq=False, kw_only=True)
+class Sheet:
+    """What is on a sheet.
+
+    Attributes:
+        scale: 20 stands for 1 : 20.
+        views: Seen from the left, from the front and from the top, in first-angle projection.
+        mounts: The cameras and how they are mounted.
+        strokes: Lines of the drawing.
+        notes: Its texts.
+        ordinates: Its dimensions.
+        marks: Its cameras.
+    """
+
+    scale: float
+    views: tuple[View, ...]
+    mounts: tuple[Mount, ...]
+    strokes: list[Stroke] = field(default_factory=list)
+    notes: list[Note] = field(default_factory=list)
+    ordinates: list[Ordinate] = field(default_factory=list)
+    marks: list[Mark] = field(default_factory=list)

@@ -1,0 +1,137 @@
+"""Rigs in traffic as recordings for the Rerun viewer (``.rrd``): frustums with images, meshes, boxes, iterations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.core.atomic_write import atomic_write
+from warpav.core.files import writing
+from warpav.detection.images import render
+from warpav.raster.lens import Lens
+from warpav.view.frustum import image_corners
+from warpav.view.opengl import optional_module
+from warpav.view.palette import TRUTH_RGB, camera_rgb
+
+if TYPE_CHECKING:
+    from warpav.raster.mesh import Mesh
+    from warpav.rig.rig import Rig, RigCamera
+    from warpav.scene.scene import Scene
+
+SUFFIX = ".rrd"
+FRUSTUM_DEPTH_M = 1.0
+"""How far frustums reach [m]."""
+
+TIMELINE = "iteration"
+
+
+def write_recording(
+    path: Path | str,
+    rig: Rig,
+    scene: Scene,
+    *,
+    frames: Sequence[Rig] = (),
+    loss: Sequence[float] = (),
+    device: str = "cpu",
+) -> Path:
+    """Write a rig in a scene as a recording for the Rerun viewer; nothing is sent anywhere.
+
+    Entities, all in the ego frame [m]: ``vehicle`` and ``scene/...`` are meshes, ``box/...`` the boxes of road users;
+    ``rig/<camera>`` is a pose, below it ``image``, a pinhole with what the camera sees. Of another lens, which the
+    viewer has not, ``frustum`` has the edges of its view, and ``image/<camera>`` what it sees. With frames the poses
+    are on the timeline `TIMELINE`, and the images belong to the rig at its end.
+
+    Args:
+        path: A name that ends in ``.rrd``; missing folders are made.
+        rig: The cameras.
+        scene: Vehicle, street and traffic.
+        frames: The rig of every iteration that led to it, with the same cameras.
+        loss: That of every iteration, drawn as a curve, NaN where it is unknown; or none.
+        device: Warp device that renders the images.
+
+    Returns:
+        The path.
+
+    Raises:
+        InputError: rerun-sdk is not installed, or the file cannot be written.
+    """
+    path = Path(path)
+    rerun = load_rerun(path)
+    images = render(rig, scene, supersampling=2, device=device)
+    recording = rerun.RecordingStream("warpav", send_properties=False)
+    recording.set_log_time_enabled(False)
+    recording.set_log_tick_enabled(False)
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    with writing(path), atomic_write(path) as draft:
+        recording.save(draft)
+        recording.log("/", rerun.ViewCoordinates.FLU, static=True)
+        _log_scene(rerun, recording, scene)
+        for number, frame in enumerate((*frames, rig)):
+            if frames:
+                recording.set_time(TIMELINE, sequence=number)
+            for index, camera in enumerate(frame.cameras):
+                _log_camera(rerun, recording, camera, index, static=not frames)
+            if number < len(loss) and math.isfinite(loss[number]):
+                recording.log("loss", rerun.Scalars(float(loss[number])))
+        for camera in rig.cameras:
+            place = f"rig/{camera.name}/image" if camera.model.lens is Lens.PINHOLE else f"image/{camera.name}"
+            recording.log(place, rerun.Image(images[camera.name].rgb).compress(jpeg_quality=90), static=not frames)
+        recording.flush()
+        recording.disconnect()
+    return path
+
+
+def load_rerun(path: Path) -> Any:  # noqa: ANN401 (a module)
+    """The module rerun, to write this file.
+
+    Raises:
+        InputError: It is not installed.
+    """
+    return optional_module("rerun", purpose=f"{path}: a recording for Rerun", install='pip install "warpav[rerun]"')
+
+
+def _log_scene(rerun: Any, recording: Any, scene: Scene) -> None:  # noqa: ANN401 (rerun)
+    recording.log("vehicle", _mesh(rerun, scene.ego), static=True)
+    recording.log("scene/environment", _mesh(rerun, scene.environment), static=True)
+    for user in scene.road_users:
+        name = f"{user.category}_{user.instance_id}"
+        recording.log(f"scene/{name}", _mesh(rerun, user.mesh), static=True)
+        half = 0.5 * user.box.yaw_rad
+        box = rerun.Boxes3D(
+            centers=[user.box.center_m],
+            half_sizes=[0.5 * np.asarray(user.box.size_m)],
+            quaternions=[rerun.Quaternion(xyzw=[0.0, 0.0, math.sin(half), math.cos(half)])],
+            labels=[name],
+            colors=[TRUTH_RGB],
+            show_labels=False,
+        )
+        recording.log(f"box/{name}", box, static=True)
+
+
+def _mesh(rerun: Any, mesh: Mesh) -> Any:  # noqa: ANN401 (rerun)
+    return rerun.Mesh3D(vertex_positions=mesh.vertex_m, triangle_indices=mesh.triangle, vertex_colors=mesh.vertex_rgb)
+
+
+def _log_camera(rerun: Any, recording: Any, camera: RigCamera, index: int, *, static: bool) -> None:  # noqa: ANN401 (rerun)
+    """The pose of a camera and what it sees, in its own frame."""
+    transform, model, colour = camera.ego_from_camera, camera.model, camera_rgb(index)
+    pose = rerun.Transform3D(translation=transform[:3, 3], mat3x3=transform[:3, :3])
+    recording.log(f"rig/{camera.name}", pose, static=static)
+    if model.lens is Lens.PINHOLE:
+        pinhole = rerun.Pinhole(
+            image_from_camera=model.intrinsics,
+            resolution=[model.width_px, model.height_px],
+            camera_xyz=rerun.ViewCoordinates.RDF,
+            image_plane_distance=FRUSTUM_DEPTH_M,
+            color=colour,
+        )
+        recording.log(f"rig/{camera.name}/image", pinhole, static=static)
+        return
+    corner_m = image_corners(model, depth_m=FRUSTUM_DEPTH_M)
+    edges = [np.stack([np.zeros(3), corner]) for corner in corner_m] + [corner_m[[0, 1, 2, 3, 0]]]
+    recording.log(f"rig/{camera.name}/frustum", rerun.LineStrips3D(edges, colors=[colour]), static=static)
