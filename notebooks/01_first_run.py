@@ -197,8 +197,8 @@ plt.show()
 #
 # ## What to do next
 #
-# - Before you drill holes, use [your own vehicle and scenes](03_own_vehicle_and_scenes.ipynb) and [your own
-#   detector](04_own_detector.ipynb).
-# - You have cameras already? [Keep some and place the rest](06_inspect_and_export.ipynb), then export the rig.
+# - Before you drill holes, use [your own vehicle and scenes](04_own_vehicle_and_scenes.ipynb) and [your own
+#   detector](05_own_detector.ipynb).
+# - You have cameras already? [Keep some and place the rest](../docs/guide/existing_rig.md), then export the rig.
 # - Another seed draws another pool: `warpav optimise run.seed=1`. More cameras in it: `optimiser.pool_cameras=200`.
 # - You wonder how pixels can have a derivative? [How the gradient works](02_how_the_gradient_works.ipynb).

@@ -296,6 +296,6 @@ plt.show()
 #
 # ## What to do next
 #
-# - Use [the rasteriser on its own](07_rasteriser.ipynb), with Warp or PyTorch.
+# - Use [the rasteriser on its own](03_rasteriser.ipynb), with Warp or PyTorch.
 # - See the gradient at work: [a first run](01_first_run.ipynb).
 # - `placement.detection_probabilities(rig)` gives the matrix [camera, object] below the objective.

@@ -32,17 +32,16 @@ SMALL = {
     "scenes.test_seeds=[5000] baselines.random_samples=2'\n"
     "train_seeds, test_seeds = range(2), range(5000, 5002)",
     "02_how_the_gradient_works": "pose_count, truth_samples, step_count = 10, 2, 5",
-    "03_own_vehicle_and_scenes": "train_seeds, test_seeds = range(3), range(18, 19)\n"
+    "03_rasteriser": "step_count = 5",
+    "04_own_vehicle_and_scenes": "train_seeds, test_seeds = range(3), range(18, 19)\n"
     "fit_seeds, held_out_seeds = range(500000, 500004), range(500050, 500052)",
-    "04_own_detector": "train_seeds, test_seeds = range(3), range(5000, 5001)\n"
+    "05_own_detector": "train_seeds, test_seeds = range(3), range(5000, 5001)\n"
     "fit_seeds, held_out_seeds = range(500000, 500004), range(500050, 500052)",
-    "05_reproduce_table_two": "arms, runs = 'random_ifr_doa,highest_ifr_doa', 1\n"
-    "train_seeds, test_seeds, iterations = '0..3', '[1000]', 2",
-    "06_inspect_and_export": "train_seeds, test_seeds = range(3), range(5000, 5002)",
-    "07_rasteriser": "step_count = 5",
-    "08_series_car": "train_seeds, test_seeds = range(2), range(5000, 5002)\n"
+    "06_recorded_traffic": "train_seeds, test_seeds, pool_cameras = '0..2', '5000..5001', 16",
+    "07_series_car": "train_seeds, test_seeds = range(2), range(5000, 5002)\n"
     "pool_cameras, steps, front_cameras = 16, 4, '2..3'",
-    "09_recorded_traffic": "train_seeds, test_seeds, pool_cameras = '0..2', '5000..5001', 16",
+    "08_reproduce_table_two": "arms, runs = 'random_ifr_doa,highest_ifr_doa', 1\n"
+    "train_seeds, test_seeds, iterations = '0..3', '[1000]', 2",
 }
 """Settings for tests, by notebook: they follow the cell that is tagged ``parameters``."""
 

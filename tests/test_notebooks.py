@@ -41,8 +41,8 @@ def outputs_of(notebook):
     return [cell["outputs"] for cell in notebook["cells"] if cell["cell_type"] == "code"]
 
 
-def test_there_are_nine_notebooks_each_with_a_source():
-    assert [source.stem[:2] for source in SOURCES] == ["01", "02", "03", "04", "05", "06", "07", "08", "09"]
+def test_there_are_eight_notebooks_each_with_a_source():
+    assert [source.stem[:2] for source in SOURCES] == ["01", "02", "03", "04", "05", "06", "07", "08"]
     stems = {source.stem for source in SOURCES}
     assert {file.stem for file in SOURCES[0].parent.glob("*.ipynb")} == stems == set(SMALL)
 

@@ -217,7 +217,7 @@ for file in sorted(path for path in Path().rglob("*") if path.is_file()):
 #
 # - The same on the command line: [Plan the cameras of a series car](../docs/guide/series_car.md).
 # - A real decision takes more: `warpav optimise surround` has ten cameras, more scenes and a larger pool.
-# - Put your own [vehicle](03_own_vehicle_and_scenes.ipynb), catalogue, [requirements](../docs/guide/requirements.md)
-#   and [detector](04_own_detector.ipynb) in the place of ours.
+# - Put your own [vehicle](04_own_vehicle_and_scenes.ipynb), catalogue, [requirements](../docs/guide/requirements.md)
+#   and [detector](05_own_detector.ipynb) in the place of ours.
 # - Drag the cameras over the zones, and see at once what they see: `result.save("runs/series", test=test)`, then
 #   `warpav inspect runs/series`.

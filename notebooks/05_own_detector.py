@@ -188,5 +188,5 @@ for name, one in (("all objects", placement), ("large objects", other)):
 # - `warpav optimise detector.model=mine.onnx` is the same on the command line, and `warpav detector evaluate
 #   detector.model=mine.onnx --out figures` measures the detector alone on 144 streets that no detector of ours has
 #   seen. The shipped detector's figures are in its [model card](../warpav/detection/models/MODEL_CARD.md).
-# - Use [your own vehicle and scenes](03_own_vehicle_and_scenes.ipynb).
-# - [Look at the blind spots of a rig, and export it](06_inspect_and_export.ipynb).
+# - Use [your own vehicle and scenes](04_own_vehicle_and_scenes.ipynb).
+# - [Keep some cameras of a rig, and export it](../docs/guide/existing_rig.md).

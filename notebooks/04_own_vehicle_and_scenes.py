@@ -159,5 +159,5 @@ evaluation.table()
 # - `result.save("runs/van", test=test)` keeps the run with a report that opens in a browser.
 # - On the command line: `warpav vehicle check van.glb --scale 0.01 --up z --forward y --out van_ego.glb`, and then
 #   `warpav optimise scenes.source=folder scenes.folder=scenes scenes.ego=van_ego.glb`.
-# - Use [your own detector](04_own_detector.ipynb).
-# - [Look at the blind spots of the rig, and export it](06_inspect_and_export.ipynb).
+# - Use [your own detector](05_own_detector.ipynb).
+# - [Keep some cameras of a rig, and export it](../docs/guide/existing_rig.md).
