@@ -5,6 +5,7 @@ Bounds are those of `warpav.core.bounded_files`, held while libyaml parses, even
 
 from __future__ import annotations
 
+import math
 import re
 import typing
 from collections.abc import Callable
@@ -158,6 +159,16 @@ def _whole_text(text: str, place: str) -> str:
     if not text.isascii() and any("\ud800" <= each <= "\udfff" for each in text):
         raise InputError(f"{place}: expected text, got half of a character, such as \\ud800 alone")
     return text
+
+
+def yaml_name(name: str) -> str:
+    """A name as YAML, in quotes unless it is plainly text; ``no``, ``1e3``, ``2026-01-01`` and ``a: b`` are not."""
+    is_plain = _PLAIN.fullmatch(name) and name.casefold() not in _WORDS and read_yaml(name)[0] == name
+    return name if is_plain else yaml.safe_dump(name, default_style='"', width=math.inf).rstrip()
+
+
+_PLAIN = re.compile(r"[^\W\d_][\w.-]*( [\w.-]+)*")
+_WORDS = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
 
 
 def dotted(location: Location) -> str:
