@@ -333,7 +333,7 @@ def read_rig(path: str | Path) -> Rig:
     items = reader.cameras(data)
     cameras = [reader.camera(item, ("cameras", str(i))) for i, item in enumerate(items)]
     if reader.mistakes:
-        raise InputError("\n".join(reader.mistakes))
+        raise InputError(*reader.mistakes)
     try:
         return Rig(camera for camera in cameras if camera)
     except InputError as error:
