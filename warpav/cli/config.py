@@ -24,7 +24,7 @@ def config_show(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> No
     """Print a configuration with all its defaults."""
     from warpav.runs.config import dump_config
 
-    say(dump_config(loaded(config, overrides)).rstrip())
+    say(*dump_config(loaded(config, overrides)).splitlines())
 
 
 @config_app.command(name="check")
@@ -47,7 +47,7 @@ def config_schema() -> None:
 
     from warpav.runs.config import Config
 
-    say(json.dumps(Config.model_json_schema(), indent=1))
+    say(*json.dumps(Config.model_json_schema(), indent=1).splitlines())
 
 
 @config_app.command(name="copy")
