@@ -14,7 +14,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
-from warpav.core.errors import ArgumentError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.core.warp_setup import load_warp
 from warpav.runs.environment import package_versions, required_packages
 
@@ -76,6 +76,8 @@ def examine(json_file: Path | None = None) -> int:
 def _guarded(name: str, check: Callable[[], Finding]) -> Finding:
     try:
         return check()
+    except InputError as error:
+        return Finding(name, "failed", str(error))
     except Exception as error:
         return Finding(name, "failed", f"{type(error).__name__}: {' '.join(str(error).split())}")
 
