@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.small_run import SMALL
+from warpav.cli.app import main
 from warpav.core.warp_setup import load_warp
 from warpav.runs.run_folder import RunFolder
 
@@ -121,6 +122,19 @@ def test_umlauts_and_degrees_are_printed_somehow(working_directory, machine, arg
         assert ("°" if "ASCII" not in machine and "without" not in machine else "\\xb0") in done.stdout.decode()
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such paths")
+def test_paths_that_are_not_utf_8_are_written_or_refused_in_one_line(capsys):
+    path = os.fsdecode(b"F\xe4")
+    assert main(["render", "3", "--rig", "nuscenes", "--out", path]) == 0  # OpenCV would end the process
+    assert len(os.listdir(path)) == 3 * 6 + 1
+    assert capsys.readouterr().out == "wrote F\\udce4\n"
+    assert main(["optimise", *SMALL, f"run.out={path}/run"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("command line (run.out=F\\udce4/run): expected text, got half of a character")
+    assert line.endswith("set LC_ALL=C.UTF-8")
+    assert len(os.listdir(path)) == 3 * 6 + 1
+
+
 # ------------------------------------------------------------------------------------------------ output
 
 
@@ -206,14 +220,15 @@ def test_a_run_ends_well(working_directory, machine):
     folder = working_directory / FOLDER
     folder.mkdir()
     mounts, environment = MACHINES[machine]
+    out = "first run" if machine == "a locale without UTF-8" else "Läufe/erster Lauf"
     done = subprocess.run(
-        _command(["optimise", *SMALL, "run.out=Läufe/erster Lauf"], mounts),
+        _command(["optimise", *SMALL, f"run.out={out}"], mounts),
         env=_environment(environment),
         capture_output=True,
         cwd=folder,
     )
     assert done.returncode == 0, done.stderr.decode(errors="replace")
-    run = RunFolder.open(folder / "Läufe" / "erster Lauf")
+    run = RunFolder.open(folder / out)
     assert (run.path / "report.html").is_file()
     figures = {file.name for file in (run.path / "figures").iterdir()}
     has_opengl = "OpenGL" not in machine

@@ -95,7 +95,7 @@ def read_yaml(source: Path | str, place: str | None = None) -> tuple[Any, dict[L
     has_lines = isinstance(source, Path)
     if place is None:
         place = str(source) if has_lines else f"{source:.60}"
-    text = read_text(source, "a readable YAML file") if isinstance(source, Path) else source
+    text = read_text(source, "a readable YAML file") if isinstance(source, Path) else _whole_text(source, place)
     node_count = 0
 
     def at(line: int) -> str:
@@ -157,7 +157,10 @@ def _whole_text(text: str, place: str) -> str:
         InputError: One is half of a pair, which no file can hold.
     """
     if not text.isascii() and any("\ud800" <= each <= "\udfff" for each in text):
-        raise InputError(f"{place}: expected text, got half of a character, such as \\ud800 alone")
+        raise InputError(
+            f"{place}: expected text, got half of a character, such as \\ud800 alone; if it is of a path that is not "
+            "UTF-8, rename that, or set LC_ALL=C.UTF-8"
+        )
     return text
 
 
