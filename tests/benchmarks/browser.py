@@ -69,7 +69,7 @@ def measure(address: str) -> None:
         print(f"from the address to the first image: {time.monotonic() - began:.1f} s")  # noqa: T201
         browser.evaluate("new Promise(done => setTimeout(done, 2000))")
 
-        for name, at_px in (("turned", (500, 650)), ("a camera dragged", ball(browser, 0))):
+        for name, at_px in (("a camera dragged", ball(browser, 0)), ("turned", (500, 650))):
             browser.events.clear()
             browser.mouse("move", *at_px, held=False)
             browser.mouse("press", *at_px)

@@ -14,7 +14,7 @@ SMALL = [
     "optimiser.check_every=2",
     "optimiser.starts=2",
     # the detection probability would have to be fitted for so small a camera
-    "losses={missed: 0, in_frame_rotation: 1, detected_area: 10}",
+    "losses={expected_miss_rate: 0, in_frame_rotation: 1, detected_area: 10}",
 ]
 
 

@@ -25,7 +25,6 @@ from warpav.core.bounded_files import (
     read_text,
 )
 from warpav.core.errors import InputError
-from warpav.core.printable import printable
 from warpav.core.yaml_file import read_yaml
 
 SECONDS_MAX = 5.0  # of processor time
@@ -237,19 +236,3 @@ def test_parts_of_a_png_lie_within_it():
     claims_4_gb = whole[:33] + b"\xed\x9f\x00\x24" + whole[37:]
     assert not is_whole_png(claims_4_gb)
     assert not is_whole_png(b"\xff\xd8" + whole)
-
-
-def test_what_a_terminal_would_obey_is_written_out(capsys):
-    from warpav.cli.arguments import complain, say
-
-    assert printable("fr\x1b[31mont\x07\x9b \u202e\ud800") == "fr\\x1b[31mont\\x07\\x9b \\u202e\\ud800"
-    assert printable("Straße\n\tfront") == "Straße\n\tfront"
-    say("a\x1b]0;title\x07")
-    complain("b\x1b[2J\n" + "c" * 3000 + "\n" + "d\n" * 100)
-    captured = capsys.readouterr()
-    assert captured.out == "a\\x1b]0;title\\x07\n"
-    lines = captured.err.splitlines()
-    assert lines[0] == "b\\x1b[2J"
-    assert lines[1] == "c" * 2000 + "..."
-    assert lines[-1] == "and more of these"
-    assert len(lines) == 61

@@ -116,6 +116,7 @@ def test_a_file_of_zones_comes_back(tmp_path):
             yaw_rad=(0.5, 2.0),
             roll_rad=(-0.05, 0.05),
         ),
+        Zone("no: [x]\n\x1b[31m", NORMALS["right"]),
         Zone("slant", (0.6, 0.0, 0.8), origin_m=(1.0, 0.0, 0.5)),
         Zone(
             "windscreen",

@@ -6,7 +6,6 @@ import itertools
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 import warpav as wa
 from tests.cli.small_run import SMALL
@@ -16,6 +15,7 @@ from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.rig import Rig, RigCamera
 from warpav.runs.certificate import Certificate
 from warpav.runs.report.report import write_report
+from warpav.runs.terminal import Terminal
 from warpav.runs.verdict import show_verdict
 
 BASE = [
@@ -182,7 +182,7 @@ def test_the_report_shows_both_and_says_of_what(folder, result):
 
 def test_the_terminal_has_it_in_one_line(result, folder):
     stream = io.StringIO()
-    show_verdict(Console(file=stream, width=300), folder.evaluation())
+    show_verdict(Terminal(file=stream, width=300), folder.evaluation())
     [line] = [line for line in stream.getvalue().splitlines() if "(bound)" in line]
     assert line.strip() == (
         f"objective {result.found_objective:.4f} on the 2 scenes of the search; there no rig of the pool's "

@@ -5,9 +5,9 @@ import io
 import time
 
 import pytest
-from rich.console import Console
 
 from warpav.runs.progress import REFRESH_PER_SECOND, RunDisplay, iteration_rows
+from warpav.runs.terminal import Terminal
 from warpav.runs.verdict import ARM_ROWS, show_verdict, worse_than_start
 
 
@@ -29,14 +29,14 @@ def _records(count):
 
 def _shown(terminal, act):
     stream = io.StringIO()
-    console = Console(file=stream, force_terminal=terminal, width=100, highlight=False, soft_wrap=not terminal)
+    console = Terminal(file=stream, force_terminal=terminal, width=100, soft_wrap=not terminal)
     with RunDisplay(console) as display:
         act(display)
     return stream.getvalue()
 
 
 def test_steps_pass_through_in_order():
-    with RunDisplay(Console(file=io.StringIO())) as display:
+    with RunDisplay(Terminal(file=io.StringIO())) as display:
         assert list(display.steps("scenes", "abc", count=3)) == ["a", "b", "c"]
         records = _records(4)
         assert list(display.iterations(records, count=4, min_spacing_m=0.2)) == records
@@ -159,7 +159,7 @@ def test_the_verdict_says_what_matters(violation, words):
         },
         "training_objective": {"start": 2.0, "optimised": 1.5},
     }
-    show_verdict(Console(file=stream, width=80, soft_wrap=True), evaluation)
+    show_verdict(Terminal(file=stream, width=80, soft_wrap=True), evaluation)
     text = stream.getvalue()
     assert words in text
     assert "7 test scenes" in text
@@ -196,3 +196,21 @@ def test_what_is_worse_than_its_start_is_said(training, recall, expected):
     found = worse_than_start(evaluation)
     assert len(found) == len(expected)
     assert all(text in line for text, line in zip(expected, found, strict=True))
+
+
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_names_are_shown_and_not_obeyed(is_terminal):
+    name, visible = "e\x1b[35mvil\nEVIL [bold]x[/] [/]", "e\\x1b[35mvil\\nEVIL [bold]x[/] [/]"
+    record = Record(1.0, {name: 0.5}, {}, {})
+
+    def act(display):
+        display.say(name)
+        display.stage(name)
+        list(display.steps(name, range(2), count=2))
+        for _ in display.iterations([record], count=1, min_spacing_m=0.2):
+            time.sleep(2.0 / REFRESH_PER_SECOND if is_terminal else 0.0)
+
+    text = _shown(is_terminal, act)
+    assert "\x1b[35m" not in text
+    assert text.count(visible) >= (2 if is_terminal else 4)
+    assert not any(line.startswith("EVIL") for line in text.splitlines())

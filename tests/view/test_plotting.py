@@ -151,3 +151,10 @@ def test_a_rig_without_a_vehicle_floats_above_the_axes():
     finally:
         alone.close()
         on_ego.close()
+
+
+def test_a_title_is_text_and_nothing_else(tmp_path):
+    """Of a file whose name is not UTF-8, begins formulas, and would colour a terminal."""
+    title = "F\udce4 $x_1$ $\\bad$ \x1b[31m"
+    sheet = plot(rig(), sheet=True, ego=ego(), title=title, out=tmp_path / "sheet.png")
+    assert pixels(sheet).std() > 5.0

@@ -7,11 +7,14 @@ heavy is imported before a verb needs it, so that ``--help`` and ``config`` answ
 from __future__ import annotations
 
 import contextlib
+import io
+import os
 import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
 from types import FrameType
+from typing import TextIO
 
 from cyclopts import App, CycloptsError
 
@@ -55,16 +58,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
     received: list[int] = []
+    _ready_streams()
     try:
         with _as_ctrl_c(received):
             status = app(arguments, exit_on_error=False, print_error=False)
+            sys.stdout.flush()
     except (KeyboardInterrupt, OSError) as error:
         if isinstance(error, KeyboardInterrupt) or received:  # with SIGHUP nobody may be there to be told anything
             number = received[0] if received else signal.SIGINT
             with contextlib.suppress(OSError):
                 complain("interrupted" + (f" by {signal.Signals(number).name}" if received else ""))
             return 128 + number
-        if isinstance(error, BrokenPipeError):
+        if isinstance(error, BrokenPipeError):  # nobody reads on: not a mistake, and nobody to be told
+            _let_go(sys.stdout)
             return 1
         return _failed(error, debug)
     except (InputError, CycloptsError) as error:
@@ -75,6 +81,30 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         return _failed(error, debug)
     return status if isinstance(status, int) else 0
+
+
+def _ready_streams() -> None:
+    """Make sure that printing is possible: what the encoding does not have is written as an escape sequence of Python.
+
+    What is printed on a stream that is closed goes nowhere, not into the file that is opened next.
+    """
+    for name, number in (("stdout", 1), ("stderr", 2)):
+        stream = getattr(sys, name)
+        if stream is None:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, number)
+            os.set_inheritable(number, True)
+            setattr(sys, name, open(number, "w", encoding="utf-8"))  # noqa: SIM115 (until the process ends)
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _let_go(stream: TextIO) -> None:
+    """What a stream still holds goes nowhere; else Python would complain when it ends."""
+    with contextlib.suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
 
 
 def _failed(error: Exception, debug: bool) -> int:

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from warpav.core.errors import InputError
-from warpav.core.printable import printable
+from warpav.core.printable import one_line, printable
 
 DEFAULT_CONFIG = "quick"
 _LINES_MAX, _LINE_MAX = 60, 2000  # of a message; files may have a hundred thousand mistakes
@@ -56,14 +56,14 @@ def with_flags(text: str) -> str:
     return re.sub(r"`([a-z_]+)`", lambda found: flag_of(found[1]), text)
 
 
-def say(text: str) -> None:
-    """Print to stdout."""
-    sys.stdout.write(f"{printable(text)}\n")
+def say(*lines: str) -> None:
+    """Print lines to stdout."""
+    sys.stdout.writelines(f"{one_line(line)}\n" for line in lines)
 
 
 def complain(text: str) -> None:
     """Print to stderr; of what is endless the beginning."""
-    lines = printable(text[: _LINES_MAX * _LINE_MAX]).splitlines()
+    lines = printable(text[: _LINES_MAX * _LINE_MAX]).split("\n")
     for line in lines[:_LINES_MAX]:
         sys.stderr.write(f"{line if len(line) <= _LINE_MAX else f'{line[:_LINE_MAX]}...'}\n")
     if len(lines) > _LINES_MAX:

@@ -24,7 +24,7 @@ def config_show(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> No
     """Print a configuration with all its defaults."""
     from warpav.runs.config import dump_config
 
-    say(dump_config(loaded(config, overrides)).rstrip())
+    say(*dump_config(loaded(config, overrides)).splitlines())
 
 
 @config_app.command(name="check")
@@ -52,7 +52,7 @@ def config_schema(
 
     from warpav.runs.file_schemas import file_schema
 
-    say(json.dumps(file_schema(of), indent=1))
+    say(*json.dumps(file_schema(of), indent=1).splitlines())
 
 
 @config_app.command(name="copy")

@@ -225,7 +225,7 @@ def experiment_judge(
     from warpav.experiments.judgement import judged_text
 
     text = judged_text(folders)
-    say(text)
+    say(*text.splitlines())
     if out is not None:
         write_text(out, text)
         say(f"wrote {out}")

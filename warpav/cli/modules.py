@@ -23,7 +23,7 @@ def modules_list(
     """
     from warpav.rig.catalogue import builtin_modules, module_table, read_modules
 
-    say(module_table(builtin_modules() if file is None else read_modules(file)))
+    say(*module_table(builtin_modules() if file is None else read_modules(file)).splitlines())
 
 
 @modules_app.command(name="check")

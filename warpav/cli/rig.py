@@ -68,7 +68,7 @@ def rig_import(
     for note in notes:
         (complain if out is None else say)(with_flags(note))  # what is printed is the rig, and nothing else
     if out is None:
-        say(rig_text(rig).rstrip())
+        say(*rig_text(rig).splitlines())
     else:
         write_rig(rig, out)
         say(f"wrote {out}")

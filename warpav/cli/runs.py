@@ -98,7 +98,7 @@ def front(
     with placed_config(config, overrides) as settings, RunDisplay() as display:
         found = find_front(Placement.from_config(settings), by=by, progress=display)
         folder = found.save(out)
-    say(str(found.table()))
+    say(*str(found.table()).splitlines())
     say(f"wrote {folder}")
 
 

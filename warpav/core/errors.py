@@ -1,12 +1,22 @@
 """The one exception that means: the user's input is wrong, and here is how to fix it."""
 
+from warpav.core.printable import one_line
+
 
 class InputError(ValueError):
     """The user's input cannot be used.
 
     The text is one line that says where it stands (file and line, or the override), which field, what was expected,
-    what came, and how to fix it. The command line prints it without a traceback and leaves with status 2.
+    what came, and how to fix it; where there are several mistakes, one line for each. The command line prints it
+    without a traceback and leaves with status 2.
     """
+
+    def __init__(self, *lines: str) -> None:
+        """The error, one line a mistake; what a terminal would obey, ends of lines among it, is shown instead."""
+        super().__init__(*map(one_line, lines))
+
+    def __str__(self) -> str:
+        return "\n".join(self.args)
 
 
 class WriteError(InputError):
@@ -39,5 +49,6 @@ class ArgumentError(InputError):
 
     def __init__(self, option: str, text: str, *, place: object = None) -> None:
         """The error."""
-        self.option, self.text, self.place = option, text, None if place is None else str(place)
+        self.option, self.text = option, one_line(text)
+        self.place = None if place is None else one_line(str(place))
         super().__init__(f"{'' if place is None else f'{place}: '}{option}: {text}")

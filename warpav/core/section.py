@@ -11,6 +11,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, model_validator
 from pydantic_core import PydanticCustomError
 
+from warpav.core.printable import one_line
 from warpav.core.yaml_file import Location
 
 
@@ -65,7 +66,7 @@ def move_option(data: dict[str, Any], old: Location, new: Location) -> bool:
 def warn_renamed(place: str, old: str, new: str) -> None:
     """Warn that an option has another name now, in one line; ``place`` says where it stands, if that is known."""
     text = f"{old} is called {new} now; the old name works in this version only"
-    warnings.warn_explicit(f"{place}: {text}" if place else text, FutureWarning, filename="warpav", lineno=1)
+    warnings.warn_explicit(one_line(f"{place}: {text}" if place else text), FutureWarning, filename="warpav", lineno=1)
 
 
 @dataclass(frozen=True)

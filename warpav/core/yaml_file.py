@@ -5,6 +5,7 @@ Bounds are those of `warpav.core.bounded_files`, held while libyaml parses, even
 
 from __future__ import annotations
 
+import math
 import re
 import typing
 from collections.abc import Callable
@@ -94,7 +95,7 @@ def read_yaml(source: Path | str, place: str | None = None) -> tuple[Any, dict[L
     has_lines = isinstance(source, Path)
     if place is None:
         place = str(source) if has_lines else f"{source:.60}"
-    text = read_text(source, "a readable YAML file") if isinstance(source, Path) else source
+    text = read_text(source, "a readable YAML file") if isinstance(source, Path) else _whole_text(source, place)
     node_count = 0
 
     def at(line: int) -> str:
@@ -156,8 +157,21 @@ def _whole_text(text: str, place: str) -> str:
         InputError: One is half of a pair, which no file can hold.
     """
     if not text.isascii() and any("\ud800" <= each <= "\udfff" for each in text):
-        raise InputError(f"{place}: expected text, got half of a character, such as \\ud800 alone")
+        raise InputError(
+            f"{place}: expected text, got half of a character, such as \\ud800 alone; if it is of a path that is not "
+            "UTF-8, rename that, or set LC_ALL=C.UTF-8"
+        )
     return text
+
+
+def yaml_name(name: str) -> str:
+    """A name as YAML, in quotes unless it is plainly text; ``no``, ``1e3``, ``2026-01-01`` and ``a: b`` are not."""
+    is_plain = _PLAIN.fullmatch(name) and name.casefold() not in _WORDS and read_yaml(name)[0] == name
+    return name if is_plain else yaml.safe_dump(name, default_style='"', width=math.inf).rstrip()
+
+
+_PLAIN = re.compile(r"[^\W\d_][\w.-]*( [\w.-]+)*")
+_WORDS = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
 
 
 def dotted(location: Location) -> str:

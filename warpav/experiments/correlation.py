@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from warpav.evaluation.statistics import RESAMPLES, Estimate, rank_correlation
 from warpav.experiments.goals import Goal
 from warpav.experiments.tables import COMPARED, Results
-
-if TYPE_CHECKING:
-    from rich.console import Group
+from warpav.runs.terminal import Group, TerminalTable, shown
 
 RANDOM_GROUPS = ("random_rig", "random_place")
 """Arms of random feasible rigs: with random directions, and with the directions of the segregation."""
@@ -64,17 +62,12 @@ class Correlations:
 
     def terminal(self) -> Group:
         """The table for the console."""
-        from rich import box
-        from rich.console import Group
-        from rich.table import Table
-        from rich.text import Text
-
-        table = Table(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        table = TerminalTable(has_frame=False)
         for heading in ("rigs", "number", "objective", *(COMPARED[metric] for metric in HELD_OUT)):
             table.add_column(heading, justify="left" if heading in ("rigs", "objective") else "right")
         for cells in self._lines():
-            table.add_row(*map(Text, cells))
-        return Group(table, *map(Text, self.notes))
+            table.add_row(*cells)
+        return Group(table, *map(shown, self.notes))
 
     def data(self) -> dict[str, Any]:
         """For a JSON file."""

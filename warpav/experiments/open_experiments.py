@@ -181,7 +181,8 @@ def run_open(
     _write(done, name, table, goals)
     progress.show(table.terminal())
     if goals:
-        progress.say("\n".join(["", "Goals", *(f"- {goal}" for goal in goals)]))
+        for line in ("", "Goals", *(f"- {goal}" for goal in goals)):
+            progress.say(line)
     say_failures(done, progress)
     progress.say(f"{done.done} new results; tables and results: {done.folder}")
     return done

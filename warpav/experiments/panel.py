@@ -11,7 +11,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import yaml
@@ -41,10 +41,8 @@ from warpav.runs.config import Config, overridden_option
 from warpav.runs.environment import environment
 from warpav.runs.panel_networks import PanelNetwork, networks_in
 from warpav.runs.scene_set import recordings_digest
+from warpav.runs.terminal import Group
 from warpav.runs.text_table import TextTable
-
-if TYPE_CHECKING:
-    from rich.console import Group
 
 SCHEMA = 1
 
@@ -188,8 +186,6 @@ class PanelTable:
 
     def terminal(self) -> Group:
         """All of it for the console."""
-        from rich.console import Group
-
         return Group(*(table.terminal() for table in self._tables()))
 
     def _tables(self) -> list[TextTable]:

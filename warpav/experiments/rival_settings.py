@@ -159,7 +159,8 @@ def run_rivals(
         progress.show(table.terminal())
         if missed is not None:
             progress.show(missed.text.terminal())
-        progress.say("\n".join(["", "Goals", *(f"- {goal}" for goal in goals)]))
+        for line in ("", "Goals", *(f"- {goal}" for goal in goals)):
+            progress.say(line)
     say_failures(done, progress)
     progress.say(f"{done.done} new results; tables and results: {done.folder}")
     return done

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +14,7 @@ from warpav.evaluation.statistics import RESAMPLES, Difference, compare_arms
 from warpav.experiments.goals import TOLERANCE, Goal
 from warpav.experiments.result_folder import objective_of_tests, objective_on_tests
 from warpav.experiments.tables import Results
-
-if TYPE_CHECKING:
-    from rich.console import Group
+from warpav.runs.terminal import Group, TerminalTable, shown
 
 REFERENCE = "default"
 OURS = ("default", "pool_only", "descent_only", "descent")
@@ -116,17 +114,12 @@ class RivalTable:
 
     def terminal(self) -> Group:
         """The table for the console."""
-        from rich import box
-        from rich.console import Group
-        from rich.table import Table
-        from rich.text import Text
-
-        table = Table(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        table = TerminalTable(has_frame=False)
         for heading in _HEADINGS:
             table.add_column(heading, justify="left" if heading == "arm" else "right", overflow="fold")
         for row in self.rows:
-            table.add_row(*map(Text, _cells(row)), style="bold" if row.arm == REFERENCE else None)
-        return Group(table, *map(Text, self.notes))
+            table.add_row(*_cells(row), style="bold" if row.arm == REFERENCE else None)
+        return Group(table, *map(shown, self.notes))
 
     def data(self) -> dict[str, Any]:
         """For a JSON file."""

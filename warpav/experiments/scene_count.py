@@ -154,7 +154,8 @@ def run_scene_count(
     results = [found for task in tasks if (found := _result_of(task)) is not None]
     if results:
         _write(folder, config, results)
-        progress.say(f"{_table(results)}\n{folder}")
+        for line in (*_table(results).splitlines(), str(folder)):
+            progress.say(line)
     return failed
 
 

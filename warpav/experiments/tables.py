@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +14,7 @@ from warpav.evaluation.metrics import EQUAL_FALSE_ALARMS_PER_FRAME
 from warpav.evaluation.statistics import RESAMPLES, Difference, compare_arms, paired_difference, run_spread
 from warpav.experiments.gradient_magnitude import LOSS_OF, pooled_magnitudes
 from warpav.experiments.thesis_tables import WARNING, thesis_table
-
-if TYPE_CHECKING:
-    from rich.console import Group
+from warpav.runs.terminal import Group, TerminalTable, shown
 
 Results = Mapping[str, Sequence[Mapping[str, Any]]]
 """Results by arm, and of each arm by run seed (`warpav.experiments.experiment.read_results`)."""
@@ -114,20 +112,15 @@ class ThesisTable:
 
     def terminal(self) -> Group:
         """The table for the console."""
-        from rich import box
-        from rich.console import Group
-        from rich.table import Table
-        from rich.text import Text
-
-        table = Table(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        table = TerminalTable(has_frame=False)
         for heading in (*self.label_headings, ""):
             table.add_column(heading, no_wrap=True)
         for heading in ("runs", *self.columns.values()):
             table.add_column(heading, justify="right", overflow="fold")
         for row in self.rows:
             for k, cells in enumerate(self._lines(row)):
-                table.add_row(*map(Text, cells), style="dim" if k else None)
-        return Group(Text(f"Table {self.number}. {self.caption}", "bold"), table, *map(Text, self.notes))
+                table.add_row(*cells, style="dim" if k else None)
+        return Group(shown(f"Table {self.number}. {self.caption}", "bold"), table, *map(shown, self.notes))
 
     def data(self) -> dict[str, Any]:
         """The table for a JSON file."""
@@ -298,20 +291,15 @@ class ArmsTable:
 
     def terminal(self) -> Group:
         """The table for the console."""
-        from rich import box
-        from rich.console import Group
-        from rich.table import Table
-        from rich.text import Text
-
-        table = Table(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        table = TerminalTable(has_frame=False)
         table.add_column("arm", no_wrap=True)
         for heading in ("runs", *self._headings):
             table.add_column(heading, justify="right", overflow="fold")
         for arm in self.runs:
             for k, cells in enumerate(self._lines(arm)):
-                table.add_row(*map(Text, cells), style="dim" if k else "bold" if arm == self.reference else None)
+                table.add_row(*cells, style="dim" if k else "bold" if arm == self.reference else None)
             table.add_section()
-        return Group(table, *map(Text, self.notes))
+        return Group(table, *map(shown, self.notes))
 
     def data(self) -> dict[str, Any]:
         """The table for a JSON file."""

@@ -147,7 +147,7 @@ def require_meetable(visibility: Visibility, ghosts: Ghosts, *, count: int | Non
     ]
     lines += map(str, unmeetable_requirements(visibility, ghosts))
     if lines:
-        raise InputError("\n".join(lines))
+        raise InputError(*lines)
 
 
 def _row_name(ghosts: Ghosts, ghost: int) -> str:

@@ -56,7 +56,7 @@ def read_modules(source: str | Path = BUILTIN) -> dict[str, Module]:
     reader = _CatalogueReader(str(file), line_of)
     modules = reader.modules(data)
     if reader.mistakes:
-        raise InputError("\n".join(reader.mistakes))
+        raise InputError(*reader.mistakes)
     return modules
 
 

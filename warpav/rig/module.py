@@ -95,7 +95,7 @@ class ModuleError(InputError):
 
     def __init__(self, name: object, problems: tuple[Problem, ...]) -> None:
         """The error, one line a problem."""
-        super().__init__("\n".join(f"module {name!r}: {each.field}: {each}" for each in problems))
+        super().__init__(*(f"module {name!r}: {each.field}: {each}" for each in problems))
         self.name, self.problems = name, problems
 
     def __reduce__(self) -> tuple[Any, ...]:

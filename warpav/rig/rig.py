@@ -19,7 +19,7 @@ from warpav.core.errors import InputError
 from warpav.core.files import writing
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, yaw_pitch_roll_from_rotation
 from warpav.core.json_schema import NAME, NUMBER, TEXT, Schema, described, document, items, mapping
-from warpav.core.yaml_file import Location, dotted, read_yaml
+from warpav.core.yaml_file import Location, dotted, read_yaml, yaml_name
 from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import Lens, LensShape
 from warpav.raster.pane import Pane
@@ -324,7 +324,7 @@ def rig_text(rig: Rig) -> str:
         ]
     for pane in rig.panes.values():
         lines += [
-            f"  {_name(pane.name)}:",
+            f"  {yaml_name(pane.name)}:",
             f"    normal: {_numbers(pane.normal)}",
             "    outline_m:",
             *(f"      - {_numbers(corner)}" for corner in pane.outline_m),
@@ -334,13 +334,13 @@ def rig_text(rig: Rig) -> str:
     for camera in rig.cameras:
         position = ", ".join(_number(value) for value in camera.position_m)
         lines += [
-            f"  - name: {_name(camera.name)}",
+            f"  - name: {yaml_name(camera.name)}",
             f"    position_m: [{position}]",
             f"    yaw_deg: {_angle(camera.yaw_rad)}",
             f"    pitch_deg: {_angle(camera.pitch_rad)}",
             f"    roll_deg: {_angle(camera.roll_rad)}",
-            *([] if camera.module is None else [f"    module: {_name(camera.module)}"]),
-            *([] if camera.behind_glass is None else [f"    behind_glass: {_name(camera.behind_glass.name)}"]),
+            *([] if camera.module is None else [f"    module: {yaml_name(camera.module)}"]),
+            *([] if camera.behind_glass is None else [f"    behind_glass: {yaml_name(camera.behind_glass.name)}"]),
             *_model_lines(camera.model),
         ]
     return "\n".join(lines) + "\n"
@@ -389,7 +389,7 @@ def read_rig(path: str | Path) -> Rig:
     items = reader.cameras(data)
     cameras = [reader.camera(item, ("cameras", str(i))) for i, item in enumerate(items)]
     if reader.mistakes:
-        raise InputError("\n".join(reader.mistakes))
+        raise InputError(*reader.mistakes)
     try:
         return Rig(camera for camera in cameras if camera)
     except InputError as error:
@@ -417,15 +417,6 @@ def _coefficient(value: float) -> str:
     """The number in full, with a point before any exponent, as YAML 1.1 wants it."""
     text = repr(float(value))
     return text if "." in text else text.replace("e", ".0e")
-
-
-def _name(name: str) -> str:
-    """The name, quoted where YAML would read it as something else than text (``no``, ``1e3``, ``2026-01-01``)."""
-    is_plain = name[0].isalpha() and name.casefold() not in _YAML_WORDS and read_yaml(name)[0] == name
-    return name if is_plain else f'"{name}"'
-
-
-_YAML_WORDS = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}
 
 
 def _model_lines(model: CameraModel) -> list[str]:

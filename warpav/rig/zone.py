@@ -25,6 +25,7 @@ from warpav.core.json_schema import (
     mapping,
     named,
 )
+from warpav.core.yaml_file import yaml_name
 from warpav.rig.formats.record import Record, read_yaml_record
 
 NORMALS = {
@@ -381,7 +382,7 @@ def write_zones(zones: Sequence[Zone], path: Path | str) -> None:
     ]
     for zone in zones:
         normal = names.get(tuple(float(each) for each in zone.normal))  # pyright: ignore[reportArgumentType]
-        lines += [f"  {zone.name}:", f"    normal: {normal or numbers(zone.normal)}"]
+        lines += [f"  {yaml_name(zone.name)}:", f"    normal: {normal or numbers(zone.normal)}"]
         if zone.is_centred:
             lines.append("    centred: true")
         if zone.is_behind_glass:

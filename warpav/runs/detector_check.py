@@ -10,6 +10,7 @@ import numpy as np
 
 from warpav.core.bounded_files import PNG_SIGNATURE, is_whole_png
 from warpav.core.errors import ArgumentError
+from warpav.core.files import writing
 from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.runs.config import Config
@@ -151,5 +152,6 @@ def _draw(image_rgb: np.ndarray, found: Detections, target: Path) -> None:
         foot = max(y0 - below_px, height_px)
         cv2.rectangle(drawn, (left, foot - height_px), (left + text_px, foot + below_px), colour, cv2.FILLED)
         cv2.putText(drawn, text, (left, foot), cv2.FONT_HERSHEY_SIMPLEX, scale, PAPER_RGB, width_px, cv2.LINE_AA)
-    if not cv2.imwrite(str(target), np.ascontiguousarray(drawn[..., ::-1])):
-        raise ArgumentError("out", "expected a file that can be written, got one that cannot", place=target)
+    encoded = cv2.imencode(".png", np.ascontiguousarray(drawn[..., ::-1]))[1]  # imwrite crashes at paths not in UTF-8
+    with writing(target):
+        target.write_bytes(encoded)

@@ -149,7 +149,8 @@ def measure_detector(
     write_json(out / "evaluation.json", report)
     text = tables(report)
     (out / "evaluation.md").write_text(text, encoding="utf-8")
-    say(text)
+    for line in text.splitlines():
+        say(line)
     say(f"wrote {out / 'evaluation.json'} and {out / 'evaluation.md'}")
 
 

@@ -14,7 +14,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
-from warpav.core.errors import ArgumentError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.core.warp_setup import load_warp
 from warpav.runs.environment import package_versions, required_packages
 
@@ -51,7 +51,7 @@ def examine(json_file: Path | None = None) -> int:
     Raises:
         InputError: ``json_file`` cannot be written.
     """
-    from rich.console import Console
+    from warpav.runs.terminal import Terminal, shown
 
     if json_file is not None and not json_file.absolute().parent.is_dir():
         raise ArgumentError(
@@ -59,14 +59,13 @@ def examine(json_file: Path | None = None) -> int:
             option="json",
             text=f"expected an existing folder to write to, got {str(json_file.parent)!r}",
         )
-    console = Console(highlight=False, soft_wrap=True)
+    console = Terminal(soft_wrap=True)
     styles = {"ok": "green", "warning": "yellow", "failed": "red"}
     findings = []
     for name, check in CHECKS.items():
         finding = _guarded(name, check)
         findings.append(finding)
-        console.print(f"[{styles[finding.status]}]{finding.status:8}[/] {finding.name:10} ", end="")
-        console.print(finding.text, markup=False)
+        console.print(shown(f"{finding.status:8}", styles[finding.status]), f"{finding.name:10}", shown(finding.text))
     healthy = all(finding.status != "failed" for finding in findings)
     if json_file is not None:
         content = {"schema": 1, "healthy": healthy, "checks": {found.name: asdict(found) for found in findings}}
@@ -77,6 +76,8 @@ def examine(json_file: Path | None = None) -> int:
 def _guarded(name: str, check: Callable[[], Finding]) -> Finding:
     try:
         return check()
+    except InputError as error:
+        return Finding(name, "failed", str(error))
     except Exception as error:
         return Finding(name, "failed", f"{type(error).__name__}: {' '.join(str(error).split())}")
 

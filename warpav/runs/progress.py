@@ -9,17 +9,15 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, TypeVar
 
 from rich import progress as progress_bar
-from rich.console import Console, Group
 from rich.live import Live
 from rich.measure import Measurement
 from rich.progress import BarColumn, MofNCompleteColumn, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from warpav.core.printable import printable
 from warpav.core.progress import NullProgress, Progress
+from warpav.runs.terminal import Group, RenderableType, Terminal, shown
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
     from rich.progress import TaskID
 
 Item = TypeVar("Item")
@@ -37,15 +35,12 @@ class RunDisplay:
     about every tenth of its steps.
     """
 
-    def __init__(self, console: Console | None = None) -> None:
+    def __init__(self, console: Terminal | None = None) -> None:
         # in a notebook, and below one, which sets FORCE_COLOR, nothing can be redrawn either
-        is_terminal = sys.stdout.isatty()
-        self.console = console or Console(
-            highlight=False, soft_wrap=True, force_terminal=is_terminal, force_jupyter=False
-        )
+        self.console = console or Terminal(soft_wrap=True, force_terminal=sys.stdout.isatty())
         self._bar = progress_bar.Progress(
             SpinnerColumn(),
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(bar_width=32),
             MofNCompleteColumn(),
             TextColumn("{task.fields[speed]}"),
@@ -72,7 +67,7 @@ class RunDisplay:
 
     def say(self, text: str) -> None:
         """Print a line above the table."""
-        self.console.print(printable(text), markup=False)
+        self.console.print(shown(text))
 
     def show(self, content: RenderableType) -> None:
         """Print tables and text within the terminal's width, or where output is piped as wide as they are."""
@@ -80,7 +75,7 @@ class RunDisplay:
         if not console.is_terminal:
             wide = console.options.update(width=1000)
             width = Measurement.get(console, wide, content).maximum
-            console = Console(file=console.file, width=width, force_terminal=False, force_jupyter=False)
+            console = Terminal(file=console.file, width=width, force_terminal=False)
         console.print(content, soft_wrap=False)
 
     def stage(self, description: str) -> None:
@@ -152,7 +147,7 @@ class RunDisplay:
     def _replace_task(self, description: str, count: int | None, *, completed: int = 0) -> None:
         if self._task is not None:
             self._bar.remove_task(self._task)
-        self._task = self._bar.add_task(description, total=count, completed=completed, speed="")
+        self._task = self._bar.add_task(shown(description).plain, total=count, completed=completed, speed="")
 
     def _start(self, description: str, count: int | None) -> None:
         self._replace_task(description, count)
@@ -217,7 +212,7 @@ def iteration_rows(record: object, *, min_spacing_m: float) -> dict[str, str]:
 def _grid(rows: Mapping[str, str]) -> Table:
     grid = Table.grid(padding=(0, 2))
     for name, value in rows.items():
-        grid.add_row(f"  {name}", value)
+        grid.add_row(shown(f"  {name}"), shown(value))
     return grid
 
 

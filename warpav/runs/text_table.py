@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from rich.console import Group
+from warpav.runs.terminal import Group, TerminalTable, shown
 
 
 @dataclass(frozen=True)
@@ -34,17 +32,12 @@ class TextTable:
 
     def terminal(self) -> Group:
         """The table for the console."""
-        from rich import box
-        from rich.console import Group
-        from rich.table import Table
-        from rich.text import Text
-
-        table = Table(header_style="bold", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        table = TerminalTable(has_frame=False)
         for k, heading in enumerate(self.headings):
             table.add_column(heading, justify="right" if k else "left", overflow="fold")
         for cells in self.lines:
-            table.add_row(*map(Text, cells))
-        return Group(Text(self.title, "bold"), table, Text(f"{self.note}\n"))
+            table.add_row(*cells)
+        return Group(shown(self.title, "bold"), table, shown(self.note), shown(""))
 
 
 def _markdown_row(cells: Sequence[str]) -> str:

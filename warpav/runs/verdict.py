@@ -6,10 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
-
 from warpav.evaluation.metrics import (
     EQUAL_FALSE_ALARMS_PER_FRAME,
     OPTIONAL_METRICS,
@@ -17,6 +13,7 @@ from warpav.evaluation.metrics import (
     REDUNDANT_WITHIN_M,
 )
 from warpav.evaluation.rig_evaluation import outage_rows, requirement_rows
+from warpav.runs.terminal import Terminal, TerminalTable, shown
 
 ARM_ROWS = {
     "map50_average": "AP50, mean of the cameras",
@@ -78,52 +75,52 @@ def recall_rows(arms: Mapping[str, Mapping[str, Any]]) -> list[list[list[str]]]:
     return [block for by, block in zip(RECALL_GROUPS, blocks, strict=True) if len(block) > (by == "road_user")]
 
 
-def arm_table(arms: Mapping[str, Mapping[str, Any]], *, title: str = "") -> Table:
+def arm_table(arms: Mapping[str, Mapping[str, Any]], *, title: str = "") -> TerminalTable:
     """A table with one row per metric and one column per arm."""
-    table = Table(title=title or None, title_justify="left", header_style="bold")
+    table = TerminalTable(title)
     table.add_column("", no_wrap=True)
     for name in arms:
-        table.add_column(Text(name), justify="right", style="bold" if name == "optimised" else None)
+        table.add_column(name, justify="right", style="bold" if name == "optimised" else None)
     for field, heading in ARM_ROWS.items():
         if field in OPTIONAL_METRICS and not any(field in metrics for metrics in arms.values()):
             continue
-        table.add_row(Text(heading), *(_metric(metrics.get(field)) for metrics in arms.values()))
+        table.add_row(heading, *(_metric(metrics.get(field)) for metrics in arms.values()))
     return table
 
 
-def recall_table(arms: Mapping[str, Mapping[str, Any]]) -> Table | None:
+def recall_table(arms: Mapping[str, Mapping[str, Any]]) -> TerminalTable | None:
     """The rig's recall by distance, sector and class, one column per arm; None where the metrics do not hold it."""
     blocks = recall_rows(arms)
     if not blocks:
         return None
-    table = Table(title="recall of the rig", title_justify="left", header_style="bold")
+    table = TerminalTable("recall of the rig")
     table.add_column("", no_wrap=True)
     table.add_column("objects", justify="right")
     for name in arms:
-        table.add_column(Text(name), justify="right", style="bold" if name == "optimised" else None)
+        table.add_column(name, justify="right", style="bold" if name == "optimised" else None)
     for block in blocks:
         for row in block:
-            table.add_row(*map(Text, row))
+            table.add_row(*row)
         table.add_section()
     return table
 
 
-def outage_table(evaluation: Mapping[str, Any]) -> Table | None:
+def outage_table(evaluation: Mapping[str, Any]) -> TerminalTable | None:
     """What the first arm is expected to miss without each of its cameras; None where that is not known."""
     name, outage = next(iter((evaluation.get("camera_outage") or {}).items()), ("", None))
     if outage is None:
         return None
     columns, rows = outage_rows(outage)
-    table = Table(title=f"{name} without one camera", title_justify="left", header_style="bold")
+    table = TerminalTable(f"{name} without one camera")
     table.add_column("without", no_wrap=True)
     for column in columns:
         table.add_column(column, justify="right")
     for row in rows:
-        table.add_row(*map(Text, row))
+        table.add_row(*row)
     return table
 
 
-def robustness_tables(evaluation: Mapping[str, Any]) -> list[Table]:
+def robustness_tables(evaluation: Mapping[str, Any]) -> list[TerminalTable]:
     """What dirt and loads cost the rig, as far as ``evaluation.json`` says so."""
     tables = []
     soiling, loads = evaluation.get("soiling"), evaluation.get("load_states")
@@ -145,15 +142,15 @@ def robustness_tables(evaluation: Mapping[str, Any]) -> list[Table]:
 
 def _cost_table(
     title: str, columns: tuple[str, str], rows: Sequence[tuple[str, str, Any]], found: Mapping[str, Any]
-) -> Table:
-    table = Table(title=title, title_justify="left", header_style="bold")
+) -> TerminalTable:
+    table = TerminalTable(title)
     table.add_column(columns[0], no_wrap=True)
     for column in (columns[1], "expected misses per 100", "difference"):
         table.add_column(column, justify="right")
     table.add_row("none", "", f"{found['expected_misses_per_100']:.2f}", "")
     for name, what, each in rows:
         numbers = f"{each['expected_misses_per_100']:.2f}", f"{each['difference_per_100']:+.2f}"
-        table.add_row(*map(Text, (name, what, *numbers)))
+        table.add_row(name, what, *numbers)
     return table
 
 
@@ -245,21 +242,21 @@ def unmet_requirements(evaluation: Mapping[str, Any]) -> list[str]:
     return found
 
 
-def requirement_table(evaluation: Mapping[str, Any]) -> Table | None:
+def requirement_table(evaluation: Mapping[str, Any]) -> TerminalTable | None:
     """What every arm meets of the requirements; None where there are none."""
     requirements = evaluation.get("requirements")
     if not requirements:
         return None
-    table = Table(title="seen near the vehicle", title_justify="left", header_style="bold")
+    table = TerminalTable("seen near the vehicle")
     table.add_column("", no_wrap=True)
     for name in requirements:
-        table.add_column(Text(name), justify="right", style="bold" if name == "optimised" else None)
+        table.add_column(name, justify="right", style="bold" if name == "optimised" else None)
     for row in requirement_rows(requirements):
-        table.add_row(*map(Text, row))
+        table.add_row(*row)
     return table
 
 
-def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
+def show_verdict(console: Terminal, evaluation: Mapping[str, Any]) -> None:
     """Print the arms' metrics, whether the constraints are met, and what the run has changed.
 
     Args:
@@ -268,9 +265,9 @@ def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
     """
     arms = evaluation["arms"]
     for text in worse_than_start(evaluation):
-        console.print(f"[bold red]{text}[/]")
+        console.print(shown(text, "bold red"))
     for text in unmet_requirements(evaluation):
-        console.print(f"[yellow]{text}[/]")
+        console.print(shown(text, "yellow"))
     console.print(arm_table(arms, title=f"{evaluation['scenes']['test']} test scenes"))
     recall = recall_table(arms)
     if recall is not None:
@@ -285,23 +282,27 @@ def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
         console.print(table)
     name, metrics = next(iter(arms.items()))
     violation, closest = metrics["constraint_violation"], metrics["min_camera_distance_m"]
-    met = f"[green]constraints met[/]: closest cameras {_number(closest)} m apart"
-    console.print(met if violation == 0.0 else f"[red]constraints broken[/] by {_number(violation)} m")
+    if violation == 0.0:
+        text = shown("constraints met", "green").append(f": closest cameras {_number(closest)} m apart", "default")
+    else:
+        text = shown("constraints broken", "red").append(f" by {_number(violation)} m", "default")
+    console.print(text)
     training = evaluation.get("training_objective")
     if training:
         start, end = training["start"], training["optimised"]
         change = f" ({(end - start) / start:+.1%})" if start else ""
         where = "the scenes of the search" if evaluation.get("certificate") else "the training scenes"
-        console.print(f"objective on {where}: {start:.4f} at the start, {end:.4f} at the end{change}")
+        console.print(shown(f"objective on {where}: {start:.4f} at the start, {end:.4f} at the end{change}"))
     if evaluation.get("robust"):
-        console.print(robust_text(evaluation["robust"]))
+        console.print(shown(robust_text(evaluation["robust"])))
     certificate = evaluation.get("certificate")
     if certificate:
         scenes, count = certificate["scenes"], certificate["pool_cameras"]
-        console.print(
+        text = (
             f"objective {certificate['objective']:.4f} on the {scenes} scenes of the search; there no rig of the "
             f"pool's {count} cameras is below {certificate['bound']:.4f} (bound)"
         )
+        console.print(shown(text))
     paired = evaluation.get("paired", {})
     for other, differences in paired.items():
         _show_difference(console, f"recall of the rig, {name} - {other}", differences["tp_detection_rate"], digits=4)
@@ -312,12 +313,11 @@ def show_verdict(console: Console, evaluation: Mapping[str, Any]) -> None:
                 _show_difference(console, f"expected misses per 100, {name} - {other}", found, digits=2)
 
 
-def _show_difference(console: Console, what: str, found: Mapping[str, Any], *, digits: int) -> None:
+def _show_difference(console: Terminal, what: str, found: Mapping[str, Any], *, digits: int) -> None:
     if found.get("low") is not None:
-        console.print(
-            f"{what}: {found['mean']:+.{digits}f} "
-            f"(95 % of resampled scene sets: {found['low']:+.{digits}f} to {found['high']:+.{digits}f})"
-        )
+        text = f"{what}: {found['mean']:+.{digits}f} "
+        text += f"(95 % of resampled scene sets: {found['low']:+.{digits}f} to {found['high']:+.{digits}f})"
+        console.print(shown(text))
 
 
 def _metric(value: float | None) -> str:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpav.core.errors import ArgumentError, InputError
+from warpav.core.printable import one_line
 from warpav.raster.mesh import Mesh
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import Rig
@@ -156,6 +157,7 @@ def plot(
         TypeError: Objects of this class cannot be plotted, or have no such option.
     """
     draw = drawing_of.dispatch(type(obj))
+    title = None if title is None else one_line(title)
     canvas = Canvas(None if out is None else Path(out), title, window_size, zoom, off_screen)
     if canvas.out is not None:
         check_suffix(canvas.out, further=FIGURE_SUFFIXES)

@@ -5,6 +5,7 @@ import dataclasses
 import json
 import re
 import shlex
+import sys
 from html.parser import HTMLParser
 
 import numpy as np
@@ -20,6 +21,7 @@ from warpav.runs.report.reading import read_run
 from warpav.runs.report.report import MAX_BYTES, MOST_ROWS, _cards, write_report
 from warpav.runs.report.words import headline, summary
 from warpav.runs.run_figures import _keep_views
+from warpav.runs.run_folder import RunFolder
 from warpav.runs.verdict import ARM_ROWS
 from warpav.view.figures.detections import DetectionPanel
 
@@ -708,3 +710,9 @@ def test_a_broken_folder_is_one_line_with_status_2(folder, capsys, damage, told)
     assert message.count("\n") == 1
     assert str(folder.path) in message
     assert not (folder.path / "report.html").exists()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such paths")
+def test_a_folder_whose_name_is_not_utf_8_has_a_report(tmp_path):
+    fill(folder_at(tmp_path / "run"), evaluation()).path.rename(tmp_path / "F\udce4")
+    assert "F\\udce4" in write_report(RunFolder.open(tmp_path / "F\udce4")).read_text(encoding="utf-8")

@@ -185,7 +185,8 @@ def run_bench(
     is_embedded = workload.is_same_work(embedded_workload())
     progress.show(bench_table(content, with_peers=is_embedded))
     if is_embedded:
-        progress.say(peer_note())
+        for line in peer_note().splitlines():
+            progress.say(line)
     if with_sweep:
         progress.show(sweep_table(content, truth if truth is not None and truth.gradient else None))
     return content

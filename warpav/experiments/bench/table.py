@@ -7,11 +7,9 @@ from collections.abc import Mapping
 from importlib.resources import files
 from typing import Any
 
-from rich.console import JustifyMethod
-from rich.table import Table
-
 from warpav.experiments.bench.scores import gradient_scores
 from warpav.experiments.bench.workload import Truth
+from warpav.runs.terminal import TerminalTable
 
 TITLES = {"w1": "W1 gradient", "w2": "W2 depth, object", "w3": "W3 colour"}
 ERROR_HEADING = "error of x, z, yaw"
@@ -19,7 +17,7 @@ SMALL_ERROR_HEADING = "of x, z"
 ELSEWHERE = "measured elsewhere"
 
 
-def bench_table(content: Mapping[str, Any], *, with_peers: bool) -> Table:
+def bench_table(content: Mapping[str, Any], *, with_peers: bool) -> TerminalTable:
     """One row for this run's figure of every item, and below it what to compare it with.
 
     Args:
@@ -27,13 +25,11 @@ def bench_table(content: Mapping[str, Any], *, with_peers: bool) -> Table:
         with_peers: Whether other renderers' figures belong to this workload.
     """
     work, device = content["workload"], content["device"]
-    table = Table(
-        title=f"{work['file']}: {work['faces']} triangles, {work['views']} views of {work['res']} x {work['res']} px, "
-        f"{content['options']['lens']}",
-        title_justify="left",
-        header_style="bold",
+    table = TerminalTable(
+        f"{work['file']}: {work['faces']} triangles, {work['views']} views of {work['res']} x {work['res']} px, "
+        f"{content['options']['lens']}"
     )
-    columns: tuple[tuple[str, JustifyMethod], ...] = (
+    columns = (
         ("item", "left"),
         ("renderer", "left"),
         ("where", "left"),
@@ -95,9 +91,9 @@ def peer_note() -> str:
     )
 
 
-def sweep_table(content: Mapping[str, Any], truth: Truth | None) -> Table:
+def sweep_table(content: Mapping[str, Any], truth: Truth | None) -> TerminalTable:
     """Time and accuracy of W1 for every supersampling."""
-    table = Table(title="W1 by supersampling", title_justify="left", header_style="bold")
+    table = TerminalTable("W1 by supersampling")
     for heading in ("supersampling", "median ms", "min ms", "peak MiB", ERROR_HEADING, SMALL_ERROR_HEADING):
         table.add_column(heading, justify="right")
     for row in content["sweep"]:

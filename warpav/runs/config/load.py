@@ -117,7 +117,7 @@ def load_config(
         lines = list(dict.fromkeys(explain(each, file, written_at, override_of) for each in found[:_MISTAKES_MAX]))
         if len(found) > _MISTAKES_MAX:
             lines.append(f"and {len(found) - _MISTAKES_MAX} more mistakes")
-        raise InputError("\n".join(lines)) from None
+        raise InputError(*lines) from None
 
 
 def changed_config(config: Config, overrides: Sequence[str], *, origin: str | None = COMMAND_LINE) -> Config:

@@ -109,6 +109,7 @@ def write_report(folder: RunFolder) -> Path:
     """
     run = read_run(folder)
     page = _template().render(_content(folder, run))
+    page = page.encode("utf-8", "backslashreplace").decode()  # of paths that are not UTF-8
     if len(page.encode()) > MAX_BYTES:
         raise InputError(
             f"{folder.path}: report: expected at most {MAX_BYTES / 1e6:g} MB, got {len(page.encode()) / 1e6:.1f}; "

@@ -442,7 +442,7 @@ def _read_record(file: Path) -> CaptureRecord:
     try:
         record = CaptureRecord.model_validate(content)
     except ValidationError as error:
-        raise InputError("\n".join(_complaint(file, one) for one in error.errors(include_url=False))) from None
+        raise InputError(*(_complaint(file, one) for one in error.errors(include_url=False))) from None
     for field, values in (
         ("images: name", [one.name for one in record.images]),
         ("vehicles: instance_id", [str(one.instance_id) for one in record.vehicles]),

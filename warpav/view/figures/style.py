@@ -29,6 +29,7 @@ FIGURE_SUFFIXES = tuple(_METADATA)
 
 STYLE: Any = {
     "font.size": 10.0,
+    "text.parse_math": False,  # names may hold dollars
     "axes.titlesize": 11.0,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",

@@ -1,0 +1,67 @@
+"""What is printed on the terminal, all of rich but the live display: text is shown, none of it is obeyed.
+
+Names come from files. In a cell, a title or a line they may hold escape sequences, ends of lines or rich's markup; here
+they come out as they are written. A test refuses other imports of rich.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from typing import Any
+
+from rich import box
+from rich.console import Console, ConsoleOptions, Group, RenderableType
+from rich.segment import Segment
+from rich.table import Table
+from rich.text import Text
+
+from warpav.core.printable import one_line, printable
+
+__all__ = ["Group", "RenderableType", "Terminal", "TerminalTable", "shown"]
+
+
+def shown(text: str, style: str = "") -> Text:
+    """A text in one line, as it is; what standard output cannot encode is written as an escape sequence of Python."""
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    return Text(one_line(text).encode(encoding, "backslashreplace").decode(encoding), style)
+
+
+class TerminalTable(Table):
+    """A table of texts, the first column to the left."""
+
+    def __init__(self, title: str = "", *, has_frame: bool = True) -> None:
+        """An empty table.
+
+        Args:
+            title: Above it.
+            has_frame: Whether it has lines around cells, or but one below the headings.
+        """
+        frame: dict[str, Any] = {} if has_frame else {"box": box.SIMPLE_HEAD, "padding": (0, 1, 0, 0)}
+        heading = shown(title, "table.title") if title else None
+        super().__init__(title=heading, title_justify="left", header_style="bold", **frame)
+
+    def add_column(self, header: RenderableType = "", *rest: Any, **style: Any) -> None:  # noqa: ANN401 (rich's own)
+        """A column; see rich."""
+        super().add_column(_as_it_is(header), *rest, **style)
+
+    def add_row(self, *cells: RenderableType | None, **style: Any) -> None:  # noqa: ANN401 (rich's own)
+        """A row; see rich."""
+        super().add_row(*map(_as_it_is, cells), **style)
+
+
+class Terminal(Console):
+    """A console without markup, emojis and highlights, whose texts a terminal cannot obey, wherever they come from."""
+
+    def __init__(self, **options: Any) -> None:  # noqa: ANN401 (rich's own)
+        """A console with rich's further options."""
+        super().__init__(markup=False, emoji=False, highlight=False, force_jupyter=False, **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """What something consists of."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else Segment(printable(segment.text), segment.style)
+
+
+def _as_it_is(cell: RenderableType | None) -> RenderableType | None:
+    return shown(cell) if isinstance(cell, str) else cell
