@@ -38,7 +38,7 @@ def test_a_folder_in_the_way_of_a_picture_leaves_no_draft(tmp_path):
     (tmp_path / "a.png").mkdir()
     for save in (
         lambda: save_figure(Figure(figsize=(1, 1)), tmp_path / "a.png"),
-        lambda: output._write(tmp_path / "a.png", b"content"),
+        lambda: output.write_whole(tmp_path / "a.png", b"content"),
     ):
         with pytest.raises(InputError, match=r"a\.png: cannot be written"):
             save()
