@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import html
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib import resources
 from typing import TYPE_CHECKING, Any, Literal
@@ -89,17 +89,17 @@ class Page:
         self._plot.camera = self._camera
         self._plot.camera_fov = float(camera.view_angle)
 
-    def add(self, plotter: Plotter, tags_of: Callable[[str], Tags | None]) -> None:
+    def add(self, plotter: Plotter, tags_by_name: Mapping[str, Tags]) -> None:
         """Add what a plotter shows: surfaces, lines and names in space, not what lies in the plane of its window.
 
         Args:
             plotter: Whose actors are taken.
-            tags_of: The tags of an actor by its name; None leaves it out.
+            tags_by_name: The tags of actors by their names; others are left out.
         """
         pyvista = load_pyvista()
-        for name, actor in plotter.actors.items():
-            tags = tags_of(name)
-            if tags is None or not actor.GetVisibility():
+        for name, tags in tags_by_name.items():
+            actor = plotter.actors[name]
+            if not actor.GetVisibility():
                 continue
             if isinstance(actor, pyvista.Label):
                 self._add_name(str(actor.input).strip(), actor.position, _packed(actor.prop.background_color), tags)
@@ -222,14 +222,19 @@ def page_of(plotters: Mapping[str, Plotter], *, title: str, lines: Sequence[str]
     Raises:
         InputError: The extra ``web`` is not installed.
     """
-    tagged = {scene: {name: _tags_of(name) for name in plotter.actors} for scene, plotter in plotters.items()}
-    values: dict[str, dict[str, None]] = {"camera": {}, "show": {}, "ground": {}}
-    for tags_of in tagged.values():
-        for tags in tags_of.values():
+    first, *_ = plotters
+    tagged: dict[str, dict[str, Tags]] = {}
+    values: dict[str, dict[str, None]] = {"camera": {}, "show": {}, "ground": {}}  # in order, each once
+    for scene, plotter in plotters.items():
+        tagged[scene] = {}
+        for name in plotter.actors:
+            tags, is_of_scene = _tags_of(name), name.startswith(_OF_SCENE)
             for key, value in tags.items():
                 values[key][value] = None
+            if is_of_scene or scene == first:
+                tagged[scene][name] = {**tags, "scene": scene} if is_of_scene else tags
     cameras, shown, ground = (list(each) for each in values.values())
-    controls = [Control("scene", "scene", "one", list(plotters), list(plotters)[:1])] if len(plotters) > 1 else []
+    controls = [Control("scene", "scene", "one", list(plotters), [first])] if len(plotters) > 1 else []
     if ground:
         controls.append(Control("ground", _GROUND, "one", [*ground, "off"], ground[:1]))
     if shown:
@@ -238,16 +243,9 @@ def page_of(plotters: Mapping[str, Plotter], *, title: str, lines: Sequence[str]
         colours = [hex_colour(camera_rgb(k)) for k in range(len(cameras))]
         controls.append(Control("camera", "cameras", "any", cameras, cameras, colours))
     page = Page(title, controls=controls, lines=lines)
-    first = next(iter(plotters))
     page.look_as(plotters[first])
     for scene, plotter in plotters.items():
-
-        def tags_of(name: str, scene: str = scene) -> Tags | None:
-            if name.startswith(_OF_SCENE):
-                return {**tagged[scene][name], "scene": scene}
-            return tagged[scene][name] if scene == first else None
-
-        page.add(plotter, tags_of)
+        page.add(plotter, tagged[scene])
     return page
 
 
