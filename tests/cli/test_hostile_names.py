@@ -80,7 +80,10 @@ CASES = {
     "a label": (0, lambda: ["detector", "check", _detector()], MARKUP_VISIBLE),
     "a requirement in a table of text": (
         0,
-        lambda: ["rig", "requirements", _rig(), _write("r.yaml", {"requirements": {MARKUP: REQUIREMENT}})],
+        lambda: [
+            *("rig", "requirements", _rig(), "--requirements"),
+            _write("r.yaml", {"requirements": {MARKUP: REQUIREMENT}}),
+        ],
         f"\n{MARKUP_VISIBLE}  ",
     ),
     "an arm and a requirement": (
