@@ -78,6 +78,14 @@ CASES = {
     ),
     "what is written": (0, lambda: ["config", "copy", "quick", f"{NAME}.yaml"], f"wrote {VISIBLE}.yaml"),
     "a label": (0, lambda: ["detector", "check", _detector()], MARKUP_VISIBLE),
+    "a requirement in a table of text": (
+        0,
+        lambda: [
+            *("rig", "requirements", _rig(), "--requirements"),
+            _write("r.yaml", {"requirements": {MARKUP: REQUIREMENT}}),
+        ],
+        f"\n{MARKUP_VISIBLE}  ",
+    ),
     "an arm and a requirement": (
         0,
         lambda: [
@@ -113,6 +121,7 @@ def test_warnings_of_old_names_are_one_line():
     assert VISIBLE in done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals there")
 def test_in_a_terminal_with_colours_nothing_of_a_name_is_obeyed():
     rig = _rig(f"{NAME}.yaml")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.core.printable import one_line
 from warpav.raster.mesh import Mesh
 from warpav.requirements.area import Body
 from warpav.requirements.read import read_requirements
@@ -195,7 +196,7 @@ class RequirementResult:
             weight = each.requirement.weight
             rows.append(
                 (
-                    each.requirement.name,
+                    one_line(each.requirement.name),
                     each.requirement.need(),
                     str(each.points),
                     f"{100.0 * each.share:.1f} %",

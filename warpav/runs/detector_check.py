@@ -154,4 +154,4 @@ def _draw(image_rgb: np.ndarray, found: Detections, target: Path) -> None:
         cv2.putText(drawn, text, (left, foot), cv2.FONT_HERSHEY_SIMPLEX, scale, PAPER_RGB, width_px, cv2.LINE_AA)
     encoded = cv2.imencode(".png", np.ascontiguousarray(drawn[..., ::-1]))[1]  # imwrite crashes at paths not in UTF-8
     with writing(target):
-        target.write_bytes(encoded)
+        target.write_bytes(encoded.tobytes())

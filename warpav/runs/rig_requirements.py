@@ -48,7 +48,7 @@ def check_rig(
     result = check_requirements(
         rig, ego, wanted, supersampling=config.camera.supersampling, device=checked_device(config.device)
     )
-    yield result.table()
+    yield from result.table().splitlines()
     unmet = [each.requirement.name for each in result.outcomes if not each.is_met]
     yield f"not met: {', '.join(unmet)}" if unmet else "all requirements are met"
     if json_file is not None:

@@ -261,7 +261,7 @@ def _write_image(folder: Path, camera: RigCamera, image: CameraImage, scene: Sce
         f"{camera.name}_object.png": value_of_object[image.object_index],
     }
     for name, pixels in files.items():
-        (folder / name).write_bytes(cv2.imencode(".png", pixels)[1])  # imwrite crashes at paths that are not UTF-8
+        (folder / name).write_bytes(cv2.imencode(".png", pixels)[1].tobytes())  # imwrite crashes at paths not in UTF-8
     np.save(folder / f"{camera.name}_depth_m.npy", image.depth_m.astype(np.float32))
 
 

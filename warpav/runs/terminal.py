@@ -43,11 +43,11 @@ class TerminalTable(Table):
 
     def add_column(self, header: RenderableType = "", *rest: Any, **style: Any) -> None:  # noqa: ANN401 (rich's own)
         """A column; see rich."""
-        super().add_column(_as_it_is(header), *rest, **style)
+        super().add_column(shown(header) if isinstance(header, str) else header, *rest, **style)
 
     def add_row(self, *cells: RenderableType | None, **style: Any) -> None:  # noqa: ANN401 (rich's own)
         """A row; see rich."""
-        super().add_row(*map(_as_it_is, cells), **style)
+        super().add_row(*(shown(cell) if isinstance(cell, str) else cell for cell in cells), **style)
 
 
 class Terminal(Console):
@@ -61,7 +61,3 @@ class Terminal(Console):
         """What something consists of."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(printable(segment.text), segment.style)
-
-
-def _as_it_is(cell: RenderableType | None) -> RenderableType | None:
-    return shown(cell) if isinstance(cell, str) else cell
