@@ -25,6 +25,7 @@ from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.pool_cache import (
+    SCENES,
     UNREADABLE,
     Identity,
     PoolCache,
@@ -396,7 +397,7 @@ class _Source:
         assert self.cache is not None
         try:
             self.cache.mkdir(parents=True, exist_ok=True)
-            folder = tempfile.TemporaryDirectory(prefix="scenes-", dir=self.cache)
+            folder = tempfile.TemporaryDirectory(prefix=SCENES, dir=self.cache)
         except OSError as error:
             raise InputError(f"{self.cache}: expected a folder to write to, got: {error.strerror}") from None
         with folder as path:
