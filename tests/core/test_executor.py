@@ -14,6 +14,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -32,6 +33,7 @@ def importable_tests():
     """Processes that do not descend from this one by multiprocessing find this module as well."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))
+        patch.setenv("RAY_AUTH_MODE", "disabled")  # whatever tokens the user has
         yield
 
 
@@ -191,6 +193,24 @@ def test_outcomes_come_as_tasks_finish(elsewhere, tmp_path):
         found.append(outcome.result)
         file.touch()
     assert found == [1, 0]
+
+
+def count_or_wait(task):
+    """Leave a file for every attempt; the first task ends when the outcomes of all others are known."""
+    number, folder = task
+    with tempfile.NamedTemporaryFile(prefix=f"{number}_", dir=folder, delete=False):
+        return sleep_or_go((number, folder / "go"))
+
+
+def test_nobody_waits_for_a_slow_worker_and_nothing_runs_twice(elsewhere, tmp_path):
+    found = []
+    for outcome in run_tasks(count_or_wait, [(number, tmp_path) for number in range(6)], **elsewhere, worker_count=2):
+        found.append(outcome.result)
+        if len(found) == 5:
+            (tmp_path / "go").touch()
+    assert found[-1] == 0
+    assert sorted(found) == list(range(6))
+    assert sorted(file.name[0] for file in tmp_path.glob("?_*")) == list("012345")
 
 
 def test_a_task_that_kills_its_process_fails_alone(elsewhere):

@@ -26,6 +26,7 @@ from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.pool_cache import (
+    SCENES,
     UNREADABLE,
     Identity,
     PoolCache,
@@ -396,7 +397,7 @@ class _Source:
         try:
             if beside is not None:
                 beside.mkdir(parents=True, exist_ok=True)
-            folder = tempfile.TemporaryDirectory(prefix="warpav-scenes-", dir=beside)
+            folder = tempfile.TemporaryDirectory(prefix=SCENES if beside else f"warpav-{SCENES}", dir=beside)
         except OSError as error:
             at = beside or tempfile.gettempdir()
             raise InputError(f"{at}: expected a folder to write to, got: {error.strerror}") from None

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shutil
+import time
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,9 +25,12 @@ from warpav.optimisation.mount import MOUNT_POSE_SIZE
 
 CAPACITY_BYTES = 2**30
 """What a folder holds at most; beyond that the chunks that were not used for the longest time go."""
+SCENES = "scenes-"
+"""How the names of folders begin in which scenes travel to tasks."""
 UNREADABLE = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile)
 """What `read_arrays` raises where there is no such file."""
 _FORMAT = 1
+_ABANDONED_S = 7 * 86400.0  # no draw takes so long
 _MEANING = {
     "vehicle": "of this vehicle, got one of another",
     "camera": "of this camera model, supersampling, occlusion and errors of mounting, got one of others",
@@ -103,8 +108,12 @@ class PoolCache:
                 self._files.setdefault(self._name(scene), []).append(file)
 
     def shrink(self) -> None:
-        """Remove the oldest chunks, until the others fit into the capacity."""
+        """Remove the oldest chunks, until the others fit into the capacity, and scenes of draws that were killed."""
         remove_oldest(self.folder, "pool_*.npz", capacity_bytes=CAPACITY_BYTES)
+        with contextlib.suppress(OSError):  # another process removes as well
+            for scenes in self.folder.glob(f"{SCENES}*"):
+                if time.time() - scenes.stat().st_mtime > _ABANDONED_S:
+                    shutil.rmtree(scenes)
         self._files = None
 
     def _chunks(self, scene: str) -> list[Path]:

@@ -6,6 +6,7 @@ import os
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
@@ -16,6 +17,10 @@ CONNECT_S = 5.0
 """How long a Ray cluster may take to accept a connection [s]."""
 ANSWER_S = 20.0
 """How long a Ray cluster may take to let this program in, the import of ray included [s]; two are usual."""
+KNOCK_S = 2.0
+"""How often the head is knocked at while tasks run [s]."""
+GONE_S = 20.0
+"""A head that has not opened for so long is gone [s]; Ray would end this process after 60 s, without a word to it."""
 
 _KNOCK = "import ray, sys; ray.init(sys.argv[1], log_to_driver=False, logging_level='ERROR'); ray.cluster_resources()"
 
@@ -43,6 +48,7 @@ class RayCluster:
         except (TypeError, ValueError) as error:
             raise OptionError("executor.options", f"expected options of ray.remote, got: {one_line(error)}") from None
         self._function = function
+        self._is_gone = False
         self._is_own = not ray.is_initialized()  # a notebook's own stays
         if not self._is_own:
             here = ray.get_runtime_context().gcs_address
@@ -52,6 +58,7 @@ class RayCluster:
                     f"expected {here}, where this process is connected already, got {address!r}; leave it out, or call "
                     "ray.shutdown() before",
                 )
+            self._head = here
             return
         address = address or os.environ.get("RAY_ADDRESS") or "local"
         if address == "local":
@@ -59,6 +66,8 @@ class RayCluster:
         else:
             _check_answers(address)
             ray.init(address, log_to_driver=False, logging_level="ERROR")
+        is_named = address not in ("auto", "local")
+        self._head = address.removeprefix("ray://") if is_named else ray.get_runtime_context().gcs_address
 
     def _start_local(self, options: Mapping[str, Any], worker_count: int | None) -> None:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is sent to Ray's makers
@@ -82,8 +91,29 @@ class RayCluster:
         return [self._remote.remote(self._function, task) for task in tasks]
 
     def wait(self, handles: Collection[Any]) -> Collection[Any]:
-        """Wait until a task has ended."""
-        return self._ray.wait(list(handles))[0]
+        """Wait until a task has ended.
+
+        Raises:
+            OptionError: The cluster's head is gone; it is left.
+        """
+        problem, last_seen = None, time.monotonic()
+        while problem is None or time.monotonic() - last_seen < GONE_S:
+            try:
+                ended = self._ray.wait(list(handles), timeout=KNOCK_S)[0]
+            except ConnectionError as error:  # by ray://, Ray itself has waited
+                problem = one_line(error)
+                break
+            if ended:
+                return ended
+            problem = _why_closed(self._head)
+            if problem is None:
+                last_seen = time.monotonic()
+        self._is_gone = True
+        raise OptionError(
+            "executor.address",
+            f"expected the Ray cluster at {self._head} to be there until all tasks have ended, got: {problem}; start it "
+            "again; the same command then goes on with what it has not finished",
+        )
 
     def outcome(self, handle: Any) -> Outcome[Any, Any]:  # noqa: ANN401
         """The outcome of a task; `WorkerKilledError` where its worker or its machine died."""
@@ -97,15 +127,15 @@ class RayCluster:
 
     def close(self, handles: Collection[Any]) -> None:
         """Cancel what is under way, and leave the cluster; a Ray of this machine that was started here ends."""
-        for handle in handles:
-            self._ray.cancel(handle, force=True)
-        if self._is_own:
+        if not self._is_gone:  # with a client that has lost its cluster, Ray would start another
+            for handle in handles:
+                self._ray.cancel(handle, force=True)
+        if self._is_own or self._is_gone:  # Ray ends a process that stays with a cluster that is gone
             self._ray.shutdown()
 
 
 def _check_answers(address: str) -> None:
     """Knock at a cluster from a process of its own: Ray waits for minutes, and then ends the process that waits."""
-    problem = None
     host, _, port = address.removeprefix("ray://").rpartition(":")
     is_auto = address == "auto"
     if not is_auto and not (host and port.isdecimal() and 0 < int(port) < 2**16):
@@ -113,21 +143,32 @@ def _check_answers(address: str) -> None:
             "executor.address",
             f"expected host:port, ray://host:port, auto or local, got {address!r}, as in 10.0.0.1:6379",
         )
-    try:
-        if not is_auto:
-            socket.create_connection((host.strip("[]"), int(port)), timeout=CONNECT_S).close()
+    problem = None if is_auto else _why_closed(address.removeprefix("ray://"))
+    if problem is None:
         knock = [sys.executable, "-c", _KNOCK, address]
-        found = subprocess.run(knock, capture_output=True, text=True, errors="replace", timeout=ANSWER_S, check=False)
-        if found.returncode:
-            said = [line for line in found.stderr.splitlines() if line.strip()]
-            problem = said[-1] if said else f"exit status {found.returncode}"
-    except OSError as error:
-        problem = error.strerror or str(error)
-    except subprocess.TimeoutExpired:
-        problem = f"no answer within {ANSWER_S:g} s"
+        try:
+            found = subprocess.run(
+                knock, capture_output=True, text=True, errors="replace", timeout=ANSWER_S, check=False
+            )
+        except subprocess.TimeoutExpired:
+            problem = f"no answer within {ANSWER_S:g} s"
+        else:
+            if found.returncode:
+                said = [line for line in found.stderr.splitlines() if line.strip()]
+                problem = said[-1] if said else f"exit status {found.returncode}"
     if problem is not None:
         raise OptionError(
             "executor.address",
-            f"expected a Ray cluster that answers, got {address!r}: {problem}; start one with 'ray start --head', or "
-            "leave the address out for a Ray of this machine",
+            f"expected a Ray cluster that answers, got {address!r}: {problem}; start one with 'ray start --head', set "
+            "RAY_AUTH_MODE=token if it asks for a token, or leave the address out for a Ray of this machine",
         )
+
+
+def _why_closed(address: str) -> str | None:
+    """Why nobody opens at ``host:port``; None where somebody does."""
+    host, _, port = address.rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=CONNECT_S).close()
+    except OSError as error:
+        return error.strerror or str(error)
+    return None

@@ -1,0 +1,310 @@
+"""Mutation score: the share of small faults, put into the code at random, that make a test fail.
+
+A program, not a test; it needs the package coverage. ``python tests/benchmarks/mutation_score.py --seed 0 --mutants 120``
+runs the tests once and notes which test executes which line. Each mutant changes one place of one module in a copy of
+the tree; the tests that execute the line run there until one fails. The places are drawn at random, so that the score
+is an estimate: of 120 mutants its standard error is 4 %. Prints killed and all by module, then the survivors.
+
+Not mutated: texts, annotations, decorators, assertions (they never hold up a run that is right), and what only type checkers read.
+A test that takes more than its share of `BUDGET_S` does not run, so the score errs on the low side.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+MUTATED = (
+    *("warpav/optimisation/*.py", "warpav/raster/*.py", "warpav/core/frames.py"),
+    *(f"warpav/rig/{name}.py" for name in ("mount_surface", "chart", "zone", "rig")),
+)
+TESTS = ("tests/optimisation", "tests/raster", "tests/rig", "tests/core/test_frames.py")
+BUDGET_S = 40.0
+"""Time of all tests that run for a mutant, when nothing is mutated [s]."""
+PATIENCE = 4.0
+"""A mutant whose tests take so many times as long does not end, and is killed."""
+
+Swaps = dict[type[ast.AST], tuple[type[ast.AST], ...]]
+COMPARISONS: Swaps = {
+    ast.Lt: (ast.LtE, ast.GtE),
+    ast.LtE: (ast.Lt, ast.Gt),
+    ast.Gt: (ast.GtE, ast.LtE),
+    ast.GtE: (ast.Gt, ast.Lt),
+    ast.Eq: (ast.NotEq,),
+    ast.NotEq: (ast.Eq,),
+    ast.Is: (ast.IsNot,),
+    ast.IsNot: (ast.Is,),
+    ast.In: (ast.NotIn,),
+    ast.NotIn: (ast.In,),
+}
+ARITHMETIC: Swaps = {
+    ast.Add: (ast.Sub,),
+    ast.Sub: (ast.Add,),
+    ast.Mult: (ast.Div,),
+    ast.Div: (ast.Mult,),
+    ast.FloorDiv: (ast.Mult,),
+    ast.Mod: (ast.Mult,),
+    ast.Pow: (ast.Mult,),
+    ast.BitAnd: (ast.BitOr,),
+    ast.BitOr: (ast.BitAnd,),
+}
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A module with one change.
+
+    Attributes:
+        module: The module's file, relative to the root.
+        line: Where the change is, from 1.
+        lines: Those of the statement that it is in; none: it is executed when the module is imported.
+        old: What stands there.
+        new: What the mutant has there.
+        text: The whole module.
+    """
+
+    module: str
+    line: int
+    lines: range
+    old: str
+    new: str
+    text: str
+
+
+def mutants_of(module: str, source: str) -> Iterator[Mutant]:
+    """All mutants of a module that can be drawn."""
+    starts = [0]
+    for line in source.splitlines(keepends=True):
+        starts.append(starts[-1] + len(line.encode()))
+    whole = source.encode()
+    for node, new, lines in _changes(ast.parse(source), range(0)):
+        first = starts[node.lineno - 1] + node.col_offset
+        last = starts[node.end_lineno - 1] + node.end_col_offset
+        old = whole[first:last].decode()
+        # in brackets, as the change may bind less than what stood there
+        replacement = new if isinstance(node, ast.stmt) else f"({new})"
+        text = (whole[:first] + replacement.encode() + whole[last:]).decode()
+        yield Mutant(module, node.lineno, lines, " ".join(old.split()), " ".join(new.split()), text)
+
+
+def _changes(node: ast.AST, lines: range) -> Iterator[tuple[ast.expr | ast.stmt, str, range]]:
+    """Places below a node that can be changed, what stands there then, and the lines of the statement of a function."""
+    is_in_function = bool(lines) or isinstance(node, ast.FunctionDef)
+    for child in _mutable_children(node):
+        of_child = lines
+        if is_in_function and isinstance(child, ast.stmt):
+            body = getattr(child, "body", None)
+            of_child = range(child.lineno, max(body[0].lineno, child.lineno + 1) if body else child.end_lineno + 1)
+        for changed in _changed(child):
+            yield child, ast.unparse(ast.fix_missing_locations(changed)), of_child
+        yield from _changes(child, of_child)
+
+
+def _mutable_children(node: ast.AST) -> Iterator[ast.AST]:
+    """What below a node a mutant may change."""
+    for name, field in ast.iter_fields(node):
+        if name in ("annotation", "returns", "decorator_list", "type_params"):
+            continue
+        for child in field if isinstance(field, list) else [field]:
+            if not isinstance(child, ast.AST) or isinstance(child, ast.Assert | ast.JoinedStr):
+                continue
+            if isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING":
+                continue
+            is_text = isinstance(child, ast.Expr) and isinstance(child.value, ast.Constant)
+            if not is_text:
+                yield child
+
+
+def _changed(node: ast.AST) -> Iterator[ast.AST]:
+    """A node with one change, for each change that can be made to the node itself."""
+    match node:
+        case ast.Compare(left, [operator], [right]):
+            for new in COMPARISONS[type(operator)]:
+                yield ast.Compare(left, [new()], [right])
+        case ast.BinOp(left, operator, right) if type(operator) in ARITHMETIC:
+            for new in ARITHMETIC[type(operator)]:
+                yield ast.BinOp(left, new(), right)
+        case ast.AugAssign(target, operator, value):
+            yield ast.Pass()
+            for new in ARITHMETIC.get(type(operator), ()):
+                yield ast.AugAssign(target, new(), value)
+        case ast.UnaryOp(ast.USub() | ast.Not() | ast.Invert(), operand):
+            yield operand
+        case ast.BoolOp(ast.And(), values):
+            yield ast.BoolOp(ast.Or(), values)
+        case ast.BoolOp(ast.Or(), values):
+            yield ast.BoolOp(ast.And(), values)
+        case ast.Constant(bool(value)):
+            yield ast.Constant(not value)
+        case ast.Constant(int(value) | float(value)):
+            yield ast.Constant(value + 1)
+        case ast.Return(value) if value is not None and not (isinstance(value, ast.Constant) and value.value is None):
+            yield ast.Return(ast.Constant(None))
+        case ast.Raise() | ast.Continue() | ast.Break() | ast.Expr(ast.Call()):
+            yield ast.Pass()
+        case ast.IfExp(ast.Name() | ast.Attribute() | ast.Call() as test, body, orelse):
+            yield ast.IfExp(ast.UnaryOp(ast.Not(), test), body, orelse)
+
+
+class Recorder:
+    """A pytest plugin that notes how long each test takes, and tells coverage which one runs."""
+
+    def __init__(self) -> None:
+        """Start to measure."""
+        import coverage
+
+        self.coverage = coverage.Coverage(data_file=None, include=[str(ROOT / each) for each in MUTATED])
+        self.seconds: dict[str, float] = defaultdict(float)
+        self.failed: set[str] = set()
+        self.coverage.start()
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        """A test begins."""
+        self.coverage.switch_context(nodeid)
+
+    def pytest_runtest_logfinish(self) -> None:
+        """A test has ended."""
+        self.coverage.switch_context("")
+
+    def pytest_runtest_logreport(self, report: object) -> None:
+        """A part of a test has ended."""
+        self.seconds[report.nodeid] += report.duration
+        if report.failed or report.skipped:
+            self.failed.add(report.nodeid)
+
+
+def recorded(tests: list[str]) -> dict[str, dict]:
+    """Seconds of each test that passes, and the tests that execute each line of each module."""
+    import pytest
+
+    os.chdir(ROOT)
+    recorder = Recorder()
+    pytest.main(["-q", "-n", "0", "-p", "no:cacheprovider", *tests], plugins=[recorder])
+    recorder.coverage.stop()
+    data = recorder.coverage.get_data()
+    lines = {}
+    for file in data.measured_files():
+        of_line = data.contexts_by_lineno(file)
+        lines[str(Path(file).relative_to(ROOT))] = {
+            line: [test for test in found if test and test not in recorder.failed] for line, found in of_line.items()
+        }
+    seconds = {test: took for test, took in recorder.seconds.items() if test not in recorder.failed}
+    return {"seconds": seconds, "lines": lines}
+
+
+def tests_of(mutant: Mutant, found: dict[str, dict]) -> list[str]:
+    """Tests that execute a mutant's statement, then the others of their files, as many as there is time for.
+
+    The others may use what a fixture or a cache has from it. A module's own tests come first, then the quickest. What is
+    executed when the module is imported concerns all tests that execute anything in it.
+    """
+    lines, seconds = found["lines"].get(mutant.module, {}), found["seconds"]
+    executed = [lines.get(str(line), ()) for line in mutant.lines] if mutant.lines else lines.values()
+    tests = {test for each in executed for test in each}
+    files = {test.partition("::")[0] for test in tests}
+    candidates = [test for test in seconds if test.partition("::")[0] in files]
+    own = f"/test_{Path(mutant.module).stem}.py"
+    chosen, left_s = [], BUDGET_S
+    for test in sorted(candidates, key=lambda test: (test not in tests, own not in test, seconds[test], test)):
+        if seconds[test] <= left_s:
+            chosen.append(test)
+            left_s -= seconds[test]
+    return chosen
+
+
+def is_killed(mutant: Mutant, tests: list[str], expected_s: float, tree: Path) -> bool:
+    """Whether a test fails, or does not end, in the copy of the tree with the mutant."""
+    file = tree / mutant.module
+    healthy = file.read_text(encoding="utf-8")
+    file.write_text(mutant.text, encoding="utf-8")
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(tree), str(tree / "kernels")]),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
+    (tree / "tests.txt").write_text("\n".join(tests), encoding="utf-8")
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", "@tests.txt"]
+    try:
+        with subprocess.Popen(
+            command,
+            cwd=tree,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        ) as run:
+            try:
+                run.communicate(timeout=30.0 + PATIENCE * expected_s)
+            except subprocess.TimeoutExpired:
+                os.killpg(run.pid, 9)
+                return True
+            return run.returncode != 0
+    finally:
+        file.write_text(healthy, encoding="utf-8")
+
+
+def main() -> None:
+    """Record, mutate and count."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--mutants", type=int, default=120)
+    parser.add_argument("--recorded", type=Path, help="file to keep which test executes which line, or to read it from")
+    settings = parser.parse_args()
+    if settings.recorded is not None and settings.recorded.exists():
+        found = json.loads(settings.recorded.read_text(encoding="utf-8"))
+    else:
+        found = json.loads(json.dumps(recorded(list(TESTS))))
+        if settings.recorded is not None:
+            settings.recorded.write_text(json.dumps(found), encoding="utf-8")
+    files = sorted(file for pattern in MUTATED for file in ROOT.glob(pattern))
+    everything = [
+        mutant for file in files for mutant in mutants_of(str(file.relative_to(ROOT)), file.read_text(encoding="utf-8"))
+    ]
+    for mutant in everything:
+        ast.parse(mutant.text)
+    drawn = random.Random(settings.seed).sample(everything, min(settings.mutants, len(everything)))
+    print(f"{len(drawn)} of {len(everything)} mutants, {len(found['seconds'])} tests, seed {settings.seed}", flush=True)
+    killed, survivors = Counter(), []
+    began = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        tree = Path(folder) / "tree"
+        ignored = shutil.ignore_patterns(".git", ".venv*", "build", "runs", "__pycache__", ".*_cache", ".hypothesis")
+        shutil.copytree(ROOT, tree, ignore=ignored, symlinks=True)
+        for number, mutant in enumerate(drawn, 1):
+            tests = tests_of(mutant, found)
+            is_dead = bool(tests) and is_killed(mutant, tests, sum(found["seconds"][test] for test in tests), tree)
+            killed[mutant.module] += is_dead
+            if not is_dead:
+                survivors.append((mutant, len(tests)))
+            fate = "killed" if is_dead else f"SURVIVED {len(tests)} tests"
+            change = f"{mutant.old[:100]}  ->  {mutant.new[:100]}"
+            print(
+                f"{number:4} {time.perf_counter() - began:6.0f} s  {fate}  {mutant.module}:{mutant.line}  {change}",
+                flush=True,
+            )
+    of_module = Counter(mutant.module for mutant in drawn)
+    print("\nkilled / all by module")
+    for module, count in sorted(of_module.items()):
+        print(f"{killed[module]:4} /{count:4}  {module}")
+    print(f"{killed.total():4} /{len(drawn):4}  {killed.total() / len(drawn):.0%}")
+    print("\nsurvivors")
+    for mutant, count in sorted(survivors, key=lambda each: (each[0].module, each[0].line)):
+        print(f"{mutant.module}:{mutant.line}  {mutant.old[:160]}  ->  {mutant.new[:160]}  ({count} tests)")
+
+
+if __name__ == "__main__":
+    main()
