@@ -39,7 +39,7 @@ from warpav.runs.scene_set import load_scenes
 from warpav.scene.glb import write_scene
 from warpav.scene.scene import Scene
 from warpav.scene.store import scene_path
-from warpav.view import Canvas, drawing_of, plot
+from warpav.view import Canvas, draws, plot
 
 if TYPE_CHECKING:
     import numpy as np
@@ -270,7 +270,7 @@ class Result:
         return f"{text}, worse than its start, so the rig is the start" if self.is_worse_than_start else text
 
 
-@drawing_of.register(Result)
+@draws(Result, "view")
 def _drawing(
     result: Result,
     canvas: Canvas,
@@ -279,7 +279,7 @@ def _drawing(
     scene: Scene | None = None,
     arrows: bool = True,
     visibility: bool = False,
-) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+) -> Any:  # noqa: ANN401 (see warpav.view.plotting.Kind)
     from warpav.runs.drawn_run import DrawnRun, rigs_of_events
 
     modules = [camera.module for camera in result.rig.cameras]

@@ -48,7 +48,7 @@ from warpav.runs.config import (
 )
 from warpav.runs.environment import command_line, environment
 from warpav.runs.events import flat_numbers, of_modules, read_events
-from warpav.view import Canvas, drawing_of, plot
+from warpav.view import Canvas, draws, plot
 
 if TYPE_CHECKING:
     import numpy as np
@@ -574,7 +574,7 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-@drawing_of.register(RunFolder)
+@draws(RunFolder, "view")
 def _drawing(
     run: RunFolder,
     canvas: Canvas,
@@ -583,5 +583,5 @@ def _drawing(
     scene: Scene | None = None,
     arrows: bool = True,
     visibility: bool = False,
-) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+) -> Any:  # noqa: ANN401 (see warpav.view.plotting.Kind)
     return run.drawn(scene=scene).drawing(canvas, iteration=iteration, arrows=arrows, visibility=visibility)
