@@ -85,8 +85,8 @@ def test_an_image_file_has_a_known_suffix(tmp_path, monkeypatch):
 
 
 def test_unknown_objects_and_options_are_named(tmp_path):
-    with pytest.raises(TypeError, match=r"plot: expected one of .*Mesh, MountSurface,.* Rig.*, got dict"):
-        plot({}, out=tmp_path / "x.png")
+    with pytest.raises(TypeError, match=r"plot: expected one of .*Mesh, MountSurface,.* Rig.*, got list"):
+        plot([], out=tmp_path / "x.png")
     with pytest.raises(TypeError, match=r"plot: iteration: expected an option of a Rig \(ego, scene, mount_surface"):
         plot(rig(), out=tmp_path / "x.png", iteration=3)
     with pytest.raises(TypeError, match=r"plot: screenshot: .* or of an image file \(cpos\)"):

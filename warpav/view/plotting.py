@@ -31,8 +31,10 @@ if TYPE_CHECKING:
     import numpy as np
 
     from warpav.core.progress import Progress
+    from warpav.detection.probability import DetectionProbability
     from warpav.evaluation.coverage import Coverage
     from warpav.optimisation.further_camera import FurtherCameras
+    from warpav.raster.camera import CameraModel
     from warpav.requirements.check import RequirementResult
 
     Drawing = Any
@@ -170,6 +172,14 @@ def plot(
 
     - ``view``: in space, on the vehicle and in traffic; its options are below.
     - ``sheet``: a page to print, to scale: from above, from the side, a table. ``range_m``: radii of the rings [m].
+    - ``plan`` *: to scale from above, how far a car is 40, 20 and 12 px high in each image, and the ground near
+      the vehicle that the own body hides.
+    - ``range`` *: by azimuth, up to which distance road users of each class are detected. ``probability`` gives the
+      model for a camera; by default that of the detector that ships with warpav.
+    - ``near_field`` *: how far from the body the first visible point is at three heights, with dimensions.
+    - ``redundancy`` *: how many cameras see a road user by sector and distance, and after the costliest loss of one.
+    - ``resolution`` *: pixels per degree along the horizon, and over azimuth and elevation.
+    - ``contact``: the images of all cameras in ``scene``, with their angles and the share of the own body.
 
     Options of the view of a rig:
 
@@ -220,7 +230,7 @@ def plot(
         The file that was written, else what ``pyvista.Plotter.show`` returns.
 
     Raises:
-        InputError: The class has no such kind, the file cannot be written, or nothing can be drawn or shown on this machine.
+        InputError: The class has no such kind, the file cannot be written, or nothing can be drawn or shown here.
         TypeError: Objects of this class cannot be plotted, or have no such option.
     """
     if options.pop("sheet", False):
@@ -361,6 +371,102 @@ def _draw_sheet(
 
     vehicle = scene.ego if ego is None and scene is not None else ego
     return rig_sheet(rig, ego=vehicle, range_m=range_m, title=canvas.title)
+
+
+@draws(Mapping, "plan", is_figure=True)
+@draws(Rig, "plan", is_figure=True)
+def _draw_plan(
+    rig: Rig | Mapping[str, Rig], canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None
+) -> Drawing:
+    from warpav.view.figures.plan import plan_figure
+
+    return plan_figure(_by_name(rig), _vehicle(ego, scene, "plan"), heading=canvas.title)
+
+
+@draws(Mapping, "range", is_figure=True)
+@draws(Rig, "range", is_figure=True)
+def _draw_range(
+    rig: Rig | Mapping[str, Rig],
+    canvas: Canvas,
+    *,
+    ego: Mesh | None = None,
+    scene: Scene | None = None,
+    probability: Callable[[CameraModel], DetectionProbability] | None = None,
+) -> Drawing:
+    from warpav.view.figures.detection_range import range_figure
+
+    return range_figure(_by_name(rig), _vehicle(ego, scene, "range"), probability=probability, heading=canvas.title)
+
+
+@draws(Mapping, "near_field", is_figure=True)
+@draws(Rig, "near_field", is_figure=True)
+def _draw_near_field(
+    rig: Rig | Mapping[str, Rig], canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None
+) -> Drawing:
+    from warpav.view.figures.near_field import near_field_figure
+
+    return near_field_figure(_by_name(rig), _vehicle(ego, scene, "near_field"), heading=canvas.title)
+
+
+@draws(Mapping, "redundancy", is_figure=True)
+@draws(Rig, "redundancy", is_figure=True)
+def _draw_redundancy(
+    rig: Rig | Mapping[str, Rig], canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None
+) -> Drawing:
+    from warpav.view.figures.redundancy import redundancy_figure
+
+    return redundancy_figure(_by_name(rig), _vehicle(ego, scene, "redundancy"), heading=canvas.title)
+
+
+@draws(Mapping, "resolution", is_figure=True)
+@draws(Rig, "resolution", is_figure=True)
+def _draw_resolution(
+    rig: Rig | Mapping[str, Rig], canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None
+) -> Drawing:
+    from warpav.view.figures.resolution import resolution_figure
+
+    del ego, scene  # the body is left out of account
+    return resolution_figure(_by_name(rig), heading=canvas.title)
+
+
+@draws(Rig, "contact", is_figure=True)
+def _draw_contact(rig: Rig, canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None) -> Drawing:
+    from warpav.view.figures.contact import contact_figure
+
+    if scene is None:
+        raise ArgumentError("scene", "expected the scene for kind='contact', got none; give scene=wa.town([0])[0]")
+    return contact_figure(rig, scene if ego is None else scene.around(ego), heading=canvas.title)
+
+
+def _by_name(rig: Rig | Mapping[str, Rig]) -> dict[str, Rig]:
+    """One rig or several as several by name.
+
+    Raises:
+        InputError: There is none.
+        TypeError: Something else is among them.
+    """
+    if isinstance(rig, Rig):
+        return {"rig": rig}
+    if not rig:
+        raise ArgumentError("rigs", "expected at least one rig by name, got none")
+    for name, each in rig.items():
+        if not isinstance(each, Rig):
+            raise TypeError(f"plot: expected rigs by name, got {type(each).__name__} as {name!r}")
+    return dict(rig)
+
+
+def _vehicle(ego: Mesh | None, scene: Scene | None, kind: str) -> Mesh:
+    """The vehicle that a plot asks for: the given one, else that of the scene.
+
+    Raises:
+        InputError: There is none.
+    """
+    vehicle = scene.ego if ego is None and scene is not None else ego
+    if vehicle is None:
+        raise ArgumentError(
+            "ego", f"expected the vehicle for kind={kind!r}, got none; give ego=wa.read_vehicle(...) or scene=..."
+        )
+    return vehicle
 
 
 @draws(Scene, "view")
