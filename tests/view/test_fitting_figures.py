@@ -78,6 +78,7 @@ def test_they_say_what_they_show(street):
     assert "own body" in sheet
 
 
+@pytest.mark.slow
 def test_ranges_of_several_rigs_have_a_panel_for_each_class(street):
     asked = []
 

@@ -113,33 +113,39 @@ def draw_rigs(drawing: RigDrawing) -> str | None:
         Why this machine cannot draw the rig in three dimensions; None where it can.
     """
     from warpav.view import plot
-    from warpav.view.figures.convergence import loss_curves, search_curve
-    from warpav.view.figures.top_view import further_cameras_map, rig_top_view
+    from warpav.view.figures.convergence import loss_figure, search_figure
+    from warpav.view.figures.style import save_figure
+    from warpav.view.figures.top_view import further_figure, top_view_figure
     from warpav.view.opengl import opengl_problem
 
     folder, scene, result = RunFolder.open(drawing.folder), drawing.scene, drawing.result
     events = folder.events()
     path_m = trajectory(events)
-    if search_curve(events, folder.figure_path("search")) is None:
-        loss_curves(events, folder.figure_path("loss_curves"), min_distance_m=drawing.min_spacing_m)
-    if drawing.further is not None:
-        further_cameras_map(
-            folder.figure_path("further_cameras"),
+    search = search_figure(events)
+    figures = {
+        "search": search,
+        "loss_curves": loss_figure(events, min_distance_m=drawing.min_spacing_m) if search is None else None,
+        "further_cameras": None
+        if drawing.further is None
+        else further_figure(
             further=drawing.further,
             rig=result,
             ego=scene.ego,
             mount_surface=drawing.surface.over_ground,
             objects=drawing.objects,
-        )
-    rig_top_view(
-        folder.figure_path("rig_top_view"),
-        rig=result,
-        ego=scene.ego,
-        mount_surface=drawing.surface.over_ground,
-        rig_initial=drawing.start,
-        trajectory_m=path_m,
-        shows_zone=drawing.shows_zone,
-    )
+        ),
+        "rig_top_view": top_view_figure(
+            rig=result,
+            ego=scene.ego,
+            mount_surface=drawing.surface.over_ground,
+            rig_initial=drawing.start,
+            trajectory_m=path_m,
+            shows_zone=drawing.shows_zone,
+        ),
+    }
+    for name, figure in figures.items():
+        if figure is not None:
+            save_figure(figure, folder.figure_path(name))
     problem = opengl_problem()
     if problem is None:
         plot(result, scene=scene, trajectory_m=path_m, out=folder.figure_path("rig"))

@@ -206,6 +206,11 @@ def plot(
     - ``arrows``: False leaves out the arrows for where the descent moves and turns the cameras.
     - ``visibility``: as of a rig; not in animations.
 
+    Kinds of a run folder, besides this ``view`` and those of a rig, which show start and result side by side:
+    ``top_view``, how the cameras moved; ``search``, best rig and bound over the renders, or the losses of a descent;
+    ``further`` and ``gain``, what one more camera would bring, from above and painted on the body. All of them take
+    ``scene``. A result has those of a rig.
+
     What errors of mounting cost (`warpav.robustness.mount_tolerance`) is a heat map of cameras by degrees of freedom,
     with ``outages`` (of ``evaluation.camera_outage``) beside a bar for the loss of each camera; they alone are the
     bars.
