@@ -370,6 +370,7 @@ def write_verdict(
         shows_zone=constraints.are_inequalities,
         further=result.further_cameras,
         objects="vehicles" if placement.config.scenes.targets == ("vehicle",) else "road users",
+        probability=placement.fitted_probabilities,
     )
     with in_background(draw_rigs, drawing) as drawn:
         rigs, began_as = _compared(result, progress)

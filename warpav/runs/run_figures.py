@@ -27,9 +27,11 @@ from warpav.runs.scene_set import load_scene
 
 if TYPE_CHECKING:
     from warpav.detection.images import CameraImage
+    from warpav.detection.probability import DetectionProbability
     from warpav.optimisation.assignment import AssignedScene
     from warpav.optimisation.further_camera import FurtherCameras
     from warpav.optimisation.objective import RigObjective
+    from warpav.raster.camera import CameraModel
     from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
     from warpav.view.figures.detections import DetectionPanel
@@ -93,6 +95,7 @@ class RigDrawing:
         shows_zone: Whether the zone for cameras is drawn.
         further: What further cameras would add to the result; None after a descent.
         objects: What is counted.
+        probability: The model of detection probability of every camera; none: nobody knows the detection range.
     """
 
     folder: Path
@@ -104,6 +107,14 @@ class RigDrawing:
     shows_zone: bool
     further: FurtherCameras | None = None
     objects: str = "vehicles"
+    probability: tuple[tuple[CameraModel, DetectionProbability], ...] = ()
+
+    def probability_for(self, model: CameraModel) -> DetectionProbability:
+        """That of the same camera, else of one whose images have the same size, as of zooms of one lens."""
+        same = [each for camera, each in self.probability if camera == model]
+        size = model.width_px, model.height_px
+        alike = [each for camera, each in self.probability if (camera.width_px, camera.height_px) == size]
+        return [*same, *alike][0]
 
 
 def draw_rigs(drawing: RigDrawing) -> str | None:
@@ -146,6 +157,11 @@ def draw_rigs(drawing: RigDrawing) -> str | None:
     for name, figure in figures.items():
         if figure is not None:
             save_figure(figure, folder.figure_path(name))
+    rigs = {"start": drawing.start, "optimised": result}
+    for kind in ("plan", "near_field", "redundancy"):
+        plot(rigs, kind=kind, ego=scene.ego, out=folder.figure_path(kind))
+    if drawing.probability:
+        plot(rigs, kind="range", ego=scene.ego, probability=drawing.probability_for, out=folder.figure_path("range"))
     problem = opengl_problem()
     if problem is None:
         plot(result, scene=scene, trajectory_m=path_m, out=folder.figure_path("rig"))
