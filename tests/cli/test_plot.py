@@ -10,7 +10,8 @@ from tests.cli.small_run import complaint
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.rig.rig import Rig
-from warpav.runs.fitting_plots import COMPARED_KINDS, FITTING_KINDS, AskedPlots
+from warpav.runs.asked_plots import AskedPlots
+from warpav.runs.fitting_plots import COMPARED_KINDS, FITTING_KINDS, FittedRigs
 from warpav.runs.run_folder import RunFolder
 from warpav.scene.town.town import town_scene
 from warpav.view import Canvas, drawing_of, kinds_of
@@ -54,7 +55,7 @@ def test_all_kinds_of_a_run_are_plotted_into_a_folder(run_folder, capsys):
     ],
 )
 def test_what_cannot_be_is_said_before_anything_is_loaded(capsys, monkeypatch, argv, words):
-    monkeypatch.setattr("warpav.runs.scene_set.load_scenes", lambda *_a, **_k: pytest.fail("loaded"))
+    monkeypatch.setattr("warpav.runs.asked_plots.load_scenes", lambda *_a, **_k: pytest.fail("loaded"))
     assert words in complaint(capsys, "plot", *argv)
     assert os.listdir() == []
 
@@ -76,7 +77,7 @@ def test_a_run_compares_its_start_with_its_result(run_folder):
 
 def test_without_a_detector_there_is_no_range(run_folder):
     config = wa.Config.load("quick", "losses.probability=visible_share")
-    fitted = type(run_folder.fitted())({"rig": run_folder.rig()}, town_scene(3), config)
+    fitted = FittedRigs({"rig": run_folder.rig()}, town_scene(3), config)
     with pytest.raises(InputError, match=r"expected losses.probability=fitted for 'range', got visible_share"):
         fitted.drawing("range", Canvas())
 

@@ -241,7 +241,7 @@ def plot(
     config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
 ) -> None:
     """Draw a plot of a rig or a run to scale, for an engineer who fits it to a vehicle."""
-    from warpav.runs.fitting_plots import AskedPlots
+    from warpav.runs.asked_plots import AskedPlots
     from warpav.runs.progress import RunDisplay
     from warpav.runs.rig_source import config_for
 

@@ -24,7 +24,7 @@ from warpav.scene.town.vehicle_shapes import vehicle_mesh
 CATEGORIES = ("saloon", "van", "bus", "pedestrian", "cyclist")
 """Road users that are asked for, as far as the detector's fit knows their kind."""
 
-DISTANCES_M = tuple(float(each) for each in np.geomspace(5.0, 200.0, 15))
+DISTANCES_M = tuple(float(each) for each in np.geomspace(5.0, 500.0, 18))
 AZIMUTH_COUNT = 72
 
 _WIDTH_PX_MAX = 400

@@ -32,8 +32,9 @@ def range_figure(
 
     The probability is that of the fitted model (`warpav.detection.probability`), from what a render shows of the road
     user alone: area, shape, distance from the image's border. It heads as the own vehicle does, has the contrast of an
-    average object, and stands every 5 degrees at 15 distances from 5 to 200 m; see
-    `warpav.evaluation.detection_range`. Lines at 200 m mean that or more.
+    average object, and stands every 5 degrees at 18 distances from 5 to 500 m; see
+    `warpav.evaluation.detection_range`. Lines at 500 m mean that or more. The model knows neither haze nor blur:
+    it says what the detector makes of so many clean pixels.
 
     Args:
         rigs: By name, at least one; of one, every class has a line; of several, every class has a panel.

@@ -104,7 +104,7 @@ def _draw_dimensions(axis: Any, field: NearField) -> None:  # noqa: ANN401 (matp
     places = {field.toward(azimuth_deg): "" for azimuth_deg in _SIDES.values()}
     places[worst] = "worst "
     for k, word in places.items():
-        if field.distance_m[0, k] == 0.0:
+        if field.distance_m[0, k] < 0.005:
             continue
         start, end = field.border_m[k][::-1], line_m[k][::-1]
         arrow = {"arrowstyle": "<|-|>", "color": ink, "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}

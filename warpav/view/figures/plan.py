@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 MARGIN_M = 6.0
 """How far the ground is drawn around the vehicle [m]."""
 
+FARTHEST_M = 200.0
+"""How far fans are drawn [m], so that a telephoto camera does not press the others together."""
+
 _AZIMUTH_COUNT = 720
 _SHADE = (0.30, 0.17, 0.10)  # of 40, 20 and 12 px; each lies on the next one
 _GROUND_RGB = ((255, 255, 255), COVERAGE_RGB[0], (108, 76, 120), (208, 226, 243), (150, 190, 226))
@@ -41,7 +44,8 @@ def plan_figure(
     On the left, the fan of a camera covers the places at which it sees the middle of a car 1.5 m high, out to where the
     car's image is still 40, 20 and 12 px high: the distance in the image between the car's foot and its top, both
     through the lens (`CameraModel.project`), so that distortion and the edges of wide lenses count. Of a level pinhole
-    with the focal length f that is where the depth is ``f 1.5 m / 12 px``. Nothing stands in the way.
+    with the focal length f that is where the depth is ``f 1.5 m / 12 px``. Nothing stands in the way. Fans end at
+    200 m.
 
     On the right, level ground in cells of 0.1 m: whether it is in some image, and whether the straight line from that
     camera to it is free of the own body (rays against the vehicle's mesh).
@@ -65,7 +69,7 @@ def plan_figure(
     low_m, high_m = np.asarray(ego.bounds_m(), np.float64)
     near_m = 0.5 * float((high_m - low_m)[:2].max()) + MARGIN_M
     farthest_m = {name: max(float(np.nanmax(each[..., 1], initial=0.0)) for each in ranges[name]) for name in rigs}
-    far_m = max(near_m, 1.06 * max(farthest_m.values()) + 2.0)
+    far_m = max(near_m, min(1.06 * max(farthest_m.values()) + 2.0, FARTHEST_M))
     with figure_style():
         cameras = camera_handles(rigs)
         columns = -(-len(cameras) // 6)
@@ -77,7 +81,8 @@ def plan_figure(
             draw_surroundings(far, ego, rig, reach_m=far_m, camera_size=0.0)
             _draw_sizes(far, rig, azimuth_rad, ranges[name])
             title(far, f"{prefix}how far a car is large enough")
-            far.set_xlabel(f"farthest: {farthest_m[name]:.0f} m", fontsize=8)
+            cut = f", drawn up to {far_m:g} m" if farthest_m[name] > far_m else ""
+            far.set_xlabel(f"farthest: {farthest_m[name]:.0f} m{cut}", fontsize=8)
             draw_surroundings(near, ego, rig, reach_m=near_m)
             _draw_ground(near, VisibleGround.of(rig, ego, margin_m=near_m), middle_of(ego), near_m)
             title(near, f"{prefix}ground near the vehicle")
