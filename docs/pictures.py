@@ -53,6 +53,26 @@ def draw_mount_drawing(folder: Path) -> None:
         small.save(PICTURES / "mount_drawing.png", optimize=True)
 
 
+def draw_fitting(folder: Path) -> None:
+    """plot_*.png: every kind of plot of the rig of a series car on its vehicle."""
+    rig = Path(__file__).parent / "results" / "surround_rig.yaml"
+    for kind in FITTING:
+        _warpav("plot", str(rig), "--config", "surround", "--kind", kind, "--out", str(folder / f"{kind}.png"))
+        with Image.open(folder / f"{kind}.png") as image:
+            small = image.convert("RGB").resize(
+                (1080, round(1080 * image.height / image.width)), Image.Resampling.LANCZOS
+            )
+        # the colours of cameras are rare, but must not be merged
+        method = Image.Quantize.MEDIANCUT if kind == "contact" else Image.Quantize.MAXCOVERAGE
+        small.quantize(64 if kind == "contact" else 256, method, dither=Image.Dither.NONE).save(
+            PICTURES / f"plot_{kind}.png", optimize=True
+        )
+
+
+FITTING = ("plan", "range", "near_field", "redundancy", "resolution", "contact")
+"""Kinds of plots of a rig on its vehicle."""
+
+
 def draw_vehicle(folder: Path) -> None:
     """vehicle.png: what of the embedded vehicle can carry cameras."""
     _warpav("scenes", "make", "--seeds", "3", "--out", str(folder))
@@ -377,6 +397,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     "coverage.png": draw_coverage,
     "sheet.png": draw_sheet,
     "mount_drawing.png": draw_mount_drawing,
+    **{f"plot_{kind}.png": draw_fitting for kind in FITTING},
     "vehicle.png": draw_vehicle,
     "front.png": draw_front,
     "zones.png": draw_zones,

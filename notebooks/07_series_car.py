@@ -199,7 +199,7 @@ wa.robustness.load_states(result.rig, test, placement, states={"luggage": (-1.0,
 # A sheet to scale, with what every camera sees from above and from the side, and its place and angles:
 
 # %%
-wa.plot(result.rig, ego=car, sheet=True)
+wa.plot(result.rig, ego=car, kind="sheet")
 
 # %% [markdown]
 # And the files: the rig with its modules and the pane that they look through, and the same for Autoware.

@@ -268,7 +268,7 @@ def test_options_of_the_zone_are_checked():
         zone(SURFACE, 0)
     with pytest.raises(ValueError, match="min_spacing_m must be positive, got 0"):
         BoundsAndSpacing(SURFACE, min_spacing_m=0)
-    with pytest.raises(InputError, match=r"rig\.cameras: expected .* mountable zone of \d\.\d\d m2 .* got 9"):
+    with pytest.raises(InputError, match=r"rig\.cameras: expected .* mountable zone of \d\.\d\d m² .* got 9"):
         ZoneAndSpacing(SURFACE, camera_count=9, min_spacing_m=1.5).project(np.zeros((9, 2)))
 
 

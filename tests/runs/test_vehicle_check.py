@@ -55,7 +55,7 @@ def test_a_good_vehicle_is_described_and_can_be_used(car, tmp_path, capsys):
         "left and right are alike",
         "lowest point at z = +0.000 m",
         "axles at x = 0.00, 2.82 m",
-        "roof 2.73 m2 at 1.53 m, bonnet 1.74 m2 at 0.98 m",
+        "roof 2.73 m² at 1.53 m, bonnet 1.74 m² at 0.98 m",
         "1.55 m, at x 0.56, y 0.00",
         "it can be used as it is: scenes.ego=car.glb",
     ):
@@ -369,7 +369,7 @@ def test_a_bonnet_that_a_flat_windscreen_joins_to_the_roof_is_found(vehicle_fold
     check(vehicle_folder / mesh)
     said = capsys.readouterr().out
     assert "no bonnet was found" not in said
-    assert "bonnet 0.88 m2" in said
+    assert "bonnet 0.88 m²" in said
     assert f"the windscreen is flat enough to carry cameras; {option} leaves it out\n" in said
 
 

@@ -10,6 +10,7 @@ from tests.view.stand_ins import block, ego, needs_opengl, rig
 from warpav.optimisation.further_camera import PLACE_M, FurtherCameras
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.chart import chart_of
+from warpav.rig.mount_surface import mount_surface_from_mesh
 from warpav.rig.zone import NORMALS, Zone
 from warpav.view import plot
 from warpav.view.body_view import (
@@ -94,6 +95,14 @@ def test_a_square_has_the_gain_of_the_best_camera_near_in_its_zone(chart, rng):
     np.testing.assert_allclose(asked.cell_data["gain_of_100"][~is_edge], expected[~is_edge], atol=1e-12)
     assert np.isnan(expected).any()
     assert np.isfinite(expected).any()
+
+
+def test_cameras_high_above_the_surface_bring_their_gain_to_what_is_below_them():
+    surface = mount_surface_from_mesh(BOX, cell_m=0.05)
+    asked = gain_to_pyvista(surface, further([[1.0, 0.1, 1.4 + 0.25]], [0.03]))
+    is_known = np.isfinite(asked.cell_data["gain_of_100"])
+    assert is_known.sum() == pytest.approx(np.pi * (PLACE_M / 0.05) ** 2, rel=0.1)
+    assert np.linalg.norm(middles(asked)[is_known, :2] - [1.0, 0.1], axis=1).max() <= PLACE_M
 
 
 def test_round_a_corner_is_another_zone():

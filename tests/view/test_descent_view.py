@@ -11,6 +11,7 @@ from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
 from warpav.rig.mount_surface import MountSurface
 from warpav.view.animation import run_animation, shown_iterations
 from warpav.view.descent_view import LONGEST_M, WIDEST_RAD, Steepest, add_descent, arrows_m
+from warpav.view.palette import camera_rgb
 from warpav.view.rig_view import rig_plotter
 
 FLAT = flat_surface([-1.0, -1.0], [3.0, 1.0], height_m=1.5)
@@ -94,5 +95,9 @@ def test_an_animation_moves(tmp_path):
     images = list(animation.image_rgb)
     assert len(images) == animation.count == 4
     assert all(image.shape == (200, 320, 3) for image in images)
+    for image in images:  # the names of the cameras in their colours, lower left
+        names = image[150:, :80].astype(int).reshape(-1, 3)
+        for index in range(2):
+            assert (np.abs(names - camera_rgb(index)).max(axis=1) < 60).sum() > 20
     for one, other in itertools.pairwise(images):
         assert np.abs(one.astype(int) - other).max() > 60

@@ -10,10 +10,10 @@ from tests.view.stand_ins import ego, rig
 from warpav.core.errors import InputError
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.mount_surface import MountSurface
-from warpav.view.figures.convergence import loss_curves, running_mean, search_curve, search_panel
+from warpav.view.figures.convergence import convergence_panels, loss_figure, running_mean, search_figure, search_panel
 from warpav.view.figures.detections import DetectionPanel, detections_sheet
-from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH, figure_style, new_figure
-from warpav.view.figures.top_view import further_cameras_map, rig_top_view
+from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH, figure_style, new_figure, save_figure
+from warpav.view.figures.top_view import further_figure, top_view_figure
 from warpav.view.palette import (
     FALSE_POSITIVE_RGB,
     FURTHER_RGB,
@@ -58,7 +58,7 @@ def where(image, rgb, tolerance=12.0):
 
 
 def test_loss_curves_hold_a_line_per_term(tmp_path):
-    image = pixels(loss_curves(records(), tmp_path / "loss.png", min_distance_m=0.3))
+    image = pixels(save_figure(loss_figure(records(), min_distance_m=0.3), tmp_path / "loss.png"))
     assert image.shape[1] == WIDTH_INCH * DOTS_PER_INCH
     for index in range(2):
         assert len(where(image, camera_rgb(index))[0]) > 300
@@ -72,23 +72,32 @@ def test_inequalities_that_were_never_broken_are_not_drawn(tmp_path):
     for i, record in enumerate(run):
         record["terms"] |= {"zone_0": -1.0, "zone_1": 0.1 - 0.02 * i}
         record["multipliers"] = {"zone_0": 0.0, "zone_1": 0.02 * i}
-    image = pixels(loss_curves(run, tmp_path / "loss.png"))
+    image = pixels(save_figure(loss_figure(run), tmp_path / "loss.png"))
     half = image[: image.shape[0] // 2]
     assert len(where(half, camera_rgb(2))[0]) > 300  # zone_1
     assert len(where(half, camera_rgb(3))[0]) == 0
 
 
-def test_loss_curves_need_records(tmp_path):
-    with pytest.raises(InputError, match="no iteration"):
-        loss_curves([], tmp_path / "loss.png")
+def test_loss_curves_need_records():
+    with pytest.raises(InputError, match="expected an iteration to draw, got none"):
+        loss_figure([])
     with pytest.raises(InputError, match="terms, multipliers"):
-        loss_curves([{"iteration": 0, "loss": 1.0, "positions_m": []}], tmp_path / "loss.png")
-    assert list(tmp_path.iterdir()) == []
+        loss_figure([{"iteration": 0, "loss": 1.0, "positions_m": []}])
 
 
 def test_one_camera_and_one_iteration_make_a_figure(tmp_path):
     record = {"iteration": 0, "loss": 1.0, "terms": {}, "multipliers": {}, "positions_m": [[0.0, 0.0, 1.5]]}
-    assert loss_curves([record], tmp_path / "loss.png").is_file()
+    assert save_figure(loss_figure([record]), tmp_path / "loss.png").is_file()
+    assert list(convergence_panels([record])) == ["loss"]
+
+
+def test_panels_that_say_nothing_are_left_out():
+    run = records(3)
+    assert list(convergence_panels(run)) == ["loss", "loss terms", "multipliers", "camera distance"]
+    for record in run:
+        record["terms"], record["multipliers"] = {"misses": 1.0, "oob": -0.1}, {"oob": 0.0}
+    assert list(convergence_panels(run)) == ["loss", "camera distance"]
+    assert len([axis for axis in loss_figure(run).axes if axis.axison]) == 2
 
 
 def search_records():
@@ -131,7 +140,7 @@ def test_a_search_is_drawn_over_what_it_has_spent(tmp_path):
     assert low < 0.079
     assert 0.10 < high < 0.15
     assert [text.get_text() for text in axis.texts] == ["start 0.3000 \N{UPWARDS ARROW}"]
-    image = pixels(search_curve(search_records(), tmp_path / "search.png"))
+    image = pixels(save_figure(search_figure(search_records()), tmp_path / "search.png"))
     assert len(where(image, camera_rgb(0))[0]) > 500
     assert len(where(image, FALSE_POSITIVE_RGB)[0]) > 200
 
@@ -145,7 +154,7 @@ def test_a_start_that_is_near_is_a_mark():
 
 
 def test_a_descent_has_no_curve_of_a_search(tmp_path):
-    assert search_curve(records(), tmp_path / "search.png") is None
+    assert search_figure(records()) is None
     assert search_panel([]) is None
     assert search_panel(search_records()[:1]) is None  # stopped before the first selection
     assert list(tmp_path.iterdir()) == []
@@ -160,7 +169,7 @@ def test_one_more_camera_is_drawn_at_its_place_in_the_colour_of_its_gain(tmp_pat
         np.array([0.02, 0.01, 0.0]),
     )
     arguments = {"rig": rig(), "ego": ego(), "mount_surface": surface()}
-    image = pixels(further_cameras_map(tmp_path / "map.png", further=further, **arguments))
+    image = pixels(save_figure(further_figure(further=further, **arguments), tmp_path / "map.png"))
     body = image[:, : int(0.85 * image.shape[1])]  # without the bar of colours
     best, second = where(body, FURTHER_RGB[-1]), where(body, [round(255 * each) for each in further_map()(0.5)[:3]])
     assert len(best[0]) > 100
@@ -170,16 +179,14 @@ def test_one_more_camera_is_drawn_at_its_place_in_the_colour_of_its_gain(tmp_pat
     assert np.ptp(best[0]) > np.ptp(best[1])  # its arrow points to the left of the vehicle
     assert np.ptp(second[1]) > np.ptp(second[0])
     none = FurtherCameras(np.zeros((0, 3)), *np.zeros((4, 0)))
-    assert further_cameras_map(tmp_path / "none.png", further=none, **arguments) is None
+    assert further_figure(further=none, **arguments) is None
     assert not (tmp_path / "none.png").exists()
 
 
 def test_top_view_shows_cameras_on_their_side(tmp_path):
     path = np.linspace(0.0, 1.0, 5)[:, None, None] * np.array([c.position_m for c in rig().cameras])
-    figure = rig_top_view(
-        tmp_path / "top.png", rig=rig(), rig_initial=rig(), ego=ego(), mount_surface=surface(), trajectory_m=path
-    )
-    image = pixels(figure)
+    figure = top_view_figure(rig=rig(), rig_initial=rig(), ego=ego(), mount_surface=surface(), trajectory_m=path)
+    image = pixels(save_figure(figure, tmp_path / "top.png"))
     middle = [np.mean(where(image, camera_rgb(index), 5.0), axis=1) for index in range(4)]
     ahead, left, behind, right = middle  # row, column; x points right in the figure and y up
     assert ahead[1] > left[1] > behind[1]
@@ -190,7 +197,11 @@ def test_top_view_shows_the_zone_on_request(tmp_path):
     roof = dataclasses.replace(surface(), is_mountable=np.zeros((41, 17), bool))
     roof.is_mountable[5:20, 4:13] = True
     plain, bordered = (
-        pixels(rig_top_view(tmp_path / "top.png", rig=rig(), ego=ego(), mount_surface=roof, shows_zone=shows))
+        pixels(
+            save_figure(
+                top_view_figure(rig=rig(), ego=ego(), mount_surface=roof, shows_zone=shows), tmp_path / "top.png"
+            )
+        )
         for shows in (False, True)
     )
     rows, columns = np.nonzero(np.abs(bordered - plain).max(axis=-1) > 40.0)
@@ -242,4 +253,4 @@ def test_running_mean_is_the_mean_of_what_is_there():
 def test_figure_that_cannot_be_written_says_so(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
-        loss_curves(records(3), tmp_path / "file" / "loss.png")
+        save_figure(loss_figure(records(3)), tmp_path / "file" / "loss.png")

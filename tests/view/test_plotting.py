@@ -11,7 +11,7 @@ from warpav.raster.mesh import Mesh
 from warpav.rig.mount_surface import mount_surface_from_mesh
 from warpav.rig.rig import Rig
 from warpav.scene.scene import Scene
-from warpav.view import Canvas, drawing_of, plot
+from warpav.view import Canvas, drawing_of, draws, kinds_of, plot
 from warpav.view.output import ANIMATION_PX, Animation
 from warpav.view.rig_view import project_px, rig_plotter
 
@@ -31,7 +31,7 @@ def test_every_class_has_an_image_of_its_own(tmp_path, name):
     assert plot(objects[name], out=path, window_size=SMALL) == path
     assert pixels(path).shape == (100, 160, 3)
     assert pixels(path).std() > 5.0
-    assert {cls for cls in drawing_of.registry if cls is not object} >= {Rig, Scene, Mesh, type(surface)}
+    assert all(next(iter(kinds_of(cls))) == "view" for cls in (Rig, Scene, Mesh, type(surface)))
 
 
 @needs_opengl
@@ -85,12 +85,33 @@ def test_an_image_file_has_a_known_suffix(tmp_path, monkeypatch):
 
 
 def test_unknown_objects_and_options_are_named(tmp_path):
-    with pytest.raises(TypeError, match=r"plot: expected one of .*Mesh, MountSurface,.* Rig.*, got dict"):
-        plot({}, out=tmp_path / "x.png")
+    with pytest.raises(TypeError, match=r"plot: expected one of .*Mesh, MountSurface,.* Rig.*, got list"):
+        plot([], out=tmp_path / "x.png")
     with pytest.raises(TypeError, match=r"plot: iteration: expected an option of a Rig \(ego, scene, mount_surface"):
         plot(rig(), out=tmp_path / "x.png", iteration=3)
     with pytest.raises(TypeError, match=r"plot: screenshot: .* or of an image file \(cpos\)"):
         plot(rig(), out=tmp_path / "x.png", screenshot="y.png")
+
+
+def test_kinds_are_named_before_anything_is_drawn(tmp_path, registered):
+    with pytest.raises(InputError, match=r"^kind: expected one of a Rig \(view, sheet.*\), got 'plann'$"):
+        plot(rig(), kind="plann", out=tmp_path / "x.png")
+    with pytest.raises(InputError, match=r"kind: expected one of a Ramp \(ramp\), got 'sheet'"):
+        drawing_of(registered(), Canvas(), kind="sheet")
+    with pytest.raises(InputError, match=r"x\.gif: out: expected a name that ends in \.png, \.pdf, \.svg, got"):
+        plot(rig(), kind="sheet", out=tmp_path / "x.gif")
+    with pytest.raises(TypeError, match=r"plot: visibility: expected an option of a Rig \(ego, scene, range_m\)"):
+        plot(rig(), kind="sheet", visibility=True, out=tmp_path / "x.png")
+
+
+def test_a_class_inherits_kinds_and_a_mapping_is_known_by_what_it_can(registered):
+    class Steep(registered):
+        pass
+
+    draws(Steep, "steep")(lambda *_: None)
+    assert list(kinds_of(Steep)) == ["steep", "ramp"]
+    assert list(kinds_of(registered)) == ["ramp"]
+    assert kinds_of(int) == {}
 
 
 def test_a_canvas_has_the_size_of_its_file(tmp_path):
@@ -106,7 +127,7 @@ def registered():
     class Ramp:
         pass
 
-    @drawing_of.register(Ramp)
+    @draws(Ramp, "ramp")
     def _draw(ramp, canvas, *, count=2):
         if canvas.is_animation:
             images = (np.full((20, 30, 3), 60 * k, np.uint8) for k in range(count))

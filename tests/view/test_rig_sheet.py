@@ -132,23 +132,22 @@ def test_it_is_written_in_every_format(tmp_path, suffix, begins):
         RigCamera("sky", np.array([1.0, 0.0, 1.6]), 0.0, math.radians(-89.0)),
     ]
     path = tmp_path / "new" / f"sheet.{suffix}"
-    assert plot(Rig(cameras), sheet=True, scene=scene(), out=path) == path
+    assert plot(Rig(cameras), kind="sheet", scene=scene(), out=path) == path
     content = path.read_bytes()
     assert content.startswith(begins)
     assert suffix != "pdf" or b"/Subtype /Image" not in content  # vectors alone
-    plot(Rig(cameras), sheet=True, scene=scene(), out=path)
+    with pytest.warns(FutureWarning, match='sheet=True: is kind="sheet" now'):
+        plot(Rig(cameras), sheet=True, scene=scene(), out=path)
     assert path.read_bytes() == content
 
 
 def test_what_does_not_fit_is_named(tmp_path):
     with pytest.raises(InputError, match=r"range_m: expected positive radii in metres, got \[-1.0, 5.0\]"):
-        plot(rig(), sheet=True, range_m=[5.0, -1.0], out=tmp_path / "x.png")
-    with pytest.raises(InputError, match="sheet: expected a sheet alone, with ego, scene or range_m, got visibility"):
-        plot(rig(), sheet=True, visibility=True, out=tmp_path / "x.png")
-    with pytest.raises(InputError, match="range_m: expected it with sheet=True alone"):
+        plot(rig(), kind="sheet", range_m=[5.0, -1.0], out=tmp_path / "x.png")
+    with pytest.raises(TypeError, match="plot: range_m: expected an option of a Rig"):
         plot(rig(), range_m=[5.0], out=tmp_path / "x.png")
     with pytest.raises(InputError, match=r"expected a name that ends in \.png, \.pdf, \.svg, got '\.html'"):
-        plot(rig(), sheet=True, out=tmp_path / "x.html")
+        plot(rig(), kind="sheet", out=tmp_path / "x.html")
 
 
 @needs_opengl

@@ -26,7 +26,7 @@ from warpav.cli.experiment import experiment_app
 from warpav.cli.machine import bench, doctor
 from warpav.cli.modules import modules_app
 from warpav.cli.rig import rig_app
-from warpav.cli.runs import evaluate, front, inspect, optimise, render, report, view
+from warpav.cli.runs import evaluate, front, inspect, optimise, plot, render, report, view
 from warpav.cli.scenes import scenes_app
 from warpav.cli.vehicle import vehicle_app
 from warpav.core.errors import ArgumentError, InputError
@@ -43,7 +43,7 @@ app = App(
 for _group in (experiment_app, scenes_app, config_app, rig_app, modules_app, detector_app, vehicle_app):
     app.command(_group)
 app.command(optimise, alias="optimize")
-for _verb in (front, evaluate, render, inspect, view, report, doctor, bench):
+for _verb in (front, evaluate, render, inspect, view, plot, report, doctor, bench):
     app.command(_verb)
 app.register_install_completion_command(help="Install completion for bash, zsh or fish.")
 

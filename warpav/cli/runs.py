@@ -250,6 +250,43 @@ def _say_address(url: str, port: int) -> None:
     say(f"from another machine first: ssh -L {port}:127.0.0.1:{port} THIS_MACHINE; Ctrl-C ends the viewer")
 
 
+def plot(
+    rig_or_run: RigSource,
+    /,
+    *overrides: Overrides,
+    kind: Annotated[
+        str,
+        Parameter(
+            help="plan, how far each camera's image of a car is large enough, and the ground that the own body hides; "
+            "range, how far road users are detected; near_field, how far from the body the first visible point is; "
+            "redundancy, how many cameras see a road user where; resolution, pixels per degree; contact, the images of "
+            "all cameras; sheet, a page to print; view, in space; of a run also top_view, search, further and gain; or "
+            "all."
+        ),
+    ],
+    out: Annotated[
+        Path | None, Parameter(help="PNG, SVG or PDF to write, of all kinds a folder; by default KIND.png.")
+    ] = None,
+    beside: Annotated[
+        list[str] | None,
+        Parameter(help="Another rig to compare with, as the first is given. May be given several times."),
+    ] = None,
+    config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
+) -> None:
+    """Draw a plot of a rig or a run to scale, for an engineer who fits it to a vehicle."""
+    from warpav.runs.asked_plots import AskedPlots
+    from warpav.runs.progress import RunDisplay
+    from warpav.runs.rig_source import config_for
+
+    asked = AskedPlots.of(rig_or_run, kind=kind, out=out, beside=beside or ())
+    with config_for(rig_or_run, config, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
+        files, left_out = asked.draw(settings, progress=display)
+    for file in files:
+        say(f"wrote {file}")
+    for name, reason in left_out.items():
+        say(f"no {name}: {reason}")
+
+
 def report(run: Annotated[str, Parameter(help="Run folder.")], /) -> None:
     """Write the HTML report of a run again."""
     from warpav.runs.report.report import write_report

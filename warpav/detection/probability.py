@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ import warp as wp
 from warpav.core.bounded_files import DATA_SET_NODES_MAX, read_json
 from warpav.core.errors import InputError
 from warpav.raster.areas import Measures
+from warpav.raster.camera import CameraModel
 from warpav.raster.frame import Frame
 from warpav.scene.device_scene import DeviceScene, UprightBoxes
 from warpav_kernels.detection import detection_probability as kernels
@@ -329,6 +330,20 @@ class DetectionProbability:
         """An uninformative model with probability one half, used to compute features."""
         curves = (np.zeros(FEATURE_COUNT), np.ones(FEATURE_COUNT), np.zeros((FEATURE_COUNT, 2)))
         return cls(*curves, 0.0, network_scale=network_scale)
+
+    @classmethod
+    def builtin(cls, camera: CameraModel) -> DetectionProbability:
+        """That of the detector that ships with warpav, in images of a camera: the shipped fit for any camera.
+
+        Args:
+            camera: Its size decides how the detector scales its images.
+        """
+        from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector
+
+        files = sorted(BUILTIN_MODEL_PATH.parent.glob(f"{BUILTIN_MODEL_PATH.stem}_p_detected_*.json"))
+        for_any = next(model for model in map(cls.read, files) if "cameras" in model.record["settings"])
+        scale = OnnxDetector(BUILTIN_MODEL_PATH).network_scale(camera.height_px, camera.width_px)
+        return replace(for_any, network_scale=scale)
 
     @classmethod
     def find(cls, use: DetectorUse, *, unseen: Collection[int] = ()) -> DetectionProbability:

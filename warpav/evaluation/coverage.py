@@ -179,22 +179,36 @@ class Ground:
 
     def is_seen(self, camera: RigCamera, point_m: np.ndarray) -> np.ndarray:
         """Whether a camera sees points of the ego frame [m], [point, 3]; bool [point]."""
-        ego_from_camera = camera.ego_from_camera
-        in_camera_m = (point_m - ego_from_camera[:3, 3]) @ ego_from_camera[:3, :3]
-        with np.errstate(invalid="ignore"):
-            point_px = camera.model.project(in_camera_m)
-            is_inside = (point_px >= 0.0) & (point_px < [camera.model.width_px, camera.model.height_px])
-        is_seen = np.asarray(is_inside.all(axis=-1))
-        asked = np.flatnonzero(is_seen)
-        share = free_shares(
-            self.scene,
-            ego_from_camera[:3, 3],
-            point_m[asked],
-            near_m=camera.model.near_m,
-            behind_glass=camera.behind_glass,
-        )
-        is_seen[asked] = share == 1.0
-        return is_seen
+        return sees(self.scene, camera, point_m)
+
+
+def is_in_image(camera: RigCamera, point_m: np.ndarray) -> np.ndarray:
+    """Whether points of the ego frame [m], [..., 3], have an image within the camera's image; bool [...]."""
+    ego_from_camera = camera.ego_from_camera
+    in_camera_m = (point_m - ego_from_camera[:3, 3]) @ ego_from_camera[:3, :3]
+    with np.errstate(invalid="ignore"):
+        point_px = camera.model.project(in_camera_m)
+        is_inside = (point_px >= 0.0) & (point_px < [camera.model.width_px, camera.model.height_px])
+    return np.asarray(is_inside.all(axis=-1))
+
+
+def sees(scene: DeviceScene, camera: RigCamera, point_m: np.ndarray) -> np.ndarray:
+    """Whether a camera sees points of the ego frame [m], [point, 3]: in its image, with nothing before them.
+
+    Returns:
+        bool [point].
+    """
+    is_seen = is_in_image(camera, point_m)
+    asked = np.flatnonzero(is_seen)
+    share = free_shares(
+        scene,
+        camera.ego_from_camera[:3, 3],
+        point_m[asked],
+        near_m=camera.model.near_m,
+        behind_glass=camera.behind_glass,
+    )
+    is_seen[asked] = share == 1.0
+    return is_seen
 
 
 def free_shares(

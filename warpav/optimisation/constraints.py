@@ -562,7 +562,7 @@ class ZoneAndSpacing(Constraints):
     def do_not_fit(self, camera_count: int) -> OptionError:
         """As in `Constraints`."""
         area_m2 = np.count_nonzero(self.surface.border_distance_m >= self.margin_m) * self.surface.cell_m**2
-        return _do_not_fit(f"the mountable zone of {area_m2:.2f} m2", self.min_spacing_m, camera_count)
+        return _do_not_fit(f"the mountable zone of {area_m2:.2f} m²", self.min_spacing_m, camera_count)
 
     @property
     def _kept_m(self) -> float:

@@ -159,7 +159,7 @@ def pane_under(zone: Zone, surface: MountSurface, mesh: Mesh) -> Pane:
     if clear_m2 < MIN_CLEAR * zone_m2:
         raise InputError(
             f"zone {zone.name!r}: behind_glass: expected triangles that lie under the zone, got {clear_m2:.2f} of "
-            f"{zone_m2:.2f} m2 clear; the others reach beyond it: let box_m or outline_m cover the whole pane"
+            f"{zone_m2:.2f} m² clear; the others reach beyond it: let box_m or outline_m cover the whole pane"
         )
     return pane
 

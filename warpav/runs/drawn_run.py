@@ -14,7 +14,7 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.rig.rig import Rig
 from warpav.runs.events import trajectory
-from warpav.view import Canvas, drawing_of
+from warpav.view import Canvas, drawing_of, draws
 from warpav.view.output import ANIMATION_PX, Animation
 
 if TYPE_CHECKING:
@@ -49,13 +49,18 @@ class DrawnRun:
 
     def drawing(
         self, canvas: Canvas, *, iteration: int | None = None, arrows: bool = True, visibility: bool = False
-    ) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+    ) -> Any:  # noqa: ANN401 (see warpav.view.plotting.Kind)
         """What `warpav.view.plot` shows of the run, with its options."""
         if canvas.is_animation and iteration is None:
             return self.animation(arrows=arrows, window_size=canvas.size_px(ANIMATION_PX))
         rig = self.rig_at(iteration)
-        plotter = drawing_of.dispatch(Rig)(
-            rig, canvas, scene=self.scene, trajectory_m=self.trajectory_to(iteration), visibility=visibility
+        plotter = drawing_of(
+            rig,
+            canvas,
+            kind="view",
+            scene=self.scene,
+            trajectory_m=self.trajectory_to(iteration),
+            visibility=visibility,
         )
         if arrows:
             self._add_descent(plotter, iteration)
@@ -116,7 +121,7 @@ class DrawnRun:
         return iteration % count
 
 
-drawing_of.register(DrawnRun, DrawnRun.drawing)
+draws(DrawnRun, "view")(DrawnRun.drawing)
 
 
 def nearest_iteration(events: Sequence[Mapping[str, Any]], rig: Rig) -> int:

@@ -20,7 +20,7 @@ from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
-from warpav.view import Canvas, drawing_of
+from warpav.view import Canvas, draws
 
 
 def evaluate(
@@ -55,15 +55,15 @@ def evaluate(
         return evaluate_on(named, placement.observed(scenes, progress=shown), placement, progress=shown)
 
 
-@drawing_of.register(CameraOutages)
-def _outages_drawing(outages: CameraOutages, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+@draws(CameraOutages, "outages", is_figure=True)
+def _outages_drawing(outages: CameraOutages, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view.plotting.Kind)
     from warpav.view.figures.sensitivity import sensitivity_figure
 
     return sensitivity_figure(None, outages, heading=canvas.title)
 
 
-@drawing_of.register(RigEvaluation)
-def _drawing(evaluation: RigEvaluation, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+@draws(RigEvaluation, "recall", is_figure=True)
+def _drawing(evaluation: RigEvaluation, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view.plotting.Kind)
     from warpav.view.figures.statistics import recall_figure
 
     if not evaluation.objects:

@@ -27,7 +27,7 @@ from warpav.runs.optimise import Optimisation, pool_search_settings, searches_by
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
 from warpav.scene.scene import Scene
-from warpav.view import Canvas, drawing_of, plot
+from warpav.view import Canvas, draws, plot
 
 MOST_BUDGETS = 8
 """Budgets of a front by cost, at most: evenly spread from the cheapest rig to the dearest."""
@@ -355,8 +355,8 @@ def _without_dominated(points: Sequence[FrontPoint]) -> tuple[FrontPoint, ...]:
     return tuple(replace(each, is_dominated=any(beats(other, each) for other in points)) for each in points)
 
 
-@drawing_of.register(Front)
-def _drawing(found: Front, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+@draws(Front, "front", is_figure=True)
+def _drawing(found: Front, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view.plotting.Kind)
     from warpav.view.figures.front import front_figure
 
     return front_figure([each.to_json() for each in found.points], by=found.by, title=canvas.title)

@@ -118,7 +118,7 @@ def _write_sheet(source: str, config: Config, out: Path | None) -> Path:
 
     out = out or (Path(source) / "sheet.pdf" if is_run_folder(source) else Path("sheet.pdf"))
     ego = next(load_scenes(config, config.scenes.test_seeds[:1])).ego
-    return plot(find_rig(source, config, ego), sheet=True, ego=ego, title=Path(source).name, out=out)
+    return plot(find_rig(source, config, ego), kind="sheet", ego=ego, title=Path(source).name, out=out)
 
 
 def _write_recording(source: str, config: Config, out: Path, shown: Shown, requirements: str | None) -> Path:

@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     import trimesh
 
     from warpav.detection.detector import Detector
+    from warpav.raster.camera import CameraModel
 
 ORIENTATION_SCENES = 200
 """Training scenes by which the orientations are chosen, at most; of more, so many that are evenly spread."""
@@ -363,6 +364,16 @@ class Placement:
     def objective(self) -> RigObjective:
         """What is minimised; it knows the mount surface, the constraints and the detector."""
         return self._ready.objective
+
+    @property
+    def fitted_probabilities(self) -> tuple[tuple[CameraModel, DetectionProbability], ...]:
+        """The model of detection probability of every camera or module, with its camera; none where none was needed."""
+        probability, config = self._ready.probability, self.config
+        if probability is None or config.losses.probability != "fitted":
+            return ()
+        cameras = camera_models(config)
+        models = probability if isinstance(probability, tuple) else (probability,) * len(cameras)
+        return tuple(zip(cameras, models, strict=True))
 
     @property
     def mount(self) -> CameraMount:

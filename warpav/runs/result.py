@@ -30,6 +30,7 @@ from warpav.runs.checkpoint import identity_of
 from warpav.runs.config import Config, changed_config, flow_text
 from warpav.runs.evaluate import evaluate_on, requirements_of
 from warpav.runs.events import of_modules
+from warpav.runs.fitting_plots import FITTING_KINDS, FittedRigs, fitting_drawing
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.preset_rigs import know_cameras, preset_for
 from warpav.runs.progress import shown_progress
@@ -39,7 +40,7 @@ from warpav.runs.scene_set import load_scenes
 from warpav.scene.glb import write_scene
 from warpav.scene.scene import Scene
 from warpav.scene.store import scene_path
-from warpav.view import Canvas, drawing_of, plot
+from warpav.view import Canvas, draws, plot
 
 if TYPE_CHECKING:
     import numpy as np
@@ -253,6 +254,12 @@ class Result:
             write_verdict(written, self, scenes, first, timer=timer, progress=shown)
         return written.path
 
+    def fitted(self, scene: Scene | None = None) -> FittedRigs:
+        """The rigs of this result on their vehicle, for plots; ``scene`` by default the first test scene."""
+        placement = self.placement
+        shown = placement.shown if scene is None else next(placement.as_seen([scene]))
+        return FittedRigs({"start": self.start, "optimised": self.rig}, shown, placement.config)
+
     def plot(self, out: str | Path | None = None, **options: Any) -> Any:  # noqa: ANN401
         """Show the result in a window or a notebook, or write its image to a file; see `warpav.view.plot`."""
         return plot(self, out=out, **options)
@@ -270,7 +277,7 @@ class Result:
         return f"{text}, worse than its start, so the rig is the start" if self.is_worse_than_start else text
 
 
-@drawing_of.register(Result)
+@draws(Result, "view")
 def _drawing(
     result: Result,
     canvas: Canvas,
@@ -279,7 +286,7 @@ def _drawing(
     scene: Scene | None = None,
     arrows: bool = True,
     visibility: bool = False,
-) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+) -> Any:  # noqa: ANN401 (see warpav.view.plotting.Kind)
     from warpav.runs.drawn_run import DrawnRun, rigs_of_events
 
     modules = [camera.module for camera in result.rig.cameras]
@@ -288,6 +295,10 @@ def _drawing(
     scene = placement.shown if scene is None else next(placement.as_seen([scene]))
     run = DrawnRun("result", events, result.rig, frames, scene, lambda: placement.mount.surface)
     return run.drawing(canvas, iteration=iteration, arrows=arrows, visibility=visibility)
+
+
+for _kind in FITTING_KINDS:
+    draws(Result, _kind, is_figure=True)(fitting_drawing(_kind))
 
 
 class StageTimer:
@@ -359,6 +370,7 @@ def write_verdict(
         shows_zone=constraints.are_inequalities,
         further=result.further_cameras,
         objects="vehicles" if placement.config.scenes.targets == ("vehicle",) else "road users",
+        probability=placement.fitted_probabilities,
     )
     with in_background(draw_rigs, drawing) as drawn:
         rigs, began_as = _compared(result, progress)

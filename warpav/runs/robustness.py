@@ -21,7 +21,7 @@ from warpav.runs.evaluate import weights_on
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
 from warpav.scene.scene import Scene
-from warpav.view import Canvas, drawing_of
+from warpav.view import Canvas, draws
 
 __all__ = ["load_states", "mount_tolerance", "soiling"]
 
@@ -209,7 +209,7 @@ def _unknown_probability(placement: Placement, what: str) -> InputError:
     return InputError(f"losses: expected the expected_miss_rate alone, with combine=any, for {what}, got {got}")
 
 
-@drawing_of.register(MountTolerance)
+@draws(MountTolerance, "tolerance", is_figure=True)
 def _tolerance_drawing(tolerance: MountTolerance, canvas: Canvas, *, outages: CameraOutages | None = None) -> Any:  # noqa: ANN401
     from warpav.view.figures.sensitivity import sensitivity_figure
 

@@ -27,9 +27,11 @@ from warpav.runs.scene_set import load_scene
 
 if TYPE_CHECKING:
     from warpav.detection.images import CameraImage
+    from warpav.detection.probability import DetectionProbability
     from warpav.optimisation.assignment import AssignedScene
     from warpav.optimisation.further_camera import FurtherCameras
     from warpav.optimisation.objective import RigObjective
+    from warpav.raster.camera import CameraModel
     from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
     from warpav.view.figures.detections import DetectionPanel
@@ -93,6 +95,7 @@ class RigDrawing:
         shows_zone: Whether the zone for cameras is drawn.
         further: What further cameras would add to the result; None after a descent.
         objects: What is counted.
+        probability: The model of detection probability of every camera; none: nobody knows the detection range.
     """
 
     folder: Path
@@ -104,6 +107,14 @@ class RigDrawing:
     shows_zone: bool
     further: FurtherCameras | None = None
     objects: str = "vehicles"
+    probability: tuple[tuple[CameraModel, DetectionProbability], ...] = ()
+
+    def probability_for(self, model: CameraModel) -> DetectionProbability:
+        """That of the same camera, else of one whose images have the same size, as of zooms of one lens."""
+        same = [each for camera, each in self.probability if camera == model]
+        size = model.width_px, model.height_px
+        alike = [each for camera, each in self.probability if (camera.width_px, camera.height_px) == size]
+        return [*same, *alike][0]
 
 
 def draw_rigs(drawing: RigDrawing) -> str | None:
@@ -113,33 +124,44 @@ def draw_rigs(drawing: RigDrawing) -> str | None:
         Why this machine cannot draw the rig in three dimensions; None where it can.
     """
     from warpav.view import plot
-    from warpav.view.figures.convergence import loss_curves, search_curve
-    from warpav.view.figures.top_view import further_cameras_map, rig_top_view
+    from warpav.view.figures.convergence import loss_figure, search_figure
+    from warpav.view.figures.style import save_figure
+    from warpav.view.figures.top_view import further_figure, top_view_figure
     from warpav.view.opengl import opengl_problem
 
     folder, scene, result = RunFolder.open(drawing.folder), drawing.scene, drawing.result
     events = folder.events()
     path_m = trajectory(events)
-    if search_curve(events, folder.figure_path("search")) is None:
-        loss_curves(events, folder.figure_path("loss_curves"), min_distance_m=drawing.min_spacing_m)
-    if drawing.further is not None:
-        further_cameras_map(
-            folder.figure_path("further_cameras"),
+    search = search_figure(events)
+    figures = {
+        "search": search,
+        "loss_curves": loss_figure(events, min_distance_m=drawing.min_spacing_m) if search is None else None,
+        "further_cameras": None
+        if drawing.further is None
+        else further_figure(
             further=drawing.further,
             rig=result,
             ego=scene.ego,
             mount_surface=drawing.surface.over_ground,
             objects=drawing.objects,
-        )
-    rig_top_view(
-        folder.figure_path("rig_top_view"),
-        rig=result,
-        ego=scene.ego,
-        mount_surface=drawing.surface.over_ground,
-        rig_initial=drawing.start,
-        trajectory_m=path_m,
-        shows_zone=drawing.shows_zone,
-    )
+        ),
+        "rig_top_view": top_view_figure(
+            rig=result,
+            ego=scene.ego,
+            mount_surface=drawing.surface.over_ground,
+            rig_initial=drawing.start,
+            trajectory_m=path_m,
+            shows_zone=drawing.shows_zone,
+        ),
+    }
+    for name, figure in figures.items():
+        if figure is not None:
+            save_figure(figure, folder.figure_path(name))
+    rigs = {"start": drawing.start, "optimised": result}
+    for kind in ("plan", "near_field", "redundancy"):
+        plot(rigs, kind=kind, ego=scene.ego, out=folder.figure_path(kind))
+    if drawing.probability:
+        plot(rigs, kind="range", ego=scene.ego, probability=drawing.probability_for, out=folder.figure_path("range"))
     problem = opengl_problem()
     if problem is None:
         plot(result, scene=scene, trajectory_m=path_m, out=folder.figure_path("rig"))

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from warpav.core.atomic_write import DRAFT, atomic_write, sync
 from warpav.core.bounded_files import DATA_SET_NODES_MAX, read_arrays, read_json, read_text
 from warpav.core.data_frame import data_frame
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import ArgumentError, InputError, OptionError
 from warpav.core.files import append_line, json_ready, write_json, write_text, writing
 from warpav.core.fingerprint import digest
 from warpav.core.held_folder import held_folder
@@ -48,8 +48,9 @@ from warpav.runs.config import (
     with_absolute_paths,
 )
 from warpav.runs.environment import command_line, environment
-from warpav.runs.events import flat_numbers, of_modules, read_events
-from warpav.view import Canvas, drawing_of, plot
+from warpav.runs.events import flat_numbers, of_modules, read_events, trajectory
+from warpav.runs.fitting_plots import FITTING_KINDS, FittedRigs, fitting_drawing
+from warpav.view import Canvas, drawing_of, draws, plot
 
 if TYPE_CHECKING:
     import numpy as np
@@ -319,6 +320,21 @@ class RunFolder:
         yaw_rad, pitch_rad, fov_rad = np.radians(table[:, 4:]).T
         return FurtherCameras(table[:, 1:4], yaw_rad, pitch_rad, fov_rad, table[:, 0])
 
+    def checked_further_cameras(self, kind: str) -> FurtherCameras:
+        """As `further_cameras`, for a kind of plot that needs them.
+
+        Raises:
+            InputError: There are none.
+        """
+        found = self.further_cameras()
+        if found is None or not len(found):
+            raise ArgumentError(
+                "kind",
+                f"expected the folder of a run with optimiser.search=pool that has drawn its pool for {kind!r}, got "
+                f"{str(self.path)!r}",
+            )
+        return found
+
     def certificate(self) -> Certificate | None:
         """What a search by a pool has proven so far; None for a descent, and where the run is older than that.
 
@@ -406,6 +422,20 @@ class RunFolder:
         events = of_modules(events, [camera.module for camera in rig.cameras])
         frames = rigs_of_events(events, rig, place=self.path)
         return DrawnRun(str(self.path), events, rig, frames, shown, lambda: mount_surface(config, shown.ego))
+
+    def fitted(self, scene: Scene | None = None) -> FittedRigs:
+        """The rigs of this run on their vehicle, for plots; ``scene`` by default the first test scene.
+
+        Raises:
+            InputError: A file of the folder is missing or cannot be used.
+        """
+        from warpav.runs.mounts import with_shared_model
+        from warpav.runs.scene_set import load_scenes
+
+        config = self.config()
+        shown = next(load_scenes(config, config.scenes.test_seeds[:1])) if scene is None else scene
+        rigs = {"start": self.rig("initial"), "optimised": self.rig()}
+        return FittedRigs({name: with_shared_model(rig, config) for name, rig in rigs.items()}, shown, config)
 
     def plot(self, out: Path | str | None = None, **options: Any) -> Any:  # noqa: ANN401
         """Show the run in a window or a notebook, or write its image to a file; see `warpav.view.plot`.
@@ -586,7 +616,7 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-@drawing_of.register(RunFolder)
+@draws(RunFolder, "view")
 def _drawing(
     run: RunFolder,
     canvas: Canvas,
@@ -595,5 +625,62 @@ def _drawing(
     scene: Scene | None = None,
     arrows: bool = True,
     visibility: bool = False,
-) -> Any:  # noqa: ANN401 (see warpav.view.drawing_of)
+) -> Any:  # noqa: ANN401 (see warpav.view.plotting.Kind)
     return run.drawn(scene=scene).drawing(canvas, iteration=iteration, arrows=arrows, visibility=visibility)
+
+
+for _kind in FITTING_KINDS:
+    draws(RunFolder, _kind, is_figure=True)(fitting_drawing(_kind))
+
+
+@draws(RunFolder, "top_view", is_figure=True)
+def _top_view(run: RunFolder, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
+    """Where the cameras started, how they moved, and where they ended, from above."""
+    from warpav.view.figures.top_view import top_view_figure
+
+    drawn = run.drawn(scene=scene)
+    return top_view_figure(
+        rig=drawn.rig,
+        ego=drawn.scene.ego,
+        mount_surface=drawn.surface.over_ground,
+        rig_initial=run.rig("initial"),
+        trajectory_m=trajectory(drawn.events),
+        heading=canvas.title,
+    )
+
+
+@draws(RunFolder, "search", is_figure=True)
+def _search(run: RunFolder, canvas: Canvas) -> Any:  # noqa: ANN401
+    """Best rig and bound of a search by a pool over its renders; of a descent its losses over its iterations."""
+    from warpav.view.figures.convergence import loss_figure, search_figure
+
+    del canvas
+    events = run.events()
+    found = search_figure(events)
+    return loss_figure(events, min_distance_m=run.config().rig.min_spacing_m) if found is None else found
+
+
+@draws(RunFolder, "further", is_figure=True)
+def _further(run: RunFolder, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
+    """From above, what each camera of the pool would add to the rig that was found."""
+    from warpav.view.figures.top_view import further_figure
+
+    del canvas
+    further = run.checked_further_cameras("further")
+    drawn = run.drawn(scene=scene)
+    targets = run.config().scenes.targets
+    return further_figure(
+        further=further,
+        rig=drawn.rig,
+        ego=drawn.scene.ego,
+        mount_surface=drawn.surface.over_ground,
+        objects="vehicles" if targets == ("vehicle",) else "road users",
+    )
+
+
+@draws(RunFolder, "gain")
+def _gain(run: RunFolder, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
+    """The body of the vehicle painted by what one more camera would bring there, in its zones."""
+    further = run.checked_further_cameras("gain")
+    drawn = run.drawn(scene=scene)
+    return drawing_of(drawn.rig, canvas, kind="view", scene=drawn.scene, mount_surface=drawn.surface, further=further)

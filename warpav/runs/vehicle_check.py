@@ -273,8 +273,8 @@ def _shape_lines(found: Examination) -> Iterator[str]:
 def _mount_lines(surface: MountSurface, vehicle: Mesh, config: Config) -> Iterator[str]:
     parts = zone_parts(surface, vehicle)
     total = sum(part.area_m2 for part in parts)
-    shown = ", ".join(f"{part.name} {part.area_m2:.2f} m2 at {part.height_m:.2f} m" for part in parts[:5])
-    yield _row("cameras", f"{total:.2f} m2 can carry them: {shown}" + (", ..." if len(parts) > 5 else ""))
+    shown = ", ".join(f"{part.name} {part.area_m2:.2f} m² at {part.height_m:.2f} m" for part in parts[:5])
+    yield _row("cameras", f"{total:.2f} m² can carry them: {shown}" + (", ..." if len(parts) > 5 else ""))
     names = {part.name for part in parts}
     if "bonnet" not in names:
         yield _row("", "no bonnet was found: a van, a bus, or a bonnet steeper than mount.min_zone_normal allows")

@@ -57,7 +57,7 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
         yield "  kept out: " + ", ".join(f"{count} x {name}" for name, count in counts.items())
     for number, zone in enumerate(zones):
         inside = (chart.zone_of_cell == number) & np.asarray(chart.is_mountable)
-        yield f"  {zone.name:11} {np.count_nonzero(inside) * chart.cell_m**2:.2f} m2"
+        yield f"  {zone.name:11} {np.count_nonzero(inside) * chart.cell_m**2:.2f} m²"
     yield f"wrote {out}; edit it, and use it with mount.zones={out}"
     if image is not None:
         plot(mesh, mount_surface=chart, title=f"zones of {path.name}", out=image)

@@ -8,8 +8,9 @@ import numpy as np
 
 from warpav.view.descent_view import Steepest, add_descent
 from warpav.view.output import ANIMATION_FRAME_S, ANIMATION_LAST_S, ANIMATION_PX, Animation, render_rgb
-from warpav.view.palette import INK_RGB, hex_colour
+from warpav.view.palette import INK_RGB, camera_rgb, hex_colour
 from warpav.view.rig_view import add_rig, add_trajectory, no_render, rig_plotter
+from warpav.view.visibility_view import add_legend
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -65,6 +66,8 @@ def _images(
         frames[0], scene=scene, off_screen=True, window_size=window_size, sectors=False, labels=False, zoom=ZOOM
     )
     plotter.disable_anti_aliasing()  # supersampling does that
+    # in one place, as moving names would be most of a GIF
+    add_legend(plotter, {camera.name: camera_rgb(k) for k, camera in enumerate(end.cameras)}, name="cameras")
     width = max(len(str(event["iteration"])) for event in events)
     try:
         for k in shown_iterations(len(frames)):

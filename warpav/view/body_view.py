@@ -107,7 +107,8 @@ def add_zones(
 def gain_to_pyvista(surface: MountSurface, further: FurtherCameras, *, lift_m: float = 0.0) -> PolyData:
     """`mountable_zone_to_pyvista`, with the cell data ``gain_of_100``: what the best further camera near would bring.
 
-    That is one of the same zone within 0.2 m of the square's middle; NaN where the search has asked for none there.
+    That is one of the same zone within 0.2 m of the square's middle along the surface, however far above it cameras
+    stand; NaN where the search has asked for none there.
 
     Args:
         surface: The mount surface.
@@ -127,9 +128,9 @@ def gain_to_pyvista(surface: MountSurface, further: FurtherCameras, *, lift_m: f
         left_m = surface.left_of(further.position_m)
         place_m, _ = surface.place_of(left_m)
         zone = own[surface.zone_at(place_m)]
-        cells = KDTree(surface.left_of(middle_m))
+        cells = KDTree(surface.place_of(surface.left_of(middle_m))[0])
         for camera in np.argsort(further.gain, kind="stable"):  # the best last, which so prevails
-            near = np.array(cells.query_ball_point(left_m[camera], PLACE_M), int)
+            near = np.array(cells.query_ball_point(place_m[camera], PLACE_M), int)
             gain_of_100[near[painted.cell_data["zone"][near] == zone[camera]]] = 100.0 * further.gain[camera]
     painted.cell_data["gain_of_100"] = gain_of_100
     return painted

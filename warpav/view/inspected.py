@@ -234,7 +234,7 @@ class InspectedRig:
         """What there is to know at once, without asking the detector."""
         shares, areas = self.coverage.covered_share, self.coverage.blind_area_m2
         seen = (
-            f"{height_m:g} m tall: seen on {share:.1%} of the ground, blind {area_m2:.0f} m2"
+            f"{height_m:g} m tall: seen on {share:.1%} of the ground, blind {area_m2:.0f} m²"
             for height_m, share, area_m2 in zip(self.coverage.heights_m, shares, areas, strict=True)
         )
         distance_m = min_camera_distance_m(np.array([camera.position_m for camera in self.rig.cameras]))

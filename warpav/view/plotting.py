@@ -1,6 +1,6 @@
 """The front door to images: `plot` shows an object of warpav in a window or a notebook, or writes it to a file.
 
-What is drawn of an object is registered by its class at `drawing_of`; rooms above this one register their own classes.
+What is drawn of an object is registered with `draws` by class and kind; rooms above this one register their own.
 """
 
 from __future__ import annotations
@@ -8,11 +8,11 @@ from __future__ import annotations
 import inspect
 import io
 import sys
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import singledispatch
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.printable import one_line
@@ -27,13 +27,15 @@ from warpav.view.rig_view import WINDOW_PX, rig_plotter
 from warpav.view.vehicle_view import VEHICLE_PX, vehicle_plotter
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     import numpy as np
 
     from warpav.core.progress import Progress
+    from warpav.detection.probability import DetectionProbability
     from warpav.evaluation.coverage import Coverage
     from warpav.optimisation.further_camera import FurtherCameras
+    from warpav.raster.camera import CameraModel
     from warpav.requirements.check import RequirementResult
 
     Drawing = Any
@@ -68,31 +70,93 @@ class Canvas:
         return self.window_size or (ANIMATION_PX if self.is_animation else usual)
 
 
-@singledispatch
-def drawing_of(obj: object, canvas: Canvas) -> Drawing:
-    """What `plot` shows or saves of an object, to be added to or saved in other ways.
+@dataclass(frozen=True)
+class Kind:
+    """One way of drawing the objects of a class.
 
-    The function of a class is registered with ``@drawing_of.register(Class)``. Its keyword-only arguments are the
-    options of `plot` for objects of the class.
+    Attributes:
+        draw: Takes the object, a `Canvas` and, as keyword-only arguments, the options of the kind. It gives a
+            ``pyvista.Plotter`` that is not yet shown and that the caller closes, an `Animation` where the canvas asks
+            for one, or a ``matplotlib.figure.Figure``.
+        is_figure: Whether it is always a figure of matplotlib, which decides what files it can become.
+    """
+
+    draw: Callable[..., Drawing]
+    is_figure: bool = False
+
+
+_KINDS: dict[type, dict[str, Kind]] = {}
+"""By class and name; the first kind of a class is drawn where none is asked for."""
+
+Function = TypeVar("Function", bound="Callable[..., Any]")
+
+
+def draws(cls: type, kind: str, *, is_figure: bool = False) -> Callable[[Function], Function]:
+    """Registers a function as what draws a kind of a class, and of the classes below it.
 
     Args:
-        obj: Object of a class with a registered function.
-        canvas: Size, title and file.
+        cls: The class.
+        kind: Name of the kind, unique within the class.
+        is_figure: As of `Kind`.
+    """
 
-    Returns:
-        A ``pyvista.Plotter`` that is not yet shown and that the caller closes, an `Animation` where the canvas asks for
-        one, or a ``matplotlib.figure.Figure``.
+    def register(draw: Function) -> Function:
+        _KINDS.setdefault(cls, {})[kind] = Kind(draw, is_figure)
+        return draw
+
+    return register
+
+
+def kinds_of(cls: type) -> dict[str, Kind]:
+    """The kinds of a class by name, the usual one first; none where nothing is registered for it."""
+    found: dict[str, Kind] = {}
+    abstract = [each for each in _KINDS if each not in cls.__mro__ and issubclass(cls, each)]
+    for each in (*cls.__mro__, *abstract):
+        for name, kind in _KINDS.get(each, {}).items():
+            found.setdefault(name, kind)
+    return found
+
+
+def checked_kind(cls: type, kind: str | None) -> Kind:
+    """A kind of a class by its name; None: the usual one.
 
     Raises:
+        InputError: The class has no such kind.
         TypeError: Nothing is registered for the class.
     """
-    known = sorted(cls.__name__ for cls in drawing_of.registry if cls is not object)
-    raise TypeError(f"plot: expected one of {', '.join(known)}, got {type(obj).__name__}")
+    kinds = kinds_of(cls)
+    if not kinds:
+        known = sorted(each.__name__ for each in _KINDS)
+        raise TypeError(f"plot: expected one of {', '.join(known)}, got {cls.__name__}")
+    name = next(iter(kinds)) if kind is None else kind
+    if name not in kinds:
+        raise ArgumentError("kind", f"expected one of a {cls.__name__} ({', '.join(kinds)}), got {kind!r}")
+    return kinds[name]
+
+
+def drawing_of(obj: object, canvas: Canvas, *, kind: str | None = None, **options: Any) -> Drawing:  # noqa: ANN401
+    """What `plot` shows or saves of an object, to be added to or saved in other ways.
+
+    Args:
+        obj: Object of a class for which `draws` has registered something.
+        canvas: Size, title and file.
+        kind: What is drawn of it; None: the usual kind of the class.
+        **options: Those of the kind.
+
+    Returns:
+        As of `Kind.draw`.
+
+    Raises:
+        InputError: The class has no such kind.
+        TypeError: Nothing is registered for the class.
+    """
+    return checked_kind(type(obj), kind).draw(obj, canvas, **options)
 
 
 def plot(
     obj: object,
     *,
+    kind: str | None = None,
     out: str | Path | None = None,
     title: str | None = None,
     window_size: tuple[int, int] | None = None,
@@ -103,7 +167,22 @@ def plot(
 ) -> Any:  # noqa: ANN401
     """Show an object in a window or a notebook, or write its image to a file.
 
-    Options of a rig:
+    Kinds of a rig, of which the first is the usual one. All but it are figures, which may also be ``.pdf`` and
+    ``.svg``; the modules of `warpav.view.figures` say how each is computed. Those marked with * also take several rigs
+    by name, such as ``{"start": start, "optimised": result.rig}``.
+
+    - ``view``: in space, on the vehicle and in traffic; its options are below.
+    - ``sheet``: a page to print, to scale: from above, from the side, a table. ``range_m``: radii of the rings [m].
+    - ``plan`` *: to scale from above, how far a car is 40, 20 and 12 px high in each image, and the ground near
+      the vehicle that the own body hides.
+    - ``range`` *: by azimuth, up to which distance road users of each class are detected. ``probability`` gives the
+      model for a camera; by default that of the detector that ships with warpav.
+    - ``near_field`` *: how far from the body the first visible point is at three heights, with dimensions.
+    - ``redundancy`` *: how many cameras see a road user by sector and distance, and after the costliest loss of one.
+    - ``resolution`` *: pixels per degree along the horizon, and over azimuth and elevation.
+    - ``contact``: the images of all cameras in ``scene``, with their angles and the share of the own body.
+
+    Options of the view of a rig:
 
     - ``ego``: the `Mesh` that carries the cameras; by default that of the scene, else the axes of the ego frame.
     - ``scene``: the `Scene` around it; by default an empty ground.
@@ -116,10 +195,8 @@ def plot(
       ``mount_surface`` the body is painted instead, by what one more camera would bring there.
     - ``requirements``: what `warpav.check_requirements` gives, which lays the points on the ground: discs where
       they are met, crosses where not, in the colour of how many cameras see enough there.
-    - ``sheet``: True draws instead a page to print: from above and from the side to scale, with fans of what each
-      camera sees, range rings and a table; see `warpav.view.figures.rig_sheet`. Only ``ego``, ``scene`` and
-      ``range_m`` go with it.
-    - ``range_m``: radii of the sheet's range rings [m]; by default every 5 m.
+
+    ``ego`` and ``scene`` go with every kind of a rig.
 
     Of a scene: ``rig``, ``outcomes``, ``coverage``, ``visibility``. Of a mesh, which is a vehicle in the ego frame:
     ``mount_surface`` (where it can carry cameras), ``axle_m`` (x of its axles [m]). Of a mount surface: ``vehicle``
@@ -130,6 +207,11 @@ def plot(
     - ``arrows``: False leaves out the arrows for where the descent moves and turns the cameras.
     - ``visibility``: as of a rig; not in animations.
 
+    Kinds of a run folder, besides this ``view`` and those of a rig, which show start and result side by side:
+    ``top_view``, how the cameras moved; ``search``, best rig and bound over the renders, or the losses of a descent;
+    ``further`` and ``gain``, what one more camera would bring, from above and painted on the body. All of them take
+    ``scene``. A result has those of a rig.
+
     What errors of mounting cost (`warpav.robustness.mount_tolerance`) is a heat map of cameras by degrees of freedom,
     with ``outages`` (of ``evaluation.camera_outage``) beside a bar for the loss of each camera; they alone are the
     bars.
@@ -138,6 +220,7 @@ def plot(
 
     Args:
         obj: What to show.
+        kind: What is drawn of it, see above; None: the usual kind of its class.
         out: ``.png``; ``.html``, an interactive page; ``.gif`` or ``.mp4``, a turn around the vehicle or, of a run, its
             iterations. None: a widget in a notebook, else a window.
         title: A line in the upper left corner.
@@ -153,17 +236,23 @@ def plot(
         The file that was written, else what ``pyvista.Plotter.show`` returns.
 
     Raises:
-        InputError: The file cannot be written, or nothing can be drawn or shown on this machine.
+        InputError: The class has no such kind, the file cannot be written, or nothing can be drawn or shown here.
         TypeError: Objects of this class cannot be plotted, or have no such option.
     """
-    draw = drawing_of.dispatch(type(obj))
     title = None if title is None else one_line(title)
+    if options.pop("sheet", False):
+        warnings.warn('sheet=True: is kind="sheet" now; the old name goes in the next version', FutureWarning, 2)
+        kind = "sheet"
+    chosen = checked_kind(type(obj), kind)
     canvas = Canvas(None if out is None else Path(out), title, window_size, zoom, off_screen)
     if canvas.out is not None:
-        check_suffix(canvas.out, further=FIGURE_SUFFIXES)
+        if chosen.is_figure:
+            checked_figure(canvas.out)
+        else:
+            check_suffix(canvas.out, further=FIGURE_SUFFIXES)
         canvas = replace(canvas, off_screen=True)
-    own, of_show = _split(options, draw, obj, is_file=out is not None)
-    drawing = draw(obj, canvas, **own)
+    own, of_show = _split(options, chosen, obj, is_file=out is not None)
+    drawing = chosen.draw(obj, canvas, **own)
     if isinstance(drawing, Animation):
         assert canvas.out is not None, "animations are drawn where the canvas asks for one"
         return save_animation(drawing, canvas.out, progress=progress)
@@ -181,24 +270,26 @@ def plot(
 
 def _split(
     options: Mapping[str, Any],
-    draw: Any,  # noqa: ANN401 (a function)
+    kind: Kind,
     obj: object,
     *,
     is_file: bool,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The options of an object's class and those of ``pyvista.Plotter.show``."""
     takes = [
-        name for name, one in inspect.signature(draw).parameters.items() if one.kind is inspect.Parameter.KEYWORD_ONLY
+        name
+        for name, one in inspect.signature(kind.draw).parameters.items()
+        if one.kind is inspect.Parameter.KEYWORD_ONLY
     ]
     own = {name: value for name, value in options.items() if name in takes}
     of_show = {name: value for name, value in options.items() if name not in takes}
     known = (
         {"cpos"}
-        if is_file or not of_show
+        if is_file or kind.is_figure or not of_show
         else {*inspect.signature(load_pyvista().Plotter.show).parameters, "jupyter_kwargs"}
     )
     unknown = sorted(set(of_show) - known)
-    if unknown and draw is not drawing_of.dispatch(object):
+    if unknown:
         raise TypeError(
             f"plot: {unknown[0]}: expected an option of a {type(obj).__name__} ({', '.join(takes)}) or of "
             f"{'an image file (cpos)' if is_file else 'pyvista.Plotter.show'}"
@@ -241,7 +332,7 @@ def _no_display() -> InputError:
 # ------------------------------------------------------------------------------------------- classes of lower rooms
 
 
-@drawing_of.register(Rig)
+@draws(Rig, "view")
 def _draw_rig(
     rig: Rig | None,
     canvas: Canvas,
@@ -255,22 +346,7 @@ def _draw_rig(
     visibility: bool = False,
     further: FurtherCameras | None = None,
     requirements: RequirementResult | None = None,
-    sheet: bool = False,
-    range_m: Sequence[float] | None = None,
 ) -> Drawing:
-    if sheet and rig is not None:
-        from warpav.view.figures.rig_sheet import rig_sheet
-
-        drawn = {"mount_surface": mount_surface, "trajectory_m": trajectory_m, "outcomes": outcomes}
-        drawn |= {"coverage": coverage, "visibility": visibility or None, "further": further}
-        drawn |= {"requirements": requirements}
-        given = [name for name, value in drawn.items() if value is not None]
-        if given:
-            raise ArgumentError("sheet", f"expected a sheet alone, with ego, scene or range_m, got {given[0]} as well")
-        vehicle = scene.ego if ego is None and scene is not None else ego
-        return rig_sheet(rig, ego=vehicle, range_m=range_m, title=canvas.title)
-    if range_m is not None:
-        raise ArgumentError("range_m", "expected it with sheet=True alone")
     return rig_plotter(
         rig,
         ego=ego,
@@ -289,7 +365,118 @@ def _draw_rig(
     )
 
 
-@drawing_of.register(Scene)
+@draws(Rig, "sheet", is_figure=True)
+def _draw_sheet(
+    rig: Rig,
+    canvas: Canvas,
+    *,
+    ego: Mesh | None = None,
+    scene: Scene | None = None,
+    range_m: Sequence[float] | None = None,
+) -> Drawing:
+    from warpav.view.figures.rig_sheet import rig_sheet
+
+    vehicle = scene.ego if ego is None and scene is not None else ego
+    return rig_sheet(rig, ego=vehicle, range_m=range_m, title=canvas.title)
+
+
+@draws(Mapping, "plan", is_figure=True)
+@draws(Rig, "plan", is_figure=True)
+def _draw_plan(
+    rig: Rig | Mapping[str, Rig], canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None
+) -> Drawing:
+    from warpav.view.figures.plan import plan_figure
+
+    return plan_figure(_by_name(rig), _vehicle(ego, scene, "plan"), heading=canvas.title)
+
+
+@draws(Mapping, "range", is_figure=True)
+@draws(Rig, "range", is_figure=True)
+def _draw_range(
+    rig: Rig | Mapping[str, Rig],
+    canvas: Canvas,
+    *,
+    ego: Mesh | None = None,
+    scene: Scene | None = None,
+    probability: Callable[[CameraModel], DetectionProbability] | None = None,
+) -> Drawing:
+    from warpav.view.figures.detection_range import range_figure
+
+    return range_figure(_by_name(rig), _vehicle(ego, scene, "range"), probability=probability, heading=canvas.title)
+
+
+@draws(Mapping, "near_field", is_figure=True)
+@draws(Rig, "near_field", is_figure=True)
+def _draw_near_field(
+    rig: Rig | Mapping[str, Rig], canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None
+) -> Drawing:
+    from warpav.view.figures.near_field import near_field_figure
+
+    return near_field_figure(_by_name(rig), _vehicle(ego, scene, "near_field"), heading=canvas.title)
+
+
+@draws(Mapping, "redundancy", is_figure=True)
+@draws(Rig, "redundancy", is_figure=True)
+def _draw_redundancy(
+    rig: Rig | Mapping[str, Rig], canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None
+) -> Drawing:
+    from warpav.view.figures.redundancy import redundancy_figure
+
+    return redundancy_figure(_by_name(rig), _vehicle(ego, scene, "redundancy"), heading=canvas.title)
+
+
+@draws(Mapping, "resolution", is_figure=True)
+@draws(Rig, "resolution", is_figure=True)
+def _draw_resolution(
+    rig: Rig | Mapping[str, Rig], canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None
+) -> Drawing:
+    from warpav.view.figures.resolution import resolution_figure
+
+    del ego, scene  # the body is left out of account
+    return resolution_figure(_by_name(rig), heading=canvas.title)
+
+
+@draws(Rig, "contact", is_figure=True)
+def _draw_contact(rig: Rig, canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None) -> Drawing:
+    from warpav.view.figures.contact import contact_figure
+
+    if scene is None:
+        raise ArgumentError("scene", "expected the scene for kind='contact', got none; give scene=wa.town([0])[0]")
+    return contact_figure(rig, scene if ego is None else scene.around(ego), heading=canvas.title)
+
+
+def _by_name(rig: Rig | Mapping[str, Rig]) -> dict[str, Rig]:
+    """One rig or several as several by name.
+
+    Raises:
+        InputError: There is none.
+        TypeError: Something else is among them.
+    """
+    if isinstance(rig, Rig):
+        return {"rig": rig}
+    if not rig:
+        raise ArgumentError("rigs", "expected at least one rig by name, got none")
+    for name, each in rig.items():
+        if not isinstance(each, Rig):
+            raise TypeError(f"plot: expected rigs by name, got {type(each).__name__} as {name!r}")
+    return dict(rig)
+
+
+def _vehicle(ego: Mesh | None, scene: Scene | None, kind: str) -> Mesh:
+    """The vehicle that a plot asks for: the given one, else that of the scene.
+
+    Raises:
+        InputError: There is none.
+    """
+    vehicle = scene.ego if ego is None and scene is not None else ego
+    if vehicle is None:
+        raise ArgumentError(
+            "ego", f"expected the vehicle for kind={kind!r}, got none; give ego=wa.read_vehicle(...) or scene=..."
+        )
+    return vehicle
+
+
+@draws(Scene, "view")
 def _draw_scene(
     scene: Scene,
     canvas: Canvas,
@@ -309,7 +496,7 @@ def _draw_scene(
     )
 
 
-@drawing_of.register(Mesh)
+@draws(Mesh, "view")
 def _draw_vehicle(
     vehicle: Mesh, canvas: Canvas, *, mount_surface: MountSurface | None = None, axle_m: Sequence[float] = ()
 ) -> Plotter:
@@ -324,7 +511,7 @@ def _draw_vehicle(
     )
 
 
-@drawing_of.register(MountSurface)
+@draws(MountSurface, "view")
 def _draw_mount_surface(surface: MountSurface, canvas: Canvas, *, vehicle: Mesh | None = None) -> Plotter:
     return vehicle_plotter(
         vehicle,

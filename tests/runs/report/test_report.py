@@ -214,7 +214,7 @@ def test_boxes_lie_where_they_were_found(page):
     assert [rect["class"] for rect in one_view] == ["false", "truth", "found", "missed"]
     places = [[float(rect[name]) for name in ("x", "y", "width", "height")] for rect in one_view]
     assert places == [[50, 30, 10, 10], [4, 4, 10, 8], [5, 4, 9, 8], [30, 20, 10, 10]]
-    assert page.words.count("1 of 2 found, 1 false alarm") == 4
+    assert page.words.count("1 of 2 vehicles found, 1 false alarm") == 4
 
 
 def test_the_command_makes_the_same_run(finished, page):
@@ -224,6 +224,18 @@ def test_the_command_makes_the_same_run(finished, page):
     base = [word for word in words if "=" not in word] or ["quick"]
     again = load_config(base[0], [word for word in words if "=" in word])
     assert again == changed_config(folder.config(), ["run.out=null"])
+
+
+def test_plots_on_the_vehicle_have_a_section_of_their_own(folder):
+    for name in ("plan", "range", "near_field", "redundancy"):
+        picture(folder.figure_path(name))
+    page = page_of(folder)
+    assert "Fit to the vehicle" in page.words
+    assert "Up to which distance road users of each class are detected, by direction" in page.alt
+    assert 'href="#fitting"' in (folder.path / "report.html").read_text()
+    for name in ("plan", "range", "near_field", "redundancy"):
+        folder.figure_path(name).unlink()
+    assert "Fit to the vehicle" not in page_of(folder).words
 
 
 @pytest.mark.parametrize("base", ["quick", "default"])
@@ -242,7 +254,7 @@ def test_two_scenes_of_one_name_are_both_shown(tmp_path):
     assert len(list(folder.view_path("any").parent.glob("*.webp"))) == 4
     page = page_of(folder)
     assert page.words.count("mine: ") == 2
-    assert page.alt.count("left, start: 0 of 0 found") == 2
+    assert page.alt.count("left, before (start): no vehicles to find") == 2
 
 
 def test_the_page_is_whole_by_itself(finished, page):

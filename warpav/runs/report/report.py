@@ -51,6 +51,10 @@ FURTHER_SHOWN = 5
 
 FIGURES = {
     "rig": "The rig at the end in a test scene, with the trajectories of its cameras",
+    "plan": "How far each camera's image of a car is large enough, and the ground that the own body hides",
+    "range": "Up to which distance road users of each class are detected, by direction",
+    "near_field": "How far from the body the first visible point is, by direction and height",
+    "redundancy": "How many cameras see a road user, by direction and distance, and without the costliest one",
     "rig_top_view": "From above: where the cameras started, how they moved, where they ended",
     "detections": "A test scene through the cameras, before and after",
     "loss_curves": "Loss, loss terms, multipliers and the smallest camera distance over the iterations",
@@ -63,7 +67,8 @@ FIGURES = {
 """Figures of a run in the order of the report; others follow by name."""
 
 _NEAR = ("requirements_start", "requirements_optimised")
-_ELSEWHERE = ("loss_curves", "further_cameras", "sensitivity", *_NEAR)
+_FITTING = ("plan", "range", "near_field", "redundancy")
+_ELSEWHERE = (*_FITTING, "loss_curves", "further_cameras", "sensitivity", *_NEAR)
 """Figures that have places of their own."""
 
 
@@ -166,6 +171,7 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "paired": _paired(evaluation) if evaluation else [],
         "plots": _plots(run),
         "images": [image for image in shown if image.name not in _ELSEWHERE],
+        "fitting": [image for image in shown if image.name in _FITTING],
         "old_curves": [image for image in shown if image.name == "loss_curves"],
         "further": _further(run),
         "further_map": [image for image in shown if image.name == "further_cameras"],
@@ -177,7 +183,7 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "near": _near(evaluation) if evaluation else [],
         "near_maps": [image for image in shown if image.name in _NEAR],
         "outage": _outage(evaluation) if evaluation else None,
-        "views": _views(run.views, [next(encoded) for _ in run.views]),
+        "views": _views(run.views, [next(encoded) for _ in run.views], words.objects_name(run)),
         "recall": recall_rows((folder.evaluation() or {"arms": {}})["arms"]),
         "ground": _ground(evaluation) if evaluation and evaluation.ground else [],
         "left": _left(evaluation) if evaluation and evaluation.outcomes is not None else None,
@@ -469,14 +475,18 @@ def _free(run: RunContent) -> str:
     return text + (f" Frozen: {', '.join(frozen)}." if frozen else "")
 
 
-def _views(views: Sequence[View], encoded: Sequence[tuple[str, tuple[int, int]]]) -> list[tuple[str, dict[str, Any]]]:
+def _views(
+    views: Sequence[View], encoded: Sequence[tuple[str, tuple[int, int]]], objects: str
+) -> list[tuple[str, dict[str, Any]]]:
     """What cameras see by camera, every rig one behind the other, of every scene, which is named."""
     scenes: dict[tuple[int, str], dict[str, Any]] = {}
     for view, (address, _) in zip(views, encoded, strict=True):
         boxes = list(_boxes(view))
         kinds = [box.kind for box in boxes]
         found, missed, false = (kinds.count(kind) for kind in ("found", "missed", "false"))
-        caption = f"{view.rig}: {found} of {found + missed} found"
+        stage = {"start": "before", "optimised": "after"}.get(view.rig)
+        caption = view.rig if stage is None else f"{stage} ({view.rig})"
+        caption += f": {found} of {found + missed} {objects} found" if found + missed else f": no {objects} to find"
         if false:
             caption += f", {false} false alarm" + ("" if false == 1 else "s")
         scenes.setdefault((view.scene_number, view.scene), {}).setdefault(view.camera, []).append(

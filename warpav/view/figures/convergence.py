@@ -15,45 +15,49 @@ from warpav.view.figures.style import SVG_WIDTH_INCH, WIDTH_INCH, figure_style, 
 from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, camera_rgb, hex_colour
 
 
-def loss_curves(records: Sequence[Mapping[str, Any]], path: Path | str, *, min_distance_m: float | None = None) -> Path:
+def loss_figure(records: Sequence[Mapping[str, Any]], *, min_distance_m: float | None = None) -> Any:  # noqa: ANN401
     """Draw loss, loss terms, multipliers and the smallest camera distance over the iterations.
 
     Of inequalities, whose terms are negative where there is room to spare, those that were broken are drawn, and by how
-    much.
+    much. Panels that would say nothing are left out, see `convergence_panels`.
 
     Args:
         records: The lines of ``events.jsonl``, in order: ``iteration``, ``loss``, ``terms``, ``multipliers``,
             ``positions_m``.
-        path: PNG file to write.
         min_distance_m: The distance that the cameras must keep [m]; drawn as a limit when given.
+
+    Returns:
+        A ``matplotlib.figure.Figure``.
 
     Raises:
         InputError: No records, or one without these keys.
     """
     if not records:
-        raise InputError(f"{path}: there is no iteration to draw; run at least one")
+        raise InputError("run: expected an iteration to draw, got none; run at least one")
     missing = [key for key in ("iteration", "loss", "terms", "multipliers", "positions_m") if key not in records[0]]
     if missing:
-        raise InputError(f"{path}: the records of a run need the keys {', '.join(missing)}, which are missing")
+        raise InputError(f"run: expected records with the keys {', '.join(missing)}, which are missing")
+    panels = list(convergence_panels(records, min_distance_m).values())
     with figure_style():
-        figure = new_figure(WIDTH_INCH, 5.6)
-        axes = figure.subplots(2, 2, sharex=True)
-        for axis, draw in zip(axes.flat, convergence_panels(records, min_distance_m).values(), strict=True):
+        rows, columns = -(-len(panels) // 2), min(2, len(panels))
+        figure = new_figure(WIDTH_INCH, 0.4 + 2.6 * rows)
+        axes = figure.subplots(rows, columns, squeeze=False).flat
+        for axis, draw in zip(axes, panels, strict=False):
             draw(axis)
-        for axis in axes[0]:
-            axis.set_xlabel("")
-        return save_figure(figure, path)
+        for axis in list(axes)[len(panels) :]:
+            axis.set_axis_off()
+        return figure
 
 
-def search_curve(records: Sequence[Mapping[str, Any]], path: Path | str) -> Path | None:
-    """Draw what `search_panel` draws into a PNG file; None where there is nothing to draw."""
+def search_figure(records: Sequence[Mapping[str, Any]]) -> Any:  # noqa: ANN401 (matplotlib)
+    """Draw what `search_panel` draws; None where there is nothing to draw."""
     draw = search_panel(records)
     if draw is None:
         return None
     with figure_style():
         figure = new_figure(WIDTH_INCH, 4.2)
         draw(figure.subplots())
-        return save_figure(figure, path)
+        return figure
 
 
 _SPENT_ON = {"start": ("pool", "#e4e8ee"), "polish": ("polish", "#e3eefc"), "pricing": ("pricing", "#fbeedd")}
@@ -135,13 +139,21 @@ def convergence_panels(
 ) -> dict[str, Callable[[Any], None]]:
     """What draws loss, loss terms, multipliers and the smallest camera distance, each into an axis, by its title.
 
-    The arguments are those of `loss_curves`.
+    What says nothing is left out: a single term, which is the loss; multipliers that are all 0, as no constraint was
+    broken; the distance of a single camera.
+
+    The arguments are those of `loss_figure`.
     """
     iteration = np.array([record["iteration"] for record in records])
     terms = {name: _over_time(records, "terms", name) for name in records[0]["terms"]}
     kept = {name for name in records[0]["multipliers"] if name in terms and _is_always_kept(terms[name])}
     terms = {name: term for name, term in terms.items() if name not in kept}
     multiplier_names = [name for name in records[0]["multipliers"] if name not in kept]
+
+    multiplier = {
+        name: [_highest(record["multipliers"].get(name, 0.0)) for record in records] for name in multiplier_names
+    }
+    distance_m = [_smallest_distance_m(record["positions_m"]) for record in records]
 
     def begin(axis: Any, title: str) -> None:  # noqa: ANN401 (matplotlib)
         axis.set_title(title)
@@ -171,16 +183,11 @@ def convergence_panels(
     def multipliers(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
         begin(axis, "Multipliers")
         for index, name in enumerate(multiplier_names):
-            value = [_highest(record["multipliers"].get(name, 0.0)) for record in records]
-            axis.plot(iteration, value, color=hex_colour(camera_rgb(index)), label=name)
+            axis.plot(iteration, multiplier[name], color=hex_colour(camera_rgb(index)), label=name)
         _name_lines(axis, multiplier_names)
-        if not multiplier_names:
-            axis.text(0.5, 0.5, "all 0: no constraint was broken", ha="center", transform=axis.transAxes)
-            axis.set_yticks([])
 
     def spacing(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
         begin(axis, "Smallest distance between cameras [m]")
-        distance_m = [_smallest_distance_m(record["positions_m"]) for record in records]
         axis.plot(iteration, distance_m, color=hex_colour(INK_RGB))
         largest = np.nanmax([*distance_m, min_distance_m or 0.0, 1e-3])
         axis.set_ylim(0.0, 1.1 * float(largest))
@@ -198,7 +205,14 @@ def convergence_panels(
             fontsize=9,
         )
 
-    return {"loss": loss, "loss terms": loss_terms, "multipliers": multipliers, "camera distance": spacing}
+    shown: dict[str, Callable[[Any], None]] = {"loss": loss}
+    if len(terms) > 1:
+        shown["loss terms"] = loss_terms
+    if np.any(list(multiplier.values())):
+        shown["multipliers"] = multipliers
+    if np.isfinite(distance_m).any():
+        shown["camera distance"] = spacing
+    return shown
 
 
 def _name_lines(axis: Any, names: Collection[str]) -> None:  # noqa: ANN401 (matplotlib)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure, save_figure, svg_text
+from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure, svg_text
 from warpav.view.frustum import sector_polygon_m
 from warpav.view.palette import COVERAGE_RGB, GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, further_map, hex_colour
 from warpav.view.silhouette import silhouette_m
@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 _RIG_MARK: Any = {"markerfacecolor": "white", "markeredgecolor": hex_colour(INK_RGB), "markeredgewidth": 1.5}
 
 
-def rig_top_view(
-    path: Path | str,
+def top_view_figure(
     *,
     rig: Rig,
     ego: Mesh,
@@ -34,11 +33,11 @@ def rig_top_view(
     trajectory_m: np.ndarray | None = None,
     sector_radius_m: float = 1.6,
     shows_zone: bool = False,
-) -> Path:
+    heading: str | None = None,
+) -> Any:  # noqa: ANN401 (matplotlib)
     """Draw the vehicle from above with the cameras, where they started, their paths and their sectors.
 
     Args:
-        path: PNG file to write.
         rig: The cameras at the end.
         ego: The vehicle; its outline is drawn.
         mount_surface: The height map below the cameras.
@@ -46,7 +45,11 @@ def rig_top_view(
         trajectory_m: Camera positions over the iterations [m], shape [iteration, camera, 3] or [iteration, camera, 2].
         sector_radius_m: How far the sectors are drawn [m].
         shows_zone: Whether the border of the mountable zone is drawn.
+        heading: Above the figure; None: none.
     """
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
     with figure_style():
         figure = new_figure(WIDTH_INCH, 6.0)
         axis = figure.subplots()
@@ -62,8 +65,14 @@ def rig_top_view(
             sector_radius_m=sector_radius_m,
             has_names=True,
         )
-        if rig_initial is not None:
-            figure.legend(handles=start_and_end_handles(), loc="outside upper left", ncols=2)
+        if heading:
+            axis.set_title(heading)
+        handles = start_and_end_handles() if rig_initial is not None else []
+        grey = hex_colour(MUTED_RGB)
+        if trajectory_m is not None:
+            handles.append(Line2D([], [], color=grey, linewidth=1.8, label="path of a camera"))
+        reach = f"horizontal field of view, drawn {sector_radius_m:g} m long"
+        figure.legend(handles=[*handles, Patch(color=grey, alpha=0.3, label=reach)], loc="outside upper left", ncols=4)
         axis.set_aspect("equal")
         axis.use_sticky_edges = False
         axis.margins(0.04)
@@ -73,11 +82,10 @@ def rig_top_view(
         bar = figure.colorbar(image, ax=axis, shrink=0.7, pad=0.02, aspect=28)
         bar.set_label("height of the mount surface [m]")
         bar.outline.set_visible(False)
-        return save_figure(figure, path)
+        return figure
 
 
-def further_cameras_map(
-    path: Path | str,
+def further_figure(
     *,
     further: FurtherCameras,
     rig: Rig,
@@ -85,14 +93,13 @@ def further_cameras_map(
     mount_surface: MountSurface,
     objects: str = "vehicles",
     named: int = 5,
-) -> Path | None:
+) -> Any:  # noqa: ANN401 (matplotlib)
     """Draw what each further camera would add to a rig: a dot at its place, in the colour of it.
 
     The best camera of every place has an arrow in its direction, the best places carry their ranks. Nothing is
     interpolated: between the dots nobody has looked.
 
     Args:
-        path: PNG file to write.
         further: The cameras that could join the rig.
         rig: The rig, drawn in white.
         ego: The vehicle; its outline is drawn.
@@ -101,7 +108,7 @@ def further_cameras_map(
         named: How many places carry their ranks.
 
     Returns:
-        The file; None where there is no such camera.
+        A ``matplotlib.figure.Figure``; None where there is no such camera.
     """
     from matplotlib.patheffects import withStroke
 
@@ -162,7 +169,7 @@ def further_cameras_map(
         bar = figure.colorbar(dots, ax=axis, shrink=0.75, pad=0.02, aspect=28)
         bar.set_label(f"further {objects} found of 100")
         bar.outline.set_visible(False)
-        return save_figure(figure, path)
+        return figure
 
 
 def draw_cameras(
@@ -174,7 +181,7 @@ def draw_cameras(
     sector_radius_m: float | None = None,
     has_names: bool = False,
 ) -> None:
-    """Draw cameras from above, x pointing right, each in its colour; arguments as in `rig_top_view`.
+    """Draw cameras from above, x pointing right, each in its colour; arguments as in `top_view_figure`.
 
     Args:
         axis: Where to draw.

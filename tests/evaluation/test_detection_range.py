@@ -1,0 +1,104 @@
+"""Detection range: against the model asked by hand, and for what distance, azimuth and rigs must do."""
+
+import math
+
+import numpy as np
+import pytest
+import warp as wp
+
+from tests.view.stand_ins import ego
+from warpav.detection.images import render_images
+from warpav.detection.probability import CONTRAST, DetectionProbability, whole_solid_angle
+from warpav.evaluation.detection_range import DetectionRange, _alone, average_contrast
+from warpav.raster.camera import CameraModel
+from warpav.rig.rig import Rig, RigCamera
+from warpav.runs.config import load_config
+from warpav.runs.networks import any_camera_use
+
+MODEL = CameraModel(256, 192, math.radians(70.0))
+NEAR_M = (6.0, 15.0, 40.0, 120.0)
+
+
+def rig(*yaw_deg, model=MODEL, place_m=(1.35, 0.0, 1.5)):
+    return Rig(
+        RigCamera(f"cam_{k}", np.array(place_m), math.radians(each), 0.0, 0.0, model) for k, each in enumerate(yaw_deg)
+    )
+
+
+@pytest.fixture(scope="module")
+def found():
+    return DetectionRange.of(rig(0.0), ego(), categories=("saloon",), azimuth_count=8, distances_m=NEAR_M)
+
+
+def test_the_builtin_fit_is_that_for_any_camera():
+    model = DetectionProbability.builtin(MODEL)
+    assert model.record["settings"]["cameras"].startswith("any")
+    assert model.record["identity"] == any_camera_use(load_config("quick")).identity
+
+
+def test_the_probability_is_the_models_of_the_area_that_a_render_shows(found):
+    """Straight ahead the features are known: the area of the object alone, all of it in the image."""
+    model, place_m = DetectionProbability.builtin(MODEL), 15.0
+    scene = _alone("saloon", "cpu")
+    moved = RigCamera("moved", np.array([-place_m, 0.0, 1.5]), 0.0, 0.0, 0.0, MODEL)
+    [image] = render_images(scene, [moved], supersampling=4)
+    row, column = np.nonzero(image.object_index == 2)
+    extent_px = np.ptp(column) + 1.0, np.ptp(row) + 1.0
+    border_px = [column.min(), 256 - column.max() - 1, row.min(), 192 - row.max() - 1]
+    least_px = min(border_px) - math.log(sum(math.exp(min(border_px) - each) for each in border_px))
+    box_sr = scene.upright_box
+    at = wp.array(np.array([[-place_m, 0.0, 1.5]], np.float32), dtype=wp.vec3, device="cpu")
+    whole_sr = whole_solid_angle(at, box_sr, vehicle_count=1).numpy()[0, 0]
+    ray = MODEL.rays(np.stack([column + 0.5, row + 0.5], axis=-1))
+    focal_px = float(MODEL.intrinsics[0, 0])
+    seen_sr = (np.linalg.norm(ray, axis=1) ** -3).sum() / focal_px**2
+    feature = [
+        math.log(1.0 + float(image.amodal_area_px[0])),
+        1.0,
+        seen_sr / whole_sr,
+        math.log((extent_px[0] + 1.0) / (extent_px[1] + 1.0)),
+        math.log(4.0 + least_px),
+        average_contrast(model),
+    ]
+    assert found.probability[0, 0, 1] == pytest.approx(
+        float(model.of_features(np.array(feature))), abs=2e-3
+    )  # seen 1e-4
+
+
+def test_what_is_outside_the_image_or_farther_is_found_less(found):
+    assert (found.probability[0, 4] == 0.0).all()
+    assert found.range_m(0.5)[0, 4] == 0.0
+    assert found.probability[0, 0, 1] > found.probability[0, 0, 3]
+    assert 15.0 < found.range_m(0.9)[0, 0] < found.range_m(0.5)[0, 0] < 120.0
+
+
+def test_the_best_camera_counts_and_pixels_bring_distance(found):
+    asked = {"categories": ("saloon",), "azimuth_count": 8, "distances_m": NEAR_M}
+    both = DetectionRange.of(rig(0.0, 180.0), ego(), **asked)
+    assert both.probability[0, 0] == pytest.approx(found.probability[0, 0])
+    assert both.range_m(0.5)[0, 4] > 15.0
+    fine = DetectionRange.of(rig(0.0, model=MODEL.resized(384, 288)), ego(), **asked)
+    assert fine.range_m(0.5)[0, 0] > 1.2 * found.range_m(0.5)[0, 0]
+
+
+def test_wide_images_are_drawn_with_fewer_pixels_to_the_same_numbers(monkeypatch):
+    asked = {"categories": ("saloon",), "azimuth_count": 8, "distances_m": (8.0, 30.0, 80.0)}
+    wide = rig(0.0, model=CameraModel(800, 600, math.radians(70.0)))
+    small = DetectionRange.of(wide, ego(), **asked)
+    monkeypatch.setattr("warpav.evaluation.detection_range._WIDTH_PX_MAX", 800)
+    whole = DetectionRange.of(wide, ego(), **asked)
+    assert small.probability == pytest.approx(whole.probability, abs=0.02)  # worst seen 0.0013
+
+
+def test_between_two_distances_the_logit_is_linear():
+    logit = np.array([[[2.0, 1.0, -1.0]]])
+    table = DetectionRange(("x",), np.zeros(1), (10.0, 20.0, 40.0), 1.0 / (1.0 + np.exp(-logit)))
+    assert table.range_m(0.5) == pytest.approx(np.array([[20.0 * 2.0**0.5]]))
+    assert table.range_m(0.95) == pytest.approx(np.array([[0.0]]))
+    assert table.range_m(0.3)[0, 0] < 40.0
+    assert table.range_m(0.1)[0, 0] == 40.0
+
+
+def test_the_contrast_adds_nothing():
+    model = DetectionProbability.builtin(MODEL)
+    assert model.curve(CONTRAST, np.array([average_contrast(model)]))[0] == pytest.approx(0.0, abs=2e-3)

@@ -1,0 +1,130 @@
+"""Figures of a rig on its vehicle: against golden images, and for what they must say."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.view.golden import DIFFERENCE_MAX, difference
+from tests.view.stand_ins import ego, rig, scene, vehicle
+from warpav.core.errors import InputError
+from warpav.detection.probability import DetectionProbability
+from warpav.raster.camera import CameraModel
+from warpav.rig.rig import Rig, RigCamera
+from warpav.scene.scene import Scene
+from warpav.view import Canvas, drawing_of, kinds_of, plot
+from warpav.view.figures.from_above import ring_radii_m
+
+KINDS = ("plan", "range", "near_field", "redundancy", "resolution", "contact")
+
+
+def two():
+    return {"start": rig(3, 70.0), "optimised": rig(4, 90.0)}
+
+
+@pytest.fixture(scope="module")
+def street():
+    return scene(vehicle(1, 9.0, 3.4))
+
+
+def drawn(what, kind, street: Scene):
+    return drawing_of(what, Canvas(title="Four cameras"), kind=kind, scene=street)
+
+
+def words(figure):
+    parts = [figure.texts, *(axis.texts for axis in figure.axes)]
+    legends = [legend for axis in figure.axes for legend in axis.findobj(match=lambda each: hasattr(each, "get_texts"))]
+    labels = [axis.get_xlabel() for axis in figure.axes] + [axis.get_title(loc="left") for axis in figure.axes]
+    return "\n".join(
+        [*(text.get_text() for part in parts for text in part), *labels, figure.get_suptitle()]
+    ) + "\n".join(text.get_text() for legend in legends for text in legend.get_texts())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_is_the_golden_image(kind, street):
+    assert difference(drawn(rig(4, 90.0), kind, street), kind) < DIFFERENCE_MAX
+
+
+@pytest.mark.parametrize("kind", ["plan", "near_field", "redundancy", "resolution"])
+def test_several_rigs_are_the_golden_image(kind, street):
+    assert difference(drawn(two(), kind, street), f"{kind}_two") < DIFFERENCE_MAX
+
+
+def test_another_rig_is_not_the_golden_image(street):
+    """Cameras that look elsewhere show: the tolerance is not too wide."""
+    turned = Rig(RigCamera(c.name, c.position_m, c.yaw_rad + 0.6, 0.3, 0.0, c.model) for c in rig(4, 90.0).cameras)
+    for kind in ("plan", "near_field", "resolution"):
+        assert difference(drawn(turned, kind, street), kind) > DIFFERENCE_MAX
+
+
+def test_they_say_what_they_show(street):
+    plan = words(drawn(two(), "plan", street))
+    for text in (
+        "start: how far a car",
+        "at least 12 px high",
+        "hidden by the own body",
+        "10 m",
+        "camera 4",
+        "m² hidden",
+    ):
+        assert text in plan
+    near = words(drawn(rig(4, 90.0), "near_field", street))
+    for text in ("0.6 m", "worst", "front", "the top of a child's head"):
+        assert text in near
+    assert "without cam_" in words(drawn(rig(4, 90.0), "redundancy", street))
+    assert "no image on" in words(drawn(rig(3, 70.0), "resolution", street))
+    sheet = words(drawn(rig(4, 90.0), "contact", street))
+    assert "yaw 90°, pitch 0°, fov 90°" in sheet
+    assert "own body" in sheet
+
+
+@pytest.mark.slow
+def test_ranges_of_several_rigs_have_a_panel_for_each_class(street):
+    asked = []
+
+    def probability(model):
+        asked.append(model)
+        return DetectionProbability.builtin(model)
+
+    figure = drawing_of(two(), Canvas(), kind="range", ego=ego(), probability=probability)
+    assert len(figure.axes) == 4  # three classes and the key
+    assert {model.fov_rad for model in asked} == {math.radians(70.0), math.radians(90.0)}
+    assert "detected with a probability of at least 0.9" in words(figure)
+
+
+def test_cameras_of_all_lenses_are_drawn(street):
+    models = [
+        CameraModel(400, 300, math.radians(190.0), lens="fisheye"),
+        CameraModel(720, 180, 2.0 * math.pi, lens="panorama"),
+        CameraModel(320, 240, math.radians(60.0)),
+    ]
+    pitches = (0.3, 0.0, -math.radians(80.0))  # the last one looks at the sky
+    several = Rig(
+        RigCamera(f"c{k}", np.array([1.0, 0.0, 1.7]), 1.0, pitch, 0.0, model)
+        for k, (pitch, model) in enumerate(zip(pitches, models, strict=True))
+    )
+    for kind in ("plan", "near_field", "redundancy", "resolution", "contact"):
+        assert drawn(several, kind, street).axes
+
+
+def test_a_vehicle_is_asked_for_before_anything_is_computed(tmp_path, monkeypatch, street):
+    monkeypatch.setattr("warpav.view.figures.plan.size_ranges_m", lambda *_a, **_k: pytest.fail("computed"))
+    with pytest.raises(InputError, match="ego: expected the vehicle for kind='plan', got none; give ego="):
+        plot(rig(), kind="plan", out=tmp_path / "x.png")
+    with pytest.raises(InputError, match="scene: expected the scene for kind='contact', got none"):
+        plot(rig(), kind="contact", ego=ego(), out=tmp_path / "x.png")
+    with pytest.raises(InputError, match="rigs: expected at least one rig by name, got none"):
+        plot({}, kind="plan", ego=ego(), out=tmp_path / "x.png")
+    with pytest.raises(TypeError, match="expected rigs by name, got str as 'a'"):
+        plot({"a": "b"}, kind="plan", ego=ego(), out=tmp_path / "x.png")
+    assert list(kinds_of(dict)) == ["plan", "range", "near_field", "redundancy", "resolution"]
+
+
+@pytest.mark.parametrize("reach_m", [3.0, 8.3, 25.0, 61.0, 204.0, 900.0])
+def test_rings_are_few_and_round(reach_m):
+    ring_m = ring_radii_m(reach_m)
+    assert 4 <= len(ring_m) <= 10
+    assert ring_m[-1] <= reach_m
+    assert ring_m[0] / 10.0 ** math.floor(math.log10(ring_m[0])) == pytest.approx(
+        round(ring_m[0] / 10 ** math.floor(math.log10(ring_m[0])))
+    )

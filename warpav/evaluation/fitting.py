@@ -1,0 +1,419 @@
+"""How a rig is fitted to its vehicle: what its cameras see around the vehicle alone, on level ground.
+
+No street, no traffic and no detector take part: each number follows from the lenses, the poses and the body. Azimuths
+are 0 ahead and positive to the left; where they start from the middle of the vehicle, that is the middle of its bounds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from warpav.evaluation.coverage import is_in_image, sees
+from warpav.raster.mesh import Mesh
+from warpav.rig.rig import Rig, RigCamera
+from warpav.scene.device_scene import DeviceScene
+from warpav.scene.scene import Scene
+
+CAR_HEIGHT_M = 1.5
+"""Of the car whose image is measured [m]."""
+
+PIXELS = (40.0, 20.0, 12.0)
+"""Heights of its image [px]: easily recognised, recognised, at the limit of most detectors."""
+
+HEIGHTS_M = (0.0, 0.6, 1.1)
+"""Of what has to be seen near the vehicle [m]: the ground, something small, the top of a child's head."""
+
+BAND_EDGES_M = (3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 150.0, 200.0)
+SECTOR_COUNT = 36
+
+_NEAREST_M, _FARTHEST_M, _DISTANCE_COUNT = 0.2, 1000.0, 240
+_BISECTIONS = 20
+_BELOW_M = 1.0  # of the ground that stands there for the rays, so that points at height 0 are free
+_TURN_RAD = 1e-4
+
+
+def level_ground(ego: Mesh, *, device: str = "cpu") -> DeviceScene:
+    """The vehicle with nothing around it, in which points from the height of the ground upwards are free.
+
+    Args:
+        ego: The vehicle in the ego frame [m].
+        device: Warp device.
+    """
+    side_m, below_m = 1e3, -_BELOW_M
+    corner_m = [[side_m * x, side_m * y, below_m] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    ground = Mesh.create(corner_m, [[0, 1, 2], [0, 2, 3]], (128, 128, 128))
+    return DeviceScene.pack(Scene("level ground", ground, ego, ()), device=device)
+
+
+# ------------------------------------------------------------------------------------------------- size of an image
+
+
+def upright_px(camera: RigCamera, foot_m: np.ndarray, height_m: float) -> np.ndarray:
+    """Height of the image of something upright on level ground, through the lens; nothing stands in the way.
+
+    Args:
+        camera: The camera, of any lens.
+        foot_m: Where it stands in the ego frame [m], [..., 2].
+        height_m: Its height [m].
+
+    Returns:
+        Distance of the images of foot and top, also where these leave the image [px], float64 [...]; inf where the lens
+        sees its middle, but one of them not at all; 0 where its middle is outside the image.
+    """
+
+    def at(z_m: float) -> np.ndarray:
+        return np.concatenate([foot_m, np.full((*foot_m.shape[:-1], 1), z_m)], axis=-1)
+
+    with np.errstate(invalid="ignore"):
+        foot_px, top_px = (camera.model.project(_in_camera_m(camera, at(z_m))) for z_m in (0.0, height_m))
+    size_px = np.nan_to_num(np.linalg.norm(top_px - foot_px, axis=-1), nan=np.inf)
+    return np.where(is_in_image(camera, at(0.5 * height_m)), size_px, 0.0)
+
+
+def size_ranges_m(
+    camera: RigCamera, azimuth_rad: np.ndarray, *, pixels: Sequence[float] = PIXELS, height_m: float = CAR_HEIGHT_M
+) -> np.ndarray:
+    """From where to where something upright is so high in a camera's image, by direction.
+
+    Args:
+        camera: The camera, of any lens.
+        azimuth_rad: Directions from the camera in the ego frame [rad], [direction].
+        pixels: Least heights of its image [px].
+        height_m: Its height [m].
+
+    Returns:
+        The nearest and the farthest distance from the camera over the ground at which the middle is in the image and
+        `upright_px` is at least so much [m], float64 [pixels, direction, 2]; NaN where there is none up to 1 km.
+    """
+    across = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
+    foot_m = np.asarray(camera.position_m, np.float64)[:2]
+
+    def size_px(distance_m: np.ndarray) -> np.ndarray:
+        return upright_px(camera, foot_m + distance_m[..., None] * across, height_m)
+
+    tried_m = np.geomspace(_NEAREST_M, _FARTHEST_M, _DISTANCE_COUNT)
+    found_px = size_px(np.broadcast_to(tried_m[:, None], (_DISTANCE_COUNT, len(across))))
+    ranges_m = np.full((len(pixels), len(across), 2), np.nan)
+    for row, least_px in enumerate(pixels):
+        is_large = found_px >= least_px
+        has_any = np.asarray(is_large.any(axis=0))
+        first, last = is_large.argmax(axis=0), _DISTANCE_COUNT - 1 - is_large[::-1].argmax(axis=0)
+        for end, inside, outside in ((0, first, first - 1), (1, last, last + 1)):
+            edge_m = _edge(
+                lambda distance_m, least_px=least_px: size_px(distance_m) >= least_px,
+                tried_m[inside],
+                tried_m[np.clip(outside, 0, _DISTANCE_COUNT - 1)],
+            )
+            ranges_m[row, :, end] = np.where(has_any, edge_m, np.nan)
+    return ranges_m
+
+
+def px_per_degree(camera: RigCamera, direction: np.ndarray) -> np.ndarray:
+    """Pixels that a camera has for a degree: the square root of its pixels per square degree.
+
+    Along the optical axis of a pinhole it is ``f pi / 180`` with the focal length f [px]. The derivative of
+    `CameraModel.project` is taken over 1e-4 rad. Nothing stands in the way.
+
+    Args:
+        camera: The camera, of any lens.
+        direction: Unit vectors in the ego frame, none of them straight up or down, [..., 3].
+
+    Returns:
+        float64 [...]; 0 outside the image.
+    """
+    level = np.stack([-direction[..., 1], direction[..., 0], 0.0 * direction[..., 0]], axis=-1)
+    level /= np.linalg.norm(level, axis=-1, keepdims=True)
+    turn = camera.ego_from_camera[:3, :3]
+    moved_px = [
+        [camera.model.project((direction + sign * 0.5 * _TURN_RAD * side) @ turn) for sign in (1.0, -1.0)]
+        for side in (level, np.cross(direction, level))
+    ]
+    with np.errstate(invalid="ignore"):
+        (a, b), (c, d) = (np.moveaxis((ahead - behind) / _TURN_RAD, -1, 0) for ahead, behind in moved_px)
+        density = math.radians(1.0) * np.sqrt(np.abs(a * d - b * c))
+    is_seen = is_in_image(camera, camera.position_m + direction)
+    return np.where(is_seen & np.isfinite(density), density, 0.0)
+
+
+# ---------------------------------------------------------------------------------------------- beside the body
+
+
+@dataclass(frozen=True, eq=False)
+class Footprint:
+    """The outline of a vehicle from above, without its dents: the convex hull.
+
+    Attributes:
+        middle_m: Middle of its bounds, x and y [m], [2].
+        side: Outward unit normal and offset of every side: ``normal @ point + offset`` is positive outside, [side, 3].
+    """
+
+    middle_m: np.ndarray
+    side: np.ndarray
+
+    @classmethod
+    def of(cls, ego: Mesh) -> Footprint:
+        """That of a vehicle."""
+        from scipy.spatial import ConvexHull
+
+        low_m, high_m = np.asarray(ego.bounds_m(), np.float64)
+        return cls(0.5 * (low_m + high_m)[:2], ConvexHull(np.asarray(ego.vertex_m, np.float64)[:, :2]).equations)
+
+    def contains(self, point_m: np.ndarray) -> np.ndarray:
+        """Whether points are inside or on the border, [..., 2] in, bool [...] out."""
+        return np.asarray((point_m @ self.side[:, :2].T + self.side[:, 2] <= 0.0).all(axis=-1))
+
+    def border_m(self, azimuth_rad: np.ndarray) -> np.ndarray:
+        """Points of the border by azimuth from the middle [m], float64 [direction, 2]."""
+        across = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
+        inside = -(self.side[:, :2] @ self.middle_m + self.side[:, 2])
+        along = across @ self.side[:, :2].T
+        distance_m = np.where(along > 1e-12, inside / np.maximum(along, 1e-12), np.inf).min(axis=1)
+        return self.middle_m + distance_m[:, None] * across
+
+
+@dataclass(frozen=True, eq=False)
+class NearField:
+    """How far from the body the first point is that some camera sees, by direction.
+
+    Attributes:
+        heights_m: Heights of the points above the ground [m].
+        azimuth_rad: Directions from the middle of the vehicle [rad], float64 [direction]; the first is ahead.
+        border_m: Where each leaves the outline of the vehicle [m], float64 [direction, 2].
+        distance_m: From there on outwards to the first visible point [m], float64 [height, direction]; inf: none up to
+            ``reach_m``.
+        reach_m: How far was looked [m].
+    """
+
+    heights_m: tuple[float, ...]
+    azimuth_rad: np.ndarray
+    border_m: np.ndarray
+    distance_m: np.ndarray
+    reach_m: float
+
+    @classmethod
+    def of(
+        cls,
+        rig: Rig,
+        ego: Mesh,
+        *,
+        heights_m: Sequence[float] = HEIGHTS_M,
+        reach_m: float = 10.0,
+        direction_count: int = 240,
+        device: str = "cpu",
+    ) -> NearField:
+        """Look along every direction in steps of 5 cm, and between two of them by bisection.
+
+        A point is seen where it is in an image and the straight line to it is free of the body.
+
+        Args:
+            rig: Cameras of any lens.
+            ego: The vehicle in the ego frame [m].
+            heights_m: Heights of the points above the ground [m], none below 0.
+            reach_m: How far from the body to look [m], positive.
+            direction_count: Number of directions, a multiple of 4.
+            device: Warp device.
+        """
+        scene = level_ground(ego, device=device)
+        azimuth_rad = np.arange(direction_count) * 2.0 * math.pi / direction_count
+        border_m = Footprint.of(ego).border_m(azimuth_rad)
+        outwards = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
+        tried_m = np.linspace(0.0, reach_m, 1 + math.ceil(reach_m / 0.05))
+
+        def is_seen(distance_m: np.ndarray, height_m: float) -> np.ndarray:
+            """Of points that far along each direction, [..., direction]."""
+            place_m = border_m + distance_m[..., None] * outwards
+            point_m = np.concatenate([place_m, np.full((*place_m.shape[:-1], 1), height_m)], axis=-1)
+            return seen_by_any(rig, scene, point_m)
+
+        rows = []
+        for height_m in heights_m:
+            seen = is_seen(np.broadcast_to(tried_m[:, None], (len(tried_m), direction_count)), height_m)
+            first = seen.argmax(axis=0)
+            found_m = _edge(
+                lambda distance_m, height_m=height_m: is_seen(distance_m, height_m),
+                tried_m[first],
+                tried_m[np.maximum(first - 1, 0)],
+            )
+            rows.append(np.where(seen.any(axis=0), np.where(first == 0, 0.0, found_m), np.inf))
+        return cls(tuple(heights_m), azimuth_rad, border_m, np.stack(rows), reach_m)
+
+    def toward(self, azimuth_deg: float) -> int:
+        """The direction nearest to an azimuth."""
+        return round(azimuth_deg / 360.0 * len(self.azimuth_rad)) % len(self.azimuth_rad)
+
+    def worst(self, height: int = 0) -> int:
+        """The direction with the largest distance at a height."""
+        return int(self.distance_m[height].argmax())
+
+
+@dataclass(frozen=True, eq=False)
+class VisibleGround:
+    """Level ground near the vehicle: how many cameras see it, and in how many images it would be without the body.
+
+    Attributes:
+        x_m: Cell centres along x [m], float64 [row].
+        y_m: Cell centres along y [m], float64 [column].
+        is_body: Cells below the vehicle, bool [row, column].
+        in_image: Number of cameras in whose image a cell is, int64 [row, column].
+        seen: Number of cameras that see it past the body, int64 [row, column].
+    """
+
+    x_m: np.ndarray
+    y_m: np.ndarray
+    is_body: np.ndarray
+    in_image: np.ndarray
+    seen: np.ndarray
+
+    @classmethod
+    def of(cls, rig: Rig, ego: Mesh, *, margin_m: float, cell_m: float = 0.1, device: str = "cpu") -> VisibleGround:
+        """Of the ground up to a distance from the bounds of the vehicle.
+
+        Args:
+            rig: Cameras of any lens.
+            ego: The vehicle in the ego frame [m].
+            margin_m: How far around it [m].
+            cell_m: Edge of a cell [m].
+            device: Warp device.
+        """
+        scene = level_ground(ego, device=device)
+        low_m, high_m = np.asarray(ego.bounds_m(), np.float64)[:, :2]
+        x_m, y_m = (
+            np.arange(low - margin_m + 0.5 * cell_m, high + margin_m, cell_m)
+            for low, high in zip(low_m, high_m, strict=True)
+        )
+        place_m = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1)
+        is_body = Footprint.of(ego).contains(place_m)
+        point_m = np.concatenate([place_m, np.zeros((*is_body.shape, 1))], axis=-1)[~is_body]
+        in_image, seen = np.zeros(is_body.shape, np.int64), np.zeros(is_body.shape, np.int64)
+        for camera in rig.cameras:
+            in_image[~is_body] += is_in_image(camera, point_m)
+            seen[~is_body] += sees(scene, camera, point_m)
+        return cls(x_m, y_m, is_body, in_image, seen)
+
+    @property
+    def is_shadow(self) -> np.ndarray:
+        """Ground in some image that no camera sees, because the body stands in the way; bool [row, column]."""
+        return ~self.is_body & (self.in_image > 0) & (self.seen == 0)
+
+    @property
+    def is_outside(self) -> np.ndarray:
+        """Ground in no image; bool [row, column]."""
+        return ~self.is_body & (self.in_image == 0)
+
+    def area_m2(self, flag: np.ndarray) -> float:
+        """Area of some of the cells [m²]."""
+        return float(flag.sum() * (self.x_m[1] - self.x_m[0]) * (self.y_m[1] - self.y_m[0]))
+
+
+# ------------------------------------------------------------------------------------------------ how many cameras
+
+
+@dataclass(frozen=True, eq=False)
+class SectorCounts:
+    """How many cameras see a road user, by sector and distance band around the middle of the vehicle.
+
+    Attributes:
+        camera: Names of the cameras.
+        edges_m: Borders of the bands, from the middle of the vehicle [m], increasing.
+        is_body: Whether the middle of a cell is within the vehicle, bool [sector, band].
+        sees: Whether a camera sees a road user there, bool [camera, sector, band].
+    """
+
+    camera: tuple[str, ...]
+    edges_m: tuple[float, ...]
+    is_body: np.ndarray
+    sees: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        rig: Rig,
+        ego: Mesh,
+        *,
+        sector_count: int = SECTOR_COUNT,
+        edges_m: Sequence[float] = BAND_EDGES_M,
+        least_px: float = PIXELS[-1],
+        device: str = "cpu",
+    ) -> SectorCounts:
+        """Ask every camera about a road user in the middle of every cell.
+
+        A camera sees it where the point at half the height of a car (0.75 m) is in its image, nothing of the own body
+        stands before that point, and the car is at least so high in the image. The first sector is centred ahead.
+
+        Args:
+            rig: Cameras of any lens.
+            ego: The vehicle in the ego frame [m].
+            sector_count: Number of sectors, counted to the left.
+            edges_m: Borders of the distance bands [m], increasing.
+            least_px: Least height of the image of a car, 1.5 m high [px].
+            device: Warp device.
+        """
+        scene, footprint = level_ground(ego, device=device), Footprint.of(ego)
+        azimuth_rad = np.arange(sector_count) * 2.0 * math.pi / sector_count
+        distance_m = 0.5 * (np.asarray(edges_m)[1:] + np.asarray(edges_m)[:-1])
+        across = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
+        foot_m = footprint.middle_m + distance_m[:, None] * across[:, None]
+        point_m = np.concatenate([foot_m, np.full((*foot_m.shape[:2], 1), 0.5 * CAR_HEIGHT_M)], axis=-1)
+        found = [
+            (upright_px(camera, foot_m, CAR_HEIGHT_M) >= least_px)
+            & sees(scene, camera, point_m.reshape(-1, 3)).reshape(foot_m.shape[:2])
+            for camera in rig.cameras
+        ]
+        names = tuple(camera.name for camera in rig.cameras)
+        return cls(names, tuple(edges_m), footprint.contains(foot_m), np.stack(found))
+
+    def within(self, bands: int) -> SectorCounts:
+        """The first bands alone."""
+        return SectorCounts(self.camera, self.edges_m[: bands + 1], self.is_body[:, :bands], self.sees[..., :bands])
+
+    @cached_property
+    def count(self) -> np.ndarray:
+        """Number of cameras that see a road user, int64 [sector, band]; -1 within the vehicle."""
+        return np.where(self.is_body, -1, self.sees.sum(axis=0))
+
+    def without(self, camera: int) -> np.ndarray:
+        """`count` after the loss of a camera."""
+        return np.where(self.is_body, -1, self.count - self.sees[camera])
+
+    @cached_property
+    def costliest(self) -> int:
+        """The camera whose loss leaves most ground to no camera; of equal ones the one that saw most."""
+        area_m2 = np.where(self.is_body, 0.0, np.diff(np.square(self.edges_m)) * math.pi / len(self.sees[0]))
+        lost_m2 = [
+            ((area_m2 * (self.without(k) == 0)).sum(), (area_m2 * seen).sum()) for k, seen in enumerate(self.sees)
+        ]
+        return max(range(len(lost_m2)), key=lost_m2.__getitem__)
+
+    def blind_share(self, count: np.ndarray) -> float:
+        """Share of the area outside the vehicle that no camera sees, where cells are seen by so many."""
+        area = np.where(self.is_body, 0.0, np.diff(np.square(self.edges_m)))
+        return float((area * (count == 0)).sum() / area.sum())
+
+
+def seen_by_any(rig: Rig, scene: DeviceScene, point_m: np.ndarray) -> np.ndarray:
+    """Whether some camera sees points of the ego frame [m], [..., 3]; bool [...]."""
+    point = point_m.reshape(-1, 3)
+    seen = np.zeros(len(point), bool)
+    for camera in rig.cameras:
+        seen[~seen] = sees(scene, camera, point[~seen])
+    return seen.reshape(point_m.shape[:-1])
+
+
+def _in_camera_m(camera: RigCamera, point_m: np.ndarray) -> np.ndarray:
+    pose = camera.ego_from_camera
+    return (point_m - pose[:3, 3]) @ pose[:3, :3]
+
+
+def _edge(holds: Callable[[np.ndarray], np.ndarray], inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
+    """Where something ceases to hold between places where it does and places where it does not, by bisection."""
+    inside, outside = np.array(inside), np.array(outside)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (inside + outside)
+        is_inside = holds(middle)
+        inside, outside = np.where(is_inside, middle, inside), np.where(is_inside, outside, middle)
+    return inside

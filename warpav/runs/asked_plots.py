@@ -1,0 +1,112 @@
+"""``warpav plot``: what was asked for, checked before anything is loaded, then drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.files import check_folder
+from warpav.rig.rig import Rig
+from warpav.runs.config import Config
+from warpav.runs.fitting_plots import FittedRigs
+from warpav.runs.rig_source import arm_name, check_rig_source, find_rig, is_run_folder
+from warpav.runs.run_folder import RunFolder
+from warpav.runs.scene_set import load_scenes
+from warpav.view import kinds_of, plot
+from warpav.view.figures.style import checked_figure
+from warpav.view.output import check_suffix
+
+if TYPE_CHECKING:
+    from warpav.core.progress import Progress
+
+
+@dataclass(frozen=True)
+class AskedPlots:
+    """What ``warpav plot`` was asked for, found possible before anything is loaded.
+
+    Attributes:
+        source: Run folder, rig YAML, preset, or ``highest``.
+        beside: Further such, to compare with.
+        files: The file of every kind to draw.
+        is_all: Whether all kinds were asked for; then one that this rig or run cannot have is passed over.
+    """
+
+    source: str
+    beside: tuple[str, ...]
+    files: Mapping[str, Path]
+    is_all: bool
+
+    @classmethod
+    def of(cls, source: str, *, kind: str, out: Path | None = None, beside: Sequence[str] = ()) -> AskedPlots:
+        """Check what was asked for.
+
+        Args:
+            source: Run folder, rig YAML, preset, or ``highest``.
+            kind: Name of a kind, or ``all``.
+            out: File; of ``all`` the folder for the files. None: the kind's name in this folder, or this folder.
+            beside: Further sources, to compare with.
+
+        Raises:
+            InputError: There is no such rig, kind or comparison, or the file's name says another format.
+        """
+        for each in (source, *beside):
+            check_rig_source(each)
+        is_run = is_run_folder(source)
+        kinds = kinds_of(dict if beside else RunFolder if is_run else Rig)
+        figures = [name for name, each in kinds.items() if each.is_figure]
+        if kind == "all":
+            folder = Path() if out is None else out
+            if folder.suffix:
+                raise ArgumentError("out", "expected a folder for kind all, got a file", place=folder)
+            check_folder(folder, "out")
+            return cls(source, tuple(beside), {name: folder / f"{name}.png" for name in figures}, is_all=True)
+        if kind not in kinds:
+            what = "comparison" if beside else "run" if is_run else "rig"
+            raise ArgumentError("kind", f"expected all or one of a {what} ({', '.join(kinds)}), got {kind!r}")
+        file = Path(f"{kind}.png") if out is None else out
+        if kind in figures:
+            checked_figure(file)
+        else:
+            check_suffix(file)
+        return cls(source, tuple(beside), {kind: file}, is_all=False)
+
+    def draw(self, config: Config, *, progress: Progress | None = None) -> tuple[list[Path], dict[str, str]]:
+        """Draw them all.
+
+        Args:
+            config: Of the run, or the one asked for: gives the scene, the detector, and ``highest``.
+            progress: Shows how many images of an animation are done.
+
+        Returns:
+            The files, and by kind why one of all was passed over.
+
+        Raises:
+            InputError: A rig or a file cannot be used.
+        """
+        scene = next(load_scenes(config, config.scenes.test_seeds[:1]))
+        heading = Path(self.source).name if is_run_folder(self.source) else Path(self.source).stem
+        written, left_out = [], {}
+        names = [arm_name(self.source), *(arm_name(each) for each in self.beside)]
+        rigs: dict[str, Rig] = {}
+        for name, each in zip(names, (self.source, *self.beside), strict=True):
+            rigs[name if name not in rigs else each] = find_rig(each, config, scene.ego)
+        fitted = FittedRigs(rigs, scene, config)
+        for kind, file in self.files.items():
+            try:
+                if is_run_folder(self.source) and not self.beside:
+                    options = {} if kind == "search" else {"scene": scene}
+                    plot(RunFolder.open(self.source), kind=kind, out=file, title=heading, progress=progress, **options)
+                elif kind == "view":
+                    plot(rigs[names[0]], out=file, title=heading, scene=scene, progress=progress)
+                else:
+                    plot(fitted, kind=kind, out=file, title=None if self.beside else heading, progress=progress)
+            except InputError as error:
+                if not self.is_all:
+                    raise
+                left_out[kind] = str(error)
+            else:
+                written.append(file)
+        return written, left_out

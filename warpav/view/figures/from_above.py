@@ -1,0 +1,173 @@
+"""What figures seen from above with the front up share: the vehicle to scale, range rings in metres, cameras."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.view.figures.style import WIDTH_INCH, empty_panel, new_figure
+from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
+
+if TYPE_CHECKING:
+    from warpav.raster.mesh import Mesh
+    from warpav.rig.rig import Rig
+
+KEY_LINE_INCH = 0.185
+"""Height of a line of a key [inch]."""
+
+RINGS = "Rings: distance from the middle of the vehicle."
+
+
+def middle_of(ego: Mesh) -> np.ndarray:
+    """Middle of a vehicle's bounds, x and y [m], float64 [2]."""
+    return np.asarray(ego.bounds_m(), np.float64)[:, :2].mean(axis=0)
+
+
+def ring_radii_m(reach_m: float) -> list[float]:
+    """Round radii of range rings up to a distance [m], four to eight of them."""
+    power = 10.0 ** math.floor(math.log10(reach_m / 4.0))
+    step_m = max(step for step in (power, 2.0 * power, 5.0 * power) if step <= reach_m / 4.0)
+    return [step_m * k for k in range(1, math.floor(reach_m / step_m + 1e-9) + 1)]
+
+
+def draw_surroundings(
+    axis: Any,  # noqa: ANN401 (matplotlib)
+    ego: Mesh,
+    rig: Rig,
+    *,
+    reach_m: float,
+    ring_m: Sequence[float] | None = None,
+    camera_size: float = 4.0,
+) -> None:
+    """Prepare a panel from above, x upwards and y to the left: the vehicle, its cameras, rings, an arrow to the front.
+
+    What is drawn into it is drawn at (y, x).
+
+    Args:
+        axis: An empty panel.
+        ego: The vehicle.
+        rig: Its cameras.
+        reach_m: How far the panel reaches from the middle of the vehicle, in all four directions [m].
+        ring_m: Radii of the rings around it [m]; None: round ones.
+        camera_size: Of the marks of cameras [pt]; 0: none.
+    """
+    from matplotlib.collections import PolyCollection
+    from matplotlib.patches import Circle
+
+    empty_panel(axis)
+    x_m, y_m = middle_of(ego)
+    axis.set(xlim=(y_m + reach_m, y_m - reach_m), ylim=(x_m - reach_m, x_m + reach_m), aspect="equal")
+    corner_m = np.asarray(ego.vertex_m)[np.asarray(ego.triangle)][:, :, [1, 0]]
+    for rgb, width, order in ((INK_RGB, 1.6, 5.0), (GRID_RGB, 0.5, 5.1)):
+        colour = hex_colour(rgb)
+        body = PolyCollection(list(corner_m), facecolors=colour, edgecolors=colour, linewidths=width, zorder=order)
+        body.set_rasterized(True)
+        axis.add_collection(body, autolim=False)
+    for index, camera in enumerate(rig.cameras if camera_size else ()):
+        mark = {"color": hex_colour(camera_rgb(index)), "markeredgecolor": "white", "markeredgewidth": 0.5}
+        axis.plot(camera.position_m[1], camera.position_m[0], "o", markersize=camera_size, zorder=7, **mark)
+    grey, ink = hex_colour(MUTED_RGB), hex_colour(INK_RGB)
+    paper = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.75}
+    inside_m = 0.5 * float(np.ptp(np.asarray(ego.bounds_m()), axis=0)[:2].max())
+    for radius_m in ring_radii_m(reach_m) if ring_m is None else ring_m:
+        if radius_m < inside_m:
+            continue
+        ring = {"fill": False, "edgecolor": grey, "linewidth": 0.6, "linestyle": (0, (5, 3))}
+        axis.add_patch(Circle((y_m, x_m), radius_m, zorder=6, **ring))
+        turn = math.radians(225.0)  # behind on the right, where rarely anything is written
+        place = (y_m + radius_m * math.sin(turn), x_m + radius_m * math.cos(turn))
+        axis.text(*place, f"{radius_m:g} m", fontsize=7, color=ink, ha="center", va="center", bbox=paper, zorder=8)
+    axis.annotate(
+        "front",
+        (0.5, 1.0),
+        xytext=(0.5, 0.93),
+        xycoords="axes fraction",
+        ha="center",
+        va="top",
+        fontsize=7,
+        color=ink,
+        arrowprops={"arrowstyle": "-|>", "color": ink, "linewidth": 0.8},
+        bbox=paper,
+        zorder=8,
+    )
+
+
+def panels_with_key(
+    count: int, columns: int, *, panel_inch: float, key_lines: int, projection: str | None = None
+) -> tuple[Any, list[Any], Any]:
+    """A figure with rows of square panels above a key.
+
+    Args:
+        count: Number of panels.
+        columns: How many stand in a row.
+        panel_inch: Height of a row of panels [inch].
+        key_lines: Lines of the key.
+        projection: Of the panels, as matplotlib names it; None: rectangular.
+
+    Returns:
+        The figure, its panels in order, and the panel of the key.
+    """
+    rows = -(-count // columns)
+    key_inch = KEY_LINE_INCH * key_lines + 0.05
+    figure = new_figure(WIDTH_INCH, panel_inch * rows + key_inch + 0.3)
+    grid = figure.add_gridspec(rows + 1, columns, height_ratios=[*[panel_inch] * rows, key_inch])
+    panels = [figure.add_subplot(grid[k // columns, k % columns], projection=projection) for k in range(count)]
+    return figure, panels, figure.add_subplot(grid[rows, :])
+
+
+def write_key(
+    axis: Any,  # noqa: ANN401 (matplotlib)
+    groups: Mapping[str, Sequence[Any]],
+    *,
+    columns: Sequence[int] | None = None,
+    widths: Sequence[float] | None = None,
+) -> None:
+    """Write the key of a figure into a panel of its own: groups side by side, each with a heading.
+
+    Args:
+        axis: The panel.
+        groups: Handles by heading, or lines of text.
+        columns: Into how many columns each group is set; None: one each.
+        widths: Shares of the width; None: by columns.
+    """
+    from matplotlib.lines import Line2D
+
+    axis.set_axis_off()
+    columns = [1] * len(groups) if columns is None else columns
+    widths = columns if widths is None else widths
+    place = 0.0
+    for (name, lines), count, width in zip(groups.items(), columns, widths, strict=True):
+        handles = [Line2D([], [], color="none", label=each) if isinstance(each, str) else each for each in lines]
+        is_text = isinstance(lines[0], str)
+        key = axis.legend(
+            handles=handles,
+            title=name,
+            loc="upper left",
+            bbox_to_anchor=(place, 1.0),
+            ncols=count,
+            fontsize=8,
+            title_fontproperties={"size": 8, "weight": "bold"},
+            alignment="left",
+            borderaxespad=0.0,
+            borderpad=0.0,
+            handlelength=0.0 if is_text else 1.4,
+            handletextpad=0.0 if is_text else 0.8,
+            columnspacing=1.2,
+        )
+        axis.add_artist(key)
+        place += width / sum(widths)
+    axis.legend_ = None
+
+
+def camera_handles(rigs: Mapping[str, Rig]) -> list[Any]:
+    """Handles of a key for cameras: their names, of several rigs their numbers."""
+    from matplotlib.patches import Patch
+
+    largest = max(rigs.values(), key=lambda rig: len(rig.cameras))
+    return [
+        Patch(color=hex_colour(camera_rgb(index)), label=camera.name if len(rigs) == 1 else f"camera {index + 1}")
+        for index, camera in enumerate(largest.cameras)
+    ]

@@ -1,0 +1,156 @@
+"""A rig to scale from above: how far its images are large enough, and what ground the own body hides."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.evaluation.fitting import CAR_HEIGHT_M, PIXELS, VisibleGround, size_ranges_m
+from warpav.view.figures.from_above import (
+    RINGS,
+    camera_handles,
+    draw_surroundings,
+    middle_of,
+    panels_with_key,
+    write_key,
+)
+from warpav.view.figures.style import caption, figure_style, title
+from warpav.view.palette import COVERAGE_RGB, camera_rgb, hex_colour
+
+if TYPE_CHECKING:
+    from warpav.raster.mesh import Mesh
+    from warpav.rig.rig import Rig
+
+MARGIN_M = 6.0
+"""How far the ground is drawn around the vehicle [m]."""
+
+FARTHEST_M = 200.0
+"""How far fans are drawn [m], so that a telephoto camera does not press the others together."""
+
+_AZIMUTH_COUNT = 720
+_SHADE = (0.30, 0.17, 0.10)  # of 40, 20 and 12 px; each lies on the next one
+_GROUND_RGB = ((255, 255, 255), COVERAGE_RGB[0], (108, 76, 120), (208, 226, 243), (150, 190, 226))
+_GROUND_NAMES = ("", "hidden by the own body", "in no image", "seen by one camera", "seen by two or more")
+
+
+def plan_figure(
+    rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None = None, pixels: Sequence[float] = PIXELS
+) -> Any:  # noqa: ANN401 (matplotlib)
+    """Every camera's field of view on the ground, and beside it the ground near the vehicle; one row for each rig.
+
+    On the left, the fan of a camera covers the places at which it sees the middle of a car 1.5 m high, out to where the
+    car's image is still 40, 20 and 12 px high: the distance in the image between the car's foot and its top, both
+    through the lens (`CameraModel.project`), so that distortion and the edges of wide lenses count. Of a level pinhole
+    with the focal length f that is where the depth is ``f 1.5 m / 12 px``. Nothing stands in the way. Fans end at
+    200 m.
+
+    On the right, level ground in cells of 0.1 m: whether it is in some image, and whether the straight line from that
+    camera to it is free of the own body (rays against the vehicle's mesh).
+
+    Args:
+        rigs: By name, at least one.
+        ego: The vehicle.
+        heading: Above the figure; None: none.
+        pixels: Least heights of the image of a car [px], the largest first, at most three.
+
+    Returns:
+        A ``matplotlib.figure.Figure``.
+    """
+    from matplotlib.patches import Patch
+
+    azimuth_rad = np.linspace(-math.pi, math.pi, _AZIMUTH_COUNT, endpoint=False)
+    ranges = {
+        name: [size_ranges_m(camera, azimuth_rad, pixels=pixels) for camera in rig.cameras]
+        for name, rig in rigs.items()
+    }
+    low_m, high_m = np.asarray(ego.bounds_m(), np.float64)
+    near_m = 0.5 * float((high_m - low_m)[:2].max()) + MARGIN_M
+    farthest_m = {name: max(float(np.nanmax(each[..., 1], initial=0.0)) for each in ranges[name]) for name in rigs}
+    far_m = max(near_m, min(1.06 * max(farthest_m.values()) + 2.0, FARTHEST_M))
+    with figure_style():
+        cameras = camera_handles(rigs)
+        columns = -(-len(cameras) // 6)
+        figure, panels, key = panels_with_key(
+            2 * len(rigs), 2, panel_inch=4.65, key_lines=1 + max(4, -(-len(cameras) // columns))
+        )
+        for (name, rig), far, near in zip(rigs.items(), panels[::2], panels[1::2], strict=True):
+            prefix = f"{name}: " if len(rigs) > 1 else ""
+            draw_surroundings(far, ego, rig, reach_m=far_m, camera_size=0.0)
+            _draw_sizes(far, rig, azimuth_rad, ranges[name])
+            title(far, f"{prefix}how far a car is large enough")
+            cut = f", drawn up to {far_m:g} m" if farthest_m[name] > far_m else ""
+            far.set_xlabel(f"farthest: {farthest_m[name]:.0f} m{cut}", fontsize=8)
+            draw_surroundings(near, ego, rig, reach_m=near_m)
+            _draw_ground(near, VisibleGround.of(rig, ego, margin_m=near_m), middle_of(ego), near_m)
+            title(near, f"{prefix}ground near the vehicle")
+        shades = 1.0 - np.cumprod(1.0 - np.array(_SHADE)[::-1])[::-1]
+        sizes = [
+            Patch(color=str(1.0 - 0.8 * shade), label=f"at least {least:g} px high")
+            for least, shade in zip(pixels, shades, strict=False)
+        ]
+        grounds = [
+            Patch(facecolor=hex_colour(rgb), label=name)
+            for rgb, name in zip(_GROUND_RGB[1:], _GROUND_NAMES[1:], strict=True)
+        ]
+        groups = {
+            f"Left: image of a car, {CAR_HEIGHT_M:g} m high": sizes,
+            "Left: cameras": cameras,
+            "Right: ground that is": grounds,
+        }
+        write_key(key, groups, columns=(1, columns, 1))
+        caption(figure, f"{RINGS} Within a panel, vehicle and rings have one scale.")
+        if heading:
+            figure.suptitle(heading, x=0.01, ha="left", fontweight="bold")
+        return figure
+
+
+def _draw_sizes(axis: Any, rig: Rig, azimuth_rad: np.ndarray, ranges_m: Sequence[np.ndarray]) -> None:  # noqa: ANN401
+    """Draw the fans of all cameras, for every size one."""
+    for index, (camera, of_camera) in enumerate(zip(rig.cameras, ranges_m, strict=True)):
+        colour = hex_colour(camera_rgb(index))
+        for of_size, alpha in zip(of_camera, _SHADE, strict=False):
+            for outline_m in _outlines_m(camera.position_m[:2], azimuth_rad, of_size):
+                axis.fill(*outline_m.T[::-1], color=colour, alpha=alpha, linewidth=0, zorder=3)
+                axis.plot(*outline_m.T[::-1], color=colour, linewidth=0.5, alpha=0.9, zorder=4)
+
+
+def _draw_ground(axis: Any, ground: VisibleGround, middle_m: np.ndarray, reach_m: float) -> None:  # noqa: ANN401
+    """Paint the ground by what cameras see of it, and write how much of it they do not."""
+    from matplotlib.colors import ListedColormap
+
+    limits = axis.get_xlim(), axis.get_ylim()
+    state = np.select([ground.is_body, ground.is_shadow, ground.is_outside, ground.seen == 1], [0, 1, 2, 3], default=4)
+    half_m = 0.5 * (ground.x_m[1] - ground.x_m[0])
+    axis.imshow(
+        state,
+        cmap=ListedColormap([hex_colour(rgb) for rgb in _GROUND_RGB]),
+        vmin=-0.5,
+        vmax=4.5,
+        origin="lower",
+        extent=(ground.y_m[0] - half_m, ground.y_m[-1] + half_m, ground.x_m[0] - half_m, ground.x_m[-1] + half_m),
+        interpolation="nearest",
+        zorder=1,
+    )
+    axis.set(xlim=limits[0], ylim=limits[1])
+    is_near = np.hypot(ground.x_m[:, None] - middle_m[0], ground.y_m[None] - middle_m[1]) <= reach_m
+    hidden_m2, outside_m2 = (ground.area_m2(flag & is_near) for flag in (ground.is_shadow, ground.is_outside))
+    text = f"up to {reach_m:.1f} m: {hidden_m2:.0f} m² hidden by the own body, {outside_m2:.0f} m² in no image"
+    axis.set_xlabel(text, fontsize=8)
+
+
+def _outlines_m(centre_m: np.ndarray, azimuth_rad: np.ndarray, range_m: np.ndarray) -> list[np.ndarray]:
+    """Closed outlines of a fan, one for each run of azimuths at which there is something, [point, 2] each."""
+    across = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
+    near, far = (centre_m + range_m[:, end, None] * across for end in (0, 1))
+    has_any = np.isfinite(range_m[:, 0])
+    if has_any.all():
+        order = np.append(np.arange(len(near)), 0)
+        return [np.vstack([far[order], near[order][::-1], far[:1]])]
+    if not has_any.any():
+        return []
+    order = np.roll(np.arange(len(near)), -int(np.flatnonzero(~has_any)[0]))
+    runs = np.split(order, np.flatnonzero(np.diff(has_any[order].astype(int))) + 1)
+    return [np.vstack([far[run], near[run][::-1], far[run[:1]]]) for run in runs if has_any[run[0]]]
