@@ -1,22 +1,26 @@
 """Mutation score: the share of small faults, put into the code at random, that make a test fail.
 
-A program, not a test; it needs the package coverage. ``python tests/benchmarks/mutation_score.py --seed 0 --mutants 120``
-runs the tests once and notes which test executes which line. Each mutant changes one place of one module in a copy of
-the tree; the tests that execute the line run there until one fails. The places are drawn at random, so that the score
-is an estimate: of 120 mutants its standard error is 4 %. Prints killed and all by module, then the survivors.
+A program, not a test; it needs the package coverage. ``python tests/benchmarks/mutation_score.py --seed 1`` copies the
+tree, runs the tests there once, and notes which test executes which line. Each mutant changes one place of one module
+of the copy; the tests that execute its statement run until one fails. The places are drawn at random, so that the
+score is an estimate: of 120 mutants its standard error is 3 to 4 %. Prints killed and all by module, then the
+survivors.
 
-Not mutated: texts, annotations, decorators, assertions (they never hold up a run that is right), and what only type checkers read.
-A test that takes more than its share of `BUDGET_S` does not run, so the score errs on the low side.
+Not mutated: texts, annotations, decorators, assertions (which hold in a program that is right), and what only type
+checkers read. Tests that are slow or of other folders do not run, so the score errs on the low side.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import functools
 import json
 import os
 import random
+import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -32,11 +36,17 @@ MUTATED = (
     *(f"warpav/rig/{name}.py" for name in ("mount_surface", "chart", "zone", "rig")),
 )
 TESTS = ("tests/optimisation", "tests/raster", "tests/rig", "tests/core/test_frames.py")
+COPIED = (
+    *("configs", "docs", "kernels", "notebooks", "tests", "warpav"),
+    *("pyproject.toml", "README.md", "CHANGELOG.md", "CONTRIBUTING.md"),
+)
 BUDGET_S = 40.0
 """Time of all tests that run for a mutant, when nothing is mutated [s]."""
+CRASH = "the interpreter crashed"
 PATIENCE = 4.0
 """A mutant whose tests take so many times as long does not end, and is killed."""
 
+say = functools.partial(print, flush=True)
 Swaps = dict[type[ast.AST], tuple[type[ast.AST], ...]]
 COMPARISONS: Swaps = {
     ast.Lt: (ast.LtE, ast.GtE),
@@ -82,6 +92,10 @@ class Mutant:
     old: str
     new: str
     text: str
+
+    def __str__(self) -> str:
+        """Where it is, and what it changes."""
+        return f"{self.module}:{self.line}  {self.old[:160]}  ->  {self.new[:160]}"
 
 
 def mutants_of(module: str, source: str) -> Iterator[Mutant]:
@@ -162,11 +176,11 @@ def _changed(node: ast.AST) -> Iterator[ast.AST]:
 class Recorder:
     """A pytest plugin that notes how long each test takes, and tells coverage which one runs."""
 
-    def __init__(self) -> None:
-        """Start to measure."""
+    def __init__(self, tree: Path) -> None:
+        """Start to measure in a tree."""
         import coverage
 
-        self.coverage = coverage.Coverage(data_file=None, include=[str(ROOT / each) for each in MUTATED])
+        self.coverage = coverage.Coverage(data_file=None, include=[str(tree / each) for each in MUTATED])
         self.seconds: dict[str, float] = defaultdict(float)
         self.failed: set[str] = set()
         self.coverage.start()
@@ -186,20 +200,22 @@ class Recorder:
             self.failed.add(report.nodeid)
 
 
-def recorded(tests: list[str]) -> dict[str, dict]:
-    """Seconds of each test that passes, and the tests that execute each line of each module."""
+def recorded(tree: Path) -> dict[str, dict]:
+    """Seconds of each test that passes in a tree, and the tests that execute each line of each module."""
     import pytest
 
-    os.chdir(ROOT)
-    recorder = Recorder()
-    pytest.main(["-q", "-n", "0", "-p", "no:cacheprovider", *tests], plugins=[recorder])
+    os.chdir(tree)
+    recorder = Recorder(tree)
+    status = pytest.main(["-q", "-n", "0", "-p", "no:cacheprovider", *TESTS], plugins=[recorder])
+    if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+        raise SystemExit(int(status))
     recorder.coverage.stop()
     data = recorder.coverage.get_data()
     lines = {}
     for file in data.measured_files():
-        of_line = data.contexts_by_lineno(file)
-        lines[str(Path(file).relative_to(ROOT))] = {
-            line: [test for test in found if test and test not in recorder.failed] for line, found in of_line.items()
+        lines[str(Path(file).relative_to(tree))] = {
+            str(line): [test for test in tests if test and test not in recorder.failed]
+            for line, tests in data.contexts_by_lineno(file).items()
         }
     seconds = {test: took for test, took in recorder.seconds.items() if test not in recorder.failed}
     return {"seconds": seconds, "lines": lines}
@@ -208,8 +224,8 @@ def recorded(tests: list[str]) -> dict[str, dict]:
 def tests_of(mutant: Mutant, found: dict[str, dict]) -> list[str]:
     """Tests that execute a mutant's statement, then the others of their files, as many as there is time for.
 
-    The others may use what a fixture or a cache has from it. A module's own tests come first, then the quickest. What is
-    executed when the module is imported concerns all tests that execute anything in it.
+    The others may use what a fixture or a cache has from it. A module's own tests come first, then the quickest. What
+    is executed when the module is imported concerns all tests that execute anything in it.
     """
     lines, seconds = found["lines"].get(mutant.module, {}), found["seconds"]
     executed = [lines.get(str(line), ()) for line in mutant.lines] if mutant.lines else lines.values()
@@ -225,36 +241,47 @@ def tests_of(mutant: Mutant, found: dict[str, dict]) -> list[str]:
     return chosen
 
 
-def is_killed(mutant: Mutant, tests: list[str], expected_s: float, tree: Path) -> bool:
-    """Whether a test fails, or does not end, in the copy of the tree with the mutant."""
+def why_killed(mutant: Mutant, tests: list[str], expected_s: float, tree: Path) -> str | None:
+    """The test that fails in the copy of the tree with the mutant; None where all pass."""
     file = tree / mutant.module
     healthy = file.read_text(encoding="utf-8")
     file.write_text(mutant.text, encoding="utf-8")
+    try:
+        said = outcome_of(tests, tree, timeout_s=30.0 + PATIENCE * expected_s)
+    finally:
+        file.write_text(healthy, encoding="utf-8")
+    return "it did not end" if said is None else next(iter(failed_in(said)), None)
+
+
+def outcome_of(tests: list[str], tree: Path, *, timeout_s: float, stop_at_first: bool = True) -> str | None:
+    """What pytest says of some tests of a tree; None where they do not end in time."""
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join([str(tree), str(tree / "kernels")]),
         "PYTHONDONTWRITEBYTECODE": "1",
     }
     (tree / "tests.txt").write_text("\n".join(tests), encoding="utf-8")
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", "@tests.txt"]
-    try:
-        with subprocess.Popen(
-            command,
-            cwd=tree,
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-        ) as run:
-            try:
-                run.communicate(timeout=30.0 + PATIENCE * expected_s)
-            except subprocess.TimeoutExpired:
-                os.killpg(run.pid, 9)
-                return True
-            return run.returncode != 0
-    finally:
-        file.write_text(healthy, encoding="utf-8")
+    command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", "@tests.txt"]
+    with subprocess.Popen(
+        [*command, "-x"] if stop_at_first else command,
+        cwd=tree,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    ) as run:
+        try:
+            said, _ = run.communicate(timeout=timeout_s)
+        except subprocess.TimeoutExpired:
+            os.killpg(run.pid, signal.SIGKILL)
+            return None
+    return said if run.returncode == 0 or failed_in(said) else f"{said}\nERROR {CRASH}"
+
+
+def failed_in(said: str) -> list[str]:
+    """The tests, or files of tests, that failed by what pytest said."""
+    return re.findall(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", said, re.MULTILINE)
 
 
 def main() -> None:
@@ -264,46 +291,48 @@ def main() -> None:
     parser.add_argument("--mutants", type=int, default=120)
     parser.add_argument("--recorded", type=Path, help="file to keep which test executes which line, or to read it from")
     settings = parser.parse_args()
-    if settings.recorded is not None and settings.recorded.exists():
-        found = json.loads(settings.recorded.read_text(encoding="utf-8"))
-    else:
-        found = json.loads(json.dumps(recorded(list(TESTS))))
-        if settings.recorded is not None:
-            settings.recorded.write_text(json.dumps(found), encoding="utf-8")
     files = sorted(file for pattern in MUTATED for file in ROOT.glob(pattern))
     everything = [
         mutant for file in files for mutant in mutants_of(str(file.relative_to(ROOT)), file.read_text(encoding="utf-8"))
     ]
-    for mutant in everything:
-        ast.parse(mutant.text)
     drawn = random.Random(settings.seed).sample(everything, min(settings.mutants, len(everything)))
-    print(f"{len(drawn)} of {len(everything)} mutants, {len(found['seconds'])} tests, seed {settings.seed}", flush=True)
-    killed, survivors = Counter(), []
-    began = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder) / "tree"
-        ignored = shutil.ignore_patterns(".git", ".venv*", "build", "runs", "__pycache__", ".*_cache", ".hypothesis")
-        shutil.copytree(ROOT, tree, ignore=ignored, symlinks=True)
+        tree.mkdir()
+        for name in COPIED:
+            copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy
+            copy(ROOT / name, tree / name)
+        if settings.recorded is not None and settings.recorded.exists():
+            found = json.loads(settings.recorded.read_text(encoding="utf-8"))
+        else:
+            found = recorded(tree)
+            if settings.recorded is not None:
+                settings.recorded.write_text(json.dumps(found), encoding="utf-8")
+        say(f"{len(drawn)} of {len(everything)} mutants, {len(found['seconds'])} tests, seed {settings.seed}")
+        reasons, chosen = {}, {}
+        began = time.perf_counter()
         for number, mutant in enumerate(drawn, 1):
-            tests = tests_of(mutant, found)
-            is_dead = bool(tests) and is_killed(mutant, tests, sum(found["seconds"][test] for test in tests), tree)
-            killed[mutant.module] += is_dead
-            if not is_dead:
-                survivors.append((mutant, len(tests)))
-            fate = "killed" if is_dead else f"SURVIVED {len(tests)} tests"
-            change = f"{mutant.old[:100]}  ->  {mutant.new[:100]}"
-            print(
-                f"{number:4} {time.perf_counter() - began:6.0f} s  {fate}  {mutant.module}:{mutant.line}  {change}",
-                flush=True,
-            )
+            chosen[mutant] = tests = tests_of(mutant, found)
+            expected_s = sum(found["seconds"][test] for test in tests)
+            reasons[mutant] = why_killed(mutant, tests, expected_s, tree) if tests else None
+            fate = "SURVIVED" if reasons[mutant] is None else "killed  "
+            say(f"{number:4} {time.perf_counter() - began:6.0f} s  {fate}  {mutant}  {reasons[mutant] or ''}")
+        # what fails without a mutant as well kills none
+        killing = sorted({reason for reason in reasons.values() if reason is not None and reason.startswith("tests/")})
+        control = outcome_of(killing, tree, timeout_s=1200.0, stop_at_first=False)
+        assert control is not None
+        unsound = failed_in(control)
+    say(f"\n{len(killing)} tests killed mutants; of these fail without one: {unsound or 'none'}")
+    killed = Counter(mutant.module for mutant, why in reasons.items() if why is not None and why not in unsound)
+    survivors = [mutant for mutant, why in reasons.items() if why is None or why in unsound]
     of_module = Counter(mutant.module for mutant in drawn)
-    print("\nkilled / all by module")
+    say("\nkilled / all by module")
     for module, count in sorted(of_module.items()):
-        print(f"{killed[module]:4} /{count:4}  {module}")
-    print(f"{killed.total():4} /{len(drawn):4}  {killed.total() / len(drawn):.0%}")
-    print("\nsurvivors")
-    for mutant, count in sorted(survivors, key=lambda each: (each[0].module, each[0].line)):
-        print(f"{mutant.module}:{mutant.line}  {mutant.old[:160]}  ->  {mutant.new[:160]}  ({count} tests)")
+        say(f"{killed[module]:4} /{count:4}  {module}")
+    say(f"{killed.total():4} /{len(drawn):4}  {killed.total() / len(drawn):.0%}")
+    say("\nsurvivors")
+    for mutant in sorted(survivors, key=lambda each: (each.module, each.line)):
+        say(f"{mutant}  ({len(chosen[mutant])} tests)")
 
 
 if __name__ == "__main__":

@@ -24,6 +24,9 @@ def test_margins_reach_one_where_points_are_met():
     np.testing.assert_array_equal(margin >= 1.0, is_met)
     assert 0.0 < is_met.mean() < 1.0
     assert hard_points(cameras, scene(weight=0.5)) is None
+    points = hard_points(cameras, scene(pixels=60.0))
+    np.testing.assert_array_equal(points.margins(pose)[0], margin)
+    assert points.needed.shape == (margin.shape[1],)
 
 
 def test_a_pair_has_the_greater_margin_of_its_two_cameras():
@@ -145,3 +148,15 @@ def test_a_kink_is_known_from_rigs_that_were_refused():
     y_m, yaw, _ = polished(margin_of, knows=True)
     assert yaw > stalled[1] + 0.05
     assert y_m > stalled[0]
+
+
+def test_a_refused_rig_adds_its_tangent_where_it_lost_a_point_and_does_not_contradict():
+    value, slope = np.array([[1.5, 1.5, 1.5]]), np.zeros((1, 3, 7))
+    other, steep = np.array([[0.5, 1.2, 0.5]]), np.zeros((1, 3, 7))
+    steep[..., X_M] = [-10.0, -10.0, 10.0]  # its tangents come to 1.5, 2.2 and -0.5 here
+    points = HardPoints(lambda pose: (value, slope), np.array([1, 1, 1]))
+    refused = [(np.full((1, 7), 0.1), (other, steep))]
+    edges = points.edges(np.zeros((1, 7)), (value, slope), np.full((1, 7), 0.2), refused)
+    # the second point was not lost there, the third is met here against what the tangent says
+    np.testing.assert_allclose(edges.margin, [1.5])
+    np.testing.assert_array_equal(edges.jacobian, steep[0, :1])

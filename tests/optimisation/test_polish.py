@@ -13,7 +13,7 @@ from warpav.optimisation import polish as module
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.mount import FreeRanges
-from warpav.optimisation.polish import SUREST, expected_miss_rate, polish
+from warpav.optimisation.polish import SUREST, expected_miss_rate, expected_miss_slope, polish
 from warpav.optimisation.settings import LossSettings
 from warpav.optimisation.tangent_model import Rendered, TangentModel
 from warpav.raster.camera import CameraModel
@@ -62,6 +62,18 @@ def test_the_jacobian_adds_up_to_the_gradient_on_the_tape(kind):
         assert scale > 1e-3
         worst = max(worst, np.abs(gradient - expected.gradient).max() / scale)
     assert worst < 2e-4, worst
+
+
+def test_the_slope_of_the_miss_rate_is_that_of_its_differences(rng):
+    """Probabilities that are linear in the mount poses; without weights and with some."""
+    found, jacobian = rng.uniform(0.1, 0.8, (3, 6)), rng.normal(size=(3, 6, 7))
+    for weight in (None, rng.dirichlet(np.ones(6))):
+        slope = expected_miss_slope(found, jacobian, weight)
+        for camera, number in itertools.product(range(3), range(7)):
+            change = np.zeros_like(found)
+            change[camera] = 1e-6 * jacobian[camera, :, number]
+            ends = [expected_miss_rate(found + side * change, weight) for side in (1.0, -1.0)]
+            assert slope[camera, number] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-8)  # worst seen 2e-10
 
 
 def zone_of(mount, camera_count=3, frozen=None, min_spacing_m=0.3):

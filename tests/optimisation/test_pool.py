@@ -4,8 +4,10 @@ import functools
 import gc
 import importlib.util
 import math
+import os
 import pickle
 import re
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -469,6 +471,15 @@ def test_the_cache_does_not_grow_without_end(tmp_path, monkeypatch):
 
 
 # --- what cannot be --------------------------------------------------------------------------------------------------
+
+
+def test_scenes_of_draws_that_were_killed_go_after_a_week(tmp_path):
+    for name, days in (("scenes-left", 8), ("scenes-used", 6)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "0.npz").touch()
+        os.utime(tmp_path / name, (time.time() - days * 86400.0,) * 2)
+    drawn(3, cache=tmp_path)
+    assert [path.name for path in tmp_path.glob("scenes-*")] == ["scenes-used"]
 
 
 def test_bad_input_is_refused(tmp_path):

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import importlib.util
+import itertools
 import math
 
 import numpy as np
@@ -180,6 +181,21 @@ def test_cma_restarts_when_it_has_settled():
     result = search(cma_es, 1, renders=1500, each=1, value=value, seed=3)
     assert result.camera_renders == 1500
     assert result.value < -0.29
+
+
+@needs_cma
+def test_cma_restarts_with_twice_as_many_rigs_a_generation():
+    generations = []
+
+    def flat(rigs):
+        generations.append(len(rigs))
+        return [0.0] * len(rigs)
+
+    budget = BudgetedValue(flat, space_of(1), scene_count=1, camera_renders_max=2000)
+    run_search(cma_es, budget, np.random.default_rng(0))
+    sizes = list(dict.fromkeys(generations[:-1]))  # the budget cuts the last short
+    assert len(sizes) >= 3
+    assert [after / before for before, after in itertools.pairwise(sizes)] == [2.0] * (len(sizes) - 1)
 
 
 @needs_cma

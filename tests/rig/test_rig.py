@@ -29,6 +29,9 @@ cameras:
 """
 
 
+PANE = "panes:\n  screen: {{normal: [1, 0, 0], outline_m: {}, reach_m: {}}}"
+
+
 def camera(name="front", position_m=(1.0, 0.0, 1.5), yaw_rad=0.0, pitch_rad=0.0, roll_rad=0.0, **model):
     return RigCamera(name, np.array(position_m), yaw_rad, pitch_rad, roll_rad, CameraModel(**model))
 
@@ -212,6 +215,21 @@ def test_writing_rejects_a_missing_folder(tmp_path):
         ("fov_deg: 90", "fov_deg: 90\n    centre_px: [3, 4]", r":3: cameras\[0\]: .* got: centre_px needs focal_px"),
         ("height_px: 480", "height_px: 4", r"height_px: expected a whole number of pixels from 8 .*, got 4"),
         ("name: front", "name: ../front", r":3: cameras\[0\]\.name: expected a name of letters.*, got '\.\./front'"),
+        (
+            "frame: ego",
+            "frame: ego\n" + PANE.format("3", "[0, 1]"),
+            r":3: panes\.screen\.outline_m: .* corners, .*, got 3",
+        ),
+        (
+            "frame: ego",
+            "frame: ego\n" + PANE.format("[[0, 1]]", "[0, 1]"),
+            r":3: panes\.screen\.outline_m: expected a list of corners, each \[x, y, z\] in metres, got \[\[0, 1\]\]",
+        ),
+        (
+            "frame: ego",
+            "frame: ego\n" + PANE.format("[]", "[0]"),
+            r":3: panes\.screen\.reach_m: expected 2 .*, got \[0\]",
+        ),
         ("cameras:\n", "cameras: []\nrest:\n", r"cameras: expected a list of at least one camera, got \[\]"),
         ("frame: ego", "frame: ego\nframe: ego", r"rig.yaml:2: frame: expected every key once"),
         ("frame: ego", "frame: [ego", r"rig.yaml:\d+: expected valid YAML, got a syntax error"),
@@ -304,6 +322,17 @@ def test_a_notebook_shows_the_cameras_as_a_table():
     assert rows[1] == ["left", "0.500", "0.910", "1.234", "90.0", "-5.0", "0.0", "90.0", "640 x 480", "pinhole"]
     assert [row[0] for row in rows] == ["front", "left"]
     assert page.count("<th>") == len(rows[0])
+
+
+def test_a_terminal_shows_the_names_and_the_cameras_as_a_table():
+    left = camera("left", (0.5, 0.91, 1.234), math.pi / 2, math.radians(-5.0), width_px=640, height_px=480)
+    rig = Rig([camera(), left])
+    assert repr(rig) == "Rig(front, left)"
+    head, *rows = str(rig).splitlines()
+    assert head.split()[0] == "camera"
+    assert len({len(head), *map(len, rows)}) == 1  # columns stand below each other
+    assert " ".join(rows[1].split()) == "left 0.500 0.910 1.234 90.0 -5.0 0.0 90.0 640 x 480 pinhole"
+    assert [row.split()[0] for row in rows] == ["front", "left"]
 
 
 def test_showing_a_rig_as_a_table_imports_nothing_heavy():

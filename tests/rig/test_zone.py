@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import warpav as wa
 from tests.raster.bodies import ball, cuboid
 from warpav.core.errors import InputError
-from warpav.rig.chart import chart_of, propose_zones
+from warpav.rig.chart import chart_of, propose_zones, with_middles
 from warpav.rig.glass import propose_panes
 from warpav.rig.zone import NORMALS, Zone, mirrored, read_zones, write_zones
 from warpav.scene.own_vehicle import read_vehicle
@@ -154,6 +154,45 @@ def test_an_outline_limits_a_zone():
     assert ((point_m[:, 2] - 0.4) <= 0.8 - np.abs(point_m[:, 0] - 1.0) * 0.8 + 0.03).all()
     other = mirrored(mirrored(Zone("left", NORMALS["left"], outline_m=corner_m)))
     np.testing.assert_allclose(other.outline_m, corner_m)
+
+
+def test_borders_belong_to_a_zone_and_to_what_it_keeps_out():
+    """Of a zone on the ground plane, whose own coordinates are the ego frame's; all numbers are exact."""
+    square_m = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [4.0, 2.0, 0.0], [0.0, 2.0, 0.0]])
+    box_m, out_m = np.array([[-1.0, 0.5, 0.0], [3.0, 9.0, 1.0]]), np.array([[[1.0, 1.0, 0.0], [2.0, 1.5, 1.0]]])
+    inside = {(0.0, 0.5, 0.0), (3.0, 2.0, 1.0), (0.0, 2.0, 0.5), (2.25, 1.25, 0.5)}
+    outside = {(-0.25, 1.0, 0.0), (3.25, 1.0, 0.0), (3.0, 0.25, 0.0), (3.0, 2.25, 1.0), (0.0, 0.5, 1.25)}
+    kept_out = {(1.0, 1.0, 0.0), (2.0, 1.5, 1.0), (1.5, 1.0, 0.5)}
+    for outline_m in (square_m, square_m[::-1]):
+        zone = Zone("roof", NORMALS["up"], outline_m=outline_m, box_m=box_m, keep_out_m=out_m)
+        for points_m, belongs in ((inside, True), (outside, False), (kept_out, False)):
+            place_m = (np.array(sorted(points_m)) - zone.origin_m) @ zone.axes.T
+            assert (zone.holds(place_m) == belongs).all()
+
+
+def test_only_what_lies_across_the_middle_gets_a_zone_in_the_middle():
+    sides = zones_of()
+    names = [zone.name for zone in with_middles(sides)]
+    assert names == [*NORMALS, "front_middle", "rear_middle"]
+    centred = with_middles(sides)[len(sides) :]
+    assert all(zone.is_centred for zone in centred)
+    assert with_middles(centred) == centred
+    oblique = (Zone("corner", (0.8, 0.6, 0.0)), Zone("aside", NORMALS["front"], origin_m=np.array([0.0, 0.5, 0.0])))
+    assert with_middles(oblique) == oblique
+
+
+def test_the_highest_point_of_a_chart_is_one_that_carries_a_camera():
+    """Between zones the chart is bridged; the roof is the highest, of one side its upper edge."""
+    chart = chart_of(zones_of(), BOX, cell_m=0.05)
+    *place_m, height_m = chart.highest_point_m()
+    assert int(chart.zone_at(np.array(place_m))) == list(NORMALS).index("up")
+    point_m = chart.point_m(np.array(place_m), np.array(height_m))
+    np.testing.assert_allclose(point_m, [PLACE_M[0], PLACE_M[1], HIGH_M[2]], atol=0.05)
+    left = chart_of([Zone("left", NORMALS["left"])], BOX, cell_m=0.05)
+    *place_m, height_m = left.highest_point_m()
+    row, column = np.round((np.array(place_m) - left.origin_m) / left.cell_m).astype(int)
+    assert left.is_mountable[row, column]
+    np.testing.assert_allclose(left.point_m(np.array(place_m), np.array(height_m))[2], HIGH_M[2], atol=0.05)
 
 
 def test_a_zone_behind_glass_has_a_pane_as_large_as_its_outline():
