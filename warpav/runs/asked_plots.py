@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import check_folder
@@ -97,7 +97,7 @@ class AskedPlots:
         for kind, file in self.files.items():
             try:
                 if is_run_folder(self.source) and not self.beside:
-                    options = {} if kind == "search" else {"scene": scene}
+                    options: dict[str, Any] = {} if kind == "search" else {"scene": scene}
                     plot(RunFolder.open(self.source), kind=kind, out=file, title=heading, progress=progress, **options)
                 elif kind == "view":
                     plot(rigs[names[0]], out=file, title=heading, scene=scene, progress=progress)

@@ -254,6 +254,10 @@ def _smallest_distance_m(position_m: object) -> float:
     return float(np.linalg.norm(position[first] - position[second], axis=1).min())
 
 
+_STEPS = {1.5: (1, 1.5, 2, 3, 4, 5, 7), 4.5: (1, 2, 5), math.inf: (1,)}
+"""What is labelled within a decade of an axis of fewer decades than the key, far enough apart."""
+
+
 def objective_over_renders(
     curves: Mapping[str, Sequence[tuple[Sequence[int], Sequence[float | None]]]],
     path: Path | str,
@@ -269,6 +273,8 @@ def objective_over_renders(
         level: Objectives of rigs that took no search, by name.
         title: A short line above.
     """
+    from matplotlib.ticker import LogLocator
+
     with figure_style():
         figure = new_figure(WIDTH_INCH, 5.2)
         axis = figure.subplots()
@@ -300,10 +306,12 @@ def objective_over_renders(
         axis.set_yscale("log")
         # where searches end, and not where the worst begin
         axis.set_ylim(top=1.6 * max(ends_at))
-        axis.xaxis.set_major_formatter("{x:,.0f}")
-        axis.yaxis.set_major_formatter("{x:.2g}")
-        axis.yaxis.set_minor_formatter("{x:.2g}")
-        axis.xaxis.set_minor_formatter("")
+        for side, written in ((axis.xaxis, "{x:,.0f}"), (axis.yaxis, "{x:.2g}")):
+            low, high = sorted(side.get_view_interval())
+            steps = next(each for most, each in _STEPS.items() if math.log10(high / low) < most)
+            side.set_major_locator(LogLocator(subs=steps, numticks=99))
+            side.set_major_formatter(written)
+            side.set_minor_formatter("")
         axis.set_xlabel("camera renders")
         axis.set_ylabel("objective on the scenes of the search")
         axis.set_title(title)

@@ -49,6 +49,7 @@ def resolution_figure(rigs: Mapping[str, Rig], *, heading: str | None = None) ->
         axes[0].set_ylabel("pixels per degree")
         axes[0].legend(loc="lower right", ncols=min(2, len(rigs)))
         title(axes[0], "Along the horizon, best camera")
+        image = None
         for axis, (name, found) in zip(axes[1:], best.items(), strict=True):
             image = axis.pcolormesh(
                 azimuth_deg,
