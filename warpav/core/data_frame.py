@@ -19,4 +19,4 @@ def data_frame(rows: Mapping[Any, Mapping[str, Any]]) -> pandas.DataFrame:
         import pandas  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise ImportError("to_pandas needs pandas; run: pip install pandas") from None
-    return pandas.DataFrame.from_dict(rows, orient="index")
+    return pandas.DataFrame.from_dict(dict(rows), orient="index")
