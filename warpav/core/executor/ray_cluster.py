@@ -111,8 +111,8 @@ class RayCluster:
         self._is_gone = True
         raise OptionError(
             "executor.address",
-            f"expected the Ray cluster at {self._head} to be there until all tasks have ended, got: {problem}; "
-            "start it again; the same command then goes on with what it has not finished",
+            f"expected the Ray cluster at {self._head} to be there until all tasks have ended, got: {problem}; start "
+            "it again; the same command then goes on with what it has not finished",
         )
 
     def outcome(self, handle: Any) -> Outcome[Any, Any]:  # noqa: ANN401
