@@ -168,18 +168,18 @@ def plot(
     """Show an object in a window or a notebook, or write its image to a file.
 
     Kinds of a rig, of which the first is the usual one. All but it are figures, which may also be ``.pdf`` and
-    ``.svg``; the modules of `warpav.view.figures` say how each is computed. Those marked with * also take several rigs
+    ``.svg``; the modules of `warpav.view.figures` say how each is computed. Those marked with + also take several rigs
     by name, such as ``{"start": start, "optimised": result.rig}``.
 
     - ``view``: in space, on the vehicle and in traffic; its options are below.
     - ``sheet``: a page to print, to scale: from above, from the side, a table. ``range_m``: radii of the rings [m].
-    - ``plan`` *: to scale from above, how far a car is 40, 20 and 12 px high in each image, and the ground near
+    - ``plan`` +: to scale from above, how far a car is 40, 20 and 12 px high in each image, and the ground near
       the vehicle that the own body hides.
-    - ``range`` *: by azimuth, up to which distance road users of each class are detected. ``probability`` gives the
+    - ``range`` +: by azimuth, up to which distance road users of each class are detected. ``probability`` gives the
       model for a camera; by default that of the detector that ships with warpav.
-    - ``near_field`` *: how far from the body the first visible point is at three heights, with dimensions.
-    - ``redundancy`` *: how many cameras see a road user by sector and distance, and after the costliest loss of one.
-    - ``resolution`` *: pixels per degree along the horizon, and over azimuth and elevation.
+    - ``near_field`` +: how far from the body the first visible point is at three heights, with dimensions.
+    - ``redundancy`` +: how many cameras see a road user by sector and distance, and after the costliest loss of one.
+    - ``resolution`` +: pixels per degree along the horizon, and over azimuth and elevation.
     - ``contact``: the images of all cameras in ``scene``, with their angles and the share of the own body.
 
     Options of the view of a rig:
