@@ -186,6 +186,10 @@ def test_a_state_of_another_search_is_refused(whole):
             {**whole_state, "journal_entries": 1 - whole_state["journal_entries"][:1]}
             | {"journal_walk_answers": np.array([0]), "journal_walk_rigs": np.array([0])}
         )
+    journal = SearchJournal()
+    journal._entries.append("a selection, where the search comes to a walk")
+    with pytest.raises(InputError, match="checkpoint: expected that of this search, got one of another"):
+        next(journal.walk(lambda _: iter(()), lambda _: None, lambda *_: None))
 
 
 def test_nothing_is_kept_where_nobody_asks():

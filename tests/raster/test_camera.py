@@ -210,6 +210,11 @@ def test_a_camera_that_sees_all_round_need_not_turn():
     assert rotational_additions(math.radians(300.0)) == (2, math.pi)
 
 
+def test_a_pinhole_sees_nothing_beside_or_behind_itself():
+    beside = [[1.0, 0.0, 0.0], [-1.0, 2.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
+    assert np.isnan(CameraModel(64, 64, 1.5).project(beside)).all()
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
