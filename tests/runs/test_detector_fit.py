@@ -179,6 +179,7 @@ def test_a_long_fit_says_how_long_before_it_begins(view_s, expected, monkeypatch
         raise StoppedError
 
     monkeypatch.setattr(detector_fit, "_trial_seconds", lambda *_: view_s)  # of each of four kinds of views
+    monkeypatch.setattr(detector_fit.time, "perf_counter", lambda: 0.0)  # and no time for scenes
     monkeypatch.setattr(detector_fit._Sampler, "samples", stop)
     said = Said()
     with pytest.raises(StoppedError):
