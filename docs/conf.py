@@ -38,7 +38,7 @@ include_patterns = [
     "README.md",
     "docs/**.md",
     "docs/**.rst",
-    "kernels/design.md",
+    "kernels/README.md",
     "notebooks/*.ipynb",
     "warpav/**.md",
 ]

@@ -247,7 +247,7 @@ def draw_stages(folder: Path) -> None:
 
 
 def draw_gradient(folder: Path) -> None:
-    """gradient.png: how the derivative of an area follows from a hard render (kernels/design.md).
+    """gradient.png: how the derivative of an area follows from a hard render (kernels/README.md).
 
     The body is convex, so that its outline is the convex hull of its corners' images; all else is what the kernels do.
     """

@@ -117,7 +117,7 @@ print(f"the lorry shows {visible_px:.0f} px², alone it would show {alone_px:.0f
 # (B-A)_u\,\mathrm{d}v$ (silhouette on its right). Summed over the outline, this is the derivative of the visible area
 # (Reynolds' transport theorem). In NumPy it is one line. The renderer does the same on every outline of every vehicle
 # in every view at once, and locates the outline between the samples instead of along pixels ([the gradient on one
-# page](../kernels/design.md#the-gradient-on-one-page)). Third, for comparison, the plainest answer: move the camera by
+# page](../kernels/README.md#the-gradient-on-one-page)). Third, for comparison, the plainest answer: move the camera by
 # 2 cm to either side, render 16 samples a pixel, and count.
 
 
