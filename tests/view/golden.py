@@ -3,7 +3,10 @@
 import io
 from pathlib import Path
 
+import matplotlib
 import numpy as np
+import pytest
+from packaging.version import Version
 from PIL import Image
 
 FOLDER = Path(__file__).parent / "golden"
@@ -34,3 +37,9 @@ def difference(figure, name):
     size = stored.width // 3, stored.height // 3
     coarse = [np.asarray(each.resize(size, Image.Resampling.BOX), float) for each in (stored, Image.fromarray(found))]
     return float(np.abs(coarse[0] - coarse[1]).mean())
+
+
+same_text = pytest.mark.skipif(
+    Version(matplotlib.__version__) < Version("3.10"), reason="older versions of matplotlib set text otherwise"
+)
+"""Of tests whose images and places hold text."""

@@ -24,6 +24,7 @@ from warpav.view import browser as module
 from warpav.view.inspector import TURN_RAD
 from warpav.view.palette import camera_rgb
 
+pytest.importorskip("trame.app")
 CHROMIUM = find_chromium()
 pytestmark = [needs_opengl, pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")]
 PANEL_PX = 330

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tests.view.golden import same_text
 from tests.view.stand_ins import ego, rig
 from warpav.core.errors import InputError
 from warpav.optimisation.further_camera import FurtherCameras
@@ -264,6 +265,7 @@ def test_figure_that_cannot_be_written_says_so(tmp_path):
         save_figure(loss_figure(records(3)), tmp_path / "file" / "loss.png")
 
 
+@same_text
 def test_labels_of_logarithmic_axes_do_not_collide(tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(

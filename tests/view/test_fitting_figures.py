@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.view.golden import DIFFERENCE_MAX, difference
+from tests.view.golden import DIFFERENCE_MAX, difference, same_text
 from tests.view.stand_ins import ego, rig, scene, vehicle
 from warpav.core.errors import InputError
 from warpav.detection.probability import DetectionProbability
@@ -40,11 +40,13 @@ def words(figure):
     ) + "\n".join(text.get_text() for legend in legends for text in legend.get_texts())
 
 
+@same_text
 @pytest.mark.parametrize("kind", KINDS)
 def test_it_is_the_golden_image(kind, street):
     assert difference(drawn(rig(4, 90.0), kind, street), kind) < DIFFERENCE_MAX
 
 
+@same_text
 @pytest.mark.parametrize("kind", ["plan", "near_field", "redundancy", "resolution"])
 def test_several_rigs_are_the_golden_image(kind, street):
     assert difference(drawn(two(), kind, street), f"{kind}_two") < DIFFERENCE_MAX

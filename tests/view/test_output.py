@@ -57,6 +57,7 @@ def test_gif_turns_around_the_vehicle(plotter, tmp_path):
 @needs_opengl
 def test_an_html_page_asks_nothing_of_the_network(tmp_path):
     """In a process of its own, as what is imported is imported once."""
+    pytest.importorskip("k3d")
     code = (
         "import sys, socket\n"
         "def refuse(*a, **o): sys.stderr.write('network\\n'); raise OSError('no network')\n"

@@ -17,6 +17,7 @@ from warpav.view.output import save_page
 from warpav.view.rig_view import add_range_rings, rig_plotter
 from warpav.view.visibility_view import add_coverage, patch_words
 
+pytest.importorskip("k3d")
 pytestmark = needs_opengl
 CHROMIUM = find_chromium()
 HOSTILE = "</script><img src=x onerror=alert(1)>"
