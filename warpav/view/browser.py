@@ -92,7 +92,7 @@ class BrowserInspector:
                 ready(self.url, self.port)
 
         self._server.controller.on_server_ready.add(has_started)
-        # the server reads the words of the command line unless it is told others
+        # the server reads the words of the command line unless it is given others
         with _environment("TRAME_ARGS", f"--server --nosignalhandlers --authKey={self.token}"):
             try:
                 asyncio.run(self._run(port))
