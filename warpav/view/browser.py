@@ -66,6 +66,8 @@ class BrowserInspector:
         self.state.lines = []
         self.inspector = inspector_of(self._tell)
         self.inspector.plotter.show(auto_close=False, interactive=False)
+        # every image that is sent is drawn for it: one more for each move of the mouse would take twice the time
+        self.inspector.plotter.iren.interactor.EnableRenderOff()
         self._make_page()
         self._follow()
 
