@@ -216,7 +216,6 @@ def render_scene(
     *,
     views_per_scene: dict[int, int],
     ignored_ids: Sequence[int] = (),
-    device: str = "cpu",
     thread_count: int | None = None,
 ) -> dict[int, LabelledImages]:
     """Images of one scene by random cameras, by their side [px].
@@ -227,8 +226,7 @@ def render_scene(
         seed: Of the cameras, and of the choice of one or four samples per pixel.
         views_per_scene: How many, by the side of the image [px].
         ignored_ids: Instance ids of objects that are drawn but ignored in training.
-        device: Warp device.
-        thread_count: Views that are drawn at once on a CPU; None: as many as there are cores.
+        thread_count: Views that are drawn at once; None: as many as there are cores.
 
     Returns:
         Images for every size of ``views_per_scene``.
@@ -238,7 +236,7 @@ def render_scene(
 
     rng = np.random.default_rng([seed, 1])
     scene = replace(scene, vehicles=scene.vehicles + scene.others, others=())
-    packed = DeviceScene.pack(scene, device=device)
+    packed = DeviceScene.pack(scene)
     center_m = np.array([vehicle.box.center_m for vehicle in scene.vehicles]).reshape(-1, 3)
     label = np.array([CLASS_NAMES.index(CLASS_OF_CATEGORY[vehicle.category]) for vehicle in scene.vehicles], np.int8)
     is_ignored = np.isin([vehicle.instance_id for vehicle in scene.vehicles], ignored_ids)
@@ -246,7 +244,7 @@ def render_scene(
     for side_px, count in views_per_scene.items():
         cameras = sample_cameras(rng, surface, scene.ego.bounds_m(), side_px=side_px, count=count)
         supersampling = int(rng.integers(1, 3))
-        rendered = render_images(packed, cameras, supersampling=supersampling, device=device, thread_count=thread_count)
+        rendered = render_images(packed, cameras, supersampling=supersampling, thread_count=thread_count)
         labels = Labels.empty(count)
         for image, (camera, render) in enumerate(zip(cameras, rendered, strict=True)):
             box_px = visible_boxes(render.object_index, len(scene.vehicles), min_area_px=1)
@@ -340,7 +338,6 @@ class _Job:
     source: TownSource | TrafficSource
     subset: Subset
     folder: Path
-    device: str
     thread_count: int | None
 
 
@@ -356,7 +353,6 @@ def _write_scene(job: _Job) -> dict[int, Labels]:
         job.source.seed,
         views_per_scene=subset.views_per_scene,
         ignored_ids=[other.instance_id for other in scene.others] if is_reconstructed else (),
-        device=job.device,
         thread_count=job.thread_count,
     )
     for side_px, count in subset.views_per_scene.items():
@@ -365,16 +361,16 @@ def _write_scene(job: _Job) -> dict[int, Labels]:
     return {side_px: each.labels for side_px, each in labelled.items()}
 
 
-def write_images(subset: Subset, folder: Path, *, processes: int, device: str = "cpu") -> None:
+def write_images(subset: Subset, folder: Path, *, processes: int) -> None:
     """Render scenes and save their images: ``images_<side>.npy`` and ``labels_<side>.npz``.
 
-    Nothing is done where they are there already, made of the same scenes by the same code.
+    Nothing is done where they are there already, made of the same scenes by the same code. The CPU draws them, since
+    processes that share a GPU wait for one another.
 
     Args:
         subset: The scenes.
         folder: Where to; made if it does not exist.
         processes: That share the scenes.
-        device: Warp device that renders.
 
     Raises:
         RuntimeError: A scene could not be rendered.
@@ -397,7 +393,7 @@ def write_images(subset: Subset, folder: Path, *, processes: int, device: str = 
         labels[side_px] = [Labels.empty(count)] * subset.scene_count
 
     thread_count = None if processes == 1 else 1
-    jobs = [_Job(index, each, subset, folder, device, thread_count) for index, each in enumerate(subset.sources())]
+    jobs = [_Job(index, each, subset, folder, thread_count) for index, each in enumerate(subset.sources())]
     start_s = time.perf_counter()
     # The first scene fills the kernel cache, which processes would otherwise all compile at once.
     first = run_tasks(_write_scene, jobs[:1])

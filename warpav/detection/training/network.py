@@ -1,4 +1,6 @@
-"""The shipped detector's network: one stage, no anchors, four strides, 1.5 million parameters.
+"""The built-in detector's network: one stage, no anchors, four strides, 1.8 million parameters.
+
+The file that ships is of a narrower one until its successor is trained (its card says which).
 
 Plain 3 x 3 convolutions and ReLU throughout: on a CPU they run several times faster than depthwise convolutions and
 smooth activations of the same arithmetic. The finest stride is 4, because a car 20 m away is 10 px high in a 256 px
@@ -106,9 +108,9 @@ class TownNetwork(nn.Module):
         self,
         class_count: int = len(CLASS_NAMES),
         *,
-        channels: Sequence[int] = (16, 24, 40, 80, 160),
+        channels: Sequence[int] = (16, 32, 48, 96, 192),
         depth: Sequence[int] = (1, 2, 2, 2),
-        neck_channels: Sequence[int] = (16, 40, 80, 96),
+        neck_channels: Sequence[int] = (16, 48, 96, 128),
     ) -> None:
         super().__init__()
         self.class_count = class_count
