@@ -65,6 +65,19 @@ def test_sight_ends_at_the_ground_and_after_its_length(packed):
     assert (corner[part == "side"] == centre).any(axis=1).all()
 
 
+def test_nothing_is_painted_between_a_vehicle_and_the_ground_that_it_hides(packed):
+    camera = camera_at([1.0, 2.0, 2.2], pitch_rad=0.15)
+    surface = visibility_view.visibility_to_pyvista(camera, packed, rays=129)
+    seen_m = np.asarray(surface.points)[np.asarray(surface.regular_faces)[surface.cell_data["part"] == "seen"]]
+    is_on_vehicle = np.stack([STREET.vehicles[0].box.contains(corner_m, margin_m=0.1) for corner_m in seen_m])
+    is_on_both = is_on_vehicle.any(axis=1) & ~is_on_vehicle.all(axis=1)
+    assert is_on_vehicle.all(axis=1).sum() > 50
+    edge_m = np.linalg.norm(seen_m[is_on_both] - np.roll(seen_m[is_on_both], 1, axis=1), axis=-1)
+    assert edge_m.max() < 0.4  # where it stands on the ground, no more
+    # the ground is painted far out, flat though rays meet it
+    assert seen_m[~is_on_vehicle.any(axis=1)][..., 0].max() > 13.0
+
+
 def test_a_lens_that_sees_a_circle_has_no_corners(packed):
     model = CameraModel(120, 120, 3.0, lens=Lens.FISHEYE, distortion=(0.1, 0.0, 0.0, 0.0))
     surface = visibility_view.visibility_to_pyvista(camera_at([1.3, 0.0, 2.0], model), packed, rays=21)

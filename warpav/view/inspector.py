@@ -88,7 +88,7 @@ TURN_RAD = math.radians(2.0)
 MESSAGE_CHARACTERS = 80
 """Longest line of a message in the window."""
 
-DRAGGED_RAYS_PX = 49
+DRAGGED_RAYS_PX = 97
 """Rays along each side of the view of a camera while it is dragged."""
 
 _BALL_RADIUS_M = 0.11

@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 FARTHEST_M = 15.0
 """How far an unobstructed view is drawn [m]."""
 
-RAYS_PX = 97
+RAYS_PX = 257
 """Rays along each side of an image that find where the view ends."""
 
 TOP_M = 2.2
 """Images leave buildings out, so what is seen of them would hang in the air [m]."""
 
-MAX_REACH_RATIO = 1.35
-"""Neighbouring rays that reach so much farther than others do not see the same surface."""
+# Neighbouring rays see one surface where their inverse reaches differ by less than this share, or as those beside them.
+_SAME_REACH, _SAME_SLOPE = 0.04, 0.5
 
 _LIFT_M = 0.04  # of the coverage above the ground, so that both can be distinguished
 _COVERAGE_ALPHA = 153
@@ -81,8 +81,11 @@ def visibility_to_pyvista(
     upper_left, upper_right = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()
     lower_left, lower_right = index[1:, :-1].ravel(), index[1:, 1:].ravel()
     end = np.r_[np.c_[upper_left, upper_right, lower_right], np.c_[upper_left, lower_right, lower_left]]
-    reach = share[end]
-    is_one_surface = (reach.max(axis=1) < 1.0) & (reach.max(axis=1) < MAX_REACH_RATIO * reach.min(axis=1))
+    inverse = 1.0 / np.maximum(share.reshape(rays, rays), 1e-6)
+    along_row, along_column = _is_one_surface(inverse), _is_one_surface(inverse.T).T
+    is_one_surface = np.r_[
+        (along_row[:-1] & along_column[:, 1:]).ravel(), (along_row[1:] & along_column[:, :-1]).ravel()
+    ] & (share[end].max(axis=1) < 1.0)
     border = np.r_[index[0], index[1:, -1], index[-1, -2::-1], index[-2::-1, 0]]
     side = np.c_[np.full(len(border) - 1, rays * rays), border[:-1], border[1:]]
     triangle = np.r_[end, side]
@@ -92,6 +95,19 @@ def visibility_to_pyvista(
     surface = load_pyvista().PolyData.from_regular_faces(np.nan_to_num(point_m), triangle[is_whole])
     surface.cell_data["part"] = part[is_whole]
     return surface
+
+
+def _is_one_surface(inverse_reach: np.ndarray) -> np.ndarray:
+    """Whether a ray and the next in its row see one surface, bool [row, column - 1].
+
+    The inverse reach of a plane is all but linear in the image, however flat the rays meet it. So a step is a step from
+    one surface to another where neither of the steps beside it goes on like it.
+    """
+    step = np.diff(inverse_reach, axis=1)
+    beside = np.pad(step, ((0, 0), (1, 1)), constant_values=np.inf)
+    unlike = np.minimum(np.abs(beside[:, :-2] - step), np.abs(beside[:, 2:] - step))
+    least = np.minimum(inverse_reach[:, :-1], inverse_reach[:, 1:])
+    return (np.abs(step) < _SAME_REACH * least) | (unlike < _SAME_SLOPE * np.abs(step))
 
 
 def add_visibility(
