@@ -6,6 +6,7 @@ import pytest
 
 from tests.cli.small_run import SMALL, complaint
 from warpav.cli.app import main
+from warpav.rig.rig import read_rig
 from warpav.runs.run_folder import RunFolder
 
 pytestmark = pytest.mark.usefixtures("working_directory")
@@ -49,7 +50,7 @@ def test_a_run_and_a_preset_are_starts(working_directory, capsys, run_folder):
     for start, count in ((str(run_folder.path), len(run_folder.rig().cameras)), ("nuscenes", 6)):
         assert main(["config", "check", "quick", f"rig.start={start}", f"rig.cameras={count}"]) == 0
     message = complaint(capsys, "optimise", "rig.start=nuscenes")
-    assert message == "nuscenes: cameras: expected 4 as rig.cameras says, got 6; set rig.cameras=6"
+    assert message.startswith("nuscenes: cameras: expected 4 as rig.cameras says, got 6; set rig.cameras=6, or add")
     assert "did you mean nuscenes?" in complaint(capsys, "config", "check", "quick", "rig.start=nuscene")
 
 
@@ -105,3 +106,16 @@ def test_arms_that_place_all_cameras_refuse_frozen_ones(working_directory, capsy
         words = ["experiment", "table2", "quick", *SMALL, "method=default", *start, "--arms", arm, "--out", "x"]
         message = complaint(capsys, *words)
         assert f"arm {arm}: rig.freeze: expected none, since it places all cameras, got front_bumper" in message
+
+
+def test_a_run_says_what_it_cannot_keep_of_its_start(working_directory, capsys):
+    camera = CAMERA.format(name="a", place="[1, 0, 2]", yaw=0.0, pitch=0.0, fov=60.0, px=64)
+    (working_directory / "mine.yaml").write_text(f"frame: ego\ncameras:\n{camera}")
+    options = [*SMALL, "rig.cameras=1", "rig.start=mine.yaml", "optimiser.search=descent", "run.out=begun"]
+    assert main(["optimise", *options]) == 0
+    said = capsys.readouterr()
+    line = next(line for line in (said.out + said.err).splitlines() if line.startswith("rig.start: "))
+    begun = read_rig(working_directory / "begun" / "rig_initial.yaml").cameras[0]
+    side_px = begun.model.width_px
+    assert f"a begins as pinhole 90 deg {side_px} x {side_px} px instead of pinhole 60 deg 64 x 64 px" in line
+    assert line.endswith("cameras move by up to 0.20 m to where the mount has them")  # 25 cm above the roof

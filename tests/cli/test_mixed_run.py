@@ -45,6 +45,8 @@ FEW = [
 @pytest.fixture
 def catalogue(working_directory):
     (working_directory / "mine.yaml").write_text(CATALOGUE)
+    euros = CATALOGUE.replace("name: fisheye", "name: euros").replace("1, unit: relative", "55, unit: EUR")
+    (working_directory / "euros.yaml").write_text(euros)
 
 
 @pytest.mark.usefixtures("catalogue")
@@ -118,6 +120,10 @@ def test_a_front_of_equal_cameras():
         (["rig.modules={narow: 1}"], "rig.modules: expected modules out of narrow, fisheye, got 'narow'; did you mean"),
         (["rig.modules={narrow: 1}", "rig.cameras=4"], "rig.cameras: expected 1 to 1, as many as rig.modules allows"),
         (["rig.modules={narrow: 2}", "rig.max_cost=3"], "rig.max_cost: expected at least 4, what the cheapest rig"),
+        (
+            ["rig.modules={narrow: 2, euros: 1}", "rig.catalogue=euros.yaml", "rig.max_cost=30"],
+            "rig.modules: expected prices of one unit, since they are added, got relative (narrow) and EUR (euros)",
+        ),
         (["rig.modules={narrow: 1}", "rig.free.fov_deg=[50, 70]"], "rig.free.fov_deg: expected null, as every module"),
         (["rig.modules={narrow: 1}", "method=thesis"], "rig.modules: expected null, as the thesis has equal cameras"),
         (

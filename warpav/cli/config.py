@@ -22,9 +22,13 @@ config_app = App(name="config", help="Show, check, copy and compare configuratio
 @config_app.command(name="show")
 def config_show(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
     """Print a configuration with all its defaults."""
-    from warpav.runs.config import dump_config
+    from warpav.runs.config import dump_config, flow_text, unset_options
 
-    say(*dump_config(loaded(config, overrides)).splitlines())
+    settings = loaded(config, overrides)
+    say(*dump_config(settings).splitlines())
+    say("# Not set above, with what holds then:")
+    for name, value in unset_options(settings).items():
+        say(f"# {name}={flow_text(value)}")
 
 
 @config_app.command(name="check")

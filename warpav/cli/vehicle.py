@@ -88,7 +88,7 @@ def vehicle_check(
         complain(with_flags(problem))
     if report.fix is None:
         return 2 if report.problems else 0
-    target = out or file.with_name(f"{file.stem}_ego.glb")
+    target = out or Path(f"{file.stem}_ego.glb")
     words = [word for name, value in report.fix.items() for word in (f"--{name.replace('_', '-')}", value)]
     command = shlex.join(["warpav", "vehicle", "check", str(file), *words, "--out", str(target)])
     complain(f"{file}: to fix it: {command}")

@@ -270,11 +270,12 @@ def zone_surface(
             smoothing_tolerance_m=math.inf,
             keeps=zone.holds,
         )
-    except InputError as error:
-        reason = str(error).partition("got ")[2] or str(error)
+    except InputError:
+        low_m, high_m = (", ".join(f"{each:.2f}" for each in corner_m) for corner_m in mesh.bounds_m())
         raise InputError(
             f"zone {zone.name!r}: expected a part of the body that faces {_words(zone.axes[2])}"
-            f"{'' if zone.box_m is None else ' inside box_m'}, got {reason}"
+            f"{'' if zone.box_m is None else ' inside box_m'}, got none among {len(mesh.triangle)} faces; the body "
+            f"reaches from {low_m} to {high_m} m"
         ) from None
 
 

@@ -23,6 +23,7 @@ from warpav.optimisation.rig_limits import RigLimits, range_text
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.config import AUTO, changed_config
 from warpav.runs.evaluate import evaluate_on
+from warpav.runs.mounts import check_one_unit, rig_modules
 from warpav.runs.optimise import Optimisation, pool_search_settings, searches_by_pool
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
@@ -254,6 +255,7 @@ def _by_cost(placement: Placement) -> list[_Step]:
     limits = placement.limits
     if limits is None:
         raise OptionError("rig.modules", "expected modules with prices for a front by cost, got equal cameras")
+    check_one_unit(rig_modules(placement.config))
     low, high = limits.cost_range()
     if not high > low:
         raise OptionError("rig.modules", f"expected modules to choose from, got one rig alone, of cost {low:g}")

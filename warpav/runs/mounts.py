@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -75,6 +75,20 @@ def rig_modules(config: Config) -> tuple[Module, ...]:
     return tuple(catalogue[name] for name in config.rig.modules)
 
 
+def check_one_unit(modules: Iterable[Module]) -> None:
+    """Refuse modules whose prices cannot be added.
+
+    Raises:
+        InputError: They have prices of different units.
+    """
+    of_unit = {module.price.unit: module.name for module in modules}
+    if len(of_unit) > 1:
+        given = " and ".join(f"{unit} ({name})" for unit, name in of_unit.items())
+        raise OptionError(
+            "rig.modules", f"expected prices of one unit, since they are added, got {given}; change them in a catalogue"
+        )
+
+
 def camera_models(config: Config) -> tuple[CameraModel, ...]:
     """The models of all cameras that a rig may have: those of its modules, or the one that its cameras share."""
     models = [dataclasses.replace(module.camera_model(), near_m=_near_m(config)) for module in rig_modules(config)]
@@ -95,6 +109,8 @@ def rig_limits(config: Config, surface: MountSurface) -> RigLimits | None:
 
     if config.rig.modules is None:
         return None
+    if config.rig.max_cost is not None:
+        check_one_unit(rig_modules(config))
     pairs = surface.pairs or (False,) * len(surface.modules)
     return RigLimits.of(
         config.rig.modules,

@@ -27,6 +27,7 @@ from warpav.runs.config import Config, changed_config
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress
 from warpav.runs.result import Result
+from warpav.runs.rig_source import start_changes
 
 
 def optimise(
@@ -154,6 +155,8 @@ class Optimisation:
         if start is None:
             if placement.start_rig is not None:
                 start = mount.mount_pose_of_rig(placement.start_rig, as_configured=True)
+                if progress is not None and (changed := start_changes(placement.start_rig, mount.rig(start))):
+                    progress.say(f"rig.start: {changed}")
             elif config.rig.start == "highest":
                 start = highest_mount_pose(objective.constraints, objective.camera_count)
             else:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from warpav.core.errors import InputError, OptionError
 from warpav.rig.find import HIGHEST, find_rig_file, is_preset
@@ -17,7 +20,11 @@ from warpav.runs.mounts import camera_mount, checked_frozen, constraints_of, wit
 from warpav.runs.run_folder import RunFolder
 
 if TYPE_CHECKING:
+    from warpav.raster.camera import CameraModel
     from warpav.raster.mesh import Mesh
+
+START_MOVED_M = 0.005
+"""How far a camera of a start has to move for a run to say so [m]."""
 
 
 def is_run_folder(source: str) -> bool:
@@ -112,9 +119,40 @@ def read_start(config: Config) -> Rig | None:
         raise OptionError("rig.start", f"expected {START_TEXT}, got {start!r}; {hint}")
     rig = read_rig(rig_file(start))
     if len(rig.cameras) != config.rig.cameras:
+        asked, hint = "rig.cameras says", f"set rig.cameras={len(rig.cameras)}"
+        if config.rig.modules is not None:
+            asked, hint = "rig.modules says", f"ask for {len(rig.cameras)} modules"
         raise InputError(
-            f"{config.rig.start}: cameras: expected {config.rig.cameras} as rig.cameras says, got {len(rig.cameras)}; "
-            f"set rig.cameras={len(rig.cameras)}"
+            f"{config.rig.start}: cameras: expected {config.rig.cameras} as {asked}, got {len(rig.cameras)}; {hint}, "
+            "or add cameras to the file, where they may stand anywhere unless rig.freeze names them"
         )
     checked_frozen(config, rig, config.rig.freeze)
     return rig
+
+
+def start_changes(start: Rig, begun: Rig) -> str:
+    """What a run cannot keep of the rig that it starts from: one line, empty where that is nothing.
+
+    Args:
+        start: The rig as its file has it.
+        begun: The same cameras as the run begins with them.
+    """
+    changes = []
+    position_m = np.array([camera.position_m for camera in begun.cameras])
+    moved_m = 0.0
+    for camera in start.cameras:
+        away_m = np.linalg.norm(position_m - camera.position_m, axis=1)
+        moved_m = max(moved_m, float(away_m.min()))
+        was, now = (_model_words(each) for each in (camera.model, begun.cameras[int(away_m.argmin())].model))
+        if was != now and not changes:
+            changes.append(
+                f"{camera.name} begins as {now} instead of {was}, since only cameras of rig.freeze keep their lens; "
+                "camera.* or rig.modules say that of the others"
+            )
+    if moved_m > START_MOVED_M:
+        changes.append(f"cameras move by up to {moved_m:.2f} m to where the mount has them")
+    return "; ".join(changes)
+
+
+def _model_words(model: CameraModel) -> str:
+    return f"{model.lens} {math.degrees(model.fov_rad):.0f} deg {model.width_px} x {model.height_px} px"

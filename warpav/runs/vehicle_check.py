@@ -267,7 +267,7 @@ def _shape_lines(found: Examination) -> Iterator[str]:
         yield _row("wheels", "none to be seen")
         return
     axles = ", ".join(f"{x:.2f}" for x in found.wheels.axle_m)
-    yield _row("wheels", f"axles at x = {axles} m; the origin belongs below the rear one")
+    yield _row("wheels", f"axles at x = {axles} m of the file; the origin belongs below the rear one, as --out has it")
 
 
 def _mount_lines(surface: MountSurface, vehicle: Mesh, config: Config) -> Iterator[str]:

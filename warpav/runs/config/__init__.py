@@ -18,6 +18,7 @@ from warpav.runs.config.load import (
     overridden_option,
     overrides_from,
     placed_config,
+    unset_options,
     with_absolute_paths,
 )
 from warpav.runs.config.rig_options import NAMED_STARTS, START_TEXT, RigConfig
@@ -66,5 +67,6 @@ __all__ = [
     "overrides_from",
     "placed_config",
     "read_seeds",
+    "unset_options",
     "with_absolute_paths",
 ]

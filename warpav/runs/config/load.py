@@ -6,6 +6,7 @@ A file and the overrides are joined first and validated once, so that both have 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import difflib
 import math
 from collections.abc import Iterator, Sequence
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import yaml
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from warpav.core.errors import InputError, OptionError
 from warpav.core.section import move_option, renamed_options, shown, warn_renamed
@@ -196,6 +197,28 @@ def placed_config(path: str | Path, overrides: Sequence[str] = ()) -> Iterator[C
 def dump_config(config: Config) -> str:
     """The whole tree as YAML that :func:`load_config` reads back to an equal tree."""
     return yaml.dump(config.model_dump(mode="json"), Dumper=_FlowListDumper, sort_keys=False, allow_unicode=True)
+
+
+_ABSENT = object()
+
+
+def unset_options(config: Config) -> dict[str, object]:
+    """The options and sections that `dump_config` leaves out because they are not set, with what holds without them."""
+
+    def left_out(section: object, dumped: object, above: str) -> Iterator[tuple[str, object]]:
+        if isinstance(section, BaseModel):
+            names = list(type(section).model_fields)
+        elif dataclasses.is_dataclass(section):
+            names = [field.name for field in dataclasses.fields(section)]
+        else:
+            if dumped is _ABSENT:
+                yield above, section
+            return
+        for name in names:
+            there = dumped.get(name, _ABSENT) if isinstance(dumped, dict) else dumped
+            yield from left_out(getattr(section, name), there, f"{above}.{name}".lstrip("."))
+
+    return dict(left_out(config, config.model_dump(mode="json"), ""))
 
 
 def overrides_from(base: Config, config: Config) -> list[str]:
