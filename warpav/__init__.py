@@ -1,4 +1,4 @@
-"""warpav: where cameras should sit on a vehicle, by gradient descent through a differentiable rasteriser.
+"""warpav: which cameras a vehicle should carry and where, by exact gradients and by search with a proven bound.
 
 This is the public API; every name is imported when it is first used. ``warpav.raster`` is the rasteriser on its own.
 

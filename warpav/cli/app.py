@@ -34,7 +34,7 @@ from warpav.core.errors import ArgumentError, InputError
 app = App(
     name="warpav",
     version=__version__,
-    help="Find where cameras should sit on a vehicle, by gradient descent through a differentiable rasteriser.",
+    help="Find which cameras a vehicle should carry and where, by exact gradients and by search with a proven bound.",
     help_epilogue="Options are key=value, such as rig.cameras=6 camera.fov_deg='80 deg'; 'warpav config show' lists "
     "them. --debug shows where an error was raised.",
     result_action="return_value",

@@ -39,7 +39,7 @@ def optimise(
         ),
     ] = None,
 ) -> None:
-    """Move the cameras of a rig until a detector sees more traffic, and compare the result with baselines."""
+    """Find where the cameras of a rig see traffic best, and compare the result with baselines."""
     from warpav.runs.config import find_config, placed_config
     from warpav.runs.jobs import optimise_rig, resume_rig
     from warpav.runs.progress import RunDisplay
