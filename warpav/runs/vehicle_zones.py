@@ -18,6 +18,9 @@ from warpav.runs.config import Config
 from warpav.scene.own_vehicle import read_vehicle
 from warpav.scene.part_names import part_names
 
+# How far a pane may bulge out of the plane of its corners, along the vehicle [m].
+_PANE_BULGE_M = 0.3
+
 
 def propose(path: Path, config: Config, *, out: Path, image: Path | None = None) -> Iterator[str]:
     """Propose zones of a vehicle, write them, draw them; lines that say what there is.
@@ -38,7 +41,10 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
     kind = None if names is None else kinds_of_names(names)
     is_glass = None if kind is None or not (kind == "glass").any() else kind == "glass"
     boxes = propose_keep_out(mesh, kind)
-    zones = tuple(each for zone in propose_zones(mesh, is_glass) if (each := _kept_clear(zone, mesh, boxes)))
+    proposed = propose_zones(mesh, is_glass)
+    panes = [(zone.name, _box_of_pane(zone.outline_m)) for zone in proposed if zone.outline_m is not None]
+    boxes_of = {False: boxes, True: [*boxes, *panes]}
+    zones = tuple(each for zone in proposed if (each := _kept_clear(zone, mesh, boxes_of[_holds_panes(zone)])))
     if not zones:
         raise InputError(f"{path}: expected a body that faces upwards, sideways, forwards or backwards, got none")
     mount = config.mount
@@ -51,7 +57,7 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
     )
     write_zones(zones, out)
     counts = Counter(
-        name for name, box in boxes if any((box == each).all() for zone in zones for each in zone.keep_out_m)
+        name for name, box in boxes_of[True] if any((box == each).all() for zone in zones for each in zone.keep_out_m)
     )
     if counts:
         yield "  kept out: " + ", ".join(f"{count} x {name}" for name, count in counts.items())
@@ -62,6 +68,18 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
     if image is not None:
         plot(mesh, mount_surface=chart, title=f"zones of {path.name}", out=image)
         yield f"wrote {image}"
+
+
+def _box_of_pane(outline_m: np.ndarray) -> np.ndarray:
+    """A box around a pane whose corners are known [m], [corner, 3]; panes bulge."""
+    low_m, high_m = outline_m.min(axis=0), outline_m.max(axis=0)
+    bulge_m = _PANE_BULGE_M * np.array([1.0, 0.0, 0.0])
+    return np.round([low_m - bulge_m, high_m + bulge_m], 3)
+
+
+def _holds_panes(zone: Zone) -> bool:
+    """Whether a zone faces as windscreen and rear window do, and is on the outside."""
+    return not zone.is_behind_glass and abs(zone.axes[2][0]) > 0.7
 
 
 def _kept_clear(zone: Zone, mesh: Mesh, boxes: Sequence[tuple[str, np.ndarray]]) -> Zone | None:
