@@ -1,5 +1,8 @@
 """Files that appear whole or not at all."""
 
+import os
+import threading
+
 import pytest
 from matplotlib.figure import Figure
 
@@ -32,6 +35,19 @@ def test_what_was_there_stays_when_writing_fails(tmp_path):
         cut_off()
     assert file.read_text() == "before"
     assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_pipe_stays_one_and_gets_the_content(tmp_path):
+    pipe, got = tmp_path / "pipe", []
+    os.mkfifo(pipe)
+    reader = threading.Thread(target=lambda: got.append(pipe.read_text()))
+    reader.start()
+    with atomic_write(pipe) as draft:
+        draft.write_text("content")
+    reader.join(timeout=10)
+    assert got == ["content"]
+    assert pipe.is_fifo()
+    assert list(tmp_path.iterdir()) == [pipe]
 
 
 def test_a_folder_in_the_way_of_a_picture_leaves_no_draft(tmp_path):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+import shutil
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,6 +35,8 @@ def sync(path: Path) -> None:
 def atomic_write(file: Path, *, is_durable: bool = False) -> Iterator[Path]:
     """A path of its own to write to; the file takes its place in one step when the block ends well, else it is removed.
 
+    A device or a pipe, such as ``/dev/null`` or ``/dev/stdout``, stays what it is and is given the content.
+
     Args:
         file: The file.
         is_durable: Whether it is on the disk when this returns, whatever happens to the machine afterwards.
@@ -40,7 +44,14 @@ def atomic_write(file: Path, *, is_durable: bool = False) -> Iterator[Path]:
     Raises:
         OSError: The file cannot be replaced, such as where a folder has its name.
     """
-    draft = file.with_name(f"{DRAFT}{secrets.token_hex(4)}-{file.name}")
+    name = f"{DRAFT}{secrets.token_hex(4)}-{file.name}"
+    if file.exists() and not (file.is_file() or file.is_dir()):
+        with tempfile.TemporaryDirectory() as folder:
+            yield Path(folder) / name
+            with (Path(folder) / name).open("rb") as draft_stream, file.open("wb") as stream:
+                shutil.copyfileobj(draft_stream, stream)
+        return
+    draft = file.with_name(name)
     try:
         yield draft
         if is_durable:

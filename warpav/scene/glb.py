@@ -9,14 +9,13 @@ road users hold instance id, class and 3D box, and where it is known their veloc
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
 from warpav.scene.mesh_bounds import TRIANGLES_MAX, bounded_mesh
@@ -168,18 +167,10 @@ def write_whole(path: Path, data: bytes, *, what: str) -> None:
     Raises:
         InputError: The folder does not exist or cannot be written to; ``what`` is what the file holds, in words.
     """
-    temporary = None
     try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as stream:
-            temporary = Path(stream.name)
-            stream.write(data)
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        temporary.replace(path)
+        with atomic_write(path) as draft:
+            draft.write_bytes(data)
     except OSError as error:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
         raise InputError(f"{path}: cannot write the {what}: {error.strerror}; choose a folder that exists") from error
 
 
