@@ -9,7 +9,7 @@ import warp as wp
 from tests.view.stand_ins import ego
 from warpav.detection.images import render_images
 from warpav.detection.probability import CONTRAST, DetectionProbability, whole_solid_angle
-from warpav.evaluation.detection_range import DetectionRange, _alone, average_contrast
+from warpav.evaluation.detection_range import LEAST_HEIGHT_PX, DetectionRange, _alone, average_contrast
 from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
 from warpav.runs.config import load_config
@@ -97,6 +97,16 @@ def test_between_two_distances_the_logit_is_linear():
     assert table.range_m(0.95) == pytest.approx(np.array([[0.0]]))
     assert table.range_m(0.3)[0, 0] < 40.0
     assert table.range_m(0.1)[0, 0] == 40.0
+
+
+def test_nothing_is_promised_of_images_smaller_than_the_fit_speaks_for(found):
+    """Of a car straight ahead the height in the image is known: it falls with the distance."""
+    height_m = float(_alone("saloon", "cpu").upright_box.half_size_m.numpy()[0, 2]) * 2.0
+    focal_px = float(MODEL.intrinsics[0, 0])
+    limit_m = focal_px * height_m / LEAST_HEIGHT_PX  # from the camera, 0.0 m before the vehicle's middle
+    assert found.limit_m()[0, 0] == pytest.approx(limit_m, rel=0.02)
+    assert found.limit_m()[0, 4] == 0.0
+    assert found.size[0, 0, 1] > 1.0 > found.size[0, 0, 3]
 
 
 def test_the_contrast_adds_nothing():

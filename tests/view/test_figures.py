@@ -12,6 +12,7 @@ from tests.view.stand_ins import ego, rig
 from warpav.core.errors import InputError
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.mount_surface import MountSurface
+from warpav.rig.rig import Rig
 from warpav.view.figures.convergence import (
     convergence_panels,
     loss_figure,
@@ -200,6 +201,18 @@ def test_top_view_shows_cameras_on_their_side(tmp_path):
     ahead, left, behind, right = middle  # row, column; x points right in the figure and y up
     assert ahead[1] > left[1] > behind[1]
     assert left[0] < ahead[0] < right[0]
+
+
+def test_names_in_the_top_view_keep_apart():
+    one = rig().cameras[0]
+    crowd = Rig(dataclasses.replace(one, name=f"a_camera_with_a_long_name_{k}") for k in range(4))
+    figure = top_view_figure(rig=crowd, ego=ego(), mount_surface=surface())
+    figure.draw_without_rendering()
+    boxes = [text.get_window_extent() for text in figure.axes[0].texts]
+    assert len(boxes) == 4
+    # of a fraction of a pixel the layout may differ
+    assert not any(one.padded(-2.0).overlaps(other) for k, one in enumerate(boxes) for other in boxes[:k])
+    assert all(box.x1 <= figure.axes[0].get_window_extent().x1 + 2.0 for box in boxes)
 
 
 def test_top_view_shows_the_zone_on_request(tmp_path):

@@ -1,6 +1,7 @@
 """Figures of a rig on its vehicle: against golden images, and for what they must say."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.scene import Scene
 from warpav.view import Canvas, drawing_of, kinds_of, plot
-from warpav.view.figures.from_above import ring_radii_m
+from warpav.view.figures.from_above import camera_handles, ring_radii_m
 
 KINDS = ("plan", "range", "near_field", "redundancy", "resolution", "contact")
 
@@ -66,18 +67,35 @@ def test_they_say_what_they_show(street):
         "at least 12 px high",
         "hidden by the own body",
         "10 m",
-        "camera 4",
+        "cam_3",
         "m² hidden",
     ):
         assert text in plan
     near = words(drawn(rig(4, 90.0), "near_field", street))
-    for text in ("0.6 m", "worst", "front", "the top of a child's head"):
+    for text in ("0.6 m", "front", "the top of a child's head"):
         assert text in near
     assert "without cam_" in words(drawn(rig(4, 90.0), "redundancy", street))
     assert "no image on" in words(drawn(rig(3, 70.0), "resolution", street))
     sheet = words(drawn(rig(4, 90.0), "contact", street))
     assert "yaw 90°, pitch 0°, fov 90°" in sheet
     assert "own body" in sheet
+
+
+def test_cameras_have_their_names_of_several_rigs_under_the_names_of_these():
+    some, other = rig(2), Rig(replace(each, name=f"other_{each.name}") for each in rig(2).cameras)
+    assert list(camera_handles({"a": rig(3), "b": some})) == ["cameras"]
+    found = camera_handles({"a": some, "b": other})
+    assert {key: [each.get_label() for each in handles] for key, handles in found.items()} == {
+        "cameras of a": ["cam_0", "cam_1"],
+        "cameras of b": ["other_cam_0", "other_cam_1"],
+    }
+
+
+def test_one_narrow_camera_does_not_make_the_others_small(street):
+    far = RigCamera("far", np.array([1.3, 0.0, 1.58]), 0.0, 0.0, 0.0, CameraModel(fov_rad=math.radians(12.0)))
+    found = words(drawn(Rig([*rig(4, 90.0).cameras, far]), "redundancy", street))
+    assert "within 20 m" in found
+    assert "not drawn: seen up to" in found
 
 
 @pytest.mark.slow

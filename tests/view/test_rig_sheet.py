@@ -11,7 +11,7 @@ from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
 from warpav.view import plot
-from warpav.view.figures.rig_sheet import horizontal_arcs_rad, rig_sheet, vertical_arcs_rad
+from warpav.view.figures.rig_sheet import _near_each_other, horizontal_arcs_rad, rig_sheet, vertical_arcs_rad
 from warpav.view.frustum import seen_ground_m
 
 EXACT_RAD = 1e-7  # worst seen 3e-9: a quarter of a degree halved thirty times, and float64
@@ -113,6 +113,18 @@ def test_the_page_is_in_the_scale_that_it_states():
             assert 1000.0 / (drawn_px / figure.dpi * 25.4) == pytest.approx(float(stated.removeprefix("1 : ")))
     words = {text.get_text() for part in (figure, *figure.axes) for text in part.texts}
     assert {"1 cam_0", "4 cam_3", "4 m", "8 m", "256 x 256", "80 x 80"} <= words
+
+
+def test_cameras_at_one_place_have_their_numbers_beside_it():
+    place_m = np.array([[0.0, 3.0], [8.0, 3.0], [0.05, 3.0], [7.0, 3.0], [0.1, 3.0]])
+    assert _near_each_other(place_m, 0.06) == [[0, 2, 4], [1], [3]]
+    model = CameraModel(fov_rad=math.radians(60.0))
+    pair = Rig(
+        RigCamera(f"c{k}", np.array([1.0, side, 1.5]), side, 0.0, 0.0, model) for k, side in enumerate((-0.8, 0.8))
+    )
+    above, side = rig_sheet(pair, ego=ego()).axes
+    assert "1, 2" in [text.get_text() for text in side.texts]
+    assert {"1", "2"} <= {text.get_text() for text in above.texts}
 
 
 def test_many_cameras_make_the_page_longer():

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
-from warpav.detection.probability import CONTRAST, DetectionProbability, whole_solid_angle
+from warpav.detection.probability import CONTRAST, VISIBLE_SIZE, DetectionProbability, whole_solid_angle
 from warpav.evaluation.coverage import is_in_image
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
@@ -27,6 +27,13 @@ CATEGORIES = ("saloon", "van", "bus", "pedestrian", "cyclist")
 DISTANCES_M = tuple(float(each) for each in np.geomspace(5.0, 500.0, 18))
 AZIMUTH_COUNT = 72
 
+LEAST_HEIGHT_PX = 8.0
+"""Height of an image, in pixels of the network's input, below which no probability is promised.
+
+A fit records which visible areas it has seen, those of road users that are nearly hidden among them, but not the
+heights of whole ones: of a car on its own the smallest area would be two pixels high.
+"""
+
 _WIDTH_PX_MAX = 400
 _SUPERSAMPLING = 2
 _GREY = (0.18, 0.18, 0.18)
@@ -43,12 +50,16 @@ class DetectionRange:
         azimuth_rad: From the middle of the vehicle, 0 ahead, positive to the left [rad], float64 [azimuth].
         distances_m: Of the middle of the road user from the middle of the vehicle [m], increasing.
         probability: Of the best camera, 0..1, float64 [category, azimuth, distance].
+        size: Of the image in the camera that shows it largest, over the smallest that the model speaks for: it is
+            `LEAST_HEIGHT_PX` high, and not less than the smallest visible area of the fit; 0: in no image. float64
+            [category, azimuth, distance]; None: all are large enough.
     """
 
     categories: tuple[str, ...]
     azimuth_rad: np.ndarray
     distances_m: tuple[float, ...]
     probability: np.ndarray
+    size: np.ndarray | None = None
 
     @classmethod
     def of(
@@ -83,15 +94,16 @@ class DetectionRange:
         middle_m = np.asarray(ego.bounds_m(), np.float64)[:, :2].mean(axis=0)
         across = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
         place_m = middle_m + np.asarray(distances_m)[:, None, None] * across
-        best = np.zeros((len(asked), azimuth_count, len(distances_m)))
+        best, size = np.zeros((2, len(asked), azimuth_count, len(distances_m)))
         scenes = [_alone(category, device) for category in asked]
         for camera in rig.cameras:
             drawn = _drawn(camera.model)
             renderer = Renderer([drawn] * _VIEWS_AT_ONCE, supersampling=_SUPERSAMPLING, device=device)
             for row, scene in enumerate(scenes):
                 found = _probabilities(camera, drawn, renderer, scene, place_m.reshape(-1, 2), models[camera.model])
-                best[row] = np.maximum(best[row], found.reshape(len(distances_m), azimuth_count).T)
-        return cls(tuple(asked), azimuth_rad, tuple(distances_m), best)
+                for whole, one in zip((best, size), found, strict=True):
+                    whole[row] = np.maximum(whole[row], one.reshape(len(distances_m), azimuth_count).T)
+        return cls(tuple(asked), azimuth_rad, tuple(distances_m), best, size)
 
     def range_m(self, least: float) -> np.ndarray:
         """The largest distance at which the probability is at least so much.
@@ -104,11 +116,24 @@ class DetectionRange:
         Returns:
             float64 [category, azimuth] [m]; 0: at none of the distances. It is at most the last of them.
         """
-        logit = _logit(self.probability) - _logit(np.array(least))
-        holds = logit >= 0.0
+        return self._last_m(_logit(self.probability) - _logit(np.array(least)))
+
+    def limit_m(self) -> np.ndarray:
+        """The largest distance at which the image is as large as the model speaks for; beyond it, it is extrapolated.
+
+        Returns:
+            float64 [category, azimuth] [m]; 0: at none of the distances. It is at most the last of them.
+        """
+        if self.size is None:
+            return np.full(self.probability.shape[:2], self.distances_m[-1])
+        return self._last_m(np.log(np.maximum(self.size, 1e-9)))
+
+    def _last_m(self, margin: np.ndarray) -> np.ndarray:
+        """The last distance at which a margin [category, azimuth, distance] is not negative; see `range_m`."""
+        holds = margin >= 0.0
         last = len(self.distances_m) - 1 - holds[..., ::-1].argmax(axis=-1)
         following = np.minimum(last + 1, len(self.distances_m) - 1)
-        above, below = (np.take_along_axis(logit, at[..., None], axis=-1)[..., 0] for at in (last, following))
+        above, below = (np.take_along_axis(margin, at[..., None], axis=-1)[..., 0] for at in (last, following))
         share = np.where(following > last, above / np.maximum(above - below, 1e-12), 0.0)
         log_m = np.log(self.distances_m)
         found_m = np.exp(log_m[last] + share * (log_m[following] - log_m[last]))
@@ -153,13 +178,14 @@ def _probabilities(
     scene: DeviceScene,
     place_m: np.ndarray,
     model: DetectionProbability,
-) -> np.ndarray:
-    """The probability that the camera's detector finds the object of a scene at places, x and y [m]; float64 [place].
+) -> tuple[np.ndarray, np.ndarray]:
+    """The probability that the camera's detector finds the object of a scene at places, x and y [m], and its size.
 
-    The object stays and the camera is moved, so that the scene is made once. A pixel of the drawn image counts for as
-    many of the network's as it stands for.
+    Both are float64 [place], the size as in `DetectionRange`. The object stays and the camera is moved, so that the
+    scene is made once. A pixel of the drawn image counts for as many of the network's as it stands for.
     """
     device = scene.raster.device
+    per_px_down = model.network_scale[1]
     scale = [
         per_px * full_px / drawn_px
         for per_px, full_px, drawn_px in zip(
@@ -170,7 +196,7 @@ def _probabilities(
         )
     ]
     model = replace(model, network_scale=(scale[0], scale[1]))
-    found = np.zeros(len(place_m))
+    found, area_px = np.zeros((2, len(place_m)))
     asked = np.flatnonzero(_reaches_image(camera, place_m, scene))
     count = renderer.view_count
     pose = camera.ego_from_camera
@@ -192,7 +218,22 @@ def _probabilities(
             height_px=drawn.height_px,
         )
         found[shown] = seen.probability.numpy()[:, 0]
-    return found
+        area_px[shown] = np.expm1(seen.feature.numpy()[:, 0, VISIBLE_SIZE].astype(np.float64))
+    least_px = math.expm1(max(model.start[VISIBLE_SIZE], 0.0))
+    by_area = np.sqrt(area_px / max(least_px, 1e-9))
+    height_m = 2.0 * float(scene.upright_box.half_size_m.numpy()[0, 2])
+    by_height = _height_px(camera, place_m, height_m) * per_px_down / LEAST_HEIGHT_PX
+    return found, np.where(found > 0.0, np.minimum(by_area, by_height), 0.0)
+
+
+def _height_px(camera: RigCamera, place_m: np.ndarray, height_m: float) -> np.ndarray:
+    """Distance of the images of foot and top of something upright at places, float64 [place]; inf: one has none."""
+    pose = camera.ego_from_camera
+    end_px = [
+        camera.model.project((np.column_stack([place_m, np.full(len(place_m), z_m)]) - pose[:3, 3]) @ pose[:3, :3])
+        for z_m in (0.0, height_m)
+    ]
+    return np.nan_to_num(np.linalg.norm(end_px[1] - end_px[0], axis=-1), nan=np.inf)
 
 
 def _reaches_image(camera: RigCamera, place_m: np.ndarray, scene: DeviceScene) -> np.ndarray:

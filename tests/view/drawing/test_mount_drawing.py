@@ -3,6 +3,7 @@
 import importlib.util
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -111,6 +112,31 @@ def test_housings_of_modules_are_drawn():
 def test_the_table_has_every_camera(count):
     notes = {note.text for note in drawing_of(rig(count)).notes if note.layer == "TABLE"}
     assert {f"{i + 1} cam_{i}" for i in range(count)} <= notes
+
+
+def test_columns_of_the_table_keep_apart():
+    """Names and modules as long as they come: what has no room is cut, and nothing stands on anything else."""
+    modules = [name for name, _ in sorted(builtin_modules().items(), key=lambda item: -len(item[0]))[:3]]
+    some = Rig(
+        replace(each, name=f"a_camera_on_the_{'left' * k}_side", module=modules[k])
+        for k, each in enumerate(rig(3).cameras)
+    )
+    drawing = drawing_of(some)
+    figure = drawing.figure()
+    figure.draw_without_rendering()
+    [axis] = figure.axes
+    texts = {note.text for note in drawing.notes if note.layer == "TABLE"}
+    boxes = [text.get_window_extent() for text in axis.texts if text.get_text() in texts]
+    assert not any(one.overlaps(other) for k, one in enumerate(boxes) for other in boxes[:k])
+
+
+def test_housings_are_named_where_they_can_be_seen():
+    module = next(iter(builtin_modules().values()))
+    some = Rig(replace(each, module="m") for each in rig(2).cameras)
+    for size_m, is_named in ((0.3, True), (0.01, False)):
+        housing = replace(module.housing, size_m=(size_m,) * 3, offset_m=(0.0,) * 3)
+        drawing = drawing_of(some, modules={"m": replace(module, housing=housing)})
+        assert any("Dashed boxes" in note.text for note in drawing.notes) == is_named
 
 
 def test_it_is_written_the_same_every_time(tmp_path):

@@ -46,8 +46,10 @@ _BESIDE_MM = 31.0
 _TITLE_MM = (180.0, 36.0)
 _ROW_MM, _APART_MM = 4.3, 3.2
 _ARROW_MM, _MARK_MM, _SAME_MM = 9.0, 1.0, 2.5
-_TABLE_COLUMN_MM = (0.0, 47.0, 76.0, 104.0, 116.5, 128.5, 141.0, 155.0, 169.0, 183.0, 200.0)
-"""Left edges of text, right edges of numbers, which begin with the fourth."""
+_TABLE_MM, _COLUMN_GAP_MM, _COLUMN_GAP_LEAST_MM = 200.0, 6.0, 2.0
+_TEXT_COLUMNS = 3
+"""How many columns of the table are text, from the left; numbers stand at the right of theirs."""
+_BOX_LEAST_MM = 1.5
 _TABLE_HEAD = (
     *("camera", "module or lens", "image [px]", "fov [°]", "x [mm]", "y [mm]", "z [mm]"),
     *("yaw [°]", "pitch [°]", "roll [°]", "off [mm]"),
@@ -58,8 +60,10 @@ _NOTE = (
     "Angles turn a camera that looks forward about its own axes, in the order yaw (to the left), pitch (nose down), "
     "roll (right side down).",
     "Cameras are drawn through the body; arrows are optical axes. Off: from the nearest point of the mesh to the "
-    "optical centre. Dashed boxes: housings.",
+    "optical centre.",
 )
+_NOTE_HOUSINGS = " Dashed boxes: housings."
+"""Where some can be seen: at least `_BOX_LEAST_MM` wide and high on paper."""
 
 
 @dataclass(eq=False, kw_only=True)
@@ -372,18 +376,54 @@ def _add_table(drawing: MountDrawing, row_mm: float) -> None:
                 "-" if mount.stand_off_m is None else plain(1000.0 * mount.stand_off_m, 0),
             )
         )
+    rows, edges_mm = _columns_mm(rows, height_mm)
     for line, row in enumerate(rows):
         at_mm = bottom_mm + (len(rows) - line - 0.5) * row_mm
-        for column, (start_mm, text) in enumerate(zip(_TABLE_COLUMN_MM, row, strict=True)):
+        for column, (edge_mm, text) in enumerate(zip(edges_mm, row, strict=True)):
             colour = line - 1 if line and not column else None
-            is_number = column >= 3
-            place_mm = left_mm + start_mm, at_mm
-            room = (24, 19)[column] if column < 2 else len(text)
-            shown = text if len(text) <= room else f"{text[: room - 2]}.."
-            drawing.notes.append(Note("TABLE", place_mm, shown, height_mm, "right" if is_number else "left", colour))
-    across_mm = np.array([left_mm, left_mm + _TABLE_COLUMN_MM[-1]])
+            place_mm = left_mm + edge_mm, at_mm
+            align = "left" if column < _TEXT_COLUMNS else "right"
+            drawing.notes.append(Note("TABLE", place_mm, text, height_mm, align, colour))
+    across_mm = np.array([left_mm, left_mm + edges_mm[-1]])
     rule_mm = bottom_mm + (len(rows) - 1) * row_mm
     drawing.strokes.append(Stroke("FRAME", np.stack([across_mm, np.full(2, rule_mm)], axis=1)))
+
+
+def _columns_mm(rows: Sequence[tuple[str, ...]], height_mm: float) -> tuple[list[tuple[str, ...]], list[float]]:
+    """A table as it fits its room, and the edges of its columns: left ones of text, right ones of numbers.
+
+    Columns are as wide as what they hold; where there is no room for that, names are cut.
+    """
+
+    def widths_mm() -> np.ndarray:
+        each_mm = [
+            [_text_mm(text, height_mm, is_bold=not column and line > 0) for column, text in enumerate(row)]
+            for line, row in enumerate(kept)
+        ]
+        return np.max(each_mm, axis=0)
+
+    kept, longest = list(rows), max(len(text) for row in rows for text in row[:2])
+    gaps = len(rows[0]) - 1
+    while widths_mm().sum() + gaps * _COLUMN_GAP_LEAST_MM > _TABLE_MM and longest > 10:
+        longest -= 1
+        kept = [
+            (*(text if len(text) <= longest else f"{text[: longest - 2]}.." for text in row[:2]), *row[2:])
+            for row in rows
+        ]
+    width_mm = widths_mm()
+    gap_mm = min(_COLUMN_GAP_MM, (_TABLE_MM - float(width_mm.sum())) / gaps)
+    start_mm = np.concatenate([[0.0], np.cumsum(width_mm + gap_mm)[:-1]])
+    is_number = np.arange(len(width_mm)) >= _TEXT_COLUMNS
+    return kept, (start_mm + np.where(is_number, width_mm, 0.0)).tolist()
+
+
+def _text_mm(text: str, height_mm: float, *, is_bold: bool = False) -> float:
+    """How wide a text is whose capital letters are so high."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    font = FontProperties(weight="bold" if is_bold else "normal", size=_points(height_mm))
+    return text_to_path.get_text_width_height_descent(text, font, ismath=False)[0] / 72.0 * 25.4
 
 
 def _add_title_block(drawing: MountDrawing, fingerprint: str) -> None:
@@ -418,7 +458,9 @@ def _add_title_block(drawing: MountDrawing, fingerprint: str) -> None:
     for radius_mm in (1.5, 3.0):
         drawing.strokes.append(Stroke("FRAME", _circle_mm(centre_mm + np.array([8.0, 0.0]), radius_mm), is_closed=True))
     drawing.strokes.append(Stroke("DATUMS", centre_mm + np.array([[-9.0, 0.0], [13.0, 0.0]])))
-    for line, text in enumerate(_NOTE):
+    hulls_mm = [stroke.point_mm for stroke in drawing.strokes if stroke.layer == "HOUSINGS"]
+    has_boxes = any(float(np.ptp(hull_mm, axis=0).min()) >= _BOX_LEAST_MM for hull_mm in hulls_mm)
+    for line, text in enumerate((*_NOTE[:-1], _NOTE[-1] + (_NOTE_HOUSINGS if has_boxes else ""))):
         place_mm = left_mm + 3.0, max(y_mm + height_mm, _table_top_mm(drawing)) + 11.0 - 3.2 * line
         drawing.notes.append(Note("FRAME", place_mm, text, 1.9))
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.detection.probability import DetectionProbability
-from warpav.evaluation.detection_range import DetectionRange
+from warpav.evaluation.detection_range import LEAST_HEIGHT_PX, DetectionRange
 from warpav.view.figures.from_above import panels_with_key, ring_radii_m, write_key
 from warpav.view.figures.style import caption, figure_style, title
 from warpav.view.palette import INK_RGB, camera_rgb, hex_colour
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from warpav.rig.rig import Rig
 
 _LEVELS = {0.5: "-", 0.9: (0, (4, 1.5))}
+_LIMIT: Any = (0, (1, 1.2))
 
 
 def range_figure(
@@ -33,8 +34,9 @@ def range_figure(
     The probability is that of the fitted model (`warpav.detection.probability`), from what a render shows of the road
     user alone: area, shape, distance from the image's border. It heads as the own vehicle does, has the contrast of an
     average object, and stands every 5 degrees at 18 distances from 5 to 500 m; see
-    `warpav.evaluation.detection_range`. Lines at 500 m mean that or more. The model knows neither haze nor blur:
-    it says what the detector makes of so many clean pixels.
+    `warpav.evaluation.detection_range`. Lines end where the image becomes smaller than the model speaks for
+    (`DetectionRange.limit_m`) and are dotted there: the road user is found up to there, and nothing is known of what
+    is farther. The model knows neither haze nor blur: it says what the detector makes of so many clean pixels.
 
     Args:
         rigs: By name, at least one; of one, every class has a line; of several, every class has a panel.
@@ -59,20 +61,20 @@ def range_figure(
             len(panels_of),
             columns,
             panel_inch=6.2 if is_one else 3.4,
-            key_lines=1 + max(len(names), 2),
+            key_lines=1 + max(len(names), 3),
             projection="polar",
         )
         turn = np.append(first.azimuth_rad, 2.0 * np.pi)
-        reach_m = max(float(each.range_m(0.5).max()) for each in found.values())
+        limits_m = {name: each.limit_m() for name, each in found.items()}
+        reach_m = max(float(np.minimum(each.range_m(0.5), limits_m[name]).max()) for name, each in found.items())
         reach_m = min(1.08 * max(reach_m, first.distances_m[0]), 1.02 * first.distances_m[-1])
         for axis, shown in zip(panels, panels_of, strict=True):
             _prepare(axis, reach_m)
             for index, (row, _) in enumerate(shown):
-                for number, each in enumerate(found.values()):
+                for number, (name, each) in enumerate(found.items()):
                     colour = hex_colour(camera_rgb(index if is_one else number))
                     for least, style in _LEVELS.items():
-                        line_m = each.range_m(least)[row]
-                        axis.plot(turn, np.append(line_m, line_m[0]), color=colour, linestyle=style, linewidth=1.5)
+                        _draw_line(axis, turn, each.range_m(least)[row], limits_m[name][row], colour, style)
             title(axis, "" if is_one else shown[0][1])
         lines = [Line2D([], [], color=hex_colour(camera_rgb(k)), label=name) for k, name in enumerate(names)]
         ink = hex_colour(INK_RGB)
@@ -80,15 +82,36 @@ def range_figure(
             Line2D([], [], color=ink, linestyle=style, label=f"detected with a probability of at least {least:g}")
             for least, style in _LEVELS.items()
         ]
+        limit = f"ends there: farther, its image is less than {LEAST_HEIGHT_PX:g} px high"
+        levels.append(Line2D([], [], color=ink, linestyle=_LIMIT, label=limit))
         write_key(key, {"Road user" if is_one else "Rig": lines, "Up to this distance": levels}, widths=(1, 2))
         caption(
             figure,
-            f"Distance from the middle of the vehicle; {first.distances_m[-1]:g} m: that or more. Nothing hides "
-            "the road user.\nFitted model of detection probability, best camera.",
+            f"From the middle of the vehicle, up to {first.distances_m[-1]:g} m. Nothing hides the road user. Fitted "
+            f"model, best camera.\nIt speaks for images at least {LEAST_HEIGHT_PX:g} px high in the detector's input.\n"
+            "Distances follow from sizes of images, not from tests at these distances.",
         )
         if heading:
             figure.suptitle(heading, x=0.01, ha="left", fontweight="bold")
         return figure
+
+
+def _draw_line(
+    axis: Any,  # noqa: ANN401 (matplotlib)
+    turn: np.ndarray,
+    range_m: np.ndarray,
+    limit_m: np.ndarray,
+    colour: str,
+    style: Any,  # noqa: ANN401 (of lines, as matplotlib takes it)
+) -> None:
+    """Draw a range by azimuth, dotted where it ends at the limit of the model."""
+    line_m = np.minimum(range_m, limit_m)
+    is_cut = (range_m >= limit_m - 1e-6) & (line_m > 0.0)
+    # between a cut and an uncut direction the line belongs to the range
+    is_solid = ~is_cut | np.roll(~is_cut, 1) | np.roll(~is_cut, -1)
+    for shown, dashes, width in ((is_solid, style, 1.5), (is_cut, _LIMIT, 1.2)):
+        part_m = np.where(shown, line_m, np.nan)
+        axis.plot(turn, np.append(part_m, part_m[0]), color=colour, linestyle=dashes, linewidth=width)
 
 
 def _prepare(axis: Any, reach_m: float) -> None:  # noqa: ANN401 (matplotlib)

@@ -162,12 +162,15 @@ def write_key(
     axis.legend_ = None
 
 
-def camera_handles(rigs: Mapping[str, Rig]) -> list[Any]:
-    """Handles of a key for cameras: their names, of several rigs their numbers."""
+def camera_handles(rigs: Mapping[str, Rig]) -> dict[str, list[Any]]:
+    """Handles of a key for cameras: their names; where several rigs do not share these, each rig's under its name."""
     from matplotlib.patches import Patch
 
+    def named(rig: Rig) -> list[Any]:
+        return [Patch(color=hex_colour(camera_rgb(k)), label=camera.name) for k, camera in enumerate(rig.cameras)]
+
     largest = max(rigs.values(), key=lambda rig: len(rig.cameras))
-    return [
-        Patch(color=hex_colour(camera_rgb(index)), label=camera.name if len(rigs) == 1 else f"camera {index + 1}")
-        for index, camera in enumerate(largest.cameras)
-    ]
+    name = [camera.name for camera in largest.cameras]
+    if all([camera.name for camera in rig.cameras] == name[: len(rig.cameras)] for rig in rigs.values()):
+        return {"cameras": named(largest)}
+    return {f"cameras of {key}": named(rig) for key, rig in rigs.items()}

@@ -102,7 +102,8 @@ def _draw_dimensions(axis: Any, field: NearField) -> None:  # noqa: ANN401 (matp
     line_m = _line_m(field, 0)
     worst = field.worst()
     places = {field.toward(azimuth_deg): "" for azimuth_deg in _SIDES.values()}
-    places[worst] = "worst "
+    if field.distance_m[0, worst] > max(field.distance_m[0, k] for k in places):  # of equal ones, the side says it
+        places[worst] = "worst "
     for k, word in places.items():
         if field.distance_m[0, k] < 0.005:
             continue

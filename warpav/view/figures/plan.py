@@ -72,10 +72,9 @@ def plan_figure(
     far_m = max(near_m, min(1.06 * max(farthest_m.values()) + 2.0, FARTHEST_M))
     with figure_style():
         cameras = camera_handles(rigs)
-        columns = -(-len(cameras) // 6)
-        figure, panels, key = panels_with_key(
-            2 * len(rigs), 2, panel_inch=4.65, key_lines=1 + max(4, -(-len(cameras) // columns))
-        )
+        columns = [-(-len(each) // 6) if len(cameras) == 1 else 1 for each in cameras.values()]
+        lines = max(-(-len(each) // count) for each, count in zip(cameras.values(), columns, strict=True))
+        figure, panels, key = panels_with_key(2 * len(rigs), 2, panel_inch=4.65, key_lines=1 + max(4, lines))
         for (name, rig), far, near in zip(rigs.items(), panels[::2], panels[1::2], strict=True):
             prefix = f"{name}: " if len(rigs) > 1 else ""
             draw_surroundings(far, ego, rig, reach_m=far_m, camera_size=0.0)
@@ -97,10 +96,10 @@ def plan_figure(
         ]
         groups = {
             f"Left: image of a car, {CAR_HEIGHT_M:g} m high": sizes,
-            "Left: cameras": cameras,
+            **{f"Left: {name}": each for name, each in cameras.items()},
             "Right: ground that is": grounds,
         }
-        write_key(key, groups, columns=(1, columns, 1))
+        write_key(key, groups, columns=(1, *columns, 1))
         caption(figure, f"{RINGS} Within a panel, vehicle and rings have one scale.")
         if heading:
             figure.suptitle(heading, x=0.01, ha="left", fontweight="bold")

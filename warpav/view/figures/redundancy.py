@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from warpav.raster.mesh import Mesh
     from warpav.rig.rig import Rig
 
+_SECTOR_SHARE = 0.5
 _NAMES = ("no camera", "one camera", "two cameras", "three or more")
 
 
@@ -26,7 +27,8 @@ def redundancy_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None
     On the left the whole rig, on the right the rig without the camera whose loss leaves most ground, by area, to no
     camera. A camera sees a road user in the middle of a cell where the point 0.75 m above level ground is in its image,
     the own body does not stand before it (a ray against the vehicle's mesh), and the image of a car there, 1.5 m high,
-    is at least 12 px high through the lens. Bands are drawn up to the first that no camera sees anything of.
+    is at least 12 px high through the lens. Bands are drawn up to the last that is seen in half of the directions of
+    the one that is seen in most: one narrow camera that sees far does not make the others small.
 
     Args:
         rigs: By name, at least one.
@@ -40,13 +42,13 @@ def redundancy_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None
     from matplotlib.patches import Patch
 
     counts_of = {name: SectorCounts.of(rig, ego) for name, rig in rigs.items()}
-    seen_by = np.any([counts.sees.any(axis=(0, 1)) for counts in counts_of.values()], axis=0)
-    bands = min(int(np.flatnonzero(seen_by)[-1]) + 2, len(seen_by)) if seen_by.any() else len(seen_by)
+    sectors = np.max([counts.sees.any(axis=0).sum(axis=0) for counts in counts_of.values()], axis=0)
+    bands = int(np.flatnonzero(sectors >= _SECTOR_SHARE * sectors.max())[-1]) + 1
     with figure_style():
         figure, panels, key = panels_with_key(2 * len(rigs), 2, panel_inch=4.65, key_lines=5)
         colours = ListedColormap([hex_colour(rgb) for rgb in COVERAGE_RGB])
         for (name, rig), whole, less in zip(rigs.items(), panels[::2], panels[1::2], strict=True):
-            counts = counts_of[name].within(bands)
+            counts, beyond = counts_of[name].within(bands), _beyond(counts_of[name], bands)
             prefix = f"{name}: " if len(rigs) > 1 else ""
             lost = counts.costliest
             for axis, count, text in (
@@ -69,7 +71,8 @@ def redundancy_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None
                 )
                 title(axis, f"{prefix}{text}")
                 share = 100.0 * counts.blind_share(count)
-                axis.set_xlabel(f"no camera on {share:.0f} % of the area within {counts.edges_m[-1]:g} m", fontsize=8)
+                label = f"no camera on {share:.0f} % of the area within {counts.edges_m[-1]:g} m"
+                axis.set_xlabel(f"{label}\n{beyond}" if axis is whole and beyond else label, fontsize=8)
         seen = [Patch(facecolor=hex_colour(rgb), label=name) for rgb, name in zip(COVERAGE_RGB, _NAMES, strict=True)]
         rule = [
             f"its middle, {0.5 * CAR_HEIGHT_M:g} m above ground, is in the image,",
@@ -83,3 +86,12 @@ def redundancy_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None
         if heading:
             figure.suptitle(heading, x=0.01, ha="left", fontweight="bold")
         return figure
+
+
+def _beyond(counts: SectorCounts, bands: int) -> str:
+    """What cameras see farther than a number of bands, in words; nothing where they do not."""
+    seen = np.asarray(counts.sees.any(axis=0))[:, bands:]
+    if not seen.any():
+        return ""
+    farthest_m = counts.edges_m[bands + 1 + int(np.flatnonzero(seen.any(axis=0))[-1])]
+    return f"not drawn: seen up to {farthest_m:g} m in {int(seen.any(axis=1).sum())} of {len(seen)} directions"

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from warpav.requirements.check import RequirementResult
     from warpav.rig.rig import Rig
 
+_LEFT_INCH, _RIGHT_INCH, _BELOW_INCH, _ABOVE_INCH = 0.7, 0.15, 0.95, 0.42
+"""Around the panel, for labels, the key and the title."""
+
 _COUNTS = ("no camera", "1 camera", "2 cameras", "3 or more")
 
 
@@ -37,19 +40,22 @@ def requirement_map(path: Path | str, *, result: RequirementResult, rig: Rig, eg
     ghosts, body = result.ghosts, result.body
     outlines = [each.area.outlines_m(body) for each in ghosts.requirements]
     corner_m = np.concatenate([line for lines in outlines for line in lines] + [body.bounds_m])
-    size_m = np.ptp(corner_m, axis=0)
-    height = float(np.clip(1.2 + (WIDTH_INCH - 1.2) * size_m[1] / size_m[0], 2.6, 9.0))
+    spacing = ghosts.of_each("grid_m")
+    margin_m = 0.3 + 0.5 * float(spacing.max())
+    low_m, high_m = corner_m.min(axis=0) - margin_m, corner_m.max(axis=0) + margin_m
+    across, up = WIDTH_INCH - _LEFT_INCH - _RIGHT_INCH, _BELOW_INCH + _ABOVE_INCH
+    height = float(np.clip(up + across * (high_m - low_m)[1] / (high_m - low_m)[0], 2.6, 9.0))
     ink = hex_colour(INK_RGB)
     with figure_style():
         figure = new_figure(WIDTH_INCH, height)
-        axis = figure.subplots()
+        figure.set_layout_engine("none")
+        room = (_LEFT_INCH / WIDTH_INCH, _BELOW_INCH / height, across / WIDTH_INCH, 1.0 - up / height)
+        axis = figure.add_axes(room)
         draw_vehicle(axis, ego)
         for lines in outlines:
             for line in lines:
                 axis.plot(*np.vstack([line, line[:1]]).T, color=hex_colour(MUTED_RGB), linewidth=1.0, zorder=2)
-        spacing = ghosts.of_each("grid_m")
-        margin_m = 0.3 + 0.5 * float(spacing.max())
-        scale = _points_per_metre(figure, axis, corner_m.min(axis=0) - margin_m, corner_m.max(axis=0) + margin_m)
+        scale = _points_per_metre(figure, axis, low_m, high_m)
         size = np.clip(0.8 * spacing * scale, 2.5, 14.0) ** 2
         is_met, count = result.is_point_met, np.minimum(result.camera_count, 3)
         for k, rgb in enumerate(COVERAGE_RGB):
@@ -61,7 +67,7 @@ def requirement_map(path: Path | str, *, result: RequirementResult, rig: Rig, eg
                         edgecolors=ink, linewidths=0.3, zorder=order,
                     )  # fmt: skip
         draw_cameras(axis, rig, sector_radius_m=0.7)
-        figure.legend(handles=_handles(), loc="outside lower center", ncols=6)
+        figure.legend(handles=_handles(), loc="lower center", ncols=6)
         share = float(is_met.mean())
         names = ", ".join(each.name for each in ghosts.requirements)
         title(axis, names if len(names) <= 60 else f"{len(ghosts.requirements)} requirements", f"{share:.1%} of points")

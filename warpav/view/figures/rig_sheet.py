@@ -26,6 +26,8 @@ PAGE_MM = (210.0, 297.0)
 
 _MARGIN_MM, _HEAD_MM, _ROW_MM, _NOTE_MM, _GAP_MM = 12.0, 17.0, 4.6, 17.0, 9.0
 _UP = np.array([0.0, 0.0, 1.0])
+_MARK_MM = 2.3
+"""Diameter of a camera's mark: nearer ones have their numbers beside them."""
 _ARC_STEP_RAD = math.radians(1.0)
 _ANGLE_EPSILON = 1e-6
 
@@ -131,6 +133,8 @@ def rig_sheet(
         _draw_rings(above, side, ring_m, middle_m)
         _draw_from_above(above, rig, middle_m, reach_m)
         _draw_from_side(side, rig, middle_m, reach_m)
+        for axis, across in ((above, [0, 1]), (side, [0, 2])):
+            _draw_marks(axis, np.array([camera.position_m[across] for camera in rig.cameras]), 0.001 * scale)
         below_mm += side_mm + _GAP_MM
         rows = [_HEADINGS, *(_row(index, camera) for index, camera in enumerate(rig.cameras))]
         names_mm = min(max(38.0, 1.65 * max(len(row[0]) for row in rows)), 54.0)
@@ -181,8 +185,6 @@ def _draw_from_above(axis: Any, rig: Rig, middle_m: np.ndarray, reach_m: float) 
             for outline_m in seen_ground_m(camera, reach_m=2.0 * reach_m):
                 fan = axis.fill(*outline_m.T, facecolor="none", edgecolor=colour, hatch="////", linewidth=0.9, zorder=4)
                 fan[0].set_clip_path(border)
-        axis.plot(*centre_m, **camera_mark(colour), zorder=7)
-        axis.text(*centre_m, str(index + 1), **camera_digit(), zorder=8)
         forward = _forward(camera)[:2]
         largest = max(arcs, key=lambda arc: arc[1] - arc[0], default=None)
         if largest is not None and largest[1] - largest[0] < 2.0 * math.pi - _ANGLE_EPSILON:
@@ -217,8 +219,41 @@ def _draw_from_side(axis: Any, rig: Rig, middle_m: np.ndarray, reach_m: float) -
         for arc in vertical_arcs_rad(camera):
             outline_m = _fan_m(arc, centre_m, ground_m, reach_m, sign=sign, on_ground=True)
             _draw_fan(axis, outline_m, colour, alpha=0.05)  # many lie on each other
-        axis.plot(*centre_m, **camera_mark(colour), zorder=7)
-        axis.text(*centre_m, str(index + 1), **camera_digit(), zorder=8)
+
+
+def _draw_marks(axis: Any, place_m: np.ndarray, m_per_mm: float) -> None:  # noqa: ANN401 (matplotlib)
+    """Draw the places of cameras [camera, 2]; those that lie on each other have their numbers above them."""
+    for index, each_m in enumerate(place_m):
+        axis.plot(*each_m, **camera_mark(hex_colour(camera_rgb(index))), zorder=7)
+    taken: list[tuple[np.ndarray, float]] = []
+    for group in _near_each_other(place_m, _MARK_MM * m_per_mm):
+        if len(group) == 1:
+            axis.text(*place_m[group[0]], str(group[0] + 1), **camera_digit(), zorder=8)
+            continue
+        text = ", ".join(str(index + 1) for index in group)
+        foot_m = np.array([place_m[group, 0].mean(), place_m[group, 1].max()])
+        half_m = 0.6 * len(text) * m_per_mm
+        middle_m = foot_m + np.array([0.0, 2.6 * m_per_mm])
+        while any(
+            abs(middle_m[0] - other_m[0]) < half_m + other_half_m and abs(middle_m[1] - other_m[1]) < 2.4 * m_per_mm
+            for other_m, other_half_m in taken
+        ):
+            middle_m[1] += 2.5 * m_per_mm
+        taken.append((middle_m, half_m))
+        ink = hex_colour(INK_RGB)
+        axis.plot(*np.stack([foot_m, middle_m]).T, color=ink, linewidth=0.5, zorder=6)
+        paper = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
+        bold = {"fontsize": 5.5, "fontweight": "bold", "color": ink}
+        axis.text(*middle_m, text, **bold, ha="center", va="center_baseline", bbox=paper, zorder=11)
+
+
+def _near_each_other(place_m: np.ndarray, least_m: float) -> list[list[int]]:
+    """Places in groups: whoever is nearer to one of a group belongs to it."""
+    groups: list[list[int]] = []
+    for index, each_m in enumerate(place_m):
+        near = [group for group in groups if np.linalg.norm(place_m[group] - each_m, axis=1).min() < least_m]
+        groups = [group for group in groups if group not in near] + [sorted([index, *itertools.chain(*near)])]
+    return sorted(groups)
 
 
 def _fan_m(

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from warpav.rig.rig import Rig
 
 
+_ROOM_INCH = 1.9, 1.5
+"""Beside the panel for labels and the bar, and above and below it for the key, the title and labels."""
+
 _RIG_MARK: Any = {"markerfacecolor": "white", "markeredgecolor": hex_colour(INK_RGB), "markeredgewidth": 1.5}
 
 
@@ -81,7 +84,41 @@ def top_view_figure(
         bar = figure.colorbar(image, ax=axis, shrink=0.7, pad=0.02, aspect=28)
         bar.set_label("height of the mount surface [m]")
         bar.outline.set_visible(False)
+        _set_apart(figure, axis)
         return figure
+
+
+def _set_apart(figure: Any, axis: Any) -> None:  # noqa: ANN401 (matplotlib)
+    """Make room for the texts of a panel, move them up or down off each other, and fit the figure's height to it."""
+    low_m, high_m = np.array([axis.get_xlim(), axis.get_ylim()]).T
+    for _ in range(3):  # a wider panel has a smaller scale, and there texts are longer
+        boxes_m = _text_boxes_m(figure, axis)
+        low_m[0] = min(low_m[0], *(box[0, 0] for box in boxes_m))
+        high_m[0] = max(high_m[0], *(box[1, 0] for box in boxes_m))
+        axis.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]))
+    middle_m, taken = 0.5 * (low_m[1] + high_m[1]), []
+    for text, box in zip(axis.texts, _text_boxes_m(figure, axis), strict=True):
+        outwards = math.copysign(1.1 * float(np.ptp(box, axis=0)[1]), float(box[:, 1].mean()) - middle_m)
+        tried = [box + np.array([0.0, step * outwards]) for step in (0, 1, -1, 2, -2, 3, -3, 4)]
+        free = (each for each in tried if not any(_overlap(each, other) for other in taken))
+        taken.append(next(free, tried[0]))
+        text.set_position(np.array(text.get_position()) + taken[-1][0] - box[0])
+    low_m = np.min([low_m, *(box[0] for box in taken)], axis=0) - 0.05
+    high_m = np.max([high_m, *(box[1] for box in taken)], axis=0) + 0.05
+    axis.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]))
+    ratio = (high_m - low_m)[1] / (high_m - low_m)[0]
+    figure.set_figheight(float(np.clip(_ROOM_INCH[1] + (WIDTH_INCH - _ROOM_INCH[0]) * ratio, 3.6, 7.5)))
+
+
+def _text_boxes_m(figure: Any, axis: Any) -> list[np.ndarray]:  # noqa: ANN401 (matplotlib)
+    """Lowest and highest corners of the texts of a panel in its own units, [2, 2] each."""
+    figure.draw_without_rendering()
+    from_px = axis.transData.inverted()
+    return [from_px.transform(text.get_window_extent().get_points()) for text in axis.texts]
+
+
+def _overlap(one: np.ndarray, other: np.ndarray) -> bool:
+    return bool((one[0] < other[1]).all() and (other[0] < one[1]).all())
 
 
 def further_figure(
@@ -190,6 +227,8 @@ def draw_cameras(
         sector_radius_m: How far the sectors are drawn [m]; None: not at all.
         has_names: Whether every sector carries its camera's name.
     """
+    from matplotlib.patheffects import withStroke
+
     if trajectory_m is not None:
         step = np.asarray(trajectory_m, dtype=np.float64)
         for index in range(step.shape[1]):
@@ -214,7 +253,9 @@ def draw_cameras(
         direction = (arc_middle - outline[0]) / np.linalg.norm(arc_middle - outline[0])
         label = outline[0] + (sector_radius_m + 0.08 + 0.09 * np.abs(direction[1])) * direction
         side = "center" if abs(direction[0]) < 0.4 else "left" if direction[0] > 0 else "right"
-        axis.text(*label, camera.name, color=colour, ha=side, va="center", fontweight="bold", zorder=9)
+        halo = [withStroke(linewidth=2.5, foreground="white")]
+        style = {"color": colour, "fontweight": "bold", "path_effects": halo, "zorder": 9}
+        axis.text(*label, camera.name, ha=side, va="center", **style)
         axis.update_datalim([label + np.array([math.copysign(0.09 * len(camera.name), direction[0]), 0.0])])
 
 
