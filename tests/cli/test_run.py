@@ -125,6 +125,8 @@ def test_evaluating_the_run_gives_its_own_metrics(run_folder, working_directory)
     assert found["scenes"] == {"test": 2}
     of_the_run = run_folder.evaluation()["arms"]["optimised"]
     assert _numbers(found["arms"]["optimised"]) == pytest.approx(_numbers(of_the_run), abs=1e-3)
+    margins, expected = (each["constraints"]["optimised"] for each in (found, run_folder.evaluation()))
+    assert [margin["cameras"] for margin in margins] == [margin["cameras"] for margin in expected]
 
 
 def test_evaluating_says_what_dirt_and_loads_cost(working_directory, capsys):

@@ -12,7 +12,7 @@ from tests.optimisation.test_modules import columns, spread, symmetric_cameras
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from warpav.core.errors import InputError
 from warpav.evaluation.camera_outage import CameraOutages
-from warpav.evaluation.mount_tolerance import COLUMNS, MountTolerance
+from warpav.evaluation.mount_tolerance import COLUMNS, MountEffect, MountTolerance
 from warpav.optimisation.mount import HEIGHT_DELTA_M
 from warpav.raster.camera import CameraModel
 from warpav.view.figures.sensitivity import sensitivity_figure
@@ -117,7 +117,7 @@ def test_the_figure_has_every_change_and_every_loss(tmp_path):
     outages = CameraOutages.of(NAMES, detected)
     figure = sensitivity_figure(found, outages)
     cells = {text.get_text() for text in figure.axes[0].texts}
-    assert {f"{effect.worst:+.2f}" for effect in found.effects} == cells
+    assert {f"{effect.worst:+z.2f}" for effect in found.effects} == cells
     assert [bar.get_width() for bar in figure.axes[1].patches] == [each.difference_per_100 for each in outages.cameras]
     [image] = figure.axes[0].images
     worst = np.unravel_index(np.argmax(image.get_array()), image.get_array().shape)
@@ -126,6 +126,13 @@ def test_the_figure_has_every_change_and_every_loss(tmp_path):
         assert wa.plot(drawn, out=tmp_path / f"{name}.svg", **options).read_text().startswith("<?xml")
     with pytest.raises(ValueError, match="of the same cameras"):
         sensitivity_figure(found, CameraOutages.of(("a", "b", "c"), detected))
+
+
+def test_what_rounds_to_nothing_has_no_minus():
+    effects = tuple(MountEffect(name, degree, 0.0, -0.003, -0.004) for name in NAMES for degree in COLUMNS)
+    found = MountTolerance(0.02, 0.01, 1.0, np.ones(3), effects)
+    assert "-0.00" not in str(found.table())
+    assert {text.get_text() for text in sensitivity_figure(found).axes[0].texts} == {"+0.00"}
 
 
 def test_json_has_the_worst_and_all_effects():

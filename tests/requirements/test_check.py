@@ -67,6 +67,12 @@ def test_what_is_met_is_counted_point_by_point():
     assert 0.3 < around.share < 1.0
 
 
+@pytest.mark.parametrize(("kind", "words"), [("adult", "50 % of an adult by"), ("post", "50 % of a post by")])
+def test_what_is_needed_has_its_article(kind, words):
+    requirement = Requirement("near", Band((0.0, 4.0)), 0.8, TestObject(kind, SIZES_M[kind]))
+    assert requirement.need().startswith(words)
+
+
 def test_the_worst_point_says_how_much_is_missing():
     result = wa.check_requirements(wa.Rig(CAMERAS[:1]), EGO, WANTED)
     behind, around, twice = result.outcomes

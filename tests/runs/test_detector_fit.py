@@ -18,6 +18,7 @@ from warpav.runs import detector_fit
 from warpav.runs.config import load_config
 from warpav.runs.detector_fit import TOWN_HELD_OUT, TOWN_SEEDS, chosen_seeds
 from warpav.runs.networks import any_camera_config, any_camera_use, detector_use
+from warpav.runs.placement import needed_fit
 
 
 @pytest.fixture(autouse=True)
@@ -346,3 +347,18 @@ def test_a_detector_object_that_tells_its_scale_is_fitted_once(monkeypatch):
     for camera in (*cameras, cameras[0]):
         assert detector_fit.ensure_fit(config, detector=plain, camera=camera).network_scale == (1.0, 1.0)
     assert fitted[1:] == [(False, cameras[0]), (False, cameras[1])]
+
+
+def test_too_few_scenes_to_fit_on_are_said_once_for_all_modules(tmp_path):
+    said = []
+    progress = SimpleNamespace(say=said.append)
+    modules = "rig.modules={front_3mp_60: 1, fisheye_1_3mp_190: 1}"
+    options = ["scenes.source=folder", f"scenes.folder={tmp_path}", "scenes.train_seeds=0..5", modules]
+    config = load_config("quick", options)
+    assert len(needed_fit(config, progress)) == 2
+    assert said == [
+        "detection probability is that of the embedded scenes: to fit it on others takes 20, scenes.train_seeds has 6"
+    ]
+    said.clear()
+    assert detector_fit.fit_config(load_config("quick", [*options, "losses.probability=visible_share"]), progress)
+    assert said == []

@@ -2,10 +2,12 @@
 
 import dataclasses
 import io
+import math
 import time
 
 import pytest
 
+from warpav.optimisation.constraints import Margin
 from warpav.runs.progress import REFRESH_PER_SECOND, RunDisplay, iteration_rows
 from warpav.runs.terminal import Terminal
 from warpav.runs.verdict import ARM_ROWS, show_verdict, worse_than_start
@@ -168,6 +170,44 @@ def test_the_verdict_says_what_matters(violation, words):
     assert "optimised - random" not in text
     for heading in ARM_ROWS.values():
         assert heading in text
+
+
+def verdict_of(**found):
+    """What is printed of an optimised rig and its start, in one line."""
+    stream = io.StringIO()
+    metrics = {**dict.fromkeys(ARM_ROWS, 0.25), "constraint_violation": 0.15}
+    show_verdict(
+        Terminal(file=stream, width=80, soft_wrap=True),
+        {"scenes": {"test": 7}, "arms": {"optimised": metrics, "start": metrics}, **found},
+    )
+    return stream.getvalue()
+
+
+def test_the_worst_of_the_broken_constraints_is_named():
+    margins = [Margin("border", ("left",), 0.0, 0.02, -0.02, False)]
+    margins.append(Margin("spacing", ("left", "right"), 0.07, 0.2, -0.13, False))
+    margins.append(Margin("border", ("right",), 0.5, 0.02, 0.48, True))
+    text = verdict_of(constraints={"optimised": [dataclasses.asdict(each) for each in margins]})
+    assert "constraints broken by 0.15 m in all; the distance of left and right lacks 0.13 m\n" in text
+
+
+@pytest.mark.parametrize("start", [None, math.inf])
+def test_a_start_that_is_not_allowed_has_no_objective(start):
+    training = {"start": start, "optimised": 0.0011}
+    need = {"share": 1.0}
+    outcome = {"points": 4, "share": 0.5, "is_met": False, "worst": [], "need": need}
+    outcomes = [{**outcome, "name": "rear", "hard": True}, {**outcome, "name": "doors", "hard": False}]
+    text = verdict_of(training_objective=training, requirements={"optimised": [], "start": outcomes})
+    assert "scenes: 0.0011 at the end; the start is not allowed, as it does not meet rear\n" in text
+    assert "scenes: 0.0011 at the end; the start is not allowed\n" in verdict_of(training_objective=training)
+    without_end = verdict_of(training_objective={"start": 0.5, "optimised": None})
+    assert "scenes: 0.5000 at the start, - at the end\n" in without_end
+
+
+def test_no_difference_is_minus_nothing():
+    found = {"mean": -1e-6, "low": -2e-6, "high": 1e-6}
+    text = verdict_of(paired={"start": {"tp_detection_rate": found}})
+    assert "+0.0000 (95 % of resampled scene sets: +0.0000 to +0.0000)" in text
 
 
 def test_nothing_is_redrawn_where_there_is_no_terminal_whatever_colours_are_asked_for(monkeypatch):

@@ -161,6 +161,7 @@ def test_a_start_that_is_near_is_a_mark():
     axis = drawn_search(records)
     assert "start" in {line.get_label() for line in axis.get_lines()}
     assert not axis.texts
+    assert axis.get_ylabel() == "objective"  # it may hold requirements, or the loss of a camera
 
 
 def test_a_descent_has_no_curve_of_a_search(tmp_path):

@@ -71,7 +71,7 @@ class MountTolerance:
     def table(self) -> Table:
         """What each camera costs by degree of freedom: text when printed, HTML in a notebook."""
         cameras = dict.fromkeys(effect.camera for effect in self.effects)
-        found = {(effect.camera, effect.degree): f"{effect.worst:+.2f}" for effect in self.effects}
+        found = {(effect.camera, effect.degree): f"{effect.worst:+z.2f}" for effect in self.effects}
         limits = f"+-{100.0 * self.position_m:g} cm, +-{np.degrees(self.angle_rad):g} deg"
         high = np.quantile(self.samples, 0.95)
         return Table(

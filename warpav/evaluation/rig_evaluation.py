@@ -280,7 +280,7 @@ def outage_rows(outage: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     rows = [
         [
             each["camera"] + (" (worst)" if each["camera"] == outage["worst"] else ""),
-            *(f"{each[name]:{'+' if 'difference' in name else ''}.2f}" for name in names),
+            *(f"{each[name]:{'+' if 'difference' in name else ''}z.2f}" for name in names),
         ]
         for each in outage["cameras"]
     ]

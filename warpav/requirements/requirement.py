@@ -60,7 +60,9 @@ class Requirement:
         seen = f"{100.0 * self.visible_share:g} %"
         if self.pixels > 0.0:
             seen += f" and {self.pixels:g} px"
-        text = f"{seen} of a {self.test_object.kind} by {self.cameras} camera{'s' if self.cameras > 1 else ''}"
+        kind = self.test_object.kind
+        article = "an" if kind[:1].lower() in set("aeiou") else "a"
+        text = f"{seen} of {article} {kind} by {self.cameras} camera{'s' if self.cameras > 1 else ''}"
         return text if self.share in (None, 1.0) else f"{text}, at {100.0 * self.share:g} % of the points"
 
     def points_m(self, body: Body) -> np.ndarray:

@@ -169,13 +169,7 @@ def ensure_fit(
     progress = progress or NullProgress()
     if camera == camera_model(config):
         camera = None
-    scene_count = len(config.scenes.train_seeds)
-    if config.scenes.source != "town" and scene_count < MIN_FIT_SCENES:
-        progress.say(
-            f"detection probability is that of the embedded scenes: to fit it on others takes {MIN_FIT_SCENES}, "
-            f"scenes.train_seeds has {scene_count}"
-        )
-        config = town_config(config)
+    config = fit_config(config, progress)
     use = detector_use(config, ego, camera)
     if detector is None:
         if stored_file(use) is not None:
@@ -198,6 +192,18 @@ def ensure_fit(
         found = fit(config, seeds, detector=detector, any_camera=True, progress=progress)
         kept[any_use.identity] = found.model
     return replace(kept[any_use.identity], network_scale=scale)
+
+
+def fit_config(config: Config, progress: Progress) -> Config:
+    """The configuration with embedded scenes where it has too few of its own to fit on, which is said."""
+    count = len(config.scenes.train_seeds)
+    if config.losses.probability != "fitted" or config.scenes.source == "town" or count >= MIN_FIT_SCENES:
+        return config
+    progress.say(
+        f"detection probability is that of the embedded scenes: to fit it on others takes {MIN_FIT_SCENES}, "
+        f"scenes.train_seeds has {count}"
+    )
+    return town_config(config)
 
 
 def town_config(config: Config) -> Config:

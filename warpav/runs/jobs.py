@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
@@ -270,7 +271,12 @@ def measure_rig(
         began_as = placement.frozen_rig if placement.has_ordered_start else RunFolder.open(source).rig("initial")
     name = arm_name(source)
     found = evaluate_on({name: rig}, placement.test, placement, began_as={name: began_as}, progress=progress)
-    evaluation = {"schema": EVALUATION_SCHEMA, **found.to_json()}
+    margins = placement.objective.constraints.margins(rig)
+    evaluation = {
+        "schema": EVALUATION_SCHEMA,
+        **found.to_json(),
+        "constraints": {name: [asdict(each) for each in margins]},
+    }
     scenes = list(load_scenes(config, config.scenes.test_seeds)) if soiled or loads else []
     if soiled is not None:
         evaluation["soiling"] = soiling_of(rig, scenes, placement, soiled, progress=progress).to_json()

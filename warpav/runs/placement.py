@@ -46,7 +46,7 @@ from warpav.requirements.requirement import Requirement
 from warpav.rig.rig import Rig
 from warpav.runs.config import AUTO, Config, RigConfig, changed_config, flow_text
 from warpav.runs.config.schema import NO_REQUIREMENTS
-from warpav.runs.detector_fit import ensure_fit
+from warpav.runs.detector_fit import ensure_fit, fit_config
 from warpav.runs.mounts import camera_models, checked_frozen, constraints_of, rig_limits
 from warpav.runs.networks import Networks, load_networks
 from warpav.runs.rig_source import read_start
@@ -632,6 +632,7 @@ def _fitted(
     """The model of detection probability, or that of each module; arguments as of `ensure_fit`."""
     if config.rig.modules is None:
         return ensure_fit(config, detector=detector, ego=ego, progress=progress)
+    config = fit_config(config, progress)  # once for all modules
     return tuple(
         ensure_fit(config, detector=detector, ego=ego, progress=progress, camera=model)
         for model in camera_models(config)

@@ -395,7 +395,9 @@ def write_verdict(
             },
             "certificate": None if result.certificate is None else result.certificate.to_json(),
             **({} if result.robust is None else {"robust": result.robust}),
-            "constraints": {name: placement.objective.constraints.margins(rig) for name, rig in rigs.items()},
+            "constraints": {
+                name: [asdict(margin) for margin in constraints.margins(rig)] for name, rig in rigs.items()
+            },
             "outcomes": compared.outcomes(),
             "ground": ground.table(),
         }

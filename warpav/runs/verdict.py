@@ -149,7 +149,7 @@ def _cost_table(
         table.add_column(column, justify="right")
     table.add_row("none", "", f"{found['expected_misses_per_100']:.2f}", "")
     for name, what, each in rows:
-        numbers = f"{each['expected_misses_per_100']:.2f}", f"{each['difference_per_100']:+.2f}"
+        numbers = f"{each['expected_misses_per_100']:.2f}", f"{each['difference_per_100']:+z.2f}"
         table.add_row(name, what, *numbers)
     return table
 
@@ -285,14 +285,13 @@ def show_verdict(console: Terminal, evaluation: Mapping[str, Any]) -> None:
     if violation == 0.0:
         text = shown("constraints met", "green").append(f": closest cameras {_number(closest)} m apart", "default")
     else:
-        text = shown("constraints broken", "red").append(f" by {_number(violation)} m", "default")
+        worst = _worst_margin((evaluation.get("constraints") or {}).get(name) or [])
+        text = shown("constraints broken", "red").append(f" by {_number(violation)} m{worst}", "default")
     console.print(text)
     training = evaluation.get("training_objective")
     if training:
-        start, end = training["start"], training["optimised"]
-        change = f" ({(end - start) / start:+.1%})" if start else ""
         where = "the scenes of the search" if evaluation.get("certificate") else "the training scenes"
-        console.print(shown(f"objective on {where}: {start:.4f} at the start, {end:.4f} at the end{change}"))
+        console.print(shown(f"objective on {where}: {_objective_change(evaluation)}"))
     if evaluation.get("robust"):
         console.print(shown(robust_text(evaluation["robust"])))
     certificate = evaluation.get("certificate")
@@ -313,10 +312,40 @@ def show_verdict(console: Terminal, evaluation: Mapping[str, Any]) -> None:
                 _show_difference(console, f"expected misses per 100, {name} - {other}", found, digits=2)
 
 
+def margin_text(kind: str, cameras: Sequence[str]) -> str:
+    """What a constraint is about, in words; arguments as of `warpav.optimisation.constraints.Margin`."""
+    if kind == "border":
+        return f"the distance of {cameras[0]} to the border of where it may stand"
+    return f"the distance of {' and '.join(cameras)}"
+
+
+def length_text(length_m: float) -> str:
+    """A length in millimetres, or in metres where it is long."""
+    return f"{1000.0 * length_m:.0f} mm" if length_m < 0.1 else f"{length_m:.2f} m"
+
+
+def _worst_margin(margins: Sequence[Mapping[str, Any]]) -> str:
+    worst = min(margins, key=lambda margin: margin["slack_m"], default=None)
+    if worst is None or worst["is_kept"]:
+        return ""
+    return f" in all; {margin_text(worst['kind'], worst['cameras'])} lacks {length_text(-worst['slack_m'])}"
+
+
+def _objective_change(evaluation: Mapping[str, Any]) -> str:
+    start, end = (evaluation["training_objective"][name] for name in _ENDS)
+    if start is not None and math.isfinite(start):
+        change = f" ({(end - start) / start:+.1%})" if start and end is not None and math.isfinite(end) else ""
+        return f"{start:.4f} at the start, {_metric(end)} at the end{change}"
+    outcomes = (evaluation.get("requirements") or {}).get("start") or []
+    unmet = [each["name"] for each in outcomes if each["hard"] and not each["is_met"]]
+    reason = f", as it does not meet {', '.join(unmet)}" if unmet else ""
+    return f"{_metric(end)} at the end; the start is not allowed{reason}"
+
+
 def _show_difference(console: Terminal, what: str, found: Mapping[str, Any], *, digits: int) -> None:
     if found.get("low") is not None:
-        text = f"{what}: {found['mean']:+.{digits}f} "
-        text += f"(95 % of resampled scene sets: {found['low']:+.{digits}f} to {found['high']:+.{digits}f})"
+        text = f"{what}: {found['mean']:+z.{digits}f} "
+        text += f"(95 % of resampled scene sets: {found['low']:+z.{digits}f} to {found['high']:+z.{digits}f})"
         console.print(shown(text))
 
 

@@ -14,6 +14,7 @@ from warpav.core.yaml_file import read_yaml
 from warpav.evaluation.metrics import ObjectOutcome
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.rig import Rig
+from warpav.rig.zone import Zone, read_zones
 from warpav.runs.certificate import Certificate
 from warpav.runs.config import Config
 from warpav.runs.run_folder import RunFolder
@@ -363,6 +364,7 @@ class RunContent:
         ground: The cells of the ground, likewise None.
         certificate: What a search by a pool has proven; None for a descent.
         further: What further cameras would add to the rig, likewise.
+        zones: Where cameras may stand, of ``mount.zones``; empty where there is no such file.
     """
 
     name: str
@@ -378,6 +380,7 @@ class RunContent:
     ground: GroundMap | None
     certificate: Certificate | None = None
     further: FurtherCameras | None = None
+    zones: tuple[Zone, ...] = ()
 
 
 def read_run(folder: RunFolder) -> RunContent:
@@ -415,6 +418,7 @@ def read_run(folder: RunFolder) -> RunContent:
             scenes=None if config is None else config.scenes.search_scene_count,
         ),
         further=folder.further_cameras(),
+        zones=() if config is None or config.mount.zones is None else read_zones(config.mount.zones),
     )
 
 

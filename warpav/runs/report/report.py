@@ -18,6 +18,7 @@ from warpav.core.errors import InputError
 from warpav.evaluation.metrics import SECTORS, ObjectOutcome, sectors_of
 from warpav.evaluation.rig_evaluation import outage_rows
 from warpav.runs.config import config_names, load_config, overrides_from
+from warpav.runs.mounts import free_ranges, has_zones
 from warpav.runs.report import words
 from warpav.runs.report.reading import EvaluationRecord, Event, RunContent, View, read_run
 from warpav.runs.run_folder import RunFolder
@@ -465,14 +466,31 @@ def _free(run: RunContent) -> str:
         return ""
     free = run.config.rig.free
     ranges = (
-        ("pitch", free.pitch_deg, "deg"),
-        ("height above the surface", free.height_m, "m"),
+        ("pitch", None if has_zones(run.config) else free.pitch_deg, "deg"),
+        ("height above the surface", None if has_zones(run.config) else free.height_m, "m"),
         ("field of view", free.fov_deg, "deg"),
     )
     given = [f", {name} from {pair[0]:g} to {pair[1]:g} {unit}" for name, pair, unit in ranges if pair is not None]
     text = f"Free were x, y, yaw{''.join(given)}."
+    if has_zones(run.config):
+        text += f" Each zone gives its own ranges of yaw, pitch and distance from the surface{_pitches(run)}."
     frozen = run.config.rig.freeze
     return text + (f" Frozen: {', '.join(frozen)}." if frozen else "")
+
+
+def _pitches(run: RunContent) -> str:
+    """The ranges of pitch of the zones of a file, in words."""
+    usual_rad = None if run.config is None else free_ranges(run.config).pitch_rad
+    named: dict[tuple[float, float], list[str]] = {}
+    for zone in run.zones:
+        pitch_rad = zone.pitch_rad or usual_rad
+        if pitch_rad is not None:
+            named.setdefault(pitch_rad, []).append(zone.name)
+    told = [
+        f"{math.degrees(low_rad):g} to {math.degrees(high_rad):g} deg in {', '.join(names)}"
+        for (low_rad, high_rad), names in named.items()
+    ]
+    return f": pitch {'; '.join(told)}" if told else ""
 
 
 def _views(

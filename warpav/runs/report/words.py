@@ -15,7 +15,7 @@ from warpav.evaluation.metrics import ObjectOutcome
 from warpav.optimisation.mount_errors import ANGLES
 from warpav.rig.rig import Rig
 from warpav.runs.report.reading import DifferenceRecord, EvaluationRecord, MarginRecord, RunContent
-from warpav.runs.verdict import mount_errors_text, robust_text
+from warpav.runs.verdict import length_text, margin_text, mount_errors_text, robust_text
 
 Tone = Literal["good", "bad", "open"]
 
@@ -25,6 +25,9 @@ MIN_SCENES = 6
 """With fewer, no difference can have a p-value below 0.05: all scenes agree by chance in 2^(1 - scenes) of cases."""
 
 FEW_SCENES = 30
+
+FAR_PER_100 = 5.0
+"""Detected misses that exceed the expected ones by so many, and twofold, are warned of."""
 
 BASELINES = {"start": "the start", "highest": "the highest rig", "random": "the best random rig"}
 
@@ -55,12 +58,12 @@ class Statement:
 
 def number(value: float | None, digits: int = 3) -> str:
     """A number with so many decimals, a dash where there is none."""
-    return NONE if value is None else f"{value:.{digits}f}".replace("-", MINUS)
+    return NONE if value is None else f"{value:z.{digits}f}".replace("-", MINUS)
 
 
 def signed(value: float | None, digits: int = 3) -> str:
     """The same with its sign."""
-    return NONE if value is None else f"{value:+.{digits}f}".replace("-", MINUS)
+    return NONE if value is None else f"{value:+z.{digits}f}".replace("-", MINUS)
 
 
 def percent(value: float | None, digits: int = 1) -> str:
@@ -97,6 +100,7 @@ def headline(run: RunContent) -> Statement:
         return Statement(
             "", f"Recall of the rig on the test scenes: {number(evaluation.arms[evaluation.first].recall)}."
         )
+    counted = max(evaluation.paired[name]["tp_detection_rate"].scenes for name in compared)
     named = {tone: [_arm(name) for name in compared if compared[name] == tone] for tone in ("good", "bad", "open")}
     parts = []
     if named["good"]:
@@ -108,6 +112,10 @@ def headline(run: RunContent) -> Statement:
         parts.append(f"cannot be distinguished from {alternatives} by what it detects")
     tone: Tone = "bad" if named["bad"] else "good" if named["good"] else "open"
     text = f"The {evaluation.first} rig {_listed(parts)}."
+    if counted < MIN_SCENES:
+        text = f"{_few(counted)} too few to prove a difference"
+        found = _detected(run, evaluation)
+        text += f"; there the {found}." if found else "."
     expected = _expected(run, evaluation)
     if expected is not None and tone != "bad":
         more = f" It detects more than {_listed(named['good'])}." if named["good"] else ""
@@ -155,7 +163,8 @@ def summary(run: RunContent) -> list[Statement]:
     """The run in a few statements, the most important first."""
     found: list[Statement | None] = []
     if run.evaluation is not None:
-        found += [_traffic(run, run.evaluation), _proof(run.evaluation), _objective(run, run.evaluation)]
+        found += [_traffic(run, run.evaluation), _misses(run, run.evaluation)]
+        found += [_proof(run.evaluation), _objective(run, run.evaluation)]
     found += [_bound(run), _moves(run)]
     if run.evaluation is not None:
         found += [_left(run, run.evaluation), _requirements(run.evaluation)]
@@ -188,17 +197,11 @@ def objects_name(run: RunContent, count: int = 2) -> str:
 
 
 def _traffic(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
-    first, *others = evaluation.arms
-    arm = evaluation.arms[first]
-    if arm.objects is None or arm.detected is None:
+    found = _detected(run, evaluation)
+    if not found:
         return None
-    name = objects_name(run)
-    text = (
-        f"In {_counted(evaluation.scenes['test'], 'scene')} that no search has seen, the {first} rig detects "
-        f"{arm.detected} of {arm.objects} {name} (recall {number(arm.recall)})"
-    )
-    rest = [f"{_arm(other)} {evaluation.arms[other].detected}" for other in others]
-    text += f"; {_listed(rest)}." if rest else "."
+    first = evaluation.first
+    text = f"In {_counted(evaluation.scenes['test'], 'scene')} that no search has seen, the {found}."
     if evaluation.outcomes is not None and "start" in evaluation.arms:
         pairs = Counter(
             (seen.outcome["start"] == ObjectOutcome.DETECTED, seen.outcome[first] == ObjectOutcome.DETECTED)
@@ -207,6 +210,40 @@ def _traffic(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
         won, lost = pairs[False, True], pairs[True, False]
         text += f" Against the start it has won {won} and lost {lost}."
     return Statement("Traffic", text)
+
+
+def _detected(run: RunContent, evaluation: EvaluationRecord) -> str:
+    """How many objects every rig detects; empty where that is not known."""
+    first, *others = evaluation.arms
+    arm = evaluation.arms[first]
+    if arm.objects is None or arm.detected is None:
+        return ""
+    text = f"{first} rig detects {arm.detected} of {arm.objects} {objects_name(run)} (recall {number(arm.recall)})"
+    rest = [f"{_arm(other)} {evaluation.arms[other].detected}" for other in others]
+    return f"{text}; {_listed(rest)}" if rest else text
+
+
+def _misses(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
+    """What every rig is expected to miss beside what the detector misses, where both are known."""
+    pairs = {
+        name: (outage.expected_misses_per_100, 100.0 * (1.0 - arm.recall))
+        for name, arm in evaluation.arms.items()
+        if (outage := evaluation.camera_outage.get(name)) is not None and arm.recall is not None
+    }
+    first = evaluation.first
+    if first not in pairs:
+        return None
+    expected, missed = pairs.pop(first)
+    text = (
+        f"Of 100 {objects_name(run)} of the test scenes the {first} rig is expected to miss {number(expected, 1)}, and "
+        f"its detector misses {number(missed, 1)}"
+    )
+    rest = [f"{_arm(name)} {number(pair[0], 1)} and {number(pair[1], 1)}" for name, pair in pairs.items()]
+    text += f"; {', '.join(rest)}." if rest else "."
+    if missed <= 2.0 * expected or missed < expected + FAR_PER_100:
+        return Statement("Expected misses", text)
+    text += " The detector misses far more than the model expects, so do not rely on the expected misses of this run."
+    return Statement("Expected misses", text, "bad")
 
 
 def _proof(evaluation: EvaluationRecord) -> Statement | None:
@@ -451,10 +488,11 @@ def _constraints(evaluation: EvaluationRecord) -> Statement | None:
         return Statement("Constraints", text, "good" if is_kept else "bad")
     broken = [margin for margin in margins if not margin.is_kept]
     tightest = min(margins, key=lambda margin: margin.slack_m)
+    name = margin_text(tightest.kind, tightest.cameras)
     if broken:
-        worst = f"{_margin(tightest)} lacks {_length(-tightest.slack_m)}"
+        worst = f"{name} lacks {length_text(-tightest.slack_m)}"
         return Statement("Constraints", f"{len(broken)} of {len(margins)} are broken; {worst}.", "bad")
-    text = f"All {len(margins)} hold; the tightest is {_margin(tightest)}, with {_length(tightest.slack_m)} to spare."
+    text = f"All {len(margins)} hold; the tightest is {name}, with {length_text(tightest.slack_m)} to spare."
     return Statement("Constraints", text, "good")
 
 
@@ -488,7 +526,7 @@ def sensitivity(run: RunContent) -> str:
     text = (
         f"Most sensitive is {worst.camera} in {worst.degree}: off by {off}, the rig is expected to miss "
         f"{number(worst.change_per_100, 2)} more of 100 {objects} ({_counted(tolerance.scenes, 'scene')})"
-        if worst.change_per_100 > 0.0
+        if round(worst.change_per_100, 2) > 0.0
         else f"No camera that is off by {100.0 * tolerance.position_m:g} cm or {angle} in one direction costs anything "
         f"({_counted(tolerance.scenes, 'scene')})"
     )
@@ -504,7 +542,7 @@ def _caution(evaluation: EvaluationRecord) -> Statement | None:
     count = evaluation.scenes["test"]
     if count >= FEW_SCENES:
         return None
-    text = f"{_counted(count, 'test scene')} {'is' if count == 1 else 'are'} few"
+    text = f"{_few(count)} few"
     if count < MIN_SCENES:
         text += f": with fewer than {MIN_SCENES}, no difference can be proven at 5 %"
     else:
@@ -519,16 +557,6 @@ def margin_name(margin: MarginRecord) -> str:
     return f"{' and '.join(margin.cameras)}: distance"
 
 
-def _margin(margin: MarginRecord) -> str:
-    if margin.kind == "border":
-        return f"the distance of {margin.cameras[0]} to the border of where it may stand"
-    return f"the distance of {' and '.join(margin.cameras)}"
-
-
-def _length(length_m: float) -> str:
-    return f"{1000.0 * length_m:.0f} mm" if length_m < 0.1 else f"{length_m:.2f} m"
-
-
 def _change(before: float, after: float) -> str:
     if round(before, 4) == round(after, 4):
         return f"stayed at {number(after, 4)}"
@@ -538,6 +566,10 @@ def _change(before: float, after: float) -> str:
 
 def _arm(name: str) -> str:
     return BASELINES.get(name, name)
+
+
+def _few(count: int) -> str:
+    return f"{_counted(count, 'test scene')} {'is' if count == 1 else 'are'}"
 
 
 def _counted(count: int, noun: str) -> str:

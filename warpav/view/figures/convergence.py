@@ -93,7 +93,7 @@ def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] 
     def draw(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
         axis.set_title("Best rig and bound")
         axis.set_xlabel("camera renders (one camera in one scene)")
-        axis.set_ylabel("expected miss rate")
+        axis.set_ylabel("objective")
         named: set[str] = set()
         for k, until in enumerate(spent):
             begin = spent[k - 1] if k else 0

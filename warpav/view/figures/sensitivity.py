@@ -73,7 +73,7 @@ def _draw_changes(axis: Any, tolerance: MountTolerance, names: list[str]) -> Non
     colours = LinearSegmentedColormap.from_list("change", stops)
     axis.imshow(change, cmap=colours, vmin=-most, vmax=most, aspect="auto")
     for (row, column), value in np.ndenumerate(change):
-        axis.text(column, row, f"{value:+.2f}", ha="center", va="center", fontsize=8.5, color=hex_colour(INK_RGB))
+        axis.text(column, row, f"{value:+z.2f}", ha="center", va="center", fontsize=8.5, color=hex_colour(INK_RGB))
     axis.set_xticks(range(len(degrees)), degrees)
     axis.grid(visible=False)
     axis.spines[:].set_visible(False)
@@ -89,7 +89,7 @@ def _draw_losses(axis: Any, outages: CameraOutages) -> None:  # noqa: ANN401 (ma
         for each in outages.cameras
     ]
     bars = axis.barh(range(len(more)), more, color=[hex_colour(camera_rgb(k)) for k in range(len(more))], height=0.62)
-    axis.bar_label(bars, [f"{each:+.1f}" for each in more], padding=3, fontsize=8.5)
+    axis.bar_label(bars, [f"{each:+z.1f}" for each in more], padding=3, fontsize=8.5)
     axis.margins(x=0.16)
     axis.grid(visible=False)
     axis.set_xticks([])
