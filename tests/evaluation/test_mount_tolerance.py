@@ -1,5 +1,6 @@
 """What errors of mounting cost: against renders of rigs that are off, one by one."""
 
+import importlib
 import json
 import math
 
@@ -112,6 +113,7 @@ def test_the_public_call_takes_a_rig_and_scenes():
 
 
 def test_the_figure_has_every_change_and_every_loss(tmp_path):
+    importlib.import_module("warpav.runs.robustness")  # as whoever has a tolerance did
     found = tolerance_of()
     detected = np.concatenate([CAMERAS.detection_probability(POSE, scene) for scene in streets()], axis=1)
     outages = CameraOutages.of(NAMES, detected)

@@ -1,5 +1,7 @@
 """The front door to images for what runs come to: results of optimisations and evaluations."""
 
+import importlib
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -77,5 +79,6 @@ def test_an_evaluation_is_a_figure_of_recall(placement, result, tmp_path):
 
 
 def test_an_evaluation_without_objects_cannot_be_drawn():
+    importlib.import_module("warpav.runs.evaluate")  # as whoever has an evaluation did
     with pytest.raises(InputError, match="plot: expected an evaluation with objects, got none"):
         drawing_of(RigEvaluation({"rig": rig()}, {}, ("empty",), ()), Canvas())
