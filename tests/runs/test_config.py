@@ -351,6 +351,10 @@ OVERRIDE_MISTAKES = [
     ("rig.cameras.x=4", "command line (rig.cameras.x=4): rig.cameras: expected a section, got 3 in the file"),
     ("device.x=4", "command line (device.x=4): device: expected cpu or a GPU such as cuda:0, got {x: 4}"),
     ("rig.cameras", "command line (rig.cameras): expected key=value, got 'rig.cameras'; did you mean rig.cameras=...?"),
+    (
+        "nuscenes",
+        "command line (nuscenes): expected key=value, got 'nuscenes'; a command takes one rig; plot compares it with",
+    ),
     ("rig.=3", "command line (rig.=3): expected key=value, got 'rig.=3'"),
     ("rig.cameras=[1", "command line (rig.cameras=[1): expected valid YAML, got a syntax error: "),
     (

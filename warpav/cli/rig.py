@@ -173,7 +173,7 @@ def rig_drawing(
         Path,
         Parameter(
             help="PDF, SVG or PNG (A3); DXF at 1:1 in mm, which needs the extra cad; CSV with the numbers of every "
-            "camera; GLB with vehicle, housings and frustums; else a folder for PDF, DXF, CSV and GLB."
+            "camera; GLB with vehicle, housings and frustums; else a folder for all of them."
         ),
     ],
     config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
@@ -183,5 +183,8 @@ def rig_drawing(
     from warpav.runs.rig_source import config_for
 
     with config_for(rig, config, overrides, default=DEFAULT_CONFIG) as settings:
-        for file in write_mount_drawing(rig, settings, out):
+        files = write_mount_drawing(rig, settings, out)
+        for file in files:
             say(f"wrote {file}")
+        if len(files) > 1 and not any(file.suffix == ".dxf" for file in files):
+            say('without mounts.dxf, which needs ezdxf: pip install "warpav[cad]"')

@@ -114,9 +114,13 @@ def check_cache() -> Finding:
     from warpav.scene.cache import scene_cache_folder
 
     wp = load_warp()
-    scenes = list(scene_cache_folder().glob("*.npz"))
-    megabytes = sum(file.stat().st_size for file in scenes) / 1e6
-    data = {"folder": str(wp.config.kernel_cache_dir), "scenes": str(scene_cache_folder()), "scene_count": len(scenes)}
+    caches = scene_cache_folder().parent
+    size_mb = {
+        folder.name: sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6
+        for folder in sorted(caches.glob("*"))
+        if folder.is_dir()
+    }
+    data = {"folder": str(wp.config.kernel_cache_dir), "caches": str(caches), "cache_mb": size_mb}
     folder = Path(wp.config.kernel_cache_dir or "")
     try:
         with tempfile.TemporaryFile(dir=folder):
@@ -124,7 +128,7 @@ def check_cache() -> Finding:
     except OSError as error:
         text = f"{folder}: {error.strerror}; set WARP_CACHE_PATH to a folder that can be written"
         return Finding("cache", "failed", text, data)
-    text = f"kernels in {folder}, {len(scenes)} scenes ({megabytes:.0f} MB) in {scene_cache_folder()}"
+    text = f"kernels in {folder}, {sum(size_mb.values()):.0f} MB of scenes, pools and fits in {caches}"
     return Finding("cache", "ok", text, data)
 
 

@@ -100,6 +100,6 @@ def test_without_ezdxf_it_says_what_to_install(tmp_path, monkeypatch):
         InputError, match=r'a\.dxf: a drawing as DXF needs the module ezdxf.*pip install "warpav\[cad\]"'
     ):
         mount_drawing(rig(), ego=ego()).save(tmp_path / "a.dxf")
-    with pytest.raises(InputError, match="ezdxf"):  # a folder is whole, or not there
-        mount_drawing(rig(), ego=ego()).save(tmp_path / "folder")
     assert list(tmp_path.iterdir()) == []
+    files = mount_drawing(rig(), ego=ego()).save(tmp_path / "folder")
+    assert [file.name for file in files] == ["mounts.pdf", "mounts.csv", "mounts.glb"]

@@ -93,7 +93,7 @@ def find_format(name: str) -> RigFormat:
         )
     if plain not in _PLACES:
         near = difflib.get_close_matches(plain, [*_PLACES, *_OTHER_NAMES], 1, 0.5)
-        hint = f"; did you mean {near[0]}?" if near else ""
+        hint = f"; did you mean {_OTHER_NAMES.get(near[0], near[0])}?" if near else ""
         raise ArgumentError("format_name", f"expected one of {', '.join(FORMAT_NAMES)}, got {name!r}{hint}")
     module, attribute = _PLACES[plain]
     return getattr(importlib.import_module(f"warpav.rig.formats.{module}"), attribute)

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ValidationError
 from warpav.core.errors import InputError, OptionError
 from warpav.core.section import move_option, renamed_options, shown, warn_renamed
 from warpav.core.yaml_file import Location, read_yaml
+from warpav.rig.find import is_preset
 from warpav.runs.config.explain import COMMAND_LINE, explain, option_locations, option_values, place_of, placed
 from warpav.runs.config.rig_options import NAMED_STARTS
 from warpav.runs.config.schema import (
@@ -294,6 +295,8 @@ def _read_override(override: str, place: str = COMMAND_LINE) -> tuple[Location, 
     if not equals or not all(location):
         near = difflib.get_close_matches(key, [".".join(name) for name in option_locations(Config)], 1, 0.6)
         hint = f"did you mean {near[0]}=...?" if near else "for example rig.cameras=6"
+        if is_preset(key) or Path(key).suffix in (".yaml", ".yml"):
+            hint = "a command takes one rig; plot compares it with those of --beside"
         raise InputError(placed(place, f"expected key=value, got {override!r}; {hint}"))
     return location, read_yaml(text, place or key)[0]
 

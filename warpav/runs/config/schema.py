@@ -145,13 +145,13 @@ def _read_model(value: object) -> object:
     return value
 
 
+_MESH_FILE = "the path of a mesh file, or null"
+
+
 def _read_mesh_file(value: object) -> object:
     if isinstance(value, str) and vehicle_file(value) is None:
-        names = vehicle_names()
-        expected = "the path of a mesh file, or null"
-        if not Path(value).suffix:  # a name rather than a file
-            expected = f"one of {', '.join(names)}, {expected}"
-        existing_file(value, expected, [value], names)
+        names = [] if Path(value).suffix else vehicle_names()  # a file rather than a name
+        existing_file(value, f"one of {', '.join(names)}, {_MESH_FILE}" if names else _MESH_FILE, [value], names)
     return read_path(value)
 
 

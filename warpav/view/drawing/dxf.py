@@ -43,6 +43,15 @@ def load_ezdxf(place: Path) -> Any:  # noqa: ANN401 (a module)
     return optional_module("ezdxf", purpose=f"{place}: a drawing as DXF", install='pip install "warpav[cad]"')
 
 
+def has_ezdxf() -> bool:
+    """Whether drawings can be written as DXF."""
+    try:
+        import ezdxf  # noqa: F401 (asked for alone)
+    except ImportError:
+        return False
+    return True
+
+
 def drawing_dxf(drawing: Sheet, *, place: Path) -> bytes:
     """The drawing as a DXF file; the same drawing gives the same bytes.
 

@@ -19,7 +19,7 @@ from warpav.core.errors import ArgumentError
 from warpav.raster.lens import Lens
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import rig_text
-from warpav.view.drawing.dxf import drawing_dxf, load_ezdxf
+from warpav.view.drawing.dxf import drawing_dxf, has_ezdxf, load_ezdxf
 from warpav.view.drawing.mount_model import housing_corners_m, mount_glb
 from warpav.view.drawing.mount_table import angles_deg, mount_csv, mounts, plain
 from warpav.view.drawing.sheet import TEXT_MM, Mark, Note, Ordinate, Sheet, Stroke, View
@@ -116,8 +116,8 @@ class MountDrawing(Sheet):
         Args:
             path: A file that ends as one of `SUFFIXES`: PDF, SVG or PNG (A3), DXF in millimetres at 1 : 1 (needs the
                 extra ``cad``), CSV with the numbers of every camera (`mount_csv`), or GLB with vehicle, housings and
-                frustums (`mount_glb`). Else a folder, which takes ``mounts.pdf``, ``mounts.dxf``, ``mounts.csv`` and
-                ``mounts.glb``. Missing folders are made.
+                frustums (`mount_glb`). Else a folder, which takes ``mounts.pdf``, ``mounts.csv``, ``mounts.glb`` and,
+                where ezdxf is installed, ``mounts.dxf``. Missing folders are made.
 
         Returns:
             The files.
@@ -128,7 +128,8 @@ class MountDrawing(Sheet):
         path = Path(path)
         check_out(path)
         if not path.suffix or path.is_dir():
-            return [file for end in (".pdf", ".dxf", ".csv", ".glb") for file in self.save(path / f"mounts{end}")]
+            ends = [end for end in (".pdf", ".dxf", ".csv", ".glb") if end != ".dxf" or has_ezdxf()]
+            return [file for end in ends for file in self.save(path / f"mounts{end}")]
         match path.suffix.lower():
             case ".dxf":
                 return [write_whole(path, drawing_dxf(self, place=path))]
@@ -150,7 +151,7 @@ def check_out(path: Path) -> None:
     if not is_folder and path.suffix.lower() not in SUFFIXES:
         expected = f"a folder or a name that ends in {', '.join(SUFFIXES)}"
         raise ArgumentError("out", f"expected {expected}, got {path.suffix!r}", place=path)
-    if is_folder or path.suffix.lower() == ".dxf":
+    if not is_folder and path.suffix.lower() == ".dxf":
         load_ezdxf(path)
 
 
