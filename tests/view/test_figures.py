@@ -113,7 +113,7 @@ def test_panels_that_say_nothing_are_left_out():
 def search_records():
     """A start far above, a selection, two steps below its bound, pricing, a selection that ends."""
     rows = [
-        ("start", 0.30, None, 400),
+        ("start", 0.30, None, 40),
         ("selection", 0.10, 0.098, 400),
         ("polish", 0.09, 0.098, 600),
         ("polish", 0.08, 0.098, 700),
@@ -137,7 +137,7 @@ def drawn_search(records):
 def test_a_search_is_drawn_over_what_it_has_spent(tmp_path):
     axis = drawn_search(search_records())
     lines = {line.get_label(): line.get_xydata() for line in axis.get_lines()}
-    np.testing.assert_allclose(lines["best rig so far"][:4], [[400, 0.30], [400, 0.10], [600, 0.09], [700, 0.08]])
+    np.testing.assert_allclose(lines["best rig so far"][:4], [[40, 0.30], [400, 0.10], [600, 0.09], [700, 0.08]])
     np.testing.assert_allclose(lines["bound of the pool"][:2], [[400, 0.098], [1000, 0.079]])
     np.testing.assert_allclose(lines["selected"], [[400, 0.10], [1000, 0.08]])
     np.testing.assert_allclose(lines["polished"], [[600, 0.09], [700, 0.08]])
@@ -145,7 +145,8 @@ def test_a_search_is_drawn_over_what_it_has_spent(tmp_path):
     bands = sorted(
         {(*patch.get_extents().transformed(axis.transData.inverted()).intervalx.round(3),) for patch in axis.patches}
     )
-    assert bands == [(0.0, 400.0), (400.0, 600.0), (600.0, 700.0), (700.0, 1000.0)]
+    assert bands == [(0.0, 40.0), (40.0, 400.0), (400.0, 600.0), (600.0, 700.0), (700.0, 1000.0)]
+    assert len({patch.get_facecolor() for patch in axis.patches[:2]}) == 1  # the pool is drawn up to its selection
     low, high = axis.get_ylim()
     assert low < 0.079
     assert 0.10 < high < 0.15

@@ -60,8 +60,11 @@ def search_figure(records: Sequence[Mapping[str, Any]]) -> Any:  # noqa: ANN401 
         return figure
 
 
-_SPENT_ON = {"start": ("pool", "#e4e8ee"), "polish": ("polish", "#e3eefc"), "pricing": ("pricing", "#fbeedd")}
-"""What camera renders before a state were spent on, by its stage, and the colour of the band; selections need none."""
+_POOL = ("pool", "#e4e8ee")
+"""What camera renders up to the first selection are spent on, and the colour of the band."""
+
+_SPENT_ON = {"polish": ("polish", "#e3eefc"), "pricing": ("pricing", "#fbeedd")}
+"""Likewise after it, by the stage of the state that follows; selections need none."""
 
 
 def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] | None:
@@ -87,7 +90,8 @@ def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] 
     end = max(1.03 * float(spent[-1]), 1.0)  # so that what came last is seen
     bound_spent = [*(record["camera_renders"] for record in proven), end]
     bound = [*(record["bound"] for record in proven), proven[-1]["bound"]]
-    later = [*objective[stage.index("selection") :], *bound]
+    first_selection = stage.index("selection")
+    later = [*objective[first_selection:], *bound]
     room = max(max(later) - min(later), 0.02 * max(later))
 
     def draw(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
@@ -97,7 +101,7 @@ def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] 
         named: set[str] = set()
         for k, until in enumerate(spent):
             begin = spent[k - 1] if k else 0
-            name, colour = _SPENT_ON.get(stage[k] if k else "start", ("", ""))
+            name, colour = _POOL if k <= first_selection else _SPENT_ON.get(stage[k], ("", ""))
             if name and until > begin:
                 axis.axvspan(begin, until, color=colour, linewidth=0, label=None if name in named else name, zorder=0.5)
                 named.add(name)
