@@ -222,7 +222,7 @@ def check_suffix(path: Path, *, further: tuple[str, ...] = ()) -> None:
     """
     suffix = path.suffix.lower()
     if suffix not in (*SUFFIXES, *further):
-        expected = ", ".join((*SUFFIXES, *further))
+        expected = ", ".join(dict.fromkeys((*SUFFIXES, *further)))
         raise InputError(f"{path}: expected a name that ends in {expected}, got {path.suffix!r}")
     if suffix == ".html":
         from warpav.view.page import check_library
