@@ -79,7 +79,8 @@ def test_without_a_file_it_is_shown(tmp_path, monkeypatch):
 def test_an_image_file_has_a_known_suffix(tmp_path, monkeypatch):
     monkeypatch.setattr("warpav.view.plotting.rig_plotter", lambda *_args, **_options: pytest.fail("drawn"))
     with pytest.raises(
-        InputError, match=r"rig\.bmp: expected a name that ends in \.png, \.html, \.gif, \.mp4, \.pdf, \.svg, got '\.bmp'"
+        InputError,
+        match=r"rig\.bmp: expected a name that ends in \.png, \.html, \.gif, \.mp4, \.pdf, \.svg, got '\.bmp'",
     ):
         plot(rig(), out=tmp_path / "rig.bmp")
 
