@@ -74,6 +74,10 @@ def test_they_say_what_they_show(street):
     near = words(drawn(rig(4, 90.0), "near_field", street))
     for text in ("0.6 m", "front", "the top of a child's head"):
         assert text in near
+    assert "worst" not in near  # ahead it is as bad, and ahead says so
+    corners = zip(rig(4, 70.0).cameras, ((3.9, 0.0), (1.3, 1.1), (-1.2, 0.0), (1.3, -1.1)), strict=True)
+    low = [replace(each, position_m=np.array([*xy_m, 0.8]), pitch_rad=0.6) for each, xy_m in corners]
+    assert "worst" in words(drawn(Rig(low), "near_field", street))
     assert "without cam_" in words(drawn(rig(4, 90.0), "redundancy", street))
     assert "no image on" in words(drawn(rig(3, 70.0), "resolution", street))
     sheet = words(drawn(rig(4, 90.0), "contact", street))
