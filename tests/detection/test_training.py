@@ -146,24 +146,6 @@ def test_training_learns_and_goes_on_from_a_checkpoint(rng, tmp_path):
     assert math.isfinite(float(sum(other.train_step(torch_data, 4))))
 
 
-@pytest.mark.gpu
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
-def test_a_recording_trains_as_the_network_itself_does(rng, monkeypatch):
-    device = torch.device("cuda:0")
-    data = [DeviceData.load([_labelled_images(rng, count)], device) for count in (4, 8)]
-    recorded, plain = (Training(device, step_count=16) for _ in range(2))
-
-    def itself(images):
-        with torch.autocast("cuda", torch.bfloat16):
-            return plain.network(images)
-
-    monkeypatch.setattr(plain, "_run", itself)
-    for step in range(12):
-        losses = [sum(each.train_step(data[step % 2], (2, 4)[step % 2])).item() for each in (recorded, plain)]
-        assert losses[0] == pytest.approx(losses[1], rel=0.05), step
-    assert len(recorded._recordings) == 2
-
-
 @pytest.mark.parametrize(
     ("steps", "content", "message"),
     [

@@ -6,7 +6,7 @@ import copy
 import logging
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from pickle import UnpicklingError
@@ -104,8 +104,6 @@ class Training:
         self.generator = torch.Generator(device).manual_seed(seed)
         self.step = 0
         self.step_count = step_count
-        self._recordings: dict[torch.Size, Callable[[Tensor], tuple[Tensor, ...]]] = {}
-        self._recorded_memory = torch.cuda.graph_pool_handle() if device.type == "cuda" else None
 
     def load(self, path: Path) -> None:
         """Go on from a checkpoint.
@@ -160,7 +158,9 @@ class Training:
         index = torch.randint(len(data.images_rgb), (batch_size,), generator=self.generator, device=self.device)
         images, truth = augment(*data.batch(index), self.generator)
         images = images.contiguous(memory_format=torch.channels_last)
-        score_logit, box_px, center_px, _ = self._run(images)
+        # A CPU gains nothing from half precision.
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.device.type == "cuda"):
+            score_logit, box_px, center_px, _ = self.network(images)
         score_loss, box_loss = detection_loss(score_logit, box_px, center_px, truth)
         self.optimiser.zero_grad(set_to_none=True)
         (score_loss + box_loss).backward()
@@ -169,18 +169,6 @@ class Training:
         self.step += 1
         self._update_average()
         return score_loss.detach(), box_loss.detach()
-
-    def _run(self, images: Tensor) -> tuple[Tensor, ...]:
-        """What the network says; a GPU repeats a recording of its launches, one for every size of the batch."""
-        if self.device.type != "cuda":  # nor does a CPU gain anything from half precision
-            return self.network(images)
-        if images.shape not in self._recordings:
-            # The recordings follow one another, so that they share their memory.
-            with torch.autocast(self.device.type, torch.bfloat16, cache_enabled=False):
-                self._recordings[images.shape] = torch.cuda.make_graphed_callables(
-                    _OneSize(self.network), (images.clone(),), pool=self._recorded_memory
-                )
-        return self._recordings[images.shape](images)
 
     def _learning_rate(self) -> float:
         warm_up = min(1.0, (self.step + 1) / min(_WARM_UP_STEPS, max(1, self.step_count // 10)))
@@ -194,17 +182,6 @@ class Training:
         decay = min(_AVERAGE_DECAY, (1.0 + self.step) / (10.0 + self.step))
         # PyTorch documents the function, but its stub lacks it.
         torch._foreach_lerp_(self._averages, self._currents, 1.0 - decay)  # pyright: ignore[reportPrivateImportUsage]
-
-
-class _OneSize(nn.Module):
-    """The network, for batches of one size: a recording takes the place of a module's own ``forward``."""
-
-    def __init__(self, network: TownNetwork) -> None:
-        super().__init__()
-        self.network = network
-
-    def forward(self, images: Tensor) -> tuple[Tensor, ...]:
-        return self.network(images)
 
 
 def _parameter_groups(network: nn.Module) -> list[dict[str, object]]:
