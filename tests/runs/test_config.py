@@ -1,6 +1,7 @@
 """The configuration: strict reading, messages with their place, round trips, the shipped files."""
 
 import math
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -173,6 +174,16 @@ def test_angles_take_units(text, degrees):
 def test_seeds_take_ranges_and_lists(text, seeds):
     config = load_config(None, [f"scenes.train_seeds={text}"])
     assert config.scenes.train_seeds == seeds
+
+
+def test_seeds_that_lie_far_apart_are_shown_one_by_one():
+    seeds = [1000, 905, 1_000_000]
+    tracemalloc.start()
+    config = load_config(None, [f"scenes.test_seeds={seeds}"])
+    assert option_values(config)["scenes.test_seeds"] == seeds
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 8 * len(range(1000, 1_000_000))  # a range from the first to the last is not written out
 
 
 def test_cameras_take_lenses():

@@ -255,7 +255,7 @@ def _seal_lines(summary: Mapping[str, Any]) -> list[str]:
 
 def _seeds_text(seeds: Any) -> str:  # noqa: ANN401 (as configurations hold them)
     if isinstance(seeds, list):
-        is_range = len(seeds) > 2 and seeds == list(range(seeds[0], seeds[-1] + 1))
+        is_range = len(seeds) > 2 and seeds == list(range(seeds[0], seeds[0] + len(seeds)))
         return f"{seeds[0]}..{seeds[-1]}" if is_range else ", ".join(map(str, seeds))
     return "none" if seeds is None else str(seeds)
 

@@ -103,7 +103,8 @@ def _read_seeds(value: object) -> tuple[int, ...]:
 
 
 def _shown_seeds(seeds: tuple[int, ...]) -> str | list[int]:
-    if len(seeds) > 1 and seeds == tuple(range(seeds[0], seeds[-1] + 1)):
+    # as long as the seeds: sealed ones lie a billion apart
+    if len(seeds) > 1 and seeds == tuple(range(seeds[0], seeds[0] + len(seeds))):
         return f"{seeds[0]}..{seeds[-1]}"
     return list(seeds)
 
