@@ -257,6 +257,28 @@ def test_leaving_early_waits_for_no_further_task(elsewhere):
     assert time.perf_counter() - began < 20.0  # worst seen 6 s; all tasks together take a minute
 
 
+def end_after_the_other_begins(task):
+    """The first task begins and goes on for a minute; the second ends when the first has begun."""
+    number, file = task
+    if number == 0:
+        file.touch()
+        time.sleep(60.0)
+    while not file.exists():
+        time.sleep(0.02)
+
+
+def test_leaving_early_ends_what_is_under_way(tmp_path):
+    file = tmp_path / "begun"
+    outcomes = run_tasks(end_after_the_other_begins, [(0, file), (1, file)], executor="process", worker_count=2)
+    next(outcomes)
+    processes_here = set(multiprocessing.active_children())
+    began = time.monotonic()
+    outcomes.close()
+    while processes_here & set(multiprocessing.active_children()):
+        assert time.monotonic() - began < 10.0
+        time.sleep(0.05)
+
+
 def test_ctrl_c_is_no_failure_of_a_task():
     def interrupted(_):
         raise KeyboardInterrupt

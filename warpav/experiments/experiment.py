@@ -58,6 +58,7 @@ from warpav.runs.scene_set import (
     SceneSet,
     load_scene_set,
     load_scenes,
+    make_scenes,
     own_vehicle_digest,
     recordings_digest,
     same_scenes,
@@ -544,7 +545,9 @@ def make_scenes_ready(config: Config, progress: Progress) -> Mesh:
     seeds = (*config.scenes.train_seeds, *(config.scenes.validation_seeds or ()), *config.scenes.test_seeds)
     if config.executor.name == "serial":
         return traffic_of_process(config, progress).ego
-    if config.scenes.source == "captured":
+    if config.executor.name == "process":
+        make_scenes(config, progress)
+    elif config.scenes.source == "captured":
         # one scene at a time is held; all carry the same vehicle
         return [scene.ego for scene in progress.steps("scenes", load_scenes(config, seeds), count=len(seeds))].pop()
     return next(load_scenes(config, seeds)).ego

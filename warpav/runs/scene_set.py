@@ -154,14 +154,8 @@ def load_scene_set(config: Config, progress: Progress) -> SceneSet:
     """
     config = scene_part(config)
     device = checked_device(config.device)
-    train, validation, test = (
-        config.scenes.train_seeds,
-        config.scenes.validation_seeds or (),
-        config.scenes.test_seeds,
-    )
-    recipes = scene_recipes(config, (*train, *validation, *test), progress)
-    if config.scenes.mirror:
-        recipes += [replace(recipe, is_mirrored=True) for recipe in recipes[: len(train)]]
+    train, validation, test = _seeds(config)
+    recipes = _recipes(config, progress)
     scenes: list[StoredScene] = []
     with compiling(device, but=RARE_KERNELS):
         made = stored_scenes(recipes, device=device)
@@ -182,6 +176,31 @@ def load_scene_set(config: Config, progress: Progress) -> SceneSet:
         ego,
         next(shown),
     )
+
+
+def make_scenes(config: Config, progress: Progress) -> None:
+    """Make the scenes of a configuration that nobody made before, so that several processes may open them at once.
+
+    Raises:
+        InputError: A scene cannot be used.
+    """
+    recipes = _recipes(scene_part(config), progress)
+    for _ in progress.steps("scenes", stored_scenes(recipes), count=len(recipes)):
+        pass
+
+
+def _seeds(config: Config) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
+    """Of training, validation and test."""
+    return config.scenes.train_seeds, config.scenes.validation_seeds or (), config.scenes.test_seeds
+
+
+def _recipes(config: Config, progress: Progress) -> list[SceneRecipe]:
+    """Of the scenes of training, validation and test, and then of the mirror images of the first."""
+    train, validation, test = _seeds(config)
+    recipes = scene_recipes(config, (*train, *validation, *test), progress)
+    if config.scenes.mirror:
+        recipes += [replace(recipe, is_mirrored=True) for recipe in recipes[: len(train)]]
+    return recipes
 
 
 def scene_recipes(config: Config, seeds: Sequence[int], progress: Progress) -> list[SceneRecipe]:

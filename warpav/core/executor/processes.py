@@ -67,7 +67,11 @@ class Processes:
 
     def close(self, handles: Collection[Future[Outcome[Any, Any]]]) -> None:
         """End the processes, without waiting for tasks that are under way."""
+        # The pool forgets its processes as it shuts down; it has a method of its own for this from Python 3.14 on.
+        busy = list(self._pool._processes.values()) if handles else []
         self._pool.shutdown(wait=not handles, cancel_futures=True)
+        for process in busy:
+            process.terminate()
 
 
 def _gpu_orders(gpu_count: int) -> list[str]:
