@@ -58,8 +58,8 @@ from warpav.runs.scene_set import (
     SceneSet,
     load_scene_set,
     load_scenes,
-    make_scenes,
     own_vehicle_digest,
+    prepare_scenes,
     recordings_digest,
     same_scenes,
     scene_part,
@@ -546,7 +546,7 @@ def make_scenes_ready(config: Config, progress: Progress) -> Mesh:
     if config.executor.name == "serial":
         return traffic_of_process(config, progress).ego
     if config.executor.name == "process":
-        make_scenes(config, progress)
+        prepare_scenes(config, progress)
     elif config.scenes.source == "captured":
         # one scene at a time is held; all carry the same vehicle
         return [scene.ego for scene in progress.steps("scenes", load_scenes(config, seeds), count=len(seeds))].pop()

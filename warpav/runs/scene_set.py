@@ -178,7 +178,7 @@ def load_scene_set(config: Config, progress: Progress) -> SceneSet:
     )
 
 
-def make_scenes(config: Config, progress: Progress) -> None:
+def prepare_scenes(config: Config, progress: Progress) -> None:
     """Make the scenes of a configuration that nobody made before, so that several processes may open them at once.
 
     Raises:
