@@ -219,6 +219,7 @@ def test_a_detector_is_judged_by_road_user():
     assert (vehicles["recall"], vehicles["precision"], vehicles["right_label"]) == (0.5, 0.5, 0.0)
     assert (pedestrians["recall"], pedestrians["precision"], pedestrians["ap50"]) == (1.0, 1.0, 1.0)
     assert vehicles["ap50"] == pytest.approx(51 / 101, abs=1e-4)
+    assert (vehicles["ap50_moderate"], pedestrians["ap50_moderate"]) == (0.0, None)  # the bus; 24 px are too few
     assert vehicles["false_alarms_per_image"] == 0.5
     assert vehicles["recall_by_distance_m"]["0-10"] == 1.0
     # the false alarm is less confident than the one vehicle of this bin, and comes before the miss of the next
@@ -227,9 +228,9 @@ def test_a_detector_is_judged_by_road_user():
     assert vehicles["ap50_by_visible_fraction"]["0.75-inf"] == 1.0
     assert vehicles["recall_by_distance_m"]["10-20"] == 0.0
     text = tables({"direct": {"64": report}})
-    assert "| **AP50, headline** | 0.505 |" in text
-    assert "| 10 to 20 m | 0.000 |" in text
-    assert "| 20 to 40 m | - |" in text
+    assert "| direct, 64 px | 2 | 2 | 2 | 0.505 | 0.000 | 0.505 | 0.500 | 0.500 | 0.500 | 0.000 |" in text
+    assert "| | 0 to 10 m | 10 to 20 m | 20 to 40 m | 40 to 80 m | from 80 m |" in text
+    assert "| direct, 64 px | 1.000 | 0.000 | - | - | - |" in text
 
 
 def test_cameras_stand_around_the_ego_vehicle(rng):

@@ -24,6 +24,7 @@ _FIGURES = {
     "objects": "objects",
     "objects_headline": "of these in the headline",
     "ap50_headline": "**AP50, headline**",
+    "ap50_moderate": "AP50, moderate",
     "ap50": "AP50, all",
     "recall": "recall",
     "precision": "precision",
@@ -155,31 +156,31 @@ def measure_detector(
 
 
 def tables(report: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
-    """The figures of a report as Markdown, a column for every kind of scene and size of image.
+    """The figures of a report as Markdown, a row for every kind of scene and size of image.
 
     Args:
         report: What `warpav.detection.training.evaluate.evaluate` returned, by kind of scene and side of the image.
     """
-    columns = [(kind, side, figures) for kind, by_side in report.items() for side, figures in by_side.items()]
+    images = [(f"{kind}, {side} px", each) for kind, by_side in report.items() for side, each in by_side.items()]
     lines = []
     for road_user in ROAD_USERS:
-        held = [(f"{kind}, {side} px", each, each[road_user]) for kind, side, each in columns if road_user in each]
+        held = {text: each for text, each in images if road_user in each}
         if not held:
             continue
-        heads = [head for head, _, _ in held]
-        lines += [f"### {road_user.title()}s", "", *_table("", heads, {
-            "images": [each["images"] for _, each, _ in held],
-            **{text: [figures[name] for _, _, figures in held] for name, text in _FIGURES.items()},
-        })]  # fmt: skip
+        figures = {text: each[road_user] for text, each in held.items()}
+        lines += [f"### {road_user.title()}s", "", *_table(
+            ["images", *_FIGURES.values()],
+            {text: [held[text]["images"], *(each[name] for name in _FIGURES)] for text, each in figures.items()},
+        )]  # fmt: skip
         for name, (title, unit) in _TABLES.items():
-            bins = held[0][2][name]
-            rows = {_bin_text(key, unit): [figures[name][key] for _, _, figures in held] for key in bins}
-            lines += [f"{title}:", "", *_table("", heads, rows)]
+            bins = next(iter(figures.values()))[name]
+            rows = {text: [each[name][key] for key in bins] for text, each in figures.items()}
+            lines += [f"{title}:", "", *_table([_bin_text(key, unit) for key in bins], rows)]
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _table(corner: str, heads: Sequence[str], rows: Mapping[str, Sequence[float | None]]) -> list[str]:
-    lines = [f"| {corner} | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
+def _table(heads: Sequence[str], rows: Mapping[str, Sequence[float | None]]) -> list[str]:
+    lines = [f"| | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
     lines += [f"| {name} | {' | '.join(map(_number, values))} |" for name, values in rows.items()]
     return [*lines, ""]
 

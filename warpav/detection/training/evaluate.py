@@ -16,6 +16,9 @@ from warpav.detection.training.data import LabelledImages
 
 # Least height of a visible box [px] from which on an object counts in the headline figure.
 HEADLINE_HEIGHT_PX = 12.0
+# Least height [px] and visible share in the figure that goes by KITTI's moderate difficulty.
+MODERATE_HEIGHT_PX = 25.0
+_MODERATE_VISIBLE_FRACTION = 0.5
 HEIGHT_BINS_PX = (0.0, 8.0, 12.0, 16.0, 24.0, 32.0, 64.0, 128.0, np.inf)
 VISIBLE_FRACTION_BINS = (0.0, 0.25, 0.5, 0.75, np.inf)
 DISTANCE_BINS_M = (0.0, 10.0, 20.0, 40.0, 80.0, np.inf)
@@ -102,6 +105,9 @@ class _Scored:
             "objects_headline": int(headline.sum()),
             "ap50": self.ap50(),
             "ap50_headline": self.ap50(low_px=HEADLINE_HEIGHT_PX),
+            "ap50_moderate": self.ap50(
+                labels.visible_fraction >= _MODERATE_VISIBLE_FRACTION, low_px=MODERATE_HEIGHT_PX
+            ),
             "ap50_by_height_px": {
                 f"{low:g}-{high:g}": self.ap50(low_px=low, high_px=high)
                 for low, high in itertools.pairwise(HEIGHT_BINS_PX)
@@ -133,7 +139,9 @@ def evaluate(detector: Detector, labelled: LabelledImages) -> dict[str, object]:
 
     Returns:
         ``images``, and for every road user that the images contain and the detector knows: ``objects``; ``ap50`` of all
-        objects, ``ap50_headline`` of those of at least `HEADLINE_HEIGHT_PX`, ``ap50_by_height_px``; of the headline's
+        objects, ``ap50_headline`` of those of at least `HEADLINE_HEIGHT_PX`, ``ap50_moderate`` of those of at least
+        `MODERATE_HEIGHT_PX` of which nothing hides more than half (KITTI's moderate difficulty: 25 px, partly
+        occluded), ``ap50_by_height_px``; of the headline's
         ``ap50_by_visible_fraction`` and ``ap50_by_distance_m``, where every false alarm counts in every bin, since it
         has neither; at confidence 0.25 and for the headline's objects ``recall``, ``precision``,
         ``false_alarms_per_image``, ``right_label`` (share of the found ones), ``recall_by_visible_fraction``,

@@ -1,7 +1,5 @@
 """The built-in detector's network: one stage, no anchors, four strides, 1.8 million parameters.
 
-The file that ships is of a narrower one until its successor is trained (its card says which).
-
 Plain 3 x 3 convolutions and ReLU throughout: on a CPU they run several times faster than depthwise convolutions and
 smooth activations of the same arithmetic. The finest stride is 4, because a car 20 m away is 10 px high in a 256 px
 image.
