@@ -296,7 +296,7 @@ def test_no_workers_are_refused(name):
 @pytest.mark.parametrize(("name", "package", "extra"), [("ray", "ray", "ray"), ("slurm", "submitit", "slurm")])
 def test_a_missing_package_says_how_to_get_it(name, package, extra, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(OptionError, match=rf"^executor\.name: .*package {package} .*pip install 'warpav\[{extra}\]'$"):
+    with pytest.raises(OptionError, match=rf'^executor\.name: .*package {package} .*pip install "warpav\[{extra}\]"$'):
         list(run_tasks(square, [1], executor=name))
 
 

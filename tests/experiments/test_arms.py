@@ -250,7 +250,7 @@ def test_what_cannot_work_is_refused_before_it_starts(problem, monkeypatch):
     with pytest.raises(InputError, match=r"losses\.detected_are"):
         Arm("odd", "optimiser", ("losses.detected_are=1",)).check(settings, None)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"arm cma: expected the package cma .* pip install 'warpav\[rivals\]'"):
+    with pytest.raises(InputError, match=r'arm cma: expected the package cma .* pip install "warpav\[rivals\]"'):
         Arm("cma", "cma").check(settings, None)
 
 

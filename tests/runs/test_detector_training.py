@@ -82,7 +82,7 @@ def test_a_training_with_wrong_words_is_refused(capsys, words, expected):
 def test_training_without_pytorch_says_what_to_install(capsys, monkeypatch):
     find = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "torch" else find(name))
-    assert refused(capsys, "train", "--out", "out").endswith("got no such module; pip install 'warpav[train]'")
+    assert refused(capsys, "train", "--out", "out").endswith('got no such module; run: pip install "warpav[train]"')
 
 
 def test_an_evaluation_counts_and_uses_its_images_again(capsys, working_directory):

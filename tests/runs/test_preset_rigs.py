@@ -3,17 +3,20 @@
 import dataclasses
 import json
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import warpav as wa
+from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
 from warpav.evaluation.metrics import observe_scenes
 from warpav.experiments.arms import AS_BUILT, common_arms, default_like, find_rig_of
 from warpav.experiments.result_folder import unseeded
 from warpav.rig.catalogue import builtin_modules
-from warpav.rig.rig import Rig
+from warpav.rig.rig import Rig, write_rig
 from warpav.runs.baseline_rigs import highest_rig
 from warpav.runs.config import dump_config, load_config
 from warpav.runs.evaluate import evaluate_on
@@ -133,6 +136,42 @@ def test_a_run_compares_its_rig_with_presets(placement, tmp_path):
     assert arms["nuscenes"]["objective"] is not None
     assert arms["nuscenes"]["frames"] == 6 * 2
     assert "nuscenes" in (tmp_path / "run" / "report.html").read_text()
+
+
+def test_a_run_compares_its_rig_with_rigs_of_files(placement, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    today = wa.preset("argoverse2")
+    write_rig(Rig(today.cameras[:2]), Path("today.yaml"))
+    config = load_config("quick", [*SMALL, "baselines.rigs=[today.yaml]", "optimiser.pool_cameras=16"])
+    assert config.baselines.rigs == (Path("today.yaml"),)
+    result = wa.optimise(placement.with_config(config), progress=False)
+    result.save(tmp_path / "run", progress=False)
+    arms = json.loads((tmp_path / "run" / "evaluation.json").read_text())["arms"]
+    assert list(arms)[-1] == "today"
+    assert arms["today"]["frames"] == 2 * 2
+    assert arms["today"]["objective"] is not None
+    kept = load_config(str(tmp_path / "run" / "config.yaml"), [])
+    assert kept.baselines.rigs == (tmp_path / "today.yaml",)
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["highest.yaml"], "expected names unlike those of the other rigs, got 'highest'; rename highest.yaml"),
+        (["one.yaml", "b/one.yaml"], "expected names unlike those of the other rigs, got 'one'; rename one.yaml"),
+        (["nothing.yaml"], "nothing.yaml:1: expected a mapping with frame, cameras"),
+    ],
+)
+def test_rigs_of_files_are_refused_before_scenes_are_made(names, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in names:
+        file = Path(name)
+        file.parent.mkdir(exist_ok=True)
+        write_rig(wa.preset("nuscenes"), file)
+    if names == ["nothing.yaml"]:
+        Path("nothing.yaml").write_text("hello: 1\n")
+    with pytest.raises(InputError, match=re.escape(message)):
+        wa.Placement.from_config(load_config("quick", [f"baselines.rigs=[{', '.join(names)}]"]))
 
 
 def test_files_and_hashes_are_as_before_where_nothing_is_set():

@@ -226,5 +226,5 @@ def test_a_port_that_is_taken_is_told(folder):
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "trame.app", None)
-    with pytest.raises(InputError, match=r"expected the extra web, .* pip install 'warpav\[web\]'"):
+    with pytest.raises(InputError, match=r'expected the extra web, .* pip install "warpav\[web\]"'):
         module.BrowserInspector(lambda panel: pytest.fail("made first"), token="secret")

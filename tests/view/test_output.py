@@ -105,7 +105,7 @@ def test_a_gif_keeps_colours_places_and_times(tmp_path):
 def test_an_mp4_is_an_animation_or_says_what_to_install(tmp_path):
     if not importlib.util.find_spec("imageio_ffmpeg"):
         with pytest.raises(
-            InputError, match=r"animation\.mp4: an animation as MP4 needs .*; run `pip install \"warpav\[movie\]\"`"
+            InputError, match=r"animation\.mp4: an animation as MP4 needs .*; run: pip install \"warpav\[movie\]\""
         ):
             output.save_animation(Animation(moving_square(), 6, 0.1), tmp_path / "animation.mp4")
         return

@@ -35,12 +35,13 @@ def config_show(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> No
 def config_check(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
     """Check a configuration, and name everything that is wrong with it."""
     from warpav.runs.config import placed_config
-    from warpav.runs.rig_source import read_start
+    from warpav.runs.rig_source import read_baselines, read_start
 
     if "=" in config:
         config, overrides = DEFAULT_CONFIG, (config, *overrides)
     with placed_config(config, overrides) as settings:
         read_start(settings)
+        read_baselines(settings)
     say("the configuration is valid")
 
 

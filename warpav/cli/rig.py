@@ -179,6 +179,7 @@ def rig_drawing(
     config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
 ) -> None:
     """Draw a rig on its vehicle for the workshop: three views to scale, coordinates from datums, angles, a table."""
+    from warpav.core.errors import install_text
     from warpav.runs.inspect import write_mount_drawing
     from warpav.runs.rig_source import config_for
 
@@ -187,4 +188,4 @@ def rig_drawing(
         for file in files:
             say(f"wrote {file}")
         if len(files) > 1 and not any(file.suffix == ".dxf" for file in files):
-            say('without mounts.dxf, which needs ezdxf: pip install "warpav[cad]"')
+            say(f"without mounts.dxf, which needs ezdxf; {install_text('cad')}")

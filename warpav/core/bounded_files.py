@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import TYPE_CHECKING, Any, NoReturn
 from xml.etree import ElementTree
 
-from warpav.core.errors import InputError
+from warpav.core.errors import InputError, install_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -256,7 +256,7 @@ def feather_library() -> tuple[Any, Any]:
     try:
         return importlib.import_module("pyarrow"), importlib.import_module("pyarrow.feather")
     except ImportError as error:
-        raise InputError(f'expected the package pyarrow, got: {error}; run: pip install "warpav[av2]"') from None
+        raise InputError(f"expected the package pyarrow, got: {error}; {install_text('av2')}") from None
 
 
 def read_feather(file: Path, kind: str) -> Any:  # noqa: ANN401

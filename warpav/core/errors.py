@@ -52,3 +52,8 @@ class ArgumentError(InputError):
         self.option, self.text = option, one_line(text)
         self.place = None if place is None else one_line(str(place))
         super().__init__(f"{'' if place is None else f'{place}: '}{option}: {text}")
+
+
+def install_text(extra: str) -> str:
+    """How to install an extra of warpav, as the end of an error; in quotes that every shell takes."""
+    return f'run: pip install "warpav[{extra}]"'

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import InputError, OptionError, install_text
 from warpav.detection.external_data import check_external_data
 
 MAX_ERROR = 1e-3
@@ -34,7 +34,7 @@ def require_torch() -> None:
         raise OptionError(
             "losses.detector_gradient",
             f"expected PyTorch and onnx, got no package {error.name!r}; "
-            "pip install 'warpav[torch]', or set losses.detector_gradient=0",
+            f"{install_text('torch')}, or set losses.detector_gradient=0",
         ) from error
 
 

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from warpav.core.errors import ArgumentError, InputError
+from warpav.core.errors import ArgumentError, InputError, install_text
 from warpav.optimisation.baselines import edge_mount_pose, highest_mount_pose, random_mount_pose
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.descent import Descent
@@ -154,8 +154,7 @@ class Arm:
         package = _PACKAGES.get(self.method)
         if package and importlib.util.find_spec(package) is None:
             raise InputError(
-                f"arm {self.name}: expected the package {package} to be installed, got none; "
-                "run: pip install 'warpav[rivals]'"
+                f"arm {self.name}: expected the package {package} to be installed, got none; " + install_text("rivals")
             )
         if config.rig.freeze and self.method not in _HOLDING:
             raise InputError(

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpav.core.errors import OptionError
+from warpav.core.errors import OptionError, install_text
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.constraints import Constraints
@@ -192,7 +192,7 @@ def cma_es(value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray 
     try:
         import cma
     except ImportError:
-        raise OptionError("arm cma", "expected the package cma, got none; pip install 'warpav[rivals]'") from None
+        raise OptionError("arm cma", f"expected the package cma, got none; {install_text('rivals')}") from None
     space = value.space
     if space.size < 2:
         raise ValueError(f"CMA-ES needs at least 2 free numbers, got {space.size}")

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from warpav.core.errors import ArgumentError, InputError
+from warpav.core.errors import ArgumentError, InputError, install_text
 from warpav.core.files import write_json
 from warpav.detection.detector import ROAD_USERS
 from warpav.detection.training.data import TEST_SUBSETS, load_images, write_images
@@ -73,7 +73,7 @@ def train_detector(
     if missing:
         raise InputError(
             f"detector train: expected the package{'s' if len(missing) > 1 else ''} {' and '.join(missing)}, got no "
-            "such module; pip install 'warpav[train]'"
+            f"such module; {install_text('train')}"
         )
     for option, value, minimum in (
         ("processes", processes, 1),

@@ -49,7 +49,7 @@ from warpav.runs.config.schema import NO_REQUIREMENTS
 from warpav.runs.detector_fit import ensure_fit, fit_config
 from warpav.runs.mounts import camera_models, checked_frozen, constraints_of, rig_limits
 from warpav.runs.networks import Networks, load_networks
-from warpav.runs.rig_source import read_start
+from warpav.runs.rig_source import read_baselines, read_start
 from warpav.runs.scene_set import SceneSet, checked_vehicle, load_scene_set, own_vehicle, pack_scenes
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
@@ -276,8 +276,10 @@ class Placement:
             start: The rig that ``rig.start`` means, where it has been read already.
 
         Raises:
-            InputError: The rig of ``rig.start`` cannot be used, or a weight is that of an unknown category.
+            InputError: The rig of ``rig.start`` or one of ``baselines.rigs`` cannot be used, or a weight is that of an
+                unknown category.
         """
+        read_baselines(config)
         if config.scenes.source == "town":  # others may have categories of their own
             check_categories(config.importance)
         parts = Parts(config, read_start(config) if start is None else start, config.rig.freeze)

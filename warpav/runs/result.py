@@ -34,6 +34,7 @@ from warpav.runs.fitting_plots import FITTING_KINDS, FittedRigs, fitting_drawing
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.preset_rigs import know_cameras, preset_for
 from warpav.runs.progress import shown_progress
+from warpav.runs.rig_source import read_baselines
 from warpav.runs.robustness import tolerance_on
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scenes
@@ -207,8 +208,8 @@ class Result:
     ) -> Path:
         """Write the run folder that the command line leaves: iterations, rigs, evaluation, figures, report.
 
-        The result is compared with its start, the rig around the highest point, the best of some random rigs, and the
-        presets of ``baselines.presets``.
+        The result is compared with its start, the rig around the highest point, the best of some random rigs, the
+        presets of ``baselines.presets`` and the rigs of ``baselines.rigs``.
         Scenes that are objects are written into the folder. Of a detector that is an object ``env.json`` keeps the
         class alone, so ``warpav evaluate`` asks for its ONNX file.
 
@@ -476,11 +477,12 @@ def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[
     random = mount.rig(run_search(random_search, value, rng).mount_pose)
     began_as = result.began_as
     presets = {name: preset_for(name, config, placement.ego).rig for name in config.baselines.presets or ()}
-    for preset in presets.values():
-        know_cameras(preset, placement, progress)
+    others = {**presets, **read_baselines(config)}
+    for rig in others.values():
+        know_cameras(rig, placement, progress)
     return (
-        {OPTIMISED: result.found, START: result.start, "highest": highest, "random": random, **presets},
-        {OPTIMISED: began_as, START: began_as, "highest": highest, "random": placement.frozen_rig, **presets},
+        {OPTIMISED: result.found, START: result.start, "highest": highest, "random": random, **others},
+        {OPTIMISED: began_as, START: began_as, "highest": highest, "random": placement.frozen_rig, **others},
     )
 
 

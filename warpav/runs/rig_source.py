@@ -103,6 +103,24 @@ def rig_file(source: str) -> Path:
     return RunFolder.open(source).rig_file() if is_run_folder(source) else find_rig_file(source)
 
 
+def read_baselines(config: Config) -> dict[str, Rig]:
+    """The rigs of ``baselines.rigs`` by their names, those of their files.
+
+    Raises:
+        InputError: One cannot be read, or has the name of another rig that the run compares.
+    """
+    taken = {"optimised", "start", "highest", "random", *(config.baselines.presets or ())}
+    rigs: dict[str, Rig] = {}
+    for path in config.baselines.rigs or ():
+        if path.stem in taken | set(rigs):
+            raise OptionError(
+                "baselines.rigs",
+                f"expected names unlike those of the other rigs, got {path.stem!r}; rename {path.name}",
+            )
+        rigs[path.stem] = with_shared_model(read_rig(rig_file(str(path))), config)
+    return rigs
+
+
 def read_start(config: Config) -> Rig | None:
     """The rig that ``rig.start`` names; None where it names none.
 

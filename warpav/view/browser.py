@@ -13,7 +13,7 @@ import secrets
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from warpav.core.errors import ArgumentError, InputError
+from warpav.core.errors import ArgumentError, InputError, install_text
 from warpav.view.inspector import SHOWN_HEIGHTS_M, TURN_RAD
 from warpav.view.palette import camera_rgb, hex_colour
 from warpav.view.visibility_view import patch_words
@@ -295,7 +295,7 @@ def _new_server() -> Server:
         from trame.widgets import vtk, vuetify3  # noqa: F401 (asked for before anything is made)
     except ImportError as error:
         raise InputError(
-            f"the viewer in a browser: expected the extra web, got: {error}; run: pip install 'warpav[web]', or write "
+            f"the viewer in a browser: expected the extra web, got: {error}; {install_text('web')}, or write "
             "a page with --out rig.html"
         ) from None
     return get_server(f"warpav-{secrets.token_hex(4)}", client_type="vue3")

@@ -8,7 +8,7 @@ import sys
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from warpav.core.errors import InputError
+from warpav.core.errors import InputError, install_text
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -137,13 +137,13 @@ def _draws_in_memory() -> bool:
     return any(_loaded(library) for library in OSMESA_LIBRARIES)
 
 
-def optional_module(name: str, *, purpose: str, install: str) -> ModuleType:
+def optional_module(name: str, *, purpose: str, extra: str) -> ModuleType:
     """An optional module, or a message that says how to get it.
 
     Args:
         name: Its import name.
         purpose: What it is needed for, as the start of the message.
-        install: The command that installs it.
+        extra: The extra of warpav that brings it.
 
     Raises:
         InputError: It is not installed.
@@ -153,4 +153,4 @@ def optional_module(name: str, *, purpose: str, install: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ImportError:
-        raise InputError(f"{purpose} needs the module {name}, which is not installed; run `{install}`") from None
+        raise InputError(f"{purpose} needs the module {name}, which is not installed; {install_text(extra)}") from None

@@ -31,7 +31,6 @@ ANIMATION_FRAME_S, ANIMATION_LAST_S = 0.12, 2.0
 """How long an image of a run's animation is shown, and how much longer the last one."""
 
 _ORBIT_FRAMES, _ORBIT_FRAME_S = 40, 0.1
-_INSTALL_ANIMATION = 'pip install "warpav[movie]"'
 _GIF_COLOURS = 255  # and one for what stays as it was
 
 
@@ -139,7 +138,7 @@ def save_animation(animation: Animation, path: Path | str, *, progress: Progress
     if path.suffix.lower() == ".gif":
         return write_whole(path, _gif(list(images), **times))
     for name in ("imageio", "imageio_ffmpeg"):
-        optional_module(name, purpose=f"{path}: an animation as MP4", install=_INSTALL_ANIMATION)
+        optional_module(name, purpose=f"{path}: an animation as MP4", extra="movie")
     return write_whole(path, _mp4(images, **times))
 
 
@@ -202,7 +201,7 @@ def _gif(image_rgb: Sequence[np.ndarray], *, frame_s: float, last_s: float) -> b
 def _mp4(image_rgb: Iterable[np.ndarray], *, frame_s: float, last_s: float) -> bytes:
     import tempfile
 
-    imageio = optional_module("imageio.v2", purpose="an animation as MP4", install=_INSTALL_ANIMATION)
+    imageio = optional_module("imageio.v2", purpose="an animation as MP4", extra="movie")
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "animation.mp4"
         with imageio.get_writer(file, format="FFMPEG", fps=1.0 / frame_s, quality=7, macro_block_size=2) as writer:
@@ -230,7 +229,7 @@ def check_suffix(path: Path, *, further: tuple[str, ...] = ()) -> None:
         check_library()
     if suffix == ".mp4":
         for name in ("imageio", "imageio_ffmpeg"):
-            optional_module(name, purpose=f"{path}: an animation as MP4", install=_INSTALL_ANIMATION)
+            optional_module(name, purpose=f"{path}: an animation as MP4", extra="movie")
 
 
 def write_whole(path: Path, content: bytes) -> Path:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from warpav.core.errors import InputError
+from warpav.core.errors import InputError, install_text
 from warpav.view.opengl import load_pyvista
 from warpav.view.palette import INK_RGB, camera_rgb, hex_colour
 
@@ -300,7 +300,5 @@ def _k3d() -> Any:  # noqa: ANN401 (a module)
     try:
         import k3d
     except ImportError as error:
-        raise InputError(
-            f"an interactive page: expected the extra web, got: {error}; run: pip install 'warpav[web]'"
-        ) from None
+        raise InputError(f"an interactive page: expected the extra web, got: {error}; {install_text('web')}") from None
     return k3d

@@ -92,7 +92,7 @@ def load_rerun(path: Path) -> Any:  # noqa: ANN401 (a module)
     Raises:
         InputError: It is not installed.
     """
-    return optional_module("rerun", purpose=f"{path}: a recording for Rerun", install='pip install "warpav[rerun]"')
+    return optional_module("rerun", purpose=f"{path}: a recording for Rerun", extra="rerun")
 
 
 def _log_scene(rerun: Any, recording: Any, scene: Scene) -> None:  # noqa: ANN401 (rerun)

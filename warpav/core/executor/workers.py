@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import InputError, OptionError, install_text
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -89,5 +89,5 @@ def executor_package(name: str) -> Any:  # noqa: ANN401 (a module that the type 
     except ImportError as error:
         raise OptionError(
             "executor.name",
-            f"expected the package {name} to be installed, got: {error}; run: pip install 'warpav[{_EXTRA[name]}]'",
+            f"expected the package {name} to be installed, got: {error}; {install_text(_EXTRA[name])}",
         ) from None

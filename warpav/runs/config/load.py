@@ -151,10 +151,13 @@ def with_absolute_paths(config: Config) -> Config:
     ):
         if value is not None:
             overrides.append(f"{option}={flow_text(str(Path(value).expanduser().absolute()))}")
-    for name in ("recordings", "test_recordings"):
-        paths = getattr(config.scenes, name)
+    for option, paths in (
+        ("scenes.recordings", config.scenes.recordings),
+        ("scenes.test_recordings", config.scenes.test_recordings),
+        ("baselines.rigs", config.baselines.rigs),
+    ):
         if paths is not None:
-            overrides.append(f"scenes.{name}={flow_text([str(path.expanduser().absolute()) for path in paths])}")
+            overrides.append(f"{option}={flow_text([str(path.expanduser().absolute()) for path in paths])}")
     vehicles = config.scenes.vehicles
     if vehicles is not None and any(path != SHIPPED for path in vehicles):
         found = [path if path == SHIPPED else str(Path(path).expanduser().absolute()) for path in vehicles]

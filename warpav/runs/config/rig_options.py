@@ -81,7 +81,7 @@ class FreeConfig(Section):
 LATER_RIG_OPTIONS = ("fewest_cameras", "modules", "catalogue", "max_cost", "symmetric")
 """Options of the section that files leave out where they are not set."""
 
-LATER_BASELINE_OPTIONS = ("presets", "preset_images")
+LATER_BASELINE_OPTIONS = ("presets", "rigs", "preset_images")
 """The same of the section ``baselines``."""
 
 _COUNTS_TEXT = "a mapping from modules to how many, such as {front_8mp_30: 1, fisheye_3mp_190: 0..4}"

@@ -180,26 +180,30 @@ class RunConfig(Section):
     )
 
 
-def _read_recordings(value: object) -> object:
-    paths = [value] if isinstance(value, str) else value
-    if not isinstance(paths, (list, tuple)):
-        return value
-    if not paths:
-        mistake(f"expected {_RECORDINGS_TEXT}, got none")
-    for path in paths:
-        if isinstance(path, str) and not Path(path).expanduser().exists():
-            mistake(f"expected {_RECORDINGS_TEXT}, got {path!r}; no such file or folder")
-    return tuple(read_path(path) for path in paths)
+def _paths(expected: str) -> tuple[object, ...]:
+    """What makes a field one path or several, all of which exist; ``expected`` says of what."""
+
+    def read(value: object) -> object:
+        paths = [value] if isinstance(value, str) else value
+        if not isinstance(paths, (list, tuple)):
+            return value
+        if not paths:
+            mistake(f"expected {expected}, got none")
+        for path in paths:
+            if isinstance(path, str) and not Path(path).expanduser().exists():
+                mistake(f"expected {expected}, got {path!r}; no such file or folder")
+        return tuple(read_path(path) for path in paths)
+
+    return (
+        BeforeValidator(read),
+        PlainSerializer(lambda value: [str(path) for path in value]),
+        Expectation(expected),
+        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}),
+    )
 
 
-_RECORDINGS_TEXT = "paths of recorded traffic, such as [log.xml, recordings]"
-Recordings = Annotated[
-    tuple[Path, ...],
-    BeforeValidator(_read_recordings),
-    PlainSerializer(lambda value: [str(path) for path in value]),
-    Expectation(_RECORDINGS_TEXT),
-    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}),
-]
+Recordings = Annotated[tuple[Path, ...], *_paths("paths of recorded traffic, such as [log.xml, recordings]")]
+RigFiles = Annotated[tuple[Path, ...], *_paths("rig files or run folders, such as [present.yaml, first_rig]")]
 
 
 def _read_vehicles(value: object) -> object:
@@ -562,6 +566,9 @@ class BaselineConfig(Section):
     random_scenes: int = Field(default=4, ge=1, description="training scenes on which the random rigs are ranked")
     presets: PresetNames | None = Field(
         default=None, description="presets on the body of the vehicle that a run compares its rig with; null: none"
+    )
+    rigs: RigFiles | None = Field(
+        default=None, description="rigs of your own that a run compares its rig with, named by their files; null: none"
     )
     preset_images: PresetImages | None = Field(
         default=None,

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from types import ModuleType
 from typing import Any, TypeAlias
 
-from warpav.core.errors import InputError
+from warpav.core.errors import InputError, install_text
 
 Remote: TypeAlias = Any
 """Something that the optional package ``carla`` defines; its types cannot be named here."""
@@ -32,9 +32,7 @@ def import_carla() -> ModuleType:
     try:
         return importlib.import_module("carla")
     except ImportError as error:
-        raise InputError(
-            f'CARLA: expected its Python client 0.9.16, got: {error}; run: pip install "warpav[carla]"'
-        ) from None
+        raise InputError(f"CARLA: expected its Python client 0.9.16, got: {error}; {install_text('carla')}") from None
 
 
 def unreachable(host: str, port: int) -> str | None:

@@ -40,7 +40,7 @@ def load_ezdxf(place: Path) -> Any:  # noqa: ANN401 (a module)
     Raises:
         InputError: It is not installed.
     """
-    return optional_module("ezdxf", purpose=f"{place}: a drawing as DXF", install='pip install "warpav[cad]"')
+    return optional_module("ezdxf", purpose=f"{place}: a drawing as DXF", extra="cad")
 
 
 def has_ezdxf() -> bool:
