@@ -1,4 +1,4 @@
-"""Plausibility checks of a rig: sides that contradict names, cameras below ground or far away, coincident cameras."""
+"""Plausibility checks of a rig: sides that contradict names, cameras below ground, far away, or off the vehicle."""
 
 from __future__ import annotations
 
@@ -9,10 +9,14 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig, RigCamera
 
 FAR_M = 100.0
 """No camera of a vehicle is farther from its rear axle; such a file holds another unit, or a camera beside the road."""
+
+OFF_VEHICLE_M = 1.0
+"""A camera farther from the surface of its vehicle stands on a mast, or belongs to another vehicle."""
 
 _SIDES = {"left": 1.0, "right": -1.0}
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
@@ -72,3 +76,33 @@ def oddities(rig: Rig) -> Iterator[str]:
     for one, other in itertools.combinations(rig.cameras, 2):
         if np.linalg.norm(one.position_m - other.position_m) < _SAME_PLACE_M:
             yield f"cameras {one.name!r} and {other.name!r} share one position"
+
+
+def off_vehicle(rig: Rig, body: Mesh) -> str:
+    """One line about cameras of a rig that are far from the surface of its vehicle; empty where none is.
+
+    Args:
+        rig: The rig.
+        body: The vehicle, in the same ego frame.
+    """
+    away_m = {camera.name: _distance_m(camera.position_m, body) for camera in rig.cameras}
+    far = {name: distance_m for name, distance_m in away_m.items() if distance_m > OFF_VEHICLE_M}
+    if not far:
+        return ""
+    farthest = max(far, key=far.__getitem__)
+    return (
+        f"{len(far)} of {len(away_m)} cameras are more than {OFF_VEHICLE_M:g} m from the surface of the vehicle, "
+        f"{farthest} {far[farthest]:.1f} m; is the rig of another vehicle? scenes.ego says which carries it"
+    )
+
+
+def _distance_m(position_m: np.ndarray, body: Mesh) -> float:
+    """Distance of a point to a surface [m]; from a vertex alone where one is near enough not to be told."""
+    from trimesh.triangles import closest_point
+
+    to_vertex_m = float(np.linalg.norm(body.vertex_m - position_m, axis=1).min())
+    if to_vertex_m <= OFF_VEHICLE_M:
+        return to_vertex_m
+    corner_m = body.vertex_m[body.triangle].astype(np.float64)
+    closest_m = closest_point(corner_m, np.broadcast_to(position_m, (len(corner_m), 3)))
+    return float(np.linalg.norm(closest_m - position_m, axis=1).min())

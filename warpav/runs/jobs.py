@@ -17,6 +17,7 @@ from warpav.evaluation.robustness import LoadState, SoiledPart
 from warpav.optimisation.history import IterationRecord
 from warpav.optimisation.pool import pool_cache_folder
 from warpav.optimisation.pool_descent import PoolDescent
+from warpav.rig.check import off_vehicle
 from warpav.rig.find import is_preset
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.checkpoint import check_options, identity_of
@@ -292,7 +293,10 @@ def _rig_to_measure(source: str, placement: Placement, progress: Progress) -> Ri
     """The rig that ``source`` means; a preset stands on the body of the vehicle, with the images of a network."""
     config, ego = placement.config, placement.ego
     if not is_preset(source) or is_run_folder(source) or Path(source).exists():
-        return find_rig(source, config, ego)
+        rig = find_rig(source, config, ego)
+        if text := off_vehicle(rig, ego):
+            progress.say(f"{source}: {text}")
+        return rig
     moved = preset_for(source, config, ego)
     know_cameras(moved.rig, placement, progress)
     sizes = dict.fromkeys(f"{each.model.width_px} x {each.model.height_px} px" for each in moved.rig.cameras)
