@@ -108,7 +108,7 @@ def test_options_that_the_documentation_names_exist():
 
 def understand(words):
     """Parse a command as the command line does, with the files that it names in place."""
-    for value in (word.rpartition("=")[2] for word in words):
+    for value in (word.rpartition("=")[2].strip("[]") for word in words):
         if re.fullmatch(r"[\w/.-]+\.(yaml|glb|onnx)", value):
             Path(value).parent.mkdir(exist_ok=True)
             Path(value).touch()

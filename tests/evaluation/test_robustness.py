@@ -176,7 +176,7 @@ def test_no_load_costs_nothing_and_names_stay(problem):
     assert [each.name for each in found.states] == ["none", "steep"]
     assert found.states[0].difference_per_100 == pytest.approx(0.0, abs=1e-4)
     assert found.worst.name == "steep"
-    assert found.worst.difference_per_100 > 0.5
+    assert found.worst.difference_per_100 > 0.2
     assert "+12.0" in str(found.table())
     usual = wa.robustness.load_states(rig, scenes, placement)
     assert [each.name for each in usual.states] == ["nose down", "nose up", "laden"]

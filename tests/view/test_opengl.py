@@ -129,8 +129,10 @@ def test_display_needs_no_library(no_display, monkeypatch):
 
 
 def test_optional_module_says_how_to_get_it():
-    with pytest.raises(InputError, match=r"an orbit needs the module no_such_module.*run `pip install it`"):
-        opengl.optional_module("no_such_module", purpose="an orbit", install="pip install it")
+    with pytest.raises(
+        InputError, match=r'an orbit needs the module no_such_module.*; run: pip install "warpav\[it\]"'
+    ):
+        opengl.optional_module("no_such_module", purpose="an orbit", extra="it")
 
 
 def test_importing_the_views_imports_neither_pyvista_nor_matplotlib():

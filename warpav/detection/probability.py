@@ -333,7 +333,7 @@ class DetectionProbability:
 
     @classmethod
     def builtin(cls, camera: CameraModel) -> DetectionProbability:
-        """That of the detector that ships with warpav, in images of a camera: the shipped fit for any camera.
+        """That of the detector that ships with warpav in scenes of the town: the shipped fit for any camera.
 
         Args:
             camera: Its size decides how the detector scales its images.
@@ -341,7 +341,11 @@ class DetectionProbability:
         from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector
 
         files = sorted(BUILTIN_MODEL_PATH.parent.glob(f"{BUILTIN_MODEL_PATH.stem}_p_detected_*.json"))
-        for_any = next(model for model in map(cls.read, files) if "cameras" in model.record["settings"])
+        for_any = next(
+            model
+            for model in map(cls.read, files)
+            if "cameras" in (settings := model.record["settings"]) and settings["scenes"]["source"] == "town"
+        )
         scale = OnnxDetector(BUILTIN_MODEL_PATH).network_scale(camera.height_px, camera.width_px)
         return replace(for_any, network_scale=scale)
 
