@@ -13,7 +13,7 @@ ELSEWHERE = ("pip ", "python3 ", "warpav doctor", "warpav optimise rig.")
 
 
 LEFT_OUT = re.compile(
-    r"(?:scenes|cameras of the start|pool of cameras): \d+/|iteration |[│├┃┡└┏]|recall of the rig|"
+    r"(?:scenes|scenes seen by the start|scenes seen by the pool): \d+/|iteration |[│├┃┡└┏]|recall of the rig|"
     r"optimised without one camera"
 )
 """Lines that the tutorial says it leaves out, or some of."""

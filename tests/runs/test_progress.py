@@ -93,27 +93,27 @@ def test_piped_output_of_a_search_by_a_pool_is_a_line_for_every_stage():
 def test_the_start_of_a_search_by_a_pool_is_shown_before_the_pool_is_drawn():
     def states(display):
         start, *others = _states()
-        list(display.steps("cameras of the start", "ab", count=2))
+        list(display.steps("scenes seen by the start", "ab", count=2))
         yield start
-        list(display.steps("pool of cameras", "ab", count=2))
+        list(display.steps("scenes seen by the pool", "ab", count=2))
         yield from others
 
     def watch(display):
         list(display.iterations(states(display), count=None, min_spacing_m=0.2))
 
     lines = [line.partition("  ")[0] for line in _shown(False, watch).splitlines()]
-    assert lines[:5] == ["searching", "cameras of the start: 2", "done start", "pool of cameras: 2", "done selection"]
+    assert lines[:5] == ["searching", "scenes seen by the start: 2", "done start", "scenes seen by the pool: 2", "done selection"]
     assert lines.count("done start") == 1
 
 
 def test_a_terminal_shows_the_start_while_the_pool_is_drawn():
     def states(display):
         yield next(_states())
-        for _ in display.steps("pool of cameras", "ab", count=2):
+        for _ in display.steps("scenes seen by the pool", "ab", count=2):
             time.sleep(2.0 / REFRESH_PER_SECOND)
 
     text = _shown(True, lambda display: list(display.iterations(states(display), count=None, min_spacing_m=0.2)))
-    assert "objective" in text.partition("pool of cameras")[2]
+    assert "objective" in text.partition("scenes seen by the pool")[2]
 
 
 def test_an_interrupted_search_by_a_pool_says_what_it_has_come_to():
@@ -129,7 +129,7 @@ def test_an_interrupted_search_by_a_pool_says_what_it_has_come_to():
 def test_a_terminal_shows_objective_bound_and_what_was_spent():
     def watch(display):
         for record in display.iterations(_states(), count=None, min_spacing_m=0.2):
-            list(display.steps("pool of cameras", "ab", count=2) if record.stage == "start" else ())
+            list(display.steps("scenes seen by the pool", "ab", count=2) if record.stage == "start" else ())
             time.sleep(4.0 / REFRESH_PER_SECOND)
 
     text = _shown(True, watch)

@@ -41,7 +41,7 @@ from warpav.scene.device_scene import DeviceScene
 
 CHUNK_CAMERAS = 512
 """Cameras that one task draws in one scene."""
-POOL_NAME = "pool of cameras"
+POOL_NAME = "scenes seen by the pool"
 """What progress calls the cameras that are drawn."""
 HALF_ABOVE_BYTES = 2**29
 """Matrices that would be larger than this in single precision are kept in half precision."""

@@ -45,7 +45,7 @@ from warpav.optimisation.single_cameras import SingleCameras
 from warpav.scene.device_scene import DeviceScene
 
 Stage = Literal["start", "selection", "polish", "pricing", "settled"]
-START_NAME = "cameras of the start"
+START_NAME = "scenes seen by the start"
 """What progress calls them."""
 POOL_SHARE = 0.45
 """Of a budget, the share of the first pool; more where less than the rest is enough for a round with its polishes."""
