@@ -156,7 +156,7 @@ for metric, text in texts.items():
 
 # %% [markdown]
 # An interval below 0 says that the search was worth it on this crossing, one that holds 0 that these scenes cannot tell
-# the two rigs apart. Both of ours are below it, and of what other places could find the search misses a quarter less. Of
+# the two rigs apart. Both of ours are, and of what other places could find the search misses a quarter less. Of
 # other crossings neither says anything, for all scenes are of one. Where the difference comes from:
 
 # %%
