@@ -208,6 +208,7 @@ def reliability_diagram(
         labels = [f"{len(shown[0])} detected", f"{len(shown[1])} missed"]
         lower.hist(shown, bins=list(edges), stacked=True, color=colours, label=labels)
         lower.set_yscale("symlog", linthresh=10)
+        lower.yaxis.set_major_formatter("{x:,.0f}")
         lower.set_ylabel("objects")
         lower.set_xlabel("predicted probability")
         lower.set_xlim(-0.02, 1.02)
