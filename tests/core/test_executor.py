@@ -20,9 +20,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import warp as wp
 
 from warpav.core.errors import InputError, OptionError
-from warpav.core.executor import Outcome, processes, run_tasks
+from warpav.core.executor import Outcome, available_cores, gpu_share, processes, run_tasks
 
 needs_ray = pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="ray is not installed")
 needs_submitit = pytest.mark.skipif(importlib.util.find_spec("submitit") is None, reason="submitit is not installed")
@@ -163,6 +164,22 @@ def test_there_are_as_many_processes_as_asked_for():
     found = {outcome.result for outcome in run_tasks(process_of, range(6), executor="process", worker_count=2)}
     assert len(found) == 2
     assert os.getpid() not in found
+
+
+def shares(_):
+    return available_cores(), gpu_share(8), gpu_share(1)
+
+
+@pytest.mark.parametrize("worker_count", [1, 2, 3])
+def test_processes_share_the_machine(worker_count):
+    (outcome, *_) = run_tasks(shares, range(worker_count), executor="process", worker_count=worker_count)
+    assert outcome.result == (max(1, available_cores() // worker_count), 8 // worker_count, 1)
+
+
+def test_processes_share_each_of_several_gpus(monkeypatch):
+    monkeypatch.setattr(wp, "get_cuda_device_count", lambda: 2)
+    outcome = next(run_tasks(shares, range(4), executor="process", worker_count=4, gpu_count=2))
+    assert outcome.result == (max(1, available_cores() // 4), 4, 1)
 
 
 def wait_turn(task):
@@ -484,7 +501,7 @@ def test_processes_share_the_gpus_in_turn(monkeypatch):
     monkeypatch.setattr(processes, "_end_with_parent", lambda: None)
     seen = []
     for _ in range(3):
-        processes._begin(started, ["4,6,7", "6,7,4"])
+        processes._begin(started, ["4,6,7", "6,7,4"], (1, 1))
         seen.append(os.environ["CUDA_VISIBLE_DEVICES"])
     assert seen == ["4,6,7", "6,7,4", "4,6,7"]
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import html
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ import numpy as np
 
 from warpav.core.bounded_files import read_text
 from warpav.core.errors import InputError, OptionError
+from warpav.core.executor import available_cores
 from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.external_data import check_external_data
 from warpav.detection.families.letterbox import Letterbox
@@ -104,7 +106,7 @@ class OnnxDetector:
         input_px: Images are scaled so that their longer side has this many pixels, and padded to multiples of 32; a
             family that wants a square gets one of this side. None: as they are, or the family's own. A file that fixes
             its input size takes none.
-        threads: Threads of onnxruntime; None lets it use all cores.
+        threads: Threads of onnxruntime; None lets it use all cores that the process may use.
         provider: Where the network runs: ``cpu``, ``cuda`` or ``tensorrt``.
 
     Attributes:
@@ -449,8 +451,9 @@ def _open_session(path: Path, threads: int | None, provider: str) -> InferenceSe
     options.log_severity_level = 3
     # Threads that wait in a loop for the next layer would take the cores that render meanwhile.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    if threads is not None:
-        options.intra_op_num_threads = threads
+    cores = available_cores()
+    if threads is not None or cores < (os.cpu_count() or 1):  # onnxruntime would take all cores of the machine
+        options.intra_op_num_threads = threads or cores
     try:
         session = onnxruntime.InferenceSession(str(path), options, providers=[known[provider]])
     except Exception as error:  # onnxruntime's own types share no parent

@@ -16,7 +16,7 @@ import numpy as np
 import warp as wp
 
 from warpav.core.devices import checked_device
-from warpav.raster.buffers import available_cores
+from warpav.core.executor import available_cores
 from warpav.raster.pane import Pane
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.device_scene import DeviceScene

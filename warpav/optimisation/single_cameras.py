@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpav.core.executor import available_cores
+from warpav.core.executor import available_cores, gpu_share
 from warpav.core.fingerprint import digest, fingerprint
 from warpav.core.warp_setup import load_warp
 from warpav.optimisation.camera_jacobians import CameraJacobians, placing_slope
@@ -40,9 +40,9 @@ CPU_VIEWS = 16
 CPU_KEY_BYTES = 2**26
 """Of the views that one thread renders at once: one of 8 MP, four of 1920 x 1080 pixels, all of smaller ones."""
 CUDA_STREAMS = 12
-"""Scenes that a GPU renders beside each other for Jacobians: the few cameras of a rig do not fill it."""
+"""Scenes that a GPU renders beside each other for Jacobians, of all who share it: few cameras do not fill it."""
 CUDA_CHUNKS = 8
-"""Chunks of `chunk_view_count` that a GPU renders at once: it fills with more views than a CPU's caches hold."""
+"""Chunks of `chunk_view_count` that a GPU renders at once, for all who share it; they fill it as no CPU's cache."""
 
 
 _Kind = tuple[int, Pane | None]
@@ -333,7 +333,9 @@ class SingleCameras:
                 self.mount.cameras[module],
                 self.probabilities[module],
                 # recorded launches are bound to the renderers, which therefore are those of the kind
-                partial(maker.new, count=CUDA_STREAMS) if self._is_cuda else partial(maker.kept, self._renderers),
+                partial(maker.new, count=gpu_share(CUDA_STREAMS))
+                if self._is_cuda
+                else partial(maker.kept, self._renderers),
                 self._most_views(module, views_max=MAX_CHUNK_VIEWS),
                 pane,
             )
@@ -347,7 +349,7 @@ class SingleCameras:
         """Views that are rendered at once: as many as the caches of a core hold, or as a GPU takes."""
         camera = self.mount.cameras[module]
         if self._is_cuda:
-            return CUDA_CHUNKS * chunk_view_count(camera, supersampling=self.supersampling)
+            return gpu_share(CUDA_CHUNKS) * chunk_view_count(camera, supersampling=self.supersampling)
         return min(chunk_view_count(camera, supersampling=self.supersampling, key_bytes=CPU_KEY_BYTES), views_max)
 
     def _maker(self, module: int) -> _RendererMaker:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ import numpy as np
 import warp as wp
 
 from warpav.core.errors import InputError
+from warpav.core.executor import available_cores
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens, image_table
 from warpav.raster.scene import Scene
@@ -79,11 +79,6 @@ class RenderState:
     content: Content
     rectangle: wp.array
     offset: wp.array
-
-
-def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @cache

@@ -2,6 +2,16 @@
 
 from warpav.core.executor.background import in_background
 from warpav.core.executor.tasks import Executor, ExecutorName, Outcome, Result, Task, run_tasks
-from warpav.core.executor.workers import available_cores
+from warpav.core.executor.workers import available_cores, gpu_share
 
-__all__ = ["Executor", "ExecutorName", "Outcome", "Result", "Task", "available_cores", "in_background", "run_tasks"]
+__all__ = [
+    "Executor",
+    "ExecutorName",
+    "Outcome",
+    "Result",
+    "Task",
+    "available_cores",
+    "gpu_share",
+    "in_background",
+    "run_tasks",
+]

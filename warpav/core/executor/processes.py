@@ -15,7 +15,7 @@ from multiprocessing.sharedctypes import Synchronized
 from typing import Any
 
 from warpav.core.errors import OptionError
-from warpav.core.executor.workers import Outcome, WorkerKilledError, outcome_of
+from warpav.core.executor.workers import Outcome, WorkerKilledError, outcome_of, share_machine
 
 
 class Processes:
@@ -32,14 +32,17 @@ class Processes:
         Raises:
             OptionError: This machine has not so many GPUs.
         """
-        self._function, self._worker_count = function, worker_count
+        self._function, self._worker_count, self._gpu_count = function, worker_count, gpu_count
         self._orders = _gpu_orders(gpu_count)
         self._pool = self._open()
 
     def _open(self) -> ProcessPoolExecutor:
         context = multiprocessing.get_context("spawn")  # a forked child could not use Warp
         started = context.Value("i", 0)
-        return ProcessPoolExecutor(self._worker_count, context, initializer=_begin, initargs=(started, self._orders))
+        shares = (self._worker_count, self._gpu_count)
+        return ProcessPoolExecutor(
+            self._worker_count, context, initializer=_begin, initargs=(started, self._orders, shares)
+        )
 
     def start(self, tasks: Sequence[Any]) -> Sequence[Future[Outcome[Any, Any]]]:
         """Start tasks, each in the pool that is open then."""
@@ -92,8 +95,9 @@ def _gpu_orders(gpu_count: int) -> list[str]:
     return [",".join(gpus[first:] + gpus[:first]) for first in range(gpu_count)]
 
 
-def _begin(started: Synchronized[int], gpu_orders: Sequence[str]) -> None:
+def _begin(started: Synchronized[int], gpu_orders: Sequence[str], shares: tuple[int, int]) -> None:
     """What a process does first: before Warp looks for GPUs."""
+    share_machine(*shares)
     if gpu_orders:
         with started.get_lock():
             os.environ["CUDA_VISIBLE_DEVICES"] = gpu_orders[started.value % len(gpu_orders)]

@@ -13,6 +13,8 @@ from warpav.core.errors import InputError, OptionError, install_text
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 _EXTRA = {"ray": "ray", "submitit": "slurm"}
+_beside = {"cores": 1, "gpu": 1}
+"""Processes of one pool that share this machine's cores, and this process's GPU, this one among them."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +60,20 @@ class Workers(Protocol):
         ...
 
 
+def share_machine(processes: int, gpus: int) -> None:
+    """Say in a process of a pool how many processes there are, and how many GPUs they share."""
+    _beside.update(cores=processes, gpu=-(-processes // gpus))
+
+
 def available_cores() -> int:
-    """Processor cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Processor cores that this process may use: in a pool of processes its share, at least 1."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, cores // _beside["cores"])
+
+
+def gpu_share(count: int) -> int:
+    """This process's share of what a GPU holds ``count`` of, at least 1: all of it but in a pool of processes."""
+    return max(1, count // _beside["gpu"])
 
 
 def outcome_of(function: Callable[[Task], Result], task: Task) -> Outcome[Task, Result]:
