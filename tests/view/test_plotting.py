@@ -1,5 +1,7 @@
 """The front door: what `warpav.view.plot` shows and writes of the objects of lower rooms."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -92,6 +94,12 @@ def test_unknown_objects_and_options_are_named(tmp_path):
         plot(rig(), out=tmp_path / "x.png", iteration=3)
     with pytest.raises(TypeError, match=r"plot: screenshot: .* or of an image file \(cpos\)"):
         plot(rig(), out=tmp_path / "x.png", screenshot="y.png")
+
+
+@pytest.mark.parametrize("file", ["rig.yaml", Path("runs/first")])
+def test_a_file_is_to_be_read_before_it_is_plotted(file):
+    with pytest.raises(TypeError, match=r"got (Posix|Windows)?(Path|str); read it first: wa.read_rig, wa.read_run"):
+        plot(file)
 
 
 def test_kinds_are_named_before_anything_is_drawn(tmp_path, registered):

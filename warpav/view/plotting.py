@@ -11,7 +11,7 @@ import sys
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from warpav.core.errors import ArgumentError, InputError
@@ -127,7 +127,9 @@ def checked_kind(cls: type, kind: str | None) -> Kind:
     kinds = kinds_of(cls)
     if not kinds:
         known = sorted(each.__name__ for each in _KINDS)
-        raise TypeError(f"plot: expected one of {', '.join(known)}, got {cls.__name__}")
+        hint = "; read it first: wa.read_rig, wa.read_run, wa.read_scenes or wa.read_vehicle"
+        is_file = issubclass(cls, (str, PurePath))
+        raise TypeError(f"plot: expected one of {', '.join(known)}, got {cls.__name__}{hint if is_file else ''}")
     name = next(iter(kinds)) if kind is None else kind
     if name not in kinds:
         raise ArgumentError("kind", f"expected one of a {cls.__name__} ({', '.join(kinds)}), got {kind!r}")
