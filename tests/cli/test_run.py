@@ -11,6 +11,7 @@ from tests.cli.small_run import SMALL, complaint
 from warpav.cli.app import main
 from warpav.evaluation.metrics import OPTIONAL_METRICS
 from warpav.optimisation.descent import Descent
+from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.verdict import ARM_ROWS
 from warpav.scene.glb import write_scene
@@ -186,6 +187,16 @@ def test_a_rig_of_other_cameras_is_evaluated_with_its_own(run_folder, working_di
     metrics = json.loads((working_directory / "m.json").read_text())["arms"]["wide"]
     assert metrics["objective"] is None
     assert metrics["tp_in_frame_rate"] > 0.0
+
+
+def test_a_rig_off_its_vehicle_is_evaluated_and_told(run_folder, working_directory, capsys):
+    rig = read_rig(run_folder.path / "rig_best.yaml")
+    raised = [
+        dataclasses.replace(camera, position_m=camera.position_m + np.array([0.0, 0.0, 4.0])) for camera in rig.cameras
+    ]
+    write_rig(Rig(raised), working_directory / "mast.yaml")
+    assert main(["evaluate", "mast.yaml", *SMALL]) == 0
+    assert "mast.yaml: 2 of 2 cameras are more than 1 m from the surface" in capsys.readouterr().out
 
 
 def test_ctrl_c_leaves_a_usable_run_folder(working_directory, monkeypatch, capsys):
