@@ -23,7 +23,7 @@ import pytest
 import warp as wp
 
 from warpav.core.errors import InputError, OptionError
-from warpav.core.executor import Outcome, available_cores, gpu_share, processes, run_tasks
+from warpav.core.executor import Outcome, available_cores, gpu_share, processes, run_tasks, workers
 
 needs_ray = pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="ray is not installed")
 needs_submitit = pytest.mark.skipif(importlib.util.find_spec("submitit") is None, reason="submitit is not installed")
@@ -170,10 +170,25 @@ def shares(_):
     return available_cores(), gpu_share(8), gpu_share(1)
 
 
+def threads_of_libraries(_):
+    import cv2
+    from threadpoolctl import threadpool_info
+
+    return {cv2.getNumThreads(), *(each["num_threads"] for each in threadpool_info())}
+
+
 @pytest.mark.parametrize("worker_count", [1, 2, 3])
 def test_processes_share_the_machine(worker_count):
     (outcome, *_) = run_tasks(shares, range(worker_count), executor="process", worker_count=worker_count)
     assert outcome.result == (max(1, available_cores() // worker_count), 8 // worker_count, 1)
+
+
+def test_libraries_start_no_more_threads_than_the_share(monkeypatch):
+    for variable in workers._THREAD_VARIABLES:
+        monkeypatch.delenv(variable, raising=False)
+    count = available_cores()
+    outcome = next(run_tasks(threads_of_libraries, range(count), executor="process", worker_count=count))
+    assert outcome.result == {1} if count > 1 else {count}
 
 
 def test_processes_share_each_of_several_gpus(monkeypatch):

@@ -13,6 +13,7 @@ from warpav.core.errors import InputError, OptionError, install_text
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 _EXTRA = {"ray": "ray", "submitit": "slurm"}
+_THREAD_VARIABLES = ("OPENCV_FOR_THREADS_NUM", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _beside = {"cores": 1, "gpu": 1}
 """Processes of one pool that share this machine's cores, and this process's GPU, this one among them."""
 
@@ -61,8 +62,14 @@ class Workers(Protocol):
 
 
 def share_machine(processes: int, gpus: int) -> None:
-    """Say in a process of a pool how many processes there are, and how many GPUs they share."""
+    """Say in a process of a pool how many processes there are, and how many GPUs they share.
+
+    Libraries that would start a thread for every core, in each of the processes, learn of it as they are loaded.
+    """
     _beside.update(cores=processes, gpu=-(-processes // gpus))
+    if processes > 1:
+        for variable in _THREAD_VARIABLES:
+            os.environ.setdefault(variable, str(available_cores()))
 
 
 def available_cores() -> int:
