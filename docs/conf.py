@@ -4,6 +4,7 @@ Pages are Markdown that reads well without the site too: links between files are
 repository. So the site's source is the whole repository; pages, records and notebooks are taken from where they are.
 """
 
+import os
 import pkgutil
 import sys
 from pathlib import Path
@@ -72,6 +73,17 @@ html_math_renderer = "mathml"  # drawn by the browser: nothing to load
 html_theme = "furo"
 html_title = f"warpav {version}"
 html_additional_pages = {"index": "redirect.html"}
+html_sidebars = {
+    "**": [
+        *(f"sidebar/{part}.html" for part in ("brand", "search", "scroll-start", "navigation")),
+        "versions.html",
+        *(f"sidebar/{part}.html" for part in ("ethical-ads", "scroll-end", "variant-selector")),
+    ]
+}
+html_context = {  # of `docs/versions.py`, which builds several beside each other
+    "versions": os.environ.get("WARPAV_DOCS_VERSIONS", "").split(),
+    "shown_version": os.environ.get("WARPAV_DOCS_VERSION", ""),
+}
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_use_index = html_domain_indices = False  # the search finds the same

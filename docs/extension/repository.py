@@ -76,6 +76,7 @@ def check_links(app: Sphinx, error: Exception | None) -> None:
     """Follow every link within the site."""
     if error or app.builder.name != "html":
         return
+    beside = tuple(f"../{version}/" for version in app.config.html_context.get("versions", ()))
     files = {file.relative_to(app.outdir).as_posix() for file in Path(app.outdir).rglob("*") if file.is_file()}
     texts = {name: Path(app.outdir, name).read_text() for name in files if name.endswith(".html")}
     anchors = {name: {unescape(each) for each in re.findall(r' id="([^"]+)"', text)} for name, text in texts.items()}
@@ -87,6 +88,8 @@ def check_links(app: Sphinx, error: Exception | None) -> None:
             target = (
                 posixpath.normpath(posixpath.join(posixpath.dirname(name), path.partition("?")[0])) if path else name
             )
+            if target.startswith(beside):  # another version
+                continue
             if target not in files or (anchor and anchor not in anchors.get(target, (anchor,))):
                 _log.warning("%s: the link %s leads nowhere", name, link)
 
