@@ -68,7 +68,7 @@ BAD_INPUT = [
         ["optimise", "--cameras", "6"],
         "command line: Unknown option: --cameras; options of a run are key=value, such as rig.cameras=6;",
     ),
-    (["evaluate"], 'command line: Command "evaluate" parameter RIG requires an argument'),
+    (["evaluate"], "command line: RIG: expected a value, got none; see warpav evaluate --help"),
     (["optimise", "rig.camera=3"], "command line (rig.camera=3): rig.camera: expected one of cameras,"),
     (
         ["optimise", "rig.cameras=many"],
@@ -127,7 +127,7 @@ BAD_INPUT = [
     [
         (["optimse"], ", optimise, ...; see warpav --help"),
         (["rig", "send"], " export, check, requirements, drawing; see warpav rig --help"),
-        (["rig", "export", "nuscenes", "--out", "x"], " --format requires an argument; see warpav rig export --help"),
+        (["rig", "export", "nuscenes", "--out", "x"], " --format: expected a value, got none; see warpav rig export --help"),
         (["optimise", "--cameras", "6"], "such as rig.cameras=6; see warpav optimise --help"),
     ],
 )

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Sequence
 from types import FrameType
 from typing import TextIO
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, MissingArgumentError
 
 from warpav import __version__
 from warpav.cli.arguments import complain, flag_of, with_flags
@@ -159,6 +159,8 @@ def _usage_text(error: CycloptsError) -> str:
     """What is wrong with the words of the command, in one line."""
     text = " ".join(str(error).split())
     text = text if text.endswith("...") else text.removesuffix(".")
+    if isinstance(error, MissingArgumentError) and error.argument is not None:
+        text = f"{error.argument.name}: expected a value, got none"
     hint = "options of a run are key=value, such as rig.cameras=6; " if text.startswith("Unknown option") else ""
     return f"command line: {text}; {hint}see {' '.join(('warpav', *(error.command_chain or ()), '--help'))}"
 
