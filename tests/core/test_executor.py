@@ -177,6 +177,16 @@ def threads_of_libraries(_):
     return {cv2.getNumThreads(), *(each["num_threads"] for each in threadpool_info())}
 
 
+def shares_of_a_pool_within(count):
+    return [outcome.result for outcome in run_tasks(shares, range(count), executor="process", worker_count=count)]
+
+
+def test_a_pool_within_a_process_shares_its_share():
+    count = available_cores()
+    [outcome] = run_tasks(shares_of_a_pool_within, [2], executor="process", worker_count=count, gpu_count=1)
+    assert outcome.result == [(1, max(1, 8 // (2 * count)), 1)] * 2
+
+
 @pytest.mark.parametrize("worker_count", [1, 2, 3])
 def test_processes_share_the_machine(worker_count):
     (outcome, *_) = run_tasks(shares, range(worker_count), executor="process", worker_count=worker_count)
@@ -516,7 +526,7 @@ def test_processes_share_the_gpus_in_turn(monkeypatch):
     monkeypatch.setattr(processes, "_end_with_parent", lambda: None)
     seen = []
     for _ in range(3):
-        processes._begin(started, ["4,6,7", "6,7,4"], (1, 1))
+        processes._begin(started, ["4,6,7", "6,7,4"], workers.Share())
         seen.append(os.environ["CUDA_VISIBLE_DEVICES"])
     assert seen == ["4,6,7", "6,7,4", "4,6,7"]
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES")

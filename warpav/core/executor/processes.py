@@ -15,7 +15,7 @@ from multiprocessing.sharedctypes import Synchronized
 from typing import Any
 
 from warpav.core.errors import OptionError
-from warpav.core.executor.workers import Outcome, WorkerKilledError, outcome_of, share_machine
+from warpav.core.executor.workers import Outcome, Share, WorkerKilledError, outcome_of, own_share, take_share
 
 
 class Processes:
@@ -32,17 +32,16 @@ class Processes:
         Raises:
             OptionError: This machine has not so many GPUs.
         """
-        self._function, self._worker_count, self._gpu_count = function, worker_count, gpu_count
+        self._function, self._worker_count = function, worker_count
+        self._share = own_share().among(worker_count, gpu_count)
         self._orders = _gpu_orders(gpu_count)
         self._pool = self._open()
 
     def _open(self) -> ProcessPoolExecutor:
         context = multiprocessing.get_context("spawn")  # a forked child could not use Warp
         started = context.Value("i", 0)
-        shares = (self._worker_count, self._gpu_count)
-        return ProcessPoolExecutor(
-            self._worker_count, context, initializer=_begin, initargs=(started, self._orders, shares)
-        )
+        begin = (started, self._orders, self._share)
+        return ProcessPoolExecutor(self._worker_count, context, initializer=_begin, initargs=begin)
 
     def start(self, tasks: Sequence[Any]) -> Sequence[Future[Outcome[Any, Any]]]:
         """Start tasks, each in the pool that is open then."""
@@ -95,9 +94,9 @@ def _gpu_orders(gpu_count: int) -> list[str]:
     return [",".join(gpus[first:] + gpus[:first]) for first in range(gpu_count)]
 
 
-def _begin(started: Synchronized[int], gpu_orders: Sequence[str], shares: tuple[int, int]) -> None:
+def _begin(started: Synchronized[int], gpu_orders: Sequence[str], share: Share) -> None:
     """What a process does first: before Warp looks for GPUs."""
-    share_machine(*shares)
+    take_share(share)
     if gpu_orders:
         with started.get_lock():
             os.environ["CUDA_VISIBLE_DEVICES"] = gpu_orders[started.value % len(gpu_orders)]

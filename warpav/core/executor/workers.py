@@ -14,8 +14,26 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 _EXTRA = {"ray": "ray", "submitit": "slurm"}
 _THREAD_VARIABLES = ("OPENCV_FOR_THREADS_NUM", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_beside = {"cores": 1, "gpu": 1}
-"""Processes of one pool that share this machine's cores, and this process's GPU, this one among them."""
+
+
+@dataclass
+class Share:
+    """What of this machine a process may use.
+
+    Attributes:
+        cores: Processor cores; None: all.
+        gpu_processes: Processes that share its GPU, this one among them.
+    """
+
+    cores: int | None = None
+    gpu_processes: int = 1
+
+    def among(self, processes: int, gpus: int) -> Share:
+        """The share of each of so many processes that have this one and, together, so many GPUs."""
+        return Share(max(1, available_cores() // processes), self.gpu_processes * -(-processes // gpus))
+
+
+_share = Share()
 
 
 @dataclass(frozen=True)
@@ -61,13 +79,15 @@ class Workers(Protocol):
         ...
 
 
-def share_machine(processes: int, gpus: int) -> None:
-    """Say in a process of a pool how many processes there are, and how many GPUs they share.
+def own_share() -> Share:
+    """What this process may use."""
+    return _share
 
-    Libraries that would start a thread for every core, in each of the processes, learn of it as they are loaded.
-    """
-    _beside.update(cores=processes, gpu=-(-processes // gpus))
-    if processes > 1:
+
+def take_share(share: Share) -> None:
+    """Let this process use its share alone: before it loads libraries that start a thread for every core they find."""
+    vars(_share).update(vars(share))
+    if available_cores() < (os.cpu_count() or 1):
         for variable in _THREAD_VARIABLES:
             os.environ.setdefault(variable, str(available_cores()))
 
@@ -75,12 +95,12 @@ def share_machine(processes: int, gpus: int) -> None:
 def available_cores() -> int:
     """Processor cores that this process may use: in a pool of processes its share, at least 1."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, cores // _beside["cores"])
+    return cores if _share.cores is None else min(cores, _share.cores)
 
 
 def gpu_share(count: int) -> int:
     """This process's share of what a GPU holds ``count`` of, at least 1: all of it but in a pool of processes."""
-    return max(1, count // _beside["gpu"])
+    return max(1, count // _share.gpu_processes)
 
 
 def outcome_of(function: Callable[[Task], Result], task: Task) -> Outcome[Task, Result]:
