@@ -127,7 +127,7 @@ BAD_INPUT = [
     [
         (["optimse"], ", optimise, ...; see warpav --help"),
         (["rig", "send"], " export, check, requirements, drawing; see warpav rig --help"),
-        (["rig", "export", "nuscenes", "--out", "x"], " --format: expected a value, got none; see warpav rig export --help"),
+        (["rig", "export", "x", "--out", "y"], " --format: expected a value, got none; see warpav rig export --help"),
         (["optimise", "--cameras", "6"], "such as rig.cameras=6; see warpav optimise --help"),
     ],
 )
