@@ -291,6 +291,43 @@ def test_what_was_killed_is_tried_again_alone_and_last(elsewhere, tmp_path):
     assert all(ended <= again[0] or again[1] <= began for began, ended in spans)
 
 
+def die_first_then_meet(task):
+    """At the first attempt one kills its process while the others wait; later ones wait until two are under way."""
+    number, folder = task
+    attempt = sum(1 for _ in folder.glob(f"{number}_*"))
+    (folder / f"{number}_{attempt}").touch()
+    if attempt == 0:
+        wait_until(lambda: len(list(folder.glob("*_0"))) == 8)
+        if number == 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        time.sleep(60.0)
+    wait_until(lambda: len(list(folder.glob("*_1"))) >= 2)
+
+
+def wait_until(is_so):
+    end = time.monotonic() + 60.0
+    while not is_so() and time.monotonic() < end:
+        time.sleep(0.02)
+    assert is_so()
+
+
+def test_what_was_killed_with_many_is_tried_again_by_a_quarter_as_many(tmp_path):
+    tasks = [(number, tmp_path) for number in range(8)]
+    assert all(
+        outcome.error is None for outcome in run_tasks(die_first_then_meet, tasks, executor="process", worker_count=8)
+    )
+
+
+def test_leaving_early_within_a_long_result_lets_the_program_end():
+    """A process that is ended while it hands over a result leaves the rest of it out."""
+    program = (
+        "from warpav.core.executor import run_tasks\n"
+        "outcomes = run_tasks(bytes, [80_000_000] * 20, executor='process', worker_count=4)\n"
+        "next(outcomes); outcomes.close()\n"
+    )
+    assert subprocess.run([sys.executable, "-c", program], timeout=60, check=False).returncode == 0
+
+
 def test_leaving_early_waits_for_no_further_task(elsewhere):
     began = time.perf_counter()
     for outcome in run_tasks(time.sleep, [0.01, *[3.0] * 20], **elsewhere, worker_count=1):
@@ -532,6 +569,13 @@ def test_processes_share_the_gpus_in_turn(monkeypatch):
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES")
     assert processes._gpu_orders(2) == ["0,1,2", "1,2,0"]
     assert processes._gpu_orders(1) == []
+
+
+def test_processes_that_need_no_gpu_see_none():
+    assert (
+        next(run_tasks(os.getenv, ["CUDA_VISIBLE_DEVICES"], executor="process", worker_count=1, gpu_count=0)).result
+        == ""
+    )
 
 
 @pytest.mark.parametrize(("executor", "expected"), [("serial", "expected 1 with"), ("process", "expected at most 2")])

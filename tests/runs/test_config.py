@@ -502,3 +502,9 @@ def test_a_start_that_is_nowhere_is_named_where_it_stands(yaml_file):
     config = yaml_file("rig: {start: nowhere.yaml}\n")
     with pytest.raises(InputError, match=message), placed_config(config) as settings:
         read_start(settings)
+
+
+def test_processes_share_gpus_only_where_the_device_is_one():
+    """So an experiment that several GPUs began can be rescored on a CPU."""
+    assert load_config("quick", ["executor.gpus=4", "device=cuda:0"]).shared_gpu_count == 4
+    assert load_config("quick", ["executor.gpus=4", "device=cpu"]).shared_gpu_count == 1

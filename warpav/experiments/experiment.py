@@ -582,7 +582,7 @@ def outcomes(
         address=executor.address,
         options=executor.options,
         folder=folder / "slurm_jobs",
-        gpu_count=executor.gpus,
+        gpu_count=config.shared_gpu_count,
     )
 
 

@@ -189,7 +189,8 @@ def _kept_when_stopped(folder: RunFolder, optimisation: Optimisation, progress: 
 def _pool_executor(config: Config) -> Executor:
     """Where pools are drawn; what Slurm needs lies beside them, as all machines must see both."""
     of = config.executor
-    return Executor(of.name, of.workers, of.address, of.options, pool_cache_folder() / "slurm_jobs", of.gpus)
+    jobs = pool_cache_folder() / "slurm_jobs"
+    return Executor(of.name, of.workers, of.address, of.options, jobs, config.shared_gpu_count)
 
 
 def _record_step(folder: RunFolder, optimisation: Optimisation, record: IterationRecord) -> None:

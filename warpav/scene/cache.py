@@ -77,7 +77,7 @@ def built_scenes(
     outcomes = iter(())
     if worker_count > 1 and len(missing) >= _PARALLEL_MIN:
         tasks = [(source, folder) for source in missing]
-        outcomes = run_tasks(_build, tasks, executor="process", worker_count=worker_count)
+        outcomes = run_tasks(_build, tasks, executor="process", worker_count=worker_count, gpu_count=0)
     else:
         missing = []
     for source in sources:

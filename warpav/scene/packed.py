@@ -193,7 +193,7 @@ def stored_scenes(
     outcomes = iter(())
     if worker_count > 1 and len(missing) >= _PARALLEL_MIN:
         tasks = [(recipe, folder) for recipe in missing.values()]
-        outcomes = run_tasks(_make, tasks, executor="process", worker_count=worker_count)
+        outcomes = run_tasks(_make, tasks, executor="process", worker_count=worker_count, gpu_count=0)
     else:
         missing = {}
     for recipe in recipes:

@@ -28,6 +28,7 @@ class Processes:
             function: What is called with every task.
             worker_count: Processes.
             gpu_count: GPUs that they share: what a task calls ``cuda:0`` is to the k-th process the GPU k modulo this.
+                0: they see none.
 
         Raises:
             OptionError: This machine has not so many GPUs.
@@ -69,11 +70,16 @@ class Processes:
 
     def close(self, handles: Collection[Future[Outcome[Any, Any]]]) -> None:
         """End the processes, without waiting for tasks that are under way."""
-        # The pool forgets its processes as it shuts down; it has a method of its own for this from Python 3.14 on.
+        # The pool forgets all of this as it shuts down; it has a method of its own for it from Python 3.14 on.
         busy = list(self._pool._processes.values()) if handles else []
+        results = self._pool._result_queue
         self._pool.shutdown(wait=not handles, cancel_futures=True)
         for process in busy:
             process.terminate()
+        if busy:
+            # Who reads a result whose process ended within it would wait for its rest for ever, and this program with
+            # him: the pipe ends once nobody can write to it any more.
+            results._writer.close()
 
 
 def _gpu_orders(gpu_count: int) -> list[str]:
@@ -82,6 +88,8 @@ def _gpu_orders(gpu_count: int) -> list[str]:
     Raises:
         OptionError: This machine has not so many GPUs.
     """
+    if gpu_count == 0:
+        return [""]
     if gpu_count == 1:
         return []
     import warp

@@ -25,7 +25,7 @@ class Executor:
         address: Of a running Ray cluster.
         options: What a task needs.
         folder: For jobs and logs of ``slurm``.
-        gpu_count: GPUs that the processes of ``process`` share, at least 1.
+        gpu_count: GPUs that the processes of ``process`` share; 0: they see none.
     """
 
     name: ExecutorName = "serial"
@@ -79,18 +79,18 @@ def run_tasks(
             such as ``slurm_partition``, ``timeout_min`` (240 by default) and ``gpus_per_node``.
         folder: For jobs and logs of ``slurm``; all machines must see it.
         gpu_count: GPUs that the processes of ``process`` share in turn, from the tasks' own device on; the results
-            stay the same. Ray and Slurm give a task its GPU by ``options``.
+            stay the same. 0: they see none and start sooner. Ray and Slurm give a task its GPU by ``options``.
 
     Yields:
         Outcomes, in the order of the tasks with ``serial`` and as they finish with the others. Tasks that were under
-        way when a process was killed are tried once more after all others, one at a time, so that only the one that
-        kills fails.
+        way when a process was killed are tried again after all others, by a quarter as many processes and so on down
+        to a single one, so that only the one that kills fails.
 
     Raises:
         OptionError: The executor's package is not installed, nobody answers at the address, or an option is wrong;
             it names ``executor.name``, ``.workers``, ``.address``, ``.options`` or ``.gpus``.
     """
-    if gpu_count != 1 and executor != "process":
+    if gpu_count > 1 and executor != "process":
         raise OptionError("executor.gpus", f"expected 1 with executor.name={executor}, got {gpu_count}; take process")
     if worker_count is not None and worker_count < 1:
         raise OptionError("executor.workers", f"expected 1 or more, or nothing for as many as fit, got {worker_count}")
@@ -117,9 +117,13 @@ def run_tasks(
     if not tasks:
         return
     suspects = yield from _run_once(opened(worker_count), tasks, worker_count)
-    if suspects:
-        for task in (yield from _run_once(opened(1), suspects, 1)):
-            yield Outcome(task, error="its process was killed; is there enough memory?")
+    is_alone = False
+    while suspects and not is_alone:
+        worker_count = max(1, (worker_count or len(suspects)) // 4)
+        is_alone = worker_count == 1
+        suspects = yield from _run_once(opened(worker_count), suspects, worker_count)
+    for task in suspects:
+        yield Outcome(task, error="its process was killed; is there enough memory?")
 
 
 def _run_once(

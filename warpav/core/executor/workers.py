@@ -30,7 +30,7 @@ class Share:
 
     def among(self, processes: int, gpus: int) -> Share:
         """The share of each of so many processes that have this one and, together, so many GPUs."""
-        return Share(max(1, available_cores() // processes), self.gpu_processes * -(-processes // gpus))
+        return Share(max(1, available_cores() // processes), self.gpu_processes * -(-processes // max(1, gpus)))
 
 
 _share = Share()

@@ -708,6 +708,11 @@ class ConfigTree(Section):
         return result
 
     @property
+    def shared_gpu_count(self) -> int:
+        """GPUs that processes share: ``executor.gpus``; 1 on a CPU, so what GPUs began goes on without them."""
+        return self.executor.gpus if self.device.startswith("cuda") else 1
+
+    @property
     def requirements_file(self) -> Path | None:
         """The file of requirements; None where a template is meant, or nothing."""
         known = (None, AUTO, *template_names())
