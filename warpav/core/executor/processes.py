@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.sharedctypes import Synchronized
-from typing import Any
+from typing import Any, cast
 
 from warpav.core.errors import OptionError
 from warpav.core.executor.workers import Outcome, Share, WorkerKilledError, outcome_of, own_share, take_share
@@ -72,7 +72,7 @@ class Processes:
         """End the processes, without waiting for tasks that are under way."""
         # The pool forgets all of this as it shuts down; it has a method of its own for it from Python 3.14 on.
         busy = list(self._pool._processes.values()) if handles else []
-        results = self._pool._result_queue
+        results = cast(Any, self._pool._result_queue)
         self._pool.shutdown(wait=not handles, cancel_futures=True)
         for process in busy:
             process.terminate()
