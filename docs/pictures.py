@@ -6,9 +6,11 @@ shows.
 
 from __future__ import annotations
 
+import json
 import math
 import shutil
 import sys
+import tarfile
 import tempfile
 from collections.abc import Callable
 from itertools import pairwise
@@ -126,6 +128,18 @@ def draw_front(folder: Path) -> None:
     modules = "rig.modules={side_2mp_100: 0..8, surround_1_4mp_70: 0..8, fisheye_1_3mp_190: 0..8}"
     _warpav("front", "quick", modules, "rig.cameras=2..8", "--out", str(folder / "front"))
     shutil.copyfile(folder / "front" / "front.png", PICTURES / "front.png")
+
+
+def draw_sweep(folder: Path) -> None:
+    """sweep.png: when placement matters, from the packed runs of ``warpav experiment sweep``."""
+    from pydantic import TypeAdapter
+
+    from warpav.experiments.sweep import Gain, draw_gains
+
+    with tarfile.open(Path(__file__).parent / "results" / "traffic_runs.tar.xz") as runs:
+        runs.extract("sweep/sweep.json", folder, filter="data")
+    gains = json.loads((folder / "sweep" / "sweep.json").read_text())["gains"]
+    draw_gains(TypeAdapter(list[Gain]).validate_python(gains), PICTURES / "sweep.png")
 
 
 def draw_requirements(folder: Path) -> None:
@@ -400,6 +414,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     **{f"plot_{kind}.png": draw_fitting for kind in FITTING},
     "vehicle.png": draw_vehicle,
     "front.png": draw_front,
+    "sweep.png": draw_sweep,
     "zones.png": draw_zones,
     "behind_glass.png": draw_behind_glass,
     "gain.png": draw_gain,

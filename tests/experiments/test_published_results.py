@@ -149,8 +149,11 @@ def test_the_page_is_what_the_command_writes(tmp_path):
 
 TRAFFIC_SETTING_OF = {
     "dense streets, flush anywhere on the body": "dense_4_body",
+    "the same, six cameras": "dense_6_body",
+    "dense streets, on a rack of 25 cm": "dense_4_rack",
+    "recorded motorway and streets, on a rack": "ngsim_4_rack",
     "recorded crossing, flush anywhere on the body": "sind_4_body",
-    "recorded crossing, on a rack of 25 cm": "sind_4_rack",
+    "recorded crossing, on a rack": "sind_4_rack",
 }
 """Rows of README's table of searches."""
 TRAFFIC_RIVALS = ("highest", "roof_edge", "random_selected", "cma")

@@ -261,7 +261,7 @@ def run_sweep(
     if gains:
         progress.stage("intervals")
         table = sweep_table(gains)
-        figure = _draw(gains, done.folder / f"{NAME}.png")
+        figure = draw_gains(gains, done.folder / f"{NAME}.png")
         text = f"{table.markdown()}\n![What a search gains]({figure.name})\n"
         write_text(done.folder / f"{NAME}.md", text)
         write_json(done.folder / f"{NAME}.json", {"gains": [asdict(each) for each in gains]})
@@ -341,7 +341,8 @@ def sweep_table(gains: Sequence[Gain]) -> TextTable:
     )
 
 
-def _draw(gains: Sequence[Gain], path: Path) -> Path:
+def draw_gains(gains: Sequence[Gain], path: Path) -> Path:
+    """A figure with a panel for every factor: expected misses of both rigs above, the gain with its interval below."""
     from warpav.view.figures.statistics import GainMark, gains_by_factor
 
     panels: dict[str, list[GainMark]] = {}
