@@ -27,7 +27,6 @@ import trimesh
 import warp as wp
 
 import warpav as wa
-import warpav.scene.cache
 from warpav.evaluation.statistics import paired_difference
 from warpav.raster.buffers import Content
 from warpav.raster.mesh import Mesh
@@ -47,7 +46,6 @@ PIXELS = 65_536
 UNSEEN_FROM = 30_000
 AT_ONCE = 50
 """Unseen scenes on the device."""
-warpav.scene.cache.CAPACITY_BYTES = 8 * 2**30  # of more scenes than it holds each process would build all again
 
 
 @dataclass(frozen=True)
