@@ -77,8 +77,8 @@ class Processes:
         for process in busy:
             process.terminate()
         if busy:
-            # Who reads a result whose process ended within it would wait for its rest for ever, and this program with
-            # him: the pipe ends once nobody can write to it any more.
+            # The thread that reads a result whose process ended within it would wait for its rest for ever, and this
+            # program for the thread: the pipe ends once nobody can write to it any more.
             results._writer.close()
 
 
