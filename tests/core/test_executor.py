@@ -17,6 +17,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -291,31 +292,38 @@ def test_what_was_killed_is_tried_again_alone_and_last(elsewhere, tmp_path):
     assert all(ended <= again[0] or again[1] <= began for began, ended in spans)
 
 
-def die_first_then_meet(task):
-    """At the first attempt one kills its process while the others wait; later ones wait until two are under way."""
-    number, folder = task
-    attempt = sum(1 for _ in folder.glob(f"{number}_*"))
-    (folder / f"{number}_{attempt}").touch()
-    if attempt == 0:
-        wait_until(lambda: len(list(folder.glob("*_0"))) == 8)
-        if number == 0:
-            os.kill(os.getpid(), signal.SIGKILL)
-        time.sleep(60.0)
-    wait_until(lambda: len(list(folder.glob("*_1"))) >= 2)
+class DeadlyProcesses:
+    """Stands in for processes: the task 0 kills itself, and with it all tasks that are under way."""
+
+    counts: ClassVar[list[int]] = []
+
+    def __init__(self, function, worker_count, gpu_count):
+        self.counts.append(worker_count)
+        self.function = function
+
+    def start(self, tasks):
+        return tasks  # a task is its own handle
+
+    def wait(self, handles):
+        self.are_killed = 0 in handles
+        return list(handles)
+
+    def outcome(self, handle):
+        if self.are_killed:
+            raise workers.WorkerKilledError
+        return workers.outcome_of(self.function, handle)
+
+    def close(self, handles):
+        assert not handles
 
 
-def wait_until(is_so):
-    end = time.monotonic() + 60.0
-    while not is_so() and time.monotonic() < end:
-        time.sleep(0.02)
-    assert is_so()
-
-
-def test_what_was_killed_with_many_is_tried_again_by_a_quarter_as_many(tmp_path):
-    tasks = [(number, tmp_path) for number in range(8)]
-    assert all(
-        outcome.error is None for outcome in run_tasks(die_first_then_meet, tasks, executor="process", worker_count=8)
-    )
+def test_what_was_killed_is_tried_again_by_a_quarter_as_many_and_so_on(monkeypatch):
+    monkeypatch.setattr(processes, "Processes", DeadlyProcesses)
+    monkeypatch.setattr(DeadlyProcesses, "counts", [])
+    outcomes = list(run_tasks(abs, list(range(40)), executor="process", worker_count=33))
+    assert DeadlyProcesses.counts == [33, 8, 2, 1]
+    assert [outcome.task for outcome in outcomes] == [*range(33, 40), *range(8, 33), *range(2, 8), 1, 0]
+    assert [outcome.task for outcome in outcomes if outcome.error] == [0]
 
 
 def test_leaving_early_within_a_long_result_lets_the_program_end():
