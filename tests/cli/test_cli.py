@@ -154,7 +154,7 @@ def test_a_start_with_another_number_of_cameras_is_refused(working_directory, ca
     )
     message = complaint(capsys, "optimise", "rig.start=rigs/three.yaml")
     assert message.startswith(
-        "rigs/three.yaml: cameras: expected 4 as rig.cameras says, got 3; set rig.cameras=3, or add"
+        "rigs/three.yaml: cameras: expected 4 as rig.cameras says, got 3; set rig.cameras=3, or name in"
     )
 
 

@@ -1,12 +1,18 @@
 """Rigs to start from, and cameras of theirs that stay."""
 
 import json
+import math
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.cli.small_run import SMALL, complaint
 from warpav.cli.app import main
-from warpav.rig.rig import read_rig
+from warpav.rig.rig import Rig, RigCamera, read_rig
+from warpav.runs.config import Config
+from warpav.runs.rig_source import with_added_cameras
 from warpav.runs.run_folder import RunFolder
 
 pytestmark = pytest.mark.usefixtures("working_directory")
@@ -46,11 +52,45 @@ def test_a_frozen_camera_stays_and_the_others_move(working_directory, capsys):
         assert found["constraint_violation"] == 0.0
 
 
+def test_cameras_that_a_start_lacks_are_added_around_those_that_stay(working_directory, capsys):
+    (working_directory / "mine.yaml").write_text(f"frame: ego\ncameras:\n{BUMPER}")
+    options = ["rig.start=mine.yaml", "rig.cameras=3"]
+    message = complaint(capsys, "optimise", *SMALL, *options)
+    assert message.startswith(
+        "mine.yaml: cameras: expected 3 as rig.cameras says, got 1; set rig.cameras=1, or name in"
+    )
+    options += ["rig.freeze=front_bumper", "baselines.rigs=[mine.yaml]"]
+    assert main(["optimise", *SMALL, *options, "run.out=run"]) == 0
+    said = capsys.readouterr()
+    assert "rig.start: has 1 of 3 cameras, and the run adds the others" in (said.out + said.err).splitlines()
+    run = RunFolder.open("run")
+    for role in ("start", "initial", "final"):
+        cameras = {camera.name: camera for camera in read_rig(run.path / f"rig_{role}.yaml").cameras}
+        assert list(cameras) == ["front_bumper", "added_1", "added_2"]
+        np.testing.assert_allclose(cameras["front_bumper"].position_m, [3.65, 0.123457, 0.6])
+    assert {arm["constraint_violation"] for arm in run.evaluation()["arms"].values()} == {0.0}
+
+
+@given(st.lists(st.floats(-math.pi, math.pi), min_size=1, max_size=5), st.integers(1, 8))
+def test_an_added_camera_faces_the_middle_of_the_widest_gap(yaw_rad, count):
+    given_rig = Rig([RigCamera(f"added_{k + 1}", np.zeros(3), yaw_rad=yaw) for k, yaw in enumerate(yaw_rad)])
+    config = Config(rig={"cameras": count})
+    cameras = with_added_cameras(given_rig, config, ["added_1"]).cameras
+    assert len(cameras) == max(count, len(yaw_rad))
+    assert with_added_cameras(given_rig, config, []).cameras == given_rig.cameras
+    for k in range(len(yaw_rad), len(cameras)):
+        before = np.array([camera.yaw_rad for camera in cameras[:k]])
+        nearest = np.abs(np.angle(np.exp(1j * (cameras[k].yaw_rad - before)))).min()
+        others = np.linspace(-math.pi, math.pi, 1000)
+        best = np.abs(np.angle(np.exp(1j * (others[:, None] - before)))).min(axis=1).max()
+        assert nearest > best - 1e-6
+
+
 def test_a_run_and_a_preset_are_starts(working_directory, capsys, run_folder):
     for start, count in ((str(run_folder.path), len(run_folder.rig().cameras)), ("nuscenes", 6)):
         assert main(["config", "check", "quick", f"rig.start={start}", f"rig.cameras={count}"]) == 0
     message = complaint(capsys, "optimise", "rig.start=nuscenes")
-    assert message.startswith("nuscenes: cameras: expected 4 as rig.cameras says, got 6; set rig.cameras=6, or add")
+    assert message.startswith("nuscenes: cameras: expected 4 as rig.cameras says, got 6; set rig.cameras=6")
     assert "did you mean nuscenes?" in complaint(capsys, "config", "check", "quick", "rig.start=nuscene")
 
 

@@ -163,8 +163,10 @@ def test_a_rig_can_be_the_start_and_cameras_of_it_stay(config, train, result):
     np.testing.assert_array_equal(found.rig.cameras[0].ego_from_camera, start.cameras[0].ego_from_camera)
     with pytest.raises(wa.InputError, match="freeze: expected a rig as `start`"):
         wa.Placement(train, config=config, freeze=["front"])
-    with pytest.raises(wa.InputError, match="start: expected a rig of 3 cameras"):
+    with pytest.raises(wa.InputError, match=r"start: expected a rig of 3 cameras, .* name in `freeze` those that stay"):
         wa.Placement(train, config=config, start=start, cameras=3)
+    more = wa.Placement(train, config=config, start=start, freeze=name, cameras=3)
+    assert [camera.name for camera in more.start_rig.cameras] == [*(each.name for each in start.cameras), "added_1"]
 
 
 @pytest.mark.parametrize(

@@ -153,9 +153,10 @@ class Optimisation:
         by_pool = searches_by_pool(placement)
         further = list(further_starts)
         if start is None:
-            if placement.start_rig is not None:
-                start = mount.mount_pose_of_rig(placement.start_rig, as_configured=True)
-                if progress is not None and (changed := start_changes(placement.start_rig, mount.rig(start))):
+            given, whole = placement.parts.start, placement.start_rig
+            if given is not None and whole is not None:
+                start = mount.mount_pose_of_rig(whole, as_configured=True)
+                if progress is not None and (changed := start_changes(given, mount.rig(start))):
                     progress.say(f"rig.start: {changed}")
             elif config.rig.start == "highest":
                 start = highest_mount_pose(objective.constraints, objective.camera_count)

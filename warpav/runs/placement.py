@@ -49,7 +49,7 @@ from warpav.runs.config.schema import NO_REQUIREMENTS
 from warpav.runs.detector_fit import ensure_fit, fit_config
 from warpav.runs.mounts import camera_models, checked_frozen, constraints_of, rig_limits
 from warpav.runs.networks import Networks, load_networks
-from warpav.runs.rig_source import read_baselines, read_start
+from warpav.runs.rig_source import read_baselines, read_start, with_added_cameras
 from warpav.runs.scene_set import SceneSet, checked_vehicle, load_scene_set, own_vehicle, pack_scenes
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
@@ -95,7 +95,8 @@ class Parts:
 
     Attributes:
         config: All numbers.
-        start: The rig that the optimiser starts from; None: as ``config.rig.start`` says, ``random`` or ``highest``.
+        start: The rig that the optimiser starts from, as it was given; None: as ``config.rig.start`` says, ``random``
+            or ``highest``.
         freeze: Names of the cameras of ``start`` that stay as they are.
         ego: The vehicle that takes the place of every scene's own, where it is not ``config.scenes.ego``.
         networks: The detector; None: that of ``config``.
@@ -117,6 +118,11 @@ class Parts:
     requirements: tuple[Requirement, ...] | None = None
     has_own_detector: bool = False
     has_own_scenes: bool = False
+
+    @property
+    def whole_start(self) -> Rig | None:
+        """``start`` with the cameras that it lacks (`with_added_cameras`)."""
+        return self.start and with_added_cameras(self.start, self.config, self.freeze)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +190,8 @@ class Placement:
                 a range of it, such as ``{"front_8mp_30": 1, "fisheye_3mp_190": "0..4"}``; None: equal cameras.
             device: Warp device such as ``"cuda:0"``.
             start: The rig to start from: a `Rig`, a path, a preset, ``"random"`` or ``"highest"``.
-            freeze: Names of cameras of ``start`` that stay as they are.
+            freeze: Names of cameras of ``start`` that stay as they are. With them, ``start`` may have fewer cameras
+                than ``cameras`` says; the others are added.
             rig: Other settings of the section ``rig``, such as ``{"min_spacing_m": 0.3}``.
             losses: Weights by name, such as ``{"expected_miss_rate": 1.0}``, or a list of weights and losses, of
                 `warpav.losses` or of one's own (see `LossFunction`); they replace those of the method.
@@ -233,19 +240,22 @@ class Placement:
         }
         overrides = [f"{name}={flow_text(value)}" for name, value in options.items() if value is not None]
         found = changed_config(base, overrides, origin=None)
-        if start_rig is None:
-            start_rig = read_start(found)
-        elif not found.rig.camera_range[0] <= len(start_rig.cameras) <= found.rig.cameras:
-            raise ArgumentError(
-                "start",
-                f"expected a rig of {found.rig.cameras} cameras, as `cameras` says, got {len(start_rig.cameras)}",
-            )
         names = (freeze,) if isinstance(freeze, str) else tuple(freeze)
+        if start_rig is None:
+            start_rig = read_start(found, names)
+        else:
+            count = len(with_added_cameras(start_rig, found, names).cameras)
+            if not found.rig.camera_range[0] <= count <= found.rig.cameras:
+                may_add = count < found.rig.cameras and found.rig.modules is None
+                hint = "; name in `freeze` those that stay, and others are added" if may_add else ""
+                raise ArgumentError(
+                    "start", f"expected a rig of {found.rig.cameras} cameras, as `cameras` says, got {count}{hint}"
+                )
         if names and start_rig is None:
             raise ArgumentError("freeze", f"expected a rig as `start` that has the cameras, got {', '.join(names)}")
         if start_rig is not None and names:
-            if len(names) >= len(start_rig.cameras):
-                raise ArgumentError("freeze", f"expected fewer than all {len(start_rig.cameras)} cameras")
+            if len(names) >= found.rig.cameras:
+                raise ArgumentError("freeze", f"expected fewer than all {found.rig.cameras} cameras")
             checked_frozen(found, start_rig, names)
         self._parts = Parts(
             found,
@@ -321,7 +331,7 @@ class Placement:
     @property
     def start_rig(self) -> Rig | None:
         """The rig that the optimiser starts from, if it is a certain one."""
-        return self._parts.start
+        return self._parts.whole_start
 
     def with_config(self, config: Config) -> Placement:
         """The same placement with other numbers; scenes, detector and fit are taken along as they are."""
@@ -460,7 +470,7 @@ class Placement:
     @property
     def frozen_rig(self) -> Rig | None:
         """The rig of which some cameras are frozen: all rigs have their cameras in its order. None: none is."""
-        return self._parts.start if self._parts.freeze else None
+        return self.start_rig if self._parts.freeze else None
 
     @cached_property
     def yaw_rad(self) -> np.ndarray:
@@ -684,8 +694,8 @@ def _assembled(
 
     assigned = [AssignedScene(scene, partial(assigned_camera, scene)) for scene in scenes.scenes]
     mount = scenes.mount
-    if parts.start is not None and parts.freeze:
-        mount = mount.freezing(checked_frozen(config, parts.start, parts.freeze), parts.freeze)
+    if parts.whole_start is not None and parts.freeze:
+        mount = mount.freezing(checked_frozen(config, parts.whole_start, parts.freeze), parts.freeze)
     constraints = constraints_of(config, mount.surface, mount.frozen)
     camera_count = config.rig.cameras if constraints.module is None else len(constraints.module)
     importance = Importance.of(config.importance)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,9 +15,9 @@ import numpy as np
 from warpav.core.errors import InputError, OptionError
 from warpav.rig.find import HIGHEST, find_rig_file, is_preset
 from warpav.rig.presets import preset_names
-from warpav.rig.rig import Rig, read_rig
+from warpav.rig.rig import Rig, RigCamera, read_rig
 from warpav.runs.config import NAMED_STARTS, START_TEXT, Config, placed_config
-from warpav.runs.mounts import camera_mount, checked_frozen, constraints_of, with_shared_model
+from warpav.runs.mounts import camera_model, camera_mount, checked_frozen, constraints_of, with_shared_model
 from warpav.runs.run_folder import RunFolder
 
 if TYPE_CHECKING:
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 
 START_MOVED_M = 0.005
 """How far a camera of a start has to move for a run to say so [m]."""
+
+ADDED_AWAY_M = 0.5
+"""How far cameras that a run adds to a rig stand from its middle at first [m]."""
 
 
 def is_run_folder(source: str) -> bool:
@@ -121,12 +125,16 @@ def read_baselines(config: Config) -> dict[str, Rig]:
     return rigs
 
 
-def read_start(config: Config) -> Rig | None:
+def read_start(config: Config, freeze: Collection[str] = ()) -> Rig | None:
     """The rig that ``rig.start`` names; None where it names none.
 
+    Args:
+        config: The configuration.
+        freeze: Names of the cameras that stay as they are; none: those of ``rig.freeze``.
+
     Raises:
-        InputError: It cannot be read, has another number of cameras than ``rig.cameras``, or cameras of ``rig.freeze``
-            that cannot be held.
+        InputError: It cannot be read, has a number of cameras that a run cannot start from (see `with_added_cameras`),
+            or cameras of ``rig.freeze`` that cannot be held.
     """
     if config.rig.start in NAMED_STARTS:
         return None
@@ -135,17 +143,45 @@ def read_start(config: Config) -> Rig | None:
         near = difflib.get_close_matches(start, [*NAMED_STARTS, *preset_names()], 1, 0.6)
         hint = f"did you mean {near[0]}?" if near else "no such file"
         raise OptionError("rig.start", f"expected {START_TEXT}, got {start!r}; {hint}")
+    freeze = freeze or config.rig.freeze
     rig = read_rig(rig_file(start))
-    if len(rig.cameras) != config.rig.cameras:
-        asked, hint = "rig.cameras says", f"set rig.cameras={len(rig.cameras)}"
+    found = len(with_added_cameras(rig, config, freeze).cameras)
+    if found != config.rig.cameras:
+        asked, hint = "rig.cameras says", f"set rig.cameras={found}"
         if config.rig.modules is not None:
-            asked, hint = "rig.modules says", f"ask for {len(rig.cameras)} modules"
-        raise InputError(
-            f"{config.rig.start}: cameras: expected {config.rig.cameras} as {asked}, got {len(rig.cameras)}; {hint}, "
-            "or add cameras to the file, where they may stand anywhere unless rig.freeze names them"
-        )
-    checked_frozen(config, rig, config.rig.freeze)
+            asked, hint = "rig.modules says", f"ask for {found} modules"
+        elif found < config.rig.cameras:
+            hint = f"{hint}, or name in rig.freeze the cameras that stay, and the run adds the missing ones"
+        raise InputError(f"{config.rig.start}: cameras: expected {config.rig.cameras} as {asked}, got {found}; {hint}")
+    checked_frozen(config, rig, freeze)
     return rig
+
+
+def with_added_cameras(rig: Rig, config: Config, freeze: Collection[str]) -> Rig:
+    """A rig with as many cameras as a run has, where the rig has fewer and some of them stay as they are.
+
+    Each added camera faces the middle of the widest gap between the yaws of those before it. It stands near the middle
+    of the rig, until the mount places it on the vehicle. Rigs of modules stay as they are.
+
+    Args:
+        rig: The rig.
+        config: Gives the number of cameras, and the model of those that are added.
+        freeze: Names of the cameras that stay; none: nothing is added.
+    """
+    if not freeze or config.rig.modules is not None:
+        return rig
+    cameras = list(rig.cameras)
+    middle_m = np.mean([camera.position_m for camera in cameras], axis=0)
+    names = (f"added_{number}" for number in itertools.count(1))
+    free_names = (name for name in names if name not in {camera.name for camera in rig.cameras})
+    while len(cameras) < config.rig.cameras:
+        yaw_rad = np.sort([camera.yaw_rad % math.tau for camera in cameras])
+        gap_rad = np.diff(yaw_rad, append=yaw_rad[0] + math.tau)
+        widest = int(gap_rad.argmax())
+        facing_rad = math.remainder(yaw_rad[widest] + 0.5 * gap_rad[widest], math.tau)
+        away_m = ADDED_AWAY_M * np.array([math.cos(facing_rad), math.sin(facing_rad), 0.0])
+        cameras.append(RigCamera(next(free_names), middle_m + away_m, yaw_rad=facing_rad, model=camera_model(config)))
+    return Rig(cameras)
 
 
 def start_changes(start: Rig, begun: Rig) -> str:
@@ -153,20 +189,23 @@ def start_changes(start: Rig, begun: Rig) -> str:
 
     Args:
         start: The rig as its file has it.
-        begun: The same cameras as the run begins with them.
+        begun: These cameras as the run begins with them, and those that it adds.
     """
     changes = []
+    if len(start.cameras) < len(begun.cameras):
+        changes.append(f"has {len(start.cameras)} of {len(begun.cameras)} cameras, and the run adds the others")
     position_m = np.array([camera.position_m for camera in begun.cameras])
-    moved_m = 0.0
+    moved_m, lens_change = 0.0, ""
     for camera in start.cameras:
         away_m = np.linalg.norm(position_m - camera.position_m, axis=1)
         moved_m = max(moved_m, float(away_m.min()))
         was, now = (_model_words(each) for each in (camera.model, begun.cameras[int(away_m.argmin())].model))
-        if was != now and not changes:
-            changes.append(
+        if was != now and not lens_change:
+            lens_change = (
                 f"{camera.name} begins as {now} instead of {was}, since only cameras of rig.freeze keep their lens; "
                 "camera.* or rig.modules say that of the others"
             )
+            changes.append(lens_change)
     if moved_m > START_MOVED_M:
         changes.append(f"cameras move by up to {moved_m:.2f} m to where the mount has them")
     return "; ".join(changes)

@@ -144,7 +144,7 @@ class RigConfig(Section):
     ] = Field(
         default=(),
         description="cameras of rig.start that stay as they are, by name: their places, directions and lenses; the "
-        "others are optimised around them",
+        "others are optimised around them, and cameras that rig.start lacks for rig.cameras are added",
     )
     height_offset_m: Metres = Field(
         default=0.25, ge=0.0, le=2.0, description="height of the cameras above the mount surface"
