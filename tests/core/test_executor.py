@@ -326,6 +326,34 @@ def test_what_was_killed_is_tried_again_by_a_quarter_as_many_and_so_on(monkeypat
     assert [outcome.task for outcome in outcomes if outcome.error] == [0]
 
 
+def lack_memory_with_others(task):
+    """Fail at the first attempt, one as Warp does where a GPU's memory does not suffice, one as Python does."""
+    number, folder = task
+    if number < 2 and not (folder / str(number)).exists():
+        (folder / str(number)).touch()
+        if number:
+            raise MemoryError
+        raise RuntimeError("Failed to allocate 35389440 bytes on device 'cuda:0'")
+    return number
+
+
+def test_what_lacked_memory_is_tried_again_after_the_others(elsewhere, tmp_path):
+    tasks = [(number, tmp_path) for number in range(5)]
+    outcomes = list(run_tasks(lack_memory_with_others, tasks, **elsewhere, worker_count=2))
+    assert sorted(outcome.result for outcome in outcomes[:3]) == [2, 3, 4]
+    assert sorted(outcome.result for outcome in outcomes[3:]) == [0, 1]
+
+
+def lack_memory(task):
+    raise RuntimeError(f"Failed to allocate {task} bytes on device 'cuda:0'")
+
+
+def test_what_lacks_memory_alone_fails_with_what_it_said(elsewhere):
+    outcomes = list(run_tasks(lack_memory, [7], **elsewhere, worker_count=2))
+    assert [outcome.error for outcome in outcomes] == ["RuntimeError: Failed to allocate 7 bytes on device 'cuda:0'"]
+    assert list(run_tasks(lack_memory, [7])) == outcomes  # serial: there is nobody to wait for
+
+
 def test_leaving_early_within_a_long_result_lets_the_program_end():
     """A process that is ended while it hands over a result leaves the rest of it out."""
     program = (

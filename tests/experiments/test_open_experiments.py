@@ -36,7 +36,7 @@ GOAL_METRICS = ("tp_detection_rate", "ap50_pooled", "tp_in_frame_rate")
 @pytest.fixture(autouse=True)
 def working_directory(working_directory, monkeypatch):
     """An empty working directory; and few resamples, for time."""
-    for function in (open_experiments.run_open, rescore.run_rescore):
+    for function in (open_experiments.run_open, rescore.run_rescores):
         monkeypatch.setitem(function.__kwdefaults__, "resamples", 99)
     return working_directory
 

@@ -27,7 +27,7 @@ OBJECTS = 20
 @pytest.fixture(autouse=True)
 def working_directory(working_directory, monkeypatch):
     """An empty working directory; and few resamples, for time."""
-    for function in (open_experiments.run_open, rescore.run_rescore, panel.run_panel):
+    for function in (open_experiments.run_open, rescore.run_rescores, panel.run_panel):
         monkeypatch.setitem(function.__kwdefaults__, "resamples", 99)
     return working_directory
 
@@ -137,13 +137,14 @@ def judged(working_directory, monkeypatch):
     monkeypatch.setattr(PanelNetwork, "config", lambda self, config: Judging(self.name, config.detector))
 
     def run(results, searched_with, failed=(), **options):
-        def rescored(folder, config, **_):
+        def rescored(folder, config):
             arms = {}
             for each in results[config.name][folder.name]:
                 arms.setdefault(each["arm"], []).append(each)
             return Finished(folder, arms, list(failed), 0)
 
-        monkeypatch.setattr(panel, "run_rescore", rescored)
+        monkeypatch.setattr(panel, "planned_rescore", lambda folder, config, **_: (folder, config))
+        monkeypatch.setattr(panel, "run_rescores", lambda planned, **_: [rescored(*each) for each in planned])
         folders = []
         for name, network in searched_with.items():
             folder = working_directory / name

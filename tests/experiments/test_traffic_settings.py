@@ -43,7 +43,7 @@ SETTINGS = traffic_settings()
 @pytest.fixture(autouse=True)
 def working_directory(working_directory, monkeypatch):
     """An empty working directory; and few resamples, for time."""
-    for function in (rival_settings.run_rivals, rescore.run_rescore, panel.run_panel):
+    for function in (rival_settings.run_rivals, rescore.run_rescores, panel.run_panel):
         monkeypatch.setitem(function.__kwdefaults__, "resamples", 99)
     return working_directory
 

@@ -2,7 +2,8 @@
 
 import pytest
 
-from warpav.raster.chunks import ViewsAtOnce, is_out_of_memory
+from warpav.core.errors import is_out_of_memory
+from warpav.raster.chunks import ViewsAtOnce
 
 LACK = RuntimeError("Failed to allocate 8589934592 bytes on device 'cuda:0'")
 

@@ -185,12 +185,18 @@ def experiment_rescore(
 
     Such as detector.model=FILE.onnx camera.width_px=640 camera.height_px=640, or scenes.source=captured. Prints the
     same table, and whether the arms rank in the same order; writes to FOLDER/rescored_NAME. With --panel the networks
-    of a folder judge, one after the other, and are compared: FOLDER/panel_NAME.
+    of a folder judge, and are compared: FOLDER/panel_NAME.
     """
     from warpav.core.errors import ArgumentError
     from warpav.evaluation.metrics import EQUAL_FALSE_ALARMS_PER_FRAME
     from warpav.experiments.panel import run_panel
-    from warpav.experiments.rescore import check_rescored_options, config_file, folder_name, run_rescore
+    from warpav.experiments.rescore import (
+        check_rescored_options,
+        config_file,
+        folder_name,
+        planned_rescore,
+        run_rescores,
+    )
     from warpav.runs.config import placed_config
     from warpav.runs.panel_networks import check_panel_options
     from warpav.runs.progress import RunDisplay
@@ -211,7 +217,7 @@ def experiment_rescore(
     check_rescored_options(overrides)
     name = folder_name(name, overrides)
     with placed_config(config_file(folder), [*overrides, *given]) as settings, RunDisplay() as display:
-        done = run_rescore(folder, settings, name=name, progress=display)
+        (done,) = run_rescores([planned_rescore(folder, settings, name=name)], progress=display)
     return 1 if done.failed else 0
 
 

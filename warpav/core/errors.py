@@ -57,3 +57,9 @@ class ArgumentError(InputError):
 def install_text(extra: str) -> str:
     """How to install an extra of warpav, as the end of an error; in quotes that every shell takes."""
     return f'run: pip install "warpav[{extra}]"'
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether an error says that a device has not the memory that was asked for; Warp has no class for it."""
+    text = str(error).lower()
+    return isinstance(error, RuntimeError) and ("failed to allocate" in text or "out of memory" in text)

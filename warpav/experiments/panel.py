@@ -34,7 +34,7 @@ from warpav.evaluation.statistics import (
 from warpav.experiments.arms import Arm
 from warpav.experiments.goals import Goal, goals_text
 from warpav.experiments.miss_table import OWN_JUDGE, MissTable, miss_goals, miss_table
-from warpav.experiments.rescore import RECORD, confidence_floor, read_rigs, run_rescore
+from warpav.experiments.rescore import RECORD, confidence_floor, planned_rescore, read_rigs, run_rescores
 from warpav.experiments.result_folder import DESCRIPTION, read_description
 from warpav.experiments.summary import write_summary
 from warpav.runs.config import Config, overridden_option
@@ -343,23 +343,20 @@ def run_panel(
     for folder, options in zip(folders[1:], described[1:], strict=True):
         _check_same_task(folder, options, described[0], config)
     networks = networks_in(panel, config)
-    failed, results = [], {}
+    planned = {}
     for network in networks:
-        judging = network.config(config)
+        progress.say(f"{network.name} judges images of {network.width_px} x {network.height_px} px")
         for folder in folders:
-            progress.say(f"{network.name} at {network.width_px} x {network.height_px} px judges {folder}")
-            done = run_rescore(
-                folder,
-                judging,
-                name=f"{name}_{network.name}",
-                keeps_objects=True,
-                is_shown=False,
-                resamples=resamples,
-                progress=progress,
+            named = f"{name}_{network.name}"
+            planned[network.name, folder] = planned_rescore(
+                folder, network.config(config), name=named, keeps_objects=True
             )
-            failed += [f"{network.name}, {each}" for each in done.failed]
-            for arm, runs in done.results.items():
-                results[network.name, folder, arm] = {run["seed"]: run for run in runs}
+    all_done = run_rescores(list(planned.values()), is_shown=False, resamples=resamples, progress=progress)
+    failed, results = [], {}
+    for (judge, folder), done in zip(planned, all_done, strict=True):
+        failed += [f"{judge}, {each}" for each in done.failed]
+        for arm, runs in done.results.items():
+            results[judge, folder, arm] = {run["seed"]: run for run in runs}
     rows, runs_of = _rows(folders, described, networks, results)
     if not rows:
         raise InputError(f"{folders[0]}: expected a rig that all networks judge, got none: {failed[0]}")

@@ -156,29 +156,41 @@ def _unused_seed(config: Config) -> int:
     return next(seed for seed in config.scenes.train_seeds if seed not in config.scenes.test_seeds)
 
 
-def run_rescore(
-    folder: Path,
-    config: Config,
-    *,
-    name: str,
-    keeps_objects: bool = False,
-    is_shown: bool = True,
-    resamples: int = RESAMPLES,
-    progress: Progress,
-) -> Finished:
-    """Rescore all rigs of an experiment, show the table, and report whether the arms keep their order.
+@dataclass(frozen=True)
+class Rescoring:
+    """All rigs of an experiment, to be rescored by one evaluation.
+
+    Attributes:
+        described: Description of the experiment.
+        before: Its results with rigs, by arm.
+        config: Configuration of the evaluation.
+        out: Folder of the new results.
+        tasks: One for each rig.
+    """
+
+    described: Mapping[str, Any]
+    before: Results
+    config: Config
+    out: Path
+    tasks: Sequence[RescoreTask]
+
+    @property
+    def waiting(self) -> list[RescoreTask]:
+        """The tasks that have no result yet."""
+        return [task for task in self.tasks if not _is_there(task)]
+
+
+def planned_rescore(folder: Path, config: Config, *, name: str, keeps_objects: bool = False) -> Rescoring:
+    """What there is to do to rescore all rigs of an experiment.
 
     Args:
         folder: Folder of the experiment.
         config: Its configuration with the changed evaluation options.
         name: The new results go to ``<folder>/rescored_<name>``.
         keeps_objects: Whether the new results also say what becomes of every object; those without are made again.
-        is_shown: Whether to show the table, and not only to write it.
-        resamples: Of the bootstraps.
-        progress: Where to show it.
 
     Raises:
-        InputError: The folder holds no experiment, or something cannot be used.
+        InputError: The folder holds no experiment.
     """
     described = read_description(folder)
     before = read_rigs(folder)
@@ -190,23 +202,69 @@ def run_rescore(
         for runs in before.values()
         for run in runs
     ]
-    load_networks(config)  # what is wrong with the detector shows before anything else begins
-    waiting = [task for task in tasks if not _is_there(task)]
+    return Rescoring(described, before, config, out, tasks)
+
+
+def run_rescores(
+    planned: Sequence[Rescoring],
+    *,
+    is_shown: bool = True,
+    resamples: int = RESAMPLES,
+    progress: Progress,
+) -> list[Finished]:
+    """Rescore the rigs of experiments; show the table of each, and report whether its arms keep their order.
+
+    All are rescored by one set of processes, which keep the scenes from one evaluation to the next.
+
+    Args:
+        planned: What to do; all on the same scenes.
+        is_shown: Whether to show the tables, and not only to write them.
+        resamples: Of the bootstraps.
+        progress: Where to show it.
+
+    Raises:
+        InputError: Something cannot be used.
+    """
+    for each in planned:
+        load_networks(each.config)  # what is wrong with the detector shows before anything else begins
+    waiting = [task for each in planned for task in each.waiting]
     if waiting:
-        make_scenes_ready(config, progress)  # and likewise what is wrong with the scenes
-    (out / RESULTS).mkdir(parents=True, exist_ok=True)
-    title = f"{described['experiment']} rescored {name}"
-    write_json(out / DESCRIPTION, {**described, "experiment": title, "options": json.loads(unseeded(config))})
-    write_json(out / "env.json", environment(config, device_name(config.device)))
-    if len(waiting) < len(tasks):
-        progress.say(f"{len(tasks) - len(waiting)} of {len(tasks)} results are in {out} already")
-    failed = []
-    done = outcomes(rescore_rig, waiting, config, out)
+        make_scenes_ready(planned[0].config, progress)  # and likewise what is wrong with the scenes
+    for each in planned:
+        (each.out / RESULTS).mkdir(parents=True, exist_ok=True)
+        title = f"{each.described['experiment']} rescored {each.out.name.removeprefix('rescored_')}"
+        options = json.loads(unseeded(each.config))
+        write_json(each.out / DESCRIPTION, {**each.described, "experiment": title, "options": options})
+        write_json(each.out / "env.json", environment(each.config, device_name(each.config.device)))
+        if len(each.waiting) < len(each.tasks):
+            progress.say(
+                f"{len(each.tasks) - len(each.waiting)} of {len(each.tasks)} results are in {each.out} already"
+            )
+    failed: dict[Path, list[str]] = {each.out: [] for each in planned}
+    done = outcomes(rescore_rig, waiting, planned[0].config, planned[0].out)
     for outcome in progress.steps("rigs", done, count=len(waiting)) if waiting else ():
         if outcome.error is not None:
-            failed.append(f"{outcome.task.name}: {outcome.error}")
-    after: dict[str, list[dict[str, Any]]] = {arm: [] for arm in before}
-    for task in tasks:
+            failed[outcome.task.folder].append(f"{outcome.task.name}: {outcome.error}")
+    return [
+        _finished(
+            each,
+            failed[each.out],
+            sum(task.folder == each.out for task in waiting),
+            is_shown=is_shown,
+            resamples=resamples,
+            progress=progress,
+        )
+        for each in planned
+    ]
+
+
+def _finished(
+    rescoring: Rescoring, failed: list[str], asked: int, *, is_shown: bool, resamples: int, progress: Progress
+) -> Finished:
+    """Write the tables of an experiment whose rigs have been rescored."""
+    out = rescoring.out
+    after: dict[str, list[dict[str, Any]]] = {arm: [] for arm in rescoring.before}
+    for task in rescoring.tasks:
         if _is_there(task):  # results of other evaluation options do not count
             result = read_json(task.file)
             after[result["arm"]].append(result)
@@ -215,7 +273,7 @@ def run_rescore(
         reference = _REFERENCE if _REFERENCE in there else there[0]
         metrics = [metric for metric in COMPARED if metric != "objective"]
         table = compare_results(after, reference, metrics=metrics, resamples=resamples)
-        goals = same_order(before, after)
+        goals = same_order(rescoring.before, after)
         text = table.markdown() + "\n" + "\n".join(f"- {goal}" for goal in goals) + "\n"
         write_text(out / "rescored.md", text)
         write_json(out / "rescored.json", {**table.data(), "goals": [goal.data() for goal in goals]})
@@ -226,8 +284,8 @@ def run_rescore(
                 progress.say(str(goal))
     for failure in failed:
         progress.say(f"failed: {failure}")
-    progress.say(f"{len(waiting) - len(failed)} new results; tables and results: {out}")
-    return Finished(out, after, failed, len(waiting) - len(failed))
+    progress.say(f"{asked - len(failed)} new results; tables and results: {out}")
+    return Finished(out, after, failed, asked - len(failed))
 
 
 def read_rigs(folder: Path) -> dict[str, list[dict[str, Any]]]:

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 import warp as wp
 
-from warpav.core.errors import InputError
+from warpav.core.errors import InputError, is_out_of_memory
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.frame import Frame
@@ -40,12 +40,6 @@ def equal_chunks(count: int, most: int) -> list[np.ndarray]:
     """
     size = -(-count // -(-count // most)) if count else 1
     return [np.minimum(np.arange(first, first + size), count - 1) for first in range(0, count, size)]
-
-
-def is_out_of_memory(error: BaseException) -> bool:
-    """Whether an error says that a device has not the memory that was asked for; Warp has no class for it."""
-    text = str(error).lower()
-    return isinstance(error, RuntimeError) and ("failed to allocate" in text or "out of memory" in text)
 
 
 class ViewsAtOnce:

@@ -1,11 +1,11 @@
-"""A function on every task: which executor, what is under way, and what to do about a killed process."""
+"""A function on every task: which executor, what is under way, and what to do where memory did not suffice."""
 
 from __future__ import annotations
 
 import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -82,9 +82,9 @@ def run_tasks(
             stay the same. 0: they see none and start sooner. Ray and Slurm give a task its GPU by ``options``.
 
     Yields:
-        Outcomes, in the order of the tasks with ``serial`` and as they finish with the others. Tasks that were under
-        way when a process was killed are tried again after all others, by a quarter as many processes and so on down
-        to a single one, so that only the one that kills fails.
+        Outcomes, in the order of the tasks with ``serial`` and as they finish with the others. With these, tasks that
+        failed for want of memory, and all that were under way when a process was killed, are tried again after the
+        rest, by a quarter as many processes and so on down to a single one: a task fails only if it does so alone.
 
     Raises:
         OptionError: The executor's package is not installed, nobody answers at the address, or an option is wrong;
@@ -116,23 +116,22 @@ def run_tasks(
 
     if not tasks:
         return
-    suspects = yield from _run_once(opened(worker_count), tasks, worker_count)
+    failed = yield from _run_once(opened(worker_count), tasks, worker_count)
     is_alone = False
-    while suspects and not is_alone:
-        worker_count = max(1, (worker_count or len(suspects)) // 4)
+    while failed and not is_alone:
+        worker_count = max(1, (worker_count or len(failed)) // 4)
         is_alone = worker_count == 1
-        suspects = yield from _run_once(opened(worker_count), suspects, worker_count)
-    for task in suspects:
-        yield Outcome(task, error="its process was killed; is there enough memory?")
+        failed = yield from _run_once(opened(worker_count), [outcome.task for outcome in failed], worker_count)
+    yield from failed
 
 
 def _run_once(
     workers: Workers, tasks: Sequence[Task], worker_count: int | None
-) -> Generator[Outcome[Task, Any], None, list[Task]]:
-    """Yield the outcomes of tasks; returns those whose workers were killed."""
+) -> Generator[Outcome[Task, Any], None, list[Outcome[Task, Any]]]:
+    """Yield the outcomes of tasks; returns those of tasks whose workers were killed or had not the memory."""
     waiting = deque(tasks)
     running: dict[Any, Task] = {}
-    killed: list[Task] = []
+    failed: list[Outcome[Task, Any]] = []
     try:
         while waiting or running:
             room = len(waiting) if worker_count is None else min(worker_count - len(running), len(waiting))
@@ -142,11 +141,14 @@ def _run_once(
             for handle in workers.wait(running):
                 task = running.pop(handle)
                 try:
-                    outcome = workers.outcome(handle)
+                    outcome = replace(workers.outcome(handle), task=task)
                 except WorkerKilledError:
-                    killed.append(task)
+                    failed.append(Outcome(task, error="its process was killed; is there enough memory?"))
+                    continue
+                if outcome.lacks_memory:
+                    failed.append(outcome)
                 else:
-                    yield Outcome(task, outcome.result, outcome.error)
+                    yield outcome
     finally:
         workers.close(running)
-    return killed
+    return failed

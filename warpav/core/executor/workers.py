@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
-from warpav.core.errors import InputError, OptionError, install_text
+from warpav.core.errors import InputError, OptionError, install_text, is_out_of_memory
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -44,11 +44,13 @@ class Outcome(Generic[Task, Result]):
         task: The task.
         result: Its result; None if it failed.
         error: Why it failed; None if it did not.
+        lacks_memory: Whether it failed for want of memory, which it may find when fewer run.
     """
 
     task: Task
     result: Result | None = None
     error: str | None = None
+    lacks_memory: bool = False
 
 
 class WorkerKilledError(Exception):
@@ -110,7 +112,8 @@ def outcome_of(function: Callable[[Task], Result], task: Task) -> Outcome[Task, 
     except InputError as error:
         return Outcome(task, error=str(error))
     except Exception as error:  # the others go on
-        return Outcome(task, error=f"{type(error).__name__}: {one_line(error)}")
+        lacks_memory = isinstance(error, MemoryError) or is_out_of_memory(error)
+        return Outcome(task, error=f"{type(error).__name__}: {one_line(error)}", lacks_memory=lacks_memory)
 
 
 def one_line(error: Exception) -> str:
