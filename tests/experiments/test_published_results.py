@@ -150,7 +150,10 @@ def test_the_page_is_what_the_command_writes(tmp_path):
 TRAFFIC_SETTING_OF = {
     "dense streets, flush anywhere on the body": "dense_4_body",
     "the same, six cameras": "dense_6_body",
+    "the same, four cameras on a bus": "dense_4_body_bus",
+    "dense streets, flush on the roof": "dense_4_roof",
     "dense streets, on a rack of 25 cm": "dense_4_rack",
+    "recorded motorway and streets, flush anywhere on the body": "ngsim_4_body",
     "recorded motorway and streets, on a rack": "ngsim_4_rack",
     "recorded crossing, flush anywhere on the body": "sind_4_body",
     "recorded crossing, on a rack": "sind_4_rack",
