@@ -35,7 +35,7 @@ from warpav.rig.presets import preset_names
 from warpav.rig.zone import read_zones, write_zones
 from warpav.runs.config import Config, changed_config
 from warpav.runs.detector_fit import ensure_fit
-from warpav.runs.preset_rigs import preset_for
+from warpav.runs.mounts import preset_for
 from warpav.runs.vehicle_zones import propose
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.town.levels import LEVELS

@@ -14,6 +14,7 @@ from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
 from warpav.rig.chart import chart_of
 from warpav.rig.zone import read_zones
+from warpav.runs import placement
 from warpav.runs.config import load_config
 from warpav.runs.mounts import camera_model
 from warpav.runs.run_folder import RunFolder
@@ -117,6 +118,27 @@ def test_a_broken_file_of_zones_leaves_nothing(working_directory, capsys):
     assert "zones.door.normal" in line
     assert "did you mean left" in line
     assert not (working_directory / "none").exists()
+
+
+def test_a_zone_off_the_body_shows_before_any_scene_is_made(working_directory, car, capsys, monkeypatch):
+    text = "zones: {nowhere: {normal: left, box_m: [[40, 0, 0], [41, 1, 1]]}}\n"
+    (working_directory / "zones.yaml").write_text(text)
+
+    def no_scenes(*_args, **_options):
+        raise AssertionError
+
+    monkeypatch.setattr(placement, "load_scene_set", no_scenes)
+    for words in (["config", "check"], ["optimise"]):
+        line = complaint(capsys, *words, *POOL, "scenes.ego=car.glb", "mount.zones=zones.yaml")
+        assert "zones.yaml: zone 'nowhere': expected a part of the body" in line
+
+
+@pytest.mark.parametrize(
+    ("option", "expected"),
+    [("mount.zones=car.glb", "readable YAML"), ("rig.modules={front_8mp_12: 1}", "did you mean front_8mp_120?")],
+)
+def test_config_check_reads_zones_and_modules(car, capsys, option, expected):
+    assert expected in complaint(capsys, "config", "check", "quick", option)
 
 
 def test_the_api_takes_zones(working_directory, car):

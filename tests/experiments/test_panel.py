@@ -237,6 +237,8 @@ def test_rigs_of_one_network_are_judged_by_the_others(judged, rng):
         assert crossed.above_own[own][judge].mean == pytest.approx(worth[own, judge] - worth[judge, judge])
     text = table.markdown()
     assert "**Searched with one network, judged by another: default**" in text
+    (shown,) = table.crossed_tables()  # what is published of it, too
+    assert shown.markdown() in text
     line = [line for line in text.splitlines() if line.startswith("| c |")][-1]
     assert "(+0.100 [+0.100, +0.100])" in line
     assert line.endswith("(own) |")

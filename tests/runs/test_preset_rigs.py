@@ -16,12 +16,17 @@ from warpav.evaluation.metrics import observe_scenes
 from warpav.experiments.arms import AS_BUILT, common_arms, default_like, find_rig_of
 from warpav.experiments.result_folder import unseeded
 from warpav.rig.catalogue import builtin_modules
+from warpav.rig.check import off_vehicle
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.baseline_rigs import highest_rig
 from warpav.runs.config import dump_config, load_config
 from warpav.runs.evaluate import evaluate_on
-from warpav.runs.preset_rigs import know_cameras, preset_for
-from warpav.scene.town.town import town_scene
+from warpav.runs.mounts import preset_for
+from warpav.runs.preset_rigs import know_cameras
+from warpav.runs.rig_source import find_rig
+from warpav.scene.own_vehicle import read_vehicle
+from warpav.scene.town.town import ego_vehicle, town_scene
+from warpav.scene.vehicles import file_of
 
 SMALL = ["scenes.train_seeds=[0]", "scenes.validation_seeds=null", "scenes.test_seeds=[5001, 5002]"]
 
@@ -181,3 +186,25 @@ def test_files_and_hashes_are_as_before_where_nothing_is_set():
     assert given.baselines.presets == ("nuscenes",)
     assert "presets" in dump_config(given)
     assert '"baselines.presets": ["nuscenes"]' in unseeded(given)
+
+
+def test_a_preset_is_drawn_where_it_is_measured(caplog):
+    config, bus = load_config("quick", ["scenes.ego=bus"]), read_vehicle(file_of("bus"))
+    found = find_rig("nuscenes", config, bus)
+    measured = preset_for("nuscenes", config, bus).rig
+    assert np.allclose([each.position_m for each in found.cameras], [each.position_m for each in measured.cameras])
+    assert [each.model for each in found.cameras] == [each.model for each in measured.cameras]
+    assert off_vehicle(found, bus) == ""
+    assert "nuscenes: put on the body of this vehicle" in caplog.text
+    caplog.clear()
+    own = find_rig("nuscenes", load_config("quick"), ego_vehicle())
+    assert [camera.position_m.tolist() for camera in own.cameras] == [
+        camera.position_m.tolist() for camera in wa.preset("nuscenes").cameras
+    ]
+    assert caplog.text == ""
+
+
+def test_a_rig_of_another_vehicle_is_told(tmp_path, caplog):
+    write_rig(wa.preset("nuscenes"), tmp_path / "mine.yaml")
+    find_rig(str(tmp_path / "mine.yaml"), load_config("quick"), read_vehicle(file_of("bus")))
+    assert "mine.yaml: 1 of 6 cameras are more than 1 m from the surface of the vehicle" in caplog.text

@@ -205,6 +205,16 @@ def test_a_start_that_is_not_allowed_has_no_objective(start):
     assert "scenes: 0.5000 at the start, - at the end\n" in without_end
 
 
+def test_constraints_that_are_met_do_not_hide_a_requirement_that_is_not():
+    outcome = {"name": "near", "points": 4, "share": 0.5, "is_met": False, "hard": False, "worst": []}
+    arms = {"optimised": {**dict.fromkeys(ARM_ROWS, 0.25), "constraint_violation": 0.0}}
+    outcome["need"] = {"share": 1.0}
+    text = verdict_of(arms=arms, requirements={"optimised": [outcome]})
+    assert "REQUIREMENT NOT MET: near at 50.0% of 4 points" in text
+    assert "constraints of spacing and mount met: " in text
+    assert "\nconstraints met: " in verdict_of(arms=arms, requirements={"optimised": [{**outcome, "is_met": True}]})
+
+
 def test_no_difference_is_minus_nothing():
     found = {"mean": -1e-6, "low": -2e-6, "high": 1e-6}
     text = verdict_of(paired={"start": {"tp_detection_rate": found}})

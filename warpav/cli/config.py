@@ -35,13 +35,12 @@ def config_show(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> No
 def config_check(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
     """Check a configuration, and name everything that is wrong with it."""
     from warpav.runs.config import placed_config
-    from warpav.runs.rig_source import read_baselines, read_start
+    from warpav.runs.placement import Placement
 
     if "=" in config:
         config, overrides = DEFAULT_CONFIG, (config, *overrides)
     with placed_config(config, overrides) as settings:
-        read_start(settings)
-        read_baselines(settings)
+        Placement.from_config(settings)
     say("the configuration is valid")
 
 

@@ -50,10 +50,10 @@ from warpav.raster.camera import CameraModel
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, changed_config, load_config, option_values
-from warpav.runs.mounts import camera_mount, constraints_of
+from warpav.runs.mounts import camera_mount, constraints_of, preset_for
 from warpav.runs.optimise import Optimisation, pool_search_settings, searches_by_pool
 from warpav.runs.placement import Placement, Stream
-from warpav.runs.preset_rigs import know_cameras, preset_for
+from warpav.runs.preset_rigs import know_cameras
 from warpav.runs.rig_source import read_start
 
 CMA_SHARE = 0.5

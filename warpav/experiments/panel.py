@@ -262,7 +262,12 @@ class PanelTable:
                     "networks lie on both sides of 0, without a correction for the number of pairs.",
                 )
             )
-        tables += [
+        return [*tables, *self.crossed_tables(), *(each.text for each in self.misses)]
+
+    def crossed_tables(self) -> list[TextTable]:
+        """A table for each method whose rigs were found with several detectors."""
+        names = [judge.name for judge in self.judges]
+        return [
             TextTable(
                 f"Searched with one network, judged by another: {each.method}",
                 ["searched with", *names],
@@ -281,7 +286,6 @@ class PanelTable:
             )
             for each in self.crossed
         ]
-        return [*tables, *(each.text for each in self.misses)]
 
     def _lines(self, numbers: Mapping[str, Mapping[str, Difference]], digits: int) -> list[list[str]]:
         lines = []
@@ -372,11 +376,14 @@ def run_panel(
     write_json(out / "panel.json", {"schema": SCHEMA, **vars(table)})
     write_text(out / "panel.md", table.markdown())
     if table.misses:
-        described_as = f"{read_description(folders[0])['experiment']} before the panel {name}"
+        more = f" and {len(folders) - 1} more" if len(folders) > 1 else ""
+        described_as = f"{read_description(folders[0])['experiment']}{more} before the panel {name}"
         write_json(out / DESCRIPTION, {**read_description(folders[0]), "experiment": described_as})
         write_json(out / "env.json", environment(config, device_name(config.device)))
-        told = "\n".join([*(each.text.markdown() for each in table.misses), goals_text(table.goals)])
-        write_summary(out, _named_by_judge(judged), told, table.goals)
+        goals = [goals_text(table.goals)] if any(goal.reached is not None for goal in table.goals) else []
+        tables = [*table.crossed_tables(), *(each.text for each in table.misses)]
+        told = "\n".join([*(each.markdown() for each in tables), *goals])
+        write_summary(out, _named_by_judge(results, folders), told, table.goals if goals else ())
     progress.show(table.terminal())
     for goal in table.goals:
         progress.say(f"- {goal}")
@@ -413,13 +420,15 @@ def _with_misses(
     return replace(table, misses=(own, *tables), outside=tuple(each.judge for each in asked), goals=goals)
 
 
-def _named_by_judge(judged: _Judged) -> dict[str, list[dict[str, Any]]]:
-    """Results by network and arm in one."""
-    return {
-        f"{name}/{arm}": [{**run, "arm": f"{name}/{arm}"} for run in runs]
-        for name, of_arm in judged.items()
-        for arm, runs in of_arm.items()
-    }
+def _named_by_judge(
+    results: Mapping[tuple[str, Path, str], Mapping[int, dict[str, Any]]], folders: Sequence[Path]
+) -> dict[str, list[dict[str, Any]]]:
+    """Results by network, folder where there are several, and arm in one."""
+    named = {}
+    for (network, folder, arm), runs in results.items():
+        name = "/".join([network, *([folder.name] if len(folders) > 1 else []), arm])
+        named[name] = [{**run, "arm": name} for run in runs.values()]
+    return named
 
 
 def _check_same_task(folder: Path, options: Mapping[str, Any], first: Mapping[str, Any], config: Config) -> None:

@@ -17,18 +17,17 @@ from warpav.evaluation.robustness import LoadState, SoiledPart
 from warpav.optimisation.history import IterationRecord
 from warpav.optimisation.pool import pool_cache_folder
 from warpav.optimisation.pool_descent import PoolDescent
-from warpav.rig.check import off_vehicle
-from warpav.rig.find import is_preset
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.checkpoint import check_options, identity_of
 from warpav.runs.config import Config, flow_text, placed_config
 from warpav.runs.evaluate import evaluate_on
+from warpav.runs.mounts import preset_for
 from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement
-from warpav.runs.preset_rigs import know_cameras, preset_for
+from warpav.runs.preset_rigs import know_cameras
 from warpav.runs.progress import shown_progress
 from warpav.runs.result import LAST_STAGE, Result, StageTimer, write_verdict
-from warpav.runs.rig_source import arm_name, check_rig_source, find_rig, is_run_folder
+from warpav.runs.rig_source import arm_name, check_rig_source, find_rig, is_run_folder, is_shipped
 from warpav.runs.robustness import load_states_of, soiling_of
 from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, held_run, new_run_folder
 from warpav.runs.scene_set import load_scenes
@@ -293,11 +292,8 @@ def measure_rig(
 def _rig_to_measure(source: str, placement: Placement, progress: Progress) -> Rig:
     """The rig that ``source`` means; a preset stands on the body of the vehicle, with the images of a network."""
     config, ego = placement.config, placement.ego
-    if not is_preset(source) or is_run_folder(source) or Path(source).exists():
-        rig = find_rig(source, config, ego)
-        if text := off_vehicle(rig, ego):
-            progress.say(f"{source}: {text}")
-        return rig
+    if not is_shipped(source):
+        return find_rig(source, config, ego)
     moved = preset_for(source, config, ego)
     know_cameras(moved.rig, placement, progress)
     sizes = dict.fromkeys(f"{each.model.width_px} x {each.model.height_px} px" for each in moved.rig.cameras)

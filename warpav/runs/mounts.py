@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpav.core.devices import checked_device
-from warpav.core.errors import OptionError
+from warpav.core.errors import InputError, OptionError
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.rig.catalogue import builtin_modules, read_modules
 from warpav.rig.chart import chart_of, propose_zones, with_middles
 from warpav.rig.module import Module
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
+from warpav.rig.on_body import MovedRig
+from warpav.rig.presets import preset_on_vehicle
 from warpav.rig.rig import Rig
 from warpav.rig.zone import read_zones
 from warpav.runs.config import NAMED_STARTS, Config
@@ -95,6 +97,36 @@ def camera_models(config: Config) -> tuple[CameraModel, ...]:
     return tuple(models) or (camera_model(config),)
 
 
+def preset_for(name: str, config: Config, ego: Mesh) -> MovedRig:
+    """A preset on a vehicle, its images in their own proportions, as ``baselines.preset_images`` says.
+
+    Args:
+        name: The preset.
+        config: Gives the number of pixels and the near plane.
+        ego: The vehicle.
+
+    Raises:
+        InputError: There is no such preset.
+    """
+    moved = preset_on_vehicle(name, ego)
+    cameras = [dataclasses.replace(each, model=_network_model(each.model, config)) for each in moved.rig.cameras]
+    return dataclasses.replace(moved, rig=Rig(cameras))
+
+
+def _network_model(model: CameraModel, config: Config) -> CameraModel:
+    """A camera with the image that a network gets of it; one flush with a body sees what is a centimetre away."""
+    model = dataclasses.replace(model, near_m=min(config.camera.near_m, FLUSH_NEAR_M))
+    known = camera_models(config)
+    match config.baselines.preset_images:
+        case "sensor":
+            return model
+        case "same_width":
+            width_px = max(each.width_px for each in known)
+            return model.with_pixels(width_px**2 * model.height_px / model.width_px)
+    pixels = [each.width_px * each.height_px for each in known]
+    return model.with_pixels(sum(pixels) / len(pixels))
+
+
 def rig_limits(config: Config, surface: MountSurface) -> RigLimits | None:
     """How many cameras of which module a rig may have; None where all cameras are equal.
 
@@ -144,19 +176,23 @@ def mount_surface(config: Config, ego: Mesh) -> MountSurface:
     """
     if not has_zones(config):
         return roof_surface(config, ego)
-    zones = propose_zones(ego) if config.mount.zones is None else read_zones(config.mount.zones)
+    path = config.mount.zones
+    zones = propose_zones(ego) if path is None else read_zones(path)
     if config.rig.symmetric and not any(zone.is_centred for zone in zones):
         zones = with_middles(zones)
-    return chart_of(
-        zones,
-        ego,
-        modules=rig_modules(config),
-        pair_spacing_m=config.rig.min_spacing_m if config.rig.symmetric else None,
-        pitch_rad=free_ranges(config).pitch_rad or (0.0, 0.0),
-        cell_m=config.mount.cell_m,
-        min_upward_normal=config.mount.min_upward_normal,
-        min_zone_normal=config.mount.min_zone_normal,
-    )
+    try:
+        return chart_of(
+            zones,
+            ego,
+            modules=rig_modules(config),
+            pair_spacing_m=config.rig.min_spacing_m if config.rig.symmetric else None,
+            pitch_rad=free_ranges(config).pitch_rad or (0.0, 0.0),
+            cell_m=config.mount.cell_m,
+            min_upward_normal=config.mount.min_upward_normal,
+            min_zone_normal=config.mount.min_zone_normal,
+        )
+    except InputError as error:
+        raise InputError(str(error) if path is None else f"{path}: {error}") from None
 
 
 def roof_surface(config: Config, ego: Mesh) -> MountSurface:

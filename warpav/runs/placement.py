@@ -50,7 +50,7 @@ from warpav.runs.detector_fit import ensure_fit, fit_config
 from warpav.runs.mounts import camera_models, checked_frozen, constraints_of, rig_limits
 from warpav.runs.networks import Networks, load_networks
 from warpav.runs.rig_source import read_baselines, read_start, with_added_cameras
-from warpav.runs.scene_set import SceneSet, checked_vehicle, load_scene_set, own_vehicle, pack_scenes
+from warpav.runs.scene_set import SceneSet, check_zones, checked_vehicle, load_scene_set, own_vehicle, pack_scenes
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.scene.town.levels import level_of
@@ -279,17 +279,19 @@ class Placement:
     def from_config(cls, config: Config, *, start: Rig | None = None) -> Placement:
         """The placement that a configuration describes; nothing is written.
 
-        The rig of ``rig.start`` is read now, scenes and detector when they are first needed.
+        The rig of ``rig.start`` is read and zones are looked up on the vehicle now, scenes and detector when they are
+        first needed.
 
         Args:
             config: The configuration.
             start: The rig that ``rig.start`` means, where it has been read already.
 
         Raises:
-            InputError: The rig of ``rig.start`` or one of ``baselines.rigs`` cannot be used, or a weight is that of an
-                unknown category.
+            InputError: The rig of ``rig.start``, one of ``baselines.rigs``, modules or zones cannot be used, or a
+                weight is that of an unknown category.
         """
         read_baselines(config)
+        check_zones(config)
         if config.scenes.source == "town":  # others may have categories of their own
             check_categories(config.importance)
         parts = Parts(config, read_start(config) if start is None else start, config.rig.freeze)

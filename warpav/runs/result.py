@@ -31,8 +31,9 @@ from warpav.runs.config import Config, changed_config, flow_text
 from warpav.runs.evaluate import evaluate_on, requirements_of
 from warpav.runs.events import of_modules
 from warpav.runs.fitting_plots import FITTING_KINDS, FittedRigs, fitting_drawing
+from warpav.runs.mounts import preset_for
 from warpav.runs.placement import Placement, Stream
-from warpav.runs.preset_rigs import know_cameras, preset_for
+from warpav.runs.preset_rigs import know_cameras
 from warpav.runs.progress import shown_progress
 from warpav.runs.rig_source import read_baselines
 from warpav.runs.robustness import tolerance_on

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import itertools
+import logging
 import math
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -13,16 +14,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpav.core.errors import InputError, OptionError
+from warpav.rig.check import off_vehicle
 from warpav.rig.find import HIGHEST, find_rig_file, is_preset
 from warpav.rig.presets import preset_names
 from warpav.rig.rig import Rig, RigCamera, read_rig
 from warpav.runs.config import NAMED_STARTS, START_TEXT, Config, placed_config
-from warpav.runs.mounts import camera_model, camera_mount, checked_frozen, constraints_of, with_shared_model
+from warpav.runs.mounts import camera_model, camera_mount, checked_frozen, constraints_of, preset_for, with_shared_model
 from warpav.runs.run_folder import RunFolder
 
 if TYPE_CHECKING:
     from warpav.raster.camera import CameraModel
     from warpav.raster.mesh import Mesh
+
+_logger = logging.getLogger(__name__)
 
 START_MOVED_M = 0.005
 """How far a camera of a start has to move for a run to say so [m]."""
@@ -47,13 +51,19 @@ def check_rig_source(source: str) -> None:
         read_rig(rig_file(source))
 
 
+def is_shipped(source: str) -> bool:
+    """Whether the source of a rig means a preset, and no file or folder of its name."""
+    return is_preset(source) and not is_run_folder(source) and not Path(source).exists()
+
+
 def find_rig(source: str, config: Config, ego: Mesh) -> Rig:
     """The rig that ``source`` means: a rig YAML, a preset, a run folder, or ``highest``.
 
     Args:
         source: What the user wrote.
         config: Gives the near plane of all cameras, and everything about the cameras of ``highest``.
-        ego: The vehicle on whose highest point ``highest`` stands.
+        ego: The vehicle on whose highest point ``highest`` stands, and on whose body a preset does, unless it is the
+            embedded one; a warning says so, and also if a rig of a file is far from its surface.
 
     Raises:
         InputError: It means none, or the file cannot be used.
@@ -63,7 +73,14 @@ def find_rig(source: str, config: Config, ego: Mesh) -> Rig:
 
         mount = camera_mount(config, ego)
         return mount.rig(mount.clipped(highest_mount_pose(constraints_of(config, mount.surface), config.rig.cameras)))
-    return with_shared_model(read_rig(rig_file(source)), config)
+    rig = with_shared_model(read_rig(rig_file(source)), config)
+    away = off_vehicle(rig, ego)
+    if is_shipped(source) and (away or config.scenes.ego is not None):
+        _logger.warning("%s: put on the body of this vehicle, as warpav evaluate measures it", source)
+        return preset_for(source, config, ego).rig
+    if away:
+        _logger.warning("%s: %s", source, away)
+    return rig
 
 
 def config_for(

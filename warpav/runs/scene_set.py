@@ -22,8 +22,9 @@ from warpav.core.warp_setup import compiling
 from warpav.optimisation.segregation import areas_around
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
+from warpav.rig.zone import read_zones
 from warpav.runs.config import Config, RigConfig, RunConfig
-from warpav.runs.mounts import camera_mount
+from warpav.runs.mounts import camera_mount, has_zones, mount_surface, rig_modules
 from warpav.scene.cache import BuiltSource, built_scenes, town_scenes
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.device_scene import DeviceScene
@@ -336,6 +337,24 @@ def own_vehicle(config: Config) -> Mesh | None:
             f"{path}: {found.problems[0].text}; warpav vehicle check {shlex.quote(str(path))} says how to fix it",
         )
     return found.mesh
+
+
+def check_zones(config: Config) -> None:
+    """See that modules and zones can be used, before scenes are made; on the vehicle where that is known before.
+
+    Raises:
+        InputError: As of `warpav.runs.mounts.mount_surface`.
+    """
+    rig_modules(config)
+    if not has_zones(config):
+        return
+    ego = own_vehicle(config)
+    if ego is None and config.scenes.source == "town":
+        ego = ego_vehicle()
+    if ego is not None:
+        mount_surface(config, ego)
+    elif config.mount.zones is not None:
+        read_zones(config.mount.zones)
 
 
 def checked_vehicle(ego: object) -> Mesh:

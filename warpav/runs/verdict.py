@@ -283,7 +283,9 @@ def show_verdict(console: Terminal, evaluation: Mapping[str, Any]) -> None:
     name, metrics = next(iter(arms.items()))
     violation, closest = metrics["constraint_violation"], metrics["min_camera_distance_m"]
     if violation == 0.0:
-        text = shown("constraints met", "green").append(f": closest cameras {_number(closest)} m apart", "default")
+        # what stands near the vehicle is another matter
+        kept = "constraints of spacing and mount met" if unmet_requirements(evaluation) else "constraints met"
+        text = shown(kept, "green").append(f": closest cameras {_number(closest)} m apart", "default")
     else:
         worst = _worst_margin((evaluation.get("constraints") or {}).get(name) or [])
         text = shown("constraints broken", "red").append(f" by {_number(violation)} m{worst}", "default")

@@ -241,11 +241,14 @@ def _cards(run: RunContent) -> list[words.Statement]:
     if evaluation.ground is not None:
         text = f"of the ground is blind for {evaluation.ground.heights_m[0]:g} m (a child)"
         cards.append(words.Statement(text, words.percent(evaluation.ground.share(first, 0))))
+    for each in evaluation.requirements.get(first, []):
+        text = f"of the points of {each.name} are met" + ("" if each.is_met else ", too few")
+        cards.append(words.Statement(text, words.percent(each.share), "good" if each.is_met else "bad"))
     violation_m = arm.numbers["constraint_violation"]
     if violation_m is not None:
         is_kept = violation_m == 0.0
         cards.append(
-            words.Statement("constraints met", "yes", "good")
+            words.Statement("constraints of spacing and mount met", "yes", "good")
             if is_kept
             else words.Statement("constraint violation", f"{words.number(violation_m, 4)} m", "bad")
         )

@@ -38,14 +38,16 @@ def contact_figure(rig: Rig, scene: Scene, *, heading: str | None = None, supers
     rows = -(-len(order) // columns)
     with figure_style():
         width_inch = WIDTH_INCH / columns
-        tallest = max(camera.model.height_px / camera.model.width_px for camera in rig.cameras)
-        figure = new_figure(WIDTH_INCH, rows * (0.94 * width_inch * tallest + 0.55) + 0.5)
-        axes = figure.subplots(rows, columns, squeeze=False)
+        shape = [rig.cameras[k].model.height_px / rig.cameras[k].model.width_px for k in order]
+        row_inch = [0.94 * width_inch * max(shape[k : k + columns]) + 0.8 for k in range(0, len(order), columns)]
+        figure = new_figure(WIDTH_INCH, sum(row_inch) + 0.6)
+        axes = figure.subplots(rows, columns, squeeze=False, height_ratios=row_inch)
         for axis in axes.flat[len(order) :]:
             axis.set_axis_off()
         for axis, index in zip(axes.flat, order, strict=False):
             camera = rig.cameras[index]
             axis.imshow(images[camera.name].rgb, interpolation="antialiased")
+            axis.set_anchor("N")
             empty_panel(axis)
             axis.spines[:].set(color=hex_colour(camera_rgb(index)), linewidth=2.0)
             axis.set_title(camera.name, fontsize=10, color=hex_colour(camera_rgb(index)))
