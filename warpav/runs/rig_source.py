@@ -7,7 +7,7 @@ import difflib
 import itertools
 import logging
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,14 +56,15 @@ def is_shipped(source: str) -> bool:
     return is_preset(source) and not is_run_folder(source) and not Path(source).exists()
 
 
-def find_rig(source: str, config: Config, ego: Mesh) -> Rig:
+def find_rig(source: str, config: Config, ego: Mesh, *, say: Callable[[str], object] = _logger.warning) -> Rig:
     """The rig that ``source`` means: a rig YAML, a preset, a run folder, or ``highest``.
 
     Args:
         source: What the user wrote.
         config: Gives the near plane of all cameras, and everything about the cameras of ``highest``.
         ego: The vehicle on whose highest point ``highest`` stands, and on whose body a preset does, unless it is the
-            embedded one; a warning says so, and also if a rig of a file is far from its surface.
+            embedded one.
+        say: Reports that, and if cameras of a file are far from the surface of the vehicle.
 
     Raises:
         InputError: It means none, or the file cannot be used.
@@ -76,10 +77,10 @@ def find_rig(source: str, config: Config, ego: Mesh) -> Rig:
     rig = with_shared_model(read_rig(rig_file(source)), config)
     away = off_vehicle(rig, ego)
     if is_shipped(source) and (away or config.scenes.ego is not None):
-        _logger.warning("%s: put on the body of this vehicle, as warpav evaluate measures it", source)
+        say(f"{source}: put on the body of this vehicle, as warpav evaluate measures it")
         return preset_for(source, config, ego).rig
     if away:
-        _logger.warning("%s: %s", source, away)
+        say(f"{source}: {away}")
     return rig
 
 
