@@ -227,7 +227,8 @@ def run_rescores(
     """
     for each in planned:
         load_networks(each.config)  # what is wrong with the detector shows before anything else begins
-    waiting = [task for each in planned for task in each.waiting]
+    waiting_in = {each.out: each.waiting for each in planned}
+    waiting = [task for tasks in waiting_in.values() for task in tasks]
     if waiting:
         make_scenes_ready(planned[0].config, progress)  # and likewise what is wrong with the scenes
     for each in planned:
@@ -249,7 +250,7 @@ def run_rescores(
         _finished(
             each,
             failed[each.out],
-            sum(task.folder == each.out for task in waiting),
+            len(waiting_in[each.out]),
             is_shown=is_shown,
             resamples=resamples,
             progress=progress,
