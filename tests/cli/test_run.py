@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -128,6 +129,38 @@ def test_evaluating_the_run_gives_its_own_metrics(run_folder, working_directory)
     assert _numbers(found["arms"]["optimised"]) == pytest.approx(_numbers(of_the_run), abs=1e-3)
     margins, expected = (each["constraints"]["optimised"] for each in (found, run_folder.evaluation()))
     assert [margin["cameras"] for margin in margins] == [margin["cameras"] for margin in expected]
+
+
+def test_rigs_beside_the_first_are_measured_on_the_same_scenes(run_folder, working_directory, capsys):
+    few = ["scenes.train_seeds=[0]", "scenes.test_seeds=[1000]", "run.batch_size=1", "rig.cameras=2"]
+    (working_directory / "a").mkdir()
+    shutil.copy(run_folder.rig_file(), "mine.yaml")
+    shutil.copy(run_folder.rig_file(), "a/mine.yaml")
+    beside = ["--beside", "mine.yaml", "--beside", "nuscenes", "--beside", "a/mine.yaml"]
+    assert main(["evaluate", "highest", *few, *beside, "--json", "m.json"]) == 0
+    assert main(["evaluate", "nuscenes", *few, "--json", "alone.json"]) == 0
+    found, alone = (json.loads((working_directory / name).read_text()) for name in ("m.json", "alone.json"))
+    assert list(found["arms"]) == ["highest", "mine", "nuscenes", "a/mine.yaml"]
+    assert found["arms"]["mine"] == found["arms"]["a/mine.yaml"]
+    assert _numbers(found["arms"]["nuscenes"]) == pytest.approx(_numbers(alone["arms"]["nuscenes"]), abs=1e-6)
+    assert set(found["paired"]) == {"mine", "nuscenes", "a/mine.yaml"}
+    assert list(found["constraints"]) == ["highest"]
+    assert "no difference can be proven" in capsys.readouterr().out
+
+
+def test_a_rig_is_compared_with_itself_by_no_command(run_folder, working_directory, capsys):
+    for command in (["evaluate", "--json", "m.json"], ["plot", "--kind", "plan"]):
+        assert main([command[0], "highest", "--beside", "highest", *command[1:]]) == 2
+        assert "--beside): expected every rig once, got 'highest' twice" in capsys.readouterr().err
+    assert not list(working_directory.glob("*.json"))
+
+
+def test_a_rig_is_inspected_with_the_configuration_asked_for(run_folder, working_directory):
+    Path("two.yaml").write_text("scenes: {test_seeds: [1000], level: dense}\n")
+    for k, more in enumerate(([], ["--config", "two.yaml"], ["scenes.test_seeds=[1000]", "scenes.level=dense"])):
+        assert main(["inspect", "nuscenes", *more, "--show", "outcomes", "--out", f"{k}.png"]) == 0
+    images = [Path(f"{k}.png").read_bytes() for k in range(3)]
+    assert images[1] == images[2] != images[0]
 
 
 def test_evaluating_says_what_dirt_and_loads_cost(working_directory, capsys):

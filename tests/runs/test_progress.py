@@ -173,6 +173,39 @@ def test_the_verdict_says_what_matters(violation, words):
         assert heading in text
 
 
+def comparison_of(count, *, scenes=7, width=80, **of_the_last):
+    """What is printed of some rigs side by side."""
+    stream = io.StringIO()
+    metrics = {**dict.fromkeys(ARM_ROWS, 0.25), "constraint_violation": 0.0}
+    arms = {f"rig_with_a_name_{k}": metrics for k in range(count - 1)} | {"last": {**metrics, **of_the_last}}
+    sure = {"tp_detection_rate": {"mean": 0.1, "low": 0.05, "high": 0.2}}
+    evaluation = {"scenes": {"test": scenes}, "arms": arms, "paired": dict.fromkeys(list(arms)[1:], sure)}
+    show_verdict(Terminal(file=stream, width=width), evaluation)
+    return stream.getvalue()
+
+
+def test_rigs_that_do_not_fit_side_by_side_come_in_parts_beside_the_first():
+    text = comparison_of(5)
+    assert text.count("7 test scenes") == 4  # two names of 17 letters and the headings take 80 columns
+    assert text.count("rig_with_a_name_0") > 4
+    for name in ("rig_with_a_name_3", "last"):
+        assert name in text
+    assert "…" not in text
+    assert comparison_of(5, width=300).count("7 test scenes") == 1
+
+
+def test_differences_of_few_scenes_come_with_a_caution():
+    assert "no difference can be proven" in comparison_of(2, scenes=5)
+    assert "no difference can be proven" not in comparison_of(2, scenes=6)
+
+
+def test_a_rig_that_sees_nothing_but_its_vehicle_is_told():
+    blind = {"tp_detection_rate": 0.0, "body_share_max": 0.97}
+    assert "last detects nothing: the vehicle's own body covers up to 97% of an image" in comparison_of(2, **blind)
+    assert "detects nothing" not in comparison_of(2, tp_detection_rate=0.01, body_share_max=0.97)
+    assert "detects nothing" not in comparison_of(2, tp_detection_rate=0.0, body_share_max=0.2)
+
+
 def verdict_of(**found):
     """What is printed of an optimised rig and its start, in one line."""
     stream = io.StringIO()

@@ -106,6 +106,10 @@ def evaluate(
     rig: RigSource,
     /,
     *overrides: Overrides,
+    beside: Annotated[
+        list[str] | None,
+        Parameter(help="Another rig to compare with, as the first is given. May be given several times."),
+    ] = None,
     json: Annotated[Path | None, Parameter(help="File to write the metrics to.")] = None,
     config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
     soiling: Annotated[
@@ -141,7 +145,9 @@ def evaluate(
     except ArgumentError as error:
         raise ArgumentError("load", error.text) from None
     with config_for(rig, config, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
-        found = measure_rig(rig, settings, json_file=json, soiled=part, loads=loads, progress=display)
+        found = measure_rig(
+            rig, settings, beside=beside or (), json_file=json, soiled=part, loads=loads, progress=display
+        )
         show_verdict(display.console, found)
 
 
@@ -151,12 +157,13 @@ def render(
     *overrides: Overrides,
     rig: RigSource,
     out: Annotated[Path, Parameter(help="Folder for the images.")],
+    config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
 ) -> None:
     """Render what every camera of a rig sees: colours, objects, depth, and the cameras themselves."""
     from warpav.runs.rig_source import config_for
     from warpav.runs.run_figures import render_rig
 
-    with config_for(rig, None, overrides, default=DEFAULT_CONFIG) as settings:
+    with config_for(rig, config, overrides, default=DEFAULT_CONFIG) as settings:
         folder = render_rig(scene, rig, settings, out, overrides)
     say(f"wrote {folder}")
 
@@ -199,6 +206,7 @@ def inspect(
         str | None,
         Parameter(help="YAML file of requirements, or a template such as near_field: which of their points are met."),
     ] = None,
+    config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
 ) -> None:
     """Inspect a rig on its vehicle: interactively when there is a display, else in a file."""
     from warpav.runs.inspect import inspect_rig
@@ -208,7 +216,7 @@ def inspect(
     if show == "sight":
         warn_renamed("--show sight", "--show visibility")
         show = "visibility"
-    with config_for(run_or_rig, None, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
+    with config_for(run_or_rig, config, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
         file = inspect_rig(run_or_rig, settings, out, shown=show, requirements=requirements, progress=display)
     if file is not None and out is None and show != "sheet":
         from warpav.view.opengl import display_text
@@ -227,6 +235,7 @@ def view(
     out: Annotated[
         Path | None, Parameter(help="HTML file to write instead: a page that stands alone, to be sent to others.")
     ] = None,
+    config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
 ) -> None:
     """View a rig in a browser: the inspector, served to this machine only, or a page that stands alone."""
     from warpav.runs.inspect import serve_inspector, write_inspector_page
@@ -238,7 +247,7 @@ def view(
         raise ArgumentError(
             "rig", f"expected it beside the GLB of a scene, got {rig!r} beside {source!r}; leave one out"
         )
-    with config_for(shown, None, overrides, default=DEFAULT_CONFIG) as settings:
+    with config_for(shown, config, overrides, default=DEFAULT_CONFIG) as settings:
         if out is not None:
             say(f"wrote {write_inspector_page(shown, settings, out, scene=scene)}")
             return

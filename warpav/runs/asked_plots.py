@@ -12,7 +12,7 @@ from warpav.core.files import check_folder
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config
 from warpav.runs.fitting_plots import FittedRigs
-from warpav.runs.rig_source import arm_name, check_rig_source, find_rig, is_run_folder
+from warpav.runs.rig_source import arm_names, find_rig, is_run_folder
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scenes
 from warpav.view import kinds_of, plot
@@ -52,8 +52,7 @@ class AskedPlots:
         Raises:
             InputError: There is no such rig, kind or comparison, or the file's name says another format.
         """
-        for each in (source, *beside):
-            check_rig_source(each)
+        arm_names(source, beside)
         is_run = is_run_folder(source)
         kinds = kinds_of(dict if beside else RunFolder if is_run else Rig)
         figures = [name for name, each in kinds.items() if each.is_figure]
@@ -89,10 +88,8 @@ class AskedPlots:
         scene = next(load_scenes(config, config.scenes.test_seeds[:1]))
         heading = Path(self.source).name if is_run_folder(self.source) else Path(self.source).stem
         written, left_out = [], {}
-        names = [arm_name(self.source), *(arm_name(each) for each in self.beside)]
-        rigs: dict[str, Rig] = {}
-        for name, each in zip(names, (self.source, *self.beside), strict=True):
-            rigs[name if name not in rigs else each] = find_rig(each, config, scene.ego)
+        names = arm_names(self.source, self.beside)
+        rigs = {name: find_rig(each, config, scene.ego) for name, each in names.items()}
         fitted = FittedRigs(rigs, scene, config)
         for kind, file in self.files.items():
             try:
@@ -100,7 +97,7 @@ class AskedPlots:
                     options: dict[str, Any] = {} if kind == "search" else {"scene": scene}
                     plot(RunFolder.open(self.source), kind=kind, out=file, title=heading, progress=progress, **options)
                 elif kind == "view":
-                    plot(rigs[names[0]], out=file, title=heading, scene=scene, progress=progress)
+                    plot(rigs[next(iter(names))], out=file, title=heading, scene=scene, progress=progress)
                 else:
                     plot(fitted, kind=kind, out=file, title=None if self.beside else heading, progress=progress)
             except InputError as error:

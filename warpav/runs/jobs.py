@@ -27,7 +27,7 @@ from warpav.runs.placement import Placement
 from warpav.runs.preset_rigs import know_cameras
 from warpav.runs.progress import shown_progress
 from warpav.runs.result import LAST_STAGE, Result, StageTimer, write_verdict
-from warpav.runs.rig_source import arm_name, check_rig_source, find_rig, is_run_folder, is_shipped
+from warpav.runs.rig_source import arm_names, find_rig, is_run_folder, is_shipped
 from warpav.runs.robustness import load_states_of, soiling_of
 from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, held_run, new_run_folder
 from warpav.runs.scene_set import load_scenes
@@ -230,16 +230,18 @@ def measure_rig(
     source: str,
     config: Config,
     *,
+    beside: Sequence[str] = (),
     json_file: Path | None,
     soiled: SoiledPart | None = None,
     loads: Mapping[str, LoadState] | None = None,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Metrics of one rig on the test scenes, written to a file if there is one.
+    """Metrics of a rig on the test scenes, written to a file if there is one.
 
     Args:
         source: Rig YAML, preset, run folder, or ``highest``.
         config: The scenes, the detector and the objective.
+        beside: Further rigs to compare it with, likewise; they get metrics and differences alone.
         json_file: Where to write the metrics, in the form of ``evaluation.json``; None for nowhere.
         soiled: What of one camera's image is covered, for each camera in turn; None: nothing.
         loads: States of the vehicle by name; none: without a load alone.
@@ -251,7 +253,7 @@ def measure_rig(
     Raises:
         InputError: The rig, the file or something in the configuration cannot be used.
     """
-    check_rig_source(source)
+    names = arm_names(source, beside)
     if json_file is not None and not json_file.absolute().parent.is_dir():
         raise ArgumentError(
             "json", f"expected an existing folder to write to, got {str(json_file.parent)!r}", place=json_file
@@ -267,11 +269,10 @@ def measure_rig(
     rig = _rig_to_measure(source, placement, progress)
     if soiled or loads:
         _check_posed(rig, placement, "load" if soiled is None else "soiling")  # before anything takes long
-    began_as = rig
-    if is_run_folder(source):
-        began_as = placement.frozen_rig if placement.has_ordered_start else RunFolder.open(source).rig("initial")
-    name = arm_name(source)
-    found = evaluate_on({name: rig}, placement.test, placement, began_as={name: began_as}, progress=progress)
+    name, *others = names
+    rigs = {name: rig, **{other: _rig_to_measure(names[other], placement, progress) for other in others}}
+    began_as = {other: _began_as(each, rigs[other], placement) for other, each in names.items()}
+    found = evaluate_on(rigs, placement.test, placement, began_as=began_as, progress=progress)
     margins = placement.objective.constraints.margins(rig)
     evaluation = {
         "schema": EVALUATION_SCHEMA,
@@ -302,6 +303,13 @@ def _rig_to_measure(source: str, placement: Placement, progress: Progress) -> Ri
         f"{moved.moved_m.max():.2f} m off"
     )
     return moved.rig
+
+
+def _began_as(source: str, rig: Rig, placement: Placement) -> Rig | None:
+    """The rig that the search of a run began with, see `Placement.assigned`; any other rig is its own."""
+    if not is_run_folder(source):
+        return rig
+    return placement.frozen_rig if placement.has_ordered_start else RunFolder.open(source).rig("initial")
 
 
 def _check_posed(rig: Rig, placement: Placement, option: str) -> None:

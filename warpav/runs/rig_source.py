@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import ArgumentError, InputError, OptionError
 from warpav.rig.check import off_vehicle
 from warpav.rig.find import HIGHEST, find_rig_file, is_preset
 from warpav.rig.presets import preset_names
@@ -100,6 +100,31 @@ def config_for(
 def arm_name(source: str) -> str:
     """What the rig of ``source`` is called in results."""
     return "optimised" if is_run_folder(source) else Path(source).stem
+
+
+def arm_names(source: str, beside: Sequence[str] = ()) -> dict[str, str]:
+    """Rigs that are compared, by what they are called in results.
+
+    Args:
+        source: The first.
+        beside: The others: run folders have their own names, and what has the name of another its whole path.
+
+    Returns:
+        The sources by name, the first first.
+
+    Raises:
+        InputError: One means no rig, or is there twice.
+    """
+    names = {arm_name(source): source}
+    for each in beside:
+        name = Path(each).absolute().name if is_run_folder(each) else arm_name(each)
+        name = each if name in names else name
+        if name in names or each == source:
+            raise ArgumentError("beside", f"expected every rig once, got {each!r} twice")
+        names[name] = each
+    for each in names.values():
+        check_rig_source(each)
+    return names
 
 
 def rig_to_export(source: str) -> Rig:

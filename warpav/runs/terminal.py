@@ -12,6 +12,7 @@ from typing import Any
 
 from rich import box
 from rich.console import Console, ConsoleOptions, Group, RenderableType
+from rich.measure import Measurement
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
@@ -56,6 +57,11 @@ class Terminal(Console):
     def __init__(self, **options: Any) -> None:  # noqa: ANN401 (rich's own)
         """A console with rich's further options."""
         super().__init__(markup=False, emoji=False, highlight=False, force_jupyter=False, **options)
+
+    def width_of(self, renderable: RenderableType) -> int:
+        """How many columns something takes if nothing of it is cut or wrapped, even if the console has fewer."""
+        wide = self.options.update(max_width=10_000)
+        return Measurement.get(self, wide, renderable).maximum
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """What something consists of."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from warpav.evaluation.metrics import (
@@ -50,7 +50,13 @@ RECALL_GROUPS = {"road_user": "", "distance_m": " m", "sector": "", "category": 
 """Groupings of the objects in ``recall_by``, in the order in which they are shown, and the unit of their names."""
 
 
+MIN_SCENES = 6
+"""With fewer, no difference can have a p-value below 0.05: all scenes agree by chance in 2^(1 - scenes) of cases."""
+
 _ENDS = ("start", "optimised")
+
+_HIDING_BODY = 0.5
+"""Share of an image from which on the own body is named as the reason why a rig detects nothing."""
 
 
 def recall_rows(arms: Mapping[str, Mapping[str, Any]]) -> list[list[list[str]]]:
@@ -242,11 +248,8 @@ def unmet_requirements(evaluation: Mapping[str, Any]) -> list[str]:
     return found
 
 
-def requirement_table(evaluation: Mapping[str, Any]) -> TerminalTable | None:
-    """What every arm meets of the requirements; None where there are none."""
-    requirements = evaluation.get("requirements")
-    if not requirements:
-        return None
+def requirement_table(requirements: Mapping[str, Any]) -> TerminalTable:
+    """What every arm meets of the requirements, one column per arm."""
     table = TerminalTable("seen near the vehicle")
     table.add_column("", no_wrap=True)
     for name in requirements:
@@ -254,6 +257,39 @@ def requirement_table(evaluation: Mapping[str, Any]) -> TerminalTable | None:
     for row in requirement_rows(requirements):
         table.add_row(*row)
     return table
+
+
+def blind_arms(arms: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Which rigs detect nothing as the vehicle's own body fills their images, a sentence each.
+
+    Args:
+        arms: Metrics by arm, as in ``evaluation.json``.
+    """
+    return [
+        f"{name} detects nothing: the vehicle's own body covers up to {metrics['body_share_max']:.0%} of an image"
+        for name, metrics in arms.items()
+        if metrics["tp_detection_rate"] == 0.0 and (metrics.get("body_share_max") or 0.0) >= _HIDING_BODY
+    ]
+
+
+def _print_arms(
+    console: Terminal,
+    arms: Mapping[str, Any],
+    table_of: Callable[[Mapping[str, Any]], TerminalTable | None],
+) -> None:
+    """Print a table with a column for each arm, in parts where the console is too narrow; each has the first arm."""
+    first, *others = arms
+
+    def tables(size: int) -> list[TerminalTable]:
+        parts = [[first, *others[k : k + size]] for k in range(0, max(1, len(others)), size)]
+        found = [table_of({name: arms[name] for name in part}) for part in parts]
+        return [table for table in found if table is not None]
+
+    size = max(1, len(others))
+    while size > 1 and any(console.width_of(table) > console.width for table in tables(size)):
+        size -= 1
+    for table in tables(size):
+        console.print(table)
 
 
 def show_verdict(console: Terminal, evaluation: Mapping[str, Any]) -> None:
@@ -268,13 +304,13 @@ def show_verdict(console: Terminal, evaluation: Mapping[str, Any]) -> None:
         console.print(shown(text, "bold red"))
     for text in unmet_requirements(evaluation):
         console.print(shown(text, "yellow"))
-    console.print(arm_table(arms, title=f"{evaluation['scenes']['test']} test scenes"))
-    recall = recall_table(arms)
-    if recall is not None:
-        console.print(recall)
-    near = requirement_table(evaluation)
-    if near is not None:
-        console.print(near)
+    for text in blind_arms(arms):
+        console.print(shown(text, "yellow"))
+    scenes = evaluation["scenes"]["test"]
+    _print_arms(console, arms, lambda part: arm_table(part, title=f"{scenes} test scenes"))
+    _print_arms(console, arms, recall_table)
+    if requirements := evaluation.get("requirements"):
+        _print_arms(console, requirements, requirement_table)
     outage = outage_table(evaluation)
     if outage is not None:
         console.print(outage)
@@ -312,6 +348,9 @@ def show_verdict(console: Terminal, evaluation: Mapping[str, Any]) -> None:
             if "objective" in differences:
                 found = {key: 100.0 * value for key, value in differences["objective"].items() if value is not None}
                 _show_difference(console, f"expected misses per 100, {name} - {other}", found, digits=2)
+    if paired and scenes < MIN_SCENES:
+        text = f"with fewer than {MIN_SCENES} test scenes no difference can be proven; scenes.test_seeds=5000..5049"
+        console.print(shown(text, "yellow"))
 
 
 def margin_text(kind: str, cameras: Sequence[str]) -> str:

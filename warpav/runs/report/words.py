@@ -15,14 +15,11 @@ from warpav.evaluation.metrics import ObjectOutcome
 from warpav.optimisation.mount_errors import ANGLES
 from warpav.rig.rig import Rig
 from warpav.runs.report.reading import DifferenceRecord, EvaluationRecord, MarginRecord, RunContent
-from warpav.runs.verdict import length_text, margin_text, mount_errors_text, robust_text
+from warpav.runs.verdict import MIN_SCENES, length_text, margin_text, mount_errors_text, robust_text
 
 Tone = Literal["good", "bad", "open"]
 
 MINUS, NONE, SPACE = "\N{MINUS SIGN}", "\N{EN DASH}", "\N{NO-BREAK SPACE}"
-
-MIN_SCENES = 6
-"""With fewer, no difference can have a p-value below 0.05: all scenes agree by chance in 2^(1 - scenes) of cases."""
 
 FEW_SCENES = 30
 
