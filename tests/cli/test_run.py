@@ -148,14 +148,15 @@ def test_rigs_beside_the_first_are_measured_on_the_same_scenes(run_folder, worki
     assert "no difference can be proven" in capsys.readouterr().out
 
 
-def test_a_rig_is_compared_with_itself_by_no_command(run_folder, working_directory, capsys):
+def test_a_rig_is_compared_with_itself_by_no_command(working_directory, capsys):
     for command in (["evaluate", "--json", "m.json"], ["plot", "--kind", "plan"]):
         assert main([command[0], "highest", "--beside", "highest", *command[1:]]) == 2
         assert "--beside): expected every rig once, got 'highest' twice" in capsys.readouterr().err
     assert not list(working_directory.glob("*.json"))
 
 
-def test_a_rig_is_inspected_with_the_configuration_asked_for(run_folder, working_directory):
+@pytest.mark.usefixtures("working_directory")
+def test_a_rig_is_inspected_with_the_configuration_asked_for():
     Path("two.yaml").write_text("scenes: {test_seeds: [1000], level: dense}\n")
     for k, more in enumerate(([], ["--config", "two.yaml"], ["scenes.test_seeds=[1000]", "scenes.level=dense"])):
         assert main(["inspect", "nuscenes", *more, "--show", "outcomes", "--out", f"{k}.png"]) == 0
