@@ -11,7 +11,13 @@ from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
 from warpav.view import plot
-from warpav.view.figures.rig_sheet import _near_each_other, horizontal_arcs_rad, rig_sheet, vertical_arcs_rad
+from warpav.view.figures.rig_sheet import (
+    _near_each_other,
+    field_of_view_rad,
+    horizontal_arcs_rad,
+    rig_sheet,
+    vertical_arcs_rad,
+)
 from warpav.view.frustum import seen_ground_m
 
 EXACT_RAD = 1e-7  # worst seen 3e-9: a quarter of a degree halved thirty times, and float64
@@ -113,6 +119,29 @@ def test_the_page_is_in_the_scale_that_it_states():
             assert 1000.0 / (drawn_px / figure.dpi * 25.4) == pytest.approx(float(stated.removeprefix("1 : ")))
     words = {text.get_text() for part in (figure, *figure.axes) for text in part.texts}
     assert {"1 cam_0", "4 cam_3", "4 m", "8 m", "256 x 256", "80 x 80"} <= words
+
+
+@pytest.mark.parametrize("turn_deg", [(0.0, 0.0, 0.0), (97.0, 30.0, 0.0), (10.0, -80.0, 25.0)])
+def test_the_table_has_the_field_of_the_lens_however_it_is_turned(turn_deg):
+    wide = camera(CameraModel(640, 480, math.radians(190.0), lens="fisheye"), *turn_deg)
+    assert np.degrees(field_of_view_rad(wide)) == pytest.approx([190.0, 142.5], abs=1e-5)
+    words = [text.get_text() for text in rig_sheet(Rig([wide]), ego=ego()).texts]
+    assert {"190° fisheye", "640 x 480"} <= set(words)
+    assert any(word.startswith("190 x 14") for word in words)
+
+
+def test_a_vehicle_longer_than_its_rings_is_within_the_drawing():
+    for axis in rig_sheet(rig(), ego=ego(), range_m=[1.0]).axes:
+        low_m, high_m = np.asarray(ego().bounds_m(), float)
+        assert axis.get_xlim()[0] < low_m[0] < high_m[0] < axis.get_xlim()[1]
+
+
+def test_what_the_view_from_the_side_leaves_out_is_said():
+    figure = rig_sheet(rig(), ego=ego())
+    side = figure.axes[1]
+    assert side.get_ylim()[1] > 3.0  # as high as the page has room for
+    assert f"cut {side.get_ylim()[1]:.1f} m above the ground" in [text.get_text() for text in side.texts]
+    assert not any("cut" in text.get_text() for text in rig_sheet(rig(), ego=ego(), range_m=[2.0]).axes[1].texts)
 
 
 def test_cameras_at_one_place_have_their_numbers_beside_it():

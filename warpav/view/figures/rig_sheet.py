@@ -28,6 +28,10 @@ _MARGIN_MM, _HEAD_MM, _ROW_MM, _NOTE_MM, _GAP_MM = 12.0, 17.0, 4.6, 17.0, 9.0
 _UP = np.array([0.0, 0.0, 1.0])
 _MARK_MM = 2.3
 """Diameter of a camera's mark: nearer ones have their numbers beside them."""
+_LETTER_MM = 1.9
+"""Width of a letter of their names."""
+_UPRIGHT_COSINE = 0.9
+"""Beside the drawing there is no room for a level name."""
 _ARC_STEP_RAD = math.radians(1.0)
 _ANGLE_EPSILON = 1e-6
 
@@ -35,8 +39,8 @@ _NOTE = (
     "Above: azimuths at which a camera sees the horizon; of one that sees none, the level ground that it sees "
     "(hatched).\n"
     "Below: what it sees in the upright plane of its optical axis, turned into the page to the front or the rear, "
-    "whichever is nearer.\nNothing stands in the way. Sees: the angles of both. Frame: x forward, y left, z up, origin "
-    "on the ground below the rear axle."
+    "whichever is nearer.\nNothing stands in the way. Field: that of the lens itself, across and down the image, "
+    "whichever way the camera is turned.\nFrame: x forward, y left, z up, origin on the ground below the rear axle."
 )
 
 
@@ -52,6 +56,18 @@ def vertical_arcs_rad(camera: RigCamera) -> list[tuple[float, float]]:
     straight up or down the plane is that of its image's upper edge.
     """
     return seen_arcs_rad(camera, _forward(camera), _UP)
+
+
+def field_of_view_rad(camera: RigCamera) -> tuple[float, float]:
+    """The lens's own field of view across and down the image, through the optical axis; however the camera is turned.
+
+    A fisheye of 190 degrees has 190 here also where it is pitched, and so sees more of the horizon than that.
+    """
+    right, down, ahead = camera.ego_from_camera[:3, :3].T
+    across, upright = (
+        sum(last - first for first, last in seen_arcs_rad(camera, ahead, side)) for side in (-right, -down)
+    )
+    return across, upright
 
 
 def _forward(camera: RigCamera) -> np.ndarray:
@@ -77,7 +93,8 @@ def rig_sheet(
       (`vertical_arcs_rad`), turned about the camera's vertical into the page, to the front or the rear, whichever is
       nearer to where it looks. It ends at the ground.
 
-    Fans end at the outermost range ring. Neither the vehicle nor anything else stands in their way.
+    Fans end at the outermost range ring, and from the side where the page has no more room, which is said there.
+    Neither the vehicle nor anything else stands in their way.
 
     Args:
         rig: The cameras.
@@ -100,7 +117,8 @@ def rig_sheet(
         raise ArgumentError("range_m", f"expected positive radii in metres, got {ring_m}")
     reach_m = ring_m[-1]
     top_m = max(0.3 * reach_m, high_m[2] + 0.5, *(camera.position_m[2] + 0.5 for camera in rig.cameras))
-    half_m = 1.09 * reach_m  # with room for names
+    # with room for names, and for a vehicle that is longer than the rings are wide
+    half_m = max(1.09 * reach_m, 0.52 * float((high_m - low_m)[:2].max()))
     rest_mm = _HEAD_MM + (len(rig.cameras) + 1) * _ROW_MM + _NOTE_MM + 2.0 * _GAP_MM + 2.0 * _MARGIN_MM
     width_mm = PAGE_MM[0]
 
@@ -110,6 +128,9 @@ def rig_sheet(
     wide = [one for one in SCALES if 2000.0 * half_m / one <= width_mm - 2.0 * _MARGIN_MM] or [SCALES[-1]]
     scale = next((one for one in wide if height_mm(one) <= PAGE_MM[1]), wide[-1] if rest_mm < 200.0 else wide[0])
     page_mm = max(PAGE_MM[1], height_mm(scale))
+    top_m = min(
+        max(reach_m, top_m), top_m + (page_mm - height_mm(scale)) * scale / 1000.0
+    )  # what the page has room for
 
     with figure_style():
         page = Page(width_mm, page_mm)
@@ -131,8 +152,10 @@ def rig_sheet(
             draw_vehicle(above, ego, is_outline=True)
             draw_vehicle(side, ego, from_side=True, is_outline=True)
         _draw_rings(above, side, ring_m, middle_m)
-        _draw_from_above(above, rig, middle_m, reach_m)
+        _draw_from_above(above, rig, middle_m, reach_m, 0.001 * scale)
         _draw_from_side(side, rig, middle_m, reach_m)
+        if top_m < reach_m:
+            _draw_cut(side, top_m)
         for axis, across in ((above, [0, 1]), (side, [0, 2])):
             _draw_marks(axis, np.array([camera.position_m[across] for camera in rig.cameras]), 0.001 * scale)
         below_mm += side_mm + _GAP_MM
@@ -171,7 +194,13 @@ def _draw_rings(above: Any, side: Any, ring_m: Sequence[float], middle_m: np.nda
     side.axhline(0.0, color=hex_colour(INK_RGB), linewidth=1.2, zorder=9, clip_on=False)
 
 
-def _draw_from_above(axis: Any, rig: Rig, middle_m: np.ndarray, reach_m: float) -> None:  # noqa: ANN401 (matplotlib)
+def _draw_from_above(
+    axis: Any,  # noqa: ANN401 (matplotlib)
+    rig: Rig,
+    middle_m: np.ndarray,
+    reach_m: float,
+    m_per_mm: float,
+) -> None:
     from matplotlib.patches import Circle
 
     border = Circle(tuple(middle_m), reach_m, transform=axis.transData)
@@ -192,20 +221,26 @@ def _draw_from_above(axis: Any, rig: Rig, middle_m: np.ndarray, reach_m: float) 
             forward = np.array([math.cos(middle_rad), math.sin(middle_rad)])
         end_m = centre_m + _distance_m(centre_m, forward, middle_m, reach_m) * forward - middle_m
         bearing_rad.append(math.atan2(end_m[1], end_m[0]))
-    for index, place_rad in enumerate(_apart(bearing_rad)):
+    names = [f"{index + 1} {camera.name}" for index, camera in enumerate(rig.cameras)]
+    long_rad = [_LETTER_MM * len(name) * m_per_mm / reach_m for name in names]
+    for index, place_rad in enumerate(_apart(bearing_rad, long_rad)):
         outwards = np.array([math.cos(place_rad), math.sin(place_rad)])
-        place_m = middle_m + 1.02 * reach_m * outwards
-        is_upright = abs(outwards[0]) > 0.9  # beside the drawing there is no room for a level name
+        is_upright = abs(outwards[0]) > _UPRIGHT_COSINE
         across = "left" if outwards[0] > 0.0 else "right"
+        # an upright name lies along the ring
+        place_m = middle_m + (1.05 if is_upright else 1.02) * reach_m * outwards
         axis.text(
             *place_m,
-            f"{index + 1} {rig.cameras[index].name}",
+            names[index],
             color=hex_colour(camera_rgb(index)),
             fontsize=7.5,
             fontweight="bold",
-            ha=across if is_upright or abs(outwards[0]) > 0.2 else "center",
+            ha="center" if is_upright or abs(outwards[0]) < 0.2 else across,
             va="center" if is_upright else "bottom" if outwards[1] > 0.0 else "top",
-            rotation=-90.0 if is_upright else 0.0,
+            rotation=math.degrees(place_rad if outwards[0] < 0.0 else place_rad - math.pi) + 90.0
+            if is_upright
+            else 0.0,
+            rotation_mode="anchor",
             zorder=10,
         )
 
@@ -219,6 +254,24 @@ def _draw_from_side(axis: Any, rig: Rig, middle_m: np.ndarray, reach_m: float) -
         for arc in vertical_arcs_rad(camera):
             outline_m = _fan_m(arc, centre_m, ground_m, reach_m, sign=sign, on_ground=True)
             _draw_fan(axis, outline_m, colour, alpha=0.05)  # many lie on each other
+
+
+def _draw_cut(axis: Any, top_m: float) -> None:  # noqa: ANN401 (matplotlib)
+    """Say at the upper edge of the view from the side that it ends there, and what it shows does not."""
+    grey = hex_colour(MUTED_RGB)
+    axis.axhline(top_m, color=grey, linewidth=0.8, linestyle=(0, (1, 2)), zorder=9, clip_on=False)
+    axis.annotate(
+        f"cut {top_m:.1f} m above the ground",
+        (1.0, top_m),
+        xycoords=("axes fraction", "data"),
+        xytext=(0, 3),
+        textcoords="offset points",
+        ha="right",
+        va="bottom",
+        fontsize=6.5,
+        color=grey,
+        annotation_clip=False,
+    )
 
 
 def _draw_marks(axis: Any, place_m: np.ndarray, m_per_mm: float) -> None:  # noqa: ANN401 (matplotlib)
@@ -291,14 +344,17 @@ def _draw_fan(axis: Any, outline_m: np.ndarray, colour: str, *, alpha: float) ->
     axis.plot(*np.vstack([outline_m, outline_m[:1]]).T, color=colour, linewidth=0.9, zorder=4)
 
 
-def _apart(bearing_rad: Sequence[float]) -> list[float]:
-    """Bearings moved apart where names would lie on each other."""
-    place = np.array(bearing_rad)
-    least_rad = math.radians(min(20.0, 300.0 / len(place)))
+def _apart(bearing_rad: Sequence[float], long_rad: Sequence[float]) -> list[float]:
+    """Bearings moved apart where names would lie on each other; upright ones are as long as stated."""
+    place, length = np.array(bearing_rad), np.array(long_rad)
+    usual_rad = math.radians(min(20.0, 300.0 / len(place)))
+    room = min(1.0, math.radians(300.0) / max(float(length.sum()), 1e-9))
     for _ in range(200):
         moved = False
         for i, j in itertools.combinations(range(len(place)), 2):
             gap = math.remainder(place[j] - place[i], 2.0 * math.pi)
+            both_upright = min(abs(math.cos(place[i])), abs(math.cos(place[j]))) > _UPRIGHT_COSINE
+            least_rad = max(usual_rad, 0.5 * room * (length[i] + length[j])) if both_upright else usual_rad
             if abs(gap) < least_rad - 1e-3:
                 push = 0.5 * (least_rad - abs(gap)) * (1.0 if gap >= 0.0 else -1.0)
                 place[i], place[j], moved = place[i] - push, place[j] + push, True
@@ -307,16 +363,13 @@ def _apart(bearing_rad: Sequence[float]) -> list[float]:
     return [float(each) for each in place]
 
 
-_HEADINGS = ("camera", "module or lens", "image [px]", "sees [°]", "x, y, z [m]", "yaw, pitch, roll [°]")
+_HEADINGS = ("camera", "module or lens", "image [px]", "field [°]", "x, y, z [m]", "yaw, pitch, roll [°]")
 
 
 def _row(index: int, camera: RigCamera) -> tuple[str, ...]:
     model = camera.model
     lens = "" if model.lens is Lens.PINHOLE else f" {model.lens}"
-    seen = [
-        f"{math.degrees(sum(last - first for first, last in arcs)):.0f}" if arcs else "-"
-        for arcs in (horizontal_arcs_rad(camera), vertical_arcs_rad(camera))
-    ]
+    seen = [f"{math.degrees(each):.0f}" for each in field_of_view_rad(camera)]
     angles = (camera.yaw_rad, camera.pitch_rad, camera.roll_rad)
     return (
         f"{index + 1} {camera.name}",
