@@ -14,7 +14,9 @@ from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.scene import Scene
 from warpav.view import Canvas, drawing_of, kinds_of, plot
+from warpav.view.figures import detection_range
 from warpav.view.figures.from_above import camera_handles, ring_radii_m
+from warpav.view.figures.style import new_figure
 
 KINDS = ("plan", "range", "near_field", "redundancy", "resolution", "contact")
 
@@ -83,6 +85,45 @@ def test_they_say_what_they_show(street):
     sheet = words(drawn(rig(4, 90.0), "contact", street))
     assert "yaw 90°, pitch 0°, fov 90°" in sheet
     assert "own body" in sheet
+
+
+@pytest.mark.parametrize("half_m", [(0.35, 0.35), (0.02, 0.0), (3.0, 0.4)])
+def test_dimensions_are_clear_of_each_other_and_of_the_vehicle(half_m, street):
+    ahead_m, aside_m = half_m
+    places = ((3.6 + ahead_m, 0.0), (1.3, 1.1 + aside_m), (-1.2 - ahead_m, 0.0), (1.3, -1.1 - aside_m))
+    low = [
+        replace(each, position_m=np.array([*xy_m, 0.8]), pitch_rad=0.6)
+        for each, xy_m in zip(rig(4, 70.0).cameras, places, strict=True)
+    ]
+    figure = drawn({"low": Rig(low), "high": rig(4, 90.0)}, "near_field", street)
+    renderer = figure.canvas.get_renderer()
+    for axis in figure.axes[:2]:
+        texts = [text for text in axis.texts if text.get_text().endswith("unseen")]
+        boxes = [text.get_window_extent(renderer) for text in texts]
+        panel = axis.get_window_extent(renderer)
+        assert boxes
+        assert all(panel.x0 <= box.x0 and box.x1 <= panel.x1 for box in boxes)
+        assert not any(one.overlaps(other) for k, one in enumerate(boxes) for other in boxes[:k])
+        low_m, high_m = np.asarray(ego().bounds_m(), float)[:, :2]
+        body_px = axis.transData.transform([low_m[::-1], high_m[::-1]])
+        (x0, y0), (x1, y1) = body_px.min(axis=0), body_px.max(axis=0)
+        assert not any(box.x0 < x1 and box.x1 > x0 and box.y0 < y1 and box.y1 > y0 for box in boxes)
+
+
+def test_a_range_that_the_model_ends_keeps_its_line_and_has_ticks():
+    azimuth_rad = np.arange(8) * math.pi / 4.0
+    figure = new_figure(3.0, 3.0)
+    axis = figure.add_subplot(projection="polar")
+    range_m, limit_m = np.full(8, 100.0), np.array([50.0] * 5 + [200.0] * 3)
+    turn = np.append(azimuth_rad, 2.0 * math.pi)
+    detection_range._draw_line(axis, turn, range_m, limit_m, "red", "--")
+    whole, cut = (line.get_ydata() for line in axis.lines)
+    assert whole[5:8] == pytest.approx(100.0)
+    assert cut[:5] == pytest.approx(50.0)
+    assert np.isnan(cut[5:8]).all()
+    detection_range._draw_limit(axis, azimuth_rad, range_m, limit_m, "red", 4.0)
+    assert axis.lines[-1].get_ydata()[:2] == pytest.approx([50.0, 54.0])
+    assert len(axis.lines[-1].get_ydata()) == 9  # at 0, 90 and 180 degrees
 
 
 def test_cameras_have_their_names_of_several_rigs_under_the_names_of_these():

@@ -150,10 +150,12 @@ class Footprint:
     Attributes:
         middle_m: Middle of its bounds, x and y [m], [2].
         side: Outward unit normal and offset of every side: ``normal @ point + offset`` is positive outside, [side, 3].
+        corner_m: Corners, x and y, float64 [corner, 2].
     """
 
     middle_m: np.ndarray
     side: np.ndarray
+    corner_m: np.ndarray
 
     @classmethod
     def of(cls, ego: Mesh) -> Footprint:
@@ -161,7 +163,8 @@ class Footprint:
         from scipy.spatial import ConvexHull
 
         low_m, high_m = np.asarray(ego.bounds_m(), np.float64)
-        return cls(0.5 * (low_m + high_m)[:2], ConvexHull(np.asarray(ego.vertex_m, np.float64)[:, :2]).equations)
+        hull = ConvexHull(np.asarray(ego.vertex_m, np.float64)[:, :2])
+        return cls(0.5 * (low_m + high_m)[:2], hull.equations, hull.points[hull.vertices])
 
     def contains(self, point_m: np.ndarray) -> np.ndarray:
         """Whether points are inside or on the border, [..., 2] in, bool [...] out."""
@@ -174,6 +177,20 @@ class Footprint:
         along = across @ self.side[:, :2].T
         distance_m = np.where(along > 1e-12, inside / np.maximum(along, 1e-12), np.inf).min(axis=1)
         return self.middle_m + distance_m[:, None] * across
+
+    def ring_m(self, distance_m: float, *, direction_count: int = 720) -> np.ndarray:
+        """The closed line at a distance from the border, by the direction of its outward normal.
+
+        Args:
+            distance_m: From the border [m]; 0: the border itself.
+            direction_count: Number of its points; sides come between two of them.
+
+        Returns:
+            x and y [m], float64 [direction, 2]; the first is ahead, the others follow to the left.
+        """
+        turn_rad = np.arange(direction_count) * 2.0 * math.pi / direction_count
+        normal = np.stack([np.cos(turn_rad), np.sin(turn_rad)], axis=-1)
+        return self.corner_m[(normal @ self.corner_m.T).argmax(axis=1)] + distance_m * normal
 
 
 @dataclass(frozen=True, eq=False)

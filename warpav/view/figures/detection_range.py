@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from warpav.detection.probability import DetectionProbability
 from warpav.evaluation.detection_range import LEAST_HEIGHT_PX, DetectionRange
 from warpav.view.figures.from_above import panels_with_key, ring_radii_m, write_key
-from warpav.view.figures.style import caption, figure_style, title
+from warpav.view.figures.style import caption, figure_style
 from warpav.view.palette import INK_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
@@ -19,7 +20,20 @@ if TYPE_CHECKING:
     from warpav.rig.rig import Rig
 
 _LEVELS = {0.5: "-", 0.9: (0, (4, 1.5))}
-_LIMIT: Any = (0, (1, 1.2))
+_MARKERS = "os^Dv"
+"""Of lines in their order; beyond the last they begin again."""
+_MARK_EVERY = 9
+"""Directions from mark to mark: those of lines after each other are between each other's."""
+_TICK_EVERY = 2
+"""Directions from tick to tick where a line ends at the limit of the model."""
+_TICK = 0.022
+"""Length of a tick over the radius of the panel."""
+_TITLE_PAD_PT = 14.0
+"""From a title to the panel: the name of the front is between them."""
+_LEAST_GAP = 0.07
+"""Between the outermost ring whose distance is written and the border, over the radius of the panel."""
+_RING_AZIMUTH_RAD = math.radians(202.5)
+"""Where distances of rings are written."""
 
 
 def range_figure(
@@ -35,8 +49,8 @@ def range_figure(
     user alone: area, shape, distance from the image's border. It heads as the own vehicle does, has the contrast of an
     average object, and stands every 5 degrees at 18 distances from 5 to 500 m; see
     `warpav.evaluation.detection_range`. Lines end where the image becomes smaller than the model speaks for
-    (`DetectionRange.limit_m`) and are dotted there: the road user is found up to there, and nothing is known of what
-    is farther. The model knows neither haze nor blur: it says what the detector makes of so many clean pixels.
+    (`DetectionRange.limit_m`) and have ticks outwards there: the road user is found up to there, and nothing is known
+    of what is farther. The model knows neither haze nor blur: it says what the detector makes of so many clean pixels.
 
     Args:
         rigs: By name, at least one; of one, every class has a line; of several, every class has a panel.
@@ -69,21 +83,29 @@ def range_figure(
         reach_m = max(float(np.minimum(each.range_m(0.5), limits_m[name]).max()) for name, each in found.items())
         reach_m = min(1.08 * max(reach_m, first.distances_m[0]), 1.02 * first.distances_m[-1])
         for axis, shown in zip(panels, panels_of, strict=True):
-            _prepare(axis, reach_m)
+            _prepare(axis, reach_m, is_large=is_one)
             for index, (row, _) in enumerate(shown):
                 for number, (name, each) in enumerate(found.items()):
-                    colour = hex_colour(camera_rgb(index if is_one else number))
+                    place = index if is_one else number
+                    colour = hex_colour(camera_rgb(place))
+                    limit_m = limits_m[name][row]
                     for least, style in _LEVELS.items():
-                        _draw_line(axis, turn, each.range_m(least)[row], limits_m[name][row], colour, style)
-            title(axis, "" if is_one else shown[0][1])
-        lines = [Line2D([], [], color=hex_colour(camera_rgb(k)), label=name) for k, name in enumerate(names)]
+                        _draw_line(axis, turn, each.range_m(least)[row], limit_m, colour, style)
+                    _draw_limit(axis, first.azimuth_rad, each.range_m(0.5)[row], limit_m, colour, _TICK * reach_m)
+                    for least in _LEVELS:
+                        _draw_marks(axis, first.azimuth_rad, np.minimum(each.range_m(least)[row], limit_m), place)
+            if not is_one:
+                axis.set_title(shown[0][1], pad=_TITLE_PAD_PT)
+        lines = [
+            Line2D([], [], color=hex_colour(camera_rgb(k)), label=name, **_mark(k)) for k, name in enumerate(names)
+        ]
         ink = hex_colour(INK_RGB)
         levels = [
             Line2D([], [], color=ink, linestyle=style, label=f"detected with a probability of at least {least:g}")
             for least, style in _LEVELS.items()
         ]
-        limit = f"ends there: farther, its image is less than {LEAST_HEIGHT_PX:g} px high"
-        levels.append(Line2D([], [], color=ink, linestyle=_LIMIT, label=limit))
+        limit = f"at least so far (both): beyond the ticks, its image is less than {LEAST_HEIGHT_PX:g} px high"
+        levels.append(Line2D([], [], color=ink, marker=2, markersize=5, label=limit))
         write_key(key, {"Road user" if is_one else "Rig": lines, "Up to this distance": levels}, widths=(1, 2))
         caption(
             figure,
@@ -91,9 +113,19 @@ def range_figure(
             f"model, best camera.\nIt speaks for images at least {LEAST_HEIGHT_PX:g} px high in the detector's input.\n"
             "Distances follow from sizes of images, not from tests at these distances.",
         )
+        figure.get_layout_engine().set(w_pad=0.1)  # names of directions beside each other
         if heading:
             figure.suptitle(heading, x=0.01, ha="left", fontweight="bold")
         return figure
+
+
+def _mark(place: int) -> dict[str, Any]:
+    return {
+        "marker": _MARKERS[place % len(_MARKERS)],
+        "markersize": 5,
+        "markeredgecolor": "white",
+        "markeredgewidth": 0.6,
+    }
 
 
 def _draw_line(
@@ -104,22 +136,56 @@ def _draw_line(
     colour: str,
     style: Any,  # noqa: ANN401 (of lines, as matplotlib takes it)
 ) -> None:
-    """Draw a range by azimuth, dotted where it ends at the limit of the model."""
+    """Draw a range by azimuth; where it ends at the limit of the model, whole, whatever its style elsewhere."""
     line_m = np.minimum(range_m, limit_m)
-    is_cut = (range_m >= limit_m - 1e-6) & (line_m > 0.0)
+    is_cut = _is_cut(range_m, limit_m)
     # between a cut and an uncut direction the line belongs to the range
-    is_solid = ~is_cut | np.roll(~is_cut, 1) | np.roll(~is_cut, -1)
-    for shown, dashes, width in ((is_solid, style, 1.5), (is_cut, _LIMIT, 1.2)):
+    is_range = ~is_cut | np.roll(~is_cut, 1) | np.roll(~is_cut, -1)
+    for shown, dashes in ((is_range, style), (is_cut, "-")):
         part_m = np.where(shown, line_m, np.nan)
-        axis.plot(turn, np.append(part_m, part_m[0]), color=colour, linestyle=dashes, linewidth=width)
+        axis.plot(turn, np.append(part_m, part_m[0]), color=colour, linestyle=dashes, linewidth=1.5)
 
 
-def _prepare(axis: Any, reach_m: float) -> None:  # noqa: ANN401 (matplotlib)
+def _is_cut(range_m: np.ndarray, limit_m: np.ndarray) -> np.ndarray:
+    """Where a range ends at the limit of the model, bool [azimuth]."""
+    return np.asarray((range_m >= limit_m - 1e-6) & (limit_m > 0.0))
+
+
+def _draw_limit(
+    axis: Any,  # noqa: ANN401 (matplotlib)
+    azimuth_rad: np.ndarray,
+    range_m: np.ndarray,
+    limit_m: np.ndarray,
+    colour: str,
+    tick_m: float,
+) -> None:
+    """Draw ticks outwards where a range ends at the limit of the model."""
+    cut = np.flatnonzero(_is_cut(range_m, limit_m))
+    cut = cut[cut % _TICK_EVERY == 0]
+    ends_m = [limit_m[cut], limit_m[cut] + tick_m, np.full(len(cut), np.nan)]
+    axis.plot(np.repeat(azimuth_rad[cut], 3), np.stack(ends_m, axis=1).ravel(), color=colour, linewidth=0.9)
+
+
+def _draw_marks(axis: Any, azimuth_rad: np.ndarray, line_m: np.ndarray, place: int) -> None:  # noqa: ANN401 (matplotlib)
+    """Draw a line's marks, by which it is known without its colour."""
+    at = np.arange((2 * place) % _MARK_EVERY, len(line_m), _MARK_EVERY)
+    at = at[line_m[at] > 0.0]
+    axis.plot(azimuth_rad[at], line_m[at], color=hex_colour(camera_rgb(place)), linestyle="none", **_mark(place))
+
+
+def _prepare(axis: Any, reach_m: float, *, is_large: bool) -> None:  # noqa: ANN401 (matplotlib)
     """Polar axes with the front up and the left on the left, rings in metres."""
     axis.set_theta_zero_location("N")
     axis.set_thetagrids(
         range(0, 360, 45), ["front", "45°", "left", "135°", "rear", "-135°", "right", "-45°"], fontsize=8
     )
     ring_m = ring_radii_m(reach_m)
-    axis.set_rgrids(ring_m, [f"{each:g} m" for each in ring_m], angle=202.5, fontsize=7, color=hex_colour(INK_RGB))
+    axis.set_rgrids(ring_m, [""] * len(ring_m))
     axis.set_ylim(0.0, reach_m)
+    paper = {"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.5}
+    # as many as there is room for: the innermost is among the lines, the outermost beside the names of directions
+    step = 1 if is_large else 2
+    for each in ring_m[step - 1 :: step]:
+        if each < (1.0 - _LEAST_GAP) * reach_m:
+            style = {"fontsize": 7, "color": hex_colour(INK_RGB), "ha": "center", "va": "center", "bbox": paper}
+            axis.text(_RING_AZIMUTH_RAD, each, f"{each:g} m", zorder=3, **style)
