@@ -164,7 +164,6 @@ def add_gain(
     painted = painted.extract_cells(np.isfinite(painted.cell_data["gain_of_100"])).extract_surface(algorithm=None)
     if not painted.n_cells:
         return
-    font_size = max(9, round(16 * min(1.0, plotter.window_size[0] / 1280)))
     plotter.add_mesh(
         painted,
         scalars="gain_of_100",
@@ -172,16 +171,34 @@ def add_gain(
         clim=(0.0, max(100.0 * float(further.gain.max()), 1e-9)),
         lighting=False,
         name=name,
-        scalar_bar_args={
-            "title": GAIN_TITLE,
-            "color": hex_colour(INK_RGB),
-            "fmt": "%.1f",
-            "n_labels": 3,
-            "position_x": scale_at[0],
-            "position_y": scale_at[1],
-            "width": 0.35,
-            "height": 0.09,
-            "title_font_size": font_size,
-            "label_font_size": font_size,
-        },
+        scalar_bar_args=scale_of_gain(plotter, GAIN_TITLE, scale_at),
     )
+    lift_title(plotter, GAIN_TITLE)
+
+
+def scale_of_gain(plotter: Plotter, title: str, scale_at: tuple[float, float]) -> dict[str, Any]:
+    """How pyvista draws the scale of what one more camera would bring: its title clear of its numbers.
+
+    Args:
+        plotter: Where to draw.
+        title: Of the scale.
+        scale_at: Its lower left corner, as shares of the window's width and height.
+    """
+    font_size = max(9, round(16 * min(1.0, plotter.window_size[0] / 1280)))
+    return {
+        "title": title,
+        "color": hex_colour(INK_RGB),
+        "fmt": "%.1f",
+        "n_labels": 3,
+        "position_x": scale_at[0],
+        "position_y": scale_at[1],
+        "width": 0.35,
+        "height": 0.115,
+        "title_font_size": font_size,
+        "label_font_size": font_size,
+    }
+
+
+def lift_title(plotter: Plotter, title: str) -> None:
+    """Move the title of a scale away from its numbers, which it touches as VTK sets it."""
+    plotter.scalar_bars[title].SetTitle(f"{title}\n ")

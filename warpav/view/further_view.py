@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.view.body_view import lift_title, scale_of_gain
 from warpav.view.opengl import load_pyvista
-from warpav.view.palette import INK_RGB, further_map, hex_colour
+from warpav.view.palette import further_map
 
 if TYPE_CHECKING:
     from warpav.optimisation.further_camera import FurtherCameras
@@ -47,20 +48,26 @@ def further_to_pyvista(further: FurtherCameras) -> PolyData:
     return pyvista.merge(parts)
 
 
-def add_further_cameras(plotter: Plotter, further: FurtherCameras | None, *, name: str = "further_cameras") -> None:
+def add_further_cameras(
+    plotter: Plotter,
+    further: FurtherCameras | None,
+    *,
+    name: str = "further_cameras",
+    scale_at: tuple[float, float] = (0.325, 0.87),
+) -> None:
     """Add what each further camera would bring, with a scale; what was drawn before under the same name goes.
 
     Args:
         plotter: Where to draw.
         further: The cameras; None: nothing is drawn.
         name: Of the actor.
+        scale_at: Lower left corner of the scale, as shares of the window's width and height.
     """
     plotter.remove_actor(name)
     if TITLE in plotter.scalar_bars:
         plotter.remove_scalar_bar(TITLE)
     if further is None or not len(further):
         return
-    font_size = max(9, round(16 * min(1.0, plotter.window_size[0] / 1280)))
     plotter.add_mesh(
         further_to_pyvista(further),
         scalars="gain_of_100",
@@ -68,16 +75,6 @@ def add_further_cameras(plotter: Plotter, further: FurtherCameras | None, *, nam
         clim=(0.0, max(100.0 * float(further.gain.max()), 1e-9)),
         ambient=0.5,
         name=name,
-        scalar_bar_args={
-            "title": TITLE,
-            "color": hex_colour(INK_RGB),
-            "fmt": "%.1f",
-            "n_labels": 3,
-            "position_x": 0.36,
-            "position_y": 0.9,
-            "width": 0.27,
-            "height": 0.08,
-            "title_font_size": font_size,
-            "label_font_size": font_size,
-        },
+        scalar_bar_args=scale_of_gain(plotter, TITLE, scale_at),
     )
+    lift_title(plotter, TITLE)

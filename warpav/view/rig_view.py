@@ -45,6 +45,9 @@ VIEW_ELEVATION_RAD = math.radians(33.0)
 BODY_ZOOM, BODY_ELEVATION_RAD, BODY_FRUSTUM_DEPTH_M = 1.9, math.radians(52.0), 0.4
 """Of images that show what stands on the vehicle."""
 
+SCALE_AT = (0.62, 0.025)
+"""Lower left corner of the scale of what one more camera would bring, as shares of the image."""
+
 GROUND_CUT_M = 0.6
 """What of the environment lies lower is ground; what rises above it counts as building."""
 
@@ -135,7 +138,8 @@ def rig_plotter(
     if mount_surface is not None and further is None:
         add_mount_surface(plotter, mount_surface)
     if rig is not None:
-        add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors, labels=labels)
+        taken_px = _taken_px(plotter, title, has_scale=further is not None)
+        add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors, labels=labels, taken_px=taken_px)
     if visibility and rig is not None and scene is not None:
         from warpav.scene.device_scene import DeviceScene
         from warpav.view.visibility_view import add_visibility
@@ -156,14 +160,25 @@ def rig_plotter(
         from warpav.view.further_view import add_further_cameras
 
         if mount_surface is None:
-            add_further_cameras(plotter, further)
+            add_further_cameras(plotter, further, scale_at=SCALE_AT)
         else:
-            add_gain(plotter, mount_surface, further)
+            add_gain(plotter, mount_surface, further, scale_at=SCALE_AT)
     if title:
         plotter.add_text(
             title, position=(0.02, 0.945), viewport=True, font_size=11, color=hex_colour(INK_RGB), name="title"
         )
     return plotter
+
+
+def _taken_px(plotter: Plotter, title: str | None, *, has_scale: bool) -> np.ndarray:
+    """Where title and scale are written, left, upper, right and lower edge [px], [box, 4]; names keep clear of them."""
+    width, height = plotter.window_size
+    boxes = []
+    if title:
+        boxes.append([0.0, 0.0, 0.02 * width + 0.022 * height * len(title), 0.07 * height])
+    if has_scale:
+        boxes.append([(SCALE_AT[0] - 0.01) * width, (1.0 - SCALE_AT[1] - 0.13) * height, width, height])
+    return np.reshape(np.array(boxes, np.float64), (-1, 4))
 
 
 @contextmanager
@@ -437,6 +452,7 @@ def add_rig(
     frustum_depth_m: float = FRUSTUM_DEPTH_M,
     sectors: bool = True,
     labels: bool = True,
+    taken_px: np.ndarray | None = None,
 ) -> None:
     """Add the cameras of a rig: body, frustum, sector on the ground, name.
 
@@ -447,11 +463,12 @@ def add_rig(
         frustum_depth_m: How far the frustums are drawn [m].
         sectors: Whether to draw on the ground what bearings each camera covers.
         labels: Whether to name the cameras.
+        taken_px: Where something else is written, see `label_anchors_m`.
     """
     for index, camera in enumerate(rig.cameras):
         add_camera(plotter, camera, index, name=name, frustum_depth_m=frustum_depth_m, sector=sectors)
     if labels:
-        _add_labels(plotter, rig.cameras, depth_m=frustum_depth_m, name=name)
+        _add_labels(plotter, rig.cameras, depth_m=frustum_depth_m, name=name, taken_px=taken_px)
 
 
 def add_camera(
@@ -582,14 +599,21 @@ def _add_sector(plotter: Plotter, camera: RigCamera, colour: Rgb, *, name: str) 
     plotter.add_mesh(wedge, scalars="RGBA", rgb=True, lighting=False, name=f"{name}/sector")
 
 
-def _add_labels(plotter: Plotter, cameras: Sequence[RigCamera], *, depth_m: float, name: str) -> None:
+def _add_labels(
+    plotter: Plotter,
+    cameras: Sequence[RigCamera],
+    *,
+    depth_m: float,
+    name: str,
+    taken_px: np.ndarray | None = None,
+) -> None:
     """Names above the frustums, put so that none hides another from the present view."""
     point = [frustum_points(camera, depth_m=depth_m) for camera in cameras]
     anchor = np.array([corner[1:].mean(axis=0) for corner in point])
     anchor[:, 2] = [corner[:, 2].max() + 0.12 for corner in point]
     scale = min(1.0, max(0.5, plotter.window_size[0] / WINDOW_PX[0]))
     size_px = scale * np.array([[9.5 * len(camera.name) + 14.0, 28.0] for camera in cameras])
-    anchor = label_anchors_m(plotter, anchor, size_px)
+    anchor = label_anchors_m(plotter, anchor, size_px, taken_px=taken_px)
     for index, camera in enumerate(cameras):
         plotter.add_point_labels(
             anchor[index][None],
@@ -607,13 +631,16 @@ def _add_labels(plotter: Plotter, cameras: Sequence[RigCamera], *, depth_m: floa
         )
 
 
-def label_anchors_m(plotter: Plotter, wanted_m: np.ndarray, size_px: np.ndarray) -> np.ndarray:
+def label_anchors_m(
+    plotter: Plotter, wanted_m: np.ndarray, size_px: np.ndarray, *, taken_px: np.ndarray | None = None
+) -> np.ndarray:
     """Anchors of labels so that none overlaps another or leaves the image, as near as possible to what is wanted.
 
     Args:
         plotter: The plotter, with its view set.
         wanted_m: Where the middles of the labels would like to be [m], shape [label, 3].
         size_px: Width and height of each label [px], shape [label, 2].
+        taken_px: Boxes that labels keep clear of: left, upper, right and lower edge [px], shape [box, 4]; None: none.
 
     Returns:
         Points at which the lower left corners of the labels belong [m], float64, shape [label, 3].
@@ -637,6 +664,8 @@ def label_anchors_m(plotter: Plotter, wanted_m: np.ndarray, size_px: np.ndarray)
         clear = ((candidate >= room) & (candidate <= image_px - room)).all(axis=1)
         for other, other_px in zip(placed, placed_px, strict=True):
             clear &= (np.abs(candidate - other_px) >= room + size_px[other] / 2.0).any(axis=1)
+        for box in np.zeros((0, 4)) if taken_px is None else taken_px:
+            clear &= ((candidate + room <= box[:2]) | (candidate - room >= box[2:])).any(axis=1)
         chosen = int(np.argmax(clear))  # the first, its wish, should none be clear
         right_px, down_px = step[chosen] + room * np.array([-1.0, 1.0])
         corner_m[index] += (right_px * right - down_px * above) / px_per_m[index]
