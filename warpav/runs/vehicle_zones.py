@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -29,12 +30,16 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
         path: A mesh file as ``scenes.ego`` takes it.
         config: Its section ``mount`` says how fine zones are, and how steep.
         out: YAML file to write them to.
-        image: PNG file to draw them into.
+        image: File to draw them into; a PNG file shows them from the front left and from the rear right.
 
     Raises:
         InputError: The file holds no vehicle, no zone was found, or a file cannot be written.
     """
+    from PIL import Image
+
+    from warpav.view.output import write_whole
     from warpav.view.plotting import plot
+    from warpav.view.vehicle_view import zones_image_rgb
 
     mesh = read_vehicle(path)
     names = part_names(path, mesh)
@@ -66,7 +71,13 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
         yield f"  {zone.name:11} {np.count_nonzero(inside) * chart.cell_m**2:.2f} m²"
     yield f"wrote {out}; edit it, and use it with mount.zones={out}"
     if image is not None:
-        plot(mesh, mount_surface=chart, title=f"zones of {path.name}", out=image)
+        title = f"zones of {path.name}"
+        if image.suffix.lower() == ".png":
+            encoded = io.BytesIO()
+            Image.fromarray(zones_image_rgb(mesh, chart, title=title)).save(encoded, format="PNG", optimize=True)
+            write_whole(image, encoded.getvalue())
+        else:
+            plot(mesh, mount_surface=chart, title=title, out=image)
         yield f"wrote {image}"
 
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from warpav.view.body_view import LIFT_M, add_zones, mountable_zone_to_pyvista
 from warpav.view.opengl import has_display, load_pyvista
+from warpav.view.output import render_rgb
 from warpav.view.palette import INK_RGB, PAPER_RGB, hex_colour
-from warpav.view.rig_view import add_axes, add_ego, add_ground, look_at_ego
+from warpav.view.rig_view import VIEW_AZIMUTH_RAD, add_axes, add_ego, add_ground, look_at_ego
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     Plotter = Any
 
 VEHICLE_PX = (1280, 720)
+ZONES_VIEW_PX = (880, 720)
+"""Of each of the two views of zones."""
 
 
 def vehicle_plotter(
@@ -32,8 +35,9 @@ def vehicle_plotter(
     window_size: tuple[int, int] = VEHICLE_PX,
     zoom: float = 1.0,
     off_screen: bool | None = None,
+    azimuth_rad: float = VIEW_AZIMUTH_RAD,
 ) -> Plotter:
-    """A plotter that shows a vehicle from its front left; not yet shown.
+    """A plotter that shows a vehicle, by default from its front left; not yet shown.
 
     Args:
         vehicle: In the ego frame; None: only the surface.
@@ -44,6 +48,7 @@ def vehicle_plotter(
         window_size: Width and height [px].
         zoom: 1 fills the image with the vehicle, less shows more around it.
         off_screen: Whether to draw without a window; by default if there is no display.
+        azimuth_rad: Bearing of the viewer from the vehicle, left positive [rad].
 
     Raises:
         InputError: Nothing can be drawn on this machine.
@@ -59,7 +64,7 @@ def vehicle_plotter(
     plotter.set_background(hex_colour(PAPER_RGB))
     plotter.enable_anti_aliasing("msaa", multi_samples=8)
     bounds_m = vehicle.bounds_m().astype(np.float64) if vehicle is not None else _bounds_of_zone_m(surface)
-    look_at_ego(plotter, bounds_m, elevation_rad=math.radians(36.0), zoom=zoom)
+    look_at_ego(plotter, bounds_m, azimuth_rad=azimuth_rad, elevation_rad=math.radians(36.0), zoom=zoom)
     plotter.camera.view_angle = 19.0
     if vehicle is not None:
         add_ego(plotter, vehicle)
@@ -78,6 +83,42 @@ def vehicle_plotter(
             title, position=(0.02, 0.93), viewport=True, font_size=11, color=hex_colour(INK_RGB), name="title"
         )
     return plotter
+
+
+def zones_image_rgb(vehicle: Mesh, surface: MountSurface, *, title: str) -> np.ndarray:
+    """A vehicle with its zones from above, twice: from its front left and from its rear right, so that all are seen.
+
+    Args:
+        vehicle: In the ego frame.
+        surface: Its mount surface, of zones.
+        title: A line in the upper left corner.
+
+    Returns:
+        uint8, shape [row, column, 3].
+
+    Raises:
+        InputError: Nothing can be drawn on this machine.
+    """
+    views = []
+    for words, azimuth_rad in (
+        (f"{title}, from the front left", VIEW_AZIMUTH_RAD),
+        ("from the rear right", VIEW_AZIMUTH_RAD + math.pi),
+    ):
+        plotter = vehicle_plotter(
+            vehicle,
+            surface=surface,
+            title=words,
+            window_size=ZONES_VIEW_PX,
+            zoom=1.15,
+            off_screen=True,
+            azimuth_rad=azimuth_rad,
+        )
+        if views:  # the legend once is enough, and most of the axes is behind the body
+            for each in [each for each in plotter.actors if "/legend/" in each or each.startswith(("axis", "origin"))]:
+                plotter.remove_actor(each)
+        views.append(render_rgb(plotter))
+        plotter.close()
+    return np.concatenate(views, axis=1)
 
 
 def _bounds_of_zone_m(surface: MountSurface | None) -> np.ndarray:
