@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,9 +11,10 @@ from hypothesis import strategies as st
 
 from tests.cli.small_run import SMALL, complaint
 from warpav.cli.app import main
+from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera, read_rig
 from warpav.runs.config import Config
-from warpav.runs.rig_source import with_added_cameras
+from warpav.runs.rig_source import start_changes, with_added_cameras
 from warpav.runs.run_folder import RunFolder
 
 pytestmark = pytest.mark.usefixtures("working_directory")
@@ -50,6 +52,19 @@ def test_a_frozen_camera_stays_and_the_others_move(working_directory, capsys):
             (found,) = json.load(file)["arms"].values()
         assert found["objective"] is not None
         assert found["constraint_violation"] == 0.0
+
+
+def test_all_cameras_that_lose_their_lens_are_named():
+    models = [CameraModel(64, 48, math.radians(deg)) for deg in (90.0, 100.0, 100.0, 120.0)]
+    cameras = [
+        RigCamera(name, np.array([k, 0.0, 2.0]), model=model)
+        for k, (name, model) in enumerate(zip("abcd", models, strict=True))
+    ]
+    begun = Rig([replace(camera, model=models[0]) for camera in cameras])
+    told = start_changes(Rig(cameras), begun)
+    assert "b and c begin as pinhole 90 deg 64 x 48 px instead of pinhole 100 deg 64 x 48 px; d begins as" in told
+    assert told.count("since only cameras of rig.freeze keep their lens") == 1
+    assert start_changes(begun, begun) == ""
 
 
 def test_cameras_that_a_start_lacks_are_added_around_those_that_stay(working_directory, capsys):

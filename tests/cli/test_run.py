@@ -142,6 +142,8 @@ def test_rigs_beside_the_first_are_measured_on_the_same_scenes(run_folder, worki
     found, alone = (json.loads((working_directory / name).read_text()) for name in ("m.json", "alone.json"))
     assert list(found["arms"]) == ["highest", "mine", "nuscenes", "a/mine.yaml"]
     assert found["arms"]["mine"] == found["arms"]["a/mine.yaml"]
+    assert found["arms"]["mine"]["objective"] is not None  # of other cameras than the configuration's
+    assert found["camera_outage"]["mine"] is not None
     assert _numbers(found["arms"]["nuscenes"]) == pytest.approx(_numbers(alone["arms"]["nuscenes"]), abs=1e-6)
     assert set(found["paired"]) == {"mine", "nuscenes", "a/mine.yaml"}
     assert list(found["constraints"]) == ["highest"]

@@ -77,6 +77,12 @@ def test_equal_differences_give_that_number_and_no_more_confidence_than_the_scen
     assert none.p_value == pytest.approx(1.0, rel=0.02)
 
 
+def test_rounding_is_no_difference():
+    found = paired_difference([0.1 + 0.2] * 8, [0.3] * 8)  # 5.6e-17 apart
+    assert (found.mean, found.low, found.high, found.p_value) == (0.0, 0.0, 0.0, 1.0)
+    assert paired_difference([0.3 + 1e-9] * 8, [0.3] * 8).low > 0.0
+
+
 def test_scenes_without_a_number_on_either_side_are_left_out():
     found = paired_difference([1.0, None, 3.0, 4.0], [0.0, 0.0, math.nan, 2.0])
     assert (found.mean, found.scenes) == (1.5, 2)

@@ -121,6 +121,13 @@ def test_rivals_search_the_whole_body_and_the_highest_rig_stays_on_the_roof(ego)
     assert [roof_m[:, 0].argmax(), roof_m[:, 1].argmax(), roof_m[:, 0].argmin(), roof_m[:, 1].argmin()] == [0, 1, 2, 3]
     assert np.ptp(roof_m[:, 0]) > (1.2 if ego == "car" else 4.0)
     assert constraints.violation_m(mount.rig(pose.astype(np.float32))) == 0.0
+    # on the bracket, not on the paint
+    off = mount.within(mount.off_the_skin(pose.astype(np.float32)))
+    apart_m = [
+        b.position_m - a.position_m
+        for a, b in zip(mount.rig(pose.astype(np.float32)).cameras, mount.rig(off).cameras, strict=True)
+    ]
+    np.testing.assert_allclose(np.linalg.norm(apart_m, axis=1), 0.03, atol=2e-3)
 
 
 def test_bad_words_are_told_in_one_line(capsys):

@@ -162,6 +162,8 @@ def _paired(
     if not count or (is_share and not second.any()):
         return Difference(None, None, None, None, None, count)
 
+    noise = _NOISE * (1.0 if is_share else max(float(np.abs(table).max()) for table in (first, second)))
+
     def combined(scenes: np.ndarray, *runs: np.ndarray, axis: int = -1) -> np.ndarray:
         """Of resampled indices, [..., scene] and, for every arm of several runs, [..., run]."""
         del axis  # always the last
@@ -172,7 +174,8 @@ def _paired(
                 by_scene.append(table[next(runs_left)[..., :, None], scenes[..., None, :]].mean(axis=-2))
             else:
                 by_scene.append(table[0, scenes])
-        return combine(by_scene[0], by_scene[1], weights[scenes])
+        found = combine(by_scene[0], by_scene[1], weights[scenes])
+        return np.where(np.abs(found) <= noise, 0.0, found)  # sums in another order are no difference
 
     units = [np.arange(count), *(np.arange(len(table)) for table in (first, second) if len(table) > 1)]
     mean = float(combined(*units))
@@ -483,3 +486,7 @@ def _p_value(interval_at: Callable[[float], tuple[float, float]], least: float) 
         else:
             leaves_out = middle
     return leaves_out
+
+
+_NOISE = 1e-12
+"""Of the greatest number: a difference up to which is rounding."""

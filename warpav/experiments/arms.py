@@ -514,7 +514,7 @@ def _practice(placement: Placement, pose_of: Callable[[Constraints, int], np.nda
     """A rig that needs no search."""
     mount = placement.objective.mount
     pose = pose_of(placement.objective.constraints, placement.config.rig.cameras).astype(np.float32)
-    pose = mount.within(pose)
+    pose = mount.within(mount.off_the_skin(pose))
     found = mount.rig(pose)
     return FoundRig(found, found, 0, {}, mount_pose=pose)
 

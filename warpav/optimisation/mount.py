@@ -335,6 +335,16 @@ class CameraMount:
             pose[self.frozen.is_frozen] = self.frozen.mount_pose[self.frozen.is_frozen]
         return pose
 
+    def off_the_skin(self, mount_pose: np.ndarray) -> np.ndarray:
+        """Mount poses [camera, 7] as far off the skin as zones let them stand, of the same type; without zones as is.
+
+        A camera on the skin itself sees body from the horizon downwards: who mounts one by hand uses the bracket.
+        """
+        pose = np.array(mount_pose)
+        if self.surface.zones:
+            pose[:, HEIGHT_DELTA_M] = self.ends_of(pose[:, [X_M, Y_M]])[1][:, HEIGHT_DELTA_M]
+        return pose
+
     def clipped(self, mount_pose: np.ndarray) -> np.ndarray:
         """The nearest mount poses [camera, 7] within the ranges of the zones that they are in, of the same type."""
         pose = np.array(mount_pose)

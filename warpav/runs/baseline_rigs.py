@@ -13,14 +13,17 @@ from warpav.runs.placement import Placement
 def highest_rig(placement: Placement) -> Rig:
     """The cameras of a placement around the highest point of its mount surface, evenly turned, the first forward.
 
+    On zones they stand as far off the skin as their zone lets them.
+
     Args:
         placement: Gives number and model of the cameras, the vehicle and the constraints; frozen cameras stay.
 
     Raises:
         InputError: The cameras do not fit.
     """
+    mount = placement.mount
     pose = highest_mount_pose(placement.objective.constraints, placement.objective.camera_count)
-    return placement.mount.rig(placement.mount.within(pose))
+    return mount.rig(mount.within(mount.off_the_skin(pose)))
 
 
 def random_rig(placement: Placement, seed: int = 0) -> Rig:

@@ -294,7 +294,9 @@ def _rig_to_measure(source: str, placement: Placement, progress: Progress) -> Ri
     """The rig that ``source`` means; a preset stands on the body of the vehicle, with the images of a network."""
     config, ego = placement.config, placement.ego
     if not is_shipped(source):
-        return find_rig(source, config, ego, say=progress.say)
+        rig = find_rig(source, config, ego, say=progress.say)
+        know_cameras(rig, placement, progress)
+        return rig
     moved = preset_for(source, config, ego)
     know_cameras(moved.rig, placement, progress)
     sizes = dict.fromkeys(f"{each.model.width_px} x {each.model.height_px} px" for each in moved.rig.cameras)

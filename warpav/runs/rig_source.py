@@ -73,7 +73,8 @@ def find_rig(source: str, config: Config, ego: Mesh, *, say: Callable[[str], obj
         from warpav.optimisation.baselines import highest_mount_pose
 
         mount = camera_mount(config, ego)
-        return mount.rig(mount.clipped(highest_mount_pose(constraints_of(config, mount.surface), config.rig.cameras)))
+        pose = highest_mount_pose(constraints_of(config, mount.surface), config.rig.cameras)
+        return mount.rig(mount.clipped(mount.off_the_skin(pose)))
     rig = with_shared_model(read_rig(rig_file(source)), config)
     away = off_vehicle(rig, ego)
     if is_shipped(source) and (away or config.scenes.ego is not None):
@@ -238,17 +239,23 @@ def start_changes(start: Rig, begun: Rig) -> str:
     if len(start.cameras) < len(begun.cameras):
         changes.append(f"has {len(start.cameras)} of {len(begun.cameras)} cameras, and the run adds the others")
     position_m = np.array([camera.position_m for camera in begun.cameras])
-    moved_m, lens_change = 0.0, ""
+    moved_m = 0.0
+    with_other_lens: dict[tuple[str, str], list[str]] = {}
     for camera in start.cameras:
         away_m = np.linalg.norm(position_m - camera.position_m, axis=1)
         moved_m = max(moved_m, float(away_m.min()))
         was, now = (_model_words(each) for each in (camera.model, begun.cameras[int(away_m.argmin())].model))
-        if was != now and not lens_change:
-            lens_change = (
-                f"{camera.name} begins as {now} instead of {was}, since only cameras of rig.freeze keep their lens; "
-                "camera.* or rig.modules say that of the others"
-            )
-            changes.append(lens_change)
+        if was != now:
+            with_other_lens.setdefault((now, was), []).append(camera.name)
+    if with_other_lens:
+        lenses = "; ".join(
+            f"{' and '.join(names)} {'begins' if len(names) == 1 else 'begin'} as {now} instead of {was}"
+            for (now, was), names in with_other_lens.items()
+        )
+        changes.append(
+            f"{lenses}, since only cameras of rig.freeze keep their lens; "
+            "camera.* or rig.modules say that of the others"
+        )
     if moved_m > START_MOVED_M:
         changes.append(f"cameras move by up to {moved_m:.2f} m to where the mount has them")
     return "; ".join(changes)
