@@ -44,14 +44,19 @@ def test_all_kinds_of_a_run_are_plotted_into_a_folder(run_folder, capsys):
     [
         (
             ["nuscenes", "--kind", "plann"],
-            "--kind): expected all or one of a rig (view, sheet, plan, range, near_field",
+            "--kind): expected all, or a plot of a rig (view, sheet, plan, range, near_field",
         ),
+        (["nuscenes", "--kind", "plann"], "got 'plann'; did you mean plan?"),
+        (["nuscenes", "--kind", "search"], "got 'search'; search is a plot of a run"),
         (["nope", "--kind", "plan"], "nope: rig: expected a rig YAML"),
         (["nuscenes", "--kind", "plan", "--beside", "nope"], "nope: rig: expected a rig YAML"),
         (["nuscenes", "--kind", "plan", "--out", "plan.gif"], "plan.gif: --out: expected a name that ends in .png"),
         (["nuscenes", "--kind", "view", "--out", "view.svg"], "view.svg: expected a name that ends in .png"),
         (["nuscenes", "--kind", "all", "--out", "plan.png"], "plan.png: --out: expected a folder for kind all"),
-        (["nuscenes", "--kind", "contact", "--beside", "edgar"], "expected all or one of a comparison (plan, range"),
+        (
+            ["nuscenes", "--kind", "contact", "--beside", "edgar"],
+            "expected all, or a plot of a comparison (plan, range",
+        ),
     ],
 )
 def test_what_cannot_be_is_said_before_anything_is_loaded(capsys, monkeypatch, argv, words):

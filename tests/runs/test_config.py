@@ -420,6 +420,7 @@ def test_a_missing_file_is_named_with_a_suggestion(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert _message("quik") == "quik: config: expected a YAML file or a shipped name, got 'quik'; did you mean quick?"
     assert "shipped ones are" in _message("zzz.yaml")
+    assert "an option is given with its value, as rig.cameras=VALUE" in _message("rig.cameras")
     (tmp_path / "bytes.yaml").write_bytes(b"\xff\xfe\xff")
     assert _message("bytes.yaml") == "bytes.yaml: expected a readable YAML file, got: not UTF-8 text"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,9 @@ from warpav.view.output import check_suffix
 
 if TYPE_CHECKING:
     from warpav.core.progress import Progress
+
+
+_KINDS_OF = {"run": RunFolder, "rig": Rig, "comparison": dict}
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,12 @@ class AskedPlots:
             return cls(source, tuple(beside), {name: folder / f"{name}.png" for name in figures}, is_all=True)
         if kind not in kinds:
             what = "comparison" if beside else "run" if is_run else "rig"
-            raise ArgumentError("kind", f"expected all or one of a {what} ({', '.join(kinds)}), got {kind!r}")
+            of_others = [name for name, each in _KINDS_OF.items() if kind in kinds_of(each)]
+            near = difflib.get_close_matches(kind, kinds, 1, 0.5)
+            hint = (
+                f"; {kind} is a plot of a {of_others[0]}" if of_others else f"; did you mean {near[0]}?" if near else ""
+            )
+            raise ArgumentError("kind", f"expected all, or a plot of a {what} ({', '.join(kinds)}), got {kind!r}{hint}")
         file = Path(f"{kind}.png") if out is None else out
         if kind in figures:
             checked_figure(file)

@@ -309,7 +309,7 @@ def test_places_in_another_unit_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("carla", "expected carla-ros-bridge .* or carla-python .*, got carla; no file says which"),
+        ("carla", "expected carla-ros-bridge .* or carla-python .*, got carla, which may be either"),
         ("nuscene", "expected one of nuscenes, .*, got 'nuscene'; did you mean nuscenes?"),
         ("autowear", "did you mean autoware"),
     ],

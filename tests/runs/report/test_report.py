@@ -3,6 +3,7 @@
 import base64
 import dataclasses
 import json
+import math
 import re
 import shlex
 import sys
@@ -303,6 +304,18 @@ def words_of(folder, **changed):
     run = read_run(folder)
     told = [headline(run).text, *(statement.text for statement in summary(run))]
     return "\n".join(told).replace("\N{NO-BREAK SPACE}", " ")
+
+
+def test_cameras_that_would_pitch_farther_are_told(folder):
+    rig = folder.rig()
+    assert "wider rig.free.pitch_deg" not in words_of(folder)
+    high = math.radians(folder.config().rig.free.pitch_deg[1])
+    first = rig.cameras[0]
+    for away, is_told in ((0.01, True), (0.5, False)):
+        pitched = dataclasses.replace(first, pitch_rad=high - math.radians(away))
+        write_rig(Rig([pitched, *rig.cameras[1:]]), folder.rig_path("best"))
+        told = f"{first.name} pitches as far as it may (-10 to 20 degrees): a wider rig.free.pitch_deg may find more."
+        assert (told in words_of(folder)) == is_told
 
 
 def test_the_summary_says_what_the_numbers_say(folder, page):

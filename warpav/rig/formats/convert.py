@@ -89,7 +89,7 @@ def find_format(name: str) -> RigFormat:
         raise ArgumentError(
             "format_name",
             "expected carla-ros-bridge (objects.json: y left, pitch nose down) or "
-            "carla-python (sensors of an agent: left-handed, y right, pitch nose up), got carla; no file says which",
+            "carla-python (sensors of an agent: left-handed, y right, pitch nose up), got carla, which may be either",
         )
     if plain not in _PLACES:
         near = difflib.get_close_matches(plain, [*_PLACES, *_OTHER_NAMES], 1, 0.5)

@@ -45,6 +45,8 @@ def find_config(path: str | Path) -> Path:
         )
     near = difflib.get_close_matches(file.stem, config_names(), 1, 0.6)
     hint = f"did you mean {near[0]}?" if near else f"shipped ones are {', '.join(config_names())}"
+    if file.parent == Path() and file.suffix not in ("", ".yaml", ".yml"):  # as rig.cameras, of rig.cameras 6
+        hint = f"an option is given with its value, as {path}=VALUE"
     raise InputError(f"{path}: config: expected a YAML file or a shipped name, got {str(path)!r}; {hint}")
 
 

@@ -165,7 +165,7 @@ def summary(run: RunContent) -> list[Statement]:
     found += [_bound(run), _moves(run)]
     if run.evaluation is not None:
         found += [_left(run, run.evaluation), _requirements(run.evaluation)]
-        found += [_ground(run.evaluation), _constraints(run.evaluation)]
+        found += [_ground(run.evaluation), _constraints(run.evaluation), _pitch_limits(run)]
     found.append(_end(run))
     if run.evaluation is not None:
         found.append(_caution(run.evaluation))
@@ -491,6 +491,26 @@ def _constraints(evaluation: EvaluationRecord) -> Statement | None:
         return Statement("Constraints", f"{len(broken)} of {len(margins)} are broken; {worst}.", "bad")
     text = f"All {len(margins)} hold; the tightest is {name}, with {length_text(tightest.slack_m)} to spare."
     return Statement("Constraints", text, "good")
+
+
+def _pitch_limits(run: RunContent) -> Statement | None:
+    """Which cameras would pitch farther if they might; None where none would, or zones have limits of their own."""
+    if run.config is None or run.result is None or run.config.mount.zones is not None:
+        return None
+    limits_deg = run.config.rig.free.pitch_deg
+    if limits_deg is None:
+        return None
+    free = [camera for camera in run.result.cameras if camera.name not in run.config.rig.freeze]
+    pitch_deg = np.rad2deg([camera.pitch_rad for camera in free])
+    at_limit = [
+        camera.name for camera, each in zip(free, pitch_deg, strict=True) if np.abs(each - limits_deg).min() < 0.1
+    ]
+    if not at_limit:
+        return None
+    low, high = limits_deg
+    verb = "pitches as far as it may" if len(at_limit) == 1 else "pitch as far as they may"
+    text = f"{_listed(at_limit)} {verb} ({low:g} to {high:g} degrees): a wider rig.free.pitch_deg may find more."
+    return Statement("Limits", text)
 
 
 def _end(run: RunContent) -> Statement | None:
