@@ -140,6 +140,16 @@ def test_the_outline_of_a_body_is_its_convex_hull():
     assert footprint.contains(np.array([[0.0, 0.0], [3.7, 0.0]])).tolist() == [True, False]
 
 
+@pytest.mark.parametrize("distance_m", [0.0, 0.5, 10.0])
+def test_a_ring_is_everywhere_as_far_from_the_outline_and_as_long_as_steiner_says(distance_m):
+    body = block((-1.0, -0.8, 0.1), (3.0, 0.8, 1.5), (90, 95, 100))
+    line_m = Footprint.of(body).ring_m(distance_m, direction_count=7200)
+    nearest_m = np.clip(line_m, [-1.0, -0.8], [3.0, 0.8])
+    np.testing.assert_allclose(np.linalg.norm(line_m - nearest_m, axis=1), distance_m, atol=1e-6)
+    around_m = np.linalg.norm(np.diff(line_m, axis=0, append=line_m[:1]), axis=1).sum()
+    assert around_m == pytest.approx(2.0 * (4.0 + 1.6) + 2.0 * math.pi * distance_m, rel=1e-5)
+
+
 def test_sectors_count_cameras_and_the_costliest_loss_is_named():
     model, _ = pinhole(fov_deg=90.0)
     ahead = [camera(model, name="left"), camera(model, name="right", place_m=(0.0, -0.3, 1.5))]
