@@ -222,7 +222,7 @@ def test_the_worst_of_the_broken_constraints_is_named():
     margins.append(Margin("spacing", ("left", "right"), 0.07, 0.2, -0.13, False))
     margins.append(Margin("border", ("right",), 0.5, 0.02, 0.48, True))
     text = verdict_of(constraints={"optimised": [dataclasses.asdict(each) for each in margins]})
-    assert "constraints broken by 0.15 m in all; the distance of left and right lacks 0.13 m\n" in text
+    assert "constraints broken by 0.15 m in all; the distance between left and right is 0.13 m too short\n" in text
 
 
 @pytest.mark.parametrize("start", [None, math.inf])

@@ -356,8 +356,8 @@ def show_verdict(console: Terminal, evaluation: Mapping[str, Any]) -> None:
 def margin_text(kind: str, cameras: Sequence[str]) -> str:
     """What a constraint is about, in words; arguments as of `warpav.optimisation.constraints.Margin`."""
     if kind == "border":
-        return f"the distance of {cameras[0]} to the border of where it may stand"
-    return f"the distance of {' and '.join(cameras)}"
+        return f"the distance from {cameras[0]} to the border of where it may stand"
+    return f"the distance between {' and '.join(cameras)}"
 
 
 def length_text(length_m: float) -> str:
@@ -369,7 +369,7 @@ def _worst_margin(margins: Sequence[Mapping[str, Any]]) -> str:
     worst = min(margins, key=lambda margin: margin["slack_m"], default=None)
     if worst is None or worst["is_kept"]:
         return ""
-    return f" in all; {margin_text(worst['kind'], worst['cameras'])} lacks {length_text(-worst['slack_m'])}"
+    return f" in all; {margin_text(worst['kind'], worst['cameras'])} is {length_text(-worst['slack_m'])} too short"
 
 
 def _objective_change(evaluation: Mapping[str, Any]) -> str:

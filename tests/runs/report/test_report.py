@@ -335,7 +335,7 @@ def test_the_summary_says_what_the_numbers_say(folder, page):
         "no camera sees 25.0 % of the ground for someone 1.1 m tall (start 15.0 %, highest 0.0 %)",
         "That is more than at the start",
         "worst in the sector front, 0 to 5 m from its centre: no camera sees a child on 80 % of it.",
-        "All 2 hold; the tightest is the distance of left and right, with 50 mm to spare.",
+        "All 2 hold; the tightest is the distance between left and right, with 50 mm to spare.",
         "No better rig in 2 looks, after 2 of 5 iterations; the rig after 1 is kept.",
         "12 test scenes are few, and the intervals of so few tend to be too short.",
     ):
@@ -471,7 +471,7 @@ def test_broken_constraints_are_told_in_red(folder):
     content["arms"]["optimised"]["constraint_violation"] = 0.025
     folder.write_evaluation(content)
     page = page_of(folder)
-    assert "1 of 2 are broken; the distance of left and right lacks 25 mm." in page.words
+    assert "1 of 2 are broken; the distance between left and right is 25 mm too short." in page.words
     assert page.table("constraint of the optimised rig")[1][-1] == "no"
     assert "0.0250 m" in page.text
 

@@ -59,7 +59,7 @@ FIGURES = {
     "rig_top_view": "From above: where the cameras started, how they moved, where they ended",
     "detections": "A test scene through the cameras, before and after",
     "loss_curves": "Loss, loss terms, multipliers and the smallest camera distance over the iterations",
-    "sensitivity": "What each camera costs that is off, by degree of freedom, and that is lost",
+    "sensitivity": "What it costs to mount a camera off its place, by degree of freedom, and to lose it",
     "search": "Best rig and bound over the camera renders",
     "requirements_start": "From above: points that have to be seen, and how many cameras of the start see enough there",
     "requirements_optimised": "The same of the rig that was found",

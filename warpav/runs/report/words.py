@@ -487,7 +487,7 @@ def _constraints(evaluation: EvaluationRecord) -> Statement | None:
     tightest = min(margins, key=lambda margin: margin.slack_m)
     name = margin_text(tightest.kind, tightest.cameras)
     if broken:
-        worst = f"{name} lacks {length_text(-tightest.slack_m)}"
+        worst = f"{name} is {length_text(-tightest.slack_m)} too short"
         return Statement("Constraints", f"{len(broken)} of {len(margins)} are broken; {worst}.", "bad")
     text = f"All {len(margins)} hold; the tightest is {name}, with {length_text(tightest.slack_m)} to spare."
     return Statement("Constraints", text, "good")
@@ -564,7 +564,7 @@ def _caution(evaluation: EvaluationRecord) -> Statement | None:
         text += f": with fewer than {MIN_SCENES}, no difference can be proven at 5 %"
     else:
         text += ", and the intervals of so few tend to be too short"
-    return Statement("Caution", f"{text}. More say more: scenes.test_seeds=5000..5049.")
+    return Statement("Caution", f"{text}. For more scenes: scenes.test_seeds=5000..5049.")
 
 
 def margin_name(margin: MarginRecord) -> str:
