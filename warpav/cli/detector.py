@@ -51,7 +51,7 @@ def detector_fit(
         bool, Parameter(help="Fit for any camera, as a run does that finds no fit for its own.", negative="")
     ] = False,
 ) -> None:
-    """Fit the probability that the detector finds an object, from what a view shows of it; a stored fit is used again."""
+    """Fit the probability that the detector finds an object to what a view shows of it; a stored fit is used again."""
     from warpav.runs.config import placed_config, read_seeds
     from warpav.runs.detector_fit import fit_detector
     from warpav.runs.progress import RunDisplay

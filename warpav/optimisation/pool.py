@@ -368,6 +368,9 @@ class _Source:
             missing += [
                 (number, row[first : first + self.chunk_cameras]) for first in range(0, len(row), self.chunk_cameras)
             ]
+        if len(mount_pose) and not missing:
+            progress.stage(f"{name}: all from the cache")
+            return found, 0, len(mount_pose) * len(self.scenes)
         with self._travelling({number for number, _ in missing}) as (cameras, scene_of):
             tasks = [_Chunk(cameras, scene_of(number), number, row, mount_pose[row]) for number, row in missing]
             outcomes = self.executor.run(_draw, tasks)
