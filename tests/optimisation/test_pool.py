@@ -395,6 +395,25 @@ def test_an_interrupted_pool_goes_on_where_it_stopped(tmp_path):
     np.testing.assert_array_equal(found.detection_probability, drawn(20).detection_probability)
 
 
+class Told(NullProgress):
+    """Keeps what stages say."""
+
+    def __init__(self):
+        self.text = []
+
+    def stage(self, description):
+        self.text.append(description)
+
+
+def test_a_pool_that_the_cache_holds_says_so(tmp_path):
+    first, again = Told(), Told()
+    found = [drawn(8, cache=tmp_path, progress=progress) for progress in (first, again)]
+    assert not any("cache" in text for text in first.text)
+    assert any(text.endswith(": all from the cache") for text in again.text)
+    assert (found[1].drawn_count, found[1].cached_count) == (0, 24)
+    np.testing.assert_array_equal(*(each.detection_probability for each in found))
+
+
 def test_damaged_files_are_drawn_again(tmp_path):
     whole = drawn(8, cache=tmp_path)
     first, second, _ = (tmp_path / name for name in files(tmp_path))
