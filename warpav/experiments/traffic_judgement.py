@@ -169,12 +169,11 @@ def _compared(
     if common_arms()[rival].is_seeded and not seeds <= set(theirs.seeds):
         return missing
     if hypothesis.reduction is not None:
-        if ours.reduction is None or ours.reduction.mean is None or table.reduction_p is None:
+        reduction = ours.reductions.get(table.practice or "")
+        if reduction is None or reduction.mean is None or table.reduction_p is None:
             return missing
-        text = f"{number_text(ours.reduction, 100.0, '+.1f')} % below {table.practice}"
-        return MissComparison(
-            setting, rival, judge, ours.reduction.mean >= hypothesis.reduction, text, table.reduction_p
-        )
+        text = f"{number_text(reduction, 100.0, '+.1f')} % below {table.practice}"
+        return MissComparison(setting, rival, judge, reduction.mean >= hypothesis.reduction, text, table.reduction_p)
     difference = theirs.less.get(hypothesis.metric)
     if difference is None or difference.mean is None or difference.low is None or difference.p_value is None:
         return missing
