@@ -159,7 +159,15 @@ def write_mount_drawing(source: str, config: Config, out: Path) -> list[Path]:
     ego = next(load_scenes(config, config.scenes.test_seeds[:1])).ego
     rig = find_rig(source, config, ego)
     modules = read_modules(config.rig.catalogue or BUILTIN)
-    return mount_drawing(rig, ego=ego, title=Path(source).name, modules=modules).save(out)
+    vehicle = _vehicle_name(config)
+    return mount_drawing(rig, ego=ego, title=Path(source).name, vehicle=vehicle, modules=modules).save(out)
+
+
+def _vehicle_name(config: Config) -> str:
+    """What a drawing calls the vehicle of the first test scene."""
+    if config.scenes.ego is not None:
+        return config.scenes.ego.name
+    return f"of scene_{config.scenes.test_seeds[0]}.glb" if config.scenes.source == "folder" else "embedded car"
 
 
 def inspector(

@@ -14,6 +14,7 @@ from warpav.core.errors import InputError
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import Rig, RigCamera
 from warpav.view.drawing.mount_drawing import PAGE_MM, mount_drawing
+from warpav.view.drawing.sheet import text_width_mm
 
 
 def drawing_of(some=None, **options):
@@ -77,23 +78,49 @@ def test_coordinates_are_said_once_and_labels_keep_apart():
             assert np.diff(end_mm).min(initial=math.inf) >= 3.2 - 1e-9
 
 
-def test_numbers_lie_on_no_other_number_and_on_no_camera():
-    for count in (3, 8, 12):
-        drawing = drawing_of(rig(count))
-        for view in drawing.views:
-            marks_mm = [mark.place_mm for mark in drawing.marks if mark.view is view]
-            near = [
-                note
-                for note in drawing.notes
-                if note.layer == "CAMERAS" and min(np.linalg.norm(np.array(note.place_mm) - at) for at in marks_mm) < 9
-            ]
-            assert sum(len(note.text.split(", ")) for note in near) >= count  # each camera has its number
-            for i, note in enumerate(near):
-                apart_mm = np.abs(np.array([other.place_mm for other in near[:i]]).reshape(-1, 2) - note.place_mm)
-                half_mm = 0.8 * np.array([len(other.text) + len(note.text) for other in near[:i]])
-                assert ((apart_mm[:, 0] > half_mm - 0.01) | (apart_mm[:, 1] > 2.59)).all()
-                across_mm, up_mm = np.abs(np.array(marks_mm) - note.place_mm).T
-                assert ((across_mm > 0.8 * len(note.text)) | (up_mm > 1.3)).all()
+@pytest.mark.parametrize("count", [3, 8, 12])
+def test_numbers_lie_on_no_other_number_and_on_no_camera(count):
+    drawing = drawing_of(rig(count))
+    numbers = [note for note in drawing.notes if note.layer == "CAMERAS"]
+    assert sum(len(note.text.split(", ")) for note in numbers) == 3 * count  # each camera has its number in each view
+    middle_mm = np.array([note.place_mm for note in numbers])
+    half_mm = 0.5 * np.array([(text_width_mm(note.text, 2.5, is_bold=True), 2.5) for note in numbers])
+    apart_mm = np.abs(middle_mm[:, None] - middle_mm) - half_mm[:, None] - half_mm
+    assert (apart_mm.max(axis=-1)[~np.eye(len(numbers), dtype=bool)] > 0.4).all()
+    for mark in drawing.marks:
+        for along in np.linspace(0.0, 1.0, 41):
+            point_mm = mark.place_mm + along * (mark.tip_mm - mark.place_mm)
+            reach_mm = 1.6 if along == 0.0 else 0.0  # of the cross
+            assert ((np.abs(middle_mm - point_mm) - half_mm).max(axis=1) > reach_mm).all()
+
+
+def test_a_leader_joins_each_number_with_its_camera():
+    drawing = drawing_of(rig(3))
+    leaders = [stroke for stroke in drawing.strokes if stroke.layer == "CAMERAS"]
+    numbers = [note for note in drawing.notes if note.layer == "CAMERAS"]
+    assert len(leaders) == len(numbers)
+    for leader, number in zip(leaders, numbers, strict=True):
+        at_mm = [mark.place_mm for mark in drawing.marks if str(mark.camera + 1) in number.text.split(", ")]
+        assert min(np.linalg.norm(leader.point_mm[0] - each) for each in at_mm) < 2.0
+        assert np.linalg.norm(leader.point_mm[1] - number.place_mm) < 3.0 + 1.3 * len(number.text)
+
+
+def test_the_title_block_names_rig_vehicle_and_date(monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "86400")
+    texts = [note.text for note in drawing_of(title="rig.yaml", vehicle="van.glb").notes if note.layer == "FRAME"]
+    assert {"rig.yaml", "van.glb", "1970-01-02"} <= set(texts)
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "noon")
+    with pytest.raises(InputError, match="SOURCE_DATE_EPOCH: expected seconds since 1970, got 'noon'"):
+        drawing_of()
+    monkeypatch.delenv("SOURCE_DATE_EPOCH")
+    assert any(re.fullmatch(r"20\d\d-\d\d-\d\d", note.text) for note in drawing_of().notes)
+
+
+@pytest.mark.parametrize("name", ["m" * 60, "van"])
+def test_names_stay_in_the_cells_of_the_title_block(name):
+    notes = [note for note in drawing_of(title=name, vehicle=name).notes if note.layer == "FRAME"]
+    rig_note, vehicle_note = (note for note in notes if note.text == name[:44])
+    assert rig_note.place_mm[0] + text_width_mm(name[:44], rig_note.height_mm) < vehicle_note.place_mm[0]
 
 
 def test_housings_of_modules_are_drawn():
@@ -139,7 +166,8 @@ def test_housings_are_named_where_they_can_be_seen():
         assert any("Dashed boxes" in note.text for note in drawing.notes) == is_named
 
 
-def test_it_is_written_the_same_every_time(tmp_path):
+def test_it_is_written_the_same_every_time(tmp_path, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
     for suffix, begins in (("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")):
         [first] = drawing_of().save(tmp_path / "new" / f"a.{suffix}")
         [second] = drawing_of().save(tmp_path / f"b.{suffix}")
@@ -154,6 +182,13 @@ def test_it_is_written_the_same_every_time(tmp_path):
 def test_what_does_not_fit_is_named(tmp_path):
     with pytest.raises(InputError, match=r"x\.step: out: expected a folder or a name that ends .*got '\.step'"):
         drawing_of().save(tmp_path / "x.step")
+
+
+def test_the_command_names_the_vehicle(tmp_path):
+    for options, name in (([], "embedded car"), (["scenes.ego=bus"], "bus")):
+        out = tmp_path / "mounts.svg"
+        assert main(["rig", "drawing", "nuscenes", *options, "--out", str(out)]) == 0
+        assert f"<!-- {name} -->" in out.read_text()
 
 
 def test_the_command_writes_a_file_or_a_folder(tmp_path, capsys):

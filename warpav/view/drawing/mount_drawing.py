@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import math
+import os
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,14 +17,27 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.errors import ArgumentError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.lens import Lens
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import rig_text
+from warpav.view.drawing.camera_numbers import add_numbers
 from warpav.view.drawing.dxf import drawing_dxf, has_ezdxf, load_ezdxf
 from warpav.view.drawing.mount_model import housing_corners_m, mount_glb
 from warpav.view.drawing.mount_table import angles_deg, mount_csv, mounts, plain
-from warpav.view.drawing.sheet import TEXT_MM, Mark, Note, Ordinate, Sheet, Stroke, View
+from warpav.view.drawing.sheet import (
+    MARK_MM,
+    TEXT_MM,
+    Mark,
+    Note,
+    Ordinate,
+    Sheet,
+    Stroke,
+    View,
+    ordinate_line_mm,
+    text_points,
+    text_width_mm,
+)
 from warpav.view.figures.page import SCALES, Page
 from warpav.view.figures.style import FIGURE_SUFFIXES, figure_style, save_figure
 from warpav.view.output import write_whole
@@ -45,7 +60,7 @@ _LABEL_MM, _ABOVE_MM, _GAP_MM = 30.0, 33.0, 17.0
 _BESIDE_MM = 31.0
 _TITLE_MM = (180.0, 36.0)
 _ROW_MM, _APART_MM = 4.3, 3.2
-_ARROW_MM, _MARK_MM, _SAME_MM = 9.0, 1.0, 2.5
+_ARROW_MM = 9.0
 _TABLE_MM, _COLUMN_GAP_MM, _COLUMN_GAP_LEAST_MM = 200.0, 6.0, 2.0
 _TEXT_COLUMNS = 3
 """How many columns of the table are text, from the left; numbers stand at the right of theirs."""
@@ -92,7 +107,7 @@ class MountDrawing(Sheet):
                 line_mm = ordinate_line_mm(ordinate)
                 axis.plot(*line_mm.T, color=hex_colour(MUTED_RGB), linewidth=0.35, zorder=3)
                 side = {"rotation": 90, "va": "bottom", "ha": "center"} if ordinate.is_across else {"ha": "right"}
-                style = {"va": "center_baseline", "fontsize": _points(TEXT_MM), "rotation_mode": "default"} | side
+                style = {"va": "center_baseline", "fontsize": text_points(TEXT_MM), "rotation_mode": "default"} | side
                 axis.text(*ordinate.end_mm, f" {ordinate.text} ", **style)
             for mark in self.marks:
                 colour = hex_colour(camera_rgb(mark.camera))
@@ -106,7 +121,12 @@ class MountDrawing(Sheet):
             for note in self.notes:
                 colour = hex_colour(INK_RGB if note.camera is None else camera_rgb(note.camera))
                 across = {"left": "left", "middle": "center", "right": "right"}[note.align]
-                style = {"ha": across, "va": "center_baseline", "color": colour, "fontsize": _points(note.height_mm)}
+                style = {
+                    "ha": across,
+                    "va": "center_baseline",
+                    "color": colour,
+                    "fontsize": text_points(note.height_mm),
+                }
                 axis.text(*note.place_mm, note.text, fontweight="normal" if note.camera is None else "bold", **style)
             return page.figure
 
@@ -156,22 +176,32 @@ def check_out(path: Path) -> None:
 
 
 def mount_drawing(
-    rig: Rig, *, ego: Mesh | None = None, title: str = "rig", modules: Mapping[str, Module] | None = None
+    rig: Rig,
+    *,
+    ego: Mesh | None = None,
+    title: str = "rig",
+    vehicle: str = "-",
+    modules: Mapping[str, Module] | None = None,
 ) -> MountDrawing:
     """Compose the drawing by which a workshop mounts a rig.
 
     Three views in first-angle projection, seen from the left, the front and the top, with the outline of the vehicle,
     the place and optical axis of every camera, housings of modules, and coordinates from the datums: A is the ground,
-    B the rear axle, C the plane of symmetry. A table has all numbers, a block the title, scale and projection.
+    B the rear axle, C the plane of symmetry. A table has all numbers, a block the title, vehicle, date and scale. The
+    date is today's, or that of the environment variable ``SOURCE_DATE_EPOCH``, so that a drawing can be made again.
 
     Args:
         rig: The cameras.
         ego: The vehicle, in the ego frame; None: none is drawn.
         title: Name of the rig.
+        vehicle: Name of the vehicle.
         modules: Camera modules by name, for housings; None: the shipped ones.
 
     Returns:
         The drawing: `MountDrawing.save` writes it.
+
+    Raises:
+        InputError: ``SOURCE_DATE_EPOCH`` is no time.
     """
     found = mounts(rig, ego)
     point_m = np.array([camera.position_m for camera in rig.cameras] + [[0.0, 0.0, 0.0]])
@@ -187,8 +217,9 @@ def mount_drawing(
     _add_datums(drawing, low_m, high_m)
     _add_cameras(drawing)
     _add_ordinates(drawing)
+    add_numbers(drawing)
     _add_table(drawing, row_mm)
-    _add_title_block(drawing, hashlib.sha256(rig_text(rig).encode()).hexdigest()[:12])
+    _add_title_block(drawing, vehicle, hashlib.sha256(rig_text(rig).encode()).hexdigest()[:12])
     return drawing
 
 
@@ -251,66 +282,14 @@ def _add_datums(drawing: MountDrawing, low_m: np.ndarray, high_m: np.ndarray) ->
 
 
 def _add_cameras(drawing: MountDrawing) -> None:
-    """The place and the optical axis of every camera in every view, and its number beside it."""
+    """The place and the optical axis of every camera in every view."""
     for view in drawing.views:
-        here = []
         for index, mount in enumerate(drawing.mounts):
             camera = mount.camera
             place_mm = view.place_mm(camera.position_m)
             ahead = camera.ego_from_camera[:3, 2] @ np.stack([view.right, view.up], axis=1)
             arrow_mm = _ARROW_MM * ahead if np.linalg.norm(ahead) > 0.1 else np.zeros(2)
-            here.append(Mark(view, index, place_mm, place_mm + arrow_mm))
-        drawing.marks += here
-        taken_mm = [_box_mm(mark.place_mm, 2.4 * _MARK_MM, 2.4 * _MARK_MM) for mark in here]
-        for mark in here:  # the arrow, as boxes along it
-            along = np.linspace(0.2, 1.0, 7)[:, None]
-            taken_mm += [_box_mm(each, 1.2, 1.2) for each in mark.place_mm + along * (mark.tip_mm - mark.place_mm)]
-        for group in _groups(here):
-            numbers = ", ".join(str(mark.camera + 1) for mark in group)
-            place_mm = np.mean([mark.place_mm for mark in group], axis=0)
-            back_mm = place_mm - np.mean([mark.tip_mm for mark in group], axis=0)
-            box_mm = _free_box_mm(place_mm, back_mm, (1.6 * len(numbers), 2.6), taken_mm)
-            taken_mm.append(box_mm)
-            across_mm, up_mm = box_mm.mean(axis=0).tolist()
-            drawing.notes.append(Note("CAMERAS", (across_mm, up_mm), numbers, 2.5, "middle", group[0].camera))
-
-
-def _free_box_mm(
-    place_mm: np.ndarray, back_mm: np.ndarray, size_mm: tuple[float, float], taken_mm: Sequence[np.ndarray]
-) -> np.ndarray:
-    """A box beside a place that lies on none of others: as near as can be, and behind its arrow if it can be there."""
-    back_rad = math.atan2(back_mm[1], back_mm[0]) if np.linalg.norm(back_mm) > 0.3 * _ARROW_MM else 0.25 * math.pi
-    turns_rad = sorted(np.linspace(-math.pi, math.pi, 16, endpoint=False), key=abs)
-    tried = [
-        _box_mm(place_mm + farther * (1.6 + 0.5 * np.array(size_mm)) * (math.cos(angle), math.sin(angle)), *size_mm)
-        for farther in (1.0, 1.3, 1.7, 2.2, 3.0)
-        for angle in (back_rad + turn_rad for turn_rad in turns_rad)
-    ]
-    return next((box for box in tried if not any(_overlap(box, other) for other in taken_mm)), tried[0])
-
-
-def _box_mm(middle_mm: np.ndarray, width_mm: float, height_mm: float) -> np.ndarray:
-    half_mm = 0.5 * np.array([width_mm, height_mm])
-    return np.stack([middle_mm - half_mm, middle_mm + half_mm])
-
-
-def _overlap(one_mm: np.ndarray, other_mm: np.ndarray) -> bool:
-    return bool((one_mm[0] < other_mm[1]).all() and (other_mm[0] < one_mm[1]).all())
-
-
-def _groups(marks: Sequence[Mark]) -> list[list[Mark]]:
-    """Marks that would lie on each other and look the same way share a number, others stand alone."""
-    groups: list[list[Mark]] = []
-    for mark in marks:
-        for group in groups:
-            first = group[0]
-            apart_mm = max(np.linalg.norm(mark.place_mm - first.place_mm), np.linalg.norm(mark.tip_mm - first.tip_mm))
-            if apart_mm < _SAME_MM:
-                group.append(mark)
-                break
-        else:
-            groups.append([mark])
-    return groups
+            drawing.marks.append(Mark(view, index, place_mm, place_mm + arrow_mm))
 
 
 def _add_ordinates(drawing: MountDrawing) -> None:
@@ -398,7 +377,7 @@ def _columns_mm(rows: Sequence[tuple[str, ...]], height_mm: float) -> tuple[list
 
     def widths_mm() -> np.ndarray:
         each_mm = [
-            [_text_mm(text, height_mm, is_bold=not column and line > 0) for column, text in enumerate(row)]
+            [text_width_mm(text, height_mm, is_bold=not column and line > 0) for column, text in enumerate(row)]
             for line, row in enumerate(kept)
         ]
         return np.max(each_mm, axis=0)
@@ -418,16 +397,18 @@ def _columns_mm(rows: Sequence[tuple[str, ...]], height_mm: float) -> tuple[list
     return kept, (start_mm + np.where(is_number, width_mm, 0.0)).tolist()
 
 
-def _text_mm(text: str, height_mm: float, *, is_bold: bool = False) -> float:
-    """How wide a text is whose capital letters are so high."""
-    from matplotlib.font_manager import FontProperties
-    from matplotlib.textpath import text_to_path
+def _date_text() -> str:
+    """The date of a drawing, such as 2026-11-27."""
+    seconds = os.environ.get("SOURCE_DATE_EPOCH")
+    if not seconds:
+        return time.strftime("%Y-%m-%d")
+    try:
+        return time.strftime("%Y-%m-%d", time.gmtime(int(seconds)))
+    except (ValueError, OverflowError, OSError):
+        raise InputError(f"SOURCE_DATE_EPOCH: expected seconds since 1970, got {seconds!r}") from None
 
-    font = FontProperties(weight="bold" if is_bold else "normal", size=_points(height_mm))
-    return text_to_path.get_text_width_height_descent(text, font, ismath=False)[0] / 72.0 * 25.4
 
-
-def _add_title_block(drawing: MountDrawing, fingerprint: str) -> None:
+def _add_title_block(drawing: MountDrawing, vehicle: str, fingerprint: str) -> None:
     """The frame of the page, the block with title and scale, the sign of the projection, and the notes."""
     left_mm, bottom_mm, right_mm, top_mm = _FRAME_MM
 
@@ -439,19 +420,22 @@ def _add_title_block(drawing: MountDrawing, fingerprint: str) -> None:
     x_mm, y_mm = right_mm - width_mm, bottom_mm
     box(x_mm, y_mm, right_mm, y_mm + height_mm)
     cells = (
-        (0.0, 24.0, 130.0, "camera mounts of the rig", drawing.title[:44], 4.0),
+        (0.0, 24.0, 70.0, "camera mounts of the rig", drawing.title[:44], 4.0),
+        (70.0, 24.0, 60.0, "vehicle", vehicle[:44], 4.0),
         (130.0, 24.0, 50.0, "projection: first angle", "", 3.0),
-        (0.0, 12.0, 45.0, "scale", f"1 : {drawing.scale:g}", 3.5),
-        (45.0, 12.0, 45.0, "sheet", "A3", 3.0),
-        (90.0, 12.0, 90.0, "units", "mm, degrees", 3.0),
-        (0.0, 0.0, 90.0, "datums", "A ground, B rear axle, C middle plane", 2.4),
-        (90.0, 0.0, 90.0, "rig file, SHA-256 begins", fingerprint, 3.0),
+        (0.0, 12.0, 40.0, "scale", f"1 : {drawing.scale:g}", 3.5),
+        (40.0, 12.0, 30.0, "sheet", "A3", 3.0),
+        (70.0, 12.0, 60.0, "units", "mm, degrees", 3.0),
+        (130.0, 12.0, 50.0, "date", _date_text(), 3.0),
+        (0.0, 0.0, 80.0, "datums", "A ground, B rear axle, C middle plane", 2.4),
+        (80.0, 0.0, 100.0, "rig file, SHA-256 begins", fingerprint, 3.0),
     )
     for x, y, width, head, text, size_mm in cells:
         box(x_mm + x, y_mm + y, x_mm + x + width, y_mm + y + 12.0)
         drawing.notes.append(Note("FRAME", (x_mm + x + 1.5, y_mm + y + 9.8), head, 1.8))
         if text:
-            drawing.notes.append(Note("FRAME", (x_mm + x + 1.5, y_mm + y + 4.6), text, size_mm))
+            fitting_mm = min(size_mm, size_mm * (width - 3.0) / text_width_mm(text, size_mm))
+            drawing.notes.append(Note("FRAME", (x_mm + x + 1.5, y_mm + y + 4.6), text, fitting_mm))
     # the sign of ISO 128: a cone from the side, and beyond it from its narrow end
     centre_mm = np.array([x_mm + 150.0, y_mm + 29.0])
     cone_mm = centre_mm + np.array([[-7.0, -1.5], [1.0, -3.0], [1.0, 3.0], [-7.0, 1.5]])
@@ -470,24 +454,13 @@ def _table_top_mm(drawing: MountDrawing) -> float:
     return max(note.place_mm[1] for note in drawing.notes if note.layer == "TABLE")
 
 
-def ordinate_line_mm(ordinate: Ordinate) -> np.ndarray:
-    """The line of a dimension on the page, from its feature to its number, with a bend where these are not in line."""
-    along = 1 if ordinate.is_across else 0
-    sign = 1.0 if ordinate.is_across else -1.0
-    bend_mm = ordinate.feature_mm.copy()
-    bend_mm[along] = ordinate.end_mm[along] - sign * 7.0
-    before_mm = ordinate.end_mm.copy()
-    before_mm[along] -= sign * 2.0
-    return np.stack([ordinate.feature_mm, bend_mm, before_mm, ordinate.end_mm])
-
-
 def mark_cross_mm(mark: Mark) -> np.ndarray:
     """The two lines through the place of a camera, [2, 2, 2]."""
-    reach = 1.6 * _MARK_MM * np.eye(2)
+    reach = 1.6 * MARK_MM * np.eye(2)
     return np.stack([mark.place_mm - reach, mark.place_mm + reach], axis=1)
 
 
-def _circle_mm(centre_mm: np.ndarray, radius_mm: float = _MARK_MM) -> np.ndarray:
+def _circle_mm(centre_mm: np.ndarray, radius_mm: float = MARK_MM) -> np.ndarray:
     turn = np.linspace(0.0, 2.0 * math.pi, 49)
     return centre_mm + radius_mm * np.stack([np.cos(turn), np.sin(turn)], axis=1)
 
@@ -498,6 +471,7 @@ def _draw_stroke(axis: Any, stroke: Stroke) -> None:  # noqa: ANN401 (matplotlib
         "OUTLINE": {"color": ink, "linewidth": 0.9, "zorder": 1},
         "DATUMS": {"color": ink, "linewidth": 0.5, "zorder": 2},
         "FRAME": {"color": ink, "linewidth": 0.5, "zorder": 2},
+        "CAMERAS": {"linewidth": 0.35, "zorder": 5},
         "HOUSINGS": {"color": grey, "linewidth": 0.6, "linestyle": (0, (3, 2)), "zorder": 5},
     }[stroke.layer]
     if stroke.layer == "DATUMS" and not stroke.is_closed:
@@ -508,8 +482,3 @@ def _draw_stroke(axis: Any, stroke: Stroke) -> None:  # noqa: ANN401 (matplotlib
     if stroke.layer == "OUTLINE":
         axis.fill(*point_mm.T, facecolor=hex_colour(GRID_RGB), alpha=0.45, linewidth=0, zorder=0)
     axis.plot(*point_mm.T, **style)
-
-
-def _points(height_mm: float) -> float:
-    """The size of a font whose capital letters are so high, in points."""
-    return height_mm / 0.72 / 25.4 * 72.0

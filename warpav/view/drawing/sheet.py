@@ -13,6 +13,9 @@ if TYPE_CHECKING:
 TEXT_MM = 2.2
 """Height of capital letters."""
 
+MARK_MM = 1.0
+"""Radius of the mark of a camera."""
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -102,3 +105,28 @@ class Sheet:
     notes: list[Note] = field(default_factory=list)
     ordinates: list[Ordinate] = field(default_factory=list)
     marks: list[Mark] = field(default_factory=list)
+
+
+def ordinate_line_mm(ordinate: Ordinate) -> np.ndarray:
+    """The line of a dimension on the page, from its feature to its number, with a bend where these are not in line."""
+    along = 1 if ordinate.is_across else 0
+    sign = 1.0 if ordinate.is_across else -1.0
+    bend_mm = ordinate.feature_mm.copy()
+    bend_mm[along] = ordinate.end_mm[along] - sign * 7.0
+    before_mm = ordinate.end_mm.copy()
+    before_mm[along] -= sign * 2.0
+    return np.stack([ordinate.feature_mm, bend_mm, before_mm, ordinate.end_mm])
+
+
+def text_width_mm(text: str, height_mm: float, *, is_bold: bool = False) -> float:
+    """How wide a text is whose capital letters are so high."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    font = FontProperties(weight="bold" if is_bold else "normal", size=text_points(height_mm))
+    return text_to_path.get_text_width_height_descent(text, font, ismath=False)[0] / 72.0 * 25.4
+
+
+def text_points(height_mm: float) -> float:
+    """The size of a font whose capital letters are so high, in points."""
+    return height_mm / 0.72 / 25.4 * 72.0
