@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 import sys
 import tarfile
@@ -49,6 +50,7 @@ def draw_sheet(folder: Path) -> None:
 
 def draw_mount_drawing(folder: Path) -> None:
     """mount_drawing.png: where the cameras of nuScenes are mounted on the town's car."""
+    os.environ["SOURCE_DATE_EPOCH"] = "1790000000"  # the date on the sheet, the same in every picture
     _warpav("rig", "drawing", "nuscenes", "--out", str(folder / "mounts.png"))
     with Image.open(folder / "mounts.png") as page:
         small = page.convert("RGB").resize((1654, 1169), Image.Resampling.LANCZOS)

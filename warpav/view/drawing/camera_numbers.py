@@ -59,23 +59,23 @@ def _free_place_mm(
     back_rad = math.atan2(-ahead_mm[1], -ahead_mm[0]) if np.linalg.norm(ahead_mm) > 3.0 else 0.25 * math.pi
     reach_mm = _AWAY_MM[-1] + float(size_mm.max()) + 2.0
     symbol_mm, line_mm = (each[(np.abs(each - place_mm) < reach_mm).all(axis=1)] for each in (symbol_mm, line_mm))
+    turns_rad = np.linspace(-math.pi, math.pi, _TURN_COUNT, endpoint=False)
+    tried = sorted((away_mm + _TURN_COST * abs(turn), away_mm, turn) for away_mm in _AWAY_MM for turn in turns_rad)
     best_mm, least = place_mm, math.inf
-    for away_mm in _AWAY_MM:
-        for turn_rad in np.linspace(-math.pi, math.pi, _TURN_COUNT, endpoint=False):
-            angle_rad = back_rad + turn_rad
-            middle_mm = place_mm + (away_mm + 0.5 * size_mm) * (math.cos(angle_rad), math.sin(angle_rad))
+    for distance_cost, away_mm, turn_rad in tried:
+        if distance_cost >= least:
+            break
+        angle_rad = back_rad + turn_rad
+        middle_mm = place_mm + (away_mm + 0.5 * size_mm) * (math.cos(angle_rad), math.sin(angle_rad))
+        cost = distance_cost + _SYMBOL_COST * bool(_inside(symbol_mm, middle_mm, size_mm).any())
+        cost += _LINE_COST * bool(_inside(line_mm, middle_mm, size_mm).any())
+        if cost < least:
             leader_mm = _points_mm(_leader_mm(place_mm, middle_mm, size_mm))
             leader_mm = leader_mm[np.linalg.norm(leader_mm - place_mm, axis=1) > 2.0 * MARK_MM]
-            apart_mm = np.linalg.norm(leader_mm[:, None] - symbol_mm, axis=-1).min(axis=1)
-            cost = (
-                away_mm
-                + _TURN_COST * abs(turn_rad)
-                + _SYMBOL_COST * bool(_inside(symbol_mm, middle_mm, size_mm).any())
-                + _LINE_COST * bool(_inside(line_mm, middle_mm, size_mm).any())
-                + _LEADER_COST * bool((apart_mm < 0.5 * _CLEAR_MM).any())
-            )
-            if cost < least:
-                best_mm, least = middle_mm, cost
+            apart_mm = np.linalg.norm(leader_mm[:, None] - symbol_mm, axis=-1)
+            cost += _LEADER_COST * bool((apart_mm < 0.5 * _CLEAR_MM).any())
+        if cost < least:
+            best_mm, least = middle_mm, cost
     return best_mm
 
 
