@@ -66,10 +66,10 @@ def test_they_say_what_they_show(street):
     plan = words(drawn(two(), "plan", street))
     for text in (
         "start: how far a car",
-        "at least 12 px high",
+        "≥ 12 px: limit of detectors",
+        "4 cam_3",
         "hidden by the own body",
         "10 m",
-        "cam_3",
         "m² hidden",
     ):
         assert text in plan
@@ -131,8 +131,8 @@ def test_cameras_have_their_names_of_several_rigs_under_the_names_of_these():
     assert list(camera_handles({"a": rig(3), "b": some})) == ["cameras"]
     found = camera_handles({"a": some, "b": other})
     assert {key: [each.get_label() for each in handles] for key, handles in found.items()} == {
-        "cameras of a": ["cam_0", "cam_1"],
-        "cameras of b": ["other_cam_0", "other_cam_1"],
+        "cameras of a": ["1 cam_0", "2 cam_1"],
+        "cameras of b": ["1 other_cam_0", "2 other_cam_1"],
     }
 
 

@@ -163,11 +163,17 @@ def write_key(
 
 
 def camera_handles(rigs: Mapping[str, Rig]) -> dict[str, list[Any]]:
-    """Handles of a key for cameras: their names; where several rigs do not share these, each rig's under its name."""
+    """Handles of a key for cameras: numbers and names.
+
+    Where several rigs do not share the names, each rig's are under its own.
+    """
     from matplotlib.patches import Patch
 
     def named(rig: Rig) -> list[Any]:
-        return [Patch(color=hex_colour(camera_rgb(k)), label=camera.name) for k, camera in enumerate(rig.cameras)]
+        return [
+            Patch(color=hex_colour(camera_rgb(k)), label=f"{k + 1} {camera.name}")
+            for k, camera in enumerate(rig.cameras)
+        ]
 
     largest = max(rigs.values(), key=lambda rig: len(rig.cameras))
     name = [camera.name for camera in largest.cameras]

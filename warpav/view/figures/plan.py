@@ -17,6 +17,7 @@ from warpav.view.figures.from_above import (
     panels_with_key,
     write_key,
 )
+from warpav.view.figures.page import camera_digit, camera_mark
 from warpav.view.figures.style import caption, figure_style, title
 from warpav.view.palette import COVERAGE_RGB, camera_rgb, hex_colour
 
@@ -31,6 +32,9 @@ FARTHEST_M = 200.0
 """How far fans are drawn [m], so that a telephoto camera does not press the others together."""
 
 _AZIMUTH_COUNT = 720
+_SIZE_NAMES = {40.0: "easily recognised", 20.0: "recognised", 12.0: "limit of detectors"}
+_NUMBER_REACH = 0.74
+"""How far out numbers of cameras stand, as a share of the panel: below the arrow to the front."""
 _SHADE = (0.30, 0.17, 0.10)  # of 40, 20 and 12 px; each lies on the next one
 _GROUND_RGB = ((255, 255, 255), COVERAGE_RGB[0], (108, 76, 120), (208, 226, 243), (150, 190, 226))
 _GROUND_NAMES = ("", "hidden by the own body", "in no image", "seen by one camera", "seen by two or more")
@@ -79,15 +83,20 @@ def plan_figure(
             prefix = f"{name}: " if len(rigs) > 1 else ""
             draw_surroundings(far, ego, rig, reach_m=far_m, camera_size=0.0)
             _draw_sizes(far, rig, azimuth_rad, ranges[name])
+            _number_fans(far, rig, azimuth_rad, ranges[name], reach_m=far_m)
             title(far, f"{prefix}how far a car is large enough")
             cut = f", drawn up to {far_m:g} m" if farthest_m[name] > far_m else ""
-            far.set_xlabel(f"farthest: {farthest_m[name]:.0f} m{cut}", fontsize=8)
+            text = f"farthest with {pixels[-1]:g} px: {farthest_m[name]:.0f} m{cut}"
+            far.set_xlabel(text, fontsize=8)
             draw_surroundings(near, ego, rig, reach_m=near_m)
             _draw_ground(near, VisibleGround.of(rig, ego, margin_m=near_m), middle_of(ego), near_m)
+            _number_cameras(near, rig)
             title(near, f"{prefix}ground near the vehicle")
         shades = 1.0 - np.cumprod(1.0 - np.array(_SHADE)[::-1])[::-1]
         sizes = [
-            Patch(color=str(1.0 - 0.8 * shade), label=f"at least {least:g} px high")
+            Patch(
+                color=str(1.0 - 0.8 * shade), label=": ".join(filter(None, (f"≥ {least:g} px", _SIZE_NAMES.get(least))))
+            )
             for least, shade in zip(pixels, shades, strict=False)
         ]
         grounds = [
@@ -95,12 +104,13 @@ def plan_figure(
             for rgb, name in zip(_GROUND_RGB[1:], _GROUND_NAMES[1:], strict=True)
         ]
         groups = {
-            f"Left: image of a car, {CAR_HEIGHT_M:g} m high": sizes,
-            **{f"Left: {name}": each for name, each in cameras.items()},
+            "Left: height of a car's image": sizes,
+            **{f"Both: {name}": each for name, each in cameras.items()},
             "Right: ground that is": grounds,
         }
         write_key(key, groups, columns=(1, *columns, 1))
-        caption(figure, f"{RINGS} Within a panel, vehicle and rings have one scale.")
+        sizes_text = f"The darker a fan, the larger in that camera's image is a car {CAR_HEIGHT_M:g} m high."
+        caption(figure, f"{sizes_text}\n{RINGS} Within a panel, vehicle and rings have one scale.")
         if heading:
             figure.suptitle(heading, x=0.01, ha="left", fontweight="bold")
         return figure
@@ -114,6 +124,52 @@ def _draw_sizes(axis: Any, rig: Rig, azimuth_rad: np.ndarray, ranges_m: Sequence
             for outline_m in _outlines_m(camera.position_m[:2], azimuth_rad, of_size):
                 axis.fill(*outline_m.T[::-1], color=colour, alpha=alpha, linewidth=0, zorder=3)
                 axis.plot(*outline_m.T[::-1], color=colour, linewidth=0.5, alpha=0.9, zorder=4)
+
+
+def _number_fans(
+    axis: Any,  # noqa: ANN401 (matplotlib)
+    rig: Rig,
+    azimuth_rad: np.ndarray,
+    ranges_m: Sequence[np.ndarray],
+    *,
+    reach_m: float,
+) -> None:
+    """Number every fan on its outermost outline, in the direction in which its camera looks."""
+    placed_m: list[np.ndarray] = []
+    for index, (camera, of_camera) in enumerate(zip(rig.cameras, ranges_m, strict=True)):
+        far_m = of_camera[-1][:, 1]
+        ahead = camera.ego_from_camera[:2, 2]
+        across = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
+        if not np.isfinite(far_m).any():
+            continue
+        nearest = np.nanargmax(np.where(np.isfinite(far_m), across @ ahead, np.nan))
+        range_m = min(float(far_m[nearest]), _NUMBER_REACH * reach_m)
+        place_m = camera.position_m[:2] + range_m * across[nearest]
+        while any(np.linalg.norm(place_m - other_m) < 0.06 * reach_m for other_m in placed_m) and range_m > 1.0:
+            range_m *= 0.9
+            place_m = camera.position_m[:2] + range_m * across[nearest]
+        placed_m.append(place_m)
+        mark = camera_mark(hex_colour(camera_rgb(index))) | {"markersize": 9.0}
+        axis.plot(*place_m[::-1], **mark, zorder=9)
+        axis.text(*place_m[::-1], str(index + 1), **camera_digit() | {"fontsize": 6}, zorder=10)
+
+
+def _number_cameras(axis: Any, rig: Rig) -> None:  # noqa: ANN401 (matplotlib)
+    """Write the numbers of cameras beside their marks: outwards, and away from marks nearby."""
+    from matplotlib.patheffects import withStroke
+
+    position_m = np.array([camera.position_m[:2] for camera in rig.cameras])
+    for index, (camera, place_m) in enumerate(zip(rig.cameras, position_m, strict=True)):
+        forward = camera.ego_from_camera[0, 2]
+        near_m = position_m[np.linalg.norm(position_m - place_m, axis=1) < 0.35]
+        away_m = place_m - near_m.mean(axis=0)
+        outwards = (0.0, np.sign(place_m[1])) if abs(place_m[1]) > 0.2 else (0.3 * np.sign(forward), 0.01)
+        towards = outwards + 0.4 * away_m / max(float(np.linalg.norm(away_m)), 0.01)
+        ahead_pt, left_pt = 8.0 * towards / np.linalg.norm(towards)
+        style = camera_digit() | {"fontsize": 6.5, "color": hex_colour(camera_rgb(index))}
+        halo = withStroke(linewidth=1.8, foreground="white")
+        offset = {"xytext": (-left_pt, ahead_pt), "textcoords": "offset points", "path_effects": [halo]}
+        axis.annotate(str(index + 1), place_m[::-1], **offset, **style, zorder=8)
 
 
 def _draw_ground(axis: Any, ground: VisibleGround, middle_m: np.ndarray, reach_m: float) -> None:  # noqa: ANN401
