@@ -67,8 +67,8 @@ def _free_place_mm(
             break
         angle_rad = back_rad + turn_rad
         middle_mm = place_mm + (away_mm + 0.5 * size_mm) * (math.cos(angle_rad), math.sin(angle_rad))
-        cost = distance_cost + _SYMBOL_COST * bool(_inside(symbol_mm, middle_mm, size_mm).any())
-        cost += _LINE_COST * bool(_inside(line_mm, middle_mm, size_mm).any())
+        cost = distance_cost + _SYMBOL_COST * _is_on(symbol_mm, middle_mm, size_mm)
+        cost += _LINE_COST * _is_on(line_mm, middle_mm, size_mm)
         if cost < least:
             leader_mm = _points_mm(_leader_mm(place_mm, middle_mm, size_mm))
             leader_mm = leader_mm[np.linalg.norm(leader_mm - place_mm, axis=1) > 2.0 * MARK_MM]
@@ -79,9 +79,9 @@ def _free_place_mm(
     return best_mm
 
 
-def _inside(point_mm: np.ndarray, middle_mm: np.ndarray, size_mm: np.ndarray) -> np.ndarray:
-    """Which points come too near to a number."""
-    return (np.abs(point_mm - middle_mm) < 0.5 * size_mm + _CLEAR_MM).all(axis=1)
+def _is_on(point_mm: np.ndarray, middle_mm: np.ndarray, size_mm: np.ndarray) -> bool:
+    """Whether a number comes too near to one of some points."""
+    return bool((np.abs(point_mm - middle_mm) < 0.5 * size_mm + _CLEAR_MM).all(axis=1).any())
 
 
 def _leader_mm(place_mm: np.ndarray, middle_mm: np.ndarray, size_mm: np.ndarray) -> np.ndarray:
