@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from warpav.experiments.experiment import _tasks, overrides_of
+from warpav.experiments.miss_table import PRACTICE
 from warpav.experiments.protocol import seal_of, unknown_code
 from warpav.experiments.result_folder import unseeded
 from warpav.experiments.rival_settings import RIVAL_ARMS, SETTINGS
@@ -148,15 +149,18 @@ def test_the_page_is_what_the_command_writes(tmp_path):
 
 
 TRAFFIC_SETTING_OF = {
-    "dense streets, flush anywhere on the body": "dense_4_body",
-    "the same, six cameras": "dense_6_body",
-    "the same, four cameras on a bus": "dense_4_body_bus",
-    "dense streets, flush on the roof": "dense_4_roof",
-    "dense streets, on a rack of 25 cm": "dense_4_rack",
-    "recorded motorway and streets, flush anywhere on the body": "ngsim_4_body",
-    "recorded motorway and streets, on a rack": "ngsim_4_rack",
-    "recorded crossing, flush anywhere on the body": "sind_4_body",
-    "recorded crossing, on a rack": "sind_4_rack",
+    "dense streets: body": "dense_4_body",
+    "dense streets: roof": "dense_4_roof",
+    "dense streets: rack of 25 cm": "dense_4_rack",
+    "dense streets: body, six cameras": "dense_6_body",
+    "dense streets: body, all road users": "dense_4_body_all",
+    "dense streets: body of a bus": "dense_4_body_bus",
+    "recorded motorway and streets: body": "ngsim_4_body",
+    "recorded motorway and streets: rack": "ngsim_4_rack",
+    "recorded crossing: body": "sind_4_body",
+    "recorded crossing: roof": "sind_4_roof",
+    "recorded crossing: rack": "sind_4_rack",
+    "recorded crossing: body, six cameras": "sind_6_body",
 }
 """Rows of README's table of searches."""
 TRAFFIC_RIVALS = ("highest", "roof_edge", "random_selected", "cma")
@@ -168,33 +172,34 @@ def test_readme_quotes_the_runs_on_hard_and_recorded_traffic(label):
     assert _traffic_row(label) in (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
 
 
+def _cells(line):
+    return [cell.strip() for cell in line.strip("| ").split(" | ")]
+
+
 def _traffic_row(label):
     """A row of README's table, from the tables that are published."""
     name = f"rivals_{TRAFFIC_SETTING_OF[label]}"
     judged = json.loads(SUMMARIES[name].read_text())["table"].split("**Misses by the detector of the search**")[1]
-    cells_of = {
-        line.split(" | ")[0].strip("| "): [cell.strip("| ") for cell in line.split(" | ")]
-        for line in judged.split("\n\n", 2)[1].splitlines()
-    }
+    headings, _, *lines = (_cells(line) for line in judged.split("\n\n", 2)[1].splitlines())
+    kept = (0, 1, 2, 3, 4, -3, -2, -1)  # two headings between these are alike
+    cells_of = {cells[0]: {headings[place]: cells[place] for place in kept} for cells in lines}
     panels = [file for found, file in SUMMARIES.items() if found.startswith(f"{name} before the panel")]
     goals = [goal for panel in panels for goal in json.loads(panel.read_text())["goals"]]
-    row = [label, f"**{float(cells_of['default'][3].split()[0]):.1f}**"]
+    ours = cells_of["default"]
+    row = [label, f"**{float(ours['misses per 100'].split()[0]):.1f}**"]
     for arm in TRAFFIC_RIVALS:
-        misses, more, low, high = (
-            float(number)
-            for number in (
-                cells_of[arm][3].split()[0],
-                *re.match(r"([-+.\d]+) \[([-+.\d]+), ([-+.\d]+)\]", cells_of[arm][4]).groups(),
-            )
-        )
+        low, high = (float(end) for end in re.search(r"\[(\S+), (\S+)\]", cells_of[arm]["less default"]).groups())
         outside = [
             goal["numbers"]
             for goal in goals
             if goal["text"].startswith(f"fewer misses than {arm},") and "outside networks" in goal["text"]
         ]
         lows = [float(number) for number in re.findall(r"\[([-+.\d]+), [-+.\d]+\]", " ".join(outside))]
-        agreed = f", {sum(each > 0.0 for each in lows)} of {len(lows)}" if lows else ""
-        row.append(f"{misses:.1f}: {more:+.1f} [{low:.1f}, {high:.1f}]{agreed}")
+        agreed = f" {sum(each > 0.0 for each in lows)}/{len(lows)}" if lows else ""
+        mark = "✓" if low > 0.0 else "✗" if high < 0.0 else "≈"
+        row.append(f"{float(cells_of[arm]['misses per 100'].split()[0]):.1f} {mark}{agreed}")
+    for arm in PRACTICE:
+        row.append(f"{float(ours[f'% fewer attainable than {arm}'].split()[0]):.1f} %")
     return "| " + " | ".join(row) + " |"
 
 
