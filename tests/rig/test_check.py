@@ -7,7 +7,7 @@ import pytest
 
 import warpav as wa
 from warpav.raster.mesh import Mesh
-from warpav.rig.check import off_vehicle
+from warpav.rig.check import oddities, off_vehicle
 from warpav.rig.rig import Rig
 from warpav.scene.town.town import ego_vehicle
 
@@ -45,3 +45,23 @@ def test_cameras_far_from_the_surface_are_told(position_m, away):
 def test_rigs_on_their_vehicle_are_not():
     assert off_vehicle(wa.preset("nuscenes"), ego_vehicle()) == ""
     assert "is the rig of another vehicle" in off_vehicle(at(1.0, 0.0, 3.2), ego_vehicle())
+
+
+def scaled(rig, factor):
+    return Rig([dataclasses.replace(each, position_m=factor * each.position_m) for each in rig.cameras])
+
+
+@pytest.mark.parametrize("preset", ["edgar", "nuscenes", "argoverse2"])
+def test_positions_in_millimetres_are_told_in_one_line(preset):
+    rig = scaled(wa.preset(preset), 1000.0)
+    (text,) = oddities(rig)
+    assert "expected position_m in metres, got [" in text
+    assert text == off_vehicle(rig, ego_vehicle())
+    first_m = wa.preset(preset).cameras[0].position_m
+    assert text.endswith(f"look like millimetres: divide them by 1000, [{', '.join(f'{each:g}' for each in first_m)}]")
+
+
+def test_other_far_positions_are_not_called_millimetres():
+    for rig in (scaled(wa.preset("nuscenes"), 100.0), at(1700.0, 0.0, 20.0), at(50_000.0, 0.0, 1500.0)):
+        assert "lies more than 100 m from the rear axle" in next(oddities(rig))
+        assert "is the rig of another vehicle" in off_vehicle(rig, ego_vehicle())

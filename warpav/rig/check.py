@@ -15,6 +15,9 @@ from warpav.rig.rig import Rig, RigCamera
 FAR_M = 100.0
 """No camera of a vehicle is farther from its rear axle; such a file holds another unit, or a camera beside the road."""
 
+_VEHICLE_M = 20.0  # no camera of a bus is farther from its rear axle
+_HEIGHT_M = (0.2, 5.0)
+
 OFF_VEHICLE_M = 1.0
 """A camera farther from the surface of its vehicle stands on a mast, or belongs to another vehicle."""
 
@@ -64,12 +67,31 @@ def description(camera: RigCamera) -> str:
     )
 
 
+def in_millimetres(rig: Rig) -> str:
+    """One line where all positions are far away, but as millimetres those of a vehicle's cameras; else empty."""
+    position = np.array([camera.position_m for camera in rig.cameras])
+    position_m = 1e-3 * position
+    is_far = np.linalg.norm(position, axis=1) > FAR_M
+    is_near = np.linalg.norm(position_m, axis=1) < _VEHICLE_M
+    is_above = (_HEIGHT_M[0] <= position_m[:, 2]) & (position_m[:, 2] <= _HEIGHT_M[1])
+    if not (is_far & is_near & is_above).all():
+        return ""
+    given, metres = (", ".join(f"{value:g}" for value in of[0]) for of in (position, position_m))
+    return (
+        f"camera {rig.cameras[0].name!r}: expected position_m in metres, got [{given}]; all positions look like "
+        f"millimetres: divide them by 1000, [{metres}]"
+    )
+
+
 def oddities(rig: Rig) -> Iterator[str]:
     """Other implausible properties that may be intended, one message each."""
+    unit = in_millimetres(rig)
+    if unit:
+        yield unit
     for camera in rig.cameras:
         if camera.position_m[2] < 0.0:
             yield f"camera {camera.name!r} lies {-camera.position_m[2]:.3f} m below the ground"
-        if np.linalg.norm(camera.position_m) > FAR_M:
+        if not unit and np.linalg.norm(camera.position_m) > FAR_M:
             yield f"camera {camera.name!r} lies more than {FAR_M:g} m from the rear axle"
         if abs(camera.roll_rad) > 0.5 * math.pi:
             yield f"camera {camera.name!r} is mounted upside down (roll {math.degrees(camera.roll_rad):.1f} deg)"
@@ -85,6 +107,8 @@ def off_vehicle(rig: Rig, body: Mesh) -> str:
         rig: The rig.
         body: The vehicle, in the same ego frame.
     """
+    if unit := in_millimetres(rig):
+        return unit
     away_m = {camera.name: _distance_m(camera.position_m, body) for camera in rig.cameras}
     far = {name: distance_m for name, distance_m in away_m.items() if distance_m > OFF_VEHICLE_M}
     if not far:
