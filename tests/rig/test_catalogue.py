@@ -151,8 +151,7 @@ def test_a_mistake_is_one_line_with_its_place(case, tmp_path):
     assert lines[0].startswith(f"{file}:{line}: ")
     assert remedy in lines[0]
     assert "; " in lines[0]
-    if case not in ("inner key", "key"):  # there a field is missing as well
-        assert len(str(caught.value).splitlines()) == 1, str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1, str(caught.value)
 
 
 def test_mistakes_of_several_modules_are_told_together(tmp_path):

@@ -263,7 +263,7 @@ def test_reading_reports_every_mistake_on_a_line_of_its_own(tmp_path):
     with pytest.raises(InputError) as caught:
         read_rig(written(text, tmp_path))
     lines = str(caught.value).splitlines()
-    assert len(lines) == 3  # the unknown yaw, the missing yaw_deg, the field of view
+    assert len(lines) == 2  # the unknown yaw, which is the missing yaw_deg, and the field of view
     assert all(line.startswith(str(tmp_path / "rig.yaml") + ":") for line in lines)
 
 

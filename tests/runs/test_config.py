@@ -238,6 +238,22 @@ FILE_MISTAKES = [
     ),
     ("fov_deg: 80\n", "mine.yaml:1: fov_deg: expected one of run, device"),
     (
+        "rig.free.pitch_deg: [0, 10]\n",
+        "mine.yaml:1: rig.free.pitch_deg: expected sections, got 'rig.free.pitch_deg'; write "
+        "rig: {free: {pitch_deg: ...}}",
+    ),
+    (
+        "rig:\ncameras: 4\nstart: highest\n",
+        "mine.yaml:1: rig: expected a section with cameras, start, freeze, height_offset_m, min_spacing_m, free, "
+        "fewest_cameras, modules, catalogue, max_cost, symmetric, got nothing (null); indent "
+        "cameras and start below it",
+    ),
+    (
+        "rig:\n  free:\n  pitch_deg: [0, 10]\n",
+        "mine.yaml:2: rig.free: expected a section with pitch_deg, height_m, fov_deg, got nothing (null); indent "
+        "pitch_deg below it",
+    ),
+    (
         "rig:\n  cameras: many\n",
         "mine.yaml:2: rig.cameras: expected a whole number from 1 to 16, got 'many'; cameras on the vehicle",
     ),

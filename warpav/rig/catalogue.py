@@ -202,6 +202,7 @@ class _CatalogueReader:
         self.location = location
         self.line_of = line_of
         self.mistakes: list[str] = []
+        self.meant: set[Location] = set()
 
     def modules(self, data: object) -> dict[str, Module]:
         """The modules of the file, and those that it extends."""
@@ -269,7 +270,7 @@ class _CatalogueReader:
             if not form.fits(value):
                 self.report((*location, name), form.text, value, "correct it" if value is not None else "write it")
         for name in fields:
-            if name not in data and prefix + name not in _OPTIONAL:
+            if name not in data and prefix + name not in _OPTIONAL and (*location, name) not in self.meant:
                 self.report((*location, name), _FORMS[prefix + name].text, None, f"add {name}")
         return item
 
@@ -278,6 +279,7 @@ class _CatalogueReader:
         for name in data:
             if name not in fields:
                 near = difflib.get_close_matches(name, [each for each in fields if each not in data] or fields, 1, 0.5)
+                self.meant.update((*location, each) for each in near)
                 remedy = f"did you mean {near[0]}?" if near else "remove it"
                 self.report((*location, name), f"one of {', '.join(fields)}", name, remedy)
         return {name: data[name] for name in fields if name in data}

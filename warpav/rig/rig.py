@@ -548,12 +548,14 @@ class _RigReader:
             self.report(location, f"a mapping with {', '.join(fields)}", data)
             return {}
         missing = [field for field in fields if field not in data and field not in optional]
+        meant: set[str] = set()
         for field in data:
             if field not in fields:
                 near = difflib.get_close_matches(field, missing or fields, 1, 0.5)
+                meant.update(near)
                 hint = f"; did you mean {near[0]}?" if near else ""
                 self.report((*location, field), f"one of {', '.join(fields)}", field, hint)
-        for field in missing:
+        for field in (each for each in missing if each not in meant):
             hint = "; write frame: ego" if field == "frame" else ""
             self.report((*location, field), _EXPECTED.get(field, f"the field {field}"), None, hint)
         return {field: data[field] for field in fields if field in data}

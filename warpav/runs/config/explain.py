@@ -100,6 +100,9 @@ def place_of(
 def _unknown_option(section: type[Section], location: Location) -> str:
     names = list(section.model_fields)
     unknown = location[-1]
+    parts = unknown.split(".")
+    if tuple(parts) in option_locations(ConfigTree):
+        return f"expected sections, got {unknown!r}; write {': {'.join(parts)}: ...{'}' * (len(parts) - 1)}"
     elsewhere = [".".join(name) for name in option_locations(ConfigTree) if name[-1] == unknown]
     near = difflib.get_close_matches(unknown, names, 1, 0.5)
     hint = elsewhere[0] if elsewhere else ".".join((*location[:-1], near[0])) if near else ""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import difflib
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -116,10 +117,29 @@ def load_config(
         return Config.model_validate(data)
     except ValidationError as error:
         found = error.errors(include_url=False)
-        lines = list(dict.fromkeys(explain(each, file, written_at, override_of) for each in found[:_MISTAKES_MAX]))
+        below = _to_indent([tuple(map(str, each["loc"])) for each in found])
+        said_above = set(itertools.chain(*below.values()))
+        found = [each for each in found if each["loc"] not in said_above]
+        lines = []
+        for each in found[:_MISTAKES_MAX]:
+            names = [location[-1] for location in below.get(each["loc"], ())]
+            hint = f"; indent {' and '.join(names)} below it" if names else ""
+            lines.append(explain(each, file, written_at, override_of) + hint)
+        lines = list(dict.fromkeys(lines))
         if len(found) > _MISTAKES_MAX:
             lines.append(f"and {len(found) - _MISTAKES_MAX} more mistakes")
         raise InputError(*lines) from None
+
+
+def _to_indent(mistaken: Sequence[Location]) -> dict[Location, list[Location]]:
+    """Sections that are mistakes, each with the mistakes beside it that are options of it, not indented."""
+    options = set(option_locations(Config))
+    sections = {option[:-1] for option in options if option[:-1]} & set(mistaken)
+    beside = {
+        section: [each for each in mistaken if each[:-1] == section[:-1] and (*section, *each[-1:]) in options]
+        for section in sections
+    }
+    return {section: found for section, found in beside.items() if found}
 
 
 def changed_config(config: Config, overrides: Sequence[str], *, origin: str | None = COMMAND_LINE) -> Config:
