@@ -5,6 +5,7 @@ What is drawn of an object is registered with `draws` by class and kind; rooms a
 
 from __future__ import annotations
 
+import difflib
 import inspect
 import io
 import sys
@@ -292,9 +293,12 @@ def _split(
     )
     unknown = sorted(set(of_show) - known)
     if unknown:
+        named = list(inspect.signature(plot).parameters)[1:-1]
+        near = difflib.get_close_matches(unknown[0], [*named, *takes, *known], 1, 0.6)
         raise TypeError(
             f"plot: {unknown[0]}: expected an option of a {type(obj).__name__} ({', '.join(takes)}) or of "
             f"{'an image file (cpos)' if is_file else 'pyvista.Plotter.show'}"
+            + (f"; did you mean {near[0]}?" if near else "")
         )
     return own, of_show
 
