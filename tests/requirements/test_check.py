@@ -13,6 +13,8 @@ import warpav as wa
 from tests.requirements.test_area import box
 from warpav.raster.camera import CameraModel
 from warpav.requirements.area import Band, Strip
+from warpav.requirements.check import Gap
+from warpav.requirements.read import SECTORS
 from warpav.requirements.requirement import Requirement
 from warpav.requirements.test_object import SIZES_M, TestObject
 
@@ -88,6 +90,29 @@ def test_the_worst_point_says_how_much_is_missing():
         assert worst.cameras == 0
     assert around.worst[0].camera is None  # nobody looks to the front
     assert twice.met == 0
+
+
+@pytest.mark.parametrize("sector", SECTORS)
+def test_the_largest_gap_is_the_largest_patch_of_neighbours(sector):
+    yaw_rad = 0.25 * math.pi * SECTORS.index(sector)
+    middle_m = np.array([1.3, 0.2])
+    patch = [(0, 0), (1, 0), (1, 1), (2, 2), (9, 9), (9, 10)]  # four, one of them by a corner, and two
+    point_m = middle_m + 8.0 * np.array([math.cos(yaw_rad), math.sin(yaw_rad)]) + 0.2 * np.array(patch)
+    gap = Gap.largest(point_m, 0.2, middle_m)
+    assert gap.sector == sector
+    assert gap.area_m2 == pytest.approx(4 * 0.04)
+
+
+def test_the_gap_of_a_rig_is_where_no_camera_looks():
+    _, around, twice = wa.check_requirements(wa.Rig(CAMERAS[:1]), EGO, WANTED).outcomes
+    assert around.gap.sector in ("front left", "front", "front right")
+    assert 0.5 * (around.points - around.met) * 0.8**2 < around.gap.area_m2 <= (around.points - around.met) * 0.8**2
+    assert twice.gap.area_m2 == pytest.approx(twice.points * 0.5**2)
+    assert twice.to_json()["gap"] == {"sector": "left", "area_m2": twice.gap.area_m2}
+    far = replace(WANTED[0], area=Strip("rear", (2.0, 3.5), (-0.5, 0.5)), visible_share=0.1)
+    (met,) = wa.check_requirements(wa.Rig(CAMERAS[:1]), EGO, [far]).outcomes
+    assert met.gap is met.to_json()["gap"] is None
+    assert met.is_met
 
 
 def test_the_table_and_json_say_the_same(tmp_path):

@@ -243,7 +243,10 @@ def test_constraints_that_are_met_do_not_hide_a_requirement_that_is_not():
     arms = {"optimised": {**dict.fromkeys(ARM_ROWS, 0.25), "constraint_violation": 0.0}}
     outcome["need"] = {"share": 1.0}
     text = verdict_of(arms=arms, requirements={"optimised": [outcome]})
-    assert "REQUIREMENT NOT MET: near at 50.0% of 4 points" in text
+    assert "REQUIREMENT NOT MET: near at 50.0% of 4 points\n" in text
+    with_gap = {**outcome, "gap": {"sector": "rear left", "area_m2": 1.2345}}
+    text = verdict_of(arms=arms, requirements={"optimised": [with_gap]})
+    assert "REQUIREMENT NOT MET: near at 50.0% of 4 points; largest gap: 1.23 m², rear left\n" in text
     assert "constraints of spacing and mount met: " in text
     assert "\nconstraints met: " in verdict_of(arms=arms, requirements={"optimised": [{**outcome, "is_met": True}]})
 

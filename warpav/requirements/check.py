@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ import numpy as np
 from warpav.core.printable import one_line
 from warpav.raster.mesh import Mesh
 from warpav.requirements.area import Body
-from warpav.requirements.read import read_requirements
+from warpav.requirements.read import SECTORS, read_requirements
 from warpav.requirements.requirement import Ghosts, Requirement
 from warpav.requirements.visibility import RENDER_WIDTH_PX, Visibility, ghost_visibility, poses_of
 from warpav.rig.rig import Rig
@@ -47,6 +48,42 @@ class WorstPoint:
 
 
 @dataclass(frozen=True)
+class Gap:
+    """Neighbouring points that are not met.
+
+    Attributes:
+        sector: Where their middle lies from that of the vehicle, one of `warpav.requirements.read.SECTORS`.
+        area_m2: Their number times the area of a cell of the grid [m²].
+    """
+
+    sector: str
+    area_m2: float
+
+    @classmethod
+    def largest(cls, point_m: np.ndarray, spacing_m: float, middle_m: np.ndarray) -> Gap | None:
+        """The largest one; None without points.
+
+        Args:
+            point_m: The points of a grid that are not met [m], [point, 2].
+            spacing_m: Distance between neighbours of the grid [m].
+            middle_m: That of the vehicle [m], [2].
+        """
+        from scipy import ndimage
+
+        if not len(point_m):
+            return None
+        cell = np.rint((point_m - point_m.min(axis=0)) / spacing_m).astype(int)
+        is_unmet = np.zeros(cell.max(axis=0) + 1, bool)
+        is_unmet[tuple(cell.T)] = True
+        labels: np.ndarray = ndimage.label(is_unmet, np.ones((3, 3)))[0]
+        label = labels[tuple(cell.T)]
+        largest = int(np.bincount(label).argmax())
+        x, y = point_m[label == largest].mean(axis=0) - middle_m
+        sector = round(math.atan2(y, x) / (2.0 * math.pi) * len(SECTORS)) % len(SECTORS)
+        return cls(SECTORS[sector], float((label == largest).sum() * spacing_m**2))
+
+
+@dataclass(frozen=True)
 class RequirementOutcome:
     """How well a rig meets one requirement.
 
@@ -55,12 +92,14 @@ class RequirementOutcome:
         points: Number of its points.
         met: How many of them are met.
         worst: The points furthest from being met, the worst first; none where all are met.
+        gap: The largest gap; None where all are met.
     """
 
     requirement: Requirement
     points: int
     met: int
     worst: tuple[WorstPoint, ...]
+    gap: Gap | None
 
     @property
     def share(self) -> float:
@@ -91,6 +130,7 @@ class RequirementOutcome:
             "met": self.met,
             "share": self.share,
             "is_met": self.is_met,
+            "gap": None if self.gap is None else asdict(self.gap),
             "worst": [
                 {
                     "position_m": list(point.position_m),
@@ -175,7 +215,9 @@ class RequirementResult:
         is_met = self.is_point_met[ghost]
         order = np.argsort(last, kind="stable")
         worst = [int(ghost[i]) for i in order if not is_met[i]][:WORST_COUNT]
-        return RequirementOutcome(requirement, len(ghost), int(is_met.sum()), tuple(map(self._point, worst)))
+        unmet_m = self.ghosts.position_m[ghost[~is_met]]
+        gap = Gap.largest(unmet_m, requirement.grid_m, self.body.centre_m)
+        return RequirementOutcome(requirement, len(ghost), int(is_met.sum()), tuple(map(self._point, worst)), gap)
 
     def _point(self, ghost: int) -> WorstPoint:
         share, pixels = self.visibility.visible_share[:, ghost], self.visibility.pixels[:, ghost]

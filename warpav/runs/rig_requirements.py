@@ -49,7 +49,11 @@ def check_rig(
         rig, ego, wanted, supersampling=config.camera.supersampling, device=checked_device(config.device)
     )
     yield from result.table().splitlines()
-    unmet = [each.requirement.name for each in result.outcomes if not each.is_met]
+    unmet = [
+        f"{each.requirement.name} (largest gap: {each.gap.area_m2:.2f} m², {each.gap.sector})"
+        for each in result.outcomes
+        if not each.is_met and each.gap is not None
+    ]
     yield f"not met: {', '.join(unmet)}" if unmet else "all requirements are met"
     if json_file is not None:
         with writing(json_file), atomic_write(json_file) as draft:

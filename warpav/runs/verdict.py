@@ -244,6 +244,8 @@ def unmet_requirements(evaluation: Mapping[str, Any]) -> list[str]:
         if each["worst"]:
             x, y = each["worst"][0]["position_m"]
             text += f"; worst at x = {x:.1f} m, y = {y:.1f} m"
+        if gap := each.get("gap"):  # runs of before have none
+            text += f"; largest gap: {gap['area_m2']:.2f} m², {gap['sector']}"
         found.append(text)
     return found
 
