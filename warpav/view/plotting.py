@@ -181,7 +181,8 @@ def plot(
     - ``range`` +: by azimuth, up to which distance road users of each class are detected. ``probability`` gives the
       model for a camera; by default that of the detector that ships with warpav.
     - ``near_field`` +: how far from the body the first visible point is at three heights, with dimensions.
-    - ``redundancy`` +: how many cameras see a road user by sector and distance, and after the costliest loss of one.
+    - ``redundancy`` +: how many cameras see a road user by sector and distance, and without the camera whose loss
+      leaves most ground to no camera, whatever traffic is there.
     - ``resolution`` +: pixels per degree along the horizon, and over azimuth and elevation.
     - ``contact``: the images of all cameras in ``scene``, with their angles and the share of the own body.
 

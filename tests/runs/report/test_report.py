@@ -182,7 +182,7 @@ def test_the_most_sensitive_camera_is_named(folder, page):
     folder.write_evaluation(evaluation(**both))
     told = " ".join(page_of(folder).text)
     assert "Most sensitive is <rear> in yaw: off by 1 degree, the rig is expected to miss 0.25 more of 100" in told
-    assert "(10 scenes); the loss of <rear> costs most, 37.5 of 100." in told
+    assert "(10 scenes); in traffic the loss of <rear> costs most, 37.5 more misses of 100." in told
     worst |= {"degree": "z", "change_per_100": 0.1}
     folder.write_evaluation(evaluation(mount_tolerance=tolerance))
     assert "in z: off by 2 cm," in " ".join(page_of(folder).text)

@@ -55,7 +55,8 @@ FIGURES = {
     "plan": "How far each camera's image of a car is large enough, and the ground that the own body hides",
     "range": "Up to which distance road users of each class are detected, by direction",
     "near_field": "How far from the body the first visible point is, by direction and height",
-    "redundancy": "How many cameras see a road user, by direction and distance, and without the costliest one",
+    "redundancy": "How many cameras see a road user, by direction and distance, and without the camera whose loss "
+    "leaves most ground to no camera, whatever traffic is there",
     "rig_top_view": "From above: where the cameras started, how they moved, where they ended",
     "detections": "A test scene through the cameras, before and after",
     "loss_curves": "Loss, loss terms, multipliers and the smallest camera distance over the iterations",

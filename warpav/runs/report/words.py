@@ -552,7 +552,7 @@ def sensitivity(run: RunContent) -> str:
         return f"{text}."
     lost = next(each for each in outage.cameras if each.camera == outage.worst)
     more = lost.difference_per_100 if lost.weighted_difference_per_100 is None else lost.weighted_difference_per_100
-    return f"{text}; the loss of {lost.camera} costs most, {number(more, 1)} of 100."
+    return f"{text}; in traffic the loss of {lost.camera} costs most, {number(more, 1)} more misses of 100."
 
 
 def _caution(evaluation: EvaluationRecord) -> Statement | None:

@@ -79,7 +79,7 @@ def redundancy_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None
             "the own body does not hide it, and the image of",
             f"a car {CAR_HEIGHT_M:g} m high is at least {PIXELS[-1]:g} px high there",
         ]
-        loss = ["without the camera whose loss", "leaves most ground to no camera"]
+        loss = ["without the camera whose loss", "leaves most ground to no camera,", "whatever traffic is there"]
         groups = {"A road user is seen by": seen, "A camera sees it where": rule, "Right": loss}
         write_key(key, groups, widths=(3, 5, 4))
         caption(figure, f"{RINGS} Level ground, nothing but the own body in the way.")
