@@ -75,7 +75,8 @@ class Gap:
         cell = np.rint((point_m - point_m.min(axis=0)) / spacing_m).astype(int)
         is_unmet = np.zeros(cell.max(axis=0) + 1, bool)
         is_unmet[tuple(cell.T)] = True
-        labels: np.ndarray = ndimage.label(is_unmet, np.ones((3, 3)))[0]
+        labels = np.zeros(is_unmet.shape, np.int32)
+        ndimage.label(is_unmet, np.ones((3, 3)), output=labels)
         label = labels[tuple(cell.T)]
         largest = int(np.bincount(label).argmax())
         x, y = point_m[label == largest].mean(axis=0) - middle_m
