@@ -66,11 +66,9 @@ def draw_fitting(folder: Path) -> None:
             small = image.convert("RGB").resize(
                 (1080, round(1080 * image.height / image.width)), Image.Resampling.LANCZOS
             )
-        # the colours of cameras are rare, but must not be merged
-        method = Image.Quantize.MEDIANCUT if kind == "contact" else Image.Quantize.MAXCOVERAGE
-        small.quantize(64 if kind == "contact" else 256, method, dither=Image.Dither.NONE).save(
-            PICTURES / f"plot_{kind}.png", optimize=True
-        )
+        if kind == "contact":  # images of cameras; a palette would shift the pale colours of all others
+            small = small.quantize(64, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+        small.save(PICTURES / f"plot_{kind}.png", optimize=True)
 
 
 FITTING = ("plan", "range", "near_field", "redundancy", "resolution", "contact")
