@@ -94,7 +94,7 @@ def test_unknown_objects_and_options_are_named(tmp_path):
         plot(rig(), out=tmp_path / "x.png", iteration=3)
     with pytest.raises(TypeError, match=r"plot: screenshot: .* or of an image file \(cpos\)"):
         plot(rig(), out=tmp_path / "x.png", screenshot="y.png")
-    for name, meant in {"kin": "kind", "covrage": "coverage", "windowsize": "window_size"}.items():
+    for name, meant in {"kin": "kind", "coverages": "coverage", "windowsize": "window_size"}.items():
         with pytest.raises(TypeError, match=rf"plot: {name}: expected an option of a Rig .*; did you mean {meant}\?$"):
             plot(rig(), **{name: "plan"})
 
