@@ -179,14 +179,19 @@ def _cells(line):
 def _traffic_row(label):
     """A row of README's table, from the tables that are published."""
     name = f"rivals_{TRAFFIC_SETTING_OF[label]}"
-    judged = json.loads(SUMMARIES[name].read_text())["table"].split("**Misses by the detector of the search**")[1]
+    summary = json.loads(SUMMARIES[name].read_text())
+    judged = summary["table"].split("**Misses by the detector of the search**")[1]
+    missed = {
+        arm: np.mean([run["misses_per_100"] for run in summary["runs"] if run["arm"] == arm])
+        for arm in ("default", *TRAFFIC_RIVALS)
+    }
     headings, _, *lines = (_cells(line) for line in judged.split("\n\n", 2)[1].splitlines())
     kept = (0, 1, 2, 3, 4, -3, -2, -1)  # two headings between these are alike
     cells_of = {cells[0]: {headings[place]: cells[place] for place in kept} for cells in lines}
     panels = [file for found, file in SUMMARIES.items() if found.startswith(f"{name} before the panel")]
     goals = [goal for panel in panels for goal in json.loads(panel.read_text())["goals"]]
     ours = cells_of["default"]
-    row = [label, f"**{float(ours['misses per 100'].split()[0]):.1f}**"]
+    row = [label, f"**{missed['default']:.1f}**"]
     for arm in TRAFFIC_RIVALS:
         low, high = (float(end) for end in re.search(r"\[(\S+), (\S+)\]", cells_of[arm]["less default"]).groups())
         outside = [
@@ -197,9 +202,10 @@ def _traffic_row(label):
         lows = [float(number) for number in re.findall(r"\[([-+.\d]+), [-+.\d]+\]", " ".join(outside))]
         agreed = f" {sum(each > 0.0 for each in lows)}/{len(lows)}" if lows else ""
         mark = "✓" if low > 0.0 else "✗" if high < 0.0 else "≈"
-        row.append(f"{float(cells_of[arm]['misses per 100'].split()[0]):.1f} {mark}{agreed}")
+        row.append(f"{missed[arm]:.1f} {mark}{agreed}")
     for arm in PRACTICE:
-        row.append(f"{float(ours[f'% fewer attainable than {arm}'].split()[0]):.1f} %")
+        share, low, high = map(float, re.findall(r"[-+.\d]+", ours[f"% fewer attainable than {arm}"]))
+        row.append(f"{'≈ ' if low < 0.0 < high else ''}{share:.1f} %")
     return "| " + " | ".join(row) + " |"
 
 
