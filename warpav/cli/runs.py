@@ -296,9 +296,21 @@ def plot(
         say(f"no {name}: {reason}")
 
 
-def report(run: Annotated[str, Parameter(help="Run folder.")], /) -> None:
+def report(
+    run: Annotated[str, Parameter(help="Run folder.")],
+    /,
+    *,
+    full: Annotated[bool, Parameter(negative=(), help="Draw all pictures first, not only those of a run.")] = False,
+) -> None:
     """Write the HTML report of a run again."""
     from warpav.runs.report.report import write_report
     from warpav.runs.run_folder import RunFolder
 
-    say(f"wrote {write_report(RunFolder.open(run))}")
+    folder = RunFolder.open(run)
+    if full:
+        from warpav.runs.progress import RunDisplay
+        from warpav.runs.run_figures import RunPictures
+
+        with RunDisplay() as display:
+            RunPictures.of_folder(folder, display).draw(display, full=True)
+    say(f"wrote {write_report(folder)}")

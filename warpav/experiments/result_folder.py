@@ -128,7 +128,7 @@ def _options(config: Config) -> dict[str, Any]:
     values = {
         name: value
         for name, value in option_values(config).items()
-        if name not in ("run.seed", "run.out")
+        if name not in ("run.seed", "run.out", "run.pictures")
         and not name.startswith("executor.")
         # results from before there were weights, zones and modules are those of none
         and (value or not name.startswith(("importance.", "mount.zones", "requirements")))

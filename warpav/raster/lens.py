@@ -223,10 +223,9 @@ class LensShape:
                 found = np.stack([factor * x, factor * y], axis=-1)
                 seen = (angle <= self.limit) & ((across > 0.0) | (z > 0.0))
             else:
-                seen = (z > 0.0) & (np.hypot(x, y) <= self.limit * z)
-                if self.lens is Lens.PINHOLE:
-                    seen = z > 0.0
-                found = self._moved(np.stack([x / z, y / z], axis=-1))[0]
+                found, seen = np.stack([x / z, y / z], axis=-1), z > 0.0
+                if self.lens is not Lens.PINHOLE:
+                    found, seen = self._moved(found)[0], seen & (np.hypot(x, y) <= self.limit * z)
         return np.where(seen[..., None], found, np.nan)
 
     def ray(self, place: np.ndarray) -> np.ndarray:

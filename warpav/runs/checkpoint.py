@@ -20,6 +20,7 @@ from warpav.runs.placement import Placement
 MAY_CHANGE = (
     "run.iterations",
     "run.checkpoint_every",
+    "run.pictures",
     "optimiser.pool_rounds",
     "optimiser.pool_refinements",
     "optimiser.pool_gap",

@@ -13,9 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError
-from warpav.core.executor import in_background
 from warpav.core.progress import Progress
-from warpav.evaluation.metrics import ObjectOutcome
 from warpav.optimisation.descent import Descent
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.optimisation.history import Candidate, IterationRecord
@@ -47,7 +45,6 @@ from warpav.view import Canvas, draws, plot
 if TYPE_CHECKING:
     import numpy as np
 
-    from warpav.evaluation.camera_outage import CameraOutages
     from warpav.optimisation.assignment import AssignedScene
     from warpav.requirements.check import RequirementResult
 
@@ -350,81 +347,48 @@ def write_verdict(
     """
     from warpav.evaluation.blind_ground import BlindGround
     from warpav.runs.report.report import write_report
-    from warpav.runs.run_figures import RigDrawing, draw_rigs, draw_views
-    from warpav.view.figures.requirements import requirement_map
+    from warpav.runs.run_figures import GROUND_SCENES, RunPictures
 
     placement, descent = result.placement, result._descent
-    mount = placement.mount
     folder.write_checkpoint(result._state())
     write_rig(result.rig, folder.rig_path("best"))
-    write_rig(mount.rig(descent.candidates[-1].mount_pose), folder.rig_path("final"))
+    write_rig(placement.mount.rig(descent.candidates[-1].mount_pose), folder.rig_path("final"))
     if result.further_cameras is not None:
         folder.write_further_cameras(result.further_cameras)
 
+    rigs, began_as = _compared(result, progress)
+    compared = evaluate_on(rigs, test, placement, began_as=began_as, progress=progress)
+    timer.end("comparison on the test scenes")
+    progress.stage("ground that no camera sees")
+    ground = BlindGround.of(compared.rigs, [assigned.scene for assigned in test[:GROUND_SCENES]])
+    timer.end("ground that no camera sees")
+    progress.stage("errors of mounting")
+    tolerance = _tolerance(result, test)
+    timer.end("errors of mounting")
     constraints = placement.objective.constraints
-    drawing = RigDrawing(
-        folder.path,
-        result.start,
-        result.found,
-        first,
-        mount.surface,
-        constraints.min_spacing_m,
-        shows_zone=constraints.are_inequalities,
-        further=result.further_cameras,
-        objects="vehicles" if placement.config.scenes.targets == ("vehicle",) else "road users",
-        probability=placement.fitted_probabilities,
-    )
-    with in_background(draw_rigs, drawing) as drawn:
-        rigs, began_as = _compared(result, progress)
-        compared = evaluate_on(rigs, test, placement, began_as=began_as, progress=progress)
-        timer.end("comparison on the test scenes")
-        progress.stage("ground that no camera sees")
-        ground = BlindGround.of(compared.rigs, [assigned.scene for assigned in test])
-        timer.end("ground that no camera sees")
-        progress.stage("errors of mounting")
-        tolerance = _tolerance(result, test, compared.camera_outage[OPTIMISED], folder)
-        timer.end("errors of mounting")
-        evaluation = {
-            **compared.to_json(),
-            "mount_tolerance": tolerance,
-            "rig_of_run": START if result.is_worse_than_start else OPTIMISED,
-            "training_objective": {START: result.start_objective, OPTIMISED: result.found_objective},
-            "descent": {
-                "iterations": descent.iteration,
-                "planned": placement.config.run.iterations,
-                "ended": result.ended,
-                "kept": result._kept.iteration,
-            },
-            "certificate": None if result.certificate is None else result.certificate.to_json(),
-            **({} if result.robust is None else {"robust": result.robust}),
-            "constraints": {
-                name: [asdict(margin) for margin in constraints.margins(rig)] for name, rig in rigs.items()
-            },
-            "outcomes": compared.outcomes(),
-            "ground": ground.table(),
-        }
-        folder.write_evaluation({**evaluation, "seconds": timer.seconds})
-        progress.stage("figures and report")
-        for name in (START, OPTIMISED) if compared.requirements else ():
-            requirement_map(
-                folder.figure_path(f"requirements_{name}"),
-                result=compared.requirements[name],
-                rig=compared.rigs[name],
-                ego=placement.ego,
-            )
-        folder.write_ground(ground.arrays(placement.ego.bounds_m()))
-        outcomes = [
-            [seen.outcome[OPTIMISED] for seen in compared.objects if seen.scene == each] for each in compared.scenes
-        ]
-        draw_views(
-            folder,
-            {START: result.start, OPTIMISED: result.found},
-            objective=placement.objective,
-            assigned=_shown_scenes(test, outcomes),
-        )
-    problem = drawn.result()
-    if problem:
-        progress.say(f"no image of the rig: {problem}")
+    evaluation = {
+        **compared.to_json(),
+        "mount_tolerance": tolerance,
+        "rig_of_run": START if result.is_worse_than_start else OPTIMISED,
+        "training_objective": {START: result.start_objective, OPTIMISED: result.found_objective},
+        "descent": {
+            "iterations": descent.iteration,
+            "planned": placement.config.run.iterations,
+            "ended": result.ended,
+            "kept": result._kept.iteration,
+        },
+        "certificate": None if result.certificate is None else result.certificate.to_json(),
+        **({} if result.robust is None else {"robust": result.robust}),
+        "constraints": {name: [asdict(margin) for margin in constraints.margins(rig)] for name, rig in rigs.items()},
+        "outcomes": compared.outcomes(),
+        "ground": ground.table(),
+    }
+    folder.write_evaluation({**evaluation, "seconds": timer.seconds})
+    pictures = placement.config.run.pictures
+    if pictures != "none":
+        progress.stage("pictures and report")
+        drawn = RunPictures(folder, placement, result.start, result.found, test, first, evaluation)
+        drawn.draw(progress, full=pictures == "all")
     timer.end(LAST_STAGE)
     evaluation = {**evaluation, "seconds": timer.seconds}
     folder.write_evaluation(evaluation)
@@ -432,13 +396,8 @@ def write_verdict(
     return evaluation
 
 
-def _tolerance(
-    result: Result, test: Sequence[AssignedScene], outages: CameraOutages | None, folder: RunFolder
-) -> dict[str, Any] | None:
-    """What errors of mounting cost the rig that was found, drawn too; None where that is not known."""
-    from warpav.view.figures.sensitivity import sensitivity_figure
-    from warpav.view.figures.style import save_figure
-
+def _tolerance(result: Result, test: Sequence[AssignedScene]) -> dict[str, Any] | None:
+    """What errors of mounting cost the rig that was found; None where that is not known."""
     scenes = [each for each in test if each.scene.vehicle_count][:_TOLERANCE_SCENES]
     if not scenes:
         return None
@@ -451,10 +410,7 @@ def _tolerance(
         angle_rad=_TOLERANCE_RAD if errors.mount_error_deg is None else math.radians(errors.mount_error_deg),
         sample_count=_TOLERANCE_DRAWS,
     )
-    if found is None:
-        return None
-    save_figure(sensitivity_figure(found, outages), folder.figure_path("sensitivity"))
-    return {**found.to_json(), "scenes": len(scenes)}
+    return None if found is None else {**found.to_json(), "scenes": len(scenes)}
 
 
 def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[str, Rig | None]]:
@@ -485,13 +441,6 @@ def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[
         {OPTIMISED: result.found, START: result.start, "highest": highest, "random": random, **others},
         {OPTIMISED: began_as, START: began_as, "highest": highest, "random": placement.frozen_rig, **others},
     )
-
-
-def _shown_scenes(scenes: Sequence[AssignedScene], outcomes: Sequence[Sequence[ObjectOutcome]]) -> list[AssignedScene]:
-    """The first scene, and of the others that in which a rig leaves most objects undetected, if it leaves any."""
-    undetected = [sum(outcome != ObjectOutcome.DETECTED for outcome in each) for each in outcomes]
-    hardest = max(range(1, len(scenes)), key=undetected.__getitem__, default=0)
-    return [scenes[0], scenes[hardest]] if hardest and undetected[hardest] else [scenes[0]]
 
 
 def _with_scenes(config: Config, placement: Placement, test: Sequence[Scene], folder: RunFolder) -> Config:

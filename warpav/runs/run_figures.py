@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import math
 import os
 import tempfile
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,10 +19,13 @@ import numpy as np
 from warpav.core.devices import checked_device
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import check_folder
+from warpav.core.progress import Progress
 from warpav.raster.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
 from warpav.runs.config import Config
+from warpav.runs.evaluate import requirements_of
 from warpav.runs.events import trajectory
+from warpav.runs.placement import Placement
 from warpav.runs.rig_source import find_rig
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scene
@@ -28,16 +33,21 @@ from warpav.runs.scene_set import load_scene
 if TYPE_CHECKING:
     from warpav.detection.images import CameraImage
     from warpav.detection.probability import DetectionProbability
+    from warpav.evaluation.camera_outage import CameraOutages
+    from warpav.evaluation.mount_tolerance import MountTolerance
     from warpav.optimisation.assignment import AssignedScene
-    from warpav.optimisation.further_camera import FurtherCameras
     from warpav.optimisation.objective import RigObjective
     from warpav.raster.camera import CameraModel
-    from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
     from warpav.view.figures.detections import DetectionPanel
 
 VIEW_PX = 960
 """Longer side of the images that are kept of what cameras see."""
+
+GROUND_SCENES = 10
+"""Test scenes at most on which the ground that no camera sees is measured."""
+
+_RIG_PX = (900, 750)
 
 OBJECT_BACKGROUND, OBJECT_EGO = 0, 65535
 """Values of object images; vehicles are their instance ids."""
@@ -81,109 +91,203 @@ def render_rig(source: str, rig_source: str, config: Config, out: Path, override
     return out
 
 
-@dataclass(frozen=True)
-class RigDrawing:
-    """What the figures of a run's rigs are drawn from; it travels to another process.
+@dataclass(frozen=True, eq=False)
+class RunPictures:
+    """What the pictures of a run are drawn from.
 
     Attributes:
-        folder: The run folder; its events are drawn too.
+        folder: The run folder, which has its iterations and, where it has been evaluated, its ``evaluation.json``.
+        placement: What it ran on.
         start: The rig that the run started from.
-        result: The rig that it found.
-        scene: A test scene.
-        surface: Where cameras may stand.
-        min_spacing_m: Least distance of two cameras [m].
-        shows_zone: Whether the zone for cameras is drawn.
-        further: What further cameras would add to the result; None after a descent.
-        objects: What is counted.
-        probability: The model of detection probability of every camera; none: nobody knows the detection range.
+        found: The rig that it found.
+        test: Test scenes.
+        scene: The first of them, as meshes.
+        evaluation: Content of ``evaluation.json``.
     """
 
-    folder: Path
+    folder: RunFolder
+    placement: Placement
     start: Rig
-    result: Rig
+    found: Rig
+    test: Sequence[AssignedScene]
     scene: Scene
-    surface: MountSurface
-    min_spacing_m: float
-    shows_zone: bool
-    further: FurtherCameras | None = None
-    objects: str = "vehicles"
-    probability: tuple[tuple[CameraModel, DetectionProbability], ...] = ()
+    evaluation: Mapping[str, Any]
 
-    def probability_for(self, model: CameraModel) -> DetectionProbability:
+    @classmethod
+    def of_folder(cls, folder: RunFolder, progress: Progress) -> RunPictures:
+        """Those of a run that has ended: its scenes and its detector are loaded again.
+
+        Raises:
+            InputError: The run has not been evaluated, or something that it ran on is gone.
+        """
+        evaluation = folder.evaluation()
+        if evaluation is None:
+            raise InputError(
+                f"{folder.path}: run folder: expected an evaluation, got none; warpav optimise --resume {folder.path} "
+                "goes on"
+            )
+        placement = Placement.from_config(folder.config()).prepare(progress)
+        found = folder.found_rig()
+        return cls(folder, placement, folder.rig("initial"), found, placement.test, placement.shown, evaluation)
+
+    @property
+    def rigs(self) -> dict[str, Rig]:
+        """Start and result by their headings."""
+        return {"start": self.start, "optimised": self.found}
+
+    def draw(self, progress: Progress, *, full: bool) -> None:
+        """Draw the pictures of the first page, or all; a machine that cannot draw in three dimensions is told so."""
+        self._draw_few()
+        if full:
+            self._draw_further()
+        problem = self._draw_rig()
+        if problem is not None:
+            progress.say(f"no picture of the rig in three dimensions: {problem}")
+
+    def _draw_few(self) -> None:
+        """The pictures of the first page, but for the rig."""
+        from warpav.view import plot
+        from warpav.view.figures.convergence import loss_figure, search_figure
+        from warpav.view.figures.detections import detections_sheet
+        from warpav.view.figures.sensitivity import sensitivity_figure
+
+        events, min_spacing_m = self.folder.events(), self.placement.objective.constraints.min_spacing_m
+        search = search_figure(events)
+        tolerance, outages = _tolerance_of(self.evaluation), _outages_of(self.evaluation)
+        figures = {
+            "search": search,
+            "loss_curves": loss_figure(events, min_distance_m=min_spacing_m) if search is None else None,
+            "sensitivity": None if tolerance is None else sensitivity_figure(tolerance, outages),
+        }
+        self._save(figures)
+        for kind in ("plan", "near_field"):
+            plot(self.rigs, kind=kind, ego=self.scene.ego, out=self.folder.figure_path(kind))
+        detections_sheet(self._panels(self.test[0]), self.folder.figure_path("detections"))
+
+    def _draw_further(self) -> None:
+        """All other pictures, and what the report's maps of the ground are drawn from."""
+        from warpav.evaluation.blind_ground import BlindGround
+        from warpav.view import plot
+        from warpav.view.figures.requirements import requirement_map
+        from warpav.view.figures.top_view import further_figure, top_view_figure
+
+        placement, ego = self.placement, self.scene.ego
+        constraints, surface = placement.objective.constraints, placement.mount.surface.over_ground
+        further = self.folder.further_cameras()
+        figures = {
+            "rig_top_view": top_view_figure(
+                rig=self.found,
+                ego=ego,
+                mount_surface=surface,
+                rig_initial=self.start,
+                trajectory_m=trajectory(self.folder.events()),
+                shows_zone=constraints.are_inequalities,
+            )
+        }
+        if further is not None:
+            objects = "vehicles" if placement.config.scenes.targets == ("vehicle",) else "road users"
+            figures["further_cameras"] = further_figure(
+                further=further, rig=self.found, ego=ego, mount_surface=surface, objects=objects
+            )
+        self._save(figures)
+        plot(self.rigs, kind="redundancy", ego=ego, out=self.folder.figure_path("redundancy"))
+        if placement.fitted_probabilities:
+            plot(
+                self.rigs, kind="range", ego=ego, probability=self._probability, out=self.folder.figure_path("range")
+            )
+        for name, met in requirements_of(self.rigs, placement).items():
+            file = self.folder.figure_path(f"requirements_{name}")
+            requirement_map(file, result=met, rig=self.rigs[name], ego=placement.ego)
+        scenes = [assigned.scene for assigned in self.test[:GROUND_SCENES]]
+        self.folder.write_ground(BlindGround.of(self.rigs, scenes).arrays(placement.ego.bounds_m()))
+        shown = _shown_scenes(self.test, self.evaluation)
+        _keep_views(self.folder, [(each.scene.name, self._panels(each)) for each in shown])
+
+    def _draw_rig(self) -> str | None:
+        """Start and result on the vehicle in the first test scene, side by side.
+
+        Returns:
+            Why this machine cannot draw them; None where it can.
+        """
+        from warpav.view.opengl import opengl_problem
+
+        problem = opengl_problem()
+        if problem is not None:
+            return problem
+        from PIL import Image
+
+        from warpav.view import Canvas, drawing_of
+        from warpav.view.output import render_rgb, write_whole
+
+        path_m = {"optimised": trajectory(self.folder.events())}
+        images = []
+        for name, rig in self.rigs.items():
+            canvas = Canvas(title=name, window_size=_RIG_PX, off_screen=True)
+            plotter = drawing_of(rig, canvas, scene=self.scene, trajectory_m=path_m.get(name))
+            try:
+                images.append(render_rgb(plotter))
+            finally:
+                plotter.close()
+        encoded = io.BytesIO()
+        Image.fromarray(np.hstack(images)).save(encoded, format="PNG")
+        write_whole(self.folder.figure_path("rig"), encoded.getvalue())
+        return None
+
+    def _save(self, figures: Mapping[str, Any]) -> None:
+        from warpav.view.figures.style import save_figure
+
+        for name, figure in figures.items():
+            if figure is not None:
+                save_figure(figure, self.folder.figure_path(name))
+
+    def _panels(self, assigned: AssignedScene) -> dict[str, list[DetectionPanel]]:
+        """What the cameras of both rigs see of a scene."""
+        return {heading: _panels(rig, self.placement.objective, assigned) for heading, rig in self.rigs.items()}
+
+    def _probability(self, model: CameraModel) -> DetectionProbability:
         """That of the same camera, else of one whose images have the same size, as of zooms of one lens."""
-        same = [each for camera, each in self.probability if camera == model]
+        known = self.placement.fitted_probabilities
+        same = [each for camera, each in known if camera == model]
         size = model.width_px, model.height_px
-        alike = [each for camera, each in self.probability if (camera.width_px, camera.height_px) == size]
+        alike = [each for camera, each in known if (camera.width_px, camera.height_px) == size]
         return [*same, *alike][0]
 
 
-def draw_rigs(drawing: RigDrawing) -> str | None:
-    """Draw the figures of a run for which nothing has to be rendered as the cameras see it.
+def _tolerance_of(evaluation: Mapping[str, Any]) -> MountTolerance | None:
+    """What errors of mounting cost, as ``evaluation.json`` has it: of the draws only their mean."""
+    from warpav.evaluation.mount_tolerance import MountEffect, MountTolerance
 
-    Returns:
-        Why this machine cannot draw the rig in three dimensions; None where it can.
-    """
-    from warpav.view import plot
-    from warpav.view.figures.convergence import loss_figure, search_figure
-    from warpav.view.figures.style import save_figure
-    from warpav.view.figures.top_view import further_figure, top_view_figure
-    from warpav.view.opengl import opengl_problem
-
-    folder, scene, result = RunFolder.open(drawing.folder), drawing.scene, drawing.result
-    events = folder.events()
-    path_m = trajectory(events)
-    search = search_figure(events)
-    figures = {
-        "search": search,
-        "loss_curves": loss_figure(events, min_distance_m=drawing.min_spacing_m) if search is None else None,
-        "further_cameras": None
-        if drawing.further is None
-        else further_figure(
-            further=drawing.further,
-            rig=result,
-            ego=scene.ego,
-            mount_surface=drawing.surface.over_ground,
-            objects=drawing.objects,
-        ),
-        "rig_top_view": top_view_figure(
-            rig=result,
-            ego=scene.ego,
-            mount_surface=drawing.surface.over_ground,
-            rig_initial=drawing.start,
-            trajectory_m=path_m,
-            shows_zone=drawing.shows_zone,
-        ),
-    }
-    for name, figure in figures.items():
-        if figure is not None:
-            save_figure(figure, folder.figure_path(name))
-    rigs = {"start": drawing.start, "optimised": result}
-    for kind in ("plan", "near_field", "redundancy"):
-        plot(rigs, kind=kind, ego=scene.ego, out=folder.figure_path(kind))
-    if drawing.probability:
-        plot(rigs, kind="range", ego=scene.ego, probability=drawing.probability_for, out=folder.figure_path("range"))
-    problem = opengl_problem()
-    if problem is None:
-        plot(result, scene=scene, trajectory_m=path_m, out=folder.figure_path("rig"))
-    return problem
+    found = evaluation.get("mount_tolerance")
+    if not found:
+        return None
+    effects = [{name: value for name, value in each.items() if name != "worst"} for each in found["effects"]]
+    return MountTolerance(
+        found["position_m"],
+        found["angle_rad"],
+        found["expected_misses_per_100"],
+        np.full(found["draws"]["count"], found["draws"]["expected_misses_per_100"]),
+        tuple(MountEffect(**each) for each in effects),
+    )
 
 
-def draw_views(
-    folder: RunFolder, rigs: Mapping[str, Rig], *, objective: RigObjective, assigned: Sequence[AssignedScene]
-) -> None:
-    """Draw what the cameras see into a run folder, and keep it for the report.
+def _outages_of(evaluation: Mapping[str, Any]) -> CameraOutages | None:
+    from warpav.evaluation.camera_outage import CameraOutage, CameraOutages
 
-    Args:
-        folder: The run folder.
-        rigs: The start and the result, in this order, by their headings.
-        objective: Observes the scenes through the rigs.
-        assigned: The scene that is drawn, and others of which views are kept.
-    """
-    from warpav.view.figures.detections import detections_sheet
+    found = evaluation.get("camera_outage", {}).get("optimised")
+    if not found:
+        return None
+    return CameraOutages(
+        found["expected_misses_per_100"],
+        found.get("weighted_expected_misses_per_100"),
+        tuple(CameraOutage(**each) for each in found["cameras"]),
+    )
 
-    seen = [{heading: _panels(rig, objective, each) for heading, rig in rigs.items()} for each in assigned]
-    detections_sheet(seen[0], folder.figure_path("detections"))
-    _keep_views(folder, [(each.scene.name, panels) for each, panels in zip(assigned, seen, strict=True)])
+
+def _shown_scenes(scenes: Sequence[AssignedScene], evaluation: Mapping[str, Any]) -> list[AssignedScene]:
+    """The first scene, and of the others that in which the result leaves most objects undetected, if it leaves any."""
+    left = Counter(each["scene"] for each in evaluation["outcomes"] if each["outcome"]["optimised"] != "detected")
+    others = [each for each in scenes[1:] if left[each.scene.name]]
+    return [scenes[0], *sorted(others, key=lambda each: -left[each.scene.name])[:1]]
 
 
 def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequence[DetectionPanel]]]]) -> None:
@@ -193,8 +297,6 @@ def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequ
         folder: The run folder.
         panels: Name of every scene, which others may have as well, and what the cameras see there by rig.
     """
-    import io
-
     from PIL import Image
 
     views, image_of = [], {}

@@ -380,6 +380,11 @@ class RunFolder:
         """A rig of the run; see `rig_file`."""
         return read_rig(self.rig_file(role))
 
+    def found_rig(self) -> Rig:
+        """The rig that the search found, even where it is worse than its start."""
+        keeps_best = self.config().optimiser.keep == "best"
+        return self.rig("best" if keeps_best and (self.evaluation() or {}).get("rig_of_run") != "start" else "final")
+
     def rig_file(self, role: RigRole | None = None) -> Path:
         """The file of a rig of the run.
 

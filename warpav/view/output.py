@@ -87,7 +87,7 @@ def save_image(
         return save_animation(animation, path, progress=progress)
     if path.suffix.lower() == ".png":
         encoded = io.BytesIO()
-        _image(plotter, supersampling).save(encoded, format="PNG", optimize=True)
+        _image(plotter, supersampling).save(encoded, format="PNG")
         return write_whole(path, encoded.getvalue())
     return save_page({path.stem: plotter}, path, title=path.stem)
 

@@ -178,6 +178,11 @@ class RunConfig(Section):
         description="steps after which the state of a run is written, from which warpav optimise --resume goes on; "
         "null: 10, of a search by a pool 1",
     )
+    pictures: Literal["few", "all", "none"] = Field(
+        default="few",
+        description="what a run draws: few, the six of the report's first page; all; none. warpav report RUN --full "
+        "draws all of them later",
+    )
 
 
 def _paths(expected: str) -> tuple[object, ...]:

@@ -6,7 +6,7 @@ import base64
 import io
 import math
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -20,7 +20,7 @@ from warpav.evaluation.rig_evaluation import outage_rows
 from warpav.runs.config import config_names, load_config, overrides_from
 from warpav.runs.mounts import free_ranges, has_zones
 from warpav.runs.report import words
-from warpav.runs.report.reading import EvaluationRecord, Event, RunContent, View, read_run
+from warpav.runs.report.reading import EvaluationRecord, RunContent, View, read_run
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.verdict import ARM_ROWS, RECALL_GROUPS, recall_rows
 from warpav.view.figures.convergence import convergence_panels, search_panel
@@ -51,7 +51,7 @@ FURTHER_SHOWN = 5
 """Places of a further camera that are listed, as many as carry ranks in the figure."""
 
 FIGURES = {
-    "rig": "The rig at the end in a test scene, with the trajectories of its cameras",
+    "rig": "The rig at the start and the one that was found, in a test scene",
     "plan": "How far each camera's image of a car is large enough, and the ground that the own body hides",
     "range": "Up to which distance road users of each class are detected, by direction",
     "near_field": "How far from the body the first visible point is, by direction and height",
@@ -70,7 +70,8 @@ FIGURES = {
 
 _NEAR = ("requirements_start", "requirements_optimised")
 _FITTING = ("plan", "range", "near_field", "redundancy")
-_ELSEWHERE = (*_FITTING, "loss_curves", "further_cameras", "sensitivity", *_NEAR)
+_CURVES = ("search", "loss_curves")
+_ELSEWHERE = ("rig", "detections", *_FITTING, *_CURVES, "further_cameras", "sensitivity", *_NEAR)
 """Figures that have places of their own."""
 
 
@@ -148,14 +149,8 @@ def _template() -> Template:
 def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
     evaluation = run.evaluation
     images = {file.stem: (file, FIGURES.get(file.stem, file.stem)) for file in folder.figures()}
-    has_convergence = run.events and run.events[0].terms is not None
-    for name, is_told in (
-        ("detections", run.views),
-        ("loss_curves", has_convergence),
-        ("search", run.certificate is not None),
-    ):
-        if is_told:
-            images.pop(name, None)
+    if run.views:
+        images.pop("detections", None)
     order = list(FIGURES)
     named = sorted(images, key=lambda name: (order.index(name) if name in order else len(order), name))
     files = [*(images[name][0] for name in named), *(folder.view_path(view.image) for view in run.views)]
@@ -171,10 +166,12 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "objects": words.objects_name(run),
         "metrics": _metrics(evaluation) if evaluation else [],
         "paired": _paired(evaluation) if evaluation else [],
-        "plots": _plots(run),
+        "plots": _plots(run, images),
+        "rig": [image for image in shown if image.name == "rig"],
         "images": [image for image in shown if image.name not in _ELSEWHERE],
         "fitting": [image for image in shown if image.name in _FITTING],
-        "old_curves": [image for image in shown if image.name == "loss_curves"],
+        "curves": [image for image in shown if image.name in _CURVES],
+        "detections": [image for image in shown if image.name == "detections"],
         "further": _further(run),
         "further_map": [image for image in shown if image.name == "further_cameras"],
         "cameras": _cameras(run),
@@ -313,24 +310,13 @@ def _paired(evaluation: EvaluationRecord) -> list[tuple[str, list[tuple[str, str
     ]
 
 
-def _plots(run: RunContent) -> dict[str, list[PageImage]]:
-    """The plots of every section."""
+def _plots(run: RunContent, drawn: Collection[str]) -> dict[str, list[PageImage]]:
+    """The plots of every section that are drawn with the page: those of a full report, and curves that no file has."""
     evaluation = run.evaluation
-    min_distance_m = None if run.config is None else run.config.rig.min_spacing_m
-    search = search_panel([event.model_dump() for event in run.events])
-    found: dict[str, list[PageImage]] = {
-        "search": [] if search is None else [_plot("search", FIGURES["search"], svg_text(search, 3.4))],
-        "convergence": []
-        if search is not None
-        else [
-            _plot(name, f"{name} over the iterations", svg)
-            for name, svg in _convergence(run.events, min_distance_m).items()
-        ],
-        "metrics": [],
-        "recall": [],
-        "ground": [],
-    }
-    if evaluation is None:
+    found: dict[str, list[PageImage]] = {name: [] for name in ("convergence", "metrics", "recall", "ground")}
+    if not any(name in drawn for name in _CURVES):
+        found["convergence"] = _convergence(run)
+    if evaluation is None or run.ground is None:
         return found
     rows = _differences(evaluation, {"tp_detection_rate": "recall", "ap50_pooled": "AP50"})
     if rows:
@@ -345,32 +331,35 @@ def _plots(run: RunContent) -> dict[str, list[PageImage]]:
         svg = recall_by_group(tables, title, unit=RECALL_GROUPS.get(by, ""))
         if svg is not None:
             found["recall"].append(_plot(by, f"{title} of every rig; the table holds the numbers", svg))
-    if run.ground is not None:
-        rigs = {"start": run.start, evaluation.first: run.result}
-        for height, height_m in enumerate(run.ground.heights_m):
-            for arm in (name for name in rigs if name in run.ground.blind_share):
-                svg = blind_ground(
-                    run.ground.blind_share[arm][height],
-                    f"{arm}: {height_m:g} m tall",
-                    cell_m=run.ground.cell_m,
-                    ego_bounds_m=run.ground.ego_bounds_m,
-                    rig=rigs[arm],
-                )
-                caption = (
-                    f"Ground from above, front up: share of the scenes in which no camera of the {arm} rig sees "
-                    f"someone {height_m:g} m tall"
-                )
-                found["ground"].append(_plot(f"ground {arm} {height_m:g}", caption, svg))
+    rigs = {"start": run.start, evaluation.first: run.result}
+    for height, height_m in enumerate(run.ground.heights_m):
+        for arm in (name for name in rigs if name in run.ground.blind_share):
+            svg = blind_ground(
+                run.ground.blind_share[arm][height],
+                f"{arm}: {height_m:g} m tall",
+                cell_m=run.ground.cell_m,
+                ego_bounds_m=run.ground.ego_bounds_m,
+                rig=rigs[arm],
+            )
+            caption = (
+                f"Ground from above, front up: share of the scenes in which no camera of the {arm} rig sees "
+                f"someone {height_m:g} m tall"
+            )
+            found["ground"].append(_plot(f"ground {arm} {height_m:g}", caption, svg))
     return found
 
 
-def _convergence(events: Sequence[Event], min_distance_m: float | None) -> dict[str, str]:
-    """Loss, loss terms, multipliers and camera distance as SVG by name; empty for events that do not hold them all."""
-    records = [event.model_dump() for event in events]
+def _convergence(run: RunContent) -> list[PageImage]:
+    """The course of the search, or loss, loss terms, multipliers and camera distance; none for events without them."""
+    records = [event.model_dump() for event in run.events]
+    search = search_panel(records)
+    if search is not None:
+        return [_plot("search", FIGURES["search"], svg_text(search, 3.4))]
     if not records or any(record[key] is None for record in records for key in ("terms", "multipliers", "positions_m")):
-        return {}
+        return []
     records = [{**record, "loss": math.nan if record["loss"] is None else record["loss"]} for record in records]
-    return {name: svg_text(draw, 2.9) for name, draw in convergence_panels(records, min_distance_m).items()}
+    panels = convergence_panels(records, None if run.config is None else run.config.rig.min_spacing_m)
+    return [_plot(name, f"{name} over the iterations", svg_text(draw, 2.9)) for name, draw in panels.items()]
 
 
 def _differences(evaluation: EvaluationRecord, metrics: Mapping[str, str]) -> list[MetricDifference]:

@@ -63,7 +63,7 @@ def draw_surroundings(
     corner_m = np.asarray(ego.vertex_m)[np.asarray(ego.triangle)][:, :, [1, 0]]
     for rgb, width, order in ((INK_RGB, 1.6, 5.0), (GRID_RGB, 0.5, 5.1)):
         colour = hex_colour(rgb)
-        body = PolyCollection(list(corner_m), facecolors=colour, edgecolors=colour, linewidths=width, zorder=order)
+        body = PolyCollection(corner_m, facecolors=colour, edgecolors=colour, linewidths=width, zorder=order)
         body.set_rasterized(True)
         axis.add_collection(body, autolim=False)
     for index, camera in enumerate(rig.cameras if camera_size else ()):
