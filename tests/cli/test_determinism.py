@@ -4,24 +4,24 @@ import os
 
 import pytest
 
-from tests.cli.test_resume import POOL, check_same
+from tests.cli.small_run import RESUMED_POOL as POOL
+from tests.cli.test_resume import check_same
 from warpav.cli.app import main
 from warpav.runs.run_folder import RunFolder
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 
 
-@pytest.fixture(scope="module")
-def expected(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("expected") / "run"
-    assert main(["optimise", *POOL, f"run.out={folder}"]) == 0
-    return folder
+@pytest.fixture
+def expected(at_once):
+    return at_once("pool")
 
 
 def hashes_of(folder):
     return RunFolder.open(folder).environment()["hashes"]
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no way to take one core")
 def test_one_core_gives_the_bytes_of_all(expected, monkeypatch):
     cores = os.sched_getaffinity(0)

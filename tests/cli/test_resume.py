@@ -15,34 +15,17 @@ import pytest
 import warp as wp
 
 import warpav as wa
-from tests.cli.small_run import complaint
+from tests.cli.small_run import RESUMED_POOL as POOL
+from tests.cli.small_run import RUNS, complaint
 from warpav.cli.app import main
 from warpav.core.atomic_write import DRAFT
 from warpav.core.errors import InputError
-from warpav.optimisation.descent import Descent
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.runs.placement import Placement
 from warpav.runs.run_folder import RunFolder, held_run
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 
-FAST = [
-    *("scenes.train_seeds=[0, 1]", "scenes.test_seeds=[1000]", "run.batch_size=1", "baselines.random_samples=1"),
-    *("camera.width_px=64", "camera.height_px=64", "rig.cameras=2"),
-]
-POOL = [
-    *FAST,
-    *("losses.probability=visible_share", "optimiser.pool_cameras=16", "optimiser.pool_rounds=1", "requirements=null"),
-]
-"""A small search by a pool."""
-FEW = ["run.iterations=5", "optimiser.check_every=2", "optimiser.starts=2"]
-RUNS = {
-    "pool": (PoolDescent, POOL),
-    "descent": (Descent, [*FAST, *FEW, "losses={expected_miss_rate: 0, in_frame_rotation: 1, detected_area: 10}"]),
-    "thesis": (Descent, [*FAST, *FEW, "method=thesis"]),
-    "pool on a GPU": (PoolDescent, [*POOL, "device=cuda:0"]),
-    "descent on a GPU": (Descent, [*FAST, *FEW, "method=thesis", "device=cuda:0"]),
-}
 GPU = wp.is_cuda_available()
 COMMAND = "import sys; from warpav.cli.app import main; sys.exit(main())"
 KILLED_AT_A_FILE = """
@@ -82,20 +65,6 @@ def stopped(name, folder, monkeypatch, *overrides, after=2):
         assert main(["optimise", *options, f"run.out={folder}", *overrides]) == 130
 
 
-@pytest.fixture(scope="module")
-def at_once(tmp_path_factory):
-    """Runs at once by their names, made when they are first asked for."""
-    runs = {}
-
-    def run(name):
-        if name not in runs:
-            runs[name] = tmp_path_factory.mktemp(name.replace(" ", "_")) / "run"
-            optimised(name, f"run.out={runs[name]}")
-        return runs[name]
-
-    return run
-
-
 def check_same(found, expected):
     """The same run but for times."""
     one, other = RunFolder.open(found), RunFolder.open(expected)
@@ -126,7 +95,7 @@ def check_same(found, expected):
 @pytest.mark.parametrize(
     "name",
     [
-        *("pool", "descent", pytest.param("thesis", marks=pytest.mark.slow)),
+        *("pool", "descent", pytest.param("thesis", marks=pytest.mark.nightly)),
         *(pytest.param(f"{name} on a GPU", marks=pytest.mark.gpu) for name in ("pool", "descent") if GPU),
     ],
 )
@@ -164,7 +133,7 @@ def test_a_run_that_is_stopped_after_its_last_step_is_completed(at_once, monkeyp
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("warpav.runs.run_figures.draw_views", interrupted)
+        patch.setattr("warpav.runs.result.write_report", interrupted)
         assert main(["optimise", *POOL, "run.out=stopped"]) == 130
     assert RunFolder.open("stopped").evaluation() is not None
     assert main(["report", "stopped"]) == 0
@@ -313,7 +282,7 @@ def test_ctrl_c_between_a_step_and_what_is_written_of_it_loses_nothing(at_once, 
     assert folder.checkpoint()["iteration"] == 4
 
 
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS])
+@pytest.mark.parametrize("number", [errno.ENOSPC, pytest.param(errno.EROFS, marks=pytest.mark.nightly)])
 def test_a_disk_that_is_full_loses_nothing(at_once, capsys, monkeypatch, number):
     replace, written = os.replace, []
 
@@ -362,7 +331,9 @@ def begun(*words, command=COMMAND):
     )
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+@pytest.mark.parametrize(
+    ("number", "status"), [(signal.SIGTERM, 143), pytest.param(signal.SIGHUP, 129, marks=pytest.mark.nightly)]
+)
 def test_signals_end_as_ctrl_c_does(working_directory, number, status):
     process = begun("optimise", *POOL, "run.out=run")
     events = working_directory / "run" / "events.jsonl"
@@ -418,7 +389,7 @@ def killed_run(working_directory, folder, rng, *, most):
     return most
 
 
-@pytest.mark.parametrize("files", [9, 14])
+@pytest.mark.parametrize("files", [pytest.param(9, marks=pytest.mark.nightly), 14])
 def test_a_run_that_is_killed_while_a_file_is_written_goes_on(at_once, working_directory, files):
     expected = at_once("pool")
     process = begun(str(files), "optimise", *POOL, "run.out=run", command=KILLED_AT_A_FILE)
@@ -430,7 +401,7 @@ def test_a_run_that_is_killed_while_a_file_is_written_goes_on(at_once, working_d
     check_same("run", expected)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_that_is_killed_at_twenty_random_moments_comes_to_what_it_comes_to_at_once(at_once, working_directory):
     expected, rng, kills, runs = at_once("pool"), random.Random(0), 0, 0
     while kills < 20:
