@@ -133,7 +133,7 @@ def test_a_run_that_is_stopped_after_its_last_step_is_completed(at_once, monkeyp
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("warpav.runs.result.write_report", interrupted)
+        patch.setattr("warpav.runs.report.report.write_report", interrupted)
         assert main(["optimise", *POOL, "run.out=stopped"]) == 130
     assert RunFolder.open("stopped").evaluation() is not None
     assert main(["report", "stopped"]) == 0
