@@ -1,6 +1,5 @@
-"""Independent tasks: one after the other, in processes, on a Ray cluster, as Slurm jobs, or one in the background."""
+"""Independent tasks: one after the other, in processes, on a Ray cluster, or as Slurm jobs."""
 
-from warpav.core.executor.background import in_background
 from warpav.core.executor.tasks import Executor, ExecutorName, Outcome, Result, Task, run_tasks
 from warpav.core.executor.workers import available_cores, gpu_share
 
@@ -12,6 +11,5 @@ __all__ = [
     "Task",
     "available_cores",
     "gpu_share",
-    "in_background",
     "run_tasks",
 ]
