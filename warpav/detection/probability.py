@@ -20,6 +20,7 @@ import numpy as np
 import platformdirs
 import warp as wp
 
+from warpav.core.atomic_write import atomic_write
 from warpav.core.bounded_files import DATA_SET_NODES_MAX, read_json
 from warpav.core.errors import InputError
 from warpav.raster.areas import Measures
@@ -445,9 +446,8 @@ class DetectionProbability:
         }
         folder.mkdir(parents=True, exist_ok=True)
         file = folder / use.file_name
-        unfinished = file.with_name(f".{file.name}.part")
-        unfinished.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-        unfinished.replace(file)
+        with atomic_write(file) as draft:
+            draft.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
         return file
 
 
