@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from warpav.core.errors import InputError
-from warpav.core.executor import background, in_background
+from warpav.core.executor import available_cores, background, gpu_processes, in_background
 
 
 def wait_for(pair):
@@ -63,3 +63,13 @@ def test_on_one_core_it_runs_after_the_block(monkeypatch, tmp_path):
     with in_background(wait_for, (tmp_path / "file", 0.0)) as result:
         (tmp_path / "file").touch()
     assert result.result() == os.getpid()
+
+
+def share_of(_):
+    return available_cores(), gpu_processes()
+
+
+def test_it_has_half_of_the_cores_and_of_the_gpu():
+    with in_background(share_of, None) as result:
+        pass
+    assert result.result() == ((available_cores() // 2, 2) if available_cores() > 1 else (1, 1))

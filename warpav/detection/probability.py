@@ -334,7 +334,7 @@ class DetectionProbability:
 
     @classmethod
     def builtin(cls, camera: CameraModel) -> DetectionProbability:
-        """That of the detector that ships with warpav in scenes of the town: the shipped fit for any camera.
+        """That of the detector that ships with warpav for vehicles of the town: the shipped fit for any camera.
 
         Args:
             camera: Its size decides how the detector scales its images.
@@ -345,7 +345,8 @@ class DetectionProbability:
         for_any = next(
             model
             for model in map(cls.read, files)
-            if "cameras" in (settings := model.record["settings"]) and settings["scenes"]["source"] == "town"
+            if "cameras" in (settings := model.record["settings"])
+            and (settings["scenes"]["source"], settings["scenes"]["targets"]) == ("town", ["vehicle"])
         )
         scale = OnnxDetector(BUILTIN_MODEL_PATH).network_scale(camera.height_px, camera.width_px)
         return replace(for_any, network_scale=scale)

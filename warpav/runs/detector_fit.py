@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from warpav.core.cache_folder import remove_oldest
 from warpav.core.devices import checked_device
@@ -40,15 +41,17 @@ from warpav.detection.probability_fit import (
 )
 from warpav.optimisation.pool_cache import UNREADABLE, read_arrays, write_arrays
 from warpav.raster.camera import CameraModel
-from warpav.raster.chunks import CHUNK_KEY_BYTES, ViewsAtOnce, chunk_view_count, equal_chunks
+from warpav.raster.chunks import ViewsAtOnce, chunk_view_count, equal_chunks, gpu_view_count
 from warpav.raster.decide import Occlusion
 from warpav.raster.kept import KeptRenderers
 from warpav.raster.renderer import Renderer
 from warpav.runs.config import Config, changed_config
-from warpav.runs.mounts import camera_model, free_ranges, roof_surface
+from warpav.runs.mounts import camera_model, camera_models, free_ranges, roof_surface
 from warpav.runs.networks import any_camera_config, any_camera_use, detector_use, load_detector, opened_detector
 from warpav.runs.scene_set import load_scenes, scene_recipes
 from warpav.scene.packed import SceneRecipe, StoredScene, packed_scene_folder
+from warpav.scene.traffic.files import content_digest
+from warpav.scene.traffic.moments import search_and_test
 
 if TYPE_CHECKING:
     from warpav.detection.detector import Detector
@@ -75,8 +78,10 @@ _CAMERAS, _FOLDS, _MIXTURE = 11, 12, 13
 
 LONG_S = 30.0
 """A fit that takes longer says how long before it begins [s]."""
-_SCENES_PER_PROCESS = 4
+_SCENES_PER_PROCESS = 8
 """Fewer are sampled sooner than a process starts."""
+_GPU_PROCESS_BYTES = 2**32
+"""Free on a GPU for every process that samples on it, of which it takes about half."""
 _CPU_KEY_BYTES = 2**24
 """Of the views that a core renders at once; more would leave its caches."""
 _SAMPLES_BYTES = 2**28
@@ -188,7 +193,7 @@ def ensure_fit(
     use = detector_use(config, ego, camera)
     if detector is None:
         if stored_file(use) is not None:
-            return DetectionProbability.find(use, unseen=config.scenes.test_seeds)
+            return DetectionProbability.find(use, unseen=_unseen(config))
         scale = _network_scale(opened_detector(config), camera or camera_model(config))
         return replace(_ensure_for_any_camera(any_camera_config(config), progress), network_scale=scale)
     kept = _FITS.setdefault(detector, {}) if _is_weak(detector) else {}
@@ -210,15 +215,46 @@ def ensure_fit(
 
 
 def fit_config(config: Config, progress: Progress) -> Config:
-    """The configuration with embedded scenes where it has too few of its own to fit on, which is said."""
+    """The configuration whose fit is used, which is said where it is one of other scenes.
+
+    Too few scenes of one's own give way to embedded ones. Recordings of one's own give way to those that ship, if these
+    have a fit, the others have none, and no recording of the test is among those that the fit has seen.
+    """
     count = len(config.scenes.train_seeds)
-    if config.losses.probability != "fitted" or config.scenes.source == "town" or count >= MIN_FIT_SCENES:
+    if config.losses.probability != "fitted" or config.scenes.source == "town":
+        return config
+    if count < MIN_FIT_SCENES:
+        progress.say(
+            f"detection probability is that of the embedded scenes: to fit it on others takes {MIN_FIT_SCENES}, "
+            f"scenes.train_seeds has {count}"
+        )
+        return town_config(config)
+    scenes = config.scenes
+    if scenes.source != "traffic" or (scenes.recordings, scenes.test_recordings) == (None, None):
+        return config
+    shipped = changed_config(config, ["scenes.recordings=null", "scenes.test_recordings=null"], origin=None)
+    own_uses = [any_camera_use(any_camera_config(config))]
+    own_uses += [detector_use(config, camera=each) for each in camera_models(config)]
+    (seen, _), (_, tested) = search_and_test(None, None), search_and_test(scenes.recordings, scenes.test_recordings)
+    if (
+        any(map(stored_file, own_uses))
+        or stored_file(any_camera_use(any_camera_config(shipped))) is None
+        or set(map(content_digest, seen)) & set(map(content_digest, tested))
+    ):
         return config
     progress.say(
-        f"detection probability is that of the embedded scenes: to fit it on others takes {MIN_FIT_SCENES}, "
-        f"scenes.train_seeds has {count}"
+        "detection probability is that of the recordings that ship with warpav; to fit it on those of "
+        "scenes.recordings run warpav detector fit --any-camera"
     )
-    return town_config(config)
+    return shipped
+
+
+def _unseen(config: Config) -> tuple[int, ...]:
+    """Scenes of a result that its fit must not have seen, by number.
+
+    Of recordings a number means other moments in the test than in the search, and a fit sees those of the search.
+    """
+    return () if config.scenes.source == "traffic" else config.scenes.test_seeds
 
 
 def town_config(config: Config) -> Config:
@@ -265,7 +301,7 @@ def _ensure_for_any_camera(config: Config, progress: Progress) -> DetectionProba
         found = fit(config, seeds, any_camera=True, words=words, use=use, progress=progress)
         _write(found.model, use, None)
         _show(found.model.record, progress)
-    return DetectionProbability.find(use, unseen=config.scenes.test_seeds)
+    return DetectionProbability.find(use, unseen=_unseen(config))
 
 
 def _announce(seeds: FitSeeds, of: str, kept: str, progress: Progress) -> None:
@@ -516,9 +552,12 @@ class _Sampling:
     def _of_source(self, source: _Source, scene: DeviceScene, seed: int) -> DetectionSamples:
         cameras = source.cameras(self.config, scene, self.surface, seed)
         supersampling = self.config.camera.supersampling
-        is_cuda = self.config.device.startswith("cuda")
-        key_bytes = CHUNK_KEY_BYTES if is_cuda else _CPU_KEY_BYTES * available_cores()
-        most = chunk_view_count(source.model, supersampling=supersampling, key_bytes=key_bytes)
+        device = self.config.device
+        if device.startswith("cuda"):
+            most = gpu_view_count(len(cameras), source.model, supersampling=supersampling, device=device)
+        else:
+            key_bytes = _CPU_KEY_BYTES * available_cores()
+            most = chunk_view_count(source.model, supersampling=supersampling, key_bytes=key_bytes)
         return ViewsAtOnce(most).run(
             lambda most: self._of_cameras(source, cameras, scene, seed, most), release=self._renderers.clear
         )
@@ -603,9 +642,7 @@ def _sample_scenes(
     files = [None] * len(seeds) if use is None else _kept_files(use, sampling, recipes, seeds)
     parts = [_read_samples(file) for file in files]
     missing = [k for k, part in enumerate(parts) if part is None]
-    count = 1
-    if detector is None:
-        count = max(1, min(config.executor.workers or available_cores(), len(missing) // _SCENES_PER_PROCESS))
+    count = _process_count(config, len(missing)) if detector is None else 1
     outcomes = _outcomes(sampling, [(recipes[k], seeds[k]) for k in missing], count)
     began = all_began = time.perf_counter()
     try:
@@ -626,6 +663,15 @@ def _sample_scenes(
                 progress.say(f"stopped; {there} of {len(seeds)} scenes are kept, and the same command samples the rest")
         raise
     return DetectionSamples.join([part for part in parts if part is not None])
+
+
+def _process_count(config: Config, scene_count: int) -> int:
+    """Processes that are worth their start, and on a GPU have room there."""
+    count = min(config.executor.workers or available_cores(), scene_count // _SCENES_PER_PROCESS)
+    if config.device.startswith("cuda"):
+        room_bytes = config.shared_gpu_count * wp.get_device(config.device).free_memory
+        count = min(count, room_bytes // _GPU_PROCESS_BYTES)
+    return max(1, count)
 
 
 def _outcomes(

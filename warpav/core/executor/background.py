@@ -32,7 +32,7 @@ def in_background(function: Callable[[Task], Result], task: Task) -> Iterator[Fu
         yield promise
         promise.set_result(function(task))
         return
-    workers = Processes(function, 1)
+    workers = Processes(function, 1, beside=1)
     handles = workers.start([task])
     try:
         yield promise
