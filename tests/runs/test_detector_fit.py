@@ -334,11 +334,13 @@ def test_settings_on_traffic_need_no_fit(name, sampled):
 def test_recordings_of_ones_own_share_the_fit_of_those_that_ship(tmp_path, own_cache):
     """Unless they have a fit of their own, or test on what that fit has seen."""
     search, test = search_and_test(None, None)
+    folder = tmp_path / "recordings"
+    folder.mkdir()
     for number, file in enumerate(test):
-        (tmp_path / f"{number}.json.gz").write_bytes(file.read_bytes())
+        (folder / f"{number}.json.gz").write_bytes(file.read_bytes())
     words = [
         "scenes.source=traffic",
-        f"scenes.recordings=[{tmp_path}]",
+        f"scenes.recordings=[{folder}]",
         "scenes.train_seeds=1000..1059",
         "scenes.test_seeds=0..20",
     ]
