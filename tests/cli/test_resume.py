@@ -164,7 +164,7 @@ def test_a_run_that_is_stopped_after_its_last_step_is_completed(at_once, monkeyp
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("warpav.runs.run_figures.draw_views", interrupted)
+        patch.setattr("warpav.runs.run_figures.RunPictures.draw", interrupted)
         assert main(["optimise", *POOL, "run.out=stopped"]) == 130
     assert RunFolder.open("stopped").evaluation() is not None
     assert main(["report", "stopped"]) == 0
