@@ -17,7 +17,7 @@ from tests.view.stand_ins import needs_opengl
 TEN_LINES = """
 import warpav as wa
 
-train, test = wa.town(range(30)), wa.town(range(5000, 5010))   # or wa.read_scenes("scenes/*.glb")
+train, test = wa.town(range(30)), wa.town(range(5000, 5040))   # or wa.read_scenes("scenes/*.glb")
 placement = wa.Placement(train, cameras=4, fov_deg=90, detector="mine.onnx", device="cuda:0")
 result = wa.optimise(placement, progress=True)                  # writes nothing
 print(result.rig, result.history["objective"][-1])
@@ -29,7 +29,7 @@ result.save("runs/mine")                                        # the run folder
 
 SMALLER = {
     "range(30)": "range(2)",
-    "range(5000, 5010)": "range(5000, 5002)",
+    "range(5000, 5040)": "range(5000, 5002)",
     '"mine.onnx"': '"builtin"',
     '"cuda:0"': '"cpu"',
     "progress=True)": "progress=True, iterations=2)",

@@ -45,6 +45,7 @@ def test_the_run_folder_is_complete(run_folder):
         "figures/detections.png",
     }
     assert len([name for name in found if name.startswith("figures/")]) <= 6
+    assert not [name for name in found if "draft" in name]
     assert run_folder.path.joinpath("report.html").read_text(encoding="utf-8").count("<img") <= 6
 
 
@@ -65,7 +66,6 @@ def test_a_run_draws_nothing_where_nothing_is_asked_for(tmp_path, capsys):
     assert main(["optimise", *SMALL, "run.pictures=none", "run.iterations=1", f"run.out={out}"]) == 0
     assert list((out / "figures").iterdir()) == []
     assert out.joinpath("report.html").read_text(encoding="utf-8").count("<img") == 0
-    assert not [name for name in found if "draft" in name]
 
 
 def test_the_events_have_the_documented_fields(run_folder):
