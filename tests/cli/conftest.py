@@ -1,4 +1,4 @@
-"""A run that the tests of a module read."""
+"""A run that tests read and do not change."""
 
 import pytest
 
@@ -7,9 +7,9 @@ from warpav.cli.app import main
 from warpav.runs.run_folder import RunFolder
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def run_folder(tmp_path_factory):
     """A small run from its command to its report."""
     out = tmp_path_factory.mktemp("main") / "run"
-    assert main(["optimise", *SMALL, f"run.out={out}"]) == 0
+    assert main(["optimise", *SMALL, "run.pictures=few", f"run.out={out}"]) == 0
     return RunFolder.open(out)

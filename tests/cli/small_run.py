@@ -11,6 +11,7 @@ SMALL = [
     "camera.width_px=96",
     "camera.height_px=96",
     "baselines.random_samples=2",
+    "run.pictures=none",
     "optimiser.check_every=2",
     "optimiser.starts=2",
     # the detection probability would have to be fitted for so small a camera

@@ -38,6 +38,7 @@ FEW = [
     "optimiser.pool_cameras=16",
     "optimiser.pool_rounds=0",
     "baselines.random_samples=2",
+    "run.pictures=none",
     "detector.confidence_min=0.25",
 ]
 

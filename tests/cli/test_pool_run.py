@@ -22,6 +22,7 @@ POOL = [
     *SMALL[:-1],
     *("losses.probability=visible_share", "optimiser.pool_cameras=16", "optimiser.pool_rounds=0"),
     "baselines.random_samples=2",
+    "run.pictures=none",
 ]
 """A small search by a pool, by a model of detection probability that needs no fit."""
 

@@ -28,6 +28,7 @@ pytestmark = pytest.mark.usefixtures("working_directory")
 
 FAST = [
     *("scenes.train_seeds=[0, 1]", "scenes.test_seeds=[1000]", "run.batch_size=1", "baselines.random_samples=1"),
+    "run.pictures=none",
     *("camera.width_px=64", "camera.height_px=64", "rig.cameras=2"),
 ]
 POOL = [
@@ -164,7 +165,7 @@ def test_a_run_that_is_stopped_after_its_last_step_is_completed(at_once, monkeyp
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("warpav.runs.run_figures.RunPictures.draw", interrupted)
+        patch.setattr("warpav.runs.report.report.write_report", interrupted)
         assert main(["optimise", *POOL, "run.out=stopped"]) == 130
     assert RunFolder.open("stopped").evaluation() is not None
     assert main(["report", "stopped"]) == 0
@@ -313,7 +314,7 @@ def test_ctrl_c_between_a_step_and_what_is_written_of_it_loses_nothing(at_once, 
     assert folder.checkpoint()["iteration"] == 4
 
 
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS])
+@pytest.mark.parametrize("number", [errno.ENOSPC, pytest.param(errno.EROFS, marks=pytest.mark.nightly)])
 def test_a_disk_that_is_full_loses_nothing(at_once, capsys, monkeypatch, number):
     replace, written = os.replace, []
 
@@ -362,7 +363,9 @@ def begun(*words, command=COMMAND):
     )
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
+@pytest.mark.parametrize(
+    ("number", "status"), [(signal.SIGTERM, 143), pytest.param(signal.SIGHUP, 129, marks=pytest.mark.nightly)]
+)
 def test_signals_end_as_ctrl_c_does(working_directory, number, status):
     process = begun("optimise", *POOL, "run.out=run")
     events = working_directory / "run" / "events.jsonl"
@@ -418,7 +421,7 @@ def killed_run(working_directory, folder, rng, *, most):
     return most
 
 
-@pytest.mark.parametrize("files", [9, 14])
+@pytest.mark.parametrize("files", [9, pytest.param(12, marks=pytest.mark.nightly)])
 def test_a_run_that_is_killed_while_a_file_is_written_goes_on(at_once, working_directory, files):
     expected = at_once("pool")
     process = begun(str(files), "optimise", *POOL, "run.out=run", command=KILLED_AT_A_FILE)
