@@ -765,6 +765,7 @@ def _write(model: DetectionProbability, use: DetectorUse, out: Path | None) -> P
     else:
         beside, cache = use.folders()
         folders = [cache] if beside.is_relative_to(Path(__file__).resolve().parents[1]) else [beside, cache]
+    problem = ""
     for folder in folders:
         try:
             file = model.write(folder, use)
