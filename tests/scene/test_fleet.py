@@ -243,12 +243,12 @@ def test_every_process_makes_the_same_scene(fleet, tmp_path):
     code = (
         "import sys; from tests.scene.test_fleet import fleet_of, level_scene, SHIPPED\n"
         "from tests.scene.town.test_levels import digest_of\n"
-        "f = fleet_of([SHIPPED], 0.6); print(f.content, digest_of(level_scene(1, 'easy', f)))"
+        "f = fleet_of([SHIPPED], 0.6); print(f.content, digest_of(level_scene(1, 'dense', f)))"
     )
     environment = {**os.environ, "PYTHONHASHSEED": "1"}
     found = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=True, text=True)
     here = fleet_of([SHIPPED], 0.6)
-    assert found.stdout.split() == [here.content, digest_of(level_scene(1, "easy", here))]
+    assert found.stdout.split() == [here.content, digest_of(level_scene(1, "dense", here))]
     assert here.content == fleet.content
 
 
