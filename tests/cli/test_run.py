@@ -49,12 +49,15 @@ def test_the_run_folder_is_complete(run_folder):
     assert run_folder.path.joinpath("report.html").read_text(encoding="utf-8").count("<img") <= 6
 
 
-def test_a_full_report_draws_the_rest(run_folder, tmp_path):
+def test_a_full_report_draws_the_rest_and_says_what_it_cannot_draw(run_folder, tmp_path, monkeypatch, capsys):
     copy = tmp_path / "run"
-    shutil.copytree(run_folder.path, copy)
+    shutil.copytree(run_folder.path, copy, ignore=shutil.ignore_patterns("rig.png"))
+    monkeypatch.setattr("warpav.view.opengl.opengl_problem", lambda: "no display")
     assert main(["report", str(copy), "--full"]) == 0
+    assert "no picture of the rig in three dimensions: no display" in capsys.readouterr().out
     drawn = {file.name for file in (copy / "figures").rglob("*")}
     assert drawn >= {"rig_top_view.png", "redundancy.png", "ground.npz", "views.json", "0_start_camera_0.webp"}
+    assert "rig.png" not in drawn
     assert copy.joinpath("report.html").read_text(encoding="utf-8").count("<img") > 12
 
 

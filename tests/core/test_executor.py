@@ -188,7 +188,9 @@ def test_a_pool_within_a_process_shares_its_share():
     assert outcome.result == [(1, max(1, 8 // (2 * count)), 1)] * 2
 
 
-@pytest.mark.parametrize("worker_count", [1, 2, 3])
+@pytest.mark.parametrize(
+    "worker_count", [pytest.param(1, marks=pytest.mark.nightly), 2, pytest.param(3, marks=pytest.mark.nightly)]
+)
 def test_processes_share_the_machine(worker_count):
     (outcome, *_) = run_tasks(shares, range(worker_count), executor="process", worker_count=worker_count)
     assert outcome.result == (max(1, available_cores() // worker_count), 8 // worker_count, 1)
