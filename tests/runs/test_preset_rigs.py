@@ -41,7 +41,9 @@ def placement():
     ("options", "size_px", "portrait_px"),
     [
         ([], (341, 192), (223, 294)),
-        (["baselines.preset_images=same_pixels"], (341, 192), (223, 294)),
+        pytest.param(
+            ["baselines.preset_images=same_pixels"], (341, 192), (223, 294), marks=pytest.mark.nightly
+        ),  # the default
         (["baselines.preset_images=same_width"], (256, 144), (256, 338)),
         (["baselines.preset_images=sensor"], (1600, 900), (1550, 2048)),
         (["camera.width_px=640", "camera.height_px=360"], (640, 360), (418, 552)),
