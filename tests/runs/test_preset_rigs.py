@@ -29,7 +29,8 @@ from warpav.scene.town.town import ego_vehicle, town_scene
 from warpav.scene.vehicles import file_of
 
 SMALL = ["scenes.train_seeds=[0]", "scenes.validation_seeds=null", "scenes.test_seeds=[5001, 5002]"]
-SHORT = ["optimiser.pool_cameras=16", "optimiser.pool_rounds=0", "baselines.random_samples=1", "run.pictures=none"]
+SHORT = ["run.iterations=3", "optimiser.pool_cameras=16", "optimiser.pool_rounds=0"]
+SHORT += ["baselines.random_samples=1", "run.pictures=none"]
 
 
 @pytest.fixture(scope="module")

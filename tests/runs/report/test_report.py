@@ -6,6 +6,7 @@ import json
 import math
 import re
 import shlex
+import shutil
 import sys
 from html.parser import HTMLParser
 
@@ -98,6 +99,8 @@ class Page(HTMLParser):
 
 
 def page_of(folder):
+    """The page of a folder whose maps are not drawn yet, which saves all its plots."""
+    (folder.path / "figures" / "ground.npz").unlink(missing_ok=True)
     return Page(write_report(folder).read_text(encoding="utf-8"))
 
 
@@ -106,10 +109,13 @@ def numbers(text):
     return [float(each) for each in re.findall(r"[-+]?\d+\.?\d*", text.replace("\N{MINUS SIGN}", "-"))]
 
 
+_IS_REPORT = shutil.ignore_patterns("report.html")
+
+
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path, finished):
     """The run folder of a finished run, with a tag in its name."""
-    return fill(folder_at(tmp_path / "<run>"))
+    return RunFolder.open(shutil.copytree(finished[0].path, tmp_path / "<run>", ignore=_IS_REPORT))
 
 
 @pytest.fixture(scope="module")
