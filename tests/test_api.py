@@ -13,11 +13,12 @@ import pytest
 
 import warpav as wa
 from tests.view.stand_ins import needs_opengl
+from warpav.runs.config import changed_config
 
 TEN_LINES = """
 import warpav as wa
 
-train, test = wa.town(range(30)), wa.town(range(5000, 5010))   # or wa.read_scenes("scenes/*.glb")
+train, test = wa.town(range(30)), wa.town(range(5000, 5040))   # or wa.read_scenes("scenes/*.glb")
 placement = wa.Placement(train, cameras=4, fov_deg=90, detector="mine.onnx", device="cuda:0")
 result = wa.optimise(placement, progress=True)                  # writes nothing
 print(result.rig, result.history["objective"][-1])
@@ -29,13 +30,22 @@ result.save("runs/mine")                                        # the run folder
 
 SMALLER = {
     "range(30)": "range(2)",
-    "range(5000, 5010)": "range(5000, 5002)",
+    "range(5000, 5040)": "range(5000, 5002)",
     '"mine.onnx"': '"builtin"',
-    '"cuda:0"': '"cpu"',
+    'device="cuda:0"': 'device="cpu", config=SMALL',
     "progress=True)": "progress=True, iterations=2)",
     "scene=test[0])": 'scene=test[0], out="rig.png")',
 }
 """Scenes, detector, device and iterations of the program, and where there is no display, a file."""
+
+SMALL = (
+    "camera.width_px=64",
+    "camera.height_px=64",
+    "optimiser.pool_cameras=16",
+    "baselines.random_samples=1",
+    "run.pictures=none",
+    "scenes.test_seeds=[5000, 5001]",
+)
 
 
 def test_import_takes_a_fraction_of_a_second():
@@ -74,7 +84,7 @@ def test_the_ten_lines_run_as_printed(tmp_path, monkeypatch, capsys):
     for printed, small in SMALLER.items():
         assert printed in program
         program = program.replace(printed, small)
-    names = {}
+    names = {"SMALL": changed_config(wa.Config(), SMALL, origin=None)}
     exec(program, names)
     result, out = names["result"], capsys.readouterr().out
     assert "recall of the rig" in out

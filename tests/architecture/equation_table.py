@@ -4,6 +4,7 @@ As a program it writes the table of ``docs/method.md`` anew: ``python tests/arch
 """
 
 import ast
+import functools
 import re
 from pathlib import Path
 
@@ -16,13 +17,16 @@ LINE = re.compile(
 BEGIN, END = "<!-- equations -->\n", "<!-- end of equations -->\n"
 
 
+@functools.cache
 def functions_below(*folders):
     """Every module, class and function, with the path of its file."""
+    found = []
     for folder in folders:
         for path in sorted((ROOT / folder).rglob("*.py")):
             for node in ast.walk(ast.parse(path.read_text())):
                 if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-                    yield path.relative_to(ROOT), node
+                    found.append((path.relative_to(ROOT), node))
+    return found
 
 
 def equation_lines():

@@ -37,7 +37,8 @@ FEW = [
     "scenes.test_seeds=[5000]",
     "optimiser.pool_cameras=16",
     "optimiser.pool_rounds=0",
-    "baselines.random_samples=2",
+    "baselines.random_samples=1",
+    "run.pictures=none",
     "detector.confidence_min=0.25",
 ]
 

@@ -21,7 +21,6 @@ pytestmark = pytest.mark.usefixtures("working_directory")
 POOL = [
     *SMALL[:-1],
     *("losses.probability=visible_share", "optimiser.pool_cameras=16", "optimiser.pool_rounds=0"),
-    "baselines.random_samples=2",
 ]
 """A small search by a pool, by a model of detection probability that needs no fit."""
 

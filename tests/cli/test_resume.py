@@ -389,7 +389,7 @@ def killed_run(working_directory, folder, rng, *, most):
     return most
 
 
-@pytest.mark.parametrize("files", [pytest.param(9, marks=pytest.mark.nightly), 14])
+@pytest.mark.parametrize("files", [9, pytest.param(12, marks=pytest.mark.nightly)])
 def test_a_run_that_is_killed_while_a_file_is_written_goes_on(at_once, working_directory, files):
     expected = at_once("pool")
     process = begun(str(files), "optimise", *POOL, "run.out=run", command=KILLED_AT_A_FILE)

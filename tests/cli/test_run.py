@@ -40,16 +40,35 @@ def test_the_run_folder_is_complete(run_folder):
         "checkpoints/last.npz",
         "report.html",
         "figures/loss_curves.png",
-        "figures/rig_top_view.png",
         "figures/plan.png",
         "figures/near_field.png",
-        "figures/redundancy.png",
         "figures/detections.png",
-        "figures/ground.npz",
-        "figures/views.json",
-        "figures/views/0_start_camera_0.webp",
     }
+    assert len([name for name in found if name.startswith("figures/")]) <= 6
     assert not [name for name in found if "draft" in name]
+    assert run_folder.path.joinpath("report.html").read_text(encoding="utf-8").count("<img") <= 6
+
+
+def test_a_full_report_draws_the_rest_and_says_what_it_cannot_draw(run_folder, tmp_path, monkeypatch, capsys):
+    copy = tmp_path / "run"
+    shutil.copytree(run_folder.path, copy, ignore=shutil.ignore_patterns("rig.png"))
+    monkeypatch.setattr("warpav.view.opengl.opengl_problem", lambda: "no display")
+    assert main(["report", str(copy), "--full"]) == 0
+    assert "no picture of the rig in three dimensions: no display" in capsys.readouterr().out
+    drawn = {file.name for file in (copy / "figures").rglob("*")}
+    assert drawn >= {"rig_top_view.png", "redundancy.png", "ground.npz", "views.json", "0_start_camera_0.webp"}
+    assert "rig.png" not in drawn
+    assert copy.joinpath("report.html").read_text(encoding="utf-8").count("<img") > 12
+
+
+def test_a_run_draws_nothing_where_nothing_is_asked_for(tmp_path, capsys):
+    out = tmp_path / "run"
+    assert complaint(capsys, "optimise", f"run.out={out}", "run.pictures=fewer").endswith(
+        "run.pictures: expected few, all or none, got 'fewer'; did you mean few?"
+    )
+    assert main(["optimise", *SMALL, "run.iterations=1", f"run.out={out}"]) == 0
+    assert list((out / "figures").iterdir()) == []
+    assert out.joinpath("report.html").read_text(encoding="utf-8").count("<img") == 0
 
 
 def test_the_events_have_the_documented_fields(run_folder):

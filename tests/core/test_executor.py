@@ -188,7 +188,9 @@ def test_a_pool_within_a_process_shares_its_share():
     assert outcome.result == [(1, max(1, 8 // (2 * count)), 1)] * 2
 
 
-@pytest.mark.parametrize("worker_count", [1, 2, 3])
+@pytest.mark.parametrize(
+    "worker_count", [pytest.param(1, marks=pytest.mark.nightly), 2, pytest.param(3, marks=pytest.mark.nightly)]
+)
 def test_processes_share_the_machine(worker_count):
     (outcome, *_) = run_tasks(shares, range(worker_count), executor="process", worker_count=worker_count)
     assert outcome.result == (max(1, available_cores() // worker_count), 8 // worker_count, 1)
@@ -200,6 +202,47 @@ def test_libraries_start_no_more_threads_than_the_share(monkeypatch):
     count = available_cores()
     outcome = next(run_tasks(threads_of_libraries, range(count), executor="process", worker_count=count))
     assert outcome.result == {1} if count > 1 else {count}
+
+
+def test_a_smaller_share_lowers_what_it_inherited(monkeypatch):
+    monkeypatch.setattr(workers, "_share", workers.Share())
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    given = {"OMP_NUM_THREADS": "5", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "4,2"}
+    for variable, value in given.items():
+        monkeypatch.setenv(variable, value)
+    monkeypatch.setenv("OPENCV_FOR_THREADS_NUM", "")
+    workers.take_share(workers.Share(1))
+    assert {os.environ[variable] for variable in workers._THREAD_VARIABLES} == {"1"}
+
+
+@pytest.mark.parametrize(
+    ("groups", "own", "expected"),
+    [
+        ({"cpu.max": "max 100000"}, "0::/", None),
+        ({"cpu.max": "250000 100000"}, "0::/", 2),
+        ({"cpu.max": "20000 100000"}, "0::/", 1),
+        ({"a/cpu.max": "400000 100000", "a/job/cpu.max": "max 100000"}, "0::/a/job", 4),
+        ({"cpu.max": "300000 100000"}, "0::/a/job/outside", 3),
+        ({"cpu/cpu.cfs_quota_us": "800000", "cpu/cpu.cfs_period_us": "100000"}, "1:cpu,cpuacct:/", 8),
+        ({"cpu/cpu.cfs_quota_us": "-1", "cpu/cpu.cfs_period_us": "100000"}, "1:cpu:/", None),
+        ({}, "", None),
+    ],
+)
+def test_control_groups_limit_the_cores(tmp_path, groups, own, expected):
+    for name, text in groups.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    (tmp_path / "own").write_text(own)
+    assert workers.quota_cores(tmp_path, tmp_path / "own") == expected
+
+
+def test_without_a_number_there_is_a_process_for_each_core_of_the_share(monkeypatch):
+    monkeypatch.setattr(processes, "Processes", DeadlyProcesses)
+    monkeypatch.setattr(DeadlyProcesses, "counts", [])
+    monkeypatch.setattr(workers, "_share", workers.Share(cores=1))
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    list(run_tasks(abs, [4], executor="process"))
+    assert DeadlyProcesses.counts == [1]
 
 
 def test_processes_share_each_of_several_gpus(monkeypatch):

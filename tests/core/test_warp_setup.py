@@ -41,7 +41,7 @@ def test_kernels_are_compiled_when_the_block_ends(tmp_path):
     assert "placement.constraint_losses" not in compiled
 
 
-@pytest.mark.parametrize("place", ["/proc/none", "file"])
+@pytest.mark.parametrize("place", [pytest.param("/proc/none", marks=pytest.mark.nightly), "file"])
 def test_a_cache_that_cannot_be_written_names_its_variable(tmp_path, place):
     (tmp_path / "file").write_text("")
     code = "import sys; from warpav.cli.app import main; sys.exit(main(['bench', '--items', 'w1', '--json', 'o.json']))"

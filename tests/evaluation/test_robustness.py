@@ -112,14 +112,15 @@ def test_of_a_symmetric_rig_each_camera_of_a_pair_is_soiled_by_itself():
         seen = of_model[camera.model].model.of_coverage(frame, packed, views.position_ego_m)
         return seen.probability.numpy()[0]
 
+    clean = [[detected(each, scene) for scene in scenes] for each in rig.cameras]
+
     def misses(soiled=None):
-        rows = [
-            np.concatenate(
-                [detected(each, soiled_scene(scene, each, part) if k == soiled else scene) for scene in scenes]
-            )
-            for k, each in enumerate(rig.cameras)
-        ]
-        return 100.0 * np.prod(1.0 - np.array(rows, np.float64), axis=0).mean()
+        rows = list(clean)
+        if soiled is not None:
+            camera = rig.cameras[soiled]
+            rows[soiled] = [detected(camera, soiled_scene(scene, camera, part)) for scene in scenes]
+        together = np.array([np.concatenate(row) for row in rows], np.float64)
+        return 100.0 * np.prod(1.0 - together, axis=0).mean()
 
     names = [camera.name for camera in rig.cameras]
     found = Soiling.of(names, pose, cameras, scenes, part)

@@ -16,6 +16,7 @@ OPTIONS = (
     "scenes.test_seeds=[2, 3]",
     "run.batch_size=2",
     "run.iterations=2",
+    "run.pictures=none",
     "rig.cameras=2",
     "camera.width_px=64",
     "camera.height_px=64",

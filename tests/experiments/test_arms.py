@@ -77,8 +77,13 @@ SEARCHES = ["descent", "random_batches", "random", "sobol", "differential_evolut
 
 
 # without a budget there is as much as the gradient takes: too little here for a grid, or for two searches
-WITHOUT_BUDGET = [(name, None) for name in SEARCHES if name != "greedy_cover"]
-WITHOUT_BUDGET += [pytest.param("cma", None, marks=needs_cma)]
+WITHOUT_BUDGET = [("descent", None), ("random", None)]
+WITHOUT_BUDGET += [
+    pytest.param(name, None, marks=pytest.mark.nightly)
+    for name in SEARCHES
+    if name not in ("descent", "random", "greedy_cover")
+]
+WITHOUT_BUDGET += [pytest.param("cma", None, marks=[needs_cma, pytest.mark.nightly])]
 WITH_BUDGET = [(name, BUDGET) for name in SEARCHES]
 WITH_BUDGET += [pytest.param(name, BUDGET, marks=needs_cma) for name in ("cma", "cma_then_gradient")]
 
@@ -112,14 +117,15 @@ def check(found, placement, budget, rendered):
     assert len({len(column) for column in found.history.values()}) == 1
 
 
-RIVALS = [
-    *("default", "pool_only", "descent_only", "descent", "random", "random_selected", "sobol", "sobol_selected"),
-    *("differential_evolution", "greedy_cover", pytest.param("cma", marks=needs_cma)),
-]
+RIVALS = ["default", "pool_only", "descent_only", "descent", "random", "random_selected", "sobol", "sobol_selected"]
+RIVALS += ["differential_evolution", "greedy_cover"]
+LITTLE = [("default", 46), ("pool_only", 46)]
+LITTLE += [pytest.param(name, 46, marks=pytest.mark.nightly) for name in RIVALS[2:]]
+LITTLE += [pytest.param("cma", 46, marks=[needs_cma, pytest.mark.nightly])]
+ENOUGH = [*((name, 121) for name in RIVALS), pytest.param("cma", 121, marks=needs_cma)]
 
 
-@pytest.mark.parametrize("name", RIVALS)
-@pytest.mark.parametrize("budget", [46, 121])
+@pytest.mark.parametrize(("name", "budget"), [*LITTLE, *ENOUGH])
 def test_the_arms_of_the_rivals_keep_their_budget(missing, rendered, name, budget):
     found = found_by(name, missing, budget)
     check(found, missing, budget, rendered)

@@ -52,7 +52,8 @@ def folder(tmp_path_factory):
 def run(folder):
     """A run whose steps lead off the vehicle, and back."""
     out = folder.parent / "run"
-    words = small_experiment.overrides(folder, *SEEN, WIDE_STEPS, "run.iterations=3", f"run.out={out}")
+    short = ("run.iterations=3", "baselines.random_samples=1")
+    words = small_experiment.overrides(folder, *SEEN, WIDE_STEPS, *short, f"run.out={out}")
     assert main(["optimise", "thesis", *words]) == 0
     return RunFolder.open(out)
 

@@ -46,7 +46,7 @@ def done(tmp_path_factory, scenes):
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(rival_settings.run_rivals.__kwdefaults__, "resamples", 99)
         patch.chdir(tmp_path_factory.mktemp("empty"))
-        assert main(command(scenes, folder, "--runs", "2", "--budget", "110")) == 0
+        assert main(command(scenes, folder, "--runs", "2", "--budget", "62")) == 0
     return folder
 
 
@@ -57,7 +57,7 @@ def test_a_setting_is_one_command(done):
         files = sorted((done / "results").glob(f"{row['arm']}_[0-9].json"))
         runs = [json.loads(file.read_text()) for file in files]
         assert row["seeds"] == ([0] if row["arm"] == "highest" else [0, 1])
-        assert all(run["camera_renders"] <= 110 for run in runs)
+        assert all(run["camera_renders"] <= 62 for run in runs)
         assert all(len(run["rig"]["cameras"]) == 2 for run in runs)
         assert all("metrics" not in run for run in runs)
         assert row["violation_m"] == 0.0
@@ -72,8 +72,8 @@ def test_a_setting_is_one_command(done):
     assert "![Objective over camera renders](objective_over_renders.png)" in text
     assert (done / "objective_over_renders.png").read_bytes().startswith(b"\x89PNG")
     published = json.loads((done / "summary.json").read_text())
-    assert published["camera_renders_max"] == 110
-    assert {run["camera_renders"] for run in published["runs"] if run["arm"] == "random"} == {108}
+    assert published["camera_renders_max"] == 62
+    assert {run["camera_renders"] for run in published["runs"] if run["arm"] == "random"} == {60}
 
 
 def test_the_objective_on_unseen_scenes_is_that_of_the_objective(done, scenes):
@@ -97,7 +97,7 @@ def test_a_failing_arm_leaves_the_others_alone_and_what_is_there_is_kept(done, s
         raise ValueError("a detector that cannot be fitted")
 
     monkeypatch.setitem(arms_module.METHODS, "sobol", fail)
-    assert main(command(scenes, folder, "--runs", "2", "--budget", "110")) == 1
+    assert main(command(scenes, folder, "--runs", "2", "--budget", "62")) == 1
     shown = capsys.readouterr().out
     assert "22 of 23 results are in" in shown
     assert "failed: sobol_1: ValueError: a detector that cannot be fitted" in shown

@@ -151,7 +151,7 @@ def chance(camera_count):
     return np.median([search(random_search, camera_count, seed=seed, renders=512, each=1).value for seed in range(7)])
 
 
-@pytest.mark.parametrize("camera_count", [1, 3])
+@pytest.mark.parametrize("camera_count", [1, pytest.param(3, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(
     ("method", "most"),
     [

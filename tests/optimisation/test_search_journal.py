@@ -67,7 +67,9 @@ def test_from_every_state_the_next_one_is_the_same(whole, every):
         assert told(descent.step()) == records[number]
 
 
-@pytest.mark.parametrize("number", [1, 7, 24])  # before the pool is drawn, in a polish, in the refinement
+@pytest.mark.parametrize(
+    "number", [1, pytest.param(7, marks=pytest.mark.nightly), 24]
+)  # before the pool is drawn, in a polish, in the refinement
 def test_from_a_state_the_end_is_the_same(whole, number):
     records, states, at_once = whole
     descent = resumed(states[number - 1])

@@ -218,7 +218,7 @@ def test_jacobians_to_the_calibration_match_differences(device, name):
     assert not ours[..., count:].any()
 
 
-@pytest.mark.parametrize("name", ["brown_conrady", "fisheye", "part"])
+@pytest.mark.parametrize("name", ["brown_conrady", pytest.param("fisheye", marks=pytest.mark.nightly), "part"])
 def test_cars_are_cut_by_distance_or_depth(device, name):
     """The near plane of a fisheye and of a panorama is a sphere, that of a Brown-Conrady lens is none."""
     ours, truth = ours_and_truth(name, device, near_m=4.5)

@@ -115,7 +115,7 @@ def test_a_mistake_in_a_file_below_is_placed_there(yaml_file, tmp_path):
 def test_quick_configuration_is_the_promised_job():
     config = load_config("quick")
     assert config.scenes.train_seeds == tuple(range(60))
-    assert config.scenes.test_seeds == tuple(range(5000, 5010))
+    assert config.scenes.test_seeds == tuple(range(5000, 5040))
     assert (config.rig.cameras, config.camera.fov_deg, config.camera.width_px, config.camera.height_px) == (
         4,
         90.0,

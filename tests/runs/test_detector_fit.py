@@ -1,24 +1,35 @@
 """`warpav detector fit`: what it takes, refuses, writes and uses again."""
 
+import errno
 import json
 import math
+import os
+import pickle
 import re
+from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
 from warpav.detection import probability
-from warpav.detection.probability import DetectionProbability, stored_file
-from warpav.detection.probability_fit import score
+from warpav.detection.probability import FEATURE_COUNT, DetectionProbability, stored_file
+from warpav.detection.probability_fit import DetectionSamples, score
+from warpav.experiments.traffic_settings import find_traffic_setting
 from warpav.raster.camera import CameraModel
 from warpav.runs import detector_fit
 from warpav.runs.config import load_config
 from warpav.runs.detector_fit import TOWN_HELD_OUT, TOWN_SEEDS, chosen_seeds
+from warpav.runs.mounts import roof_surface
 from warpav.runs.networks import any_camera_config, any_camera_use, detector_use
 from warpav.runs.placement import needed_fit
+from warpav.runs.scene_set import scene_recipes
+from warpav.scene.packed import StoredScene, packed_scene_folder
+from warpav.scene.town.town import ego_vehicle
+from warpav.scene.traffic.moments import search_and_test
 
 
 @pytest.fixture(autouse=True)
@@ -174,35 +185,176 @@ def test_a_fit_without_progress_is_announced_in_the_log(monkeypatch, caplog):
     assert "in 80 scenes" in said.lines[0]
 
 
-@pytest.mark.parametrize(("view_s", "expected"), [(0.5, "the fit takes about 3 minutes"), (0.001, None)])
-def test_a_long_fit_says_how_long_before_it_begins(view_s, expected, monkeypatch):
-    def stop(*_, **__):
-        raise StoppedError
+@pytest.fixture
+def sampled(monkeypatch):
+    """Seeds of the scenes that were sampled, each in no time; what was found in them is made up."""
+    seeds = []
 
-    monkeypatch.setattr(detector_fit, "_trial_seconds", lambda *_: view_s)  # of each of four kinds of views
-    monkeypatch.setattr(detector_fit.time, "perf_counter", lambda: 0.0)  # and no time for scenes
-    monkeypatch.setattr(detector_fit._Sampler, "samples", stop)
-    said = Said()
-    with pytest.raises(StoppedError):
-        detector_fit.ensure_fit(load_config("quick", ["detector.confidence_min=0.31"]), progress=said)
-    assert said.lines[1:] == ([] if expected is None else [expected])
+    def samples(_, recipe, seed):
+        seeds.append(seed)
+        rng = np.random.default_rng(seed)
+        feature = rng.normal(size=(40, FEATURE_COUNT))
+        is_detected = rng.random(40) < 1.0 / (1.0 + np.exp(-2.0 * feature[:, 0]))
+        return DetectionSamples(feature, is_detected, np.full(40, seed))
+
+    monkeypatch.setattr(detector_fit._Sampling, "samples", samples)
+    monkeypatch.setattr("warpav.detection.probability_fit.MIN_OBJECTS", 30)
+    return seeds
 
 
-def test_a_trial_is_as_long_as_its_views(monkeypatch):
-    """The estimate counts the views of a scene, from two of them."""
-    now = [0.0]
+FIT = ("--scenes", "1..3", "--held-out", "4..6", "executor.workers=1", "camera.width_px=64", "camera.height_px=64")
 
-    def samples(sampler, *_, count, **__):
-        now[0] += 0.25 * count
-        return sampler
 
-    monkeypatch.setattr(detector_fit._Sampler, "samples", samples)
-    monkeypatch.setattr(detector_fit.time, "perf_counter", lambda: now[0])
-    config = load_config("quick")
-    source = detector_fit._camera_source(config, CameraModel(64, 64))
-    assert detector_fit._trial_seconds(config, None, source, None, None, 0) == 24 * 0.25
+def curves(folder):
+    (file,) = folder.glob("*.json")
+    return json.loads(file.read_text())["curves"]
+
+
+@pytest.mark.parametrize(("scene_s", "expected"), [(4.0, ["the fit takes about 40 seconds"]), (1.0, [])])
+def test_a_long_fit_says_how_long_after_two_scenes(sampled, scene_s, expected, monkeypatch):
+    """The first scene took longer, for what all need; both count as done."""
+    monkeypatch.setattr(detector_fit.time, "perf_counter", lambda: scene_s * len(sampled) + 5.0 * bool(sampled))
+    config, said = load_config("quick", ["executor.workers=1"]), Said()
+    source = detector_fit._Source(CameraModel(64, 64), 24, (11,))
+    detector_fit._sample_scenes(config, tuple(range(8)), None, None, [source], said)
+    assert said.lines == expected
     spoken = ["about 10 seconds", "about 40 seconds", "about 2 minutes", "about 50 minutes", "about 1.5 hours"]
     assert [detector_fit._about(seconds) for seconds in (3.0, 38.0, 100.0, 3000.0, 5500.0)] == spoken
+
+
+def test_a_fit_that_is_interrupted_goes_on(sampled, own_cache, tmp_path, capsys, monkeypatch):
+    assert main(["detector", "fit", *FIT, "--out", str(tmp_path / "whole")]) == 0
+    sample, stop = detector_fit._Sampling.samples, [True]
+
+    def samples(sampling, recipe, seed):
+        if seed == 3 and stop:
+            stop.clear()
+            raise KeyboardInterrupt
+        return sample(sampling, recipe, seed)
+
+    monkeypatch.setattr(detector_fit._Sampling, "samples", samples)
+    sampled.clear()
+    capsys.readouterr()
+    assert main(["detector", "fit", *FIT]) == 130
+    stopped = capsys.readouterr()
+    assert "stopped; 2 of 6 scenes are kept, and the same command samples the rest" in stopped.out
+    assert len(stopped.err.strip().splitlines()) == 1
+    assert not list(own_cache.glob("*.json"))
+    # one of the two is damaged
+    kept = sorted(own_cache.rglob("*.npz"))
+    kept[0].write_bytes(kept[0].read_bytes()[:200])
+    assert main(["detector", "fit", *FIT]) == 0
+    assert sampled[:2] == [1, 2]
+    assert len(sampled[2:]) == 5
+    assert {3, 4, 5, 6} < set(sampled[2:])
+    assert curves(own_cache) == curves(tmp_path / "whole")
+    assert not list(own_cache.rglob("*.npz"))  # the kept samples went
+
+
+def test_a_full_disk_is_one_line_and_nothing_is_half_written(sampled, own_cache, capsys, monkeypatch):
+    write = Path.write_text
+
+    def full(path, text, **options):
+        if path.suffix != ".json":
+            return write(path, text, **options)
+        write(path, text[: len(text) // 2], **options)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_text", full)
+    assert "expected a folder to write to, got No space left on device" in refused(capsys, *FIT)
+    assert not [file for file in own_cache.rglob("*") if file.is_file() and file.suffix != ".npz"]
+    monkeypatch.setattr(Path, "write_text", write)
+    sampled.clear()
+    assert main(["detector", "fit", *FIT]) == 0
+    assert sampled == []  # all scenes were kept
+
+
+def test_samples_that_cannot_be_kept_stop_no_fit(sampled, own_cache, monkeypatch):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(detector_fit, "write_arrays", full)
+    assert main(["detector", "fit", *FIT]) == 0
+    assert sampled == [1, 2, 3, 4, 5, 6]
+    assert len(list(own_cache.glob("*.json"))) == 1
+
+
+def test_what_is_sampled_elsewhere_and_in_other_chunks_has_the_same_bits():
+    config = load_config("quick", ["camera.width_px=64", "camera.height_px=64"])
+    (recipe,) = scene_recipes(config, (7,), NullProgress())
+    scene = StoredScene(recipe, packed_scene_folder(), "cpu")
+    source = detector_fit._Source(CameraModel(64, 64), 5, (11,))
+    surface = roof_surface(config, ego_vehicle())
+    sampling = detector_fit._Sampling(config, surface, (source,), None)
+    whole = detector_fit._samples_of((0, pickle.dumps(sampling), recipe, 7))
+    cameras = source.cameras(config, scene, surface, 7)
+    parts = sampling._of_cameras(source, cameras, scene, 7, 2)  # the last chunk is not full
+    assert len(whole) > 5
+    for name, array in vars(whole).items():
+        np.testing.assert_array_equal(getattr(parts, name), array, name)
+
+
+@pytest.mark.slow
+def test_processes_sample_the_same_bits():
+    source = detector_fit._Source(CameraModel(64, 64), 4, (11,))
+    found = []
+    for workers in (1, 2):
+        config = load_config("quick", [f"executor.workers={workers}"])
+        found.append(detector_fit._sample_scenes(config, range(16), None, None, [source], NullProgress()))
+    for name, array in vars(found[0]).items():
+        np.testing.assert_array_equal(getattr(found[1], name), array, name)
+
+
+@pytest.mark.parametrize(
+    ("device", "workers", "scenes", "expected"),
+    [
+        ("cpu", "null", 150, 16),  # one for each core
+        ("cpu", 3, 150, 3),
+        ("cpu", "null", 30, 3),  # as many as are worth their start
+        ("cpu", "null", 3, 1),
+        ("cuda:0", "null", 150, 5),  # as many as have room on the GPU
+    ],
+)
+def test_as_many_processes_as_there_is_work_and_room_for(device, workers, scenes, expected, monkeypatch):
+    monkeypatch.setattr(detector_fit, "available_cores", lambda: 16)
+    monkeypatch.setattr(detector_fit.wp, "get_device", lambda _: SimpleNamespace(free_memory=22 * 10**9))
+    config = load_config("quick", [f"device={device}", f"executor.workers={workers}"])
+    assert detector_fit._process_count(config, scenes) == expected
+
+
+@pytest.mark.parametrize("name", ["sind_4_rack", "sind_6_body_bus_all", "dense_2_roof_all"])
+def test_settings_on_traffic_need_no_fit(name, sampled):
+    setting = find_traffic_setting(name).experiment
+    for options in (setting.options, (*setting.options, *setting.quick)):
+        config = load_config("default", options)
+        assert detector_fit.ensure_fit(config).record["settings"]["scenes"]["targets"] == list(config.scenes.targets)
+    assert sampled == []
+
+
+def test_recordings_of_ones_own_share_the_fit_of_those_that_ship(tmp_path, own_cache):
+    """Unless they have a fit of their own, or test on what that fit has seen."""
+    search, test = search_and_test(None, None)
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    for number, file in enumerate(test):
+        (folder / f"{number}.json.gz").write_bytes(file.read_bytes())
+    words = [
+        "scenes.source=traffic",
+        f"scenes.recordings=[{folder}]",
+        "scenes.train_seeds=1000..1059",
+        "scenes.test_seeds=0..20",
+    ]
+    config, said = load_config("quick", words), Said()
+    shipped = stored_file(any_camera_use(any_camera_config(load_config("quick", words[:1]))))
+    assert same_fit(detector_fit.ensure_fit(config, progress=said), shipped)
+    (line,) = said.lines
+    assert "that of the recordings that ship with warpav" in line
+    seen = load_config("quick", [*words, f"scenes.test_recordings=[{search[0]}]"])
+    assert detector_fit.fit_config(seen, said) == seen
+    own_cache.mkdir()
+    (own_cache / any_camera_use(any_camera_config(config)).file_name).touch()
+    assert detector_fit.fit_config(config, said) == config
+    assert len(said.lines) == 1
 
 
 def same_fit(found, file):

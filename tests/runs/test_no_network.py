@@ -54,7 +54,7 @@ def test_commands_open_no_socket(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(WATCH)
     kept = {name: value for name, value in os.environ.items() if name != "ORT_DISABLE_TELEMETRY"}
     result = subprocess.run(
-        [sys.executable, "-c", COMMANDS, *SMALL],
+        [sys.executable, "-c", COMMANDS, *SMALL, "run.pictures=all"],
         env={**kept, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])},
         cwd=tmp_path,
         capture_output=True,

@@ -19,6 +19,7 @@ SMALL = [
     "optimiser.starts=2",
     "optimiser.check_every=2",
     "baselines.random_samples=2",
+    "run.pictures=none",
     # detection probability would have to be fitted for so small a camera
     "losses={expected_miss_rate: 0, in_frame_rotation: 1, object_visibility: 10}",
 ]

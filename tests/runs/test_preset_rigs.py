@@ -29,6 +29,8 @@ from warpav.scene.town.town import ego_vehicle, town_scene
 from warpav.scene.vehicles import file_of
 
 SMALL = ["scenes.train_seeds=[0]", "scenes.validation_seeds=null", "scenes.test_seeds=[5001, 5002]"]
+SHORT = ["run.iterations=3", "optimiser.pool_cameras=16", "optimiser.pool_rounds=0"]
+SHORT += ["baselines.random_samples=1", "run.pictures=none"]
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +42,9 @@ def placement():
     ("options", "size_px", "portrait_px"),
     [
         ([], (341, 192), (223, 294)),
-        (["baselines.preset_images=same_pixels"], (341, 192), (223, 294)),
+        pytest.param(
+            ["baselines.preset_images=same_pixels"], (341, 192), (223, 294), marks=pytest.mark.nightly
+        ),  # the default
         (["baselines.preset_images=same_width"], (256, 144), (256, 338)),
         (["baselines.preset_images=sensor"], (1600, 900), (1550, 2048)),
         (["camera.width_px=640", "camera.height_px=360"], (640, 360), (418, 552)),
@@ -131,30 +135,21 @@ def test_arms_as_built_stand_on_the_body_and_have_a_counterpart(placement):
     assert (camera.width_px, camera.height_px, camera.fov_deg) == (341, 192, 64.8)
 
 
-def test_a_run_compares_its_rig_with_presets(placement, tmp_path):
-    config = load_config("quick", [*SMALL, "baselines.presets=[nuscenes]", "optimiser.pool_cameras=16"])
-    compared = placement.with_config(config)
-    result = wa.optimise(compared, progress=False)
-    result.save(tmp_path / "run", progress=False)
-    arms = json.loads((tmp_path / "run" / "evaluation.json").read_text())["arms"]
-    assert list(arms)[-1] == "nuscenes"
-    assert arms["nuscenes"]["objective"] is not None
-    assert arms["nuscenes"]["frames"] == 6 * 2
-    assert "nuscenes" in (tmp_path / "run" / "report.html").read_text()
-
-
-def test_a_run_compares_its_rig_with_rigs_of_files(placement, tmp_path, monkeypatch):
+def test_a_run_compares_its_rig_with_presets_and_rigs_of_files(placement, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     today = wa.preset("argoverse2")
     write_rig(Rig(today.cameras[:2]), Path("today.yaml"))
-    config = load_config("quick", [*SMALL, "baselines.rigs=[today.yaml]", "optimiser.pool_cameras=16"])
+    compared_with = ["baselines.presets=[nuscenes]", "baselines.rigs=[today.yaml]"]
+    config = load_config("quick", [*SMALL, *SHORT, *compared_with])
     assert config.baselines.rigs == (Path("today.yaml"),)
     result = wa.optimise(placement.with_config(config), progress=False)
     result.save(tmp_path / "run", progress=False)
     arms = json.loads((tmp_path / "run" / "evaluation.json").read_text())["arms"]
-    assert list(arms)[-1] == "today"
-    assert arms["today"]["frames"] == 2 * 2
-    assert arms["today"]["objective"] is not None
+    assert list(arms)[-2:] == ["nuscenes", "today"]
+    for name, camera_count in (("nuscenes", 6), ("today", 2)):
+        assert arms[name]["objective"] is not None
+        assert arms[name]["frames"] == camera_count * 2
+    assert "nuscenes" in (tmp_path / "run" / "report.html").read_text()
     kept = load_config(str(tmp_path / "run" / "config.yaml"), [])
     assert kept.baselines.rigs == (tmp_path / "today.yaml",)
 

@@ -24,6 +24,7 @@ SMALL = [
     "optimiser.pool_cameras=16",
     "optimiser.pool_rounds=0",
     "baselines.random_samples=1",
+    "run.pictures=none",
 ]
 
 

@@ -55,7 +55,7 @@ def test_a_new_folder_holds_the_configuration_and_the_environment(folder):
         "run": 0,
         "train": list(range(60)),
         "validation": [],
-        "test": list(range(5000, 5010)),
+        "test": list(range(5000, 5040)),
     }
     assert environment["packages"]["numpy"] == np.__version__
     assert {"warpav", "python", "platform", "device", "command", "started", "git_commit"} <= set(environment)

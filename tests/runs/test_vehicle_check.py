@@ -66,7 +66,7 @@ def test_a_good_vehicle_is_described_and_can_be_used(car, tmp_path, capsys):
     ("name", "reading", "words"),
     [
         ("cm.glb", Reading("z", "x", 0.01), "--scale 0.01 --up z"),
-        ("cm.obj", Reading("z", "x", 0.01), "--scale 0.01"),
+        pytest.param("cm.obj", Reading("z", "x", 0.01), "--scale 0.01", marks=pytest.mark.nightly),
         ("mm.stl", Reading("y", "z", 0.001), "--scale 0.001 --up y --forward z"),
         ("roof.ply", Reading("-z", "x"), "--up -z"),
     ],

@@ -309,10 +309,14 @@ def test_a_finder_says_once_what_is_missing(tmp_path):
 @pytest.mark.parametrize(
     ("mesh", "textures"),
     [
-        ("prius_hybrid/meshes/Hybrid.obj", {"Hybrid": "Hybrid.png", "Hybrid_Interior": "Hybrid_Interior.png"}),
+        pytest.param(
+            "prius_hybrid/meshes/Hybrid.obj",
+            {"Hybrid": "Hybrid.png", "Hybrid_Interior": "Hybrid_Interior.png"},
+            marks=pytest.mark.nightly,
+        ),
         ("hatchback/meshes/hatchback.obj", {"Hatchback": "hatchback.png", "Wheels3": "wheels3.png"}),
         ("suv/meshes/suv.obj", {"SUV_Body": "suv.png", "SUV_Wheels": "wheels_01.png"}),
-        ("bus/meshes/bus.obj", {"Bus": "bus.png"}),
+        pytest.param("bus/meshes/bus.obj", {"Bus": "bus.png"}, marks=pytest.mark.nightly),
     ],
 )
 def test_colours_are_the_textures_at_the_corners(vehicle_folder, mesh, textures):

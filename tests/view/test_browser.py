@@ -17,6 +17,7 @@ from PIL import Image
 
 from tests.runs.report.chromium import Chromium, find_chromium
 from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
+from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.rig.rig import read_rig, write_rig
 from warpav.scene.glb import write_scene
@@ -207,21 +208,18 @@ def test_no_other_address_is_listened_to(address):
             socket.create_connection((other, port), timeout=5.0)
 
 
-def test_a_port_that_is_taken_is_told(folder):
+def test_a_port_that_is_taken_is_told(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-        words = ["view", "street.glb", "--rig", "four.yaml", "--port", str(port), *SMALL]
-        done = subprocess.run(
-            [sys.executable, "-m", "warpav.cli.app", *words],
-            cwd=folder, env=environment, capture_output=True, text=True, timeout=120, check=False,
-        )  # fmt: skip
-    assert done.returncode == 2
+        status = main(["view", "street.glb", "--rig", "four.yaml", "--port", str(port), *SMALL])
+    assert status == 2
+    said = capsys.readouterr().err
     assert re.fullmatch(
-        rf"command line \(--port\): expected one that is free, got {port}: .*; try another one\n", done.stderr
-    ), done.stderr
+        rf"command line \(--port\): expected one that is free, got {port}: .*; try another one\n", said
+    ), said
 
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch):

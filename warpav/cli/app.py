@@ -72,6 +72,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(error, BrokenPipeError):  # nobody reads on: not a mistake, and nobody to be told
             _let_go(sys.stdout)
             return 1
+        try:
+            sys.stdout.flush()
+        except OSError:  # what it still holds has no room either
+            _let_go(sys.stdout)
         return _failed(error, debug)
     except (InputError, CycloptsError) as error:
         if debug:

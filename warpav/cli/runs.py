@@ -41,14 +41,15 @@ def optimise(
 ) -> None:
     """Find where the cameras of a rig see traffic best, and compare the result with baselines."""
     from warpav.runs.config import find_config, placed_config
-    from warpav.runs.jobs import optimise_rig, resume_rig
     from warpav.runs.progress import RunDisplay
-    from warpav.runs.run_folder import RunFolder
-    from warpav.runs.verdict import show_verdict, worse_than_start
 
     if "=" in config:
         config, overrides = DEFAULT_CONFIG, (config, *overrides)
-    folder = None if resume is None else RunFolder.open(resume)
+    folder = None
+    if resume is not None:
+        from warpav.runs.run_folder import RunFolder
+
+        folder = RunFolder.open(resume)
     if folder is not None and config != DEFAULT_CONFIG:
         raise ArgumentError("resume", f"expected no configuration, as the run has its own, got {config}")
     if folder is not None:
@@ -61,6 +62,14 @@ def optimise(
                 f"expected none with optimiser.search={settings.optimiser.search}, whose steps follow one another, got "
                 f"{settings.executor.name}; set optimiser.search=pool",
             )
+        scenes = settings.scenes
+        display.say(
+            f"{find_config(config).name}: {scenes.search_scene_count} scenes to search on, {len(scenes.test_seeds)} to "
+            f"compare on, {settings.device}"
+        )
+        from warpav.runs.jobs import optimise_rig, resume_rig  # takes a second: not before somebody knows that it runs
+        from warpav.runs.verdict import show_verdict, worse_than_start
+
         if folder is None:
             _, evaluation = optimise_rig(settings, name=find_config(config).stem, progress=display)
         else:

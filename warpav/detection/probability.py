@@ -20,6 +20,7 @@ import numpy as np
 import platformdirs
 import warp as wp
 
+from warpav.core.atomic_write import atomic_write
 from warpav.core.bounded_files import DATA_SET_NODES_MAX, read_json
 from warpav.core.errors import InputError
 from warpav.raster.areas import Measures
@@ -333,7 +334,7 @@ class DetectionProbability:
 
     @classmethod
     def builtin(cls, camera: CameraModel) -> DetectionProbability:
-        """That of the detector that ships with warpav in scenes of the town: the shipped fit for any camera.
+        """That of the detector that ships with warpav for vehicles of the town: the shipped fit for any camera.
 
         Args:
             camera: Its size decides how the detector scales its images.
@@ -344,7 +345,8 @@ class DetectionProbability:
         for_any = next(
             model
             for model in map(cls.read, files)
-            if "cameras" in (settings := model.record["settings"]) and settings["scenes"]["source"] == "town"
+            if "cameras" in (settings := model.record["settings"])
+            and (settings["scenes"]["source"], settings["scenes"]["targets"]) == ("town", ["vehicle"])
         )
         scale = OnnxDetector(BUILTIN_MODEL_PATH).network_scale(camera.height_px, camera.width_px)
         return replace(for_any, network_scale=scale)
@@ -445,9 +447,8 @@ class DetectionProbability:
         }
         folder.mkdir(parents=True, exist_ok=True)
         file = folder / use.file_name
-        unfinished = file.with_name(f".{file.name}.part")
-        unfinished.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-        unfinished.replace(file)
+        with atomic_write(file) as draft:
+            draft.write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
         return file
 
 

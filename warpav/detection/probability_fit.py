@@ -130,18 +130,19 @@ def sample_detections(
     iou_min: float,
     network_scale: tuple[float, float] = (1.0, 1.0),
 ) -> DetectionSamples:
-    """Run the detector on a scene in as many cameras as the renderer has views; returns one sample per visible object.
+    """Run the detector on a scene in some cameras; returns one sample per visible object.
 
     Args:
         renderer: Renders them; its lenses are replaced by theirs.
         scene: The scene.
-        cameras: One for every view.
+        cameras: At least one, and no more than the renderer has views.
         detector: The detector to model.
         seed: Of the scene.
         confidence_min: Minimum confidence of a detection.
         iou_min: Minimum IoU with the ground-truth box.
         network_scale: Pixels of the network's input for one of the image, along x and y.
     """
+    count, cameras = len(cameras), [*cameras, *[cameras[-1]] * (renderer.view_count - len(cameras))]
     transform = np.stack([camera.ego_from_camera for camera in cameras])
     device = str(renderer.device)
     position_ego_m = wp.array(transform[:, :3, 3].astype(np.float32), dtype=wp.vec3, device=device)
@@ -149,22 +150,16 @@ def sample_detections(
     camera_from_ego = wp.array(turn, dtype=wp.mat33, device=device)
     renderer.set_lenses([camera.model for camera in cameras])
     frame = renderer.render(scene.raster, position_ego_m, camera_from_ego)
-    image = frame.colours()
-    observation = observe(
-        frame,
-        scene,
-        detector,
-        image=image,
-        forward_view=range(renderer.view_count),
-        confidence_min=confidence_min,
-        iou_min=iou_min,
-    )
     appearance = Appearance.of(frame, scene)
     seen = DetectionProbability.blank(network_scale=network_scale).on_tape(appearance, position_ego_m, camera_from_ego)
-    is_visible = appearance.measures.value.numpy()[:, :, VISIBLE_AREA] >= 1.0
-    is_detected = observation.match[is_visible] >= 0
+    is_visible = appearance.measures.value.numpy()[:count, :, VISIBLE_AREA] >= 1.0
+    shown = np.flatnonzero(is_visible.any(axis=1)).tolist()
+    if not shown:  # the detector would find nothing that counts
+        return DetectionSamples.join([])
+    observation = observe(frame, scene, detector, forward_view=shown, confidence_min=confidence_min, iou_min=iou_min)
+    is_detected = observation.match[is_visible[shown]] >= 0
     return DetectionSamples(
-        seen.feature.numpy()[is_visible].astype(np.float64),
+        seen.feature.numpy()[:count][is_visible].astype(np.float64),
         is_detected,
         np.full(len(is_detected), seed, np.int64),
     )

@@ -26,7 +26,7 @@ from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import LOG_ZOOM, MIRROR, MOUNT_POSE_SIZE, CameraMount
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.chunks import MAX_CHUNK_VIEWS, ViewsAtOnce, chunk_view_count, equal_chunks
+from warpav.raster.chunks import MAX_CHUNK_VIEWS, ViewsAtOnce, chunk_view_count, equal_chunks, gpu_view_count
 from warpav.raster.decide import Occlusion
 from warpav.raster.kept import KeptRenderers
 from warpav.raster.pane import Pane
@@ -219,8 +219,11 @@ class SingleCameras:
 
     def _detected(self, kind: _Kind, pose: np.ndarray, scene: DeviceScene) -> np.ndarray:
         """The probability that cameras of one kind detect each object, float32 [camera, object]."""
-        at_once = self._at_once.setdefault(kind[0], ViewsAtOnce(self._most_views(kind[0])))
-        return at_once.run(lambda most: self._detected_at_once(kind, pose, scene, most), release=self._renderers.clear)
+        if kind[0] not in self._at_once:  # memory is looked at when it is needed first
+            self._at_once[kind[0]] = ViewsAtOnce(self._most_views(kind[0]))
+        return self._at_once[kind[0]].run(
+            lambda most: self._detected_at_once(kind, pose, scene, most), release=self._renderers.clear
+        )
 
     def _detected_at_once(self, kind: _Kind, pose: np.ndarray, scene: DeviceScene, most: int) -> np.ndarray:
         """`_detected`, at most so many cameras at once."""
@@ -327,16 +330,14 @@ class SingleCameras:
         """Probabilities and Jacobians of cameras of one kind; kept for the next call."""
         module, pane = kind
         if kind not in self._kept_jacobians:
-            maker = self._maker(module)
+            maker, streams = self._maker(module), gpu_share(CUDA_STREAMS)
             self._kept_jacobians[kind] = CameraJacobians(
                 self.mount,
                 self.mount.cameras[module],
                 self.probabilities[module],
                 # recorded launches are bound to the renderers, which therefore are those of the kind
-                partial(maker.new, count=gpu_share(CUDA_STREAMS))
-                if self._is_cuda
-                else partial(maker.kept, self._renderers),
-                self._most_views(module, views_max=MAX_CHUNK_VIEWS),
+                partial(maker.new, count=streams) if self._is_cuda else partial(maker.kept, self._renderers),
+                self._most_views(module, views_max=MAX_CHUNK_VIEWS, renderers=streams),
                 pane,
             )
         return self._kept_jacobians[kind]
@@ -345,11 +346,13 @@ class SingleCameras:
     def _is_cuda(self) -> bool:
         return wp.get_device(self.mount.device).is_cuda
 
-    def _most_views(self, module: int, *, views_max: int = CPU_VIEWS) -> int:
-        """Views that are rendered at once: as many as the caches of a core hold, or as a GPU takes."""
+    def _most_views(self, module: int, *, views_max: int = CPU_VIEWS, renderers: int = 1) -> int:
+        """Views that each renderer renders at once: as the caches of a core hold, or as fill a GPU and have room."""
         camera = self.mount.cameras[module]
         if self._is_cuda:
-            return gpu_share(CUDA_CHUNKS) * chunk_view_count(camera, supersampling=self.supersampling)
+            most = gpu_share(CUDA_CHUNKS) * chunk_view_count(camera, supersampling=self.supersampling)
+            device = self.mount.device
+            return gpu_view_count(most, camera, supersampling=self.supersampling, device=device, renderers=renderers)
         return min(chunk_view_count(camera, supersampling=self.supersampling, key_bytes=CPU_KEY_BYTES), views_max)
 
     def _maker(self, module: int) -> _RendererMaker:

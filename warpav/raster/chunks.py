@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 
 from warpav.core.errors import InputError, is_out_of_memory
+from warpav.core.executor import gpu_processes
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.frame import Frame
@@ -19,6 +20,8 @@ from warpav.raster.scene import Scene
 
 CHUNK_KEY_BYTES = 2**28
 MAX_CHUNK_VIEWS = 64
+GPU_ROOM = 4
+"""What a view takes on a GPU over its keys: silhouettes, images and what is measured of them as well."""
 
 _Result = TypeVar("_Result")
 _logger = logging.getLogger(__name__)
@@ -29,8 +32,43 @@ def chunk_view_count(model: CameraModel, *, supersampling: int = 1, key_bytes: i
 
     Street scenes take about as much again for silhouettes.
     """
-    view_bytes = 8 * (model.width_px * supersampling + 2) * (model.height_px * supersampling + 2)
-    return max(1, min(MAX_CHUNK_VIEWS, key_bytes // view_bytes))
+    return max(1, min(MAX_CHUNK_VIEWS, key_bytes // _key_bytes(model, supersampling)))
+
+
+def _key_bytes(model: CameraModel, supersampling: int) -> int:
+    """Of the keys of a view."""
+    return 8 * (model.width_px * supersampling + 2) * (model.height_px * supersampling + 2)
+
+
+def views_with_room(most: int, view_bytes: int, *, free_bytes: int, sharers: int) -> int:
+    """How many of so many views have room on a GPU at once, at least 1.
+
+    Args:
+        most: As many are wanted.
+        view_bytes: What one takes.
+        free_bytes: What is free there now; half of it is left to other programs.
+        sharers: Who asks for so many at the same time, at least 1.
+    """
+    return max(1, min(most, free_bytes // (2 * sharers * view_bytes)))
+
+
+def gpu_view_count(most: int, model: CameraModel, *, supersampling: int, device: str, renderers: int = 1) -> int:
+    """How many of so many views a renderer on a GPU renders at once, by what is free there now; fewer are said.
+
+    Args:
+        most: As many are wanted.
+        model: Camera model of the views.
+        supersampling: Samples per pixel along each axis.
+        device: Warp device.
+        renderers: Renderers of this process that render so many each.
+    """
+    free_bytes = wp.get_device(device).free_memory
+    view_bytes = GPU_ROOM * _key_bytes(model, supersampling)
+    count = views_with_room(most, view_bytes, free_bytes=free_bytes, sharers=renderers * gpu_processes())
+    if count < most:
+        text = "%s has %.1f GB free: %d views at once instead of %d; the numbers are the same"
+        _logger.warning(text, device, free_bytes / 1e9, count, most)
+    return count
 
 
 def equal_chunks(count: int, most: int) -> list[np.ndarray]:

@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import logging
+import pickle
 import shlex
+import shutil
 import time
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property, lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
+from warpav.core.cache_folder import remove_oldest
 from warpav.core.devices import checked_device
-from warpav.core.errors import ArgumentError
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.executor import available_cores, run_tasks
+from warpav.core.fingerprint import digest, fingerprint
 from warpav.core.progress import NullProgress, Progress
+from warpav.core.warp_setup import load_warp
 from warpav.detection.camera_mixture import ScalingDetector, Window, mixed_camera, windows_of
 from warpav.detection.probability import DetectionProbability, DetectorUse, stored_file
 from warpav.detection.probability_fit import (
@@ -31,21 +39,26 @@ from warpav.detection.probability_fit import (
     sample_detections,
     score,
 )
+from warpav.optimisation.pool_cache import UNREADABLE, read_arrays, write_arrays
 from warpav.raster.camera import CameraModel
-from warpav.raster.chunks import chunk_view_count
+from warpav.raster.chunks import ViewsAtOnce, chunk_view_count, equal_chunks, gpu_view_count
 from warpav.raster.decide import Occlusion
+from warpav.raster.kept import KeptRenderers
 from warpav.raster.renderer import Renderer
 from warpav.runs.config import Config, changed_config
-from warpav.runs.mounts import camera_model, free_ranges, roof_surface
+from warpav.runs.mounts import camera_model, camera_models, free_ranges, roof_surface
 from warpav.runs.networks import any_camera_config, any_camera_use, detector_use, load_detector, opened_detector
-from warpav.runs.scene_set import load_scenes
-from warpav.scene.device_scene import DeviceScene
+from warpav.runs.scene_set import load_scenes, scene_recipes
+from warpav.scene.packed import SceneRecipe, StoredScene, packed_scene_folder
+from warpav.scene.traffic.files import content_digest
+from warpav.scene.traffic.moments import search_and_test
 
 if TYPE_CHECKING:
     from warpav.detection.detector import Detector
     from warpav.raster.mesh import Mesh
     from warpav.rig.mount_surface import MountSurface
     from warpav.rig.rig import RigCamera
+    from warpav.scene.device_scene import DeviceScene
 
 # Embedded scenes for this purpose alone: no experiment takes these seeds, and the shipped detector has not seen them.
 TOWN_SEEDS = tuple(range(500_000, 500_050))
@@ -65,7 +78,14 @@ _CAMERAS, _FOLDS, _MIXTURE = 11, 12, 13
 
 LONG_S = 30.0
 """A fit that takes longer says how long before it begins [s]."""
-_TRIAL_VIEWS = 2
+_SCENES_PER_PROCESS = 8
+"""Fewer are sampled sooner than a process starts."""
+_GPU_PROCESS_BYTES = 2**32
+"""Free on a GPU for every process that samples on it, of which it takes about half."""
+_CPU_KEY_BYTES = 2**24
+"""Of the views that a core renders at once; more would leave its caches."""
+_SAMPLES_BYTES = 2**28
+"""What fits that were interrupted may keep on the disk; the oldest go first."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +193,7 @@ def ensure_fit(
     use = detector_use(config, ego, camera)
     if detector is None:
         if stored_file(use) is not None:
-            return DetectionProbability.find(use, unseen=config.scenes.test_seeds)
+            return DetectionProbability.find(use, unseen=_unseen(config))
         scale = _network_scale(opened_detector(config), camera or camera_model(config))
         return replace(_ensure_for_any_camera(any_camera_config(config), progress), network_scale=scale)
     kept = _FITS.setdefault(detector, {}) if _is_weak(detector) else {}
@@ -195,15 +215,46 @@ def ensure_fit(
 
 
 def fit_config(config: Config, progress: Progress) -> Config:
-    """The configuration with embedded scenes where it has too few of its own to fit on, which is said."""
+    """The configuration whose fit is used, which is said where it is one of other scenes.
+
+    Too few scenes of one's own give way to embedded ones. Recordings of one's own give way to those that ship, if these
+    have a fit, the others have none, and no recording of the test is among those that the fit has seen.
+    """
     count = len(config.scenes.train_seeds)
-    if config.losses.probability != "fitted" or config.scenes.source == "town" or count >= MIN_FIT_SCENES:
+    if config.losses.probability != "fitted" or config.scenes.source == "town":
+        return config
+    if count < MIN_FIT_SCENES:
+        progress.say(
+            f"detection probability is that of the embedded scenes: to fit it on others takes {MIN_FIT_SCENES}, "
+            f"scenes.train_seeds has {count}"
+        )
+        return town_config(config)
+    scenes = config.scenes
+    if scenes.source != "traffic" or (scenes.recordings, scenes.test_recordings) == (None, None):
+        return config
+    shipped = changed_config(config, ["scenes.recordings=null", "scenes.test_recordings=null"], origin=None)
+    own_uses = [any_camera_use(any_camera_config(config))]
+    own_uses += [detector_use(config, camera=each) for each in camera_models(config)]
+    (seen, _), (_, tested) = search_and_test(None, None), search_and_test(scenes.recordings, scenes.test_recordings)
+    if (
+        any(map(stored_file, own_uses))
+        or stored_file(any_camera_use(any_camera_config(shipped))) is None
+        or set(map(content_digest, seen)) & set(map(content_digest, tested))
+    ):
         return config
     progress.say(
-        f"detection probability is that of the embedded scenes: to fit it on others takes {MIN_FIT_SCENES}, "
-        f"scenes.train_seeds has {count}"
+        "detection probability is that of the recordings that ship with warpav; to fit it on those of "
+        "scenes.recordings run warpav detector fit --any-camera"
     )
-    return town_config(config)
+    return shipped
+
+
+def _unseen(config: Config) -> tuple[int, ...]:
+    """Scenes of a result that its fit must not have seen, by number.
+
+    Of recordings a number means other moments in the test than in the search, and a fit sees those of the search.
+    """
+    return () if config.scenes.source == "traffic" else config.scenes.test_seeds
 
 
 def town_config(config: Config) -> Config:
@@ -226,8 +277,9 @@ def sample_camera(
     Raises:
         InputError: A scene or the detector cannot be used.
     """
-    source = replace(_camera_source(config, camera_model(config)), network_scale=model.network_scale)
-    return _sample_scenes(config, seeds, load_detector(config), None, [source], progress, job="scoring")
+    load_detector(config)  # what it cannot do shows at once
+    source = _Source(camera_model(config), VIEWS_PER_SCENE, (_CAMERAS,), model.network_scale)
+    return _sample_scenes(config, seeds, None, None, [source], progress, job="scoring")
 
 
 def _network_scale(detector: ScalingDetector, camera: CameraModel) -> tuple[float, float]:
@@ -246,10 +298,10 @@ def _ensure_for_any_camera(config: Config, progress: Progress) -> DetectionProba
         seeds = chosen_seeds(config, None, None)
         _announce(seeds, "detector", "stored for later runs, with any camera", progress)
         words = ("warpav", "detector", "fit", "--any-camera")
-        found = fit(config, seeds, any_camera=True, words=words, progress=progress)
+        found = fit(config, seeds, any_camera=True, words=words, use=use, progress=progress)
         _write(found.model, use, None)
         _show(found.model.record, progress)
-    return DetectionProbability.find(use, unseen=config.scenes.test_seeds)
+    return DetectionProbability.find(use, unseen=_unseen(config))
 
 
 def _announce(seeds: FitSeeds, of: str, kept: str, progress: Progress) -> None:
@@ -320,7 +372,7 @@ def fit_detector(
             progress.say(f"{stored} fits this {of} and source of scenes already and is used as it is")
             _show(model.record, progress)
             return stored
-    found = fit(config, seeds, any_camera=any_camera, words=words, progress=progress)
+    found = fit(config, seeds, any_camera=any_camera, words=words, use=use, progress=progress)
     file = _write(found.model, use, out)
     scores = found.scores
     reliability_diagram(
@@ -344,9 +396,10 @@ def fit(
     camera: CameraModel | None = None,
     any_camera: bool = False,
     words: Sequence[str] = ("warpav", "detector", "fit"),
+    use: DetectorUse | None = None,
     progress: Progress,
 ) -> Fit:
-    """Fit the detection probability of a detector; nothing is written.
+    """Fit the detection probability of a detector; no model is written.
 
     Args:
         config: Detector, camera, scenes.
@@ -357,6 +410,8 @@ def fit(
         any_camera: Whether to fit for cameras of all kinds (`warpav.detection.camera_mixture`) instead of that one; the
             detector is a `ScalingDetector`.
         words: The command, for the record.
+        use: What the fit will be stored for: what is sampled is kept until then, so that a fit that is interrupted goes
+            on. None: nothing is kept.
         progress: Where to show it, and how long it takes if that is long.
 
     Raises:
@@ -364,14 +419,14 @@ def fit(
     """
     began = time.perf_counter()
     name = config.detector.model if detector is None else type(detector).__name__
-    detector = load_detector(config) if detector is None else detector
+    used = load_detector(config) if detector is None else detector
     if any_camera:
-        assert isinstance(detector, ScalingDetector)
-        sources = [_any_camera_source(config, window, detector, k) for k, window in enumerate(windows_of(detector))]
+        assert isinstance(used, ScalingDetector)
+        sources = [_Source.through(window, used, config, k) for k, window in enumerate(windows_of(used))]
     else:
-        sources = [_camera_source(config, camera or camera_model(config))]
+        sources = [_Source(camera or camera_model(config), VIEWS_PER_SCENE, (_CAMERAS,))]
     usual = changed_config(config, [f"scenes.{name}=null" for name in _NOT_FITTED], origin=None)
-    samples = _sample_scenes(usual, (*seeds.fit, *seeds.held_out), detector, ego, sources, progress)
+    samples = _sample_scenes(usual, (*seeds.fit, *seeds.held_out), detector, ego, sources, progress, use=use)
     progress.stage("fitting")
     known, unseen = samples.of_seeds(seeds.fit), samples.of_seeds(seeds.held_out)
     try:
@@ -417,166 +472,274 @@ def _existing(file: Path) -> Path | None:
     return file if file.is_file() else None
 
 
-Draw = Callable[[np.random.Generator, "MountSurface", DeviceScene, int], "list[RigCamera]"]
-"""So many cameras on a vehicle in a scene."""
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class _Source:
     """Views of one image size that a detector is tried on.
 
     Attributes:
         model: A camera of that size.
         count: Views in every scene, at least.
-        draw: Their cameras.
         stream: Of the random numbers for them.
         network_scale: Pixels of the network's input for one of their images, along x and y.
+        window: What cameras of all kinds are seen through; None: places and directions of the one camera.
     """
 
     model: CameraModel
     count: int
-    draw: Draw
     stream: tuple[int, ...]
     network_scale: tuple[float, float] = (1.0, 1.0)
+    window: Window | None = None
 
+    @classmethod
+    def through(cls, window: Window, detector: ScalingDetector, config: Config, index: int) -> _Source:
+        """Cameras of all kinds, seen through a window."""
+        model = CameraModel(window.width_px, window.height_px, near_m=config.camera.near_m)
+        return cls(model, window.count, (_MIXTURE, index), _network_scale(detector, model), window)
 
-def _camera_source(config: Config, model: CameraModel) -> _Source:
-    """Random places and directions of one camera on roof and bonnet."""
-
-    def draw(rng: np.random.Generator, surface: MountSurface, scene: DeviceScene, count: int) -> list[RigCamera]:
-        del scene
-        return random_cameras(
-            rng,
-            surface,
-            model,
-            height_offset_m=config.rig.height_offset_m,
-            count=count,
-            **vars(free_ranges(config)),
-        )
-
-    return _Source(model, VIEWS_PER_SCENE, draw, (_CAMERAS,))
-
-
-def _any_camera_source(config: Config, window: Window, detector: ScalingDetector, index: int) -> _Source:
-    """Cameras of all kinds, seen through a window."""
-    near_m = config.camera.near_m
-
-    def draw(rng: np.random.Generator, surface: MountSurface, scene: DeviceScene, count: int) -> list[RigCamera]:
+    def cameras(self, config: Config, scene: DeviceScene, surface: MountSurface, seed: int) -> list[RigCamera]:
+        """Their cameras in a scene: a whole number of the chunks of `chunk_view_count`."""
+        at_once = min(self.count, chunk_view_count(self.model, supersampling=config.camera.supersampling))
+        count = -(-self.count // at_once) * at_once
+        rng = np.random.default_rng([config.run.seed, *self.stream, seed])
+        if self.window is None:
+            offset_m = config.rig.height_offset_m
+            free = vars(free_ranges(config))
+            return random_cameras(rng, surface, self.model, height_offset_m=offset_m, count=count, **free)
         object_ego_m = scene.upright_box.centre_ego_m.numpy()[: scene.vehicle_count].astype(np.float64)
         return [
             mixed_camera(
                 rng,
-                window,
+                self.window,
                 surface=surface,
                 ego_bounds_m=scene.ego_bounds_m,
                 object_ego_m=object_ego_m,
-                near_m=near_m,
+                near_m=config.camera.near_m,
             )
             for _ in range(count)
         ]
 
-    model = CameraModel(window.width_px, window.height_px, near_m=near_m)
-    return _Source(model, window.count, draw, (_MIXTURE, index), _network_scale(detector, model))
-
 
 @dataclass(frozen=True, eq=False)
-class _Sampler:
-    """Tries a detector on the views of a source, so many at once as its renderer has."""
+class _Sampling:
+    """How a detector is tried on scenes; without a detector that is an object it travels to other processes.
+
+    Attributes:
+        config: Detector, cameras.
+        surface: Roof and bonnet.
+        sources: The views.
+        detector: The detector; None: that of ``config``.
+    """
 
     config: Config
-    detector: Detector
-    source: _Source
-    renderer: Renderer
+    surface: MountSurface
+    sources: tuple[_Source, ...]
+    detector: Detector | None
 
-    @classmethod
-    def of(cls, config: Config, detector: Detector, source: _Source, *, at_once: int | None = None) -> _Sampler:
-        supersampling = config.camera.supersampling
-        if at_once is None:
-            at_once = chunk_view_count(source.model, supersampling=supersampling)
-        renderer = Renderer(
-            [source.model] * min(source.count, at_once),
-            supersampling=supersampling,
-            occlusion=Occlusion(config.visibility.occlusion),
-            device=checked_device(config.device),
+    @cached_property
+    def _used_detector(self) -> Detector:
+        return opened_detector(self.config) if self.detector is None else self.detector
+
+    @cached_property
+    def _renderers(self) -> KeptRenderers:
+        return KeptRenderers()
+
+    def samples(self, recipe: SceneRecipe, seed: int) -> DetectionSamples:
+        """What the detector finds in a scene."""
+        scene = StoredScene(recipe, packed_scene_folder(), checked_device(self.config.device))
+        found = [self._of_source(each, scene, seed) for each in self.sources if scene.vehicle_count]
+        return DetectionSamples.join(found)
+
+    def _of_source(self, source: _Source, scene: DeviceScene, seed: int) -> DetectionSamples:
+        cameras = source.cameras(self.config, scene, self.surface, seed)
+        supersampling = self.config.camera.supersampling
+        device = self.config.device
+        if device.startswith("cuda"):
+            most = gpu_view_count(len(cameras), source.model, supersampling=supersampling, device=device)
+        else:
+            key_bytes = _CPU_KEY_BYTES * available_cores()
+            most = chunk_view_count(source.model, supersampling=supersampling, key_bytes=key_bytes)
+        return ViewsAtOnce(most).run(
+            lambda most: self._of_cameras(source, cameras, scene, seed, most), release=self._renderers.clear
         )
-        return cls(config, detector, source, renderer)
 
-    def samples(self, scene: DeviceScene, surface: MountSurface, *, seed: int, count: int) -> DetectionSamples:
-        """What the detector finds in at least so many views of a scene."""
-        config, at_once = self.config, self.renderer.view_count
-        rng = np.random.default_rng([config.run.seed, *self.source.stream, seed])
-        cameras = self.source.draw(rng, surface, scene, -(-count // at_once) * at_once)
+    def _of_cameras(
+        self, source: _Source, cameras: list[RigCamera], scene: DeviceScene, seed: int, most: int
+    ) -> DetectionSamples:
+        """What the detector finds in the views of some cameras, at most so many at once."""
+        config, size = self.config, len(equal_chunks(len(cameras), most)[0])
+
+        def renderers() -> list[Renderer]:
+            return [
+                Renderer(
+                    [source.model] * size,
+                    supersampling=config.camera.supersampling,
+                    occlusion=Occlusion(config.visibility.occlusion),
+                    device=checked_device(config.device),
+                )
+            ]
+
+        (renderer,) = self._renderers.of((source, size), renderers)
         return DetectionSamples.join(
             [
                 sample_detections(
-                    self.renderer,
+                    renderer,
                     scene,
-                    cameras[first : first + at_once],
-                    self.detector,
+                    cameras[first : first + size],
+                    self._used_detector,
                     seed=seed,
                     confidence_min=config.detector.confidence_min,
                     iou_min=config.detector.iou_min,
-                    network_scale=self.source.network_scale,
+                    network_scale=source.network_scale,
                 )
-                for first in range(0, len(cameras), at_once)
+                for first in range(0, len(cameras), size)
             ]
         )
+
+
+def _samples_of(task: tuple[int, bytes, SceneRecipe, int]) -> DetectionSamples:
+    """What a task does in another process."""
+    _, sampling, recipe, seed = task
+    return _unpickled(sampling).samples(recipe, seed)
+
+
+@lru_cache(maxsize=1)
+def _unpickled(sampling: bytes) -> _Sampling:
+    """The one of all tasks, with its detector and the renderers that it keeps."""
+    load_warp()
+    return pickle.loads(sampling)
 
 
 def _sample_scenes(
     config: Config,
     seeds: Sequence[int],
-    detector: Detector,
+    detector: Detector | None,
     ego: Mesh | None,
     sources: Sequence[_Source],
     progress: Progress,
+    *,
     job: str = "the fit",
+    use: DetectorUse | None = None,
 ) -> DetectionSamples:
-    """What the detector finds of the scenes in the views of some sources; says how long the job takes, if long."""
-    device = checked_device(config.device)
+    """What a detector finds of scenes in the views of some sources, on all cores; the numbers are those of one.
 
-    def packed_scenes() -> Iterator[tuple[DeviceScene, MountSurface]]:
-        surface = None
-        for scene in load_scenes(config, seeds, ego=ego):
-            surface = surface or roof_surface(config, scene.ego)
-            yield DeviceScene.pack(scene, device=device), surface
+    Says how long it takes, if that is long.
 
-    scenes, scene_s = packed_scenes(), 0.0
-    known: list[tuple[DeviceScene, MountSurface]] = []
-    while len(known) < min(2, len(seeds)):  # the first one also pays for what all need
-        began = time.perf_counter()
-        known.append(next(scenes))
-        scene_s = time.perf_counter() - began
-    if known and known[-1][0].vehicle_count > 0:
-        seed = seeds[len(known) - 1]
-        views_s = sum(_trial_seconds(config, detector, each, *known[-1], seed) for each in sources)
-        expected_s = len(seeds) * (scene_s + views_s)
-        if expected_s > LONG_S:
-            _say(f"{job} takes {_about(expected_s)}", "progress=True shows how far it is", progress)
-    samplers = [_Sampler.of(config, detector, source) for source in sources]
+    Args:
+        config: Scenes, detector, cameras.
+        seeds: Numbers of the scenes.
+        detector: The detector, where it is an object: it stays in this process.
+        ego: The vehicle, where it is an object.
+        sources: The views.
+        progress: Where to show it.
+        job: What it is for, in words.
+        use: What is fitted; what was sampled for it is kept, and not sampled again. None: nothing is kept.
+    """
+    if not seeds:
+        return DetectionSamples.join([])
+    body = next(load_scenes(config, seeds[:1], ego=ego)).ego
+    sampling = _Sampling(config, roof_surface(config, body), tuple(sources), detector)
+    recipes = scene_recipes(config, seeds, progress, ego=ego)
+    files = [None] * len(seeds) if use is None else _kept_files(use, sampling, recipes, seeds)
+    parts = [_read_samples(file) for file in files]
+    missing = [k for k, part in enumerate(parts) if part is None]
+    count = _process_count(config, len(missing)) if detector is None else 1
+    outcomes = _outcomes(sampling, [(recipes[k], seeds[k]) for k in missing], count)
+    began = all_began = time.perf_counter()
+    try:
+        for done, (number, samples) in enumerate(progress.steps("sampling scenes", outcomes, count=len(missing)), 1):
+            k = missing[number]
+            parts[k] = samples
+            _keep_samples(samples, files[k])
+            now = time.perf_counter()
+            if done == count:  # the first of a process also pays for what all need
+                began = now
+            expected_s = now - all_began + (len(missing) - done) * (now - began) / count
+            if done == 2 * count and expected_s > LONG_S:
+                _say(f"{job} takes {_about(expected_s)}", "progress=True shows how far it is", progress)
+    except KeyboardInterrupt:
+        with contextlib.suppress(OSError):  # the terminal may be gone
+            if use is not None:
+                there = sum(part is not None for part in parts)
+                progress.say(f"stopped; {there} of {len(seeds)} scenes are kept, and the same command samples the rest")
+        raise
+    return DetectionSamples.join([part for part in parts if part is not None])
 
-    def parts() -> Iterator[DetectionSamples]:
-        for seed, (packed, surface) in zip(seeds, itertools.chain(known, scenes), strict=True):
-            if packed.vehicle_count == 0:
-                yield DetectionSamples.join([])
-                continue
-            yield DetectionSamples.join(
-                [each.samples(packed, surface, seed=seed, count=each.source.count) for each in samplers]
-            )
 
-    return DetectionSamples.join(list(progress.steps("sampling scenes", parts(), count=len(seeds))))
+def _process_count(config: Config, scene_count: int) -> int:
+    """Processes that are worth their start, and on a GPU have room there."""
+    count = min(config.executor.workers or available_cores(), scene_count // _SCENES_PER_PROCESS)
+    if config.device.startswith("cuda"):
+        room_bytes = config.shared_gpu_count * wp.get_device(config.device).free_memory
+        count = min(count, room_bytes // _GPU_PROCESS_BYTES)
+    return max(1, count)
 
 
-def _trial_seconds(
-    config: Config, detector: Detector, source: _Source, scene: DeviceScene, surface: MountSurface, seed: int
-) -> float:
-    """How long the views of a source take in a scene, from a few of them [s]."""
-    count = min(_TRIAL_VIEWS, source.count)
-    sampler = _Sampler.of(config, detector, source, at_once=count)
-    sampler.samples(scene, surface, seed=seed, count=count)  # compiles and allocates
-    began = time.perf_counter()
-    sampler.samples(scene, surface, seed=seed, count=count)
-    return (time.perf_counter() - began) * source.count / count
+def _outcomes(
+    sampling: _Sampling, tasks: Sequence[tuple[SceneRecipe, int]], process_count: int
+) -> Iterator[tuple[int, DetectionSamples]]:
+    """Samples of scenes as they are there, each with the number of its task.
+
+    Raises:
+        InputError: A scene cannot be made or sampled.
+    """
+    if process_count <= 1:
+        yield from ((number, sampling.samples(*task)) for number, task in enumerate(tasks))
+        return
+    config, content = sampling.config, pickle.dumps(sampling)
+    needs_gpu = config.device.startswith("cuda") or config.detector.provider != "cpu"
+    for outcome in run_tasks(
+        _samples_of,
+        [(number, content, *task) for number, task in enumerate(tasks)],
+        executor="process",
+        worker_count=process_count,
+        gpu_count=config.shared_gpu_count if needs_gpu else 0,
+    ):
+        if outcome.result is None:
+            raise InputError(f"scene {outcome.task[-1]}: {outcome.error}")
+        yield outcome.task[0], outcome.result
+
+
+def _samples_folder(use: DetectorUse) -> Path:
+    """Where samples are kept until their fit is stored."""
+    *_, cache = use.folders()
+    return cache / "samples" / use.identity
+
+
+def _kept_files(
+    use: DetectorUse, sampling: _Sampling, recipes: Sequence[SceneRecipe], seeds: Sequence[int]
+) -> list[Path | None]:
+    """The file that keeps the samples of each scene, by all that they depend on."""
+    import onnxruntime
+
+    config, folder = sampling.config, _samples_folder(use)
+    remove_oldest(folder.parent, "*/*.npz", capacity_bytes=_SAMPLES_BYTES)
+    made_of = fingerprint(
+        config.run.seed,
+        sampling.sources,
+        config.mount,
+        config.device.startswith("cuda"),
+        onnxruntime.__version__,
+        version("warp-lang"),
+        code=(__name__,),
+    )
+    return [
+        folder / f"{digest(made_of, recipe.file_name, seed)}.npz" for recipe, seed in zip(recipes, seeds, strict=True)
+    ]
+
+
+def _read_samples(file: Path | None) -> DetectionSamples | None:
+    """What is kept; None where nothing is that can be read."""
+    with contextlib.suppress(*UNREADABLE):
+        return None if file is None else DetectionSamples(**read_arrays(file)[0])
+    return None
+
+
+def _keep_samples(samples: DetectionSamples, file: Path | None) -> None:
+    """Keep what was sampled, where that can be."""
+    if file is not None:
+        with contextlib.suppress(OSError):
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_arrays(file, {}, **vars(samples))
 
 
 def _about(seconds: float) -> str:
@@ -602,15 +765,18 @@ def _write(model: DetectionProbability, use: DetectorUse, out: Path | None) -> P
     else:
         beside, cache = use.folders()
         folders = [cache] if beside.is_relative_to(Path(__file__).resolve().parents[1]) else [beside, cache]
-    for folder in folders[:-1]:
-        with contextlib.suppress(OSError):
-            return model.write(folder, use)
-    try:
-        return model.write(folders[-1], use)
-    except OSError as error:
-        raise ArgumentError(
-            "out", f"expected a folder to write to, got {error.strerror}; give another as `out`", place=folders[-1]
-        ) from None
+    problem = ""
+    for folder in folders:
+        try:
+            file = model.write(folder, use)
+        except OSError as error:
+            problem = error.strerror
+            continue
+        shutil.rmtree(_samples_folder(use), ignore_errors=True)
+        return file
+    raise ArgumentError(
+        "out", f"expected a folder to write to, got {problem}; give another as `out`", place=folders[-1]
+    )
 
 
 def _show(record: Any, progress: Progress) -> None:  # noqa: ANN401 (JSON)

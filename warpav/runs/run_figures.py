@@ -192,9 +192,7 @@ class RunPictures:
         self._save(figures)
         plot(self.rigs, kind="redundancy", ego=ego, out=self.folder.figure_path("redundancy"))
         if placement.fitted_probabilities:
-            plot(
-                self.rigs, kind="range", ego=ego, probability=self._probability, out=self.folder.figure_path("range")
-            )
+            plot(self.rigs, kind="range", ego=ego, probability=self._probability, out=self.folder.figure_path("range"))
         for name, met in requirements_of(self.rigs, placement).items():
             file = self.folder.figure_path(f"requirements_{name}")
             requirement_map(file, result=met, rig=self.rigs[name], ego=placement.ego)

@@ -204,13 +204,21 @@ def _recipes(config: Config, progress: Progress) -> list[SceneRecipe]:
     return recipes
 
 
-def scene_recipes(config: Config, seeds: Sequence[int], progress: Progress) -> list[SceneRecipe]:
+def scene_recipes(
+    config: Config, seeds: Sequence[int], progress: Progress, *, ego: Mesh | None = None
+) -> list[SceneRecipe]:
     """What the scenes of a configuration are made of; those that have to be captured first are captured here.
+
+    Args:
+        config: Says which scenes.
+        seeds: Their numbers.
+        progress: Shows what is captured.
+        ego: The vehicle that they are around; None: that of ``scenes.ego``, else each scene's own.
 
     Raises:
         InputError: A file is missing or cannot be used.
     """
-    ego, targets = own_vehicle(config), tuple(config.scenes.targets)
+    ego, targets = own_vehicle(config) if ego is None else ego, tuple(config.scenes.targets)
     sources: Sequence[BuiltSource | Path]
     if config.scenes.source == "captured":
         sources = list(progress.steps("captured scenes", _captured(config, seeds), count=len(seeds)))

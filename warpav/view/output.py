@@ -156,7 +156,6 @@ def _image(plotter: Plotter, supersampling: int) -> Any:  # noqa: ANN401 (a Pill
     plotter.window_size = [width * supersampling, height * supersampling]
     plotter.render_window.SetDPI(dots_per_inch * supersampling)  # text grows with the image
     try:
-        plotter.render()
         large = plotter.screenshot(return_img=True)
     finally:
         plotter.window_size = [width, height]

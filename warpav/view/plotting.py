@@ -260,7 +260,7 @@ def plot(
     if isinstance(drawing, Animation):
         assert canvas.out is not None, "animations are drawn where the canvas asks for one"
         return save_animation(drawing, canvas.out, progress=progress)
-    if not isinstance(drawing, load_pyvista().BasePlotter):
+    if chosen.is_figure or not isinstance(drawing, load_pyvista().BasePlotter):
         return _deliver_figure(drawing, canvas)
     if canvas.out is None:
         return _show(drawing, of_show, off_screen=off_screen)

@@ -1,8 +1,7 @@
-"""Independent tasks: one after the other, in processes, on a Ray cluster, as Slurm jobs, or one in the background."""
+"""Independent tasks: one after the other, in processes, on a Ray cluster, or as Slurm jobs."""
 
-from warpav.core.executor.background import in_background
 from warpav.core.executor.tasks import Executor, ExecutorName, Outcome, Result, Task, run_tasks
-from warpav.core.executor.workers import available_cores, gpu_share
+from warpav.core.executor.workers import available_cores, gpu_processes, gpu_share
 
 __all__ = [
     "Executor",
@@ -11,7 +10,7 @@ __all__ = [
     "Result",
     "Task",
     "available_cores",
+    "gpu_processes",
     "gpu_share",
-    "in_background",
     "run_tasks",
 ]

@@ -11,7 +11,15 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from warpav.core.errors import OptionError
-from warpav.core.executor.workers import Outcome, WorkerKilledError, executor_package, one_line, outcome_of
+from warpav.core.executor.workers import (
+    Outcome,
+    Share,
+    WorkerKilledError,
+    executor_package,
+    one_line,
+    outcome_of,
+    take_share,
+)
 
 CONNECT_S = 5.0
 """How long a Ray cluster may take to accept a connection [s]."""
@@ -44,10 +52,13 @@ class RayCluster:
         """
         self._ray = ray = executor_package("ray")
         try:
-            self._remote = ray.remote(**{"max_retries": 0, **options})(outcome_of)
+            self._remote = ray.remote(**{"max_retries": 0, **options})(_outcome_of)
         except (TypeError, ValueError) as error:
             raise OptionError("executor.options", f"expected options of ray.remote, got: {one_line(error)}") from None
         self._function = function
+        gpus = options.get("num_gpus") or 0
+        gpu_processes = max(1, round(1 / gpus)) if gpus else worker_count or 1  # without, all see the GPU
+        self._share = Share(max(1, int(options.get("num_cpus") or 1)), gpu_processes)
         self._is_gone = False
         self._is_own = not ray.is_initialized()  # a notebook's own stays
         if not self._is_own:
@@ -88,7 +99,7 @@ class RayCluster:
 
     def start(self, tasks: Sequence[Any]) -> Sequence[Any]:
         """Hand tasks to Ray, which queues what there is no room for."""
-        return [self._remote.remote(self._function, task) for task in tasks]
+        return [self._remote.remote(self._function, task, self._share) for task in tasks]
 
     def wait(self, handles: Collection[Any]) -> Collection[Any]:
         """Wait until a task has ended.
@@ -132,6 +143,12 @@ class RayCluster:
                 self._ray.cancel(handle, force=True)
         if self._is_own or self._is_gone:  # Ray ends a process that stays with a cluster that is gone
             self._ray.shutdown()
+
+
+def _outcome_of(function: Callable[[Any], Any], task: Any, share: Share) -> Outcome[Any, Any]:  # noqa: ANN401
+    """`outcome_of` on the cores that Ray counts for a task."""
+    take_share(share)
+    return outcome_of(function, task)
 
 
 def _check_answers(address: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from warpav.core.errors import OptionError
-from warpav.core.executor.workers import Outcome, Result, Task, WorkerKilledError, Workers, outcome_of
+from warpav.core.executor.workers import Outcome, Result, Task, WorkerKilledError, Workers, available_cores, outcome_of
 
 ExecutorName = Literal["serial", "process", "ray", "slurm"]
 
@@ -99,7 +98,7 @@ def run_tasks(
             yield outcome_of(function, task)
         return
     if executor == "process":
-        worker_count = worker_count or os.cpu_count() or 1
+        worker_count = worker_count or available_cores()
 
     def opened(count: int | None) -> Workers:
         if executor == "ray":

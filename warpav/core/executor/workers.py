@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 from warpav.core.errors import InputError, OptionError, install_text, is_out_of_memory
@@ -89,20 +92,54 @@ def own_share() -> Share:
 def take_share(share: Share) -> None:
     """Let this process use its share alone: before it loads libraries that start a thread for every core they find."""
     vars(_share).update(vars(share))
-    if available_cores() < (os.cpu_count() or 1):
+    cores = available_cores()
+    if cores < (os.cpu_count() or 1):
         for variable in _THREAD_VARIABLES:
-            os.environ.setdefault(variable, str(available_cores()))
+            given = os.environ.get(variable, "")  # what a larger share inherited may be more
+            if not (given.isdecimal() and 1 <= int(given) <= cores):
+                os.environ[variable] = str(cores)
 
 
 def available_cores() -> int:
-    """Processor cores that this process may use: in a pool of processes its share, at least 1."""
+    """Processor cores that this process may use: of its affinity, its control group and, in a pool, its share."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return cores if _share.cores is None else min(cores, _share.cores)
+    return min(each for each in (cores, quota_cores(), _share.cores) if each is not None)
+
+
+@cache
+def quota_cores(groups: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")) -> int | None:
+    """Cores that the limits of control groups leave to this process, at least 1; None where there is no limit."""
+    found = []
+    with contextlib.suppress(OSError):
+        for line in own.read_text().splitlines():
+            _, kinds, path = line.split(":", 2)
+            if kinds and "cpu" not in kinds.split(","):
+                continue
+            # a container sees its own group as the root, whatever the path says
+            top = groups / "cpu" if kinds else groups
+            inside = top / path.strip("/")
+            for group in (inside, *inside.parents):
+                with contextlib.suppress(OSError, ValueError):  # no such group, or "max"
+                    if kinds:
+                        quota = int((group / "cpu.cfs_quota_us").read_text())
+                        period = int((group / "cpu.cfs_period_us").read_text())
+                    else:
+                        quota, period = map(int, (group / "cpu.max").read_text().split())
+                    if quota > 0:
+                        found.append(max(1, quota // period))
+                if group == top:
+                    break
+    return min(found, default=None)
 
 
 def gpu_share(count: int) -> int:
-    """This process's share of what a GPU holds ``count`` of, at least 1: all of it but in a pool of processes."""
+    """This process's share of what a GPU does ``count`` of at once, at least 1: all but in a pool of processes."""
     return max(1, count // _share.gpu_processes)
+
+
+def gpu_processes() -> int:
+    """Processes of this program that share a GPU, this one among them."""
+    return _share.gpu_processes
 
 
 def outcome_of(function: Callable[[Task], Result], task: Task) -> Outcome[Task, Result]:

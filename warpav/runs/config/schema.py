@@ -256,7 +256,7 @@ class SceneConfig(Section):
     validation_seeds: Seeds | None = Field(
         default=None, description="scenes on which rigs of a run are compared; null: the training scenes"
     )
-    test_seeds: Seeds = Field(default=tuple(range(5000, 5010)), description="scenes that only the evaluation sees")
+    test_seeds: Seeds = Field(default=tuple(range(5000, 5040)), description="scenes that only the evaluation sees")
     folder: Annotated[Path, BeforeValidator(read_path), PlainSerializer(str), Expectation("a folder")] | None = Field(
         default=None,
         description="where source: folder finds its scene_<seed>.glb files, and where source: captured keeps what it "

@@ -314,7 +314,8 @@ def _plots(run: RunContent, drawn: Collection[str]) -> dict[str, list[PageImage]
     """The plots of every section that are drawn with the page: those of a full report, and curves that no file has."""
     evaluation = run.evaluation
     found: dict[str, list[PageImage]] = {name: [] for name in ("convergence", "metrics", "recall", "ground")}
-    if not any(name in drawn for name in _CURVES):
+    curves = "loss_curves" if run.certificate is None else "search"
+    if curves not in drawn and (run.config is None or run.config.run.pictures != "none"):
         found["convergence"] = _convergence(run)
     if evaluation is None or run.ground is None:
         return found

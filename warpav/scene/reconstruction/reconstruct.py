@@ -13,6 +13,7 @@ from scipy.spatial import KDTree
 from threadpoolctl import threadpool_limits
 
 from warpav.core.errors import InputError
+from warpav.core.executor import available_cores
 from warpav.raster.mesh import Mesh, merge
 from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture, CapturedImage
 from warpav.scene.reconstruction.colours import seen_rgb, vertex_normals
@@ -53,7 +54,8 @@ def reconstruct(
     if settings.method not in SURFACE_METHODS:
         raise ValueError(f"expected one of {', '.join(SURFACE_METHODS)}, got {settings.method!r}")
     images: list[CapturedImage] = list(capture.images)
-    clouds = fuse(capture, images, settings.cloud, thread_count=settings.thread_count)
+    threads = min(settings.thread_count, available_cores())
+    clouds = fuse(capture, images, settings.cloud, thread_count=threads)
     for vehicle, one in zip(capture.vehicles, clouds.vehicles, strict=True):
         if len(one.cloud) < MIN_POINTS:
             raise InputError(
@@ -79,7 +81,7 @@ def reconstruct(
             on_object(name)
         return mesh
 
-    with ThreadPoolExecutor(settings.thread_count) as pool:
+    with ThreadPoolExecutor(threads) as pool:
         environment, ego, *meshes = pool.map(work, jobs)
     sphere = _sphere_mesh(clouds.sphere, settings)
     return Scene(

@@ -54,18 +54,22 @@ def draw_surroundings(
         ring_m: Radii of the rings around it [m]; None: round ones.
         camera_size: Of the marks of cameras [pt]; 0: none.
     """
-    from matplotlib.collections import PolyCollection
-    from matplotlib.patches import Circle
+    from matplotlib.patches import Circle, PathPatch
+    from matplotlib.path import Path
 
     empty_panel(axis)
     x_m, y_m = middle_of(ego)
     axis.set(xlim=(y_m + reach_m, y_m - reach_m), ylim=(x_m - reach_m, x_m + reach_m), aspect="equal")
-    corner_m = np.asarray(ego.vertex_m)[np.asarray(ego.triangle)][:, :, [1, 0]]
+    corner_m = np.asarray(ego.vertex_m)[np.asarray(ego.triangle)][:, [0, 1, 2, 0]][:, :, [1, 0]]
+    along, across = corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0]
+    is_back = along[:, 0] * across[:, 1] < along[:, 1] * across[:, 0]
+    corner_m[is_back] = corner_m[is_back, ::-1]  # all one way round: what lies over another does not undo it
+    triangle = [Path.MOVETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY]
+    outline = Path(corner_m.reshape(-1, 2), triangle * len(corner_m))  # one path: ten thousand would take a second
     for rgb, width, order in ((INK_RGB, 1.6, 5.0), (GRID_RGB, 0.5, 5.1)):
         colour = hex_colour(rgb)
-        body = PolyCollection(corner_m, facecolors=colour, edgecolors=colour, linewidths=width, zorder=order)
-        body.set_rasterized(True)
-        axis.add_collection(body, autolim=False)
+        body = PathPatch(outline, facecolor=colour, edgecolor=colour, linewidth=width, zorder=order, rasterized=True)
+        axis.add_artist(body)
     for index, camera in enumerate(rig.cameras if camera_size else ()):
         mark = {"color": hex_colour(camera_rgb(index)), "markeredgecolor": "white", "markeredgewidth": 0.5}
         axis.plot(camera.position_m[1], camera.position_m[0], "o", markersize=camera_size, zorder=7, **mark)
