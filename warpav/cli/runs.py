@@ -67,7 +67,7 @@ def optimise(
             f"{find_config(config).name}: {scenes.search_scene_count} scenes to search on, {len(scenes.test_seeds)} to "
             f"compare on, {settings.device}"
         )
-        from warpav.runs.jobs import optimise_rig, resume_rig  # takes a second: not before somebody knows that it runs
+        from warpav.runs.jobs import optimise_rig, resume_rig  # a second of imports, after the first line
         from warpav.runs.verdict import show_verdict, worse_than_start
 
         if folder is None:

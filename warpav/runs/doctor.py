@@ -176,7 +176,7 @@ def check_opengl() -> Finding:
         return Finding("opengl", "ok", f"drew an image with {window}", {"window": window})
     reason = done.stderr.strip().splitlines()[-1] if done.returncode > 0 and done.stderr.strip() else ""
     reason = reason or ("the image was empty" if done.returncode == 0 else f"OpenGL ended with {done.returncode}")
-    return Finding("opengl", "warning", f"{reason}; warpav inspect and the figures of a run will not work")
+    return Finding("opengl", "warning", f"{reason}; warpav inspect and the picture of the rig in a run will not work")
 
 
 def check_detector() -> Finding:

@@ -136,7 +136,7 @@ class RunPictures:
         return {"start": self.start, "optimised": self.found}
 
     def draw(self, progress: Progress, *, full: bool) -> None:
-        """Draw the pictures of the first page, or all; a machine that cannot draw in three dimensions is told so."""
+        """Draw the pictures of the first page, or all; what this machine cannot draw is said."""
         self._draw_few()
         if full:
             self._draw_further()

@@ -6,7 +6,7 @@
                   rig_start.yaml (where rig.start names a rig)
                   evaluation.json  checkpoints/last.npz  report.html  figures/*.png
                   further_cameras.csv (where optimiser.search is pool)
-                  figures/ground.npz  figures/views.json  figures/views/*.webp
+                  figures/ground.npz  figures/views.json  figures/views/*.webp (where all pictures are drawn)
 
 A file is replaced in one step or extended by one whole line, so a run that is stopped leaves a folder that opens.
 One process at a time writes to a folder, and holds it.

@@ -21,9 +21,7 @@ from warpav.core.executor.workers import Outcome, Share, WorkerKilledError, outc
 class Processes:
     """A pool of processes; one that is killed ends the pool, and the next task opens another."""
 
-    def __init__(
-        self, function: Callable[[Any], Any], worker_count: int, gpu_count: int = 1, *, beside: int = 0
-    ) -> None:
+    def __init__(self, function: Callable[[Any], Any], worker_count: int, gpu_count: int = 1) -> None:
         """A pool without a process; they start with the tasks.
 
         Args:
@@ -31,13 +29,12 @@ class Processes:
             worker_count: Processes.
             gpu_count: GPUs that they share: what a task calls ``cuda:0`` is to the k-th process the GPU k modulo this.
                 0: they see none.
-            beside: Others that work at the same time, such as this process.
 
         Raises:
             OptionError: This machine has not so many GPUs.
         """
         self._function, self._worker_count = function, worker_count
-        self._share = own_share().among(worker_count + beside, gpu_count)
+        self._share = own_share().among(worker_count, gpu_count)
         self._orders = _gpu_orders(gpu_count)
         self._pool = self._open()
 

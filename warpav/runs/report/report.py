@@ -167,6 +167,7 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "metrics": _metrics(evaluation) if evaluation else [],
         "paired": _paired(evaluation) if evaluation else [],
         "plots": _plots(run, images),
+        "draws_nothing": _draws_nothing(run),
         "rig": [image for image in shown if image.name == "rig"],
         "images": [image for image in shown if image.name not in _ELSEWHERE],
         "fitting": [image for image in shown if image.name in _FITTING],
@@ -310,12 +311,16 @@ def _paired(evaluation: EvaluationRecord) -> list[tuple[str, list[tuple[str, str
     ]
 
 
+def _draws_nothing(run: RunContent) -> bool:
+    return run.config is not None and run.config.run.pictures == "none"
+
+
 def _plots(run: RunContent, drawn: Collection[str]) -> dict[str, list[PageImage]]:
     """The plots of every section that are drawn with the page: those of a full report, and curves that no file has."""
     evaluation = run.evaluation
     found: dict[str, list[PageImage]] = {name: [] for name in ("convergence", "metrics", "recall", "ground")}
     curves = "loss_curves" if run.certificate is None else "search"
-    if curves not in drawn and (run.config is None or run.config.run.pictures != "none"):
+    if curves not in drawn and not _draws_nothing(run):
         found["convergence"] = _convergence(run)
     if evaluation is None or run.ground is None:
         return found
