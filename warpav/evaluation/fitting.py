@@ -98,19 +98,12 @@ def size_ranges_m(
 
     tried_m = np.geomspace(_NEAREST_M, _FARTHEST_M, _DISTANCE_COUNT)
     found_px = size_px(np.broadcast_to(tried_m[:, None], (_DISTANCE_COUNT, len(across))))
-    ranges_m = np.full((len(pixels), len(across), 2), np.nan)
-    for row, least_px in enumerate(pixels):
-        is_large = found_px >= least_px
-        has_any = np.asarray(is_large.any(axis=0))
-        first, last = is_large.argmax(axis=0), _DISTANCE_COUNT - 1 - is_large[::-1].argmax(axis=0)
-        for end, inside, outside in ((0, first, first - 1), (1, last, last + 1)):
-            edge_m = _edge(
-                lambda distance_m, least_px=least_px: size_px(distance_m) >= least_px,
-                tried_m[inside],
-                tried_m[np.clip(outside, 0, _DISTANCE_COUNT - 1)],
-            )
-            ranges_m[row, :, end] = np.where(has_any, edge_m, np.nan)
-    return ranges_m
+    least_px = np.reshape(pixels, (-1, 1))
+    is_large = found_px >= least_px[..., None]  # [pixels, distance, direction]
+    first, last = is_large.argmax(axis=1), _DISTANCE_COUNT - 1 - is_large[:, ::-1].argmax(axis=1)
+    outside = np.clip([first - 1, last + 1], 0, _DISTANCE_COUNT - 1)
+    edges_m = _edge(lambda distance_m: size_px(distance_m) >= least_px, tried_m[[first, last]], tried_m[outside])
+    return np.where(is_large.any(axis=1)[..., None], np.moveaxis(edges_m, 0, -1), np.nan)
 
 
 def px_per_degree(camera: RigCamera, direction: np.ndarray) -> np.ndarray:
@@ -241,23 +234,19 @@ class NearField:
         outwards = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
         tried_m = np.linspace(0.0, reach_m, 1 + math.ceil(reach_m / 0.05))
 
-        def is_seen(distance_m: np.ndarray, height_m: float) -> np.ndarray:
-            """Of points that far along each direction, [..., direction]."""
+        def is_seen(distance_m: np.ndarray) -> np.ndarray:
+            """Of points at every height that far along each direction, [height, ..., direction]."""
             place_m = border_m + distance_m[..., None] * outwards
-            point_m = np.concatenate([place_m, np.full((*place_m.shape[:-1], 1), height_m)], axis=-1)
+            height_m = np.reshape(heights_m, (-1, *(1,) * (distance_m.ndim - 1)))
+            point_m = np.concatenate([place_m, np.broadcast_to(height_m, distance_m.shape)[..., None]], axis=-1)
             return seen_by_any(rig, scene, point_m)
 
-        rows = []
-        for height_m in heights_m:
-            seen = is_seen(np.broadcast_to(tried_m[:, None], (len(tried_m), direction_count)), height_m)
-            first = seen.argmax(axis=0)
-            found_m = _edge(
-                lambda distance_m, height_m=height_m: is_seen(distance_m, height_m),
-                tried_m[first],
-                tried_m[np.maximum(first - 1, 0)],
-            )
-            rows.append(np.where(seen.any(axis=0), np.where(first == 0, 0.0, found_m), np.inf))
-        return cls(tuple(heights_m), azimuth_rad, border_m, np.stack(rows), reach_m)
+        shape = len(heights_m), len(tried_m), direction_count
+        seen = is_seen(np.broadcast_to(tried_m[:, None], shape))
+        first = seen.argmax(axis=1)
+        found_m = _edge(is_seen, tried_m[first], tried_m[np.maximum(first - 1, 0)])
+        distance_m = np.where(seen.any(axis=1), np.where(first == 0, 0.0, found_m), np.inf)
+        return cls(tuple(heights_m), azimuth_rad, border_m, distance_m, reach_m)
 
     def toward(self, azimuth_deg: float) -> int:
         """The direction nearest to an azimuth."""

@@ -14,6 +14,7 @@ from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
 from warpav.view.opengl import optional_module
 from warpav.view.palette import CAMERA_RGB, DESCENT_RGB
+from warpav.view.rig_view import no_render
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -152,14 +153,19 @@ def _image(plotter: Plotter, supersampling: int) -> Any:  # noqa: ANN401 (a Pill
     from PIL import Image
 
     width, height = plotter.window_size
-    dots_per_inch = plotter.render_window.GetDPI()
-    plotter.window_size = [width * supersampling, height * supersampling]
-    plotter.render_window.SetDPI(dots_per_inch * supersampling)  # text grows with the image
+    window = plotter.render_window
+    dots_per_inch, samples = window.GetDPI(), window.GetMultiSamples()
+    if supersampling > 1:
+        window.SetMultiSamples(0)  # on top of it they cost as much as the image, and change nothing
+    window.SetDPI(dots_per_inch * supersampling)  # text grows with the image
+    plotter.window_size = [width * supersampling, height * supersampling]  # draws, unless it is the first time
     try:
         large = plotter.screenshot(return_img=True)
     finally:
-        plotter.window_size = [width, height]
-        plotter.render_window.SetDPI(dots_per_inch)
+        window.SetMultiSamples(samples)
+        window.SetDPI(dots_per_inch)
+        with no_render(plotter):
+            plotter.window_size = [width, height]
     return Image.fromarray(np.ascontiguousarray(large)).resize((width, height), Image.Resampling.LANCZOS)
 
 

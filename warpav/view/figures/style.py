@@ -88,8 +88,12 @@ def save_figure(figure: Any, path: Path | str) -> Path:  # noqa: ANN401 (matplot
     path = Path(path)
     suffix = path.suffix.lower()
     encoded = io.BytesIO()
+    layout = figure.get_layout_engine()
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # found once: `savefig` would look for it twice more
     with matplotlib.rc_context({"svg.hashsalt": "warpav"}):
         figure.savefig(encoded, format=suffix[1:], metadata=_METADATA[suffix])
+    figure.set_layout_engine(layout)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as draft:
