@@ -6,6 +6,7 @@ heavy is imported before a verb needs it, so that ``--help`` and ``config`` answ
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import gc
 import io
@@ -34,6 +35,8 @@ from warpav.core.errors import ArgumentError, InputError
 
 _GC_THRESHOLD = 50_000
 """New objects between two searches for unreachable ones: with Python's 700 they take a tenth of a short run."""
+
+atexit.register(gc.freeze)  # what is held goes with the process: a last search for cycles would take a second
 
 app = App(
     name="warpav",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,10 +16,19 @@ from warpav.raster.mesh import Mesh
 from warpav.requirements.area import Body
 from warpav.requirements.read import SECTORS, read_requirements
 from warpav.requirements.requirement import Ghosts, Requirement
-from warpav.requirements.visibility import RENDER_WIDTH_PX, Visibility, ghost_visibility, poses_of
+from warpav.requirements.visibility import (
+    RENDER_WIDTH_PX,
+    GhostScenes,
+    KeptRenderers,
+    Visibility,
+    ghost_scenes,
+    ghost_visibility,
+    poses_of,
+)
 from warpav.rig.rig import Rig
 
 if TYPE_CHECKING:
+    from warpav.raster.pane import Pane
     from warpav.scene.scene import Scene
 
 WORST_COUNT = 5
@@ -311,22 +320,56 @@ def check_requirements(
     """
     if isinstance(requirements, (str, Path)):
         requirements = read_requirements(requirements)
-    mesh = ego if isinstance(ego, Mesh) else ego.ego
-    ghosts = Ghosts.of(requirements, mesh)
-    pose, models = poses_of(rig)
-    panes = [camera.behind_glass for camera in rig.cameras]
-    share, pixels = np.zeros((len(panes), len(ghosts))), np.zeros((len(panes), len(ghosts)))
-    for pane in dict.fromkeys(panes):
-        group = [k for k, each in enumerate(panes) if each == pane]
-        seen = ghost_visibility(
-            pose[group],
-            [models[k] for k in group],
-            ghosts,
-            mesh if pane is None else pane.opened(mesh),
-            render_width_px=render_width_px,
-            supersampling=supersampling,
-            device=device,
-        )
-        share[group], pixels[group] = seen.visible_share, seen.pixels
-    visibility = Visibility(share, pixels)
-    return RequirementResult(tuple(each.name for each in rig.cameras), ghosts, Body.of(mesh), visibility)
+    found = check_rigs(
+        {"": rig},
+        ego if isinstance(ego, Mesh) else ego.ego,
+        requirements,
+        render_width_px=render_width_px,
+        supersampling=supersampling,
+        device=device,
+    )
+    return found[""]
+
+
+def check_rigs(
+    rigs: Mapping[str, Rig],
+    ego: Mesh,
+    requirements: Sequence[Requirement],
+    *,
+    render_width_px: int = RENDER_WIDTH_PX,
+    supersampling: int = 1,
+    device: str = "cpu",
+) -> dict[str, RequirementResult]:
+    """As `check_requirements` for several rigs, by name: the test objects are made once.
+
+    Raises:
+        InputError: The requirements cannot be used, or the device is not there.
+    """
+    ghosts, body = Ghosts.of(requirements, ego), Body.of(ego)
+    kept: dict[Pane | None, tuple[Mesh, GhostScenes, KeptRenderers]] = {}
+    results = {}
+    for name, rig in rigs.items():
+        pose, models = poses_of(rig)
+        panes = [camera.behind_glass for camera in rig.cameras]
+        share, pixels = np.zeros((len(panes), len(ghosts))), np.zeros((len(panes), len(ghosts)))
+        for pane in dict.fromkeys(panes):
+            if pane not in kept:
+                opened = ego if pane is None else pane.opened(ego)
+                kept[pane] = opened, ghost_scenes(ghosts, opened, device=device), {}
+            opened, scenes, renderers = kept[pane]
+            group = [k for k, each in enumerate(panes) if each == pane]
+            seen = ghost_visibility(
+                pose[group],
+                [models[k] for k in group],
+                ghosts,
+                opened,
+                render_width_px=render_width_px,
+                supersampling=supersampling,
+                device=device,
+                scenes=scenes,
+                renderers=renderers,
+            )
+            share[group], pixels[group] = seen.visible_share, seen.pixels
+        names = tuple(camera.name for camera in rig.cameras)
+        results[name] = RequirementResult(names, ghosts, body, Visibility(share, pixels))
+    return results

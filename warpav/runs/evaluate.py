@@ -14,7 +14,7 @@ from warpav.evaluation.camera_outage import CameraOutages
 from warpav.evaluation.metrics import SceneObservations, metrics_of, observe_scenes
 from warpav.evaluation.rig_evaluation import RigEvaluation, seen_objects
 from warpav.optimisation.assignment import AssignedScene
-from warpav.requirements.check import RequirementResult, check_requirements
+from warpav.requirements.check import RequirementResult, check_rigs
 from warpav.rig.rig import Rig
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
@@ -120,11 +120,7 @@ def requirements_of(rigs: Mapping[str, Rig], placement: Placement) -> dict[str, 
     """What rigs meet of what a placement requires near the vehicle, by name; empty where it requires nothing."""
     if not placement.requirements:
         return {}
-    device = str(placement.mount.device)
-    return {
-        name: check_requirements(rig, placement.ego, placement.requirements, device=device)
-        for name, rig in rigs.items()
-    }
+    return check_rigs(rigs, placement.ego, placement.requirements, device=str(placement.mount.device))
 
 
 def _outages_of(observed: SceneObservations, placement: Placement) -> CameraOutages | None:

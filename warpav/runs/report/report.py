@@ -408,7 +408,7 @@ def _images(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
         for original in originals:
             image, encoded = original.copy(), io.BytesIO()
             image.thumbnail((side_px, side_px))
-            image.save(encoded, "WEBP", quality=quality)
+            image.save(encoded, "WEBP", quality=quality, method=2)  # the default takes twice as long, for 3 %
             found.append((encoded.getvalue(), image.size))
         if sum(len(encoded) for encoded, _ in found) <= IMAGE_BYTES:
             break
