@@ -22,6 +22,7 @@ from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, PlacedViews
 from warpav.optimisation.recording import Recording
 from warpav.raster.areas import MEASURE_COUNT, Measures, WindowMeasures
+from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import ViewsAtOnce, equal_chunks
 from warpav.raster.pane import Pane
@@ -206,7 +207,8 @@ class _Views:
 def _draw(renderer: Renderer, scene: DeviceScene, room: _Room, placed: PlacedViews, pane: Pane | None) -> None:
     """Render a scene and measure it, nothing taped."""
     raster = scene.raster.through(pane)
-    frame = renderer.render(raster, placed.position_ego_m, placed.camera_from_ego, log_focal=placed.log_zoom)
+    poses = placed.position_ego_m, placed.camera_from_ego
+    frame = renderer.render(raster, *poses, log_focal=placed.log_zoom, content=Content.MEASURES)
     measures = frame.measure(into=room.measures)
     frame.window_area(visible=False, into=room.in_frame)
     wp.copy(room.contrast, frame.contrast(measures.value))

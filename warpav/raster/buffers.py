@@ -62,6 +62,7 @@ class Content(Enum):
     IMAGES = "images"  # depth, ids and colours only
     OBJECTS = "objects"  # every object alone only: nothing is hidden, and there are no images
     COVERAGE = "coverage"  # what objects cover, what hides them and what is around them: no outlines and no images
+    MEASURES = "measures"  # the same with outlines: all that is measured of objects, but no images
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,17 +40,18 @@ def decide(
     if content is Content.IMAGES:
         layer_count = 0
     elif content is not Content.OBJECTS and (
-        occlusion is Occlusion.PAIRWISE or (foreground_layer and content is Content.ALL)
+        occlusion is Occlusion.PAIRWISE or (foreground_layer and content in (Content.ALL, Content.MEASURES))
     ):
         layer_count = scene.layer_count
     has_outlines = content is not Content.COVERAGE
-    buffers.place_layers(scene, layer_count, is_whole=has_outlines)
+    is_whole = content not in (Content.COVERAGE, Content.MEASURES)
+    buffers.place_layers(scene, layer_count, is_whole=is_whole)
     state = RenderState(scene, content, buffers.layers.rectangle, buffers.layers.offset)
     has_key = content is not Content.OBJECTS
     if has_key:
         if buffers.key.size == 0:
             buffers.key = buffers.zeros((buffers.view_count, buffers.height, buffers.width), wp.int64)
-        if has_outlines:
+        if is_whole:
             buffers.over_views(buffers.view_count, lambda first, count: buffers.key[first : first + count].zero_())
         else:
             buffers.over_views(
@@ -80,7 +81,7 @@ def decide(
         _trace(buffers, scene, layer_count, has_key=has_key, is_ghostly=is_ghostly)
         if layer_count and has_outlines:
             _cross_bent(buffers, scene, layer_count)
-    if scene.object_count and content in (Content.ALL, Content.COVERAGE):
+    if scene.object_count and content in (Content.ALL, Content.COVERAGE, Content.MEASURES):
         _hide(buffers, scene, occlusion)
     return state
 

@@ -19,6 +19,9 @@ from warpav.raster.poses import ViewPoses, view_poses
 from warpav.raster.scene import Scene
 from warpav_kernels.raster import outline
 
+_OF_MEASURES = (Content.OBJECTS, Content.COVERAGE)
+"""What a render with all measures holds as well."""
+
 
 class Frame:
     """One render of a scene.
@@ -74,10 +77,12 @@ class Frame:
                 "frame: expected the last render of its renderer, got a stale one, whose buffers hold a later render; "
                 "ask it before its renderer renders again, or use raster.render, whose frames own their buffers"
             )
-        if self._state.content not in (*contents, Content.ALL):
+        held = self._state.content
+        held_too = _OF_MEASURES if held is Content.MEASURES else ()
+        if held is not Content.ALL and not {held, *held_too}.intersection(contents):
             raise InputError(
                 f"frame: expected a render with content {contents[0].value}, got one that holds "
-                f"{self._state.content.value} only"
+                f"{held.value} only"
             )
 
     def _poses(self, camera_from_world: Any, log_focal: wp.array | np.ndarray | None) -> ViewPoses | None:  # noqa: ANN401
@@ -217,7 +222,7 @@ class Frame:
         Raises:
             InputError: The frame is stale or does not hold what is asked for, or an array of another shape.
         """
-        self._require(Content.ALL if visible else Content.OBJECTS)
+        self._require(Content.MEASURES if visible else Content.OBJECTS)
         result = areas.measure_weighted(
             self._buffers,
             self.scene,
@@ -242,7 +247,7 @@ class Frame:
         Raises:
             InputError: The frame is stale, has no objects or images, or a renderer without ``foreground_layer``.
         """
-        self._require(Content.ALL)
+        self._require(Content.MEASURES)
         if not self._has_foreground_layer:
             raise InputError("unblocked_area needs a renderer that was made with foreground_layer=True")
         hide_by_foreground(self._buffers, self.scene)
@@ -284,7 +289,7 @@ class Frame:
             InputError: The frame is stale or does not hold what is asked for, there is not one window per view, or
                 ``softness_rad`` is not positive.
         """
-        self._require(Content.ALL if visible else Content.OBJECTS)
+        self._require(Content.MEASURES if visible else Content.OBJECTS)
         return areas.measure_window(
             self._buffers,
             self.scene,

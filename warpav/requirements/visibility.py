@@ -171,7 +171,7 @@ def ghost_jacobians(
     jac_share, jac_pixels = np.zeros((*share.shape, 7)), np.zeros((*share.shape, 7))
     scenes = ghost_scenes(ghosts, ego, device=device)
     for cameras, which, frame in _frames(
-        ego_from_camera, models, scenes, Content.ALL, render_width_px, supersampling, device, renderers
+        ego_from_camera, models, scenes, Content.MEASURES, render_width_px, supersampling, device, renderers
     ):
         count, at = len(cameras), np.ix_(cameras, which)
         areas = frame.areas()
