@@ -586,7 +586,8 @@ def _write_arrays(file: Path, arrays: Mapping[str, np.ndarray], *, is_durable: b
     import numpy as np
 
     with writing(file), atomic_write(file, is_durable=is_durable) as draft, draft.open("wb") as stream:
-        np.savez_compressed(stream, allow_pickle=False, **arrays)
+        save = np.savez if is_durable else np.savez_compressed  # states are written after every step
+        save(stream, allow_pickle=False, **arrays)
 
 
 def _read_arrays(file: Path) -> dict[str, np.ndarray] | None:
