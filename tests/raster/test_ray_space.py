@@ -9,6 +9,7 @@ import warp as wp
 
 from tests.driving_scene import camera_pose, on_device
 from tests.raster.test_lenses import MODELS
+from warpav.optimisation import recording
 from warpav.optimisation.recording import Recording
 from warpav.raster.camera import CameraModel
 from warpav.raster.frame import Frame
@@ -197,8 +198,8 @@ def test_rays_follow_the_zoom(device):
 
 
 @pytest.mark.parametrize("lens", ["brown_conrady", "fisheye"])
-def test_recorded_launches_follow_the_zoom(device, lens):
-    """A zoom that changes between two replays changes the picture as it does without a recording."""
+def test_recorded_launches_follow_the_zoom(device, lens, monkeypatch):
+    """A zoom that changes between two replays changes the picture as it does without a recording, or room for one."""
     model = MODELS[lens]
     corner_m = SOUPS["small"]()
     scene = Scene(
@@ -207,7 +208,9 @@ def test_recorded_launches_follow_the_zoom(device, lens):
     )
     zoom = wp.zeros(1, dtype=float, device=device)
     found, poses = {}, on_device([POSE], device)
-    for name, is_recorded in (("recorded", True), ("launched", False)):
+    for name, is_recorded in (("recorded", True), ("launched", False), ("no room", True)):
+        if name == "no room":
+            monkeypatch.setattr(recording, "_has_room", lambda device: False)
         renderer = Renderer([model], device=device, thread_count=1)
         depth_m = []
         draw = Recording(
@@ -220,6 +223,8 @@ def test_recorded_launches_follow_the_zoom(device, lens):
         found[name] = np.array(depth_m)
     assert not np.array_equal(found["recorded"][2], found["recorded"][3])
     np.testing.assert_array_equal(found["recorded"], found["launched"])
+    np.testing.assert_array_equal(found["no room"], found["launched"])
+    assert draw._graph is None
 
 
 @pytest.mark.parametrize("tangential", [0.0, 0.002])

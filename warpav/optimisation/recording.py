@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
+from functools import cache
 
 import warp as wp
 
@@ -10,9 +12,14 @@ from warpav.raster.buffers import RenderState
 from warpav.raster.graph import record_graph
 from warpav.raster.renderer import Renderer
 
+_logger = logging.getLogger(__name__)
+
 
 class Recording:
     """A function that only launches kernels on fixed arrays; its second call is recorded, later ones replay.
+
+    A recording holds memory of a GPU as long as it lives: half of what was free there before the first is left to other
+    programs, and what has no room in the rest is launched anew every time.
 
     The first call runs as it is: it compiles modules and lets the renderer's buffers grow. Whenever the renderer has
     moved its buffers, this starts again. After every call the renderer knows what it holds, as if it had been launched.
@@ -41,8 +48,29 @@ class Recording:
             self._function()
             self._generation = renderer.generation
             return
+        if self._graph is None and not _has_room(renderer.device):
+            self._function()
+            return
         if self._graph is None:
             self._graph = record_graph(self._function, renderer.device)
             self._state = renderer.state
         wp.capture_launch(self._graph)
         renderer.state = self._state
+
+
+def _has_room(device: wp.Device) -> bool:
+    return not device.is_cuda or device.free_memory >= _left_bytes(device) or _say_full(device)
+
+
+@cache
+def _left_bytes(device: wp.Device) -> int:
+    """What recordings leave free on a GPU: half of what was free when this was asked first."""
+    return device.free_memory // 2
+
+
+@cache
+def _say_full(device: wp.Device) -> bool:
+    """Say once that nothing more is recorded; False."""
+    text = "%s has %.1f GB free: further scenes are launched anew every time, which is slower; the numbers are the same"
+    _logger.warning(text, device, device.free_memory / 1e9)
+    return False
