@@ -81,8 +81,7 @@ class Frame:
         held_too = _OF_MEASURES if held is Content.MEASURES else ()
         if held is not Content.ALL and not {held, *held_too}.intersection(contents):
             raise InputError(
-                f"frame: expected a render with content {contents[0].value}, got one that holds "
-                f"{held.value} only"
+                f"frame: expected a render with content {contents[0].value}, got one that holds {held.value} only"
             )
 
     def _poses(self, camera_from_world: Any, log_focal: wp.array | np.ndarray | None) -> ViewPoses | None:  # noqa: ANN401
