@@ -59,18 +59,20 @@ class Recording:
 
 
 def _has_room(device: wp.Device) -> bool:
-    return not device.is_cuda or device.free_memory >= _left_bytes(device) or _say_full(device)
-
-
-@cache
-def _left_bytes(device: wp.Device) -> int:
-    """What recordings leave free on a GPU: half of what was free when this was asked first."""
-    return device.free_memory // 2
-
-
-@cache
-def _say_full(device: wp.Device) -> bool:
-    """Say once that nothing more is recorded; False."""
-    text = "%s has %.1f GB free: further scenes are launched anew every time, which is slower; the numbers are the same"
-    _logger.warning(text, device, device.free_memory / 1e9)
+    if not device.is_cuda or device.free_memory >= _left_bytes(device.alias):
+        return True
+    _say_full(device.alias)
     return False
+
+
+@cache
+def _left_bytes(device: str) -> int:
+    """What recordings leave free on a GPU: half of what was free when this was asked first."""
+    return wp.get_device(device).free_memory // 2
+
+
+@cache
+def _say_full(device: str) -> None:
+    """Say once that nothing more is recorded."""
+    text = "%s has %.1f GB free: further scenes are launched anew every time, which is slower; the numbers are the same"
+    _logger.warning(text, device, wp.get_device(device).free_memory / 1e9)
