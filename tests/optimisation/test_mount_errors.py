@@ -225,7 +225,7 @@ def test_without_errors_the_search_is_the_plain_one():
 
 
 def test_states_get_better_and_the_polish_goes_below_the_pool():
-    states = searched(ERRORS)
+    states = searched(ERRORS, settings=replace(SMALL, rounds=1))
     values = [state.objective for state in states]
     assert values == sorted(values, reverse=True)
     first = next(state for state in states if state.stage == "selection")
@@ -238,7 +238,12 @@ def test_a_symmetric_search_counts_the_errors_of_both_cameras_of_a_pair():
     limits = RigLimits.of({"narrow": (0, 1), "wide": (2, 2), "fisheye": (0, 2)}, count=(3, 5), kinds=kinds)
     constraints = ZoneAndSpacing(surface, camera_count=1, margin_m=0.02, module=limits.first_kinds())
     start = highest_mount_pose(constraints, len(limits.first_kinds()))
-    options = {"start": start, "settings": SMALL_MIX, "limits": limits, "mount_errors": ERRORS}
+    options = {
+        "start": start,
+        "settings": replace(SMALL_MIX, pool_cameras=18, rounds=0),
+        "limits": limits,
+        "mount_errors": ERRORS,
+    }
     *_, last = pool_search(cameras, streets(), constraints, 5, **options)
     pose, side = cameras.apart(last.mount_pose)
     found = [in_the_mean(cameras.sides[k], pose[side == k]) for k in (0, 1)]
