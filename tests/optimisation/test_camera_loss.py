@@ -203,7 +203,7 @@ def test_of_mixed_modules_and_pairs_the_objective_is_never_below_what_is_missed(
     limits = RigLimits.of({"narrow": (0, 1), "wide": (2, 2), "fisheye": (0, 2)}, count=(3, 5), kinds=kinds)
     constraints = ZoneAndSpacing(surface, camera_count=1, margin_m=0.02, module=limits.first_kinds())
     start = highest_mount_pose(constraints, len(limits.first_kinds()))
-    options = {"start": start, "settings": replace(SMALL_MIX, rounds=0), "limits": limits}
+    options = {"start": start, "settings": replace(SMALL_MIX, pool_cameras=18, rounds=0), "limits": limits}
     *_, last = pool_search(cameras, scenes, constraints, 5, robust=objective, **options)
     pose = last.mount_pose
     is_pair = mount.is_pair(pose)
