@@ -23,7 +23,7 @@ from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
 
 needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="cma is not installed")
-BUDGET = 120
+BUDGET = 72
 MISSES = (
     "method=default",
     *(f"losses.{name}={float(name == 'expected_miss_rate')}" for name in LOSSES),
