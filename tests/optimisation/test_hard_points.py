@@ -45,7 +45,8 @@ def test_a_pair_has_the_greater_margin_of_its_two_cameras():
 @pytest.mark.parametrize(("share", "pixels"), [(0.3, 0.0), (0.01, 3000.0)])
 def test_the_jacobian_of_margins_agrees_with_differences(share, pixels):
     cameras = cameras_of(mount=mount_of(model=MODEL.resized(640, 640)))  # as wide as they are drawn: less rough
-    pose, ghosts = spread()[:12].astype(np.float64), scene(share=share, pixels=pixels)
+    seeing = [2, 6, 10, 14]  # some points well enough, and not whole
+    pose, ghosts = spread()[seeing].astype(np.float64), scene(share=share, pixels=pixels)
     margin, jacobian = camera_margins(cameras, ghosts, pose)
     size = 0.01
     for column in (X_M, Y_M, HEIGHT_DELTA_M, YAW_RAD, PITCH_RAD, ROLL_RAD):
