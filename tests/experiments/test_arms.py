@@ -122,7 +122,7 @@ RIVALS += ["differential_evolution", "greedy_cover"]
 LITTLE = [("default", 46), ("pool_only", 46)]
 LITTLE += [pytest.param(name, 46, marks=pytest.mark.nightly) for name in RIVALS[2:]]
 LITTLE += [pytest.param("cma", 46, marks=[needs_cma, pytest.mark.nightly])]
-ENOUGH = [*((name, 121) for name in RIVALS), pytest.param("cma", 121, marks=needs_cma)]
+ENOUGH = [*((name, 91) for name in RIVALS), pytest.param("cma", 91, marks=needs_cma)]
 
 
 @pytest.mark.parametrize(("name", "budget"), [*LITTLE, *ENOUGH])
