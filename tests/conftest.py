@@ -1,5 +1,6 @@
 """Fixtures shared by all tests: devices, random numbers, folders of outside assets; and how the suite is spread."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -33,6 +34,15 @@ def pytest_cmdline_main(config):
     option.numprocesses = min(available_cores(), MOST_WORKERS_ON_A_GPU if wp.is_cuda_available() else MOST_WORKERS)
     option.dist = "loadfile"
     option.loadscopereorder = False
+
+
+def pytest_collection_finish():
+    """What is imported and collected stays: searches for what nothing reaches pass it by.
+
+    An experiment makes one an arm, which among the objects of the whole suite would take a second each.
+    """
+    gc.collect()
+    gc.freeze()
 
 
 def _devices():

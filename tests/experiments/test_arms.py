@@ -23,7 +23,7 @@ from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
 
 needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="cma is not installed")
-BUDGET = 120
+BUDGET = 72
 MISSES = (
     "method=default",
     *(f"losses.{name}={float(name == 'expected_miss_rate')}" for name in LOSSES),
@@ -122,7 +122,7 @@ RIVALS += ["differential_evolution", "greedy_cover"]
 LITTLE = [("default", 46), ("pool_only", 46)]
 LITTLE += [pytest.param(name, 46, marks=pytest.mark.nightly) for name in RIVALS[2:]]
 LITTLE += [pytest.param("cma", 46, marks=[needs_cma, pytest.mark.nightly])]
-ENOUGH = [*((name, 121) for name in RIVALS), pytest.param("cma", 121, marks=needs_cma)]
+ENOUGH = [*((name, 91) for name in RIVALS), pytest.param("cma", 91, marks=needs_cma)]
 
 
 @pytest.mark.parametrize(("name", "budget"), [*LITTLE, *ENOUGH])

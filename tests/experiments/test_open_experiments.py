@@ -29,6 +29,7 @@ PLAIN = (
     "camera.height_px=144",
 )
 BUDGET = ("--budget", "100")
+LARGER = ("camera.width_px=176", "camera.height_px=176")
 SCENES = 12
 GOAL_METRICS = ("tp_detection_rate", "ap50_pooled", "tp_in_frame_rate")
 
@@ -275,7 +276,7 @@ def test_goals_are_the_default_methods_alone(working_directory, scenes, capsys):
 
 def test_correlation_measures_every_rig_by_both_objectives(working_directory, scenes, capsys):
     words = ["--arms", "random_rig,random_place,highest", "--runs", "2"]
-    plain = overrides(scenes, *PLAIN, "scenes.validation_seeds=[1]")
+    plain = overrides(scenes, *PLAIN[:-2], "scenes.validation_seeds=[1]")
     assert main(["experiment", "correlation", *plain, *words]) == 0
     folder = working_directory / "runs" / "correlation"
     written = json.loads((folder / "correlation.json").read_text())
@@ -291,25 +292,35 @@ def test_correlation_measures_every_rig_by_both_objectives(working_directory, sc
     )
 
 
-def test_rigs_are_rescored_and_stay_as_they_are(copied, capsys):
-    before = {file: file.read_bytes() for file in (copied / "results").iterdir()}
-    words = ["experiment", "rescore", str(copied), "camera.width_px=176", "camera.height_px=176"]
-    assert main(words) == 0
-    assert {file: file.read_bytes() for file in (copied / "results").iterdir()} == before
-    shown = capsys.readouterr().out
-    assert "the arms keep their order by recall" in shown
+@pytest.fixture(scope="module")
+def rescored(tmp_path_factory, opened):
+    """A copy of it, rescored with larger images; nobody may change it."""
+    folder = shutil.copytree(opened, tmp_path_factory.mktemp("rescored") / "run")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(rescore.run_rescores.__kwdefaults__, "resamples", 99)
+        assert main(["experiment", "rescore", str(folder), *LARGER]) == 0
+    return folder
+
+
+def test_rigs_are_rescored_and_stay_as_they_are(opened, rescored, working_directory, capsys):
+    copied = shutil.copytree(rescored, working_directory / "run")
+    before = {file.name: file.read_bytes() for file in (opened / "results").iterdir()}
+    assert {file.name: file.read_bytes() for file in (copied / "results").iterdir()} == before
     folder = copied / "rescored_176_176"
-    for file, content in before.items():
-        if file.suffix == ".json":
-            old, new = json.loads(content), json.loads((folder / "results" / file.name).read_text())
+    for name, content in before.items():
+        if name.endswith(".json"):
+            old, new = json.loads(content), json.loads((folder / "results" / name).read_text())
             assert new["rig"] == old["rig"]
             assert new["metrics"]["objective"] is None
             assert new["metrics"]["constraint_violation"] == old["metrics"]["constraint_violation"]
             assert new["metrics"]["objects"] == old["metrics"]["objects"]
             assert new["metrics"]["tp_in_frame_rate"] == pytest.approx(old["metrics"]["tp_in_frame_rate"], abs=0.11)
     assert "objective" not in json.loads((folder / "rescored.json").read_text())["numbers"]
-    assert main(words) == 0
-    assert "6 of 6 results are in" in capsys.readouterr().out
+    assert main(["experiment", "rescore", str(copied), *LARGER]) == 0
+    shown = capsys.readouterr().out
+    assert "6 of 6 results are in" in shown
+    assert "0 new results" in shown
+    assert "the arms keep their order by recall" in shown
 
 
 def test_what_another_judge_said_is_none_of_it(copied, monkeypatch):
@@ -390,11 +401,11 @@ def test_orders_that_differ_are_said_to():
     assert "default and highest" in order.numbers
 
 
-def test_results_become_a_page(copied, working_directory, capsys):
+def test_results_become_a_page(rescored, working_directory, capsys):
+    copied = shutil.copytree(rescored, working_directory / "run")
     page = working_directory / "docs" / "results.md"
-    assert main(["experiment", "rescore", str(copied), "camera.width_px=176", "camera.height_px=176"]) == 0
-    rescored = copied / "rescored_176_176"
-    assert main(["experiment", "results", str(copied), str(rescored), "--out", str(page)]) == 0
+    again = copied / "rescored_176_176"
+    assert main(["experiment", "results", str(copied), str(again), "--out", str(page)]) == 0
     assert f"wrote {page}\n" in capsys.readouterr().out
     text = page.read_text()
     assert "## open\n" in text

@@ -19,6 +19,7 @@ from warpav.rig.rig import read_rig
 from warpav.runs.config import load_config
 from warpav.runs.placement import Placement
 
+TWICE = ("default", "highest", "random", "sobol")
 PLAIN = (
     "losses.probability=visible_share",  # needs no fit
     "optimiser.starts=2",
@@ -41,12 +42,13 @@ def command(scenes, folder, *words, setting="2x60"):
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory, scenes):
-    """Folder of a small setting with all arms; nobody may change it."""
+    """Folder of a small setting with all arms, a few of them with two runs; nobody may change it."""
     folder = tmp_path_factory.mktemp("rivals") / "run"
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(rival_settings.run_rivals.__kwdefaults__, "resamples", 99)
         patch.chdir(tmp_path_factory.mktemp("empty"))
-        assert main(command(scenes, folder, "--runs", "2", "--budget", "62")) == 0
+        assert main(command(scenes, folder, "--runs", "1", "--budget", "62")) == 0
+        assert main(command(scenes, folder, "--runs", "2", "--budget", "62", "--arms", ",".join(TWICE))) == 0
     return folder
 
 
@@ -56,7 +58,8 @@ def test_a_setting_is_one_command(done):
     for row in table["rows"]:
         files = sorted((done / "results").glob(f"{row['arm']}_[0-9].json"))
         runs = [json.loads(file.read_text()) for file in files]
-        assert row["seeds"] == ([0] if row["arm"] == "highest" else [0, 1])
+        # a second run of the highest rig would be the first again
+        assert row["seeds"] == ([0, 1] if row["arm"] in TWICE and row["arm"] != "highest" else [0])
         assert all(run["camera_renders"] <= 62 for run in runs)
         assert all(len(run["rig"]["cameras"]) == 2 for run in runs)
         assert all("metrics" not in run for run in runs)
@@ -97,9 +100,9 @@ def test_a_failing_arm_leaves_the_others_alone_and_what_is_there_is_kept(done, s
         raise ValueError("a detector that cannot be fitted")
 
     monkeypatch.setitem(arms_module.METHODS, "sobol", fail)
-    assert main(command(scenes, folder, "--runs", "2", "--budget", "62")) == 1
+    assert main(command(scenes, folder, "--runs", "2", "--budget", "62", "--arms", ",".join(TWICE))) == 1
     shown = capsys.readouterr().out
-    assert "22 of 23 results are in" in shown
+    assert "6 of 7 results are in" in shown
     assert "failed: sobol_1: ValueError: a detector that cannot be fitted" in shown
     table = json.loads((folder / "rivals_2x60.json").read_text())
     assert {row["arm"]: len(row["seeds"]) for row in table["rows"]}["sobol"] == 1

@@ -173,10 +173,10 @@ def test_a_search_ends_with_the_best_robust_rig_that_it_knows(objective):
     mount = mount_of(free=None)
     cameras, constraints = cameras_of(mount=mount), zone_of(mount)
     weight = np.linspace(0.5, 2.0, 10)
-    options = {"settings": replace(SMALL, refinements=1, camera_renders_max=700), "object_weight": weight}
+    options = {"settings": replace(SMALL, rounds=1, refinements=1, camera_renders_max=600), "object_weight": weight}
     states = list(pool_search(cameras, streets(), constraints, 3, robust=objective, **options))
-    *_, nominal = pool_search(cameras, streets(), constraints, 3, **options)
-    assert states[-1].camera_renders <= 700
+    nominal = next(pool_search(cameras, streets(), constraints, 3, **options))
+    assert states[-1].camera_renders <= 600
     values = [state.objective for state in states]
     assert values == sorted(values, reverse=True)
     assert states[-1].objective < states[0].objective
@@ -198,12 +198,12 @@ def test_other_words_and_weights_are_refused(camera_loss, weight):
 @pytest.mark.parametrize("objective", [WORST, pytest.param(MEAN, marks=pytest.mark.nightly)])
 def test_of_mixed_modules_and_pairs_the_objective_is_never_below_what_is_missed(objective):
     """Rows that stand for two cameras, rows that are not there, and the same rig with all of its cameras one by one."""
-    mount, surface, cameras, scenes = symmetric_mount(), symmetric_chart(), symmetric_cameras(), streets()
+    mount, surface, cameras, scenes = symmetric_mount(), symmetric_chart(), symmetric_cameras(), streets()[:1]
     kinds = [(name, 1 + pair) for name, pair in zip(surface.modules, surface.pairs, strict=True)]
     limits = RigLimits.of({"narrow": (0, 1), "wide": (2, 2), "fisheye": (0, 2)}, count=(3, 5), kinds=kinds)
     constraints = ZoneAndSpacing(surface, camera_count=1, margin_m=0.02, module=limits.first_kinds())
     start = highest_mount_pose(constraints, len(limits.first_kinds()))
-    options = {"start": start, "settings": SMALL_MIX, "limits": limits}
+    options = {"start": start, "settings": replace(SMALL_MIX, pool_cameras=18, rounds=0), "limits": limits}
     *_, last = pool_search(cameras, scenes, constraints, 5, robust=objective, **options)
     pose = last.mount_pose
     is_pair = mount.is_pair(pose)

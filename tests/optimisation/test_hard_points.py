@@ -45,15 +45,16 @@ def test_a_pair_has_the_greater_margin_of_its_two_cameras():
 @pytest.mark.parametrize(("share", "pixels"), [(0.3, 0.0), (0.01, 3000.0)])
 def test_the_jacobian_of_margins_agrees_with_differences(share, pixels):
     cameras = cameras_of(mount=mount_of(model=MODEL.resized(640, 640)))  # as wide as they are drawn: less rough
-    pose, ghosts = spread()[:12].astype(np.float64), scene(share=share, pixels=pixels)
+    seeing = [2, 6, 10, 14]  # some points well enough, and not whole
+    pose, ghosts = spread()[seeing].astype(np.float64), scene(share=share, pixels=pixels)
     margin, jacobian = camera_margins(cameras, ghosts, pose)
     size = 0.01
     for column in (X_M, Y_M, HEIGHT_DELTA_M, YAW_RAD, PITCH_RAD, ROLL_RAD):
-        ends = [camera_margins(cameras, ghosts, pose + side * size * np.eye(7)[column])[0] for side in (0.0, 1.0, -1.0)]
-        slope = (ends[1] - ends[2]) / (2.0 * size)
-        is_met = (margin > 1.0) & (np.max(ends, axis=0) < NEAR_EDGE) & jacobian.any(axis=2)
-        bend = np.abs(ends[1] + ends[2] - 2.0 * ends[0])
-        is_met &= bend < 0.2 * np.abs(ends[1] - ends[2]) + 0.01  # a kink has no slope
+        ends = [camera_margins(cameras, ghosts, pose + side * size * np.eye(7)[column])[0] for side in (1.0, -1.0)]
+        slope = (ends[0] - ends[1]) / (2.0 * size)
+        is_met = (margin > 1.0) & (np.max([margin, *ends], axis=0) < NEAR_EDGE) & jacobian.any(axis=2)
+        bend = np.abs(ends[0] + ends[1] - 2.0 * margin)
+        is_met &= bend < 0.2 * np.abs(ends[0] - ends[1]) + 0.01  # a kink has no slope
         one, other = slope[is_met], jacobian[..., column][is_met]
         assert is_met.sum() > 10, column
         cosine = one @ other / (np.linalg.norm(one) * np.linalg.norm(other))

@@ -13,6 +13,7 @@ from tests.driving_scene import ConstantDetector, packed_street, roof
 from tests.optimisation.test_missed import MODEL, POSE, probabilities, probability_model
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, streets
+from tests.optimisation.test_pool_search import short_refinement
 from warpav.core.errors import InputError
 from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.further_camera import further_gain
@@ -287,9 +288,9 @@ def searched(polishes):
     settings = PoolSearchSettings(
         pool_cameras=24, rounds=1, priced_cameras=4, gap=0.0, refinements=1, polishes=polishes
     )
-    states = list(
-        pool_search(cameras_of(mount=mount), streets(), zone_of(mount), 3, settings=settings, object_weight=weight)
-    )
+    search = pool_search(cameras_of(mount=mount), streets(), zone_of(mount), 3, settings=settings, object_weight=weight)
+    with short_refinement():
+        states = list(search)
     return mount, weight, states
 
 

@@ -162,7 +162,7 @@ def pool_regret(world, seed, *, camera_renders):
 
 
 def test_regret_of_the_pool_search_is_small_on_a_bump():
-    assert -0.0005 <= pool_regret(bump(), 0, camera_renders=1400) <= 0.01
+    assert -0.0005 <= pool_regret(bump(), 0, camera_renders=600) <= 0.01
 
 
 @pytest.mark.slow

@@ -1,5 +1,7 @@
 """The search by a pool: rigs never get worse, bounds hold, budgets and frozen cameras are kept."""
 
+import contextlib
+import functools
 import itertools
 from dataclasses import replace
 
@@ -10,6 +12,7 @@ from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from warpav.core.errors import InputError
 from warpav.optimisation import pool as pool_module
+from warpav.optimisation import pool_search as module
 from warpav.optimisation.polish import expected_miss_rate
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_search import PoolSearchSettings, _Assembly, pool_search, too_near
@@ -23,9 +26,26 @@ def searched(mount=None, count=3, *, settings=SMALL, frozen=None, min_spacing_m=
     return list(pool_search(cameras_of(mount=mount), streets(), constraints, count, settings=settings, **options))
 
 
+@contextlib.contextmanager
+def short_refinement():
+    """Refinements polish little and end after one replacement in vain and a look near the rig."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "VAIN_REPLACEMENTS", 1)
+        patch.setattr(module, "REPLACEMENT_POLISH", (3, 0.4))
+        patch.setattr(module, "REFINED_TO", 0.25)
+        patch.setattr(module, "NEAR_CAMERAS", 6)
+        yield
+
+
+@functools.cache
+def small_states():
+    """The states of the plain search, for all tests that look at them."""
+    return searched()
+
+
 def test_states_never_get_worse_and_satisfy_the_constraints():
     mount = mount_of(free=None)
-    states = searched(mount)
+    states = small_states()
     assert states[0].stage == "selection"
     assert {state.stage for state in states} == {"selection", "polish", "pricing", "settled"}
     for before, after in itertools.pairwise(states):
@@ -62,8 +82,7 @@ def test_the_selection_is_the_best_rig_of_the_pool_by_brute_force():
 
 
 def test_what_is_proven_at_the_end_is_of_the_whole_pool():
-    settings = replace(SMALL, gap=0.0)
-    *_, first, last, settled = [state for state in searched(settings=settings) if state.stage != "polish"]
+    *_, first, last, settled = [state for state in small_states() if state.stage != "polish"]
     assert (last.stage, settled.stage) == ("selection", "settled")
     assert last.pool_cameras == settled.pool_cameras >= first.pool_cameras
     assert settled.objective == pytest.approx(settled.bound, abs=1e-6)
@@ -92,7 +111,7 @@ def test_the_budget_of_camera_renders_is_kept():
 
 
 def test_whatever_was_rendered_joins_the_pool():
-    for state in searched():
+    for state in small_states():
         assert state.camera_renders == len(state.pool.mount_pose) * len(streets())
     pool, cameras = state.pool, cameras_of(mount=mount_of(free=None))
     again = np.concatenate([cameras.detection_probability(pool.mount_pose, scene) for scene in streets()], axis=1)
@@ -119,28 +138,29 @@ def assert_same(one, other):
 @pytest.mark.parametrize("is_frozen", [False, True])
 def test_the_start_comes_before_the_pool_is_drawn_and_changes_nothing_that_follows(monkeypatch, is_frozen):
     mount = mount_of(free=None)
-    start, constraints = poses_of(3, mount, seed=5), zone_of(mount)
+    start, constraints, settings = poses_of(3, mount, seed=5), zone_of(mount), replace(SMALL, rounds=0)
     if is_frozen:
         mount = mount.freezing(mount.rig(start), ["camera_1"])
         constraints = zone_of(mount, frozen=mount.frozen)
     cameras, scenes, drawn = cameras_of(mount=mount), streets(), []
     draw = pool_module._draw
     monkeypatch.setattr(pool_module, "_draw", lambda task: (drawn.append(len(task.mount_pose)), draw(task))[1])
-    states = pool_search(cameras, scenes, constraints, 3, start=start, settings=SMALL)
+    states = pool_search(cameras, scenes, constraints, 3, start=start, settings=settings)
     first = next(states)
     assert (first.stage, first.bound, first.pool_cameras, first.camera_renders) == ("start", 0.0, 3, 3 * len(scenes))
     assert drawn == [3] * len(scenes)
     found = np.concatenate([cameras.detection_probability(first.mount_pose, scene) for scene in scenes], axis=1)
     assert first.objective == expected_miss_rate(found)
     rest = list(states)
-    assert drawn == [3] * len(scenes) + [SMALL.pool_cameras] * len(scenes)
-    assert (rest[0].stage, rest[0].pool_cameras) == ("selection", 3 + SMALL.pool_cameras)
-    assert rest[0].camera_renders == (3 + SMALL.pool_cameras) * len(scenes)
+    assert drawn == [3] * len(scenes) + [settings.pool_cameras] * len(scenes)
+    assert (rest[0].stage, rest[0].pool_cameras) == ("selection", 3 + settings.pool_cameras)
+    assert rest[0].camera_renders == (3 + settings.pool_cameras) * len(scenes)
     # all at once: the cameras of the start, the frozen one first, and behind them the others
-    pose = np.concatenate([first.pool.mount_pose, spread_mount_poses(mount, constraints, SMALL.pool_cameras, seed=0)])
+    others = spread_mount_poses(mount, constraints, settings.pool_cameras, seed=0)
+    pose = np.concatenate([first.pool.mount_pose, others])
     np.testing.assert_array_equal(pose[0], first.mount_pose[int(is_frozen)])
     known = CameraPool.draw(pose, scenes=scenes, cameras=cameras)
-    at_once = list(pool_search(cameras, scenes, constraints, 3, start=start, settings=SMALL, pool=known))
+    at_once = list(pool_search(cameras, scenes, constraints, 3, start=start, settings=settings, pool=known))
     assert at_once[0].objective == first.objective
     for one, other in zip(rest, at_once[1:], strict=True):
         assert_same(one, other)
@@ -168,7 +188,8 @@ def test_a_start_that_sees_nothing_is_no_reason_to_refuse_the_pool():
     apart = too_near(blind[[0, -1, len(blind) // 2]], constraints)
     assert not apart.nnz
     start = blind[[0, -1, len(blind) // 2]]
-    first, *_, last = pool_search(cameras, scenes, constraints, 3, start=start, settings=SMALL)
+    few = replace(SMALL, rounds=0)
+    first, *_, last = pool_search(cameras, scenes, constraints, 3, start=start, settings=few)
     assert (first.stage, first.objective) == ("start", 1.0)
     assert last.objective < 1.0
     # the budget is that of the start alone, so nothing follows that could see
@@ -180,13 +201,13 @@ def test_a_start_that_sees_nothing_is_no_reason_to_refuse_the_pool():
 def test_refinement_spends_what_rounds_leave_and_finds_better_rigs():
     plain = mount_of(free=None)
     mount = plain.freezing(plain.rig(poses_of(3, plain)), ["camera_1"])
-    settings = PoolSearchSettings(pool_cameras=24, rounds=1, priced_cameras=4, camera_renders_max=900)
+    settings = PoolSearchSettings(pool_cameras=24, rounds=1, priced_cameras=4, camera_renders_max=480)
     *_, without = searched(mount, settings=settings, frozen=mount.frozen)
     states = searched(mount, settings=replace(settings, refinements=20), frozen=mount.frozen)
     objectives = [state.objective for state in states]
     assert objectives == sorted(objectives, reverse=True)
     assert without.camera_renders < 400
-    assert 800 < states[-1].camera_renders <= 900
+    assert 400 < states[-1].camera_renders <= 480
     assert objectives[-1] < without.objective
     for state in states:
         np.testing.assert_array_equal(state.mount_pose[1], mount.frozen.mount_pose[1])

@@ -8,14 +8,14 @@ import pytest
 
 from tests.optimisation.test_pool import poses_of
 from tests.optimisation.test_pool_descent import objective_of, scenes
-from tests.optimisation.test_pool_search import SMALL
+from tests.optimisation.test_pool_search import SMALL, short_refinement
 from warpav.core.errors import InputError
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.optimisation.search_journal import SearchJournal, _Sparse
 from warpav.optimisation.selection.branching import Search
 from warpav.optimisation.single_cameras import SingleCameras
 
-REFINED = dataclasses.replace(SMALL, refinements=1)
+REFINED = dataclasses.replace(SMALL, pool_cameras=12, rounds=1, refinements=1)
 
 
 def begun(settings=REFINED):
@@ -47,6 +47,12 @@ def all_of(descent):
     return records
 
 
+@pytest.fixture(scope="module", autouse=True)
+def refinements_are_short():
+    with short_refinement():
+        yield
+
+
 @pytest.fixture(scope="module")
 def whole():
     """A search at once: its records, its state after each of them, and the search itself."""
@@ -57,11 +63,11 @@ def whole():
     return records, states, descent
 
 
-@pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("every", [9, pytest.param(1, marks=pytest.mark.slow)])
 def test_from_every_state_the_next_one_is_the_same(whole, every):
     records, states, _ = whole
     assert {"start", "selection", "polish", "pricing", "settled"} == {record["stage"] for record in records}
-    for number in range(1, len(states), every):
+    for number in (*range(1, len(states), every), len(states) - 1):
         descent = resumed(states[number - 1])
         assert descent.iteration == number
         assert told(descent.step()) == records[number]
@@ -135,7 +141,7 @@ def test_an_interrupted_selection_is_made_again(whole, monkeypatch):
 
 
 def test_a_search_that_was_stopped_takes_more_rounds_as_at_once():
-    one, two = (dataclasses.replace(SMALL, rounds=rounds, gap=0.0) for rounds in (1, 2))
+    one, two = (dataclasses.replace(SMALL, pool_cameras=12, rounds=rounds) for rounds in (1, 2))
     stopped = begun(one)
     for _ in range(3):
         stopped.step()
@@ -143,7 +149,7 @@ def test_a_search_that_was_stopped_takes_more_rounds_as_at_once():
 
 
 def test_a_search_that_has_settled_goes_on_where_it_may():
-    none, one = (dataclasses.replace(SMALL, rounds=rounds, gap=0.0) for rounds in (0, 1))
+    none, one = (dataclasses.replace(SMALL, pool_cameras=12, rounds=rounds) for rounds in (0, 1))
     ended = begun(none)
     all_of(ended)
     assert resumed(written(ended), none).verdict is not None

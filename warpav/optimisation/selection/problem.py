@@ -138,7 +138,10 @@ class SelectionProblem:
 
     def excluded_by(self, camera: Sequence[int] | np.ndarray) -> np.ndarray:
         """Which cameras conflict with one of these, bool [camera]."""
-        return np.asarray(self.conflict[camera].sum(axis=0)).ravel() > 0
+        excluded = np.zeros(self.camera_count, bool)
+        for each in camera:  # a slice of a sparse matrix would take many times as long
+            excluded[self.conflict.indices[self.conflict.indptr[each] : self.conflict.indptr[each + 1]]] = True
+        return excluded
 
     def whole_clique(self, clique: Sequence[int] | np.ndarray, allowed: np.ndarray) -> np.ndarray:
         """A clique of conflicting cameras with all that fit into it one after the other, bool [camera].
