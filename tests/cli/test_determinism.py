@@ -37,6 +37,7 @@ def test_one_core_gives_the_bytes_of_all(expected, monkeypatch):
     assert hashes_of("alone") == hashes_of(expected)
 
 
+@pytest.mark.nightly
 def test_processes_give_the_bytes_of_one(expected, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(expected.parent / "no_cache_either"))
     assert main(["optimise", *POOL, "run.out=apart", "executor.name=process", "executor.workers=2"]) == 0

@@ -54,6 +54,14 @@ MACHINES = {
     "no terminal": ("", {"TERM": None, "COLUMNS": None}),
 }
 ENCODINGS = list(MACHINES)[4:]
+COMMANDS = [
+    ["rig", "check", "Maß ä.yaml"],
+    ["modules", "list"],
+    ["config", "copy", "quick", "für.yaml"],
+    ["report", "Größe"],
+]
+SHOWN = [("a locale without UTF-8", "rig"), ("output in ASCII", "modules"), ("no locale", "report")]
+"""What every run of the tests looks at; the rest is nightly."""
 
 
 @cache
@@ -97,11 +105,13 @@ def _require_one_line(done, words):
 # ------------------------------------------------------------------------------------------------ encodings
 
 
-@pytest.mark.parametrize("machine", ENCODINGS)
 @pytest.mark.parametrize(
-    "argv",
-    [["rig", "check", "Maß ä.yaml"], ["modules", "list"], ["config", "copy", "quick", "für.yaml"], ["report", "Größe"]],
-    ids=" ".join,
+    ("machine", "argv"),
+    [
+        pytest.param(machine, argv, marks=() if (machine, argv[0]) in SHOWN else pytest.mark.nightly)
+        for machine in ENCODINGS
+        for argv in COMMANDS
+    ],
 )
 def test_umlauts_and_degrees_are_printed_somehow(working_directory, machine, argv):
     folder = working_directory / FOLDER
@@ -143,7 +153,13 @@ def _with_output(argv, redirection):
     return subprocess.run(["sh", "-c", script, "sh", *_command(argv)], capture_output=True, text=True)
 
 
-@pytest.mark.parametrize("argv", [["--version"], ["optimise", "--help"], ["config", "show"], ["config", "schema"]])
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ["config", "show"],
+        *(pytest.param(argv, marks=pytest.mark.nightly) for argv in (["--version"], ["optimise", "--help"])),
+    ],
+)
 def test_a_reader_who_leaves_is_no_mistake(argv):
     reader, writer = os.pipe()
     os.close(reader)
