@@ -104,6 +104,16 @@ def test_the_place_of_a_point_is_where_it_came_from(number, along, across, rise_
     assert float(found_rise_m) == pytest.approx(rise_m, abs=1e-5)
 
 
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_a_point_of_two_zones_belongs_to_that_in_which_it_lies_deeper(order):
+    boxes_m = np.array([[[0.0, -9.0, 0.0], [2.0, 9.0, 9.0]], [[1.0, -9.0, 0.0], [3.0, 9.0, 9.0]]])
+    zones = [Zone(name, NORMALS["up"], box_m=box_m) for name, box_m in zip("ab", boxes_m, strict=True)]
+    chart = chart_of([zones[k] for k in order], BOX, cell_m=0.05)
+    place_m, _ = chart.place_of(np.array([[1.1, 0.0, HIGH_M[2]], [1.9, 0.0, HIGH_M[2]]]))
+    assert [order[number] for number in chart.zone_at(place_m)] == [0, 1]
+    assert chart.zone_distance_m(place_m).min() > 0.8
+
+
 def test_a_file_of_zones_comes_back(tmp_path):
     zones = (
         Zone("roof", NORMALS["up"], pitch_rad=(-0.1, 0.3)),

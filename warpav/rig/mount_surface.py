@@ -128,8 +128,8 @@ class MountSurface:
     def place_of(self, point_m: np.ndarray, carriers: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """The place of the chart that a camera at a point stands at, and its height over the surface there.
 
-        With zones it is that of the zone whose surface and stand-off are nearest; for a point that is above none of
-        them, the nearest cell's.
+        With zones it is that of the zone whose surface and stand-off are nearest, and of several in which the place
+        lies farthest from the border; for a point that is above none of them, the nearest cell's.
 
         Args:
             point_m: In the ego frame [m], [..., 3].
@@ -142,18 +142,21 @@ class MountSurface:
         if not self.zones:
             place_m = point_m[..., :2]
             return place_m, point_m[..., 2] - self.height_at_m(place_m)
-        best_m = np.full(point_m.shape[:-1], np.inf)
+        best_m, deepest_m = np.full((2, *point_m.shape[:-1]), np.inf)
         place_m, rise_m = np.zeros((*point_m.shape[:-1], 2)), np.zeros(point_m.shape[:-1])
         for number, zone in enumerate(self.zones):
             local_m = (point_m - self.plane_m[number]) @ self.axes[number].T
             here_m = local_m[..., :2]
             above_m = local_m[..., 2] - self.height_at_m(here_m)
             low_m, high_m = zone.rise_m
-            away_m = np.maximum(-self.zone_distance_m(here_m), 0.0) + np.abs(above_m - np.clip(above_m, low_m, high_m))
+            inside_m = self.zone_distance_m(here_m)
+            away_m = np.maximum(-inside_m, 0.0) + np.abs(above_m - np.clip(above_m, low_m, high_m))
+            away_m = np.round(away_m, 6)  # zones that are as near are told apart by how deep the place lies in them
             away_m = np.where(self.zone_at(here_m) == number, away_m, np.inf)
             if carriers is not None:
                 away_m = np.where(carriers[..., self.module_of_zone[number]], away_m, np.inf)
-            is_nearer = away_m < best_m
+            is_nearer = (away_m < best_m) | ((away_m == best_m) & np.isfinite(away_m) & (inside_m > deepest_m))
+            deepest_m = np.where(is_nearer, inside_m, deepest_m)
             best_m = np.where(is_nearer, away_m, best_m)
             place_m = np.where(is_nearer[..., None], here_m, place_m)
             rise_m = np.where(is_nearer, above_m, rise_m)
