@@ -19,22 +19,26 @@ BEGIN, END = "<!-- equations -->\n", "<!-- end of equations -->\n"
 
 @functools.cache
 def functions_below(*folders):
-    """Every module, class and function, with the path of its file."""
+    """Every module, class and function of the files that name equations, with the path of its file."""
     found = []
     for folder in folders:
         for path in sorted((ROOT / folder).rglob("*.py")):
-            for node in ast.walk(ast.parse(path.read_text())):
+            text = path.read_text()
+            for node in ast.walk(ast.parse(text)) if "equation" in text.lower() else ():
                 if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
                     found.append((path.relative_to(ROOT), node))
     return found
 
 
+@functools.cache
 def equation_lines():
     """File, node and docstring line of everything that names equations."""
+    found = []
     for path, node in functions_below("kernels", "warpav"):
         for line in (ast.get_docstring(node) or "").splitlines():
             if line.strip().lower().startswith("equation"):
-                yield path, node, line.strip()
+                found.append((path, node, line.strip()))
+    return found
 
 
 def numbers(line):
@@ -43,18 +47,21 @@ def numbers(line):
     return {int(number) for number in found["numbers"].split(",")} if found else set()
 
 
+@functools.cache
 def marked_tests():
     """File, name and equations of every test that is marked."""
+    found = []
     for path, node in functions_below("tests"):
         for decorator in getattr(node, "decorator_list", []):
             if isinstance(decorator, ast.Call) and ast.unparse(decorator.func) == "pytest.mark.equation":
-                yield path, node.name, {ast.literal_eval(argument) for argument in decorator.args}
+                found.append((path, node.name, {ast.literal_eval(argument) for argument in decorator.args}))
+    return found
 
 
 def table():
     """The table as Markdown."""
     lines = [(path, node, LINE.fullmatch(line), numbers(line)) for path, node, line in equation_lines()]
-    marked = list(marked_tests())
+    marked = marked_tests()
     rows = ["| equation | function | as the thesis has it | tests |", "|---|---|---|---|"]
     for equation in sorted(EQUATIONS):
         homes = [each[:3] for each in lines if equation in each[3]]

@@ -10,6 +10,7 @@ import pytest
 import warp as wp
 
 from tests.architecture.kernel_style import read_modules
+from warpav.core.atomic_write import atomic_write
 
 # Turing, Ampere, Hopper; the first two are left to full runs: each takes half a minute of one core
 ARCHITECTURES = (pytest.param(75, marks=pytest.mark.slow), pytest.param(80, marks=pytest.mark.slow), 90)
@@ -28,11 +29,17 @@ def name_of(module):
 
 @functools.cache
 def ptx(name, architecture):
-    """The assembly of one module."""
+    """The assembly of one module, compiled anew where its code changed: kept beside the kernels that Warp keeps."""
     module = importlib.import_module(name)
-    with tempfile.TemporaryDirectory() as folder:
-        (file,) = wp.compile_aot_module(module, device=None, arch=architecture, module_dir=folder, use_ptx=True)
-        return Path(file).read_text()
+    content = wp.get_module(name).hash_module().hex()
+    kept = Path(wp.config.kernel_cache_dir) / "ptx" / f"{name}_{content}_{architecture}.ptx"
+    if not kept.is_file():
+        with tempfile.TemporaryDirectory() as folder:
+            (file,) = wp.compile_aot_module(module, device=None, arch=architecture, module_dir=folder, use_ptx=True)
+            kept.parent.mkdir(exist_ok=True)
+            with atomic_write(kept) as draft:
+                draft.write_bytes(Path(file).read_bytes())
+    return kept.read_text()
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)

@@ -1,5 +1,6 @@
 """What a camera sees, by embree rays through the sample centres. Shares no code with the rasteriser."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,13 @@ class RayImage:
     rgb: np.ndarray
 
 
+@functools.lru_cache(maxsize=2)
+def _rays(model, supersampling):
+    """Directions of an image's samples, row by row, [sample, 3]."""
+    column, row = np.meshgrid(*(np.arange(count * supersampling) + 0.5 for count in (model.width_px, model.height_px)))
+    return model.rays(np.stack([column, row], axis=-1) / supersampling).reshape(-1, 3)
+
+
 class RayCaster:
     """Embree over some meshes; mesh k is object ``first_object + k``."""
 
@@ -40,9 +48,8 @@ class RayCaster:
     def look(self, ego_from_camera, model, supersampling=1):
         """The image; surfaces with a depth below the near plane are cut away by starting the rays there."""
         width, height = model.width_px * supersampling, model.height_px * supersampling
-        column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
         # depth times ray is a point, whether the ray has z = 1 or unit length
-        ray = model.rays(np.stack([column, row], axis=-1) / supersampling).reshape(-1, 3)
+        ray = _rays(model, supersampling)
         blind = np.isnan(ray[:, 0])
         direction = np.where(blind[:, None], [0.0, 0.0, 1.0], ray) @ ego_from_camera[:3, :3].T
         origin = ego_from_camera[:3, 3] + model.near_m * direction

@@ -8,13 +8,13 @@ import pytest
 from tests.driving_scene import camera_pose, on_device, random_poses, street
 from tests.raster.bodies import FAR_AWAY, cuboid
 from tests.raster.ray_queries import trace_crossings
-from tests.raster.test_lenses import MODELS
+from tests.raster.test_lenses import models_of
 from warpav.raster.lens import Lens
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene
 from warpav.scene.device_scene import DeviceScene
 
-BENT = {name: model for name, model in MODELS.items() if model.lens is not Lens.PINHOLE}
+BENT = {name: model for name, model in models_of(128).items() if model.lens is not Lens.PINHOLE}
 STEPS = ((0, -1), (-1, 0), (1, 0), (0, 1))  # to the left, top, bottom and right
 CUT = 0x80000000
 

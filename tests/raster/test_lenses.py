@@ -32,26 +32,33 @@ from warpav.raster.renderer import Renderer
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 
-SIZE = 128
+SIZE = 96
 BARREL = (-0.21, 0.06, 0.002, -0.001, -0.008)
 KB4 = (-0.013, 0.0021, -0.0042, 0.0007)
-MODELS = {
-    "brown_conrady": CameraModel(
-        SIZE, SIZE, lens="brown_conrady", focal_px=(75.0, 72.0), centre_px=(61.5, 66.0), distortion=BARREL
-    ),
-    "fisheye": CameraModel(SIZE, SIZE, math.radians(200.0), lens="fisheye", distortion=KB4),
-    # sees 73 degrees round its axis; the image's corners are black
-    "circle": CameraModel(
-        SIZE, SIZE, lens="fisheye", focal_px=(70.0, 72.0), centre_px=(66.0, 63.0), distortion=(-0.2, 0.0, 0.0, 0.0)
-    ),
-    "eucm": CameraModel(
-        SIZE, SIZE, lens="eucm", focal_px=(50.0, 48.0), centre_px=(62.0, 65.0), distortion=(0.62, 1.15)
-    ),
-    "double_sphere": CameraModel(SIZE, SIZE, math.radians(195.0), lens="double_sphere", distortion=(-0.2, 0.59)),
-    "panorama": CameraModel(2 * SIZE, SIZE, 2.0 * math.pi, lens="panorama"),
-    "equirectangular": CameraModel(2 * SIZE, SIZE, 2.0 * math.pi, lens="equirectangular"),
-    "part": CameraModel(SIZE, SIZE, lens="panorama", focal_px=(45.0, 40.0), centre_px=(50.0, 60.0)),
-}
+
+
+def models_of(size):
+    """Lenses by name, with images so high [px]."""
+
+    def calibrated(lens, focal_px, centre_px, distortion=()):
+        """Given for images of 128 px."""
+        focal_px, centre_px = (tuple(size / 128 * np.array(each)) for each in (focal_px, centre_px))
+        return CameraModel(size, size, lens=lens, focal_px=focal_px, centre_px=centre_px, distortion=distortion)
+
+    return {
+        "brown_conrady": calibrated("brown_conrady", (75.0, 72.0), (61.5, 66.0), BARREL),
+        "fisheye": CameraModel(size, size, math.radians(200.0), lens="fisheye", distortion=KB4),
+        # sees 73 degrees round its axis; the image's corners are black
+        "circle": calibrated("fisheye", (70.0, 72.0), (66.0, 63.0), (-0.2, 0.0, 0.0, 0.0)),
+        "eucm": calibrated("eucm", (50.0, 48.0), (62.0, 65.0), (0.62, 1.15)),
+        "double_sphere": CameraModel(size, size, math.radians(195.0), lens="double_sphere", distortion=(-0.2, 0.59)),
+        "panorama": CameraModel(2 * size, size, 2.0 * math.pi, lens="panorama"),
+        "equirectangular": CameraModel(2 * size, size, 2.0 * math.pi, lens="equirectangular"),
+        "part": calibrated("panorama", (45.0, 40.0), (50.0, 60.0)),
+    }
+
+
+MODELS = models_of(SIZE)
 SPIN_X, ZOOM = 3, 6
 CALIBRATED = {"brown_conrady": 8, "fisheye": 4, "eucm": 2, "double_sphere": 2}  # coefficients
 
@@ -159,7 +166,7 @@ def ours_and_truth(name, device, near_m=0.1, count=3):
         model = dataclasses.replace(model, fov_rad=5.0)  # a zoomed-out whole turn would be more than one
     scene = DeviceScene.pack(two_cars(), device=device).raster
     poses = poses_round_the_cars(count)
-    box = [0.4 * model.width_px, 40.0, 0.7 * model.width_px, 90.0]
+    box = [0.4 * model.width_px, 0.3 * SIZE, 0.7 * model.width_px, 0.7 * SIZE]
     ours = jacobian(measured(scene, poses, [model] * count, 1, device, box))
     columns = []
     for direction in range(ZOOM + 1):
@@ -200,7 +207,7 @@ def recalibrated(model, number, step):
 
 @pytest.mark.parametrize("name", ["pinhole", "brown_conrady", "fisheye", "eucm", "double_sphere", "part"])
 def test_jacobians_to_the_calibration_match_differences(device, name):
-    model = MODELS.get(name) or CameraModel(SIZE, SIZE, focal_px=(75.0, 72.0), centre_px=(61.5, 66.0))
+    model = MODELS.get(name) or CameraModel(SIZE, SIZE, focal_px=(56.0, 54.0), centre_px=(46.0, 49.5))
     if name == "brown_conrady":  # one that sees the whole image, whatever is added to a coefficient
         model = dataclasses.replace(model, fov_rad=None, distortion=(-0.03, 0.01, 0.002, -0.001, 0.001, 0.01, 0.0, 0.0))
     scene, poses = DeviceScene.pack(two_cars(), device=device).raster, poses_round_the_cars(3)
@@ -385,7 +392,7 @@ def colour_gradient(scene, model, pose, weight, device):
 
 @pytest.mark.parametrize("name", ["brown_conrady", "circle", "part"])
 def test_gradients_of_colours_match_differences(device, rng, name):
-    model = MODELS[name]
+    model = models_of(128)[name]
     pose = poses_round_the_cars(1)[0]
     scene = DeviceScene.pack(two_cars(), device=device).raster
     weight = np.repeat(rng.normal(size=(1, 16, 16, 3)), 8, axis=1).repeat(8, axis=2).astype(np.float32)

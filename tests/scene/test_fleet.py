@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import binom
 
 from tests.scene.town.test_levels import digest_of
+from tests.scene.town.test_town import bytes_digest
 from tests.scene.traffic.recordings import street, track, write
 from warpav.cli.app import main
 from warpav.core.errors import InputError
@@ -19,15 +20,16 @@ from warpav.scene.cache import built_scenes, scene_file
 from warpav.scene.fleet import CATEGORIES, STRETCH, TRIANGLES_MAX, _bodies, fleet_of
 from warpav.scene.own_vehicle import write_vehicle
 from warpav.scene.packed import SceneRecipe
-from warpav.scene.town.levels import LEVELS, TownSource, level_scene
+from warpav.scene.town.levels import TownSource, level_scene
 from warpav.scene.town.paint import PAINT_COLOURS
+from warpav.scene.town.town import town_scene
 from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, body_size_m, body_width_m, vehicle_mesh, vehicle_size_m
 from warpav.scene.traffic.files import read_recording
 from warpav.scene.traffic.moments import Moment
 from warpav.scene.traffic.traffic_scene import TrafficSource, traffic_scene
 from warpav.scene.vehicles import SHIPPED, vehicle_folder, vehicle_names
 
-SEEDS = range(2)
+PLACES = (("easy", 0), ("easy", 1), ("urban", 1), ("dense", 0), ("motorway", 1))
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +40,7 @@ def fleet():
 @pytest.fixture(scope="module")
 def pairs(fleet):
     """Scenes of every level, with the town's own vehicles and with others."""
-    return [(level_scene(seed, level), level_scene(seed, level, fleet)) for level in LEVELS for seed in SEEDS]
+    return [(level_scene(seed, level), level_scene(seed, level, fleet)) for level, seed in PLACES]
 
 
 def is_same(one, other):
@@ -96,7 +98,7 @@ def test_boxes_are_those_of_the_vehicles_without_mirrors(pairs):
             # the box is that of the mesh, and the mesh stands where the own one stood
             assert np.abs(b.box.local_m(b.mesh.vertex_m)).max(axis=0) == pytest.approx(0.5 * b.box.size_m, abs=1e-3)
             assert abs(float(a.mesh.vertex_m[:, 2].min()) - float(b.mesh.vertex_m[:, 2].min())) < tolerance_m
-    assert scenes_on_level_ground >= 5
+    assert scenes_on_level_ground >= 3
 
 
 def test_recorded_boxes_are_kept_to_the_millimetre(tmp_path, fleet):
@@ -159,18 +161,15 @@ def test_what_would_be_distorted_stays_own(fleet):
 def test_as_many_are_exchanged_as_the_share_says(fleet, pairs):
     half = fleet_of([SHIPPED], 0.5)
     could = done = 0
-    scenes = iter(pairs)
-    for level in LEVELS:
-        for seed in SEEDS:
-            own, other = next(scenes)
-            mixed = level_scene(seed, level, half)
-            could += len(exchanged(own, other))
-            for vehicle, one, every in zip(mixed.vehicles, own.vehicles, other.vehicles, strict=True):
-                # each is drawn by itself: whoever is exchanged is exchanged alike, whatever the share
-                is_own = is_same(vehicle.mesh, one.mesh)
-                assert is_own or is_same(vehicle.mesh, every.mesh)
-                done += not is_own
-    assert could > 200
+    for (level, seed), (own, other) in zip(PLACES, pairs, strict=True):
+        mixed = level_scene(seed, level, half)
+        could += len(exchanged(own, other))
+        for vehicle, one, every in zip(mixed.vehicles, own.vehicles, other.vehicles, strict=True):
+            # each is drawn by itself: whoever is exchanged is exchanged alike, whatever the share
+            is_own = is_same(vehicle.mesh, one.mesh)
+            assert is_own or is_same(vehicle.mesh, every.mesh)
+            done += not is_own
+    assert could > 120
     assert binom.ppf(0.0005, could, 0.5) <= done <= binom.ppf(0.9995, could, 0.5)
 
 
@@ -215,8 +214,9 @@ def test_no_more_triangles_than_the_towns_own(pairs):
             assert len(b.mesh.vertex_m) <= 1.5 * len(a.mesh.vertex_m)
 
 
-def test_large_and_textured_meshes_are_decimated(vehicle_folder):
-    fleet = fleet_of([vehicle_folder / "hatchback" / "meshes", vehicle_folder / "pickup" / "meshes"], 1.0)
+@pytest.mark.parametrize("name", ["hatchback", pytest.param("pickup", marks=pytest.mark.nightly)])
+def test_large_and_textured_meshes_are_decimated(vehicle_folder, name):
+    fleet = fleet_of([vehicle_folder / name / "meshes"], 1.0)
     for body in _bodies(fleet.paths):
         for look, most in zip(body.looks, TRIANGLES_MAX, strict=True):
             assert 500 < len(look.triangle) <= most
@@ -239,16 +239,21 @@ def test_a_fine_mesh_is_decimated_for_far_places(tmp_path):
 # ------------------------------------------------------------------------------------------ reproducible
 
 
-def test_every_process_makes_the_same_scene(fleet, tmp_path):
+def test_every_process_makes_the_same_scenes(fleet):
     code = (
-        "import sys; from tests.scene.test_fleet import fleet_of, level_scene, SHIPPED\n"
-        "from tests.scene.town.test_levels import digest_of\n"
-        "f = fleet_of([SHIPPED], 0.6); print(f.content, digest_of(level_scene(1, 'dense', f)))"
+        "from tests.scene.test_fleet import SHIPPED, digest_of, fleet_of, level_scene\n"
+        "from tests.scene.town.test_town import bytes_digest, town_scene\n"
+        "f = fleet_of([SHIPPED], 0.6)\n"
+        "print(f.content, digest_of(level_scene(2, 'urban', f)), bytes_digest(town_scene(3)))"
     )
     environment = {**os.environ, "PYTHONHASHSEED": "1"}
     found = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=True, text=True)
     here = fleet_of([SHIPPED], 0.6)
-    assert found.stdout.split() == [here.content, digest_of(level_scene(1, "dense", here))]
+    assert found.stdout.split() == [
+        here.content,
+        digest_of(level_scene(2, "urban", here)),
+        bytes_digest(town_scene(3)),
+    ]
     assert here.content == fleet.content
 
 

@@ -76,8 +76,14 @@ def test_a_reading_that_is_none_is_refused(options, message):
         Reading(*options)
 
 
-@pytest.mark.parametrize(("up", "forward"), TURNS[::3])
-@pytest.mark.parametrize("scale", [0.01, 1.0])
+@pytest.mark.parametrize(
+    ("up", "forward", "scale"),
+    [
+        pytest.param(*turn, scale, marks=() if (k % 3, k % 2) == (0, number) else pytest.mark.nightly)
+        for k, turn in enumerate(TURNS)
+        for number, scale in enumerate((0.01, 1.0))
+    ],
+)
 def test_the_shape_tells_axes_and_units_and_what_it_suggests_mends_them(car, tmp_path, up, forward, scale):
     truth = Reading(up, forward, scale)
     path = save(car, tmp_path / "car.ply", reading=truth)

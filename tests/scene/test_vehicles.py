@@ -49,7 +49,7 @@ def as_suggested(path):
 @pytest.mark.parametrize(
     "mesh",
     [
-        each if each.startswith(("hatchback", "pickup", "cc0")) else pytest.param(each, marks=pytest.mark.nightly)
+        each if each.startswith(("pickup", "cc0")) else pytest.param(each, marks=pytest.mark.nightly)
         for each in DOWNLOADED
     ],
 )

@@ -64,7 +64,13 @@ def _without_opengl(code, folder, *window):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="EGL is Linux's")
-@pytest.mark.parametrize("window", [[], ["DISPLAY=:97"]], ids=["no display", "a display that does not answer"])
+@pytest.mark.parametrize(
+    "window",
+    [
+        pytest.param([], id="no display", marks=pytest.mark.nightly),
+        pytest.param(["DISPLAY=:97"], id="a display that does not answer"),
+    ],
+)
 def test_opengl_without_a_driver_is_a_message_and_no_crash(tmp_path, window):
     code = "from warpav.cli.app import main\nsys.exit(main(['inspect', 'nuscenes', '--out', 'x.png']))"
     done = _without_opengl(code, tmp_path, *window)

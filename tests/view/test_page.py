@@ -101,7 +101,7 @@ def test_without_the_extra_it_says_what_to_install(monkeypatch, plotters, tmp_pa
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
 def test_a_browser_shows_it_and_what_is_switched_off_goes(file):
     with Chromium(CHROMIUM) as browser:
-        browser.open(file, width_px=900, height_px=600)
+        browser.open(file, width_px=700, height_px=420)
         browser.wait_for("document.querySelector('#panel') !== null")
         assert browser.evaluate("document.querySelector('#panel h1').textContent") == HOSTILE
         names = (

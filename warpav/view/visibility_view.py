@@ -157,12 +157,16 @@ def add_camera_visibility(
         name: First part of the actor's name.
     """
     surface = visibility_to_pyvista(camera, scene, farthest_m=farthest_m, rays=rays)
-    surface = surface.clip("z", origin=(0.0, 0.0, top_m))
+    height_m = surface.points[surface.regular_faces, 2]
+    is_drawn = (surface.cell_data["part"] != "free") & (height_m.min(axis=1) < top_m)
+    is_cut = is_drawn & (height_m.max(axis=1) > top_m)
+    chosen = (is_drawn & ~is_cut, is_cut)
+    surface, cut = (surface.extract_cells(which).extract_surface(algorithm=None) for which in chosen)
+    if is_cut.any():  # to clip the whole takes VTK a second
+        surface = surface.append_polydata(cut.clip("z", origin=(0.0, 0.0, top_m)))
     # most rays graze the ground, so going back along them hardly leaves it
     is_end = ~np.isclose(surface.points, camera.position_m, atol=1e-4).all(axis=1)
     surface.points[is_end, 2] += _LIFT_M
-    part = surface.cell_data["part"]
-    surface = surface.extract_cells(part != "free").extract_surface(algorithm=None)
     if surface.n_cells == 0:
         plotter.remove_actor(f"{name}/{camera.name}")
         return

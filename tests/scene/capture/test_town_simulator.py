@@ -30,18 +30,21 @@ def truth(world):
     return caster, instance
 
 
-def test_instances_are_those_of_the_nearest_surfaces_panes_included(truth):
-    caster, instance = truth
-    for image in town_capture().images:
-        seen = caster.look(image.view.ego_from_camera, image.view.model)
+@pytest.fixture(scope="module")
+def looks(truth):
+    """Every image with what rays see."""
+    return [(image, truth[0].look(image.view.ego_from_camera, image.view.model)) for image in town_capture().images]
+
+
+def test_instances_are_those_of_the_nearest_surfaces_panes_included(truth, looks):
+    _, instance = truth
+    for image, seen in looks:
         wrong = image.instance != instance[seen.object_index]
         assert np.count_nonzero(wrong) <= 3  # worst seen 0 of 76800
 
 
-def test_depth_is_that_of_the_nearest_surface_that_is_no_pane(truth):
-    caster, _ = truth
-    for image in town_capture().images:
-        seen = caster.look(image.view.ego_from_camera, image.view.model)
+def test_depth_is_that_of_the_nearest_surface_that_is_no_pane(looks):
+    for image, seen in looks:
         around = image.instance == ENVIRONMENT_INSTANCE
         ours, theirs = image.depth_m[around], seen.depth_m[around]
         np.testing.assert_array_equal(np.isinf(ours), np.isinf(theirs))
@@ -53,11 +56,9 @@ def test_depth_is_that_of_the_nearest_surface_that_is_no_pane(truth):
         assert np.mean(nearer) < 1e-3  # worst seen: 1 of 11402 pixels
 
 
-def test_panes_show_what_lies_behind_them(truth):
-    caster, _ = truth
+def test_panes_show_what_lies_behind_them(looks):
     through = 0
-    for image in town_capture().images:
-        seen = caster.look(image.view.ego_from_camera, image.view.model)
+    for image, seen in looks:
         behind = (image.instance != ENVIRONMENT_INSTANCE) & (image.depth_m > seen.depth_m + 0.05)
         through += np.count_nonzero(behind)
         # colour: at least the pane's own share of what an opaque pane would show
@@ -66,10 +67,8 @@ def test_panes_show_what_lies_behind_them(truth):
     assert through > 2000  # the artefact that the 3D boxes have to remove is real
 
 
-def test_colours_are_those_of_the_vertices(truth):
-    caster, _ = truth
-    image = next(image for image in town_capture().images if image.view.kind is ViewKind.ROTATION)
-    seen = caster.look(image.view.ego_from_camera, image.view.model)
+def test_colours_are_those_of_the_vertices(looks):
+    image, seen = next(each for each in looks if each[0].view.kind is ViewKind.ROTATION)
     around = image.instance == ENVIRONMENT_INSTANCE
     np.testing.assert_allclose(image.rgb[around], 255.0 * seen.rgb[around], atol=2.0)
 
