@@ -9,7 +9,7 @@ from tests.cli.small_run import complaint
 from warpav.cli.app import main
 from warpav.runs.front import front
 
-pytestmark = pytest.mark.usefixtures("working_directory")
+pytestmark = pytest.mark.usefixtures("working_directory", "short_polish")
 
 CATALOGUE = """
 modules:
@@ -33,14 +33,16 @@ modules:
 """
 FEW = [
     "rig.catalogue=mine.yaml",
-    "scenes.train_seeds=[0, 1, 2]",
+    "scenes.train_seeds=[0, 1]",
     "scenes.test_seeds=[5000]",
+    "run.batch_size=1",
     "optimiser.pool_cameras=16",
     "optimiser.pool_rounds=0",
     "baselines.random_samples=1",
     "run.pictures=none",
     "detector.confidence_min=0.25",
 ]
+PLAIN = [*FEW, "requirements=null"]
 
 
 @pytest.fixture
@@ -71,7 +73,7 @@ def test_a_run_of_two_modules_leaves_a_whole_run_folder(working_directory, capsy
 
 @pytest.mark.usefixtures("catalogue")
 def test_a_front_by_number(working_directory, capsys):
-    options = ["rig.modules={narrow: 0..2, fisheye: 0..2}", "rig.cameras=1..3", *FEW]
+    options = ["rig.modules={narrow: 0..2, fisheye: 0..2}", "rig.cameras=1..3", *PLAIN]
     assert main(["front", "quick", *options, "--out", "front"]) == 0
     found = json.loads((working_directory / "front" / "front.json").read_text())
     assert [point["cameras"] for point in found["points"]] == [1, 2, 3]
@@ -92,11 +94,11 @@ def test_a_front_by_number(working_directory, capsys):
 
 @pytest.mark.usefixtures("catalogue")
 def test_a_front_by_cost_keeps_every_budget():
-    config = wa.Config.load("quick", *FEW)
-    placement = wa.Placement(wa.town([0, 1]), modules={"narrow": "0..2", "fisheye": (1, 2)}, config=config)
+    config = wa.Config.load("quick", *PLAIN)
+    placement = wa.Placement(wa.town([0, 1]), modules={"narrow": "0..1", "fisheye": (1, 2)}, config=config)
     found = front(placement, by="cost")
     budgets = [float(point.name.removeprefix("cost_")) for point in found.points]
-    assert (budgets[0], budgets[-1]) == (1.0, 6.0)
+    assert (budgets[0], budgets[-1]) == (1.0, 4.0)
     for point, budget in zip(found.points, budgets, strict=True):
         assert point.cost <= budget + 1e-3
         assert point.modules.get("fisheye", 0) >= 1
