@@ -4,7 +4,6 @@ import pytest
 
 from tests.cli.small_run import RUNS, SMALL
 from warpav.cli.app import main
-from warpav.optimisation import pool_search
 from warpav.runs.run_folder import RunFolder
 
 
@@ -28,10 +27,3 @@ def at_once(tmp_path_factory):
         return runs[name]
 
     return run
-
-
-@pytest.fixture
-def short_polish(monkeypatch):
-    """Searches by a pool in this process take three steps where they polish, instead of up to sixteen."""
-    for name in ("FIRST_POLISH", "FURTHER_POLISH", "LAST_POLISH"):
-        monkeypatch.setattr(pool_search, name, (3, 0.4))
