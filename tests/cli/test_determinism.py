@@ -1,12 +1,14 @@
 """The same command gives the same bytes, whatever the folder, the threads and the executor; only times differ."""
 
 import os
+from pathlib import Path
 
 import pytest
 
 from tests.cli.small_run import RESUMED_POOL as POOL
 from tests.cli.test_resume import check_same
 from warpav.cli.app import main
+from warpav.core.warp_setup import load_warp
 from warpav.runs.run_folder import RunFolder
 
 pytestmark = pytest.mark.usefixtures("working_directory")
@@ -39,6 +41,8 @@ def test_one_core_gives_the_bytes_of_all(expected, monkeypatch):
 
 @pytest.mark.nightly
 def test_processes_give_the_bytes_of_one(expected, monkeypatch):
+    kernels = Path(load_warp().config.kernel_cache_dir).parent  # else each process compiles them again
+    monkeypatch.setenv("WARP_CACHE_PATH", str(kernels))
     monkeypatch.setenv("XDG_CACHE_HOME", str(expected.parent / "no_cache_either"))
     assert main(["optimise", *POOL, "run.out=apart", "executor.name=process", "executor.workers=2"]) == 0
     check_same("apart", expected)

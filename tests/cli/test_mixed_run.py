@@ -9,12 +9,12 @@ from tests.cli.small_run import complaint
 from warpav.cli.app import main
 from warpav.runs.front import front
 
-pytestmark = pytest.mark.usefixtures("working_directory")
+pytestmark = pytest.mark.usefixtures("working_directory", "short_polish")
 
 CATALOGUE = """
 modules:
   - name: narrow
-    sensor_px: [96, 48]
+    sensor_px: [192, 96]
     fov_deg: 60
     housing: {size_m: [0.03, 0.03, 0.03]}
     price: {value: 2, unit: relative}
@@ -22,7 +22,7 @@ modules:
     zones: [roof, bumper]
     source: made up
   - name: fisheye
-    sensor_px: [64, 64]
+    sensor_px: [128, 128]
     lens: fisheye
     fov_deg: 190
     housing: {size_m: [0.03, 0.03, 0.03]}
@@ -35,12 +35,14 @@ FEW = [
     "rig.catalogue=mine.yaml",
     "scenes.train_seeds=[0, 1]",
     "scenes.test_seeds=[5000]",
+    "run.batch_size=1",
     "optimiser.pool_cameras=16",
     "optimiser.pool_rounds=0",
     "baselines.random_samples=1",
     "run.pictures=none",
     "detector.confidence_min=0.25",
 ]
+PLAIN = [*FEW, "requirements=null"]
 
 
 @pytest.fixture
@@ -57,7 +59,7 @@ def test_a_run_of_two_modules_leaves_a_whole_run_folder(working_directory, capsy
     folder = wa.read_run("mixed")
     rig = folder.rig("best")
     assert [camera.module for camera in rig.cameras].count("narrow") == 1
-    assert {(camera.model.width_px, camera.model.height_px) for camera in rig.cameras} == {(96, 48), (64, 64)}
+    assert {(camera.model.width_px, camera.model.height_px) for camera in rig.cameras} == {(192, 96), (128, 128)}
     assert (working_directory / "mixed" / "report.html").is_file()
     assert json.loads((working_directory / "mixed" / "evaluation.json").read_text())["arms"]["optimised"]["objects"] > 0
     assert folder.config().rig.catalogue.name == "modules.yaml"
@@ -71,7 +73,7 @@ def test_a_run_of_two_modules_leaves_a_whole_run_folder(working_directory, capsy
 
 @pytest.mark.usefixtures("catalogue")
 def test_a_front_by_number(working_directory, capsys):
-    options = ["rig.modules={narrow: 0..2, fisheye: 0..2}", "rig.cameras=1..3", *FEW]
+    options = ["rig.modules={narrow: 0..2, fisheye: 0..2}", "rig.cameras=1..3", *PLAIN]
     assert main(["front", "quick", *options, "--out", "front"]) == 0
     found = json.loads((working_directory / "front" / "front.json").read_text())
     assert [point["cameras"] for point in found["points"]] == [1, 2, 3]
@@ -92,7 +94,7 @@ def test_a_front_by_number(working_directory, capsys):
 
 @pytest.mark.usefixtures("catalogue")
 def test_a_front_by_cost_keeps_every_budget():
-    config = wa.Config.load("quick", *FEW)
+    config = wa.Config.load("quick", *PLAIN)
     placement = wa.Placement(wa.town([0, 1]), modules={"narrow": "0..1", "fisheye": (1, 2)}, config=config)
     found = front(placement, by="cost")
     budgets = [float(point.name.removeprefix("cost_")) for point in found.points]

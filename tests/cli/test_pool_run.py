@@ -16,7 +16,7 @@ from warpav.runs.run_folder import RunFolder
 from warpav.scene.glb import write_scene
 from warpav.scene.town.town import town_scene
 
-pytestmark = pytest.mark.usefixtures("working_directory")
+pytestmark = pytest.mark.usefixtures("working_directory", "short_polish")
 
 POOL = [
     *SMALL[:-1],

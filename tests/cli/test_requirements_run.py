@@ -10,7 +10,7 @@ from tests.cli.test_pool_run import POOL
 from warpav.cli.app import main
 from warpav.runs.run_folder import RunFolder
 
-pytestmark = pytest.mark.usefixtures("working_directory")
+pytestmark = pytest.mark.usefixtures("working_directory", "short_polish")
 
 NEAR = """requirements:
   near: {area: {around_m: [0.5, 2.5]}, grid_m: 1.0, object: post, pixels: 10, weight: 5, share: 0.999}

@@ -178,12 +178,11 @@ def test_a_rig_is_compared_with_itself_by_no_command(working_directory, capsys):
     assert not list(working_directory.glob("*.json"))
 
 
-@pytest.mark.usefixtures("working_directory")
-def test_a_rig_is_inspected_with_the_configuration_asked_for():
-    small = ["rig.cameras=1", "camera.width_px=64", "camera.height_px=64"]
+def test_a_rig_is_inspected_with_the_configuration_asked_for(run_folder):
+    shutil.copy(run_folder.rig_file(), "mine.yaml")
     Path("two.yaml").write_text("scenes: {test_seeds: [1000], level: dense}\n")
     for k, more in enumerate(([], ["--config", "two.yaml"], ["scenes.test_seeds=[1000]", "scenes.level=dense"])):
-        assert main(["inspect", "highest", *more, *small, "--show", "outcomes", "--out", f"{k}.png"]) == 0
+        assert main(["inspect", "mine.yaml", *more, "--show", "outcomes", "--out", f"{k}.png"]) == 0
     images = [Path(f"{k}.png").read_bytes() for k in range(3)]
     assert images[1] == images[2] != images[0]
 

@@ -21,7 +21,7 @@ from warpav.runs.run_folder import RunFolder
 from warpav.scene.own_vehicle import write_vehicle
 from warpav.scene.town.town import town_scene
 
-pytestmark = pytest.mark.usefixtures("working_directory")
+pytestmark = pytest.mark.usefixtures("working_directory", "short_polish")
 
 
 @pytest.fixture

@@ -83,10 +83,13 @@ def test_yaml_keeps_the_bounds(text, told):
     assert told in refusal(read_yaml, text, "here")
 
 
-def test_yaml_at_the_bounds_is_read():
+def test_yaml_at_the_bounds_is_read(monkeypatch):
+    most = 1000  # another maximum, as reading 100,000 values takes a second; so many and more are refused above
+    monkeypatch.setattr("warpav.core.yaml_file.NODES_MAX", most)
     assert read_yaml("[" * LEVELS_MAX + "]" * LEVELS_MAX)[0]
     assert read_yaml("9" * DIGITS_MAX)[0] == int("9" * DIGITS_MAX)
-    assert len(read_yaml(f"a: [{'1, ' * (NODES_MAX - 2)}]")[0]["a"]) == NODES_MAX - 2
+    assert len(read_yaml(f"a: [{'1, ' * (most - 2)}]")[0]["a"]) == most - 2
+    assert MANY in refusal(read_yaml, f"a: [{'1, ' * most}]", "here")
     assert read_yaml("a: &a [1, 2]\nb: *a")[0] == {"a": [1, 2], "b": [1, 2]}
 
 

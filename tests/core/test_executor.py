@@ -21,7 +21,6 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-import warp as wp
 
 from warpav.core.errors import InputError, OptionError
 from warpav.core.executor import Outcome, available_cores, gpu_share, processes, run_tasks, workers
@@ -75,20 +74,28 @@ def slurm_here(importable_tests, monkeypatch, tmp_path):
     return {"executor": "slurm", "address": "local", "folder": tmp_path / "jobs"}
 
 
+EXECUTORS = ["process", pytest.param("ray", marks=needs_ray), pytest.param("slurm", marks=needs_submitit)]
+
+
+def options_of(request, executor):
+    """Options for an executor that runs tasks in other processes."""
+    if executor == "slurm":
+        return request.getfixturevalue("slurm_here")
+    if executor == "ray":
+        request.getfixturevalue("ray_here")
+    return {"executor": executor}
+
+
 @pytest.fixture(
     params=[
         "process",
-        pytest.param("ray", marks=needs_ray),
-        pytest.param("slurm", marks=needs_submitit),
+        pytest.param("ray", marks=[needs_ray, pytest.mark.nightly]),
+        pytest.param("slurm", marks=[needs_submitit, pytest.mark.nightly]),
     ]
 )
 def elsewhere(request):
-    """Options for every executor that runs tasks in other processes."""
-    if request.param == "slurm":
-        return request.getfixturevalue("slurm_here")
-    if request.param == "ray":
-        request.getfixturevalue("ray_here")
-    return {"executor": request.param}
+    """Options for every executor that runs tasks in other processes; clusters every night."""
+    return options_of(request, request.param)
 
 
 def square(number):
@@ -99,25 +106,12 @@ def square(number):
     return number * number
 
 
-def process_of(_):
-    time.sleep(0.2)
-    return os.getpid()
-
-
 def square_or_die(task):
     number, deadly = task
     if number == deadly:
         os.kill(os.getpid(), signal.SIGKILL)
     time.sleep(0.05)
     return number * number
-
-
-def die_once(file):
-    """Kill the first process that comes by."""
-    if not file.exists():
-        file.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return "survived"
 
 
 EXPECTED = [
@@ -133,20 +127,22 @@ def test_serial_keeps_the_order_and_goes_on_after_failures():
     assert list(run_tasks(square, range(5))) == EXPECTED
 
 
-def test_other_processes_give_the_same_outcomes(elsewhere):
-    found = list(run_tasks(square, range(5), **elsewhere, worker_count=2))
-    assert sorted(found, key=lambda outcome: outcome.task) == EXPECTED
-
-
 def bits_of(seed):
     """Numbers whose last bits depend on the order of their sums."""
     values = np.random.default_rng(seed).normal(size=1000)
     return np.array([np.exp(values).sum(), np.linalg.norm(values), values.std(), *np.sin(values)]).tobytes()
 
 
-def test_numbers_travel_bit_for_bit(elsewhere):
-    found = {outcome.task: outcome.result for outcome in run_tasks(bits_of, range(3), **elsewhere)}
-    assert found == {outcome.task: outcome.result for outcome in run_tasks(bits_of, range(3))}
+def square_or_bits(task):
+    return square(task) if task < len(EXPECTED) else bits_of(task)
+
+
+@pytest.mark.parametrize("executor", EXECUTORS)
+def test_other_processes_give_the_same_outcomes_bit_for_bit(request, executor):
+    options = options_of(request, executor)
+    found = sorted(run_tasks(square_or_bits, range(8), **options, worker_count=2), key=lambda outcome: outcome.task)
+    assert found[:5] == EXPECTED
+    assert found == list(run_tasks(square_or_bits, range(8)))
 
 
 def test_serial_runs_a_task_only_when_its_outcome_is_asked_for():
@@ -158,17 +154,16 @@ def test_serial_runs_a_task_only_when_its_outcome_is_asked_for():
 
 @pytest.mark.parametrize("name", ["process", "ray", "slurm"])
 def test_no_tasks_start_no_process(name):
-    assert list(run_tasks(process_of, [], executor=name)) == []
-
-
-def test_there_are_as_many_processes_as_asked_for():
-    found = {outcome.result for outcome in run_tasks(process_of, range(6), executor="process", worker_count=2)}
-    assert len(found) == 2
-    assert os.getpid() not in found
+    assert list(run_tasks(shares, [], executor=name)) == []
 
 
 def shares(_):
     return available_cores(), gpu_share(8), gpu_share(1)
+
+
+def process_and_shares(task):
+    time.sleep(0.2)
+    return os.getpid(), shares(task)
 
 
 def threads_of_libraries(_):
@@ -191,9 +186,15 @@ def test_a_pool_within_a_process_shares_its_share():
 @pytest.mark.parametrize(
     "worker_count", [pytest.param(1, marks=pytest.mark.nightly), 2, pytest.param(3, marks=pytest.mark.nightly)]
 )
-def test_processes_share_the_machine(worker_count):
-    (outcome, *_) = run_tasks(shares, range(worker_count), executor="process", worker_count=worker_count)
-    assert outcome.result == (max(1, available_cores() // worker_count), 8 // worker_count, 1)
+def test_as_many_processes_as_asked_for_share_the_machine(worker_count):
+    tasks = range(3 * worker_count)
+    found = [
+        each.result for each in run_tasks(process_and_shares, tasks, executor="process", worker_count=worker_count)
+    ]
+    numbers, known = ({each[k] for each in found} for k in range(2))
+    assert len(numbers) == worker_count
+    assert os.getpid() not in numbers
+    assert known == {(max(1, available_cores() // worker_count), 8 // worker_count, 1)}
 
 
 def test_libraries_start_no_more_threads_than_the_share(monkeypatch):
@@ -246,7 +247,7 @@ def test_without_a_number_there_is_a_process_for_each_core_of_the_share(monkeypa
 
 
 def test_processes_share_each_of_several_gpus(monkeypatch):
-    monkeypatch.setattr(wp, "get_cuda_device_count", lambda: 2)
+    monkeypatch.setattr("warp.get_cuda_device_count", lambda: 2)
     outcome = next(run_tasks(shares, range(4), executor="process", worker_count=4, gpu_count=2))
     assert outcome.result == (max(1, available_cores() // 4), 4, 1)
 
@@ -308,11 +309,6 @@ def test_a_task_that_kills_its_process_fails_alone(elsewhere):
     assert all(outcome.error is None and outcome.result == number**2 for number, outcome in found.items())
 
 
-def test_a_task_whose_process_is_killed_once_succeeds(elsewhere, tmp_path):
-    tasks = [tmp_path / "mark"]
-    assert list(run_tasks(die_once, tasks, **elsewhere, worker_count=1)) == [Outcome(tasks[0], "survived")]
-
-
 def mark(task):
     """Leave a file for every attempt, and kill the process at the first one."""
     number, folder = task
@@ -369,32 +365,26 @@ def test_what_was_killed_is_tried_again_by_a_quarter_as_many_and_so_on(monkeypat
     assert [outcome.task for outcome in outcomes if outcome.error] == [0]
 
 
-def lack_memory_with_others(task):
-    """Fail at the first attempt, one as Warp does where a GPU's memory does not suffice, one as Python does."""
+def lack_memory(task):
+    """Fail, one as Warp does where a GPU's memory does not suffice, one as Python does; 5 always, others once."""
     number, folder = task
-    if number < 2 and not (folder / str(number)).exists():
+    if number in (0, 1, 5) and (number == 5 or not (folder / str(number)).exists()):
         (folder / str(number)).touch()
-        if number:
+        if number == 1:
             raise MemoryError
         raise RuntimeError("Failed to allocate 35389440 bytes on device 'cuda:0'")
     return number
 
 
-def test_what_lacked_memory_is_tried_again_after_the_others(elsewhere, tmp_path):
-    tasks = [(number, tmp_path) for number in range(5)]
-    outcomes = list(run_tasks(lack_memory_with_others, tasks, **elsewhere, worker_count=2))
+def test_what_lacked_memory_is_tried_again_after_the_others_and_fails_with_what_it_said(elsewhere, tmp_path):
+    tasks = [(number, tmp_path) for number in range(6)]
+    outcomes = list(run_tasks(lack_memory, tasks, **elsewhere, worker_count=2))
     assert sorted(outcome.result for outcome in outcomes[:3]) == [2, 3, 4]
-    assert sorted(outcome.result for outcome in outcomes[3:]) == [0, 1]
-
-
-def lack_memory(task):
-    raise RuntimeError(f"Failed to allocate {task} bytes on device 'cuda:0'")
-
-
-def test_what_lacks_memory_alone_fails_with_what_it_said(elsewhere):
-    outcomes = list(run_tasks(lack_memory, [7], **elsewhere, worker_count=2))
-    assert [outcome.error for outcome in outcomes] == ["RuntimeError: Failed to allocate 7 bytes on device 'cuda:0'"]
-    assert list(run_tasks(lack_memory, [7])) == outcomes  # serial: there is nobody to wait for
+    assert sorted(outcome.task[0] for outcome in outcomes[3:]) == [0, 1, 5]
+    assert {outcome.result for outcome in outcomes if outcome.error is None} == set(range(5))
+    [failed] = [outcome for outcome in outcomes if outcome.error is not None]
+    assert failed.error == "RuntimeError: Failed to allocate 35389440 bytes on device 'cuda:0'"
+    assert list(run_tasks(lack_memory, tasks[5:])) == [failed]  # serial: there is nobody to wait for
 
 
 def test_leaving_early_within_a_long_result_lets_the_program_end():

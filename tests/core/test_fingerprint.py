@@ -20,13 +20,17 @@ fingerprint = functools.partial(fingerprint_of, code=(TOWN,))
 PLAN, MESHES = PlanSettings(), ReconstructionSettings()
 
 
+def no_code(_, names):
+    return [name for name in names if name == "__pycache__" or Path(name).suffix not in ("", ".py", ".md")]
+
+
 @pytest.fixture
 def copied_code(tmp_path, monkeypatch):
     """A copy of the code, which a test may change; forgets the hashes before and after."""
     package = Path(module.__file__).parents[1]
     kernels = Path(importlib.util.find_spec("warpav_kernels").origin).parent
     for folder in (package, kernels):
-        shutil.copytree(folder, tmp_path / folder.name, ignore=lambda _, names: [n for n in names if "pycache" in n])
+        shutil.copytree(folder, tmp_path / folder.name, ignore=no_code)
     original = module._source_file
 
     def copied_file(name):

@@ -44,12 +44,20 @@ def pixel_centres(model):
     return np.stack([column, row], axis=-1)
 
 
+@pytest.fixture(scope="module")
+def cameras_and_clean_images(town):
+    """A camera of each lens, and what it sees without dirt."""
+    one = RigCamera("one", np.array([1.3, 0.1, 2.6]), 0.4, 0.2, 0.1)
+    cameras = [replace(one, name=model.lens, model=model) for model in MODELS]
+    images = wa.render(Rig(cameras), town)
+    return {camera.name: (camera, images[camera.name]) for camera in cameras}
+
+
 @pytest.mark.parametrize("part", PARTS, ids=str)
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: model.lens)
-def test_dirt_covers_its_part_of_the_image_and_nothing_else(town, model, part):
-    one = RigCamera("one", np.array([1.3, 0.1, 2.6]), 0.4, 0.2, 0.1, model)
-    clean = wa.render(Rig([one]), town)["one"]
-    dirty = wa.render(Rig([one]), soiled_scene(town, one, part))["one"]
+def test_dirt_covers_its_part_of_the_image_and_nothing_else(town, cameras_and_clean_images, model, part):
+    one, clean = cameras_and_clean_images[model.lens]
+    dirty = wa.render(Rig([one]), soiled_scene(town, one, part))[one.name]
     is_soiled = dirty.depth_m < 1.3 * model.near_m  # nothing else is as near: the own roof is a metre below
     expected = part.covers(pixel_centres(model), model)
     # the outline is a polygon, so that some pixels on it differ; worst seen 0.5 %
@@ -69,8 +77,8 @@ def test_covered_shares_have_closed_forms():
 
 @pytest.fixture(scope="module")
 def problem():
-    placement = wa.Placement(wa.town(range(2)), cameras=3)
-    return placement, wa.highest_rig(placement), wa.town([5000, 5001])
+    placement = wa.Placement(wa.town([0]), cameras=3)
+    return placement, wa.highest_rig(placement), wa.town([5001])
 
 
 def test_a_camera_that_is_covered_all_over_is_lost(problem):

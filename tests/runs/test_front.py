@@ -8,13 +8,14 @@ from warpav.runs.config import Config, changed_config
 SMALL = ["camera.width_px=64", "camera.height_px=64", "optimiser.pool_cameras=16", "optimiser.pool_rounds=0"]
 
 
+@pytest.mark.usefixtures("short_polish")
 @pytest.mark.parametrize(("requirements", "counts"), [(None, False), ("near_field", True)])
 def test_the_near_field_counts_where_it_is_asked_for_alone(requirements, counts):
     placement = wa.Placement(
-        wa.town([1, 2]),
+        wa.town([1]),
         cameras="1..2",
         requirements=requirements,
-        config=changed_config(Config(), [*SMALL, "run.iterations=3"], origin=None),
+        config=changed_config(Config(), [*SMALL, "run.batch_size=1", "run.iterations=3"], origin=None),
     )
     found = wa.front(placement, wa.town([5000]))
     assert ("points of the requirements together" in str(found.table())) is counts

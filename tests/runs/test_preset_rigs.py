@@ -25,7 +25,7 @@ from warpav.runs.mounts import preset_for
 from warpav.runs.preset_rigs import know_cameras
 from warpav.runs.rig_source import find_rig
 from warpav.scene.own_vehicle import read_vehicle
-from warpav.scene.town.town import ego_vehicle, town_scene
+from warpav.scene.town.town import ego_vehicle
 from warpav.scene.vehicles import file_of
 
 SMALL = ["scenes.train_seeds=[0]", "scenes.validation_seeds=null", "scenes.test_seeds=[5001, 5002]"]
@@ -51,7 +51,7 @@ def placement():
     ],
 )
 def test_images_keep_their_proportions(options, size_px, portrait_px):
-    config, ego = load_config("quick", options), town_scene(0).ego
+    config, ego = load_config("quick", options), ego_vehicle()
     for name, expected in (("nuscenes", size_px), ("argoverse2", portrait_px)):
         original, found = wa.preset(name).cameras[0].model, preset_for(name, config, ego).rig.cameras[0].model
         assert (found.width_px, found.height_px) == expected
@@ -67,7 +67,7 @@ def test_modules_share_their_mean_of_pixels():
     config = load_config("quick", ["rig.modules={front_8mp_30: 1, side_2mp_100: 1..4}"])
     sizes = [builtin_modules()[name].network_px for name in ("front_8mp_30", "side_2mp_100")]
     mean = sum(width * height for width, height in sizes) / 2.0
-    model = preset_for("nuscenes", config, town_scene(0).ego).rig.cameras[0].model
+    model = preset_for("nuscenes", config, ego_vehicle()).rig.cameras[0].model
     assert model.width_px * model.height_px == pytest.approx(mean, rel=2e-3)
 
 
@@ -135,6 +135,7 @@ def test_arms_as_built_stand_on_the_body_and_have_a_counterpart(placement):
     assert (camera.width_px, camera.height_px, camera.fov_deg) == (341, 192, 64.8)
 
 
+@pytest.mark.usefixtures("short_polish")
 def test_a_run_compares_its_rig_with_presets_and_rigs_of_files(placement, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     today = wa.preset("argoverse2")
