@@ -11,7 +11,7 @@ NAMED = [pytest.param(kind, id=kind.name) for kind in LARGE]
 
 @pytest.mark.parametrize("kind", NAMED)
 def test_a_mutated_file_is_read_or_refused(tmp_path, kind, all_cases):
-    fuzz(kind, tmp_path, min(30, round(all_cases * SHARE)))
+    fuzz(kind, tmp_path, min(15, round(all_cases * SHARE)))
 
 
 @pytest.mark.nightly

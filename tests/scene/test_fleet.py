@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from tests.scene.town.test_levels import digest_of
-from tests.scene.town.test_town import bytes_digest
+from tests.scene.town.digests import bytes_digest, digest_of
 from tests.scene.traffic.recordings import street, track, write
 from warpav.cli.app import main
 from warpav.core.errors import InputError
@@ -241,8 +240,11 @@ def test_a_fine_mesh_is_decimated_for_far_places(tmp_path):
 
 def test_every_process_makes_the_same_scenes(fleet):
     code = (
-        "from tests.scene.test_fleet import SHIPPED, digest_of, fleet_of, level_scene\n"
-        "from tests.scene.town.test_town import bytes_digest, town_scene\n"
+        "from tests.scene.town.digests import bytes_digest, digest_of\n"
+        "from warpav.scene.fleet import fleet_of\n"
+        "from warpav.scene.town.levels import level_scene\n"
+        "from warpav.scene.town.town import town_scene\n"
+        "from warpav.scene.vehicles import SHIPPED\n"
         "f = fleet_of([SHIPPED], 0.6)\n"
         "print(f.content, digest_of(level_scene(2, 'urban', f)), bytes_digest(town_scene(3)))"
     )

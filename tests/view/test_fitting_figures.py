@@ -100,7 +100,7 @@ def test_they_say_what_they_show(street, once):
     assert "own body" in sheet
 
 
-@pytest.mark.parametrize("half_m", [(0.35, 0.35), (0.02, 0.0), (3.0, 0.4)])
+@pytest.mark.parametrize("half_m", [pytest.param((0.35, 0.35), marks=pytest.mark.nightly), (0.02, 0.0), (3.0, 0.4)])
 def test_dimensions_are_clear_of_each_other_and_of_the_vehicle(half_m, street):
     ahead_m, aside_m = half_m
     places = ((3.6 + ahead_m, 0.0), (1.3, 1.1 + aside_m), (-1.2 - ahead_m, 0.0), (1.3, -1.1 - aside_m))

@@ -20,6 +20,7 @@ from warpav.scene.glb import write_scene
 from warpav.scene.reconstruction.point_cloud import fuse
 from warpav.scene.reconstruction.settings import CloudSettings, MeshSettings, ReconstructionSettings
 from warpav.scene.scene import Box
+from warpav.view import cloud_view
 from warpav.view.cloud_view import BACKGROUND_RGB
 from warpav.view.figures import clouds, images, mount_surface, occupancy
 from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH, count_text
@@ -35,7 +36,8 @@ COARSE = ReconstructionSettings(
 
 @pytest.fixture
 def drawn(monkeypatch):
-    """Matplotlib's figures of what was drawn, to read their texts."""
+    """Matplotlib's figures of what was drawn, to read their texts; clouds are drawn coarsely."""
+    monkeypatch.setattr(cloud_view, "_SUPERSAMPLING", 1)
     figures = []
     for module in (images, clouds, mount_surface, occupancy):
 

@@ -115,9 +115,14 @@ def situation(**options):
 
 
 class TestCleanup:
-    @pytest.mark.parametrize("is_before", [True, False], ids=["before", "after"])
     @pytest.mark.parametrize(
-        "error", [RuntimeError("time-out of 60000ms"), KeyboardInterrupt()], ids=["error", "ctrl-c"]
+        ("error", "is_before"),
+        [
+            pytest.param(RuntimeError("time-out of 60000ms"), True, id="error-before"),
+            pytest.param(RuntimeError("time-out of 60000ms"), False, id="error-after", marks=pytest.mark.nightly),
+            pytest.param(KeyboardInterrupt(), True, id="ctrl-c-before", marks=pytest.mark.nightly),
+            pytest.param(KeyboardInterrupt(), False, id="ctrl-c-after"),
+        ],
     )
     def test_nothing_is_left_wherever_a_call_fails(self, monkeypatch, error, is_before):
         """Every kind of call, the first and the last time it is made, the cleanup's own included."""

@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import warpav as wa
+from tests.scene.town.digests import digest_of
 from tests.scene.town.test_town import _Caster, _rectangle, _rectangles_overlap
 from warpav.core.errors import InputError
 from warpav.runs.config import changed_config
@@ -30,17 +31,6 @@ EASY_NUMBERS = (
     *(3.504447, 1.646533, 1.738333, -0.021364, -7.940081, -0.025730, 179.388480),
 )
 GENTLE = settings(max_examples=3, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
-
-
-def digest_of(scene):
-    """Of all that is a whole number or a word: the last bits of floats depend on the processor."""
-    found = hashlib.sha256(f"{scene.name} {scene.source}".encode())
-    for mesh in (scene.environment, scene.ego, *(user.mesh for user in scene.road_users)):
-        found.update(repr(mesh.vertex_m.shape).encode())
-        found.update(np.ascontiguousarray(mesh.triangle).tobytes())
-    for user in scene.road_users:
-        found.update(repr((user.instance_id, user.category)).encode())
-    return found.hexdigest()
 
 
 def numbers_of(scene):

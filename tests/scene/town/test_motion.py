@@ -57,9 +57,10 @@ def test_who_comes_to_a_street_with_priority_slows_down_and_who_leaves_it_does_n
     assert leaving[1] >= FREE_M_S[0]
 
 
-def test_in_the_town_nobody_drives_into_who_is_ahead_within_the_headway():
+@pytest.mark.parametrize(("seeds", "met_min"), [(range(8), 2), pytest.param(range(20), 5, marks=pytest.mark.nightly)])
+def test_in_the_town_nobody_drives_into_who_is_ahead_within_the_headway(seeds, met_min):
     met = 0
-    for scene in map(town_scene, range(20)):
+    for scene in map(town_scene, seeds):
         low_m, high_m = scene.ego.bounds_m()[:, :2].astype(float)
         met += sum(np.isfinite(one.box.time_to_meet_s(low_m, high_m, one.velocity_ego_m_s)) for one in scene.road_users)
         later = [
@@ -72,7 +73,7 @@ def test_in_the_town_nobody_drives_into_who_is_ahead_within_the_headway():
                 assert not _rectangles_overlap(one, other), scene.name
         fastest_m_s = max(np.abs(one.velocity_ego_m_s).max() for one in scene.road_users)
         assert fastest_m_s <= 2.0 * FREE_M_S[1]
-    assert met >= 5
+    assert met >= met_min
 
 
 def test_motion_is_drawn_anew_for_every_seed_and_again_for_the_same():

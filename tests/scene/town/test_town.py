@@ -1,6 +1,5 @@
 """Town scenes: counts, visibility, no overlaps, headings along the lanes, the same bytes for the same seed."""
 
-import hashlib
 import itertools
 
 import numpy as np
@@ -8,6 +7,7 @@ import pytest
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
+from tests.scene.town.digests import bytes_digest
 from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.town import EYE_HEIGHT_M, ego_vehicle, town_scene, visible_shares
 from warpav.scene.town.town_layout import town_layout
@@ -19,16 +19,6 @@ HEADING_TOLERANCE_RAD = 0.03
 @pytest.fixture(scope="module")
 def scenes():
     return [town_scene(seed) for seed in SEEDS]
-
-
-def bytes_digest(scene):
-    digest = hashlib.sha256()
-    for mesh in (scene.environment, scene.ego, *(user.mesh for user in (*scene.vehicles, *scene.others))):
-        for array in (mesh.vertex_m, mesh.triangle, mesh.vertex_rgb):
-            digest.update(np.ascontiguousarray(array).tobytes())
-    users = (*scene.vehicles, *scene.others)
-    digest.update(repr([(user.instance_id, user.category, user.box.yaw_rad) for user in users]).encode())
-    return digest.hexdigest()
 
 
 class _Caster:

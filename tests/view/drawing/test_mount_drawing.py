@@ -1,5 +1,6 @@
 """The drawing of the mounts: a page of A3 in the scale that it states, coordinates, labels apart, its files."""
 
+import functools
 import importlib.util
 import math
 import re
@@ -21,9 +22,15 @@ def drawing_of(some=None, **options):
     return mount_drawing(some or rig(), ego=ego(), **options)
 
 
+@functools.cache
+def drawing_with(count):
+    """Of so many cameras, drawn once."""
+    return drawing_of(rig(count))
+
+
 def test_the_page_is_a3_and_everything_is_on_it():
-    for some in (rig(), rig(24)):
-        figure = drawing_of(some).figure()
+    for count in (4, 24):
+        figure = drawing_with(count).figure()
         assert figure.get_size_inches() * 25.4 == pytest.approx(PAGE_MM)
         figure.draw_without_rendering()
         [axis] = figure.axes
@@ -37,7 +44,7 @@ def test_the_page_is_a3_and_everything_is_on_it():
 
 
 def test_views_are_in_the_scale_that_the_page_states():
-    drawing = drawing_of()
+    drawing = drawing_with(4)
     assert f"1 : {drawing.scale:g}" in [note.text for note in drawing.notes]
     for view in drawing.views:
         unit_mm = view.place_mm(np.eye(3)) - view.datum_mm
@@ -62,12 +69,12 @@ def test_arrows_are_the_optical_axes():
 
 
 def test_coordinates_are_said_once_and_labels_keep_apart():
-    drawing = drawing_of()
+    drawing = drawing_with(4)
     texts = [each.text for each in drawing.ordinates]
     assert "1, ..: +1580" in texts  # all four are as high
     assert "3: +500" in texts
     assert "1, 3: 0" in texts
-    drawing = drawing_of(rig(24))  # many are nearer to each other than their numbers are high
+    drawing = drawing_with(24)  # many are nearer to each other than their numbers are high
     for view in drawing.views:
         for is_across in (True, False):
             end_mm = sorted(
@@ -80,7 +87,7 @@ def test_coordinates_are_said_once_and_labels_keep_apart():
 
 @pytest.mark.parametrize("count", [3, 8, 12])
 def test_numbers_lie_on_no_other_number_and_on_no_camera(count):
-    drawing = drawing_of(rig(count))
+    drawing = drawing_with(count)
     numbers = [note for note in drawing.notes if note.layer == "CAMERAS"]
     assert sum(len(note.text.split(", ")) for note in numbers) == 3 * count  # each camera has its number in each view
     middle_mm = np.array([note.place_mm for note in numbers])
@@ -95,7 +102,7 @@ def test_numbers_lie_on_no_other_number_and_on_no_camera(count):
 
 
 def test_a_leader_joins_each_number_with_its_camera():
-    drawing = drawing_of(rig(3))
+    drawing = drawing_with(3)
     leaders = [stroke for stroke in drawing.strokes if stroke.layer == "CAMERAS"]
     numbers = [note for note in drawing.notes if note.layer == "CAMERAS"]
     assert len(leaders) == len(numbers)
@@ -137,7 +144,7 @@ def test_housings_of_modules_are_drawn():
 
 @pytest.mark.parametrize("count", [1, 8, 40])
 def test_the_table_has_every_camera(count):
-    notes = {note.text for note in drawing_of(rig(count)).notes if note.layer == "TABLE"}
+    notes = {note.text for note in drawing_with(count).notes if note.layer == "TABLE"}
     assert {f"{i + 1} cam_{i}" for i in range(count)} <= notes
 
 
@@ -168,9 +175,10 @@ def test_housings_are_named_where_they_can_be_seen():
 
 def test_it_is_written_the_same_every_time(tmp_path, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
+    drawings = drawing_of(), drawing_of()
     for suffix, begins in (("pdf", b"%PDF"), ("svg", b"<?xml"), ("png", b"\x89PNG")):
-        [first] = drawing_of().save(tmp_path / "new" / f"a.{suffix}")
-        [second] = drawing_of().save(tmp_path / f"b.{suffix}")
+        [first] = drawings[0].save(tmp_path / "new" / f"a.{suffix}")
+        [second] = drawings[1].save(tmp_path / f"b.{suffix}")
         assert first.read_bytes() == second.read_bytes()
         assert first.read_bytes().startswith(begins)
     page = (tmp_path / "b.pdf").read_bytes()
