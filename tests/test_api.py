@@ -78,6 +78,7 @@ def test_editors_know_the_same_names():
 
 
 @needs_opengl
+@pytest.mark.usefixtures("short_polish")
 def test_the_ten_lines_run_as_printed(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     program = TEN_LINES

@@ -194,12 +194,11 @@ def test_an_output_that_is_full_is_one_line():
 # ------------------------------------------------------------------------------------------------ folders
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "changed",
-    [
-        pytest.param({"HOME": "home", "WARP_CACHE_PATH": None}, id="HOME"),
-        pytest.param({"WARP_CACHE_PATH": "home"}, id="WARP_CACHE_PATH", marks=pytest.mark.nightly),
-    ],
+    [{"HOME": "home", "WARP_CACHE_PATH": None}, {"WARP_CACHE_PATH": "home"}],
+    ids=["HOME", "WARP_CACHE_PATH"],
 )
 def test_without_a_place_for_kernels_the_line_names_one(working_directory, changed):
     (working_directory / "front.yaml").write_text(RIG)

@@ -1,6 +1,7 @@
 """``warpav vehicle zones`` and runs with ``mount.zones``."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -19,16 +20,33 @@ from warpav.runs.config import load_config
 from warpav.runs.mounts import camera_model
 from warpav.runs.run_folder import RunFolder
 from warpav.scene.own_vehicle import write_vehicle
-from warpav.scene.town.town import town_scene
+from warpav.scene.town.town import ego_vehicle
 
 pytestmark = pytest.mark.usefixtures("working_directory", "short_polish")
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The vehicle of the scenes, and the zones that are proposed for it."""
+    folder = tmp_path_factory.mktemp("made")
+    ego = ego_vehicle()
+    write_vehicle(ego, folder / "car.glb")
+    assert main(["vehicle", "zones", str(folder / "car.glb"), "--out", str(folder / "zones.yaml")]) == 0
+    return ego, folder
+
+
 @pytest.fixture
-def car(working_directory):
-    ego = town_scene(0).ego
-    write_vehicle(ego, working_directory / "car.glb")
+def car(working_directory, made):
+    """A file of the vehicle of the scenes."""
+    ego, folder = made
+    shutil.copy(folder / "car.glb", working_directory)
     return ego
+
+
+@pytest.fixture
+def zones(working_directory, made):
+    """A file of the zones that are proposed for it."""
+    return shutil.copy(made[1] / "zones.yaml", working_directory)
 
 
 def test_zones_are_proposed_edited_and_used(working_directory, car, capsys):
@@ -37,9 +55,10 @@ def test_zones_are_proposed_edited_and_used(working_directory, car, capsys):
     assert all(f"  {name}" in said for name in ("roof", "bonnet", "left", "right", "front", "rear"))
     assert "mount.zones=all.yaml" in said
     assert (working_directory / "zones.png").stat().st_size > 10_000
-    assert main(["vehicle", "zones", "car.glb", "--out", "again.yaml", "--picture", "old.png"]) == 0
-    assert capsys.readouterr().err == "--picture: is called --image now; the old name goes in the next version\n"
-    assert (working_directory / "old.png").is_file()
+    assert main(["vehicle", "zones", "car.glb", "--out", "again.yaml", "--picture", "old.bmp"]) == 2
+    warning, refusal = capsys.readouterr().err.splitlines()
+    assert warning == "--picture: is called --image now; the old name goes in the next version"
+    assert refusal.startswith("old.bmp: expected a name that ends in .png")
     assert "kept out: 4 x wheel" in said
     zones = read_zones("all.yaml")
     assert len(zones) == 7
@@ -90,11 +109,11 @@ def test_no_outside_zone_is_proposed_on_a_windscreen_of_the_paint_s_colour(worki
     assert not ((point_m[:, 1:] > low_m) & (point_m[:, 1:] < high_m)).all(axis=1).any()
 
 
-def test_cameras_in_zones_see_what_is_near(car):
+@pytest.mark.usefixtures("zones")
+def test_cameras_in_zones_see_what_is_near():
     config = load_config("quick", [])
-    zones = load_config("quick", ["mount.zones=null"])
-    assert camera_model(config).near_m == camera_model(zones).near_m == 0.1
-    assert main(["vehicle", "zones", "car.glb"]) == 0
+    without = load_config("quick", ["mount.zones=null"])
+    assert camera_model(config).near_m == camera_model(without).near_m == 0.1
     assert camera_model(load_config("quick", ["mount.zones=zones.yaml"])).near_m == 0.01
 
 
@@ -106,8 +125,8 @@ def test_cameras_in_zones_see_what_is_near(car):
         (["mount.zones=zones.yaml", "rig.free.height_m=[0.1,0.3]"], ["rig.free.height_m", "stand_off_m"]),
     ],
 )
-def test_what_does_not_go_with_zones_is_one_line(car, capsys, overrides, words):
-    assert main(["vehicle", "zones", "car.glb"]) == 0
+@pytest.mark.usefixtures("zones")
+def test_what_does_not_go_with_zones_is_one_line(capsys, overrides, words):
     line = complaint(capsys, "optimise", *POOL, *overrides, "run.out=none")
     assert all(word in line for word in words)
 
@@ -141,11 +160,11 @@ def test_config_check_reads_zones_and_modules(car, capsys, option, expected):
     assert expected in complaint(capsys, "config", "check", "quick", option)
 
 
-def test_the_api_takes_zones(working_directory, car):
+@pytest.mark.usefixtures("zones")
+def test_the_api_takes_zones(working_directory):
     (working_directory / "nowhere.yaml").write_text(
         "zones: {nowhere: {normal: left, box_m: [[40, 0, 0], [41, 1, 1]]}}\n"
     )
-    assert main(["vehicle", "zones", "car.glb"]) == 0
     placement = wa.Placement(wa.town(range(1)), cameras=2, zones="zones.yaml")
     assert [zone.name for zone in placement.mount.surface.zones][:2] == ["roof", "bonnet"]
     with pytest.raises(InputError, match="zone 'nowhere'"):

@@ -6,6 +6,9 @@ import sys
 
 import pytest
 
+from warpav.core.errors import InputError
+from warpav.core.warp_setup import load_warp
+
 PACK = """
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.town.town import town_scene
@@ -40,6 +43,12 @@ def test_kernels_are_compiled_when_the_block_ends(tmp_path):
     compiled = {file.name.rsplit("_", 1)[0].removeprefix("wp_warpav_kernels.") for file in tmp_path.glob("*/wp_*")}
     assert {"detection.network_input", "reconstruction.plane_fit"} <= compiled
     assert "placement.constraint_losses" not in compiled
+
+
+def test_a_cache_in_which_nothing_may_be_written_is_refused(monkeypatch):
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(InputError, match=r"expected a folder .* written, got: Permission denied; set WARP_CACHE_PATH"):
+        load_warp.__wrapped__()
 
 
 @pytest.mark.parametrize("place", [pytest.param("/proc/none", marks=pytest.mark.nightly), "file"])

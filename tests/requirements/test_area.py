@@ -106,8 +106,9 @@ def test_a_sector_keeps_its_directions():
     assert (np.abs(turn) < 0.75 * math.pi).all()
 
 
-def test_an_area_without_points_is_rejected():
+def test_an_area_without_points_or_with_too_many_is_rejected(monkeypatch):
     with pytest.raises(InputError, match="requirement under: expected at least one point of the area outside"):
         Ghosts.of([Requirement("under", Strip("rear", (-1.0, -0.5)), 0.25, POST)], box())
-    with pytest.raises(InputError, match="at most 100000 points together"):
-        Ghosts.of([Requirement("all", Band((0.0, 20.0)), 0.1, POST)] * 2, box())
+    monkeypatch.setattr("warpav.requirements.requirement.MAX_GHOSTS", 1000)
+    with pytest.raises(InputError, match=r"at most 1000 points together, got 2032; choose wider grids"):
+        Ghosts.of([Requirement("all", Band((0.0, 3.0)), 0.25, POST)] * 2, box())

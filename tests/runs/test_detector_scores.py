@@ -22,15 +22,15 @@ def few_views(monkeypatch):
 
 def test_scores_are_those_of_the_fit_on_the_scenes_asked_for(tmp_path, capsys):
     out = tmp_path / "scores"
-    words = ["quick", *SMALL, "scenes.level=dense", "--scenes", "5000..5002", "--out", str(out)]
+    words = ["quick", *SMALL, "scenes.level=dense", "--scenes", "5000..5001", "--out", str(out)]
     assert main(["detector", "score", *words]) == 0
     assert "Detection probability against what detectors find" in capsys.readouterr().out
     written = json.loads((out / "scores.json").read_text())
-    assert written["scenes"] == {"source": "town", "level": "dense", "seeds": [5000, 5001, 5002]}
+    assert written["scenes"] == {"source": "town", "level": "dense", "seeds": [5000, 5001]}
     (found,) = written["detectors"]
     config = load_config("quick", [*SMALL, "scenes.level=dense"])
     model = detector_fit.ensure_fit(config)
-    samples = detector_fit.sample_camera(config, (5000, 5001, 5002), model, progress=NullProgress())
+    samples = detector_fit.sample_camera(config, (5000, 5001), model, progress=NullProgress())
     expected = score(model.of_features(samples.feature), samples.is_detected)
     assert found["objects"] == len(samples)
     assert found["detected"] == samples.is_detected.sum()
@@ -43,12 +43,12 @@ def test_scores_are_those_of_the_fit_on_the_scenes_asked_for(tmp_path, capsys):
     assert (out / "builtin_reliability.png").is_file()
     # the level counts
     easy = load_config("quick", SMALL)
-    assert len(detector_fit.sample_camera(easy, (5000, 5001, 5002), model, progress=NullProgress())) != len(samples)
+    assert len(detector_fit.sample_camera(easy, (5000, 5001), model, progress=NullProgress())) != len(samples)
 
 
 def test_recorded_traffic_is_a_source_like_others(tmp_path):
     out = tmp_path / "scores"
-    words = ["quick", *SMALL, "scenes.source=traffic", "--scenes", "5000..5002", "--out", str(out)]
+    words = ["quick", *SMALL, "scenes.source=traffic", "--scenes", "5000..5001", "--out", str(out)]
     assert main(["detector", "score", *words]) == 0
     written = json.loads((out / "scores.json").read_text())
     assert written["fitted_on"] == "town"
