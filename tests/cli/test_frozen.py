@@ -101,8 +101,9 @@ def test_an_added_camera_faces_the_middle_of_the_widest_gap(yaw_rad, count):
         assert nearest > best - 1e-6
 
 
-def test_a_run_and_a_preset_are_starts(working_directory, capsys, run_folder):
-    for start, count in ((str(run_folder.path), len(run_folder.rig().cameras)), ("nuscenes", 6)):
+def test_a_run_and_a_preset_are_starts(working_directory, capsys, at_once):
+    run = at_once("descent")
+    for start, count in ((str(run), len(RunFolder.open(run).rig().cameras)), ("nuscenes", 6)):
         assert main(["config", "check", "quick", f"rig.start={start}", f"rig.cameras={count}"]) == 0
     message = complaint(capsys, "optimise", "rig.start=nuscenes")
     assert message.startswith("nuscenes: cameras: expected 4 as rig.cameras says, got 6; set rig.cameras=6")

@@ -137,4 +137,4 @@ def test_a_front_of_equal_cameras():
     ],
 )
 def test_what_modules_cannot_be(capsys, options, message):
-    assert message in complaint(capsys, "optimise", "quick", "rig.catalogue=mine.yaml", *options, "run.out=run")
+    assert message in complaint(capsys, "optimise", "quick", *PLAIN, *options, "run.out=run")

@@ -59,6 +59,7 @@ def test_zones_are_proposed_edited_and_used(working_directory, car, capsys):
     warning, refusal = capsys.readouterr().err.splitlines()
     assert warning == "--picture: is called --image now; the old name goes in the next version"
     assert refusal.startswith("old.bmp: expected a name that ends in .png")
+    assert not (working_directory / "again.yaml").exists()
     assert "kept out: 4 x wheel" in said
     zones = read_zones("all.yaml")
     assert len(zones) == 7

@@ -37,10 +37,12 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
     """
     from PIL import Image
 
-    from warpav.view.output import write_whole
+    from warpav.view.output import check_suffix, write_whole
     from warpav.view.plotting import plot
     from warpav.view.vehicle_view import zones_image_rgb
 
+    if image is not None:
+        check_suffix(image)
     mesh = read_vehicle(path)
     names = part_names(path, mesh)
     kind = None if names is None else kinds_of_names(names)
