@@ -143,6 +143,7 @@ class MountSurface:
             place_m = point_m[..., :2]
             return place_m, point_m[..., 2] - self.height_at_m(place_m)
         best_m, deepest_m = np.full((2, *point_m.shape[:-1]), np.inf)
+        module = np.full(point_m.shape[:-1], -1)
         place_m, rise_m = np.zeros((*point_m.shape[:-1], 2)), np.zeros(point_m.shape[:-1])
         for number, zone in enumerate(self.zones):
             local_m = (point_m - self.plane_m[number]) @ self.axes[number].T
@@ -151,12 +152,14 @@ class MountSurface:
             low_m, high_m = zone.rise_m
             inside_m = self.zone_distance_m(here_m)
             away_m = np.maximum(-inside_m, 0.0) + np.abs(above_m - np.clip(above_m, low_m, high_m))
-            away_m = np.round(away_m, 6)  # zones that are as near are told apart by how deep the place lies in them
+            away_m = np.round(away_m, 6)  # of zones of a module that are as near, that in which the place lies deepest
             away_m = np.where(self.zone_at(here_m) == number, away_m, np.inf)
             if carriers is not None:
                 away_m = np.where(carriers[..., self.module_of_zone[number]], away_m, np.inf)
-            is_nearer = (away_m < best_m) | ((away_m == best_m) & np.isfinite(away_m) & (inside_m > deepest_m))
+            is_deeper = (away_m == best_m) & (module == self.module_of_zone[number]) & (inside_m > deepest_m)
+            is_nearer = (away_m < best_m) | is_deeper
             deepest_m = np.where(is_nearer, inside_m, deepest_m)
+            module = np.where(is_nearer, self.module_of_zone[number], module)
             best_m = np.where(is_nearer, away_m, best_m)
             place_m = np.where(is_nearer[..., None], here_m, place_m)
             rise_m = np.where(is_nearer, above_m, rise_m)
