@@ -156,10 +156,11 @@ class MountSurface:
             away_m = np.where(self.zone_at(here_m) == number, away_m, np.inf)
             if carriers is not None:
                 away_m = np.where(carriers[..., self.module_of_zone[number]], away_m, np.inf)
-            is_deeper = (away_m == best_m) & (module == self.module_of_zone[number]) & (inside_m > deepest_m)
+            carried = self.module_of_zone[number] if self.modules else 0
+            is_deeper = (away_m == best_m) & (module == carried) & (inside_m > deepest_m)
             is_nearer = (away_m < best_m) | is_deeper
             deepest_m = np.where(is_nearer, inside_m, deepest_m)
-            module = np.where(is_nearer, self.module_of_zone[number], module)
+            module = np.where(is_nearer, carried, module)
             best_m = np.where(is_nearer, away_m, best_m)
             place_m = np.where(is_nearer[..., None], here_m, place_m)
             rise_m = np.where(is_nearer, above_m, rise_m)
