@@ -17,7 +17,8 @@ UNTAPED = ("buffers.launch", "self.launch")  # `Buffers.launch`, which hands ``r
 def launches():
     """Kernel name, where it is launched, and the call."""
     for path in sorted((ROOT / "warpav").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
+        text = path.read_text()
+        for node in ast.walk(ast.parse(text)) if "launch" in text else ():
             if isinstance(node, ast.Call) and ast.unparse(node.func) in (*WARP, *UNTAPED):
                 keywords = {keyword.arg: keyword.value for keyword in node.keywords}
                 if ast.unparse(node.func) in UNTAPED:

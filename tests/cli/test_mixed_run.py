@@ -65,7 +65,6 @@ def test_a_run_of_two_modules_leaves_a_whole_run_folder(working_directory, capsy
     assert folder.config().rig.catalogue.name == "modules.yaml"
     (working_directory / "mine.yaml").unlink()  # the folder needs no file from elsewhere
     assert main(["evaluate", "mixed", "--soiling", "disc", "0.5", "0.5", "0.2", "--load", "1", "0"]) == 0
-    assert main(["inspect", "mixed", "--out", "rig.png"]) == 0
     assert main(["inspect", "mixed", "--show", "gain", "--out", "gain.png"]) == 0
     assert main(["rig", "export", "mixed", "--format", "opencv", "--out", "opencv"]) == 0
     capsys.readouterr()

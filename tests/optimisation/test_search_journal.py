@@ -74,7 +74,7 @@ def test_from_every_state_the_next_one_is_the_same(whole, every):
 
 
 @pytest.mark.parametrize(
-    "number", [1, pytest.param(7, marks=pytest.mark.nightly), 24]
+    "number", [pytest.param(1, marks=pytest.mark.nightly), pytest.param(7, marks=pytest.mark.nightly), 24]
 )  # before the pool is drawn, in a polish, in the refinement
 def test_from_a_state_the_end_is_the_same(whole, number):
     records, states, at_once = whole
