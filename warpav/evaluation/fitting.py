@@ -99,11 +99,12 @@ def size_ranges_m(
     tried_m = np.geomspace(_NEAREST_M, _FARTHEST_M, _DISTANCE_COUNT)
     found_px = size_px(np.broadcast_to(tried_m[:, None], (_DISTANCE_COUNT, len(across))))
     least_px = np.reshape(pixels, (-1, 1))
-    is_large = found_px >= least_px[..., None]  # [pixels, distance, direction]
+    is_large = np.asarray(found_px >= least_px[..., None])  # [pixels, distance, direction]
     first, last = is_large.argmax(axis=1), _DISTANCE_COUNT - 1 - is_large[:, ::-1].argmax(axis=1)
     outside = np.clip([first - 1, last + 1], 0, _DISTANCE_COUNT - 1)
     edges_m = _edge(lambda distance_m: size_px(distance_m) >= least_px, tried_m[[first, last]], tried_m[outside])
-    return np.where(is_large.any(axis=1)[..., None], np.moveaxis(edges_m, 0, -1), np.nan)
+    has_any = np.asarray(is_large.any(axis=1))
+    return np.where(has_any[..., None], np.moveaxis(edges_m, 0, -1), np.nan)
 
 
 def px_per_degree(camera: RigCamera, direction: np.ndarray) -> np.ndarray:
