@@ -164,7 +164,7 @@ def test_an_experiment_whose_driver_is_killed_goes_on(tmp_path, scenes, undistur
 def test_a_draw_of_cameras_whose_driver_is_killed_goes_on(tmp_path, executor):
     killed_when("kept 4", sys.executable, "-c", DRAW, str(tmp_path), executor)
     kept = len(list(tmp_path.glob("pool_*.npz")))
-    assert 5 <= kept < 40 * 3
+    assert 5 <= kept <= 40 * 3  # all, where the signal comes late
     again, undisturbed = drawn(40, cache=tmp_path), drawn(40)
     assert (again.cached_count, again.drawn_count) == (kept, 40 * 3 - kept)
     np.testing.assert_array_equal(again.detection_probability, undisturbed.detection_probability)

@@ -238,6 +238,7 @@ def test_a_fine_mesh_is_decimated_for_far_places(tmp_path):
 # ------------------------------------------------------------------------------------------ reproducible
 
 
+@pytest.mark.nightly
 def test_every_process_makes_the_same_scenes(fleet):
     code = (
         "from tests.scene.town.digests import bytes_digest, digest_of\n"
