@@ -227,7 +227,7 @@ class RunPictures:
             finally:
                 plotter.close()
         encoded = io.BytesIO()
-        Image.fromarray(np.hstack(images)).save(encoded, format="PNG")
+        Image.fromarray(np.hstack(images)).save(encoded, format="PNG", compress_level=4)
         write_whole(self.folder.figure_path("rig"), encoded.getvalue())
         return None
 

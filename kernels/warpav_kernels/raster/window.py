@@ -27,6 +27,8 @@ wp.set_module_options({"enable_backward": False})
 
 vec5 = wp.types.vector(length=5, dtype=float)
 
+FAR_EDGE = wp.constant(20.0)  # softnesses away, where a logistic edge is 1 to the last bit
+
 
 @wp.func
 def soft_edges(offset: float, half: float, softness: float) -> wp.vec3:
@@ -46,6 +48,8 @@ def window_density(camera: View, column: float, row: float, window_rad: wp.vec4,
     ray = ray_in_camera(camera, column, row)
     if wp.length_sq(ray) == 0.0:
         return vec5(0.0, 0.0, 0.0, 0.0, 0.0)
+    if wp.min(window_rad[2], window_rad[3]) > 2.0 * wp.pi + FAR_EDGE * softness_rad:
+        return vec5(solid_angle(camera, ray), 0.0, 0.0, 0.0, 0.0)
     azimuth = wp.atan2(-ray[0], ray[2]) - window_rad[0]
     azimuth -= 2.0 * wp.pi * wp.floor(azimuth / (2.0 * wp.pi) + 0.5)
     elevation = wp.atan2(-ray[1], wp.sqrt(ray[0] * ray[0] + ray[2] * ray[2])) - window_rad[1]
