@@ -278,7 +278,7 @@ def outcome_of(tests: list[str], tree: Path, *, timeout_s: float, stop_at_first:
         except subprocess.TimeoutExpired:
             os.killpg(run.pid, signal.SIGKILL)
             return None
-    if run.returncode == pytest.ExitCode.USAGE_ERROR:
+    if run.returncode == pytest.ExitCode.USAGE_ERROR and not failed_in(said):  # a mutant may stop a file's import
         raise SystemExit(said)
     return said if run.returncode == 0 or failed_in(said) else f"{said}\nERROR {CRASH}"
 
