@@ -19,7 +19,7 @@ class Recording:
     """A function that only launches kernels on fixed arrays; its second call is recorded, later ones replay.
 
     A recording holds memory of a GPU as long as it lives: half of what was free there before the first is left to other
-    programs, and what has no room in the rest is launched anew every time.
+    programs, and what has no room in the rest is launched again every time.
 
     The first call runs as it is: it compiles modules and lets the renderer's buffers grow. Whenever the renderer has
     moved its buffers, this starts again. After every call the renderer knows what it holds, as if it had been launched.
@@ -74,5 +74,5 @@ def _left_bytes(device: str) -> int:
 @cache
 def _say_full(device: str) -> None:
     """Say once that nothing more is recorded."""
-    text = "%s has %.1f GB free: further scenes are launched anew every time, which is slower; the numbers are the same"
+    text = "%s has %.1f GB free: other scenes are launched again every time, which is slower; the numbers are the same"
     _logger.warning(text, device, wp.get_device(device).free_memory / 1e9)
