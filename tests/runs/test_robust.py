@@ -30,12 +30,10 @@ SMALL = [
 
 
 def test_files_and_hashes_without_it_stay_as_they_were():
-    assert "robust" not in Config().model_dump()
     assert "robust" not in unseeded(Config())
     assert Config().robust.objective is None
     assert Config().robust.mount_errors is None
     with_loss = changed_config(Config(), MEAN, origin=None)
-    assert set(with_loss.model_dump()["robust"]) == {"camera_loss", "weight"}
     assert "mount_error" not in unseeded(with_loss)
 
 
@@ -55,7 +53,6 @@ def test_errors_that_are_written_are_read_again(tmp_path):
     assert '"robust.mount_error_m": 0.05' in unseeded(config)
     alone = changed_config(Config(), ERRORS[1:], origin=None)
     assert alone.robust.mount_errors == MountErrors(0.0, math.radians(3.0))
-    assert "mount_error_m" not in alone.model_dump()["robust"]
 
 
 @pytest.mark.parametrize(

@@ -22,13 +22,9 @@ config_app = App(name="config", help="Show, check, copy and compare configuratio
 @config_app.command(name="show")
 def config_show(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
     """Print a configuration with all its defaults."""
-    from warpav.runs.config import dump_config, flow_text, unset_options
+    from warpav.runs.config import dump_config
 
-    settings = loaded(config, overrides)
-    say(*dump_config(settings).splitlines())
-    say("# Not set above, with what holds then:")
-    for name, value in unset_options(settings).items():
-        say(f"# {name}={flow_text(value)}")
+    say(*dump_config(loaded(config, overrides)).splitlines())
 
 
 @config_app.command(name="check")

@@ -18,8 +18,7 @@ from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json
 from warpav.core.fingerprint import digest
-from warpav.runs.config import ZONES_FILE, Config, dump_config, option_values
-from warpav.runs.config.schema import LATER_OPTIONS
+from warpav.runs.config import KEPT_FILES, Config, dump_config, option_values
 from warpav.runs.environment import environment
 from warpav.runs.scene_set import own_vehicle_digest, recordings_digest, traffic_fleet_digest
 
@@ -29,7 +28,13 @@ RESULTS = "results"
 ATTAINABLE = "attainable"
 """Key of a result that says which objects of the test scenes can be found from the mount: 0 or 1, [scene][object]."""
 
-_LATER_OPTIONS = {f"{section}.{name}" for section, names in LATER_OPTIONS.items() for name in names}
+_LATER_OPTIONS = {
+    "run.checkpoint_every",
+    *(f"scenes.{name}" for name in ("level", "recordings", "test_recordings", "vehicles", "vehicles_share")),
+    *(f"rig.{name}" for name in ("fewest_cameras", "modules", "catalogue", "max_cost", "symmetric")),
+    *(f"baselines.{name}" for name in ("presets", "rigs", "preset_images")),
+    *("robust.mount_error_m", "robust.mount_error_deg"),
+}
 """Options that earlier results do not have; where they are not set, results do not depend on them."""
 
 
@@ -59,11 +64,11 @@ def open_folder(folder: Path, name: str, config: Config, camera_renders_max: int
         )
     try:
         (folder / RESULTS).mkdir(parents=True, exist_ok=True)
-        kept = config
+        kept: dict[str, object] = {}
         if config.mount.zones is not None:  # so that rigs can be judged where the file of the zones is not
-            (folder / ZONES_FILE).write_bytes(config.mount.zones.read_bytes())
-            kept = config.model_copy(update={"mount": config.mount.model_copy(update={"zones": Path(ZONES_FILE)})})
-        (folder / "config.yaml").write_text(dump_config(kept), encoding="utf-8")
+            kept = {"mount.zones": KEPT_FILES["mount.zones"]}
+            (folder / KEPT_FILES["mount.zones"]).write_bytes(config.mount.zones.read_bytes())
+        (folder / "config.yaml").write_text(dump_config(config, kept=kept), encoding="utf-8")
     except OSError as error:
         raise ArgumentError(
             place=folder, option="out", text=f"expected a folder that can be made, got: {error.strerror}"

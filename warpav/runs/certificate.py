@@ -9,14 +9,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Bound:
-    """What a selection has proven.
-
-    Attributes:
-        bound: No rig of the pool's cameras is expected to miss less than this share of the objects; with requirements
-            or a robust objective: none has a lower objective.
-        pool_cameras: Cameras of the pool.
-        camera_renders: Camera renders (one camera, one scene) until then, those that the cache has spared among them.
-    """
+    """What a selection has proven."""
 
     bound: float
     pool_cameras: int
@@ -27,12 +20,7 @@ class Bound:
 class Certificate:
     """How far a rig is from the best rig of a pool of cameras, on the scenes of the search and on no others.
 
-    Of cameras that the pool does not hold it proves nothing. How the bound moved while the pool grew, `bounds`, tells
-    how much others may still bring.
-
     Attributes:
-        objective: Expected miss rate of the rig that was found.
-        bounds: Of every selection, in order; at least one.
         scenes: How many scenes the search has seen; None: unknown.
     """
 

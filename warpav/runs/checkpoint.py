@@ -39,15 +39,7 @@ _MEANING = {
 
 
 def check_options(before: Config, after: Config) -> None:
-    """Make sure that a run can go on with a configuration.
-
-    Args:
-        before: That of the run so far.
-        after: That with which it is to go on.
-
-    Raises:
-        InputError: Options differ that change what has been computed.
-    """
+    """Make sure that a run can go on with a configuration."""
     known, given = option_values(before), option_values(after)
     differ = [
         name
@@ -84,11 +76,7 @@ def identity_of(placement: Placement) -> dict[str, str]:
 
 
 def check_identity(found: Mapping[str, str], expected: Mapping[str, str]) -> None:
-    """Make sure that a run goes on with what it began with.
-
-    Raises:
-        InputError: It would not; the text says what is another.
-    """
+    """Make sure that a run goes on with what it began with."""
     for name, text in _MEANING.items():
         if found.get(name) != expected[name]:
             raise InputError(f"checkpoint: {name}: expected {text}; put back what it was, or begin another run")

@@ -23,13 +23,7 @@ _TIMEOUT_S = 60
 
 @dataclass(frozen=True)
 class Commit:
-    """The code that runs.
-
-    Attributes:
-        hash: Full hash of the commit that is checked out; None for an installed package or a copy without history.
-        is_clean: Whether the code is that of the commit, in every file of the packages; None without a commit.
-        code: Hash of the packages' files, 64 hexadecimal digits; documentation in them does not count.
-    """
+    """The code that runs."""
 
     hash: str | None
     is_clean: bool | None

@@ -27,14 +27,7 @@ SELF_TEST_SUPERSAMPLING = 4  # long straight edges alias at 1
 
 @dataclass(frozen=True)
 class Finding:
-    """What one check found.
-
-    Attributes:
-        name: What was looked at.
-        status: ``ok``; ``warning`` when a part of warpav is out of use; ``failed`` when the main job cannot run.
-        text: What was found, in one line, and how to fix it.
-        details: The same for programs.
-    """
+    """What one check found."""
 
     name: str
     status: Status
@@ -43,14 +36,7 @@ class Finding:
 
 
 def examine(json_file: Path | None = None) -> int:
-    """Run all checks, print each as it ends, and return the exit status: 1 when one failed, else 0.
-
-    Args:
-        json_file: Where to write the findings as JSON; its folder must exist.
-
-    Raises:
-        InputError: ``json_file`` cannot be written.
-    """
+    """Run all checks, print each as it ends, and return the exit status: 1 when one failed, else 0."""
     from warpav.runs.terminal import Terminal, shown
 
     if json_file is not None and not json_file.absolute().parent.is_dir():
@@ -208,17 +194,7 @@ def check_renderer() -> Finding:
 
 
 def gradient_error(device: str) -> tuple[float, float]:
-    """How well the renderer's gradient agrees with finite differences on a small scene.
-
-    A box stands half behind another; the gradient is that of its visible area to position and yaw of one camera.
-
-    Args:
-        device: Warp device.
-
-    Returns:
-        Cosine of the angle between gradient and finite differences, and the length of their difference relative to
-        the latter.
-    """
+    """How well the renderer's gradient agrees with finite differences on a small scene."""
     import numpy as np
     import warp as wp
 

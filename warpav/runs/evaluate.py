@@ -85,15 +85,7 @@ def evaluate_on(
     began_as: Mapping[str, Rig | None] | None = None,
     progress: Progress,
 ) -> RigEvaluation:
-    """Measure rigs on scenes that are on the device.
-
-    Args:
-        rigs: By name.
-        scenes: Of `Placement.observed`, or of the placement itself.
-        placement: Likewise.
-        began_as: The rig that a rig began as, by name, see `Placement.assigned`; without one a rig is its own.
-        progress: Shows how many rigs are done.
-    """
+    """Measure rigs on scenes that are on the device."""
     began_as = {} if began_as is None else began_as
     observations = {
         name: observe_scenes(

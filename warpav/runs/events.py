@@ -17,15 +17,7 @@ _MEND_EVENTS = "remove the line, or the file to go without the iterations"
 
 
 def read_events(file: Path, *, least: int = 0) -> list[dict[str, Any]]:
-    """The iterations in a file; a line that was cut off in the middle of being written is left out.
-
-    Args:
-        file: The file; without it there are none.
-        least: How many there have to be.
-
-    Raises:
-        InputError: The file cannot be read, a line is no iteration of a run, or iterations are missing.
-    """
+    """The iterations in a file; a line that was cut off in the middle of being written is left out."""
     if not file.exists():
         return []
     lines = read_bytes(file, "the iterations of a run", bytes_max=DATA_SET_BYTES_MAX).split(b"\n")
@@ -55,11 +47,7 @@ def read_events(file: Path, *, least: int = 0) -> list[dict[str, Any]]:
 
 
 def trajectory(events: Sequence[Mapping[str, Any]]) -> np.ndarray | None:
-    """Camera positions over the iterations [m], shape [iteration, camera, 3]; None for fewer than two iterations.
-
-    Of several descents it is that of the one that found the best rig, and of rigs of different modules of those that
-    have the modules of the best.
-    """
+    """Camera positions over the iterations [m], shape [iteration, camera, 3]; None for fewer than two iterations."""
     import numpy as np
 
     evaluated = [event for event in events if event.get("training_objective") is not None]

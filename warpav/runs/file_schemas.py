@@ -17,10 +17,7 @@ FILES = ("config", *_SCHEMAS)
 
 
 def file_schema(of: str) -> dict[str, Any]:
-    """The schema of one of `FILES`, draft 2020-12.
-
-    What contradicts itself, and files that others name, are for the readers alone to judge.
-    """
+    """The schema of one of `FILES`, draft 2020-12."""
     if of == "config":
         return document("config", "configuration of a run", Config.model_json_schema())
     return _SCHEMAS[of]()

@@ -18,7 +18,7 @@ from warpav.optimisation.history import IterationRecord
 from warpav.optimisation.pool import pool_cache_folder
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.rig.rig import Rig, write_rig
-from warpav.runs.checkpoint import check_options, identity_of
+from warpav.runs.checkpoint import check_options
 from warpav.runs.config import Config, flow_text, placed_config
 from warpav.runs.evaluate import evaluate_on
 from warpav.runs.mounts import preset_for
@@ -66,7 +66,7 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
             device=device_name(config.device),
             start=placement.start_rig,
             freeze=config.rig.freeze,
-            hashes=identity_of(placement),
+            hashes=optimisation.identity,
         )
         if config.run.out is None:
             held.enter_context(held_run(folder))
@@ -124,7 +124,7 @@ def resume_rig(folder: RunFolder, config: Config, *, progress: Progress) -> tupl
         # from here on the folder is written to
         folder.replace_events(events)
         folder.remove_verdict()
-        folder.replace_config(config)
+        folder.write_config(config, freeze=config.rig.freeze)
         folder.note_resumed(done)
         return _run_to_the_end(folder, optimisation, timer, progress)
 

@@ -61,11 +61,7 @@ def has_zones(config: Config) -> bool:
 
 
 def rig_modules(config: Config) -> tuple[Module, ...]:
-    """The camera modules that a rig may be made of, in the order of ``rig.modules``; none: equal cameras.
-
-    Raises:
-        InputError: The catalogue cannot be read, or has no such module.
-    """
+    """The camera modules that a rig may be made of, in the order of ``rig.modules``; none: equal cameras."""
     if config.rig.modules is None:
         return ()
     catalogue = builtin_modules() if config.rig.catalogue is None else read_modules(config.rig.catalogue)
@@ -78,11 +74,7 @@ def rig_modules(config: Config) -> tuple[Module, ...]:
 
 
 def check_one_unit(modules: Iterable[Module]) -> None:
-    """Refuse modules whose prices cannot be added.
-
-    Raises:
-        InputError: They have prices of different units.
-    """
+    """Refuse modules whose prices cannot be added."""
     of_unit = {module.price.unit: module.name for module in modules}
     if len(of_unit) > 1:
         given = " and ".join(f"{unit} ({name})" for unit, name in of_unit.items())
@@ -98,16 +90,7 @@ def camera_models(config: Config) -> tuple[CameraModel, ...]:
 
 
 def preset_for(name: str, config: Config, ego: Mesh) -> MovedRig:
-    """A preset on a vehicle, its images in their own proportions, as ``baselines.preset_images`` says.
-
-    Args:
-        name: The preset.
-        config: Gives the number of pixels and the near plane.
-        ego: The vehicle.
-
-    Raises:
-        InputError: There is no such preset.
-    """
+    """A preset on a vehicle, its images in their own proportions, as ``baselines.preset_images`` says."""
     moved = preset_on_vehicle(name, ego)
     cameras = [dataclasses.replace(each, model=_network_model(each.model, config)) for each in moved.rig.cameras]
     return dataclasses.replace(moved, rig=Rig(cameras))
@@ -128,15 +111,7 @@ def _network_model(model: CameraModel, config: Config) -> CameraModel:
 
 
 def rig_limits(config: Config, surface: MountSurface) -> RigLimits | None:
-    """How many cameras of which module a rig may have; None where all cameras are equal.
-
-    Args:
-        config: The configuration.
-        surface: Of `mount_surface`, from this configuration.
-
-    Raises:
-        InputError: No rig satisfies them.
-    """
+    """How many cameras of which module a rig may have; None where all cameras are equal."""
     from warpav.optimisation.rig_limits import RigLimits
 
     if config.rig.modules is None:
@@ -167,13 +142,7 @@ def free_ranges(config: Config) -> FreeRanges:
 
 
 def mount_surface(config: Config, ego: Mesh) -> MountSurface:
-    """Where cameras may stand on the ego vehicle: in the zones of ``mount.zones``, or on roof and bonnet.
-
-    Modules without ``mount.zones`` stand in those that the body suggests.
-
-    Raises:
-        InputError: Nothing on it faces upwards enough, a zone selects nothing of it, or a module fits no zone.
-    """
+    """Where cameras may stand on the ego vehicle: in the zones of ``mount.zones``, or on roof and bonnet."""
     if not has_zones(config):
         return roof_surface(config, ego)
     path = config.mount.zones
@@ -196,11 +165,7 @@ def mount_surface(config: Config, ego: Mesh) -> MountSurface:
 
 
 def roof_surface(config: Config, ego: Mesh) -> MountSurface:
-    """Roof and bonnet of the ego vehicle.
-
-    Raises:
-        InputError: Nothing on it faces upwards enough.
-    """
+    """Roof and bonnet of the ego vehicle."""
     return mount_surface_from_mesh(
         ego,
         cell_m=config.mount.cell_m,
@@ -211,16 +176,7 @@ def roof_surface(config: Config, ego: Mesh) -> MountSurface:
 
 
 def camera_mount(config: Config, ego: Mesh, *, say: Callable[[str], None] | None = None) -> CameraMount:
-    """The mount surface of the ego vehicle on the device, with the cameras of the configuration.
-
-    Args:
-        config: The configuration.
-        ego: The vehicle in the ego frame [m].
-        say: Reports zones that carry some module not, as its housing has no room there.
-
-    Raises:
-        InputError: As of `mount_surface`, or a zone lies behind glass and the search knows no such cameras.
-    """
+    """The mount surface of the ego vehicle on the device, with the cameras of the configuration."""
     from warpav.optimisation.mount import CameraMount
 
     surface = mount_surface(config, ego)
@@ -245,16 +201,7 @@ def camera_mount(config: Config, ego: Mesh, *, say: Callable[[str], None] | None
 
 
 def constraints_of(config: Config, surface: MountSurface, frozen: FrozenCameras | None = None) -> Constraints:
-    """What the method demands of the places of the cameras.
-
-    Args:
-        config: The configuration.
-        surface: What they stand on.
-        frozen: Those that stay as they are.
-
-    Raises:
-        InputError: No place of the mountable zone is far enough from its border.
-    """
+    """What the method demands of the places of the cameras."""
     from warpav.optimisation.constraints import BoundsAndSpacing, ZoneAndSpacing
 
     if config.method == "thesis":
@@ -272,16 +219,7 @@ def constraints_of(config: Config, surface: MountSurface, frozen: FrozenCameras 
 
 
 def checked_frozen(config: Config, start: Rig, freeze: Collection[str]) -> Rig:
-    """The rig that a run starts from, as a mount can hold some of its cameras.
-
-    Args:
-        config: Gives the other cameras their model.
-        start: The rig.
-        freeze: Names of the cameras that stay as they are.
-
-    Raises:
-        InputError: The rig has no such camera, or one that cannot be in one rig with those of the configuration.
-    """
+    """The rig that a run starts from, as a mount can hold some of its cameras."""
     named = "the start rig" if config.rig.start in NAMED_STARTS else config.rig.start
     shared, known = camera_model(config), [camera.name for camera in start.cameras]
     cameras = []
@@ -329,14 +267,7 @@ def _as_frozen(model: CameraModel) -> str:
 
 
 def with_shared_model(rig: Rig, config: Config) -> Rig:
-    """A rig from a file, its cameras completed by the camera model of a configuration.
-
-    They take its near plane, which files do not hold, and the model itself where they differ by rounding alone.
-
-    Args:
-        rig: The rig.
-        config: The configuration.
-    """
+    """A rig from a file, its cameras completed by the camera model of a configuration."""
     known = camera_models(config)
     cameras = []
     for camera in rig.cameras:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from warpav.optimisation.search import SearchSpace
 from warpav.optimisation.starts import evaluate_starts
 from warpav.rig.rig import Rig
 from warpav.runs.checkpoint import check_identity, identity_of
-from warpav.runs.config import Config, changed_config
+from warpav.runs.config import Config
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress
 from warpav.runs.result import Result
@@ -54,16 +55,16 @@ def optimise(
     """
     if not isinstance(placement, Placement):
         raise TypeError(f"placement: expected a Placement, got {type(placement).__name__}")
-    overrides = []
+    changes: dict[str, object] = {}
     for name, option, value in (("iterations", "run.iterations", iterations), ("seed", "run.seed", seed)):
         if value is not None:
             if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
                 raise TypeError(f"{name}: expected a whole number, got {value!r}")
             if value < (name == "iterations"):
                 raise ArgumentError(name, f"expected at least {int(name == 'iterations')}, got {value}")
-            overrides.append(f"{option}={int(value)}")
-    if overrides:
-        placement = placement.with_config(changed_config(placement.config, overrides, origin=None))
+            changes[option] = int(value)
+    if changes:
+        placement = placement.with_config(placement.config.replace(changes))
     with shown_progress(progress) as shown:
         placement.prepare(shown)
         optimisation = Optimisation.begin(placement, is_kept=True, progress=shown)
@@ -90,15 +91,7 @@ def pool_search_settings(config: Config) -> PoolSearchSettings:
 
 
 class Optimisation:
-    """One run of the optimiser, step by step.
-
-    Attributes:
-        placement: What it runs on.
-        descent: The descent.
-        began_as: The rig whose cameras the orientations are paired with; None when camera k takes orientation k. See
-            `Placement.assigned`.
-        records: What every step did.
-    """
+    """One run of the optimiser, step by step."""
 
     def __init__(
         self,
@@ -129,26 +122,7 @@ class Optimisation:
         is_kept: bool = False,
         progress: Progress | None = None,
     ) -> Optimisation:
-        """Find the rig to start from.
-
-        It is the rig that ``rig.start`` means, or the best of ``optimiser.starts`` rigs on the validation scenes, that
-        one among them; with ``optimiser.descents`` the next descent starts from the second best, and so on.
-
-        Args:
-            placement: What to run on.
-            start: Mount poses to start from instead, float32 [camera, 7]; no others are tried.
-            further_starts: With it those of further descents.
-            began_as: Whose cameras take the orientations then, see `Placement.assigned`.
-            executor: Where the search by a pool draws its cameras; None: here.
-            pool: How much a search by a pool looks at; None: as configured.
-            keeps_pool: Whether cameras that it draws are kept in the cache, and those found there are not drawn again.
-            known_pool: Of an earlier search of the same cameras on the same scenes, which this one goes on with.
-            is_kept: Whether `state` is asked for.
-            progress: Shows that several starts are tried.
-
-        Raises:
-            InputError: The cameras do not fit on the mount surface.
-        """
+        """Find the rig to start from."""
         config, mount, objective = placement.config, placement.mount, placement.objective
         by_pool = searches_by_pool(placement)
         further = list(further_starts)
@@ -220,18 +194,7 @@ class Optimisation:
         executor: Executor | None = None,
         progress: Progress | None = None,
     ) -> Optimisation:
-        """A run that goes on from where another of the same placement was when it gave `state`.
-
-        Args:
-            placement: What to run on: the same scenes, vehicle, detector and options, but for those that may change.
-            state: As `state` gave it.
-            events: What its steps did, as ``events.jsonl`` has it.
-            executor: As of `begin`.
-            progress: Likewise.
-
-        Raises:
-            InputError: The state is one of something else, or not whole.
-        """
+        """A run that goes on from where another of the same placement was when it gave `state`."""
         starts = state.get("start_poses")
         if starts is None or "identity" not in state:
             raise InputError("checkpoint: expected one that a run can go on from, got one of an earlier version")
@@ -251,12 +214,17 @@ class Optimisation:
         run.records = [IterationRecord(**event) for event in events]
         return run
 
+    @cached_property
+    def identity(self) -> dict[str, str]:
+        """Hashes of what the run depends on besides its options, taken once."""
+        return identity_of(self.placement)
+
     def state(self) -> dict[str, np.ndarray]:
         """Everything that `resumed` needs, as arrays of numbers and text; ``iteration`` is the number of steps."""
         state = self.descent.state()
         return {
             "iteration": state["iteration"],
-            "identity": np.array(json.dumps(identity_of(self.placement))),
+            "identity": np.array(json.dumps(self.identity)),
             "start_poses": np.array(self._starts),
             **named_part("search", state),
         }
@@ -267,12 +235,7 @@ class Optimisation:
         return self.placement.mount.rig(self.descent.start)
 
     def run(self, *, progress: Progress, on_step: Callable[[IterationRecord], None] | None = None) -> None:
-        """Take all steps, or as many as are of use.
-
-        Args:
-            progress: Shows every step.
-            on_step: Called with the record of every step, before the next.
-        """
+        """Take all steps, or as many as are of use."""
         config, descent = self.placement.config, self.descent
         count = config.run.iterations if isinstance(descent, Descent) else None
         with contextlib.suppress(NotFiniteError):  # the verdict says so

@@ -44,7 +44,7 @@ from warpav.raster.mesh import Mesh
 from warpav.requirements.read import read_requirements
 from warpav.requirements.requirement import Requirement
 from warpav.rig.rig import Rig
-from warpav.runs.config import AUTO, Config, RigConfig, changed_config, flow_text
+from warpav.runs.config import AUTO, Config, RigConfig
 from warpav.runs.config.schema import NO_REQUIREMENTS
 from warpav.runs.detector_fit import ensure_fit, fit_config
 from warpav.runs.mounts import camera_models, checked_frozen, constraints_of, rig_limits
@@ -94,18 +94,13 @@ class Parts:
     """What a placement is made of, as far as it is known without work.
 
     Attributes:
-        config: All numbers.
         start: The rig that the optimiser starts from, as it was given; None: as ``config.rig.start`` says, ``random``
             or ``highest``.
-        freeze: Names of the cameras of ``start`` that stay as they are.
-        ego: The vehicle that takes the place of every scene's own, where it is not ``config.scenes.ego``.
         networks: The detector; None: that of ``config``.
         probability: The model of detection probability, or one for each module; None:
             `warpav.runs.detector_fit.ensure_fit` gives it.
         losses: Every loss with its weight; None: those of ``config``.
         requirements: What has to be seen near the vehicle; None: as ``config.requirements`` says.
-        has_own_detector: Whether the detector is an object that no configuration describes.
-        has_own_scenes: Whether the scenes are objects that no configuration describes.
     """
 
     config: Config
@@ -238,8 +233,7 @@ class Placement:
             **({} if rig is None else {f"rig.{name}": value for name, value in _section(rig).items()}),
             **_scene_options(train, validation, base),
         }
-        overrides = [f"{name}={flow_text(value)}" for name, value in options.items() if value is not None]
-        found = changed_config(base, overrides, origin=None)
+        found = base.replace({name: value for name, value in options.items() if value is not None})
         names = (freeze,) if isinstance(freeze, str) else tuple(freeze)
         if start_rig is None:
             start_rig = read_start(found, names)
@@ -620,14 +614,7 @@ class Placement:
 def placement_on(
     scenes: SceneSet, config: Config, networks: Networks, probability: DetectionProbabilities | None
 ) -> Placement:
-    """A placement on scenes that are on the device already.
-
-    Args:
-        scenes: Of `load_scene_set`, from this configuration or from one with the same `scene_part`.
-        config: The configuration.
-        networks: Of `load_networks`, from this configuration.
-        probability: Of `ensure_fit`, likewise.
-    """
+    """A placement on scenes that are on the device already."""
     start = read_start(config)
     parts = Parts(config, start, config.rig.freeze, networks=networks, probability=probability)
     placement = Placement.of(parts, lambda _: scenes)

@@ -10,18 +10,7 @@ from warpav.runs.placement import Placement
 
 
 def know_cameras(rig: Rig, placement: Placement, progress: Progress | None = None) -> None:
-    """Let the objective of a placement know how likely cameras of other models are to detect, so that it judges them.
-
-    Where the objective needs no such model, or does not follow from single cameras, nothing happens.
-
-    Args:
-        rig: Its cameras.
-        placement: Gets to know them.
-        progress: As of `ensure_fit`.
-
-    Raises:
-        InputError: The model cannot be fitted.
-    """
+    """Give a placement's objective the models of detection probability of other cameras, so that it judges them."""
     objective, parts = placement.objective, placement.parts
     if not objective.is_by_single_cameras or parts.probability is not None:
         return

@@ -29,11 +29,7 @@ PLAIN_LINES_PER_STAGE = 10
 
 
 class RunDisplay:
-    """Shows the stages of a run and its iterations; a context manager.
-
-    In a terminal it redraws one table in place. Elsewhere it prints whole lines: one when a stage starts, and one for
-    about every tenth of its steps.
-    """
+    """Shows the stages of a run and its iterations; a context manager."""
 
     def __init__(self, console: Terminal | None = None) -> None:
         # in a notebook, and below one, which sets FORCE_COLOR, nothing can be redrawn either
@@ -94,13 +90,7 @@ class RunDisplay:
             yield item
 
     def iterations(self, records: Iterable[Record], *, count: int | None, min_spacing_m: float) -> Iterator[Record]:
-        """Pass the records of an optimisation on and show their numbers.
-
-        Args:
-            records: Iteration records: loss, terms, multipliers, gradient norms, positions, seconds.
-            count: How many are expected; None: nobody knows, as in a search by a pool.
-            min_spacing_m: Least allowed distance between cameras [m], shown beside the actual one.
-        """
+        """Pass the records of an optimisation on and show their numbers."""
         if count is None:
             yield from self._states(records, min_spacing_m)
             return
@@ -164,11 +154,7 @@ class RunDisplay:
 
 @contextlib.contextmanager
 def shown_progress(progress: bool | Progress | None) -> Iterator[Progress]:
-    """What a job reports to: a display for True, nothing for False and None, else the object itself.
-
-    Raises:
-        TypeError: It is something else.
-    """
+    """What a job reports to: a display for True, nothing for False and None, else the object itself."""
     if progress is True:
         with RunDisplay() as display:
             yield display
@@ -181,10 +167,7 @@ def shown_progress(progress: bool | Progress | None) -> Iterator[Progress]:
 
 
 def iteration_rows(record: object, *, min_spacing_m: float) -> dict[str, str]:
-    """The numbers of one iteration as text by name: loss, terms, multipliers, gradient norms, spacing.
-
-    Of a search by a pool what has just been done, the objective of the best rig so far, bound and camera renders.
-    """
+    """The numbers of one iteration as text by name: loss, terms, multipliers, gradient norms, spacing."""
     spacing_m = getattr(record, "min_camera_distance_m", None)
     closest = {"closest cameras": f"{_number(spacing_m)} m (limit {min_spacing_m:g} m)"}
     if getattr(record, "stage", None) is not None:

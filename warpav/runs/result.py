@@ -25,7 +25,7 @@ from warpav.rig.rig import Rig, write_rig
 from warpav.runs.baseline_rigs import highest_rig
 from warpav.runs.certificate import Certificate
 from warpav.runs.checkpoint import identity_of
-from warpav.runs.config import Config, changed_config, flow_text
+from warpav.runs.config import Config
 from warpav.runs.evaluate import evaluate_on, requirements_of
 from warpav.runs.events import of_modules
 from warpav.runs.fitting_plots import FITTING_KINDS, FittedRigs, fitting_drawing
@@ -228,7 +228,7 @@ class Result:
         if test is None and placement.parts.has_own_scenes:
             raise ArgumentError("test", "expected scenes to compare rigs on, as the placement's are objects, got none")
         path = Path(folder).expanduser()
-        config = changed_config(placement.config, [f"run.out={flow_text(str(path))}"], origin=None)
+        config = placement.config.replace({"run.out": str(path)})
         with shown_progress(progress) as shown:
             written = RunFolder.create(
                 config,
@@ -249,7 +249,7 @@ class Result:
                 given = list(load_scenes(config, config.scenes.test_seeds)) if test is None else list(test)
                 scenes, first = placement.observed(given, progress=shown), given[0]
                 if test is not None:
-                    written.replace_config(_with_scenes(config, placement, given, written))
+                    written.write_config(_with_scenes(config, placement, given, written), freeze=placement.parts.freeze)
             write_verdict(written, self, scenes, first, timer=timer, progress=shown)
         return written.path
 
@@ -332,19 +332,7 @@ def write_verdict(
     timer: StageTimer,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Complete a run folder that has its iterations: rigs, evaluation, figures, report.
-
-    Args:
-        folder: The run folder.
-        result: What goes into it.
-        test: Scenes to compare rigs on.
-        first: The first of them, for figures.
-        timer: Its stages go into the evaluation.
-        progress: Shows what is going on.
-
-    Returns:
-        The content of ``evaluation.json``.
-    """
+    """Complete a run folder that has its iterations: rigs, evaluation, figures, report."""
     from warpav.evaluation.blind_ground import BlindGround
     from warpav.runs.report.report import write_report
     from warpav.runs.run_figures import GROUND_SCENES, RunPictures
@@ -466,7 +454,7 @@ def _with_scenes(config: Config, placement: Placement, test: Sequence[Scene], fo
         "scenes.validation_seeds": seeds[1] or None,
         "scenes.test_seeds": seeds[2],
     }
-    return changed_config(config, [f"{name}={flow_text(value)}" for name, value in options.items()], origin=None)
+    return config.replace(options)
 
 
 def _history(records: Sequence[IterationRecord], candidates: Sequence[Candidate]) -> dict[str, list[float]]:

@@ -24,18 +24,7 @@ def check_rig(
     json_file: Path | None = None,
     image: Path | None = None,
 ) -> Iterator[str]:
-    """Check a rig against requirements; lines that say what it meets.
-
-    Args:
-        source: Run folder, rig YAML, preset, or ``highest``.
-        config: Gives the vehicle: ``scenes.ego``, or that of the first test scene.
-        requirements: YAML file, or a template's name.
-        json_file: JSON file to write.
-        image: PNG file to draw it into.
-
-    Raises:
-        InputError: The rig or the requirements cannot be used, or a file cannot be written.
-    """
+    """Check a rig against requirements; lines that say what it meets."""
     from warpav.view.figures.requirements import requirement_map
     from warpav.view.figures.style import checked_png
 

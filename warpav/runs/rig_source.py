@@ -42,11 +42,7 @@ def is_run_folder(source: str) -> bool:
 
 
 def check_rig_source(source: str) -> None:
-    """Reject early what :func:`find_rig` would reject after the scenes have been built.
-
-    Raises:
-        InputError: ``source`` means no rig.
-    """
+    """Reject early what :func:`find_rig` would reject after the scenes have been built."""
     if source != HIGHEST:
         read_rig(rig_file(source))
 
@@ -57,18 +53,7 @@ def is_shipped(source: str) -> bool:
 
 
 def find_rig(source: str, config: Config, ego: Mesh, *, say: Callable[[str], object] = _logger.warning) -> Rig:
-    """The rig that ``source`` means: a rig YAML, a preset, a run folder, or ``highest``.
-
-    Args:
-        source: What the user wrote.
-        config: Gives the near plane of all cameras, and everything about the cameras of ``highest``.
-        ego: The vehicle on whose highest point ``highest`` stands, and on whose body a preset does, unless it is the
-            embedded one.
-        say: Reports that, and if cameras of a file are far from the surface of the vehicle.
-
-    Raises:
-        InputError: It means none, or the file cannot be used.
-    """
+    """The rig that ``source`` means: a rig YAML, a preset, a run folder, or ``highest``."""
     if source == HIGHEST:
         from warpav.optimisation.baselines import highest_mount_pose
 
@@ -88,11 +73,7 @@ def find_rig(source: str, config: Config, ego: Mesh, *, say: Callable[[str], obj
 def config_for(
     source: str, config: str | None, overrides: Sequence[str], *, default: str
 ) -> contextlib.AbstractContextManager[Config]:
-    """The configuration with which to look at a rig: the given one, else that of the run folder, else ``default``.
-
-    Returns:
-        What :func:`warpav.runs.config.placed_config` returns.
-    """
+    """The configuration with which to look at a rig: the given one, else that of the run folder, else ``default``."""
     if config is None and is_run_folder(source):
         config = str(RunFolder.open(source).path / "config.yaml")
     return placed_config(config or default, overrides)
@@ -104,18 +85,7 @@ def arm_name(source: str) -> str:
 
 
 def arm_names(source: str, beside: Sequence[str] = ()) -> dict[str, str]:
-    """Rigs that are compared, by what they are called in results.
-
-    Args:
-        source: The first.
-        beside: The others: run folders have their own names, and what has the name of another its whole path.
-
-    Returns:
-        The sources by name, the first first.
-
-    Raises:
-        InputError: One means no rig, or is there twice.
-    """
+    """Rigs that are compared, by what they are called in results."""
     names = {arm_name(source): source}
     for each in beside:
         name = Path(each).absolute().name if is_run_folder(each) else arm_name(each)
@@ -129,11 +99,7 @@ def arm_names(source: str, beside: Sequence[str] = ()) -> dict[str, str]:
 
 
 def rig_to_export(source: str) -> Rig:
-    """The rig that ``source`` means; ``highest`` stands on the embedded vehicle, with the cameras of ``quick``.
-
-    Raises:
-        InputError: It means none, or the file cannot be used.
-    """
+    """The rig that ``source`` means; ``highest`` stands on the embedded vehicle, with the cameras of ``quick``."""
     if source != HIGHEST:
         return read_rig(rig_file(source))
     from warpav.scene.town.town import town_scene
@@ -143,20 +109,12 @@ def rig_to_export(source: str) -> Rig:
 
 
 def rig_file(source: str) -> Path:
-    """The file of the rig that a rig YAML, a preset or a run folder means.
-
-    Raises:
-        InputError: It means none.
-    """
+    """The file of the rig that a rig YAML, a preset or a run folder means."""
     return RunFolder.open(source).rig_file() if is_run_folder(source) else find_rig_file(source)
 
 
 def read_baselines(config: Config) -> dict[str, Rig]:
-    """The rigs of ``baselines.rigs`` by their names, those of their files.
-
-    Raises:
-        InputError: One cannot be read, or has the name of another rig that the run compares.
-    """
+    """The rigs of ``baselines.rigs`` by their names, those of their files."""
     taken = {"optimised", "start", "highest", "random", *(config.baselines.presets or ())}
     rigs: dict[str, Rig] = {}
     for path in config.baselines.rigs or ():
@@ -170,16 +128,7 @@ def read_baselines(config: Config) -> dict[str, Rig]:
 
 
 def read_start(config: Config, freeze: Collection[str] = ()) -> Rig | None:
-    """The rig that ``rig.start`` names; None where it names none.
-
-    Args:
-        config: The configuration.
-        freeze: Names of the cameras that stay as they are; none: those of ``rig.freeze``.
-
-    Raises:
-        InputError: It cannot be read, has a number of cameras that a run cannot start from (see `with_added_cameras`),
-            or cameras of ``rig.freeze`` that cannot be held.
-    """
+    """The rig that ``rig.start`` names; None where it names none."""
     if config.rig.start in NAMED_STARTS:
         return None
     start = config.rig.start
@@ -202,16 +151,7 @@ def read_start(config: Config, freeze: Collection[str] = ()) -> Rig | None:
 
 
 def with_added_cameras(rig: Rig, config: Config, freeze: Collection[str]) -> Rig:
-    """A rig with as many cameras as a run has, where the rig has fewer and some of them stay as they are.
-
-    Each added camera faces the middle of the widest gap between the yaws of those before it. It stands near the middle
-    of the rig, until the mount places it on the vehicle. Rigs of modules stay as they are.
-
-    Args:
-        rig: The rig.
-        config: Gives the number of cameras, and the model of those that are added.
-        freeze: Names of the cameras that stay; none: nothing is added.
-    """
+    """A rig with as many cameras as a run has, where the rig has fewer and some of them stay as they are."""
     if not freeze or config.rig.modules is not None:
         return rig
     cameras = list(rig.cameras)
@@ -229,12 +169,7 @@ def with_added_cameras(rig: Rig, config: Config, freeze: Collection[str]) -> Rig
 
 
 def start_changes(start: Rig, begun: Rig) -> str:
-    """What a run cannot keep of the rig that it starts from: one line, empty where that is nothing.
-
-    Args:
-        start: The rig as its file has it.
-        begun: These cameras as the run begins with them, and those that it adds.
-    """
+    """What a run cannot keep of the rig that it starts from: one line, empty where that is nothing."""
     changes = []
     if len(start.cameras) < len(begun.cameras):
         changes.append(f"has {len(start.cameras)} of {len(begun.cameras)} cameras, and the run adds the others")

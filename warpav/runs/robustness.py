@@ -86,10 +86,7 @@ def tolerance_on(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> MountTolerance | None:
-    """What errors of mounting cost a rig on scenes that are on the device, see `mount_tolerance`.
-
-    None where the objective is not the expected miss rate alone.
-    """
+    """What errors of mounting cost a rig on scenes that are on the device, see `mount_tolerance`."""
     cameras = single_cameras_of(placement.objective)
     if cameras is None:
         return None

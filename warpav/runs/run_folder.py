@@ -37,16 +37,7 @@ from warpav.rig.presets import preset_names
 from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.zone import read_zones, write_zones
 from warpav.runs.certificate import Certificate
-from warpav.runs.config import (
-    CATALOGUE_FILE,
-    REQUIREMENTS_FILE,
-    START_FILE,
-    ZONES_FILE,
-    Config,
-    dump_config,
-    load_config,
-    with_absolute_paths,
-)
+from warpav.runs.config import KEPT_FILES, Config, dump_config, load_config, with_absolute_paths
 from warpav.runs.environment import command_line, environment
 from warpav.runs.events import flat_numbers, of_modules, read_events, trajectory
 from warpav.runs.fitting_plots import FITTING_KINDS, FittedRigs, fitting_drawing
@@ -116,21 +107,17 @@ class RunFolder:
             folder = cls(path)
             for name in ("checkpoints", "figures"):
                 (path / name).mkdir(exist_ok=True)
-        config = with_absolute_paths(config)
-        folder.replace_config(config)  # from here on a run that is killed can be resumed
         if start is not None and config.rig.start not in preset_names():
             write_rig(start, folder.rig_path("start"))
-            rig = config.rig.model_copy(update={"start": START_FILE, "freeze": tuple(freeze)})
-            config = config.model_copy(update={"rig": rig})
         if config.mount.zones is not None:
-            write_zones(read_zones(config.mount.zones), path / ZONES_FILE)
+            write_zones(read_zones(config.mount.zones), path / KEPT_FILES["mount.zones"])
         if config.rig.catalogue is not None:
-            shutil.copyfile(config.rig.catalogue, path / CATALOGUE_FILE)
+            shutil.copyfile(config.rig.catalogue, path / KEPT_FILES["rig.catalogue"])
         if config.requirements_file is not None:
-            copy_requirements(config.requirements_file, path / REQUIREMENTS_FILE)
-        folder.replace_config(config)
-        nowhere = config.model_copy(update={"run": config.run.model_copy(update={"out": None})})
-        known = {"configuration": digest(dump_config(nowhere)), **(hashes or {})}
+            copy_requirements(config.requirements_file, path / KEPT_FILES["requirements"])
+        config = with_absolute_paths(config)
+        folder.write_config(config, freeze=freeze)  # from here on a run that is killed can be resumed
+        known = {"configuration": digest(dump_config(config.replace({"run.out": None}))), **(hashes or {})}
         write_json(path / "env.json", {**environment(config, device), "own_detector": own_detector, "hashes": known})
         return folder
 
@@ -150,21 +137,12 @@ class RunFolder:
             )
         return cls(folder)
 
-    def replace_config(self, config: Config) -> None:
-        """Write ``config.yaml`` (again), with the same start, zones, catalogue of modules and requirements."""
-        if (self.path / START_FILE).is_file():
-            rig = self.config().rig if (self.path / "config.yaml").is_file() else config.rig
-            config = config.model_copy(update={"rig": rig.model_copy(update={"start": START_FILE})})
-        if (self.path / CATALOGUE_FILE).is_file():
-            config = config.model_copy(
-                update={"rig": config.rig.model_copy(update={"catalogue": Path(CATALOGUE_FILE)})}
-            )
-        if (self.path / REQUIREMENTS_FILE).is_file():
-            config = config.model_copy(update={"requirements": REQUIREMENTS_FILE})
-        if (self.path / ZONES_FILE).is_file():
-            mount = config.mount.model_copy(update={"zones": Path(ZONES_FILE)})
-            config = config.model_copy(update={"mount": mount})
-        write_text(self.path / "config.yaml", dump_config(config))
+    def write_config(self, config: Config, *, freeze: Sequence[str] = ()) -> None:
+        """Write ``config.yaml``, which names those of `KEPT_FILES` that lie beside it; ``freeze`` as of `create`."""
+        kept: dict[str, object] = {name: file for name, file in KEPT_FILES.items() if (self.path / file).is_file()}
+        if "rig.start" in kept:
+            kept["rig.freeze"] = list(freeze)
+        write_text(self.path / "config.yaml", dump_config(config, kept=kept))
 
     def rig_path(self, role: RigRole) -> Path:
         """Where ``rig_<role>.yaml`` is or will be."""
@@ -497,18 +475,19 @@ def read_run(path: str | Path) -> RunFolder:
 
 
 def check_new_run(config: Config) -> None:
-    """Reject a ``run.out`` that holds something already; a folder with nothing but empty ones is welcome.
-
-    Raises:
-        InputError: ``run.out`` is a file, or a folder with content.
-    """
+    """Reject a ``run.out`` that holds something already; a folder with nothing but empty ones is welcome."""
     out = config.run.out
     if out is None or not out.exists():
         return
     if not out.is_dir():
         raise OptionError("run.out", f"expected a folder to write to, got {str(out)!r}, which is a file")
     # what a run that was killed in its first moment has left is nothing
-    if any(each.is_symlink() or not each.is_dir() for each in out.rglob("*") if not each.name.startswith(DRAFT)):
+    first = set() if (out / "config.yaml").is_file() else {out / name for name in KEPT_FILES.values()}
+    if any(
+        each.is_symlink() or not (each.is_dir() or each in first)
+        for each in out.rglob("*")
+        if not each.name.startswith(DRAFT)
+    ):
         resumes = f"; warpav optimise --resume {out} goes on with the run in it"
         raise OptionError(
             "run.out",
@@ -520,11 +499,7 @@ def check_new_run(config: Config) -> None:
 
 @contextlib.contextmanager
 def new_run_folder(config: Config) -> Iterator[None]:
-    """Make and hold ``run.out``, before anything takes long; where the block makes no run of it, it goes again.
-
-    Raises:
-        InputError: As `check_new_run`, it cannot be made, or another run is about to use it.
-    """
+    """Make and hold ``run.out``, before anything takes long; where the block makes no run of it, it goes again."""
     out = config.run.out
     check_new_run(config)
     if out is None:  # it is numbered later, so that nobody else has it
@@ -547,11 +522,7 @@ def new_run_folder(config: Config) -> Iterator[None]:
 
 @contextlib.contextmanager
 def held_run(folder: RunFolder) -> Iterator[None]:
-    """Hold a run folder while the block writes to it.
-
-    Raises:
-        InputError: Another process does.
-    """
+    """Hold a run folder while the block writes to it."""
     with held_folder(folder.path) as is_free:
         if not is_free:
             raise InputError(

@@ -32,12 +32,7 @@ class TerminalTable(Table):
     """A table of texts, the first column to the left."""
 
     def __init__(self, title: str = "", *, has_frame: bool = True) -> None:
-        """An empty table.
-
-        Args:
-            title: Above it.
-            has_frame: Whether it has lines around cells, or but one below the headings.
-        """
+        """An empty table."""
         frame: dict[str, Any] = {} if has_frame else {"box": box.SIMPLE_HEAD, "padding": (0, 1, 0, 0)}
         heading = shown(title, "table.title") if title else None
         super().__init__(title=heading, title_justify="left", header_style="bold", **frame)

@@ -10,14 +10,7 @@ from warpav.runs.terminal import Group, TerminalTable, shown
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table; the first column is to the left, numbers to the right.
-
-    Attributes:
-        title: What it shows.
-        headings: Of the columns.
-        lines: Cells of every line.
-        note: What a reader has to know.
-    """
+    """A table; the first column is to the left, numbers to the right."""
 
     title: str
     headings: Sequence[str]

@@ -60,13 +60,7 @@ _HIDING_BODY = 0.5
 
 
 def recall_rows(arms: Mapping[str, Mapping[str, Any]]) -> list[list[list[str]]]:
-    """The rig's recall by group as text: for every grouping its rows of group, number of objects, and recall by arm.
-
-    Groups without objects, and road users where there is only one kind of them, are left out.
-
-    Args:
-        arms: Metrics by arm, as in ``evaluation.json``; empty for one that was written before there was ``recall_by``.
-    """
+    """The rig's recall by group as text: for every grouping its rows of group, number of objects, and recall by arm."""
     tables = [arm["recall_by"] for arm in arms.values() if arm.get("recall_by")]
     if not tables or len(tables) < len(arms):
         return []
@@ -161,11 +155,7 @@ def _cost_table(
 
 
 def robust_text(robust: Mapping[str, Any]) -> str:
-    """What a robust objective is made of at the start and at the end, in a sentence.
-
-    Args:
-        robust: As in ``evaluation.json``.
-    """
+    """What a robust objective is made of at the start and at the end, in a sentence."""
 
     def change(name: str) -> str:
         return " -> ".join("-" if each is None else f"{100.0 * each[name]:.2f}" for each in map(robust.get, _ENDS))
@@ -188,11 +178,7 @@ def robust_text(robust: Mapping[str, Any]) -> str:
 
 
 def mount_errors_text(robust: Mapping[str, Any]) -> str | None:
-    """The errors of mounting that an objective is the mean over, such as ``+-2 cm and +-1 deg``; None: there are none.
-
-    Args:
-        robust: As in ``evaluation.json``.
-    """
+    """The errors of mounting that an objective is the mean over, such as ``+-2 cm and +-1 deg``; None: none."""
     position_m, angle_deg = robust.get("mount_error_m"), robust.get("mount_error_deg")
     parts = [] if position_m is None else [f"+-{100.0 * position_m:g} cm"]
     parts += [] if angle_deg is None else [f"+-{angle_deg:g} deg"]
@@ -200,14 +186,7 @@ def mount_errors_text(robust: Mapping[str, Any]) -> str | None:
 
 
 def worse_than_start(evaluation: Mapping[str, Any]) -> list[str]:
-    """In what the rig that a run has found is worse than the rig that it started from, a sentence each.
-
-    Its objective is higher on the scenes where rigs are compared: then the rig of the run is the start. Or it certainly
-    detects fewer objects of the test scenes: these choose no rig, so it stays the rig of the run.
-
-    Args:
-        evaluation: The content of ``evaluation.json``.
-    """
+    """In what the rig that a run has found is worse than the rig that it started from, a sentence each."""
     found = []
     training = evaluation.get("training_objective") or {}
     start, end = training.get("start"), training.get("optimised")
@@ -228,11 +207,7 @@ def worse_than_start(evaluation: Mapping[str, Any]) -> list[str]:
 
 
 def unmet_requirements(evaluation: Mapping[str, Any]) -> list[str]:
-    """Which requirements the rig that a run has found does not meet, how far and where, a sentence each.
-
-    Args:
-        evaluation: The content of ``evaluation.json``.
-    """
+    """Which requirements the rig that a run has found does not meet, how far and where, a sentence each."""
     _, outcomes = next(iter((evaluation.get("requirements") or {}).items()), ("", []))
     found = []
     for each in outcomes:
@@ -262,11 +237,7 @@ def requirement_table(requirements: Mapping[str, Any]) -> TerminalTable:
 
 
 def blind_arms(arms: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Which rigs detect nothing as the vehicle's own body fills their images, a sentence each.
-
-    Args:
-        arms: Metrics by arm, as in ``evaluation.json``.
-    """
+    """Which rigs detect nothing as the vehicle's own body fills their images, a sentence each."""
     return [
         f"{name} detects nothing: the vehicle's own body covers up to {metrics['body_share_max']:.0%} of an image"
         for name, metrics in arms.items()
@@ -295,12 +266,7 @@ def _print_arms(
 
 
 def show_verdict(console: Terminal, evaluation: Mapping[str, Any]) -> None:
-    """Print the arms' metrics, whether the constraints are met, and what the run has changed.
-
-    Args:
-        console: Where to.
-        evaluation: The content of ``evaluation.json``.
-    """
+    """Print the arms' metrics, whether the constraints are met, and what the run has changed."""
     arms = evaluation["arms"]
     for text in worse_than_start(evaluation):
         console.print(shown(text, "bold red"))

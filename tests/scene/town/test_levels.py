@@ -244,8 +244,3 @@ def test_a_level_that_is_none_is_refused():
         level_scene(-1, "urban")
     with pytest.raises(InputError, match=r"expected no level because scenes\.source is captured"):
         changed_config(wa.Config(), ["scenes.source=captured", "scenes.level=urban"])
-
-
-def test_the_option_is_left_out_of_files_where_it_is_not_set():
-    assert "level" not in wa.Config().model_dump(mode="json")["scenes"]
-    assert wa.Config(scenes={"level": "urban"}).model_dump(mode="json")["scenes"]["level"] == "urban"

@@ -9,6 +9,7 @@ with ``method: thesis`` as in ``thesis``.
 """
 
 from warpav.runs.config.explain import COMMAND_LINE, DescribedOption, described_options, option_values
+from warpav.runs.config.fields import AUTO, NAMED_STARTS, START_TEXT, read_seeds
 from warpav.runs.config.load import (
     Config,
     changed_config,
@@ -18,36 +19,25 @@ from warpav.runs.config.load import (
     overridden_option,
     overrides_from,
     placed_config,
-    unset_options,
     with_absolute_paths,
 )
-from warpav.runs.config.rig_options import NAMED_STARTS, START_TEXT, RigConfig
 from warpav.runs.config.schema import (
-    AUTO,
-    CATALOGUE_FILE,
-    REQUIREMENTS_FILE,
-    START_FILE,
-    ZONES_FILE,
-    BaselineConfig,
-    CameraConfig,
+    KEPT_FILES,
     DetectorConfig,
+    RigConfig,
     RunConfig,
     SceneConfig,
-    read_seeds,
+    config_dir,
+    config_names,
+    find_config,
 )
-from warpav.runs.config.shipped import config_dir, config_names, find_config
 
 __all__ = [
     "AUTO",
-    "CATALOGUE_FILE",
     "COMMAND_LINE",
+    "KEPT_FILES",
     "NAMED_STARTS",
-    "REQUIREMENTS_FILE",
-    "START_FILE",
     "START_TEXT",
-    "ZONES_FILE",
-    "BaselineConfig",
-    "CameraConfig",
     "Config",
     "DescribedOption",
     "DetectorConfig",
@@ -67,6 +57,5 @@ __all__ = [
     "overrides_from",
     "placed_config",
     "read_seeds",
-    "unset_options",
     "with_absolute_paths",
 ]

@@ -18,7 +18,7 @@ from pydantic.fields import FieldInfo
 
 from warpav.core.section import Expectation, Section, section_of, shown
 from warpav.core.yaml_file import Location
-from warpav.runs.config.schema import LATER_OPTIONS, ConfigTree
+from warpav.runs.config.schema import ConfigTree
 
 COMMAND_LINE = "command line"
 
@@ -152,15 +152,7 @@ def _number(value: object) -> str:
 
 def option_values(config: ConfigTree) -> dict[str, object]:
     """Every option by its dotted name, such as ``rig.cameras``, in the order of the tree, as written in files."""
-    unset = {"importance": config.importance, "robust": config.robust}
-    tree = {
-        **{name: section.model_dump(mode="json") for name, section in unset.items()},
-        **config.model_dump(mode="json"),
-    }
-    tree["importance"] = {"time_to_collision_s": {}, **tree["importance"]}
-    tree["mount"] = {"zones": None, **tree["mount"]}
-    for section, names in LATER_OPTIONS.items():
-        tree[section] = {**dict.fromkeys(names), **tree[section]}
+    tree = config.model_dump(mode="json")
     return {
         ".".join(location): functools.reduce(operator.getitem, location, tree)
         for location in option_locations(ConfigTree)
@@ -169,16 +161,7 @@ def option_values(config: ConfigTree) -> dict[str, object]:
 
 @dataclass(frozen=True)
 class DescribedOption:
-    """One option of the configuration, for documentation.
-
-    Attributes:
-        name: Dotted, such as ``rig.cameras``.
-        section: Dotted name of its section; empty for what stands at the top.
-        section_description: What the section is about.
-        expected: What the option takes, in words: type, unit, range.
-        default: As written in files.
-        description: What it does.
-    """
+    """One option of the configuration, for documentation."""
 
     name: str
     section: str

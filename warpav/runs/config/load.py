@@ -6,34 +6,25 @@ A file and the overrides are joined first and validated once, so that both have 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import difflib
+import functools
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from warpav.core.errors import InputError, OptionError
 from warpav.core.section import move_option, renamed_options, shown, warn_renamed
 from warpav.core.yaml_file import Location, read_yaml
 from warpav.rig.find import is_preset
 from warpav.runs.config.explain import COMMAND_LINE, explain, option_locations, option_values, place_of, placed
-from warpav.runs.config.rig_options import NAMED_STARTS
-from warpav.runs.config.schema import (
-    CATALOGUE_FILE,
-    EXTENDS,
-    REQUIREMENTS_FILE,
-    START_FILE,
-    ZONES_FILE,
-    ConfigTree,
-    merged,
-)
-from warpav.runs.config.shipped import find_config
-from warpav.scene.vehicles import SHIPPED, vehicle_file
+from warpav.runs.config.fields import NAMED_STARTS
+from warpav.runs.config.schema import EXTENDS, KEPT_FILES, ConfigTree, find_config, merged
+from warpav.scene.vehicles import vehicle_file
 
 if TYPE_CHECKING:
     from warpav import Placement
@@ -58,6 +49,23 @@ class Config(ConfigTree):
         """
         return load_config(path, overrides, origin="override")
 
+    def replace(self, values: Mapping[str, object]) -> Config:
+        """The same configuration with other values for some options, checked once.
+
+        Args:
+            values: By the option's dotted name, such as ``{"rig.cameras": 6}``, as files have them.
+
+        Raises:
+            InputError: A value is wrong, or does not fit the rest; one line a mistake.
+        """
+        if not values:
+            return self
+        data = self.model_dump(mode="json")
+        locations = {tuple(name.split(".")): "" for name in values}
+        for location, value in zip(locations, values.values(), strict=True):
+            _put(data, location, value, "")
+        return _validated(data, None, {}, locations)
+
     def placement(self) -> Placement:
         """The placement that it describes; scenes and detector are loaded when they are first needed.
 
@@ -72,32 +80,22 @@ class Config(ConfigTree):
 def load_config(
     source: str | Path | Config | None = None, overrides: Sequence[str] = (), *, origin: str | None = COMMAND_LINE
 ) -> Config:
-    """The configuration of a YAML file and ``key=value`` overrides.
+    """The configuration of a YAML file and ``key=value`` overrides, joined first and validated once.
 
-    Args:
-        source: A YAML file, the name of a shipped configuration (``quick``, ``thesis``), None for the defaults, or a
-            configuration.
-        overrides: Texts such as ``rig.cameras=6`` or ``scenes.test_seeds=[1, 2]``; the value is read as YAML.
-        origin: What messages call the source of the overrides; None: they do not name it.
-
-    Returns:
-        The validated, immutable tree.
-
-    Raises:
-        InputError: Anything is wrong; one line per mistake, each with its place, its field, what was expected and
-            what came.
+    ``source`` is a file, a shipped name, a configuration, or None for the defaults; messages call where the overrides
+    come from ``origin``, or do not.
     """
     file = None if source is None or isinstance(source, Config) else find_config(source)
     data, written_at = _read_file(file) if file else ({}, {})
     if isinstance(source, Config):
         data = source.model_dump(mode="json")
-    kept = (("rig", "start", START_FILE), ("mount", "zones", ZONES_FILE), ("rig", "catalogue", CATALOGUE_FILE))
-    for section, option, name in kept:
-        values = data.get(section)
-        if file and isinstance(values, dict) and values.get(option) == name and (file.parent / name).is_file():
-            values[option] = str((file.parent / name).absolute())
-    if file and data.get("requirements") == REQUIREMENTS_FILE and (file.parent / REQUIREMENTS_FILE).is_file():
-        data["requirements"] = str((file.parent / REQUIREMENTS_FILE).absolute())
+    for option, name in KEPT_FILES.items() if file else ():
+        *sections, last = option.split(".")
+        values: Any = data
+        for section in sections:
+            values = values.get(section)
+        if isinstance(values, dict) and values.get(last) == name and (file.parent / name).is_file():
+            values[last] = str((file.parent / name).absolute())
     override_of: dict[Location, str] = {}
     new_name = dict(renamed_options(Config))
     for override in overrides:
@@ -108,6 +106,13 @@ def load_config(
             location = new_name[location]
         override_of[location] = place
         _put(data, location, value, place)
+    return _validated(data, file, written_at, override_of)
+
+
+def _validated(
+    data: dict[str, Any], file: Path | None, written_at: Mapping[Location, str], override_of: Mapping[Location, str]
+) -> Config:
+    """The configuration of nested data; ``override_of`` says where what was put on top of it stands."""
     counts = {("rig", "cameras"), ("rig", "modules")} & {location[:2] for location in override_of}
     if counts == {("rig", "modules")} and data["rig"]["modules"]:  # they say how many there are
         data["rig"] = {name: value for name, value in data["rig"].items() if name not in ("cameras", "fewest_cameras")}
@@ -117,18 +122,18 @@ def load_config(
         return Config.model_validate(data)
     except ValidationError as error:
         found = error.errors(include_url=False)
-        below = _to_indent([_location(each["loc"]) for each in found])
-        said_above = set(itertools.chain(*below.values()))
-        found = [each for each in found if _location(each["loc"]) not in said_above]
-        lines = []
-        for each in found[:_MISTAKES_MAX]:
-            names = [location[-1] for location in below.get(_location(each["loc"]), ())]
-            hint = f"; indent {' and '.join(names)} below it" if names else ""
-            lines.append(explain(each, file, written_at, override_of) + hint)
-        lines = list(dict.fromkeys(lines))
-        if len(found) > _MISTAKES_MAX:
-            lines.append(f"and {len(found) - _MISTAKES_MAX} more mistakes")
-        raise InputError(*lines) from None
+    below = _to_indent([_location(each["loc"]) for each in found])
+    said_above = set(itertools.chain(*below.values()))
+    found = [each for each in found if _location(each["loc"]) not in said_above]
+    lines = []
+    for each in found[:_MISTAKES_MAX]:
+        names = [location[-1] for location in below.get(_location(each["loc"]), ())]
+        hint = f"; indent {' and '.join(names)} below it" if names else ""
+        lines.append(explain(each, file, written_at, override_of) + hint)
+    lines = list(dict.fromkeys(lines))
+    if len(found) > _MISTAKES_MAX:
+        lines.append(f"and {len(found) - _MISTAKES_MAX} more mistakes")
+    raise InputError(*lines)
 
 
 def _location(found: Sequence[int | str]) -> Location:
@@ -147,46 +152,39 @@ def _to_indent(mistaken: Sequence[Location]) -> dict[Location, list[Location]]:
 
 
 def changed_config(config: Config, overrides: Sequence[str], *, origin: str | None = COMMAND_LINE) -> Config:
-    """The configuration with other values for some options.
-
-    Args:
-        config: The configuration.
-        overrides: As of :func:`load_config`.
-        origin: What messages call the source of the overrides; None: they do not name it.
-
-    Raises:
-        InputError: An override is wrong, or does not fit the rest.
-    """
+    """The configuration with other values for some options."""
     return load_config(config, overrides, origin=origin)
 
 
 def with_absolute_paths(config: Config) -> Config:
     """The same configuration, whose files are found from every working directory; ``run.out`` stays as it is."""
-    overrides = []
-    for option, value in (
-        ("scenes.folder", config.scenes.folder),
-        ("scenes.ego", None if vehicle_file(config.scenes.ego or "") else config.scenes.ego),
-        ("detector.model", None if config.detector.model == "builtin" else config.detector.model),
-        ("detector.labels", config.detector.labels if isinstance(config.detector.labels, str) else None),
-        ("rig.start", config.rig.start if _is_path(config.rig.start) else None),
-        ("mount.zones", config.mount.zones),
-        ("rig.catalogue", config.rig.catalogue),
-        ("requirements", config.requirements_file),
-    ):
-        if value is not None:
-            overrides.append(f"{option}={flow_text(str(Path(value).expanduser().absolute()))}")
-    for option, paths in (
-        ("scenes.recordings", config.scenes.recordings),
-        ("scenes.test_recordings", config.scenes.test_recordings),
-        ("baselines.rigs", config.baselines.rigs),
-    ):
-        if paths is not None:
-            overrides.append(f"{option}={flow_text([str(path.expanduser().absolute()) for path in paths])}")
-    vehicles = config.scenes.vehicles
-    if vehicles is not None and any(path != SHIPPED for path in vehicles):
-        found = [path if path == SHIPPED else str(Path(path).expanduser().absolute()) for path in vehicles]
-        overrides.append(f"scenes.vehicles={flow_text(found)}")
-    return changed_config(config, overrides) if overrides else config
+
+    def whole(value: object) -> object:
+        if isinstance(value, tuple):
+            return [whole(each) for each in value]
+        return str(value.expanduser().absolute()) if isinstance(value, Path) else value
+
+    values = {".".join(location): _value_at(config, location) for location in option_locations(Config)}
+    texts = {  # options that may be a path, or else a word
+        "detector.model": config.detector.model != "builtin",
+        "detector.labels": isinstance(config.detector.labels, str),
+        "rig.start": _is_path(config.rig.start),
+        "requirements": config.requirements_file is not None,
+    }
+    values |= {name: Path(str(values[name])) for name, is_path in texts.items() if is_path}
+    del values["run.out"]
+    if vehicle_file(config.scenes.ego or ""):
+        del values["scenes.ego"]
+    changed = {name: whole(value) for name, value in values.items() if _has_path(value)}
+    return config.replace(changed)
+
+
+def _value_at(config: Config, location: Location) -> object:
+    return functools.reduce(getattr, location, config)
+
+
+def _has_path(value: object) -> bool:
+    return isinstance(value, Path) or (isinstance(value, tuple) and any(isinstance(each, Path) for each in value))
 
 
 def _is_path(start: str) -> bool:
@@ -195,23 +193,13 @@ def _is_path(start: str) -> bool:
 
 
 def overridden_option(override: str) -> str:
-    """The option's name in an override such as ``rig.cameras=6``.
-
-    Raises:
-        InputError: It is none.
-    """
+    """The option's name in an override such as ``rig.cameras=6``."""
     return ".".join(_read_override(override, _override_place(override, COMMAND_LINE))[0])
 
 
 @contextlib.contextmanager
 def placed_config(path: str | Path, overrides: Sequence[str] = ()) -> Iterator[Config]:
-    """The configuration as of :func:`load_config`, to be used inside a ``with`` block.
-
-    An error about an option that only its use reveals names the file and line, or the override, like all others.
-
-    Raises:
-        InputError: As :func:`load_config`; and for every :class:`OptionError` of the block.
-    """
+    """The configuration as of :func:`load_config`, to be used inside a ``with`` block."""
     config = load_config(path, overrides)
     try:
         yield config
@@ -222,40 +210,16 @@ def placed_config(path: str | Path, overrides: Sequence[str] = ()) -> Iterator[C
         raise InputError(f"{place}: {error}") from None
 
 
-def dump_config(config: Config) -> str:
-    """The whole tree as YAML that :func:`load_config` reads back to an equal tree."""
-    return yaml.dump(config.model_dump(mode="json"), Dumper=_FlowListDumper, sort_keys=False, allow_unicode=True)
-
-
-_ABSENT = object()
-
-
-def unset_options(config: Config) -> dict[str, object]:
-    """The options and sections that `dump_config` leaves out because they are not set, with what holds without them."""
-
-    def left_out(section: object, dumped: object, above: str) -> Iterator[tuple[str, object]]:
-        if isinstance(section, BaseModel):
-            names = list(type(section).model_fields)
-        elif dataclasses.is_dataclass(section):
-            names = [field.name for field in dataclasses.fields(section)]
-        else:
-            if dumped is _ABSENT:
-                yield above, section
-            return
-        for name in names:
-            there = dumped.get(name, _ABSENT) if isinstance(dumped, dict) else dumped
-            yield from left_out(getattr(section, name), there, f"{above}.{name}".lstrip("."))
-
-    return dict(left_out(config, config.model_dump(mode="json"), ""))
+def dump_config(config: Config, *, kept: Mapping[str, object] | None = None) -> str:
+    """The whole tree as YAML that `load_config` reads back to an equal tree; ``kept`` replaces some options."""
+    data = config.model_dump(mode="json")
+    for option, name in (kept or {}).items():
+        _put(data, tuple(option.split(".")), name, "")
+    return yaml.dump(data, Dumper=_FlowListDumper, sort_keys=False, allow_unicode=True)
 
 
 def overrides_from(base: Config, config: Config) -> list[str]:
-    """The overrides that make one configuration of another, as :func:`load_config` takes them.
-
-    Args:
-        base: The configuration that is overridden.
-        config: What it becomes.
-    """
+    """The overrides that make one configuration of another, as :func:`load_config` takes them."""
     before = option_values(base)
     changed = {name: value for name, value in option_values(config).items() if value != before[name]}
     return [f"{name}={flow_text(value)}" for name, value in changed.items()]

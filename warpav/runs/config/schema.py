@@ -4,30 +4,18 @@ from __future__ import annotations
 
 import difflib
 import math
-import re
-from collections import Counter
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    PlainSerializer,
-    SerializerFunctionWrapHandler,
-    WithJsonSchema,
-    model_serializer,
-    model_validator,
-)
-from pydantic_core import PydanticCustomError
+from pydantic import ConfigDict, Field, model_validator
 
 from warpav.core.errors import InputError
 from warpav.core.section import Expectation, Section, mistake, shown
 from warpav.core.units import Degrees, Metres
 from warpav.core.yaml_file import read_yaml
 from warpav.optimisation.settings import (
-    LATER_ROBUST_OPTIONS,
     METHOD_LOSSES,
     ImportanceSettings,
     LossSettings,
@@ -38,135 +26,99 @@ from warpav.optimisation.settings import (
 )
 from warpav.raster.lens import Lens, LensShape, checked_distortion
 from warpav.requirements.template import template_names
-from warpav.rig.presets import preset_names
-from warpav.runs.config.file_options import existing_file, read_path
-from warpav.runs.config.rig_options import LATER_BASELINE_OPTIONS, LATER_RIG_OPTIONS, NAMED_STARTS, RigConfig
-from warpav.runs.config.shipped import shipped_values
+from warpav.runs.config.fields import (
+    AUTO,
+    COUNTS_TEXT,
+    MAX_SEED,
+    MOST_CAMERAS,
+    NAMED_STARTS,
+    START_TEXT,
+    CameraNames,
+    CatalogueFile,
+    DetectorModel,
+    Device,
+    Distortion,
+    Folder,
+    FovRange,
+    HeightRange,
+    Heights,
+    Labels,
+    LabelsOrFile,
+    MeshFile,
+    ModuleCounts,
+    PitchRange,
+    PresetImages,
+    PresetNames,
+    Recordings,
+    Requirements,
+    RigFiles,
+    Seeds,
+    Targets,
+    Vehicles,
+    ZonesFile,
+    read_count,
+)
 from warpav.scene.scene import ROAD_USERS, road_user_of
 from warpav.scene.town.levels import LEVELS, Level
-from warpav.scene.vehicles import SHIPPED, vehicle_file, vehicle_names
-
-LATER_OPTIONS = {
-    "run": ("checkpoint_every",),
-    "scenes": ("level", "recordings", "test_recordings", "vehicles", "vehicles_share"),
-    "rig": LATER_RIG_OPTIONS,
-    "baselines": LATER_BASELINE_OPTIONS,
-    "robust": LATER_ROBUST_OPTIONS,
-}
-"""Options by section that files leave out where they are not set."""
 
 EXTENDS = "extends"
 """Key of a file that names another file, on top of which it stands."""
 
-START_FILE = "rig_start.yaml"
-"""A rig.start of this name is the file beside the configuration, as a run leaves it."""
-
-ZONES_FILE = "zones.yaml"
-"""A mount.zones of this name is the file beside the configuration, as a run leaves it."""
-
-CATALOGUE_FILE = "modules.yaml"
-"""A rig.catalogue of this name, likewise."""
-
-REQUIREMENTS_FILE = "requirements.yaml"
-"""Requirements of this name, likewise."""
-
-MAX_SEED = 2**31 - 1
-MAX_SEED_COUNT = 100_000
+KEPT_FILES = {
+    "rig.start": "rig_start.yaml",
+    "mount.zones": "zones.yaml",
+    "rig.catalogue": "modules.yaml",
+    "requirements": "requirements.yaml",
+}
+"""Options of which a run keeps the file in its folder: a value of this name means the file beside the configuration."""
 
 
-_SEEDS_TEXT = "seeds as a range such as 1000..1009 or a list such as [1, 2, 3]"
+def config_dir() -> Path:
+    """The folder of the shipped configurations: the installed package's own, else the checkout's."""
+    package = Path(__file__).resolve().parents[2]
+    for folder in (package / "configs", package.parent / "configs"):
+        if (folder / "quick.yaml").is_file():
+            return folder
+    raise InputError(f"shipped configurations: expected a folder configs in {package}, got none; reinstall warpav")
 
 
-def _read_seeds(value: object) -> tuple[int, ...]:
-    seeds: list[int] = []
-    for item in value if isinstance(value, (list, tuple)) else [value]:
-        match = re.fullmatch(r"\s*([0-9]+)\s*\.\.\s*([0-9]+)\s*", item) if isinstance(item, str) else None
-        if match:
-            first, last = int(match[1]), int(match[2])
-            if last < first:
-                mistake(f"expected a range whose end is not below its start, got {item!r}; write {last}..{first}")
-            if last > MAX_SEED or len(seeds) + last - first >= MAX_SEED_COUNT:
-                mistake(f"expected at most {MAX_SEED_COUNT} seeds up to {MAX_SEED}, got {item!r}")
-            seeds.extend(range(first, last + 1))
-        elif isinstance(item, int) and not isinstance(item, bool):
-            if not 0 <= item <= MAX_SEED:
-                mistake(f"expected seeds from 0 to {MAX_SEED}, got {item}")
-            seeds.append(item)
-        else:
-            mistake(f"expected {_SEEDS_TEXT}, got {shown(value)}")
-    if not seeds:
-        mistake(f"expected {_SEEDS_TEXT}, got none; at least one scene is needed")
-    twice = [seed for seed, count in Counter(seeds).items() if count > 1]
-    if twice:
-        mistake(f"expected every seed once, got {min(twice)} twice")
-    return tuple(seeds)
+def config_names() -> list[str]:
+    """Names of the shipped configurations, such as ``quick``."""
+    return sorted(file.stem for file in config_dir().glob("*.yaml"))
 
 
-def _shown_seeds(seeds: tuple[int, ...]) -> str | list[int]:
-    # as long as the seeds: sealed ones lie a billion apart
-    if len(seeds) > 1 and seeds == tuple(range(seeds[0], seeds[0] + len(seeds))):
-        return f"{seeds[0]}..{seeds[-1]}"
-    return list(seeds)
+def find_config(path: str | Path) -> Path:
+    """The file that ``path`` means: an existing file, or a shipped configuration by its name."""
+    file = Path(path).expanduser()
+    if file.is_file():
+        return file
+    shipped = config_dir() / f"{file.stem}.yaml"
+    named = str(path) in (file.stem, shipped.name, f"configs/{shipped.name}")
+    if named and shipped.is_file():
+        return shipped
+    if (file / "config.yaml").is_file():
+        raise InputError(
+            f"{path}: config: expected a YAML file or a shipped name, got a run folder; {file / 'config.yaml'} repeats "
+            f"it, rig.start={file} begins with its rig"
+        )
+    near = difflib.get_close_matches(file.stem, config_names(), 1, 0.6)
+    hint = f"did you mean {near[0]}?" if near else f"shipped ones are {', '.join(config_names())}"
+    if file.parent == Path() and file.suffix not in ("", ".yaml", ".yml"):  # as rig.cameras, of rig.cameras 6
+        hint = f"an option is given with its value, as {path}=VALUE"
+    raise InputError(f"{path}: config: expected a YAML file or a shipped name, got {str(path)!r}; {hint}")
 
 
-Seeds = Annotated[
-    tuple[int, ...],
-    BeforeValidator(_read_seeds),
-    PlainSerializer(_shown_seeds),
-    Expectation(_SEEDS_TEXT),
-    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "integer"}, {"type": "array"}]}),
-]
-
-
-_TARGETS_TEXT = f"a list out of {', '.join(ROAD_USERS)}"
-
-
-def _read_targets(value: object) -> tuple[str, ...]:
-    targets = list(value) if isinstance(value, (list, tuple)) else [value]
-    for target in targets:
-        if target not in ROAD_USERS:
-            near = difflib.get_close_matches(str(target), ROAD_USERS, 1, 0.6)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            mistake(f"expected {_TARGETS_TEXT}, got {shown(target)}{hint}")
-    if not targets:
-        mistake(f"expected {_TARGETS_TEXT}, got none; a rig has to be made for somebody")
-    return tuple(each for each in ROAD_USERS if each in targets)
-
-
-def _read_device(value: object) -> object:
-    if not isinstance(value, str) or not re.fullmatch(r"cpu|cuda:[0-9]{1,2}", value):
-        hint = "; write cuda:0 for the first GPU" if value in ("cuda", "gpu", "cuda0") else ""
-        mistake(f"expected cpu or a GPU such as cuda:0, got {shown(value)}{hint}")
-    return value
-
-
-def _read_model(value: object) -> object:
-    if isinstance(value, str) and value != "builtin":
-        existing_file(value, "builtin or the path of an ONNX file", [value], ["builtin"])
-    return value
-
-
-_MESH_FILE = "the path of a mesh file, or null"
-
-
-def _read_mesh_file(value: object) -> object:
-    if isinstance(value, str) and vehicle_file(value) is None:
-        names = [] if Path(value).suffix else vehicle_names()  # a file rather than a name
-        existing_file(value, f"one of {', '.join(names)}, {_MESH_FILE}" if names else _MESH_FILE, [value], names)
-    return read_path(value)
-
-
-def _read_zones_file(value: object) -> object:
-    if isinstance(value, str):
-        existing_file(value, "the path of a YAML file of zones, or null", [value], [])
-    return read_path(value)
+@cache
+def shipped_values(name: str) -> dict[str, Any]:
+    """What a shipped configuration says, as its file has it; not to be changed."""
+    return read_yaml(config_dir() / f"{name}.yaml")[0]
 
 
 class RunConfig(Section):
     """The run as a whole."""
 
     seed: int = Field(default=0, ge=0, le=MAX_SEED, description="seed of every random choice of the run")
-    out: Annotated[Path, BeforeValidator(read_path), PlainSerializer(str), Expectation("a folder")] | None = Field(
+    out: Folder | None = Field(
         default=None, description="run folder; null takes runs/<config name> and numbers it when that exists"
     )
     iterations: int = Field(default=100, ge=1, le=1_000_000, description="optimiser steps")
@@ -183,59 +135,6 @@ class RunConfig(Section):
         description="what a run draws: few, the six of the report's first page; all; none. warpav report RUN --full "
         "draws all of them later",
     )
-
-
-def _paths(expected: str) -> tuple[object, ...]:
-    """What makes a field one path or several, all of which exist; ``expected`` says of what."""
-
-    def read(value: object) -> object:
-        paths = [value] if isinstance(value, str) else value
-        if not isinstance(paths, (list, tuple)):
-            return value
-        if not paths:
-            mistake(f"expected {expected}, got none")
-        for path in paths:
-            if isinstance(path, str) and not Path(path).expanduser().exists():
-                mistake(f"expected {expected}, got {path!r}; no such file or folder")
-        return tuple(read_path(path) for path in paths)
-
-    return (
-        BeforeValidator(read),
-        PlainSerializer(lambda value: [str(path) for path in value]),
-        Expectation(expected),
-        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}),
-    )
-
-
-Recordings = Annotated[tuple[Path, ...], *_paths("paths of recorded traffic, such as [log.xml, recordings]")]
-RigFiles = Annotated[tuple[Path, ...], *_paths("rig files or run folders, such as [present.yaml, first_rig]")]
-
-
-def _read_vehicles(value: object) -> object:
-    paths = [value] if isinstance(value, str) else value
-    if not isinstance(paths, (list, tuple)):
-        return value
-    if not paths:
-        mistake(f"expected {_VEHICLES_TEXT}, got none")
-    for path in paths:
-        if isinstance(path, str) and path != SHIPPED and not Path(path).expanduser().exists():
-            near = difflib.get_close_matches(path, [SHIPPED], 1, 0.6)
-            hint = f"did you mean {near[0]}?" if near else "no such file or folder"
-            mistake(f"expected {_VEHICLES_TEXT}, got {path!r}; {hint}")
-    twice = [path for k, path in enumerate(paths) if path in paths[:k]]
-    if twice:
-        mistake(f"expected every path once, got {shown(str(twice[0]))} twice")
-    return tuple(path if path == SHIPPED else read_path(path) for path in paths)
-
-
-_VEHICLES_TEXT = f"{SHIPPED}, or paths of mesh files or of folders of these, such as [{SHIPPED}, my_vehicles]"
-Vehicles = Annotated[
-    tuple[Literal["shipped"] | Path, ...],
-    BeforeValidator(_read_vehicles),
-    PlainSerializer(lambda value: [str(path) for path in value]),
-    Expectation(_VEHICLES_TEXT),
-    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}),
-]
 
 
 class SceneConfig(Section):
@@ -257,20 +156,12 @@ class SceneConfig(Section):
         default=None, description="scenes on which rigs of a run are compared; null: the training scenes"
     )
     test_seeds: Seeds = Field(default=tuple(range(5000, 5040)), description="scenes that only the evaluation sees")
-    folder: Annotated[Path, BeforeValidator(read_path), PlainSerializer(str), Expectation("a folder")] | None = Field(
+    folder: Folder | None = Field(
         default=None,
         description="where source: folder finds its scene_<seed>.glb files, and where source: captured keeps what it "
         "makes; null keeps that in the user's cache",
     )
-    ego: (
-        Annotated[
-            Path,
-            BeforeValidator(_read_mesh_file),
-            PlainSerializer(str),
-            Expectation("the path of a mesh file"),
-        ]
-        | None
-    ) = Field(
+    ego: MeshFile | None = Field(
         default=None,
         description="mesh of your own vehicle, which takes the place of every scene's own, or a name that warpav "
         "vehicle list shows, such as bus; warpav vehicle check examines and repairs meshes; null: the scene's own",
@@ -279,13 +170,7 @@ class SceneConfig(Section):
         default=False,
         description="train on every scene's mirror image as well, against traffic that keeps to one side",
     )
-    targets: Annotated[
-        tuple[str, ...],
-        BeforeValidator(_read_targets),
-        PlainSerializer(list),
-        Expectation(_TARGETS_TEXT),
-        WithJsonSchema({"type": "array", "items": {"enum": list(ROAD_USERS)}, "minItems": 1}),
-    ] = Field(
+    targets: Targets = Field(
         default=("vehicle",),
         description="the road users that rigs are optimised and evaluated for; all others only hide them",
     )
@@ -349,6 +234,91 @@ class SceneConfig(Section):
         return self
 
 
+class FreeConfig(Section):
+    """What the optimiser moves besides x, y and yaw, each within two bounds; null leaves it as configured."""
+
+    pitch_deg: PitchRange = Field(
+        default=(-10.0, 20.0), description="bounds of each camera's pitch, nose-down positive; null: level cameras"
+    )
+    height_m: HeightRange = Field(
+        default=None, description="bounds of each camera's height above the mount surface, around rig.height_offset_m"
+    )
+    fov_deg: FovRange = Field(
+        default=None, description="bounds of each camera's horizontal field of view, around camera.fov_deg"
+    )
+
+
+class RigConfig(Section):
+    """How many cameras there are, where they start, how close they may come, and what else of them is free."""
+
+    cameras: int = Field(
+        default=4,
+        ge=1,
+        le=MOST_CAMERAS,
+        description="cameras on the vehicle; of modules also the range in which their number may be, such as 2..8",
+    )
+    start: Annotated[str, Expectation(START_TEXT)] = Field(
+        default="random", description=f"rig that the optimiser starts from: {START_TEXT}"
+    )
+    freeze: CameraNames = Field(
+        default=(),
+        description="cameras of rig.start that stay as they are, by name: their places, directions and lenses; the "
+        "others are optimised around them, and cameras that rig.start lacks for rig.cameras are added",
+    )
+    height_offset_m: Metres = Field(
+        default=0.25, ge=0.0, le=2.0, description="height of the cameras above the mount surface"
+    )
+    min_spacing_m: Metres = Field(default=0.2, gt=0.0, le=5.0, description="minimum distance between two cameras")
+    free: FreeConfig = Field(default=FreeConfig(), description="what is optimised besides x, y and yaw")
+    fewest_cameras: int | None = Field(
+        default=None,
+        ge=1,
+        le=MOST_CAMERAS,
+        description="cameras at least, where rig.cameras is the most; null: as many",
+    )
+    modules: ModuleCounts | None = Field(
+        default=None,
+        description="camera modules that the rig is made of, each with its number or a range of it; they stand in the "
+        "zones that they fit; null: equal cameras as the section camera says",
+    )
+    catalogue: CatalogueFile | None = Field(
+        default=None, description="catalogue of the modules; null: the one that ships with warpav"
+    )
+    max_cost: float | None = Field(
+        default=None, gt=0.0, description="what all cameras may cost together, in the unit of the catalogue"
+    )
+    symmetric: bool | None = Field(
+        default=None,
+        description="whether modules stand in mirrored pairs, or in the middle where a zone is centred; null: no",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _counted(cls, data: object) -> object:
+        """The ends of a range of cameras apart; without a number as many as the modules allow."""
+        if not isinstance(data, dict):
+            return data
+        result, cameras, modules = dict(data), data.get("cameras"), data.get("modules")
+        if isinstance(cameras, str) and ".." in cameras:
+            least, most = read_count(cameras, "a number of cameras from 1 to 16, or a range such as 2..8", "cameras")
+            if data.get("fewest_cameras") not in (None, least):
+                mistake(f"expected null where rig.cameras is {least}..{most}", "fewest_cameras", "cameras")
+            result |= {"cameras": most, "fewest_cameras": least if least < most else None}
+        elif cameras is None and isinstance(modules, Mapping) and modules:
+            counts = [read_count(count, COUNTS_TEXT, "modules") for count in modules.values()]
+            least, most = (sum(pair[end] for pair in counts) for end in range(2))
+            if most > MOST_CAMERAS:
+                text = f"expected at most {MOST_CAMERAS} cameras, or rig.cameras, got modules that allow {most}"
+                mistake(text, "modules", "cameras")
+            result |= {"cameras": max(most, 1), "fewest_cameras": max(least, 1) if least < most else None}
+        return result
+
+    @property
+    def camera_range(self) -> tuple[int, int]:
+        """The least and the greatest number of cameras."""
+        return self.cameras if self.fewest_cameras is None else self.fewest_cameras, self.cameras
+
+
 class CaptureConfig(Section):
     """The images that source: captured and warpav scenes capture take of a situation."""
 
@@ -360,12 +330,9 @@ class CaptureConfig(Section):
     )
     rotations: int = Field(default=4, ge=1, le=64, description="images from the ego vehicle all around")
     ego_sides: int = Field(default=4, ge=0, le=64, description="images of the ego vehicle from beside it")
-    scene_heights_m: Annotated[
-        tuple[float, ...],
-        BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
-        PlainSerializer(list),
-        Expectation("a list of heights in metres, such as [14, 28, 45]"),
-    ] = Field(default=(14.0, 28.0, 45.0), description="heights of the images of the whole place from above")
+    scene_heights_m: Heights = Field(
+        default=(14.0, 28.0, 45.0), description="heights of the images of the whole place from above"
+    )
 
 
 class ReconstructionConfig(Section):
@@ -402,12 +369,7 @@ class CameraConfig(Section):
     lens: Literal["pinhole", "brown_conrady", "fisheye", "eucm", "double_sphere", "panorama", "equirectangular"] = (
         Field(default="pinhole", description="how directions become places in the image")
     )
-    distortion: Annotated[
-        tuple[float, ...],
-        BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
-        PlainSerializer(list),
-        Expectation("a list of numbers, such as [-0.31, 0.11, 0.0, 0.0]"),
-    ] = Field(
+    distortion: Distortion = Field(
         default=(),
         description="OpenCV's: k1 k2 p1 p2 [k3 [k4 k5 k6]] of brown_conrady, k1 k2 k3 k4 of fisheye; alpha beta of "
         "eucm, xi alpha of double_sphere",
@@ -464,38 +426,11 @@ class MountConfig(Section):
     smoothing_tolerance_m: Metres = Field(
         default=1e-4, gt=0.0, le=0.1, description="filled cells are smoothed until no cell changes by more than this"
     )
-    zones: (
-        Annotated[
-            Path,
-            BeforeValidator(_read_zones_file),
-            PlainSerializer(str),
-            Expectation("the path of a YAML file of zones"),
-        ]
-        | None
-    ) = Field(
+    zones: ZonesFile | None = Field(
         default=None,
         description="zones anywhere on the body, each with its normal, stand-off and directions, as warpav vehicle "
         "zones proposes them; null: roof and bonnet (method: default)",
     )
-
-
-_LABELS_TEXT = "a list of labels, such as [car, bus], or the path of a file with one a line"
-_CLASSES_TEXT = "a list of labels of the detector, such as [car, bus]"
-
-
-def _read_labels(value: object) -> object:
-    if isinstance(value, str):
-        existing_file(value, _LABELS_TEXT, [value], [])
-        return value
-    return tuple(value) if isinstance(value, list) else value
-
-
-Labels = Annotated[
-    tuple[str, ...],
-    BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
-    PlainSerializer(list),
-    Expectation(_CLASSES_TEXT),
-]
 
 
 class ClassesConfig(Section):
@@ -511,9 +446,7 @@ class ClassesConfig(Section):
 class DetectorConfig(Section):
     """The object detector, and when its boxes count."""
 
-    model: Annotated[str, BeforeValidator(_read_model), Expectation("builtin or the path of an ONNX file")] = Field(
-        default="builtin", description="builtin or the path of an ONNX file"
-    )
+    model: DetectorModel = Field(default="builtin", description="builtin or the path of an ONNX file")
     confidence_min: float = Field(default=0.25, ge=0.0, lt=1.0, description="minimum confidence of a detection")
     iou_min: float = Field(
         default=0.5, gt=0.0, lt=1.0, description="minimum overlap with the true box for a true positive"
@@ -530,38 +463,13 @@ class DetectorConfig(Section):
         "rtdetr",
         "rtdetr-single",
     ] = Field(default="auto", description="layout of the file's inputs and outputs; auto finds it out")
-    labels: Annotated[
-        tuple[str, ...] | str | None,
-        BeforeValidator(_read_labels),
-        PlainSerializer(lambda value: list(value) if isinstance(value, tuple) else value),
-        Expectation(_LABELS_TEXT),
-    ] = Field(
+    labels: LabelsOrFile = Field(
         default=None,
         description="labels in the order of the network's classes; null takes those in the file, or else COCO's",
     )
     classes: ClassesConfig = Field(default=ClassesConfig(), description="which labels count as which road user")
     input_px: int | None = Field(default=None, ge=32, le=4096, description="input size; null takes the model's own")
     provider: Literal["cpu", "cuda", "tensorrt"] = Field(default="cpu", description="what the network runs on")
-
-
-def _read_presets(value: object) -> object:
-    if not isinstance(value, (list, tuple)):
-        return value
-    names = preset_names()
-    for name in value:
-        if name not in names:
-            near = difflib.get_close_matches(str(name), names, 1, 0.5)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            mistake(f"expected presets out of {', '.join(names)}, got {shown(name)}{hint}")
-    return tuple(value)
-
-
-PresetNames = Annotated[
-    tuple[str, ...], BeforeValidator(_read_presets), Expectation("a list of presets, such as [nuscenes, argoverse2]")
-]
-PresetImages = Annotated[
-    Literal["same_pixels", "same_width", "sensor"], Expectation("same_pixels, same_width or sensor")
-]
 
 
 class BaselineConfig(Section):
@@ -601,20 +509,8 @@ class ExecutorConfig(Section):
     )
 
 
-_REQUIREMENTS_TEXT = "auto, the name of a template, such as near_field, or the path of a YAML file"
-
-AUTO = "auto"
-"""Requirements that are the near field, as a term of the objective alone, where the search knows requirements."""
-
 NO_REQUIREMENTS = "only the search by a pool, with the loss expected_miss_rate alone, knows requirements"
 """Why others take none."""
-
-
-def _read_requirements(value: object) -> object:
-    named = [AUTO, *template_names()]
-    if isinstance(value, str) and value not in named:
-        existing_file(value, f"one of {', '.join(named)}, or a YAML file", [value], named)
-    return value
 
 
 def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
@@ -636,17 +532,12 @@ def _add_extends(schema: dict[str, Any]) -> None:
 
 
 class ConfigTree(Section):
-    """Every option of a run.
-
-    What is left out is as in the shipped configuration ``quick``; with ``method: thesis`` as in ``thesis``.
-    """
+    """Every option of a run."""
 
     model_config = ConfigDict(json_schema_extra=_add_extends)
 
     run: RunConfig = Field(default=RunConfig(), description="the run as a whole")
-    device: Annotated[str, BeforeValidator(_read_device), Expectation("cpu or a GPU such as cuda:0")] = Field(
-        default="cpu", description="what renders, and what gradients are computed on"
-    )
+    device: Device = Field(default="cpu", description="what renders, and what gradients are computed on")
     method: Literal["thesis", "default"] = Field(
         default="default",
         description="thesis: the losses and constraints as printed; default: the share of road users that the rig is "
@@ -666,7 +557,7 @@ class ConfigTree(Section):
         default=LossSettings(**METHOD_LOSSES["default"]), description="the objectives; each method has its own"
     )
     importance: ImportanceSettings = Field(default=ImportanceSettings(), description="which road users matter more")
-    requirements: Annotated[str, BeforeValidator(_read_requirements), Expectation(_REQUIREMENTS_TEXT)] | None = Field(
+    requirements: Requirements | None = Field(
         default=AUTO,
         description="what has to be seen near the vehicle besides the traffic: the name of a template, such as "
         "near_field, or the path of a YAML file; null: nothing; auto: where the search is the one by a pool, without "
@@ -693,24 +584,6 @@ class ConfigTree(Section):
         if method == "thesis":
             return merged(shipped_values("thesis"), data)
         return merged({"losses": METHOD_LOSSES[method]}, data)
-
-    @model_serializer(mode="wrap")
-    def _without_unset(self, written: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what came later where it is not set: files stay as before there was any."""
-        result = written(self)
-        if not self.importance.is_set:
-            result.pop("importance", None)
-        elif not self.importance.time_to_collision_s:
-            result["importance"].pop("time_to_collision_s", None)
-        if self.robust.asked_for is None:
-            result.pop("robust", None)
-        if self.mount.zones is None:
-            result["mount"].pop("zones", None)
-        for section, names in LATER_OPTIONS.items():
-            for name in names:
-                if section in result and getattr(getattr(self, section), name) is None:
-                    result[section].pop(name, None)
-        return result
 
     @property
     def shared_gpu_count(self) -> int:
@@ -859,19 +732,3 @@ class ConfigTree(Section):
                 "rig.free.fov_deg",
                 f"losses.{alike[0]}",
             )
-
-
-def read_seeds(text: str, place: str) -> tuple[int, ...]:
-    """Seeds from a range such as ``1000..1009`` or a list such as ``[1, 2, 3]``.
-
-    Args:
-        text: What the user wrote.
-        place: Where it stands, for messages.
-
-    Raises:
-        InputError: It is neither, or a seed is out of range or there twice.
-    """
-    try:
-        return _read_seeds(read_yaml(text, place)[0])
-    except PydanticCustomError as error:
-        raise InputError(f"{place}: {error.message()}") from None

@@ -54,11 +54,7 @@ class Group(_Part):
 
 
 class ArmRecord(_Part):
-    """Metrics of a rig, see `warpav.evaluation.metrics.ArmMetrics`.
-
-    Attributes:
-        numbers: By the names of `ARM_ROWS`; None where one is not there.
-    """
+    """Metrics of a rig, see `warpav.evaluation.metrics.ArmMetrics`."""
 
     numbers: dict[str, float | None]
     objects: int | None = None
@@ -90,14 +86,7 @@ class StartAndEnd(_Part):
 
 
 class DescentEnd(_Part):
-    """How a descent ended.
-
-    Attributes:
-        iterations: Steps that were taken.
-        planned: Steps that were allowed.
-        ended: Why it took no more; None when it took all.
-        kept: Steps after which the rig stood that is kept.
-    """
+    """How a descent ended."""
 
     iterations: int
     planned: int
@@ -304,11 +293,7 @@ class Event(_Part):
 
 
 class View(_Part):
-    """What a camera sees of a scene, with boxes [px]; see `warpav.view.figures.detections.DetectionPanel`.
-
-    Attributes:
-        scene_number: Of those that are shown, from 0, as names need not differ; older versions did not write it.
-    """
+    """What a camera sees of a scene, with boxes [px]; see `warpav.view.figures.detections.DetectionPanel`."""
 
     scene: str
     scene_number: int = 0
@@ -348,24 +333,7 @@ class GroundMap:
 
 @dataclass(frozen=True)
 class RunContent:
-    """Everything in a run folder that a report shows.
-
-    Attributes:
-        name: Of the folder.
-        options: ``config.yaml`` as it is.
-        config: The same, where it can be used here.
-        config_mistake: Why not; empty where it can.
-        environment: ``env.json``.
-        events: The iterations.
-        evaluation: ``evaluation.json``, None where the run was stopped before.
-        start: The rig at the start, where there is one.
-        result: The rig that the run hands over, or what it had when it was stopped.
-        views: What cameras see; empty where that was not kept.
-        ground: The cells of the ground, likewise None.
-        certificate: What a search by a pool has proven; None for a descent.
-        further: What further cameras would add to the rig, likewise.
-        zones: Where cameras may stand, of ``mount.zones``; empty where there is no such file.
-    """
+    """Everything in a run folder that a report shows."""
 
     name: str
     options: dict[str, Any]

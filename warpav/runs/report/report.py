@@ -80,9 +80,6 @@ class PageImage:
     """An image of the page.
 
     Attributes:
-        name: Short name.
-        caption: What it shows, which is its alternative text as well.
-        address: The image itself, as a ``data:`` address.
         size_px: Width and height [px], so that a page keeps its place.
     """
 
@@ -104,17 +101,7 @@ class ImageBox:
 
 
 def write_report(folder: RunFolder) -> Path:
-    """Write ``report.html`` of a run, from what its folder holds so far; nothing is rendered.
-
-    Args:
-        folder: The run folder, finished or stopped, of this version or an older one.
-
-    Returns:
-        The file.
-
-    Raises:
-        InputError: The folder holds no iteration and no evaluation yet, or a file of it is not what a run writes.
-    """
+    """Write ``report.html`` of a run, from what its folder holds so far; nothing is rendered."""
     run = read_run(folder)
     page = _template().render(_content(folder, run))
     page = page.encode("utf-8", "backslashreplace").decode()  # of paths that are not UTF-8
@@ -387,11 +374,7 @@ def _plot(name: str, caption: str, svg: str) -> PageImage:
 
 
 def _images(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
-    """Images as ``data:`` addresses with their sizes [px], made smaller until all of them fit.
-
-    Raises:
-        InputError: A file is none.
-    """
+    """Images as ``data:`` addresses with their sizes [px], made smaller until all of them fit."""
     from PIL import Image, UnidentifiedImageError
 
     originals = []

@@ -40,13 +40,7 @@ WORTH_NAMING_M, WORTH_NAMING_DEG = 0.005, 0.5  # smaller moves are none
 
 @dataclass(frozen=True)
 class Statement:
-    """A sentence or some, under a catchword.
-
-    Attributes:
-        about: The catchword.
-        text: The sentences.
-        tone: Whether that is good or bad news, or neither.
-    """
+    """A sentence or some, under a catchword."""
 
     about: str
     text: str
