@@ -1,11 +1,12 @@
 """Draw the images of README and of the documents again: ``python docs/pictures.py [NAME ...]``.
 
-Each is what a command of warpav writes, or is drawn here. All of them take some minutes, most for the run that README
-shows.
+Each is what a command of warpav writes, or is drawn here, and is kept as WebP. All of them take some minutes, most for
+the run that README shows.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
@@ -22,7 +23,8 @@ from PIL import Image
 
 from warpav.cli.app import main
 
-PICTURES = Path(__file__).resolve().parents[1] / ".github" / "pictures"
+PICTURES = Path(__file__).resolve().parent / "pictures"
+_WIDEST_PX = 1600
 
 
 def _warpav(*arguments: str) -> None:
@@ -30,45 +32,53 @@ def _warpav(*arguments: str) -> None:
         raise SystemExit(f"failed: warpav {' '.join(arguments)}")
 
 
+def keep(name: str, drawn: Path) -> None:
+    """Write a drawn image as ``docs/pictures/NAME.webp``: without loss where that is smaller."""
+    with Image.open(drawn) as image:
+        small = image.convert("RGB")
+    if small.width > _WIDEST_PX:
+        small = small.resize((_WIDEST_PX, round(_WIDEST_PX * small.height / small.width)), Image.Resampling.LANCZOS)
+    files = []
+    for form in ({"quality": 80, "method": 6}, {"lossless": True}):
+        file = io.BytesIO()
+        small.save(file, "webp", **form)
+        files.append(file.getvalue())
+    (PICTURES / f"{name}.webp").write_bytes(min(files, key=len))
+
+
 def draw_run(folder: Path) -> None:
-    """rig.png and detections.png: of the run of README's table."""
+    """``rig`` and ``detections``: of the run of README's table."""
     run = folder / "run"
     _warpav("optimise", f"run.out={run}")
-    for name in ("rig.png", "detections.png"):
-        shutil.copyfile(run / "figures" / name, PICTURES / name)
+    for name in ("rig", "detections"):
+        shutil.copyfile(run / "figures" / f"{name}.png", folder / f"{name}.png")
 
 
 def draw_coverage(folder: Path) -> None:
-    """coverage.png: where the cameras of nuScenes see a child."""
-    _warpav("inspect", "nuscenes", "--show", "coverage", "--out", str(PICTURES / "coverage.png"))
+    """coverage: where the cameras of nuScenes see a child."""
+    _warpav("inspect", "nuscenes", "--show", "coverage", "--out", str(folder / "coverage.png"))
 
 
 def draw_sheet(folder: Path) -> None:
-    """sheet.png: the cameras of nuScenes on the town's car, to scale."""
-    _warpav("inspect", "nuscenes", "--show", "sheet", "--out", str(PICTURES / "sheet.png"))
+    """sheet: the cameras of nuScenes on the town's car, to scale."""
+    _warpav("inspect", "nuscenes", "--show", "sheet", "--out", str(folder / "sheet.png"))
 
 
 def draw_mount_drawing(folder: Path) -> None:
-    """mount_drawing.png: where the cameras of nuScenes are mounted on the town's car."""
+    """mount_drawing: where the cameras of nuScenes are mounted on the town's car."""
     os.environ["SOURCE_DATE_EPOCH"] = "1790000000"  # the date on the sheet, the same in every picture
-    _warpav("rig", "drawing", "nuscenes", "--out", str(folder / "mounts.png"))
-    with Image.open(folder / "mounts.png") as page:
-        small = page.convert("RGB").resize((1654, 1169), Image.Resampling.LANCZOS)
-        small.save(PICTURES / "mount_drawing.png", optimize=True)
+    _warpav("rig", "drawing", "nuscenes", "--out", str(folder / "mount_drawing.png"))
 
 
 def draw_fitting(folder: Path) -> None:
-    """plot_*.png: every kind of plot of the rig of a series car on its vehicle."""
+    """plot_*: every kind of plot of the rig of a series car on its vehicle."""
     rig = Path(__file__).parent / "results" / "surround_rig.yaml"
     for kind in FITTING:
-        _warpav("plot", str(rig), "--config", "surround", "--kind", kind, "--out", str(folder / f"{kind}.png"))
-        with Image.open(folder / f"{kind}.png") as image:
-            small = image.convert("RGB").resize(
-                (1080, round(1080 * image.height / image.width)), Image.Resampling.LANCZOS
-            )
-        if kind == "contact":  # images of cameras; a palette would shift the pale colours of all others
-            small = small.quantize(64, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-        small.save(PICTURES / f"plot_{kind}.png", optimize=True)
+        image = folder / f"plot_{kind}.png"
+        _warpav("plot", str(rig), "--config", "surround", "--kind", kind, "--out", str(image))
+        with Image.open(image) as drawn:
+            small = drawn.convert("RGB").resize((1080, round(1080 * drawn.height / drawn.width)))
+        small.save(image)
 
 
 FITTING = ("plan", "range", "near_field", "redundancy", "resolution", "contact")
@@ -76,20 +86,20 @@ FITTING = ("plan", "range", "near_field", "redundancy", "resolution", "contact")
 
 
 def draw_vehicle(folder: Path) -> None:
-    """vehicle.png: what of the embedded vehicle can carry cameras."""
+    """vehicle: what of the embedded vehicle can carry cameras."""
     _warpav("scenes", "make", "--seeds", "3", "--out", str(folder))
-    _warpav("vehicle", "check", str(folder / "scene_3.glb"), "--image", str(PICTURES / "vehicle.png"))
+    _warpav("vehicle", "check", str(folder / "scene_3.glb"), "--image", str(folder / "vehicle.png"))
 
 
 def draw_zones(folder: Path) -> None:
-    """zones.png: where on the body of the embedded vehicle cameras may stand."""
+    """zones: where on the body of the embedded vehicle cameras may stand."""
     _warpav("scenes", "make", "--seeds", "3", "--out", str(folder))
-    image = str(PICTURES / "zones.png")
+    image = str(folder / "zones.png")
     _warpav("vehicle", "zones", str(folder / "scene_3.glb"), "--out", str(folder / "zones.yaml"), "--image", image)
 
 
 def draw_behind_glass(folder: Path) -> None:
-    """behind_glass.png: what a camera behind the windscreen sees, in the embedded car, the bus and the pickup truck."""
+    """behind_glass: what a camera behind the windscreen sees, in the embedded car, the bus and the pickup truck."""
     import warpav as wa
     from warpav.optimisation.mount import X_M, Y_M, CameraMount
     from warpav.rig.chart import chart_of
@@ -111,27 +121,27 @@ def draw_behind_glass(folder: Path) -> None:
         images.append(image.rgb)
     gap = np.full((images[0].shape[0], 8, 3), 255, np.uint8)
     row = np.concatenate([images[0], gap, images[1], gap, images[2]], axis=1)
-    Image.fromarray(row).save(PICTURES / "behind_glass.png", optimize=True)
+    Image.fromarray(row).save(folder / "behind_glass.png")
 
 
 def draw_gain(folder: Path) -> None:
-    """gain.png: what one more camera would bring to a rig of a quick search among all zones, on the body."""
+    """gain: what one more camera would bring to a rig of a quick search among all zones, on the body."""
     run, zones = folder / "run", folder / "zones.yaml"
     _warpav("scenes", "make", "--seeds", "3", "--out", str(folder))
     _warpav("vehicle", "zones", str(folder / "scene_3.glb"), "--out", str(zones), "--image", str(folder / "zones.png"))
     _warpav("optimise", "quick", f"mount.zones={zones}", f"run.out={run}")
-    _warpav("inspect", str(run), "--show", "gain", "--out", str(PICTURES / "gain.png"))
+    _warpav("inspect", str(run), "--show", "gain", "--out", str(folder / "gain.png"))
 
 
 def draw_front(folder: Path) -> None:
-    """front.png: the best rigs of two to eight cameras out of three modules."""
+    """front: the best rigs of two to eight cameras out of three modules."""
     modules = "rig.modules={side_2mp_100: 0..8, surround_1_4mp_70: 0..8, fisheye_1_3mp_190: 0..8}"
     _warpav("front", "quick", modules, "rig.cameras=2..8", "--out", str(folder / "front"))
-    shutil.copyfile(folder / "front" / "front.png", PICTURES / "front.png")
+    shutil.copyfile(folder / "front" / "front.png", folder / "front.png")
 
 
 def draw_sweep(folder: Path) -> None:
-    """sweep.png: when placement matters, from the packed runs of ``warpav experiment sweep``."""
+    """sweep: when placement matters, from the packed runs of ``warpav experiment sweep``."""
     from pydantic import TypeAdapter
 
     from warpav.experiments.sweep import Gain, draw_gains
@@ -139,34 +149,34 @@ def draw_sweep(folder: Path) -> None:
     with tarfile.open(Path(__file__).parent / "results" / "traffic_runs.tar.xz") as runs:
         runs.extract("sweep/sweep.json", folder, filter="data")
     gains = json.loads((folder / "sweep" / "sweep.json").read_text())["gains"]
-    draw_gains(TypeAdapter(list[Gain]).validate_python(gains), PICTURES / "sweep.png")
+    draw_gains(TypeAdapter(list[Gain]).validate_python(gains), folder / "sweep.png")
 
 
 def draw_requirements(folder: Path) -> None:
-    """requirements.png: what of the ground within 5 m the cameras of EDGAR see on the embedded vehicle."""
-    _warpav("rig", "requirements", "edgar", "--image", str(PICTURES / "requirements.png"))
+    """requirements: what of the ground within 5 m the cameras of EDGAR see on the embedded vehicle."""
+    _warpav("rig", "requirements", "edgar", "--image", str(folder / "requirements.png"))
 
 
 def draw_series_car(folder: Path) -> None:
-    """series_car.png: what of the ground within 5 m the rig that ``warpav optimise surround`` found sees."""
+    """series_car: what of the ground within 5 m the rig that ``warpav optimise surround`` found sees."""
     rig = Path(__file__).parent / "results" / "surround_rig.yaml"
-    _warpav("rig", "requirements", str(rig), "--image", str(PICTURES / "series_car.png"))
+    _warpav("rig", "requirements", str(rig), "--image", str(folder / "series_car.png"))
 
 
 def draw_sensitivity(folder: Path) -> None:
-    """sensitivity.png: what errors of mounting and the loss of each camera of the series car cost."""
+    """sensitivity: what errors of mounting and the loss of each camera of the series car cost."""
     _warpav("optimise", "surround", f"run.out={folder / 'run'}")
-    shutil.copyfile(folder / "run" / "figures" / "sensitivity.png", PICTURES / "sensitivity.png")
+    shutil.copyfile(folder / "run" / "figures" / "sensitivity.png", folder / "sensitivity.png")
 
 
 def draw_any_camera(folder: Path) -> None:
-    """any_camera.png: how well the fit of the detection probability for any camera is calibrated."""
+    """any_camera: how well the fit of the detection probability for any camera is calibrated."""
     _warpav("detector", "fit", "quick", "--any-camera", "--again", "--out", str(folder))
-    shutil.copyfile(next(folder.glob("*_reliability.png")), PICTURES / "any_camera.png")
+    shutil.copyfile(next(folder.glob("*_reliability.png")), folder / "any_camera.png")
 
 
 def draw_weights(folder: Path) -> None:
-    """weights.png: weights of road users by place, as the page on the configuration sets them."""
+    """weights: weights of road users by place, as the page on the configuration sets them."""
     import matplotlib.pyplot as plt
 
     from warpav.optimisation.importance import Importance
@@ -192,12 +202,12 @@ def draw_weights(folder: Path) -> None:
         axis.plot(0.0, 0.0, "k^", markersize=9)
     axes[0].set_ylabel("x, forward [m]")
     figure.colorbar(drawn, ax=axes, label="weight")
-    figure.savefig(PICTURES / "weights.png", dpi=90)
+    figure.savefig(folder / "weights.png", dpi=90)
     plt.close(figure)
 
 
 def draw_town_levels(folder: Path) -> None:
-    """town_levels.jpg: the levels of the town, one a row: ahead, to the left, behind, and from above."""
+    """town_levels: the levels of the town, one a row: ahead, to the left, behind, and from above."""
     import warpav as wa
     from warpav.detection.images import render_images
 
@@ -217,11 +227,11 @@ def draw_town_levels(folder: Path) -> None:
         rows += [np.concatenate([images[0], gap, images[1], gap, images[2], gap, images[3]], axis=1)]
         rows += [np.full((6, rows[-1].shape[1], 3), 255, np.uint8)]
     image = Image.fromarray(np.concatenate(rows[:-1]))
-    image.save(PICTURES / "town_levels.jpg", quality=88, optimize=True)
+    image.save(folder / "town_levels.png")
 
 
 def draw_traffic_vehicles(folder: Path) -> None:
-    """traffic_vehicles.jpg: the same streets, the town's vehicles above, others in all places they fit below."""
+    """traffic_vehicles: the same streets, the town's vehicles above, others in all places they fit below."""
     import warpav as wa
     from warpav.detection.images import render_images
     from warpav.scene.fleet import fleet_of
@@ -250,18 +260,16 @@ def draw_traffic_vehicles(folder: Path) -> None:
             row += [image.rgb, gap]
         rows += [np.concatenate(row[:-1], axis=1)]
     image = Image.fromarray(np.concatenate([rows[0], np.full((6, rows[0].shape[1], 3), 255, np.uint8), rows[1]]))
-    image.save(PICTURES / "traffic_vehicles.jpg", quality=88, optimize=True)
+    image.save(folder / "traffic_vehicles.png")
 
 
 def draw_stages(folder: Path) -> None:
-    """stages.jpg: from images to triangle meshes."""
+    """stages: from images to triangle meshes."""
     _warpav("scenes", "figure", "5", "--seed", "3", "--out", str(folder / "stages.png"))
-    with Image.open(folder / "stages.png") as image:
-        image.convert("RGB").save(PICTURES / "stages.jpg", quality=88, optimize=True)
 
 
 def draw_gradient(folder: Path) -> None:
-    """gradient.png: how the derivative of an area follows from a hard render (kernels/README.md).
+    """gradient: how the derivative of an area follows from a hard render (kernels/README.md).
 
     The body is convex, so that its outline is the convex hull of its corners' images; all else is what the kernels do.
     """
@@ -373,12 +381,12 @@ def draw_gradient(folder: Path) -> None:
     flow.add_collection(LineCollection(segments, colors="black", lw=2.0, label="outline now"))
     for axis in axes:
         axis.legend(loc="lower left", fontsize=9)
-    figure.savefig(PICTURES / "gradient.png", dpi=100, bbox_inches="tight")
+    figure.savefig(folder / "gradient.png", dpi=100, bbox_inches="tight")
     plt.close(figure)
 
 
 def draw_traffic(folder: Path) -> None:
-    """traffic.png: scenes of recorded traffic, from above and as a camera sees them."""
+    """traffic: scenes of recorded traffic, from above and as a camera sees them."""
     import pyvista as pv
 
     import warpav as wa
@@ -401,35 +409,35 @@ def draw_traffic(folder: Path) -> None:
             images.append(np.asarray(image.resize((round(420 * image.width / image.height), 420))))
         rows.append(np.concatenate(images, axis=1))
     Image.fromarray(np.concatenate(rows)).resize((1280, round(1280 * 1260 / rows[0].shape[1]))).save(
-        PICTURES / "traffic.png", optimize=True
+        folder / "traffic.png"
     )
 
 
 DRAWN: dict[str, Callable[[Path], None]] = {
-    "rig.png": draw_run,
-    "detections.png": draw_run,
-    "coverage.png": draw_coverage,
-    "sheet.png": draw_sheet,
-    "mount_drawing.png": draw_mount_drawing,
-    **{f"plot_{kind}.png": draw_fitting for kind in FITTING},
-    "vehicle.png": draw_vehicle,
-    "front.png": draw_front,
-    "sweep.png": draw_sweep,
-    "zones.png": draw_zones,
-    "behind_glass.png": draw_behind_glass,
-    "gain.png": draw_gain,
-    "requirements.png": draw_requirements,
-    "series_car.png": draw_series_car,
-    "sensitivity.png": draw_sensitivity,
-    "any_camera.png": draw_any_camera,
-    "weights.png": draw_weights,
-    "traffic_vehicles.jpg": draw_traffic_vehicles,
-    "town_levels.jpg": draw_town_levels,
-    "stages.jpg": draw_stages,
-    "gradient.png": draw_gradient,
-    "traffic.png": draw_traffic,
+    "rig": draw_run,
+    "detections": draw_run,
+    "coverage": draw_coverage,
+    "sheet": draw_sheet,
+    "mount_drawing": draw_mount_drawing,
+    **{f"plot_{kind}": draw_fitting for kind in FITTING},
+    "vehicle": draw_vehicle,
+    "front": draw_front,
+    "sweep": draw_sweep,
+    "zones": draw_zones,
+    "behind_glass": draw_behind_glass,
+    "gain": draw_gain,
+    "requirements": draw_requirements,
+    "series_car": draw_series_car,
+    "sensitivity": draw_sensitivity,
+    "any_camera": draw_any_camera,
+    "weights": draw_weights,
+    "traffic_vehicles": draw_traffic_vehicles,
+    "town_levels": draw_town_levels,
+    "stages": draw_stages,
+    "gradient": draw_gradient,
+    "traffic": draw_traffic,
 }
-"""By file in .github/pictures."""
+"""By name in docs/pictures; each writes NAME.png to the folder that it is handed."""
 
 
 if __name__ == "__main__":
@@ -440,3 +448,6 @@ if __name__ == "__main__":
     for draw in dict.fromkeys(DRAWN[name] for name in wanted):
         with tempfile.TemporaryDirectory() as folder:
             draw(Path(folder))
+            for name in wanted:
+                if DRAWN[name] is draw:
+                    keep(name, Path(folder) / f"{name}.png")
