@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpav.core.executor import available_cores
+from warpav.core.cores import available_cores
 
 wp.config.log_level = 30
 MOST_WORKERS, MOST_WORKERS_ON_A_GPU = 8, 4

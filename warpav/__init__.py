@@ -49,14 +49,14 @@ _PLACES = {
     "read_requirements": ("warpav.requirements.read", "read_requirements"),
     "read_rig": ("warpav.rig.rig", "read_rig"),
     "read_run": ("warpav.runs.run_folder", "read_run"),
-    "read_scenes": ("warpav.scene.collection", "read_scenes"),
+    "read_scenes": ("warpav.scene.files", "read_scenes"),
     "read_vehicle": ("warpav.scene.own_vehicle", "read_vehicle"),
     "render": ("warpav.detection.images", "render"),
     "resume": ("warpav.runs.jobs", "resume"),
     "robustness": ("warpav.runs.robustness", None),
-    "town": ("warpav.scene.collection", "town"),
+    "town": ("warpav.scene.files", "town"),
     "write_rig": ("warpav.rig.rig", "write_rig"),
-    "write_scenes": ("warpav.scene.collection", "write_scenes"),
+    "write_scenes": ("warpav.scene.files", "write_scenes"),
 }
 """Module and name of everything public; None for a module."""
 

@@ -30,7 +30,7 @@ from warpav.runs.optimise import optimise
 from warpav.runs.placement import Placement
 from warpav.runs.result import Result
 from warpav.runs.run_folder import RunFolder, read_run
-from warpav.scene.collection import read_scenes, town, write_scenes
+from warpav.scene.files import read_scenes, town, write_scenes
 from warpav.scene.own_vehicle import read_vehicle
 from warpav.scene.scene import Scene
 from warpav.view import plot

@@ -10,7 +10,7 @@ import pytest
 import warp as wp
 
 from tests.architecture.kernel_style import read_modules
-from warpav.core.atomic_write import atomic_write
+from warpav.core.files import atomic_write
 
 # Turing, Ampere, Hopper; the first two are left to full runs: each takes half a minute of one core
 ARCHITECTURES = (pytest.param(75, marks=pytest.mark.slow), pytest.param(80, marks=pytest.mark.slow), 90)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import time
 
+import warpav as wa
 from tests.benchmarks.test_pool import shipped_fit
 from warpav.core.executor import Executor
 from warpav.optimisation.constraints import ZoneAndSpacing
@@ -18,7 +19,6 @@ from warpav.optimisation.pool import CHUNK_CAMERAS, CameraPool, spread_mount_pos
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.camera import CameraModel
 from warpav.rig.mount_surface import mount_surface_from_mesh
-from warpav.scene.cache import town_scenes
 from warpav.scene.device_scene import DeviceScene
 
 
@@ -30,7 +30,7 @@ def main() -> None:
     parser.add_argument("--side-px", type=int, default=640)
     parser.add_argument("--device", default="cuda:0")
     settings = parser.parse_args()
-    town = list(town_scenes(range(200, 208)))
+    town = wa.town(range(200, 208))
     scenes = [DeviceScene.pack(scene, device=settings.device) for scene in town]
     surface = mount_surface_from_mesh(town[0].ego)
     camera = CameraModel(settings.side_px, settings.side_px)

@@ -16,9 +16,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from warpav.core.executor import available_cores
+from warpav.core.cores import available_cores
 from warpav.scene.device_scene import DeviceScene
-from warpav.scene.packed import SceneRecipe, stored_scenes
+from warpav.scene.stored_scene import SceneRecipe, stored_scenes
 from warpav.scene.town.levels import TownSource
 from warpav.scene.town.town import ego_vehicle
 from warpav.scene.traffic.files import recordings_in, shipped_recordings

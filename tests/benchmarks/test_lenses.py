@@ -8,6 +8,7 @@ import math
 
 import pytest
 
+import warpav as wa
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.mount import CameraMount, views_of_rig
 from warpav.optimisation.pool import spread_mount_poses
@@ -15,7 +16,6 @@ from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import Renderer
 from warpav.rig.mount_surface import mount_surface_from_mesh
-from warpav.scene.cache import town_scenes
 from warpav.scene.device_scene import DeviceScene
 
 VIEWS = 16
@@ -32,7 +32,7 @@ LENSES = {
 @pytest.fixture(scope="module")
 def town():
     """A scene, and poses of views in it."""
-    (scene,) = town_scenes((150,))
+    (scene,) = wa.town((150,))
     surface = mount_surface_from_mesh(scene.ego)
     mount = CameraMount(surface, camera=LENSES["pinhole 90"], height_offset_m=0.25)
     pose = spread_mount_poses(mount, ZoneAndSpacing(surface, camera_count=1), VIEWS, seed=0)

@@ -22,8 +22,8 @@ from warpav.optimisation.selection.select import select
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.camera import CameraModel
 from warpav.rig.mount_surface import mount_surface_from_mesh
-from warpav.scene.cache import town_scenes
 from warpav.scene.device_scene import DeviceScene
+from warpav.scene.files import town
 
 RIG, RENDERS, SEEDS = 4, 20, (0, 1, 2, 3)
 FREE = {"x, y, yaw": None, "and pitch": FreeRanges(pitch_rad=(np.radians(-10.0), np.radians(30.0)))}
@@ -33,7 +33,7 @@ class Work:
     """Town scenes, and the rig that the selection chooses of a pool."""
 
     def __init__(self, free, seed):
-        scenes = list(town_scenes(range(300 + 20 * seed, 320 + 20 * seed)))
+        scenes = list(town(range(300 + 20 * seed, 320 + 20 * seed)))
         surface = mount_surface_from_mesh(scenes[0].ego)
         self.mount = CameraMount(surface, camera=CameraModel(256, 256), height_offset_m=0.25, device="cpu", free=free)
         self.constraints = ZoneAndSpacing(surface, camera_count=RIG)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+import warpav as wa
 import warpav.detection
 from warpav.detection.probability import Appearance, DetectionProbability
 from warpav.optimisation.constraints import ZoneAndSpacing
@@ -20,7 +21,6 @@ from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import Renderer
 from warpav.rig.mount_surface import mount_surface_from_mesh
-from warpav.scene.cache import town_scenes
 from warpav.scene.device_scene import DeviceScene
 
 CAMERAS, RIG = 256, 4
@@ -37,7 +37,7 @@ def shipped_fit():
 @pytest.fixture(scope="module")
 def town():
     """Scenes, and the vehicle that they share."""
-    scenes = list(town_scenes(SEEDS))
+    scenes = wa.town(SEEDS)
     return scenes, mount_surface_from_mesh(scenes[0].ego)
 
 

@@ -17,14 +17,14 @@ from warpav.requirements.read import read_requirements
 from warpav.requirements.requirement import Ghosts
 from warpav.requirements.visibility import ghost_jacobians, ghost_visibility, poses_of
 from warpav.rig.mount_surface import mount_surface_from_mesh
-from warpav.scene.cache import town_scenes
+from warpav.scene.files import town
 
 POOL = 256
 
 
 @pytest.fixture(scope="module")
 def ego():
-    (scene,) = town_scenes((0,))
+    (scene,) = town((0,))
     return scene.ego
 
 

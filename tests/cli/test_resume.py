@@ -18,8 +18,8 @@ import warpav as wa
 from tests.cli.small_run import RESUMED_POOL as POOL
 from tests.cli.small_run import RUNS, complaint
 from warpav.cli.app import main
-from warpav.core.atomic_write import DRAFT
 from warpav.core.errors import InputError
+from warpav.core.files import DRAFT
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.runs.placement import Placement
 from warpav.runs.run_folder import RunFolder, held_run

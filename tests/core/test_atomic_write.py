@@ -6,8 +6,8 @@ import threading
 import pytest
 from matplotlib.figure import Figure
 
-from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
+from warpav.core.files import atomic_write
 from warpav.view import output
 from warpav.view.figures.style import save_figure
 

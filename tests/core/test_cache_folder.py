@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from warpav.core import cache_folder
+from warpav.core import cache as cache_folder
 
 
 @pytest.fixture

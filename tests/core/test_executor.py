@@ -22,8 +22,11 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from warpav.core import cores, workers
+from warpav.core import executor as executor_module
+from warpav.core.cores import available_cores, gpu_share
 from warpav.core.errors import InputError, OptionError
-from warpav.core.executor import Outcome, available_cores, gpu_share, processes, run_tasks, workers
+from warpav.core.executor import Executor, Outcome
 
 needs_ray = pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="ray is not installed")
 needs_submitit = pytest.mark.skipif(importlib.util.find_spec("submitit") is None, reason="submitit is not installed")
@@ -96,6 +99,10 @@ def options_of(request, executor):
 def elsewhere(request):
     """Options for every executor that runs tasks in other processes; clusters every night."""
     return options_of(request, request.param)
+
+
+def run_tasks(function, tasks, executor="serial", **options):
+    return Executor(executor, **options).map(function, tasks)
 
 
 def square(number):
@@ -198,7 +205,7 @@ def test_as_many_processes_as_asked_for_share_the_machine(worker_count):
 
 
 def test_libraries_start_no_more_threads_than_the_share(monkeypatch):
-    for variable in workers._THREAD_VARIABLES:
+    for variable in cores._THREAD_VARIABLES:
         monkeypatch.delenv(variable, raising=False)
     count = available_cores()
     outcome = next(run_tasks(threads_of_libraries, range(count), executor="process", worker_count=count))
@@ -206,14 +213,14 @@ def test_libraries_start_no_more_threads_than_the_share(monkeypatch):
 
 
 def test_a_smaller_share_lowers_what_it_inherited(monkeypatch):
-    monkeypatch.setattr(workers, "_share", workers.Share())
+    monkeypatch.setattr(cores, "_share", cores.Share())
     monkeypatch.setattr(os, "cpu_count", lambda: 64)
     given = {"OMP_NUM_THREADS": "5", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "4,2"}
     for variable, value in given.items():
         monkeypatch.setenv(variable, value)
     monkeypatch.setenv("OPENCV_FOR_THREADS_NUM", "")
-    workers.take_share(workers.Share(1))
-    assert {os.environ[variable] for variable in workers._THREAD_VARIABLES} == {"1"}
+    cores.take_share(cores.Share(1))
+    assert {os.environ[variable] for variable in cores._THREAD_VARIABLES} == {"1"}
 
 
 @pytest.mark.parametrize(
@@ -234,13 +241,13 @@ def test_control_groups_limit_the_cores(tmp_path, groups, own, expected):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
     (tmp_path / "own").write_text(own)
-    assert workers.quota_cores(tmp_path, tmp_path / "own") == expected
+    assert cores.quota_cores(tmp_path, tmp_path / "own") == expected
 
 
 def test_without_a_number_there_is_a_process_for_each_core_of_the_share(monkeypatch):
-    monkeypatch.setattr(processes, "Processes", DeadlyProcesses)
+    monkeypatch.setattr(executor_module, "Processes", DeadlyProcesses)
     monkeypatch.setattr(DeadlyProcesses, "counts", [])
-    monkeypatch.setattr(workers, "_share", workers.Share(cores=1))
+    monkeypatch.setattr(cores, "_share", cores.Share(cores=1))
     monkeypatch.setattr(os, "cpu_count", lambda: 64)
     list(run_tasks(abs, [4], executor="process"))
     assert DeadlyProcesses.counts == [1]
@@ -357,7 +364,7 @@ class DeadlyProcesses:
 
 
 def test_what_was_killed_is_tried_again_by_a_quarter_as_many_and_so_on(monkeypatch):
-    monkeypatch.setattr(processes, "Processes", DeadlyProcesses)
+    monkeypatch.setattr(executor_module, "Processes", DeadlyProcesses)
     monkeypatch.setattr(DeadlyProcesses, "counts", [])
     outcomes = list(run_tasks(abs, list(range(40)), executor="process", worker_count=33))
     assert DeadlyProcesses.counts == [33, 8, 2, 1]
@@ -390,8 +397,8 @@ def test_what_lacked_memory_is_tried_again_after_the_others_and_fails_with_what_
 def test_leaving_early_within_a_long_result_lets_the_program_end():
     """A process that is ended while it hands over a result leaves the rest of it out."""
     program = (
-        "from warpav.core.executor import run_tasks\n"
-        "outcomes = run_tasks(bytes, [80_000_000] * 20, executor='process', worker_count=4)\n"
+        "from warpav.core.executor import Executor\n"
+        "outcomes = Executor('process', 4).map(bytes, [80_000_000] * 20)\n"
         "next(outcomes); outcomes.close()\n"
     )
     assert subprocess.run([sys.executable, "-c", program], timeout=60, check=False).returncode == 0
@@ -479,7 +486,7 @@ def test_the_address_of_the_environment_counts(no_ray_here, monkeypatch):
 
 @needs_ray
 def test_a_host_that_listens_but_does_not_answer_is_refused_in_seconds(no_ray_here, monkeypatch):
-    monkeypatch.setattr("warpav.core.executor.ray_cluster.ANSWER_S", 3.0)
+    monkeypatch.setattr("warpav.core.workers.ANSWER_S", 3.0)
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"127.0.0.1:{server.getsockname()[1]}"
         began = time.perf_counter()
@@ -603,7 +610,7 @@ def test_whole_runs_give_the_same_numbers_bit_for_bit(serial_runs, elsewhere, tm
 def test_processes_end_with_the_one_that_started_them():
     """One that is killed cannot end them; they had stayed for ever, each with its memory."""
     program = (
-        "import time; from warpav.core.executor.processes import Processes\n"
+        "import time; from warpav.core.workers import Processes\n"
         "pool = Processes(eval, 1)\n"
         "print(pool.outcome(pool.start(['__import__(\"os\").getpid()'])[0]).result, flush=True)\n"
         "time.sleep(60)\n"
@@ -629,15 +636,15 @@ def test_processes_share_the_gpus_in_turn(monkeypatch):
     outcomes = list(run_tasks(os.getenv, ["CUDA_VISIBLE_DEVICES"] * 6, executor="process", worker_count=2, gpu_count=2))
     assert {outcome.result for outcome in outcomes} <= {"4,6,7", "6,7,4"}
     started = multiprocessing.get_context("spawn").Value("i", 0)
-    monkeypatch.setattr(processes, "_end_with_parent", lambda: None)
+    monkeypatch.setattr(workers, "_end_with_parent", lambda: None)
     seen = []
     for _ in range(3):
-        processes._begin(started, ["4,6,7", "6,7,4"], workers.Share())
+        workers._begin(started, ["4,6,7", "6,7,4"], cores.Share())
         seen.append(os.environ["CUDA_VISIBLE_DEVICES"])
     assert seen == ["4,6,7", "6,7,4", "4,6,7"]
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES")
-    assert processes._gpu_orders(2) == ["0,1,2", "1,2,0"]
-    assert processes._gpu_orders(1) == []
+    assert workers._gpu_orders(2) == ["0,1,2", "1,2,0"]
+    assert workers._gpu_orders(1) == []
 
 
 def test_processes_that_need_no_gpu_see_none():

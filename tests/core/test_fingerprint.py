@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from warpav.core import fingerprint as module
-from warpav.core.fingerprint import fingerprint as fingerprint_of
+from warpav.core import cache as module
+from warpav.core.cache import fingerprint as fingerprint_of
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.reconstruction.settings import MeshSettings, ReconstructionSettings
 
@@ -50,7 +50,7 @@ def test_a_fingerprint_is_16_hexadecimal_digits_and_stays():
     assert len(fingerprint("town", 3)) == 16
     assert int(fingerprint("town", 3), 16) >= 0
     assert fingerprint("town", 3, PLAN) == fingerprint("town", 3, replace(PLAN))
-    code = f"from warpav.core.fingerprint import fingerprint; print(fingerprint('town', 3, code=['{TOWN}']))"
+    code = f"from warpav.core.cache import fingerprint; print(fingerprint('town', 3, code=['{TOWN}']))"
     other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert other.stdout.strip() == fingerprint("town", 3)  # in another process, where strings hash otherwise
 

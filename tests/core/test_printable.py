@@ -1,7 +1,7 @@
 """What a terminal would obey is shown."""
 
 from warpav.cli.arguments import complain, say
-from warpav.core.printable import one_line, printable
+from warpav.core.errors import one_line, printable
 
 
 def test_what_a_terminal_would_obey_is_written_out():

@@ -280,10 +280,10 @@ def test_a_process_is_sent_files_not_scenes(tmp_path):
     sizes = []
 
     class Measured(Executor):
-        def run(self, function, tasks):
+        def map(self, function, tasks):
             sent = [pickle.dumps(task) for task in tasks]
             sizes.extend(map(len, sent))
-            return Executor().run(function, [pickle.loads(task) for task in sent])
+            return Executor().map(function, [pickle.loads(task) for task in sent])
 
     drawn(12, executor=Measured("process", worker_count=1), chunk_cameras=5)
     assert len(sizes) == 3 * 3

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from warpav.cli.app import main
+from warpav.core.cache import user_cache_folder
 from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
 from warpav.detection import probability
@@ -27,7 +28,7 @@ from warpav.runs.mounts import roof_surface
 from warpav.runs.networks import any_camera_config, any_camera_use, detector_use
 from warpav.runs.placement import needed_fit
 from warpav.runs.scene_set import scene_recipes
-from warpav.scene.packed import StoredScene, packed_scene_folder
+from warpav.scene.stored_scene import StoredScene
 from warpav.scene.town.town import ego_vehicle
 from warpav.scene.traffic.moments import search_and_test
 
@@ -282,7 +283,7 @@ def test_samples_that_cannot_be_kept_stop_no_fit(sampled, own_cache, monkeypatch
 def test_what_is_sampled_elsewhere_and_in_other_chunks_has_the_same_bits():
     config = load_config("quick", ["camera.width_px=64", "camera.height_px=64"])
     (recipe,) = scene_recipes(config, (7,), NullProgress())
-    scene = StoredScene(recipe, packed_scene_folder(), "cpu")
+    scene = StoredScene(recipe, user_cache_folder("packed_scenes"), "cpu")
     source = detector_fit._Source(CameraModel(64, 64), 5, (11,))
     surface = roof_surface(config, ego_vehicle())
     sampling = detector_fit._Sampling(config, surface, (source,), None)

@@ -12,9 +12,8 @@ import sys
 import numpy as np
 import pytest
 
-from warpav.core.atomic_write import DRAFT
 from warpav.core.errors import InputError
-from warpav.core.files import write_json
+from warpav.core.files import DRAFT, write_json
 from warpav.raster.camera import CameraModel
 from warpav.rig.presets import preset_rig
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig

@@ -8,7 +8,7 @@ import shutil
 import numpy as np
 import pytest
 
-from tests.scene.test_store import bytes_of, content, remove, shorten
+from tests.scene.test_files import bytes_of, content, remove, shorten
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
@@ -73,7 +73,7 @@ def small_scene(seed):
 
 def test_made_scenes_stay_and_are_split(working_directory, monkeypatch, capsys):
     monkeypatch.setattr(
-        "warpav.scene.store.built_scenes", lambda sources: [small_scene(source.seed) for source in sources]
+        "warpav.scene.files.built_scenes", lambda sources: [small_scene(source.seed) for source in sources]
     )
     assert main(["scenes", "make", "--count", "2", "--out", "scenes"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -95,7 +95,7 @@ def test_a_scene_that_fails_is_told_and_the_others_are_made(monkeypatch, capsys)
             raise RuntimeError("the street\nis closed")
         return small_scene(seed)
 
-    monkeypatch.setattr("warpav.scene.store.built_scenes", lambda sources: [failing(source.seed) for source in sources])
+    monkeypatch.setattr("warpav.scene.files.built_scenes", lambda sources: [failing(source.seed) for source in sources])
     assert main(["scenes", "make", "--count", "3", "--out", "scenes"]) == 2
     lines = capsys.readouterr().out.splitlines()
     assert lines[-2:] == ["2 of 3 done; rejected:", "scenes/scene_1.glb: RuntimeError: the street is closed"]
@@ -108,7 +108,7 @@ def test_a_scene_that_fails_is_told_and_the_others_are_made(monkeypatch, capsys)
 @pytest.mark.parametrize("count", [5, 6, 9])
 def test_the_advice_to_train_on_a_split_can_be_followed(monkeypatch, capsys, count):
     monkeypatch.setattr(
-        "warpav.scene.store.built_scenes", lambda sources: [small_scene(source.seed) for source in sources]
+        "warpav.scene.files.built_scenes", lambda sources: [small_scene(source.seed) for source in sources]
     )
     assert main(["scenes", "make", "--count", str(count), "--out", "scenes"]) == 0
     line = capsys.readouterr().out.splitlines()[-1]

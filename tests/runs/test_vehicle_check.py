@@ -220,7 +220,9 @@ def test_who_stands_at_its_place_is_left_out_and_that_is_said(car):
 
 
 def test_left_out_road_users_are_reported(tmp_path, monkeypatch):
-    monkeypatch.setattr("warpav.runs.scene_set.town_scenes", lambda seeds, level="easy": map(town_like, seeds))
+    monkeypatch.setattr(
+        "warpav.scene.stored_scene.built_scenes", lambda sources: (town_like(each.seed) for each in sources)
+    )
     bus = of_kind("bus").transformed(np.eye(3), np.array([4.2, 0.0, 0.0]))  # to 9.6 m, and a vehicle begins at 9 m
     write_vehicle(bus, tmp_path / "bus.glb")
     # its origin is not below its rear axle; it is as its owner said
@@ -278,7 +280,9 @@ def test_what_was_made_with_another_vehicle_is_made_again(car, tmp_path):
 
 
 def test_the_traffic_of_a_process_notices_another_vehicle_in_the_same_file(car, tmp_path, monkeypatch):
-    monkeypatch.setattr("warpav.runs.scene_set.town_scenes", lambda seeds, level="easy": map(town_like, seeds))
+    monkeypatch.setattr(
+        "warpav.scene.stored_scene.built_scenes", lambda sources: (town_like(each.seed) for each in sources)
+    )
     write_vehicle(car, tmp_path / "car.glb")
     config = load_config(
         "quick",

@@ -17,7 +17,7 @@ from warpav.runs.config import load_config, option_values
 from warpav.scene.cache import built_scenes, scene_file
 from warpav.scene.fleet import CATEGORIES, STRETCH, TRIANGLES_MAX, _bodies, fleet_of
 from warpav.scene.own_vehicle import write_vehicle
-from warpav.scene.packed import SceneRecipe
+from warpav.scene.stored_scene import SceneRecipe
 from warpav.scene.town.levels import TownSource, level_scene
 from warpav.scene.town.paint import PAINT_COLOURS
 from warpav.scene.town.town import town_scene

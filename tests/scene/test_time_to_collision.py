@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 
 from tests.scene.town.test_town import _rectangle, _rectangles_overlap
 from tests.view.stand_ins import scene, vehicle
-from warpav.scene.cache import town_scenes
+from warpav.scene.cache import built_scenes
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.glb import read_scene, write_scene
-from warpav.scene.packed import SceneRecipe, StoredScene
 from warpav.scene.scene import Box
+from warpav.scene.stored_scene import SceneRecipe, StoredScene
+from warpav.scene.town.levels import TownSource
 from warpav.scene.town.town import town_scene
 
 LOW_M, HIGH_M = np.array([-1.0, -1.0]), np.array([3.0, 1.0])
@@ -107,5 +108,5 @@ def test_velocities_go_wherever_scenes_go(tmp_path):
     assert b"velocity" not in (tmp_path / "old.glb").read_bytes()
     town = town_scene(2)
     for _ in range(2):  # built, then read
-        [cached] = town_scenes([2], folder=tmp_path)
+        [cached] = built_scenes([TownSource(2)], folder=tmp_path)
         assert velocities(cached) == velocities(town)

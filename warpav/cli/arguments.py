@@ -10,8 +10,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from warpav.core.errors import InputError
-from warpav.core.printable import one_line, printable
+from warpav.core.errors import InputError, one_line, printable
 
 DEFAULT_CONFIG = "quick"
 _LINES_MAX, _LINE_MAX = 60, 2000  # of a message; files may have a hundred thousand mistakes

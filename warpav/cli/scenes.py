@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter
 
@@ -21,6 +21,9 @@ from warpav.cli.arguments import (
 from warpav.core.errors import InputError
 from warpav.scene.town.levels import Level
 
+if TYPE_CHECKING:
+    from warpav.core.executor import Executor as TaskExecutor
+
 SceneLevel = Annotated[Level, Parameter(help="Of the embedded town, for seeds: easy, urban, dense or motorway.")]
 
 TrafficVehicles = Annotated[
@@ -34,6 +37,13 @@ TrafficVehicles = Annotated[
 VehiclesShare = Annotated[
     float | None, Parameter(help="With --vehicles: of the vehicles in whose places one could stand; by default 0.5.")
 ]
+
+
+def _tasks(name: Literal["serial", "process"], workers: int | None) -> TaskExecutor:
+    from warpav.core.executor import Executor as TaskExecutor
+
+    return TaskExecutor(name, workers)
+
 
 scenes_app = App(name="scenes", help="Make and show traffic scenes.")
 
@@ -54,7 +64,7 @@ def scenes_make(
     from warpav.runs.scenes import build_scenes, chosen_fleet
 
     fleet = chosen_fleet(vehicles, vehicles_share)
-    return build_scenes(seeds_of(seeds, count), out, level=level, fleet=fleet, executor=executor, worker_count=workers)
+    return build_scenes(seeds_of(seeds, count), out, level=level, fleet=fleet, executor=_tasks(executor, workers))
 
 
 @scenes_app.command(name="traffic")
@@ -79,7 +89,7 @@ def scenes_traffic(
 
     fleet = chosen_fleet(vehicles, vehicles_share)
     return build_traffic_scenes(
-        recordings, seeds_of(seeds, count), out, fleet=fleet, executor=executor, worker_count=workers
+        recordings, seeds_of(seeds, count), out, fleet=fleet, executor=_tasks(executor, workers)
     )
 
 
@@ -108,8 +118,7 @@ def scenes_capture(
             seeds_of(seeds, count),
             out,
             server=(host, port) if simulator == "carla" else None,
-            executor=executor,
-            worker_count=workers,
+            executor=_tasks(executor, workers),
         )
 
 
@@ -128,15 +137,15 @@ def scenes_reconstruct(
     from warpav.runs.scenes import reconstruct_scenes
 
     with placed_config(config, overrides) as settings:
-        return reconstruct_scenes(settings, captures, out, executor=executor, worker_count=workers)
+        return reconstruct_scenes(settings, captures, out, executor=_tasks(executor, workers))
 
 
 @scenes_app.command(name="check")
 def scenes_check(captures: Annotated[Path, Parameter(help="Capture, or folder of captures.")], /) -> int:
     """Check captures, also those of other simulators and cameras, and name everything that is wrong with them."""
-    from warpav.scene.store import captures_in, check_captures
+    from warpav.scene.files import captures_in, check_captures
 
-    found = list(captures_in([captures]).values())
+    found = list(captures_in(captures).values())
     bad = check_captures(found, complain)
     say(f"{len(found) - bad} of {len(found)} captures are valid")
     return 2 if bad else 0

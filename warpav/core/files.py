@@ -1,43 +1,88 @@
-"""Files that are written whole: a reader sees the old content or the new, never a part."""
+"""Files that appear whole or not at all, and folders that one process at a time writes to."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
+import errno
 import json
 import math
+import os
+import secrets
+import shutil
+import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import ArgumentError, WriteError
+
+DRAFT = ".draft-"
+"""How the names of files begin that are not whole yet."""
+_TAKEN = (errno.EAGAIN, errno.EACCES)
+
+
+def sync(path: Path) -> None:
+    """Wait until a file, or the list of files of a folder, is on the disk; a file that does not exist is none."""
+    with contextlib.suppress(FileNotFoundError):
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+@contextlib.contextmanager
+def atomic_write(file: Path, *, is_durable: bool = False) -> Iterator[Path]:
+    """A path of its own to write to; the file takes its place in one step when the block ends well, else it is removed.
+
+    A device or a pipe, such as ``/dev/null``, stays what it is and is given the content. A durable file is on the disk
+    when this returns, whatever happens to the machine afterwards. Raises OSError.
+    """
+    name = f"{DRAFT}{secrets.token_hex(4)}-{file.name}"
+    if file.exists() and not (file.is_file() or file.is_dir()):
+        with tempfile.TemporaryDirectory() as folder:
+            yield Path(folder) / name
+            with (Path(folder) / name).open("rb") as draft_stream, file.open("wb") as stream:
+                shutil.copyfileobj(draft_stream, stream)
+        return
+    draft = file.with_name(name)
+    try:
+        yield draft
+        if is_durable:
+            sync(draft)
+        os.replace(draft, file)
+        if is_durable:
+            sync(file.parent)
+    finally:
+        with contextlib.suppress(OSError):  # what went wrong before matters more
+            draft.unlink()
+
+
+@contextlib.contextmanager
+def writing(place: Path) -> Iterator[None]:
+    """What keeps a file from being written is a `WriteError`, one line that names it."""
+    try:
+        yield
+    except OSError as error:
+        raise WriteError(f"{place}: expected a place to write to, got: {error.strerror}") from None
 
 
 def write_text(file: Path, text: str) -> None:
-    """Write a text in one step.
-
-    Raises:
-        WriteError: The file cannot be written.
-    """
+    """Write a text in one step; raises `WriteError`."""
     with writing(file), atomic_write(file) as draft:
         draft.write_text(text, encoding="utf-8")
 
 
 def write_json(file: Path, data: object) -> None:
-    """Write data as JSON in one step; dataclasses and arrays are welcome, NaN becomes null.
-
-    Raises:
-        WriteError: The file cannot be written.
-    """
+    """Write data as JSON in one step; dataclasses and arrays are welcome, NaN becomes null. Raises `WriteError`."""
     write_text(file, json.dumps(json_ready(data), indent=2, allow_nan=False) + "\n")
 
 
 def append_line(file: Path, line: str) -> None:
     """Add a line to a file, whole or not at all, as far as a process that goes on can see to it.
 
-    Raises:
-        WriteError: The file cannot be written.
+    Raises `WriteError`.
     """
     with writing(file), file.open("ab", buffering=0) as stream:
         before, left = stream.tell(), line.encode()
@@ -51,22 +96,9 @@ def append_line(file: Path, line: str) -> None:
 
 
 def check_folder(folder: Path, option: str) -> None:
-    """Reject a file where a folder is to be written; the error names ``option``.
-
-    Raises:
-        InputError: It is a file.
-    """
+    """Reject a file where a folder is to be written; the `InputError` names ``option``."""
     if folder.exists() and not folder.is_dir():
         raise ArgumentError(option, "expected a folder to write to, got a file", place=folder)
-
-
-@contextlib.contextmanager
-def writing(place: Path) -> Iterator[None]:
-    """What keeps a file from being written is one line that names it."""
-    try:
-        yield
-    except OSError as error:
-        raise WriteError(f"{place}: expected a place to write to, got: {error.strerror}") from None
 
 
 def json_ready(value: object) -> Any:  # noqa: ANN401
@@ -81,6 +113,28 @@ def json_ready(value: object) -> Any:  # noqa: ANN401
         return json_ready(value.tolist())  # pyright: ignore[reportAttributeAccessIssue]
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    if isinstance(value, Path):
-        return str(value)
-    return value
+    return str(value) if isinstance(value, Path) else value
+
+
+@contextlib.contextmanager
+def held_folder(folder: Path) -> Iterator[bool]:
+    """Hold a folder that exists while the block runs; whether nobody else did.
+
+    The system lets go when the process ends, however it ends: nothing is written, and nothing is left behind. Where a
+    file system cannot hold folders, such as NFS, everybody may.
+    """
+    try:
+        import fcntl
+    except ImportError:  # no such thing on Windows
+        yield True
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    is_free = True
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            is_free = error.errno not in _TAKEN
+        yield is_free
+    finally:
+        os.close(handle)

@@ -12,8 +12,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from warpav.core.errors import InputError
-from warpav.core.executor import available_cores
+from warpav.core.cores import available_cores
+from warpav.core.errors import InputError, OptionError
 
 KERNELS = "warpav_kernels"
 
@@ -84,3 +84,21 @@ def _muted_stderr() -> Iterator[None]:
         os.dup2(kept, 2)
         os.close(nowhere)
         os.close(kept)
+
+
+def checked_device(device: str) -> str:
+    """The name of a Warp device that this machine has.
+
+    Raises:
+        InputError: It has none of that name.
+    """
+    names = [each.alias for each in load_warp().get_devices()]
+    if device not in names:
+        raise OptionError("device", f"expected one of {', '.join(names)}, got {device!r}; warpav doctor lists them")
+    return device
+
+
+def device_name(device: str) -> str:
+    """Alias and name of a Warp device, such as ``cuda:0 (NVIDIA H100)``."""
+    found = load_warp().get_device(device)
+    return f"{found.alias} ({found.name})"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from warpav.core.devices import checked_device
+from warpav.core.warp_setup import checked_device
 from warpav.raster.areas import AMODAL_AREA, VISIBLE_AREA
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.bounded_files import read_text
+from warpav.core.cores import available_cores
 from warpav.core.errors import InputError, OptionError
-from warpav.core.executor import available_cores
 from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.external_data import check_external_data
 from warpav.detection.families.letterbox import Letterbox

@@ -20,9 +20,9 @@ import numpy as np
 import platformdirs
 import warp as wp
 
-from warpav.core.atomic_write import atomic_write
 from warpav.core.bounded_files import DATA_SET_NODES_MAX, read_json
 from warpav.core.errors import InputError
+from warpav.core.files import atomic_write
 from warpav.raster.areas import Measures
 from warpav.raster.camera import CameraModel
 from warpav.raster.frame import Frame

@@ -15,8 +15,8 @@ from functools import cache, cached_property
 import numpy as np
 import warp as wp
 
-from warpav.core.devices import checked_device
-from warpav.core.executor import available_cores
+from warpav.core.cores import available_cores
+from warpav.core.warp_setup import checked_device
 from warpav.raster.pane import Pane
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.device_scene import DeviceScene

@@ -16,10 +16,10 @@ from typing import Any, TypeVar
 import numpy as np
 import yaml
 
+from warpav.core.cache import digest
 from warpav.core.errors import ArgumentError, InputError
-from warpav.core.executor import Outcome, run_tasks
+from warpav.core.executor import Executor, Outcome
 from warpav.core.files import write_json
-from warpav.core.fingerprint import digest
 from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.attainable import attainable_objects
 from warpav.evaluation.metrics import metrics_of, observe_scenes
@@ -573,17 +573,9 @@ def outcomes(
     function: Callable[[Task], dict[str, Any]], tasks: Sequence[Task], config: Config, folder: Path
 ) -> Iterator[Outcome[Task, dict[str, Any]]]:
     """Run tasks with the configured executor; yields their outcomes as they finish."""
-    executor = config.executor
-    return run_tasks(
-        function,
-        tasks,
-        executor=executor.name,
-        worker_count=executor.workers,
-        address=executor.address,
-        options=executor.options,
-        folder=folder / "slurm_jobs",
-        gpu_count=config.shared_gpu_count,
-    )
+    of = config.executor
+    jobs = folder / "slurm_jobs"
+    return Executor(of.name, of.workers, of.address, of.options, jobs, config.shared_gpu_count).map(function, tasks)
 
 
 def _line(outcome: Outcome[ArmTask, dict[str, Any]]) -> str:

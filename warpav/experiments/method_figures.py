@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpav.core.devices import checked_device
 from warpav.core.errors import InputError
 from warpav.core.progress import Progress
+from warpav.core.warp_setup import checked_device
 from warpav.evaluation.metrics import RigObserver
 from warpav.experiments.scene_figures import RIG_NUMBERS
 from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import yaml
 
-from warpav.core.devices import device_name
+from warpav.core.cache import digest
 from warpav.core.errors import InputError
 from warpav.core.files import write_json, write_text, writing
-from warpav.core.fingerprint import digest
 from warpav.core.progress import Progress
+from warpav.core.warp_setup import device_name
 from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH
 from warpav.evaluation.metrics import confidence_at
 from warpav.evaluation.statistics import (

@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from warpav.core.devices import device_name
+from warpav.core.cache import digest
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json, write_text
-from warpav.core.fingerprint import digest
 from warpav.core.progress import NullProgress, Progress
+from warpav.core.warp_setup import device_name
 from warpav.evaluation.metrics import SceneObservations, false_alarm_confidences, metrics_of, observe_scenes
 from warpav.evaluation.statistics import RESAMPLES, rank_correlation
 from warpav.experiments.arms import resized

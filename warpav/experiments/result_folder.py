@@ -14,10 +14,10 @@ from typing import Any
 
 from warpav.core import bounded_files
 from warpav.core.bounded_files import DATA_SET_BYTES_MAX, DATA_SET_NODES_MAX
-from warpav.core.devices import device_name
+from warpav.core.cache import digest
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json
-from warpav.core.fingerprint import digest
+from warpav.core.warp_setup import device_name
 from warpav.runs.config import KEPT_FILES, Config, dump_config, option_values
 from warpav.runs.environment import environment
 from warpav.runs.scene_set import own_vehicle_digest, recordings_digest, traffic_fleet_digest

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from warpav.core.devices import device_name
+from warpav.core.cache import digest
 from warpav.core.errors import ArgumentError, InputError, OptionError
 from warpav.core.files import write_json, write_text
-from warpav.core.fingerprint import digest
 from warpav.core.progress import NullProgress, Progress
+from warpav.core.warp_setup import device_name
 from warpav.experiments.experiment import outcomes, traffic_of_process
 from warpav.experiments.result_folder import RESULTS, read_json
 from warpav.optimisation.baselines import highest_mount_pose

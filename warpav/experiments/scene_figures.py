@@ -14,9 +14,9 @@ from warpav.scene.capture.capture import Capture
 from warpav.scene.capture.folder import read_capture
 from warpav.scene.capture.plan import PlanSettings, record
 from warpav.scene.capture.town_simulator import TownSimulator
+from warpav.scene.files import scene_path, split_seeds
 from warpav.scene.glb import read_scene
 from warpav.scene.scene import Box
-from warpav.scene.store import scene_path, split_seeds
 from warpav.view.figures.clouds import sphere, stages, window_filter
 from warpav.view.figures.images import contact_sheet, image_types
 from warpav.view.figures.mount_surface import mount_surface_stages

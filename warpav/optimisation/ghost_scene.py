@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from warpav.core.fingerprint import digest
+from warpav.core.cache import digest
 from warpav.optimisation.polish import shares_of
 from warpav.optimisation.requirement_rows import RequirementRows, require_meetable, requirement_rows
 from warpav.raster.camera import CameraModel

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from warpav.core.fingerprint import digest, fingerprint
+from warpav.core.cache import digest, fingerprint
 from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.mount import HEIGHT_DELTA_M, MOUNT_POSE_SIZE
 from warpav.optimisation.mount_errors import MountErrors, outside_skin

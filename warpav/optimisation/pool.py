@@ -373,7 +373,7 @@ class _Source:
             return found, 0, len(mount_pose) * len(self.scenes)
         with self._travelling({number for number, _ in missing}) as (cameras, scene_of):
             tasks = [_Chunk(cameras, scene_of(number), number, row, mount_pose[row]) for number, row in missing]
-            outcomes = self.executor.run(_draw, tasks)
+            outcomes = self.executor.map(_draw, tasks)
             for outcome in progress.steps(name, outcomes, count=len(tasks)):
                 task, scene = outcome.task, self.scenes[outcome.task.scene_number]
                 if outcome.error is not None or outcome.result is None:

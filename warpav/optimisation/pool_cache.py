@@ -17,10 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from warpav.core.atomic_write import atomic_write
-from warpav.core.cache_folder import remove_oldest
+from warpav.core.cache import digest, remove_oldest
 from warpav.core.errors import InputError
-from warpav.core.fingerprint import digest
+from warpav.core.files import atomic_write
 from warpav.optimisation.mount import MOUNT_POSE_SIZE
 
 CAPACITY_BYTES = 2**30

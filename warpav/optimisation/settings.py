@@ -12,8 +12,18 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, create_model, model_validator
 
-from warpav.core.section import Expectation, Section, mistake, shown
-from warpav.core.units import DEGREES_PER_UNIT, METRES_PER_UNIT, SECONDS_PER_UNIT, Degrees, Metres, number_in
+from warpav.core.section import (
+    DEGREES_PER_UNIT,
+    METRES_PER_UNIT,
+    SECONDS_PER_UNIT,
+    Degrees,
+    Expectation,
+    Metres,
+    Section,
+    mistake,
+    number_in,
+    shown,
+)
 from warpav.optimisation.losses.registry import LOSSES
 
 METHOD_LOSSES: dict[str, dict[str, Any]] = {

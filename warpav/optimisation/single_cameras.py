@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpav.core.executor import available_cores, gpu_share
-from warpav.core.fingerprint import digest, fingerprint
+from warpav.core.cache import digest, fingerprint
+from warpav.core.cores import available_cores, gpu_share
 from warpav.core.warp_setup import load_warp
 from warpav.optimisation.camera_jacobians import CameraJacobians, placing_slope
 from warpav.optimisation.ghost_scene import GhostScene

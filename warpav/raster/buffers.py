@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warpav.core.cores import available_cores
 from warpav.core.errors import InputError
-from warpav.core.executor import available_cores
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens, image_table
 from warpav.raster.scene import Scene

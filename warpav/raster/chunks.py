@@ -10,8 +10,8 @@ from typing import TypeVar
 import numpy as np
 import warp as wp
 
+from warpav.core.cores import gpu_processes
 from warpav.core.errors import InputError, is_out_of_memory
-from warpav.core.executor import gpu_processes
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.frame import Frame

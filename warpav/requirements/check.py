@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.printable import one_line
+from warpav.core.errors import one_line
 from warpav.raster.mesh import Mesh
 from warpav.requirements.area import Body
 from warpav.requirements.read import SECTORS, read_requirements

@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.atomic_write import atomic_write
 from warpav.core.data_frame import data_frame
 from warpav.core.errors import InputError
-from warpav.core.files import writing
+from warpav.core.files import atomic_write, writing
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, yaw_pitch_roll_from_rotation
 from warpav.core.json_schema import NAME, NUMBER, TEXT, Schema, described, document, items, mapping
 from warpav.core.yaml_file import Location, dotted, read_yaml, yaml_name

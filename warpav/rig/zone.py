@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
-from warpav.core.files import writing
+from warpav.core.files import atomic_write, writing
 from warpav.core.json_schema import (
     FLAG,
     NUMBER,

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
+from warpav.core.cache import digest, fingerprint
 from warpav.core.errors import InputError
-from warpav.core.fingerprint import digest, fingerprint
 from warpav.optimisation.rig_values import single_cameras_of
 from warpav.runs.config import Config, option_values
 from warpav.runs.networks import model_path

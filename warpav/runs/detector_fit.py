@@ -19,13 +19,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from warpav.core.cache_folder import remove_oldest
-from warpav.core.devices import checked_device
+from warpav.core.cache import digest, fingerprint, remove_oldest, user_cache_folder
+from warpav.core.cores import available_cores
 from warpav.core.errors import ArgumentError, InputError
-from warpav.core.executor import available_cores, run_tasks
-from warpav.core.fingerprint import digest, fingerprint
+from warpav.core.executor import Executor
 from warpav.core.progress import NullProgress, Progress
-from warpav.core.warp_setup import load_warp
+from warpav.core.warp_setup import checked_device, load_warp
 from warpav.detection.camera_mixture import ScalingDetector, Window, mixed_camera, windows_of
 from warpav.detection.probability import DetectionProbability, DetectorUse, stored_file
 from warpav.detection.probability_fit import (
@@ -49,7 +48,7 @@ from warpav.runs.config import Config, changed_config
 from warpav.runs.mounts import camera_model, camera_models, free_ranges, roof_surface
 from warpav.runs.networks import any_camera_config, any_camera_use, detector_use, load_detector, opened_detector
 from warpav.runs.scene_set import load_scenes, scene_recipes
-from warpav.scene.packed import SceneRecipe, StoredScene, packed_scene_folder
+from warpav.scene.stored_scene import SceneRecipe, StoredScene
 from warpav.scene.traffic.files import content_digest
 from warpav.scene.traffic.moments import search_and_test
 
@@ -545,7 +544,7 @@ class _Sampling:
 
     def samples(self, recipe: SceneRecipe, seed: int) -> DetectionSamples:
         """What the detector finds in a scene."""
-        scene = StoredScene(recipe, packed_scene_folder(), checked_device(self.config.device))
+        scene = StoredScene(recipe, user_cache_folder("packed_scenes"), checked_device(self.config.device))
         found = [self._of_source(each, scene, seed) for each in self.sources if scene.vehicle_count]
         return DetectionSamples.join(found)
 
@@ -687,13 +686,8 @@ def _outcomes(
         return
     config, content = sampling.config, pickle.dumps(sampling)
     needs_gpu = config.device.startswith("cuda") or config.detector.provider != "cpu"
-    for outcome in run_tasks(
-        _samples_of,
-        [(number, content, *task) for number, task in enumerate(tasks)],
-        executor="process",
-        worker_count=process_count,
-        gpu_count=config.shared_gpu_count if needs_gpu else 0,
-    ):
+    executor = Executor("process", process_count, gpu_count=config.shared_gpu_count if needs_gpu else 0)
+    for outcome in executor.map(_samples_of, [(number, content, *task) for number, task in enumerate(tasks)]):
         if outcome.result is None:
             raise InputError(f"scene {outcome.task[-1]}: {outcome.error}")
         yield outcome.task[0], outcome.result

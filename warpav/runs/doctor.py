@@ -97,10 +97,10 @@ def check_cache() -> Finding:
     """The folders in which Warp keeps compiled kernels, and warpav its scenes."""
     import tempfile
 
-    from warpav.scene.cache import scene_cache_folder
+    from warpav.core.cache import user_cache_folder
 
     wp = load_warp()
-    caches = scene_cache_folder().parent
+    caches = user_cache_folder("scenes").parent
     size_mb = {
         folder.name: sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6
         for folder in sorted(caches.glob("*"))

@@ -6,8 +6,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from warpav.core.devices import checked_device
 from warpav.core.errors import ArgumentError
+from warpav.core.warp_setup import checked_device
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config
 from warpav.runs.drawn_run import nearest_iteration, rigs_of_events

@@ -8,11 +8,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
-from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError, InputError, OptionError, WriteError
 from warpav.core.executor import Executor
 from warpav.core.files import json_ready, write_json
 from warpav.core.progress import Progress
+from warpav.core.warp_setup import device_name
 from warpav.evaluation.robustness import LoadState, SoiledPart
 from warpav.optimisation.history import IterationRecord
 from warpav.optimisation.pool import pool_cache_folder

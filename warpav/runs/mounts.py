@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpav.core.devices import checked_device
 from warpav.core.errors import InputError, OptionError
+from warpav.core.warp_setup import checked_device
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.rig.catalogue import builtin_modules, read_modules

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.devices import checked_device
-from warpav.core.fingerprint import digest
+from warpav.core.cache import digest
+from warpav.core.warp_setup import checked_device
 from warpav.detection.differentiable import DifferentiableDetector
 from warpav.runs.config import Config, changed_config, flow_text, with_absolute_paths
 from warpav.runs.mounts import camera_model

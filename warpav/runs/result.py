@@ -11,9 +11,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from warpav.core.devices import device_name
 from warpav.core.errors import ArgumentError
 from warpav.core.progress import Progress
+from warpav.core.warp_setup import device_name
 from warpav.optimisation.descent import Descent
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.optimisation.history import Candidate, IterationRecord
@@ -37,9 +37,9 @@ from warpav.runs.rig_source import read_baselines
 from warpav.runs.robustness import tolerance_on
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scenes
+from warpav.scene.files import scene_path
 from warpav.scene.glb import write_scene
 from warpav.scene.scene import Scene
-from warpav.scene.store import scene_path
 from warpav.view import Canvas, draws, plot
 
 if TYPE_CHECKING:

@@ -6,9 +6,8 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
-from warpav.core.atomic_write import atomic_write
-from warpav.core.devices import checked_device
-from warpav.core.files import writing
+from warpav.core.files import atomic_write, writing
+from warpav.core.warp_setup import checked_device
 from warpav.requirements.check import check_requirements
 from warpav.requirements.read import read_requirements
 from warpav.runs.config import Config

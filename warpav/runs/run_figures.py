@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.devices import checked_device
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import check_folder
 from warpav.core.progress import Progress
+from warpav.core.warp_setup import checked_device
 from warpav.raster.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
 from warpav.runs.config import Config

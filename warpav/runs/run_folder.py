@@ -25,13 +25,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from warpav.core.atomic_write import DRAFT, atomic_write, sync
 from warpav.core.bounded_files import DATA_SET_NODES_MAX, read_arrays, read_json, read_text
+from warpav.core.cache import digest
 from warpav.core.data_frame import data_frame
 from warpav.core.errors import ArgumentError, InputError, OptionError
-from warpav.core.files import append_line, json_ready, write_json, write_text, writing
-from warpav.core.fingerprint import digest
-from warpav.core.held_folder import held_folder
+from warpav.core.files import (
+    DRAFT,
+    append_line,
+    atomic_write,
+    held_folder,
+    json_ready,
+    sync,
+    write_json,
+    write_text,
+    writing,
+)
 from warpav.requirements.read import copy_requirements
 from warpav.rig.presets import preset_names
 from warpav.rig.rig import Rig, read_rig, write_rig

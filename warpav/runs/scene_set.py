@@ -12,26 +12,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import platformdirs
 
-from warpav.core.devices import checked_device
+from warpav.core.cache import digest, user_cache_folder
 from warpav.core.errors import ArgumentError, InputError, OptionError
-from warpav.core.fingerprint import digest
-from warpav.core.progress import Progress
-from warpav.core.warp_setup import compiling
+from warpav.core.progress import NullProgress, Progress
+from warpav.core.warp_setup import checked_device, compiling
 from warpav.optimisation.segregation import areas_around
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.rig.zone import read_zones
 from warpav.runs.config import Config, RigConfig, RunConfig
 from warpav.runs.mounts import camera_mount, has_zones, mount_surface, rig_modules
-from warpav.scene.cache import BuiltSource, built_scenes, town_scenes
+from warpav.scene.cache import BuiltSource
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.device_scene import DeviceScene
-from warpav.scene.packed import SceneRecipe, StoredScene, stored_scenes
+from warpav.scene.files import CaptureTask, SceneTask, capture_path, capture_scenes, make_scenes, scene_path
 from warpav.scene.reconstruction.settings import METHOD_PACKAGES, ReconstructionSettings
 from warpav.scene.scene import ROAD_USERS, Scene
-from warpav.scene.store import CaptureTask, SceneTask, capture_path, capture_scenes, make_scenes, scene_path
+from warpav.scene.stored_scene import SceneRecipe, StoredScene, scenes_of, stored_scenes
 from warpav.scene.town.levels import Level, TownSource, level_scene
 from warpav.scene.town.town import ego_vehicle
 from warpav.scene.traffic.files import content_digest
@@ -288,20 +286,11 @@ def load_scenes(
     Raises:
         InputError: A file is missing or cannot be used.
     """
-    ego = own_vehicle(config) if ego is None else ego
-    if config.scenes.source == "traffic":
-        for source in _moments(config, seeds, ego):
-            scene, left_out = source.scene_and_left_out(ego) if ego is not None else (next(built_scenes([source])), 0)
-            if left_out and say is not None:
-                say(_left_out_text(scene.name, left_out))
-            yield scene.targeting(config.scenes.targets)
-        return
-    for scene in _scenes_of(config, seeds):
-        around = scene if ego is None else scene.around(ego)
-        left_out = len(scene.road_users) - len(around.road_users)
+    recipes = scene_recipes(config, seeds, NullProgress(), ego=ego)
+    for scene, left_out in scenes_of(recipes):
         if left_out and say is not None:
             say(_left_out_text(scene.name, left_out))
-        yield around.targeting(config.scenes.targets)
+        yield scene
 
 
 def load_scene(source: str, config: Config | None = None, *, fleet: Fleet | None = None) -> Scene:
@@ -506,22 +495,6 @@ def reconstruction_settings(config: Config) -> ReconstructionSettings:
     )
 
 
-def _scenes_of(config: Config, seeds: Sequence[int]) -> Iterator[Scene]:
-    from warpav.scene.glb import read_scene
-
-    if config.scenes.source == "town":
-        fleet = traffic_fleet(config)
-        if fleet is None:
-            yield from town_scenes(seeds, config.scenes.level or "easy")
-        else:
-            yield from built_scenes([TownSource(seed, config.scenes.level or "easy", fleet) for seed in seeds])
-        return
-    if config.scenes.source == "captured":
-        yield from map(read_scene, _captured(config, seeds))
-        return
-    yield from map(read_scene, _files_of(config, seeds))
-
-
 def _moments(config: Config, seeds: Sequence[int], ego: Mesh | None) -> list[TrafficSource]:
     """Moments of recordings: seeds of the test take them from other recordings than those of the search."""
     scenes = config.scenes
@@ -551,11 +524,11 @@ def _files_of(config: Config, seeds: Sequence[int]) -> list[Path]:
 
 def _captured(config: Config, seeds: Sequence[int]) -> Iterator[Path]:
     """Files of scenes that went through images; those that are not there yet are made."""
-    folder = config.scenes.folder or Path(platformdirs.user_cache_dir("warpav", appauthor=False)) / "captured"
+    folder = config.scenes.folder or user_cache_folder("captured")
     plan, meshes = plan_settings(config), reconstruction_settings(config)
     for seed in seeds:
         captured = CaptureTask(seed, capture_path(folder / "captures", seed), plan)
-        scene = SceneTask(seed, scene_path(folder, seed), captured.folder, meshes)
+        scene = SceneTask(seed, scene_path(folder, seed), capture=captured.folder, settings=meshes)
         for outcome in (*capture_scenes([captured]), *make_scenes([scene])):
             if outcome.error is not None:
                 raise InputError(outcome.error)

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpav.core.errors import ArgumentError
-from warpav.core.executor import ExecutorName, Outcome
+from warpav.core.executor import Executor, Outcome
 from warpav.core.files import check_folder
 from warpav.runs.config import Config, SceneConfig
 from warpav.runs.progress import RunDisplay
 from warpav.runs.scene_set import load_scene, plan_settings, reconstruction_settings
-from warpav.scene.store import (
+from warpav.scene.files import (
     CaptureTask,
     SceneTask,
     capture_path,
@@ -41,8 +41,7 @@ def build_scenes(
     *,
     level: Level = "easy",
     fleet: Fleet | None = None,
-    executor: ExecutorName,
-    worker_count: int | None,
+    executor: Executor,
 ) -> int:
     """Build embedded scenes of a level as GLB files that are not there yet; returns the exit status.
 
@@ -50,7 +49,7 @@ def build_scenes(
         InputError: The folder cannot be written to.
     """
     tasks = [SceneTask(seed, scene_path(out, seed), source=TownSource(seed, level, fleet)) for seed in seeds]
-    return _build(tasks, out, executor, worker_count)
+    return _build(tasks, out, executor)
 
 
 def build_traffic_scenes(
@@ -59,8 +58,7 @@ def build_traffic_scenes(
     out: Path,
     *,
     fleet: Fleet | None = None,
-    executor: ExecutorName,
-    worker_count: int | None,
+    executor: Executor,
 ) -> int:
     """Build scenes of recorded traffic as GLB files that are not there yet; returns the exit status.
 
@@ -70,7 +68,6 @@ def build_traffic_scenes(
         out: Folder for the files.
         fleet: Vehicles of other makers, in the places of some; None: none.
         executor: How the scenes are spread.
-        worker_count: Processes.
 
     Raises:
         InputError: A recording cannot be used, or the folder cannot be written to.
@@ -81,17 +78,14 @@ def build_traffic_scenes(
         SceneTask(seed, scene_path(out, seed), source=TrafficSource(moment_of(moments, seed), seed, fleet))
         for seed in seeds
     ]
-    return _build(tasks, out, executor, worker_count)
+    return _build(tasks, out, executor)
 
 
-def _build(tasks: Sequence[SceneTask], out: Path, executor: ExecutorName, worker_count: int | None) -> int:
+def _build(tasks: Sequence[SceneTask], out: Path, executor: Executor) -> int:
     check_folder(out, "out")
     status = _show_outcomes(
         "building scenes",
-        (
-            (str(outcome.task.file), outcome)
-            for outcome in make_scenes(tasks, executor=executor, worker_count=worker_count)
-        ),
+        ((str(outcome.task.file), outcome) for outcome in make_scenes(tasks, executor)),
         len(tasks),
     )
     _say_split(tasks, out)
@@ -104,8 +98,7 @@ def record_scenes(
     out: Path,
     *,
     server: tuple[str, int] | None,
-    executor: ExecutorName,
-    worker_count: int | None,
+    executor: Executor,
 ) -> int:
     """Record situations that are not recorded yet; returns the exit status.
 
@@ -115,7 +108,6 @@ def record_scenes(
         out: Folder for the captures.
         server: Host and port of CARLA; None: the embedded town.
         executor: How the embedded town's situations are spread; CARLA records one after the other.
-        worker_count: Processes.
 
     Raises:
         InputError: The folder cannot be written to, or CARLA is not there.
@@ -123,17 +115,15 @@ def record_scenes(
     check_folder(out, "out")
     tasks = [CaptureTask(seed, capture_path(out, seed), plan_settings(config)) for seed in seeds]
     if server is None:
-        outcomes = capture_scenes(tasks, executor=executor, worker_count=worker_count)
+        outcomes = capture_scenes(tasks, executor)
     else:
-        from warpav.scene.store import capture_carla_scenes
+        from warpav.scene.files import capture_carla_scenes
 
         outcomes = capture_carla_scenes(tasks, host=server[0], port=server[1])
     return _show_outcomes("recording", ((str(outcome.task.folder), outcome) for outcome in outcomes), len(tasks))
 
 
-def reconstruct_scenes(
-    config: Config, captures: Path, out: Path, *, executor: ExecutorName, worker_count: int | None
-) -> int:
+def reconstruct_scenes(config: Config, captures: Path, out: Path, *, executor: Executor) -> int:
     """Make scenes of captures that are not there yet; one that cannot be used is rejected, the others go on.
 
     Returns:
@@ -145,9 +135,10 @@ def reconstruct_scenes(
     check_folder(out, "out")
     settings = reconstruction_settings(config)
     tasks = [
-        SceneTask(seed, scene_path(out, seed), capture, settings) for seed, capture in captures_in([captures]).items()
+        SceneTask(seed, scene_path(out, seed), capture=capture, settings=settings)
+        for seed, capture in captures_in(captures).items()
     ]
-    outcomes = make_scenes(tasks, executor=executor, worker_count=worker_count)
+    outcomes = make_scenes(tasks, executor)
     status = _show_outcomes("reconstructing", ((str(outcome.task.file), outcome) for outcome in outcomes), len(tasks))
     _say_split(tasks, out)
     return status

@@ -17,7 +17,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from warpav.core.printable import one_line, printable
+from warpav.core.errors import one_line, printable
 
 __all__ = ["Group", "RenderableType", "Terminal", "TerminalTable", "shown"]
 

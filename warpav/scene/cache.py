@@ -1,9 +1,4 @@
-"""Scenes that are built, kept in the user's cache folder: built once, several at a time, then read.
-
-A file is named after what it was made of: the source, the code that makes scenes, and the versions of NumPy and Embree.
-So it never has to be checked for its age; a file that cannot be read is built again. The folder holds at most
-`CAPACITY_BYTES`; beyond that the scenes that were not used for the longest time go.
-"""
+"""Scenes in the user's cache: built once, several at a time, then read; see `warpav.core.cache`."""
 
 from __future__ import annotations
 
@@ -15,42 +10,21 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-import platformdirs
 
-from warpav.core.atomic_write import atomic_write
-from warpav.core.cache_folder import remove_oldest
-from warpav.core.executor import available_cores, run_tasks
-from warpav.core.fingerprint import digest
+from warpav.core.cache import digest, made_files, remove_oldest, user_cache_folder
+from warpav.core.files import atomic_write
 from warpav.raster.mesh import Mesh
 from warpav.scene.scene import Box, Scene, Sky, Vehicle
-from warpav.scene.town.levels import Level, TownSource
+from warpav.scene.town.levels import TownSource
 from warpav.scene.traffic.traffic_scene import TrafficSource
 
 CAPACITY_BYTES = 512 * 2**20
 """What the cache holds at most: about 300 scenes of 1.8 MB."""
-_PARALLEL_MIN = 4  # fewer scenes are built sooner than processes start
 _FORMAT = 2
-_UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
-
-
-def scene_cache_folder() -> Path:
-    """Where scenes are kept; it may not exist yet."""
-    return Path(platformdirs.user_cache_dir("warpav", appauthor=False)) / "scenes"
-
+UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 BuiltSource = TownSource | TrafficSource
 """What a scene can be built of: a seed and a level of the town, or a moment of a recording."""
-
-
-def town_scenes(
-    seeds: Sequence[int], level: Level = "easy", *, folder: Path | None = None, worker_count: int | None = None
-) -> Iterator[Scene]:
-    """The embedded scenes of ``seeds`` and a level; see `built_scenes`.
-
-    Raises:
-        ValueError: A seed is negative.
-    """
-    return built_scenes([TownSource(seed, level) for seed in seeds], folder=folder, worker_count=worker_count)
 
 
 def built_scenes(
@@ -58,51 +32,22 @@ def built_scenes(
 ) -> Iterator[Scene]:
     """The scenes of ``sources``, in this order: read where they were built before, built where not.
 
-    Args:
-        sources: What they are built of.
-        folder: Where to keep them; None: `scene_cache_folder`. Nothing is kept where it cannot be written to.
-        worker_count: Processes that build scenes; None: one for each core.
-
-    Yields:
-        Scenes, array for array and bit for bit those of ``source.scene()``.
-
-    Raises:
-        ValueError: A seed is negative.
-        InputError: A recording cannot be read.
+    They are array for array and bit for bit those of ``source.scene()``. Nothing is kept where the folder cannot be
+    written to. Raises `InputError` where a recording cannot be read.
     """
-    folder = folder or scene_cache_folder()
-    missing = [source for source in dict.fromkeys(sources) if not scene_file(source, folder).is_file()]
-    worker_count = min(worker_count or available_cores(), len(missing))
-    built: dict[BuiltSource, Scene] = {}
-    outcomes = iter(())
-    if worker_count > 1 and len(missing) >= _PARALLEL_MIN:
-        tasks = [(source, folder) for source in missing]
-        outcomes = run_tasks(_build, tasks, executor="process", worker_count=worker_count, gpu_count=0)
-    else:
-        missing = []
-    for source in sources:
-        while source in missing and source not in built:
-            outcome = next(outcomes)
-            finished, _ = outcome.task
-            # one that failed fails again here, with its own error
-            built[finished] = _build(outcome.task) if outcome.result is None else outcome.result
-        yield built[source] if source in built else _read_or_build(source, folder)
-    for _ in outcomes:
-        pass
+    folder = folder or user_cache_folder("scenes")
+    files = [scene_file(source, folder) for source in sources]
+    for source, file in made_files(_keep_scene, sources, files, worker_count=worker_count):
+        try:
+            scene = read_kept(file)
+            file.touch()
+        except UNREADABLE:
+            scene = source.scene()
+            with contextlib.suppress(OSError):
+                file.parent.mkdir(parents=True, exist_ok=True)
+                _write(scene, file)
+        yield scene
     remove_oldest(folder, "*.npz", capacity_bytes=CAPACITY_BYTES)
-
-
-def scene_once(source: BuiltSource) -> Scene:
-    """The scene of a source, read where it was built before, else built and not kept.
-
-    Raises:
-        ValueError: The seed is negative.
-        InputError: A recording cannot be read.
-    """
-    try:
-        return _read(scene_file(source, scene_cache_folder()))
-    except _UNREADABLE:
-        return source.scene()
 
 
 def scene_file(source: BuiltSource, folder: Path) -> Path:
@@ -112,24 +57,10 @@ def scene_file(source: BuiltSource, folder: Path) -> Path:
     return folder / f"{name}_{made_of}.npz"
 
 
-def _read_or_build(source: BuiltSource, folder: Path) -> Scene:
-    file = scene_file(source, folder)
-    try:
-        scene = _read(file)
-        file.touch()
-    except _UNREADABLE:
-        scene = _build((source, folder))
-    return scene
-
-
-def _build(task: tuple[BuiltSource, Path]) -> Scene:
-    """Build a scene, and keep it if the folder lets itself be written to."""
-    source, folder = task
-    scene = source.scene()
-    with contextlib.suppress(OSError):
-        folder.mkdir(parents=True, exist_ok=True)
-        _write(scene, scene_file(source, folder))
-    return scene
+def _keep_scene(task: tuple[BuiltSource, Path]) -> None:
+    source, file = task
+    file.parent.mkdir(parents=True, exist_ok=True)
+    _write(source.scene(), file)
 
 
 def _write(scene: Scene, file: Path) -> None:
@@ -163,7 +94,7 @@ def _write(scene: Scene, file: Path) -> None:
         )
 
 
-def _read(file: Path) -> Scene:
+def read_kept(file: Path) -> Scene:
     """The scene of a file; zip's checksums tell one that is damaged."""
     with np.load(file, allow_pickle=False) as kept:
         arrays = {name: kept[name] for name in kept.files}

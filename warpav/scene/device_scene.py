@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpav.core.fingerprint import digest
+from warpav.core.cache import digest
 from warpav.raster.scene import Scene as RasterScene
 from warpav.scene.scene import ROAD_USERS, Scene
 
@@ -136,11 +136,7 @@ class DeviceScene:
 
     @classmethod
     def of_arrays(cls, arrays: Mapping[str, np.ndarray], *, device: str = "cpu") -> DeviceScene:
-        """The scene that `arrays` told of, on ``device``.
-
-        Raises:
-            KeyError: One is missing.
-        """
+        """The scene that `arrays` told of, on ``device``."""
         scene = cls(
             str(arrays["name"]),
             RasterScene.of_arrays(arrays, device=device),
@@ -158,11 +154,7 @@ class DeviceScene:
 
     @classmethod
     def pack(cls, scene: Scene, *, device: str = "cpu") -> DeviceScene:
-        """The scene on ``device``.
-
-        Raises:
-            InputError: A mesh cannot be drawn (see `Mesh.check`), or there are too many vertices or triangles.
-        """
+        """The scene on ``device``."""
         for other in scene.others:
             other.mesh.check(f"{scene.name}: {other.category} {other.instance_id}")
         environment = scene.surroundings()
@@ -196,11 +188,7 @@ class DeviceScene:
 
 
 def boxes_of_arrays(arrays: Mapping[str, np.ndarray] | np.ndarray, *, device: str) -> UprightBoxes:
-    """The boxes that `DeviceScene.arrays` told of, on a device.
-
-    Raises:
-        KeyError: One is missing.
-    """
+    """The boxes that `DeviceScene.arrays` told of, on a device."""
     kinds = {"centre_ego_m": wp.vec3, "half_size_m": wp.vec3, "along": wp.vec2}
     return UprightBoxes(
         **{name: wp.array(arrays[f"box_{name}"], dtype=kind, device=device) for name, kind in kinds.items()}

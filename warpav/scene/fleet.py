@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from warpav.core.cache import digest
 from warpav.core.errors import InputError
-from warpav.core.fingerprint import digest
 from warpav.core.section import shown
 from warpav.core.yaml_file import read_yaml
 from warpav.raster.mesh import Mesh
@@ -78,14 +78,7 @@ class Fleet:
     content: str
 
     def exchange(self, *key: int) -> Exchange:
-        """What puts meshes into the places of a scene's own; the same key gives the same ones, in any process.
-
-        Args:
-            key: What tells the scene from others, such as level and seed.
-
-        Raises:
-            InputError: The files have changed meanwhile.
-        """
+        """What puts meshes into the places of a scene's own; the same key gives the same ones, in any process."""
         bodies = _bodies(self.paths)
         if _content(bodies) != self.content:
             raise InputError(f"{self.paths[0]}: vehicles: expected the files of before, got others; begin again")
@@ -109,14 +102,6 @@ def fleet_of(paths: Sequence[Path | str], share: float = USUAL_SHARE) -> Fleet:
     A YAML file of the same name beside a mesh may say its ``category``, one or a list out of `CATEGORIES`, and the axes
     ``up`` and ``forward`` and the ``scale`` of the file, as ``warpav vehicle check`` takes them. Without a word about
     its category, a mesh is of those whose own vehicles are about as long, wide and high.
-
-    Args:
-        paths: `SHIPPED`, mesh files of any format that `warpav.scene.own_vehicle.read_vehicle_file` reads, and folders.
-        share: As of `Fleet`.
-
-    Raises:
-        InputError: A folder holds no mesh, a file cannot be read, its axes or unit are doubtful, it is of no category,
-            or the YAML file beside it is wrong.
     """
     paths = tuple(paths)
     return Fleet(paths, share, _content(_bodies(paths)))
@@ -199,11 +184,7 @@ def _content(bodies: Sequence[_Body]) -> str:
 
 
 def mesh_files(path: Path | str) -> list[Path]:
-    """The mesh files that a user means, by name.
-
-    Raises:
-        InputError: There is none.
-    """
+    """The mesh files that a user means, by name."""
     folder = vehicle_folder() if path == SHIPPED else Path(path).expanduser()
     if folder.is_file():
         return [folder]
@@ -248,11 +229,7 @@ def _body(path: Path, _stamp: tuple[int, int] | None, _stated_stamp: tuple[int, 
 
 
 def _stated(path: Path) -> dict[str, Any]:
-    """What the YAML file beside a mesh says.
-
-    Raises:
-        InputError: A key or value that it cannot have.
-    """
+    """What the YAML file beside a mesh says."""
     place = path.with_suffix(".yaml")
     if not place.is_file():
         return {}
@@ -287,11 +264,7 @@ def _is_scale(value: object) -> bool:
 
 
 def _categories_of(path: Path, size_m: np.ndarray) -> tuple[str, ...]:
-    """Categories whose own vehicles are of about this size.
-
-    Raises:
-        InputError: There are none.
-    """
+    """Categories whose own vehicles are of about this size."""
     low, high = _ALIKE
     shapes = {name: [body_size_m(name, variant) for variant in range(VARIANT_COUNT)] for name in CATEGORIES}
     found = tuple(
@@ -345,10 +318,7 @@ def _sky(point_m: np.ndarray, normal: np.ndarray, index: np.ndarray) -> np.ndarr
 
     Files of others have parts that stick in each other: rays begin inside the triangles, a little off the corners.
 
-    Args:
-        point_m: Corners of the triangles [m], [triangle, 3, 3].
-        normal: Unit normals there, [triangle, 3, 3].
-        index: Vertices there, int [triangle, 3].
+    Shapes: ``point_m`` [triangle, 3, 3], ``normal`` [triangle, 3, 3], ``index`` [triangle, 3].
     """
     inside_m = point_m + _INWARDS * (point_m.mean(axis=1, keepdims=True) - point_m)
     light = sky_share_at(point_m, inside_m.reshape(-1, 3), normal.reshape(-1, 3))

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
+from warpav.core.files import atomic_write
 from warpav.raster.mesh import Mesh
 from warpav.scene.mesh_bounds import TRIANGLES_MAX, bounded_mesh
 from warpav.scene.scene import BLACK_SKY, Box, Scene, Sky, Vehicle
@@ -162,11 +162,7 @@ def add_node(file: trimesh.Scene, name: str, mesh: Mesh, extras: dict[str, Any])
 
 
 def write_whole(path: Path, data: bytes, *, what: str) -> None:
-    """Write a file that is either complete or absent.
-
-    Raises:
-        InputError: The folder does not exist or cannot be written to; ``what`` is what the file holds, in words.
-    """
+    """Write a file that is either complete or absent."""
     try:
         with atomic_write(path) as draft:
             draft.write_bytes(data)

@@ -26,16 +26,7 @@ _GLB_HEAD = 20  # bytes before the JSON
 
 
 def bounded_mesh(file: Path, suffix: str, place: str) -> bytes:
-    """The content of a mesh file, once it is known to be within bounds.
-
-    Args:
-        file: The file.
-        suffix: Its format: glb, gltf, obj, dae, ply, stl or off.
-        place: Where it stands, for messages.
-
-    Raises:
-        InputError: It cannot be read, or is beyond a bound.
-    """
+    """The content of a mesh file, once it is known to be within bounds."""
     kind = f"a readable {suffix} file"
     content = read_bytes(file, kind, bytes_max=DATA_SET_BYTES_MAX)
     try:

@@ -79,11 +79,7 @@ class FileFinder:
         return None
 
     def get(self, name: str) -> bytes:
-        """What the file of this name holds; of images that are not there a grey one, of materials none.
-
-        Raises:
-            FileNotFoundError: Another file is not there.
-        """
+        """What the file of this name holds; of images that are not there a grey one, of materials none."""
         if _plain(name).lower().endswith(IMAGE_SUFFIXES):
             from PIL import Image
 
@@ -124,12 +120,7 @@ class FileFinder:
 def corner_rgb(uv: np.ndarray, image: Image) -> np.ndarray:
     """Colours of a texture at positions, of the nearest texel, the texture repeated beyond its borders.
 
-    Args:
-        uv: From the lower left corner (0, 0) to the upper right (1, 1), [corner, 2].
-        image: The texture.
-
-    Returns:
-        uint8 [corner, 3]; grey where a position is no number.
+    Shapes: ``uv`` [corner, 2], returns [corner, 3].
     """
     texel_rgb = np.asarray(image.convert("RGB"), np.uint8)
     size = np.array([texel_rgb.shape[1], texel_rgb.shape[0]])
@@ -168,12 +159,7 @@ class Texture:
 
 
 def texture_of(geometry: Any, *, is_plain: bool = False) -> Texture | None:  # noqa: ANN401 (trimesh has few type hints)
-    """The texture of a trimesh; None where it has none, or positions in it that do not fit.
-
-    Args:
-        geometry: A trimesh; its vertices are split where texture coordinates differ.
-        is_plain: Whether its materials are missing.
-    """
+    """The texture of a trimesh; None where it has none, or positions in it that do not fit."""
     visual = geometry.visual
     try:
         if is_plain or visual.kind != "texture" or np.shape(visual.uv) != (len(geometry.vertices), 2):
@@ -190,12 +176,7 @@ def texture_of(geometry: Any, *, is_plain: bool = False) -> Texture | None:  # n
 
 
 def vertex_rgb(geometry: Any, *, is_plain: bool = False) -> np.ndarray:  # noqa: ANN401 (trimesh has few type hints)
-    """Colours of a trimesh at its vertices, uint8 [vertex, 3]: its own, its texture's, its material's, or grey.
-
-    Args:
-        geometry: A trimesh; its vertices are split where texture coordinates differ.
-        is_plain: Whether its materials are missing.
-    """
+    """Colours of a trimesh at its vertices, uint8 [vertex, 3]: its own, its texture's, its material's, or grey."""
     count = len(geometry.vertices)
     grey = np.tile(GREY_RGB, (count, 1))
     visual = geometry.visual

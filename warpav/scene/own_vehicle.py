@@ -98,11 +98,7 @@ class Reading:
             raise ArgumentError("scale", f"expected a positive number, got {self.scale!r}")
 
     def changed(self, *, up: str | None = None, forward: str | None = None, scale: float | None = None) -> Reading:
-        """The reading with other axes or another scale; the front's axis gives way to a new one that points up.
-
-        Raises:
-            ArgumentError: They contradict each other.
-        """
+        """The reading with other axes or another scale; the front's axis gives way to a new one that points up."""
         new_up = up or self.up
         new_forward = forward or self.forward
         if forward is None and new_up[-1:] == new_forward[-1]:
@@ -141,11 +137,7 @@ class VehicleFile:
     notes: tuple[str, ...] = ()
 
     def in_ego_frame(self, reading: Reading, shift_m: np.ndarray | None = None) -> Mesh:
-        """The vehicle in the ego frame, moved by ``shift_m`` [3].
-
-        Raises:
-            InputError: Some vertices are NaN or infinite, or it has no triangles.
-        """
+        """The vehicle in the ego frame, moved by ``shift_m`` [3]."""
         vertex_m = self.vertex @ (reading.scale * reading.ego_from_file).T
         if shift_m is not None:
             vertex_m = vertex_m + shift_m
@@ -277,13 +269,6 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
     Textures become vertex colours, where they are finer than the triangles with more triangles of the same surface
     (`warpav.scene.texture_detail`). Unit and axes are those that the file states (COLLADA, up in glTF), or that the
     ``model.sdf`` of a simulator beside it states; else the ego frame's.
-
-    Args:
-        path: GLB, glTF, OBJ, COLLADA, PLY, STL or OFF.
-        vertices_max: Vertices up to which triangles are split for their textures; None: colours at the file's own.
-
-    Raises:
-        InputError: The file cannot be read or holds no triangles.
     """
     import trimesh
 
@@ -353,16 +338,7 @@ def _model_note(model: SimulatorModel) -> str:
 
 
 def write_vehicle(mesh: Mesh, path: str | Path, *, source: str = "") -> None:
-    """Write a vehicle as GLB with one node ``ego``, as scenes have it; the file appears once it is complete.
-
-    Args:
-        mesh: The vehicle in the ego frame.
-        path: A name that ends in ``.glb``.
-        source: Where it came from.
-
-    Raises:
-        InputError: Another suffix, or a folder that does not exist or cannot be written to.
-    """
+    """Write a vehicle as GLB with one node ``ego``, as scenes have it; the file appears once it is complete."""
     import trimesh
 
     path = Path(path)
@@ -391,17 +367,7 @@ def write_vehicle(mesh: Mesh, path: str | Path, *, source: str = "") -> None:
 def examine(
     file: VehicleFile, reading: Reading, *, stated: frozenset[str] = frozenset(), rear_axle_m: float | None = None
 ) -> Examination:
-    """Compare the reading of a file with the shape of the vehicle.
-
-    Args:
-        file: The vehicle.
-        reading: Axes and scale of the file.
-        stated: What the user stated explicitly, out of ``up``, ``forward`` and ``scale``; it overrides the shape.
-        rear_axle_m: Distance of the rear axle from the vehicle's rear end [m]; None: inferred from the wheels.
-
-    Raises:
-        InputError: Some vertices are NaN or infinite.
-    """
+    """Compare the reading of a file with the shape of the vehicle."""
     mesh = file.in_ego_frame(reading)
     point_m = points_on(mesh)
     problems: list[VehicleProblem] = []
@@ -480,8 +446,7 @@ def _mirrors_ahead(point_m: np.ndarray) -> float | None:
 
     Mirrors are the widest parts above the wheels, small, left and right, at one distance from the front.
 
-    Args:
-        point_m: Points spread evenly over the vehicle, along its forward, lateral and upward axes, [point, 3].
+    Shapes: ``point_m`` [point, 3].
     """
     low, high = point_m.min(axis=0), point_m.max(axis=0)
     size = np.maximum(high - low, 1e-12)
@@ -502,8 +467,7 @@ def _mirrors_ahead(point_m: np.ndarray) -> float | None:
 def body_width_m(point_m: np.ndarray) -> float:
     """Width of a vehicle without its mirrors, where it has any [m].
 
-    Args:
-        point_m: Points spread evenly over the vehicle, along its forward, lateral and upward axes [m], [point, 3].
+    Shapes: ``point_m`` [point, 3].
     """
     low, high = point_m.min(axis=0), point_m.max(axis=0)
     ahead = _mirrors_ahead(point_m)
@@ -556,8 +520,7 @@ def scale_of(size: np.ndarray) -> tuple[str, float]:
     include mirrors and heights aerials. Scales that people choose are round, so the nearest one of a single digit is
     taken if it changes the length by less than 8 %.
 
-    Args:
-        size: Length, width and height in any unit, positive, [3].
+    Shapes: ``size`` [3].
     """
     for minimum_m, maximum_m in (USUAL_LENGTH_M, POSSIBLE_LENGTH_M):
         for name, metres in UNITS:
@@ -710,11 +673,7 @@ def _place_findings(
 
 
 def _collada_frame(path: Path) -> tuple[str, float]:
-    """Axis that points up, out of `AXES`, and unit [m] of a COLLADA file, which trimesh does not apply.
-
-    Raises:
-        ValueError: It holds what trimesh would leave out or read as something else.
-    """
+    """Axis that points up, out of `AXES`, and unit [m] of a COLLADA file, which trimesh does not apply."""
     from collada import Collada
     from collada.common import DaeUnsupportedError
 

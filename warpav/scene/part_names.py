@@ -18,16 +18,7 @@ SAME_M = 1e-3
 def part_names(path: str | Path, mesh: Mesh, *, forward: str | None = None) -> list[str] | None:
     """Names of node, geometry and material of every triangle of a vehicle, each as one text.
 
-    Args:
-        path: The file, as `read_vehicle` takes it.
-        mesh: What `read_vehicle` made of it.
-        forward: The file's axis that points to the front, as `read_vehicle` was told.
-
-    Returns:
-        [triangle]; None where they cannot be told, such as of a scene, of which the ego vehicle is one part.
-
-    Raises:
-        InputError: The file cannot be read.
+    Shapes: returns [triangle].
     """
     import trimesh
     from scipy.spatial import KDTree

@@ -82,13 +82,7 @@ class Box:
         Two convex outlines meet while their shadows on the normals of all edges overlap (separating axes); on each the
         overlap is an interval of time, and they meet in the intersection of all.
 
-        Args:
-            low_m: Corner of the rectangle, x and y [m], shape [2].
-            high_m: The opposite corner [m], shape [2].
-            velocity_m_s: Constant velocity of the box, x and y [m/s], shape [2].
-
-        Returns:
-            From 0, where they overlap already, to inf, where they never do; touching is no overlap [s].
+        Shapes: ``low_m`` [2], ``high_m`` [2], ``velocity_m_s`` [2].
         """
         axis = np.concatenate([np.eye(2), self.ego_from_box[:2, :2].T])
         corner = self.corners_m()[:, :2] @ axis.T
@@ -199,14 +193,7 @@ class Scene:
         return tuple(sorted((*self.vehicles, *self.others), key=lambda user: user.instance_id))
 
     def targeting(self, road_users: Collection[str]) -> Scene:
-        """The scene whose `vehicles` are the road users of these kinds, and whose `others` are all the rest.
-
-        Args:
-            road_users: Some of `ROAD_USERS`.
-
-        Raises:
-            ValueError: One of them is none of `ROAD_USERS`.
-        """
+        """The scene whose `vehicles` are the road users of these kinds, and whose `others` are all the rest."""
         unknown = sorted(set(road_users) - set(ROAD_USERS))
         if unknown:
             raise ValueError(f"road users must be out of {', '.join(ROAD_USERS)}, got {unknown[0]!r}")

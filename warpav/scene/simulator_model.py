@@ -54,11 +54,7 @@ def simulator_model(mesh: Path) -> SimulatorModel | None:
 
 
 def _scale(shape: ET.Element) -> float:
-    """The scale, the same along all axes.
-
-    Raises:
-        ValueError: It is none.
-    """
+    """The scale, the same along all axes."""
     value = [float(each) for each in shape.findtext("scale", "1 1 1").split()]
     if len(value) != 3 or not 0.0 < value[0] < math.inf or max(value) - min(value) > 1e-9 * value[0]:
         raise ValueError(value)

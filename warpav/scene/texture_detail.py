@@ -52,18 +52,7 @@ def follow_textures(
     vertices_max: int = VERTICES_MAX,
     tolerance: float = TOLERANCE,
 ) -> TexturedMesh:
-    """Split triangles until the colours follow the textures, or there are enough vertices.
-
-    Args:
-        mesh: The mesh.
-        textures: Its textures.
-        vertices_max: Vertices that it may have in the end; one that has as many already stays as it is.
-        tolerance: Rms difference of a triangle that is left whole, of 255; so is one of a single texel.
-
-    Returns:
-        The same surface in more triangles. Colours at vertices are those of the texture there, without one those
-        between the ends of the edge.
-    """
+    """Split triangles until the colours follow the textures, or there are enough vertices."""
     size_px = np.array([texture.size_px for texture in textures], np.float64).reshape(-1, 2)
     error = colour_errors(mesh, textures, np.arange(len(mesh.triangle)))
     for _ in range(_ROUNDS_MAX):
@@ -94,11 +83,6 @@ def colour_errors(mesh: TexturedMesh, textures: Sequence[Texture], index: np.nda
     """Rms difference of colour and texture over triangles, of 255, float64 [triangle]; 0 for those without a texture.
 
     A lattice of points is compared, the finer the more texels a triangle covers.
-
-    Args:
-        mesh: The mesh.
-        textures: Its textures.
-        index: The triangles that are asked for, int [triangle].
     """
     size_px = np.array([texture.size_px for texture in textures], np.float64).reshape(-1, 2)
     error = np.zeros(len(index))

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import InputError
+from warpav.core.files import atomic_write
 from warpav.view.opengl import optional_module
 from warpav.view.palette import CAMERA_RGB, DESCENT_RGB
 from warpav.view.rig_view import no_render

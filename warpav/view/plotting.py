@@ -15,8 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from warpav.core.errors import ArgumentError, InputError
-from warpav.core.printable import one_line
+from warpav.core.errors import ArgumentError, InputError, one_line
 from warpav.raster.mesh import Mesh
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import Rig

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.atomic_write import atomic_write
-from warpav.core.files import writing
+from warpav.core.files import atomic_write, writing
 from warpav.detection.images import render
 from warpav.raster.lens import Lens
 from warpav.view.frustum import image_corners

@@ -102,7 +102,7 @@ def test_an_interrupted_capture_goes_on_where_it_stopped(tmp_path, recorded):
 def test_captures_of_a_server_outlive_a_change_of_code(tmp_path, monkeypatch):
     simulator = PaintingSimulator()
     record_capture(simulator, 7, tmp_path / "scene_7", SETTINGS)
-    monkeypatch.setattr("warpav.core.fingerprint._code_hash", lambda modules: "other code")
+    monkeypatch.setattr("warpav.core.cache._code_hash", lambda modules: "other code")
     town = TownSimulator()
     taken = len(simulator.taken)
     record_capture(simulator, 7, tmp_path / "scene_7", SETTINGS)

@@ -13,8 +13,8 @@ from tests.scene.town.digests import digest_of
 from tests.scene.town.test_town import _Caster, _rectangle, _rectangles_overlap
 from warpav.core.errors import InputError
 from warpav.runs.config import changed_config
-from warpav.scene.cache import scene_file, town_scenes
-from warpav.scene.packed import SceneRecipe
+from warpav.scene.cache import built_scenes, scene_file
+from warpav.scene.stored_scene import SceneRecipe
 from warpav.scene.town.level_world import COARSE_FROM_M, LONG_COARSE_FROM_M
 from warpav.scene.town.levels import LEVELS, TownSource, level_of, level_scene
 from warpav.scene.town.motion import HEADWAY_S
@@ -222,7 +222,7 @@ def test_files_are_named_after_seed_and_level(tmp_path):
 
 def test_scenes_of_a_level_are_read_as_they_were_built(tmp_path, scenes):
     for _ in range(2):
-        [scene] = town_scenes([3], "motorway", folder=tmp_path)
+        [scene] = built_scenes([TownSource(3, "motorway")], folder=tmp_path)
         assert digest_of(scene) == digest_of(scenes["motorway"][SEEDS.index(3)])
     assert len(list(tmp_path.iterdir())) == 1
 

@@ -13,8 +13,8 @@ from tests.scene.traffic.recordings import recording_of, street, track, write
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
 from warpav.scene.cache import built_scenes
-from warpav.scene.collection import read_scenes
-from warpav.scene.packed import SceneRecipe
+from warpav.scene.files import read_scenes
+from warpav.scene.stored_scene import SceneRecipe
 from warpav.scene.town.houses import KERB_HEIGHT_M
 from warpav.scene.town.street_life import Footprint
 from warpav.scene.town.town import ego_vehicle

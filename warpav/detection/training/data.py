@@ -15,9 +15,9 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from warpav.core.cache import fingerprint
 from warpav.core.errors import InputError
-from warpav.core.executor import run_tasks
-from warpav.core.fingerprint import fingerprint
+from warpav.core.executor import Executor
 from warpav.core.warp_setup import load_warp
 from warpav.detection.ground_truth import visible_boxes
 from warpav.detection.training import CLASS_NAMES
@@ -396,8 +396,8 @@ def write_images(subset: Subset, folder: Path, *, processes: int) -> None:
     jobs = [_Job(index, each, subset, folder, thread_count) for index, each in enumerate(subset.sources())]
     start_s = time.perf_counter()
     # The first scene fills the kernel cache, which processes would otherwise all compile at once.
-    first = run_tasks(_write_scene, jobs[:1])
-    rest = run_tasks(_write_scene, jobs[1:], executor="serial" if processes == 1 else "process", worker_count=processes)
+    first = Executor().map(_write_scene, jobs[:1])
+    rest = Executor("serial" if processes == 1 else "process", processes).map(_write_scene, jobs[1:])
     for done, outcome in enumerate(itertools.chain(first, rest), start=1):
         if outcome.result is None:
             raise RuntimeError(f"seed {outcome.task.source.seed}: {outcome.error}")

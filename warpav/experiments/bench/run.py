@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.devices import checked_device
 from warpav.core.errors import ArgumentError
 from warpav.core.files import write_json
 from warpav.core.progress import Progress
-from warpav.core.warp_setup import load_warp
+from warpav.core.warp_setup import checked_device, load_warp
 from warpav.experiments.bench.array_file import ArrayFile
 from warpav.experiments.bench.scores import ImageScores, gradient_scores
 from warpav.experiments.bench.table import bench_table, peer_note, sweep_table

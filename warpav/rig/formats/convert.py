@@ -16,9 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import ArgumentError, InputError
-from warpav.core.files import writing
+from warpav.core.files import atomic_write, writing
 from warpav.core.frames import rotation_from_yaw_pitch_roll
 from warpav.raster.camera import CameraModel
 from warpav.rig.check import FAR_M, mirrored_cameras

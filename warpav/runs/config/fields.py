@@ -13,8 +13,15 @@ from pydantic import BeforeValidator, PlainSerializer, WithJsonSchema
 from pydantic_core import PydanticCustomError
 
 from warpav.core.errors import InputError
-from warpav.core.section import Expectation, mistake, shown
-from warpav.core.units import DEGREES_PER_UNIT, METRES_PER_UNIT, NUMBER_OR_TEXT, range_reader
+from warpav.core.section import (
+    DEGREES_PER_UNIT,
+    METRES_PER_UNIT,
+    NUMBER_OR_TEXT,
+    Expectation,
+    mistake,
+    range_reader,
+    shown,
+)
 from warpav.core.yaml_file import read_yaml
 from warpav.requirements.template import template_names
 from warpav.rig.presets import preset_names

@@ -12,8 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field, model_validator
 
 from warpav.core.errors import InputError
-from warpav.core.section import Expectation, Section, mistake, shown
-from warpav.core.units import Degrees, Metres
+from warpav.core.section import Degrees, Expectation, Metres, Section, mistake, shown
 from warpav.core.yaml_file import read_yaml
 from warpav.optimisation.settings import (
     METHOD_LOSSES,

@@ -71,12 +71,7 @@ def place_of(transform: Remote) -> tuple[float, float, float, float]:
 def ego_pose_of_wheels(wheel_m: np.ndarray, radius_m: np.ndarray) -> np.ndarray | None:
     """The ego frame defined by the wheels' ground contacts, its origin below the centre of the rear axle.
 
-    Args:
-        wheel_m: Centres of the wheels, forward, left and up from the actor's origin [m], [wheel, 3].
-        radius_m: Their radii [m], [wheel].
-
-    Returns:
-        Pose [4, 4], or None where the wheels cannot be those of a vehicle.
+    Shapes: ``wheel_m`` [wheel, 3], ``radius_m`` [wheel], returns [4, 4].
     """
     if len(wheel_m) < 4:
         return None
@@ -142,12 +137,7 @@ def lane_places(carla_map: Remote, *, spacing_m: float) -> tuple[np.ndarray, np.
     Of poses within 2.5 m of each other one is kept, the map's own before those of lanes. The order does not depend on
     the order in which the client lists them, which is none in particular.
 
-    Args:
-        carla_map: A ``carla.Map``.
-        spacing_m: Distance of the points along a lane [m], positive.
-
-    Returns:
-        Position on the ground in the right-handed world [m], float64 [place, 3], and heading [rad], float64 [place].
+    Shapes: returns [place, 3].
     """
     own, along = [], []
     for transform in carla_map.get_spawn_points():  # these hang above the road

@@ -15,11 +15,7 @@ _SKY_M = 0.999 * DEPTH_RANGE_M  # the sky's dome is drawn somewhere beyond the r
 def depth_from_bgra(bgra: np.ndarray) -> np.ndarray:
     """Metres from what CARLA's depth camera sends: 24 bits, red the lowest, over the range of 1 km.
 
-    Args:
-        bgra: uint8 [row, column, 4].
-
-    Returns:
-        Depth along the optical axis [m], float32 [row, column]; inf where nothing is nearer than 999 m.
+    Shapes: ``bgra`` [row, column, 4], returns [row, column].
     """
     blue, green, red = (bgra[..., channel].astype(np.int64) for channel in range(3))
     depth_m = (red + 256 * green + 65536 * blue) * (DEPTH_RANGE_M / (2**24 - 1))
@@ -32,11 +28,7 @@ def code_from_bgra(bgra: np.ndarray) -> np.ndarray:
     Green and blue are the low and the high byte of a number that the server gives the object. That is the actor's id
     on small maps and the engine's own number on large ones, so only the whole colour is compared.
 
-    Args:
-        bgra: uint8 [row, column, 4].
-
-    Returns:
-        int32 [row, column]; 0 where nothing is.
+    Shapes: ``bgra`` [row, column, 4], returns [row, column].
     """
     blue, green, red = (bgra[..., channel].astype(np.int32) for channel in range(3))
     return red + 256 * green + 65536 * blue

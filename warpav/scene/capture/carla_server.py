@@ -24,11 +24,7 @@ _CATEGORY_OF_BASE_TYPE = {"car": "car", "van": "van", "truck": "lorry", "bus": "
 
 
 def import_carla() -> ModuleType:
-    """The client package.
-
-    Raises:
-        InputError: It is not installed.
-    """
+    """The client package."""
     try:
         return importlib.import_module("carla")
     except ImportError as error:

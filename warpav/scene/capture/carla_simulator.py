@@ -127,23 +127,7 @@ class CarlaSimulator:
     ) -> None:
         """Nothing is connected yet.
 
-        Args:
-            host: Where the server runs.
-            port: Its RPC port; it uses the next one too.
-            map_name: Map to load, such as ``Town10HD_Opt``; None keeps the world that the server shows.
-            ego_blueprint: The ego vehicle, such as ``vehicle.lincoln.mkz_2020``; None takes that or, where it does not
-                exist, another car.
-            rear_axle_m: Point on the ground below the centre of the ego vehicle's rear axle [m], forward, left and up
-                from CARLA's origin of the vehicle, shape [3]; None reads it from the wheels.
-            waypoint_spacing_m: Distance of spawn points along lanes [m], positive.
-            warm_up_ticks: Simulation steps from the cameras' spawning to the image before the one that is kept; the
-                engine sharpens textures and edges over several frames.
-            exposure: What the camera's automatic exposure is held at, in its attributes' unit, positive; None takes the
-                middle of the range that the server's camera adapts within.
-            timeout_s: How long an answer of a connected server may take [s], positive.
-
-        Raises:
-            ValueError: A number out of its range.
+        Shapes: ``rear_axle_m`` [3].
         """
         if not 0 < port < 65535:
             raise ValueError(f"port must lie between 1 and 65534, got {port}")
@@ -176,11 +160,7 @@ class CarlaSimulator:
     # --------------------------------------------------------------------------------------------- entering and leaving
 
     def __enter__(self) -> Self:
-        """Connect, take hold of the server, and prepare the world.
-
-        Raises:
-            InputError: The package is missing, the server is missing or of another version, or the map is unknown.
-        """
+        """Connect, take hold of the server, and prepare the world."""
         if self._undo:
             raise RuntimeError("this simulator has been entered already")
         try:
@@ -194,11 +174,7 @@ class CarlaSimulator:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None:
-        """Destroy all spawned actors and restore everything that was changed, even after an error.
-
-        Raises:
-            RuntimeError: Something could not be restored; added as a note if another error is being raised.
-        """
+        """Destroy all spawned actors and restore everything that was changed, even after an error."""
         self._leave(error)
 
     def _connect(self) -> None:
@@ -345,12 +321,7 @@ class CarlaSimulator:
     # ---------------------------------------------------------------------------------------------------- the situation
 
     def begin(self, seed: int) -> Box:
-        """As in `Simulator`; the seed chooses the ego vehicle's spawn point.
-
-        Raises:
-            ValueError: The seed is negative.
-            InputError: The ego vehicle fits no spawn point of the map, or its rear axle is unknown.
-        """
+        """As in `Simulator`; the seed chooses the ego vehicle's spawn point."""
         if seed < 0:
             raise ValueError(f"seed must not be negative, got {seed}")
         self._entered()
@@ -427,11 +398,7 @@ class CarlaSimulator:
         )
 
     def remove(self, vehicle: CapturedVehicle) -> None:
-        """As in `Simulator`.
-
-        Raises:
-            ValueError: The vehicle is not there.
-        """
+        """As in `Simulator`."""
         standing = self._begun().standing.get(vehicle.instance_id)
         if standing is None or vehicle.instance_id == EGO_INSTANCE:
             raise ValueError(f"there is no vehicle with instance id {vehicle.instance_id}")
@@ -439,12 +406,7 @@ class CarlaSimulator:
         del self._begun().standing[vehicle.instance_id]
 
     def capture(self, view: CaptureView) -> CapturedImage:
-        """As in `Simulator`.
-
-        Raises:
-            ValueError: The view's camera is no pinhole with square pixels and the principal point in the centre, which
-                is the only one that CARLA has.
-        """
+        """As in `Simulator`."""
         situation = self._begun()
         image = self._shoot(view.ego_from_camera, view.model, tuple(_CAMERAS), self._warm_up_ticks)
         code = code_from_bgra(image["code"])

@@ -32,7 +32,6 @@ import cv2
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from warpav.core.atomic_write import atomic_write
 from warpav.core.bounded_files import (
     ARRAY_BYTES_MAX,
     PNG_SIGNATURE,
@@ -43,8 +42,9 @@ from warpav.core.bounded_files import (
     read_bytes,
     read_text,
 )
+from warpav.core.cache import digest
 from warpav.core.errors import InputError
-from warpav.core.fingerprint import digest
+from warpav.core.files import atomic_write
 from warpav.raster.camera import CameraModel
 from warpav.scene.capture.capture import (
     EGO_INSTANCE,
@@ -163,15 +163,7 @@ class CaptureRecord(_Record):
 
 
 def read_capture(folder: Path) -> Capture:
-    """A capture whose images are read, and checked, when they are asked for.
-
-    Args:
-        folder: Holds ``capture.json``.
-
-    Raises:
-        InputError: The folder or its description is missing or cannot be used; an image's trouble is raised when the
-            image is asked for. The message names the file and the field.
-    """
+    """A capture whose images are read, and checked, when they are asked for."""
     record = _read_record(folder / DESCRIPTION)
     vehicles = tuple(
         CapturedVehicle(
@@ -244,20 +236,6 @@ def record_capture(
     ``capture.json`` is written last: a folder that holds it was complete, and if it was made with the same settings and
     no image file is missing or truncated, it is left alone. Images that an unfinished run of the same plan has written
     are kept; others are taken again. One that was made with other settings is replaced.
-
-    Args:
-        simulator: Entered already.
-        seed: Chooses the situation.
-        folder: Folder to write to; made when it does not exist.
-        settings: What to record.
-        on_image: Called after every image with how many there are and how many there will be; not for a capture that
-            is left alone.
-
-    Returns:
-        The folder.
-
-    Raises:
-        InputError: The folder cannot be written to, or holds a recording from elsewhere.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

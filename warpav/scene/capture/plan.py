@@ -54,11 +54,6 @@ def capture_plan(ego_box: Box, vehicles: Sequence[CapturedVehicle], settings: Pl
     """The views of a situation: 1 + 2 for each vehicle + heights + rotations, in the order of the thesis's figure 14.
 
     Then come the sides of the ego vehicle, which the thesis's images do not show: cameras on it look along them.
-
-    Args:
-        ego_box: 3D box of the ego vehicle.
-        vehicles: The others.
-        settings: Sizes, heights and counts.
     """
     eye_m = eye_position_m(ego_box, settings)
     views = [_top(settings, "ego_top", ViewKind.EGO_TOP, ego_box)]
@@ -106,13 +101,7 @@ def eye_position_m(ego_box: Box, settings: PlanSettings) -> np.ndarray:
 
 
 def record(simulator: Simulator, seed: int, settings: PlanSettings) -> Capture:
-    """Set up a situation and keep its images in memory; `record_capture` in `folder` keeps them on disk.
-
-    Args:
-        simulator: Entered already.
-        seed: Chooses the situation, an integer from 0.
-        settings: What to record.
-    """
+    """Set up a situation and keep its images in memory; `record_capture` in `folder` keeps them on disk."""
     ego_box = simulator.begin(seed)
     vehicles = spawn_visible_traffic(simulator, ego_box, settings)
     images = [simulator.capture(view) for view in capture_plan(ego_box, vehicles, settings)]
@@ -120,16 +109,7 @@ def record(simulator: Simulator, seed: int, settings: PlanSettings) -> Capture:
 
 
 def spawn_visible_traffic(simulator: Simulator, ego_box: Box, settings: PlanSettings) -> tuple[CapturedVehicle, ...]:
-    """Spawn vehicles one after the other; one stays only if an instance image shows a new instance after it.
-
-    Args:
-        simulator: Has begun a situation.
-        ego_box: 3D box of its ego vehicle.
-        settings: How many, how near.
-
-    Returns:
-        Those that can be seen from the ego vehicle, in order of instance id.
-    """
+    """Spawn vehicles one after the other; one stays only if an instance image shows a new instance after it."""
     eye_m = eye_position_m(ego_box, settings)
     visible: list[CapturedVehicle] = []
     for point in simulator.spawn_points(settings.radius_m):

@@ -42,14 +42,7 @@ class Simulator(Protocol):
     world: str
 
     def begin(self, seed: int) -> Box:
-        """Begin a situation: the ego vehicle alone, in clear weather, the sun overhead, no vegetation.
-
-        Args:
-            seed: Selects the location; any integer from 0, the same seed gives the same scene.
-
-        Returns:
-            The ego vehicle's 3D box.
-        """
+        """Begin a situation: the ego vehicle alone, in clear weather, the sun overhead, no vegetation."""
         ...
 
     def spawn_points(self, radius_m: float) -> Sequence[SpawnPoint]:

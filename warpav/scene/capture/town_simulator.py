@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from warpav.core.fingerprint import fingerprint
+from warpav.core.cache import fingerprint
 from warpav.raster.mesh import merge
 from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, CapturedImage, CapturedVehicle, CaptureView
 from warpav.scene.capture.simulator import SpawnPoint
@@ -42,11 +42,7 @@ class TownSimulator:
         self._caster: _Caster | None = None
 
     def begin(self, seed: int) -> Box:
-        """As in `Simulator`.
-
-        Raises:
-            ValueError: The seed is negative.
-        """
+        """As in `Simulator`."""
         self._world = town_world(seed)
         self.name, self.source = self._world.scene.name, self._world.scene.source
         self._spawned, self._caster = set(), None

@@ -40,15 +40,7 @@ def seen_rgb(
     the instance is a vehicle, the pixel shows a window pane at the vertex: its colour counts as well, so panes look as
     they did. Vertices that no image shows take the colour of the nearest one that is shown.
 
-    Args:
-        vertex_m: Vertices in the ego frame [m], [vertex, 3].
-        normal: Their unit normals, [vertex, 3].
-        images: The images.
-        instance_id: Whose surface it is.
-        tolerance_m: How far depths may be off [m]; 1 % of the depth is added.
-
-    Returns:
-        sRGB colours, uint8 [vertex, 3].
+    Shapes: ``vertex_m`` [vertex, 3], ``normal`` [vertex, 3], returns [vertex, 3].
     """
     best = np.zeros(len(vertex_m))
     rgb = np.zeros((len(vertex_m), 3), np.uint8)

@@ -84,12 +84,6 @@ def fuse(
     The instance image assigns each pixel to an object, and the 3D boxes correct it (figure 7): through a window pane
     the instance image still shows the vehicle while colour and depth show what lies behind. Points of a vehicle's
     pixels count for it only inside its box, and points count for the environment only outside all boxes.
-
-    Args:
-        capture: Boxes of the vehicles.
-        images: Its images.
-        settings: What is kept.
-        thread_count: Images that are worked on at once.
     """
     boxes = [capture.ego_box, *(vehicle.box for vehicle in capture.vehicles)]
     ids = [EGO_INSTANCE, *(vehicle.instance_id for vehicle in capture.vehicles)]
@@ -150,11 +144,7 @@ def split_at_radius(cloud: PointCloud, radius_m: float) -> tuple[PointCloud, Poi
 
 
 def unproject(image: CapturedImage, *, far_depth_m: float) -> tuple[PointCloud, np.ndarray, np.ndarray, np.ndarray]:
-    """The points of all pixels that are nearer than a depth.
-
-    Returns:
-        Cloud in the ego frame; instance, row and column of each point's pixel.
-    """
+    """The points of all pixels that are nearer than a depth."""
     row, column = np.nonzero(image.depth_m < far_depth_m)
     ray = image.view.model.rays(np.stack([column + 0.5, row + 0.5], axis=-1))
     pose = image.view.ego_from_camera
@@ -199,12 +189,7 @@ def is_outside(local_m: np.ndarray, size_m: np.ndarray) -> np.ndarray:
     that are neither wider nor higher than a pane are bridged (a grey closing). A point that lies deeper than that in
     all of the maps was seen through a pane.
 
-    Args:
-        local_m: Points in the axes of the vehicle's box, from its centre [m], shape [point, 3].
-        size_m: Length, width and height of the box [m].
-
-    Returns:
-        bool [point].
+    Shapes: ``local_m`` [point, 3], returns [point].
     """
     outside = np.zeros(len(local_m), bool)
     for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0), (2, 1.0)):

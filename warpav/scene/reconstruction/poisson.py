@@ -39,20 +39,7 @@ def poisson_surface(
 
     The same input gives the same bits.
 
-    Args:
-        point_m: Points [m] in any frame, shape [point, 3].
-        normal: Unit normals that point out of the body, shape [point, 3].
-        cell_m: Length of the grid's cells [m]; details below about twice that are lost.
-        screening: How much the surface is drawn to the points, from 0; large values follow their noise.
-        margin_m: Free space around the points [m]; by default 6 cells.
-        device: Warp device that computes.
-
-    Returns:
-        Vertices [m], float32 [vertex, 3], and triangles, int32 [triangle, 3], counter-clockwise seen from outside.
-
-    Raises:
-        ValueError: Fewer than 4 points, values that are not finite, shapes that do not fit, or a grid of more than
-            `MAX_NODE_COUNT` nodes; the message names a cell length that fits.
+    Shapes: ``point_m`` [point, 3], ``normal`` [point, 3], returns [vertex, 3].
     """
     point_m, normal = checked_points(point_m, normal)
     if not (np.isfinite(cell_m) and cell_m > 0.0):
@@ -67,11 +54,7 @@ def poisson_surface(
 
 
 def checked_points(point_m: np.ndarray, normal: np.ndarray, name: str = "normal") -> tuple[np.ndarray, np.ndarray]:
-    """Points and what belongs to each, [point, 3] both, as float64; ``name`` is what messages call the latter.
-
-    Raises:
-        ValueError: Fewer than 4 points, values that are not finite, or shapes that do not fit.
-    """
+    """Points and what belongs to each, [point, 3] both, as float64; ``name`` is what messages call the latter."""
     point_m, normal = np.asarray(point_m, np.float64), np.asarray(normal, np.float64)
     for what, array in (("point_m", point_m), (name, normal)):
         if array.ndim != 2 or array.shape[1] != 3 or len(array) < 4:

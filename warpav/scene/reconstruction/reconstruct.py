@@ -12,8 +12,8 @@ import numpy as np
 from scipy.spatial import KDTree
 from threadpoolctl import threadpool_limits
 
+from warpav.core.cores import available_cores
 from warpav.core.errors import InputError
-from warpav.core.executor import available_cores
 from warpav.raster.mesh import Mesh, merge
 from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture, CapturedImage
 from warpav.scene.reconstruction.colours import seen_rgb, vertex_normals
@@ -37,19 +37,7 @@ def reconstruct(
     *,
     on_object: Callable[[str], None] | None = None,
 ) -> Scene:
-    """The scene that a capture shows.
-
-    Args:
-        capture: What was recorded.
-        settings: How; None: the defaults.
-        on_object: Called with the name of every object that is done.
-
-    Returns:
-        The scene; vehicles have the instance ids and boxes of the capture.
-
-    Raises:
-        InputError: An image cannot be used, a vehicle has hardly any points, or the surface method is not installed.
-    """
+    """The scene that a capture shows."""
     settings = settings or ReconstructionSettings()
     if settings.method not in SURFACE_METHODS:
         raise ValueError(f"expected one of {', '.join(SURFACE_METHODS)}, got {settings.method!r}")
@@ -104,15 +92,7 @@ def object_mesh(
     how: MeshSettings,
     settings: ReconstructionSettings,
 ) -> Mesh:
-    """The surface of one object: no triangles where none goes through its points.
-
-    Args:
-        one: Its points, and rays to where its surface is without points: window panes, ground below vehicles.
-        images: All images of the capture, for its colours.
-        instance_id: Its value in the instance images.
-        how: How fine it becomes.
-        settings: Method and seed.
-    """
+    """The surface of one object: no triangles where none goes through its points."""
     chosen = one.cloud.chosen(thin_out(one.cloud.point_m, how.point_count, seed=settings.seed))
     normal = oriented_normals(chosen.point_m, chosen.sensor_m)
     vertex_m, triangle = SURFACE_METHODS[settings.method](

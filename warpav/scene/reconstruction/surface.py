@@ -36,16 +36,7 @@ _MIN_DENSITY = 0.15  # points per area of a piece, of those of the whole surface
 def thin_out(point_m: np.ndarray, count: int, *, seed: int) -> np.ndarray:
     """Choose about ``count`` points evenly: Poisson disks, no two nearer than a spacing that the function finds.
 
-    Args:
-        point_m: Points [m], shape [point, 3].
-        count: How many to keep, at least 1; missed by 10 % at most, by 1 if there are few, unless many points coincide.
-        seed: Chooses among the possible choices.
-
-    Returns:
-        Indices of the points kept, ascending, int64. All of them when there are no more than ``count``.
-
-    Raises:
-        ValueError: A count below 1, values that are not finite, or another shape.
+    Shapes: ``point_m`` [point, 3].
     """
     point_m = np.asarray(point_m, np.float64)
     if point_m.ndim != 2 or point_m.shape[1] != 3 or not np.isfinite(point_m).all():
@@ -137,17 +128,7 @@ def oriented_normals(
 ) -> np.ndarray:
     """Normals of the planes through each point's neighbours, turned towards the sensor that recorded the point.
 
-    Args:
-        point_m: Points [m] in any frame, shape [point, 3].
-        sensor_m: Where the sensor was when it recorded each point [m], shape [point, 3].
-        neighbour_count: How many nearest points make a plane, the point itself included; at least 3.
-        device: Warp device that computes.
-
-    Returns:
-        Unit normals in single precision, float64 [point, 3].
-
-    Raises:
-        ValueError: Fewer than 4 points, values that are not finite, or shapes that do not fit.
+    Shapes: ``point_m`` [point, 3], ``sensor_m`` [point, 3], returns [point, 3].
     """
     point_m, sensor_m = checked_points(point_m, sensor_m, "sensor_m")
     if neighbour_count < 3:
@@ -175,16 +156,7 @@ def signed_distance_surface(point_m: np.ndarray, normal: np.ndarray, *, cell_m: 
 
     Open where points end, with sheets of nothing at the far side of the band of known distances: trim it.
 
-    Args:
-        point_m: Points [m] in any frame, shape [point, 3].
-        normal: Unit normals that point out of the body, shape [point, 3].
-        cell_m: Length of the grid's cells [m].
-
-    Returns:
-        Vertices [m], float32 [vertex, 3], and triangles, int32 [triangle, 3], counter-clockwise seen from outside.
-
-    Raises:
-        ValueError: As `poisson_surface`.
+    Shapes: ``point_m`` [point, 3], ``normal`` [point, 3], returns [vertex, 3].
     """
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkFiltersPoints import vtkExtractSurface, vtkSignedDistance
@@ -223,15 +195,7 @@ def trimmed(
     points lie, or per area less than 15 % of the points of the whole. Small true parts such as wing mirrors stay: they
     hold few triangles but as many points per area as the rest.
 
-    Args:
-        vertex_m: Vertices [m], shape [vertex, 3].
-        triangle: Vertex indices, shape [triangle, 3].
-        support_m: The points that the surface goes through [m], shape [point, 3], in the same frame.
-        reach_m: How far from the nearest point surface may lie [m].
-        piece_m2: Connected pieces with less surface than this go too [m2].
-
-    Returns:
-        Vertices that are left, float32 [vertex, 3], and triangles, int32 [triangle, 3]; both may be empty.
+    Shapes: ``vertex_m`` [vertex, 3], ``triangle`` [triangle, 3], ``support_m`` [point, 3], returns [vertex, 3].
     """
     near = np.isfinite(KDTree(support_m).query(vertex_m, distance_upper_bound=reach_m)[0])
     vertex_m, triangle = _referenced(vertex_m, triangle[near[triangle].all(axis=1)])
@@ -289,16 +253,6 @@ def decimated(mesh: Mesh, triangle_count: int) -> Mesh:
     First geometry alone, with bright surface lifted a little so that borders are steps that the quadrics see; then
     geometry and colour together. At last every triangle's corners get the colours that fit the dense surface inside it;
     where those of one vertex differ much, the vertex is split, so that a border is sharp.
-
-    Args:
-        mesh: A dense mesh.
-        triangle_count: Triangles to keep, at least 4.
-
-    Returns:
-        A mesh that may have vertices of different colours at one position; the mesh itself if it is small enough.
-
-    Raises:
-        ValueError: A target below 4.
     """
     if triangle_count < 4:
         raise ValueError(f"triangle_count must be at least 4, got {triangle_count}")

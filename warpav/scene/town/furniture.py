@@ -241,18 +241,7 @@ def _baked(kind: str) -> tuple[Surface, np.ndarray]:
 
 
 def furniture_mesh(kind: str, rng: np.random.Generator) -> Mesh:
-    """One piece with its light baked in.
-
-    Args:
-        kind: A key of `FOOTPRINT_M`.
-        rng: Draws its colour.
-
-    Returns:
-        Closed mesh in the piece's frame; feet reach 0.12 m below the ground.
-
-    Raises:
-        ValueError: There is no such kind.
-    """
+    """One piece with its light baked in."""
     if kind not in _BUILDERS:
         raise ValueError(f"no furniture {kind!r}; kinds: {', '.join(_BUILDERS)}")
     colours = _SIGN_COLOURS if kind == "sign" else _COLOURS

@@ -25,16 +25,7 @@ class StreetGround:
         reach_m: float = _REACH_M,
         only_bends: bool = False,
     ) -> None:
-        """StreetGround through height 0.
-
-        Args:
-            centre_x_m: X of the ego vehicle's centre [m].
-            ahead: dz/dx far ahead: positive where the street climbs.
-            behind: dz/dx far behind: positive where it climbs towards the ego vehicle.
-            curve_m: Length in which the road bends from level to its grade [m].
-            reach_m: How far the grade goes on [m]; a multiple of `KNOT_SPACING_M`.
-            only_bends: Name no knots where one plane goes on: long streets take fewer triangles.
-        """
+        """StreetGround through height 0."""
         self.is_level = ahead == 0.0 and behind == 0.0
         self._knot = np.arange(-reach_m, reach_m + 0.5 * KNOT_SPACING_M, KNOT_SPACING_M)
         beyond = np.maximum(np.abs(self._knot - centre_x_m) - _LEVEL_REACH_M, 0.0)
@@ -64,14 +55,7 @@ class StreetGround:
     def stand(self, x_m: float, y_m: float, yaw_rad: float, size_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How a vehicle stands: the plane through the ground below its wheels.
 
-        Args:
-            x_m: Centre of the vehicle [m].
-            y_m: Centre of the vehicle [m].
-            yaw_rad: Its heading.
-            size_m: Length, width and height [m], shape [3].
-
-        Returns:
-            Its rotation, shape [3, 3], and the place of its origin [m], shape [3].
+        Shapes: ``size_m`` [3], returns [3, 3].
         """
         c, s = np.cos(yaw_rad), np.sin(yaw_rad)
         if self.is_level:

@@ -43,14 +43,7 @@ class SceneryBuilder:
     def __init__(
         self, rng: np.random.Generator, ground: StreetGround, *, detailed_within_m: float | None = None
     ) -> None:
-        """Nothing yet.
-
-        Args:
-            rng: Draws colours, houses and their windows.
-            ground: What everything stands on; heights above are heights above it.
-            detailed_within_m: Houses farther from the origin have windows without frames, and walls between two houses
-                have none [m]; None: all houses have all.
-        """
+        """Nothing yet."""
         self._detailed_within_m = detailed_within_m
         self._rng = rng
         self._ground = ground
@@ -101,11 +94,7 @@ class SceneryBuilder:
     ) -> None:
         """Add a box without a bottom that follows the ground; x is cut into steps, and where the ground bends.
 
-        Args:
-            low_m: Its lowest corner, above the ground [m].
-            high_m: The opposite corner [m].
-            colour: sRGB, 0..1, shape [3]; sides are darker than the top.
-            steps: Pieces along x on level ground.
+        Shapes: ``colour`` [3].
         """
         (x_low, y_low, z_low), (x_high, y_high, z_high) = low_m, high_m
         x = self._columns(x_low, x_high, steps)
@@ -167,16 +156,7 @@ class SceneryBuilder:
         *,
         segments: int = _SHADOW_SEGMENTS,
     ) -> None:
-        """Add the small shadow below a person.
-
-        Args:
-            center_m: Where the person is [m], shape [2 or more].
-            yaw_rad: Heading.
-            size_m: Length and width of the person [m].
-            index: Keeps shadows apart.
-            pavement_share: How far from the kerb to the houses the person is, 0..1; below 0 on the road.
-            segments: Corners of its outline.
-        """
+        """Add the small shadow below a person."""
         if pavement_share < 0.0:
             height, grey = 0.0, self.asphalt_grey * np.array([1.0, 1.0, 1.015])
         else:
@@ -269,12 +249,7 @@ class SceneryBuilder:
     ) -> None:
         """Add a house of two to four floors, `HOUSE_DEPTH_M` deep.
 
-        Args:
-            left: Left end of its front as seen from the street, x and y [m], shape [2].
-            direction: Unit vector along the front, to the right, shape [2].
-            width: Width of the front [m].
-            ends: Whether its row begins and ends with it.
-            is_free_standing: It has a wall at its back, which houses in a row do not show.
+        Shapes: ``left`` [2], ``direction`` [2].
         """
         rng = self._rng
         self._house_x_m = float(left[0] + 0.5 * width * direction[0])

@@ -56,16 +56,7 @@ class Lane:
 def lane_positions(
     lane: Lane, length_of: Callable[[], float], rng: np.random.Generator
 ) -> Iterator[tuple[float, float]]:
-    """Middles and lengths of what stands in a lane, from its end back to its start; nothing overlaps.
-
-    Args:
-        lane: The lane.
-        length_of: Draws the next one and returns its length [m].
-        rng: Random numbers.
-
-    Yields:
-        Middle, from the lane's start, and length [m].
-    """
+    """Middles and lengths of what stands in a lane, from its end back to its start; nothing overlaps."""
     lines = sorted(lane.lines_m)
     front_limit = lane.length_m + float(rng.uniform(0.0, lane.gap_m[0] + lane.gap_m[1]))
     waiting = 0

@@ -30,11 +30,7 @@ class LevelWorld:
     """Collects what is in a scene; `finish` makes the scene of it."""
 
     def __init__(self, rng: np.random.Generator) -> None:
-        """Nothing yet.
-
-        Args:
-            rng: Draws people, speeds and the sky.
-        """
+        """Nothing yet."""
         self._rng = rng
         self._ego = ego_vehicle()
         self._vehicles: list[PlacedVehicle] = []
@@ -49,16 +45,7 @@ class LevelWorld:
         taken: Sequence[Footprint],
         free_m_s: tuple[float, float] | None = None,
     ) -> None:
-        """Set everything up that stands.
-
-        Args:
-            scenery: Ground and houses.
-            ground: What road users stand on.
-            ego: Where the middle of the ego vehicle is; it heads along +x.
-            pieces: Furniture, in the town frame.
-            taken: Where it stands.
-            free_m_s: Lowest and highest speed of the ego vehicle where it is free [m/s]; None: that of a street.
-        """
+        """Set everything up that stands."""
         low, high = self._ego.bounds_m().astype(np.float64)
         self._scenery, self._ground, self._pieces, self._ego_free_m_s = scenery, ground, list(pieces), free_m_s
         self._origin_m = np.array([ego.x_m - 0.5 * (low[0] + high[0]), ego.y_m, 0.0])
@@ -79,15 +66,7 @@ class LevelWorld:
         gap_m: float,
         free_m_s: tuple[float, float] | None = None,
     ) -> PlacedVehicle | None:
-        """Put a vehicle at a place; None, and nothing, if anything is nearer than a gap.
-
-        Args:
-            drawn: The vehicle.
-            footprint: Where.
-            lane_yaw_rad: Direction of its lane; None: parked.
-            gap_m: To everything else [m].
-            free_m_s: Lowest and highest speed where it is free [m/s]; None: that of a street.
-        """
+        """Put a vehicle at a place; None, and nothing, if anything is nearer than a gap."""
         if not self._occupied.is_free(footprint, gap_m):
             return None
         self._occupied.add(footprint)
@@ -114,13 +93,7 @@ class LevelWorld:
         self._lines = list(lines)
 
     def finish(self, name: str, source: str, exchange: Exchange | None = None) -> Scene:
-        """The scene in the ego frame, without those whom nobody on the ego vehicle could see.
-
-        Args:
-            name: Its name.
-            source: Where it came from.
-            exchange: May put other meshes in the places of vehicles; who stands where remains.
-        """
+        """The scene in the ego frame, without those whom nobody on the ego vehicle could see."""
         to_ego = -self._origin_m
         persons = self._crowd.persons
         meshes = [*(one.standing(self._ground) for one in self._vehicles), *(one.mesh for one in persons)]

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from warpav.core.cache import fingerprint
 from warpav.core.errors import ArgumentError
-from warpav.core.fingerprint import fingerprint
 from warpav.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -26,16 +26,7 @@ _LEVEL_STREAM = 0x1E7E1  # keeps the random numbers of levels apart from other u
 
 
 def level_scene(seed: int, level: Level = "easy", fleet: Fleet | None = None) -> Scene:
-    """The scene of a seed and a level, around the same ego vehicle.
-
-    Args:
-        seed: Any integer from 0; the same seed and level give the same scene, byte for byte.
-        level: ``easy`` is `warpav.scene.town.town.town_scene`.
-        fleet: Vehicles of other makers, in the places of some of the town's; None: none.
-
-    Raises:
-        ValueError: The seed is negative, or there is no such level.
-    """
+    """The scene of a seed and a level, around the same ego vehicle."""
     if level not in LEVELS:
         raise ValueError(f"level must be out of {', '.join(LEVELS)}, got {level!r}")
     if seed < 0:
@@ -62,11 +53,7 @@ def level_scene(seed: int, level: Level = "easy", fleet: Fleet | None = None) ->
 
 
 def checked_level(level: str) -> Level:
-    """A level by its name.
-
-    Raises:
-        InputError: There is no such level.
-    """
+    """A level by its name."""
     found: Level | None = next((each for each in LEVELS if each == level), None)
     if found is None:
         near = difflib.get_close_matches(str(level), LEVELS, 1, 0.5)

@@ -19,14 +19,7 @@ _BOARD_FIELDS = 4
 
 
 def add_lorry_body(builder: SurfaceBuilder, spec: VehicleSpec, *, shutter: bool, coarse: bool = False) -> None:
-    """Add everything behind the cab; all parts are closed boxes that overlap or touch nothing flush.
-
-    Args:
-        builder: Where it goes.
-        spec: The lorry.
-        shutter: A painted box with a roller shutter rather than a white one with doors.
-        coarse: Without what is too small to be seen far away.
-    """
+    """Add everything behind the cab; all parts are closed boxes that overlap or touch nothing flush."""
     front = -0.5 * spec.length_m - CARGO.gap_m
     rear = front - CARGO.length_m
     half, floor, roof = CARGO.half_width_m, CARGO.floor_m, CARGO.roof_m

@@ -46,14 +46,7 @@ class RoadUser:
 def velocities_m_s(
     users: Sequence[RoadUser], obstacles: Sequence[Footprint], layout: Layout, rng: np.random.Generator
 ) -> np.ndarray:
-    """Random velocities over ground in the town frame [m/s], float64 [user, 2].
-
-    Args:
-        users: Everybody, the ego vehicle too.
-        obstacles: What stands, such as road works.
-        layout: The plan.
-        rng: Random numbers, one for each user.
-    """
+    """Random velocities over ground in the town frame [m/s], float64 [user, 2]."""
     limit_m_s = np.multiply(CAR_PARK_KM_H if layout.template == "car_park" else STREET_KM_H, _M_S_PER_KM_H)
     things = [*(user.footprint for user in users), *obstacles, *_stop_lines(layout)]
     centre_m = np.array([(thing.x_m, thing.y_m) for thing in things])

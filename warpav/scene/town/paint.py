@@ -154,10 +154,7 @@ def sky_share(surface: Surface) -> np.ndarray:
 def sky_share_at(corner_m: np.ndarray, point_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """The same at points of any surface, shape [point].
 
-    Args:
-        corner_m: Corners of its triangles [m], shape [triangle, 3, 3].
-        point_m: The points [m], shape [point, 3].
-        normal: Unit normals there, shape [point, 3].
+    Shapes: ``corner_m`` [triangle, 3, 3], ``point_m`` [point, 3], ``normal`` [point, 3].
     """
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
@@ -181,13 +178,7 @@ def sky_share_at(corner_m: np.ndarray, point_m: np.ndarray, normal: np.ndarray) 
 def painted_mesh(surface: Surface, sky: np.ndarray, own_albedo: Mapping[Material, np.ndarray]) -> Mesh:
     """The surface as a mesh with the light baked into its colours.
 
-    Args:
-        surface: The surface, z up, the ground at z = 0.
-        sky: The result of `sky_share`, shape [vertex].
-        own_albedo: Linear albedo of what the individual has its own colour of, 0..1, shape [3] each.
-
-    Returns:
-        Mesh in the frame of the surface.
+    Shapes: ``sky`` [vertex], ``own_albedo`` [3].
     """
     albedo = _ALBEDO.copy()
     for material, colour in own_albedo.items():
@@ -199,11 +190,7 @@ def painted_mesh(surface: Surface, sky: np.ndarray, own_albedo: Mapping[Material
 def lit_rgb(normal: np.ndarray, sky: np.ndarray, albedo: np.ndarray, mirror: np.ndarray) -> np.ndarray:
     """Colours of a surface in the light of the town, uint8 [vertex, 3].
 
-    Args:
-        normal: Unit normals, z up, shape [vertex, 3].
-        sky: Share of the sky's light, 0..1, shape [vertex].
-        albedo: Linear, 0..1, shape [vertex, 3].
-        mirror: Strength of reflections, 0..1, shape [vertex].
+    Shapes: ``sky`` [vertex], ``mirror`` [vertex].
     """
     up = normal[:, 2]
     irradiance = SKY_LIGHT * sky + SUN_LIGHT * np.maximum(up, 0.0) * np.minimum(2.0 * sky, 1.0) + BOUNCE_LIGHT

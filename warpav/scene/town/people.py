@@ -300,20 +300,7 @@ _HELMET_COLOURS = np.array([(0.75, 0.75, 0.75), (0.04, 0.04, 0.045), (0.55, 0.05
 def person_mesh(
     category: str, rng: np.random.Generator, *, height_m: float | None = None, coarse: bool = False
 ) -> Mesh:
-    """A random person with the light baked in.
-
-    Args:
-        category: ``pedestrian``, ``cyclist`` (with the bicycle) or ``motorcyclist`` (with the motorcycle).
-        rng: Draws pose, clothes and size; one pedestrian in seven is a child.
-        height_m: How tall, instead of the drawn size [m].
-        coarse: With about half of the triangles, for where the person is far away.
-
-    Returns:
-        Closed mesh in the person's frame.
-
-    Raises:
-        ValueError: There is no such category.
-    """
+    """A random person with the light baked in."""
     if category not in _SURFACES:
         raise ValueError(f"no person {category!r}; categories: {', '.join(_SURFACES)}")
     variant = int(rng.integers(_SURFACES[category][1]))

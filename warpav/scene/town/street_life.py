@@ -227,14 +227,7 @@ class Furnisher:
 
 
 def furnish(layout: Layout, rng: np.random.Generator, ground: StreetGround, *, reach_m: float = _REACH_M) -> Furnishing:
-    """Random furniture on the pavements near the ego vehicle, and in some scenes road works in a lane.
-
-    Args:
-        layout: The plan.
-        rng: Random numbers.
-        ground: What everything stands on.
-        reach_m: Furniture stands no farther from the ego vehicle [m].
-    """
+    """Random furniture on the pavements near the ego vehicle, and in some scenes road works in a lane."""
     furnisher = Furnisher(rng, ground)
     markings: list[Marking] = []
     ego = np.array([layout.ego.x_m, layout.ego.y_m])
@@ -357,11 +350,7 @@ class Crowd:
     def __init__(self, ground: StreetGround, taken: Occupied, ego_m: np.ndarray, *, clear_m: float) -> None:
         """Nobody yet.
 
-        Args:
-            ground: What they stand on.
-            taken: Vehicles, the ego vehicle, furniture; people are added to it.
-            ego_m: Centre of the ego vehicle in the town frame [m], shape [2].
-            clear_m: Nobody stands nearer to it [m].
+        Shapes: ``ego_m`` [2].
         """
         self.persons: list[Person] = []
         self._ground, self._taken, self._ego_m, self._clear_m = ground, taken, ego_m, clear_m
@@ -400,15 +389,7 @@ def people(
     taken: Sequence[Footprint],
     free_slots: Sequence[Slot],
 ) -> list[Person]:
-    """A handful of people near the ego vehicle: on pavements and crossings, and on bicycles in lanes.
-
-    Args:
-        layout: The plan.
-        rng: Random numbers.
-        ground: What they stand on.
-        taken: Vehicles, the ego vehicle, furniture.
-        free_slots: Where no vehicle stands; cyclists take lanes of these.
-    """
+    """A handful of people near the ego vehicle: on pavements and crossings, and on bicycles in lanes."""
     crowd = Crowd(ground, Occupied(taken), np.array([layout.ego.x_m, layout.ego.y_m]), clear_m=_PEOPLE_CLEAR_M)
     for places, count in (
         (_pavement_places(layout, rng), int(rng.integers(2, 7))),

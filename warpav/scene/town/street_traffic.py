@@ -61,13 +61,7 @@ TRAFFIC = {
 
 
 def street_world(level: str, rng: np.random.Generator, world: LevelWorld) -> None:
-    """Build a street of a level and its traffic into a world.
-
-    Args:
-        level: A key of `TRAFFIC`.
-        rng: Random numbers.
-        world: Where everything goes; its ego vehicle is placed here.
-    """
+    """Build a street of a level and its traffic into a world."""
     traffic = TRAFFIC[level]
     plan = street_plan(traffic, rng)
     ahead, behind = rng.uniform(*_GRADE, 2) * rng.choice([-1.0, 1.0], 2)

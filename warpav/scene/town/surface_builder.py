@@ -45,9 +45,7 @@ class SurfaceBuilder:
     def add_grid(self, point_m: np.ndarray, material: np.ndarray | int) -> None:
         """Add a sheet of quads; its outside is where ``d/d(first index) x d/d(second index)`` points.
 
-        Args:
-            point_m: Positions [m], shape [a, b, 3].
-            material: Material of each quad, broadcastable to [a - 1, b - 1].
+        Shapes: ``point_m`` [a, b, 3].
         """
         rows, columns = point_m.shape[:2]
         first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
@@ -70,14 +68,7 @@ class SurfaceBuilder:
     ) -> None:
         """Add a closed body from stacked half outlines, mirrored across y = 0 and capped above and below.
 
-        Args:
-            ring_m: Half outlines [m], shape [row, column, 3]: rows upwards, columns from the front centre (y = 0)
-                along the left side (y > 0) to the rear centre (y = 0).
-            material: Material of each cell of the left half, shape [row - 1, column - 1].
-            crown_m: How far the top cap rises between its sides [m].
-            lateral_count: Quads across the top cap.
-            top: Material of the top cap.
-            bottom: Material of the bottom cap.
+        Shapes: ``ring_m`` [row, column, 3].
         """
         self.add_mirrored_grid(ring_m.transpose(1, 0, 2), material.T)
         self.add_grid(_cap(ring_m[-1], crown_m, lateral_count)[::-1], top)
@@ -99,11 +90,7 @@ class SurfaceBuilder:
     def add_lathe_pair(self, center_m: tuple[float, float, float], profile_m: np.ndarray, material: np.ndarray) -> None:
         """Add a solid of revolution about a y axis through `center_m`, and its mirror image across y = 0.
 
-        Args:
-            center_m: A point of the axis [m].
-            profile_m: (radius, y offset) [m], shape [point, 2], from the outer centre to the inner centre (radius 0
-                at both ends), outer meaning larger y.
-            material: Material of each cell, shape [point - 1, segment].
+        Shapes: ``profile_m`` [point, 2].
         """
         angle = np.linspace(0.0, 2.0 * np.pi, material.shape[1] + 1) - 0.5 * np.pi  # a vertex at the very bottom
         radius, offset = profile_m[:, :1], profile_m[:, 1:]
@@ -139,13 +126,7 @@ class SurfaceBuilder:
     ) -> None:
         """Add a closed tube along a path.
 
-        Args:
-            centre_m: Centres of its rings [m], shape [ring, 3].
-            radius_m: Radii of the rings [m], in the plane of path and x axis and along y, shape [ring, 2]; of a path
-                along y, in the plane of path and z axis and along x.
-            material: One, or one per cell along the path, caps included, shape [ring + 1].
-            sides: Corners of a ring.
-            cap: How far the ends bulge, as a share of their radius.
+        Shapes: ``centre_m`` [ring, 3], ``radius_m`` [ring, 2].
         """
         step = np.diff(centre_m, axis=0)
         step /= np.linalg.norm(step, axis=1, keepdims=True)

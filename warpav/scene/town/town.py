@@ -72,18 +72,7 @@ def ego_vehicle() -> Mesh:
 
 
 def town_scene(seed: int, exchange: Exchange | None = None) -> Scene:
-    """A street scene around the ego vehicle with 5 to 15 visible vehicles.
-
-    Args:
-        seed: Any integer from 0; the same seed gives the same scene, byte for byte.
-        exchange: May put other meshes in the places of vehicles; who stands where remains.
-
-    Returns:
-        The scene ``town_<seed>`` in the ego frame.
-
-    Raises:
-        ValueError: The seed is negative.
-    """
+    """A street scene around the ego vehicle with 5 to 15 visible vehicles."""
     return _world(seed, exchange).scene
 
 

@@ -88,10 +88,7 @@ class _Body:
     def ring_m(self, parameter: np.ndarray, height_nose: np.ndarray, height_tail: np.ndarray) -> np.ndarray:
         """Points of the left half [m], shape [row, column, 3].
 
-        Args:
-            parameter: Outline parameter of each column, 0..5, shape [column].
-            height_nose: Share of the height from sill to deck at the nose, shape [row].
-            height_tail: The same at the tail.
+        Shapes: ``parameter`` [column], ``height_nose`` [row].
         """
         spec = self.spec
         blend = np.clip((parameter - 1.0) / 3.0, 0.0, 1.0)
@@ -515,18 +512,7 @@ def vehicle_mesh(
 
     Shape and occlusion are computed once per kind and variant and kept; paint and scale are cheap.
 
-    Args:
-        kind: One of `vehicle_kinds`.
-        paint: Linear albedo of the paint, 0..1, shape [3].
-        variant: Which shape, 0..VARIANT_COUNT - 1.
-        scale: Factors along x, y, z; near 1.
-        coarse: The same vehicle with a quarter of the triangles, for where it is far away.
-
-    Returns:
-        Closed mesh in the vehicle frame.
-
-    Raises:
-        ValueError: The kind or variant does not exist.
+    Shapes: ``paint`` [3].
     """
     if kind not in VEHICLE_SPECS or not 0 <= variant < VARIANT_COUNT:
         raise ValueError(f"no vehicle {kind!r} variant {variant}; kinds: {', '.join(VEHICLE_SPECS)}; variants 0..1")

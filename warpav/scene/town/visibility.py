@@ -15,12 +15,7 @@ class Sight:
     """Everything that can hide something, ready for rays."""
 
     def __init__(self, blockers: Sequence[Mesh], targets: Sequence[Mesh]) -> None:
-        """Everything, in one frame.
-
-        Args:
-            blockers: What can hide a target.
-            targets: What is looked at; targets hide one another and themselves.
-        """
+        """Everything, in one frame."""
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
@@ -35,9 +30,7 @@ class Sight:
     def shares(self, eye_m: np.ndarray, samples: int = _SAMPLES) -> np.ndarray:
         """Share of each target's triangles whose middle can be seen from a point, 0..1, shape [target].
 
-        Args:
-            eye_m: The point [m], shape [3].
-            samples: Triangles of a target that are looked at, about.
+        Shapes: ``eye_m`` [3].
         """
         return self._shares(eye_m, [self._points(mesh, samples) for mesh in self._targets], range(len(self._targets)))
 
@@ -70,9 +63,6 @@ class Sight:
 def visible_shares(eye_m: np.ndarray, blockers: Sequence[Mesh], vehicles: Sequence[Mesh]) -> np.ndarray:
     """Share of each vehicle's triangles that can be seen from a point, 0..1, shape [vehicle].
 
-    Args:
-        eye_m: The point [m], shape [3].
-        blockers: What else can hide a vehicle.
-        vehicles: The vehicles, which hide one another and themselves.
+    Shapes: ``eye_m`` [3].
     """
     return Sight(blockers, vehicles).shares(eye_m)

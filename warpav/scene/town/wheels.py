@@ -25,16 +25,7 @@ def add_wheel_pair(
     twin: bool,
     coarse: bool = False,
 ) -> None:
-    """Add the wheels of one axle.
-
-    Args:
-        builder: Where they go.
-        x_m: Where the axle stands [m].
-        outer_face_m: y of the tyres' outer faces [m].
-        radius_m: Tyre radius [m].
-        twin: Two tyres on each side, as on a lorry's rear axle.
-        coarse: Without spokes.
-    """
+    """Add the wheels of one axle."""
     width = _WIDTH_SHARE * radius_m * (2.0 if twin else 1.0)
     profile = np.array(_COARSE_PROFILE if coarse else _PROFILE)
     profile[:, 0] *= radius_m

@@ -46,11 +46,7 @@ _POSE = ("tx_m", "ty_m", "tz_m", "qw", "qx", "qy", "qz")
 
 
 def read_log(folder: Path) -> Recording:
-    """The recording of a log; its ego vehicle is the one that carried the sensors.
-
-    Raises:
-        InputError: The package pyarrow or a file is missing, or a column of it.
-    """
+    """The recording of a log; its ego vehicle is the one that carried the sensors."""
     boxes = _columns(folder / ANNOTATIONS, ("timestamp_ns", "track_uuid", "category", *_BOX))
     poses = _columns(folder / POSES, ("timestamp_ns", *_POSE))
     sweep_ns = np.unique(boxes["timestamp_ns"])

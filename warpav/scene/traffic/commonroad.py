@@ -31,11 +31,7 @@ _CLASS_OF_TYPE = {
 
 
 def read_xml(content: bytes) -> Recording:
-    """The recording of a scenario.
-
-    Raises:
-        InputError: It is no scenario of these versions, is cut off, has a DOCTYPE, or no recorded traffic.
-    """
+    """The recording of a scenario."""
     root = parse_xml(content, "", "a whole CommonRoad scenario", nodes_max=DATA_SET_NODES_MAX)
     if root.tag != "commonRoad":
         raise InputError(f"expected a CommonRoad scenario, got <{root.tag}>")

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from warpav.core.bounded_files import DATA_SET_BYTES_MAX, DATA_SET_NODES_MAX, parse_json, read_bytes
+from warpav.core.cache import digest
 from warpav.core.errors import InputError
-from warpav.core.fingerprint import digest
 from warpav.scene.traffic.argoverse2 import ANNOTATIONS, read_log
 from warpav.scene.traffic.commonroad import read_xml
 from warpav.scene.traffic.recording import CLASSES, Lanelet, RecordedUser, Recording, check_step
@@ -30,14 +30,7 @@ def is_recording(path: Path) -> bool:
 
 
 def recordings_in(paths: Iterable[Path]) -> list[Path]:
-    """The recordings that paths mean, each once, in the order of their names, in which 2 stands before 10.
-
-    Args:
-        paths: Recordings, and folders of them, also of folders.
-
-    Raises:
-        InputError: A path is neither.
-    """
+    """The recordings that paths mean, each once, in the order of their names, in which 2 stands before 10."""
     found: dict[Path, None] = {}
     for path in paths:
         if is_recording(path):
@@ -64,21 +57,13 @@ def shipped_recordings() -> list[Path]:
 
 
 def content_digest(path: Path) -> str:
-    """Hash of what a recording is made of.
-
-    Raises:
-        InputError: It cannot be read.
-    """
+    """Hash of what a recording is made of."""
     files = [path] if path.is_file() else sorted(each for each in path.rglob("*") if _is_read(each))
     return _digest_of(tuple((file, _stamp(file)) for file in files))
 
 
 def read_recording(path: Path) -> Recording:
-    """The recording of a file or a log's folder, checked; kept while the file stays as it is.
-
-    Raises:
-        InputError: It cannot be read, or is no traffic in metres, radians and seconds.
-    """
+    """The recording of a file or a log's folder, checked; kept while the file stays as it is."""
     stamp = _stamp(path)
     return _read(path, stamp)
 

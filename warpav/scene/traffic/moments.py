@@ -67,13 +67,7 @@ def traffic_of(
 ) -> Traffic:
     """The moments of recordings.
 
-    Args:
-        recordings: As of `search_and_test`.
-        test_recordings: Likewise.
-        ego_bounds_m: Lowest and highest corner of the vehicle that carries the cameras, in its frame [m], [2, 3].
-
-    Raises:
-        InputError: As of `search_and_test`, or a part has no moment.
+    Shapes: ``ego_bounds_m`` [2, 3].
     """
     search, test = search_and_test(recordings, test_recordings)
     return Traffic(moments_of(search, ego_bounds_m), moments_of(test, ego_bounds_m))
@@ -82,15 +76,7 @@ def traffic_of(
 def search_and_test(
     recordings: Sequence[Path] | None, test_recordings: Sequence[Path] | None
 ) -> tuple[list[Path], list[Path]]:
-    """The recordings for the search, and those for the test.
-
-    Args:
-        recordings: Files and folders; None: those that ship with warpav.
-        test_recordings: Those that only the test sees; None: the last third of the others, by name.
-
-    Raises:
-        InputError: There are too few, one cannot be read, or one is in both parts.
-    """
+    """The recordings for the search, and those for the test."""
     search = shipped_recordings() if recordings is None else recordings_in(recordings)
     if test_recordings is not None:
         test = recordings_in(test_recordings)
@@ -109,11 +95,7 @@ def search_and_test(
 
 
 def moments_of(files: Sequence[Path], ego_bounds_m: np.ndarray) -> tuple[Moment, ...]:
-    """All moments of recordings in an order that mixes them, the same for the same recordings.
-
-    Raises:
-        InputError: A recording cannot be read, or there is no moment in any.
-    """
+    """All moments of recordings in an order that mixes them, the same for the same recordings."""
     length, width = np.ptp(np.asarray(ego_bounds_m, np.float64)[:, :2], axis=0).tolist()
     found: list[Moment] = []
     reasons: list[str] = []

@@ -119,9 +119,6 @@ class Recording:
         lanelets: Lanes and crossings.
         users: Everybody.
         ego_id: Who carried the sensors, where somebody did; nobody else becomes the ego vehicle.
-
-    Raises:
-        InputError: Numbers that are no traffic in metres, radians and seconds; see `_check`.
     """
 
     recording_id: str
@@ -158,11 +155,7 @@ class Recording:
 
 
 def check_step(value: float, place: str) -> None:
-    """Make sure that a number is a step.
-
-    Raises:
-        InputError: It is no whole number, is negative, or so large that it must be a timestamp.
-    """
+    """Make sure that a number is a step."""
     if value % 1 != 0:
         raise InputError(f"{place}: expected whole steps, got {value:g}")
     if not 0 <= value <= STEP_MAX:
@@ -207,12 +200,7 @@ def _velocity_by_positions(user: RecordedUser, k: int, step_s: float) -> np.ndar
 
 
 def _check(recording: Recording) -> None:
-    """Make sure that a recording is traffic in metres, radians and seconds.
-
-    Raises:
-        InputError: Nobody or no lanelets, sizes that no road user has, samples out of order, numbers that are none,
-            speeds or headings that contradict the positions, lanes elsewhere than the traffic.
-    """
+    """Make sure that a recording is traffic in metres, radians and seconds."""
     if not 0.0 < recording.step_s <= 5.0:
         raise InputError(f"dt_s: expected the time between two steps, up to 5 s, got {recording.step_s:g}")
     if not recording.users:

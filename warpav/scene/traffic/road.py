@@ -117,12 +117,7 @@ class Road:
         return kept[..., 1], kept[..., 0], (cell == kept).all(axis=-1)
 
     def ground(self, builder: SceneryBuilder, rng: np.random.Generator) -> Mesh:
-        """Road, kerbs, pavements and land as a mesh without gaps.
-
-        Args:
-            builder: Whose greys it has.
-            rng: Draws how the brightness of the asphalt varies, and whether the land is grass.
-        """
+        """Road, kerbs, pavements and land as a mesh without gaps."""
         levels = (0.0, self.pavement_m)
         contours = [[subdivided(line, _CONTOUR_STEP_M) for line in self.contour_m(level)] for level in levels]
         point_m, triangle = self._triangulated(contours, rng)
@@ -289,11 +284,7 @@ def road_of(
 ) -> Road:
     """The road of lanes, in the ego frame.
 
-    Args:
-        lanelets: Lanes and crossings, in the ego frame.
-        heavy_m: Convex outlines of who stands on road wherever it is, with the room around it [m], each [point, 2].
-        light_m: The same of who may stand on a pavement as well, but not across its kerb.
-        pavement_m: Width of the pavements.
+    Shapes: ``heavy_m`` [point, 2].
     """
     import cv2
 

@@ -33,13 +33,7 @@ _ARCH_M = 0.07  # of the wheel arches around a tyre
 
 
 def drawn_kind(category: str, size_m: tuple[float, float, float], rng: np.random.Generator) -> str:
-    """What a recorded road user is drawn as: a category of `warpav.scene.scene.Vehicle`.
-
-    Args:
-        category: Out of `warpav.scene.traffic.recording.CLASSES`.
-        size_m: Its length, width and height [m]; NaN is unknown.
-        rng: Chooses between kinds of cars of this size.
-    """
+    """What a recorded road user is drawn as: a category of `warpav.scene.scene.Vehicle`."""
     length, width, height = size_m
     if category != "car":
         return {"truck": "lorry", "bicycle": "cyclist"}.get(category, category)
@@ -57,13 +51,7 @@ def drawn_kind(category: str, size_m: tuple[float, float, float], rng: np.random
 
 
 def body_mesh(kind: str, size_m: tuple[float, float, float], rng: np.random.Generator) -> Mesh:
-    """The body of a road user, with its light baked in.
-
-    Args:
-        kind: As of `drawn_kind`.
-        size_m: Length, width and height of the recorded box [m]; the height may be NaN, then it is that of the kind.
-        rng: Draws shape, paint and clothes.
-    """
+    """The body of a road user, with its light baked in."""
     if kind == "pedestrian":
         return _person(rng, size_m[2])
     if kind in ("cyclist", "motorcycle"):

@@ -52,13 +52,7 @@ class Roadside:
     """Collects what stands on the land, clear of everything else."""
 
     def __init__(self, road: Road, taken: Sequence[Footprint], rng: np.random.Generator) -> None:
-        """Nothing yet.
-
-        Args:
-            road: Road and land.
-            taken: Where recorded road users are.
-            rng: Draws everything.
-        """
+        """Nothing yet."""
         self._road = road
         self._rng = rng
         self._taken = list(taken)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpav.core.fingerprint import fingerprint
+from warpav.core.cache import fingerprint
 from warpav.raster.mesh import Mesh, merge
 from warpav.scene.scene import Scene, Vehicle
 from warpav.scene.town.ground import StreetGround
@@ -66,11 +66,7 @@ class TrafficSource:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of all that the scene depends on besides the ego vehicle.
-
-        Raises:
-            InputError: The recording cannot be read.
-        """
+        """Hash of all that the scene depends on besides the ego vehicle."""
         content = content_digest(self.moment.file)
         made_of = (content, self.moment.step, self.moment.ego_id, self.seed)
         if self.fleet is None:
@@ -91,22 +87,7 @@ class _Body:
 def traffic_scene(
     recording: Recording, moment: Moment, seed: int, *, ego: Mesh | None = None, fleet: Fleet | None = None
 ) -> tuple[Scene, int]:
-    """The scene of a moment, in the ego frame, and how many road users are left out.
-
-    Args:
-        recording: The recording.
-        moment: Its step, and whose place the ego vehicle takes.
-        seed: Any integer from 0; draws what was not recorded. The same seed gives the same scene, byte for byte.
-        ego: The vehicle that carries the cameras, in its frame; None: that of the embedded town.
-        fleet: Vehicles of other makers, in the places of some of the town's; None: none.
-
-    Returns:
-        Road users within `REACH_M`, but for those that the ego vehicle would stand in, which are counted; velocities
-        are relative to that of the recorded ego vehicle.
-
-    Raises:
-        ValueError: The ego vehicle is not there at this step, or the seed is negative.
-    """
+    """The scene of a moment, in the ego frame, and how many road users are left out."""
     if seed < 0:
         raise ValueError(f"seed must be 0 or more, got {seed}")
     states = recording.states_at(moment.step)

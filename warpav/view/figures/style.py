@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from warpav.core.atomic_write import atomic_write
 from warpav.core.errors import ArgumentError, InputError
+from warpav.core.files import atomic_write
 from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, PAPER_RGB, hex_colour
 
 WIDTH_INCH = 9.0

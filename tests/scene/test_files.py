@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from warpav.core.errors import InputError
+from warpav.core.executor import Executor
 from warpav.scene.capture.folder import DESCRIPTION, UNFINISHED, read_capture
 from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.capture.town_simulator import TownSimulator
-from warpav.scene.glb import read_scene
-from warpav.scene.reconstruction.settings import MeshSettings, ReconstructionSettings
-from warpav.scene.store import (
+from warpav.scene.files import (
     INDEX,
     CaptureTask,
     SceneTask,
@@ -26,6 +25,9 @@ from warpav.scene.store import (
     scene_path,
     split_seeds,
 )
+from warpav.scene.glb import read_scene
+from warpav.scene.reconstruction.settings import MeshSettings, ReconstructionSettings
+from warpav.scene.town.levels import TownSource
 
 SEED = 4
 PLAN = PlanSettings(vehicle_count=1, width_px=96, height_px=72, scene_heights_m=(20.0,), rotation_count=3)
@@ -56,7 +58,8 @@ def capture_task(folder, seed=SEED, settings=PLAN):
 
 def scene_tasks(captures, out, settings=MESHES):
     return [
-        SceneTask(seed, scene_path(out, seed), capture, settings) for seed, capture in captures_in([captures]).items()
+        SceneTask(seed, scene_path(out, seed), capture=capture, settings=settings)
+        for seed, capture in captures_in(captures).items()
     ]
 
 
@@ -178,20 +181,20 @@ def test_a_capture_that_cannot_be_written_does_not_keep_the_others(tmp_path, rec
 def test_captures_are_found_by_their_numbers(tmp_path, captures):
     shutil.copytree(capture_path(captures, SEED), captures / "drive_0012")
     (captures / "notes").mkdir()
-    found = captures_in([captures])
+    found = captures_in(captures)
     assert found == {12: captures / "drive_0012", SEED: capture_path(captures, SEED)}
-    assert captures_in([captures / "drive_0012"]) == {12: captures / "drive_0012"}
+    assert captures_in(captures / "drive_0012") == {12: captures / "drive_0012"}
     with pytest.raises(InputError, match="expected every number once, got drive_0012 as well; rename one"):
-        captures_in([captures, shutil.copytree(captures / "drive_0012", tmp_path / "drive_12")])
+        captures_in(shutil.copytree(captures / "drive_0012", captures / "drive_12").parent)
     with pytest.raises(InputError, match=r"notes: expected a capture \(a folder with capture.json\) or a folder of"):
-        captures_in([captures / "notes"])
+        captures_in(captures / "notes")
 
 
 def test_unfinished_captures_are_found_and_refused(captures, tmp_path):
     unfinished = shutil.copytree(capture_path(captures, SEED), capture_path(captures, 5))
     (unfinished / DESCRIPTION).rename(unfinished / UNFINISHED)
     lines = []
-    assert check_captures(list(captures_in([captures]).values()), lines.append) == 1
+    assert check_captures(list(captures_in(captures).values()), lines.append) == 1
     assert lines == [
         f"{unfinished / DESCRIPTION}: expected the description of a capture, got an unfinished capture; "
         "run warpav scenes capture again"
@@ -322,8 +325,8 @@ def test_refused_scenes_keep_nothing_from_being_made_and_lose_nothing(captures, 
 def test_processes_make_the_same_files(tmp_path):
     folders = {name: tmp_path / name for name in ("serial", "process")}
     for name, out in folders.items():
-        tasks = [SceneTask(seed, scene_path(out, seed)) for seed in (1, 2)]
-        outcomes = list(make_scenes(tasks, executor=name, worker_count=1))
+        tasks = [SceneTask(seed, scene_path(out, seed), TownSource(seed)) for seed in (1, 2)]
+        outcomes = list(make_scenes(tasks, Executor(name, 1)))
         assert sorted(outcome.task.seed for outcome in outcomes) == [1, 2]
         assert [(outcome.result, outcome.error) for outcome in outcomes] == [(True, None)] * 2
     assert bytes_of(folders["serial"]) == bytes_of(folders["process"])

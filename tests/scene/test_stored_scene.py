@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import street
+from warpav.core import cache as core_cache
 from warpav.core.errors import InputError
-from warpav.scene import packed as module
+from warpav.scene import stored_scene as module
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.glb import read_scene, write_scene
-from warpav.scene.packed import SceneRecipe, StoredScene, stored_scenes
+from warpav.scene.stored_scene import SceneRecipe, StoredScene, stored_scenes
 from warpav.scene.town.levels import TownSource
 from warpav.scene.town.town import town_scene
 from warpav.scene.town.vehicle_shapes import ego_mesh
@@ -28,7 +29,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 import numpy as np
-from warpav.scene.packed import SceneRecipe, stored_scenes
+from warpav.scene.stored_scene import SceneRecipe, stored_scenes
 
 def half(stream, record, **_):
     stream.write(record.tobytes()[:100_000])
@@ -91,7 +92,7 @@ def test_stored_scenes_are_those_that_are_made_and_packed(tmp_path, made):
 
 
 def test_vehicle_targets_and_mirror_images_are_part_of_a_scene(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "_PARALLEL_MIN", 5)
+    monkeypatch.setattr(core_cache, "_PARALLEL_MIN", 5)
     ego = ego_mesh().transformed(1.2 * np.eye(3), np.array([7.0, 0.0, 0.0]))
     targets = ("vehicle", "pedestrian")
     recipes = [
@@ -121,7 +122,7 @@ def test_vehicle_targets_and_mirror_images_are_part_of_a_scene(tmp_path, monkeyp
 
 
 def test_processes_make_the_same_files_and_say_what_cannot_be_made(tmp_path, glb_files, recipes, monkeypatch, made):
-    monkeypatch.setattr(module, "_PARALLEL_MIN", 2)
+    monkeypatch.setattr(core_cache, "_PARALLEL_MIN", 2)
     (tmp_path / "scene_9.glb").write_bytes(b"no scene")
     wrong = [*recipes, SceneRecipe(tmp_path / "scene_9.glb")]
     with pytest.raises(InputError, match=r"scene_9\.glb"):

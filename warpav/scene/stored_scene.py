@@ -1,9 +1,9 @@
 """Scenes as a device takes them, in files that are mapped into memory: made once, by several processes, then opened.
 
 A file is named after all that it was made of: the source, the vehicle, the targets, the code that makes and packs
-scenes, and the versions of NumPy and Embree. So it never has to be checked for its age; one that is damaged is made
-again. On the CPU a `StoredScene` reads its meshes where the file lies in memory. Where a process holds on to
-`HELD_BYTES` already, it lets go of them after use: thousands of scenes take no more memory than a hundred.
+scenes, and the versions of NumPy and Embree. On the CPU a `StoredScene` reads its meshes where the file lies. Where a
+process holds on to `HELD_BYTES` already, it lets go of them after use: thousands of scenes take no more memory than a
+hundred.
 """
 
 from __future__ import annotations
@@ -21,16 +21,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import platformdirs
 import warp as wp
 
-from warpav.core.atomic_write import atomic_write
-from warpav.core.cache_folder import remove_oldest
-from warpav.core.executor import available_cores, run_tasks
-from warpav.core.fingerprint import digest, fingerprint
+from warpav.core.cache import digest, fingerprint, made_files, remove_oldest, user_cache_folder
+from warpav.core.files import atomic_write
 from warpav.raster.mesh import Mesh
 from warpav.raster.scene import Scene as RasterScene
-from warpav.scene.cache import BuiltSource, scene_once
+from warpav.scene.cache import UNREADABLE, BuiltSource, built_scenes, read_kept, scene_file
 from warpav.scene.device_scene import DeviceScene, boxes_of_arrays
 from warpav.scene.glb import read_scene
 from warpav.scene.scene import Scene
@@ -43,14 +40,8 @@ HELD_BYTES = 2**29
 """Meshes that a process holds on to, of all its stored scenes together."""
 RECENT_COUNT = 8
 """Further scenes, those that were used last, whose meshes it has not let go of yet."""
-_PARALLEL_MIN = 4  # fewer scenes are made sooner than processes start
 _FORMAT = 1
 _CHECKED_FROM = 8  # the checksum itself comes first
-
-
-def packed_scene_folder() -> Path:
-    """Where packed scenes are kept; it may not exist yet."""
-    return Path(platformdirs.user_cache_dir("warpav", appauthor=False)) / "packed_scenes"
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,29 +60,38 @@ class SceneRecipe:
     targets: tuple[str, ...] = ("vehicle",)
     is_mirrored: bool = False
 
-    def scene(self) -> tuple[Scene, int]:
+    @property
+    def is_built(self) -> bool:
+        """Whether it is made of a scene that `built_scenes` gives."""
+        return isinstance(self.source, TownSource) or (isinstance(self.source, TrafficSource) and self.ego is None)
+
+    def scene(self, built: Scene | None = None) -> tuple[Scene, int]:
         """The scene, and how many road users were left out because the vehicle stands in their places.
 
-        Raises:
-            InputError: The file cannot be read.
+        ``built`` is that of `built_scenes`, where the caller has it. Raises `InputError` where a file cannot be read.
         """
-        if isinstance(self.source, TrafficSource):
+        left_out = 0
+        if isinstance(self.source, TrafficSource) and self.ego is not None:
             scene, left_out = self.source.scene_and_left_out(self.ego)
-            targeted = scene.targeting(self.targets)
-            return targeted.mirrored() if self.is_mirrored else targeted, left_out
-        scene = scene_once(self.source) if isinstance(self.source, TownSource) else read_scene(self.source)
-        around = scene if self.ego is None else scene.around(self.ego)
-        targeted = around.targeting(self.targets)
-        left_out = len(scene.road_users) - len(around.road_users)
+        else:
+            scene = self._whole_scene() if built is None else built
+            if self.ego is not None:
+                everybody, scene = len(scene.road_users), scene.around(self.ego)
+                left_out = everybody - len(scene.road_users)
+        targeted = scene.targeting(self.targets)
         return targeted.mirrored() if self.is_mirrored else targeted, left_out
+
+    def _whole_scene(self) -> Scene:
+        if isinstance(self.source, Path):
+            return read_scene(self.source)
+        try:
+            return read_kept(scene_file(self.source, user_cache_folder("scenes")))
+        except UNREADABLE:  # and it is not kept: the packed one is
+            return self.source.scene()
 
     @cached_property
     def file_name(self) -> str:
-        """The file that keeps it, by all that it is made of.
-
-        Raises:
-            OSError: The file of the source cannot be read.
-        """
+        """The name of the file that keeps it, by all that it is made of; OSError where the source cannot be read."""
         if isinstance(self.source, Path):
             source, code = (digest(self.source.read_bytes()), version("numpy")), ("warpav.scene.glb",)
         else:
@@ -99,6 +99,15 @@ class SceneRecipe:
         ego = self.ego and [array.tobytes() for array in (self.ego.vertex_m, self.ego.triangle, self.ego.vertex_rgb)]
         made_of = (_FORMAT, *source, self.targets, self.is_mirrored, *(ego or ()))
         return f"scene_{fingerprint(*made_of, code=(*code, 'warpav.scene.device_scene'))}.npy"
+
+
+def scenes_of(recipes: Sequence[SceneRecipe]) -> Iterator[tuple[Scene, int]]:
+    """As `SceneRecipe.scene` of each recipe in turn; several processes build what nobody built before."""
+    built = built_scenes(
+        [recipe.source for recipe in recipes if recipe.is_built and not isinstance(recipe.source, Path)]
+    )
+    for recipe in recipes:
+        yield recipe.scene(next(built) if recipe.is_built else None)
 
 
 class StoredScene(DeviceScene):
@@ -111,16 +120,7 @@ class StoredScene(DeviceScene):
     left_out: int
 
     def __init__(self, recipe: SceneRecipe, folder: Path, device: str) -> None:
-        """Open the file, or make it where there is none that can be read.
-
-        Args:
-            recipe: Which scene.
-            folder: Where scenes are kept. Where it cannot be written to, the scene is held in memory.
-            device: Warp device.
-
-        Raises:
-            InputError: The scene cannot be made.
-        """
+        """Open the file, or make it where there is none that can be read."""
         record = _record(recipe, folder)
         # a frozen dataclass, whose field `raster` is a property here
         self.__dict__.update(
@@ -173,50 +173,21 @@ def stored_scenes(
     folder: Path | None = None,
     worker_count: int | None = None,
 ) -> Iterator[StoredScene]:
-    """Scenes on a device, in this order: opened where they were made before, made where not.
+    """Scenes on a Warp device, in this order: opened where they were made before, made where not.
 
-    Args:
-        recipes: Which scenes.
-        device: Warp device.
-        folder: Where to keep them; None: `packed_scene_folder`.
-        worker_count: Processes that make scenes; None: one for each core.
-
-    Yields:
-        Scenes with the arrays of `DeviceScene.pack`, bit for bit.
-
-    Raises:
-        InputError: A scene cannot be made.
+    Their arrays are those of `DeviceScene.pack`, bit for bit. Raises `InputError` where a scene cannot be made.
     """
-    folder = folder or packed_scene_folder()
-    missing = {recipe.file_name: recipe for recipe in recipes if not (folder / recipe.file_name).is_file()}
-    worker_count = min(worker_count or available_cores(), len(missing))
-    outcomes = iter(())
-    if worker_count > 1 and len(missing) >= _PARALLEL_MIN:
-        tasks = [(recipe, folder) for recipe in missing.values()]
-        outcomes = run_tasks(_make, tasks, executor="process", worker_count=worker_count, gpu_count=0)
-    else:
-        missing = {}
-    for recipe in recipes:
-        while recipe.file_name in missing:
-            # one that failed fails again below, with its own error
-            missing.pop(next(outcomes).task[0].file_name)
-        yield StoredScene(recipe, folder, device)
-    for _ in outcomes:
-        pass
-    _shrink(folder, recipes)
-
-
-def _shrink(folder: Path, recipes: Sequence[SceneRecipe]) -> None:
-    """Remove the scenes that were not used for the longest time, but none of these."""
-    used = {recipe.file_name for recipe in recipes}
-    size = sum(file.stat().st_size for name in used if (file := folder / name).is_file())
-    remove_oldest(folder, "scene_*.npy", capacity_bytes=max(CAPACITY_BYTES, size))
+    folder = folder or user_cache_folder("packed_scenes")
+    files = [folder / recipe.file_name for recipe in recipes]
+    for recipe, file in made_files(_make, recipes, files, worker_count=worker_count):
+        yield StoredScene(recipe, file.parent, device)
+    used = sum(file.stat().st_size for file in set(files) if file.is_file())  # none of these goes
+    remove_oldest(folder, "scene_*.npy", capacity_bytes=max(CAPACITY_BYTES, used))
 
 
 def _make(task: tuple[SceneRecipe, Path]) -> None:
-    """Make the file of a scene."""
-    recipe, folder = task
-    _write(_packed(recipe), folder / recipe.file_name)
+    recipe, file = task
+    _write(_packed(recipe), file)
 
 
 def _record(recipe: SceneRecipe, folder: Path, *, is_checked: bool = False) -> np.ndarray:
@@ -264,11 +235,7 @@ def _checksum(record: np.ndarray) -> int:
 
 
 def _write(record: np.ndarray, file: Path) -> None:
-    """Keep a scene, as a file that appears whole or not at all.
-
-    Raises:
-        OSError: It cannot be written.
-    """
+    """Keep a scene, as a file that appears whole or not at all."""
     file.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(file) as draft, draft.open("wb") as stream:
         np.save(stream, record, allow_pickle=False)
