@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import inspect
 import json
 import re
 import subprocess
@@ -252,3 +253,18 @@ def test_a_vehicle_is_read_into_the_ego_frame(tmp_path):
         wa.read_vehicle(tmp_path / "car.stl", up="z", forward="-z")
     with pytest.raises(wa.InputError, match="up: expected one of x, y, z"):
         wa.read_vehicle(tmp_path / "car.stl", up="w")
+
+
+def test_docstrings_of_what_is_exported_are_whole():
+    """Ruff's rules on docstrings, of these names alone: every public method has one, which names every argument."""
+    lacking = []
+    for name in wa.__all__:
+        found = getattr(wa, name)
+        methods = [each for key, each in vars(found).items() if not key.startswith("_")] if inspect.isclass(found) else []
+        for each in (found, *(method for method in methods if inspect.isfunction(method))):
+            text = inspect.getdoc(each) or ""
+            asked = set(inspect.signature(each).parameters) - {"self", "args", "kwargs"} if inspect.isroutine(each) else ()
+            missing = [argument for argument in asked if "Args:" in text and not re.search(rf"\b{argument}\b", text)]
+            if not text or missing:
+                lacking.append((name, getattr(each, "__qualname__", name), missing))
+    assert not lacking
