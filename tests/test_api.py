@@ -260,10 +260,10 @@ def test_docstrings_of_what_is_exported_are_whole():
     lacking = []
     for name in wa.__all__:
         found = getattr(wa, name)
-        methods = [each for key, each in vars(found).items() if not key.startswith("_")] if inspect.isclass(found) else []
-        for each in (found, *(method for method in methods if inspect.isfunction(method))):
+        members = vars(found).items() if inspect.isclass(found) else ()
+        for each in (found, *(each for key, each in members if inspect.isfunction(each) and key[0] != "_")):
             text = inspect.getdoc(each) or ""
-            asked = set(inspect.signature(each).parameters) - {"self", "args", "kwargs"} if inspect.isroutine(each) else ()
+            asked = set(inspect.signature(each).parameters) - {"self"} if inspect.isroutine(each) else ()
             missing = [argument for argument in asked if "Args:" in text and not re.search(rf"\b{argument}\b", text)]
             if not text or missing:
                 lacking.append((name, getattr(each, "__qualname__", name), missing))
