@@ -51,16 +51,7 @@ _ARRAYS_MAX = 10_000  # a checkpoint has some for every selection of its search
 
 
 def read_bytes(file: Path, kind: str, *, bytes_max: int = BYTES_MAX) -> bytes:
-    """The content of a file; of one whose name ends in ``.gz`` what is packed in it.
-
-    Args:
-        file: The file.
-        kind: What it should be, for messages, such as ``a URDF file``.
-        bytes_max: How much may come.
-
-    Raises:
-        InputError: It cannot be read, is damaged, or is larger.
-    """
+    """The content of a file; of one whose name ends in ``.gz`` what is packed in it."""
     try:
         with gzip.open(file) if file.name.endswith(".gz") else file.open("rb") as stream:
             content = stream.read(bytes_max + 1)
@@ -73,35 +64,17 @@ def read_bytes(file: Path, kind: str, *, bytes_max: int = BYTES_MAX) -> bytes:
 
 
 def read_text(file: Path, kind: str, *, bytes_max: int = BYTES_MAX) -> str:
-    """The text of a UTF-8 file, without a mark at its beginning.
-
-    Raises:
-        InputError: As `read_bytes`; or it is not text.
-    """
+    """The text of a UTF-8 file, without a mark at its beginning."""
     return _text(read_bytes(file, kind, bytes_max=bytes_max), str(file), kind)
 
 
 def read_json(file: Path, kind: str, *, bytes_max: int = BYTES_MAX, nodes_max: int = NODES_MAX) -> Any:  # noqa: ANN401
-    """The data of a JSON file.
-
-    Raises:
-        InputError: As `read_bytes` and `parse_json`.
-    """
+    """The data of a JSON file."""
     return parse_json(read_bytes(file, kind, bytes_max=bytes_max), str(file), kind, nodes_max=nodes_max)
 
 
 def parse_json(content: bytes | str, place: str, kind: str, *, nodes_max: int = NODES_MAX) -> Any:  # noqa: ANN401
-    """The data of a JSON text.
-
-    Args:
-        content: The text, in UTF-8 where it is bytes.
-        place: Where it stands, for messages; empty where the caller adds that.
-        kind: What it should be, for messages.
-        nodes_max: How many values it may hold.
-
-    Raises:
-        InputError: It is no JSON, or beyond a bound.
-    """
+    """The data of a JSON text."""
     text = content if isinstance(content, str) else _text(content, place, kind)
     check_nesting(text, place, nodes_max=nodes_max)
     if "\\u" in text and _HALF_CHARACTER.search(text):
@@ -114,17 +87,7 @@ def parse_json(content: bytes | str, place: str, kind: str, *, nodes_max: int = 
 
 
 def check_nesting(text: str, place: str, *, nodes_max: int = NODES_MAX, quotes: str = '"') -> None:
-    """Reject a text in JSON, or in another language with brackets and commas, that a parser should not be given.
-
-    Args:
-        text: The text.
-        place: Where it stands, for messages.
-        nodes_max: How many values it may hold: commas and opening brackets outside quotes.
-        quotes: What quotes a text: ``"``, or ``'`` as well.
-
-    Raises:
-        InputError: It has too many values, levels, or digits in a number.
-    """
+    """Reject a text in JSON, or in another language with brackets and commas, that a parser should not be given."""
     bare = (_QUOTED if quotes == '"' else _ANY_QUOTED).sub("", text)
     brackets = bare.encode().translate(None, _NOT_BRACKETS)
     if bare.count(",") + len(brackets) // 2 > nodes_max:
@@ -140,11 +103,7 @@ def check_nesting(text: str, place: str, *, nodes_max: int = NODES_MAX, quotes: 
 
 
 def parse_xml(content: bytes, place: str, kind: str, *, nodes_max: int = NODES_MAX) -> ElementTree.Element:
-    """The root of an XML document, which may have no DOCTYPE: its entities may expand without end, and read files.
-
-    Raises:
-        InputError: It is no XML, has a DOCTYPE, or is beyond a bound.
-    """
+    """The root of an XML document, which may have no DOCTYPE: its entities may expand without end, and read files."""
     parser = ElementTree.XMLParser(target=_BoundedBuilder(place, nodes_max))
     try:
         parser.feed(content)
@@ -185,17 +144,7 @@ class _BoundedBuilder(ElementTree.TreeBuilder):
 def read_arrays(
     file: Path, kind: str, *, bytes_max: int = ARRAY_BYTES_MAX, names: tuple[str, ...] | None = None
 ) -> dict[str, np.ndarray]:
-    """The arrays of an ``.npz`` file by name; none are objects, which would have to be unpickled.
-
-    Args:
-        file: The file.
-        kind: What it should be, for messages.
-        bytes_max: What the arrays may hold together; headers tell before memory is taken.
-        names: Which ones; None: all.
-
-    Raises:
-        InputError: It cannot be read, is damaged, or is larger.
-    """
+    """The arrays of an ``.npz`` file by name; none are objects, which would have to be unpickled."""
     import numpy as np
 
     content = io.BytesIO(read_bytes(file, kind, bytes_max=bytes_max))
@@ -248,11 +197,7 @@ def _header(stream: Any) -> tuple[tuple[int, ...], bool, np.dtype]:  # noqa: ANN
 
 
 def feather_library() -> tuple[Any, Any]:
-    """The modules pyarrow and pyarrow.feather of the extra ``av2``.
-
-    Raises:
-        InputError: It is not installed.
-    """
+    """The modules pyarrow and pyarrow.feather of the extra ``av2``."""
     try:
         return importlib.import_module("pyarrow"), importlib.import_module("pyarrow.feather")
     except ImportError as error:
@@ -260,11 +205,7 @@ def feather_library() -> tuple[Any, Any]:
 
 
 def read_feather(file: Path, kind: str) -> Any:  # noqa: ANN401
-    """The table of a feather file, a ``pyarrow.Table`` whose texts and offsets are checked.
-
-    Raises:
-        InputError: As `read_bytes`; it is damaged; or pyarrow is not installed.
-    """
+    """The table of a feather file, a ``pyarrow.Table`` whose texts and offsets are checked."""
     arrow, feather = feather_library()
     content = read_bytes(file, kind, bytes_max=DATA_SET_BYTES_MAX)
     try:

@@ -10,11 +10,7 @@ if TYPE_CHECKING:
 
 
 def data_frame(rows: Mapping[Any, Mapping[str, Any]]) -> pandas.DataFrame:
-    """A table of pandas: a row for each key, which is its index, with columns by name.
-
-    Raises:
-        ImportError: pandas is not installed.
-    """
+    """A table of pandas: a row for each key, which is its index, with columns by name."""
     try:
         import pandas  # pyright: ignore[reportMissingImports]
     except ImportError:

@@ -41,13 +41,7 @@ def wrap_angle_rad(angle_rad: float) -> float:
 def rotation_from_yaw_pitch_roll(yaw_rad: float, pitch_rad: float, roll_rad: float) -> np.ndarray:
     """The rotation ``Rz(yaw) Ry(pitch) Rx(roll)``.
 
-    Args:
-        yaw_rad: Turn to the left about z [rad].
-        pitch_rad: Nose down about y [rad].
-        roll_rad: Right side down about x [rad].
-
-    Returns:
-        ``ego_from_link``, float64, shape [3, 3]; its columns are the link's forward, left and up in the ego frame.
+    Shapes: returns [3, 3].
     """
     cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
     cos_pitch, sin_pitch = math.cos(pitch_rad), math.sin(pitch_rad)
@@ -61,12 +55,7 @@ def rotation_from_yaw_pitch_roll(yaw_rad: float, pitch_rad: float, roll_rad: flo
 def yaw_pitch_roll_from_rotation(ego_from_link: np.ndarray) -> tuple[float, float, float]:
     """The angles of a rotation; the inverse of :func:`rotation_from_yaw_pitch_roll`.
 
-    Args:
-        ego_from_link: Rotation, shape [3, 3].
-
-    Returns:
-        Yaw and roll in (-pi, pi] and pitch in [-pi/2, pi/2], all [rad]. Looking straight up or down, yaw and roll turn
-        about the same axis; roll is then 0.
+    Shapes: ``ego_from_link`` [3, 3].
     """
     rotation = np.asarray(ego_from_link, dtype=np.float64)
     level = math.hypot(rotation[0, 0], rotation[1, 0])
@@ -81,11 +70,7 @@ def yaw_pitch_roll_from_rotation(ego_from_link: np.ndarray) -> tuple[float, floa
 def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
     """The rotation of a quaternion.
 
-    Args:
-        quaternion: ``w, x, y, z``, shape [4]; of any length but 0.
-
-    Returns:
-        float64, shape [3, 3].
+    Shapes: ``quaternion`` [4], returns [3, 3].
     """
     w, x, y, z = np.asarray(quaternion, dtype=np.float64) / np.linalg.norm(quaternion)
     return np.array(
@@ -100,11 +85,7 @@ def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
 def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:
     """The quaternion of a rotation; the inverse of :func:`rotation_from_quaternion`.
 
-    Args:
-        rotation: Shape [3, 3].
-
-    Returns:
-        ``w, x, y, z`` of length 1 with ``w >= 0``, float64, shape [4].
+    Shapes: ``rotation`` [3, 3], returns [4].
     """
     turn = np.asarray(rotation, dtype=np.float64)
     xx, yy, zz = np.diag(turn)
@@ -129,14 +110,7 @@ def ego_from_carla_pose(
 
     The mirror of y turns yaw and pitch around; roll is seen along the mirrored plane and keeps its sign.
 
-    Args:
-        location_m: CARLA's location [m], shape [3], relative to the ego frame's origin.
-        pitch_deg: CARLA's pitch, nose up positive [deg].
-        yaw_deg: CARLA's yaw, right positive [deg].
-        roll_deg: CARLA's roll [deg].
-
-    Returns:
-        Position in the ego frame [m], shape [3]; yaw, pitch and roll [rad], yaw and roll in (-pi, pi].
+    Shapes: ``location_m`` [3], returns [3].
     """
     position_m = EGO_FROM_CARLA @ np.asarray(location_m, dtype=np.float64)
     yaw_rad, pitch_rad, roll_rad = (math.radians(angle) for angle in (-yaw_deg, -pitch_deg, roll_deg))
@@ -148,14 +122,7 @@ def carla_from_ego_pose(
 ) -> tuple[np.ndarray, float, float, float]:
     """The numbers for CARLA's ``Transform`` from an ego pose; the inverse of :func:`ego_from_carla_pose`.
 
-    Args:
-        position_m: Position in the ego frame [m], shape [3].
-        yaw_rad: Left positive [rad].
-        pitch_rad: Nose down positive [rad].
-        roll_rad: Right side down positive [rad].
-
-    Returns:
-        CARLA's location [m], shape [3], and its pitch, yaw and roll [deg], in the order of ``carla.Rotation``.
+    Shapes: ``position_m`` [3], returns [3].
     """
     location_m = EGO_FROM_CARLA @ np.asarray(position_m, dtype=np.float64)
     pitch_deg, yaw_deg, roll_deg = (

@@ -23,9 +23,6 @@ def load_warp() -> Any:  # noqa: ANN401 (the module)
     """The module ``warp``, initialised without its start-up messages.
 
     Whoever wants messages raises ``warp.config.log_level`` after the first call.
-
-    Raises:
-        InputError: Its cache folder cannot be written.
     """
     import warp
 
@@ -50,13 +47,6 @@ def compiling(device: str, *, but: Sequence[str] = ()) -> Iterator[None]:
 
     Warp compiles a module when one of its kernels is launched first, one module after the other, for seconds each. The
     block must not launch these kernels: it would compile them too.
-
-    Args:
-        device: Warp device.
-        but: Modules that are left out: those of ``warpav_kernels`` whose names begin so, such as ``raster.trace``.
-
-    Raises:
-        Exception: Of the compiler.
     """
     warp = load_warp()
     own, left_out = f"{KERNELS}.", tuple(f"{KERNELS}.{name}" for name in but)
@@ -87,11 +77,7 @@ def _muted_stderr() -> Iterator[None]:
 
 
 def checked_device(device: str) -> str:
-    """The name of a Warp device that this machine has.
-
-    Raises:
-        InputError: It has none of that name.
-    """
+    """The name of a Warp device that this machine has."""
     names = [each.alias for each in load_warp().get_devices()]
     if device not in names:
         raise OptionError("device", f"expected one of {', '.join(names)}, got {device!r}; warpav doctor lists them")

@@ -46,19 +46,12 @@ _EXTRA = {"ray": "ray", "submitit": "slurm"}
 
 @dataclass(frozen=True)
 class Outcome(Generic[Task, Result]):
-    """What became of a task.
+    """What became of a task."""
 
-    Attributes:
-        task: The task.
-        result: Its result; None if it failed.
-        error: Why it failed; None if it did not.
-        lacks_memory: Whether it failed for want of memory, which it may find when fewer run.
-    """
-
-    task: Task
-    result: Result | None = None
-    error: str | None = None
-    lacks_memory: bool = False
+    task: Task  # the task
+    result: Result | None = None  # its result; None if it failed
+    error: str | None = None  # why it failed; None if it did not
+    lacks_memory: bool = False  # whether it failed for want of memory, which it may find when fewer run
 
 
 class WorkerKilledError(Exception):

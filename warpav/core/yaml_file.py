@@ -80,16 +80,6 @@ def read_yaml(source: Path | str, place: str | None = None) -> tuple[Any, dict[L
     """The data in a YAML file or a YAML text, and the line (from 1) of every value.
 
     Numbers follow YAML 1.2 (``1e-3`` is a number, ``no`` and ``1:30`` are text); keys are always text.
-
-    Args:
-        source: The file, or a text of one document, which messages quote without lines.
-        place: What messages call the source; None: by the file's name.
-
-    Returns:
-        None, bool, int, float, str, list and dict; the line of every key and list item.
-
-    Raises:
-        InputError: The file cannot be read, the text is not YAML, a key is there twice, or it is beyond a bound.
     """
     line_of: dict[Location, int] = {}
     has_lines = isinstance(source, Path)
@@ -151,11 +141,7 @@ def read_yaml(source: Path | str, place: str | None = None) -> tuple[Any, dict[L
 
 
 def _whole_text(text: str, place: str) -> str:
-    """The text, whose characters are all whole.
-
-    Raises:
-        InputError: One is half of a pair, which no file can hold.
-    """
+    """The text, whose characters are all whole."""
     if not text.isascii() and any("\ud800" <= each <= "\udfff" for each in text):
         raise InputError(
             f"{place}: expected text, got half of a character, such as \\ud800 alone; if it is of a path that is not "

@@ -37,20 +37,7 @@ CHECKPOINT_EVERY = 10
 
 
 def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunFolder, dict[str, Any]]:
-    """Optimise a rig, compare it with baselines on the test scenes, and leave a run folder.
-
-    Args:
-        config: What to do.
-        name: Name of the run when ``run.out`` gives none.
-        progress: Where to show it.
-
-    Returns:
-        The run folder, and the content of its ``evaluation.json``.
-
-    Raises:
-        InputError: Something in the input is wrong.
-        KeyboardInterrupt: The user stopped the run; the run folder, if there is one already, is usable.
-    """
+    """Optimise a rig, compare it with baselines on the test scenes, and leave a run folder."""
     from warpav.evaluation import blind_ground  # noqa: F401 (so that its kernel is compiled beside the others)
 
     timer = StageTimer()
@@ -76,20 +63,7 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
 
 
 def resume_rig(folder: RunFolder, config: Config, *, progress: Progress) -> tuple[Result, dict[str, Any]]:
-    """Go on with a run that was stopped, or that has ended and is given more iterations or time, in its folder.
-
-    Args:
-        folder: That of the run.
-        config: Its configuration, but for options that may change.
-        progress: Where to show it.
-
-    Returns:
-        The result, and the content of ``evaluation.json``.
-
-    Raises:
-        InputError: Another process writes to the folder, it cannot go on, or something in the input is wrong.
-        KeyboardInterrupt: As of `optimise_rig`.
-    """
+    """Go on with a run that was stopped, or that has ended and is given more iterations or time, in its folder."""
     from warpav.evaluation import blind_ground  # noqa: F401 (as in `optimise_rig`)
 
     timer = StageTimer()
@@ -236,23 +210,7 @@ def measure_rig(
     loads: Mapping[str, LoadState] | None = None,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Metrics of a rig on the test scenes, written to a file if there is one.
-
-    Args:
-        source: Rig YAML, preset, run folder, or ``highest``.
-        config: The scenes, the detector and the objective.
-        beside: Further rigs to compare it with, likewise; they get metrics and differences alone.
-        json_file: Where to write the metrics, in the form of ``evaluation.json``; None for nowhere.
-        soiled: What of one camera's image is covered, for each camera in turn; None: nothing.
-        loads: States of the vehicle by name; none: without a load alone.
-        progress: Where to show it.
-
-    Returns:
-        What the file holds.
-
-    Raises:
-        InputError: The rig, the file or something in the configuration cannot be used.
-    """
+    """Metrics of a rig on the test scenes, written to a file if there is one."""
     names = arm_names(source, beside)
     if json_file is not None and not json_file.absolute().parent.is_dir():
         raise ArgumentError(

@@ -53,23 +53,14 @@ EGO_TOLERANCE_M = 0.2
 
 @dataclass(frozen=True, eq=False)
 class SceneSet:
-    """Scenes on the device, and the vehicle that carries the cameras.
+    """Scenes on the device, and the vehicle that carries the cameras."""
 
-    Attributes:
-        train: Training scenes; with ``scenes.mirror`` their mirror images after them.
-        validation: Scenes on which the rigs of a run are compared; maybe none.
-        test: Test scenes; none where a caller brings its own.
-        mount: Where the cameras may stand, and their model.
-        ego: The vehicle that carries them.
-        shown: The first test scene, else the first of training, for figures.
-    """
-
-    train: list[DeviceScene]
-    validation: list[DeviceScene]
-    test: list[DeviceScene]
-    mount: CameraMount
-    ego: Mesh
-    shown: Scene
+    train: list[DeviceScene]  # training scenes; with ``scenes.mirror`` their mirror images after them
+    validation: list[DeviceScene]  # scenes on which the rigs of a run are compared; maybe none
+    test: list[DeviceScene]  # test scenes; none where a caller brings its own
+    mount: CameraMount  # where the cameras may stand, and their model
+    ego: Mesh  # the vehicle that carries them
+    shown: Scene  # the first test scene, else the first of training, for figures
     _areas: dict[tuple[int, int], np.ndarray] = field(default_factory=dict, repr=False)
 
     @property
@@ -78,11 +69,7 @@ class SceneSet:
         return [*self.train, *self.validation, *self.test]
 
     def check_vehicle(self, scene: Scene) -> None:
-        """Make sure that a scene is around the same ego vehicle.
-
-        Raises:
-            InputError: It is around another.
-        """
+        """Make sure that a scene is around the same ego vehicle."""
         if not is_same_vehicle(scene.ego, self.ego):
             raise InputError(f"{scene.name}: ego: expected the vehicle of the placement, got another")
 
@@ -101,12 +88,7 @@ class SceneSet:
     def areas_of(self, scenes: Sequence[DeviceScene], rotation_count: int) -> list[np.ndarray]:
         """Area of every vehicle alone in directions all round [px^2], seen from the middle of the ego vehicle.
 
-        Args:
-            scenes: Scenes around the same ego vehicle.
-            rotation_count: Number of directions, evenly spread from yaw 0.
-
-        Returns:
-            One [vehicle, rotation] for each scene.
+        Shapes: returns [vehicle, rotation].
         """
         return areas_around(
             scenes,
@@ -146,11 +128,7 @@ def same_scenes(one: Config, other: Config) -> bool:
 
 
 def load_scene_set(config: Config, progress: Progress) -> SceneSet:
-    """Open or make the scenes of a configuration, and find where cameras may stand.
-
-    Raises:
-        InputError: The device or a scene cannot be used.
-    """
+    """Open or make the scenes of a configuration, and find where cameras may stand."""
     config = scene_part(config)
     device = checked_device(config.device)
     train, validation, test = _seeds(config)
@@ -178,11 +156,7 @@ def load_scene_set(config: Config, progress: Progress) -> SceneSet:
 
 
 def prepare_scenes(config: Config, progress: Progress) -> None:
-    """Make the scenes of a configuration that nobody made before, so that several processes may open them at once.
-
-    Raises:
-        InputError: A scene cannot be used.
-    """
+    """Make the scenes of a configuration that nobody made before, so that several processes may open them at once."""
     recipes = _recipes(scene_part(config), progress)
     for _ in progress.steps("scenes", stored_scenes(recipes), count=len(recipes)):
         pass
@@ -205,17 +179,7 @@ def _recipes(config: Config, progress: Progress) -> list[SceneRecipe]:
 def scene_recipes(
     config: Config, seeds: Sequence[int], progress: Progress, *, ego: Mesh | None = None
 ) -> list[SceneRecipe]:
-    """What the scenes of a configuration are made of; those that have to be captured first are captured here.
-
-    Args:
-        config: Says which scenes.
-        seeds: Their numbers.
-        progress: Shows what is captured.
-        ego: The vehicle that they are around; None: that of ``scenes.ego``, else each scene's own.
-
-    Raises:
-        InputError: A file is missing or cannot be used.
-    """
+    """What the scenes of a configuration are made of; those that have to be captured first are captured here."""
     ego, targets = own_vehicle(config) if ego is None else ego, tuple(config.scenes.targets)
     sources: Sequence[BuiltSource | Path]
     if config.scenes.source == "captured":
@@ -231,17 +195,7 @@ def scene_recipes(
 
 
 def pack_scenes(scenes: Iterable[Scene], counts: tuple[int, int], config: Config, progress: Progress) -> SceneSet:
-    """Scenes on the device, and where cameras may stand on the vehicle that they share.
-
-    Args:
-        scenes: Those of training, of validation, of the test, one after the other; one is held at a time.
-        counts: How many are for training and for validation.
-        config: Device, targets, mirror images, cameras.
-        progress: Reports targets that no scene holds, and zones without room for a module.
-
-    Raises:
-        InputError: A scene has another ego vehicle than the first, or none holds a target.
-    """
+    """Scenes on the device, and where cameras may stand on the vehicle that they share."""
     device = checked_device(config.device)
     train_count, test_from = counts[0], sum(counts)
     packed: list[DeviceScene] = []
@@ -276,15 +230,6 @@ def load_scenes(
     Their vehicles are the road users that ``scenes.targets`` names. Scenes that went through images hold people and
     cyclists as part of the environment, so there only vehicles can be targets. With ``scenes.ego`` all are around that
     vehicle, without the road users at whose places it stands.
-
-    Args:
-        config: Says which scenes.
-        seeds: Their numbers.
-        ego: The vehicle that they are around; None: that of ``scenes.ego``, else each scene's own.
-        say: Reports road users that were left out.
-
-    Raises:
-        InputError: A file is missing or cannot be used.
     """
     recipes = scene_recipes(config, seeds, NullProgress(), ego=ego)
     for scene, left_out in scenes_of(recipes):
@@ -294,16 +239,7 @@ def load_scenes(
 
 
 def load_scene(source: str, config: Config | None = None, *, fleet: Fleet | None = None) -> Scene:
-    """The scene that ``source`` means: a GLB file, or the embedded scene of a seed.
-
-    Args:
-        source: What the user wrote.
-        config: Its ``scenes.ego`` takes the place of the scene's own vehicle; None: nothing does.
-        fleet: Vehicles of other makers in the traffic of an embedded scene; None: those of ``scenes.vehicles``.
-
-    Raises:
-        InputError: It is neither.
-    """
+    """The scene that ``source`` means: a GLB file, or the embedded scene of a seed."""
     ego = None if config is None else own_vehicle(config)
     level: Level = "easy"
     if config is not None:
@@ -313,11 +249,7 @@ def load_scene(source: str, config: Config | None = None, *, fleet: Fleet | None
 
 
 def own_vehicle(config: Config) -> Mesh | None:
-    """The vehicle of ``scenes.ego`` in the ego frame; None where scenes keep their own.
-
-    Raises:
-        InputError: It cannot be read, or not be used as it is.
-    """
+    """The vehicle of ``scenes.ego`` in the ego frame; None where scenes keep their own."""
     from warpav.scene.own_vehicle import examine, read_vehicle_file
 
     path = config.scenes.ego
@@ -337,11 +269,7 @@ def own_vehicle(config: Config) -> Mesh | None:
 
 
 def check_zones(config: Config) -> None:
-    """See that modules and zones can be used, before scenes are made; on the vehicle where that is known before.
-
-    Raises:
-        InputError: As of `warpav.runs.mounts.mount_surface`.
-    """
+    """See that modules and zones can be used, before scenes are made; on the vehicle where that is known before."""
     rig_modules(config)
     if not has_zones(config):
         return
@@ -357,13 +285,7 @@ def check_zones(config: Config) -> None:
 def checked_vehicle(ego: object) -> Mesh:
     """A vehicle that is given as an object, in the ego frame.
 
-    Args:
-        ego: A `Mesh`, anything with ``vertices`` and ``faces`` as trimesh has them, or a pair of these: positions [m],
-            [vertex, 3], and vertex indices, [face, 3].
-
-    Raises:
-        InputError: It is no mesh, or no vehicle in the ego frame: units, axes, ground or origin are off.
-        TypeError: It is something else.
+    Shapes: ``ego`` [vertex, 3].
     """
     from warpav.scene.own_vehicle import Reading, VehicleFile, examine
 
@@ -394,11 +316,7 @@ def _mesh_of(ego: Any) -> Mesh:  # noqa: ANN401 (checked here)
 
 
 def traffic_fleet(config: Config) -> Fleet | None:
-    """The vehicles of ``scenes.vehicles``; None where there are none.
-
-    Raises:
-        InputError: They cannot be read, or not be used as they are.
-    """
+    """The vehicles of ``scenes.vehicles``; None where there are none."""
     scenes = config.scenes
     if scenes.vehicles is None:
         return None
@@ -411,21 +329,13 @@ def traffic_fleet(config: Config) -> Fleet | None:
 
 
 def traffic_fleet_digest(config: Config) -> str | None:
-    """Hash of the meshes of ``scenes.vehicles``; None where there are none.
-
-    Raises:
-        InputError: As of `traffic_fleet`.
-    """
+    """Hash of the meshes of ``scenes.vehicles``; None where there are none."""
     fleet = traffic_fleet(config)
     return None if fleet is None else fleet.content
 
 
 def own_vehicle_digest(config: Config) -> str | None:
-    """Hash of the file that ``scenes.ego`` names, so that what was made with another one is made again; None for none.
-
-    Raises:
-        InputError: It cannot be read.
-    """
+    """Hash of the file that ``scenes.ego`` names, so that what was made with another one is made again; None for none."""
     path = config.scenes.ego
     if path is None:
         return None
@@ -436,11 +346,7 @@ def own_vehicle_digest(config: Config) -> str | None:
 
 
 def recordings_digest(config: Config) -> str | None:
-    """Hash of the recorded traffic, those for the search and those for the test; None where there is none.
-
-    Raises:
-        InputError: One cannot be read.
-    """
+    """Hash of the recorded traffic, those for the search and those for the test; None where there is none."""
     scenes = config.scenes
     if scenes.source != "traffic":
         return None
@@ -463,11 +369,7 @@ def plan_settings(config: Config) -> PlanSettings:
 
 
 def reconstruction_settings(config: Config) -> ReconstructionSettings:
-    """How a capture becomes a scene.
-
-    Raises:
-        InputError: The surface method is not installed.
-    """
+    """How a capture becomes a scene."""
     how = config.reconstruction
     missing = [name for name in METHOD_PACKAGES.get(how.method, ()) if importlib.util.find_spec(name) is None]
     if missing:
@@ -551,11 +453,7 @@ def _left_out_text(name: str, count: int) -> str:
 
 
 def _check_targets(targets: Sequence[str], scenes: Sequence[DeviceScene], progress: Progress) -> None:
-    """Say which targets no scene holds.
-
-    Raises:
-        InputError: None of them is in any scene.
-    """
+    """Say which targets no scene holds."""
     there = {ROAD_USERS[kind] for scene in scenes for kind in scene.road_user_index}
     absent = [target for target in targets if target not in there]
     if not absent:

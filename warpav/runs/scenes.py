@@ -43,11 +43,7 @@ def build_scenes(
     fleet: Fleet | None = None,
     executor: Executor,
 ) -> int:
-    """Build embedded scenes of a level as GLB files that are not there yet; returns the exit status.
-
-    Raises:
-        InputError: The folder cannot be written to.
-    """
+    """Build embedded scenes of a level as GLB files that are not there yet; returns the exit status."""
     tasks = [SceneTask(seed, scene_path(out, seed), source=TownSource(seed, level, fleet)) for seed in seeds]
     return _build(tasks, out, executor)
 
@@ -60,18 +56,7 @@ def build_traffic_scenes(
     fleet: Fleet | None = None,
     executor: Executor,
 ) -> int:
-    """Build scenes of recorded traffic as GLB files that are not there yet; returns the exit status.
-
-    Args:
-        recordings: Files and folders; none: those that ship with warpav.
-        seeds: Each chooses a moment and an ego vehicle, of all recordings, and what was not recorded.
-        out: Folder for the files.
-        fleet: Vehicles of other makers, in the places of some; None: none.
-        executor: How the scenes are spread.
-
-    Raises:
-        InputError: A recording cannot be used, or the folder cannot be written to.
-    """
+    """Build scenes of recorded traffic as GLB files that are not there yet; returns the exit status."""
     files = recordings_in(recordings) if recordings else shipped_recordings()
     moments = moments_of(files, ego_vehicle().bounds_m())
     tasks = [
@@ -100,18 +85,7 @@ def record_scenes(
     server: tuple[str, int] | None,
     executor: Executor,
 ) -> int:
-    """Record situations that are not recorded yet; returns the exit status.
-
-    Args:
-        config: What to record.
-        seeds: Which situations.
-        out: Folder for the captures.
-        server: Host and port of CARLA; None: the embedded town.
-        executor: How the embedded town's situations are spread; CARLA records one after the other.
-
-    Raises:
-        InputError: The folder cannot be written to, or CARLA is not there.
-    """
+    """Record situations that are not recorded yet; returns the exit status."""
     check_folder(out, "out")
     tasks = [CaptureTask(seed, capture_path(out, seed), plan_settings(config)) for seed in seeds]
     if server is None:
@@ -124,14 +98,7 @@ def record_scenes(
 
 
 def reconstruct_scenes(config: Config, captures: Path, out: Path, *, executor: Executor) -> int:
-    """Make scenes of captures that are not there yet; one that cannot be used is rejected, the others go on.
-
-    Returns:
-        The exit status: 2 if any was rejected.
-
-    Raises:
-        InputError: There are no captures, or the folder cannot be written to.
-    """
+    """Make scenes of captures that are not there yet; one that cannot be used is rejected, the others go on."""
     check_folder(out, "out")
     settings = reconstruction_settings(config)
     tasks = [
@@ -145,11 +112,7 @@ def reconstruct_scenes(config: Config, captures: Path, out: Path, *, executor: E
 
 
 def chosen_fleet(paths: Sequence[str] | None, share: float | None) -> Fleet | None:
-    """The vehicles of other makers that arguments name; None where they name none.
-
-    Raises:
-        InputError: They cannot be read or used as they are, or the share is none.
-    """
+    """The vehicles of other makers that arguments name; None where they name none."""
     if paths is None:
         if share is not None:
             raise ArgumentError("vehicles_share", f"expected none without `vehicles`, got {share:g}")
@@ -162,11 +125,7 @@ def chosen_fleet(paths: Sequence[str] | None, share: float | None) -> Fleet | No
 
 
 def show_scene(source: str, out: Path | None, level: Level | None = None, fleet: Fleet | None = None) -> Iterator[str]:
-    """Show a scene, in a window when there is a display, else in ``<scene>.png``; yields lines about it.
-
-    Raises:
-        InputError: The scene or the file cannot be used, or this machine cannot draw.
-    """
+    """Show a scene, in a window when there is a display, else in ``<scene>.png``; yields lines about it."""
     from warpav.view import plot
     from warpav.view.opengl import has_display
 

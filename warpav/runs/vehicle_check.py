@@ -48,33 +48,22 @@ ZONE_NORMALS = (0.92, 0.94, 0.95, 0.96, 0.97, 0.98)
 
 @dataclass(frozen=True)
 class VehicleReport:
-    """What was found out about a vehicle.
+    """What was found out about a vehicle."""
 
-    Attributes:
-        lines: What was found.
-        problems: What keeps it from being used, one line each.
-        fix: Options of this check, by name, with which it writes a vehicle that can be used; None: it can be used as it
-            is, or no options fix it.
-    """
-
-    lines: tuple[str, ...]
-    problems: tuple[str, ...]
+    lines: tuple[str, ...]  # what was found
+    problems: tuple[str, ...]  # what keeps it from being used, one line each
+    # Options of this check, by name, with which it writes a vehicle that can be used; None: it can be used as it is, or
+    # no options fix it.
     fix: dict[str, str] | None = None
 
 
 @dataclass(frozen=True)
 class ZonePart:
-    """A part of the mountable zone that hangs together.
+    """A part of the mountable zone that hangs together."""
 
-    Attributes:
-        name: ``roof``, ``windscreen``, ``bonnet``, ``front`` (such as a lorry's cab) or ``rear``.
-        area_m2: Its area seen from above [m2].
-        height_m: Mean height above the ground [m].
-    """
-
-    name: str
-    area_m2: float
-    height_m: float
+    name: str  # ``roof``, ``windscreen``, ``bonnet``, ``front`` (such as a lorry's cab) or ``rear``
+    area_m2: float  # its area seen from above [m2]
+    height_m: float  # mean height above the ground [m]
 
 
 def check_vehicle(
@@ -88,21 +77,7 @@ def check_vehicle(
     out: Path | None = None,
     image: Path | None = None,
 ) -> VehicleReport:
-    """Examine a vehicle as it is read with some options, write it fixed, draw it.
-
-    Args:
-        path: A mesh file, or the name of a vehicle that ships with warpav.
-        config: Its section ``mount`` says where cameras may stand.
-        up: The file's axis that points up; None: glTF's y, of other formats z.
-        forward: The file's axis that points to the front; None: x.
-        scale: Metres for each unit of the file; None: 1.
-        rear_axle_m: Distance of the rear axle from the vehicle's rear end [m]; None: it is below the rear wheels.
-        out: GLB file to write the vehicle to, as ``scenes.ego`` takes it.
-        image: PNG file to draw it into.
-
-    Raises:
-        InputError: The file holds no vehicle, or a file cannot be written.
-    """
+    """Examine a vehicle as it is read with some options, write it fixed, draw it."""
     if out is not None and out.suffix.lower() != ".glb":
         raise ArgumentError("out", f"expected a name that ends in .glb, got {out.name!r}", place=out)
     file = read_vehicle_file(file_of(path), vertices_max=None)  # what is said counts the file's own triangles
@@ -165,10 +140,6 @@ def zone_parts(surface: MountSurface, vehicle: Mesh) -> list[ZonePart]:
     The part with the highest point is the roof. What is lower than it by `BONNET_BELOW` is bonnet or front before the
     roof's centre, and rear behind it. Windscreens of many cars are flat enough to be part of the zone, and join roof
     and bonnet: what separates these are the kinks in between.
-
-    Args:
-        surface: Of the vehicle.
-        vehicle: In the ego frame.
     """
     from scipy import ndimage
 
@@ -217,13 +188,7 @@ def _windscreen_rows(surface: MountSurface, inside: np.ndarray, highest_m: float
     The bonnet begins where the surface, lower than `BONNET_SHARE` of the roof, becomes flatter by most; the windscreen
     where the slope from the top of the roof first is half of that before the bonnet.
 
-    Args:
-        surface: Of the vehicle.
-        inside: The part, bool [row, column].
-        highest_m: Of the zone.
-
-    Returns:
-        None where there is no bonnet in it.
+    Shapes: ``inside`` [row, column].
     """
     row = np.flatnonzero(inside.any(axis=1))
     if len(row) < row[-1] - row[0] + 1:  # rows between are no part of it, so nothing joins roof and bonnet there

@@ -24,17 +24,7 @@ _PANE_BULGE_M = 0.3
 
 
 def propose(path: Path, config: Config, *, out: Path, image: Path | None = None) -> Iterator[str]:
-    """Propose zones of a vehicle, write them, draw them; lines that say what there is.
-
-    Args:
-        path: A mesh file as ``scenes.ego`` takes it.
-        config: Its section ``mount`` says how fine zones are, and how steep.
-        out: YAML file to write them to.
-        image: File to draw them into; a PNG file shows them from the front left and from the rear right.
-
-    Raises:
-        InputError: The file holds no vehicle, no zone was found, or a file cannot be written.
-    """
+    """Propose zones of a vehicle, write them, draw them; lines that say what there is."""
     from PIL import Image
 
     from warpav.view.output import check_suffix, write_whole

@@ -44,17 +44,11 @@ def object_index_of(object_id: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class UprightBoxes:
-    """Boxes with a vertical axis, one for every layer of a scene, on its device.
+    """Boxes with a vertical axis, one for every layer of a scene, on its device."""
 
-    Attributes:
-        centre_ego_m: Centres [m], vec3 [layer].
-        half_size_m: Half of length, width and height [m], vec3 [layer].
-        along: Unit vectors along the length in ego x and y, vec2 [layer].
-    """
-
-    centre_ego_m: wp.array
-    half_size_m: wp.array
-    along: wp.array
+    centre_ego_m: wp.array  # centres [m], vec3 [layer]
+    half_size_m: wp.array  # half of length, width and height [m], vec3 [layer]
+    along: wp.array  # unit vectors along the length in ego x and y, vec2 [layer]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,24 +57,17 @@ class DeviceScene:
 
     To the rasteriser its vehicles are the objects, the environment is an occluder, and the ego vehicle the foreground;
     its world frame is the ego frame. Road users among the scene's others are part of the environment.
-
-    Attributes:
-        name: The scene's name.
-        raster: The meshes: vehicle k is object k, the environment occluder 0, the ego vehicle occluder 1.
-        category: What every vehicle is, [vehicle].
-        road_user_index: The kind of every vehicle, index into `ROAD_USERS`, int32 [vehicle].
-        from_ego_m: Centre of every vehicle's box as seen from the centre of the ego vehicle: forward and left [m],
-            float64 [vehicle, 2].
-        time_to_collision_s: When every vehicle's box meets that of the ego vehicle, seen from above, if both keep their
-            velocities [s]: 0 where they overlap, inf where they never meet, NaN where the velocity is unknown,
-            float64 [vehicle].
     """
 
-    name: str
-    raster: RasterScene
-    category: tuple[str, ...]
-    road_user_index: np.ndarray
+    name: str  # the scene's name
+    raster: RasterScene  # the meshes: vehicle k is object k, the environment occluder 0, the ego vehicle occluder 1
+    category: tuple[str, ...]  # what every vehicle is, [vehicle]
+    road_user_index: np.ndarray  # the kind of every vehicle, index into `ROAD_USERS`, int32 [vehicle]
+    # Centre of every vehicle's box as seen from the centre of the ego vehicle: forward and left [m], float64 [vehicle,
+    # 2].
     from_ego_m: np.ndarray
+    # When every vehicle's box meets that of the ego vehicle, seen from above, if both keep their velocities [s]: 0
+    # where they overlap, inf where they never meet, NaN where the velocity is unknown, float64 [vehicle].
     time_to_collision_s: np.ndarray
 
     @property

@@ -65,17 +65,11 @@ _WHEEL_ROOM = 1.25  # of a tyre's radius, with the arch around it
 
 @dataclass(frozen=True)
 class Fleet:
-    """Vehicles of other makers, and how many of a scene's vehicles they stand in for.
+    """Vehicles of other makers, and how many of a scene's vehicles they stand in for."""
 
-    Attributes:
-        paths: `SHIPPED`, mesh files, and folders of these.
-        share: Probability that a vehicle is exchanged if any mesh of its category fits, 0..1.
-        content: Hash of the meshes, so that scenes with others are other scenes.
-    """
-
-    paths: tuple[Path | str, ...]
-    share: float
-    content: str
+    paths: tuple[Path | str, ...]  # `SHIPPED`, mesh files, and folders of these
+    share: float  # probability that a vehicle is exchanged if any mesh of its category fits, 0..1
+    content: str  # hash of the meshes, so that scenes with others are other scenes
 
     def exchange(self, *key: int) -> Exchange:
         """What puts meshes into the places of a scene's own; the same key gives the same ones, in any process."""
@@ -109,44 +103,27 @@ def fleet_of(paths: Sequence[Path | str], share: float = USUAL_SHARE) -> Fleet:
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """A surface with what its colours are computed of.
+    """A surface with what its colours are computed of."""
 
-    Attributes:
-        vertex_m: Positions, x and y from the middle of the vehicle, z from the ground [m], float64 [vertex, 3].
-        triangle: Vertex indices, int32 [triangle, 3].
-        normal: Unit shading normals, float64 [vertex, 3].
-        sky: Share of the sky's light, 0..1, float64 [vertex].
-        albedo: Linear, float64 [vertex, 3].
-        mirror: Strength of reflections, float64 [vertex].
-        paint: Brightness of what is painted, relative to the paint; 0 elsewhere, float64 [vertex].
-    """
-
+    # Positions, x and y from the middle of the vehicle, z from the ground [m], float64 [vertex, 3].
     vertex_m: np.ndarray
-    triangle: np.ndarray
-    normal: np.ndarray
-    sky: np.ndarray
-    albedo: np.ndarray
-    mirror: np.ndarray
-    paint: np.ndarray
+    triangle: np.ndarray  # vertex indices, int32 [triangle, 3]
+    normal: np.ndarray  # unit shading normals, float64 [vertex, 3]
+    sky: np.ndarray  # share of the sky's light, 0..1, float64 [vertex]
+    albedo: np.ndarray  # linear, float64 [vertex, 3]
+    mirror: np.ndarray  # strength of reflections, float64 [vertex]
+    paint: np.ndarray  # brightness of what is painted, relative to the paint; 0 elsewhere, float64 [vertex]
 
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """A vehicle that can stand in the places of others.
+    """A vehicle that can stand in the places of others."""
 
-    Attributes:
-        categories: Of the vehicles in whose places it can stand.
-        size_m: Length, width without mirrors, and height [m], float64 [3].
-        wheel_m: Stretches of x in which wheels are [m], ascending.
-        looks: Fine, and coarse.
-        content: Hash of all this.
-    """
-
-    categories: tuple[str, ...]
-    size_m: np.ndarray
-    wheel_m: tuple[tuple[float, float], ...]
-    looks: tuple[_Look, _Look]
-    content: str
+    categories: tuple[str, ...]  # of the vehicles in whose places it can stand
+    size_m: np.ndarray  # length, width without mirrors, and height [m], float64 [3]
+    wheel_m: tuple[tuple[float, float], ...]  # stretches of x in which wheels are [m], ascending
+    looks: tuple[_Look, _Look]  # fine, and coarse
+    content: str  # hash of all this
 
     def fits(self, size_m: np.ndarray) -> bool:
         """Whether it can be stretched to a size, [3], within `STRETCH`."""

@@ -137,15 +137,10 @@ def corner_rgb(uv: np.ndarray, image: Image) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """An image that a material lays over a mesh.
+    """An image that a material lays over a mesh."""
 
-    Attributes:
-        image: The image.
-        linear_factor: What multiplies its linear light, float64 [3]; None: nothing does.
-    """
-
-    image: Image
-    linear_factor: np.ndarray | None = None
+    image: Image  # the image
+    linear_factor: np.ndarray | None = None  # what multiplies its linear light, float64 [3]; None: nothing does
 
     @property
     def size_px(self) -> tuple[int, int]:

@@ -76,17 +76,11 @@ _MIRROR_AHEAD = 0.08
 
 @dataclass(frozen=True)
 class Reading:
-    """How the numbers of a file become metres in the ego frame.
+    """How the numbers of a file become metres in the ego frame."""
 
-    Attributes:
-        up: The file's axis that points up, out of `AXES`.
-        forward: The file's axis that points to the front, likewise.
-        scale: Metres for each unit of the file, positive.
-    """
-
-    up: str
-    forward: str
-    scale: float = 1.0
+    up: str  # the file's axis that points up, out of `AXES`
+    forward: str  # the file's axis that points to the front, likewise
+    scale: float = 1.0  # metres for each unit of the file, positive
 
     def __post_init__(self) -> None:
         for name in ("up", "forward"):
@@ -114,27 +108,16 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class VehicleFile:
-    """A mesh as stored in a file.
+    """A mesh as stored in a file."""
 
-    Attributes:
-        path: The file.
-        vertex: Vertices in the file's own units and axes, float64 [vertex, 3].
-        triangle: Vertex indices [triangle, 3].
-        vertex_rgb: Colours, uint8 [vertex, 3].
-        usual: Default reading of this file format.
-        is_declared: Whether warpav wrote the file, so that its axes and origin are as the user stated them.
-        part: Part of the file, in words.
-        notes: What its owner should know of how it was read, such as textures that are missing.
-    """
-
-    path: Path
-    vertex: np.ndarray
-    triangle: np.ndarray
-    vertex_rgb: np.ndarray
-    usual: Reading
-    is_declared: bool
-    part: str
-    notes: tuple[str, ...] = ()
+    path: Path  # the file
+    vertex: np.ndarray  # vertices in the file's own units and axes, float64 [vertex, 3]
+    triangle: np.ndarray  # vertex indices [triangle, 3]
+    vertex_rgb: np.ndarray  # colours, uint8 [vertex, 3]
+    usual: Reading  # default reading of this file format
+    is_declared: bool  # whether warpav wrote the file, so that its axes and origin are as the user stated them
+    part: str  # part of the file, in words
+    notes: tuple[str, ...] = ()  # what its owner should know of how it was read, such as textures that are missing
 
     def in_ego_frame(self, reading: Reading, shift_m: np.ndarray | None = None) -> Mesh:
         """The vehicle in the ego frame, moved by ``shift_m`` [3]."""
@@ -146,76 +129,47 @@ class VehicleFile:
 
 @dataclass(frozen=True)
 class Wheels:
-    """Where a vehicle touches the ground.
+    """Where a vehicle touches the ground."""
 
-    Attributes:
-        axle_m: x of every axle, from the rear [m].
-        centre_y_m: y halfway between left and right [m].
-    """
-
-    axle_m: tuple[float, ...]
-    centre_y_m: float
+    axle_m: tuple[float, ...]  # x of every axle, from the rear [m]
+    centre_y_m: float  # y halfway between left and right [m]
 
 
 @dataclass(frozen=True)
 class Shape:
-    """Axes inferred from the shape of a mesh; None where the shape is ambiguous.
+    """Axes inferred from the shape of a mesh; None where the shape is ambiguous."""
 
-    Attributes:
-        up: The axis that points up, out of `AXES`; positive if the sign is unknown.
-        forward: The axis that points to the front, likewise.
-        is_up_sure: Whether wheels distinguish up from down.
-        is_forward_sure: Whether front and rear can be told apart: mirrors are ahead of the centre, and without mirrors
-            the cabin is usually nearer to the rear.
-        asymmetry: Mean distance between the shape and its lateral mirror image, relative to the length.
-        has_mirrors: Whether mirrors were recognised.
-    """
-
-    up: str | None
-    forward: str | None
-    is_up_sure: bool = False
+    up: str | None  # the axis that points up, out of `AXES`; positive if the sign is unknown
+    forward: str | None  # the axis that points to the front, likewise
+    is_up_sure: bool = False  # whether wheels distinguish up from down
+    # Whether front and rear can be told apart: mirrors are ahead of the centre, and without mirrors the cabin is
+    # usually nearer to the rear.
     is_forward_sure: bool = False
-    asymmetry: float = math.nan
-    has_mirrors: bool = False
+    asymmetry: float = math.nan  # mean distance between the shape and its lateral mirror image, relative to the length
+    has_mirrors: bool = False  # whether mirrors were recognised
 
 
 @dataclass(frozen=True)
 class VehicleProblem:
-    """A reason why a vehicle cannot be used as it is.
+    """A reason why a vehicle cannot be used as it is."""
 
-    Attributes:
-        text: What was expected and what was given.
-        remedy: Options of ``warpav vehicle check`` that fix it, by name; empty if ``--out`` alone does, None if nothing
-            does.
-    """
-
-    text: str
+    text: str  # what was expected and what was given
+    # Options of ``warpav vehicle check`` that fix it, by name; empty if ``--out`` alone does, None if nothing does.
     remedy: dict[str, str] | None
 
 
 @dataclass(frozen=True, eq=False)
 class Examination:
-    """Findings about a vehicle under a given reading.
+    """Findings about a vehicle under a given reading."""
 
-    Attributes:
-        mesh: In the ego frame, as read.
-        shift_m: Translation that puts it on the ground with its rear axle above the origin [m], [3].
-        shape: Axes inferred from its shape, in the ego frame.
-        wheels: Where it touches the ground; None if not recognised.
-        problems: Reasons why it cannot be used.
-        hints: Notes for its owner.
-        open_edge_count: Edges of an odd number of triangles in the welded mesh: the rims of holes.
-        flat_triangle_count: Triangles without area.
-    """
-
-    mesh: Mesh
-    shift_m: np.ndarray
-    shape: Shape
-    wheels: Wheels | None
-    problems: tuple[VehicleProblem, ...]
-    hints: tuple[str, ...]
-    open_edge_count: int
-    flat_triangle_count: int
+    mesh: Mesh  # in the ego frame, as read
+    shift_m: np.ndarray  # translation that puts it on the ground with its rear axle above the origin [m], [3]
+    shape: Shape  # axes inferred from its shape, in the ego frame
+    wheels: Wheels | None  # where it touches the ground; None if not recognised
+    problems: tuple[VehicleProblem, ...]  # reasons why it cannot be used
+    hints: tuple[str, ...]  # notes for its owner
+    open_edge_count: int  # edges of an odd number of triangles in the welded mesh: the rims of holes
+    flat_triangle_count: int  # triangles without area
 
     @cached_property
     def corrected(self) -> Mesh:

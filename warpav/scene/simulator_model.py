@@ -17,16 +17,11 @@ _ANGLE_TOLERANCE_RAD = 1e-3
 
 @dataclass(frozen=True)
 class SimulatorModel:
-    """How a model uses a mesh.
+    """How a model uses a mesh."""
 
-    Attributes:
-        path: The model's file.
-        scale: Factor from the mesh's numbers, in its own unit, to metres.
-        forward: The mesh's axis that points to the front, where the model turns the mesh to face along x; else None.
-    """
-
-    path: Path
-    scale: float
+    path: Path  # the model's file
+    scale: float  # factor from the mesh's numbers, in its own unit, to metres
+    # The mesh's axis that points to the front, where the model turns the mesh to face along x; else None.
     forward: str | None
 
 

@@ -46,19 +46,13 @@ _CHECKED_FROM = 8  # the checksum itself comes first
 
 @dataclass(frozen=True, eq=False)
 class SceneRecipe:
-    """Which scene, and what is done to it before it is packed.
+    """Which scene, and what is done to it before it is packed."""
 
-    Attributes:
-        source: What it is built of, or a GLB file.
-        ego: The vehicle that takes the place of the scene's own; None: that stays.
-        targets: Kinds of road users that are objects; the others are part of the environment.
-        is_mirrored: Whether left and right are exchanged.
-    """
-
-    source: BuiltSource | Path
-    ego: Mesh | None = None
+    source: BuiltSource | Path  # what it is built of, or a GLB file
+    ego: Mesh | None = None  # the vehicle that takes the place of the scene's own; None: that stays
+    # Kinds of road users that are objects; the others are part of the environment.
     targets: tuple[str, ...] = ("vehicle",)
-    is_mirrored: bool = False
+    is_mirrored: bool = False  # whether left and right are exchanged
 
     @property
     def is_built(self) -> bool:
@@ -111,13 +105,9 @@ def scenes_of(recipes: Sequence[SceneRecipe]) -> Iterator[tuple[Scene, int]]:
 
 
 class StoredScene(DeviceScene):
-    """A scene on a device whose meshes lie in a file.
+    """A scene on a device whose meshes lie in a file."""
 
-    Attributes:
-        left_out: Road users that were left out, because the vehicle stands in their places.
-    """
-
-    left_out: int
+    left_out: int  # road users that were left out, because the vehicle stands in their places
 
     def __init__(self, recipe: SceneRecipe, folder: Path, device: str) -> None:
         """Open the file, or make it where there is none that can be read."""

@@ -28,21 +28,14 @@ _TEXELS_A_SAMPLE = 4.0
 
 @dataclass(frozen=True, eq=False)
 class TexturedMesh:
-    """A mesh whose triangles have textures.
+    """A mesh whose triangles have textures."""
 
-    Attributes:
-        vertex: Positions in any unit, float64 [vertex, 3]; vertices are split where positions in the texture differ.
-        triangle: Vertex indices, int64 [triangle, 3].
-        rgb: Colours at the vertices, 0..255, float64 [vertex, 3].
-        uv: Positions in the texture, float64 [vertex, 2]; of no meaning where a triangle has none.
-        texture_of: Number of every triangle's texture, -1 for none, int64 [triangle].
-    """
-
+    # Positions in any unit, float64 [vertex, 3]; vertices are split where positions in the texture differ.
     vertex: np.ndarray
-    triangle: np.ndarray
-    rgb: np.ndarray
-    uv: np.ndarray
-    texture_of: np.ndarray
+    triangle: np.ndarray  # vertex indices, int64 [triangle, 3]
+    rgb: np.ndarray  # colours at the vertices, 0..255, float64 [vertex, 3]
+    uv: np.ndarray  # positions in the texture, float64 [vertex, 2]; of no meaning where a triangle has none
+    texture_of: np.ndarray  # number of every triangle's texture, -1 for none, int64 [triangle]
 
 
 def follow_textures(

@@ -40,77 +40,47 @@ class ViewKind(enum.StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class CaptureView:
-    """A camera pose of a capture.
+    """A camera pose of a capture."""
 
-    Attributes:
-        name: Short name, unique within a capture; letters, digits, ``_`` and ``-``.
-        kind: Why it is taken.
-        ego_from_camera: Pose, float64 [4, 4]; the camera's axes are OpenCV's (x right, y down, z forward).
-        model: Image size and lens; a pinhole.
-    """
-
-    name: str
-    kind: ViewKind
-    ego_from_camera: np.ndarray
-    model: CameraModel
+    name: str  # short name, unique within a capture; letters, digits, ``_`` and ``-``
+    kind: ViewKind  # why it is taken
+    ego_from_camera: np.ndarray  # pose, float64 [4, 4]; the camera's axes are OpenCV's (x right, y down, z forward)
+    model: CameraModel  # image size and lens; a pinhole
 
 
 @dataclass(frozen=True, eq=False)
 class CapturedImage:
-    """Three images from one camera pose.
+    """Three images from one camera pose."""
 
-    Attributes:
-        view: Where from.
-        rgb: Colours, sRGB, uint8 [row, column, 3].
-        depth_m: Depth along the optical axis [m], float32 [row, column]; inf where nothing is hit.
-        instance: Whose surface a pixel shows, glass included, uint16 [row, column]: `ENVIRONMENT_INSTANCE`,
-            `EGO_INSTANCE` or an instance id.
-    """
-
-    view: CaptureView
-    rgb: np.ndarray
-    depth_m: np.ndarray
+    view: CaptureView  # where from
+    rgb: np.ndarray  # colours, sRGB, uint8 [row, column, 3]
+    depth_m: np.ndarray  # depth along the optical axis [m], float32 [row, column]; inf where nothing is hit
+    # Whose surface a pixel shows, glass included, uint16 [row, column]: `ENVIRONMENT_INSTANCE`, `EGO_INSTANCE` or an
+    # instance id.
     instance: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class CapturedVehicle:
-    """A vehicle other than the ego vehicle, as the simulator knows it.
+    """A vehicle other than the ego vehicle, as the simulator knows it."""
 
-    Attributes:
-        instance_id: Its value in the instance images, 1 to 65534.
-        category: What it is, such as ``hatchback`` or ``lorry``.
-        box: Its 3D bounding box.
-        spawn_m: Where it was spawned [m], shape [3].
-        spawn_yaw_rad: Its heading there [rad].
-        instance_rgb: The simulator's own colour for the instance, 0..255, shape [3].
-        velocity_ego_m_s: As `warpav.scene.scene.Vehicle` has it: relative to the ego vehicle, forward and left [m/s],
-            shape [2]; None: unknown.
-    """
-
-    instance_id: int
-    category: str
-    box: Box
-    spawn_m: np.ndarray
-    spawn_yaw_rad: float
-    instance_rgb: np.ndarray
+    instance_id: int  # its value in the instance images, 1 to 65534
+    category: str  # what it is, such as ``hatchback`` or ``lorry``
+    box: Box  # its 3D bounding box
+    spawn_m: np.ndarray  # where it was spawned [m], shape [3]
+    spawn_yaw_rad: float  # its heading there [rad]
+    instance_rgb: np.ndarray  # the simulator's own colour for the instance, 0..255, shape [3]
+    # As `warpav.scene.scene.Vehicle` has it: relative to the ego vehicle, forward and left [m/s], shape [2]; None:
+    # unknown.
     velocity_ego_m_s: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """All that was recorded of one situation.
+    """All that was recorded of one situation."""
 
-    Attributes:
-        name: Short name, such as ``town_0007``.
-        source: Where it came from, such as ``town seed 7``.
-        ego_box: 3D bounding box of the ego vehicle.
-        vehicles: The others, in order of instance id.
-        images: The images; a sequence that may read each from disk when it is asked for.
-    """
-
-    name: str
-    source: str
-    ego_box: Box
-    vehicles: tuple[CapturedVehicle, ...]
-    images: Sequence[CapturedImage]
+    name: str  # short name, such as ``town_0007``
+    source: str  # where it came from, such as ``town seed 7``
+    ego_box: Box  # 3D bounding box of the ego vehicle
+    vehicles: tuple[CapturedVehicle, ...]  # the others, in order of instance id
+    images: Sequence[CapturedImage]  # the images; a sequence that may read each from disk when it is asked for

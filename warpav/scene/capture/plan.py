@@ -23,31 +23,18 @@ _SIDE_CLEAR_M = 0.3  # above a vehicle that an image of the ego vehicle's sides 
 
 @dataclass(frozen=True)
 class PlanSettings:
-    """How a situation is recorded.
+    """How a situation is recorded."""
 
-    Attributes:
-        vehicle_count: Vehicles that are spawned at most.
-        radius_m: Maximum distance from the ego vehicle [m].
-        width_px: Image width [px].
-        height_px: Image height [px].
-        eye_above_roof_m: Height above the ego vehicle's box of the images that are taken from it [m].
-        above_vehicle_m: Height above a vehicle's box of the image from straight above [m].
-        scene_heights_m: Heights above the ground of the overview images [m].
-        rotation_count: Images from the ego vehicle all around.
-        ego_side_count: Images of the ego vehicle from beside it, evenly around it, starting at the front left.
-        ego_side_m: How far beside its box they are taken [m].
-    """
-
-    vehicle_count: int = 12
-    radius_m: float = 30.0
-    width_px: int = 640
-    height_px: int = 480
-    eye_above_roof_m: float = 0.4
-    above_vehicle_m: float = 4.0
-    scene_heights_m: tuple[float, ...] = (14.0, 28.0, 45.0)
-    rotation_count: int = 4
-    ego_side_count: int = 4
-    ego_side_m: float = 1.8
+    vehicle_count: int = 12  # vehicles that are spawned at most
+    radius_m: float = 30.0  # maximum distance from the ego vehicle [m]
+    width_px: int = 640  # image width [px]
+    height_px: int = 480  # image height [px]
+    eye_above_roof_m: float = 0.4  # height above the ego vehicle's box of the images that are taken from it [m]
+    above_vehicle_m: float = 4.0  # height above a vehicle's box of the image from straight above [m]
+    scene_heights_m: tuple[float, ...] = (14.0, 28.0, 45.0)  # heights above the ground of the overview images [m]
+    rotation_count: int = 4  # images from the ego vehicle all around
+    ego_side_count: int = 4  # images of the ego vehicle from beside it, evenly around it, starting at the front left
+    ego_side_m: float = 1.8  # how far beside its box they are taken [m]
 
 
 def capture_plan(ego_box: Box, vehicles: Sequence[CapturedVehicle], settings: PlanSettings) -> list[CaptureView]:

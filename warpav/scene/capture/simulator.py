@@ -15,31 +15,21 @@ from warpav.scene.scene import Box
 
 @dataclass(frozen=True, eq=False)
 class SpawnPoint:
-    """A pose along a lane or in a parking bay where a vehicle may be spawned.
+    """A pose along a lane or in a parking bay where a vehicle may be spawned."""
 
-    Attributes:
-        position_m: On the ground, in the ego frame [m], shape [3].
-        yaw_rad: Heading [rad].
-    """
-
-    position_m: np.ndarray
-    yaw_rad: float
+    position_m: np.ndarray  # on the ground, in the ego frame [m], shape [3]
+    yaw_rad: float  # heading [rad]
 
 
 class Simulator(Protocol):
     """A simulator with a static world; a context manager that restores its state on exit.
 
     All poses and boxes are in the ego frame of the situation that was begun last.
-
-    Attributes:
-        name: Short name of that situation, such as ``town_0007``; letters, digits, ``_`` and ``-``.
-        source: Where it comes from, such as ``town seed 7``.
-        world: Fingerprint of its world: captures of another world are recorded again.
     """
 
-    name: str
-    source: str
-    world: str
+    name: str  # short name of that situation, such as ``town_0007``; letters, digits, ``_`` and ``-``
+    source: str  # where it comes from, such as ``town seed 7``
+    world: str  # fingerprint of its world: captures of another world are recorded again
 
     def begin(self, seed: int) -> Box:
         """Begin a situation: the ego vehicle alone, in clear weather, the sun overhead, no vegetation."""

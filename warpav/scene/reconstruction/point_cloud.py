@@ -20,17 +20,11 @@ _BRIDGED_WIDTH, _BRIDGED_HEIGHT = 0.8, 0.5  # of the vehicle's extent: no pane i
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """Points of surfaces in the ego frame.
+    """Points of surfaces in the ego frame."""
 
-    Attributes:
-        point_m: Positions [m], float32 [point, 3].
-        rgb: sRGB colours, uint8 [point, 3].
-        sensor_m: Where each point was seen from [m], float32 [point, 3].
-    """
-
-    point_m: np.ndarray
-    rgb: np.ndarray
-    sensor_m: np.ndarray
+    point_m: np.ndarray  # positions [m], float32 [point, 3]
+    rgb: np.ndarray  # sRGB colours, uint8 [point, 3]
+    sensor_m: np.ndarray  # where each point was seen from [m], float32 [point, 3]
 
     def __len__(self) -> int:
         return len(self.point_m)
@@ -46,34 +40,21 @@ class PointCloud:
 
 @dataclass(frozen=True, eq=False)
 class ObjectCloud:
-    """The points of one object, and the rays on which it has surface that left no points, such as window panes.
+    """The points of one object, and the rays on which it has surface that left no points, such as window panes."""
 
-    Attributes:
-        cloud: Points of its outside.
-        ray_origin_m: Origins of rays on which its instance was seen but none of its outside [m], [ray, 3].
-        ray_direction: Their directions, [ray, 3].
-    """
-
-    cloud: PointCloud
-    ray_origin_m: np.ndarray
-    ray_direction: np.ndarray
+    cloud: PointCloud  # points of its outside
+    ray_origin_m: np.ndarray  # origins of rays on which its instance was seen but none of its outside [m], [ray, 3]
+    ray_direction: np.ndarray  # their directions, [ray, 3]
 
 
 @dataclass(frozen=True, eq=False)
 class SceneClouds:
-    """The point clouds of a situation.
+    """The point clouds of a situation."""
 
-    Attributes:
-        environment: What is no vehicle, up to the radius.
-        sphere: What lies beyond, moved to the sphere of that radius along the line to the ego frame's origin.
-        ego: The ego vehicle.
-        vehicles: The others, in the order of the capture.
-    """
-
-    environment: PointCloud
-    sphere: PointCloud
-    ego: ObjectCloud
-    vehicles: tuple[ObjectCloud, ...]
+    environment: PointCloud  # what is no vehicle, up to the radius
+    sphere: PointCloud  # what lies beyond, moved to the sphere of that radius along the line to the ego frame's origin
+    ego: ObjectCloud  # the ego vehicle
+    vehicles: tuple[ObjectCloud, ...]  # the others, in the order of the capture
 
 
 def fuse(

@@ -10,63 +10,39 @@ METHOD_PACKAGES = {"nksr": ("nksr", "torch")}
 
 @dataclass(frozen=True)
 class CloudSettings:
-    """What is kept of the images.
+    """What is kept of the images."""
 
-    Attributes:
-        far_depth_m: Depths from here on are sky [m] (thesis: near the upper limit of the depth images).
-        radius_m: The environment beyond this distance from the ego frame's origin becomes a sphere [m].
-        max_height_m: What is higher then is left out [m].
-        box_margin_m: Points this far outside a 3D box still belong to the vehicle; as far inside, still to the
-            environment, such as the road below [m].
-        environment_grid_m: Of the environment's points in a cell of this edge one is kept [m].
-    """
-
-    far_depth_m: float = 900.0
-    radius_m: float = 40.0
-    max_height_m: float = 10.0
+    far_depth_m: float = 900.0  # depths from here on are sky [m] (thesis: near the upper limit of the depth images)
+    radius_m: float = 40.0  # the environment beyond this distance from the ego frame's origin becomes a sphere [m]
+    max_height_m: float = 10.0  # what is higher then is left out [m]
+    # Points this far outside a 3D box still belong to the vehicle; as far inside, still to the environment, such as the
+    # road below [m].
     box_margin_m: float = 0.02
-    environment_grid_m: float = 0.08
+    environment_grid_m: float = 0.08  # of the environment's points in a cell of this edge one is kept [m]
 
 
 @dataclass(frozen=True)
 class MeshSettings:
-    """How a cloud becomes a mesh.
+    """How a cloud becomes a mesh."""
 
-    Attributes:
-        point_count: Points that are kept, by Poisson disks.
-        cell_m: Length of the cells in which the surface is found [m].
-        reach_m: Surface farther than this from every point goes [m].
-        triangle_count: Triangles that are kept, by quadric edge collapse.
-        piece_m2: Loose pieces with less surface go [m2]: of thin things only blobs in the air would be left.
-    """
-
-    point_count: int
-    cell_m: float
-    reach_m: float
-    triangle_count: int
-    piece_m2: float = 0.0
+    point_count: int  # points that are kept, by Poisson disks
+    cell_m: float  # length of the cells in which the surface is found [m]
+    reach_m: float  # surface farther than this from every point goes [m]
+    triangle_count: int  # triangles that are kept, by quadric edge collapse
+    piece_m2: float = 0.0  # loose pieces with less surface go [m2]: of thin things only blobs in the air would be left
 
 
 @dataclass(frozen=True)
 class ReconstructionSettings:
-    """How a capture becomes a scene.
+    """How a capture becomes a scene."""
 
-    Attributes:
-        cloud: What is kept of the images.
-        method: Surface method, a name of `SURFACE_METHODS`.
-        vehicle: For every vehicle; their points are not thinned.
-        ego: For the ego vehicle.
-        environment: For everything else within the radius.
-        sphere_deg: Size of the sphere's cells [deg].
-        seed: Of the Poisson disks.
-        thread_count: Objects that are worked on at once.
-    """
-
-    cloud: CloudSettings = field(default_factory=CloudSettings)
-    method: str = "poisson"
+    cloud: CloudSettings = field(default_factory=CloudSettings)  # what is kept of the images
+    method: str = "poisson"  # surface method, a name of `SURFACE_METHODS`
+    # For every vehicle; their points are not thinned.
     vehicle: MeshSettings = field(default_factory=lambda: MeshSettings(200_000, 0.03, 0.06, 4500))
-    ego: MeshSettings = field(default_factory=lambda: MeshSettings(60_000, 0.03, 0.06, 5000))
+    ego: MeshSettings = field(default_factory=lambda: MeshSettings(60_000, 0.03, 0.06, 5000))  # for the ego vehicle
+    # For everything else within the radius.
     environment: MeshSettings = field(default_factory=lambda: MeshSettings(150_000, 0.25, 0.5, 36_000, 3.0))
-    sphere_deg: float = 2.0
-    seed: int = 0
-    thread_count: int = 2
+    sphere_deg: float = 2.0  # size of the sphere's cells [deg]
+    seed: int = 0  # of the Poisson disks
+    thread_count: int = 2  # objects that are worked on at once

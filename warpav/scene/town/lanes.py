@@ -17,28 +17,19 @@ _LATERAL_JITTER_M, _YAW_JITTER_RAD = 0.18, 0.012
 
 @dataclass(frozen=True)
 class Lane:
-    """A straight lane from where it starts to where it ends, as it is driven.
+    """A straight lane from where it starts to where it ends, as it is driven."""
 
-    Attributes:
-        start_m: Where its middle starts in the town frame, x and y [m].
-        yaw_rad: Direction in which it is driven.
-        length_m: Its length [m].
-        gap_m: Free traffic: smallest gap between two vehicles, and what is added to it on average [m].
-        queue: How many wait at a line on average.
-        lines_m: Where drivers wait now, such as at a red light, from its start [m].
-        closed_m: Stretches in which nobody stands, such as a junction that others cross now, from its start [m].
-        free_m_s: Lowest and highest speed where it is free [m/s]; None: that of a street.
-        kind_shares: What drives in it; the shares add up to 1.
-    """
-
-    start_m: tuple[float, float]
-    yaw_rad: float
-    length_m: float
+    start_m: tuple[float, float]  # where its middle starts in the town frame, x and y [m]
+    yaw_rad: float  # direction in which it is driven
+    length_m: float  # its length [m]
+    # Free traffic: smallest gap between two vehicles, and what is added to it on average [m].
     gap_m: tuple[float, float]
-    kind_shares: dict[str, float]
-    queue: float = 0.0
-    lines_m: tuple[float, ...] = ()
+    kind_shares: dict[str, float]  # what drives in it; the shares add up to 1
+    queue: float = 0.0  # how many wait at a line on average
+    lines_m: tuple[float, ...] = ()  # where drivers wait now, such as at a red light, from its start [m]
+    # Stretches in which nobody stands, such as a junction that others cross now, from its start [m].
     closed_m: tuple[tuple[float, float], ...] = ()
+    # Lowest and highest speed where it is free [m/s]; None: that of a street.
     free_m_s: tuple[float, float] | None = None
 
     def at(self, along_m: float, left_m: float = 0.0) -> np.ndarray:

@@ -64,17 +64,11 @@ def checked_level(level: str) -> Level:
 
 @dataclass(frozen=True)
 class TownSource:
-    """What an embedded scene is made of.
+    """What an embedded scene is made of."""
 
-    Attributes:
-        seed: Any integer from 0.
-        level: Of the town.
-        fleet: Vehicles of other makers, in the places of some of the town's; None: none.
-    """
-
-    seed: int
-    level: Level = "easy"
-    fleet: Fleet | None = None
+    seed: int  # any integer from 0
+    level: Level = "easy"  # of the town
+    fleet: Fleet | None = None  # vehicles of other makers, in the places of some of the town's; None: none
 
     def scene(self) -> Scene:
         """The scene; as of `level_scene`."""

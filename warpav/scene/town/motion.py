@@ -28,18 +28,12 @@ _STOP_LINE_M = 1.1  # from the edge of the street with priority
 
 @dataclass(frozen=True)
 class RoadUser:
-    """Somebody who may move.
+    """Somebody who may move."""
 
-    Attributes:
-        category: As `warpav.scene.scene.Vehicle` has it.
-        footprint: Where, in the town frame.
-        heading_rad: Direction of the lane, or of somebody on foot; None: parked.
-        free_m_s: Lowest and highest speed where nothing is in the way [m/s]; None: that of the category and the street.
-    """
-
-    category: str
-    footprint: Footprint
-    heading_rad: float | None
+    category: str  # as `warpav.scene.scene.Vehicle` has it
+    footprint: Footprint  # where, in the town frame
+    heading_rad: float | None  # direction of the lane, or of somebody on foot; None: parked
+    # Lowest and highest speed where nothing is in the way [m/s]; None: that of the category and the street.
     free_m_s: tuple[float, float] | None = None
 
 

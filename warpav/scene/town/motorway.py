@@ -53,19 +53,12 @@ _ADDED_GAP_M = (12.0, 45.0)  # of a busy and of a free motorway, on average
 
 @dataclass(frozen=True)
 class _Section:
-    """A cross-section; y of the ego vehicle's side is ``side`` times these [m].
+    """A cross-section; y of the ego vehicle's side is ``side`` times these [m]."""
 
-    Attributes:
-        median_m: Half the width of the median, to the inner edge of the asphalt.
-        lane_m: Width of a lane.
-        lanes: Lanes of a carriageway.
-        shoulder_m: Width of the hard shoulder.
-    """
-
-    median_m: float
-    lane_m: float
-    lanes: int
-    shoulder_m: float
+    median_m: float  # half the width of the median, to the inner edge of the asphalt
+    lane_m: float  # width of a lane
+    lanes: int  # lanes of a carriageway
+    shoulder_m: float  # width of the hard shoulder
 
     @property
     def first_m(self) -> float:

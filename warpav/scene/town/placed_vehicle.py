@@ -26,19 +26,12 @@ width without mirrors and height [m], [3]; it returns a mesh in the vehicle fram
 
 @dataclass(frozen=True, eq=False)
 class DrawnVehicle:
-    """A random vehicle, nowhere yet.
+    """A random vehicle, nowhere yet."""
 
-    Attributes:
-        kind: As `vehicle_mesh` takes it.
-        variant: As `vehicle_mesh` takes it.
-        paint: Linear albedo, shape [3].
-        scale: Factors along x, y, z, shape [3].
-    """
-
-    kind: str
-    variant: int
-    paint: np.ndarray
-    scale: np.ndarray
+    kind: str  # as `vehicle_mesh` takes it
+    variant: int  # as `vehicle_mesh` takes it
+    paint: np.ndarray  # linear albedo, shape [3]
+    scale: np.ndarray  # factors along x, y, z, shape [3]
 
     @property
     def size_m(self) -> np.ndarray:
@@ -60,24 +53,15 @@ def drawn_vehicle(kind_shares: Mapping[str, float], rng: np.random.Generator) ->
 
 @dataclass(frozen=True, eq=False)
 class PlacedVehicle:
-    """A vehicle in the town frame: its mesh in the vehicle frame, and where it stands.
+    """A vehicle in the town frame: its mesh in the vehicle frame, and where it stands."""
 
-    Attributes:
-        kind: As `vehicle_mesh` takes it.
-        variant: As `vehicle_mesh` takes it.
-        mesh: In the vehicle frame.
-        size_m: Length, width with mirrors, height [m], shape [3].
-        footprint: Where.
-        lane_yaw_rad: Direction of its lane; None: parked.
-        free_m_s: Lowest and highest speed where nothing is in the way [m/s]; None: that of the street.
-    """
-
-    kind: str
-    variant: int
-    mesh: Mesh
-    size_m: np.ndarray
-    footprint: Footprint
-    lane_yaw_rad: float | None
+    kind: str  # as `vehicle_mesh` takes it
+    variant: int  # as `vehicle_mesh` takes it
+    mesh: Mesh  # in the vehicle frame
+    size_m: np.ndarray  # length, width with mirrors, height [m], shape [3]
+    footprint: Footprint  # where
+    lane_yaw_rad: float | None  # direction of its lane; None: parked
+    # Lowest and highest speed where nothing is in the way [m/s]; None: that of the street.
     free_m_s: tuple[float, float] | None = None
 
     def exchanged(self, exchange: Exchange | None, number: int) -> PlacedVehicle:

@@ -30,21 +30,13 @@ _TRIES = 12
 
 @dataclass(frozen=True)
 class Footprint:
-    """A rectangle on the ground, in the town frame.
+    """A rectangle on the ground, in the town frame."""
 
-    Attributes:
-        x_m: Its centre [m].
-        y_m: Its centre [m].
-        yaw_rad: Direction of its length.
-        length_m: Length [m].
-        width_m: Width [m].
-    """
-
-    x_m: float
-    y_m: float
-    yaw_rad: float
-    length_m: float
-    width_m: float
+    x_m: float  # its centre [m]
+    y_m: float  # its centre [m]
+    yaw_rad: float  # direction of its length
+    length_m: float  # length [m]
+    width_m: float  # width [m]
 
     def corners_m(self) -> np.ndarray:
         """Its corners in the town frame [m], float64 [4, 2]."""
@@ -103,34 +95,21 @@ def _circle_of(footprint: Footprint) -> tuple[float, float, float]:
 
 @dataclass(frozen=True)
 class Furnishing:
-    """What was set up in a town.
+    """What was set up in a town."""
 
-    Attributes:
-        meshes: The pieces, in the town frame.
-        footprints: Where they stand; of road works the whole closed area.
-        markings: Dug-up ground.
-    """
-
-    meshes: tuple[Mesh, ...]
-    footprints: tuple[Footprint, ...]
-    markings: tuple[Marking, ...]
+    meshes: tuple[Mesh, ...]  # the pieces, in the town frame
+    footprints: tuple[Footprint, ...]  # where they stand; of road works the whole closed area
+    markings: tuple[Marking, ...]  # dug-up ground
 
 
 @dataclass(frozen=True)
 class Person:
-    """A person in the town frame.
+    """A person in the town frame."""
 
-    Attributes:
-        category: ``pedestrian`` or ``cyclist``.
-        mesh: Town frame.
-        footprint: Where the person is.
-        pavement_share: How far from the kerb to the houses, 0..1; below 0 on the road.
-    """
-
-    category: str
-    mesh: Mesh
-    footprint: Footprint
-    pavement_share: float
+    category: str  # ``pedestrian`` or ``cyclist``
+    mesh: Mesh  # town frame
+    footprint: Footprint  # where the person is
+    pavement_share: float  # how far from the kerb to the houses, 0..1; below 0 on the road
 
     def road_user(self, instance_id: int, origin_m: np.ndarray) -> Vehicle:
         """The person in the ego frame, whose origin in the town frame [m] is given, shape [3]."""

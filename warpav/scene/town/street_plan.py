@@ -23,54 +23,31 @@ _CYCLIST_M = 1.9
 
 @dataclass(frozen=True)
 class Traffic:
-    """How much goes on in a street.
+    """How much goes on in a street."""
 
-    Attributes:
-        gap_m: In free traffic, smallest gap and what is added on average [m].
-        queue: How many wait at a red light in each lane, on average.
-        cyclist_gap_m: The same as ``gap_m`` between cyclists in a cycle lane [m].
-        kind_shares: What drives.
-        parked_share: Share of the bays that are taken.
-        pavement_m: Length of pavement for every person on it [m].
-        crossing: People on a crossing whose road waits, on average.
-        stepping_out: Share of the gaps between parked cars from which somebody steps.
-        beside: Chance of a cyclist on either side of the ego vehicle.
-        children: Children within a few metres of the ego vehicle, on average.
-        double_parked: Chance that a lorry, bus or van stands in a lane and hides what is behind it.
-    """
-
-    gap_m: tuple[float, float]
-    queue: float
-    cyclist_gap_m: tuple[float, float]
-    kind_shares: dict[str, float]
-    parked_share: float
-    pavement_m: float
-    crossing: float
-    stepping_out: float
-    beside: float
-    children: float
-    double_parked: float
+    gap_m: tuple[float, float]  # in free traffic, smallest gap and what is added on average [m]
+    queue: float  # how many wait at a red light in each lane, on average
+    cyclist_gap_m: tuple[float, float]  # the same as ``gap_m`` between cyclists in a cycle lane [m]
+    kind_shares: dict[str, float]  # what drives
+    parked_share: float  # share of the bays that are taken
+    pavement_m: float  # length of pavement for every person on it [m]
+    crossing: float  # people on a crossing whose road waits, on average
+    stepping_out: float  # share of the gaps between parked cars from which somebody steps
+    beside: float  # chance of a cyclist on either side of the ego vehicle
+    children: float  # children within a few metres of the ego vehicle, on average
+    double_parked: float  # chance that a lorry, bus or van stands in a lane and hides what is behind it
 
 
 @dataclass(frozen=True)
 class StreetPlan:
-    """One plan.
+    """One plan."""
 
-    Attributes:
-        layout: Asphalt, blocks, markings; its slots are parking bays, and places in lanes for road works.
-        lanes: Where vehicles drive.
-        cycle_lanes: Where cyclists do.
-        open_crossings: Where people cross the main street, which waits now.
-        half_m: Half the width of the main street between the kerbs [m].
-        pavement_m: Width of its pavements [m].
-    """
-
-    layout: Layout
-    lanes: tuple[Lane, ...]
-    cycle_lanes: tuple[Lane, ...]
-    open_crossings: tuple[Rectangle, ...]
-    half_m: float
-    pavement_m: float
+    layout: Layout  # asphalt, blocks, markings; its slots are parking bays, and places in lanes for road works
+    lanes: tuple[Lane, ...]  # where vehicles drive
+    cycle_lanes: tuple[Lane, ...]  # where cyclists do
+    open_crossings: tuple[Rectangle, ...]  # where people cross the main street, which waits now
+    half_m: float  # half the width of the main street between the kerbs [m]
+    pavement_m: float  # width of its pavements [m]
 
 
 @dataclass

@@ -18,19 +18,12 @@ NORMAL_STEPS = 64  # normals are compared on this grid when vertices are shared
 
 @dataclass(frozen=True)
 class Surface:
-    """A finished surface: vertices are shared only where material and shading normal agree.
+    """A finished surface: vertices are shared only where material and shading normal agree."""
 
-    Attributes:
-        vertex_m: Positions [m], float64, shape [vertex, 3].
-        normal: Unit shading normals, float64, shape [vertex, 3].
-        material: Material number per vertex, uint8, shape [vertex].
-        triangle: Vertex indices, int32, shape [triangle, 3], counter-clockwise seen from outside.
-    """
-
-    vertex_m: np.ndarray
-    normal: np.ndarray
-    material: np.ndarray
-    triangle: np.ndarray
+    vertex_m: np.ndarray  # positions [m], float64, shape [vertex, 3]
+    normal: np.ndarray  # unit shading normals, float64, shape [vertex, 3]
+    material: np.ndarray  # material number per vertex, uint8, shape [vertex]
+    triangle: np.ndarray  # vertex indices, int32, shape [triangle, 3], counter-clockwise seen from outside
 
 
 class SurfaceBuilder:

@@ -50,17 +50,11 @@ TOWN_STREAM = 0x70F3  # keeps the town's random numbers apart from other uses of
 
 @dataclass(frozen=True)
 class TownWorld:
-    """A scene and what a simulator knows beyond it.
+    """A scene and what a simulator knows beyond it."""
 
-    Attributes:
-        scene: The scene.
-        ego_glass: Which triangles of the ego vehicle are window panes, bool [triangle].
-        vehicle_glass: The same of every other vehicle.
-    """
-
-    scene: Scene
-    ego_glass: np.ndarray
-    vehicle_glass: tuple[np.ndarray, ...]
+    scene: Scene  # the scene
+    ego_glass: np.ndarray  # which triangles of the ego vehicle are window panes, bool [triangle]
+    vehicle_glass: tuple[np.ndarray, ...]  # the same of every other vehicle
 
 
 def ego_vehicle() -> Mesh:

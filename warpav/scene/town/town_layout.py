@@ -31,61 +31,36 @@ class Marking:
 
 @dataclass(frozen=True)
 class Block:
-    """A raised block: a kerb, a pavement, houses.
+    """A raised block: a kerb, a pavement, houses."""
 
-    Attributes:
-        rectangle_m: Its kerb.
-        pavement_m: Width of the pavement in front of the houses [m].
-        fronts: The sides that houses face: any of ``south``, ``north``, ``west``, ``east``.
-        corner_m: Radius of the kerb at its corners [m].
-    """
-
-    rectangle_m: Rectangle
-    pavement_m: float
-    fronts: tuple[str, ...]
-    corner_m: float = 0.0
+    rectangle_m: Rectangle  # its kerb
+    pavement_m: float  # width of the pavement in front of the houses [m]
+    fronts: tuple[str, ...]  # the sides that houses face: any of ``south``, ``north``, ``west``, ``east``
+    corner_m: float = 0.0  # radius of the kerb at its corners [m]
 
 
 @dataclass(frozen=True)
 class Slot:
-    """A place where a vehicle may stand, in line with its lane or bay.
+    """A place where a vehicle may stand, in line with its lane or bay."""
 
-    Attributes:
-        x_m: Centre of the vehicle [m].
-        y_m: Centre of the vehicle [m].
-        yaw_rad: Heading of the lane or bay.
-        room_m: The longest vehicle that fits [m].
-        parked: In a bay rather than in a lane.
-    """
-
-    x_m: float
-    y_m: float
-    yaw_rad: float
-    room_m: float
-    parked: bool
+    x_m: float  # centre of the vehicle [m]
+    y_m: float  # centre of the vehicle [m]
+    yaw_rad: float  # heading of the lane or bay
+    room_m: float  # the longest vehicle that fits [m]
+    parked: bool  # in a bay rather than in a lane
 
 
 @dataclass(frozen=True)
 class Layout:
-    """One town plan.
+    """One town plan."""
 
-    Attributes:
-        template: Name of the road template.
-        asphalt_m: Rectangles of road, not overlapping.
-        blocks: Blocks of houses.
-        markings: Lines and crossings.
-        slots: Spawn slots around the ego vehicle.
-        ego: Where the centre of the ego vehicle is; it heads along +x.
-        crossings_m: Where people cross the road: long side along the road that they cross.
-    """
-
-    template: str
-    asphalt_m: tuple[Rectangle, ...]
-    blocks: tuple[Block, ...]
-    markings: tuple[Marking, ...]
-    slots: tuple[Slot, ...]
-    ego: Slot
-    crossings_m: tuple[Rectangle, ...] = ()
+    template: str  # name of the road template
+    asphalt_m: tuple[Rectangle, ...]  # rectangles of road, not overlapping
+    blocks: tuple[Block, ...]  # blocks of houses
+    markings: tuple[Marking, ...]  # lines and crossings
+    slots: tuple[Slot, ...]  # spawn slots around the ego vehicle
+    ego: Slot  # where the centre of the ego vehicle is; it heads along +x
+    crossings_m: tuple[Rectangle, ...] = ()  # where people cross the road: long side along the road that they cross
 
     def mirrored(self) -> Layout:
         """The plan with left and right exchanged."""

@@ -7,71 +7,42 @@ from dataclasses import dataclass, field, replace
 
 @dataclass(frozen=True)
 class VehicleSpec:
-    """Measures of one kind of vehicle; fractions of the length count from the nose, heights from the ground.
+    """Measures of one kind of vehicle; fractions of the length count from the nose, heights from the ground."""
 
-    Attributes:
-        length_m: Length of the lofted body (a lorry's cab without its cargo box) [m].
-        width_m: Width without mirrors [m].
-        height_m: Height of the roof [m].
-        sill_m: Height of the lower edge [m].
-        deck: Side view of bonnet, belt and boot: (fraction of the length, height [m]) pairs.
-        windscreen: Fractions of the length where its lower and upper edge stand.
-        rear_window: The same for the rear window.
-        roof_width: Width of the roof over the width of the vehicle.
-        wheel_radius_m: Radius of a tyre [m].
-        axles: Fractions of the length where the axles stand.
-        pillars: (start, end) along the side glass, 0 front to 1 rear, that is black instead of glass.
-        painted_pillars: Pillars in the colour of the vehicle.
-        glass_doors: (start, end) as fractions of the length of doors that are of glass down to the step.
-        side_glass: (start, end) of the side glass along the house.
-        seams: Fractions of the length of the door seams.
-        front_lamp: (low, high) of the headlamps as fractions of the height from sill to deck.
-        rear_lamp: The same for the tail lamps.
-        rear_lamp_inner: How far the tail lamps reach inwards, 4.0 (corner) to 5.0 (centre).
-        corner_front_m: Corner radii in plan, along x and y [m].
-        corner_rear_m: The same at the rear.
-        bow_m: How far the nose bows forwards in the centre [m].
-        nose_inset_m: How far the upper edge of the nose lies behind its most forward point [m].
-        shoulder_inset_m: How far the upper edge of the sides lies inside the widest point [m].
-        taper_m: How much narrower each side is at the very ends [m].
-        house_corner_m: Plan radius of the glass house's corners [m].
-        roof_round: Share of the glass house's height that rounds into the roof.
-        glass_top: Share of the glass house's height where the glass ends.
-        rear_glass: False for a blind rear.
-        rear_doors: Two doors with hinges and a handle at the rear, and a bumper to step on.
-        dark_bumpers: Bumpers of bare plastic.
-    """
-
-    length_m: float
-    width_m: float
-    height_m: float
-    sill_m: float
+    length_m: float  # length of the lofted body (a lorry's cab without its cargo box) [m]
+    width_m: float  # width without mirrors [m]
+    height_m: float  # height of the roof [m]
+    sill_m: float  # height of the lower edge [m]
+    # Side view of bonnet, belt and boot: (fraction of the length, height [m]) pairs.
     deck: tuple[tuple[float, float], ...]
-    windscreen: tuple[float, float]
-    rear_window: tuple[float, float]
-    roof_width: float
-    wheel_radius_m: float
-    axles: tuple[float, ...]
+    windscreen: tuple[float, float]  # fractions of the length where its lower and upper edge stand
+    rear_window: tuple[float, float]  # the same for the rear window
+    roof_width: float  # width of the roof over the width of the vehicle
+    wheel_radius_m: float  # radius of a tyre [m]
+    axles: tuple[float, ...]  # fractions of the length where the axles stand
+    # (start, end) along the side glass, 0 front to 1 rear, that is black instead of glass.
     pillars: tuple[tuple[float, float], ...]
-    painted_pillars: bool = False
+    painted_pillars: bool = False  # pillars in the colour of the vehicle
+    # (start, end) as fractions of the length of doors that are of glass down to the step.
     glass_doors: tuple[tuple[float, float], ...] = ()
-    side_glass: tuple[float, float] = (0.03, 0.96)
-    seams: tuple[float, ...] = ()
+    side_glass: tuple[float, float] = (0.03, 0.96)  # (start, end) of the side glass along the house
+    seams: tuple[float, ...] = ()  # fractions of the length of the door seams
+    # (low, high) of the headlamps as fractions of the height from sill to deck.
     front_lamp: tuple[float, float] = (0.64, 0.86)
-    rear_lamp: tuple[float, float] = (0.60, 0.91)
-    rear_lamp_inner: float = 4.40
-    corner_front_m: tuple[float, float] = (0.40, 0.34)
-    corner_rear_m: tuple[float, float] = (0.30, 0.26)
-    bow_m: float = 0.10
-    nose_inset_m: float = 0.18
-    shoulder_inset_m: float = 0.09
-    taper_m: float = 0.05
-    house_corner_m: float = 0.20
-    roof_round: float = 0.15
-    glass_top: float = 0.84
-    rear_glass: bool = True
-    rear_doors: bool = False
-    dark_bumpers: bool = False
+    rear_lamp: tuple[float, float] = (0.60, 0.91)  # the same for the tail lamps
+    rear_lamp_inner: float = 4.40  # how far the tail lamps reach inwards, 4.0 (corner) to 5.0 (centre)
+    corner_front_m: tuple[float, float] = (0.40, 0.34)  # corner radii in plan, along x and y [m]
+    corner_rear_m: tuple[float, float] = (0.30, 0.26)  # the same at the rear
+    bow_m: float = 0.10  # how far the nose bows forwards in the centre [m]
+    nose_inset_m: float = 0.18  # how far the upper edge of the nose lies behind its most forward point [m]
+    shoulder_inset_m: float = 0.09  # how far the upper edge of the sides lies inside the widest point [m]
+    taper_m: float = 0.05  # how much narrower each side is at the very ends [m]
+    house_corner_m: float = 0.20  # plan radius of the glass house's corners [m]
+    roof_round: float = 0.15  # share of the glass house's height that rounds into the roof
+    glass_top: float = 0.84  # share of the glass house's height where the glass ends
+    rear_glass: bool = True  # false for a blind rear
+    rear_doors: bool = False  # two doors with hinges and a handle at the rear, and a bumper to step on
+    dark_bumpers: bool = False  # bumpers of bare plastic
 
 
 _HATCHBACK = VehicleSpec(
@@ -237,25 +208,15 @@ HIGH_VAN = replace(
 
 @dataclass(frozen=True)
 class CargoSpec:
-    """Measures of the box behind a lorry's cab [m]; x counts backwards from the cab's rear wall.
+    """Measures of the box behind a lorry's cab [m]; x counts backwards from the cab's rear wall."""
 
-    Attributes:
-        length_m: Length of the cargo box.
-        half_width_m: Half its width.
-        floor_m: Height of its floor.
-        roof_m: Height of its roof.
-        gap_m: Gap between cab and box.
-        frame_half_width_m: Half the width of the chassis frame.
-        rear_axles_m: How far behind the cab's rear wall the rear axles stand.
-    """
-
-    length_m: float = 4.6
-    half_width_m: float = 1.20
-    floor_m: float = 1.00
-    roof_m: float = 3.15
-    gap_m: float = 0.10
-    frame_half_width_m: float = 0.42
-    rear_axles_m: tuple[float, ...] = field(default=(3.35,))
+    length_m: float = 4.6  # length of the cargo box
+    half_width_m: float = 1.20  # half its width
+    floor_m: float = 1.00  # height of its floor
+    roof_m: float = 3.15  # height of its roof
+    gap_m: float = 0.10  # gap between cab and box
+    frame_half_width_m: float = 0.42  # half the width of the chassis frame
+    rear_axles_m: tuple[float, ...] = field(default=(3.35,))  # how far behind the cab's rear wall the rear axles stand
 
 
 CARGO = CargoSpec()

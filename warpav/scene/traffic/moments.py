@@ -36,30 +36,20 @@ _STREAM = 0x7AF1C
 
 @dataclass(frozen=True)
 class Moment:
-    """A scene's place in a recording.
+    """A scene's place in a recording."""
 
-    Attributes:
-        file: The recording.
-        step: When.
-        ego_id: The road user whose place the ego vehicle takes.
-    """
-
-    file: Path
-    step: int
-    ego_id: str
+    file: Path  # the recording
+    step: int  # when
+    ego_id: str  # the road user whose place the ego vehicle takes
 
 
 @dataclass(frozen=True)
 class Traffic:
-    """Recordings for the search, and others for the test.
+    """Recordings for the search, and others for the test."""
 
-    Attributes:
-        search: Moments that training and validation scenes come from, in the order in which seeds take them.
-        test: Moments of the test scenes, likewise.
-    """
-
+    # Moments that training and validation scenes come from, in the order in which seeds take them.
     search: tuple[Moment, ...]
-    test: tuple[Moment, ...]
+    test: tuple[Moment, ...]  # moments of the test scenes, likewise
 
 
 def traffic_of(

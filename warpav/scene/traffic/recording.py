@@ -41,16 +41,11 @@ _LANE_REACH_M = 60.0
 
 @dataclass(frozen=True, eq=False)
 class Lanelet:
-    """A piece of a lane.
+    """A piece of a lane."""
 
-    Attributes:
-        left_m: Its left border in driving direction [m], float64 [point, 2].
-        right_m: Its right border [m], float64 [point, 2].
-        kinds: What it is, such as ``urban`` or ``intersection``; ``crosswalk`` is no lane but a crossing of people.
-    """
-
-    left_m: np.ndarray
-    right_m: np.ndarray
+    left_m: np.ndarray  # its left border in driving direction [m], float64 [point, 2]
+    right_m: np.ndarray  # its right border [m], float64 [point, 2]
+    # What it is, such as ``urban`` or ``intersection``; ``crosswalk`` is no lane but a crossing of people.
     kinds: tuple[str, ...] = ()
 
     @property
@@ -66,40 +61,24 @@ class Lanelet:
 
 @dataclass(frozen=True, eq=False)
 class RecordedUser:
-    """A road user and its track.
+    """A road user and its track."""
 
-    Attributes:
-        user_id: Its name in the recording.
-        category: Out of `CLASSES`.
-        size_m: Length, width and height [m]; the height is NaN where none was recorded.
-        step: Samples, ascending, int64 [sample].
-        pose: x [m], y [m] of the box's centre and its yaw [rad], float64 [sample, 3].
-        speed_m_s: Speed along the yaw, float64 [sample]; None where none was recorded.
-    """
-
-    user_id: str
-    category: str
-    size_m: tuple[float, float, float]
-    step: np.ndarray
-    pose: np.ndarray
-    speed_m_s: np.ndarray | None = None
+    user_id: str  # its name in the recording
+    category: str  # out of `CLASSES`
+    size_m: tuple[float, float, float]  # length, width and height [m]; the height is NaN where none was recorded
+    step: np.ndarray  # samples, ascending, int64 [sample]
+    pose: np.ndarray  # x [m], y [m] of the box's centre and its yaw [rad], float64 [sample, 3]
+    speed_m_s: np.ndarray | None = None  # speed along the yaw, float64 [sample]; None where none was recorded
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedState:
-    """A road user at one moment.
+    """A road user at one moment."""
 
-    Attributes:
-        user: Who.
-        centre_m: Centre of the box [m], shape [2].
-        yaw_rad: Heading.
-        velocity_m_s: Velocity over ground [m/s], shape [2].
-    """
-
-    user: RecordedUser
-    centre_m: np.ndarray
-    yaw_rad: float
-    velocity_m_s: np.ndarray
+    user: RecordedUser  # who
+    centre_m: np.ndarray  # centre of the box [m], shape [2]
+    yaw_rad: float  # heading
+    velocity_m_s: np.ndarray  # velocity over ground [m/s], shape [2]
 
     def corners_m(self) -> np.ndarray:
         """Corners of its outline on the ground [m], float64 [4, 2]."""
@@ -110,23 +89,14 @@ class RecordedState:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Recorded traffic on a map.
+    """Recorded traffic on a map."""
 
-    Attributes:
-        recording_id: Its name.
-        source: Where it comes from, in words.
-        step_s: Time between two steps [s].
-        lanelets: Lanes and crossings.
-        users: Everybody.
-        ego_id: Who carried the sensors, where somebody did; nobody else becomes the ego vehicle.
-    """
-
-    recording_id: str
-    source: str
-    step_s: float
-    lanelets: tuple[Lanelet, ...]
-    users: tuple[RecordedUser, ...]
-    ego_id: str | None = None
+    recording_id: str  # its name
+    source: str  # where it comes from, in words
+    step_s: float  # time between two steps [s]
+    lanelets: tuple[Lanelet, ...]  # lanes and crossings
+    users: tuple[RecordedUser, ...]  # everybody
+    ego_id: str | None = None  # who carried the sensors, where somebody did; nobody else becomes the ego vehicle
     _index: dict[str, RecordedUser] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:

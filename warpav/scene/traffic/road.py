@@ -53,24 +53,16 @@ _GRASS_SHARE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Road:
-    """Road and land around the ego vehicle, in the ego frame.
+    """Road and land around the ego vehicle, in the ego frame."""
 
-    Attributes:
-        low_m: Corner of the area [m], shape [2].
-        field_m: Distance from the road's edge, negative on the road [m], float32 [row, column]; rows along y, columns
-            along x, in cells of `CELL_M`; point (row, column) lies at low_m + CELL_M * (column, row).
-        pavement_m: Width of the pavements.
-        lanelets: Lanes and crossings.
-        coverage: How many lanes cover a point, uint8 [row, column].
-        owner: Index of the last of them, int16 [row, column]; -1 without.
-    """
-
-    low_m: np.ndarray
+    low_m: np.ndarray  # corner of the area [m], shape [2]
+    # Distance from the road's edge, negative on the road [m], float32 [row, column]; rows along y, columns along x, in
+    # cells of `CELL_M`; point (row, column) lies at low_m + CELL_M * (column, row).
     field_m: np.ndarray
-    pavement_m: float
-    lanelets: tuple[Lanelet, ...]
-    coverage: np.ndarray
-    owner: np.ndarray
+    pavement_m: float  # width of the pavements
+    lanelets: tuple[Lanelet, ...]  # lanes and crossings
+    coverage: np.ndarray  # how many lanes cover a point, uint8 [row, column]
+    owner: np.ndarray  # index of the last of them, int16 [row, column]; -1 without
 
     @property
     def high_m(self) -> np.ndarray:

@@ -35,17 +35,11 @@ _CLEAR_M = 0.35
 
 @dataclass(frozen=True, eq=False)
 class ParkedCar:
-    """A car on a plot.
+    """A car on a plot."""
 
-    Attributes:
-        kind: Category.
-        mesh: In its own frame.
-        footprint: Where it stands, in the ego frame.
-    """
-
-    kind: str
-    mesh: Mesh
-    footprint: Footprint
+    kind: str  # category
+    mesh: Mesh  # in its own frame
+    footprint: Footprint  # where it stands, in the ego frame
 
 
 class Roadside:

@@ -44,17 +44,11 @@ _ON_FOOT = ("pedestrian", *_RIDDEN)
 
 @dataclass(frozen=True)
 class TrafficSource:
-    """What a scene from recorded traffic is made of.
+    """What a scene from recorded traffic is made of."""
 
-    Attributes:
-        moment: Where and when.
-        seed: Draws what was not recorded.
-        fleet: Vehicles of other makers, in the places of some of the town's; None: none.
-    """
-
-    moment: Moment
-    seed: int
-    fleet: Fleet | None = None
+    moment: Moment  # where and when
+    seed: int  # draws what was not recorded
+    fleet: Fleet | None = None  # vehicles of other makers, in the places of some of the town's; None: none
 
     def scene(self, ego: Mesh | None = None) -> Scene:
         """The scene; as of `traffic_scene`."""

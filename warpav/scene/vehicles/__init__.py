@@ -13,17 +13,11 @@ _FOLDER = Path(__file__).parent
 
 @dataclass(frozen=True)
 class VehicleAbout:
-    """What a shipped vehicle is.
+    """What a shipped vehicle is."""
 
-    Attributes:
-        title: In words.
-        source: Where its mesh comes from.
-        licence: Under which it stands.
-    """
-
-    title: str
-    source: str
-    licence: str
+    title: str  # in words
+    source: str  # where its mesh comes from
+    licence: str  # under which it stands
 
 
 def vehicle_names() -> list[str]:
