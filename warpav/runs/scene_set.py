@@ -335,7 +335,7 @@ def traffic_fleet_digest(config: Config) -> str | None:
 
 
 def own_vehicle_digest(config: Config) -> str | None:
-    """Hash of the file that ``scenes.ego`` names, so that what was made with another one is made again; None for none."""
+    """Hash of the file that ``scenes.ego`` names, by which what was made with another is made again; None for none."""
     path = config.scenes.ego
     if path is None:
         return None
