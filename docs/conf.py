@@ -43,7 +43,7 @@ include_patterns = [
     "notebooks/*.ipynb",
     "warpav/**.md",
 ]
-exclude_patterns = ["**/.*", ".[!g]*", "build", "dist", "docs/_*", "runs", "scenes", "tests"]
+exclude_patterns = ["**/.*", ".*", "build", "dist", "docs/_*", "runs", "scenes", "tests"]
 
 myst_enable_extensions = ["dollarmath"]
 myst_fence_as_directive = ["math"]

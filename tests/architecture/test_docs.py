@@ -17,8 +17,8 @@ from warpav.core.errors import InputError
 from warpav.runs.config import Config, load_config, option_values
 
 ROOT = Path(__file__).parents[2]
-DECISIONS = ROOT / "docs" / "decisions"  # tell of what was
-DOCS = sorted(page for page in (ROOT / "docs").rglob("*.md") if page.parent != DECISIONS)
+DECISIONS = ROOT / "docs" / "decisions"
+DOCS = sorted((ROOT / "docs").rglob("*.md"))
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS]
 METHOD = ROOT / "docs" / "method.md"
 TUTORIAL = ROOT / "docs" / "tutorial.md"
@@ -170,16 +170,14 @@ def test_the_reference_lists_every_module_from_top_to_bottom():
     assert packages - {"warpav"} <= set(listed)
 
 
-def test_decisions_are_numbered_dated_and_listed():
-    listed = re.findall(
-        r"^- (\d{4}-\d\d-\d\d): \[(.+)\]\((\d{4}-.+\.md)\)$", (DECISIONS / "index.md").read_text(), re.MULTILINE
-    )
-    assert sorted(file for _, _, file in listed) == sorted(page.name for page in DECISIONS.glob("0*.md"))
-    assert [int(file[:4]) for file in sorted(file for _, _, file in listed)] == list(range(1, len(listed) + 1))
-    for date, title, file in listed:
-        heading, _, dated, *_ = (DECISIONS / file).read_text().splitlines()
-        assert heading == f"# {title}"
-        assert dated.startswith(f"{date}, ")
+def test_decisions_are_dated_and_their_pages_listed():
+    pages = sorted(page for page in DECISIONS.glob("*.md") if page.stem != "index")
+    assert 0 < len(pages) < 12
+    listed = re.findall(r"^\| \[\w+\]\((\w+\.md)\)", (DECISIONS / "index.md").read_text(), re.MULTILINE)
+    assert sorted(listed) == [page.name for page in pages]
+    for page in pages:
+        entries = re.split(r"^- ", page.read_text(), flags=re.MULTILINE)[1:]
+        assert [entry for entry in entries if not re.match(r"\*\*[^*]+\*\*[^*]*?\(2\d{3}-\d\d-\d\d[,)]", entry)] == []
 
 
 def test_every_record_is_a_page_of_the_site():

@@ -41,7 +41,7 @@ MIN_OF_EACH = 10
 _ITERATIONS_MAX = 100
 
 # More pixels of the same thing, less of it hidden, less of it cut off and clearer colours never make it harder to find
-# (docs/decisions, detection).
+# (docs/decisions/detection.md).
 MONOTONE = (VISIBLE_SIZE, VISIBLE_SHARE, IN_FRAME_SHARE, CONTRAST)
 # ... but that holds for sizes that one camera shows: a network also misses what is larger than all it was trained on.
 MONOTONE_FOR_ANY_CAMERA = (VISIBLE_SHARE, IN_FRAME_SHARE, CONTRAST)
