@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from tests.scene.town.closed_surface import signed_volume_m3
+from warpav import raster
 from warpav.core.errors import InputError
 from warpav.core.frames import rotation_from_yaw_pitch_roll
 from warpav.raster import mesh as mesh_module
@@ -19,6 +20,17 @@ def test_mesh_has_the_documented_types():
     assert (mesh.vertex_m.dtype, mesh.triangle.dtype, mesh.vertex_rgb.dtype) == (np.float32, np.int32, np.uint8)
     np.testing.assert_array_equal(mesh.vertex_rgb, [[10, 20, 30]] * 3)
     np.testing.assert_array_equal(mesh.bounds_m(), [[0, 0, 0], [1, 2, 0]])
+
+
+@pytest.mark.parametrize("make", [raster.Mesh, raster.Mesh.create])
+def test_a_mesh_without_colours_is_grey(make):
+    mesh = make(np.add(CORNER_M, [0.0, 0.0, 5.0]), [[0, 2, 1]])
+    np.testing.assert_array_equal(mesh.vertex_rgb, [[128, 128, 128]] * 3)
+    cameras = raster.Cameras([[[20.0, 0, 16], [0, 20.0, 16], [0, 0, 1]]], width_px=32, height_px=32)
+    frame = raster.render(raster.Scene({"triangle": mesh}), cameras, np.eye(4)[None])
+    seen = frame.object_id.numpy() == 0
+    assert seen.any()
+    np.testing.assert_allclose(frame.rgb.numpy()[seen].max(axis=0), 128 / 255, atol=1e-6)
 
 
 def test_transformed_mesh_turns_then_moves():

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
 from warpav.core.errors import InputError
+
+GREY = (128, 128, 128)
+"""Colour of a mesh that was given none."""
 
 MAX_COUNT = 2**31 - 1
 """Indices of vertices and triangles are 32-bit integers."""
@@ -17,12 +21,13 @@ MAX_COUNT = 2**31 - 1
 class Mesh:
     """A triangle mesh on the host: ``Mesh(vertices, faces, rgb)``.
 
-    Anything array-like will do: numbers are stored with the types below, and one colour [3] is given to every vertex.
+    Anything array-like will do: numbers are stored with the types below. One colour [3] is given to every vertex;
+    without colours the mesh is grey.
 
     Attributes:
         vertex_m: Vertex positions [m], float32, shape [vertex, 3], in the frame that the owner states.
         triangle: Vertex indices, int32, shape [triangle, 3], counter-clockwise seen from outside.
-        vertex_rgb: sRGB colour per vertex, uint8, shape [vertex, 3].
+        vertex_rgb: sRGB colour per vertex, uint8, shape [vertex, 3]; `GREY` where left out.
 
     Raises:
         InputError: Indices that are not whole or need more than 32 bits, or colours outside 0..255. Whether the mesh
@@ -32,29 +37,21 @@ class Mesh:
 
     vertex_m: np.ndarray
     triangle: np.ndarray
-    vertex_rgb: np.ndarray
+    vertex_rgb: np.ndarray = cast("np.ndarray", GREY)  # noqa: RUF009 (a constant)
 
     def __post_init__(self) -> None:
         """Give the arrays their types; those that have them already are kept as they are."""
-        kept = (("vertex_m", np.float32), ("triangle", np.int32), ("vertex_rgb", np.uint8))
-        if all(isinstance(a := getattr(self, name), np.ndarray) and a.dtype == dtype for name, dtype in kept) and (
+        kept = (self.vertex_m, self.triangle, self.vertex_rgb)
+        types = (np.float32, np.int32, np.uint8)
+        if all(isinstance(a, np.ndarray) and a.dtype == t for a, t in zip(kept, types, strict=True)) and (
             self.vertex_rgb.ndim == 2
         ):
             return
-        vertex, index, colour = (_numbers(getattr(self, name), name) for name, _ in kept)
-        _refuse(~((colour >= 0) & (colour <= 255)), colour, "mesh: colours must be 0..255", "vertex_rgb")
-        _refuse(index % 1 != 0, index, "mesh: triangle indices must be whole", "triangle")
-        _refuse(np.abs(index) > MAX_COUNT, index, f"mesh: triangle indices must be below {MAX_COUNT}", "triangle")
-        with np.errstate(over="ignore"):  # what 32 bits cannot hold is infinite
-            vertex = np.ascontiguousarray(vertex, np.float32)
-        colour = np.ascontiguousarray(colour, np.uint8)
-        if colour.shape == (3,):
-            colour = np.tile(colour, (len(vertex), 1))
-        for (name, dtype), array in zip(kept, (vertex, index, colour), strict=True):
-            object.__setattr__(self, name, np.ascontiguousarray(array, dtype))
+        for name, array in zip(("vertex_m", "triangle", "vertex_rgb"), _arrays(*kept, "mesh"), strict=True):
+            object.__setattr__(self, name, array)
 
     @classmethod
-    def create(cls, vertex_m: object, triangle: object, vertex_rgb: object, *, name: str = "mesh") -> Mesh:
+    def create(cls, vertex_m: object, triangle: object, vertex_rgb: object = GREY, *, name: str = "mesh") -> Mesh:
         """Mesh from anything array-like, checked.
 
         Args:
@@ -63,25 +60,13 @@ class Mesh:
             vertex_rgb: Colours 0..255, shape [vertex, 3] or [3] for one colour everywhere.
             name: What the mesh is called in messages.
 
-        Returns:
-            The mesh, with arrays of the documented types.
-
         Raises:
             InputError: No triangles, non-finite positions, an index out of range or not whole, a colour outside 0..255,
                 or shapes that do not fit.
         """
-        with np.errstate(over="ignore"):  # what 32 bits cannot hold is infinite
-            vertex = np.ascontiguousarray(vertex_m, dtype=np.float32)
-        index, colour = np.asarray(triangle), np.asarray(vertex_rgb)
-        if colour.shape not in ((3,), vertex.shape):
-            raise InputError(f"{name}: expected colours of shape {list(vertex.shape)}, got {list(colour.shape)}")
-        _refuse(~((colour >= 0) & (colour <= 255)), colour, f"{name}: colours must be 0..255", "vertex_rgb")
-        colour = np.ascontiguousarray(colour, dtype=np.uint8)
-        if colour.ndim == 1:
-            colour = np.tile(colour, (len(vertex), 1))
-        _check(vertex, index, colour, name)  # before 32 bits cut the indices
-        _refuse(index % 1 != 0, index, f"{name}: triangle indices must be whole", "triangle")
-        return cls(vertex, np.ascontiguousarray(index, dtype=np.int32), colour)
+        mesh = cls(*_arrays(vertex_m, triangle, vertex_rgb, name))
+        mesh.check(name)
+        return mesh
 
     def check(self, name: str) -> None:
         """Make sure that the mesh can be drawn; ``name`` is what it is called in messages.
@@ -125,11 +110,26 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
     )
 
 
-def _numbers(values: object, name: str) -> np.ndarray:
-    array = np.asarray(values)
-    if not (np.issubdtype(array.dtype, np.integer) or np.issubdtype(array.dtype, np.floating)):
-        raise TypeError(f"mesh: expected numbers in {name}, got {type(values).__name__} of {array.dtype}")
-    return array
+def _arrays(vertex: object, index: object, colour: object, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, indices and colours with the types of a mesh, if these can hold them."""
+    given = {"vertex_m": vertex, "triangle": index, "vertex_rgb": colour}
+    arrays = {field: np.asarray(values) for field, values in given.items()}
+    for field, array in arrays.items():
+        if not (np.issubdtype(array.dtype, np.integer) or np.issubdtype(array.dtype, np.floating)):
+            raise TypeError(f"{name}: expected numbers in {field}, got {type(given[field]).__name__} of {array.dtype}")
+    vertices, triangles, colours = arrays.values()
+    _refuse(~((colours >= 0) & (colours <= 255)), colours, f"{name}: colours must be 0..255", "vertex_rgb")
+    _refuse(triangles % 1 != 0, triangles, f"{name}: triangle indices must be whole", "triangle")
+    too_large = f"{name}: triangle indices must be below {MAX_COUNT}"
+    _refuse(np.abs(triangles) > MAX_COUNT, triangles, too_large, "triangle")
+    if colours.shape == (3,):
+        colours = np.tile(colours, (len(vertices), 1))
+    with np.errstate(over="ignore"):  # what 32 bits cannot hold is infinite
+        return (
+            np.ascontiguousarray(vertices, np.float32),
+            np.ascontiguousarray(triangles, np.int32),
+            np.ascontiguousarray(colours, np.uint8),
+        )
 
 
 def _check(vertex: np.ndarray, index: np.ndarray, colour: np.ndarray, name: str) -> None:

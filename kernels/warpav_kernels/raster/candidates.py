@@ -7,7 +7,7 @@ uses its vectors.
 
 import warp as wp
 
-from warpav_kernels.raster.lens import PANORAMA, cone_bounds
+from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, SPHERE, cone_bounds
 from warpav_kernels.raster.rasterise import line_after
 from warpav_kernels.raster.rays import Rays
 from warpav_kernels.raster.triangles import Triangles
@@ -56,10 +56,49 @@ class Candidate:
     is_outline: int
 
 
+@wp.struct
+class Question:
+    """What of a cluster is asked for.
+
+    Attributes:
+        frame: First column, first row, and those after the last, of the samples.
+        table: Number of the lens's table in `Rays`.
+        widest_cosine: Least cosine of a ray from the optical axis.
+        is_front_only: Whether backs that are seen from more than ``behind_m`` are left out.
+        behind_m: See `triangles.behind_m`.
+        has_outline: Whether triangles may lie between the rows or the columns, for their outlines.
+    """
+
+    frame: wp.vec4i
+    table: int
+    widest_cosine: float
+    is_front_only: bool
+    behind_m: float
+    has_outline: bool
+
+
+_CONSTANTS = {
+    "brown_conrady": BROWN_CONRADY,
+    "panorama": PANORAMA,
+    "sphere": SPHERE,
+    "least_distance_m": LEAST_DISTANCE_M,
+    "least_volume": LEAST_VOLUME,
+    "wide": WIDE,
+    "steep": STEEP,
+    "table_error": TABLE_ERROR,
+    "far_away": WHOLE,
+}
+"""What the C++ below calls the constants."""
+
 _FIND_CANDIDATES = """
 #ifdef __CUDACC__
     return 0;
 #else
+    $constants
+    const wp::vec4i frame = asked.frame;
+    const int table = asked.table;
+    const float widest_cosine = asked.widest_cosine, behind_m = asked.behind_m;
+    const bool is_front_only = asked.is_front_only, has_outline = asked.has_outline;
     const auto least = [](float p, float q) { return p < q ? p : q; };
     const auto most = [](float p, float q) { return p > q ? p : q; };
     const float half_turn = 3.14159265f;
@@ -256,33 +295,23 @@ _FIND_CANDIDATES = """
 """
 
 
-@wp.func_native(_FIND_CANDIDATES)
+def _constant(name: str, value: float) -> str:
+    return f"const int {name} = {value};" if isinstance(value, int) else f"const float {name} = {value!r};"
+
+
+@wp.func_native(
+    _FIND_CANDIDATES.replace("$constants", "\n    ".join(_constant(name, k) for name, k in _CONSTANTS.items()))
+)
 def find_candidates(
     camera: View,
     scene: Triangles,
-    cluster: int,
-    frame: wp.vec4i,
     rays: Rays,
-    table: int,
-    widest_cosine: float,
-    is_front_only: bool,
-    behind_m: float,
-    has_outline: bool,
-    brown_conrady: int,
-    panorama: int,
-    sphere: int,
-    least_distance_m: float,
-    least_volume: float,
-    wide: float,
-    steep: float,
-    table_error: float,
-    far_away: float,
+    cluster: int,
+    asked: Question,
     view: int,
     candidate: wp.array2d[Candidate],
 ) -> int:
     """Triangles of a cluster that a view with a bent lens may see inside a frame of the grid: how many; on a GPU, none.
-
-    With ``has_outline`` they may lie between the rows or the columns.
 
     Writes: ``candidate`` [view, triangle of a cluster].
     """

@@ -9,19 +9,9 @@ are kept (see `rays`), and blocks of them are passed over whole.
 import warp as wp
 
 from warpav_kernels.raster.bent_edges import cross_outline
-from warpav_kernels.raster.candidates import (
-    LEAST_DISTANCE_M,
-    LEAST_VOLUME,
-    STEEP,
-    TABLE_ERROR,
-    WHOLE,
-    WIDE,
-    Candidate,
-    bound_wide,
-    find_candidates,
-)
+from warpav_kernels.raster.candidates import Candidate, Question, bound_wide, find_candidates
 from warpav_kernels.raster.layers import LEAST_INVERSE_DEPTH, Layers
-from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, SPHERE, cone_bounds
+from warpav_kernels.raster.lens import PANORAMA, cone_bounds
 from warpav_kernels.raster.rays import Rays
 from warpav_kernels.raster.triangles import Triangles, behind_m, shows_no_back
 from warpav_kernels.raster.view import View, point_in_camera
@@ -285,10 +275,14 @@ def scatter_bent_triangles_kernel(
     turn_samples = float(0.0)
     if camera.lens.kind == PANORAMA:
         turn_samples = 2.0 * wp.pi * camera.focal[0]
-    count = find_candidates(
-        camera, scene, cluster, frame, rays, table, widest_cosine, is_front_only, behind_m(camera), has_outline,
-        BROWN_CONRADY, PANORAMA, SPHERE, LEAST_DISTANCE_M, LEAST_VOLUME, WIDE, STEEP, TABLE_ERROR, WHOLE, v, candidate,
-    )  # fmt: skip
+    asked = Question()
+    asked.frame = frame
+    asked.table = table
+    asked.widest_cosine = widest_cosine
+    asked.is_front_only = is_front_only
+    asked.behind_m = behind_m(camera)
+    asked.has_outline = has_outline
+    count = find_candidates(camera, scene, rays, cluster, asked, v, candidate)
     for k in range(count):
         triangle = candidate[v, k].triangle
         of_triangle = scene.triangle[triangle]
