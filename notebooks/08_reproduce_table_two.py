@@ -33,7 +33,7 @@ import warpav as wa
 from warpav.core.progress import NullProgress
 from warpav.experiments.experiment import arms_of
 from warpav.experiments.thesis_experiments import EXPERIMENTS, run_table
-from warpav.experiments.thesis_tables import thesis_table
+from warpav.thesis.tables import thesis_table
 
 published = json.loads(Path("../docs/results/table2.json").read_text())
 

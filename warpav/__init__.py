@@ -39,7 +39,7 @@ _PLACES = {
     "front": ("warpav.runs.front", "front"),
     "highest_rig": ("warpav.runs.baseline_rigs", "highest_rig"),
     "import_rig": ("warpav.rig.formats.convert", "import_rig"),
-    "losses": ("warpav.optimisation.losses", None),
+    "losses": ("warpav.runs.losses", None),
     "optimise": ("warpav.runs.optimise", "optimise"),
     "plot": ("warpav.view", "plot"),
     "preset": ("warpav.rig.presets", "preset_rig"),

@@ -8,7 +8,6 @@ from warpav.detection.detector import Detections, Detector
 from warpav.detection.images import render
 from warpav.evaluation.coverage import coverage
 from warpav.evaluation.rig_evaluation import RigEvaluation
-from warpav.optimisation import losses
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.requirements.check import check_requirements
@@ -19,7 +18,7 @@ from warpav.rig.module import Module
 from warpav.rig.presets import preset_rig as preset
 from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.rig import RigCamera as Camera
-from warpav.runs import robustness
+from warpav.runs import losses, robustness
 from warpav.runs.baseline_rigs import highest_rig, random_rig
 from warpav.runs.config import Config
 from warpav.runs.evaluate import evaluate

@@ -17,11 +17,11 @@ import numpy as np
 
 import warpav as wa
 from warpav.core.errors import InputError
-from warpav.optimisation.ghost_scene import GhostScene
+from warpav.optimisation.objective import single_cameras_of
 from warpav.optimisation.polish import polish
 from warpav.optimisation.pool_search import PoolSearchSettings, pool_search
-from warpav.optimisation.requirement_margins import hard_points
-from warpav.optimisation.rig_values import single_cameras_of
+from warpav.optimisation.required_points import RequiredPoints
+from warpav.optimisation.single_cameras import hard_points
 from warpav.requirements.area import Band, Strip
 from warpav.requirements.read import read_requirements
 from warpav.requirements.requirement import Requirement
@@ -78,7 +78,7 @@ def of_seed(seed: int, settings: argparse.Namespace) -> dict:
     cameras = single_cameras_of(placement.objective)
     assert cameras is not None
     scenes = [each.scene for each in placement.search_scenes]
-    ghosts = GhostScene(requirements_of(settings.case), placement.ego)
+    ghosts = RequiredPoints(requirements_of(settings.case), placement.ego)
     limits = placement.limits
     count = placement.objective.camera_count if limits is None else limits.count[1]
     selecting = PoolSearchSettings(pool_cameras=settings.pool, polishes=False, selection_time_s=10.0, gap=1e-3)

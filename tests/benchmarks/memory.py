@@ -22,13 +22,12 @@ import warpav as wa
 import warpav.detection
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
-from warpav.optimisation.misplaced_cameras import MisplacedCameras
 from warpav.optimisation.mount import CameraMount
 from warpav.optimisation.mount_errors import MountErrors
 from warpav.optimisation.pool import spread_mount_poses
-from warpav.optimisation.single_cameras import SingleCameras
+from warpav.optimisation.required_points import RequiredPoints
+from warpav.optimisation.single_cameras import MisplacedCameras, SingleCameras
 from warpav.raster.camera import CameraModel
 from warpav.requirements.read import read_requirements
 from warpav.rig.mount_surface import mount_surface_from_mesh
@@ -60,7 +59,7 @@ def measure(name: str, size: str) -> None:
     cameras = SingleCameras(mount, CameraProbability(fit))
     misplaced = MisplacedCameras.of(cameras, MountErrors(0.02, math.radians(1.0)))
     packed = [DeviceScene.pack(scene) for scene in scenes]
-    ghosts = GhostScene(read_requirements("near_field"), ego)
+    ghosts = RequiredPoints(read_requirements("near_field"), ego)
     work: dict[str, Callable[[], tuple[np.ndarray, ...]]] = {
         WORK[0]: lambda: tuple(cameras.detection_probability(pose, scene) for scene in packed),
         WORK[1]: lambda: cameras.with_jacobian(pose[:RIG], packed),

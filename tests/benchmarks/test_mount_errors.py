@@ -12,10 +12,10 @@ import pytest
 
 import warpav as wa
 from warpav.evaluation.statistics import paired_difference
-from warpav.optimisation.misplaced_cameras import MisplacedCameras
+from warpav.optimisation.miss_rate import expected_miss_rate
 from warpav.optimisation.mount_errors import COLUMNS, MountErrors, outside_skin
-from warpav.optimisation.polish import expected_miss_rate
-from warpav.optimisation.rig_values import single_cameras_of
+from warpav.optimisation.objective import single_cameras_of
+from warpav.optimisation.single_cameras import MisplacedCameras
 
 CAMERAS, FOV_DEG = 6, 90.0
 SCENES, UNSEEN, DRAWS = 40, range(20000, 20060), 48

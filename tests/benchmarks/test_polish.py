@@ -14,8 +14,9 @@ from scipy.optimize import minimize
 from tests.benchmarks.test_pool import shipped_fit
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
+from warpav.optimisation.miss_rate import SUREST, expected_miss_rate
 from warpav.optimisation.mount import CameraMount, FreeRanges
-from warpav.optimisation.polish import SUREST, expected_miss_rate, nearest_rig, polish, step_unit
+from warpav.optimisation.polish import nearest_rig, polish, step_unit
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_search import too_near
 from warpav.optimisation.selection.select import select

@@ -9,13 +9,13 @@ import warp as wp
 
 from tests.optimisation.objectives import OneScene, thesis_losses
 from warpav.experiments.bench.workload import embedded_workload, pack_workload
-from warpav.optimisation.adamw import AdamW
-from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import CameraMount
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
 from warpav.rig.mount_surface import MountSurface
 from warpav.scene.device_scene import DeviceScene
+from warpav.thesis.descent import AdamW
 
 SCENES, ITERATIONS = 4, 100
 

@@ -11,7 +11,7 @@ from tests.cli.small_run import SMALL, complaint
 from warpav.cli.app import main
 from warpav.optimisation import pool as pool_module
 from warpav.optimisation.pool_descent import PoolDescent
-from warpav.optimisation.selection.branching import Search
+from warpav.optimisation.selection.select import BranchAndBound
 from warpav.runs.run_folder import RunFolder
 from warpav.scene.glb import write_scene
 from warpav.scene.town.town import town_scene
@@ -39,7 +39,7 @@ def test_ctrl_c_during_a_search_by_a_pool_keeps_what_it_knows(working_directory,
     if when == "step":
         monkeypatch.setattr(PoolDescent, "step", interrupted_later)
     else:
-        monkeypatch.setattr(Search, "run", interrupted)
+        monkeypatch.setattr(BranchAndBound, "run", interrupted)
     assert main(["optimise", *POOL, "run.out=stopped"]) == 130
     captured = capsys.readouterr()
     assert captured.err == "interrupted\n"
@@ -121,7 +121,7 @@ def drawn(monkeypatch, capsys, cache, *overrides):
     """The files of a run's pool, which is kept in a folder; the run itself is stopped at once."""
     with monkeypatch.context() as patch:
         patch.setattr("warpav.runs.optimise.pool_cache_folder", lambda: cache)
-        patch.setattr(Search, "run", interrupted)
+        patch.setattr(BranchAndBound, "run", interrupted)
         shutil.rmtree("drawn", ignore_errors=True)
         assert main(["optimise", *POOL, *overrides, "run.out=drawn"]) == 130
     capsys.readouterr()

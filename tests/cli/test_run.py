@@ -11,12 +11,12 @@ import pytest
 from tests.cli.small_run import SMALL, complaint
 from warpav.cli.app import main
 from warpav.evaluation.metrics import OPTIONAL_METRICS
-from warpav.optimisation.descent import Descent
 from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.verdict import ARM_ROWS
 from warpav.scene.glb import write_scene
 from warpav.scene.town.town import town_scene
+from warpav.thesis.descent import Descent
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 

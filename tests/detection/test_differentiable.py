@@ -18,15 +18,14 @@ from warpav.detection.differentiable import DifferentiableDetector
 from warpav.detection.ground_truth import largest_component_box
 from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector
 from warpav.detection.torch_network import MAX_ERROR, TorchNetwork
-from warpav.optimisation.assignment import AssignedScene
-from warpav.optimisation.losses.detector_gradient import DetectorGradient
-from warpav.optimisation.losses.scene_on_tape import SceneOnTape
+from warpav.optimisation.losses.scene_on_tape import AssignedScene, SceneOnTape
 from warpav.optimisation.mount import CameraMount, PlacedViews
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.town.town import town_scene
+from warpav.thesis.detector_gradient import DetectorGradient
 
 SIZE_PX = 256
 MODEL = CameraModel(SIZE_PX, SIZE_PX, math.radians(90.0), 0.1)

@@ -12,7 +12,7 @@ from warpav.detection.detector import ROAD_USERS
 from warpav.evaluation.attainable import LIKELY, attainable_objects
 from warpav.evaluation.metrics import metrics_of, observe_scenes
 from warpav.evaluation.statistics import paired_differences
-from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.pool import spread_mount_poses
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene

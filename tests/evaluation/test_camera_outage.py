@@ -17,16 +17,16 @@ from warpav.evaluation.camera_outage import CameraOutages
 from warpav.evaluation.metrics import OPTIONAL_METRICS, ArmMetrics, metrics_of, observe_scenes
 from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.evaluation.statistics import paired_differences
-from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.importance import Importance
-from warpav.optimisation.losses import ExpectedMissRate
-from warpav.optimisation.losses.scene_on_tape import CameraProbability
+from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
+from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
 from warpav.optimisation.mount import CameraMount, views_of_rig
-from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.objective import ObjectiveOptions, RigObjective
 from warpav.optimisation.settings import ImportanceSettings
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig, RigCamera
+from warpav.thesis.constraints import BoundsAndSpacing
 
 NEAR = ImportanceSettings(sector_deg=[{"from": -60, "to": 60, "weight": 3.0}, {"from": 60, "to": 120, "weight": 0.5}])
 
@@ -44,7 +44,8 @@ def objective_of(detector=None, importance=None, camera_count=2):
         camera_count=camera_count,
         losses=[(1.0, ExpectedMissRate())],
         camera_probability=CameraProbability(probability_model(np.random.default_rng(3))),
-        occlusion=Occlusion.EXACT,
+        constraints=BoundsAndSpacing(roof()),
+        options=ObjectiveOptions(occlusion=Occlusion.EXACT),
         importance=importance,
     )
 

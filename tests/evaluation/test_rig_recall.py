@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
 from warpav.evaluation.metrics import DISTANCE_EDGES_M, EQUAL_FALSE_ALARMS_PER_FRAME, SECTORS, GroupRecall, evaluate_rig
 from warpav.evaluation.statistics import paired_differences
-from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import views_of_rig
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
@@ -188,7 +189,7 @@ def test_recall_at_equal_false_alarms_is_that_of_the_lowest_threshold_that_is_qu
 
     def at(threshold):
         objective = objective_of(ScriptedDetector(ConstantDetector(*each) for each in answers))
-        objective.confidence_min = threshold
+        objective.options = replace(objective.options, confidence_min=threshold)
         return evaluate_rig(rig, scenes, objective)
 
     metrics = at(0.1)
@@ -209,7 +210,7 @@ def test_the_least_iou_of_a_match_is_that_of_a_false_alarm():
     strict = measured(rig, [scene], answer)
     assert (strict.rig_recall, strict.false_alarms_per_frame) == (0.0, 0.5)
     objective = objective_of(ScriptedDetector([ConstantDetector(*answer)]))
-    objective.iou_min = 0.3
+    objective.options = replace(objective.options, iou_min=0.3)
     lax = evaluate_rig(rig, [scene], objective)
     assert (lax.rig_recall, lax.false_alarms_per_frame) == (1.0, 0.0)
     assert lax.ap50_pooled == strict.ap50_pooled == 0.0  # which is at 0.5 whatever a match needs

@@ -11,16 +11,15 @@ from tests.experiments.small_experiment import config
 from warpav.core.errors import InputError
 from warpav.experiments import arms as module
 from warpav.experiments.arms import METHODS, Arm, common_arms, find_arm, find_rig_of
+from warpav.optimisation.budget import BudgetedValue, SingleCameraValues
 from warpav.optimisation.losses.registry import LOSSES
 from warpav.optimisation.objective import RigObjective
-from warpav.optimisation.rig_values import SingleCameraValues
-from warpav.optimisation.rivals import descent_camera_renders
-from warpav.optimisation.search import BudgetedValue
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.rig.rig import write_rig
 from warpav.runs.config import changed_config, load_config, option_values
 from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
+from warpav.thesis.descent import descent_camera_renders
 
 needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="cma is not installed")
 BUDGET = 72

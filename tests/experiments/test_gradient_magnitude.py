@@ -18,12 +18,12 @@ from warpav.experiments.gradient_magnitude import (
     measure_gradient_magnitudes,
     pooled_magnitudes,
 )
-from warpav.experiments.thesis_tables import TABLES, thesis_table
-from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.losses.registry import LOSSES
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import CameraMount
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
+from warpav.thesis.tables import TABLES, thesis_table
 
 YAW_RAD = np.array([0.1, 1.5, 3.2])
 

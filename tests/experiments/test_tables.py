@@ -10,8 +10,8 @@ from warpav.cli.app import main
 from warpav.experiments import arms, thesis_experiments
 from warpav.experiments.tables import Cell, compare_results, result_table
 from warpav.experiments.thesis_experiments import EXPERIMENTS, TABLES_OF, loss_overrides
-from warpav.experiments.thesis_tables import WARNING, thesis_table
 from warpav.optimisation.losses.registry import LOSSES
+from warpav.thesis.tables import WARNING, thesis_table
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 

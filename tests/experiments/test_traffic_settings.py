@@ -15,7 +15,7 @@ from warpav.experiments import panel, rescore, rival_settings
 from warpav.experiments.experiment import overrides_of
 from warpav.experiments.traffic_settings import CAMERAS, EGOS, MOUNTS, TARGETS, TRAFFIC, traffic_settings
 from warpav.optimisation.baselines import edge_mount_pose, highest_mount_pose
-from warpav.optimisation.search import SearchSpace
+from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import read_rig
 from warpav.rig.zone import read_zones, write_zones
 from warpav.runs.config import Config, changed_config, load_config

@@ -13,8 +13,9 @@ from warpav.raster.buffers import lens_of
 from warpav.raster.camera import CameraModel
 from warpav_kernels.detection import detection_probability
 from warpav_kernels.experiments import benchmark
-from warpav_kernels.placement import constraint_losses, expected_misses, lagrangian, mount_pose, placement_losses
+from warpav_kernels.placement import constraint_losses, expected_misses, lagrangian, mount_pose
 from warpav_kernels.raster import linearise, measure
+from warpav_kernels.thesis import losses as thesis
 
 VIEWS, CAMERAS, VEHICLES, ROTATIONS = 4, 2, 3, 2
 ASSIGNED = (1, -1, 0)
@@ -99,9 +100,7 @@ def in_frame_rotation_loss(new):
     pose = new(size=(CAMERAS, 7), low=-0.3, high=0.3)
     bearing = new([[0.9, 0.5], [0.0, 0.0], [2.9, 2.4]], wp.vec2)
     bearing.requires_grad = False
-    frame_state = new.integers(
-        [placement_losses.IN_FRAME, placement_losses.NEVER_SEEN, placement_losses.SEEN_OUT_OF_FRAME]
-    )
+    frame_state = new.integers([thesis.IN_FRAME, thesis.NEVER_SEEN, thesis.SEEN_OUT_OF_FRAME])
     return CAMERAS, [pose, new.integers(ASSIGNED), bearing, frame_state, 0.3], [new(np.zeros(VEHICLES))]
 
 
@@ -233,18 +232,18 @@ CASES = {
     linearise.linearise_window_kernel: linearise_window,
     mount_pose.place_on_surface_kernel: place_on_surface,
     mount_pose.place_windows_kernel: place_windows,
-    constraint_losses.out_of_bounds_loss_kernel: out_of_bounds_loss,
-    constraint_losses.camera_spacing_loss_kernel: camera_spacing_loss,
+    thesis.out_of_bounds_loss_kernel: out_of_bounds_loss,
+    thesis.camera_spacing_loss_kernel: camera_spacing_loss,
     constraint_losses.zone_excess_kernel: zone_excess,
     constraint_losses.spacing_excess_kernel: spacing_excess,
     constraint_losses.keep_excess_kernel: keep_excess,
-    placement_losses.in_frame_rotation_loss_kernel: in_frame_rotation_loss,
-    placement_losses.sum_area_around_kernel: sum_area_around,
-    placement_losses.detected_area_loss_kernel: detected_area_loss,
-    placement_losses.object_visibility_loss_kernel: object_visibility_loss,
-    placement_losses.surface_blockage_loss_kernel: surface_blockage_loss,
-    placement_losses.angular_coverage_loss_kernel: angular_coverage_loss,
-    placement_losses.mean_vehicle_loss_kernel: mean_vehicle_loss,
+    thesis.in_frame_rotation_loss_kernel: in_frame_rotation_loss,
+    thesis.sum_area_around_kernel: sum_area_around,
+    thesis.detected_area_loss_kernel: detected_area_loss,
+    thesis.object_visibility_loss_kernel: object_visibility_loss,
+    thesis.surface_blockage_loss_kernel: surface_blockage_loss,
+    thesis.angular_coverage_loss_kernel: angular_coverage_loss,
+    thesis.mean_vehicle_loss_kernel: mean_vehicle_loss,
     detection_probability.box_solid_angle_kernel: box_solid_angle,
     detection_probability.detection_probability_kernel: probability_of_detection,
     expected_misses.sum_over_panorama_kernel: sum_over_panorama,

@@ -22,12 +22,13 @@ from tests.optimisation.objectives import rig_objective
 from warpav.detection.detector import Detections
 from warpav.detection.ground_truth import largest_component_box
 from warpav.detection.probability import DetectionProbability
-from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.budget import BudgetedValue
 from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.losses.options import Reference
+from warpav.optimisation.losses.loss import Reference
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.search import BudgetedValue, SearchSpace
 from warpav.optimisation.settings import LossSettings
+from warpav.optimisation.space import SearchSpace
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import Mesh, merge

@@ -1,22 +1,20 @@
 """Objectives from the settings of a configuration, as most tests take them."""
 
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 from warpav.detection.detector import Detector
-from warpav.optimisation.assignment import AssignedScene
-from warpav.optimisation.exchange import Exchange
-from warpav.optimisation.losses.build import losses_of
-from warpav.optimisation.losses.loss import LossSchedule
-from warpav.optimisation.losses.options import LossOptions, Reference
-from warpav.optimisation.losses.scene_on_tape import CameraProbability
+from warpav.optimisation.losses.loss import LossOptions, LossSchedule, Reference, losses_of
+from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
 from warpav.optimisation.mount import CameraMount
-from warpav.optimisation.objective import RigObjective
-from warpav.optimisation.scene_step import Objective, RigViews, SceneStep
+from warpav.optimisation.objective import ObjectiveOptions, RigObjective
+from warpav.optimisation.scene_step import Exchange, Objective, RigViews, SceneStep
 from warpav.optimisation.settings import METHOD_LOSSES, LossSettings
 from warpav.raster.renderer import Renderer
+from warpav.thesis.constraints import BoundsAndSpacing
 
 
 def thesis_losses(**changes: Any) -> LossSettings:
@@ -35,12 +33,14 @@ def rig_objective(
     **others: Any,
 ) -> RigObjective:
     """The objective of some settings."""
+    options = {each.name: others.pop(each.name) for each in fields(ObjectiveOptions) if each.name in others}
     return RigObjective(
         mount,
         detector,
         losses=losses_of(LossOptions(settings, reference, differentiable_detector)),
         camera_probability=CameraProbability.of(settings, probability),
-        **others,
+        options=ObjectiveOptions(**options),
+        **{"constraints": BoundsAndSpacing(mount.surface), **others},
     )
 
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import flat_surface, roof
-from tests.optimisation.test_descent import MODEL
+from tests.thesis.test_descent import MODEL
 from warpav.core.errors import InputError
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
-from warpav.optimisation.constraints import BoundsAndSpacing
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
+from warpav.thesis.constraints import BoundsAndSpacing
 
 
 def mount_on(surface):

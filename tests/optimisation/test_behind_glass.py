@@ -18,9 +18,9 @@ from warpav.evaluation.metrics import RigObserver
 from warpav.evaluation.own_body import body_shares
 from warpav.optimisation.camera_jacobians import placing_slope
 from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
+from warpav.optimisation.required_points import RequiredPoints
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
@@ -195,7 +195,7 @@ def test_requirements_are_seen_through_the_pane_by_its_camera_alone():
     shut = Rig([replace(camera, behind_glass=None) for camera in rig.cameras])
     assert wa.check_requirements(shut, ego, requirements).visibility.pixels.max() == 0.0
     assert result.visibility.pixels.max() > 0.0
-    ghosts = GhostScene(requirements, ego)
+    ghosts = RequiredPoints(requirements, ego)
     found = cameras_of(mount=mount_of()).detection_probability(spread()[:6], ghosts)
     apart = [cameras_of(mount=mount_of()).detection_probability(spread()[k : k + 1], ghosts)[0] for k in range(6)]
     np.testing.assert_array_equal(found, apart)

@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 
 from tests.driving_scene import flat_surface, roof
 from warpav.core.errors import InputError
-from warpav.optimisation.constraints import BoundsAndSpacing, ZoneAndSpacing, min_camera_distance_m
+from warpav.optimisation.constraints import ZoneAndSpacing, min_camera_distance_m
 from warpav.optimisation.mount import CameraMount, FrozenCameras
 from warpav.raster.camera import CameraModel
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.town.town import ego_vehicle
+from warpav.thesis.constraints import BoundsAndSpacing
 
 SURFACE = flat_surface([-1.0, -0.6], [1.4, 0.6])
 coordinate = st.floats(-3.0, 3.0, allow_nan=False)

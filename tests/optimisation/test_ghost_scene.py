@@ -11,9 +11,9 @@ from tests.optimisation.test_modules import MODULES, columns, symmetric_cameras,
 from tests.optimisation.test_pool import cameras_of, streets
 from tests.optimisation.test_zones import MODEL, chart, constraints_of, mount_of, spread
 from warpav.core.errors import InputError
-from warpav.optimisation.ghost_scene import HARD_WEIGHT, MET, GhostScene
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
 from warpav.optimisation.pool_search import PoolSearchSettings, pool_search
+from warpav.optimisation.required_points import HARD_WEIGHT, MET, RequiredPoints
 from warpav.requirements.area import Band
 from warpav.requirements.check import check_requirements
 from warpav.requirements.read import read_requirements
@@ -26,7 +26,7 @@ SMALL = PoolSearchSettings(pool_cameras=40, rounds=1, priced_cameras=3, gap=0.0)
 def scene(weight=None, share=0.5, far_m=4.0, cameras=1, pixels=0.0):
     post = read_requirements("near_field")[0].test_object
     near = Requirement("near", Band((0.5, far_m)), 1.0, post, share, pixels, cameras, weight=weight)
-    return GhostScene([near], street().ego)
+    return RequiredPoints([near], street().ego)
 
 
 def test_points_count_by_how_near_cameras_come_to_meeting_them():

@@ -9,18 +9,18 @@ from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, poses_of
 from tests.optimisation.test_pool import mount_of as roof_mount
 from tests.optimisation.test_zones import MODEL, mount_of, spread
-from warpav.optimisation.ghost_scene import NEAR_EDGE, GhostScene
-from warpav.optimisation.hard_points import KEPT_BACK, HardPoints
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
 from warpav.optimisation.polish import polish
-from warpav.optimisation.requirement_margins import camera_margins, hard_points
+from warpav.optimisation.required_points import NEAR_EDGE, RequiredPoints
+from warpav.optimisation.single_cameras import camera_margins, hard_points
+from warpav.optimisation.tangent_model import KEPT_BACK, HardPoints
 from warpav.requirements import visibility
 
 
 def test_margins_reach_one_where_points_are_met():
     cameras, pose = cameras_of(mount=mount_of()), spread()[:40]
     margin, _ = camera_margins(cameras, scene(pixels=60.0), pose)
-    is_met = GhostScene.meets(cameras.detection_probability(pose, scene(pixels=60.0)))
+    is_met = RequiredPoints.meets(cameras.detection_probability(pose, scene(pixels=60.0)))
     np.testing.assert_array_equal(margin >= 1.0, is_met)
     assert 0.0 < is_met.mean() < 1.0
     assert hard_points(cameras, scene(weight=0.5)) is None
@@ -33,7 +33,7 @@ def test_a_pair_has_the_greater_margin_of_its_two_cameras():
     mount, cameras = symmetric_mount(), symmetric_cameras()
     pose = columns()[mount.is_pair(columns())][:6]
     margin, jacobian = camera_margins(cameras, scene(), pose)
-    is_met = GhostScene.meets(cameras.detection_probability(pose, scene()))
+    is_met = RequiredPoints.meets(cameras.detection_probability(pose, scene()))
     np.testing.assert_array_equal(margin >= 1.0, is_met)
     alone, slope = camera_margins(cameras.sides[0], scene(), pose)
     is_image = margin > alone

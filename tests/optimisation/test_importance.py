@@ -15,23 +15,23 @@ from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, streets
 from tests.optimisation.test_pool_search import short_refinement
 from warpav.core.errors import InputError
-from warpav.optimisation.assignment import AssignedScene
-from warpav.optimisation.further_camera import further_gain
+from warpav.optimisation.budget import rig_values_of
 from warpav.optimisation.importance import Importance
-from warpav.optimisation.losses import ExpectedMissRate
+from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
 from warpav.optimisation.losses.loss import LossSchedule
-from warpav.optimisation.losses.scene_on_tape import CameraProbability
+from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
+from warpav.optimisation.miss_rate import further_gain
 from warpav.optimisation.mount import X_M, YAW_RAD, CameraMount
-from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.objective import ObjectiveOptions, RigObjective
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_search import PoolSearchSettings, pool_search
 from warpav.optimisation.replacements import Replacements
-from warpav.optimisation.rig_values import rig_values_of
 from warpav.optimisation.selection.select import select
 from warpav.optimisation.settings import ImportanceSettings
-from warpav.optimisation.starts import exchange_cameras
 from warpav.raster.decide import Occlusion
 from warpav.runs.config import Config, dump_config, load_config, option_values
+from warpav.thesis.constraints import BoundsAndSpacing
+from warpav.thesis.starts import exchange_cameras
 from warpav_kernels.placement import expected_misses
 
 SETTINGS = ImportanceSettings(
@@ -58,8 +58,8 @@ def objective_of(importance, *losses, device="cpu", supersampling=1):
         camera_count=2,
         losses=losses or [(1.0, ExpectedMissRate())],
         camera_probability=CameraProbability(probability_model(np.random.default_rng(3))),
-        occlusion=Occlusion.EXACT,
-        supersampling=supersampling,
+        constraints=BoundsAndSpacing(roof()),
+        options=ObjectiveOptions(occlusion=Occlusion.EXACT, supersampling=supersampling),
         importance=importance,
     )
 

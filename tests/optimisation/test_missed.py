@@ -15,8 +15,8 @@ from warpav.detection.probability import (
     Appearance,
     DetectionProbability,
 )
-from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.losses.loss import LossSchedule
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel

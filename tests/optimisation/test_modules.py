@@ -21,9 +21,9 @@ from warpav.optimisation.mount import PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount,
 from warpav.optimisation.pool import spread_mount_poses
 from warpav.optimisation.pool_search import PoolSearchSettings, pool_search
 from warpav.optimisation.rig_limits import RigLimits
-from warpav.optimisation.search import SearchSpace
 from warpav.optimisation.selection.select import select
 from warpav.optimisation.single_cameras import SingleCameras
+from warpav.optimisation.space import SearchSpace
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.raster.renderer import Renderer

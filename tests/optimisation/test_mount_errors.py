@@ -18,13 +18,13 @@ from tests.optimisation.test_pool_search import SMALL
 from warpav.core.errors import InputError
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.misplaced_cameras import MisplacedCameras
+from warpav.optimisation.miss_rate import expected_miss_rate
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, MIRROR
 from warpav.optimisation.mount_errors import COLUMNS, MountErrors
-from warpav.optimisation.polish import expected_miss_rate
 from warpav.optimisation.pool import spread_mount_poses
 from warpav.optimisation.pool_search import pool_search
 from warpav.optimisation.rig_limits import RigLimits
+from warpav.optimisation.single_cameras import MisplacedCameras
 from warpav.raster.camera import CameraModel
 
 ERRORS = MountErrors(0.05, 0.04)

@@ -7,14 +7,15 @@ import pytest
 
 from tests.driving_scene import EGO_TOP_M, flat_surface, roof, street
 from warpav.core.errors import InputError
-from warpav.optimisation.constraints import BoundsAndSpacing, ZoneAndSpacing
+from warpav.optimisation.baselines import PLACE_STEP_M, move_to_vehicle
+from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.mount import CameraMount
-from warpav.optimisation.moved_preset import PLACE_STEP_M, move_to_vehicle
 from warpav.raster.camera import CameraModel
 from warpav.rig.mount_surface import mount_surface_from_mesh
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.town.town import town_scene
+from warpav.thesis.constraints import BoundsAndSpacing
 
 MODEL = CameraModel(64, 64, math.pi / 2)
 

@@ -12,7 +12,7 @@ from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.oracle import thesis
 from warpav.core.errors import InputError
 from warpav.detection.observe import Observation
-from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount, views_of_rig
 from warpav.raster.areas import AMODAL_AREA, BOX_AREA, LEFT, RIGHT, VISIBLE_AREA
 from warpav.raster.camera import CameraModel
@@ -87,7 +87,7 @@ class FamiliarDetector:
 @pytest.mark.equation(1, 14, 16)
 @pytest.mark.parametrize("occlusion", [Occlusion.PAIRWISE, pytest.param(Occlusion.EXACT, marks=pytest.mark.slow)])
 def test_gradient_matches_differences_of_a_supersampled_objective(device, occlusion):
-    # the in-frame loss is left out: it holds bearings fixed by design (tests/optimisation/test_losses.py)
+    # the in-frame loss is left out: it holds bearings fixed by design (tests/thesis/test_losses.py)
     settings = {"in_frame_rotation": 0.0, "detected_area": 10.0, "min_detected_area": 1.0, "occlusion": occlusion}
     multiplier = np.array([0.3, 0.2], np.float32)
     scenes = assigned_scenes(device)

@@ -7,9 +7,9 @@ import warp as wp
 from tests.driving_scene import ConstantDetector, packed_street, roof
 from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.optimisation.test_missed import POSE, probability_model
-from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.losses.loss import LossSchedule
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import CameraMount
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.buffers import Buffers

@@ -24,7 +24,7 @@ from warpav.core.executor import Executor
 from warpav.core.progress import NullProgress
 from warpav.optimisation import pool as module
 from warpav.optimisation import pool_cache
-from warpav.optimisation.constraints import BoundsAndSpacing, ZoneAndSpacing
+from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
@@ -36,6 +36,7 @@ from warpav.raster.lens import Lens
 from warpav.raster.renderer import Renderer
 from warpav.rig.mount_surface import MountSurface
 from warpav.scene.device_scene import DeviceScene
+from warpav.thesis.constraints import BoundsAndSpacing
 
 MODEL = CameraModel(64, 64, math.pi / 2)
 

@@ -9,9 +9,9 @@ from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from tests.optimisation.test_pool_search import SMALL
 from warpav.core.errors import InputError
-from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
+from warpav.optimisation.objective import single_cameras_of
 from warpav.optimisation.pool_descent import PoolDescent
-from warpav.optimisation.rig_values import single_cameras_of
 from warpav.optimisation.settings import LossSettings
 
 

@@ -13,7 +13,7 @@ from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from warpav.core.errors import InputError
 from warpav.optimisation import pool as pool_module
 from warpav.optimisation import pool_search as module
-from warpav.optimisation.polish import expected_miss_rate
+from warpav.optimisation.miss_rate import expected_miss_rate
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_search import PoolSearchSettings, _Assembly, pool_search, too_near
 

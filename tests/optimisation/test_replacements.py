@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from warpav.optimisation.polish import expected_miss_rate
+from warpav.optimisation.miss_rate import expected_miss_rate
 from warpav.optimisation.replacements import Replacements, joined
 
 UNIT = np.array([0.2, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0])

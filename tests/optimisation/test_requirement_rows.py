@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from warpav.core.errors import InputError
-from warpav.optimisation.requirement_rows import require_meetable, requirement_rows, unmeetable_requirements
+from warpav.optimisation.required_points import require_meetable, requirement_rows, unmeetable_requirements
 from warpav.optimisation.selection.select import select
 from warpav.requirements.area import Band
 from warpav.requirements.requirement import Ghosts, Requirement

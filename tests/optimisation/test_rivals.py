@@ -12,27 +12,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.driving_scene import flat_surface, roof
-from tests.optimisation.test_descent import SETTINGS, changed, street_objective, street_scenes
+from tests.thesis.test_descent import street_objective, street_scenes
 from warpav.core.errors import InputError
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
-from warpav.optimisation.constraints import BoundsAndSpacing, ZoneAndSpacing
-from warpav.optimisation.descent import Descent
+from warpav.optimisation.budget import BudgetedValue, SearchRecord, run_search
+from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.rivals import (
-    GradientStage,
     _candidates,
     cma_es,
-    cma_then_gradient,
     detections_of,
     differential_evolution,
-    gradient_search,
     greedy_cover,
     highest,
     random_search,
     sobol_search,
 )
-from warpav.optimisation.search import BudgetedValue, BudgetSpentError, SearchRecord, SearchSpace, run_search
+from warpav.optimisation.space import SearchSpace
 from warpav.raster.camera import CameraModel
+from warpav.thesis.constraints import BoundsAndSpacing
 
 SPACING_M = 0.2
 MOUNT = CameraMount(roof(), camera=CameraModel(64, 64, math.pi / 2), height_offset_m=0.25)
@@ -256,25 +254,6 @@ def test_a_budget_too_small_for_one_value_is_refused(renders, each):
         search(random_search, renders=renders, each=each)
 
 
-def test_within_ends_the_block_and_not_the_search():
-    budget = budget_of(bowl(2), space_of(2), scenes=2, rigs=5)
-    rng = np.random.default_rng(0)
-    reached = False
-    with budget.within(10):
-        while True:
-            budget(budget.space.random(rng))
-    assert budget.camera_renders == 8
-    with budget.within(100):
-        reached = True
-    assert reached
-    assert budget.rigs_left == 3
-    budget.spend(12)
-    with pytest.raises(BudgetSpentError):
-        budget(budget.space.random(rng))
-    assert budget.camera_renders == 20
-    assert len(budget.history) == 2
-
-
 def test_only_feasible_rigs_are_recorded():
     budget = budget_of(bowl(2), space_of(2), scenes=2, rigs=5)
     with pytest.raises(ValueError, match="only rigs that satisfy the constraints"):
@@ -460,8 +439,6 @@ class Counted:
     "method",
     [
         pytest.param(random_search, id="random"),
-        pytest.param(gradient_search, id="gradient"),
-        pytest.param(cma_then_gradient, id="cma_then_gradient", marks=needs_cma),
         pytest.param(greedy_cover, id="greedy"),
     ],
 )
@@ -469,8 +446,6 @@ def test_renders_are_counted_as_they_are_made(method, renders):
     objective, scenes = Counted(), street_scenes()
     budget = street_budget(objective, scenes, renders)
     options = {}
-    if method in (gradient_search, cma_then_gradient):
-        options["stage"] = GradientStage(objective, scenes, SETTINGS, batch_size=2)
     if method is greedy_cover:
         options |= {"detections": detections_of(objective, scenes), "yaw_count": 4}
     result = run_search(functools.partial(method, **options), budget, np.random.default_rng(0))
@@ -479,52 +454,6 @@ def test_renders_are_counted_as_they_are_made(method, renders):
     assert budget.space.violation_m(result.mount_pose) == 0.0
     again = objective.evaluate(result.mount_pose, scenes).objective
     assert again == pytest.approx(result.value, rel=1e-6)
-
-
-@pytest.mark.parametrize("keep", ["best", "last"])
-@pytest.mark.parametrize("renders", [7, 8, 30, 31, 60])
-def test_gradient_stage_takes_all_the_steps_that_the_budget_pays_for(keep, renders):
-    stage = GradientStage(None, street_scenes(), changed(keep=keep), batch_size=2)
-    count = stage.iterations(3 * renders, camera_count=3)
-    assert (count == 0) == (renders < 2 + 2 * 3)
-    looks = 1 + (1 + (count - 1) // 5 if keep == "best" else 1)
-    assert 2 * count + 3 * looks <= renders or count == 0
-    more = 2 * (count + 1) + 3 * (1 + (1 + count // 5 if keep == "best" else 1))
-    assert more > renders
-
-
-@needs_cma
-def test_the_gradient_goes_on_from_where_cma_stopped():
-    objective, scenes = street_objective(), street_scenes()
-    stage = GradientStage(objective, scenes, SETTINGS, batch_size=2)
-    budget = street_budget(objective, scenes, 120)
-    result = run_search(functools.partial(cma_then_gradient, stage=stage), budget, np.random.default_rng(0))
-    by_cma = [each for each in result.history if each.camera_renders <= 120]
-    after = [each for each in result.history if each.camera_renders > 120]
-    assert len(by_cma) == 20
-    # its first look is at the rig that CMA-ES found
-    assert after[0].best_value == by_cma[-1].best_value
-    assert result.value <= by_cma[-1].best_value
-    assert len(after) >= 4
-
-
-def test_a_descent_that_fails_keeps_its_best(monkeypatch):
-    objective, scenes = street_objective(), street_scenes()
-    steps = []
-
-    def step(self):
-        steps.append(self._check(self.mount_pose))
-        if len(steps) == 3:
-            raise InputError("no longer finite")
-
-    monkeypatch.setattr(Descent, "step", step)
-    stage = GradientStage(objective, scenes, SETTINGS, batch_size=2)
-    result = run_search(
-        functools.partial(gradient_search, stage=stage), street_budget(objective, scenes, 60), np.random.default_rng(0)
-    )
-    assert result.error == "InputError: no longer finite"
-    assert result.value == min(step.training_objective for step in steps)
-    assert len(result.history) == 3
 
 
 @pytest.mark.parametrize("name", ["greedy", "random", "sobol"])

@@ -6,8 +6,8 @@ import warp as wp
 
 from tests.driving_scene import packed_street, roof
 from tests.optimisation.objectives import OneScene, thesis_losses
-from warpav.optimisation.assignment import AssignedScene
-from warpav.optimisation.losses.options import Reference
+from warpav.optimisation.losses.loss import Reference
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import CameraMount
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion

@@ -12,7 +12,7 @@ from tests.optimisation.test_pool_search import SMALL, short_refinement
 from warpav.core.errors import InputError
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.optimisation.search_journal import SearchJournal, _Sparse
-from warpav.optimisation.selection.branching import Search
+from warpav.optimisation.selection.select import BranchAndBound
 from warpav.optimisation.single_cameras import SingleCameras
 
 REFINED = dataclasses.replace(SMALL, pool_cameras=12, rounds=1, refinements=1)
@@ -120,7 +120,7 @@ def test_what_was_rendered_with_jacobians_is_not_rendered_again(whole, monkeypat
 
 def test_an_interrupted_selection_is_made_again(whole, monkeypatch):
     records, _, _ = whole
-    run, calls = Search.run, []
+    run, calls = BranchAndBound.run, []
 
     def interrupted_later(self):
         calls.append(None)
@@ -130,7 +130,7 @@ def test_an_interrupted_selection_is_made_again(whole, monkeypatch):
 
     stopped = begun()
     with monkeypatch.context() as patch:
-        patch.setattr(Search, "run", interrupted_later)
+        patch.setattr(BranchAndBound, "run", interrupted_later)
         with pytest.raises(KeyboardInterrupt):
             all_of(stopped)
     assert stopped.found.stage == "selection"

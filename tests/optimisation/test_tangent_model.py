@@ -5,7 +5,8 @@ import pytest
 
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import mount_of, poses_of
-from warpav.optimisation.polish import expected_miss_rate, polish
+from warpav.optimisation.miss_rate import expected_miss_rate
+from warpav.optimisation.polish import polish
 from warpav.optimisation.tangent_model import CONTRADICTION, Rendered, TangentModel
 
 SLOPE = np.random.default_rng(0).normal(size=(3, 5, 7))  # [camera, object, number]

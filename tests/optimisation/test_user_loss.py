@@ -6,13 +6,13 @@ import pytest
 from tests.driving_scene import ConstantDetector, packed_street, roof
 from tests.optimisation.test_missed import POSE, probability_model
 from warpav.core.errors import InputError
-from warpav.optimisation.assignment import AssignedScene
-from warpav.optimisation.losses import ExpectedMissRate
-from warpav.optimisation.losses.scene_on_tape import CameraProbability
+from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
+from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
 from warpav.optimisation.mount import YAW_RAD, CameraMount
-from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.objective import ObjectiveOptions, RigObjective
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
+from warpav.thesis.constraints import BoundsAndSpacing
 
 MODEL = CameraModel(128, 128)
 
@@ -24,7 +24,8 @@ def objective_of(*losses, device="cpu"):
         camera_count=2,
         losses=losses,
         camera_probability=CameraProbability(probability_model(np.random.default_rng(3))),
-        occlusion=Occlusion.EXACT,
+        constraints=BoundsAndSpacing(roof()),
+        options=ObjectiveOptions(occlusion=Occlusion.EXACT),
     )
 
 

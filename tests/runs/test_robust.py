@@ -9,10 +9,10 @@ import warpav as wa
 from warpav.core.errors import InputError
 from warpav.experiments.result_folder import unseeded
 from warpav.optimisation.camera_loss import RobustObjective
-from warpav.optimisation.misplaced_cameras import MisplacedCameras
+from warpav.optimisation.miss_rate import expected_miss_rate
 from warpav.optimisation.mount_errors import MountErrors
-from warpav.optimisation.polish import expected_miss_rate
-from warpav.optimisation.rig_values import single_cameras_of
+from warpav.optimisation.objective import single_cameras_of
+from warpav.optimisation.single_cameras import MisplacedCameras
 from warpav.runs.config import Config, changed_config, dump_config, load_config
 from warpav.runs.verdict import robust_text
 

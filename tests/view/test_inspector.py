@@ -10,7 +10,6 @@ from tests.driving_scene import ConstantDetector, flat_surface
 from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
 from warpav.evaluation.coverage import PATCH_M, Ground
 from warpav.evaluation.metrics import RigObserver
-from warpav.optimisation.constraints import BoundsAndSpacing
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.raster.decide import Occlusion
 from warpav.requirements.area import Band
@@ -19,6 +18,7 @@ from warpav.requirements.requirement import Requirement
 from warpav.requirements.test_object import SIZES_M, TestObject
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import Rig, read_rig
+from warpav.thesis.constraints import BoundsAndSpacing
 from warpav.view.descent_view import Steepest
 from warpav.view.further_view import ARROW_M, TITLE
 from warpav.view.inspected import InspectedRig

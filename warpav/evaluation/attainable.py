@@ -12,10 +12,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from warpav.optimisation.assignment import AssignedScene
-from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
+from warpav.optimisation.objective import RigObjective, single_cameras_of
 from warpav.optimisation.pool import spread_mount_poses
-from warpav.optimisation.rig_values import single_cameras_of
 
 CAMERAS = 128
 """Cameras that are spread over the mount."""

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from warpav.optimisation.polish import expected_miss_rate, shares_of
+from warpav.optimisation.miss_rate import expected_miss_rate, shares_of
 
 
 @dataclass(frozen=True)

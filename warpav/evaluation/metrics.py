@@ -25,9 +25,8 @@ from warpav.detection.observe import Observation, observe
 from warpav.detection.probability import Appearance
 from warpav.evaluation.own_body import body_shares
 from warpav.evaluation.redundancy import redundancy
-from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.constraints import min_camera_distance_m
-from warpav.optimisation.losses.scene_on_tape import CameraProbability
+from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
 from warpav.optimisation.mount import CameraMount, PlacedViews, views_of_rig
 from warpav.optimisation.objective import RigObjective
 from warpav.raster.areas import AMODAL_AREA, Measures
@@ -493,10 +492,10 @@ def observe_scenes(
         observer = RigObserver(
             rig,
             objective.detector,
-            confidence_min=objective.confidence_min,
-            iou_min=objective.iou_min,
-            occlusion=objective.occlusion,
-            supersampling=objective.supersampling,
+            confidence_min=objective.options.confidence_min,
+            iou_min=objective.options.iou_min,
+            occlusion=objective.options.occlusion,
+            supersampling=objective.options.supersampling,
             device=objective.device,
             probability_of=objective.probability_of if with_probability or has_objective else None,
         )
@@ -525,7 +524,7 @@ def false_alarm_confidences(seen: SceneObservations, objective: RigObjective) ->
     """
     every_size, alarms = [(0.0, math.inf)], [np.zeros(0)]
     for images in _image_boxes(seen.scenes, [each.observations for each in seen.observations]):
-        scores = score_images(images, iou_min=[objective.iou_min], area_px2=every_size)
+        scores = score_images(images, iou_min=[objective.options.iou_min], area_px2=every_size)
         alarms.append(scores.confidence[scores.counts[0, 0] & ~scores.true_positive[0, 0]])
     return np.sort(np.concatenate(alarms))[::-1]
 
@@ -567,7 +566,7 @@ def metrics_of(
     flags = np.concatenate(visible), np.concatenate(detected)
     whole = GroupRecall.of(*flags)
     threshold = boxes.confidence_at(EQUAL_FALSE_ALARMS_PER_FRAME)
-    detected_there = [each.is_detected_at(threshold, objective.iou_min) for each in observations]
+    detected_there = [each.is_detected_at(threshold, objective.options.iou_min) for each in observations]
     of_scene = [GroupRecall.of(*both) for both in zip(visible, detected, strict=True)]
     body_share = body_shares(rig, scenes[0]) if scenes else {}  # all scenes are around the same vehicle
     weights = None if objective.importance is None else [objective.importance.weights(scene) for scene in scenes]
@@ -675,12 +674,14 @@ class _Boxes:
         images = _image_boxes(scenes, observations)
         shape = (len(scenes), len(images[0]) // max(len(scenes), 1))
         # the last threshold is that of a true positive, for the false alarms
-        scores = [score_images(each, iou_min=(*COCO_IOU, objective.iou_min)) for each in images]
+        scores = [score_images(each, iou_min=(*COCO_IOU, objective.options.iou_min)) for each in images]
         self.false_alarms = np.zeros(shape, np.int64)
-        self._confidence_min = objective.confidence_min
+        self._confidence_min = objective.options.confidence_min
         alarms = [np.zeros(0)]
         for each in scores:
-            is_false = each.counts[0, -1] & ~each.true_positive[0, -1] & (each.confidence >= objective.confidence_min)
+            is_false = (
+                each.counts[0, -1] & ~each.true_positive[0, -1] & (each.confidence >= objective.options.confidence_min)
+            )
             alarms.append(each.confidence[is_false])
             self.false_alarms += np.bincount(each.image[is_false], minlength=self.false_alarms.size).reshape(shape)
         self._alarm_confidence = np.sort(np.concatenate(alarms))[::-1]

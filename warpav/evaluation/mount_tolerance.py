@@ -15,8 +15,8 @@ import numpy as np
 from warpav.core.errors import ArgumentError
 from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.rig_evaluation import Table
+from warpav.optimisation.miss_rate import expected_miss_rate, expected_miss_slope, shares_of
 from warpav.optimisation.mount_errors import COLUMNS, MountErrors, outside_skin
-from warpav.optimisation.polish import expected_miss_rate, expected_miss_slope, shares_of
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.scene.device_scene import DeviceScene
 

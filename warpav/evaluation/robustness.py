@@ -17,7 +17,7 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.frames import rotation_from_yaw_pitch_roll
 from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.rig_evaluation import Table
-from warpav.optimisation.polish import expected_miss_rate, shares_of
+from warpav.optimisation.miss_rate import expected_miss_rate, shares_of
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion

@@ -22,18 +22,22 @@ from typing import Any
 import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError, install_text
-from warpav.optimisation.baselines import edge_mount_pose, highest_mount_pose, random_mount_pose
+from warpav.optimisation.baselines import edge_mount_pose, highest_mount_pose, move_to_vehicle, random_mount_pose
+from warpav.optimisation.budget import (
+    BudgetedValue,
+    Search,
+    SearchRecord,
+    SearchResult,
+    SingleCameraValues,
+    rig_values_of,
+    run_search,
+)
 from warpav.optimisation.constraints import Constraints
-from warpav.optimisation.descent import Descent
-from warpav.optimisation.moved_preset import move_to_vehicle
 from warpav.optimisation.polish import polish
 from warpav.optimisation.pool_descent import PoolDescent
-from warpav.optimisation.rig_values import SingleCameraValues, rig_values_of
 from warpav.optimisation.rivals import (
     Draw,
-    affordable_iterations,
     cma_es,
-    descent_camera_renders,
     detections_of,
     differential_evolution,
     greedy_cover,
@@ -43,9 +47,8 @@ from warpav.optimisation.rivals import (
     sobol_rigs,
     sobol_search,
 )
-from warpav.optimisation.search import BudgetedValue, Search, SearchRecord, SearchResult, SearchSpace, run_search
-from warpav.optimisation.segregation import BatchChooser
 from warpav.optimisation.selection.select import Selection
+from warpav.optimisation.space import SearchSpace
 from warpav.raster.camera import CameraModel
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig
@@ -55,6 +58,8 @@ from warpav.runs.optimise import Optimisation, pool_search_settings, searches_by
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.preset_rigs import know_cameras
 from warpav.runs.rig_source import read_start
+from warpav.thesis.descent import Descent, affordable_iterations, descent_camera_renders
+from warpav.thesis.segregation import BatchChooser
 
 CMA_SHARE = 0.5
 """Share of the budget that CMA-ES has before the gradient method takes over."""

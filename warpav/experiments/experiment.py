@@ -36,10 +36,10 @@ from warpav.experiments.result_folder import (
     results_in,
     unseeded,
 )
-from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.baselines import highest_mount_pose
-from warpav.optimisation.polish import expected_miss_rate, shares_of
-from warpav.optimisation.rig_values import SingleCameraValues, rig_values_of
+from warpav.optimisation.budget import SingleCameraValues, rig_values_of
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
+from warpav.optimisation.miss_rate import expected_miss_rate, shares_of
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import write_rig
 from warpav.runs.commit import running_commit

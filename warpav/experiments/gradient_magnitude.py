@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpav.optimisation.adamw import AdamW
-from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.baselines import random_mount_pose
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD
 from warpav.optimisation.objective import RigObjective
-from warpav.optimisation.segregation import BatchChooser
 from warpav.optimisation.settings import OptimiserSettings
+from warpav.thesis.descent import AdamW
+from warpav.thesis.segregation import BatchChooser
 
 LOSS_OF = {
     "OOB": "out_of_bounds",

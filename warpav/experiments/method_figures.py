@@ -37,8 +37,8 @@ from warpav.view.figures.rigs import OptimisedRig, SceneViews
 from warpav.view.figures.style import checked_png
 
 if TYPE_CHECKING:
-    from warpav.optimisation.descent import Descent
     from warpav.optimisation.pool_descent import PoolDescent
+    from warpav.thesis.descent import Descent
 
 _UNCONSTRAINED = ("optimiser.multiplier_learning_rate=0", "optimiser.multiplier_damping=0")
 

@@ -359,7 +359,7 @@ def object_record(seen: SceneObservations, objective: RigObjective) -> dict[str,
     return {
         "images": len(seen.scenes) * len(seen.rig.cameras),
         "false_alarm_confidence": false_alarm_confidences(seen, objective),
-        "detected_up_to": [each.detected_up_to(objective.iou_min) for each in seen.observations],
+        "detected_up_to": [each.detected_up_to(objective.options.iou_min) for each in seen.observations],
     }
 
 

@@ -20,7 +20,7 @@ from warpav.experiments.result_folder import RESULTS, read_json
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.importance import Importance
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
-from warpav.optimisation.polish import expected_miss_rate, shares_of
+from warpav.optimisation.miss_rate import expected_miss_rate, shares_of
 from warpav.optimisation.pool_search import Found, PoolSearchSettings, pool_search
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.decide import Occlusion

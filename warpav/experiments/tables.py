@@ -13,8 +13,8 @@ import numpy as np
 from warpav.evaluation.metrics import EQUAL_FALSE_ALARMS_PER_FRAME
 from warpav.evaluation.statistics import RESAMPLES, Difference, compare_arms, paired_difference, run_spread
 from warpav.experiments.gradient_magnitude import LOSS_OF, pooled_magnitudes
-from warpav.experiments.thesis_tables import WARNING, thesis_table
 from warpav.runs.terminal import Group, TerminalTable, shown
+from warpav.thesis.tables import WARNING, thesis_table
 
 Results = Mapping[str, Sequence[Mapping[str, Any]]]
 """Results by arm, and of each arm by run seed (`warpav.experiments.experiment.read_results`)."""

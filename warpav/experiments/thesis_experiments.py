@@ -13,9 +13,9 @@ from warpav.experiments.experiment import GRADIENTS, Experiment, Finished, run_e
 from warpav.experiments.gradient_magnitude import LOSS_OF, THESIS_RUNS
 from warpav.experiments.summary import write_summary
 from warpav.experiments.tables import result_table
-from warpav.experiments.thesis_tables import TABLES, thesis_table
 from warpav.optimisation.losses.registry import LOSSES
 from warpav.runs.config import Config
+from warpav.thesis.tables import TABLES, thesis_table
 
 RUNS = 5
 """Runs of an arm in the thesis's tables II to IV."""

@@ -24,12 +24,10 @@ import numpy as np
 from scipy import sparse
 
 from warpav.core.errors import ArgumentError
-from warpav.optimisation.selection.branching import TOLERANCE
-from warpav.optimisation.selection.exchange import fits, random_rig
-from warpav.optimisation.selection.price import Price
-from warpav.optimisation.selection.problem import Row, SelectionProblem
-from warpav.optimisation.selection.select import STARTS, Ended, Selection, select
-from warpav.optimisation.tangent_model import SUREST
+from warpav.optimisation.miss_rate import SUREST
+from warpav.optimisation.selection.problem import Row, SelectionProblem, fits, random_rig
+from warpav.optimisation.selection.relaxation import Price
+from warpav.optimisation.selection.select import STARTS, TOLERANCE, Ended, Selection, select
 
 MOST_EXCHANGES, EXCHANGE_TIME = 8, 0.25
 """Times `STARTS` random rigs that are exchanged, and the share of a selection's time after which no more are."""

@@ -19,14 +19,13 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from warpav.optimisation.constraints import Constraints
+from warpav.optimisation.miss_rate import further_gain, missed_probability
 from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, YAW_RAD, CameraMount
-from warpav.optimisation.polish import SUREST
 from warpav.optimisation.pool_cache import pose_keys
 
 PLACE_M = 0.2
 """Cameras that stand nearer to each other than this have one place."""
 _SHOWN = 10
-_BLOCK = 512
 _COLUMNS = ("gain", "x [m]", "y [m]", "z [m]", "yaw [deg]", "pitch [deg]", "fov [deg]")
 
 
@@ -105,32 +104,6 @@ class FurtherCameras:
             "<tr>" + "".join(f"<td>{value:.2f}</td>" for value in row.values()) + "</tr>" for row in self.rows()
         )
         return f"<table><tr>{heading}</tr>{lines}</table>"
-
-
-def missed_probability(detection_probability: np.ndarray) -> np.ndarray:
-    """The probability that a rig misses each object, cameras erring independently: the product of 1 - p, [object].
-
-    Args:
-        detection_probability: Of each camera of the rig for each object, 0..1, float [camera, object].
-    """
-    return np.prod(1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST), axis=0)
-
-
-def further_gain(missed: np.ndarray, detection_probability: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
-    """The gain of each camera over a rig, 0..1, float64 [camera]; see the module.
-
-    Args:
-        missed: The probability that the rig misses each object, 0..1, float [object].
-        detection_probability: Of each further camera for each object, 0..1, float [camera, object].
-        weight: Of each object, at least 0, not all 0, float [object]; None: all alike.
-    """
-    if weight is not None:
-        missed = missed * (weight / np.mean(weight))
-    gain = np.empty(len(detection_probability))
-    for first in range(0, len(gain), _BLOCK):  # matrices may be large, and kept in half precision
-        found = np.asarray(detection_probability[first : first + _BLOCK], np.float64)
-        gain[first : first + _BLOCK] = np.minimum(found, SUREST) @ missed
-    return gain / len(missed)
 
 
 def further_cameras(

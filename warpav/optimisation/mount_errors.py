@@ -5,6 +5,13 @@ polynomial of the six degrees of freedom, each even within its tolerance.
 
 Source: Stroud 1957, Remarks on the disposition of points in numerical integration formulas; the rule C_n 3-1 of
 Stroud 1971, Approximate calculation of multiple integrals.
+
+Cameras that stand and look a little off: what each detects in the mean over errors of its mounting.
+
+The errors of different cameras are independent of each other, and cameras err independently. So the expected share of
+objects that a rig misses, the mean over the errors of all its cameras, is a product of means that know of one camera
+each: ``E[prod_i (1 - p_i(e_i))] = prod_i (1 - E[p_i(e_i)])``. A camera that detects with its mean probability is all
+that a pool, a selection, a polish or a price needs to know; what these prove holds of the expectation.
 """
 
 from __future__ import annotations

@@ -17,18 +17,16 @@ from warpav.core.errors import InputError
 from warpav.detection.detector import Detections, Detector
 from warpav.detection.in_loop import DetectorInLoop, RenderedImage
 from warpav.detection.observe import Observation, VisibleObjects, matched_boxes_px, observe, visible_objects
-from warpav.optimisation.assignment import AssignedScene
-from warpav.optimisation.constraints import BoundsAndSpacing, Constraints
-from warpav.optimisation.exchange import Exchange
+from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.importance import Importance
 from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
 from warpav.optimisation.losses.lagrangian import Lagrangian
 from warpav.optimisation.losses.loss import DetectedImages, DeviceLoss, HostLoss, Loss, LossSchedule, Needs
-from warpav.optimisation.losses.scene_on_tape import CameraProbability, SceneOnTape
+from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability, SceneOnTape
 from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
+from warpav.optimisation.miss_rate import expected_miss_rate, expected_miss_slope, shares_of
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, views_of_rig
-from warpav.optimisation.polish import expected_miss_rate, expected_miss_slope, shares_of
-from warpav.optimisation.scene_step import Objective, RigViews, SceneLosses, SceneStep
+from warpav.optimisation.scene_step import Exchange, Objective, RigViews, SceneLosses, SceneStep
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.areas import Measures
 from warpav.raster.camera import CameraModel
@@ -82,6 +80,25 @@ class _Observed:
     camera: list[int]
 
 
+@dataclass(frozen=True)
+class ObjectiveOptions:
+    """How scenes are looked at, and how constraints count.
+
+    Attributes:
+        confidence_min: Least confidence of a true positive.
+        iou_min: Least intersection over union of a true positive.
+        occlusion: What hides a vehicle.
+        supersampling: Samples per pixel along each axis.
+        multiplier_damping: Damping of the multipliers, at least 0; 0 as in the thesis.
+    """
+
+    confidence_min: float = 0.1
+    iou_min: float = 0.5
+    occlusion: Occlusion = Occlusion.PAIRWISE
+    supersampling: int = 1
+    multiplier_damping: float = 0.0
+
+
 class RigObjective:
     """What a rig is worth on some scenes: a weighted sum of losses, under constraints.
 
@@ -102,14 +119,10 @@ class RigObjective:
         *,
         camera_count: int,
         losses: Sequence[tuple[float, Loss | LossFunction]],
+        constraints: Constraints,
         camera_probability: CameraProbability | Sequence[CameraProbability] | None = None,
-        constraints: Constraints | None = None,
-        multiplier_damping: float = 0.0,
-        confidence_min: float = 0.1,
-        iou_min: float = 0.5,
-        occlusion: Occlusion = Occlusion.PAIRWISE,
-        supersampling: int = 1,
         importance: Importance | None = None,
+        options: ObjectiveOptions | None = None,
     ) -> None:
         """Objective for rigs of ``camera_count`` cameras of the mount's model.
 
@@ -119,15 +132,11 @@ class RigObjective:
             camera_count: Number of cameras, at least 1.
             losses: Every loss with its weight, at least 0; those of weight 0 are left out. A function of the detection
                 probabilities and the objects is a loss as well, see `LossFunction`.
+            constraints: Where the cameras may stand.
             camera_probability: How likely a camera is to detect, or of a mount of modules how likely each of these is;
                 some losses need it.
-            constraints: Where the cameras may stand; None: the thesis's bounds, 0.2 m apart.
-            multiplier_damping: Damping of the multipliers, at least 0; 0 as in the thesis.
-            confidence_min: Least confidence of a true positive.
-            iou_min: Least intersection over union of a true positive.
-            occlusion: What hides a vehicle.
-            supersampling: Samples per pixel along each axis.
             importance: Weights of the objects; None: all 1.
+            options: How scenes are looked at.
 
         Raises:
             InputError: There is no loss, two have one name, or one needs something that is not there: the detection
@@ -143,12 +152,9 @@ class RigObjective:
         self._probabilities = tuple(given or ())
         self._others: dict[CameraModel, CameraProbability] = {}
         self._check()
-        self.constraints: Constraints = constraints or BoundsAndSpacing(mount.surface)
+        self.constraints = constraints
         self.camera_count = camera_count
-        self.confidence_min = confidence_min
-        self.iou_min = iou_min
-        self.occlusion = occlusion
-        self.supersampling = supersampling
+        self.options = options = options or ObjectiveOptions()
         self.importance = importance
         self.device = mount.device
         self.final_schedule = LossSchedule(detector_share=max(loss.detector_share for _, loss in self.losses))
@@ -166,7 +172,7 @@ class RigObjective:
         self._lagrangian = Lagrangian(
             device_weights,
             constraint_count,
-            damping=multiplier_damping,
+            damping=options.multiplier_damping,
             are_inequalities=self.constraints.are_inequalities,
             scale=self.constraint_scale,
             repeats=len(self.losses),
@@ -250,7 +256,7 @@ class RigObjective:
         """Its cameras each by itself; only where `is_by_single_cameras`."""
         assert self.is_by_single_cameras
         probability = self._probabilities if self.mount.is_mixed else self._probabilities[0]
-        return SingleCameras(self.mount, probability, self.occlusion, self.supersampling)
+        return SingleCameras(self.mount, probability, self.options.occlusion, self.options.supersampling)
 
     @property
     def needs_panorama(self) -> bool:
@@ -456,8 +462,8 @@ class RigObjective:
             renderers = [
                 Renderer(
                     [self.mount.camera] * (self.camera_count * rotation_count),
-                    supersampling=self.supersampling,
-                    occlusion=self.occlusion,
+                    supersampling=self.options.supersampling,
+                    occlusion=self.options.occlusion,
                     device=self.device,
                     foreground_layer=self._needs(schedule).unblocked_area,
                 )
@@ -473,7 +479,7 @@ class RigObjective:
         """
         camera = self.mount.camera
         pixels = self.camera_count * rotation_count * camera.width_px * camera.height_px
-        if wp.get_device(self.device).is_cuda or pixels * self.supersampling**2 > _HELD_SAMPLES_MAX:
+        if wp.get_device(self.device).is_cuda or pixels * self.options.supersampling**2 > _HELD_SAMPLES_MAX:
             return 1
         return 2 * _SCENES_PER_QUESTION
 
@@ -569,7 +575,9 @@ class RigObjective:
         detections = [Detections.none()] * self.camera_count
         for camera, each in zip(observed.camera, found, strict=True):
             detections[camera] = each
-        match = observed.seen.match(detections, confidence_min=self.confidence_min, iou_min=self.iou_min)
+        match = observed.seen.match(
+            detections, confidence_min=self.options.confidence_min, iou_min=self.options.iou_min
+        )
         observed.step.set_boxes(matched_boxes_px(match, detections))
         observed.step.set_detected(match >= 0)
 
@@ -595,8 +603,8 @@ class RigObjective:
             scene,
             self.detector,
             forward_view=at.ahead,
-            confidence_min=self.confidence_min,
-            iou_min=self.iou_min,
+            confidence_min=self.options.confidence_min,
+            iou_min=self.options.iou_min,
         )
         box_px = np.zeros((renderer.view_count, scene.vehicle_count, 4), np.float32)
         box_px[at.ahead] = observation.matched_box_px()
@@ -641,3 +649,8 @@ def _side_by_side(losses: Sequence[SceneLosses]) -> np.ndarray | None:
     """Detection probabilities of all scenes, float [camera, object]; None where no loss knows them."""
     found = [each.detection_probability.numpy() for each in losses if each.detection_probability is not None]
     return np.concatenate(found, axis=1) if found else None
+
+
+def single_cameras_of(objective: RigObjective) -> SingleCameras | None:
+    """The cameras of an objective, where a rig's value follows from what each of them detects by itself; else None."""
+    return objective.single_cameras if objective.is_by_single_cameras else None

@@ -24,9 +24,9 @@ from threadpoolctl import threadpool_limits
 
 from warpav.optimisation.camera_loss import SOFTNESS, RobustObjective
 from warpav.optimisation.constraints import Constraints
-from warpav.optimisation.hard_points import Edges, HardPoints, Margins
+from warpav.optimisation.miss_rate import expected_miss_rate
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.tangent_model import REACH, SUREST, TANGENTS, Rendered, TangentModel
+from warpav.optimisation.tangent_model import REACH, TANGENTS, Edges, HardPoints, Margins, Rendered, TangentModel
 
 Detected = tuple[np.ndarray, np.ndarray]
 """The probability that each camera detects each object [camera, object], and its Jacobian [camera, object, 7]."""
@@ -58,38 +58,6 @@ class PolishStep:
     promised: float
     radius: float
     camera_renders: int
-
-
-def expected_miss_rate(detection_probability: np.ndarray, weight: np.ndarray | None = None) -> float:
-    """Share of the objects that a rig misses, cameras erring independently: the weighted mean of the products of 1 - p.
-
-    Args:
-        detection_probability: Of each camera for each object, float [camera, object].
-        weight: Of each object, their sum 1, float [object]; None: all alike.
-    """
-    missed = np.prod(1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST), axis=0)
-    return float(missed.mean() if weight is None else weight @ missed)
-
-
-def expected_miss_slope(
-    detection_probability: np.ndarray, jacobian: np.ndarray, weight: np.ndarray | None = None
-) -> np.ndarray:
-    """Derivatives of `expected_miss_rate` to the mount poses, float64 [camera, 7].
-
-    Args:
-        detection_probability: Of each camera for each object, float [camera, object].
-        jacobian: Of these to the mount poses, float [camera, object, 7].
-        weight: As in `expected_miss_rate`.
-    """
-    missed = 1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST)
-    others = np.stack([np.prod(np.delete(missed, camera, axis=0), axis=0) for camera in range(len(missed))])
-    share = np.full(missed.shape[1], 1.0 / max(missed.shape[1], 1)) if weight is None else weight
-    return -np.einsum("o,co,cok->ck", share, others, jacobian)
-
-
-def shares_of(weight: np.ndarray | None) -> np.ndarray | None:
-    """Weights of objects, at least 0 and not all 0, divided by their sum, as `expected_miss_rate` takes them."""
-    return None if weight is None else np.asarray(weight, np.float64) / np.sum(weight)
 
 
 def polish(

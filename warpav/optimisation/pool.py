@@ -23,7 +23,6 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.executor import Executor
 from warpav.core.progress import NullProgress, Progress
 from warpav.optimisation.constraints import Constraints
-from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.pool_cache import (
     SCENES,
@@ -36,6 +35,7 @@ from warpav.optimisation.pool_cache import (
     rows_of,
     write_arrays,
 )
+from warpav.optimisation.required_points import RequiredPoints
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.scene.device_scene import DeviceScene
 
@@ -133,7 +133,7 @@ class CameraPool:
         cls,
         mount_pose: np.ndarray,
         *,
-        scenes: Sequence[DeviceScene | GhostScene],
+        scenes: Sequence[DeviceScene | RequiredPoints],
         cameras: SingleCameras,
         executor: Executor | None = None,
         cache: Path | None = None,
@@ -197,7 +197,7 @@ class CameraPool:
         is_new = row >= len(self.mount_pose)
         found[len(self.mount_pose) :][is_new] = drawn[row[is_new] - len(self.mount_pose)]
         found[len(self.mount_pose) :][~is_new] = self.detection_probability[row[~is_new]]
-        traffic = [scene for scene in self._source.scenes if not isinstance(scene, GhostScene)]
+        traffic = [scene for scene in self._source.scenes if not isinstance(scene, RequiredPoints)]
         count = sum(scene.vehicle_count for scene in traffic)  # requirements stand behind
         if not (may_see_nothing or found[:, :count].any()):
             raise InputError(
@@ -262,7 +262,7 @@ class CameraPool:
         cls,
         file: Path,
         *,
-        scenes: Sequence[DeviceScene | GhostScene],
+        scenes: Sequence[DeviceScene | RequiredPoints],
         cameras: SingleCameras,
         executor: Executor | None = None,
         cache: Path | None = None,
@@ -292,7 +292,7 @@ class CameraPool:
         return cls(pose, found, source.scene_index, int(counts[0]), int(counts[1]), source)
 
 
-_Place = DeviceScene | GhostScene | Path
+_Place = DeviceScene | RequiredPoints | Path
 """A scene, requirements, or the file that a scene lies in."""
 
 
@@ -319,7 +319,7 @@ class _Chunk:
 class _Source:
     """Where a pool's numbers come from."""
 
-    scenes: tuple[DeviceScene | GhostScene, ...]
+    scenes: tuple[DeviceScene | RequiredPoints, ...]
     cameras: SingleCameras
     executor: Executor
     cache: Path | None

@@ -13,21 +13,20 @@ import numpy as np
 from warpav.core.errors import InputError, OptionError
 from warpav.core.executor import Executor
 from warpav.core.progress import Progress
-from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.camera_loss import RobustObjective, RobustValue
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.further_camera import FurtherCameras, further_cameras
-from warpav.optimisation.ghost_scene import GhostScene
-from warpav.optimisation.history import Candidate, History, IterationRecord, named_part, part_of
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
+from warpav.optimisation.miss_rate import expected_miss_rate, shares_of
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD
 from warpav.optimisation.mount_errors import MountErrors
-from warpav.optimisation.objective import RigObjective
-from warpav.optimisation.polish import expected_miss_rate, shares_of
+from warpav.optimisation.objective import RigObjective, single_cameras_of
 from warpav.optimisation.pool import CameraPool
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import Found, PoolSearchSettings, pool_search
+from warpav.optimisation.records import Candidate, IterationRecord, named_part, part_of
+from warpav.optimisation.required_points import RequiredPoints
 from warpav.optimisation.rig_limits import RigLimits
-from warpav.optimisation.rig_values import single_cameras_of
 from warpav.optimisation.search_journal import SearchJournal
 
 
@@ -40,7 +39,7 @@ class PoolDescent:
         mount_errors: Over which the objective is the mean; None: there are none.
         start_value: What the objective of the start is made of, where it is a robust one and the search has begun.
         start: Mount poses that the rig begins with, float32 [camera, 7].
-        history: The rigs that were found, each better than those before.
+        candidates: The rigs that were found, each better than those before; the first is the start.
         iteration: Steps so far.
         found: The last state; None before the first step.
         object_weight: Of the objects of all its scenes and of the requirements' points behind them, float64 [object];
@@ -60,7 +59,7 @@ class PoolDescent:
         progress: Progress | None = None,
         limits: RigLimits | None = None,
         pool: CameraPool | None = None,
-        requirements: GhostScene | None = None,
+        requirements: RequiredPoints | None = None,
         robust: RobustObjective | None = None,
         mount_errors: MountErrors | None = None,
         is_kept: bool = False,
@@ -96,7 +95,7 @@ class PoolDescent:
             )
         self.objective = objective
         self.start = objective.mount.within(np.asarray(start, np.float32))
-        self.history = History()
+        self.candidates: list[Candidate] = []
         self.iteration = 0
         self.found: Found | None = None
         self._traffic_weight = self.object_weight = objective.object_weight(scenes)
@@ -138,14 +137,9 @@ class PoolDescent:
         return (self.start if self.found is None else self.found.mount_pose).copy()
 
     @property
-    def candidates(self) -> list[Candidate]:
-        """The rigs that were found, in order; the first is the start."""
-        return self.history.candidates
-
-    @property
     def best(self) -> Candidate:
-        """The last of them."""
-        return self.history.best
+        """The last of the candidates."""
+        return self.candidates[-1]
 
     @property
     def verdict(self) -> str | None:

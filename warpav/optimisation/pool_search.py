@@ -26,22 +26,20 @@ from warpav.core.executor import Executor
 from warpav.core.progress import Progress
 from warpav.optimisation.camera_loss import OTHERS, RobustObjective, RobustValue, exchange_robust, select_robust
 from warpav.optimisation.constraints import Constraints
-from warpav.optimisation.ghost_scene import GhostScene
-from warpav.optimisation.misplaced_cameras import MisplacedCameras
+from warpav.optimisation.miss_rate import SUREST, expected_miss_rate, shares_of
 from warpav.optimisation.mount import HEIGHT_DELTA_M, MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.mount_errors import MountErrors
-from warpav.optimisation.polish import SUREST, PolishStep, expected_miss_rate, nearest_rig, polish, shares_of, step_unit
+from warpav.optimisation.polish import PolishStep, nearest_rig, polish, step_unit
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.replacements import Replacements, joined, within_half_a_turn
-from warpav.optimisation.requirement_margins import hard_points
+from warpav.optimisation.required_points import RequiredPoints
 from warpav.optimisation.rig_limits import RigLimits
 from warpav.optimisation.search_journal import Detect, SearchJournal, Walked
-from warpav.optimisation.selection.exchange import exchange
-from warpav.optimisation.selection.price import Price
-from warpav.optimisation.selection.problem import Row, SelectionProblem
+from warpav.optimisation.selection.problem import Row, SelectionProblem, exchange
+from warpav.optimisation.selection.relaxation import Price
 from warpav.optimisation.selection.select import Selection, select
-from warpav.optimisation.single_cameras import SingleCameras
+from warpav.optimisation.single_cameras import MisplacedCameras, SingleCameras, hard_points
 from warpav.scene.device_scene import DeviceScene
 
 Stage = Literal["start", "selection", "polish", "pricing", "settled"]
@@ -150,7 +148,7 @@ def pool_search(
     object_weight: np.ndarray | None = None,
     limits: RigLimits | None = None,
     pool: CameraPool | None = None,
-    requirements: GhostScene | None = None,
+    requirements: RequiredPoints | None = None,
     robust: RobustObjective | None = None,
     mount_errors: MountErrors | None = None,
     journal: SearchJournal | None = None,
@@ -231,7 +229,7 @@ class _Search:
         seed: int,
         object_weight: np.ndarray | None,
         limits: RigLimits | None,
-        requirements: GhostScene | None,
+        requirements: RequiredPoints | None,
         robust: RobustObjective | None,
     ) -> None:
         self.cameras, self.scenes, self.constraints = cameras, scenes, constraints.of_any_modules

@@ -15,8 +15,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from warpav.optimisation.camera_loss import SOFTNESS, RobustObjective
+from warpav.optimisation.miss_rate import SUREST
 from warpav.optimisation.mount import YAW_RAD
-from warpav.optimisation.polish import SUREST
 
 ELITE = 12
 """Cameras nearby that say in which directions to look, the best ones."""

@@ -9,24 +9,21 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from warpav.core.errors import OptionError, install_text
-from warpav.optimisation.assignment import AssignedScene
 from warpav.optimisation.baselines import highest_mount_pose
+from warpav.optimisation.budget import BudgetedValue, SingleCameraValues
 from warpav.optimisation.constraints import Constraints
-from warpav.optimisation.descent import Descent
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
+from warpav.optimisation.miss_rate import SUREST
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD
-from warpav.optimisation.objective import RigObjective
-from warpav.optimisation.polish import SUREST
+from warpav.optimisation.objective import RigObjective, single_cameras_of
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import too_near
-from warpav.optimisation.rig_values import SingleCameraValues, single_cameras_of
-from warpav.optimisation.search import BudgetedValue, BudgetSpentError, SearchSpace
 from warpav.optimisation.selection.select import Selection, select
-from warpav.optimisation.settings import OptimiserSettings
+from warpav.optimisation.space import SearchSpace
 
 FIRST_STEP = 0.2
 """First standard deviation of CMA-ES, in widths of the mount surface and turns of the yaw."""
@@ -344,118 +341,3 @@ def _grid(constraints: Constraints, place_count: int) -> np.ndarray:
     if finest is None:  # even the coarsest has more
         finest = np.concatenate([constraints.project(place_m[None]) for place_m in middles(1, place_count)])
     return finest
-
-
-def descent_camera_renders(
-    settings: OptimiserSettings, scene_count: int, *, camera_count: int, iterations: int, batch_size: int
-) -> int:
-    """Camera renders of a whole descent at most, with all evaluations on the scenes on which its rigs are compared."""
-    evaluations = settings.starts if settings.starts > 1 else 0
-    evaluations += 2 * settings.descents  # before the first step and after the last
-    evaluations += settings.descents > 1  # at the mixture of what the descents found
-    if settings.keep == "best":
-        # as many as there can be: patience may end a descent early and leave its steps to the next
-        evaluations += max(iterations - settings.descents, 0) // settings.check_every
-    return camera_count * (iterations * batch_size + evaluations * scene_count)
-
-
-def affordable_iterations(
-    settings: OptimiserSettings, scene_count: int, camera_renders: int, *, camera_count: int, batch_size: int
-) -> int:
-    """Iterations of a descent that so many camera renders pay for, see `descent_camera_renders`; maybe none."""
-    count, options = 0, {"camera_count": camera_count, "batch_size": batch_size}
-    while descent_camera_renders(settings, scene_count, iterations=count + 1, **options) <= camera_renders:
-        count += 1
-    return count
-
-
-@dataclass(frozen=True)
-class GradientStage:
-    """The gradient method as a search: as many iterations as the budget pays for.
-
-    An iteration costs a render of each camera in each scene of its batch, an evaluation on all scenes as much as a
-    value. A camera render with a gradient counts as one without.
-
-    Attributes:
-        objective: What is lowered; on ``scenes`` it is the value of the search.
-        scenes: The scenes of the value, from which batches are drawn.
-        settings: How to step.
-        batch_size: Scenes per step, at least 1.
-    """
-
-    objective: RigObjective
-    scenes: Sequence[AssignedScene]
-    settings: OptimiserSettings
-    batch_size: int = 4
-
-    def iterations(self, camera_renders: int, *, camera_count: int) -> int:
-        """Number of iterations that so many camera renders pay for, with all evaluations."""
-        return affordable_iterations(
-            self.settings, len(self.scenes), camera_renders, camera_count=camera_count, batch_size=self.batch_size
-        )
-
-    def run(self, value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray) -> None:
-        """Descend from a rig, float [camera, 7], with what is left of the budget.
-
-        Raises:
-            BudgetSpentError: It does not pay for one iteration.
-            InputError: The loss is no longer finite.
-        """
-        iterations = self.iterations(value.camera_renders_left, camera_count=len(start))
-        if iterations == 0:
-            raise BudgetSpentError
-        descent = Descent(
-            self.objective,
-            self.scenes,
-            self.settings,
-            np.asarray(start, np.float32),
-            rng,
-            iterations=iterations,
-            batch_size=self.batch_size,
-        )
-        recorded = 0
-        try:
-            for _ in range(iterations):
-                descent.step()
-                recorded = self._record(descent, value, recorded)
-                value.spend(self.batch_size * len(start))
-            descent.finish()
-        finally:
-            self._record(descent, value, recorded)
-
-    def _record(self, descent: Descent, value: BudgetedValue, recorded: int) -> int:
-        for candidate in descent.candidates[recorded:]:
-            value.spend(value.camera_renders_per_rig)
-            value.record(candidate.mount_pose, candidate.training_objective)
-        return len(descent.candidates)
-
-
-def gradient_search(
-    value: BudgetedValue, rng: np.random.Generator, *, stage: GradientStage, start: np.ndarray | None = None
-) -> None:
-    """The gradient method from a rig, float [camera, 7]; None: a random one."""
-    stage.run(value, rng, start=value.space.random(rng) if start is None else start)
-
-
-def cma_then_gradient(
-    value: BudgetedValue,
-    rng: np.random.Generator,
-    *,
-    stage: GradientStage,
-    start: np.ndarray | None = None,
-    cma_share: float = 0.5,
-) -> None:
-    """CMA-ES with a share of the budget, then the gradient method from the best rig with the rest.
-
-    Args:
-        value: Evaluates rigs.
-        rng: Random numbers.
-        stage: The gradient method.
-        start: See `cma_es`.
-        cma_share: Share of the budget that CMA-ES may spend, in (0, 1); it evaluates one rig at least.
-    """
-    with value.within(max(int(cma_share * value.camera_renders_left), value.camera_renders_per_rig)):
-        cma_es(value, rng, start=start)
-    best = value.best_mount_pose
-    if best is not None:
-        stage.run(value, rng, start=best)

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.optimisation.history import named_part, part_of
 from warpav.optimisation.mount import MOUNT_POSE_SIZE
 from warpav.optimisation.polish import Detected
-from warpav.optimisation.selection.price import Price
+from warpav.optimisation.records import named_part, part_of
+from warpav.optimisation.selection.relaxation import Price
 from warpav.optimisation.selection.select import Selection
 
 State = Mapping[str, np.ndarray]

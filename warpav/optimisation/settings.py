@@ -329,7 +329,7 @@ class RobustSettings(Section):
     @property
     def mount_errors(self) -> MountErrors | None:
         """The errors of mounting that the mean is over; None: there are none."""
-        from warpav.optimisation.mount_errors import MountErrors  # it needs Warp, which configurations do not
+        from warpav.optimisation.mount_errors import MountErrors
 
         if self.mount_error_m is None and self.mount_error_deg is None:
             return None

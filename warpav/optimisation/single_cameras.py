@@ -6,7 +6,7 @@ taken, so no outline is measured, and only pixels that a probability depends on 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -21,9 +21,11 @@ from warpav.core.cache import digest, fingerprint
 from warpav.core.cores import available_cores, gpu_share
 from warpav.core.warp_setup import load_warp
 from warpav.optimisation.camera_jacobians import CameraJacobians, placing_slope
-from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
-from warpav.optimisation.mount import LOG_ZOOM, MIRROR, MOUNT_POSE_SIZE, CameraMount
+from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, MIRROR, MOUNT_POSE_SIZE, CameraMount
+from warpav.optimisation.mount_errors import MountErrors, outside_skin
+from warpav.optimisation.required_points import RequiredPoints
+from warpav.optimisation.tangent_model import HardPoints, Margins
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import MAX_CHUNK_VIEWS, ViewsAtOnce, chunk_view_count, equal_chunks, gpu_view_count
@@ -129,7 +131,7 @@ class SingleCameras:
             ),
         }
 
-    def detection_probability(self, mount_pose: np.ndarray, scene: DeviceScene | GhostScene) -> np.ndarray:
+    def detection_probability(self, mount_pose: np.ndarray, scene: DeviceScene | RequiredPoints) -> np.ndarray:
         """The probability that each camera detects each object, float32 [camera, object].
 
         Args:
@@ -150,10 +152,10 @@ class SingleCameras:
             found[pair] = 1.0 - (1.0 - found[pair]) * (1.0 - image)
         return found
 
-    def _alone(self, pose: np.ndarray, scene: DeviceScene | GhostScene) -> np.ndarray:
+    def _alone(self, pose: np.ndarray, scene: DeviceScene | RequiredPoints) -> np.ndarray:
         """`detection_probability` of cameras, float32 [camera, 7], of pairs without their mirror images."""
         found = np.zeros((len(pose), scene.vehicle_count), np.float32)
-        if isinstance(scene, GhostScene):
+        if isinstance(scene, RequiredPoints):
             for pane, row in self._by_pane(pose):
                 found[row] = scene.through(pane).probability(*self.in_ego(pose[row]))
         else:
@@ -161,7 +163,7 @@ class SingleCameras:
                 found[row] = self._detected(kind, pose[row], scene)
         return found
 
-    def visibility(self, mount_pose: np.ndarray, ghosts: GhostScene) -> Visibility:
+    def visibility(self, mount_pose: np.ndarray, ghosts: RequiredPoints) -> Visibility:
         """What each camera sees of each point of requirements, of a pair the camera that is not mirrored.
 
         Args:
@@ -277,7 +279,7 @@ class SingleCameras:
         return ego_from_camera, [model.zoomed(float(row[LOG_ZOOM])) for model, row in zip(models, pose, strict=True)]
 
     def with_jacobian(
-        self, mount_pose: np.ndarray, scenes: Sequence[DeviceScene | GhostScene]
+        self, mount_pose: np.ndarray, scenes: Sequence[DeviceScene | RequiredPoints]
     ) -> tuple[np.ndarray, np.ndarray]:
         """What each camera detects in some scenes, and how that changes as it moves.
 
@@ -306,7 +308,7 @@ class SingleCameras:
         return probability, jacobian
 
     def _alone_with_jacobian(
-        self, pose: np.ndarray, scenes: Sequence[DeviceScene | GhostScene]
+        self, pose: np.ndarray, scenes: Sequence[DeviceScene | RequiredPoints]
     ) -> tuple[np.ndarray, np.ndarray]:
         """`with_jacobian` of cameras, float32 [camera, 7], of pairs without their mirror images."""
         traffic = [scene for scene in scenes if isinstance(scene, DeviceScene)]
@@ -317,7 +319,7 @@ class SingleCameras:
         for kind, row in self._by_kind(pose):
             probability[row], jacobian[row] = self._jacobians(kind).of(pose[row], traffic)
         for ghosts in scenes[len(traffic) :]:
-            assert isinstance(ghosts, GhostScene), "requirements stand behind all scenes"
+            assert isinstance(ghosts, RequiredPoints), "requirements stand behind all scenes"
             seen, by_view = np.zeros((len(pose), len(ghosts.ghosts))), np.zeros((len(pose), len(ghosts.ghosts), 7))
             for pane, row in self._by_pane(pose):
                 seen[row], by_view[row] = ghosts.through(pane).with_jacobian(*self.in_ego(pose[row]))
@@ -397,3 +399,111 @@ def _unpacked(mount: tuple[Any, ...], *others: Any) -> SingleCameras:  # noqa: A
     return SingleCameras(
         CameraMount(surface, camera=camera, height_offset_m=height_offset_m, device=device, free=free), *others
     )
+
+
+def hard_points(cameras: SingleCameras, ghosts: RequiredPoints) -> HardPoints | None:
+    """The hard points of requirements as a polish of some cameras keeps them met; None where there is none."""
+    if not ghosts.is_hard.any():
+        return None
+    needed = ghosts.ghosts.of_each("cameras")[ghosts.is_hard]
+    return HardPoints(lambda mount_pose: camera_margins(cameras, ghosts, mount_pose), needed)
+
+
+def camera_margins(cameras: SingleCameras, ghosts: RequiredPoints, mount_pose: np.ndarray) -> Margins:
+    """Margins at the hard points, as `RequiredPoints.margins`; of a pair that of the camera that has the greater one.
+
+    What `SingleCameras.with_jacobian` has just rendered of the same cameras is not rendered again.
+
+    Args:
+        cameras: What the cameras are.
+        ghosts: The requirements.
+        mount_pose: As the mount counts them, float [camera, 7].
+
+    Returns:
+        float64 [camera, hard point], and the Jacobian to the mount poses, float64 [camera, hard point, 7].
+    """
+    pose = np.ascontiguousarray(mount_pose, np.float32)
+    own, *mirrored = cameras.sides
+    value, jacobian = _of_side(own, ghosts, pose)
+    pair = np.flatnonzero(cameras.mount.is_pair(pose))
+    for side in mirrored if len(pair) else ():
+        image, slope = _of_side(side, ghosts, pose[pair] * MIRROR)
+        is_greater = image > value[pair]
+        value[pair] = np.where(is_greater, image, value[pair])
+        jacobian[pair] = np.where(is_greater[..., None], slope * MIRROR, jacobian[pair])
+    return value, jacobian
+
+
+def _of_side(cameras: SingleCameras, ghosts: RequiredPoints, pose: np.ndarray) -> Margins:
+    """`camera_margins` of cameras of one of `SingleCameras.sides`."""
+    count = int(ghosts.is_hard.sum())
+    value, by_view = np.zeros((len(pose), count)), np.zeros((len(pose), count, 7))
+    panes = cameras.mount.panes_of(pose)
+    for pane in dict.fromkeys(panes):
+        row = np.array([k for k, each in enumerate(panes) if each == pane])
+        value[row], by_view[row] = ghosts.through(pane).margins(*cameras.in_ego(pose[row]))
+    return value, placing_slope(cameras.mount, pose).chained(by_view)
+
+
+@dataclass(frozen=True, eq=False)
+class MisplacedCameras(SingleCameras):
+    """Cameras of one mount, each with the mean of its probabilities over errors of its mounting.
+
+    Poses are those without errors. Of a pair each of the two has errors of its own. Points of requirements, which are
+    met or not, are seen without errors.
+
+    Attributes:
+        errors: Of the mounting.
+    """
+
+    errors: MountErrors = field(kw_only=True)
+
+    @classmethod
+    def of(cls, cameras: SingleCameras, errors: MountErrors) -> MisplacedCameras:
+        """The same cameras with errors of mounting."""
+        others = (cameras.occlusion, cameras.supersampling, cameras.thread_count, cameras.is_mirrored)
+        return cls(cameras.mount, cameras.probability, *others, errors=errors, _renderers=cameras._renderers)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _unpacked_misplaced, (*super().__reduce__(), self.errors)
+
+    @property
+    def identity(self) -> dict[str, str]:
+        """As of cameras without errors; the errors are part of ``camera``."""
+        plain = super().identity
+        return {**plain, "camera": digest(plain["camera"], self.errors.draws.tobytes())}
+
+    def _misplaced(self, pose: np.ndarray) -> np.ndarray:
+        """Cameras [camera, 7] with each of the errors, float32 [draw, camera, 7]."""
+        return outside_skin(pose.astype(np.float64) + self.errors.draws[:, None], pose, self.mount)
+
+    def _alone(self, pose: np.ndarray, scene: DeviceScene | RequiredPoints) -> np.ndarray:
+        if isinstance(scene, RequiredPoints):
+            return super()._alone(pose, scene)
+        misplaced = self._misplaced(pose)
+        found = super()._alone(misplaced.reshape(-1, MOUNT_POSE_SIZE), scene)
+        return found.reshape(*misplaced.shape[:2], scene.vehicle_count).mean(axis=0, dtype=np.float64)
+
+    def _alone_with_jacobian(
+        self, pose: np.ndarray, scenes: Sequence[DeviceScene | RequiredPoints]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        misplaced = self._misplaced(pose)
+        traffic = [scene for scene in scenes if isinstance(scene, DeviceScene)]
+        probability, jacobian = super()._alone_with_jacobian(misplaced.reshape(-1, MOUNT_POSE_SIZE), traffic)
+        shape = (*misplaced.shape[:2], probability.shape[1])
+        # one that ends at the skin stays there when its camera is raised a little
+        is_at_skin = misplaced[..., HEIGHT_DELTA_M] == np.float32(-self.mount.height_offset_m)
+        is_stopped = is_at_skin & (self.errors.draws[:, None, HEIGHT_DELTA_M] < 0.0)
+        jacobian = jacobian.reshape(*shape, MOUNT_POSE_SIZE)
+        jacobian[..., HEIGHT_DELTA_M][is_stopped] = 0.0
+        probability, jacobian = probability.reshape(shape).mean(axis=0), jacobian.mean(axis=0)
+        if len(traffic) == len(scenes):
+            return probability, jacobian
+        seen, slope = super()._alone_with_jacobian(pose, scenes[len(traffic) :])
+        return np.concatenate([probability, seen], axis=1), np.concatenate([jacobian, slope], axis=1)
+
+
+def _unpacked_misplaced(
+    plain: Callable[..., SingleCameras], parts: tuple[Any, ...], errors: MountErrors
+) -> MisplacedCameras:
+    return MisplacedCameras.of(plain(*parts), errors)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from warpav.optimisation.baselines import highest_mount_pose
-from warpav.optimisation.search import SearchSpace
+from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig
 from warpav.runs.placement import Placement
 

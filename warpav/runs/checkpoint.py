@@ -12,7 +12,7 @@ import warp as wp
 
 from warpav.core.cache import digest, fingerprint
 from warpav.core.errors import InputError
-from warpav.optimisation.rig_values import single_cameras_of
+from warpav.optimisation.objective import single_cameras_of
 from warpav.runs.config import Config, option_values
 from warpav.runs.networks import model_path
 from warpav.runs.placement import Placement
@@ -89,5 +89,5 @@ def _file_digest(file: Path) -> str:
 @cache
 def _version(is_cuda: bool) -> str:
     packages = [version(name) for name in ("warp-lang", "numpy", "scipy")]
-    code = ("warpav.optimisation.descent", "warpav.optimisation.pool_descent")
+    code = ("warpav.thesis.descent", "warpav.optimisation.pool_descent")
     return fingerprint(*packages, is_cuda, code=code)

@@ -13,7 +13,7 @@ from warpav.evaluation.attainable import attainable_objects
 from warpav.evaluation.camera_outage import CameraOutages
 from warpav.evaluation.metrics import SceneObservations, metrics_of, observe_scenes
 from warpav.evaluation.rig_evaluation import RigEvaluation, seen_objects
-from warpav.optimisation.assignment import AssignedScene
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.requirements.check import RequirementResult, check_rigs
 from warpav.rig.rig import Rig
 from warpav.runs.placement import Placement

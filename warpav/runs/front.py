@@ -14,7 +14,7 @@ from warpav.core.executor import Executor
 from warpav.core.files import write_json
 from warpav.core.progress import Progress
 from warpav.evaluation.rig_evaluation import RigEvaluation, Table
-from warpav.optimisation.further_camera import further_gain, missed_probability
+from warpav.optimisation.miss_rate import further_gain, missed_probability
 from warpav.optimisation.pool import CameraPool
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_descent import PoolDescent

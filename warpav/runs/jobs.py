@@ -14,9 +14,9 @@ from warpav.core.files import json_ready, write_json
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import device_name
 from warpav.evaluation.robustness import LoadState, SoiledPart
-from warpav.optimisation.history import IterationRecord
 from warpav.optimisation.pool import pool_cache_folder
 from warpav.optimisation.pool_descent import PoolDescent
+from warpav.optimisation.records import IterationRecord
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.checkpoint import check_options
 from warpav.runs.config import Config, flow_text, placed_config

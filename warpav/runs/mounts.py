@@ -202,9 +202,11 @@ def camera_mount(config: Config, ego: Mesh, *, say: Callable[[str], None] | None
 
 def constraints_of(config: Config, surface: MountSurface, frozen: FrozenCameras | None = None) -> Constraints:
     """What the method demands of the places of the cameras."""
-    from warpav.optimisation.constraints import BoundsAndSpacing, ZoneAndSpacing
+    from warpav.optimisation.constraints import ZoneAndSpacing
 
     if config.method == "thesis":
+        from warpav.thesis.constraints import BoundsAndSpacing
+
         return BoundsAndSpacing(surface, min_spacing_m=config.rig.min_spacing_m)
     limits = rig_limits(config, surface)
     module = None if limits is None else limits.first_kinds()

@@ -14,14 +14,12 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.executor import Executor
 from warpav.core.progress import Progress
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
-from warpav.optimisation.descent import Descent, NotFiniteError
-from warpav.optimisation.history import IterationRecord, named_part, part_of
+from warpav.optimisation.objective import single_cameras_of
 from warpav.optimisation.pool import CameraPool, pool_cache_folder
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.optimisation.pool_search import PoolSearchSettings
-from warpav.optimisation.rig_values import single_cameras_of
-from warpav.optimisation.search import SearchSpace
-from warpav.optimisation.starts import evaluate_starts
+from warpav.optimisation.records import IterationRecord, named_part, part_of
+from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig
 from warpav.runs.checkpoint import check_identity, identity_of
 from warpav.runs.config import Config
@@ -29,6 +27,8 @@ from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress
 from warpav.runs.result import Result
 from warpav.runs.rig_source import start_changes
+from warpav.thesis.descent import Descent, NotFiniteError
+from warpav.thesis.starts import evaluate_starts
 
 
 def optimise(

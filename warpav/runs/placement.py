@@ -19,25 +19,15 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import NullProgress, Progress
 from warpav.core.section import Section
 from warpav.detection.probability import DetectionProbability
-from warpav.optimisation.assignment import (
-    AssignedScene,
-    assign_to_nearest_cameras,
-    assign_vehicles,
-    cameras_of,
-    nearest_cameras,
-)
-from warpav.optimisation.ghost_scene import GhostScene
 from warpav.optimisation.importance import Importance, check_categories
-from warpav.optimisation.losses.build import losses_of
-from warpav.optimisation.losses.loss import Loss, LossSchedule
-from warpav.optimisation.losses.options import LossOptions, Reference
+from warpav.optimisation.losses.loss import Loss, LossOptions, LossSchedule, Reference, losses_of
 from warpav.optimisation.losses.registry import LOSSES
-from warpav.optimisation.losses.scene_on_tape import CameraProbability
+from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
 from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.objective import ObjectiveOptions, RigObjective
+from warpav.optimisation.required_points import RequiredPoints
 from warpav.optimisation.rig_limits import RigLimits, range_text
-from warpav.optimisation.segregation import Segregation, choose_orientations
 from warpav.optimisation.settings import ImportanceSettings, RobustSettings
 from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import Mesh
@@ -54,6 +44,14 @@ from warpav.runs.scene_set import SceneSet, check_zones, checked_vehicle, load_s
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.scene.town.levels import level_of
+from warpav.thesis.segregation import (
+    Segregation,
+    assign_to_nearest_cameras,
+    assign_vehicles,
+    cameras_of,
+    choose_orientations,
+    nearest_cameras,
+)
 
 if TYPE_CHECKING:
     import trimesh
@@ -453,7 +451,7 @@ class Placement:
         return () if source is None else read_requirements(source)
 
     @cached_property
-    def ghosts(self) -> GhostScene | None:
+    def ghosts(self) -> RequiredPoints | None:
         """The requirements' test objects around the vehicle; None where nothing is required.
 
         Raises:
@@ -461,7 +459,7 @@ class Placement:
         """
         if not self.requirements:
             return None
-        return GhostScene(self.requirements, self.ego, device=str(self.mount.device))
+        return RequiredPoints(self.requirements, self.ego, device=str(self.mount.device))
 
     @property
     def frozen_rig(self) -> Rig | None:
@@ -698,13 +696,15 @@ def _assembled(
         camera_count=camera_count,
         losses=losses_of(options) if parts.losses is None else parts.losses,
         camera_probability=_camera_probabilities(config, probability, mount.surface.modules),
-        multiplier_damping=config.optimiser.damping(are_inequalities=constraints.are_inequalities),
         constraints=constraints,
-        confidence_min=config.detector.confidence_min,
-        iou_min=config.detector.iou_min,
-        occlusion=Occlusion(config.visibility.occlusion),
-        supersampling=config.camera.supersampling,
         importance=importance,
+        options=ObjectiveOptions(
+            confidence_min=config.detector.confidence_min,
+            iou_min=config.detector.iou_min,
+            occlusion=Occlusion(config.visibility.occlusion),
+            supersampling=config.camera.supersampling,
+            multiplier_damping=config.optimiser.damping(are_inequalities=constraints.are_inequalities),
+        ),
     )
     train, others = assigned[:train_count], assigned[train_count:]
     validation_count = len(scenes.validation)

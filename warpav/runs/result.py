@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 from warpav.core.errors import ArgumentError
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import device_name
-from warpav.optimisation.descent import Descent
+from warpav.optimisation.budget import BudgetedValue, run_search
 from warpav.optimisation.further_camera import FurtherCameras
-from warpav.optimisation.history import Candidate, IterationRecord
 from warpav.optimisation.pool_descent import PoolDescent
+from warpav.optimisation.records import Candidate, IterationRecord
 from warpav.optimisation.rivals import random_search
-from warpav.optimisation.search import BudgetedValue, SearchSpace, run_search
 from warpav.optimisation.settings import LATER_ROBUST_OPTIONS
+from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.baseline_rigs import highest_rig
 from warpav.runs.certificate import Certificate
@@ -40,12 +40,13 @@ from warpav.runs.scene_set import load_scenes
 from warpav.scene.files import scene_path
 from warpav.scene.glb import write_scene
 from warpav.scene.scene import Scene
+from warpav.thesis.descent import Descent
 from warpav.view import Canvas, draws, plot
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from warpav.optimisation.assignment import AssignedScene
+    from warpav.optimisation.losses.scene_on_tape import AssignedScene
     from warpav.requirements.check import RequirementResult
 
 OPTIMISED, START = "optimised", "start"

@@ -13,8 +13,8 @@ from warpav.core.progress import Progress
 from warpav.evaluation.camera_outage import CameraOutages
 from warpav.evaluation.mount_tolerance import MountTolerance
 from warpav.evaluation.robustness import LoadState, LoadStates, SoiledPart, Soiling, SoilShape
-from warpav.optimisation.assignment import AssignedScene
-from warpav.optimisation.rig_values import single_cameras_of
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
+from warpav.optimisation.objective import single_cameras_of
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.rig.rig import Rig
 from warpav.runs.evaluate import weights_on

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from warpav.detection.probability import DetectionProbability
     from warpav.evaluation.camera_outage import CameraOutages
     from warpav.evaluation.mount_tolerance import MountTolerance
-    from warpav.optimisation.assignment import AssignedScene
+    from warpav.optimisation.losses.scene_on_tape import AssignedScene
     from warpav.optimisation.objective import RigObjective
     from warpav.raster.camera import CameraModel
     from warpav.scene.scene import Scene

@@ -17,7 +17,6 @@ from warpav.core.cache import digest, user_cache_folder
 from warpav.core.errors import ArgumentError, InputError, OptionError
 from warpav.core.progress import NullProgress, Progress
 from warpav.core.warp_setup import checked_device, compiling
-from warpav.optimisation.segregation import areas_around
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.rig.zone import read_zones
@@ -36,6 +35,7 @@ from warpav.scene.traffic.files import content_digest
 from warpav.scene.traffic.moments import moment_of, search_and_test, traffic_of
 from warpav.scene.traffic.traffic_scene import TrafficSource
 from warpav.scene.vehicles import file_of
+from warpav.thesis.segregation import areas_around
 
 if TYPE_CHECKING:
     from warpav.optimisation.mount import CameraMount
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 VEHICLE_RGB = (150, 152, 156)
 """Colour of a vehicle that comes without one."""
 
-RARE_KERNELS = ("experiments", "placement.placement_losses", "raster.trace", "reconstruction")
+RARE_KERNELS = ("experiments", "thesis", "raster.trace", "reconstruction")
 """Kernels that few runs launch, by the beginning of their names: compiled when they are needed."""
 
 EGO_TOLERANCE_M = 0.2

@@ -7,8 +7,7 @@ from typing import Literal
 
 import warp as wp
 
-from warpav.optimisation.losses.loss import DetectedImages, DeviceLoss, LossSchedule, Needs
-from warpav.optimisation.losses.options import LossOptions
+from warpav.optimisation.losses.loss import DetectedImages, DeviceLoss, LossOptions, LossSchedule, Needs
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav.scene.device_scene import DeviceScene
 from warpav_kernels.placement import expected_misses

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import IntEnum
-from typing import TYPE_CHECKING
+from enum import Enum, IntEnum
+from typing import TYPE_CHECKING, NamedTuple
 
 import warp as wp
+
+from warpav.core.errors import InputError
+from warpav.detection.differentiable import DifferentiableDetector
+from warpav.optimisation.losses.registry import LOSSES
+from warpav.optimisation.settings import LossSettings
+from warpav.raster.areas import AMODAL_AREA, VISIBLE_AREA
 
 if TYPE_CHECKING:
     from warpav.optimisation.losses.scene_on_tape import SceneOnTape
@@ -126,3 +133,42 @@ class HostLoss(Loss):
         Returns:
             The loss, and ``weight`` times its gradient to arrays on the tape; empty without a weight.
         """
+
+
+class Reference(Enum):
+    """What a vehicle's detected area is compared with, over all directions of its camera."""
+
+    NON_OCCLUDED = VISIBLE_AREA  # Eq. 14 as printed: hiding a vehicle costs nothing, both areas shrink together
+    ALONE = AMODAL_AREA  # the vehicle alone: being hidden costs as much as being missed
+
+
+class LossOptions(NamedTuple):
+    """What losses are made from.
+
+    Attributes:
+        settings: Their parameters.
+        reference: What the detected area is compared with.
+        differentiable_detector: The network of the loss ``detector_gradient``.
+    """
+
+    settings: LossSettings
+    reference: Reference
+    differentiable_detector: DifferentiableDetector | None = None
+
+
+def losses_of(options: LossOptions) -> list[tuple[float, Loss]]:
+    """The objective of a configuration: every loss of weight above 0, with its weight.
+
+    Raises:
+        InputError: A loss needs something that is not there.
+    """
+    found: list[tuple[float, Loss]] = []
+    for name, weight in options.settings.weights.items():
+        if weight == 0.0:
+            continue
+        module, _, kind = LOSSES[name].where.partition(":")
+        try:
+            found.append((weight, getattr(importlib.import_module(module), kind).of(options)))
+        except ValueError as error:
+            raise InputError(f"losses.{name}: {error}") from None
+    return found

@@ -9,7 +9,7 @@ class Registered(NamedTuple):
     """A loss that has a name.
 
     Attributes:
-        where: Its class, as ``module:class`` below this package.
+        where: Its class, as ``module:class``.
         description: What its weight weighs, for the configuration.
         one_field: Whether it takes one field of view for all cameras.
     """
@@ -21,23 +21,28 @@ class Registered(NamedTuple):
 
 LOSSES = {
     "expected_miss_rate": Registered(
-        "expected_miss_rate:ExpectedMissRate", "the share of road users that no camera is expected to detect"
+        "warpav.optimisation.losses.expected_miss_rate:ExpectedMissRate",
+        "the share of road users that no camera is expected to detect",
     ),
-    "in_frame_rotation": Registered("in_frame_rotation:InFrameRotation", "the in-frame rotation loss", one_field=True),
-    "detected_area": Registered("detected_area:DetectedArea", "the detected object area loss", one_field=True),
+    "in_frame_rotation": Registered(
+        "warpav.thesis.losses:InFrameRotation", "the in-frame rotation loss", one_field=True
+    ),
+    "detected_area": Registered("warpav.thesis.losses:DetectedArea", "the detected object area loss", one_field=True),
     "surface_blockage": Registered(
-        "surface_blockage:SurfaceBlockage", "the surface blockage loss: what the ego vehicle hides", one_field=True
+        "warpav.thesis.losses:SurfaceBlockage", "the surface blockage loss: what the ego vehicle hides", one_field=True
     ),
     "object_visibility": Registered(
-        "detected_area:ObjectVisibility",
+        "warpav.thesis.losses:ObjectVisibility",
         "the object visibility loss: detected_area without a detector",
         one_field=True,
     ),
     "angular_coverage": Registered(
-        "angular_coverage:AngularCoverage", "the angular coverage loss: directions in no camera's view", one_field=True
+        "warpav.thesis.losses:AngularCoverage",
+        "the angular coverage loss: directions in no camera's view",
+        one_field=True,
     ),
     "detector_gradient": Registered(
-        "detector_gradient:DetectorGradient",
+        "warpav.thesis.detector_gradient:DetectorGradient",
         "the detection network's own loss, differentiated through it; needs warpav[torch]",
     ),
 }

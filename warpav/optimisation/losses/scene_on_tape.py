@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +15,7 @@ from warpav.optimisation.settings import LossSettings
 from warpav.raster.areas import Measures
 from warpav.raster.frame import Frame
 from warpav.scene.device_scene import DeviceScene
-from warpav_kernels.placement import expected_misses, placement_losses
+from warpav_kernels.placement import expected_misses
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,6 @@ class SceneOnTape:
     camera_probability: CameraProbability | None = None
     truth_box_px: np.ndarray | None = None
     weight: wp.array | None = None
-    _area_around: dict[int, wp.array] = field(default_factory=dict)
 
     @property
     def camera_count(self) -> int:
@@ -116,20 +116,6 @@ class SceneOnTape:
     def measure(self) -> wp.array:
         """Measures of every vehicle in every view, float [view, vehicle, measure], see `Measures`."""
         return self.measures.on_tape(*self._pose)
-
-    def area_around(self, measure: int) -> wp.array:
-        """Area of every vehicle over all directions of its camera [px^2], by one of the measures, float [vehicle]."""
-        if measure not in self._area_around:
-            around = wp.zeros(self.scene.vehicle_count, dtype=float, device=self.frame.device, requires_grad=True)
-            wp.launch(
-                placement_losses.sum_area_around_kernel,
-                dim=around.shape,
-                inputs=[self.measure, self.assigned_on_device, self.rotation_count, measure],
-                outputs=[around],
-                device=self.frame.device,
-            )
-            self._area_around[measure] = around
-        return self._area_around[measure]
 
     @cached_property
     def unblocked(self) -> Measures:
@@ -195,3 +181,26 @@ class SceneOnTape:
     @property
     def _pose(self) -> tuple[wp.array, wp.array, wp.array]:
         return self.views.position_ego_m, self.views.camera_from_ego, self.views.log_zoom
+
+
+class AssignedScene:
+    """A scene and the camera that answers for each of its vehicles; equal only to itself.
+
+    Attributes:
+        scene: The scene on the device.
+    """
+
+    def __init__(self, scene: DeviceScene, assigned_camera: np.ndarray | Callable[[], np.ndarray]) -> None:
+        """A scene with its vehicles assigned.
+
+        Args:
+            scene: The scene on the device.
+            assigned_camera: As the property, or what finds it: that takes renders, and few losses ask for it.
+        """
+        self.scene = scene
+        self._given = assigned_camera
+
+    @cached_property
+    def assigned_camera(self) -> np.ndarray:
+        """Index of the camera of every vehicle, -1 for none, int32 [vehicle]."""
+        return self._given() if callable(self._given) else self._given

@@ -1,15 +1,18 @@
-"""What a rig is chosen from, and what the choice must satisfy."""
+"""What a rig is chosen from, what the choice must satisfy, and good rigs without a proof."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
+from scipy.optimize import Bounds, LinearConstraint, milp
 
-from warpav.core.errors import ArgumentError
+from warpav.core.errors import ArgumentError, InputError
 
 ROW_TOLERANCE = 1e-6
 """How far a row may be missed, per unit of its largest coefficient: what HiGHS allows itself."""
@@ -222,3 +225,168 @@ def _checked_rows(rows: Sequence[Row], cameras: int) -> tuple[np.ndarray, np.nda
     scale[scale == 0.0] = 1.0
     low, high = (np.array([getattr(row, name) for row in rows], float) / scale for name in ("low", "high"))
     return coefficient / scale[:, None], low, high, scale
+
+
+INFEASIBLE = 2
+"""Status of `scipy.optimize.milp`."""
+
+
+def feasible_rig(
+    problem: SelectionProblem, *, time_limit_s: float, cost: np.ndarray | None = None
+) -> np.ndarray | None:
+    """A rig that satisfies all constraints, its required cameras first, int [camera]; None where there is none.
+
+    Args:
+        problem: What is chosen from.
+        time_limit_s: When to give up.
+        cost: Of the cameras, float64 [camera], whose sum over the rig is to be low; None: any rig will do.
+
+    Raises:
+        TimeoutError: Neither a rig was found nor that there is none.
+    """
+    cameras = problem.camera_count
+    deadline_s = time.perf_counter() + time_limit_s
+    everything = np.ones(cameras, bool)
+    low = np.zeros(cameras)
+    low[problem.required] = 1.0
+    # their annotations know numbers alone
+    constraints = [LinearConstraint(np.ones((1, cameras)), problem.count, problem.count)]
+    if len(problem.coefficient):
+        constraints.append(LinearConstraint(problem.coefficient, problem.low, problem.high))  # pyright: ignore[reportArgumentType]
+    while True:
+        found = milp(
+            np.zeros(cameras) if cost is None else cost,
+            constraints=constraints,
+            integrality=np.ones(cameras),
+            bounds=Bounds(low, 1.0),  # pyright: ignore[reportArgumentType]
+            options={"time_limit": max(deadline_s - time.perf_counter(), 1e-3), "mip_rel_gap": 0.1},
+        )
+        if found.status == INFEASIBLE:
+            return None
+        if found.x is None:
+            raise TimeoutError
+        rig = np.flatnonzero(found.x > 0.5)
+        one, other = np.nonzero(np.triu(problem.conflict[rig][:, rig].toarray()))
+        if not len(one):
+            return np.concatenate([problem.required, np.setdiff1d(rig, problem.required)])
+        # conflicts come in as they are broken: there are millions of pairs, and few cliques are needed
+        clique = [problem.whole_clique(rig[list(pair)], everything) for pair in zip(one, other, strict=True)]
+        constraints.append(LinearConstraint(np.unique(clique, axis=0).astype(float), -math.inf, 1.0))
+
+
+def raise_conflict(problem: SelectionProblem, *, time_limit_s: float) -> None:
+    """Name constraints that exclude each other, of which each is needed for that: leave one out, and there is a rig.
+
+    They are found by deletion: what can go while there still is no rig, goes (Chinneck and Dravnieks 1991, Locating
+    minimal infeasible constraint sets in linear programs). ``count`` is among them always.
+
+    Raises:
+        InputError: Always; it names them.
+    """
+    kept = [
+        *(["required"] if len(problem.required) else []),
+        *(["conflict"] if problem.conflict.nnz else []),
+        *problem.row_name,
+    ]
+    for name in list(kept):
+        fewer = [each for each in kept if each != name]
+        try:
+            if feasible_rig(_with(problem, fewer), time_limit_s=time_limit_s) is None:
+                kept = fewer
+        except TimeoutError:
+            continue  # it stays: not known to be dispensable
+    names = " and ".join([f"count = {problem.count}", *kept])
+    raise InputError(f"no rig of the pool satisfies {names}; loosen one of them, or add cameras to the pool")
+
+
+def _with(problem: SelectionProblem, names: list[str]) -> SelectionProblem:
+    """The pool with these constraints alone."""
+    is_kept = np.array([name in names for name in problem.row_name], bool)
+    return dataclasses.replace(
+        problem,
+        required=problem.required if "required" in names else problem.required[:0],
+        conflict=problem.conflict if "conflict" in names else sparse.csr_array(problem.conflict.shape, dtype=bool),
+        coefficient=problem.coefficient[is_kept],
+        low=problem.low[is_kept],
+        high=problem.high[is_kept],
+        row_scale=problem.row_scale[is_kept],
+        row_name=tuple(name for name in problem.row_name if name in names),
+    )
+
+
+def random_rig(
+    problem: SelectionProblem, rng: np.random.Generator, fraction: np.ndarray | None = None
+) -> np.ndarray | None:
+    """A rig that satisfies the constraints, its required cameras first, int [camera]; None where the draw got stuck.
+
+    Args:
+        problem: What is drawn from.
+        rng: Draws.
+        fraction: How a camera is favoured, >= 0, float64 [camera]; None: all alike.
+    """
+    rig = list(problem.required)
+    favour = np.ones(problem.camera_count) if fraction is None else fraction + 1e-6
+    can_be = np.ones(problem.camera_count, bool)
+    can_be[rig] = False
+    can_be &= ~problem.excluded_by(rig)
+    while len(rig) < problem.count:
+        total = problem.coefficient[:, rig].sum(axis=1)
+        wanted = can_be.copy()
+        for coefficient, now, low, high in zip(problem.coefficient, total, problem.low, problem.high, strict=True):
+            if (coefficient >= 0.0).all():
+                wanted &= now + coefficient <= high + ROW_TOLERANCE
+                if now < low - ROW_TOLERANCE and (wanted & (coefficient > 0.0)).any():
+                    wanted &= coefficient > 0.0
+        choice = np.flatnonzero(wanted)
+        if not len(choice):
+            return None
+        camera = int(rng.choice(choice, p=favour[choice] / favour[choice].sum()))
+        rig.append(camera)
+        can_be[camera] = False
+        can_be &= ~problem.excluded_by([camera])
+    return np.array(rig) if problem.is_feasible(np.array(rig)) else None
+
+
+def exchange(problem: SelectionProblem, rigs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Exchange one camera of each rig after the other for the best of the pool, until nothing helps any of them.
+
+    Args:
+        problem: What is chosen from.
+        rigs: Rigs that satisfy the constraints, the required cameras first, int [rig, camera].
+
+    Returns:
+        The rigs, likewise, the best first, and their expected miss rates, float64 [rig].
+    """
+    rigs = np.array(rigs)
+    every = np.arange(len(rigs))
+    first = len(problem.required)
+    slot, unchanged = first, 0
+    while unchanged < problem.count - first:
+        others = np.delete(rigs, slot, axis=1)
+        left = np.prod(problem.missed[:, others], axis=2) * problem.weight[:, None]
+        value = problem.missed.T @ left
+        before = value[rigs[:, slot], every]
+        value[~fits(problem, others)] = np.inf
+        best = np.argmin(value, axis=0)
+        # what only rounding tells apart would be exchanged for ever
+        is_better = value[best, every] < before * (1.0 - 1e-9)
+        rigs[is_better, slot] = best[is_better]
+        unchanged = 0 if is_better.any() else unchanged + 1
+        slot = slot + 1 if slot + 1 < problem.count else first
+    value = np.array([problem.miss_rate(rig) for rig in rigs])
+    order = np.argsort(value, kind="stable")
+    return rigs[order], value[order]
+
+
+def fits(problem: SelectionProblem, others: np.ndarray) -> np.ndarray:
+    """Which cameras complete the rigs of which others, bool [camera, rig]; others are int [rig, camera]."""
+    chosen = np.zeros((problem.camera_count, len(others)), bool)
+    chosen[others.T, np.arange(len(others))] = True
+    fits = ~chosen
+    if problem.conflict.nnz:
+        fits &= (problem.conflict @ chosen.astype(np.int32)) == 0
+    total = problem.coefficient @ chosen
+    for coefficient, now, low, high in zip(problem.coefficient, total, problem.low, problem.high, strict=True):
+        then = coefficient[:, None] + now
+        fits &= (then >= low - ROW_TOLERANCE) & (then <= high + ROW_TOLERANCE)
+    return fits

@@ -1,0 +1,1 @@
+"""The thesis's losses and constraints, equation by equation."""

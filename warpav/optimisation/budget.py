@@ -1,0 +1,280 @@
+"""Values of rigs at a price: what looking at a rig costs, and what was found."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
+from warpav.optimisation.miss_rate import expected_miss_rate, shares_of
+from warpav.optimisation.objective import RigObjective, single_cameras_of
+from warpav.optimisation.single_cameras import SingleCameras
+from warpav.optimisation.space import SearchSpace
+from warpav.scene.device_scene import DeviceScene
+
+RigValues = Callable[[np.ndarray], Iterable[float]]
+"""Values of rigs, float32 [rig, camera, 7], one after the other; a search keeps those before one that fails."""
+
+
+def rig_values_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> RigValues:
+    """The values of rigs by an objective: by single cameras where that can be, else one rig after the other."""
+    cameras = single_cameras_of(objective)
+    if cameras is not None:
+        [(weight, _)] = objective.losses
+        object_weight = objective.object_weight(scenes)
+        return SingleCameraValues(cameras, [each.scene for each in scenes], weight=weight, object_weight=object_weight)
+    return lambda rigs: (objective.evaluate(pose, scenes).objective for pose in rigs)
+
+
+class SingleCameraValues:
+    """Expected miss rates of rigs by what their cameras detect by themselves, all rigs of a call rendered together.
+
+    They are those of the objective to 1e-6.
+
+    Attributes:
+        cameras: What the cameras are, and how likely one is to detect.
+        scenes: The scenes.
+        weight: Of the expected miss rate in the value.
+        object_weight: Of each object of the scenes in the expected miss rate, float64 [object]; None: all alike.
+    """
+
+    def __init__(
+        self,
+        cameras: SingleCameras,
+        scenes: Sequence[DeviceScene],
+        *,
+        weight: float = 1.0,
+        object_weight: np.ndarray | None = None,
+    ) -> None:
+        """Values on some scenes, which are on the device of the mount."""
+        self.cameras, self.scenes, self.weight, self.object_weight = cameras, tuple(scenes), weight, object_weight
+        self._looked: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def __call__(self, rigs: np.ndarray) -> Iterator[float]:
+        """The value of every rig, of mount poses float32 [rig, camera, 7]."""
+        rig_count, camera_count = rigs.shape[:2]
+        pose = rigs.reshape(rig_count * camera_count, -1)
+        found = self.detection_probability(pose)
+        self._looked.append((pose, found))
+        share = shares_of(self.object_weight)
+        for of_rig in found.reshape(rig_count, camera_count, -1):
+            yield self.weight * expected_miss_rate(of_rig, share)
+
+    def detection_probability(self, mount_pose: np.ndarray) -> np.ndarray:
+        """The probability that each camera detects each object, float32 [camera, object], the objects scene by scene.
+
+        Args:
+            mount_pose: As the mount counts them, float [camera, 7].
+        """
+        found = [self.cameras.detection_probability(mount_pose, scene) for scene in self.scenes]
+        return np.concatenate([np.zeros((len(mount_pose), 0), np.float32), *found], axis=1)
+
+    @property
+    def looked_at(self) -> tuple[np.ndarray, np.ndarray]:
+        """All cameras of all rigs so far, float32 [camera, 7], and what each detects, float32 [camera, object]."""
+        pose, found = zip(*self._looked, strict=True)
+        return np.concatenate(pose), np.concatenate(found)
+
+
+class BudgetSpentError(Exception):
+    """The next look would cost more than what is left of the budget."""
+
+
+@dataclass(frozen=True)
+class SearchRecord:
+    """The state of a search after a look at a rig.
+
+    Attributes:
+        camera_renders: Camera renders so far.
+        best_value: Lowest value so far; inf before the first finite one.
+        seconds: Wall time so far [s].
+    """
+
+    camera_renders: int
+    best_value: float
+    seconds: float = field(compare=False)
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """What a search found.
+
+    Attributes:
+        mount_pose: The best rig, which satisfies all constraints, float32 [camera, 7].
+        value: Its value.
+        camera_renders: Camera renders that were spent, never more than the budget.
+        history: One entry for each rig that was looked at.
+        error: What ended the search early; None if nothing did.
+    """
+
+    mount_pose: np.ndarray
+    value: float
+    camera_renders: int
+    history: tuple[SearchRecord, ...]
+    error: str | None = None
+
+
+class BudgetedValue:
+    """The value of a rig, lower is better, at a price: it counts camera renders and remembers the best rig.
+
+    A camera render is one scene drawn once by one camera, with or without a gradient; a rig of N cameras on S scenes
+    costs N S of them. Rigs are made feasible before they are looked at.
+
+    Attributes:
+        space: The rigs that may be tried.
+        scene_count: Camera renders that a look at one camera costs.
+        camera_renders_max: Camera renders that all looks together may cost.
+        camera_renders: Camera renders so far.
+        history: One entry for each rig that was looked at.
+    """
+
+    def __init__(self, rig_values: RigValues, space: SearchSpace, *, scene_count: int, camera_renders_max: int) -> None:
+        """A fresh budget.
+
+        Args:
+            rig_values: Values of rigs, always on the same scenes. What is not finite is never best.
+            space: The rigs that may be tried.
+            scene_count: Number of scenes, at least 1.
+            camera_renders_max: Camera renders that may be spent, enough for at least one rig.
+
+        Raises:
+            ValueError: The budget is too small for one rig.
+        """
+        self.space = space
+        self.scene_count = scene_count
+        self.camera_renders_max = camera_renders_max
+        self.camera_renders = 0
+        self.history: list[SearchRecord] = []
+        self._rig_values = rig_values
+        self._best_pose: np.ndarray | None = None
+        self._best_value = math.inf
+        self._began = time.perf_counter()
+        if scene_count < 1 or self.camera_renders_per_rig > camera_renders_max:
+            raise ValueError(
+                f"camera_renders_max must be at least one rig's {max(self.camera_renders_per_rig, 1)} camera renders, "
+                f"got {camera_renders_max}"
+            )
+
+    @classmethod
+    def of(
+        cls, objective: RigObjective, scenes: Sequence[AssignedScene], space: SearchSpace, *, camera_renders_max: int
+    ) -> BudgetedValue:
+        """The objective on fixed scenes, computed the fastest way there is (`rig_values_of`)."""
+        return cls(
+            rig_values_of(objective, scenes), space, scene_count=len(scenes), camera_renders_max=camera_renders_max
+        )
+
+    @property
+    def camera_renders_per_rig(self) -> int:
+        """Camera renders that a look at a rig costs."""
+        return self.scene_count * self.space.camera_count
+
+    @property
+    def camera_renders_left(self) -> int:
+        """Camera renders that may still be spent."""
+        return self.camera_renders_max - self.camera_renders
+
+    @property
+    def rigs_left(self) -> int:
+        """How many rigs can still be looked at."""
+        return self.camera_renders_left // self.camera_renders_per_rig
+
+    @property
+    def best_mount_pose(self) -> np.ndarray | None:
+        """The best rig so far, float32 [camera, 7]; None before the first finite value."""
+        return None if self._best_pose is None else self._best_pose.copy()
+
+    def __call__(self, mount_pose: np.ndarray) -> float:
+        """Value of the feasible rig nearest to a mount pose; inf where it is not finite.
+
+        Raises:
+            BudgetSpentError: There is not enough left for it.
+        """
+        return float(self.of_rigs([mount_pose])[0])
+
+    def of_rigs(self, mount_poses: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
+        """Values of rigs that do not depend on one another, as by one call after another, but rendered together.
+
+        Args:
+            mount_poses: Of every rig, float [rig, camera, 7].
+
+        Returns:
+            Their values, inf where they are not finite, float64 [rig].
+
+        Raises:
+            BudgetSpentError: There is not enough left for all; those that could be paid have been looked at.
+        """
+        affordable = min(len(mount_poses), self.rigs_left)
+        rigs = np.array([self.space.feasible(pose) for pose in mount_poses[:affordable]], np.float32)
+        values, found = iter(self._rig_values(rigs.copy())), []
+        for pose in rigs:
+            self.spend(self.camera_renders_per_rig)
+            found.append(float(next(values)))
+            self.record(pose, found[-1])
+        if affordable < len(mount_poses):
+            raise BudgetSpentError
+        return np.where(np.isfinite(found), found, math.inf)
+
+    def spend(self, camera_renders: int) -> None:
+        """Count camera renders that gave no value, before they are made.
+
+        Raises:
+            BudgetSpentError: There are fewer left; none is counted.
+        """
+        if camera_renders > self.camera_renders_left:
+            raise BudgetSpentError
+        self.camera_renders += camera_renders
+
+    def record(self, mount_pose: np.ndarray, value: float) -> None:
+        """Remember a rig whose camera renders have been counted.
+
+        Args:
+            mount_pose: It must satisfy the constraints.
+            value: Its value on the scenes of this object.
+
+        Raises:
+            ValueError: It does not satisfy them.
+        """
+        if math.isfinite(value) and value < self._best_value:
+            if self.space.violation_m(mount_pose) > 0.0:
+                raise ValueError("only rigs that satisfy the constraints can be the best")
+            self._best_pose, self._best_value = np.array(mount_pose, np.float32), value
+        self.history.append(SearchRecord(self.camera_renders, self._best_value, time.perf_counter() - self._began))
+
+    def result(self, error: str | None = None) -> SearchResult:
+        """What was found so far.
+
+        Raises:
+            ValueError: No rig had a finite value.
+        """
+        if self._best_pose is None:
+            raise ValueError(f"none of {len(self.history)} rigs had a finite value" + (f"; {error}" if error else ""))
+        return SearchResult(self._best_pose, self._best_value, self.camera_renders, tuple(self.history), error)
+
+
+Search = Callable[[BudgetedValue, np.random.Generator], None]
+"""Looks at rigs until it is content or the budget is spent; deterministic in the generator."""
+
+
+def run_search(search: Search, value: BudgetedValue, rng: np.random.Generator) -> SearchResult:
+    """Search until the budget is spent.
+
+    A search that fails keeps what it found before; the result says why it ended.
+
+    Raises:
+        Exception: Whatever the search or the value raises before the first rig with a finite value.
+    """
+    error = None
+    try:
+        search(value, rng)
+    except BudgetSpentError:
+        pass
+    except Exception as failure:
+        if value.best_mount_pose is None:
+            raise
+        error = f"{type(failure).__name__}: {failure}"
+    return value.result(error)

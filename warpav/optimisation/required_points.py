@@ -1,0 +1,430 @@
+"""Requirements as one more scene of a search: its objects are the test objects, each a point that has to be seen.
+
+So pool, selection, bound, prices and polish know nothing else of them. A point is "detected" the more surely the nearer
+a camera comes to what its requirement asks for, and all but surely where a camera meets it; a rig misses it as it
+misses a road user.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from warpav.core.cache import digest
+from warpav.core.errors import InputError
+from warpav.optimisation.miss_rate import shares_of
+from warpav.optimisation.selection.problem import Row
+from warpav.raster.camera import CameraModel
+from warpav.raster.mesh import Mesh
+from warpav.raster.pane import Pane
+from warpav.requirements.requirement import Ghosts, Requirement
+from warpav.requirements.visibility import (
+    GhostScenes,
+    KeptRenderers,
+    Visibility,
+    VisibilityJacobian,
+    ghost_jacobians,
+    ghost_scenes,
+    ghost_visibility,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class RequirementRows:
+    """The rows that a rig must satisfy.
+
+    Attributes:
+        rows: For `warpav.optimisation.selection.select`, named after requirement and point.
+        ghost: The point that each comes from, int [row].
+        requirement: Its requirement, int [row].
+    """
+
+    rows: tuple[Row, ...]
+    ghost: np.ndarray
+    requirement: np.ndarray
+
+
+@dataclass(frozen=True)
+class Unmeetable:
+    """A requirement with points that the cameras of a pool cannot meet.
+
+    Attributes:
+        requirement: Its name.
+        points: Number of such points.
+        position_m: The one furthest from being met, in the ego frame [m].
+        cameras_needed: Cameras that have to see the test object there.
+        cameras_found: Cameras of the pool that do.
+        nearest: The camera of the pool that comes closest without meeting it; None where all that see it meet it.
+        visible_share: What that camera sees of it, 0..1.
+        pixels: Likewise [px^2].
+    """
+
+    requirement: str
+    points: int
+    position_m: tuple[float, float]
+    cameras_needed: int
+    cameras_found: int
+    nearest: int | None
+    visible_share: float
+    pixels: float
+
+    def __str__(self) -> str:
+        """One line: what cannot be met, where, and what comes closest."""
+        x, y = self.position_m
+        text = (
+            f"requirement {self.requirement}: {self.points} point{'s' if self.points > 1 else ''} that the pool cannot "
+            f"meet, such as ({x:.2f}, {y:.2f}) m, which needs {self.cameras_needed} camera"
+            f"{'s' if self.cameras_needed > 1 else ''} and has {self.cameras_found}"
+        )
+        if self.nearest is None:
+            return f"{text}; no other camera sees anything there"
+        return f"{text}; camera {self.nearest} comes closest with {self.visible_share:.0%} and {self.pixels:.0f} px"
+
+
+def requirement_rows(meets: np.ndarray, ghosts: Ghosts) -> RequirementRows:
+    """The hard requirements as rows ``sum of meets over a rig's cameras >= cameras``.
+
+    A row that follows from another is left out: one that the same cameras, or more of them, satisfy, with as few or
+    fewer cameras needed.
+
+    Args:
+        meets: Whether each camera of the pool sees enough of each test object, bool [camera, ghost].
+        ghosts: The test objects.
+    """
+    ghost = np.flatnonzero(ghosts.is_hard)
+    needed = ghosts.of_each("cameras")[ghost]
+    pattern, first = np.unique(np.c_[meets[:, ghost].T, needed], axis=0, return_index=True)
+    order = np.argsort(first)
+    ghost, pattern, needed = ghost[first[order]], pattern[order][:, :-1].astype(np.float32), pattern[order][:, -1]
+    common = pattern @ pattern.T  # exact: counts of cameras
+    own = common.diagonal()
+    # [i, j]: row j has no camera that row i lacks, and asks for as many at least, so i follows from j
+    follows = (common == own[None, :]) & (needed[None, :] >= needed[:, None])
+    np.fill_diagonal(follows, False)
+    kept = ~follows.any(axis=1)
+    ghost, pattern, needed = ghost[kept], pattern[kept], needed[kept]
+    rows = tuple(
+        Row(_row_name(ghosts, g), coefficient.astype(np.float64), low=float(low))
+        for g, coefficient, low in zip(ghost, pattern, needed, strict=True)
+    )
+    return RequirementRows(rows, ghost, ghosts.requirement[ghost])
+
+
+def unmeetable_requirements(visibility: Visibility, ghosts: Ghosts) -> list[Unmeetable]:
+    """The hard requirements that a pool cannot meet, each with the camera that comes closest.
+
+    Only single points are looked at: that a rig of few cameras meets all of them at once is for the selection to find.
+
+    Args:
+        visibility: What each camera of the pool sees of each test object.
+        ghosts: The test objects.
+    """
+    meets = visibility.meets(ghosts)
+    found, needed = meets.sum(axis=0), ghosts.of_each("cameras")
+    is_short = ghosts.is_hard & (found < needed)
+    closeness = np.where(meets, 0.0, visibility.closeness(ghosts))
+    result = []
+    for r in np.unique(ghosts.requirement[is_short]):
+        points = np.flatnonzero(is_short & (ghosts.requirement == r))
+        worst = points[np.lexsort((closeness[:, points].max(axis=0), (found / needed)[points]))[0]]
+        nearest = int(np.argmax(closeness[:, worst]))
+        is_other = bool(visibility.visible_share[nearest, worst] > 0.0) and not meets[nearest, worst]
+        x, y = ghosts.position_m[worst].tolist()
+        result.append(
+            Unmeetable(
+                ghosts.requirements[r].name,
+                len(points),
+                (x, y),
+                int(needed[worst]),
+                int(found[worst]),
+                nearest if is_other else None,
+                float(visibility.visible_share[nearest, worst]) if is_other else 0.0,
+                float(visibility.pixels[nearest, worst]) if is_other else 0.0,
+            )
+        )
+    return result
+
+
+def require_meetable(visibility: Visibility, ghosts: Ghosts, *, count: int | None = None) -> None:
+    """Make sure that a pool can meet every point of the hard requirements.
+
+    Args:
+        visibility: As for `unmeetable_requirements`.
+        ghosts: The test objects.
+        count: Cameras of a rig; None: any number.
+
+    Raises:
+        InputError: It names each requirement that the pool, or so few cameras, cannot meet, one a line.
+    """
+    lines = [
+        f"requirement {each.name}: cameras: expected at most {count}, the cameras of the rig, got {each.cameras}; "
+        "lower it or allow more cameras"
+        for each in ghosts.requirements
+        if count is not None and each.is_hard and each.cameras > count
+    ]
+    lines += map(str, unmeetable_requirements(visibility, ghosts))
+    if lines:
+        raise InputError(*lines)
+
+
+def _row_name(ghosts: Ghosts, ghost: int) -> str:
+    x, y = ghosts.position_m[ghost]
+    return f"requirement {ghosts.requirements[ghosts.requirement[ghost]].name} at ({x:.2f}, {y:.2f}) m"
+
+
+MET = 0.999
+"""Probability of a point that a camera meets."""
+NEARLY_MET = 0.9
+"""Probability just before: two cameras that do not meet a point together stay below one that does."""
+HARD_WEIGHT = 0.1
+"""Weight of a hard requirement: it leads the search to where it is met, and the rows keep it there."""
+NEAR_EDGE = 3.0
+"""Margin from which on a hard point counts as met whatever a step does."""
+SEEN_KEPT = 2
+"""Answers with Jacobians that are kept: of a pair's two sides."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What some cameras see.
+
+    Attributes:
+        visibility: Of all points.
+        which: Points with Jacobians, int [point].
+        found: Theirs; None where there are none.
+    """
+
+    visibility: Visibility
+    which: np.ndarray
+    found: VisibilityJacobian | None
+
+
+class RequiredPoints:
+    """The test objects of some requirements around a vehicle; it stands where a scene stands in a pool.
+
+    Attributes:
+        ghosts: The test objects.
+        ego: The vehicle, which hides them.
+        name: What messages call it.
+    """
+
+    name = "requirements"
+
+    def __init__(self, requirements: Sequence[Requirement], ego: Mesh, *, device: str = "cpu") -> None:
+        """The test objects of requirements.
+
+        Args:
+            requirements: At least one.
+            ego: The vehicle in the ego frame [m].
+            device: Where they are rendered.
+
+        Raises:
+            InputError: There is no requirement, one has no point, or there are too many points.
+        """
+        self.requirements, self.ego, self.device = tuple(requirements), ego, device
+        self.ghosts = Ghosts.of(self.requirements, ego)
+        self._opened: dict[Pane, RequiredPoints] = {}
+        self._renderers: KeptRenderers = {}
+        self._seen: dict[tuple[bytes, tuple[CameraModel, ...]], _Seen] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """As it travels and is copied: without what is on a device."""
+        kept = {name: value for name, value in self.__dict__.items() if name != "_drawn"}
+        return {**kept, "_opened": {}, "_renderers": {}, "_seen": {}}
+
+    def through(self, pane: Pane | None) -> RequiredPoints:
+        """The same as cameras behind a pane of the vehicle see it; None: behind none."""
+        if pane is None:
+            return self
+        if pane not in self._opened:
+            opened = self._opened[pane] = copy.copy(self)
+            opened.ego, opened._renderers, opened._seen = pane.opened(self.ego), self._renderers, {}
+        return self._opened[pane]
+
+    @cached_property
+    def _drawn(self) -> GhostScenes:
+        """The points on the device."""
+        return ghost_scenes(self.ghosts, self.ego, device=self.device)
+
+    @property
+    def vehicle_count(self) -> int:
+        """Number of points."""
+        return len(self.ghosts)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hash of all that what cameras see of them depends on."""
+        ghosts, ego = self.ghosts, self.ego
+        needs = [ghosts.of_each(name).tobytes() for name in ("visible_share", "pixels")]
+        bodies = [each.test_object.body for each in self.requirements]
+        parts = [part for body in bodies for part in (body.vertex_m.tobytes(), body.triangle.tobytes())]
+        return digest(
+            "requirements", ego.vertex_m.tobytes(), ego.triangle.tobytes(), ghosts.position_m.tobytes(),
+            ghosts.requirement.tobytes(), *needs, *parts, MET, NEARLY_MET,
+        )  # fmt: skip
+
+    @cached_property
+    def weight(self) -> np.ndarray:
+        """What missing every point costs, where missing all the traffic costs 1, float64 [point].
+
+        The points of a requirement share its weight alike; that of a hard one is `HARD_WEIGHT`.
+        """
+        of_each = np.array([HARD_WEIGHT if each.weight is None else each.weight for each in self.requirements])
+        counts = np.bincount(self.ghosts.requirement, minlength=len(of_each))
+        return (of_each / np.maximum(counts, 1))[self.ghosts.requirement]
+
+    def weights_with(self, object_weight: np.ndarray | None, object_count: int) -> np.ndarray:
+        """Weights of the traffic's objects, 1 in sum, and of the points behind them, float64 [object and point].
+
+        Args:
+            object_weight: Of the traffic's objects, at least 0, not all 0; None: all alike.
+            object_count: How many there are.
+        """
+        share = np.full(object_count, 1.0 / max(object_count, 1)) if object_weight is None else shares_of(object_weight)
+        assert share is not None
+        return np.concatenate([share, self.weight])
+
+    def probability(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> np.ndarray:
+        """How surely each camera sees each point, 0..1, float32 [camera, point].
+
+        Args:
+            ego_from_camera: Poses, float [camera, 4, 4].
+            models: Model of every camera.
+        """
+        return self._probability(self.visibility(ego_from_camera, models))[0].astype(np.float32)
+
+    def with_jacobian(
+        self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The same, and the derivatives to every camera's centre [1/m], rotation about its axes [1/rad] and zoom.
+
+        Returns:
+            float64 [camera, point] and [camera, point, 7]; where a point is met nothing makes it surer.
+        """
+        seen = self._differentiated(ego_from_camera, models)
+        probability, by_share, by_pixels = self._probability(seen.visibility)
+        jacobian = np.zeros((*probability.shape, 7))
+        if seen.found is not None:
+            jacobian[:, seen.which] = by_share[:, seen.which, None] * seen.found.jac_visible_share
+            jacobian[:, seen.which] += by_pixels[:, seen.which, None] * seen.found.jac_pixels
+        return probability, jacobian
+
+    def margins(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> tuple[np.ndarray, np.ndarray]:
+        """What cameras see of the hard points over what is asked of one camera; 1 and more where one meets a point.
+
+        The lesser of share and pixels counts. Arguments as of `with_jacobian`, which shares the renders.
+
+        Returns:
+            float64 [camera, hard point], and the derivatives as of `with_jacobian`, float64 [camera, hard point, 7]; 0
+            where a camera sees the whole object or nothing of it, and from `NEAR_EDGE` on.
+        """
+        seen = self._differentiated(ego_from_camera, models)
+        share, pixels = self._over_needs(seen.visibility)
+        jacobian = np.zeros((*share.shape, 7))
+        if seen.found is not None:
+            ghosts = self.ghosts.at(seen.which)
+            by_share = seen.found.jac_visible_share / ghosts.of_each("visible_share")[:, None]
+            by_pixels = seen.found.jac_pixels / _needed_px(ghosts)[:, None]
+            is_by_share = (share <= pixels)[:, seen.which, None]
+            jacobian[:, seen.which] = np.where(is_by_share, by_share, by_pixels)
+        return np.minimum(share, pixels)[:, self.is_hard], jacobian[:, self.is_hard]
+
+    def _differentiated(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> _Seen:
+        """What cameras see of all points, with Jacobians where something depends on them; the last answers are kept."""
+        key = (np.asarray(ego_from_camera, np.float64).tobytes(), tuple(models))
+        if key not in self._seen:
+            seen = self.visibility(ego_from_camera, models)
+            _, by_share, by_pixels = self._probability(seen)
+            share, pixels = self._over_needs(seen)
+            margin = np.minimum(share, pixels)
+            is_partial = (seen.visible_share > 0.0) & ((seen.visible_share < 1.0) | (pixels < share))
+            is_near = self.is_hard & (margin >= 1.0) & (margin < NEAR_EDGE) & is_partial
+            # most points are met, or not seen at all
+            is_steep = (seen.visible_share > 0.0) & ((by_share > 0.0) | (by_pixels > 0.0))
+            which = np.flatnonzero((is_steep | is_near).any(axis=0))
+            found = None
+            if len(which):
+                ghosts = self.ghosts.at(which)
+                found = ghost_jacobians(
+                    ego_from_camera, models, ghosts, self.ego, device=self.device, renderers=self._renderers
+                )
+            while len(self._seen) >= SEEN_KEPT:
+                del self._seen[next(iter(self._seen))]
+            self._seen[key] = _Seen(seen, which, found)
+        return self._seen[key]
+
+    def _over_needs(self, seen: Visibility) -> tuple[np.ndarray, np.ndarray]:
+        """Shares and pixels over what is asked of one camera, each [camera, point]."""
+        return seen.visible_share / self.ghosts.of_each("visible_share"), seen.pixels / _needed_px(self.ghosts)
+
+    def _probability(self, seen: Visibility) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Probabilities, and their derivatives to share and pixels, each [camera, point]."""
+        need_share, need_px = self.ghosts.of_each("visible_share"), _needed_px(self.ghosts)
+        share, pixels = self._over_needs(seen)
+        is_met = seen.meets(self.ghosts)
+        found = np.where(is_met, MET, NEARLY_MET * np.minimum(np.minimum(share, pixels), 1.0))
+        is_by_share = ~is_met & (share < 1.0) & (share <= pixels)
+        is_by_pixels = ~is_met & (pixels < 1.0) & (pixels < share)
+        by_share = np.where(is_by_share, NEARLY_MET / need_share, 0.0)
+        return found, by_share, np.where(is_by_pixels, NEARLY_MET / need_px, 0.0)
+
+    @property
+    def is_hard(self) -> np.ndarray:
+        """Which points have to be met, bool [point]."""
+        return self.ghosts.is_hard
+
+    def is_kept(self, probability: np.ndarray) -> bool:
+        """Whether a rig whose cameras see the points so surely, [camera, point], meets all hard requirements."""
+        found = self.meets(probability).sum(axis=0)
+        return bool((found >= self.ghosts.of_each("cameras"))[self.is_hard].all())
+
+    def rows(self, probability: np.ndarray) -> RequirementRows | None:
+        """The hard requirements as rows of a selection from cameras that see the points so surely, [camera, point].
+
+        None where there is none.
+        """
+        return requirement_rows(self.meets(probability), self.ghosts) if self.is_hard.any() else None
+
+    @staticmethod
+    def meets(probability: np.ndarray) -> np.ndarray:
+        """Whether cameras meet points that they see so surely, bool, in the shape of the probabilities."""
+        return np.asarray(probability) >= MET - 1e-4
+
+    def visibility(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> Visibility:
+        """What each camera sees of each point; arguments as of `probability`."""
+        return ghost_visibility(
+            ego_from_camera,
+            models,
+            self.ghosts,
+            self.ego,
+            device=self.device,
+            scenes=self._drawn,
+            renderers=self._renderers,
+        )
+
+    def check(self, probability: np.ndarray, seen: Callable[[], Visibility], count: int) -> None:
+        """Make sure that a pool of cameras can meet every hard point.
+
+        Args:
+            probability: Of the pool, [camera, point].
+            seen: Says what its cameras see; asked where they cannot.
+            count: Cameras of a rig.
+
+        Raises:
+            InputError: It names each requirement that cannot be met, and the camera that comes nearest.
+        """
+        found = self.meets(probability).sum(axis=0)
+        needed = self.ghosts.of_each("cameras")
+        if not (self.is_hard & ((found < needed) | (needed > count))).any():
+            return
+        require_meetable(seen(), self.ghosts, count=count)
+
+
+def _needed_px(ghosts: Ghosts) -> np.ndarray:
+    """Pixels that are asked of one camera, above 0, [point]."""
+    return np.maximum(ghosts.of_each("pixels"), 1e-9)
