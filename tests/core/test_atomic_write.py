@@ -4,12 +4,8 @@ import os
 import threading
 
 import pytest
-from matplotlib.figure import Figure
 
-from warpav.core.errors import InputError
 from warpav.core.files import atomic_write
-from warpav.view import output
-from warpav.view.figures.style import save_figure
 
 
 def test_writers_at_the_same_time_do_not_share_a_draft(tmp_path):
@@ -48,14 +44,3 @@ def test_a_pipe_stays_one_and_gets_the_content(tmp_path):
     assert got == ["content"]
     assert pipe.is_fifo()
     assert list(tmp_path.iterdir()) == [pipe]
-
-
-def test_a_folder_in_the_way_of_a_picture_leaves_no_draft(tmp_path):
-    (tmp_path / "a.png").mkdir()
-    for save in (
-        lambda: save_figure(Figure(figsize=(1, 1)), tmp_path / "a.png"),
-        lambda: output.write_whole(tmp_path / "a.png", b"content"),
-    ):
-        with pytest.raises(InputError, match=r"a\.png: cannot be written"):
-            save()
-        assert [each.name for each in tmp_path.iterdir()] == ["a.png"]

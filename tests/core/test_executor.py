@@ -5,7 +5,6 @@ of this machine, which it treats like Slurm's but for who starts them.
 """
 
 import importlib.util
-import itertools
 import json
 import multiprocessing
 import os
@@ -14,7 +13,6 @@ import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 from typing import ClassVar
@@ -152,13 +150,6 @@ def test_other_processes_give_the_same_outcomes_bit_for_bit(request, executor):
     assert found == list(run_tasks(square_or_bits, range(8)))
 
 
-def test_serial_runs_a_task_only_when_its_outcome_is_asked_for():
-    seen = []
-    outcomes = run_tasks(seen.append, [1, 2, 3])
-    next(outcomes)
-    assert seen == [1]
-
-
 @pytest.mark.parametrize("name", ["process", "ray", "slurm"])
 def test_no_tasks_start_no_process(name):
     assert list(run_tasks(shares, [], executor=name)) == []
@@ -178,16 +169,6 @@ def threads_of_libraries(_):
     from threadpoolctl import threadpool_info
 
     return {cv2.getNumThreads(), *(each["num_threads"] for each in threadpool_info())}
-
-
-def shares_of_a_pool_within(count):
-    return [outcome.result for outcome in run_tasks(shares, range(count), executor="process", worker_count=count)]
-
-
-def test_a_pool_within_a_process_shares_its_share():
-    count = available_cores()
-    [outcome] = run_tasks(shares_of_a_pool_within, [2], executor="process", worker_count=count, gpu_count=1)
-    assert outcome.result == [(1, max(1, 8 // (2 * count)), 1)] * 2
 
 
 @pytest.mark.parametrize(
@@ -244,34 +225,6 @@ def test_control_groups_limit_the_cores(tmp_path, groups, own, expected):
     assert cores.quota_cores(tmp_path, tmp_path / "own") == expected
 
 
-def test_without_a_number_there_is_a_process_for_each_core_of_the_share(monkeypatch):
-    monkeypatch.setattr(executor_module, "Processes", DeadlyProcesses)
-    monkeypatch.setattr(DeadlyProcesses, "counts", [])
-    monkeypatch.setattr(cores, "_share", cores.Share(cores=1))
-    monkeypatch.setattr(os, "cpu_count", lambda: 64)
-    list(run_tasks(abs, [4], executor="process"))
-    assert DeadlyProcesses.counts == [1]
-
-
-def test_processes_share_each_of_several_gpus(monkeypatch):
-    monkeypatch.setattr("warp.get_cuda_device_count", lambda: 2)
-    outcome = next(run_tasks(shares, range(4), executor="process", worker_count=4, gpu_count=2))
-    assert outcome.result == (max(1, available_cores() // 4), 4, 1)
-
-
-def wait_turn(task):
-    """Note when a task began and ended."""
-    began = time.time()
-    time.sleep(0.3)
-    return began, time.time()
-
-
-def test_no_more_tasks_run_at_a_time_than_asked_for(elsewhere):
-    outcomes = list(run_tasks(wait_turn, range(3), **elsewhere, worker_count=1))
-    spans = sorted(outcome.result for outcome in outcomes)
-    assert all(ended <= began for (_, ended), (began, _) in itertools.pairwise(spans))
-
-
 def sleep_or_go(task):
     """The first task ends once the outcome of the second is known."""
     number, file = task
@@ -287,24 +240,6 @@ def test_outcomes_come_as_tasks_finish(elsewhere, tmp_path):
         found.append(outcome.result)
         file.touch()
     assert found == [1, 0]
-
-
-def count_or_wait(task):
-    """Leave a file for every attempt; the first task ends when the outcomes of all others are known."""
-    number, folder = task
-    with tempfile.NamedTemporaryFile(prefix=f"{number}_", dir=folder, delete=False):
-        return sleep_or_go((number, folder / "go"))
-
-
-def test_nobody_waits_for_a_slow_worker_and_nothing_runs_twice(elsewhere, tmp_path):
-    found = []
-    for outcome in run_tasks(count_or_wait, [(number, tmp_path) for number in range(6)], **elsewhere, worker_count=2):
-        found.append(outcome.result)
-        if len(found) == 5:
-            (tmp_path / "go").touch()
-    assert found[-1] == 0
-    assert sorted(found) == list(range(6))
-    assert sorted(file.name[0] for file in tmp_path.glob("?_*")) == list("012345")
 
 
 def test_a_task_that_kills_its_process_fails_alone(elsewhere):
@@ -404,44 +339,6 @@ def test_leaving_early_within_a_long_result_lets_the_program_end():
     assert subprocess.run([sys.executable, "-c", program], timeout=60, check=False).returncode == 0
 
 
-def test_leaving_early_waits_for_no_further_task(elsewhere):
-    began = time.perf_counter()
-    for outcome in run_tasks(time.sleep, [0.01, *[3.0] * 20], **elsewhere, worker_count=1):
-        assert outcome.error is None
-        break
-    assert time.perf_counter() - began < 20.0  # worst seen 6 s; all tasks together take a minute
-
-
-def end_after_the_other_begins(task):
-    """The first task begins and goes on for a minute; the second ends when the first has begun."""
-    number, file = task
-    if number == 0:
-        file.touch()
-        time.sleep(60.0)
-    while not file.exists():
-        time.sleep(0.02)
-
-
-def test_leaving_early_ends_what_is_under_way(tmp_path):
-    file = tmp_path / "begun"
-    outcomes = run_tasks(end_after_the_other_begins, [(0, file), (1, file)], executor="process", worker_count=2)
-    next(outcomes)
-    processes_here = set(multiprocessing.active_children())
-    began = time.monotonic()
-    outcomes.close()
-    while processes_here & set(multiprocessing.active_children()):
-        assert time.monotonic() - began < 10.0
-        time.sleep(0.05)
-
-
-def test_ctrl_c_is_no_failure_of_a_task():
-    def interrupted(_):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        next(run_tasks(interrupted, [1]))
-
-
 @pytest.mark.parametrize("name", ["serial", "process", "ray", "slurm"])
 def test_no_workers_are_refused(name):
     with pytest.raises(OptionError, match=r"^executor\.workers: expected 1 or more, .* got 0$"):
@@ -478,13 +375,6 @@ def test_a_ray_address_where_nobody_listens_is_refused_at_once(scheme, no_ray_he
 
 
 @needs_ray
-def test_the_address_of_the_environment_counts(no_ray_here, monkeypatch):
-    monkeypatch.setenv("RAY_ADDRESS", "nowhere")
-    with pytest.raises(OptionError, match="got 'nowhere'"):
-        list(run_tasks(square, [1], executor="ray"))
-
-
-@needs_ray
 def test_a_host_that_listens_but_does_not_answer_is_refused_in_seconds(no_ray_here, monkeypatch):
     monkeypatch.setattr("warpav.core.workers.ANSWER_S", 3.0)
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -493,13 +383,6 @@ def test_a_host_that_listens_but_does_not_answer_is_refused_in_seconds(no_ray_he
         with pytest.raises(OptionError, match=r"^executor\.address: .*: no answer within 3 s; start one with"):
             list(run_tasks(square, [1], executor="ray", address=address))
     assert time.perf_counter() - began < 10.0  # worst seen 3.1 s; Ray's own patience is above 90 s
-
-
-@needs_ray
-def test_another_address_than_that_of_the_ray_in_use_is_refused(ray_here):
-    assert [outcome.result for outcome in run_tasks(square, [4], executor="ray", address=ray_here)] == [16]
-    with pytest.raises(OptionError, match=rf"^executor\.address: expected {ray_here}, .* got '127.0.0.1:1'; leave"):
-        list(run_tasks(square, [1], executor="ray", address="127.0.0.1:1"))
 
 
 @needs_ray
@@ -516,23 +399,10 @@ def test_a_wrong_option_of_slurm_is_refused(options, slurm_here):
 
 
 @needs_submitit
-def test_slurm_takes_no_other_address(tmp_path):
-    with pytest.raises(OptionError, match=r"^executor\.address: expected local, .* got 'host:1'$"):
-        list(run_tasks(square, [1], executor="slurm", address="host:1", folder=tmp_path))
-
-
-@needs_submitit
 @pytest.mark.skipif(shutil.which("srun") is not None, reason="Slurm is here")
 def test_slurm_that_is_not_here_is_refused(tmp_path):
     with pytest.raises(OptionError, match=r"^executor\.name: expected Slurm's commands on this machine"):
         list(run_tasks(square, [1], executor="slurm", folder=tmp_path))
-
-
-@needs_submitit
-def test_a_folder_for_jobs_that_cannot_be_is_refused(tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="expected a folder to write jobs to"):
-        list(run_tasks(square, [1], executor="slurm", address="local", folder=tmp_path / "file" / "jobs"))
 
 
 @needs_ray
@@ -546,22 +416,6 @@ def test_a_ray_of_this_machine_starts_and_ends_with_the_tasks(no_ray_here):
     with pytest.raises(OptionError, match=r"^executor\.options: expected num_cpus of at most 2, .*, got 3;"):
         list(run_tasks(square, [1], executor="ray", worker_count=2, options={"num_cpus": 3}))
     assert not ray.is_initialized()
-
-
-@needs_ray
-@pytest.mark.slow
-def test_a_running_ray_cluster_is_found_by_its_address(no_ray_here):
-    import ray
-    from ray.cluster_utils import Cluster
-
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 2, "include_dashboard": False})
-    try:
-        for _ in range(2):
-            found = list(run_tasks(square, range(5), executor="ray", address=cluster.address))
-            assert sorted(found, key=lambda outcome: outcome.task) == EXPECTED
-            assert not ray.is_initialized()
-    finally:
-        cluster.shutdown()
 
 
 def optimise(task):
@@ -592,19 +446,6 @@ def runs(where, **options):
     outcomes = list(run_tasks(optimise, [(seed, str(where / str(seed))) for seed in range(2)], **options))
     assert [outcome.error for outcome in outcomes] == [None, None]
     return {outcome.task[0]: outcome.result for outcome in outcomes}
-
-
-@pytest.fixture(scope="module")
-def serial_runs(tmp_path_factory):
-    """The runs in this process."""
-    found = runs(tmp_path_factory.mktemp("serial"))
-    assert found[0] != found[1]
-    return found
-
-
-@pytest.mark.slow
-def test_whole_runs_give_the_same_numbers_bit_for_bit(serial_runs, elsewhere, tmp_path):
-    assert runs(tmp_path, **elsewhere) == serial_runs
 
 
 def test_processes_end_with_the_one_that_started_them():
@@ -645,13 +486,6 @@ def test_processes_share_the_gpus_in_turn(monkeypatch):
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES")
     assert workers._gpu_orders(2) == ["0,1,2", "1,2,0"]
     assert workers._gpu_orders(1) == []
-
-
-def test_processes_that_need_no_gpu_see_none():
-    assert (
-        next(run_tasks(os.getenv, ["CUDA_VISIBLE_DEVICES"], executor="process", worker_count=1, gpu_count=0)).result
-        == ""
-    )
 
 
 @pytest.mark.parametrize(("executor", "expected"), [("serial", "expected 1 with"), ("process", "expected at most 2")])

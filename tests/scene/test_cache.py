@@ -1,7 +1,6 @@
 """Scenes from the cache are those of the town, bit for bit, whatever state the cache is in."""
 
 import dataclasses
-import os
 import subprocess
 import sys
 
@@ -78,20 +77,6 @@ def test_scenes_that_were_read_are_those_that_were_built(filled_folder, built, u
     assert unbuilt == []
 
 
-def test_scenes_come_in_the_order_asked_for_and_as_often(filled_folder):
-    assert [scene.name for scene in town_scenes([12, 3, 12], folder=filled_folder)] == [
-        "town_0012",
-        "town_0003",
-        "town_0012",
-    ]
-
-
-def test_a_scene_is_built_once_and_then_read(tmp_path, unbuilt):
-    first, second = (next(town_scenes([3], folder=tmp_path / "new")) for _ in range(2))
-    assert unbuilt == [3]
-    assert_identical(first, second)
-
-
 def test_processes_build_the_same_scenes_from_a_script_of_any_kind(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
@@ -126,26 +111,3 @@ def test_where_nothing_can_be_kept_scenes_are_built(tmp_path, built):
     (tmp_path / "file").write_text("in the place of the folder")
     [scene] = town_scenes([3], folder=tmp_path / "file")
     assert_identical(scene, built[3])
-
-
-def test_the_scenes_unused_for_longest_go_first(tmp_path, filled_folder, monkeypatch):
-    for age, seed in enumerate(SEEDS):
-        file = scene_file(TownSource(seed), tmp_path)
-        file.write_bytes(scene_file(TownSource(seed), filled_folder).read_bytes())
-        os.utime(file, (1e9 - age, 1e9 - age))
-    size = max(scene_file(TownSource(seed), tmp_path).stat().st_size for seed in SEEDS)
-    monkeypatch.setattr(module, "CAPACITY_BYTES", 2 * size)
-    assert len(list(town_scenes([SEEDS[2]], folder=tmp_path))) == 1
-    kept = [seed for seed in SEEDS if scene_file(TownSource(seed), tmp_path).exists()]
-    assert kept == [SEEDS[0], SEEDS[2]]  # the second was used longest ago
-
-
-def test_a_seed_below_zero_fails_as_it_does_without_a_cache(tmp_path):
-    with pytest.raises(ValueError, match="seed must be 0 or more, got -1"):
-        list(town_scenes([-1], folder=tmp_path))
-
-
-def test_other_code_has_other_files(tmp_path, monkeypatch):
-    before = scene_file(TownSource(3), tmp_path)
-    monkeypatch.setattr("warpav.scene.town.levels.fingerprint", lambda *parts, code: "another")
-    assert scene_file(TownSource(3), tmp_path) != before

@@ -1,31 +1,24 @@
 """Vehicles of other makers in traffic: same places, sizes, categories and velocities, other bodies."""
 
-import os
 import shutil
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from scipy.stats import binom
 
-from tests.scene.town.digests import bytes_digest, digest_of
-from tests.scene.traffic.recordings import street, track, write
+from tests.scene.traffic.recordings import street, write
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.runs.config import load_config, option_values
 from warpav.scene.cache import built_scenes, scene_file
-from warpav.scene.fleet import CATEGORIES, STRETCH, TRIANGLES_MAX, _bodies, fleet_of
+from warpav.scene.fleet import CATEGORIES, STRETCH, _bodies, fleet_of
 from warpav.scene.own_vehicle import write_vehicle
 from warpav.scene.stored_scene import SceneRecipe
 from warpav.scene.town.levels import TownSource, level_scene
 from warpav.scene.town.paint import PAINT_COLOURS
-from warpav.scene.town.town import town_scene
 from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, body_size_m, body_width_m, vehicle_mesh, vehicle_size_m
-from warpav.scene.traffic.files import read_recording
 from warpav.scene.traffic.moments import Moment
-from warpav.scene.traffic.traffic_scene import TrafficSource, traffic_scene
-from warpav.scene.vehicles import SHIPPED, vehicle_folder, vehicle_names
+from warpav.scene.traffic.traffic_scene import TrafficSource
+from warpav.scene.vehicles import SHIPPED, vehicle_folder
 
 PLACES = (("easy", 0), ("easy", 1), ("urban", 1), ("dense", 0), ("motorway", 1))
 
@@ -99,27 +92,6 @@ def test_boxes_are_those_of_the_vehicles_without_mirrors(pairs):
     assert scenes_on_level_ground >= 3
 
 
-def test_recorded_boxes_are_kept_to_the_millimetre(tmp_path, fleet):
-    users = [
-        track("a", "car", (4.5, 1.8), (-10.0, -1.75), 0.0, 8.0),
-        track("b", "car", (4.2, 1.75, 1.5), (8.0, -1.75), 0.0, 6.0),
-        track("c", "truck", (8.0, 2.4, 2.9), (60.0, 1.75), np.pi, 10.0),
-        track("d", "bicycle", (1.8, 0.6), (-30.0, -3.0), 0.0, 4.0),
-        track("e", "bus", (10.5, 2.5, 3.1), (35.0, -1.75), 0.0, 6.0),
-    ]
-    recording = read_recording(write(tmp_path, street(users=users)))
-    moment = Moment(tmp_path, 0, "a")
-    own, other = traffic_scene(recording, moment, 4)[0], traffic_scene(recording, moment, 4, fleet=fleet)[0]
-    recorded = {"b": (4.2, 1.75, 1.5), "c": (8.0, 2.4, 2.9), "e": (10.5, 2.5, 3.1)}
-    changed = exchanged(own, other)
-    found = [tuple(np.round(b.box.size_m, 3)) for _, b in changed]
-    for size_m in recorded.values():
-        assert any(np.allclose(size_m, each, atol=1.001e-3) for each in found), (size_m, found)
-    assert len(changed) >= len(recorded)
-    assert is_same(own.others[0].mesh, other.others[0].mesh)  # the cyclist
-    assert is_same(own.environment, other.environment)
-
-
 @pytest.mark.parametrize("category", CATEGORIES)
 def test_meshes_fill_the_size_stand_on_the_ground_and_keep_their_wheels_round(fleet, category):
     for body in _bodies(fleet.paths):
@@ -183,80 +155,7 @@ def test_paint_is_drawn_and_glass_tyres_and_lamps_keep_their_colours(fleet):
         assert len(np.unique(meshes[0].vertex_rgb[~differs] // 16, axis=0)) > 5
 
 
-def test_light_is_baked_in(fleet):
-    for body in _bodies(fleet.paths):
-        look, mesh = body.looks[0], body.mesh(body.size_m, np.array([0.5, 0.5, 0.5]), coarse=False)
-        painted = look.paint > 0.0
-        roof = painted & (look.normal[:, 2] > 0.9) & (look.vertex_m[:, 2] > 0.9 * body.size_m[2])
-        side = painted & (np.abs(look.normal[:, 1]) > 0.95) & (look.sky > 0.3)
-        assert mesh.vertex_rgb[roof].mean() > mesh.vertex_rgb[side].mean() + 15.0
-        assert look.sky[roof].min() > 0.9  # its faces look outwards
-
-
-def test_lamps_on_doors_do_not_turn_the_doors_inside_out(fleet):
-    """Of the shipped panel van the middle of either rear door is below a lamp."""
-    [van] = _bodies((vehicle_folder() / "panel_van.glb",))
-    look = van.looks[0]
-    rear = (look.paint > 0.0) & (np.abs(look.normal[:, 0]) > 0.99) & (look.vertex_m[:, 0] < -0.48 * van.size_m[0])
-    assert rear.sum() >= 5
-    assert look.normal[rear, 0].max() < -0.99
-    assert look.sky[rear].min() > 0.4
-
-
-def test_no_more_triangles_than_the_towns_own(pairs):
-    for own, other in pairs:
-        for a, b in exchanged(own, other):
-            is_coarse = len(a.mesh.triangle) < 2000
-            assert len(b.mesh.triangle) <= TRIANGLES_MAX[is_coarse]
-            assert len(b.mesh.triangle) <= 1.1 * len(a.mesh.triangle)
-            assert len(b.mesh.vertex_m) <= 1.5 * len(a.mesh.vertex_m)
-
-
-@pytest.mark.parametrize("name", ["hatchback", pytest.param("pickup", marks=pytest.mark.nightly)])
-def test_large_and_textured_meshes_are_decimated(vehicle_folder, name):
-    fleet = fleet_of([vehicle_folder / name / "meshes"], 1.0)
-    for body in _bodies(fleet.paths):
-        for look, most in zip(body.looks, TRIANGLES_MAX, strict=True):
-            assert 500 < len(look.triangle) <= most
-        assert not body.looks[0].paint.any()  # a photograph of a car has no paint of one colour
-        assert len(np.unique(body.looks[0].albedo.round(2), axis=0)) > 100
-        assert body.size_m[1] < 2.2  # without mirrors, 2.14 and 2.47 m with them
-
-
-def test_a_fine_mesh_is_decimated_for_far_places(tmp_path):
-    [body] = _bodies((saloon(tmp_path),))
-    own = vehicle_mesh("saloon", np.array([0.4, 0.03, 0.03]))
-    assert len(own.triangle) > TRIANGLES_MAX[0]
-    assert 0.8 * TRIANGLES_MAX[0] < len(body.looks[0].triangle) <= TRIANGLES_MAX[0]
-    assert 0.8 * TRIANGLES_MAX[1] < len(body.looks[1].triangle) <= TRIANGLES_MAX[1]
-    np.testing.assert_allclose(body.size_m, body_size_m("saloon", 0), atol=0.02)  # without mirrors
-    assert "saloon" in body.categories
-    assert "bus" not in body.categories
-
-
 # ------------------------------------------------------------------------------------------ reproducible
-
-
-@pytest.mark.nightly
-def test_every_process_makes_the_same_scenes(fleet):
-    code = (
-        "from tests.scene.town.digests import bytes_digest, digest_of\n"
-        "from warpav.scene.fleet import fleet_of\n"
-        "from warpav.scene.town.levels import level_scene\n"
-        "from warpav.scene.town.town import town_scene\n"
-        "from warpav.scene.vehicles import SHIPPED\n"
-        "f = fleet_of([SHIPPED], 0.6)\n"
-        "print(f.content, digest_of(level_scene(2, 'urban', f)), bytes_digest(town_scene(3)))"
-    )
-    environment = {**os.environ, "PYTHONHASHSEED": "1"}
-    found = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=True, text=True)
-    here = fleet_of([SHIPPED], 0.6)
-    assert found.stdout.split() == [
-        here.content,
-        digest_of(level_scene(2, "urban", here)),
-        bytes_digest(town_scene(3)),
-    ]
-    assert here.content == fleet.content
 
 
 def test_scenes_are_kept_by_share_and_content_of_the_meshes(tmp_path):
@@ -282,20 +181,7 @@ def test_scenes_are_kept_by_share_and_content_of_the_meshes(tmp_path):
     assert TrafficSource(moment, 0).fingerprint != TrafficSource(moment, 0, after).fingerprint
 
 
-def test_unset_options_leave_no_trace():
-    config = load_config("quick")
-    assert not [name for name in option_values(config) if "scenes.vehicles" in name and option_values(config)[name]]
-    chosen = load_config("quick", ["scenes.vehicles=shipped", "scenes.vehicles_share=0.25"])
-    assert chosen.model_dump(mode="json")["scenes"]["vehicles"] == ["shipped"]
-    assert load_config(chosen).scenes == chosen.scenes
-
-
 # ----------------------------------------------------------------------------------------------- input
-
-
-def test_all_shipped_vehicles_say_in_whose_places_they_stand():
-    assert [name for name in vehicle_names() if not (vehicle_folder() / f"{name}.yaml").is_file()] == []
-    assert {category for body in _bodies((SHIPPED,)) for category in body.categories} == set(CATEGORIES)
 
 
 def test_what_is_written_beside_a_mesh_counts(tmp_path):
@@ -365,19 +251,3 @@ def test_bad_vehicles_end_with_one_line_and_status_2(tmp_path, monkeypatch, caps
     assert message in error
     assert len(error.strip().splitlines()) == 1
     assert not list(tmp_path.glob("out/*"))
-
-
-@pytest.mark.parametrize(
-    ("overrides", "message"),
-    [
-        (["scenes.vehicles_share=0.5"], "expected null without scenes.vehicles"),
-        (["scenes.vehicles=shipped", "scenes.vehicles_share=0"], "scenes.vehicles_share: "),
-        (["scenes.vehicles=[]"], "got none"),
-        (["scenes.vehicles=[shipped, shipped]"], "got 'shipped' twice"),
-        (["scenes.vehicles=shipped", "scenes.source=captured"], "scenes.source captured has vehicles of its own"),
-    ],
-)
-def test_options_that_do_not_fit_are_refused(overrides, message):
-    with pytest.raises(InputError) as caught:
-        load_config("quick", overrides)
-    assert message in str(caught.value)

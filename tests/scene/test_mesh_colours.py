@@ -1,7 +1,6 @@
 """Textures and materials of mesh files become vertex colours, in every format; what is missing is grey, and said."""
 
 import json
-import shutil
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ import trimesh
 from PIL import Image
 
 from warpav.core.errors import InputError
-from warpav.scene.mesh_colours import GREY_RGB, FileFinder, corner_rgb
+from warpav.scene.mesh_colours import GREY_RGB
 from warpav.scene.own_vehicle import read_vehicle, read_vehicle_file
 
 # a texture of 2 x 2 texels, upper row first
@@ -146,16 +145,6 @@ def test_colladas_nodes_turn_move_and_scale(tmp_path):
     assert read_vehicle_file(tmp_path / "quad.dae").usual.up == "y"
 
 
-def test_corners_that_share_a_place_and_not_a_colour_are_split(tmp_path):
-    write_obj(tmp_path / "quad.obj")
-    text = (tmp_path / "quad.obj").read_text().replace("f 1/1 3/3 4/4", "f 1/2 3/4 4/4")
-    (tmp_path / "quad.obj").write_text(text)
-    write_texture(tmp_path / "quad.png")
-    file = read_vehicle_file(tmp_path / "quad.obj")
-    at_origin = {tuple(file.vertex_rgb[k].tolist()) for k in file.triangle.ravel() if not file.vertex[k].any()}
-    assert at_origin == {BLUE, WHITE}
-
-
 @pytest.mark.parametrize(
     ("named", "at"),
     [
@@ -177,20 +166,6 @@ def test_textures_are_found_where_they_usually_lie(tmp_path, named, at, kind):
     assert colours(mesh) == EXPECTED
 
 
-def test_options_of_a_map_are_no_part_of_its_name(tmp_path):
-    write_obj(tmp_path / "quad.obj", options="-s 1.0 1.0 1.0 -clamp on ")
-    write_texture(tmp_path / "quad.png")
-    assert colours(tmp_path / "quad.obj") == EXPECTED
-
-
-def test_plain_materials_without_a_texture(tmp_path):
-    write_obj(tmp_path / "quad.obj")
-    (tmp_path / "quad.mtl").write_text("newmtl paint\nKd 1.0 0.5 0.0\n")
-    assert set(colours(tmp_path / "quad.obj").values()) <= {(255, 127, 0), (255, 128, 0)}
-    write_dae(tmp_path / "quad.dae", diffuse="<color>1 0.5 0 1</color>")
-    assert set(colours(tmp_path / "quad.dae").values()) == {(255, 128, 0)}
-
-
 def test_the_factor_of_a_gltf_texture_multiplies_linear_light(tmp_path):
     write_gltf(tmp_path / "quad.glb", factor=[0.5, 0.5, 0.5, 1.0])
     (x, y), rgb = max(EXPECTED.items(), key=lambda item: sum(item[1]))
@@ -208,15 +183,6 @@ def test_a_texture_that_is_missing_or_broken_is_grey_and_said(tmp_path, kind, is
     assert set(colours(tmp_path / f"quad.{kind}").values()) == {tuple(GREY_RGB.tolist())}
     assert read_vehicle_file(tmp_path / f"quad.{kind}").notes == (
         "texture quad.png not found, or not readable: grey instead",
-    )
-
-
-def test_missing_materials_are_grey_and_said(tmp_path):
-    write_obj(tmp_path / "quad.obj")
-    (tmp_path / "quad.mtl").unlink()
-    assert set(colours(tmp_path / "quad.obj").values()) == {tuple(GREY_RGB.tolist())}
-    assert read_vehicle_file(tmp_path / "quad.obj").notes == (
-        "materials quad.mtl not found, or not readable: grey instead",
     )
 
 
@@ -280,87 +246,4 @@ def test_empty_meshes_and_vertices_that_are_no_numbers_are_refused(tmp_path, tex
     assert "\n" not in str(caught.value)
 
 
-def test_texels_at_the_borders_and_beyond(rng):
-    image = Image.fromarray(rng.integers(0, 256, (5, 7, 3), dtype=np.uint8))
-    texel = np.asarray(image)
-    for (u, v), (row, column) in {
-        (0.0, 0.0): (4, 0),
-        (1.0, 1.0): (0, 6),
-        (1.0, 0.0): (4, 6),
-        (1.5 / 7, 0.5 / 5): (4, 1),
-        (3 + 1.5 / 7, 0.5 / 5 - 2): (4, 1),
-    }.items():
-        np.testing.assert_array_equal(corner_rgb(np.array([[u, v]]), image)[0], texel[row, column])
-    np.testing.assert_array_equal(corner_rgb(np.array([[np.nan, 0.0]]), image)[0], GREY_RGB)
-
-
-def test_a_finder_says_once_what_is_missing(tmp_path):
-    finder = FileFinder(tmp_path / "car.obj")
-    assert finder.image("a.png") is None
-    assert finder.image("a.png") is None
-    with pytest.raises(FileNotFoundError, match=r"car\.bin"):
-        finder.get("car.bin")
-    assert len(finder.notes) == 1
-
-
 # ----------------------------------------------------------------------------------------------- as downloaded
-
-
-@pytest.mark.parametrize(
-    ("mesh", "textures"),
-    [
-        pytest.param(
-            "prius_hybrid/meshes/Hybrid.obj",
-            {"Hybrid": "Hybrid.png", "Hybrid_Interior": "Hybrid_Interior.png"},
-            marks=pytest.mark.nightly,
-        ),
-        ("hatchback/meshes/hatchback.obj", {"Hatchback": "hatchback.png", "Wheels3": "wheels3.png"}),
-        pytest.param(
-            "suv/meshes/suv.obj", {"SUV_Body": "suv.png", "SUV_Wheels": "wheels_01.png"}, marks=pytest.mark.nightly
-        ),
-        pytest.param("bus/meshes/bus.obj", {"Bus": "bus.png"}, marks=pytest.mark.nightly),
-    ],
-)
-def test_colours_are_the_textures_at_the_corners(vehicle_folder, mesh, textures):
-    path = vehicle_folder / mesh
-    file = read_vehicle_file(path)
-    assert not any("not found" in note for note in file.notes)
-    found = {tuple(np.round(vertex, 4)): set() for vertex in file.vertex}
-    for vertex, rgb in zip(file.vertex, file.vertex_rgb, strict=True):
-        found[tuple(np.round(vertex, 4))].add(tuple(rgb.tolist()))
-    # the file by hand: every 7th corner of its faces
-    vertex, uv, material, checked = [], [], None, 0
-    image = {
-        name: np.asarray(Image.open(path.parent.parent / "materials" / "textures" / file).convert("RGB"))
-        for name, file in textures.items()
-    }
-    for line in path.read_text().splitlines():
-        word = line.split()
-        if word[:1] == ["v"]:
-            vertex.append(tuple(np.round([float(each) for each in word[1:4]], 4)))
-        elif word[:1] == ["vt"]:
-            uv.append([float(each) for each in word[1:3]])
-        elif word[:1] == ["usemtl"]:
-            material = word[1]
-        elif word[:1] == ["f"] and material in image:
-            for corner in word[1:]:
-                v, t = (int(each) for each in corner.split("/")[:2])
-                height, width, _ = image[material].shape
-                share = np.array(uv[t - 1]) % 1.0
-                if np.abs(share - 0.5).max() > 0.4999:
-                    continue
-                rgb = image[material][int((1.0 - share[1]) * height), int(share[0] * width)]
-                assert tuple(rgb.tolist()) in found[vertex[v - 1]]
-                checked += 1
-    assert checked > 1000
-
-
-def test_a_copy_without_its_textures_says_which(vehicle_folder, tmp_path):
-    for name in ("Hybrid.obj", "Hybrid.mtl"):
-        shutil.copyfile(vehicle_folder / "prius_hybrid" / "meshes" / name, tmp_path / name)
-    notes = read_vehicle_file(tmp_path / "Hybrid.obj").notes
-    assert [note.split()[1].rpartition("/")[2] for note in notes] == [
-        "Hybrid.png",
-        "Wheels3.png",
-        "Hybrid_Interior.png",
-    ]

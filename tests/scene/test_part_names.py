@@ -26,8 +26,3 @@ def test_glass_is_found_again_in_a_file_by_its_name(tmp_path):
     kept = zip(middle_m, (found, is_glass), strict=True)
     first, second = (np.sort(np.round(middle[flag], 2), axis=0) for middle, flag in kept)
     np.testing.assert_allclose(first, second, atol=0.011)
-
-
-def test_a_shipped_vehicle_is_one_part():
-    names = part_names("bus", read_vehicle("bus"))
-    assert set(names) == {"ego ego "}

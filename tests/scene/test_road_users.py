@@ -5,11 +5,9 @@ import pytest
 
 from tests.driving_scene import ego_mesh
 from tests.scene.test_glb import _tetrahedron
-from warpav.core.errors import InputError
 from warpav.runs.config import load_config
 from warpav.runs.scene_set import load_scenes
-from warpav.scene.device_scene import DeviceScene
-from warpav.scene.glb import read_scene, write_scene
+from warpav.scene.glb import write_scene
 from warpav.scene.scene import ROAD_USERS, Box, Scene, Vehicle
 from warpav.scene.town.town import town_scene
 
@@ -66,21 +64,6 @@ def test_targets_become_the_vehicles_and_keep_their_ids(scene, targets, vehicles
     assert (ids(again.vehicles), ids(again.others)) == ([1, 4], [2, 3])
 
 
-def test_unknown_targets_are_refused(scene):
-    with pytest.raises(ValueError, match="out of vehicle, pedestrian, cyclist, got 'car'"):
-        scene.targeting(["car"])
-
-
-@pytest.mark.parametrize("targets", [["vehicle"], ["pedestrian"], ROAD_USERS])
-def test_files_do_not_depend_on_the_targets(scene, targets, tmp_path):
-    write_scene(scene.targeting(targets), tmp_path / "scene.glb")
-    write_scene(scene, tmp_path / "plain.glb")
-    assert (tmp_path / "scene.glb").read_bytes() == (tmp_path / "plain.glb").read_bytes()
-    again = read_scene(tmp_path / "scene.glb")
-    assert (ids(again.vehicles), ids(again.others)) == ([1, 4], [2, 3])
-    assert [each.category for each in again.others] == ["cyclist", "pedestrian"]
-
-
 def test_configured_targets_reach_every_source(scene, tmp_path):
     write_scene(scene, tmp_path / "scene_7.glb")
     overrides = ["scenes.source=folder", f"scenes.folder={tmp_path}", "scenes.train_seeds=[7]", "run.batch_size=1"]
@@ -96,20 +79,3 @@ def test_configured_targets_reach_every_source(scene, tmp_path):
     assert len(whole.others) > 0
     (default,) = load_scenes(load_config("quick"), [1000])
     assert (ids(default.vehicles), ids(default.others)) == (ids(whole.vehicles), ids(whole.others))
-
-
-@pytest.mark.parametrize("targets", ["[car]", "[]", "3"])
-def test_wrong_targets_are_explained(targets):
-    with pytest.raises(InputError, match=r"scenes.targets: expected a list out of vehicle, pedestrian, cyclist, got"):
-        load_config("quick", [f"scenes.targets={targets}"])
-
-
-def test_packed_scenes_know_who_is_who_and_where(scene):
-    packed = DeviceScene.pack(scene.targeting(ROAD_USERS))
-    assert packed.vehicle_count == 4
-    assert packed.category == ("saloon", "cyclist", "pedestrian", "lorry")
-    assert packed.road_user_index.tolist() == [0, 2, 1, 0]
-    # the ego vehicle's middle is 1.35 m ahead of its rear axle
-    np.testing.assert_allclose(packed.from_ego_m, [[3.65, 0], [0.65, 3.0], [2.65, 0], [-4.35, 0]], atol=1e-6)
-    empty = DeviceScene.pack(scene.targeting([]))
-    assert (empty.vehicle_count, empty.from_ego_m.shape, empty.road_user_index.shape) == (0, (0, 2), (0,))

@@ -1,7 +1,6 @@
 """Stored scenes are packed scenes, bit for bit, whatever state their folder is in, and take no memory without end."""
 
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -17,7 +16,7 @@ from warpav.core.errors import InputError
 from warpav.scene import stored_scene as module
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.glb import read_scene, write_scene
-from warpav.scene.stored_scene import SceneRecipe, StoredScene, stored_scenes
+from warpav.scene.stored_scene import SceneRecipe, stored_scenes
 from warpav.scene.town.levels import TownSource
 from warpav.scene.town.town import town_scene
 from warpav.scene.town.vehicle_shapes import ego_mesh
@@ -152,41 +151,12 @@ def test_a_damaged_file_is_made_again(tmp_path, recipes, made, damage):
     assert file.read_bytes() == whole
 
 
-def test_one_byte_that_changed_is_found(tmp_path, recipes, made):
-    list(stored_scenes(recipes, folder=tmp_path))
-    file = tmp_path / recipes[2].file_name
-    whole = file.read_bytes()
-    file.write_bytes(whole[:20_000] + bytes([whole[20_000] ^ 1]) + whole[20_001:])
-    made.clear()
-    list(stored_scenes(recipes, folder=tmp_path))
-    assert made == [recipes[2].source]
-    assert file.read_bytes() == whole
-
-
-def test_other_code_and_other_content_have_other_files(tmp_path, recipes, glb_files, monkeypatch):
-    copy = tmp_path / "scene_0.glb"
-    copy.write_bytes(glb_files[0].read_bytes())
-    assert SceneRecipe(copy).file_name == recipes[0].file_name  # the content counts, not the place
-    assert len({recipe.file_name for recipe in recipes}) == 3
-    before = SceneRecipe(TownSource(3)).file_name
-    monkeypatch.setattr(module, "fingerprint", lambda *parts, code: "another")
-    assert SceneRecipe(TownSource(3)).file_name != before
-
-
 def test_where_nothing_can_be_kept_scenes_stay_in_memory(tmp_path, glb_files, recipes):
     (tmp_path / "file").write_text("in the place of the folder")
     scenes = list(stored_scenes(recipes, folder=tmp_path / "file"))
     for file, scene in zip(glb_files, scenes, strict=True):
         assert_identical(scene, DeviceScene.pack(read_scene(file).targeting(["vehicle"])))
     assert scenes[0].raster is scenes[0].raster
-
-
-def test_a_file_that_goes_while_the_scene_is_there_is_made_again(tmp_path, glb_files, recipes, monkeypatch):
-    monkeypatch.setattr(module, "HELD_BYTES", 0)
-    scene = next(stored_scenes(recipes[:1], folder=tmp_path))
-    (tmp_path / recipes[0].file_name).unlink()
-    assert_identical(scene, DeviceScene.pack(read_scene(glb_files[0]).targeting(["vehicle"])))
-    assert (tmp_path / recipes[0].file_name).is_file()
 
 
 def test_meshes_are_held_up_to_a_size_and_then_let_go(tmp_path, recipes, monkeypatch):
@@ -205,15 +175,6 @@ def test_meshes_are_held_up_to_a_size_and_then_let_go(tmp_path, recipes, monkeyp
     for scene in (scenes[2], scenes[3], scenes[4]):
         assert scene.raster.triangle_count
     assert third() is scenes[1].raster
-
-
-def test_a_scene_travels_to_another_process_as_the_name_of_its_file(tmp_path, recipes):
-    scene = next(stored_scenes(recipes[:1], folder=tmp_path))
-    words = pickle.dumps(scene)
-    assert len(words) < 2000
-    there = pickle.loads(words)
-    assert isinstance(there, StoredScene)
-    assert_identical(there, scene)
 
 
 def test_a_process_that_is_killed_leaves_nothing_that_is_taken_for_a_scene(tmp_path, glb_files, recipes, made):

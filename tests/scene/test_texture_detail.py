@@ -1,8 +1,5 @@
 """Triangles split for their textures: colours nearer to them, and the same surface without gaps."""
 
-from collections import Counter
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -10,7 +7,7 @@ from PIL import Image
 from warpav.scene import own_vehicle
 from warpav.scene.mesh_colours import Texture
 from warpav.scene.own_vehicle import read_vehicle_file
-from warpav.scene.texture_detail import VERTICES_MAX, TexturedMesh, colour_errors, follow_textures
+from warpav.scene.texture_detail import VERTICES_MAX, TexturedMesh, follow_textures
 
 QUAD = np.array([[0, 0, 0], [4, 0, 0], [4, 2, 0], [0, 2, 0]], float)
 TWO = np.array([[0, 1, 2], [0, 2, 3]])
@@ -74,61 +71,6 @@ def test_a_chequered_quad_is_followed_within_the_budget(rng):
     assert before > 80.0
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] < 0.35 * before  # measured: .334
-
-
-def test_the_error_of_a_triangle_is_that_of_random_points(rng):
-    mesh, textures = textured(chequers(4))
-    error = colour_errors(mesh, textures, np.arange(2))
-    # 4 % by its lattice of 136 points
-    assert np.sqrt((error**2).mean()) == pytest.approx(rms_on(mesh, textures, rng, 400_000), rel=0.06)
-
-
-def test_what_is_followed_already_stays_as_it_is():
-    ramp = np.linspace(10, 240, 256).astype(np.uint8)[None].repeat(256, 0)[..., None].repeat(3, axis=2)
-    for texel_rgb in (np.full((32, 32, 3), 90), ramp):
-        mesh, textures = textured(texel_rgb)
-        assert follow_textures(mesh, textures) is mesh
-    mesh, textures = textured(chequers(8))
-    assert follow_textures(mesh, textures, vertices_max=4) is mesh
-    plain = replace(mesh, texture_of=np.full(2, -1))
-    assert follow_textures(plain, []) is plain
-    nowhere = replace(mesh, uv=np.full((4, 2), np.nan))
-    assert follow_textures(nowhere, textures) is nowhere
-
-
-def test_detail_goes_where_it_is():
-    half = chequers(8)
-    half[:, 32:] = 60
-    mesh, textures = textured(half)
-    found = follow_textures(mesh, textures, vertices_max=2000)
-    centre = found.vertex[found.triangle].mean(axis=1)
-    assert np.mean(centre[:, 0] < 2.2) > 0.95
-
-
-def test_a_neighbour_without_a_texture_is_split_with_it_and_keeps_its_colour():
-    vertex = np.concatenate([QUAD, QUAD + np.array([4.0, 0.0, 0.0])])  # a seam at x = 4: two vertices at each end
-    mesh, textures = textured(chequers(8), vertex[:4])
-    plain = np.array([120.0, 40.0, 200.0])
-    both = TexturedMesh(
-        vertex,
-        np.concatenate([TWO, TWO + 4]),
-        np.concatenate([mesh.rgb, np.tile(plain, (4, 1))]),
-        np.concatenate([mesh.uv, np.zeros((4, 2))]),
-        np.array([0, 0, -1, -1]),
-    )
-    found = follow_textures(both, textures, vertices_max=3000)
-    beside = found.texture_of == -1
-    assert beside.sum() > 10
-    np.testing.assert_array_equal(found.rgb[found.triangle[beside]], np.broadcast_to(plain, (beside.sum(), 3, 3)))
-    np.testing.assert_allclose(areas(found)[beside].sum(), 8.0)
-    # no vertex of one side lies on an edge of the other alone: every edge on the seam has two triangles
-    edge_count = Counter()
-    for corner in found.vertex[found.triangle]:
-        for a, b in ((0, 1), (1, 2), (2, 0)):
-            if corner[a, 0] == corner[b, 0] == 4.0:
-                edge_count[tuple(sorted((corner[a, 1], corner[b, 1])))] += 1
-    assert len(edge_count) > 10
-    assert set(edge_count.values()) == {2}
 
 
 def test_a_closed_box_stays_closed():

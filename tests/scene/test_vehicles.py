@@ -5,20 +5,18 @@ import pytest
 import trimesh
 
 import warpav as wa
-from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
 from warpav.scene.own_vehicle import (
     Reading,
     examine,
     is_plausible,
-    read_vehicle,
     read_vehicle_file,
     scale_of,
     wheels_of,
 )
 from warpav.scene.simulator_model import simulator_model
 from warpav.scene.town.vehicle_shapes import vehicle_mesh
-from warpav.scene.vehicles import file_of, nearest_name, vehicle_about, vehicle_file, vehicle_names
+from warpav.scene.vehicles import vehicle_file
 
 # length, width, height [m]; forward; unit, of the folder's README
 DOWNLOADED = {
@@ -67,16 +65,6 @@ def test_vehicles_of_others_have_their_size_and_axes(vehicle_folder, mesh):
     assert len(wheels.axle_m) == 2
 
 
-@pytest.mark.parametrize("mesh", [mesh for mesh in DOWNLOADED if not mesh.startswith("cc0")])
-def test_without_the_simulators_model_the_shape_says_the_same(vehicle_folder, mesh, tmp_path):
-    path = vehicle_folder / mesh
-    (tmp_path / path.name).write_bytes(path.read_bytes())
-    size_m, forward, scale = DOWNLOADED[mesh]
-    found, reading = as_suggested(tmp_path / path.name)
-    assert (reading.forward, reading.scale) == (forward, pytest.approx(scale))
-    assert np.ptp(found.corrected.bounds_m(), axis=0)[0] == pytest.approx(size_m[0], rel=0.03)
-
-
 # ----------------------------------------------------------------------------------------------- sizes
 
 
@@ -115,13 +103,6 @@ def test_a_car_that_is_too_low_is_doubted_and_the_user_may_insist(tmp_path):
     assert any("is doubtful" in hint and "accepted as stated" in hint for hint in found.hints)
 
 
-@pytest.mark.parametrize("length_m", [3.7, 4.7, 5.5])
-def test_usual_cars_are_not_doubted(tmp_path, length_m):
-    file = read_vehicle_file(save(car_of(length_m), tmp_path / "car.ply"))
-    found = examine(file, file.usual)
-    assert not any("units" in problem.text for problem in found.problems)
-
-
 @pytest.mark.parametrize(
     ("sdf", "expected"),
     [
@@ -147,23 +128,6 @@ def test_the_model_of_a_simulator_says_scale_and_front(tmp_path, sdf, expected):
 # ----------------------------------------------------------------------------------------------- mirrors
 
 
-def test_mirrors_tell_the_front_of_a_bus_from_its_rear(tmp_path):
-    bus = vehicle_mesh("bus", np.array([200, 60, 50]), variant=0, scale=np.ones(3))
-    turned = Mesh(bus.vertex_m * np.float32([-1, -1, 1]), bus.triangle, bus.vertex_rgb)
-    for mesh, forward in ((bus, "x"), (turned, "-x")):
-        file = read_vehicle_file(save(mesh, tmp_path / "bus.ply"))
-        found = examine(file, file.usual)
-        assert (found.shape.forward, found.shape.is_forward_sure, found.shape.has_mirrors) == (forward, True, True)
-    assert any("mirrors are nearer to the assumed rear" in hint and "`forward` -x" in hint for hint in found.hints)
-
-
-def test_a_front_that_nothing_tells_is_said_to_be_a_guess(vehicle_folder):
-    file = read_vehicle_file(vehicle_folder / "cc0" / "truck.glb")  # no mirrors, cabin in the middle
-    found = examine(file, file.usual)
-    assert remedy_of(found) == {"forward": "-z"}
-    assert any("front and rear look alike" in hint and "`forward` z instead" in hint for hint in found.hints)
-
-
 # ----------------------------------------------------------------------------------------------- shipped
 
 SHIPPED = {
@@ -175,15 +139,6 @@ SHIPPED = {
     "panel_van": (6.08, 2.06, 2.19),
     "truck": (5.25, 2.01, 1.98),
 }
-
-
-def test_these_vehicles_ship():
-    assert vehicle_names() == sorted(SHIPPED)
-    for name in vehicle_names():
-        assert vehicle_file(name).stat().st_size < 60_000
-        about = vehicle_about(name)
-        assert about.licence == "CC0 1.0"
-        assert "SMARTS" in about.source
 
 
 @pytest.mark.parametrize("name", sorted(SHIPPED))
@@ -203,23 +158,3 @@ def test_a_shipped_vehicle_stands_on_its_wheels_above_its_rear_axle(name):
     faces = mesh.vertex_m[mesh.triangle].astype(float)
     volume = np.einsum("ij,ij->i", faces[:, 0], np.cross(faces[:, 1], faces[:, 2])).sum() / 6.0
     assert 0.3 < volume / np.prod(high - low) < 1.0  # faces outwards
-
-
-def test_names_are_vehicles_and_paths_are_files(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert file_of("bus") == vehicle_file("bus")
-    assert file_of("./bus.glb").name == "bus.glb"
-    assert vehicle_file("bus.glb") is None
-    assert vehicle_file("../town/town") is None
-    assert nearest_name("truk") == "truck"
-    assert nearest_name("aeroplane") is None
-    with pytest.raises(InputError, match=r"expected one of bus, .*; did you mean minibus\?"):
-        read_vehicle("minibuss")
-
-
-def test_a_placement_takes_a_shipped_vehicle_by_its_name():
-    placement = wa.Placement(wa.town([0]), cameras=2, ego="bus", losses={"in_frame_rotation": 1.0}, config=wa.Config())
-    np.testing.assert_allclose(np.ptp(placement.ego.bounds_m(), axis=0), SHIPPED["bus"], atol=0.01)
-    assert str(placement.config.scenes.ego) == "bus"
-    with pytest.raises(InputError, match=r"got 'buss'; did you mean bus\?"):
-        wa.Placement(wa.town([0]), ego="buss")

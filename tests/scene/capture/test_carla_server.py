@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 
-import numpy as np
 import pytest
 
 from tests.scene.capture import carla_double
@@ -15,7 +14,6 @@ from tests.scene.capture.carla_double import Server, install
 from tests.scene.capture.carla_situation import first_vehicle, view_above
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
-from warpav.scene.capture.carla_server import VERSION_REQUEST, unreachable
 from warpav.scene.capture.carla_simulator import CarlaSimulator
 from warpav.scene.capture.folder import check_capture, read_capture, record_capture
 from warpav.scene.capture.plan import PlanSettings
@@ -45,37 +43,12 @@ class TestWorld:
         assert server.state() == before
         assert not server.faults
 
-    def test_map_without_layers(self, monkeypatch):
-        server = Server(map_name="Carla/Maps/Town04")
-        install(monkeypatch, server)
-        before = server.state()
-        with CarlaSimulator() as simulator:
-            simulator.begin(0)
-            assert simulator.name == "carla_Town04_0000"
-            assert server.layers  # left alone
-        assert server.state() == before
-
     def test_map_is_loaded(self, server):
         with CarlaSimulator(map_name="Town04") as simulator:
             simulator.begin(0)
             assert simulator.source == "CARLA Town04 seed 0"
         assert server.calls.count("Client.load_world") == 1
         assert not server.settings.synchronous_mode
-
-    def test_begin_again_leaves_one_ego(self, server):
-        with CarlaSimulator() as simulator:
-            for seed in range(3):
-                simulator.begin(seed)
-                first_vehicle(simulator)
-            simulator.begin(0)
-            assert len(server.made("vehicle.*")) == 1
-
-    def test_simulator_serves_twice(self, server):
-        simulator = CarlaSimulator()
-        for _ in range(2):
-            with simulator:
-                simulator.begin(0)
-        assert not server.made("vehicle.*")
 
     def test_recorded_to_a_folder(self, server, tmp_path):
         settings = PlanSettings(
@@ -88,20 +61,6 @@ class TestWorld:
         assert capture.name == "carla_Town10HD_Opt_0001"
         assert len(capture.vehicles) == 2
         assert len(capture.images) == 1 + 2 + 2 + 1 + 2
-
-    def test_rear_axle_may_be_stated(self, server):
-        with CarlaSimulator(rear_axle_m=(-1.0, 0.0, 0.1)) as simulator:
-            np.testing.assert_allclose(simulator.begin(0).center_m, [1.05, 0.0, 0.65], atol=1e-4)
-
-    def test_ego_may_be_chosen(self, server):
-        with CarlaSimulator(ego_blueprint="vehicle.audi.tt") as simulator:
-            np.testing.assert_allclose(simulator.begin(0).size_m, [4.2, 1.96, 1.38], atol=1e-4)
-
-
-def use(simulator, then):
-    with simulator:
-        simulator.begin(0)
-        then()
 
 
 def situation(**options):
@@ -142,18 +101,6 @@ class TestCleanup:
             assert len(server.calls) > index
             assert server.state() == before, f"after {names[index]}, call {index}"
 
-    def test_error_of_the_user_passes_through(self, server):
-        before = server.state()
-        with pytest.raises(ZeroDivisionError):
-            use(CarlaSimulator(), lambda: 1 / 0)
-        assert server.state() == before
-
-    def test_ctrl_c_while_leaving_is_passed_on_afterwards(self, server):
-        before = server.state()
-        with pytest.raises(KeyboardInterrupt):
-            use(CarlaSimulator(), lambda: server.failures.update({len(server.calls): (KeyboardInterrupt(), True)}))
-        assert server.state() == before
-
     def test_what_cannot_be_restored_is_named(self, server):
         set_weather = carla_double.World.set_weather
 
@@ -167,31 +114,6 @@ class TestCleanup:
             with pytest.raises(RuntimeError, match=r"was left changed: weather \(no such weather\)"), CarlaSimulator():
                 pass
         assert not server.settings.synchronous_mode  # the rest is restored all the same
-
-    def test_dead_server_is_not_waited_for_at_every_step(self, server):
-        calls = []
-
-        def die():
-            server.is_mute = True
-            calls.append(len(server.calls))
-            server.failures |= {calls[0] + index: (RuntimeError("time-out"), True) for index in range(100)}
-            raise ZeroDivisionError
-
-        with pytest.raises(ZeroDivisionError) as caught:
-            use(CarlaSimulator(), die)
-        assert len(server.calls) - calls[0] == 2  # one that times out, and one that asks whether there is anybody
-        (note,) = caught.value.__notes__
-        assert "was left changed: actors (time-out); " in note
-        assert note.endswith("lights; settings; restart the server")
-
-    def test_used_outside_a_with_statement(self, server):
-        simulator = CarlaSimulator()
-        with pytest.raises(RuntimeError, match="with statement"):
-            simulator.begin(0)
-        with simulator, pytest.raises(RuntimeError, match=r"begin\(seed\) comes first"):
-            simulator.spawn_points(10.0)
-        with pytest.raises(RuntimeError, match="with statement"):
-            simulator.begin(0)
 
 
 class TestMistakes:
@@ -215,14 +137,6 @@ class TestMistakes:
         )
         assert time.monotonic() - begun_s < 5.0
 
-    def test_unknown_host(self, monkeypatch):
-        monkeypatch.setitem(sys.modules, "carla", Server().module())
-        self.told("the host's name is not known", CarlaSimulator(host="no host"))
-
-    def test_server_that_speaks_is_reached(self):
-        with listener(b"\x94\x01\x01\xc0\x92\x00") as port:
-            assert unreachable("127.0.0.1", port) is None
-
     def test_answer_of_no_use(self, server):
         server.is_mute = True
         self.told(r"expected a CARLA server at 127.0.0.1:2000, got no answer \(time-out", CarlaSimulator())
@@ -234,11 +148,6 @@ class TestMistakes:
     def test_other_version(self, server):
         server.version = "0.9.15"
         self.told(r"client's version 0\.9\.16, got 0\.9\.15;.*pip install carla==0\.9\.15", CarlaSimulator())
-
-    def test_build_from_source_is_of_its_release(self, server):
-        server.version = "0.9.16-12-gabcdef0"
-        with CarlaSimulator() as simulator:
-            simulator.begin(0)
 
     def test_unknown_map(self, server):
         before = server.state()
@@ -263,10 +172,6 @@ class TestMistakes:
         server.wheels_of = lambda wheels: [wheels[0]] * 4
         self.told("state rear_axle_m", CarlaSimulator())
         assert server.state() == before
-
-    def test_no_place_for_the_ego(self, server):
-        server.spawn = lambda _blueprint, _at: None
-        self.told("expected a free spawn point for vehicle.lincoln.mkz_2020 on the map Town10HD_Opt", CarlaSimulator())
 
     def test_numbers(self, server):
         for options, match in (
@@ -298,15 +203,6 @@ class TestConnection:
                     CarlaSimulator(port=port).__enter__()
                 assert time.monotonic() - begun_s < 5.0
                 assert "\n" not in str(caught.value)
-
-    def test_server_is_asked_as_the_client_asks(self, carla):
-        heard = []
-        with listener(None, heard) as port:
-            client = carla.Client("127.0.0.1", port)
-            client.set_timeout(0.5)
-            with pytest.raises(RuntimeError, match="time-out"):
-                client.get_server_version()
-        assert heard == [VERSION_REQUEST]
 
 
 @contextlib.contextmanager

@@ -9,8 +9,6 @@ from tests.scene.capture import carla_double
 from tests.scene.capture.carla_double import Server, install
 from tests.scene.capture.carla_situation import first_vehicle, view_above, view_from
 from warpav.core.frames import rotation_from_yaw_pitch_roll
-from warpav.raster.camera import CameraModel
-from warpav.raster.lens import Lens
 from warpav.scene.capture.capture import EGO_INSTANCE
 from warpav.scene.capture.carla_simulator import CarlaSimulator
 from warpav.scene.capture.simulator import SpawnPoint
@@ -125,14 +123,6 @@ class TestSituation:
         assert kinds == [(v.category, v.box.size_m.tolist()) for v in other_vehicles if v]
         assert len({category for category, _ in kinds}) > 1
 
-    def test_seeds_choose_places_and_order(self, server):
-        with CarlaSimulator() as simulator:
-            orders = []
-            for seed in range(6):
-                simulator.begin(seed)
-                orders.append(tuple(np.round(p.position_m, 2).tobytes() for p in simulator.spawn_points(1e3)))
-        assert len(set(orders)) == 6
-
     def test_spawn_points_keep_to_the_radius_and_off_the_ego(self, server):
         with CarlaSimulator() as simulator:
             ego = simulator.begin(2)
@@ -141,21 +131,6 @@ class TestSituation:
             assert max(away_m) <= 25.0
             assert min(np.hypot(*(p.position_m - ego.center_m)[:2]) for p in simulator.spawn_points(25.0)) > 2.4
             assert len(simulator.spawn_points(200.0)) == len(simulator._place_m) - 1
-
-    def test_frozen_vehicles_do_not_overlap(self, server):
-        with CarlaSimulator() as simulator:
-            simulator.begin(2)
-            point = next(point for point in simulator.spawn_points(50.0) if simulator.spawn(point) is not None)
-            before = len(server.made("vehicle.*"))
-            assert all(simulator.spawn(point) is None for _ in range(5))
-            assert len(server.made("vehicle.*")) == before
-
-    def test_refused_by_the_server(self, server):
-        server.frozen_collide = True
-        with CarlaSimulator() as simulator:
-            simulator.begin(2)
-            point = next(point for point in simulator.spawn_points(50.0) if simulator.spawn(point) is not None)
-            assert simulator.spawn(point) is None
 
     @pytest.mark.parametrize("accident", ["roll", "slide"])
     def test_what_does_not_stand_is_taken_away(self, server, monkeypatch, accident):
@@ -191,14 +166,6 @@ class TestSituation:
                 simulator.remove(vehicle)
             assert first_vehicle(simulator).instance_id == vehicle.instance_id + 1
 
-    def test_vehicle_in_a_tunnel_is_known_from_its_sides(self, server):
-        roof = carla_double.Transform(carla_double.Location(0.0, 0.0, 8.0))
-        server.solids.append((roof, (100.0, 5.0, 0.3), (carla_double.BUILDING_TAG, 902), (9, 9, 9), None))
-        server.code = lambda actor: (carla_double.CAR_TAG, actor.id)
-        with CarlaSimulator() as simulator:
-            simulator.begin(2)
-            assert first_vehicle(simulator).instance_rgb[0] == carla_double.CAR_TAG
-
     def test_number_taken_by_something_of_the_map_far_away(self, server):
         """CARLA's 16 bits come round: a parked car of the map may have a vehicle's colour."""
         with CarlaSimulator() as simulator:
@@ -210,19 +177,6 @@ class TestSituation:
             image = simulator.capture(view_above(vehicle.box, 30.0))
             assert np.any(np.all(image.rgb == (1, 2, 3), axis=-1))
             assert not np.any((image.instance == vehicle.instance_id) & np.all(image.rgb == (1, 2, 3), axis=-1))
-
-    def test_two_vehicles_of_one_colour_are_refused(self, server):
-        server.code = lambda _actor: (carla_double.CAR_TAG, 5)
-        with CarlaSimulator() as simulator:
-            simulator.begin(2)
-            assert all(simulator.spawn(point) is None for point in simulator.spawn_points(50.0)[:3])
-            assert len(server.made("vehicle.*")) == 1
-
-    def test_late_images_are_waited_for(self, server):
-        server.is_late = True
-        with CarlaSimulator(warm_up_ticks=2) as simulator:
-            box = simulator.begin(2)
-            assert np.any(simulator.capture(view_above(box)).instance)
 
     def test_image_of_another_frame_is_reported(self, server):
         with CarlaSimulator(timeout_s=0.2, warm_up_ticks=0) as simulator:
@@ -253,17 +207,6 @@ class TestSituation:
             assert float(values[f"sensor.camera.{name}"]["fov"]) == pytest.approx(80.0, abs=1e-12)
             assert values[f"sensor.camera.{name}"]["lens_k"] == "-1.0"  # zeros spoil depth images
         assert not server.faults
-
-    def test_only_central_pinholes(self, server):
-        with CarlaSimulator() as simulator:
-            simulator.begin(2)
-            for model in (
-                CameraModel(64, 64, 1.0, lens=Lens.FISHEYE),
-                CameraModel(64, 64, focal_px=(60.0, 60.0), centre_px=(30.0, 32.0)),
-                CameraModel(64, 64, focal_px=(60.0, 62.0), centre_px=(32.0, 32.0)),
-            ):
-                with pytest.raises(ValueError, match="CARLA's cameras are pinholes"):
-                    simulator.capture(view_from([0.0, 0.0, 2.0], model=model))
 
 
 def set_frame(image, frame):

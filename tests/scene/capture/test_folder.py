@@ -12,7 +12,6 @@ from warpav.core.errors import InputError
 from warpav.scene.capture.capture import CapturedImage
 from warpav.scene.capture.folder import DESCRIPTION, check_capture, read_capture, record_capture
 from warpav.scene.capture.plan import PlanSettings
-from warpav.scene.capture.town_simulator import TownSimulator
 
 SETTINGS = PlanSettings(
     vehicle_count=2, width_px=48, height_px=32, scene_heights_m=(12.0,), rotation_count=2, ego_side_count=0
@@ -84,39 +83,6 @@ def test_velocities_are_read_where_they_are_stated(folder):
     unknown, known = (vehicle.velocity_ego_m_s for vehicle in read_capture(folder).vehicles)
     assert unknown is None
     assert known.tolist() == [-8.5, 0.25]
-
-
-def test_an_interrupted_capture_goes_on_where_it_stopped(tmp_path, recorded):
-    with pytest.raises(KeyboardInterrupt):
-        record_capture(PaintingSimulator(stop_after=3), 7, tmp_path / "scene_7", SETTINGS)
-    assert not (tmp_path / "scene_7" / DESCRIPTION).exists()
-    with pytest.raises(InputError, match="got an unfinished capture; run warpav scenes capture again"):
-        read_capture(tmp_path / "scene_7")
-    simulator = PaintingSimulator()
-    record_capture(simulator, 7, tmp_path / "scene_7", SETTINGS)
-    assert len(simulator.taken) == IMAGE_COUNT - 3
-    for file in sorted(recorded.rglob("*.*")):
-        assert (tmp_path / "scene_7" / file.relative_to(recorded)).read_bytes() == file.read_bytes()
-
-
-def test_captures_of_a_server_outlive_a_change_of_code(tmp_path, monkeypatch):
-    simulator = PaintingSimulator()
-    record_capture(simulator, 7, tmp_path / "scene_7", SETTINGS)
-    monkeypatch.setattr("warpav.core.cache._code_hash", lambda modules: "other code")
-    town = TownSimulator()
-    taken = len(simulator.taken)
-    record_capture(simulator, 7, tmp_path / "scene_7", SETTINGS)
-    assert len(simulator.taken) == taken
-    monkeypatch.undo()
-    assert TownSimulator().world != town.world
-
-
-def test_a_complete_capture_is_left_alone_and_another_plan_is_recorded_anew(folder):
-    simulator = PaintingSimulator()
-    record_capture(simulator, 7, folder, SETTINGS)
-    assert simulator.taken == []
-    record_capture(simulator, 8, folder, SETTINGS)
-    assert len(simulator.taken) == IMAGE_COUNT
 
 
 def test_depths_may_be_floats(folder):

@@ -3,11 +3,10 @@
 import math
 
 import numpy as np
-import pytest
 
 from warpav.raster.camera import CameraModel
 from warpav.scene.capture.capture import CapturedImage, CaptureView, ViewKind
-from warpav.scene.reconstruction.colours import seen_rgb, vertex_normals
+from warpav.scene.reconstruction.colours import seen_rgb
 
 RED, GREEN, BLUE, GREY = (200, 10, 10), (10, 200, 10), (10, 10, 200), (90, 90, 90)
 INSTANCE = 4
@@ -42,11 +41,6 @@ def test_the_nearer_view_gives_the_colour():
 def test_the_squarer_view_gives_the_colour():
     square, flat = looking_along_x(RED, distance_m=3.0), looking_along_x(GREEN, distance_m=3.0, turned_rad=1.2)
     assert colour_of_origin(square, flat) == colour_of_origin(flat, square) == RED
-
-
-def test_a_longer_lens_counts_as_nearer():
-    wide, narrow = looking_along_x(RED, distance_m=3.0), looking_along_x(GREEN, distance_m=6.0, fov_rad=0.2)
-    assert colour_of_origin(wide, narrow) == GREEN
 
 
 def test_a_view_from_behind_or_along_the_surface_gives_none():
@@ -87,18 +81,6 @@ def test_the_rim_of_an_object_gives_its_colour_only_where_nothing_else_does():
     assert colour_of_origin(rim, looking_along_x(RED, distance_m=9.0)) == RED
 
 
-def test_a_vertex_lies_in_the_pixel_that_shows_it():
-    # 2 x 2 fields of colour; the camera looks along x, so the image's left is at positive y, its top at positive z
-    image = looking_along_x(GREY, distance_m=4.0)
-    colours = np.zeros((SIZE_PX, SIZE_PX, 3), np.uint8)
-    half = SIZE_PX // 2
-    colours[:half, :half], colours[:half, half:], colours[half:, :half], colours[half:, half:] = RED, GREEN, BLUE, GREY
-    image = CapturedImage(image.view, colours, image.depth_m, image.instance)
-    vertex_m = np.array([[0, 1, 1], [0, -1, 1], [0, 1, -1], [0, -1, -1]], float)
-    rgb = seen_rgb(vertex_m, np.tile(-X, (4, 1)), [image], INSTANCE, tolerance_m=0.05)
-    np.testing.assert_array_equal(rgb, [RED, GREEN, BLUE, GREY])
-
-
 def test_vertices_that_no_image_shows_take_the_nearest_colour():
     left, right = [0.0, 0.4, 0.0], [0.0, -0.4, 0.0]
     image = looking_along_x(RED, distance_m=4.0)
@@ -110,25 +92,3 @@ def test_vertices_that_no_image_shows_take_the_nearest_colour():
     normal = np.stack([-X, -X, X, X, -X])
     rgb = seen_rgb(vertex_m, normal, [image], INSTANCE, tolerance_m=0.05)
     np.testing.assert_array_equal(rgb, [RED, GREEN, GREEN, RED, RED])
-
-
-def test_without_a_view_vertices_are_black():
-    vertex_m, normal = np.zeros((2, 3)), np.tile(-X, (2, 1))
-    np.testing.assert_array_equal(seen_rgb(vertex_m, normal, [], INSTANCE, tolerance_m=0.05), np.zeros((2, 3)))
-
-
-def test_normals_of_vertices_are_means_by_area():
-    vertex_m = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0], [0, 0, 1], [9, 9, 9]], np.float32)
-    triangle = np.array([[0, 1, 2], [0, 3, 1]])  # areas of 2 facing up, of 1 facing positive y
-    normal = vertex_normals(vertex_m, triangle)
-    np.testing.assert_allclose(normal[2], [0, 0, 1])
-    np.testing.assert_allclose(normal[3], [0, 1, 0])
-    np.testing.assert_allclose(normal[0], np.array([0, 1, 2]) / math.sqrt(5.0))
-    np.testing.assert_array_equal(normal[4], 0.0)
-
-
-@pytest.mark.parametrize("turned_rad", [0.0, 0.7, -2.0])
-def test_colours_do_not_depend_on_where_the_camera_stands(turned_rad):
-    image = looking_along_x(RED, distance_m=4.0, turned_rad=turned_rad)
-    normal = -image.view.ego_from_camera[:3, 2]
-    assert tuple(seen_rgb(np.zeros((1, 3)), normal[None], [image], INSTANCE, tolerance_m=0.05)[0]) == RED

@@ -7,7 +7,7 @@ from scipy.spatial import KDTree
 from tests.scene.capture.town_capture import SEED, town_capture
 from warpav.raster.camera import CameraModel
 from warpav.scene.capture.capture import Capture, CapturedImage, CapturedVehicle, CaptureView, ViewKind
-from warpav.scene.reconstruction.point_cloud import first_in_cells, fuse, is_outside, unproject
+from warpav.scene.reconstruction.point_cloud import fuse, is_outside, unproject
 from warpav.scene.reconstruction.settings import CloudSettings
 from warpav.scene.scene import Box
 from warpav.scene.town.town import town_scene
@@ -62,12 +62,6 @@ def test_points_lie_where_depth_and_pixel_say():
     np.testing.assert_allclose(cloud.sensor_m, [[0.0, 0.0, 1.0]] * 64)
 
 
-def test_sky_and_far_depths_are_left_out():
-    depth = np.full((8, 8), np.inf)
-    depth[0, 0], depth[1, 1] = 5.0, 950.0
-    assert len(unproject(flat_image(depth, 0), far_depth_m=900.0)[0]) == 1
-
-
 def situation(image, box, instance_id=1):
     vehicle = CapturedVehicle(instance_id, "car", box, box.center_m, 0.0, np.zeros(3, np.uint8))
     ego = Box(np.array([0.0, 0.0, -50.0]), np.ones(3), 0.0)
@@ -116,12 +110,6 @@ def test_points_of_vehicles_lie_on_their_surfaces(clouds):
         assert vehicle.box.contains(one.cloud.point_m.astype(float), margin_m=0.02).all()
 
 
-def test_no_point_of_the_environment_lies_in_a_vehicle(clouds):
-    capture = town_capture()
-    for box in (capture.ego_box, *(vehicle.box for vehicle in capture.vehicles)):
-        assert not box.contains(clouds.environment.point_m.astype(float), margin_m=-0.021).any()
-
-
 def test_no_point_was_seen_through_a_pane(clouds):
     """Points that are kept lie on the outside: the inside of the far panes' frames and of doors is gone."""
     truth = {vehicle.instance_id: vehicle for vehicle in town_scene(SEED).vehicles}
@@ -150,20 +138,3 @@ def test_pits_of_a_panes_size_are_bridged():
     point_m[is_pane, 1] = -0.6  # through the pane: seats
     assert is_pane.sum() > 300
     np.testing.assert_array_equal(is_outside(point_m, 2.0 * half_m), ~is_pane)
-
-
-def test_open_notches_are_no_pits():
-    side = np.arange(-1.0, 1.0, 0.03)
-    x, z = (part.ravel() for part in np.meshgrid(side, np.arange(-0.7, 0.7, 0.03)))
-    notch = (np.abs(x) < 0.4) & (z < -0.2)  # open below, as a wheel arch
-    points = np.stack([x, np.where(notch, 0.3, 0.9), z], axis=1)
-    assert is_outside(points, np.array([2.0, 1.8, 1.4])).all()
-
-
-def test_a_grid_keeps_one_point_in_every_cell(rng):
-    capture = town_capture()
-    cloud = unproject(capture.images[0], far_depth_m=900.0)[0]
-    thin = cloud.chosen(first_in_cells(cloud.point_m, 0.5))
-    cell = np.floor(thin.point_m.astype(np.float64) / 0.5).astype(int)
-    assert len(np.unique(cell, axis=0)) == len(thin)
-    assert len(np.unique(np.floor(cloud.point_m.astype(np.float64) / 0.5).astype(int), axis=0)) == len(thin)

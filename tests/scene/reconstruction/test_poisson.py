@@ -78,32 +78,6 @@ def test_points_of_uneven_density_make_one_sheet(rng):
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1.0).max() < 0.1
 
 
-def test_two_bodies_stay_apart(rng):
-    one_m, normal = sphere_points(8000, 0.3, rng)
-    mesh = as_trimesh(
-        poisson_surface(
-            np.concatenate([one_m, one_m + np.array([0.75, 0.0, 0.0])]), np.tile(normal, (2, 1)), cell_m=0.03
-        )
-    )
-    assert [round(part.volume, 3) for part in mesh.split()] == pytest.approx(2 * [4 / 3 * np.pi * 0.3**3], rel=0.02)
-
-
-def test_the_frame_does_not_matter(rng):
-    point_m, normal = sphere_points(5000, 0.5, rng)
-    here = as_trimesh(poisson_surface(point_m, normal, cell_m=0.05))
-    there = as_trimesh(poisson_surface(point_m + np.array([300.0, -200.0, 10.0]), normal, cell_m=0.05))
-    # single precision at 300 m: 0.03 mm
-    np.testing.assert_allclose(there.vertices.mean(axis=0) - here.vertices.mean(axis=0), [300, -200, 10], atol=1e-4)
-    assert len(there.faces) == pytest.approx(len(here.faces), rel=0.001)
-
-
-def test_repeats_are_equal_bit_for_bit(device, rng):
-    point_m, normal = sphere_points(5000, 0.5, rng, 0.01)
-    first, second = (poisson_surface(point_m, normal, cell_m=0.04, device=device) for _ in range(2))
-    for one, other in zip(first, second, strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
 def equation_matrix(shape, screen):
     """Screen minus Laplacian with fields mirrored at the border, as a sparse matrix."""
     index = np.arange(np.prod(shape)).reshape(shape)
@@ -138,31 +112,6 @@ def test_multigrid_comes_near_the_exact_solution(device, rng):
     np.testing.assert_allclose(field, exact, atol=0.02)  # worst seen .013
 
 
-def test_more_cycles_converge_to_the_exact_solution(rng, monkeypatch):
-    monkeypatch.setattr(poisson, "_CYCLES", 15)
-    field, exact = solved(rng, "cpu")
-    np.testing.assert_allclose(field, exact, atol=2e-6)  # single precision; worst seen 3.4e-7
-
-
-def test_every_point_is_counted_once(rng):
-    # an even sheet: points per face of a cell are known
-    point = np.column_stack([rng.uniform(4.0, 36.0, (16_000, 2)), np.full(16_000, 10.3)])
-    count = poisson._Splat.of(point, (41, 41, 21), "cpu").points_per_face((41, 41, 21))
-    inside = np.abs(point[:, :2] - 20.0).max(axis=1) < 13.0
-    assert count[inside].mean() == pytest.approx(16_000 / 32**2, rel=0.1)
-
-
-def test_no_two_groups_of_a_colour_share_a_node(rng):
-    point = rng.uniform(3.0, 17.0, (2000, 3))
-    splat = poisson._Splat.of(point, (21, 21, 21), "cpu")
-    node = splat.nearest_node.numpy()[splat.group_start.numpy()[:-1]]
-    assert splat.colour_start[-1] == len(node)
-    for first, last in zip(splat.colour_start[:-1], splat.colour_start[1:], strict=True):
-        apart = np.abs(node[first:last, None] - node[None, first:last]).max(axis=2)
-        np.fill_diagonal(apart, 3)
-        assert (apart >= 3).all()
-
-
 @pytest.mark.parametrize(
     ("point_m", "normal", "arguments", "message"),
     [
@@ -179,19 +128,3 @@ def test_no_two_groups_of_a_colour_share_a_node(rng):
 def test_bad_input_is_named(point_m, normal, arguments, message):
     with pytest.raises(ValueError, match=message):
         poisson_surface(point_m, normal, **{"cell_m": 0.1, **arguments})
-
-
-def test_a_huge_grid_is_refused_with_a_cell_that_fits(rng):
-    point_m, normal = sphere_points(100, 100.0, rng)
-    with pytest.raises(ValueError, match="more than 2e") as refusal:
-        poisson_surface(point_m, normal, cell_m=0.01)
-    fitting_m = float(str(refusal.value).partition("cell_m=")[2].split()[0])
-    grids_would_be = np.prod((200.0 / fitting_m + 13.0) * np.ones(3))
-    assert grids_would_be < poisson.MAX_NODE_COUNT
-    poisson._grids_around(point_m, 4.0 * fitting_m, 24.0 * fitting_m, "cpu")
-
-
-def test_few_points_and_single_places_do_no_harm():
-    vertex_m, triangle = poisson_surface(np.zeros((4, 3)), np.tile([0.0, 0.0, 1.0], (4, 1)), cell_m=0.1)
-    assert np.isfinite(vertex_m).all()
-    assert triangle.shape[1] == 3

@@ -1,11 +1,7 @@
 """Thinning, normals, trimming, cleaning, decimation and the methods by name."""
 
 import sys
-import threading
-import time
-from concurrent.futures import ThreadPoolExecutor
 
-import fast_simplification
 import numpy as np
 import pytest
 import trimesh
@@ -77,17 +73,6 @@ def test_thinned_points_keep_apart_and_leave_no_room(point_count, share, flatnes
         assert kept.query(point_m)[0].max() <= spacing_m * (1.0 + 1e-6) + 1e-9
 
 
-def test_thinning_repeats_and_depends_on_the_seed(rng):
-    point_m = rng.random((5000, 3))
-    first, again, other = (thin_out(point_m, 500, seed=seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(first, again)
-    assert len(np.intersect1d(first, other)) < 250
-
-
-def test_points_at_one_place_are_one_point():
-    assert len(thin_out(np.ones((100, 3)), 10, seed=0)) == 1
-
-
 @pytest.mark.parametrize(
     ("point_m", "count", "message"),
     [
@@ -101,10 +86,6 @@ def test_thinning_refuses(point_m, count, message):
         thin_out(point_m, count, seed=0)
 
 
-def test_no_points_stay_none():
-    assert len(thin_out(np.zeros((0, 3)), 10, seed=0)) == 0
-
-
 # oriented_normals
 
 
@@ -115,22 +96,6 @@ def test_normals_of_a_sphere_turn_towards_the_sensors(rng, sensor_radius_m, sign
     normal = oriented_normals(2.0 * direction, sensor_m)
     np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, rtol=5e-6)
     assert (sign * np.sum(normal * direction, axis=1)).min() > np.cos(np.radians(8.0))  # worst seen 3.2 degrees
-
-
-def test_normals_of_a_plane_are_exact_far_from_the_origin(rng):
-    normal = np.array([1.0, 2.0, 2.0]) / 3.0
-    along = np.linalg.svd(normal[None])[2][1:]
-    point_m = rng.uniform(-1.0, 1.0, (200, 2)) @ along + 1e4
-    np.testing.assert_allclose(
-        oriented_normals(point_m, np.tile(1e4 + 5.0 * normal, (200, 1))), np.tile(normal, (200, 1)), atol=5e-5
-    )
-
-
-def test_normals_of_fewer_points_than_neighbours(rng):
-    point_m = np.column_stack([rng.random((5, 2)), np.zeros(5)])
-    np.testing.assert_allclose(
-        oriented_normals(point_m, point_m + np.array([0, 0, 1])), np.tile([0, 0, 1], (5, 1)), atol=1e-9
-    )
 
 
 @pytest.mark.parametrize(
@@ -202,26 +167,12 @@ def test_trimming_keeps_a_mirror_and_drops_a_speck(rng):
     assert vertex_m[:, 2].max() < 0.4
 
 
-def test_trimming_drops_loose_pieces_of_little_surface(rng):
-    whole, support_m, _ = body_with_extras(rng)
-    for piece_m2, stays in ((0.02, True), (0.03, False)):  # the mirror has .0256 m2
-        vertex_m = trimmed(whole.vertex_m, whole.triangle, support_m, reach_m=0.06, piece_m2=piece_m2)[0]
-        assert (vertex_m[:, 0] > 1.4).any() == stays
-
-
 def test_trimming_cuts_where_points_end(rng):
     sheet = grid_mesh(100, 2.0, grey)
     support_m = np.column_stack([rng.uniform(-1.0, 0.0, 5000), rng.uniform(-1.0, 1.0, 5000), np.zeros(5000)])
     vertex_m, triangle = trimmed(sheet.vertex_m, sheet.triangle, support_m, reach_m=0.1)
     assert 0.04 < vertex_m[:, 0].max() < 0.1 + 1e-6
     assert 0.5 < len(triangle) / len(sheet.triangle) < 0.56
-
-
-def test_trimming_may_leave_nothing():
-    sheet = grid_mesh(2, 1.0, grey)
-    vertex_m, triangle = trimmed(sheet.vertex_m, sheet.triangle, np.array([[9.0, 9.0, 9.0]]), reach_m=0.1)
-    assert vertex_m.shape == (0, 3)
-    assert triangle.shape == (0, 3)
 
 
 # cleaned
@@ -242,20 +193,6 @@ def test_cleaning_drops_what_is_not_seen():
     np.testing.assert_array_equal(mesh.vertex_m, [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0]])
     np.testing.assert_array_equal(mesh.vertex_rgb, [[9, 9, 9]] * 3 + [[8, 8, 8]])
     np.testing.assert_array_equal(mesh.triangle, [[0, 1, 2], [2, 1, 0], [3, 1, 2]])
-
-
-def test_cleaning_twice_changes_nothing(rng):
-    mesh = cleaned(Mesh.create(rng.integers(0, 3, (60, 3)), rng.integers(0, 60, (100, 3)), rng.integers(0, 2, (60, 3))))
-    again = cleaned(mesh)
-    for array in ("vertex_m", "triangle", "vertex_rgb"):
-        np.testing.assert_array_equal(getattr(again, array), getattr(mesh, array))
-    assert len(mesh.triangle) > 10
-
-
-def test_cleaning_may_leave_nothing():
-    mesh = cleaned(Mesh.create([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], [5, 5, 5]))
-    assert mesh.triangle.shape == (0, 3)
-    assert mesh.vertex_m.shape == (0, 3)
 
 
 # decimated
@@ -293,71 +230,6 @@ def test_decimation_keeps_the_border_between_two_colours(rng, height):
     assert (error[away] > 40).mean() < 0.003
     assert error[away].mean() < 2.0
     assert KDTree(dense.vertex_m).query(coarse.vertex_m)[0].max() < 0.02
-
-
-def test_decimation_of_one_colour_keeps_it_and_the_shape(rng):
-    body = trimesh.creation.icosphere(5, 0.5)
-    coarse = decimated(Mesh.create(body.vertices, body.faces, [7, 77, 177]), 600)
-    assert (coarse.vertex_rgb == [7, 77, 177]).all()
-    assert 500 < len(coarse.triangle) <= 600
-    assert np.abs(np.linalg.norm(coarse.vertex_m, axis=1) - 0.5).max() < 0.01
-    mesh = trimesh.Trimesh(coarse.vertex_m, coarse.triangle, process=False)
-    assert mesh.is_watertight
-    assert mesh.volume == pytest.approx(4 / 3 * np.pi * 0.5**3, rel=0.02)
-
-
-def test_decimation_closes_over_split_vertices():
-    """Vertices doubled along a border of colours do not tear the mesh open."""
-    left, right = (grid_mesh(40, 1.0, grey, middle_m=(x, 0.0, 0.0)) for x in (-0.5, 0.5))
-    red = Mesh(right.vertex_m, right.triangle, np.full_like(right.vertex_rgb, 255) * np.array([1, 0, 0], np.uint8))
-    coarse = decimated(merge([left, red]), 200)
-    place = np.unique(np.round(coarse.vertex_m, 6), axis=0, return_inverse=True)[1].reshape(-1)
-    joined = trimesh.Trimesh(np.zeros((place.max() + 1, 3)), place[coarse.triangle], process=False)
-    middle = trimesh.Trimesh(coarse.vertex_m, coarse.triangle, process=False)
-    assert middle.area == pytest.approx(2.0, rel=5e-3)
-    border = np.sort(joined.edges, axis=1)
-    single = np.unique(border, axis=0, return_counts=True)[1] == 1
-    ends = np.unique(border, axis=0)[single]
-    where_m = np.zeros((place.max() + 1, 3))
-    where_m[place] = coarse.vertex_m
-    both = np.abs(where_m[ends]).max(axis=1)
-    assert ((both[:, 0] > 0.9) | (both[:, 1] > 0.45)).all()  # only the outer border is open
-
-
-def test_decimation_leaves_a_small_mesh_alone():
-    mesh = grid_mesh(3, 1.0, grey)
-    assert decimated(mesh, 18) is mesh
-
-
-def test_decimation_repeats(rng):
-    body = trimesh.creation.icosphere(4, 0.5)
-    mesh = Mesh.create(body.vertices, body.faces, rng.integers(0, 255, (len(body.vertices), 3)))
-    first, again = decimated(mesh, 500), decimated(mesh, 500)
-    for array in ("vertex_m", "triangle", "vertex_rgb"):
-        np.testing.assert_array_equal(getattr(again, array), getattr(first, array))
-
-
-def test_meshes_decimated_side_by_side_do_not_mix(monkeypatch):
-    """fast_simplification keeps its mesh in variables of the module: two threads in it would mix their meshes."""
-    simplify, inside = fast_simplification.simplify, []
-
-    def slow(*arguments, **options):
-        inside.append(threading.get_ident())
-        time.sleep(0.02)
-        found = simplify(*arguments, **options)
-        assert set(inside) == {threading.get_ident()}
-        inside.clear()
-        return found
-
-    body = trimesh.creation.icosphere(4, 1.0)
-    meshes = [Mesh.create(body.vertices * (1.0 + k), body.faces, [20 * k, 90, 90]) for k in range(4)]
-    alone = [decimated(mesh, 300) for mesh in meshes]
-    monkeypatch.setattr(fast_simplification, "simplify", slow)
-    with ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(lambda mesh: decimated(mesh, 300), meshes))
-    for found, expected in zip(together, alone, strict=True):
-        np.testing.assert_array_equal(found.vertex_m, expected.vertex_m)
-        np.testing.assert_array_equal(found.vertex_rgb, expected.vertex_rgb)
 
 
 def test_decimation_refuses_too_few():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.scene.town.test_town import _rectangle, _rectangles_overlap
-from warpav.scene.town.motion import CAR_PARK_KM_H, HEADWAY_S, STREET_KM_H, RoadUser, velocities_m_s
+from warpav.scene.town.motion import HEADWAY_S, STREET_KM_H, RoadUser, velocities_m_s
 from warpav.scene.town.street_life import Footprint
 from warpav.scene.town.town import town_scene
 from warpav.scene.town.town_layout import Layout, Slot
@@ -74,14 +74,3 @@ def test_in_the_town_nobody_drives_into_who_is_ahead_within_the_headway(seeds, m
         fastest_m_s = max(np.abs(one.velocity_ego_m_s).max() for one in scene.road_users)
         assert fastest_m_s <= 2.0 * FREE_M_S[1]
     assert met >= met_min
-
-
-def test_motion_is_drawn_anew_for_every_seed_and_again_for_the_same():
-    one, same, other = ([user.velocity_ego_m_s.tolist() for user in town_scene(seed).road_users] for seed in (3, 3, 4))
-    assert one == same
-    assert one[0] != other[0]
-
-
-def test_car_parks_are_slow():
-    slow = speeds([car(0.0, 0.0)], Layout(**{**vars(STREET), "template": "car_park"}))
-    assert CAR_PARK_KM_H[0] / 3.6 <= slow[0, 0] <= CAR_PARK_KM_H[1] / 3.6

@@ -22,12 +22,6 @@ def test_box_is_closed_and_has_its_volume():
     assert signed_volume_m3(mesh) == pytest.approx(6.0, rel=1e-6)
 
 
-def test_an_open_sheet_is_not_closed():
-    builder = SurfaceBuilder()
-    builder.add_grid(np.array([[[0.0, 0, 0], [0, 1, 0]], [[1, 0, 0], [1, 1, 0]]]), 0)
-    assert unmatched_edge_count(_mesh(builder.finish())) > 0
-
-
 def test_ellipsoid_pair_is_closed_with_outward_normals():
     builder = SurfaceBuilder()
     builder.add_ellipsoid_pair((0.0, 2.0, 0.0), (1.0, 0.5, 0.7), 3)

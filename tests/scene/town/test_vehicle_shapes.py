@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.scene.town.closed_surface import back_face_share, signed_volume_m3, unmatched_edge_count
-from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, ego_mesh, vehicle_kinds, vehicle_mesh
+from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, ego_mesh, vehicle_mesh
 
 GREY = np.array([0.4, 0.4, 0.4])
 SIZE_M = {  # length, width with mirrors, height: lowest and highest that a stranger would accept
@@ -16,10 +16,6 @@ SIZE_M = {  # length, width with mirrors, height: lowest and highest that a stra
     "lorry": ((6.0, 2.3, 2.80), (9.0, 2.9, 3.60)),
     "bus": ((9.0, 2.5, 2.70), (13.0, 3.1, 3.30)),
 }
-
-
-def test_every_kind_of_the_town_exists():
-    assert set(vehicle_kinds()) == set(SIZE_M)
 
 
 @pytest.mark.parametrize("variant", range(VARIANT_COUNT))
@@ -64,26 +60,3 @@ def test_ego_roof_and_bonnet_are_finely_meshed_and_smooth():
         assert edge.max() < 0.16
         assert area[part].sum() == pytest.approx(extent_m2, rel=0.05)  # one layer, no holes
     assert np.ptp(middle[roof, 2]) < 0.08
-
-
-def test_paint_changes_only_colours():
-    red, blue = (vehicle_mesh("saloon", np.array(paint)) for paint in ((0.4, 0.02, 0.02), (0.03, 0.06, 0.3)))
-    np.testing.assert_array_equal(red.vertex_m, blue.vertex_m)
-    np.testing.assert_array_equal(red.triangle, blue.triangle)
-    changed = (red.vertex_rgb != blue.vertex_rgb).any(axis=1)
-    assert 0.2 < changed.mean() < 0.8
-    assert red.vertex_rgb[changed].mean(axis=0)[0] > blue.vertex_rgb[changed].mean(axis=0)[0] + 20
-
-
-def test_light_comes_from_above():
-    mesh = vehicle_mesh("van", GREY)
-    brightness = mesh.vertex_rgb.mean(axis=1)
-    height = mesh.vertex_m[:, 2]
-    assert brightness[height > 1.9].mean() > brightness[height < 0.3].mean() + 60
-
-
-def test_unknown_kind_is_refused():
-    with pytest.raises(ValueError, match="no vehicle 'tram'"):
-        vehicle_mesh("tram", GREY)
-    with pytest.raises(ValueError, match="variant 9"):
-        vehicle_mesh("bus", GREY, variant=9)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.scene.traffic.recordings import STEP_S, recording_of, street, track, write
+from tests.scene.traffic.recordings import STEP_S, street, track, write
 from warpav.core.errors import InputError
 from warpav.scene.traffic.files import content_digest, read_recording, shipped_recordings
 from warpav.scene.traffic.moments import (
@@ -11,10 +11,8 @@ from warpav.scene.traffic.moments import (
     MOVED_M,
     OVERLAP_MAX_M,
     SPACING_S,
-    Moment,
     moment_of,
     moments_of,
-    search_and_test,
     traffic_of,
 )
 from warpav.scene.traffic.recording import deepest_overlap
@@ -31,11 +29,6 @@ def test_moments_are_spaced_and_of_vehicles_about_as_large(tmp_path):
     assert min(np.diff(steps)) * STEP_S >= SPACING_S
     assert steps == [0, 2, 4, 6, 8]
     assert {moment.ego_id for moment in moments_of([file], BUS_M)} == {"c"}
-
-
-def test_the_recorded_ego_vehicle_is_the_only_one(tmp_path):
-    file = write(tmp_path, street(ego="c"))
-    assert {moment.ego_id for moment in moments_of([file], CAR_M)} == {"c"}
 
 
 def test_who_waits_is_the_ego_vehicle_once(tmp_path):
@@ -80,16 +73,6 @@ def test_a_seed_means_the_same_moment_every_time_and_many_seeds_all_of_them():
     assert len(set(first)) > 5  # mixed
 
 
-def test_recordings_of_the_test_can_be_named(tmp_path):
-    one, other = (write(tmp_path, street(id=name), f"{name}.json") for name in ("one", "other"))
-    assert search_and_test([one], [other]) == ([one], [other])
-    assert search_and_test([tmp_path], None) == ([one], [other])
-    with pytest.raises(InputError, match=r"recordings: expected at least two"):
-        search_and_test([one], None)
-    with pytest.raises(InputError, match=r"one.json: expected a recording for the test alone, got the content of"):
-        search_and_test([one, other], [one])
-
-
 def two_cars(gap_m):
     return street(
         users=[
@@ -122,14 +105,3 @@ def test_recordings_without_a_moment_say_why(tmp_path, data, bounds_m, message):
         moments_of([file], bounds_m)
     assert str(error.value).startswith(str(file))
     assert "\n" not in str(error.value)
-
-
-def test_a_small_overlap_is_borne(tmp_path):
-    assert moments_of([write(tmp_path, two_cars(-0.25))], CAR_M)
-
-
-def test_a_recording_without_moments_among_others_is_passed_over(tmp_path):
-    good, bad = write(tmp_path, street(), "good.json"), write(tmp_path, two_cars(-0.8), "bad.json")
-    assert {moment.file for moment in moments_of([bad, good], CAR_M)} == {good}
-    assert recording_of(two_cars(-0.8)).states_at(0)
-    assert Moment(good, 0, "a") in moments_of([good], CAR_M)

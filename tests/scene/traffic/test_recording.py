@@ -2,64 +2,10 @@
 
 import math
 
-import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from tests.scene.traffic.recordings import STEP_S, recording_of, street, track
+from tests.scene.traffic.recordings import STEP_S, recording_of, street
 from warpav.core.errors import InputError
-from warpav.scene.traffic.recording import RecordedState, RecordedUser, deepest_overlap, overlap_m
-
-sizes = st.tuples(st.floats(0.5, 12.0), st.floats(0.5, 3.0))
-places = st.tuples(st.floats(-6.0, 6.0), st.floats(-6.0, 6.0), st.floats(-math.pi, math.pi))
-
-
-def state_of(size, place, user_id="one"):
-    user = RecordedUser(user_id, "car", (*size, math.nan), np.array([0]), np.array([place]))
-    return RecordedState(user, np.array(place[:2]), place[2], np.zeros(2))
-
-
-def common_area_m2(one, other):
-    """Area that two convex polygons share: one is cut along every side of the other."""
-    left = list(one)
-    for start, end in zip(other, np.roll(other, -1, axis=0), strict=True):
-        normal = np.array([start[1] - end[1], end[0] - start[0]])
-        kept = []
-        for a, b in zip(left, [*left[1:], *left[:1]], strict=True):
-            inside_a, inside_b = (a - start) @ normal, (b - start) @ normal
-            if inside_a >= 0.0:
-                kept.append(a)
-            if inside_a * inside_b < 0.0:
-                kept.append(a + (b - a) * inside_a / (inside_a - inside_b))
-        left = kept
-    x, y = np.array(left).T if left else np.zeros((2, 1))
-    return 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
-
-
-@given(sizes, places, sizes, places)
-def test_boxes_overlap_where_their_polygons_do(size, place, other_size, other_place):
-    one, other = state_of(size, place), state_of(other_size, other_place)
-    depth = overlap_m(one, other)
-    area = common_area_m2(one.corners_m(), other.corners_m())
-    if depth == 0.0:
-        assert area < 1e-3
-    elif depth > 0.01:
-        assert area > 0.0
-    # that far apart they do not overlap, along one of the four normals
-    ways = [yaw + turn for yaw in (place[2], other_place[2]) for turn in np.arange(4) * 0.5 * math.pi]
-    apart = [
-        overlap_m(one, state_of(other_size, (*(np.array(other_place[:2]) + (depth + 1e-6) * np.array(
-            [math.cos(way), math.sin(way)])), other_place[2])))
-        for way in ways
-    ]  # fmt: skip
-    assert min(apart) == 0.0
-
-
-def test_the_deepest_overlap_names_the_pair():
-    states = [state_of((4.0, 2.0), (x, 0.0, 0.0), name) for x, name in ((0.0, "a"), (3.9, "b"), (7.4, "c"))]
-    assert deepest_overlap(states) == (pytest.approx(0.5), ("b", "c"))
-    assert deepest_overlap(states[:1])[0] == 0.0
 
 
 def test_states_are_those_of_the_samples():
@@ -155,8 +101,3 @@ def test_speeds_in_km_h_are_refused():
         user["v_mps"] = [3.6 * each for each in user["v_mps"]]
     with pytest.raises(InputError, match=r"got 3.60 of them \(median\); km/h"):
         recording_of(data)
-
-
-def test_who_stands_needs_no_speed():
-    users = [track(str(k), "car", (4.5, 1.8), (8.0 * k, -1.75), 0.0, 0.0) for k in range(4)]
-    assert len(recording_of(street(users=users)).states_at(0)) == 4

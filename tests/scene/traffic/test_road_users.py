@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from tests.scene.town.closed_surface import unmatched_edge_count
 from warpav.scene.scene import road_user_of
@@ -61,32 +59,6 @@ def tyre_length_m(mesh, height_m):
     low = mesh.vertex_m[mesh.vertex_m[:, 2] < height_m]
     rear = low[low[:, 0] < low[:, 0].min() + 0.6]
     return float(np.ptp(rear[:, 0]))
-
-
-@pytest.mark.parametrize(
-    ("kind", "size_m"), [("cyclist", (1.8, 0.6)), ("motorcycle", (1.35, 0.64)), ("motorcycle", (2.87, 1.36))]
-)
-def test_riders_are_as_long_as_their_boxes(kind, size_m):
-    mesh = body_mesh(kind, (*size_m, math.nan), np.random.default_rng(1))
-    low, high = mesh.bounds_m()
-    assert high[0] - low[0] == pytest.approx(size_m[0], abs=1e-5)
-    assert low[2] == pytest.approx(0.0, abs=2e-3)
-    assert 1.2 < high[2] < 2.1
-
-
-def test_people_are_as_tall_as_recorded():
-    mesh = body_mesh("pedestrian", (0.7, 0.7, 1.62), np.random.default_rng(1))
-    assert mesh.vertex_m[:, 2].max() == pytest.approx(1.62, abs=1e-5)
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.floats(2.0, 25.0), st.floats(0.9, 3.2), st.integers(0, 1000))
-def test_every_possible_car_becomes_a_body_of_its_length(length_m, width_m, seed):
-    size_m = (length_m, width_m, math.nan)
-    kind = drawn_kind("car", size_m, np.random.default_rng(seed))
-    mesh = body_mesh(kind, size_m, np.random.default_rng(seed))
-    assert np.ptp(mesh.vertex_m[:, 0]) == pytest.approx(length_m, abs=1e-4)
-    assert np.isfinite(mesh.vertex_m).all()
 
 
 def test_kinds_follow_class_and_size():

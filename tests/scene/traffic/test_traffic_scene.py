@@ -10,15 +10,13 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from tests.scene.traffic.recordings import recording_of, street, track, write
-from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
 from warpav.scene.cache import built_scenes
 from warpav.scene.files import read_scenes
-from warpav.scene.stored_scene import SceneRecipe
 from warpav.scene.town.houses import KERB_HEIGHT_M
 from warpav.scene.town.street_life import Footprint
 from warpav.scene.town.town import ego_vehicle
-from warpav.scene.traffic.files import read_recording, recordings_in, shipped_recordings
+from warpav.scene.traffic.files import read_recording, shipped_recordings
 from warpav.scene.traffic.moments import REACH_M, Moment, moment_of, moments_of
 from warpav.scene.traffic.traffic_scene import TrafficSource, traffic_scene
 
@@ -64,14 +62,6 @@ def test_velocities_are_relative_to_the_ego_vehicle():
     assert all(user.velocity_ego_m_s == pytest.approx([-8.0, 0.0], abs=1e-6) for user in parked)
 
 
-def test_who_is_far_away_is_left_out():
-    data = street()
-    data["road_users"].append(track("far", "car", (4.5, 1.8), (-9.0 + REACH_M, -1.75), 0.0, 8.0))
-    data["road_users"].append(track("near", "car", (4.5, 1.8), (-11.0 + REACH_M, 1.75), 0.0, 8.0))
-    recorded = [user for user in scene_of(data, "a").road_users if user.instance_id <= 5]  # after them come parked ones
-    assert len([user for user in recorded if abs(user.box.center_m[0] - ego_centre_m()[0]) > 95.0]) == 1
-
-
 @pytest.mark.parametrize(
     ("category", "size_m", "is_pavement"), [("pedestrian", (0.7, 0.7), True), ("bicycle", (1.8, 0.7), False)]
 )
@@ -101,27 +91,6 @@ def test_a_longer_ego_vehicle_pushes_nobody_aside():
     assert scene.road_users[0].category == "lorry"
     # centre on centre
     assert scene.road_users[0].box.center_m[:2] - 0.5 * (low + high) == pytest.approx([70.0, 3.5], abs=2e-3)
-
-
-def test_a_seed_changes_looks_alone():
-    one, again, other = (scene_of(street(), "a", seed=seed) for seed in (3, 3, 4))
-    for first, second in zip((one.environment, one.ego), (again.environment, again.ego), strict=True):
-        np.testing.assert_array_equal(first.vertex_m, second.vertex_m)
-        np.testing.assert_array_equal(first.vertex_rgb, second.vertex_rgb)
-    assert len(one.road_users) == len(again.road_users)
-    for first, second in zip(one.road_users, again.road_users, strict=True):
-        np.testing.assert_array_equal(first.mesh.vertex_m, second.mesh.vertex_m)
-        np.testing.assert_array_equal(first.mesh.vertex_rgb, second.mesh.vertex_rgb)
-    assert other.environment.vertex_m.shape != one.environment.vertex_m.shape
-    for first, second in zip(one.road_users[:2], other.road_users[:2], strict=True):
-        assert first.box.center_m[:2] == pytest.approx(second.box.center_m[:2], abs=2e-3)
-
-
-def test_a_moment_without_the_ego_vehicle_is_an_error():
-    with pytest.raises(ValueError, match="no road user 'z' at step 0"):
-        scene_of(street(), "z")
-    with pytest.raises(ValueError, match="seed must be 0 or more"):
-        scene_of(street(), "a", seed=-1)
 
 
 def check_scene(scene, recording, moment):
@@ -188,21 +157,6 @@ def test_shipped_scenes_hold_together(seed):
     assert 10_000 < len(scene.environment.triangle) < 60_000
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("folder", ["sind_json", "ngsim_json"])
-def test_recorded_scenes_hold_together(traffic_folder, folder):
-    files = recordings_in([traffic_folder / folder])
-    if folder == "sind_json":  # whose steps are .5 s, not .1 s as they say
-        with pytest.raises(InputError, match=r"got 0.20 of them \(median\); dt_s 0.5 would fit"):
-            read_recording(files[0])
-        return
-    moments = moments_of(files, ego_vehicle().bounds_m())
-    for seed in range(20):
-        moment = moment_of(moments, seed)
-        recording = read_recording(moment.file)
-        check_scene(traffic_scene(recording, moment, seed)[0], recording, moment)
-
-
 def test_scenes_are_kept_by_content(tmp_path):
     file = write(tmp_path, street())
     source = TrafficSource(Moment(file, 0, "a"), 5)
@@ -219,20 +173,6 @@ def test_scenes_are_kept_by_content(tmp_path):
     write(tmp_path, data)
     list(built_scenes([source], folder=folder))
     assert len(list(folder.glob("traffic_*.npz"))) == 2
-
-
-def test_packed_scenes_are_named_after_moment_content_and_vehicle(tmp_path):
-    file = write(tmp_path, street())
-    recipes = [
-        SceneRecipe(TrafficSource(Moment(file, step, ego_id), seed), ego)
-        for step, ego_id, seed, ego in (
-            (0, "a", 0, None), (2, "a", 0, None), (0, "b", 0, None), (0, "a", 1, None), (0, "a", 0, ego_vehicle()),
-        )
-    ]  # fmt: skip
-    assert len({recipe.file_name for recipe in recipes}) == len(recipes)
-    scene, left_out = SceneRecipe(TrafficSource(Moment(file, 0, "a"), 0), is_mirrored=True).scene()
-    assert left_out == 0
-    assert scene.vehicles[1].box.center_m[1] == pytest.approx(-3.5, abs=2e-3)
 
 
 def test_read_scenes_takes_recordings(tmp_path):
