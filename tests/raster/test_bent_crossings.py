@@ -48,7 +48,7 @@ def both_ways(scene, poses, model):
     """Crossings in the space of rays, those of ray queries, and where there are any: a sample's object ends there."""
     renderer = Renderer([model] * len(poses))
     renderer.render(scene, *on_device(poses))
-    buffers = renderer._buffers
+    buffers = renderer
     ours = crossings(buffers.layers)
     buffers.layers.crossing_key.zero_()
     trace_crossings(buffers, scene, scene.object_count)

@@ -27,7 +27,7 @@ def poses_of(rng):
 
 def spoilt(renderer):
     """Fill what a render writes to with nonsense, so that only what it writes counts."""
-    buffers = renderer._buffers
+    buffers = renderer
     for array in (buffers.key, buffers.layers.inverse_depth_bits, buffers.hiding.bits):
         array.fill_(-7)
     for array in buffers._kept.values():

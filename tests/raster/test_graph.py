@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from warpav.raster.graph import record_graph
+from warpav.raster.chunks import record_graph
 
 
 @wp.kernel

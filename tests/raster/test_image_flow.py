@@ -13,7 +13,7 @@ from tests.raster.test_gradients import SIX, SIX_WEIGHT, SPIN_X, moved, poses_ro
 from tests.raster.test_renderer import FAR_AWAY
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.graph import record_graph
+from warpav.raster.chunks import record_graph
 from warpav.raster.poses import ViewPoses
 from warpav.raster.renderer import Renderer
 from warpav.scene.device_scene import DeviceScene

@@ -8,8 +8,7 @@ import pytest
 from tests.driving_scene import camera_pose, on_device, packed_street
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.chunks import CHUNK_KEY_BYTES, chunk_view_count, equal_chunks
-from warpav.raster.kept import KeptRenderers
+from warpav.raster.chunks import CHUNK_KEY_BYTES, KeptRenderers, chunk_view_count, equal_chunks
 from warpav.raster.renderer import Renderer
 
 SIZE = 96, 64
@@ -28,12 +27,12 @@ def rendered(renderer, device):
 @pytest.mark.parametrize("lens", ["pinhole", "fisheye"])
 def test_held_bytes_are_those_of_keys_rays_and_silhouettes(device, lens):
     new = renderer_of(3, device, lens=lens)
-    before = new.held_bytes - new._buffers.strip.capacity  # a GPU's queue is there from the first
+    before = new.held_bytes - new.strip.capacity  # a GPU's queue is there from the first
     found = rendered(new, device).held_bytes
     samples = (SIZE[0] + 2) * (SIZE[1] + 2)
     keys, rays = 8 * 3 * samples, 12 * samples if lens == "fisheye" else 0
     assert before < keys < found
-    atlas = new._buffers.layers.crossing_key.capacity // 32 * (4 + 32 + 4 + 4)
+    atlas = new.layers.crossing_key.capacity // 32 * (4 + 32 + 4 + 4)
     assert keys + rays + atlas <= found
     if device == "cpu":
         assert found < 1.3 * (keys + 1.5 * rays + atlas) + 50_000

@@ -219,7 +219,7 @@ def test_recorded_launches_follow_the_zoom(device, lens, monkeypatch):
         for log_zoom in (0.0, 0.0, 0.0, 0.3, -0.1):
             zoom.fill_(log_zoom)
             draw()
-            depth_m.append(Frame(renderer._buffers, renderer.state, has_foreground_layer=False).depth_m.numpy())
+            depth_m.append(Frame(renderer, renderer.state).depth_m.numpy())
         found[name] = np.array(depth_m)
     assert not np.array_equal(found["recorded"][2], found["recorded"][3])
     np.testing.assert_array_equal(found["recorded"], found["launched"])
@@ -236,7 +236,7 @@ def test_a_lens_reaches_no_farther_than_its_image(device, tangential):
     corner_m = SOUPS["small"]()
     scene = Scene({"a": Mesh.create(corner_m[0], np.array([[0, 1, 2]]), [9, 9, 9])}, device=device)
     renderer.render(scene, *on_device([POSE], device))
-    limit = renderer._buffers.view.numpy()[0]["lens"]["limit"]
+    limit = renderer.view.numpy()[0]["lens"]["limit"]
     row, column = np.indices((model.height_px + 1, model.width_px + 1))
     tangent = np.linalg.norm(model.rays(np.stack([column, row], axis=-1))[..., :2], axis=-1)
     assert tangent.max() < limit < 1.2 * tangent.max()

@@ -9,7 +9,7 @@ from functools import cache
 import warp as wp
 
 from warpav.raster.buffers import RenderState
-from warpav.raster.graph import record_graph
+from warpav.raster.chunks import record_graph
 from warpav.raster.renderer import Renderer
 
 _logger = logging.getLogger(__name__)

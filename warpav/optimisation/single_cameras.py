@@ -28,9 +28,15 @@ from warpav.optimisation.required_points import RequiredPoints
 from warpav.optimisation.tangent_model import HardPoints, Margins
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.chunks import MAX_CHUNK_VIEWS, ViewsAtOnce, chunk_view_count, equal_chunks, gpu_view_count
+from warpav.raster.chunks import (
+    MAX_CHUNK_VIEWS,
+    KeptRenderers,
+    ViewsAtOnce,
+    chunk_view_count,
+    equal_chunks,
+    gpu_view_count,
+)
 from warpav.raster.decide import Occlusion
-from warpav.raster.kept import KeptRenderers
 from warpav.raster.pane import Pane
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene as RasterScene

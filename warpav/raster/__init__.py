@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from warpav.raster.areas import Areas, Measures
-    from warpav.raster.cameras import Cameras
+    from warpav.raster.camera import Cameras
     from warpav.raster.frame import Frame
     from warpav.raster.mesh import Mesh
     from warpav.raster.renderer import render
@@ -21,7 +21,7 @@ __all__ = ["Areas", "Cameras", "Frame", "Measures", "Mesh", "Scene", "render"]
 
 _MODULE = {
     "Areas": "areas",
-    "Cameras": "cameras",
+    "Cameras": "camera",
     "Frame": "frame",
     "Measures": "areas",
     "Mesh": "mesh",

@@ -100,6 +100,7 @@ class Buffers:
         width: Samples of a row of the grid, with its guard band.
         height: Rows of samples of the grid.
         thread_count: Threads over views on the CPU.
+        has_foreground: Whether the foreground's silhouette is wanted even where the occlusion does without.
         view: The views of the last render, as the kernels take them.
         position_world_m: Their centres, vec3 [view].
         camera_from_world: Their rotations, mat33 [view].
@@ -118,6 +119,7 @@ class Buffers:
         bent_view: The same on the device.
         rays: Their rays (struct of the kernels).
         is_recordable: Whether the last render can be recorded: on the CPU the host looks at zooms of bent lenses.
+        needed_samples: How many samples the renders since the last `grew` have needed at most, int64 [1].
         generation: Grows when arrays that recorded launches refer to have moved.
         state: What the last render has left; None before the first.
     """
@@ -147,7 +149,7 @@ class Buffers:
                 f"{self.width_px} x {self.height_px} pixels with supersampling {supersampling} are more than "
                 f"{MAX_VIEW_SAMPLES} samples; lower the size or the supersampling"
             )
-        self._has_foreground = has_foreground
+        self.has_foreground = has_foreground
         self.ones = wp.full((1, self.height_px, self.width_px), 1.0, dtype=float, device=self.device)
         self.all_directions = wp.full(
             self.view_count, wp.vec4(0.0, 0.0, WIDE_RAD, WIDE_RAD), dtype=wp.vec4, device=self.device
@@ -206,7 +208,7 @@ class Buffers:
 
     @property
     def held_bytes(self) -> int:
-        """See `Renderer.held_bytes`: of all arrays that have a number for each sample, or are kept for one purpose."""
+        """Memory of all arrays that have a number for each sample, or are kept for one purpose; grows with renders."""
         atlas, rays = self.layers, self.rays
         arrays = [self.key, self.ones, self.strip, atlas.inverse_depth_bits, atlas.crossing_key, *self._kept.values()]
         arrays += [each for hiding in (self.hiding, self.foreground_hiding) for each in (hiding.bits, hiding.source)]
@@ -247,7 +249,7 @@ class Buffers:
             pass
 
     def set_lenses(self, models: Sequence[CameraModel]) -> None:
-        """See `Renderer.set_lenses`."""
+        """Give every view another camera model of the same image size; the next render uses it."""
         size = (self.width_px, self.height_px)
         if len(models) != self.view_count or any((model.width_px, model.height_px) != size for model in models):
             raise InputError(f"models: expected {self.view_count} camera models of {size[0]} x {size[1]} pixels")
@@ -371,7 +373,7 @@ class Buffers:
         room = sample_count + sample_count // 4
         self.layers.inverse_depth_bits = self.zeros(room, wp.int32)
         self.layers.crossing_key = self.zeros((4, room), wp.int64)
-        for hiding, size in ((self.hiding, room), (self.foreground_hiding, room if self._has_foreground else 0)):
+        for hiding, size in ((self.hiding, room), (self.foreground_hiding, room if self.has_foreground else 0)):
             hiding.bits = self.zeros(size, wp.int32)
             hiding.source = self.zeros(size, wp.int32)
         self._capacity = room
@@ -406,7 +408,10 @@ class Buffers:
         )  # fmt: skip
 
     def grew(self, needed_samples: int | None = None) -> bool:
-        """See `Renderer.grew`."""
+        """Whether a render since the last call needed more samples than there was room for, and had to leave some out.
+
+        If so, there is room now, and the render has to be done again. Only recorded launches need this question.
+        """
         needed = int(self.needed_samples.numpy()[0]) if needed_samples is None else needed_samples
         if needed <= self._capacity:
             return False
@@ -421,7 +426,11 @@ class Buffers:
 
     @property
     def state(self) -> RenderState | None:
-        """What the last render has left in the buffers; None before the first."""
+        """What the last render has left in the buffers; None before the first.
+
+        A replay of recorded launches sets again what was held when they were recorded, and frames of then are not
+        stale any more.
+        """
         return self._state
 
     @state.setter

@@ -1,10 +1,11 @@
-"""Any number of views through one renderer, a chunk at a time, so that memory does not grow with them."""
+"""Many renders: views a chunk at a time, renderers that are kept from call to call, launches recorded as one graph."""
 
 from __future__ import annotations
 
 import gc
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from warpav.raster.frame import Frame
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene
 
+KEPT_BYTES = 2**29
 CHUNK_KEY_BYTES = 2**28
 MAX_CHUNK_VIEWS = 64
 GPU_ROOM = 4
@@ -41,27 +43,12 @@ def _key_bytes(model: CameraModel, supersampling: int) -> int:
 
 
 def views_with_room(most: int, view_bytes: int, *, free_bytes: int, sharers: int) -> int:
-    """How many of so many views have room on a GPU at once, at least 1.
-
-    Args:
-        most: As many are wanted.
-        view_bytes: What one takes.
-        free_bytes: What is free there now; half of it is left to other programs.
-        sharers: Who asks for so many at the same time, at least 1.
-    """
+    """How many of so many views have room on a GPU at once, at least 1."""
     return max(1, min(most, free_bytes // (2 * sharers * view_bytes)))
 
 
 def gpu_view_count(most: int, model: CameraModel, *, supersampling: int, device: str, renderers: int = 1) -> int:
-    """How many of so many views a renderer on a GPU renders at once, by what is free there now; fewer are said.
-
-    Args:
-        most: As many are wanted.
-        model: Camera model of the views.
-        supersampling: Samples per pixel along each axis.
-        device: Warp device.
-        renderers: Renderers of this process that render so many each.
-    """
+    """How many of so many views a renderer on a GPU renders at once, by what is free there now; fewer are said."""
     free_bytes = wp.get_device(device).free_memory
     view_bytes = GPU_ROOM * _key_bytes(model, supersampling)
     count = views_with_room(most, view_bytes, free_bytes=free_bytes, sharers=renderers * gpu_processes())
@@ -91,15 +78,7 @@ class ViewsAtOnce:
         self.most = most
 
     def run(self, render: Callable[[int], _Result], *, release: Callable[[], object]) -> _Result:
-        """What ``render(most)`` gives, called again with half as many views as long as memory does not hold them.
-
-        Args:
-            render: Renders so many views at once; its results do not depend on how many.
-            release: Lets go of what it holds on the device.
-
-        Raises:
-            RuntimeError: Not even one view has room, or it failed in another way.
-        """
+        """What ``render(most)`` gives, called again with half as many views as long as memory does not hold them."""
         while True:
             try:
                 return render(self.most)
@@ -127,22 +106,12 @@ def render_in_chunks(
     """Render views chunk by chunk; no gradient.
 
     Args:
-        scene: The scene, on ``device``.
-        models: Camera model of every view; all of one image size.
         position_world_m: Camera centres [m], [view, 3].
         camera_from_world: Rotations from world to camera axes, [view, 3, 3].
-        renderer: Renderer to use, of ``views_at_once`` views, whose lenses are replaced; None: a new one.
-        views_at_once: Views per chunk, at least 1; None: `chunk_view_count`.
-        supersampling: Samples per pixel along each axis.
-        content: What is wanted of the renders.
-        device: Warp device.
 
     Yields:
         The views of the chunk, and their frame. A last chunk that is not full is filled up with copies
         of the last view: the frame's first views are the chunk's.
-
-    Raises:
-        InputError: The numbers of models and poses differ, or a chunk of no views was asked for.
     """
     view_count = len(models)
     if len(position_world_m) != view_count or len(camera_from_world) != view_count:
@@ -170,3 +139,58 @@ def render_in_chunks(
             content=content,
         )
         yield slice(first, min(first + views_at_once, view_count)), frame
+
+
+@dataclass(eq=False)
+class KeptRenderers:
+    """Renderers by what they are asked for; those that were not used for the longest time go first.
+
+    Attributes:
+        bytes_max: How much all of them may hold. Those of the last call stay even if they hold more.
+    """
+
+    bytes_max: int = KEPT_BYTES
+    _kept: dict[Hashable, tuple[Renderer, ...]] = field(default_factory=dict, init=False, repr=False)
+
+    def __len__(self) -> int:
+        return sum(map(len, self._kept.values()))
+
+    @property
+    def held_bytes(self) -> int:
+        """What the buffers of all of them hold."""
+        return sum(each.held_bytes for renderers in self._kept.values() for each in renderers)
+
+    def clear(self) -> None:
+        """Let go of all of them."""
+        self._kept.clear()
+
+    def of(self, key: Hashable, make: Callable[[], Sequence[Renderer]]) -> tuple[Renderer, ...]:
+        """The renderers of a key; those that ``make`` gives, if none are kept.
+
+        Not to be called while renderers of an earlier call are in use.
+        """
+        known = self._kept.pop(key, ())
+        others_max = self.bytes_max - sum(each.held_bytes for each in known)
+        # buffers grow as they are used, so this is the time to look; first, so that new ones find room
+        while self._kept and self.held_bytes > others_max:
+            del self._kept[next(iter(self._kept))]
+        self._kept[key] = known or tuple(make())
+        return self._kept[key]
+
+
+def record_graph(function: Callable[[], None], device: wp.Device) -> wp.Graph:
+    """Record what a function launches; `warp.capture_launch` repeats it.
+
+    Python's garbage collector rests meanwhile: an old graph or array that it finds on its own frees memory on another
+    stream, and CUDA ends the capture with error 906.
+    """
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        with wp.ScopedCapture(device=device) as capture:
+            function()
+    finally:
+        if was_enabled:
+            gc.enable()
+    assert capture.graph is not None
+    return capture.graph

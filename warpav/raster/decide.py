@@ -20,27 +20,14 @@ class Occlusion(Enum):
     OCCLUDERS = "occluders"  # occluders alone, which images show alone too: objects hide nothing, as ghosts
 
 
-def decide(
-    buffers: Buffers, scene: Scene, content: Content, occlusion: Occlusion, *, foreground_layer: bool
-) -> RenderState:
-    """Fill the buffers from the views that were placed last.
-
-    Args:
-        buffers: To be filled.
-        scene: On their device.
-        content: What is wanted of the render.
-        occlusion: What hides an object.
-        foreground_layer: Whether the foreground's silhouette is wanted even where the occlusion does without.
-
-    Returns:
-        What the buffers hold now.
-    """
+def decide(buffers: Buffers, scene: Scene, content: Content, occlusion: Occlusion) -> RenderState:
+    """Fill the buffers from the views that were placed last."""
     # the foreground is the last layer; exact occlusion does not need its silhouette
     layer_count = scene.object_count
     if content is Content.IMAGES:
         layer_count = 0
     elif content is not Content.OBJECTS and (
-        occlusion is Occlusion.PAIRWISE or (foreground_layer and content in (Content.ALL, Content.MEASURES))
+        occlusion is Occlusion.PAIRWISE or (buffers.has_foreground and content in (Content.ALL, Content.MEASURES))
     ):
         layer_count = scene.layer_count
     has_outlines = content is not Content.COVERAGE

@@ -39,10 +39,9 @@ class Frame:
         scene: What was rendered.
     """
 
-    def __init__(self, buffers: Buffers, state: RenderState, *, has_foreground_layer: bool) -> None:
+    def __init__(self, buffers: Buffers, state: RenderState) -> None:
         """The render that ``buffers`` hold as ``state``; `Renderer.render` makes frames."""
         self._buffers, self._state = buffers, state
-        self._has_foreground_layer = has_foreground_layer
         self.scene: Scene = state.scene
 
     @property
@@ -247,7 +246,7 @@ class Frame:
             InputError: The frame is stale, has no objects or images, or a renderer without ``foreground_layer``.
         """
         self._require(Content.MEASURES)
-        if not self._has_foreground_layer:
+        if not self._buffers.has_foreground:
             raise InputError("unblocked_area needs a renderer that was made with foreground_layer=True")
         hide_by_foreground(self._buffers, self.scene)
         return areas.measure_weighted(

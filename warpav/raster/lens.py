@@ -284,11 +284,7 @@ class LensShape:
 
 
 def checked_distortion(lens: Lens, distortion: Sequence[float]) -> tuple[float, ...]:
-    """The coefficients as a tuple of floats.
-
-    Raises:
-        ValueError: Not the number of coefficients that the lens has, or one that is not finite.
-    """
+    """The coefficients as a tuple of floats."""
     counts = COEFFICIENT_COUNTS[lens]
     if len(distortion) not in counts:
         wanted = " or ".join(str(count) for count in counts)
@@ -316,10 +312,6 @@ def image_table(shape: LensShape, reach_rad: float = math.pi) -> np.ndarray:
     """Where the image of a direction lies, roughly, and how a radial lens bends great circles, over the whole sphere.
 
     Beyond the lens's limit the radius goes on growing as it did there, so that directions keep their order.
-
-    Args:
-        shape: The lens.
-        reach_rad: Angle from the axis beyond which there is no image: the lens's limit, if that is less.
 
     Returns:
         Radius over the sine of the angle t from the axis [focal lengths], and the greatest curvature of the image of a

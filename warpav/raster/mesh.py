@@ -91,11 +91,7 @@ class Mesh:
 
 
 def merge(meshes: Sequence[Mesh]) -> Mesh:
-    """One mesh that holds all triangles of ``meshes`` in order; needs at least one mesh.
-
-    Raises:
-        ValueError: Together they have more vertices or triangles than indices can tell apart.
-    """
+    """One mesh that holds all triangles of ``meshes`` in order; needs at least one mesh."""
     for name, count in (
         ("vertices", sum(len(mesh.vertex_m) for mesh in meshes)),
         ("triangles", sum(len(mesh.triangle) for mesh in meshes)),

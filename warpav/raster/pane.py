@@ -32,9 +32,6 @@ class Pane:
             normal they are projected.
         reach_m: Least and greatest height of what is clear along the normal, over the plane through the middle of the
             outline [m].
-
-    Raises:
-        ValueError: The outline is none, or the range is empty.
     """
 
     name: str

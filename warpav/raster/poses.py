@@ -40,13 +40,6 @@ def view_poses(
     Args:
         camera_from_world: Rigid transformations, [view, 4, 4]: a Warp array of floats or of mat44, a NumPy array, or
             anything with DLPack. Gradients flow to Warp arrays only.
-        view_count: How many there have to be.
-        device: Where they have to be; NumPy arrays are brought there.
-        log_focal: See `ViewPoses`.
-
-    Raises:
-        InputError: Another shape, another device, numbers that are not finite, or matrices that are not rigid; a tensor
-            of another library that wants a gradient.
     """
     if isinstance(camera_from_world, ViewPoses):
         if log_focal is None:

@@ -23,7 +23,7 @@ except ModuleNotFoundError as error:
     raise ModuleNotFoundError("warpav.raster.torch needs PyTorch: pip install 'warpav[torch]'", name="torch") from error
 
 from warpav.core.errors import InputError
-from warpav.raster.cameras import Cameras
+from warpav.raster.camera import Cameras
 from warpav.raster.frame import Frame
 from warpav.raster.poses import ViewPoses, check_rigid
 from warpav.raster.renderer import render

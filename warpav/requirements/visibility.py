@@ -15,10 +15,9 @@ from warpav.core.errors import InputError
 from warpav.raster.areas import VISIBLE_AREA
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.chunks import chunk_view_count
+from warpav.raster.chunks import KEPT_BYTES, chunk_view_count
 from warpav.raster.decide import Occlusion
 from warpav.raster.frame import Frame
-from warpav.raster.kept import KEPT_BYTES
 from warpav.raster.mesh import Mesh
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene

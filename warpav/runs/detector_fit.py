@@ -40,9 +40,8 @@ from warpav.detection.probability_fit import (
 )
 from warpav.optimisation.pool_cache import UNREADABLE, read_arrays, write_arrays
 from warpav.raster.camera import CameraModel
-from warpav.raster.chunks import ViewsAtOnce, chunk_view_count, equal_chunks, gpu_view_count
+from warpav.raster.chunks import KeptRenderers, ViewsAtOnce, chunk_view_count, equal_chunks, gpu_view_count
 from warpav.raster.decide import Occlusion
-from warpav.raster.kept import KeptRenderers
 from warpav.raster.renderer import Renderer
 from warpav.runs.config import Config, changed_config
 from warpav.runs.mounts import camera_model, camera_models, free_ranges, roof_surface

@@ -19,9 +19,8 @@ from warpav.experiments.bench.workload import ROTATION_COUNT, WEIGHT_NAMES, Work
 from warpav.raster.areas import Measures
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.chunks import MAX_CHUNK_VIEWS, chunk_view_count, render_in_chunks
+from warpav.raster.chunks import MAX_CHUNK_VIEWS, chunk_view_count, record_graph, render_in_chunks
 from warpav.raster.frame import Frame
-from warpav.raster.graph import record_graph
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene
 from warpav_kernels.experiments import benchmark
