@@ -25,19 +25,7 @@ LIKELY = 0.5
 def attainable_objects(
     objective: RigObjective, scenes: Sequence[AssignedScene], *, cameras: int = CAMERAS
 ) -> list[np.ndarray] | None:
-    """Which objects of each scene some camera on the mount is likely to detect, bool [object] each.
-
-    Args:
-        objective: Supplies the mount, the model of its cameras and how likely they are to detect.
-        scenes: On the device of the mount.
-        cameras: How many are looked through; more find a little more.
-
-    Returns:
-        None where what single cameras detect is not known: of losses other than the expected miss rate.
-
-    Raises:
-        InputError: There is next to no room for a camera.
-    """
+    """Which objects of each scene some camera on the mount is likely to detect, bool [object] each."""
     single = single_cameras_of(objective)
     if single is None:
         return None

@@ -26,12 +26,8 @@ class BlindGround:
     blind if it is outside all images or occluded.
 
     Attributes:
-        scene_count: Number of scenes.
         open_count: Scenes in which a person of a height can stand on a cell, int64 [height, row, column].
         blind_count: Of these, scenes in which no camera sees the person, same shape, for every rig by name.
-        heights_m: Heights above the ground [m].
-        cell_m: Size of a cell [m].
-        radius_m: Radius of the evaluated ground [m].
     """
 
     scene_count: int

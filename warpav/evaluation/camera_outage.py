@@ -18,16 +18,7 @@ from warpav.optimisation.miss_rate import expected_miss_rate, shares_of
 
 @dataclass(frozen=True)
 class CameraOutage:
-    """A rig without one of its cameras.
-
-    Attributes:
-        camera: Name of the camera that is gone.
-        expected_misses_per_100: Objects that the others are expected to miss, per 100.
-        difference_per_100: The same less that of the whole rig, at least 0.
-        weighted_expected_misses_per_100: As ``expected_misses_per_100``, by the weights of the objects; None: none are
-            set.
-        weighted_difference_per_100: Likewise.
-    """
+    """A rig without one of its cameras."""
 
     camera: str
     expected_misses_per_100: float
@@ -38,13 +29,7 @@ class CameraOutage:
 
 @dataclass(frozen=True)
 class CameraOutages:
-    """A rig without each of its cameras in turn.
-
-    Attributes:
-        expected_misses_per_100: Objects that the whole rig is expected to miss, per 100.
-        weighted_expected_misses_per_100: The same by the weights of the objects; None: none are set.
-        cameras: One outage for each camera, in the order of the rig.
-    """
+    """A rig without each of its cameras in turn."""
 
     expected_misses_per_100: float
     weighted_expected_misses_per_100: float | None
@@ -57,12 +42,7 @@ class CameraOutages:
         """From what each camera detects.
 
         Args:
-            camera: Names of the cameras.
             detection_probability: Of each camera for each object, 0..1, float [camera, object].
-            weight: Of each object, at least 0, float [object]; None: all alike. Where all are 0 they count as not set.
-
-        Returns:
-            The outages; None where there is no object.
         """
         if detection_probability.shape[1] == 0:
             return None

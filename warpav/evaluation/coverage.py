@@ -72,15 +72,10 @@ class Ground:
     """Ground cells around the vehicle, and where a person can stand.
 
     Attributes:
-        scene: The scene.
-        x_m: Cell centres along x [m], float64 [row].
-        y_m: Cell centres along y [m], float64 [column].
         ground_m: Height of the ground in the ego frame [m], float32 [row, column]; NaN where there is none and outside
             of the circle.
         headroom_m: Distance up to the next surface [m], float32 [row, column]; infinite under the open sky, 0 inside
             houses and where a child cannot walk to from the vehicle, such as courtyards.
-        cell_m: Size of a cell [m].
-        radius_m: Radius around the ego vehicle's centre [m].
     """
 
     scene: DeviceScene
@@ -93,16 +88,7 @@ class Ground:
 
     @classmethod
     def around(cls, scene: DeviceScene, *, radius_m: float = RADIUS_M, cell_m: float = CELL_M) -> Ground:
-        """The ground around the ego vehicle of a scene.
-
-        Args:
-            scene: The scene.
-            radius_m: Radius around the ego vehicle's centre [m], positive.
-            cell_m: Size of a cell [m], positive.
-
-        Raises:
-            ValueError: A size is not positive.
-        """
+        """The ground around the ego vehicle of a scene."""
         if not (radius_m > 0.0 and cell_m > 0.0):
             raise ValueError(f"radius_m and cell_m must be positive, got {radius_m} and {cell_m}")
         raster = scene.raster  # held while kernels read it
@@ -168,7 +154,6 @@ class Ground:
 
         Args:
             is_open: Where a person of a height can stand, bool [height, row, column].
-            heights_m: Heights above the ground [m].
 
         Returns:
             Index of the height, row and column, int64 [point] each, and the points in the ego frame [m], [point, 3].
@@ -193,11 +178,7 @@ def is_in_image(camera: RigCamera, point_m: np.ndarray) -> np.ndarray:
 
 
 def sees(scene: DeviceScene, camera: RigCamera, point_m: np.ndarray) -> np.ndarray:
-    """Whether a camera sees points of the ego frame [m], [point, 3]: in its image, with nothing before them.
-
-    Returns:
-        bool [point].
-    """
+    """Whether a camera sees points of the ego frame [m], [point, 3]: in its image, with nothing before them."""
     is_seen = is_in_image(camera, point_m)
     asked = np.flatnonzero(is_seen)
     share = free_shares(
@@ -222,14 +203,8 @@ def free_shares(
     """Share of the line of sight from one point to others that is free of occluders.
 
     Args:
-        scene: The scene.
         start_m: Start point in the ego frame [m], [3].
         end_m: End points in the ego frame [m], [point, 3].
-        near_m: Surfaces nearer to the start point are ignored [m].
-        behind_glass: What of the ego vehicle hides nothing; None: all of it hides.
-
-    Returns:
-        Share of the distance up to the first occluder, float32 [point]; 1 for an unobstructed line of sight.
     """
     raster = scene.raster.through(behind_glass)  # held while kernels read it
     device, count = raster.device, len(end_m)
@@ -273,8 +248,6 @@ class Coverage:
     """Which cameras see a person in each ground cell.
 
     Attributes:
-        ground: The cells.
-        heights_m: Heights above the ground [m].
         is_open: Where a person of a height can stand, bool [height, row, column].
         is_seen: Whether a camera sees the person's head, bool [camera, height, row, column]; False where nobody can
             stand.
@@ -308,22 +281,11 @@ class Coverage:
         return (self.count == 0).sum(axis=(1, 2)) * self.ground.cell_m**2
 
     def share_seen_by(self, cameras: int, *, radius_m: float) -> np.ndarray:
-        """Share of the open cells near the vehicle that so many cameras see, or more.
-
-        Args:
-            cameras: How many, at least 1.
-            radius_m: How near to the ego vehicle's centre [m].
-
-        Returns:
-            float64 [height]; NaN where nobody can stand.
-        """
+        """Share of the open cells near the vehicle that so many cameras see, or more."""
         return self._share(self.count >= cameras, self._distance_m < radius_m)
 
     def covered_share_by_distance(self, edges_m: Sequence[float]) -> np.ndarray:
         """`covered_share` in rings around the ego vehicle's centre.
-
-        Args:
-            edges_m: Radii of the rings' borders [m], increasing.
 
         Returns:
             float64 [height, ring]; NaN where nobody can stand in a ring.

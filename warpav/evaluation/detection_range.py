@@ -46,9 +46,6 @@ class DetectionRange:
     """How probable it is that the best camera of a rig finds a road user, by category, azimuth and distance.
 
     Attributes:
-        categories: Names of the road users.
-        azimuth_rad: From the middle of the vehicle, 0 ahead, positive to the left [rad], float64 [azimuth].
-        distances_m: Of the middle of the road user from the middle of the vehicle [m], increasing.
         probability: Of the best camera, 0..1, float64 [category, azimuth, distance].
         size: Of the image in the camera that shows it largest, over the smallest that the model speaks for: it is
             `LEAST_HEIGHT_PX` high, and not less than the smallest visible area of the fit; 0: in no image. float64
@@ -79,13 +76,7 @@ class DetectionRange:
         and its colours have the contrast that adds nothing to the model's logit, that of an average object.
 
         Args:
-            rig: Cameras of any lens.
             ego: The vehicle in the ego frame [m].
-            probability: Gives the model for a camera; by default that of the detector which ships with warpav.
-            categories: Names out of `CATEGORIES`; None: those whose kind the model was fitted on.
-            distances_m: Where they stand, from the middle of the vehicle [m], increasing.
-            azimuth_count: Number of directions.
-            device: Warp device.
         """
         models = {model: probability(model) for model in dict.fromkeys(camera.model for camera in rig.cameras)}
         targets = _targets(models[rig.cameras[0].model])
@@ -109,9 +100,6 @@ class DetectionRange:
         """The largest distance at which the probability is at least so much.
 
         Between two distances the logit is taken to be linear in the logarithm of the distance.
-
-        Args:
-            least: 0..1, both excluded.
 
         Returns:
             float64 [category, azimuth] [m]; 0: at none of the distances. It is at most the last of them.

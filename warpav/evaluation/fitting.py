@@ -42,7 +42,6 @@ def level_ground(ego: Mesh, *, device: str = "cpu") -> DeviceScene:
 
     Args:
         ego: The vehicle in the ego frame [m].
-        device: Warp device.
     """
     side_m, below_m = 1e3, -_BELOW_M
     corner_m = [[side_m * x, side_m * y, below_m] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
@@ -55,11 +54,6 @@ def level_ground(ego: Mesh, *, device: str = "cpu") -> DeviceScene:
 
 def upright_px(camera: RigCamera, foot_m: np.ndarray, height_m: float) -> np.ndarray:
     """Height of the image of something upright on level ground, through the lens; nothing stands in the way.
-
-    Args:
-        camera: The camera, of any lens.
-        foot_m: Where it stands in the ego frame [m], [..., 2].
-        height_m: Its height [m].
 
     Returns:
         Distance of the images of foot and top, also where these leave the image [px], float64 [...]; inf where the lens
@@ -81,10 +75,7 @@ def size_ranges_m(
     """From where to where something upright is so high in a camera's image, by direction.
 
     Args:
-        camera: The camera, of any lens.
-        azimuth_rad: Directions from the camera in the ego frame [rad], [direction].
         pixels: Least heights of its image [px].
-        height_m: Its height [m].
 
     Returns:
         The nearest and the farthest distance from the camera over the ground at which the middle is in the image and
@@ -112,13 +103,6 @@ def px_per_degree(camera: RigCamera, direction: np.ndarray) -> np.ndarray:
 
     Along the optical axis of a pinhole it is ``f pi / 180`` with the focal length f [px]. The derivative of
     `CameraModel.project` is taken over 1e-4 rad. Nothing stands in the way.
-
-    Args:
-        camera: The camera, of any lens.
-        direction: Unit vectors in the ego frame, none of them straight up or down, [..., 3].
-
-    Returns:
-        float64 [...]; 0 outside the image.
     """
     level = np.stack([-direction[..., 1], direction[..., 0], 0.0 * direction[..., 0]], axis=-1)
     level /= np.linalg.norm(level, axis=-1, keepdims=True)
@@ -175,10 +159,6 @@ class Footprint:
     def ring_m(self, distance_m: float, *, direction_count: int = 720) -> np.ndarray:
         """The closed line at a distance from the border, by the direction of its outward normal.
 
-        Args:
-            distance_m: From the border [m]; 0: the border itself.
-            direction_count: Number of its points; sides come between two of them.
-
         Returns:
             x and y [m], float64 [direction, 2]; the first is ahead, the others follow to the left.
         """
@@ -192,12 +172,9 @@ class NearField:
     """How far from the body the first point is that some camera sees, by direction.
 
     Attributes:
-        heights_m: Heights of the points above the ground [m].
-        azimuth_rad: Directions from the middle of the vehicle [rad], float64 [direction]; the first is ahead.
         border_m: Where each leaves the outline of the vehicle [m], float64 [direction, 2].
         distance_m: From there on outwards to the first visible point [m], float64 [height, direction]; inf: none up to
             ``reach_m``.
-        reach_m: How far was looked [m].
     """
 
     heights_m: tuple[float, ...]
@@ -222,12 +199,7 @@ class NearField:
         A point is seen where it is in an image and the straight line to it is free of the body.
 
         Args:
-            rig: Cameras of any lens.
             ego: The vehicle in the ego frame [m].
-            heights_m: Heights of the points above the ground [m], none below 0.
-            reach_m: How far from the body to look [m], positive.
-            direction_count: Number of directions, a multiple of 4.
-            device: Warp device.
         """
         scene = level_ground(ego, device=device)
         azimuth_rad = np.arange(direction_count) * 2.0 * math.pi / direction_count
@@ -263,8 +235,6 @@ class VisibleGround:
     """Level ground near the vehicle: how many cameras see it, and in how many images it would be without the body.
 
     Attributes:
-        x_m: Cell centres along x [m], float64 [row].
-        y_m: Cell centres along y [m], float64 [column].
         is_body: Cells below the vehicle, bool [row, column].
         in_image: Number of cameras in whose image a cell is, int64 [row, column].
         seen: Number of cameras that see it past the body, int64 [row, column].
@@ -281,11 +251,7 @@ class VisibleGround:
         """Of the ground up to a distance from the bounds of the vehicle.
 
         Args:
-            rig: Cameras of any lens.
             ego: The vehicle in the ego frame [m].
-            margin_m: How far around it [m].
-            cell_m: Edge of a cell [m].
-            device: Warp device.
         """
         scene = level_ground(ego, device=device)
         low_m, high_m = np.asarray(ego.bounds_m(), np.float64)[:, :2]
@@ -325,8 +291,6 @@ class SectorCounts:
     """How many cameras see a road user, by sector and distance band around the middle of the vehicle.
 
     Attributes:
-        camera: Names of the cameras.
-        edges_m: Borders of the bands, from the middle of the vehicle [m], increasing.
         is_body: Whether the middle of a cell is within the vehicle, bool [sector, band].
         sees: Whether a camera sees a road user there, bool [camera, sector, band].
     """
@@ -353,12 +317,7 @@ class SectorCounts:
         stands before that point, and the car is at least so high in the image. The first sector is centred ahead.
 
         Args:
-            rig: Cameras of any lens.
             ego: The vehicle in the ego frame [m].
-            sector_count: Number of sectors, counted to the left.
-            edges_m: Borders of the distance bands [m], increasing.
-            least_px: Least height of the image of a car, 1.5 m high [px].
-            device: Warp device.
         """
         scene, footprint = level_ground(ego, device=device), Footprint.of(ego)
         azimuth_rad = np.arange(sector_count) * 2.0 * math.pi / sector_count

@@ -83,15 +83,7 @@ object's box decides, and a sector includes its right edge."""
 
 @dataclass(frozen=True)
 class GroupRecall:
-    """Recall of a rig for a group of objects; each object counts once, however many cameras see it.
-
-    Attributes:
-        objects: Objects in the scenes.
-        visible: Objects that some camera sees well enough for a ground-truth box.
-        detected: Objects that some camera detects (the thesis's true positive); all of them are visible.
-        recall: Detected share of all objects; None without objects.
-        recall_visible: Detected share of the visible objects; None without any.
-    """
+    """Recall of a rig for a group of objects; each object counts once, however many cameras see it."""
 
     objects: int
     visible: int
@@ -115,58 +107,7 @@ class ArmMetrics:
     they need not be detected, and a box that matches one is no false alarm.
 
     Attributes:
-        map50_average: Mean over cameras of the thesis's mAP@50 (over images with ground truth and detections).
-        map50_min_camera: That of the worst camera.
-        map50_max_camera: That of the best camera.
-        ap50_pooled: AP at IoU 0.5 over all images of all cameras together (COCO's interpolation).
-        ap50_95_pooled: The mean of AP at IoU .50, .55, ... .95 over all images together (COCO's AP).
-        ap50_small: `ap50_pooled` for objects whose ground-truth box has at most 32^2 px^2.
-        ap50_medium: For those from 32^2 to 96^2 px^2.
-        ap50_large: For those from 96^2 px^2.
-        ap50_95_small: `ap50_95_pooled` for small objects.
-        ap50_95_medium: For medium objects.
-        ap50_95_large: For large objects.
-        tp_detection_rate: Share of all objects that some camera detects; the thesis's name for the rig's recall.
-        tp_in_frame_rate: Share of all objects with some part in some camera's image, occluded or not.
-        rig_recall: Share of all objects of the scenes that some camera detects; the same as `tp_detection_rate`.
-        rig_recall_visible: Detected share of the objects that some camera of this rig sees well enough for a
-            ground-truth box.
-        misses_per_100: Objects that no camera detects, per 100 objects of the scenes: 100 (1 - `rig_recall`).
-        recall_at_equal_false_alarms: The rig's recall at the confidence threshold at which it has
-            `EQUAL_FALSE_ALARMS_PER_FRAME`, so that a rig does not gain from images in which the detector says more. The
-            threshold `confidence_at_equal_false_alarms` is the lowest one that leaves at most that many false alarms
-            per image over all scenes together (as `false_alarms_per_frame` counts them), and objects are matched again
-            with the detections of at least this confidence. It is never below the configured threshold, because the
-            detector says nothing below: a rig that has fewer false alarms there keeps its `rig_recall`, which is then
-            a lower bound. Intervals over scenes hold the threshold fixed.
-        confidence_at_equal_false_alarms: That threshold; above 1 if not even the most confident detections are left.
-        visible_rate: Share of all objects that some camera sees well enough; `rig_recall` is its product with
-            `rig_recall_visible`.
-        detection_confidence: Mean over detected objects of their best confidence.
-        false_alarms_per_frame: Detections of sufficient confidence that are neither true positives nor ignored, in
-            COCO's sense and at the minimum IoU of a match, per image (scenes times cameras). Duplicate boxes of one
-            object count, and so do boxes on the ego vehicle and on road users of another kind. As in COCO's metrics,
-            only the 100 most confident of an image and kind count.
-        objective: Scaled training objective, mean over the test scenes.
         constraint_violation: Distance outside the mount zone plus missing camera spacing [m].
-        min_camera_distance_m: Smallest distance between two cameras [m].
-        body_share: Share of a camera's image that the body of the own vehicle covers, by the camera's name; see
-            `warpav.evaluation.own_body.body_shares`. Empty without scenes, which hold the vehicle.
-        body_share_max: The largest of the rig.
-        objects: Number of objects in the test scenes.
-        frames: Number of images.
-        recall_by: The rig's recall by ``distance_m`` (`DISTANCE_EDGES_M`), ``sector`` (`SECTORS`), ``category`` and
-            ``road_user``, each a `GroupRecall` by the group's name.
-        per_scene: The metrics of `PAIRED_METRICS` scene by scene, and those of `OPTIONAL_METRICS` where they exist.
-        weighted_recall: As `rig_recall`, each object counted by its weight; None where no weights are set, or all are
-            0.
-        weighted_misses_per_100: 100 (1 - `weighted_recall`), beside `misses_per_100`.
-        attainable_rate: Share of all objects that some single camera, anywhere on the mount, is likely to detect; see
-            `warpav.evaluation.attainable`. None where that is not known.
-        attainable_recall: As `rig_recall`, of these objects alone.
-        attainable_misses_per_100: 100 (1 - `attainable_recall`): of what can be found, how much this rig does not find.
-        redundant_rate: Share of the objects within `REDUNDANT_WITHIN_M` that `REDUNDANT_CAMERAS` cameras of the rig see
-            well enough for a ground-truth box; see `warpav.evaluation.redundancy`. None without such objects.
     """
 
     map50_average: float | None
@@ -232,8 +173,6 @@ class CameraObservation:
     Attributes:
         image_rgb: uint8 [row, column, 3].
         truth_box_px: Box of every object, NaN where too little of it is visible [px], float32 [object, 4].
-        detections: Boxes of the detector.
-        match: Detection of every object, -1 for none, int64 [object].
     """
 
     image_rgb: np.ndarray
@@ -247,9 +186,6 @@ class RigObservation:
     """Observations of one scene by all cameras of a rig.
 
     Attributes:
-        observations: One per camera model; its cameras in the order of the rig.
-        in_frame: Whether some part of an object lies in some camera's image, occluded or not, bool [object].
-        camera: Index in the rig of every camera of the concatenated observations.
         detection_probability: That each camera of the rig detects each object, by the model of detection probability,
             float [camera, object]; None where no model is known for these cameras.
     """
@@ -339,19 +275,7 @@ class RigObserver:
         device: str,
         probability_of: Callable[[CameraModel], CameraProbability | None] | None = None,
     ) -> None:
-        """Create the renderers; cameras of one model that look through one pane share one.
-
-        Args:
-            rig: The rig.
-            detector: Runs on the images.
-            confidence_min: Least confidence of a true positive.
-            iou_min: Least intersection over union of a true positive.
-            occlusion: What hides an object.
-            supersampling: Samples per pixel along each axis.
-            device: Warp device.
-            probability_of: How likely a camera of a model is to detect, None where it is not known; None: it is not
-                asked for.
-        """
+        """Create the renderers; cameras of one model that look through one pane share one."""
         self._probability_of = probability_of
         self._detector, self._confidence_min, self._iou_min = detector, confidence_min, iou_min
         kind_of = [(camera.model, camera.behind_glass) for camera in rig.cameras]
@@ -426,14 +350,7 @@ def evaluate_rig(
 
 @dataclass(frozen=True)
 class SceneObservations:
-    """Observations of several scenes by one rig.
-
-    Attributes:
-        rig: The rig.
-        scenes: The scenes.
-        observations: Of every scene.
-        losses: Training objective of every scene; empty if it was not evaluated.
-    """
+    """Observations of several scenes by one rig."""
 
     rig: Rig
     scenes: list[DeviceScene]
@@ -465,19 +382,7 @@ def observe_scenes(
     with_objective: bool = True,
     with_probability: bool = False,
 ) -> SceneObservations:
-    """Observe scenes through the cameras of a rig.
-
-    Args:
-        rig: The rig, anywhere in the ego frame.
-        scenes: Test scenes with vehicles assigned to the rig's cameras (for the objective).
-        objective: Supplies the mount, the detector and the thresholds of a match. Losses are only defined for rigs
-            whose cameras all have the mount's model (of any zoom, where that is free), or where the objective is by
-            single cameras and knows all of the rig's; of those that look through panes only where single cameras give
-            them. Everything else is measured with the rig's own cameras.
-        with_objective: Whether to evaluate the objective.
-        with_probability: Whether to ask for the detection probabilities where the objective does not need them; they
-            are known of cameras of the mount's model.
-    """
+    """Observe scenes through the cameras of a rig."""
     mount: CameraMount = objective.mount
     is_of_mount = all(mount.has_model(camera.model) for camera in rig.cameras)
     # one render does not show what they see
@@ -532,14 +437,7 @@ def false_alarm_confidences(seen: SceneObservations, objective: RigObjective) ->
 def confidence_at(
     false_alarm_confidence: np.ndarray, images: int, false_alarms_per_image: float, *, least: float
 ) -> float:
-    """The lowest confidence, from ``least`` on, that leaves at most so many false alarms per image.
-
-    Args:
-        false_alarm_confidence: Of every false alarm, highest first.
-        images: In how many images they are.
-        false_alarms_per_image: How many may be left.
-        least: The lowest confidence that is known of.
-    """
+    """The lowest confidence, from ``least`` on, that leaves at most so many false alarms per image."""
     allowed = math.floor(false_alarms_per_image * images + 1e-9)
     if len(false_alarm_confidence) <= allowed:
         return least
@@ -549,13 +447,7 @@ def confidence_at(
 def metrics_of(
     seen: SceneObservations, objective: RigObjective, *, attainable: Sequence[np.ndarray] | None = None
 ) -> ArmMetrics:
-    """Metrics of a rig from its observations.
-
-    Args:
-        seen: The observations.
-        objective: Supplies the constraints and the thresholds of a match.
-        attainable: Which objects of each scene can be found from the mount, bool [object] each; None: not known.
-    """
+    """Metrics of a rig from its observations."""
     rig, scenes, observations, losses = seen.rig, seen.scenes, seen.observations, seen.losses
     detected, visible = [each.detected for each in observations], [each.visible for each in observations]
     in_frame, confidence = [each.in_frame for each in observations], [each.confidence for each in observations]

@@ -26,11 +26,7 @@ class MountEffect:
     """One camera that is off in one degree of freedom.
 
     Attributes:
-        camera: Its name.
-        degree: Out of `COLUMNS`.
         per_unit: Derivative of the expected misses per 100 objects at the rig [1/m, 1/rad].
-        below: Change of the expected misses per 100 objects with the camera off by the tolerance, the number smaller.
-        above: Likewise, the number larger.
     """
 
     camera: str
@@ -47,15 +43,7 @@ class MountEffect:
 
 @dataclass(frozen=True, eq=False)
 class MountTolerance:
-    """What errors of mounting cost a rig in expected misses per 100 objects, weighted where objects have weights.
-
-    Attributes:
-        position_m: Greatest error of a place [m], in each direction.
-        angle_rad: Greatest error of an angle [rad], of each of the three.
-        nominal: Expected misses per 100 objects of the rig as it is.
-        samples: The same with all cameras off, each number by chance and evenly within its tolerance, float64 [sample].
-        effects: Every camera and degree of freedom alone.
-    """
+    """What errors of mounting cost a rig in expected misses per 100 objects, weighted where objects have weights."""
 
     position_m: float
     angle_rad: float
@@ -115,19 +103,7 @@ class MountTolerance:
         """Render a rig's cameras with errors of mounting; inwards they end at the surface that the cameras stand on.
 
         Args:
-            camera: Names of the cameras.
             mount_pose: The rig, float [camera, 7].
-            cameras: What the cameras are, and how likely one is to detect.
-            scenes: On the mount's device.
-            position_m: Greatest error of a place [m], positive.
-            angle_rad: Greatest error of an angle [rad], positive.
-            sample_count: Draws of all errors together, at least 1.
-            seed: Of the draws.
-            weight: Of each object, at least 0, float [object]; None: all alike.
-            progress: Told of every scene.
-
-        Raises:
-            InputError: A tolerance is not positive, no draw was asked for, or the scenes hold no objects.
         """
         for name, value in (("position_m", position_m), ("angle_rad", angle_rad), ("sample_count", sample_count)):
             if not value > 0.0:

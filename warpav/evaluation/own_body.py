@@ -21,13 +21,6 @@ def body_shares(rig: Rig, scene: DeviceScene) -> dict[str, float]:
     The vehicle is drawn alone, so nothing of the scene counts but its ego vehicle. Pixels whose centres show it are
     counted over all pixels of the image, those included in which the lens sees nothing. Surfaces nearer than a camera's
     ``near_m`` are cut away, as in every render, and so is a pane that a camera stands behind.
-
-    Args:
-        rig: Cameras of any lens and image size, anywhere in the ego frame.
-        scene: A scene around the vehicle.
-
-    Returns:
-        0 to 1, by the camera's name in the order of the rig.
     """
     share: dict[str, float] = {}
     kinds = [(camera.model.width_px, camera.model.height_px, camera.behind_glass) for camera in rig.cameras]

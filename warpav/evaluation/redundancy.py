@@ -12,14 +12,7 @@ from warpav.scene.device_scene import DeviceScene
 
 @dataclass(frozen=True)
 class Redundancy:
-    """How often enough cameras see a road user.
-
-    Attributes:
-        radius_m: Only road users whose middle is this near to the middle of the ego vehicle count [m].
-        cameras: How many cameras have to see one.
-        objects: Number of such road users.
-        share: Share of them that enough cameras see, or its expectation, 0..1; None without road users.
-    """
+    """How often enough cameras see a road user."""
 
     radius_m: float
     cameras: int
@@ -31,11 +24,7 @@ def probability_of_at_least(cameras: int, probability: np.ndarray) -> np.ndarray
     """Probability that at least so many cameras detect each object, each independently of the others.
 
     Args:
-        cameras: The number, 0 or more.
         probability: Of each camera, 0..1; flags will do; [camera, object].
-
-    Returns:
-        float64 [object].
     """
     probability = np.asarray(probability, np.float64)
     # of exactly 0, 1, ... cameras so far
@@ -57,12 +46,6 @@ def redundancy(
     Args:
         sees: Of every scene which camera sees which road user, as flags (`RigObservation.visible_to_camera`), or how
             likely each is to detect it (`RigObservation.detection_probability`), [camera, object].
-        scenes: The scenes.
-        radius_m: Greatest horizontal distance from the middle of the ego vehicle [m], positive.
-        cameras: How many cameras, at least 1.
-
-    Raises:
-        ValueError: A number out of its range, or arrays that do not belong to the scenes.
     """
     if not radius_m > 0.0 or cameras < 1:
         raise ValueError(f"radius_m must be positive and cameras at least 1, got {radius_m} and {cameras}")

@@ -58,17 +58,7 @@ CAPTION = "Recalls pool the objects of all scenes; difference() is a mean over s
 
 @dataclass(frozen=True)
 class SeenObject:
-    """An object of a scene before several rigs.
-
-    Attributes:
-        scene: Name of the scene.
-        category: What it is.
-        distance_m: From the centre of the ego vehicle to the centre of its box, seen from above [m].
-        bearing_deg: Direction in which it is, left positive [deg].
-        outcome: What becomes of it, by rig.
-        seen_by: Names of the cameras that see enough of it for a ground-truth box, by rig.
-        detected_by: Names of the cameras in whose images the detector finds it, by rig.
-    """
+    """An object of a scene before several rigs."""
 
     scene: str
     category: str
@@ -81,13 +71,7 @@ class SeenObject:
 
 @dataclass(frozen=True)
 class Table:
-    """A table that prints as text and shows itself in a notebook.
-
-    Attributes:
-        columns: Headings; the first is that of the rows.
-        rows: Their cells.
-        caption: A line below it; empty: none.
-    """
+    """A table that prints as text and shows itself in a notebook."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -294,13 +278,7 @@ def _cell(value: float | None) -> str:
 def seen_objects(
     observations: Mapping[str, Any], scenes: Sequence[Any], rigs: Mapping[str, Rig]
 ) -> tuple[SeenObject, ...]:
-    """Every object of scenes before several rigs.
-
-    Args:
-        observations: `warpav.evaluation.metrics.SceneObservations` by rig.
-        scenes: The scenes on the device.
-        rigs: The rigs.
-    """
+    """Every object of scenes before several rigs."""
     objects = []
     for number, scene in enumerate(scenes):
         cameras = {name: each.observations[number].cameras for name, each in observations.items()}

@@ -41,12 +41,6 @@ class SoiledPart:
     Attributes:
         shape: A disc; or a band of rows (from the left edge to the right) or of columns (from the upper edge to the
             lower).
-        place: Its middle as shares of the image's width and height from the upper left corner, 0..1.
-        share: Its area as a share of the image's, in (0, 1]. What lies beyond the image's edge counts too, so that less
-            of the image may be covered, see `covered_share`.
-
-    Raises:
-        InputError: A number is out of its range, or the shape is unknown.
     """
 
     shape: SoilShape = "disc"
@@ -116,14 +110,7 @@ def soiled_scene(scene: Scene, camera: RigCamera, part: SoiledPart) -> Scene:
 
 @dataclass(frozen=True)
 class SoiledCamera:
-    """A rig of which one camera is soiled.
-
-    Attributes:
-        camera: Its name.
-        covered_share: Share of its image's pixels that the dirt covers, 0..1.
-        expected_misses_per_100: Objects that the rig is expected to miss, per 100.
-        difference_per_100: The same less that of the clean rig.
-    """
+    """A rig of which one camera is soiled."""
 
     camera: str
     covered_share: float
@@ -133,13 +120,7 @@ class SoiledCamera:
 
 @dataclass(frozen=True)
 class Soiling:
-    """What a soiled camera costs a rig, weighted where objects have weights.
-
-    Attributes:
-        part: What is soiled of one camera's image.
-        expected_misses_per_100: Objects that the clean rig is expected to miss, per 100.
-        cameras: One for each camera, in the order of the rig.
-    """
+    """What a soiled camera costs a rig, weighted where objects have weights."""
 
     part: SoiledPart
     expected_misses_per_100: float
@@ -191,17 +172,7 @@ class Soiling:
         """Render a rig's cameras clean and soiled.
 
         Args:
-            camera: Names of the cameras.
             mount_pose: The rig, float [camera, 7].
-            cameras: What the cameras are, and how likely one is to detect.
-            scenes: Around the mount's vehicle.
-            part: What is soiled.
-            weight: Of each object, at least 0, float [object]; None: all alike.
-            progress: Told of every scene.
-
-        Raises:
-            InputError: The scenes hold no objects, a camera sees nothing there, or only other road users occlude, so
-                that dirt would not.
         """
         if cameras.occlusion is not Occlusion.EXACT:
             raise InputError(
@@ -238,15 +209,7 @@ class Soiling:
 
 @dataclass(frozen=True)
 class LoadState:
-    """How a load moves the vehicle, with its cameras, against the world.
-
-    Attributes:
-        pitch_deg: Turn about the ego frame's y axis, nose down positive [deg], within 30.
-        height_m: How far the frame's origin rises [m]; negative where it sinks.
-
-    Raises:
-        InputError: A number is out of its range.
-    """
+    """How a load moves the vehicle, with its cameras, against the world."""
 
     pitch_deg: float = 0.0
     height_m: float = 0.0
@@ -294,14 +257,7 @@ def loaded_scene(scene: Scene, state: LoadState) -> Scene:
 
 @dataclass(frozen=True)
 class LoadedRig:
-    """A rig on a vehicle under a load.
-
-    Attributes:
-        name: Of the load.
-        state: How it moves the vehicle.
-        expected_misses_per_100: Objects that the rig is expected to miss, per 100.
-        difference_per_100: The same less that without a load.
-    """
+    """A rig on a vehicle under a load."""
 
     name: str
     state: LoadState
@@ -311,12 +267,7 @@ class LoadedRig:
 
 @dataclass(frozen=True)
 class LoadStates:
-    """What loads cost a rig, weighted where objects have weights; the weights are those without a load.
-
-    Attributes:
-        expected_misses_per_100: Objects that the rig is expected to miss without a load, per 100.
-        states: One for each load, in their order.
-    """
+    """What loads cost a rig, weighted where objects have weights; the weights are those without a load."""
 
     expected_misses_per_100: float
     states: tuple[LoadedRig, ...]
@@ -363,14 +314,6 @@ class LoadStates:
 
         Args:
             mount_pose: The rig, float [camera, 7].
-            cameras: What the cameras are, and how likely one is to detect.
-            scenes: Around the mount's vehicle, without a load.
-            states: Loads by name, at least one.
-            weight: Of each object, at least 0, float [object]; None: all alike.
-            progress: Told of every scene.
-
-        Raises:
-            InputError: There is no load, or the scenes hold no objects.
         """
         if not states:
             raise ArgumentError("states", "expected at least one load, got none")

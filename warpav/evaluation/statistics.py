@@ -30,14 +30,7 @@ Numbers = Sequence[float | None] | Sequence[Sequence[float | None]] | np.ndarray
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with its 95 % interval.
-
-    Attributes:
-        value: The estimate; None without samples.
-        low: Lower end of the interval; None with too few samples.
-        high: Upper end.
-        count: Number of samples.
-    """
+    """A number with its 95 % interval."""
 
     value: float | None
     low: float | None
@@ -47,17 +40,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference of two arms on the same scenes.
-
-    Attributes:
-        mean: Of the differences scene by scene; None without scenes.
-        low: Lower end of its 95 % interval; None with fewer than two scenes.
-        high: Upper end.
-        p_value: Two-sided p-value of no difference; below 0.05 if the interval excludes 0, and at least
-            2^(1 - scenes), the resolution of so few scenes. None if the interval is None.
-        p_holm: `p_value` corrected for the number of arms (`compare_arms`); None without correction.
-        scenes: Scenes in which every run of both arms has a number.
-    """
+    """Difference of two arms on the same scenes."""
 
     mean: float | None
     low: float | None
@@ -81,17 +64,6 @@ def paired_difference(
     themselves. As every run sees the same scenes, runs and scenes are crossed, not nested: a resampled run keeps the
     resampled scenes. Resampling the scenes separately for every run would attribute the difficulty of a scene to chance
     of a run, and make the interval too short.
-
-    Args:
-        one: The metric of an arm.
-        other: Of another arm; it may have another number of runs.
-        weight: Of every scene, at least 0; None: equal weights. With the number of objects in a scene, the mean of its
-            recall is the recall of all objects together.
-        seed: Of the resampling.
-        resamples: Number of resamples.
-
-    Raises:
-        ValueError: The arms do not have the same scenes, or a weight is missing or negative.
     """
 
     def difference(ours: np.ndarray, theirs: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -112,9 +84,6 @@ def relative_reduction(
 
     Scenes and runs are resampled as by `paired_difference`, whose arguments these are; the means are divided, not the
     scenes. The p-value is that of no reduction.
-
-    Returns:
-        A number below 0 where ``one`` is the higher; nothing where the mean of ``other`` is 0.
     """
 
     def reduction(ours: np.ndarray, theirs: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -134,17 +103,7 @@ def _paired(
     resamples: int,
     is_share: bool = False,
 ) -> Difference:
-    """A number of two arms on the same scenes with its interval, as `paired_difference` gives it.
-
-    Args:
-        one: As there.
-        other: As there.
-        combine: The number from the means over runs of both arms and the weights, [..., scene].
-        weight: As there.
-        seed: As there.
-        resamples: As there.
-        is_share: Whether the number is a share of the other arm's, which has to be above 0.
-    """
+    """A number of two arms on the same scenes with its interval, as `paired_difference` gives it."""
     tables = [np.atleast_2d(np.array(numbers, np.float64)) for numbers in (one, other)]
     scene_count = tables[0].shape[1]
     weights = np.ones(scene_count) if weight is None else np.asarray(weight, np.float64)
@@ -187,12 +146,7 @@ def _paired(
 
 
 def mean_over_scenes(numbers: Numbers, weight: Sequence[float] | np.ndarray) -> float:
-    """Mean of a metric over its runs and the scenes that have a weight; NaN where one of these has no number.
-
-    Args:
-        numbers: The metric.
-        weight: Of every scene, at least 0, of one at least above.
-    """
+    """Mean of a metric over its runs and the scenes that have a weight; NaN where one of these has no number."""
     table, weights = np.atleast_2d(np.array(numbers, np.float64)), np.asarray(weight, np.float64)
     kept = weights > 0.0
     return float(np.average(table[:, kept].mean(axis=0), weights=weights[kept]))
@@ -227,17 +181,7 @@ def holm(p_values: Mapping[str, float]) -> dict[str, float]:
 def paired_differences(
     optimised: ArmMetrics, other: ArmMetrics, *, seed: int = 0
 ) -> dict[str, dict[str, float | int | None]]:
-    """`paired_difference` of the metrics of two rigs on the same scenes, all scenes alike.
-
-    Args:
-        optimised: Metrics of the optimised rig.
-        other: Metrics of another rig on the same scenes.
-        seed: Of the resampling.
-
-    Returns:
-        For every metric of `PAIRED_METRICS`, and of `OPTIONAL_METRICS` where both have them: ``mean``, ``low``,
-        ``high`` and ``scenes`` of its `Difference`.
-    """
+    """`paired_difference` of the metrics of two rigs on the same scenes, all scenes alike."""
     result: dict[str, dict[str, Any]] = {}
     has_both = [name in optimised.per_scene and name in other.per_scene for name in OPTIONAL_METRICS]
     for name in (*PAIRED_METRICS, *itertools.compress(OPTIONAL_METRICS, has_both)):
@@ -253,20 +197,7 @@ def rank_correlation(
     seed: int = 0,
     resamples: int = RESAMPLES,
 ) -> Estimate:
-    """Spearman's rank correlation of two metrics over rigs; rigs are resampled.
-
-    Args:
-        one: A metric of every rig.
-        other: Another metric; rigs that lack one of them are omitted.
-        seed: Of the resampling.
-        resamples: How often.
-
-    Returns:
-        The correlation, without an interval for fewer than four rigs; None if one of the metrics is constant.
-
-    Raises:
-        ValueError: The metrics have different lengths.
-    """
+    """Spearman's rank correlation of two metrics over rigs; rigs are resampled."""
     if len(one) != len(other):
         raise ValueError(f"both must have as many numbers, got {len(one)} and {len(other)}")
     pairs = np.array([one, other], np.float64)
@@ -289,12 +220,7 @@ def rank_correlation(
 
 @dataclass(frozen=True)
 class OrderAgreement:
-    """Whether two judges put the same items in the same order; 1 if so, -1 in the opposite order.
-
-    Attributes:
-        spearman: Spearman's rank correlation of the items' means.
-        kendall: Kendall's tau-b of them.
-    """
+    """Whether two judges put the same items in the same order; 1 if so, -1 in the opposite order."""
 
     spearman: Estimate
     kendall: Estimate
@@ -312,20 +238,6 @@ def order_agreement(
 
     The items stay; the scenes are resampled, together for all items and both metrics, and so are the runs of an item
     that has several. An item that leads by chance of the scenes changes its rank in the resamples.
-
-    Args:
-        one: A metric of every item.
-        other: Another metric of the same items, runs and scenes.
-        weight: Of every scene, as in `paired_difference`.
-        seed: Of the resampling.
-        resamples: How often.
-
-    Returns:
-        Estimates, ``count`` is the number of items; None where a metric puts all items level, or with fewer than two;
-        without an interval for fewer than two scenes.
-
-    Raises:
-        ValueError: The metrics are not of the same items, runs and scenes, or a weight is missing or negative.
     """
     tables = [[np.atleast_2d(np.array(numbers, np.float64)) for numbers in items] for items in (one, other)]
     shapes = [[table.shape for table in each] for each in tables]
@@ -400,11 +312,7 @@ def _kendall(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def run_spread(numbers: Sequence[float | None] | np.ndarray) -> Estimate:
-    """Standard deviation of a metric over runs, with the interval of a normal distribution (chi-squared).
-
-    Args:
-        numbers: The metric of every run; runs without it are omitted.
-    """
+    """Standard deviation of a metric over runs, with the interval of a normal distribution (chi-squared)."""
     from scipy.stats import chi2
 
     finite = np.array(numbers, np.float64)
@@ -426,15 +334,7 @@ def _interval_at(
     resamples: int,
     methods: Sequence[Literal["BCa", "percentile"]] = ("BCa", "percentile"),
 ) -> Callable[[float], tuple[float, float]]:
-    """Resample, and return a function that gives the statistic's interval at a level.
-
-    Args:
-        units: Indices of what is resampled, each kind by itself.
-        statistic: Of resampled indices along the last axis.
-        seed: Of the resampling.
-        resamples: How often.
-        methods: Of the interval; the first that has one.
-    """
+    """Resample, and return a function that gives the statistic's interval at a level."""
     from scipy.stats import DegenerateDataWarning, bootstrap
 
     # the resamples are drawn once; an interval at another level takes them from the first one's result

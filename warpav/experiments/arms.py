@@ -76,15 +76,7 @@ class FoundRig:
     """A rig that an arm found.
 
     Attributes:
-        rig: The rig.
-        began_as: The rig that it began as, see `Placement.assigned`; None when camera k took orientation k.
-        camera_renders: Camera renders that finding it took.
-        history: Columns, one entry per step or look: ``camera_renders``, ``seconds`` and ``best_value`` so far, on the
-            scenes that the method compares rigs on; of a descent ``loss``, of a search by a pool ``stage``, ``round``
-            and ``bound``, as in `Found`.
-        training_objective: Its objective on the scenes that the method compares rigs on; None if not evaluated.
         mount_pose: Its mount poses, float32 [camera, 7]; None for cameras that are not level.
-        notes: What else is worth knowing, by name.
     """
 
     rig: Rig
@@ -102,16 +94,7 @@ Finder = Callable[[Placement, int | None], FoundRig]
 
 @dataclass(frozen=True)
 class Arm:
-    """A search method with its options.
-
-    Attributes:
-        name: Its name, also in file names: lower-case letters, digits and underscores.
-        method: A key of `METHODS`, or the name of a preset, on the roof and with the images of all other cameras; with
-            `AS_BUILT` behind it, on the body and with images of its own.
-        overrides: Options that make the arm, such as ``losses.detected_area=0``; they also apply to the evaluation of
-            its rigs.
-        search_overrides: Options for the search alone; the evaluation ignores them.
-    """
+    """A search method with its options."""
 
     name: str
     method: str
@@ -134,27 +117,15 @@ class Arm:
         return self.overrides if self.name in _WHOLE else (*self.overrides, *self.search_overrides)
 
     def evaluation_config(self, config: Config) -> Config:
-        """The configuration that its rigs are evaluated with.
-
-        Raises:
-            InputError: The arm's options do not fit the rest.
-        """
+        """The configuration that its rigs are evaluated with."""
         return changed_config(config, self.overrides)
 
     def search_config(self, config: Config) -> Config:
-        """The configuration that it searches by.
-
-        Raises:
-            InputError: The arm's options do not fit the rest.
-        """
+        """The configuration that it searches by."""
         return changed_config(config, (*self.overrides, *self.search_overrides))
 
     def check(self, config: Config, camera_renders_max: int | None) -> None:
-        """Reject early what would fail in every run.
-
-        Raises:
-            InputError: A package is missing, the arm's options do not fit the rest, or the budget is too small.
-        """
+        """Reject early what would fail in every run."""
         config = self.search_config(config)
         package = _PACKAGES.get(self.method)
         if package and importlib.util.find_spec(package) is None:
@@ -201,16 +172,7 @@ class Arm:
 
 
 def find_rig_of(arm: Arm, placement: Placement, camera_renders_max: int | None) -> FoundRig:
-    """The rig that an arm finds.
-
-    Args:
-        arm: The arm.
-        placement: What to search on, with the arm's search options.
-        camera_renders_max: Camera renders that it may spend; None: as many as the descent of the configuration.
-
-    Raises:
-        InputError: The budget is too small, or something that the arm needs is missing.
-    """
+    """The rig that an arm finds."""
     name = arm.method.removesuffix(AS_BUILT)
     preset = partial(_preset if name == arm.method else _preset_as_built, name=name)
     return METHODS.get(arm.method, preset)(placement, camera_renders_max)
@@ -223,11 +185,7 @@ def resized(rig: Rig, config: Config) -> Rig:
 
 
 def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
-    """The arm of this name: one of the given ones, or one of `common_arms`.
-
-    Raises:
-        OptionError: There is none.
-    """
+    """The arm of this name: one of the given ones, or one of `common_arms`."""
     every = {**common_arms(), **arms}
     if name in every:
         return every[name]
@@ -270,11 +228,6 @@ def default_like(preset: str, *, pixels: int | None = None) -> Arm:
 
     All cameras of an objective share one model, so a preset's odd fields of view have no counterpart; `odd_fields` says
     which.
-
-    Args:
-        preset: Its name.
-        pixels: The counterpart of the preset as it is built: images in the proportions of its most frequent ones, with
-            about so many pixels. None: images as configured, which the preset has on the roof as well.
     """
     cameras, common = preset_rig(preset).cameras, common_fov_deg(preset)
     overrides = (f"rig.cameras={len(cameras)}", f"camera.fov_deg={common}")
@@ -471,11 +424,7 @@ def _descent_only(placement: Placement, camera_renders_max: int | None) -> Found
 
 
 def _single_values(placement: Placement) -> SingleCameraValues:
-    """Values of rigs on all training scenes by single cameras.
-
-    Raises:
-        InputError: The objective is made of other losses.
-    """
+    """Values of rigs on all training scenes by single cameras."""
     values = rig_values_of(placement.objective, placement.train)
     if not isinstance(values, SingleCameraValues):
         names = ", ".join(loss.name for _, loss in placement.objective.losses)
@@ -675,11 +624,7 @@ def _space(placement: Placement, *, free_yaw: bool) -> SearchSpace:
 
 
 def _found(placement: Placement, result: SearchResult) -> FoundRig:
-    """What a search found.
-
-    Raises:
-        RuntimeError: It ended early.
-    """
+    """What a search found."""
     if result.error is not None:
         raise RuntimeError(f"the search ended early: {result.error}")
     return FoundRig(

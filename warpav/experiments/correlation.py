@@ -30,13 +30,7 @@ EVERY = "all rigs"
 
 @dataclass(frozen=True)
 class Correlations:
-    """Rank correlations of objectives on the validation scenes with metrics on the test scenes, over rigs.
-
-    Attributes:
-        rigs: One row for every rig: ``arm``, ``seed``, its ``objectives`` by name, and `HELD_OUT`.
-        spearman: By group of rigs, objective and metric. The sign of the objective is turned: 1 is a perfect ranking.
-        figure: The scatter plot; None where no rig has numbers.
-    """
+    """Rank correlations of objectives on the validation scenes with metrics on the test scenes, over rigs."""
 
     rigs: tuple[dict[str, Any], ...]
     spearman: dict[str, dict[str, dict[str, Estimate]]]
@@ -82,13 +76,7 @@ class Correlations:
 
 
 def correlate(results: Results, figure: Path | None = None, *, resamples: int = RESAMPLES) -> Correlations:
-    """Rank correlations over the rigs of an experiment.
-
-    Args:
-        results: Results by arm; those of `RANDOM_GROUPS` are random rigs.
-        figure: PNG file to draw them to.
-        resamples: Of the bootstrap.
-    """
+    """Rank correlations over the rigs of an experiment."""
     rigs = tuple(_row(run) for runs in results.values() for run in runs)
     groups = {
         ALL_RANDOM: [rig for rig in rigs if rig["arm"] in RANDOM_GROUPS],

@@ -74,29 +74,7 @@ GRADIENTS = "gradients"
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is compared.
-
-    Attributes:
-        name: Its name; results go to ``runs/<name>``.
-        config: Name of the shipped configuration that it starts from.
-        arms: The arms, in the order in which they are shown.
-        runs: Run seeds of every arm that has a use for them.
-        options: Overrides of that configuration.
-        quick: More of them that make it end in minutes.
-        quick_runs: Run seeds with these.
-        quick_arms: Names of the arms that take part then; None: all.
-        runs_of: Run seeds of the arms, by name, that take another number.
-        quick_runs_of: The same of the small version.
-        reference: Name of the arm that the others are compared with; None: the experiment has tables of its own.
-        objectives: What every rig is measured with on all validation scenes, by name: overrides on top of those that
-            its arm is evaluated with.
-        camera_renders_max: Camera renders for every search where nothing else is asked for; None: as many as the
-            descent of the arm's configuration takes.
-        quick_camera_renders_max: The same of the small version.
-        is_judged: Whether the detector is run on the test scenes for every rig; else only the objective is measured.
-        knows_attainable: Whether rigs that are judged are judged by what can be found from the mount as well
-            (`warpav.evaluation.attainable`).
-    """
+    """What is compared."""
 
     name: str
     config: str
@@ -131,17 +109,7 @@ class Experiment:
 def overrides_of(
     experiment: Experiment, overrides: Sequence[str], *, arms: Sequence[Arm] | None = None, quick: bool
 ) -> list[str]:
-    """All overrides of an experiment's configuration: its own, those that make it quick, the user's.
-
-    Args:
-        experiment: The experiment.
-        overrides: The user's.
-        arms: The arms that take part; None: all of the experiment's.
-        quick: Whether it is the small version.
-
-    Raises:
-        InputError: The user's set what the arms differ in.
-    """
+    """All overrides of an experiment's configuration: its own, those that make it quick, the user's."""
     taking_part = (experiment.made_quick() if quick else experiment).arms if arms is None else arms
     own = {overridden_option(each): arm for arm in taking_part for each in arm.own_overrides}
     for override in overrides:
@@ -155,11 +123,7 @@ def overrides_of(
 
 
 def arms_of(experiment: Experiment, text: str | None) -> list[Arm] | None:
-    """The arms that a list such as ``sgd_ifr,highest`` names; None for all of the experiment's.
-
-    Raises:
-        OptionError: There is no arm of a name, or the experiment has none to choose from.
-    """
+    """The arms that a list such as ``sgd_ifr,highest`` names; None for all of the experiment's."""
     if text is None:
         return None
     own = {arm.name: arm for arm in experiment.arms}
@@ -172,18 +136,7 @@ def arms_of(experiment: Experiment, text: str | None) -> list[Arm] | None:
 
 @dataclass(frozen=True)
 class ArmTask:
-    """One run of one arm, small enough to travel to another process.
-
-    Attributes:
-        arm: The arm.
-        config: The experiment's configuration, with the run's seed.
-        camera_renders_max: Camera renders that it may spend; None: see `warpav.experiments.arms`.
-        folder: Folder of the results, absolute.
-        made_with: Hash of all that the result depends on but the seed.
-        objectives: As of `Experiment`.
-        is_judged: Likewise.
-        knows_attainable: Likewise.
-    """
+    """One run of one arm, small enough to travel to another process."""
 
     arm: Arm
     config: Config
@@ -207,14 +160,7 @@ class ArmTask:
 
 @dataclass(frozen=True)
 class Finished:
-    """What an experiment has come to.
-
-    Attributes:
-        folder: Its folder.
-        results: All results that there are, by arm in the order of the arms, and by run seed.
-        failed: Why tasks failed, one line each.
-        done: Number of results that were new.
-    """
+    """What an experiment has come to."""
 
     folder: Path
     results: dict[str, list[dict[str, Any]]]
@@ -278,21 +224,7 @@ def run_experiment(
     out: Path | None = None,
     progress: Progress,
 ) -> Finished:
-    """Do what is missing of an experiment.
-
-    Args:
-        experiment: The experiment.
-        config: What all arms have in common; run seeds count up from ``run.seed``.
-        arms: Only these; they need not be among the experiment's. None: all of the experiment's.
-        runs: Run seeds, at least 1; None: the experiment's default.
-        camera_renders_max: Camera renders for every search; None: the experiment's.
-        out: Folder; None: ``run.out``, or ``runs/<name>``.
-        progress: Where to show it.
-
-    Raises:
-        InputError: Something in the input is wrong, or the folder holds something else.
-        KeyboardInterrupt: The user stopped it; what is finished stays.
-    """
+    """Do what is missing of an experiment."""
     if config.requirements == AUTO:  # its arms are compared by what they are expected to miss
         config = changed_config(config, ["requirements=null"])
     runs_of = {} if runs is not None else experiment.runs_of
@@ -329,11 +261,7 @@ def run_experiment(
 
 
 def read_results(tasks: Sequence[ArmTask]) -> dict[str, list[dict[str, Any]]]:
-    """The results of tasks that are finished, by arm, in the order of the tasks.
-
-    Raises:
-        InputError: A file cannot be read.
-    """
+    """The results of tasks that are finished, by arm, in the order of the tasks."""
     results: dict[str, list[dict[str, Any]]] = {task.arm.name: [] for task in tasks}
     for task in tasks:
         if task.file.is_file():
@@ -342,11 +270,7 @@ def read_results(tasks: Sequence[ArmTask]) -> dict[str, list[dict[str, Any]]]:
 
 
 def merged_results(done: Finished, experiment: Experiment) -> Finished:
-    """The same with what the folder holds of earlier commands, arms in order; those without a result have none.
-
-    Raises:
-        InputError: A file cannot be read, or is no result.
-    """
+    """The same with what the folder holds of earlier commands, arms in order; those without a result have none."""
     in_order = dict.fromkeys([*(arm.name for arm in experiment.arms), *done.results])
     there = {**{arm: [] for arm in done.results}, **results_in(done.folder, list(in_order))}
     return replace(done, results={arm: there[arm] for arm in in_order if arm in there})
@@ -512,11 +436,7 @@ def _tasks(
 
 
 def _try_networks(arms: Sequence[Arm], config: Config, progress: Progress) -> None:
-    """Let what is wrong with a detector show before the tasks begin; what several would fit, fit once.
-
-    Raises:
-        InputError: A detector cannot be used.
-    """
+    """Let what is wrong with a detector show before the tasks begin; what several would fit, fit once."""
     tried = []
     for arm in arms:
         for each in (arm.evaluation_config(config), arm.search_config(config)):
@@ -534,14 +454,7 @@ def _try_networks(arms: Sequence[Arm], config: Config, progress: Progress) -> No
 
 
 def make_scenes_ready(config: Config, progress: Progress) -> Mesh:
-    """Let what is wrong with the scenes show before the tasks begin; what several would make, make once.
-
-    Returns:
-        The vehicle that carries the cameras.
-
-    Raises:
-        InputError: A scene cannot be used.
-    """
+    """Let what is wrong with the scenes show before the tasks begin; what several would make, make once."""
     seeds = (*config.scenes.train_seeds, *(config.scenes.validation_seeds or ()), *config.scenes.test_seeds)
     if config.executor.name == "serial":
         return traffic_of_process(config, progress).ego
@@ -554,11 +467,7 @@ def make_scenes_ready(config: Config, progress: Progress) -> Mesh:
 
 
 def _check_places(arms: Sequence[Arm], config: Config, ego: Mesh) -> None:
-    """See that the cameras of every arm fit on the mount surface.
-
-    Raises:
-        InputError: They do not.
-    """
+    """See that the cameras of every arm fit on the mount surface."""
     tried = []
     for arm in arms:
         for each in (arm.evaluation_config(config), arm.search_config(config)):

@@ -35,13 +35,7 @@ _ABOVE = ("tp_detection_rate", "ap50_pooled", "tp_in_frame_rate")
 
 @dataclass(frozen=True)
 class Goal:
-    """Something to reach.
-
-    Attributes:
-        text: What.
-        reached: Whether it is; None where what it takes was not measured.
-        numbers: On which numbers this rests.
-    """
+    """Something to reach."""
 
     text: str
     reached: bool | None
@@ -66,14 +60,7 @@ def goals_text(goals: Sequence[Goal]) -> str:
 
 
 def goals_of(results: Results, table: ArmsTable, presets: Sequence[str], *, resamples: int = RESAMPLES) -> list[Goal]:
-    """The goals of the open experiment.
-
-    Args:
-        results: Results by arm.
-        table: `compare_results` of them, with the default method as the reference.
-        presets: Presets that arms ``default_as_<preset>`` answer.
-        resamples: Of the bootstraps.
-    """
+    """The goals of the open experiment."""
     reference = results[table.reference]
     return [
         _no_violation(results),

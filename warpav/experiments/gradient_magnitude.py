@@ -42,8 +42,6 @@ class GradientMagnitude:
     Attributes:
         positional: To x and y [1/m]; 0 where all of them are 0.
         rotational: To the yaw [1/rad]; likewise.
-        positional_share: Share of the numbers to x and y that are not 0.
-        rotational_share: The same of the numbers to the yaw.
     """
 
     positional: float
@@ -89,24 +87,6 @@ def measure_gradient_magnitudes(
     Every run starts at random positions; every iteration differentiates each loss separately, and the cameras follow
     the sum of all. Constraints are losses like the others there: no multipliers. Numbers that are not 0 are pooled over
     cameras, iterations and runs.
-
-    Args:
-        objective: Its losses take part; their weights do not matter.
-        scenes: The training scenes, vehicles assigned to cameras.
-        yaw_rad: Yaw of every camera at the start [rad], [camera].
-        runs: Number of descents, at least 1.
-        settings: Step sizes.
-        iterations: Steps of a descent, at least 1.
-        batch_size: Scenes a batch, at least 1.
-        seed: Of starts and batches; run k draws from (seed, k).
-        finished: Called with the number of each run that is done, from 0.
-
-    Returns:
-        By the name of the loss, in the order of the objective, then the constraints.
-
-    Raises:
-        InputError: The cameras do not fit on the mount surface.
-        ValueError: There is no run to do.
     """
     if runs < 1:
         raise ValueError(f"runs must be at least 1, got {runs}")
@@ -138,11 +118,7 @@ def measure_gradient_magnitudes(
 
 
 def pooled_magnitudes(runs: Sequence[Mapping[str, Mapping[str, float]]]) -> dict[str, GradientMagnitude]:
-    """Magnitudes of several runs of equal length together, as if `measure_gradient_magnitudes` had done them all.
-
-    Args:
-        runs: Fields of `GradientMagnitude` by the name of the loss, of every run.
-    """
+    """Magnitudes of several runs of equal length together, as if `measure_gradient_magnitudes` had done them all."""
     pooled = {}
     for name in runs[0] if runs else ():
         mean = {}

@@ -37,23 +37,7 @@ SIGNIFICANT = 0.05
 
 @dataclass(frozen=True)
 class Comparison:
-    """An arm against a rival in one setting.
-
-    Attributes:
-        setting: Name of the setting.
-        arm: The arm.
-        rival: The rival.
-        holds: Whether the claim of the hypothesis holds; None if results are missing.
-        seeds: Run seeds that both have, or that the arm has where the rival has one run for all.
-        not_above: How many of them end at or below the rival.
-        change: Mean objective of the arm over that of the rival, less 1 (of ``spread``: the same of the standard
-            deviations).
-        low: Lower end of the 95 % interval of the difference of the objectives, arm - (1 - margin) rival; by the
-            bootstrap over scenes and runs.
-        high: Upper end.
-        p_value: One-sided p-value of the claim's opposite.
-        renders: Mean renders of the arm over those of the rival; None where one of them spends none.
-    """
+    """An arm against a rival in one setting."""
 
     setting: str
     arm: str
@@ -70,16 +54,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Judgement:
-    """What became of a hypothesis.
-
-    Attributes:
-        name: Its name, such as ``H1``.
-        text: In words.
-        comparisons: Of every setting, arm and rival.
-        p_value: The largest of the comparisons: the hypothesis claims all of them at once, so its opposite is refuted
-            only if that of every one is (intersection-union test). None if one is missing.
-        p_holm: Corrected by Holm's method for the number of hypotheses.
-    """
+    """What became of a hypothesis."""
 
     name: str
     text: str
@@ -104,15 +79,7 @@ class Judgement:
 
 
 def judge(results_of: Mapping[str, Results], *, resamples: int = RESAMPLES) -> list[Judgement]:
-    """Decide all hypotheses of the protocol.
-
-    Args:
-        results_of: Results by arm, of every setting by its name; what is missing leaves hypotheses undecided.
-        resamples: Of the bootstraps.
-
-    Returns:
-        All hypotheses, in their order, failed ones included.
-    """
+    """Decide all hypotheses of the protocol."""
     found = []
     for name, hypothesis in protocol().hypotheses.items():
         comparisons = tuple(
@@ -202,14 +169,7 @@ def _renders_ratio(ours: Sequence[Mapping[str, Any]], theirs: Sequence[Mapping[s
 
 
 def judged_text(folders: Sequence[Path]) -> str:
-    """Decide the hypotheses by the experiments in folders, and say on which scenes, as Markdown.
-
-    Args:
-        folders: One experiment each, named after its setting, of either part of the protocol.
-
-    Raises:
-        InputError: A folder has no results, is of no setting, or two are of the same.
-    """
+    """Decide the hypotheses by the experiments in folders, and say on which scenes, as Markdown."""
     results_of: dict[str, Results] = {}
     on_traffic: dict[str, Path] = {}
     scenes = []

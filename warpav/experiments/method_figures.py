@@ -46,18 +46,7 @@ _UNCONSTRAINED = ("optimiser.multiplier_learning_rate=0", "optimiser.multiplier_
 def draw_method_figure(
     number: int, path: Path | str, config: Config, *, run: RunFolder | None, progress: Progress
 ) -> Path:
-    """Draw a figure by its number in the thesis.
-
-    Args:
-        number: One of `RIG_NUMBERS`.
-        path: PNG file to write.
-        config: Scenes, cameras, detector, method; with a run its own.
-        run: For figures 10 and 11: a run that has been optimised; None: it is done now, without a run folder.
-        progress: Shows progress.
-
-    Raises:
-        InputError: Inputs that do not go with it, or that cannot be used.
-    """
+    """Draw a figure by its number in the thesis."""
     path = checked_png(path)
     match number:
         case 10:
@@ -75,17 +64,7 @@ def draw_method_figure(
 
 
 def unconstrained(config: Config, path: Path, *, run: RunFolder | None, progress: Progress) -> Path:
-    """Figure 10: the trajectories of the cameras from one start, with all multipliers at 0 and without that.
-
-    Args:
-        config: What to optimise.
-        path: PNG file to write.
-        run: Gives the trajectory with constraints and its start; None: both are optimised now.
-        progress: Shows progress.
-
-    Raises:
-        InputError: Something in the input is wrong.
-    """
+    """Figure 10: the trajectories of the cameras from one start, with all multipliers at 0 and without that."""
     # which iterate is kept and how often rigs are compared changes no trajectory
     config = changed_config(config, ["optimiser.keep=last", "optimiser.patience=null", "optimiser.descents=1"])
     traffic, networks = load_scene_set(config, progress), load_networks(config)
@@ -164,17 +143,7 @@ class _Observer:
 
 
 def before_and_after(config: Config, path: Path, *, run: RunFolder | None, progress: Progress) -> Path:
-    """Figure 11: what a rig sees at the start and once optimised, on a batch of training scenes and on all test scenes.
-
-    Args:
-        config: What to optimise, and scenes and detector of the images.
-        path: PNG file to write.
-        run: Gives both rigs; None: the optimisation is done now.
-        progress: Shows progress.
-
-    Raises:
-        InputError: Something in the input is wrong.
-    """
+    """Figure 11: what a rig sees at the start and once optimised, on a batch of training scenes and on all test scenes."""
     if run is None:
         placement = Placement.from_config(config).prepare(progress)
         descent, count = Optimisation.begin(placement).descent, config.run.iterations
@@ -198,16 +167,7 @@ def before_and_after(config: Config, path: Path, *, run: RunFolder | None, progr
 
 
 def highest(config: Config, path: Path, *, progress: Progress) -> Path:
-    """Figure 12: the rig around the vehicle's highest point, its sectors, and what it finds in all test scenes.
-
-    Args:
-        config: The cameras, the scenes, the detector.
-        path: PNG file to write.
-        progress: Shows progress.
-
-    Raises:
-        InputError: Something in the input is wrong.
-    """
+    """Figure 12: the rig around the vehicle's highest point, its sectors, and what it finds in all test scenes."""
     scenes = list(
         progress.steps("scenes", load_scenes(config, config.scenes.test_seeds), count=len(config.scenes.test_seeds))
     )

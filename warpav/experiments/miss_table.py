@@ -54,19 +54,7 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class MissRow:
-    """An arm.
-
-    Attributes:
-        arm: Its name.
-        seeds: Its run seeds.
-        misses: Mean over runs and road users by metric, with the interval over scenes and runs; metrics that the judge
-            does not know are left out.
-        less: By metric, what it misses less what the reference misses, with interval and p-values, those of all arms
-            corrected by Holm's method; empty for the reference.
-        reductions: By arm of `PRACTICE` but itself: share by which it misses less of what can be found than that arm.
-        wins: Runs in which the reference misses at most as much as the run of the same seed, of all road users.
-        compared: Runs that could be compared.
-    """
+    """An arm."""
 
     arm: str
     seeds: tuple[int, ...]
@@ -79,17 +67,7 @@ class MissRow:
 
 @dataclass(frozen=True)
 class MissTable:
-    """What a judge says of all arms.
-
-    Attributes:
-        judge: Its name.
-        scenes: Test scenes.
-        objects: Road users in them.
-        attainable: Those that can be found.
-        practice: The arm of `PRACTICE` that misses least of these; None without one.
-        reduction_p: One-sided p-value of a reduction by the reference below `REDUCTION_MIN`; None without one.
-        rows: The arms.
-    """
+    """What a judge says of all arms."""
 
     judge: str
     scenes: int
@@ -101,12 +79,7 @@ class MissTable:
 
     @classmethod
     def from_data(cls, data: Mapping[str, Any]) -> MissTable:
-        """The table that a JSON file holds.
-
-        Raises:
-            KeyError: It holds something else.
-            TypeError: Likewise.
-        """
+        """The table that a JSON file holds."""
         rows = [
             MissRow(
                 **{
@@ -157,13 +130,7 @@ class MissTable:
 
 
 def miss_table(judge: str, results: Results, *, resamples: int = RESAMPLES) -> MissTable | None:
-    """The table of a judge; None where no result says what can be found.
-
-    Args:
-        judge: Its name.
-        results: Results by arm, all on the same scenes.
-        resamples: Of the bootstraps.
-    """
+    """The table of a judge; None where no result says what can be found."""
     there = {arm: runs for arm, runs in results.items() if runs and all(ATTAINABLE in run for run in runs)}
     if not there:
         return None
@@ -230,12 +197,7 @@ def miss_table(judge: str, results: Results, *, resamples: int = RESAMPLES) -> M
 
 
 def miss_goals(own: MissTable, outside: Sequence[MissTable] | None = None) -> list[Goal]:
-    """What the reference is to reach, and whether it does.
-
-    Args:
-        own: By the detector of the search.
-        outside: By networks that no search used; None: they have not been asked.
-    """
+    """What the reference is to reach, and whether it does."""
     goals = []
     for rival in BEATEN:
         text = f"fewer misses than {rival}, the interval of the difference above 0"

@@ -133,22 +133,7 @@ def run_open(
     resamples: int = RESAMPLES,
     progress: Progress,
 ) -> Finished:
-    """Do what is missing of an experiment of our own; show its table and its goals, and write them.
-
-    Args:
-        name: A key of `EXPERIMENTS`.
-        config: The configuration.
-        arms: As of `run_experiment`.
-        runs: As of `run_experiment`; of ``correlation``, rigs of either random kind.
-        camera_renders_max: As of `run_experiment`.
-        out: As of `run_experiment`.
-        quick: Fewer runs, in a folder of its own; the configuration has to be quick, too (`overrides_of`).
-        resamples: Of the bootstraps.
-        progress: Where to show it.
-
-    Raises:
-        InputError: Something in the input is wrong.
-    """
+    """Do what is missing of an experiment of our own; show its table and its goals, and write them."""
     experiment = EXPERIMENTS[name]
     if quick:
         experiment = experiment.made_quick()

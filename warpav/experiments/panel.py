@@ -55,16 +55,7 @@ Recalls = dict[str, list[np.ndarray]]
 
 @dataclass(frozen=True)
 class Row:
-    """The rigs of an arm.
-
-    Attributes:
-        label: Name of the arm, after that of its folder where there are several.
-        arm: Its name.
-        seeds: Run seeds of the rigs.
-        searched_with: Name of the detector that the search used: that of a network of the panel, or the name of its
-            file; None where no detector has a say in the rig, as in that of a preset.
-        method: Arms of the same method differ at most in the detector.
-    """
+    """The rigs of an arm."""
 
     label: str
     arm: str
@@ -75,17 +66,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Judge:
-    """A network of the panel on the test scenes, over all rigs.
-
-    Attributes:
-        name: Its name.
-        width_px: Width of the images.
-        height_px: Their height.
-        false_alarms_per_image: At the configured minimum confidence.
-        equal_confidence: The least confidence that leaves the given number of false alarms per image.
-        equal_false_alarms_per_image: What it leaves; less than that number where the network has no more even at the
-            least confidence that it was asked for.
-    """
+    """A network of the panel on the test scenes, over all rigs."""
 
     name: str
     width_px: int
@@ -112,12 +93,7 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Two arms that networks rank differently by recall at equal false alarms.
-
-    Attributes:
-        rows: Their labels.
-        differences: The first less the second, by network.
-    """
+    """Two arms that networks rank differently by recall at equal false alarms."""
 
     rows: tuple[str, str]
     differences: dict[str, Difference]
@@ -131,14 +107,7 @@ class Disagreement:
 
 @dataclass(frozen=True)
 class Crossed:
-    """Rigs that one method found with several detectors, before all networks.
-
-    Attributes:
-        method: Its name.
-        rows: Labels of the rigs, by the detector of their search.
-        above_own: Recall at equal false alarms of these rigs less that of the network's own, by the detector of the
-            search and the network that judges; networks that no search used are left out.
-    """
+    """Rigs that one method found with several detectors, before all networks."""
 
     method: str
     rows: dict[str, str]
@@ -147,23 +116,7 @@ class Crossed:
 
 @dataclass(frozen=True)
 class PanelTable:
-    """What a panel says of rigs.
-
-    Attributes:
-        false_alarms_per_image: At which recalls are compared.
-        judges: The networks.
-        rows: The rigs.
-        misses_per_100: At the configured confidence, by network and row, with its 95 % interval over scenes and runs.
-        recall_at_equal_false_alarms: Likewise.
-        agreements: Of all pairs of networks.
-        disagreements: All pairs of arms that some networks rank differently.
-        crossed: Of all methods that searched with several detectors.
-        failed: Why some rigs are missing.
-        misses: Of the first experiment: what its own detector says of what can be found, and then every network; empty
-            where it does not know what can be found.
-        outside: Networks among these judges that no search used.
-        goals: What they make of the goals; by networks that no search used where there are any.
-    """
+    """What a panel says of rigs."""
 
     false_alarms_per_image: float
     judges: tuple[Judge, ...]
@@ -323,19 +276,6 @@ def run_panel(
     """Let every network of a folder judge the rigs of experiments; show the comparison and write it.
 
     What is there already is not measured again.
-
-    Args:
-        folders: Folders of the experiments; the comparison goes to ``panel_<name>`` in the first.
-        config: Configuration of the first, with the changed evaluation options: all are judged by it.
-        panel: Folder of ONNX files, maybe with descriptions (`warpav.runs.panel_networks.networks_in`).
-        name: The results of each network go to ``rescored_<name>_<network>`` in each folder.
-        false_alarms_per_image: At which recalls are compared, at least 0.
-        resamples: Of the bootstraps.
-        progress: Where to show it.
-
-    Raises:
-        InputError: A folder holds no experiment or no networks, rigs have been searched for on the test scenes or
-            around another vehicle, or something else cannot be used.
     """
     if not false_alarms_per_image >= 0.0:
         raise InputError(f"--false-alarms: expected a number of at least 0, got {false_alarms_per_image}")
@@ -432,11 +372,7 @@ def _named_by_judge(
 
 
 def _check_same_task(folder: Path, options: Mapping[str, Any], first: Mapping[str, Any], config: Config) -> None:
-    """Reject rigs of other vehicles, and those that were searched for on the test scenes.
-
-    Raises:
-        InputError: They are such.
-    """
+    """Reject rigs of other vehicles, and those that were searched for on the test scenes."""
     for option in ("scenes.ego", "scenes.targets"):
         if options.get(option) != first.get(option):
             raise InputError(

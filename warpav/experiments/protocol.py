@@ -35,33 +35,14 @@ class _Strict(BaseModel):
 
 
 class Setting(_Strict):
-    """A task that all arms do.
-
-    Attributes:
-        text: What is placed, and what is free.
-        pitch_free: Whether the pitch of the cameras is among it.
-    """
+    """A task that all arms do."""
 
     text: str
     pitch_free: bool
 
 
 class Hypothesis(_Strict):
-    """A claim about the objective on the test scenes.
-
-    Attributes:
-        text: In words.
-        claim: ``not_above``: in every setting, no run of an arm ends above a rival's run of the same seed. ``below``:
-            in every setting, the mean of an arm over its runs is below that of a rival by at least ``margin``, relative
-            to the rival. ``spread``: in every setting, the standard deviation of an arm over its runs is at most
-            ``ratio`` of a rival's.
-        arms: For each of these arms,
-        rivals: against each of these.
-        margin: See ``claim``, in 0..1.
-        ratio: See ``claim``, above 0.
-        pitch_free: In settings where the pitch is free, or where it is not; None: in both.
-        settings: In these settings; None: in all that ``pitch_free`` leaves.
-    """
+    """A claim about the objective on the test scenes."""
 
     text: str
     claim: Literal["not_above", "below", "spread"]
@@ -153,14 +134,6 @@ def sealed_seeds(commit: str, purpose: str, count: int) -> tuple[int, ...]:
     Number k is the first four bytes of SHA-256 of the text ``COMMIT/PURPOSE/k`` as a big-endian integer, without its
     highest bit. Those below `Protocol.sealed_from`, where development, documentation and the training of the detector
     have their scenes, and those that were there already are left out.
-
-    Args:
-        commit: Full hash of the commit, 40 hexadecimal digits.
-        purpose: Other purposes have other seeds.
-        count: How many.
-
-    Returns:
-        Different seeds from `Protocol.sealed_from` to 2^31 - 1.
     """
     seeds: list[int] = []
     counter = 0
@@ -176,14 +149,8 @@ def sealed_seeds(commit: str, purpose: str, count: int) -> tuple[int, ...]:
 def sealed_test_seeds(commit: str) -> tuple[int, ...]:
     """Seeds of the test scenes that a commit seals.
 
-    Args:
-        commit: The commit that froze the method, by its full hash.
-
     A copy without history, on a GPU machine say, takes any full hash; the seal shows when its results are published
     from a checkout (`seal_of`).
-
-    Raises:
-        ArgumentError: The history does not hold it, or holds another protocol there.
     """
     if running_commit().hash is None and re.fullmatch("[0-9a-f]{40}", commit):
         return sealed_seeds(commit, TEST_SCENES, protocol().sealed_scenes)
@@ -204,16 +171,7 @@ def sealed_test_seeds(commit: str) -> tuple[int, ...]:
 
 
 def sealed_override(commit: str, overrides: Sequence[str], *, quick: bool) -> str:
-    """The override that sets the sealed test scenes.
-
-    Args:
-        commit: As of `sealed_test_seeds`.
-        overrides: The user's own.
-        quick: Whether the experiment is a small version.
-
-    Raises:
-        ArgumentError: As of `sealed_test_seeds`; or the seal would be broken for a small version, or set aside.
-    """
+    """The override that sets the sealed test scenes."""
     if quick:
         raise ArgumentError(
             "sealed", "expected the whole experiment, got `quick`; sealed scenes are looked at once: leave one out"
@@ -237,11 +195,7 @@ def seal_of(test_seeds: Sequence[int]) -> str | None:
 
 
 def unknown_code(commits: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What keeps published results from being checked against the history, one line each; none if nothing does.
-
-    Args:
-        commits: `warpav.runs.commit.Commit` of the results as JSON, every one once.
-    """
+    """What keeps published results from being checked against the history, one line each; none if nothing does."""
     if not commits:
         return ["no commit of the code that made them"]
     complaints = []

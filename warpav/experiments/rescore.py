@@ -65,17 +65,7 @@ _RECALL = "tp_detection_rate"
 
 @dataclass(frozen=True)
 class RescoreTask:
-    """One rig to rescore.
-
-    Attributes:
-        name: Name of its files.
-        config: Configuration of the evaluation.
-        source: Folder of the results that it comes from.
-        folder: Folder of the new results.
-        made_with: Hash of all that the new result depends on.
-        keeps_objects: Whether the new result also says what becomes of every object (`object_record`).
-        knows_attainable: Whether what can be found in the test scenes is what the old result says of it.
-    """
+    """One rig to rescore."""
 
     name: str
     config: Config
@@ -92,11 +82,7 @@ class RescoreTask:
 
 
 def config_file(folder: Path) -> Path:
-    """The configuration of an experiment.
-
-    Raises:
-        InputError: The folder holds none.
-    """
+    """The configuration of an experiment."""
     for name in (DESCRIPTION, "config.yaml"):
         if not (folder / name).is_file():
             raise InputError(f"{folder}: expected the folder of an experiment with a file {name}, got none")
@@ -104,11 +90,7 @@ def config_file(folder: Path) -> Path:
 
 
 def check_rescored_options(overrides: Sequence[str], *, needs_some: bool = True) -> None:
-    """Reject overrides that would change rigs, or, where there have to be some, none.
-
-    Raises:
-        InputError: One of them is not an option of the evaluation, or there is none.
-    """
+    """Reject overrides that would change rigs, or, where there have to be some, none."""
     if needs_some and not overrides:
         raise InputError(
             "experiment rescore: expected evaluation options such as detector.model=FILE.onnx or "
@@ -124,11 +106,7 @@ def check_rescored_options(overrides: Sequence[str], *, needs_some: bool = True)
 
 
 def folder_name(name: str | None, overrides: Sequence[str]) -> str:
-    """The name that a user gave, or one made of overrides, such as ``yolox_nano_coco_640_640``.
-
-    Raises:
-        OptionError: The name is none of lower-case letters, digits and underscores, or the overrides make none.
-    """
+    """The name that a user gave, or one made of overrides, such as ``yolox_nano_coco_640_640``."""
     if name is not None:
         if not re.fullmatch(r"[a-z0-9_]+", name):
             raise ArgumentError("name", f"expected lower-case letters, digits and underscores, got {name!r}")
@@ -158,15 +136,7 @@ def _unused_seed(config: Config) -> int:
 
 @dataclass(frozen=True)
 class Rescoring:
-    """All rigs of an experiment, to be rescored by one evaluation.
-
-    Attributes:
-        described: Description of the experiment.
-        before: Its results with rigs, by arm.
-        config: Configuration of the evaluation.
-        out: Folder of the new results.
-        tasks: One for each rig.
-    """
+    """All rigs of an experiment, to be rescored by one evaluation."""
 
     described: Mapping[str, Any]
     before: Results
@@ -181,17 +151,7 @@ class Rescoring:
 
 
 def planned_rescore(folder: Path, config: Config, *, name: str, keeps_objects: bool = False) -> Rescoring:
-    """What there is to do to rescore all rigs of an experiment.
-
-    Args:
-        folder: Folder of the experiment.
-        config: Its configuration with the changed evaluation options.
-        name: The new results go to ``<folder>/rescored_<name>``.
-        keeps_objects: Whether the new results also say what becomes of every object; those without are made again.
-
-    Raises:
-        InputError: The folder holds no experiment.
-    """
+    """What there is to do to rescore all rigs of an experiment."""
     described = read_description(folder)
     before = read_rigs(folder)
     is_same = _same_test_scenes(described["options"], config)
@@ -215,15 +175,6 @@ def run_rescores(
     """Rescore the rigs of experiments; show the table of each, and report whether its arms keep their order.
 
     All are rescored by one set of processes, which keep the scenes from one evaluation to the next.
-
-    Args:
-        planned: What to do; all on the same scenes.
-        is_shown: Whether to show the tables, and not only to write them.
-        resamples: Of the bootstraps.
-        progress: Where to show it.
-
-    Raises:
-        InputError: Something cannot be used.
     """
     for each in planned:
         load_networks(each.config)  # what is wrong with the detector shows before anything else begins
@@ -290,11 +241,7 @@ def _finished(
 
 
 def read_rigs(folder: Path) -> dict[str, list[dict[str, Any]]]:
-    """All results of an experiment that have rigs, by arm in the order of its summary, and by run seed.
-
-    Raises:
-        InputError: There are none, or a file cannot be read.
-    """
+    """All results of an experiment that have rigs, by arm in the order of its summary, and by run seed."""
     order: list[str] = []
     if (folder / SUMMARY).is_file():
         order = [run["arm"] for run in read_summary(folder)["runs"]]
@@ -350,12 +297,7 @@ def confidence_floor(config: Config) -> float:
 
 
 def object_record(seen: SceneObservations, objective: RigObjective) -> dict[str, Any]:
-    """What a rig and a detector make of every object at any threshold, and all false alarms, for a JSON file.
-
-    Returns:
-        ``images``; ``false_alarm_confidence``, highest first (`false_alarm_confidences`); and ``detected_up_to``,
-        [scene][object]: the highest minimum confidence at which some camera detects an object, None without one.
-    """
+    """What a rig and a detector make of every object at any threshold, and all false alarms, for a JSON file."""
     return {
         "images": len(seen.scenes) * len(seen.rig.cameras),
         "false_alarm_confidence": false_alarm_confidences(seen, objective),

@@ -39,11 +39,7 @@ _LATER_OPTIONS = {
 
 
 def open_folder(folder: Path, name: str, config: Config, camera_renders_max: int | None) -> None:
-    """Make the folder of an experiment, by its name, or see that the one that is there belongs to it.
-
-    Raises:
-        InputError: It does not, or no folder can be made.
-    """
+    """Make the folder of an experiment, by its name, or see that the one that is there belongs to it."""
     file = folder / DESCRIPTION
     description = {
         "schema": SCHEMA,
@@ -78,11 +74,7 @@ def open_folder(folder: Path, name: str, config: Config, camera_renders_max: int
 
 
 def read_description(folder: Path) -> dict[str, Any]:
-    """What the results in the folder of an experiment were made with.
-
-    Raises:
-        InputError: It cannot be read, or is of another version.
-    """
+    """What the results in the folder of an experiment were made with."""
     file = folder / DESCRIPTION
     there = read_json(file)
     if not isinstance(there, dict) or there.get("schema") != SCHEMA or "experiment" not in there:
@@ -95,11 +87,7 @@ def read_description(folder: Path) -> dict[str, Any]:
 
 
 def _check_same(file: Path, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
-    """See that the results of a folder are of this experiment.
-
-    Raises:
-        InputError: They are not.
-    """
+    """See that the results of a folder are of this experiment."""
     fix = "choose another folder with `out`"
     if there.get("experiment") != wanted["experiment"]:
         raise InputError(f"{file}: experiment: expected {wanted['experiment']}, got {there.get('experiment')!r}; {fix}")
@@ -160,11 +148,7 @@ def _options(config: Config) -> dict[str, Any]:
 
 
 def is_there(file: Path, made_with: str) -> bool:
-    """Whether a result is there already; ``made_with`` is the hash of all that it depends on but the seed.
-
-    Raises:
-        InputError: The path is taken by something else.
-    """
+    """Whether a result is there already; ``made_with`` is the hash of all that it depends on but the seed."""
     if not file.is_file():
         return False
     result = read_json(file)
@@ -177,11 +161,7 @@ def is_there(file: Path, made_with: str) -> bool:
 
 
 def results_in(folder: Path, order: Sequence[str] = ()) -> dict[str, list[dict[str, Any]]]:
-    """All results that a folder holds, by arm, arms in this order and then by name, and by run seed.
-
-    Raises:
-        InputError: A file cannot be read, or is no result.
-    """
+    """All results that a folder holds, by arm, arms in this order and then by name, and by run seed."""
     found = [_read_result(file) for file in sorted((folder / RESULTS).glob("*.json"))]
     there = {run["arm"] for run in found}
     arms = [arm for arm in dict.fromkeys([*order, *sorted(there)]) if arm in there]
@@ -189,11 +169,7 @@ def results_in(folder: Path, order: Sequence[str] = ()) -> dict[str, list[dict[s
 
 
 def _read_result(file: Path) -> dict[str, Any]:
-    """A result.
-
-    Raises:
-        InputError: It cannot be read, or is none of this version's.
-    """
+    """A result."""
     result = read_json(file)
     if not isinstance(result, dict) or result.get("schema") != SCHEMA or not {"arm", "seed"} <= result.keys():
         found = result.get("schema") if isinstance(result, dict) else None
@@ -220,11 +196,7 @@ def objective_of_tests(result: Mapping[str, Any]) -> list[Any]:
 
 
 def read_json(file: Path) -> Any:  # noqa: ANN401 (any JSON value)
-    """The content of a result.
-
-    Raises:
-        InputError: It cannot be read.
-    """
+    """The content of a result."""
     try:
         return bounded_files.read_json(
             file, "a readable JSON file", bytes_max=DATA_SET_BYTES_MAX, nodes_max=DATA_SET_NODES_MAX

@@ -83,11 +83,7 @@ SETTINGS = {name: _setting(name) for name in _OPTIONS}
 
 
 def find_setting(name: str | None) -> tuple[str, Experiment]:
-    """A setting by its name, of either kind, and its experiment.
-
-    Raises:
-        ArgumentError: There is none of this name.
-    """
+    """A setting by its name, of either kind, and its experiment."""
     if name is not None and is_traffic_setting(name):
         return name, find_traffic_setting(name).experiment
     if name not in SETTINGS:
@@ -111,24 +107,7 @@ def run_rivals(
     resamples: int = RESAMPLES,
     progress: Progress,
 ) -> Finished:
-    """Do what is missing of a setting; show its table and its goals, and write them with a figure.
-
-    Args:
-        setting: A key of `SETTINGS`, or the name of a setting of `warpav.experiments.traffic_settings`.
-        config: The configuration.
-        arms: As of `run_experiment`.
-        runs: Likewise.
-        camera_renders_max: Likewise.
-        out: Likewise.
-        quick: Fewer runs, in a folder of its own; the configuration has to be quick, too (`overrides_of`).
-        is_judged: Whether the detector is run on the unseen scenes for every rig as well; on hard and recorded traffic
-            it always is.
-        resamples: Of the bootstraps.
-        progress: Where to show it.
-
-    Raises:
-        InputError: Something in the input is wrong.
-    """
+    """Do what is missing of a setting; show its table and its goals, and write them with a figure."""
     _, experiment = find_setting(setting)
     if setting == "bus" and config.scenes.ego is None:
         raise InputError(

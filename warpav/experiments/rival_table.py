@@ -35,19 +35,7 @@ class ArmRow:
     """An arm of a setting.
 
     Attributes:
-        arm: Its name.
-        seeds: Its run seeds.
-        seen: Objective on the scenes that rigs are chosen on, by run; NaN of cameras of other lenses.
-        unseen: Objective on the unseen scenes, by run; NaN where it is not known.
-        camera_renders: Of a search, mean.
         seconds: Of a search, mean [s].
-        violation_m: Worst violation of the constraints [m].
-        bound: No rig of its pool is below it on the seen scenes, mean; None without a pool.
-        gap: What its rigs are above their bounds, mean; below 0 where the polish went below what its pool can reach.
-        recall: Share of the objects on the unseen scenes that the detector finds, mean; None where it was not run.
-        difference: Of the default to it on the unseen scenes.
-        wins: Runs of the default that are at most as high as its run of the same seed, on the unseen scenes.
-        compared: Runs that could be compared.
     """
 
     arm: str
@@ -67,15 +55,7 @@ class ArmRow:
 
 @dataclass(frozen=True)
 class RivalTable:
-    """All arms of a setting.
-
-    Attributes:
-        rows: One for each arm that has results.
-        missing: Arms without a result.
-        shares: Of the default's improvement over its start, by `STAGES`, mean over runs; empty without a pool.
-        goals: Reached or not.
-        figure: Objective over camera renders; None where it was not drawn.
-    """
+    """All arms of a setting."""
 
     rows: tuple[ArmRow, ...]
     missing: tuple[str, ...]
@@ -171,16 +151,7 @@ def _spread(values: Sequence[float]) -> str:
 
 
 def rival_table(results: Results, *, pitch_is_free: bool, resamples: int = RESAMPLES) -> RivalTable:
-    """The table of a setting.
-
-    Args:
-        results: Results by arm, all on the same scenes.
-        pitch_is_free: How much the default has to gain on the pool alone depends on it.
-        resamples: Of the bootstrap.
-
-    Raises:
-        ValueError: There are no results.
-    """
+    """The table of a setting."""
     there = {arm: runs for arm, runs in results.items() if runs}
     if not there:
         raise ValueError("expected results of at least one arm, got none")

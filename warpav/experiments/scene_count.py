@@ -57,15 +57,7 @@ _COLUMNS = ("searches with", "training scenes", "pool", "camera renders", "seen"
 
 @dataclass(frozen=True)
 class _Search:
-    """A task.
-
-    Attributes:
-        arm: A key of `ARMS`.
-        scene_count: Number of training scenes.
-        config: The configuration, with the run seed.
-        render_budget: Camera renders of `SAME_RENDERS`.
-        folder: Of the results.
-    """
+    """A task."""
 
     arm: str
     scene_count: int
@@ -103,25 +95,7 @@ def run_scene_count(
     quick: bool = False,
     progress: Progress,
 ) -> list[str]:
-    """Search on ever more training scenes, measure every rig on the test scenes, write table, numbers and figure.
-
-    Args:
-        config: The configuration, with `OPTIONS`; its training scenes are those to choose from.
-        arms: Names of `ARMS`, with commas; None: all.
-        scene_counts: Numbers of training scenes, with commas; None: `COUNTS`.
-        runs: Run seeds, from ``run.seed``; None: `RUNS`.
-        render_budget: Camera renders of each search of `SAME_RENDERS`; None: see `BUDGET_SCENES`.
-        out: Folder; None: ``run.out``, or ``runs/scene_count``. Searches that it holds are not done again.
-        quick: Fewer scenes, one run seed, in a folder of its own.
-        progress: Where to show it.
-
-    Returns:
-        Why searches failed, one line each.
-
-    Raises:
-        InputError: Something in the input is wrong.
-        KeyboardInterrupt: The user stopped it; what is finished stays.
-    """
+    """Search on ever more training scenes, measure every rig on the test scenes, write table, numbers and figure."""
     if config.requirements == AUTO:  # searches are compared by what they are expected to miss
         config = changed_config(config, ["requirements=null"])
     name = f"{NAME}_quick" if quick else NAME

@@ -39,18 +39,7 @@ def draw_figure(
     capture: Path | None = None,
     scenes: Path | None = None,
 ) -> Path:
-    """Draw a figure by its number in the thesis.
-
-    Args:
-        number: 4 to 9, or 14 to 16.
-        path: PNG file to write.
-        seed: Situation of the embedded town to record for it; 3 when there is no capture either.
-        capture: Instead, a capture.
-        scenes: For figure 8: the folder of scenes to count.
-
-    Raises:
-        InputError: Another number, inputs that do not go with it, or inputs that cannot be used.
-    """
+    """Draw a figure by its number in the thesis."""
     path = checked_png(path)
     if number == COLLECTION_NUMBER:
         if scenes is None or seed is not None or capture is not None:
@@ -81,11 +70,7 @@ def draw_figure(
 
 
 def recorded_town(seed: int) -> Capture:
-    """A situation of the embedded town, recorded into memory.
-
-    Raises:
-        InputError: The seed is negative.
-    """
+    """A situation of the embedded town, recorded into memory."""
     if seed < 0:
         raise ArgumentError("seed", f"expected an integer from 0, got {seed}")
     with TownSimulator() as simulator:
@@ -95,17 +80,7 @@ def recorded_town(seed: int) -> Capture:
 def scene_store_heat_maps(
     folder: Path, path: Path | str, *, train: Sequence[int] | None = None, test: Sequence[int] | None = None
 ) -> Path:
-    """Figure 8 for a folder of scenes: all of them, those for training, those for testing.
-
-    Args:
-        folder: Holds ``scene_<seed>.glb`` files.
-        path: PNG file to write.
-        train: Seeds for training; None: the first 60 %.
-        test: Seeds for testing; None: the last 20 %.
-
-    Raises:
-        InputError: The folder or a scene is missing, or there are too few scenes to split them.
-    """
+    """Figure 8 for a folder of scenes: all of them, those for training, those for testing."""
     path = checked_png(path)
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of scenes, got {'a file' if folder.exists() else 'none'}")

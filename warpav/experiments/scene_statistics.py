@@ -29,16 +29,7 @@ _VIEWS = 4
 
 @dataclass
 class SceneStatistics:
-    """Counts over scenes.
-
-    Attributes:
-        scene_count: How many scenes.
-        category: Every road user's category.
-        road_user: Every road user's kind out of `ROAD_USERS`.
-        distance_m: Every road user's distance from the middle of the ego vehicle [m].
-        visible_share: The visible share of every road user, 0..1; NaN where it has no pixel even alone.
-        speed_m_s: Speed of every road user relative to the ego vehicle [m/s]; NaN where it is unknown.
-    """
+    """Counts over scenes."""
 
     scene_count: int = 0
     category: list[str] = field(default_factory=list)
@@ -88,12 +79,7 @@ class SceneStatistics:
 
 
 def scene_statistics(scenes: Iterable[Scene], *, device: str = "cpu") -> SceneStatistics:
-    """Count the road users of scenes, those that are no targets too.
-
-    Args:
-        scenes: Scenes from anywhere.
-        device: Warp device that renders them.
-    """
+    """Count the road users of scenes, those that are no targets too."""
     found = SceneStatistics()
     for scene in scenes:
         whole = scene.targeting(ROAD_USERS)
@@ -110,11 +96,7 @@ def scene_statistics(scenes: Iterable[Scene], *, device: str = "cpu") -> SceneSt
 
 
 def visible_shares_of(scene: Scene, *, device: str = "cpu") -> np.ndarray:
-    """Visible share of every target of a scene from above the middle of the ego vehicle, float64 [vehicle].
-
-    Returns:
-        0..1; NaN of what has no pixel even alone.
-    """
+    """Visible share of every target of a scene from above the middle of the ego vehicle, float64 [vehicle]."""
     centre_m = scene.ego.bounds_m()[:, :2].astype(np.float64).mean(axis=0)
     model = CameraModel(_SIZE_PX, _SIZE_PX, math.radians(360.0 / _VIEWS))
     cameras = [

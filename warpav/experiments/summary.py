@@ -33,14 +33,7 @@ _DIGITS = 5
 
 
 def write_summary(folder: Path, results: Results, text: str, goals: Sequence[Goal]) -> None:
-    """Write the published record of an experiment.
-
-    Args:
-        folder: Its folder, with its description and its environment.
-        results: Results by arm.
-        text: Its table as Markdown; lines with images are omitted.
-        goals: Its goals.
-    """
+    """Write the published record of an experiment."""
     described, made = read_json(folder / DESCRIPTION), read_json(folder / "env.json")
     write_json(
         folder / SUMMARY,
@@ -136,11 +129,7 @@ def _rounded(value: float | None) -> float | None:
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
-    """The summary of an experiment.
-
-    Raises:
-        InputError: There is none, or it is of another version.
-    """
+    """The summary of an experiment."""
     file = folder / SUMMARY
     if not file.is_file():
         raise InputError(
@@ -155,16 +144,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 
 def write_results_page(folders: Sequence[Path], page: Path) -> Path:
-    """Write the results of experiments as a page, with a copy of every summary in a folder beside it.
-
-    Args:
-        folders: Their folders, in the order of the page.
-        page: Markdown file.
-
-    Raises:
-        InputError: A folder is missing or without a summary, two experiments have one name, or the page cannot be
-            written.
-    """
+    """Write the results of experiments as a page, with a copy of every summary in a folder beside it."""
     if not folders:
         raise InputError("experiment results: expected folders of experiments such as runs/open, got none")
     summaries = [with_history(read_summary(folder)) for folder in folders]

@@ -57,16 +57,7 @@ Value = int | float | str
 
 @dataclass(frozen=True)
 class Factor:
-    """What varies.
-
-    Attributes:
-        text: In words, with its unit.
-        values: Its values.
-        quick: The same of the small version.
-        read: A value from what a user writes; raises ValueError where that is none.
-        overrides: What makes a configuration that of a value.
-        middle: Its value in a configuration.
-    """
+    """What varies."""
 
     text: str
     values: tuple[Value, ...]
@@ -132,13 +123,7 @@ FACTORS = {
 
 @dataclass(frozen=True)
 class Point:
-    """A circumstance.
-
-    Attributes:
-        factor: A key of `FACTORS`.
-        value: Of the factor.
-        is_middle: Whether it is the middle, which all factors share.
-    """
+    """A circumstance."""
 
     factor: str
     value: Value
@@ -157,18 +142,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Gain:
-    """What the default method gains in a circumstance.
-
-    Attributes:
-        point: The circumstance.
-        road_users: Targets a test scene, mean.
-        runs: Run seeds of the search.
-        highest: Expected misses per 100 of cameras around the highest point.
-        default: The same of the default method.
-        gain: The first less the second, with its interval over scenes and runs; p-values corrected by Holm's method for
-            the number of circumstances.
-        reduction: The gain as a share of the first.
-    """
+    """What the default method gains in a circumstance."""
 
     point: Point
     road_users: float
@@ -180,15 +154,7 @@ class Gain:
 
 
 def factors_of(vary: Sequence[str] | None, *, quick: bool) -> dict[str, tuple[Value, ...]]:
-    """The factors that vary, and their values.
-
-    Args:
-        vary: Such as ``cameras=2,4`` or, with the usual values, ``cameras``; None: all factors.
-        quick: Whether fewer values are usual.
-
-    Raises:
-        ArgumentError: There is no such factor, or one of its values is none.
-    """
+    """The factors that vary, and their values."""
     usual = {name: each.quick if quick else each.values for name, each in FACTORS.items()}
     if not vary:
         return usual
@@ -228,22 +194,7 @@ def run_sweep(
     resamples: int = RESAMPLES,
     progress: Progress,
 ) -> Finished:
-    """Do what is missing of a sweep; show its table, and write it with a figure.
-
-    Args:
-        config: The middle, with `OPTIONS`.
-        vary: As of `factors_of`.
-        runs: Run seeds of every search; None: `RUNS`, one of the small version.
-        camera_renders_max: Of every search; None: as many as the configuration's.
-        out: Folder; None: ``run.out``, or ``runs/sweep``.
-        quick: Fewer values and runs, in a folder of its own.
-        resamples: Of the bootstraps.
-        progress: Where to show it.
-
-    Raises:
-        InputError: Something in the input is wrong.
-        KeyboardInterrupt: The user stopped it; what is finished stays.
-    """
+    """Do what is missing of a sweep; show its table, and write it with a figure."""
     points = points_of(config, factors_of(vary, quick=quick))
     experiment = Experiment(
         f"{NAME}_quick" if quick else NAME,
@@ -283,13 +234,7 @@ def _arms(point: Point) -> tuple[Arm, Arm]:
 
 
 def gains_of(points: Sequence[Point], results: Results, *, resamples: int = RESAMPLES) -> list[Gain]:
-    """The gains of the circumstances that have results of both arms.
-
-    Args:
-        points: The circumstances.
-        results: Results by arm.
-        resamples: Of the bootstraps.
-    """
+    """The gains of the circumstances that have results of both arms."""
     gains: list[Gain] = []
     for point in points:
         ours, theirs = (results.get(arm.name, ()) for arm in _arms(point))

@@ -47,12 +47,7 @@ NOTES = {
 
 @dataclass(frozen=True)
 class Cell:
-    """A number of a table.
-
-    Attributes:
-        mean: The number, a mean over runs; None where there is none.
-        std: Standard deviation over runs; None for fewer than two.
-    """
+    """A number of a table."""
 
     mean: float | None
     std: float | None
@@ -65,14 +60,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Row:
-    """A row of a table.
-
-    Attributes:
-        labels: What it is about, as the thesis writes it.
-        runs: Number of our runs.
-        ours: Our numbers by column.
-        thesis: The thesis's; empty where it has none.
-    """
+    """A row of a table."""
 
     labels: tuple[str, ...]
     runs: int
@@ -82,16 +70,7 @@ class Row:
 
 @dataclass(frozen=True)
 class ThesisTable:
-    """A table in the thesis's layout.
-
-    Attributes:
-        number: Its Roman number.
-        caption: Its caption.
-        label_headings: Headings of the labels.
-        columns: Headings of the columns by key.
-        rows: Its rows, in the thesis's order, ours alone last.
-        notes: What a reader has to know.
-    """
+    """A table in the thesis's layout."""
 
     number: str
     caption: str
@@ -135,16 +114,7 @@ class ThesisTable:
 
 
 def result_table(number: str, results: Results, labels: Mapping[str, tuple[str, str]]) -> ThesisTable:
-    """One of the thesis's tables.
-
-    Args:
-        number: ``I`` to ``V``.
-        results: Results by arm; arms that the thesis has not get a row without its numbers.
-        labels: For tables II to IV: method and loss by arm, as the thesis writes them.
-
-    Raises:
-        ValueError: There is no such table.
-    """
+    """One of the thesis's tables."""
     if number in ("I", "V"):
         return _gradient_table(number, results)
     thesis = thesis_table(number)
@@ -243,17 +213,7 @@ class ArmsTable:
     """Arms on the same test scenes, and how one of them differs from all others.
 
     Attributes:
-        reference: The arm that the others are compared with.
-        runs: Number of runs by arm.
-        numbers: By metric and arm: mean over runs, and standard deviation.
-        intervals: By metric and arm: the mean's 95 % interval over scenes and runs.
-        violation_m: Worst violation of the constraints in any run, by arm [m].
-        camera_renders: Mean camera renders of a search, by arm.
         seconds: Mean time of a search, by arm [s].
-        differences: By metric and arm: the reference less the arm, with its 95 % interval; p-values are corrected by
-            Holm's method for the number of arms, metric by metric.
-        missing: Arms without a result.
-        remarks: What else a reader has to know.
     """
 
     reference: str
@@ -333,17 +293,7 @@ class ArmsTable:
 def compare_results(
     results: Results, reference: str, *, metrics: Sequence[str] = tuple(COMPARED), resamples: int = RESAMPLES
 ) -> ArmsTable:
-    """How an arm differs from all others on the same test scenes.
-
-    Args:
-        results: Results by arm, all from the same test scenes; arms without any are only named.
-        reference: The arm.
-        metrics: Out of `COMPARED`.
-        resamples: Of the bootstrap.
-
-    Raises:
-        ValueError: The reference has no result.
-    """
+    """How an arm differs from all others on the same test scenes."""
     there = {arm: runs for arm, runs in results.items() if runs}
     if reference not in there:
         raise ValueError(f"reference must be an arm with results, out of {', '.join(there)}, got {reference!r}")

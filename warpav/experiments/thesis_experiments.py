@@ -28,11 +28,7 @@ _QUICK = ("scenes.train_seeds=0..11", "scenes.test_seeds=1000..1007", "run.itera
 
 
 def loss_overrides(expression: str) -> tuple[str, ...]:
-    """The weights of a combination of losses as the thesis writes it, such as ``IFR+10*DOA``; all others are 0.
-
-    Raises:
-        ValueError: It names another loss.
-    """
+    """The weights of a combination of losses as the thesis writes it, such as ``IFR+10*DOA``; all others are 0."""
     weights: dict[str, float] = dict.fromkeys(LOSSES, 0.0)
     for term in expression.removesuffix("*").split("+"):  # the mark of a footnote
         factor, _, name = term.rpartition("*")
@@ -110,21 +106,7 @@ def run_table(
     quick: bool = False,
     progress: Progress,
 ) -> Finished:
-    """Do what is missing of an experiment of the thesis, show its table, and write it as Markdown and JSON.
-
-    Args:
-        name: A key of `EXPERIMENTS`.
-        config: The configuration.
-        arms: As of `run_experiment`.
-        runs: As of `run_experiment`.
-        camera_renders_max: As of `run_experiment`.
-        out: As of `run_experiment`.
-        quick: Fewer runs, in a folder of its own; the configuration has to be quick, too (`overrides_of`).
-        progress: Where to show it.
-
-    Raises:
-        InputError: Something in the input is wrong.
-    """
+    """Do what is missing of an experiment of the thesis, show its table, and write it as Markdown and JSON."""
     experiment = EXPERIMENTS[name]
     if quick:
         experiment = experiment.made_quick()

@@ -24,12 +24,7 @@ SIGNIFICANT = 0.05
 
 @dataclass(frozen=True)
 class JudgedSetting:
-    """What all judges say of a setting.
-
-    Attributes:
-        own: By the detector of the search; None where there are no results that say what can be found.
-        outside: By networks that no search used.
-    """
+    """What all judges say of a setting."""
 
     own: MissTable | None
     outside: tuple[MissTable, ...]
@@ -37,16 +32,7 @@ class JudgedSetting:
 
 @dataclass(frozen=True)
 class MissComparison:
-    """The default method against a rival in one setting, by one judge.
-
-    Attributes:
-        setting: Name of the setting.
-        rival: The rival.
-        judge: Who judges.
-        holds: Whether the rule holds; None where runs are missing.
-        numbers: What it is decided by.
-        p_value: One-sided, of the rule's opposite; None where ``holds`` is.
-    """
+    """The default method against a rival in one setting, by one judge."""
 
     setting: str
     rival: str
@@ -58,16 +44,7 @@ class MissComparison:
 
 @dataclass(frozen=True)
 class MissJudgement:
-    """What became of a hypothesis.
-
-    Attributes:
-        name: Its name, such as ``T1``.
-        text: In words.
-        comparisons: All of them.
-        holds: Whether it holds; None where results are missing.
-        p_value: See the module; None where ``holds`` is.
-        p_holm: Corrected by Holm's method for the number of hypotheses.
-    """
+    """What became of a hypothesis."""
 
     name: str
     text: str
@@ -87,11 +64,7 @@ class MissJudgement:
 
 
 def read_setting(folder: Path, *, resamples: int = RESAMPLES) -> JudgedSetting:
-    """What the detector of the search and the panels of a folder say of its rigs.
-
-    Raises:
-        InputError: A file cannot be read.
-    """
+    """What the detector of the search and the panels of a folder say of its rigs."""
     own = miss_table(OWN_JUDGE, results_in(folder), resamples=resamples)
     outside: dict[str, MissTable] = {}
     for file in sorted(folder.glob("panel_*/panel.json")):
@@ -105,14 +78,7 @@ def read_setting(folder: Path, *, resamples: int = RESAMPLES) -> JudgedSetting:
 
 
 def judge_traffic(settings: Mapping[str, JudgedSetting]) -> list[MissJudgement]:
-    """Decide all hypotheses.
-
-    Args:
-        settings: What is known, by the name of the setting; what is missing leaves hypotheses undecided.
-
-    Returns:
-        All hypotheses, in their order, failed ones included.
-    """
+    """Decide all hypotheses."""
     found = [_judged(name, each, settings) for name, each in traffic_protocol().hypotheses.items()]
     # hypotheses without a p-value still count among those that were asked
     corrected = holm({each.name: 1.0 if each.p_value is None else each.p_value for each in found})
@@ -205,11 +171,7 @@ def judgements_text(judgements: Sequence[MissJudgement]) -> str:
 
 
 def traffic_text(folders: Mapping[str, Path]) -> str:
-    """Decide the hypotheses by the folders of settings, and say what of other settings is not decided.
-
-    Raises:
-        InputError: A folder cannot be read.
-    """
+    """Decide the hypotheses by the folders of settings, and say what of other settings is not decided."""
     text = judgements_text(judge_traffic({name: read_setting(folder) for name, folder in folders.items()}))
     others: list[Any] = [name for name in folders if name not in traffic_protocol().decided]
     return text + (f"- No hypothesis is about {', '.join(others)}.\n" if others else "")

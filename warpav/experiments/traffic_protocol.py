@@ -28,15 +28,7 @@ class _Strict(BaseModel):
 
 
 class MissHypothesis(_Strict):
-    """A claim about the default method in every decided setting.
-
-    Attributes:
-        text: In words.
-        metric: What is missed.
-        rivals: Arms that it is compared with, as far as a setting has them: with each; where there is a ``reduction``
-            with the one that misses least.
-        reduction: Least share by which it misses less; None: any, with the interval of the difference above 0.
-    """
+    """A claim about the default method in every decided setting."""
 
     text: str
     metric: Literal["misses", "attainable_misses"]
@@ -106,11 +98,7 @@ def holds_traffic_protocol(commit: str) -> bool:
 
 
 def check_sealing(commit: str) -> None:
-    """See that a commit may seal test scenes for settings of this part; without a history publication finds out.
-
-    Raises:
-        ArgumentError: It holds another version of this part, or none.
-    """
+    """See that a commit may seal test scenes for settings of this part; without a history publication finds out."""
     if running_commit().hash is not None and not holds_traffic_protocol(commit):
         raise ArgumentError(
             "sealed",

@@ -80,15 +80,7 @@ _TEXT = "TRAFFIC_CAMERAS_MOUNT such as sind_4_rack or dense_6_body_bus_all"
 
 @dataclass(frozen=True)
 class TrafficSetting:
-    """A setting.
-
-    Attributes:
-        traffic: A key of `TRAFFIC`.
-        cameras: How many, out of `CAMERAS`.
-        mount: A key of `MOUNTS`.
-        ego: What carries them, out of `EGOS`.
-        targets: A key of `TARGETS`.
-    """
+    """A setting."""
 
     traffic: str
     cameras: int
@@ -147,11 +139,7 @@ class TrafficSetting:
         return BODY_FACTOR if self.mount == "body" else 1
 
     def check(self, config: Config) -> None:
-        """See that the configuration has what only the user can bring.
-
-        Raises:
-            InputError: It has not.
-        """
+        """See that the configuration has what only the user can bring."""
         if self.traffic == "ngsim" and config.scenes.recordings is None:
             raise OptionError(
                 "scenes.recordings",
@@ -172,11 +160,7 @@ def is_traffic_setting(name: str | None) -> bool:
 
 
 def find_traffic_setting(name: str) -> TrafficSetting:
-    """The setting of this name.
-
-    Raises:
-        ArgumentError: There is none.
-    """
+    """The setting of this name."""
     every = traffic_settings()
     if name not in every:
         parts = "; ".join(

@@ -64,11 +64,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Band:
-    """Ground at a distance from the body.
-
-    Attributes:
-        distance_m: Least and greatest distance from its outline [m], the least from 0 on.
-    """
+    """Ground at a distance from the body."""
 
     distance_m: tuple[float, float]
 
@@ -84,14 +80,7 @@ class Band:
 
 @dataclass(frozen=True)
 class Strip:
-    """A rectangle straight out from one side of the body's bounds.
-
-    Attributes:
-        side: One of `SIDES`.
-        distance_m: Least and greatest distance from that side [m]; negative ones reach under the body.
-        along_m: Its ends along the side, counted from the middle of the body, forwards or to the left [m]; None: as
-            long as the side.
-    """
+    """A rectangle straight out from one side of the body's bounds."""
 
     side: str
     distance_m: tuple[float, float]
@@ -119,11 +108,7 @@ class Strip:
 
 @dataclass(frozen=True)
 class Polygon:
-    """A polygon in the ego frame.
-
-    Attributes:
-        corner_m: Its corners in order [m], at least three.
-    """
+    """A polygon in the ego frame."""
 
     corner_m: tuple[tuple[float, float], ...]
 

@@ -42,11 +42,7 @@ class WorstPoint:
     """A point that is not met, or the one that is met most narrowly.
 
     Attributes:
-        position_m: In the ego frame [m].
-        cameras: How many cameras see enough of the test object there.
-        visible_share: The largest share that one camera sees, 0..1.
         pixels: The largest area that one camera sees [px^2].
-        camera: The camera that comes closest; None where none sees anything.
     """
 
     position_m: tuple[float, float]
@@ -58,12 +54,7 @@ class WorstPoint:
 
 @dataclass(frozen=True)
 class Gap:
-    """Neighbouring points that are not met.
-
-    Attributes:
-        sector: Where their middle lies from that of the vehicle, one of `warpav.requirements.read.SECTORS`.
-        area_m2: Their number times the area of a cell of the grid [m²].
-    """
+    """Neighbouring points that are not met."""
 
     sector: str
     area_m2: float
@@ -74,7 +65,6 @@ class Gap:
 
         Args:
             point_m: The points of a grid that are not met [m], [point, 2].
-            spacing_m: Distance between neighbours of the grid [m].
             middle_m: That of the vehicle [m], [2].
         """
         from scipy import ndimage
@@ -95,15 +85,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class RequirementOutcome:
-    """How well a rig meets one requirement.
-
-    Attributes:
-        requirement: The requirement.
-        points: Number of its points.
-        met: How many of them are met.
-        worst: The points furthest from being met, the worst first; none where all are met.
-        gap: The largest gap; None where all are met.
-    """
+    """How well a rig meets one requirement."""
 
     requirement: Requirement
     points: int
@@ -156,14 +138,7 @@ class RequirementOutcome:
 
 @dataclass(frozen=True, eq=False)
 class RequirementResult:
-    """What a rig meets of some requirements, point by point.
-
-    Attributes:
-        camera_names: The rig's cameras.
-        ghosts: The test objects.
-        body: The vehicle from above.
-        visibility: What each camera sees of each of them.
-    """
+    """What a rig meets of some requirements, point by point."""
 
     camera_names: tuple[str, ...]
     ghosts: Ghosts
@@ -340,11 +315,7 @@ def check_rigs(
     supersampling: int = 1,
     device: str = "cpu",
 ) -> dict[str, RequirementResult]:
-    """As `check_requirements` for several rigs, by name: the test objects are made once.
-
-    Raises:
-        InputError: The requirements cannot be used, or the device is not there.
-    """
+    """As `check_requirements` for several rigs, by name: the test objects are made once."""
     ghosts, body = Ghosts.of(requirements, ego), Body.of(ego)
     kept: dict[Pane | None, tuple[Mesh, GhostScenes, KeptRenderers]] = {}
     results = {}

@@ -105,15 +105,7 @@ def read_requirements(source: str | Path) -> tuple[Requirement, ...]:
 
 
 def copy_requirements(file: Path, copy: Path) -> None:
-    """Write the requirements of a YAML file to another place, where their meshes are found too.
-
-    Args:
-        file: As `read_requirements` takes it.
-        copy: A YAML file to write.
-
-    Raises:
-        InputError: One of them cannot be read or written.
-    """
+    """Write the requirements of a YAML file to another place, where their meshes are found too."""
     data = read_yaml_record(file).value
     for each in data["requirements"].values():
         if isinstance(each.get("object"), dict) and "mesh" in each["object"]:

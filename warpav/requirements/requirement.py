@@ -23,20 +23,7 @@ class Requirement:
     """What has to be seen on a part of the ground.
 
     Attributes:
-        name: Its name.
-        area: Where.
-        grid_m: Distance between the points of the area at which the test object is put [m].
-        test_object: What stands there.
-        visible_share: What a camera must see of it at least, 0..1: the solid angle of what is in the image and not
-            hidden, over that of the whole object alone.
         pixels: Area that is seen of it in the image at least [px^2].
-        cameras: How many cameras at least must see so much of it.
-        sector_rad: Only points in these directions from the middle of the body count: from the first yaw to the left
-            up to the second [rad]; None: all.
-        weight: What it costs a search when all its points are missed, over missing all the traffic; None: the
-            requirement is hard, every point has to be met.
-        share: Share of its points that must be met, in (0, 1]; 1 of a hard one. None: a term of the search alone, that
-            asks for none.
     """
 
     name: str
@@ -66,11 +53,7 @@ class Requirement:
         return text if self.share in (None, 1.0) else f"{text}, at {100.0 * self.share:g} % of the points"
 
     def points_m(self, body: Body) -> np.ndarray:
-        """Where the test object is put [m], [point, 2]: only where it does not reach under the body.
-
-        Raises:
-            InputError: Nowhere.
-        """
+        """Where the test object is put [m], [point, 2]: only where it does not reach under the body."""
         point_m = grid_m(self.area, body, self.grid_m)
         inside = "the area"
         if self.sector_rad is not None:
@@ -93,9 +76,7 @@ class Ghosts:
     """The test objects of some requirements, each at one point.
 
     Attributes:
-        requirements: The requirements.
         position_m: Where each stands, float64 [ghost, 2].
-        requirement: Which requirement it belongs to, int [ghost].
     """
 
     requirements: tuple[Requirement, ...]
@@ -104,11 +85,7 @@ class Ghosts:
 
     @classmethod
     def of(cls, requirements: Sequence[Requirement], ego: Mesh) -> Ghosts:
-        """The test objects around a vehicle.
-
-        Raises:
-            InputError: There is no requirement, one has no point, or there are too many.
-        """
+        """The test objects around a vehicle."""
         if not requirements:
             raise InputError("requirements: expected at least one, got none")
         body = Body.of(ego)

@@ -26,14 +26,7 @@ _SIDES = 12
 
 @dataclass(frozen=True)
 class TestObject:
-    """A test object: an upright prism, for a lying person a box, or a mesh.
-
-    Attributes:
-        kind: A name of `SIZES_M`, or what the mesh is called.
-        size_m: Length along x, width along y and height before it is turned [m].
-        yaw_rad: How far it is turned to the left [rad].
-        mesh: A mesh of one's own, standing at the origin; None: the prism.
-    """
+    """A test object: an upright prism, for a lying person a box, or a mesh."""
 
     __test__ = False  # no test of pytest's
 

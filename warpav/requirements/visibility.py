@@ -65,8 +65,6 @@ class VisibilityJacobian:
     [1/m], a small rotation about its own axes [1/rad], the logarithm of its focal lengths.
 
     Attributes:
-        visible_share: As in `Visibility`.
-        pixels: As in `Visibility`.
         jac_visible_share: float64 [camera, ghost, 7].
         jac_pixels: In px^2, float64 [camera, ghost, 7].
     """
@@ -92,16 +90,7 @@ VIEWS_AT_ONCE = 8
 
 
 def ghost_scenes(ghosts: Ghosts, ego: Mesh, *, device: str = "cpu") -> GhostScenes:
-    """Ghosts on a device, as `ghost_visibility` draws them; whoever asks often keeps them.
-
-    Args:
-        ghosts: The test objects.
-        ego: The vehicle, which hides them.
-        device: Warp device.
-
-    Raises:
-        InputError: There is no such device.
-    """
+    """Ghosts on a device, as `ghost_visibility` draws them; whoever asks often keeps them."""
     chunks = np.array_split(np.arange(len(ghosts)), -(-len(ghosts) // GHOSTS_AT_ONCE))
     return [(which, Scene({str(g): ghosts.mesh(g) for g in which}, foreground=ego, device=device)) for which in chunks]
 
@@ -122,17 +111,6 @@ def ghost_visibility(
 
     Args:
         ego_from_camera: Poses, float [camera, 4, 4].
-        models: Model of every camera, of any sizes and lenses.
-        ghosts: The test objects.
-        ego: The vehicle, which hides them.
-        render_width_px: Images are drawn no wider, at least 8; areas are given in the camera's own pixels.
-        supersampling: Samples per pixel of the drawn images along each axis.
-        device: Warp device.
-        scenes: Of `ghost_scenes`, of these ghosts around this vehicle on this device; None: they are made.
-        renderers: Of earlier calls with the same samples and device, used and added to; None: none is kept.
-
-    Raises:
-        InputError: Not one model for every pose, or no device.
     """
     share = np.zeros((len(models), len(ghosts)))
     pixels = np.zeros_like(share)
@@ -203,8 +181,6 @@ def whole_solid_angle_sr(centre_m: np.ndarray, ghosts: Ghosts, which: np.ndarray
 
     Args:
         centre_m: Points in the ego frame, [pair, 3].
-        ghosts: The test objects.
-        which: Of which ghost, int [pair].
     """
     whole = np.zeros(len(which))
     of_pair = ghosts.requirement[which]

@@ -52,19 +52,7 @@ def chart_of(
     """All zones of a vehicle in one chart, once for every module that they carry.
 
     Args:
-        zones: At least one; their names differ.
         mesh: The vehicle in the ego frame [m].
-        modules: Camera modules, each of which stands in the zones that it fits; none: whatever cameras, in all zones.
-        pair_spacing_m: Of a symmetric rig the least distance of a camera and its mirror image [m]: zones that are not
-            centred then are their left halves, and a camera there stands for both. None: the rig need not be symmetric.
-        pitch_rad: Of modules in zones that do not say their own [rad]; their housings need room.
-        cell_m: Edge of a cell [m].
-        min_upward_normal: As in `mount_surface_from_mesh`, along every zone's normal.
-        min_zone_normal: Likewise.
-
-    Raises:
-        InputError: There is no zone, two have one name, one selects nothing of the body, a module fits none, or
-            its housing has room in none.
     """
     names = [zone.name for zone in zones]
     if not names or len(set(names)) != len(names):
@@ -120,12 +108,7 @@ def pane_under(zone: Zone, surface: MountSurface, mesh: Mesh) -> Pane:
     reaches so much beyond the skin to either side, so a second sheet of glass is clear as well.
 
     Args:
-        zone: Behind glass.
-        surface: Its height field, of `zone_surface`.
         mesh: The vehicle in the ego frame [m].
-
-    Raises:
-        InputError: Less than half of the pane would be clear, as the triangles below it are larger than it is.
     """
     from scipy.spatial import ConvexHull
 
@@ -249,14 +232,7 @@ def zone_surface(
     """The height field of a zone over its own plane; u and v take the places of x and y.
 
     Args:
-        zone: The zone.
         mesh: The vehicle in the ego frame [m].
-        cell_m: Edge of a cell [m].
-        min_upward_normal: As in `mount_surface_from_mesh`, along the zone's normal.
-        min_zone_normal: Likewise.
-
-    Raises:
-        InputError: Nothing of the body belongs to it.
     """
     vertex_m = (mesh.vertex_m.astype(np.float64) - zone.origin_m) @ zone.axes.T
     turned = Mesh.create(vertex_m.astype(np.float32), mesh.triangle, [128, 128, 128])
@@ -331,7 +307,6 @@ def propose_zones(mesh: Mesh, is_glass: np.ndarray | None = None) -> tuple[Zone,
 
     Args:
         mesh: The vehicle in the ego frame [m].
-        is_glass: Which triangles are known to be glass, bool [triangle]; None: not known.
     """
     low_m, high_m = mesh.bounds_m().astype(np.float64)
     length, _, height = high_m - low_m

@@ -101,12 +101,7 @@ def oddities(rig: Rig) -> Iterator[str]:
 
 
 def off_vehicle(rig: Rig, body: Mesh) -> str:
-    """One line about cameras of a rig that are far from the surface of its vehicle; empty where none is.
-
-    Args:
-        rig: The rig.
-        body: The vehicle, in the same ego frame.
-    """
+    """One line about cameras of a rig that are far from the surface of its vehicle; empty where none is."""
     if unit := in_millimetres(rig):
         return unit
     away_m = {camera.name: _distance_m(camera.position_m, body) for camera in rig.cameras}

@@ -18,14 +18,7 @@ def is_preset(source: str) -> bool:
 
 
 def find_rig_file(source: str) -> Path:
-    """The file of a rig YAML or a preset.
-
-    Args:
-        source: Path of the file, or name of the preset; a file wins over a preset of the same name.
-
-    Raises:
-        InputError: It means none.
-    """
+    """The file of a rig YAML or a preset."""
     file = Path(source).expanduser()
     if file.is_file():
         return file

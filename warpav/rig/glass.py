@@ -35,7 +35,6 @@ def propose_panes(mesh: Mesh, is_glass: np.ndarray | None = None) -> tuple[Zone,
 
     Args:
         mesh: The vehicle in the ego frame [m].
-        is_glass: Which triangles are known to be glass, bool [triangle]; None: not known.
     """
     corner_m = mesh.vertex_m[mesh.triangle].astype(np.float64)
     doubled = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])

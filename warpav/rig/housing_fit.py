@@ -28,12 +28,6 @@ def with_room(
     body bulges, the zone carries no camera. A zone outside of the body that sets no ``recess_m`` stays as it is:
     its housings may be let into the body. Behind glass none reaches the pane.
 
-    Args:
-        module: Its housing is asked about.
-        zone: The zone.
-        surface: Its height field.
-        pitch_rad: Of cameras in zones that do not say their own [rad].
-
     Returns:
         The zone and its surface; or the stand-off that would be needed, where that is beyond the zone's greatest [m].
     """
@@ -61,10 +55,7 @@ def housing_reach_m(
     """How far a housing reaches from the camera's centre at most, whichever way the camera points within a zone.
 
     Args:
-        housing: The box.
-        zone: Its ranges count.
         direction: Unit vector in the ego frame, [3].
-        pitch_rad: Of zones that do not say their own [rad].
 
     Returns:
         Along the direction, and across it [m].

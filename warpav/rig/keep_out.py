@@ -50,7 +50,6 @@ def propose_keep_out(mesh: Mesh, kind: np.ndarray | None = None) -> list[tuple[s
 
     Args:
         mesh: The vehicle in the ego frame [m].
-        kind: What every triangle is by its name, of `kinds_of_names`, [triangle]; None: there are no names.
 
     Returns:
         Of each part its kind, out of `MARGIN_M`, and its box in the ego frame [m], float64 [2, 3].

@@ -42,12 +42,7 @@ class Fitting(StrEnum):
 
 @dataclass(frozen=True)
 class Housing:
-    """A box around the optical centre, along the axes of the camera (x right, y down, z forward).
-
-    Attributes:
-        size_m: Width, height and depth [m], positive.
-        offset_m: From the optical centre to the middle of the box [m]; the box holds the optical centre.
-    """
+    """A box around the optical centre, along the axes of the camera (x right, y down, z forward)."""
 
     size_m: tuple[float, float, float]
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -55,12 +50,7 @@ class Housing:
 
 @dataclass(frozen=True)
 class Price:
-    """What a module costs.
-
-    Attributes:
-        value: The number, at least 0.
-        unit: Of what, such as ``EUR``; ``relative`` where only ratios between modules mean something.
-    """
+    """What a module costs."""
 
     value: float
     unit: str = "relative"
@@ -68,14 +58,7 @@ class Price:
 
 @dataclass(frozen=True)
 class Problem:
-    """What is wrong with one field of a module.
-
-    Attributes:
-        field: The field, such as ``fov_rad`` or ``housing.size_m``.
-        expected: What it should be.
-        got: What it is.
-        remedy: How to put it right.
-    """
+    """What is wrong with one field of a module."""
 
     field: str
     expected: str
@@ -87,11 +70,7 @@ class Problem:
 
 
 class ModuleError(InputError):
-    """A module cannot be what it says.
-
-    Attributes:
-        problems: What is wrong, at least one.
-    """
+    """A module cannot be what it says."""
 
     def __init__(self, name: object, problems: tuple[Problem, ...]) -> None:
         """The error, one line a problem."""

@@ -44,19 +44,9 @@ class MountSurface:
         height_m: Height of the surface above the ground, or above the plane of its zone [m], float32, shape [row,
             column], at least 2 x 2; rows run along x (forward), columns along y (left).
         origin_m: x and y of the centre of cell (0, 0) [m], float64, shape [2].
-        cell_m: Edge of a cell [m]; cell (i, j) has its centre at ``origin_m + (i, j) * cell_m``.
         is_mountable: Cells that can carry a camera, bool [row, column]; None: all of them. The others bridge holes.
-        zones: The zones of a chart; none: the ground plane. A zone that carries several modules is there for each.
         zone_of_cell: Number of the zone of every cell, int32 [row, column]; empty without zones.
         plane_m: Where the chart's (0, 0) would be in the plane of every zone [m], float64 [zone, 3].
-        modules: Names of the camera modules that it carries; none: whatever cameras. A module of a symmetric rig is
-            there twice where it may stand both in pairs and in the plane of symmetry.
-        module_of_zone: Which of these a zone carries, int64 [zone]; empty without modules.
-        pairs: Which of the modules stand for two cameras: one on the left, where the zone is, and its mirror image;
-            empty: none.
-        panes: What of the body the cameras of every zone look through, None where they stand outside, [zone]; empty:
-            all stand outside.
-        notes: What its user should know, a line each: zones that do not carry a module, as its housing has no room.
     """
 
     height_m: np.ndarray
@@ -130,10 +120,6 @@ class MountSurface:
 
         With zones it is that of the zone whose surface and stand-off are nearest, and of several in which the place
         lies farthest from the border; for a point that is above none of them, the nearest cell's.
-
-        Args:
-            point_m: In the ego frame [m], [..., 3].
-            carriers: Of which modules the zones count for each, bool [..., module]; None: all.
 
         Returns:
             Places [m], float64 [..., 2], and heights over the surface [m], float64 [...].
@@ -328,22 +314,6 @@ def mount_surface_from_mesh(
 
     Args:
         mesh: The vehicle in the ego frame [m]; faces may have either orientation; the surface seen from above counts.
-        cell_m: Edge of a cell [m], positive.
-        min_upward_normal: Least z of a face's unit normal, in (0, 1]: 0.9 keeps slopes up to 26 degrees, which a
-            windscreen exceeds.
-        min_zone_normal: The same for cells that can carry a camera, in (0, 1]; below ``min_upward_normal`` it does
-            nothing.
-        min_height_m: Lower points are left out [m].
-        smoothing_tolerance_m: Largest change between two smoothing steps at which smoothing ends [m], positive; inf:
-            cells without points keep the height of the nearest one with.
-        keeps: Says which points [..., 3] belong to the surface, bool [...]; None: all.
-
-    Returns:
-        The surface, cropped to the cells that hold points.
-
-    Raises:
-        InputError: No face points upwards, or the mesh is too large to be a vehicle in metres.
-        ValueError: An option is out of its range.
     """
     if not smoothing_tolerance_m > 0.0:
         raise ValueError(f"smoothing_tolerance_m must be positive, got {smoothing_tolerance_m}")
@@ -368,13 +338,6 @@ def measured_surface(
 
     Args:
         mesh: The vehicle in the ego frame [m].
-        cell_m: Edge of a cell [m], positive.
-        min_upward_normal: Least z of a face's unit normal, in (0, 1].
-        min_height_m: Lower points are left out [m].
-
-    Raises:
-        InputError: No face points upwards, or the mesh is too large to be a vehicle in metres.
-        ValueError: An option is out of its range.
     """
     measured_m, _, origin_m = _measured(mesh, cell_m, min_upward_normal, min_height_m)
     return MountSurface(np.ascontiguousarray(measured_m, np.float32), origin_m, float(cell_m))
@@ -446,11 +409,7 @@ def _first_upward_height(
     """First hits of vertical rays from above, and the upward component of the face normal there.
 
     Args:
-        mesh: The vehicle.
         corner_m: Low corner of the first sample's square [m], shape [2]; a line runs through the centre of each square.
-        size: Number of lines along x and y.
-        step_m: Distance between lines [m].
-        min_upward_normal: Least absolute z of the unit normal.
 
     Returns:
         Height [m], -inf where a ray misses or the face points sideways; absolute z of the face's unit normal, -inf

@@ -35,14 +35,7 @@ _PLACE_COUNT = 100_000
 
 @dataclass(frozen=True, eq=False)
 class MovedRig:
-    """A rig on a vehicle that it was not made for.
-
-    Attributes:
-        rig: The cameras on the vehicle. Names and directions (yaw, pitch and roll) are the original's; places are new.
-        moved_m: How far every camera is from its original place, brought to the vehicle [m], float64 [camera].
-        blocked_share: Share of the middle row of every camera's image that the vehicle itself fills, 0..1, float64
-            [camera].
-    """
+    """A rig on a vehicle that it was not made for."""
 
     rig: Rig
     moved_m: np.ndarray
@@ -51,12 +44,7 @@ class MovedRig:
 
 @dataclass(frozen=True)
 class Body:
-    """The box around a vehicle's body, in the ego frame [m].
-
-    Attributes:
-        low_m: Rear end, right side and the ground.
-        high_m: Front end, left side and the roof.
-    """
+    """The box around a vehicle's body, in the ego frame [m]."""
 
     low_m: tuple[float, float, float]
     high_m: tuple[float, float, float]
@@ -81,7 +69,6 @@ class Body:
         Shares of length, width and height stay; what stands out of the box keeps its distance from it.
 
         Args:
-            other: The other body.
             position_m: Places, float [place, 3].
 
         Returns:
@@ -101,11 +88,6 @@ def put_on_body(rig: Rig, vehicle: Mesh, *, made_for: Body | None = None) -> Mov
     roof's, a side's or an end's: as far off as it stood out of its own vehicle's box, at least `LEAST_STAND_OFF_M`. Of
     the places up to `REACH_M` farther it takes the one whose view the vehicle hides least, and of these the nearest.
     Directions stay, and so do lenses and images. Cameras are placed in the order of the rig, `APART_M` apart.
-
-    Args:
-        rig: The rig, in the frame of its own vehicle.
-        vehicle: The vehicle that carries it, in the ego frame.
-        made_for: Its own vehicle's body; None: the vehicles' frames are laid over each other.
     """
     caster = ray_caster(vehicle)
     skin_m, outward = _skin(vehicle)
@@ -140,8 +122,6 @@ def blocked_shares(caster: EmbreeScene, camera: RigCamera, place_m: np.ndarray) 
     """Share of the rays of a camera's middle row that meet the vehicle, from every place, float64 [place].
 
     Args:
-        caster: Of `ray_caster`.
-        camera: Gives directions and lens.
         place_m: Where it might stand [m], [place, 3].
     """
     model = camera.model

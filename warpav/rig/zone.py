@@ -84,29 +84,10 @@ class Zone:
     wherever the zone is.
 
     Attributes:
-        name: Its name.
-        normal: Outwards, unit length, in the ego frame.
-        origin_m: A point of its plane in the ego frame [m].
-        box_m: Lowest and highest corner of what belongs to it [m], in the ego frame; None: all that faces outwards.
-        keep_out_m: Boxes in the ego frame that carry no camera, such as plates and lamps [m].
-        stand_off_m: Least and greatest distance of a camera's centre from the surface [m]: outwards, behind glass
-            inwards.
-        yaw_rad: Least and greatest yaw [rad], at most a whole turn; None: 85 degrees to either side of a normal that
-            is level, and behind glass; all round on others.
-        pitch_rad: Least and greatest pitch, nose-down positive [rad]; None: as the rig's other cameras.
-        roll_rad: Least and greatest roll [rad]; None: 0.
-        kinds: What kinds of place it is, such as ``windscreen`` or ``b_pillar``: camera modules say which they fit.
-        is_behind_glass: Whether cameras stand inside of the body and look through what of it belongs to the zone.
-        recess_m: How deep the housing of a module may go into the body [m], at least 0; None: no matter. Behind glass
-            no housing reaches the pane.
         outline_m: Corners of a convex polygon in the ego frame, in order along the border [m], [corner, 3]: only what
             is inside of it, seen along the normal, belongs to the zone; None: no matter.
-        is_centred: Whether cameras stand in the vehicle's plane of symmetry alone, with y = 0, and look along it.
         axes: Rows U, V and N in the ego frame: V upwards along the zone, or on a level one forwards; upright zones that
             face up have those of the ego frame; float64 [3, 3].
-
-    Raises:
-        ValueError: The normal has another length, or a range is none.
     """
 
     name: str
@@ -206,9 +187,6 @@ def read_zones(path: Path | str) -> tuple[Zone, ...]:
     ``behind_glass`` (cameras stand inside and look through), ``stand_off_m``, ``yaw_deg``, ``pitch_deg`` and
     ``roll_deg`` (a number, or [least, greatest]); see `Zone`. Beside it, ``mirror: true`` adds its mirror image on the
     other side of the vehicle, called ``<name>_mirrored``.
-
-    Raises:
-        InputError: The file cannot be read or breaks the format; the line says where.
     """
     file = Path(path).expanduser()
     record = read_yaml_record(file)
@@ -362,11 +340,7 @@ def mirrored(zone: Zone) -> Zone:
 
 
 def write_zones(zones: Sequence[Zone], path: Path | str) -> None:
-    """Write zones into a YAML file that `read_zones` reads, for a person to edit.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
+    """Write zones into a YAML file that `read_zones` reads, for a person to edit."""
     names = {normal: name for name, normal in NORMALS.items()}
 
     def numbers(values: Sequence[float] | np.ndarray) -> str:

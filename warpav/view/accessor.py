@@ -28,29 +28,13 @@ class SurfaceAccessor:
         self._surface = surface
 
     def as_mesh(self) -> Mesh:
-        """The triangles, with the colours of the point data ``RGB``, grey without; what warpav's functions take.
-
-        Raises:
-            InputError: There are no faces, or numbers that are not finite.
-        """
+        """The triangles, with the colours of the point data ``RGB``, grey without; what warpav's functions take."""
         from warpav.view.blocks import mesh_from_pyvista
 
         return mesh_from_pyvista(self._surface)
 
     def mount_surface(self, *, cell_m: float = 0.02, min_upward_normal: float = 0.9) -> PolyData:
-        """Where cameras may stand on this vehicle: one square for each cell that can carry one.
-
-        Args:
-            cell_m: Edge of a cell [m], positive.
-            min_upward_normal: Least z of a face's unit normal, in (0, 1].
-
-        Returns:
-            ``pyvista.PolyData`` with the cell data ``height_m`` above the ground and ``border_distance_m`` to the
-            nearest position that carries none.
-
-        Raises:
-            InputError: No face looks upwards, or the vehicle is not given in metres.
-        """
+        """Where cameras may stand on this vehicle: one square for each cell that can carry one."""
         from warpav.rig.mount_surface import mount_surface_from_mesh
         from warpav.view.body_view import mountable_zone_to_pyvista
 
@@ -69,11 +53,7 @@ class BlocksAccessor:
         self._blocks = blocks
 
     def as_scene(self, name: str | None = None) -> Scene:
-        """The scene of ``environment``, ``ego`` and ``vehicle_<instance id>``; the inverse of ``Scene.to_pyvista``.
-
-        Raises:
-            InputError: ``environment`` or ``ego`` is missing, or a block is no surface.
-        """
+        """The scene of ``environment``, ``ego`` and ``vehicle_<instance id>``; the inverse of ``Scene.to_pyvista``."""
         from warpav.view.blocks import scene_from_pyvista
 
         return scene_from_pyvista(self._blocks, name=name)

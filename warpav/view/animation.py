@@ -37,13 +37,7 @@ def run_animation(
     """The iterations of a run, and at the end its result; drawn while the images are gone through.
 
     Args:
-        frames: The rig before the step of every iteration, at least one.
-        events: The iterations, lines of ``events.jsonl``.
-        end: The result.
-        scene: Traffic and street.
-        surface: What the cameras stand on; with it arrows show where every step moves and turns them.
         window_size: Width and height [px].
-        supersampling: Rays per pixel and axis, 1 to 4.
     """
     images = _images(
         frames, events, end=end, scene=scene, surface=surface, window_size=window_size, supersampling=supersampling

@@ -32,10 +32,6 @@ def rig_to_pyvista(rig: Rig, *, depth_m: float = FRUSTUM_DEPTH_M) -> MultiBlock:
     ``body`` is housing and lens, ``frustum`` the four sides of what it sees, ``axis`` the line from its centre along
     the optical axis. Field data of a camera's block: name, position_m, yaw_deg, pitch_deg, roll_deg, fov_deg
     (horizontal), width_px, height_px, lens.
-
-    Args:
-        rig: The cameras.
-        depth_m: How far frustums and axes reach [m].
     """
     pyvista = load_pyvista_data()
     blocks = pyvista.MultiBlock()
@@ -107,10 +103,6 @@ def scene_from_pyvista(blocks: MultiBlock, *, name: str | None = None) -> Scene:
 
     Args:
         blocks: ``environment``, ``ego`` and any number of ``vehicle_<instance id>``, surfaces in the ego frame [m].
-        name: Of the scene; by default what the field data says, else ``scene``.
-
-    Raises:
-        InputError: ``environment`` or ``ego`` is missing, or a block is no surface.
     """
     names = [str(key) for key in blocks.keys()]  # noqa: SIM118 (a MultiBlock is a list of blocks)
     missing = [key for key in ("environment", "ego") if key not in names]
@@ -152,10 +144,6 @@ def mesh_from_pyvista(surface: PolyData, *, name: str = "mesh") -> Mesh:
 
     Args:
         surface: ``pyvista.PolyData`` of faces with any number of corners [m].
-        name: What it is called in messages.
-
-    Raises:
-        InputError: It is no surface, has no faces, or numbers that are not finite.
     """
     pyvista = load_pyvista_data()
     if not isinstance(surface, pyvista.PolyData):
@@ -174,12 +162,6 @@ def run_to_pyvista(frames: Sequence[Rig], *, start: Rig, end: Rig, scene: Scene)
 
     ``start`` and ``end`` are rigs as `rig_to_pyvista` makes them; ``path`` holds for every camera, under its name, the
     line of its positions with the point data ``iteration`` and ``yaw_deg``.
-
-    Args:
-        frames: The rig of every iteration, in order.
-        start: Where the run began.
-        end: Its result.
-        scene: The scene around it.
     """
     pyvista = load_pyvista_data()
     paths = pyvista.MultiBlock()

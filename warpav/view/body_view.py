@@ -34,10 +34,6 @@ def mountable_zone_to_pyvista(surface: MountSurface, *, lift_m: float = 0.0) -> 
 
     Cell data: ``height_m`` above the ground, ``border_distance_m`` to the nearest position that carries none, and
     ``zone``, the number of its zone among `zone_names`.
-
-    Args:
-        surface: The mount surface.
-        lift_m: By how much the squares are drawn above it [m].
     """
     is_shown = np.ones(surface.height_m.shape, bool) if surface.is_mountable is None else surface.is_mountable.copy()
     number = np.zeros(surface.height_m.shape, int)
@@ -83,14 +79,7 @@ def zone_names(surface: MountSurface) -> list[str]:
 def add_zones(
     plotter: Plotter, surface: MountSurface | None, *, name: str = "zones", legend_bottom: float = 0.025
 ) -> None:
-    """Paint the cells that can carry a camera, every zone in a colour of its own; what was painted before goes.
-
-    Args:
-        plotter: Where to draw.
-        surface: The mount surface; None: nothing is painted.
-        name: Name of the actor, and first part of those of the legend.
-        legend_bottom: Where the lowest line of the legend stands, as a share of the window's height.
-    """
+    """Paint the cells that can carry a camera, every zone in a colour of its own; what was painted before goes."""
     for each in [each for each in plotter.actors if each == name or each.startswith(f"{name}/")]:
         plotter.remove_actor(each)
     if surface is None:
@@ -109,11 +98,6 @@ def gain_to_pyvista(surface: MountSurface, further: FurtherCameras, *, lift_m: f
 
     That is one of the same zone within 0.2 m of the square's middle along the surface, however far above it cameras
     stand; NaN where the search has asked for none there.
-
-    Args:
-        surface: The mount surface.
-        further: What further cameras would add to a rig.
-        lift_m: By how much the squares are drawn above the surface [m].
     """
     from scipy.spatial import KDTree
 
@@ -147,13 +131,6 @@ def add_gain(
     """Paint the body in the colours of what one more camera would bring there; what was painted before goes.
 
     Where the search has asked for no camera, nothing is painted: what is not known is not made up from neighbours.
-
-    Args:
-        plotter: Where to draw.
-        surface: The mount surface.
-        further: What further cameras would add to the rig; None: nothing is painted.
-        name: Name of the actor.
-        scale_at: Lower left corner of the scale, as shares of the window's width and height.
     """
     plotter.remove_actor(name)
     if GAIN_TITLE in plotter.scalar_bars:
@@ -177,13 +154,7 @@ def add_gain(
 
 
 def scale_of_gain(plotter: Plotter, title: str, scale_at: tuple[float, float]) -> dict[str, Any]:
-    """How pyvista draws the scale of what one more camera would bring: its title clear of its numbers.
-
-    Args:
-        plotter: Where to draw.
-        title: Of the scale.
-        scale_at: Its lower left corner, as shares of the window's width and height.
-    """
+    """How pyvista draws the scale of what one more camera would bring: its title clear of its numbers."""
     font_size = max(9, round(16 * min(1.0, plotter.window_size[0] / 1280)))
     return {
         "title": title,

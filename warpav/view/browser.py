@@ -43,24 +43,10 @@ def new_token() -> str:
 
 
 class BrowserInspector:
-    """An inspector as a page of a server on this machine.
-
-    Attributes:
-        inspector: What is shown; made with a ``panel``.
-        port: Where it listens; known once it does.
-        token: What the address has to hold.
-    """
+    """An inspector as a page of a server on this machine."""
 
     def __init__(self, inspector_of: Callable[[Callable[[str], None]], Inspector], *, token: str) -> None:
-        """Make the page; nothing is served yet.
-
-        Args:
-            inspector_of: Makes the inspector, given its ``panel``, see `Inspector`.
-            token: What a browser has to know.
-
-        Raises:
-            InputError: The extra ``web`` is not installed, or this machine cannot draw.
-        """
+        """Make the page; nothing is served yet."""
         self._server, self.token, self.port = _new_server(), token, 0
         self.state: Any = self._server.state
         self.state.lines = []
@@ -77,16 +63,7 @@ class BrowserInspector:
         return f"http://{HOST}:{self.port}/index.html?secret={self.token}"
 
     def serve(self, *, port: int = DEFAULT_PORT, ready: Callable[[str, int], None] | None = None) -> None:
-        """Answer browsers until this is interrupted.
-
-        Args:
-            port: Where to listen, 0 for any that is free.
-            ready: Told the address and the port as soon as it can be opened.
-
-        Raises:
-            InputError: The port is taken.
-            KeyboardInterrupt: As it comes.
-        """
+        """Answer browsers until this is interrupted."""
 
         def has_started(**_: Any) -> None:  # noqa: ANN401 (whatever the server tells)
             self.port = int(self._server.port)
@@ -285,11 +262,7 @@ _ON_BODY = {"zones": "zones", "gain": "one more camera", "off": "off"}
 
 
 def _new_server() -> Server:
-    """A server of its own.
-
-    Raises:
-        InputError: The extra ``web`` is not installed.
-    """
+    """A server of its own."""
     try:
         from trame.app import get_server
         from trame.widgets import vtk, vuetify3  # noqa: F401 (asked for before anything is made)

@@ -36,8 +36,6 @@ class Viewpoint:
         position_m: The viewer, in the ego frame [m], shape [3].
         target_m: What is in the middle of the image [m], shape [3].
         up: Direction that points up in the image, shape [3].
-        height_rad: Vertical field of view [rad].
-        height_m: Instead, height of the image [m]: lines stay parallel.
     """
 
     position_m: np.ndarray
@@ -60,21 +58,8 @@ def cloud_image(
 ) -> np.ndarray:
     """Draw clouds and meshes.
 
-    Args:
-        parts: What to draw, in the ego frame.
-        viewpoint: From where.
-        size_px: Width and height of the image [px].
-        point_px: Least size of a point [px].
-        cover: Points are this many times as large as they are typically apart, so near ones are larger than far ones.
-        boxes: 3D boxes, drawn as wires.
-        box_rgb: Their colour.
-        background_rgb: Colour where nothing is.
-
     Returns:
         uint8, shape [row, column, 3].
-
-    Raises:
-        InputError: This machine cannot draw.
     """
     from PIL import Image
 
@@ -132,8 +117,6 @@ def view_of(point_m: np.ndarray, direction: np.ndarray, size_px: tuple[int, int]
 
     Args:
         point_m: Points in the ego frame [m], shape [point, 3].
-        direction: Unit vector from them to the viewer, not vertical.
-        size_px: Width and height of the image [px].
     """
     right = np.cross([0.0, 0.0, 1.0], direction)
     right /= np.linalg.norm(right)

@@ -59,12 +59,6 @@ class Steepest:
 def arrows_m(rig: Rig, descent: Steepest, surface: MountSurface, *, longest_m: float = LONGEST_M) -> np.ndarray:
     """Arrows along the mount surface that show where the descent moves the cameras.
 
-    Args:
-        rig: The cameras.
-        descent: Direction of steepest descent there.
-        surface: What the cameras stand on.
-        longest_m: Length of the longest arrow [m].
-
     Returns:
         float64 [camera, 3] in the ego frame [m]: tangential to the surface, lengths in proportion to the gradient's
         norm; all 0 where the loss depends on no position.
@@ -88,13 +82,6 @@ def add_descent(
     """Add straight arrows for where a step moves the cameras and bent ones for the direction in which it turns them.
 
     Lengths and angles are in proportion to the gradient; the longest of each kind have a fixed size.
-
-    Args:
-        plotter: Where to draw; arrows drawn before under the same name go.
-        rig: The cameras.
-        descent: Direction of steepest descent there; None: no arrows.
-        surface: What the cameras stand on.
-        name: First part of the actors' names.
     """
     for actor in [actor for actor in plotter.actors if actor.startswith(f"{name}/")]:
         plotter.remove_actor(actor)

@@ -52,12 +52,7 @@ def frustum_points(camera: RigCamera, *, depth_m: float) -> np.ndarray:
 
 
 def bearing_sector_rad(camera: RigCamera) -> tuple[float, float]:
-    """Bearings between which the camera sees, along the middle row of its image [rad].
-
-    Returns:
-        Right edge and left edge in the ego frame, counter-clockwise from the first to the second; the second is the
-        larger one and may exceed pi.
-    """
+    """Bearings between which the camera sees, along the middle row of its image [rad]."""
     rotation = np.asarray(camera.ego_from_camera, dtype=np.float64)[:3, :3]
     width, row = float(camera.model.width_px), 0.5 * camera.model.height_px
     ray = np.stack([_outermost_ray(camera.model, [column, row]) for column in (0.0, 0.5 * width, width)]) @ rotation.T
@@ -96,9 +91,7 @@ def seen_arcs_rad(camera: RigCamera, first: np.ndarray, second: np.ndarray) -> l
     """Which directions of a plane the camera sees.
 
     Args:
-        camera: The camera.
         first: Direction of angle 0 in the ego frame, unit length, shape [3].
-        second: Direction of angle pi / 2, likewise, square to the first.
 
     Returns:
         First and last angle of every arc [rad], the first in [-pi, pi), the last larger; (-pi, pi) where the camera
@@ -127,11 +120,6 @@ def seen_arcs_rad(camera: RigCamera, first: np.ndarray, second: np.ndarray) -> l
 
 def seen_ground_m(camera: RigCamera, *, reach_m: float, step_rad: float = math.radians(0.5)) -> list[np.ndarray]:
     """Level ground that the camera sees, from the nearest to the farthest point by azimuth; nothing stands in the way.
-
-    Args:
-        camera: A camera above the ground.
-        reach_m: How far from the camera ground counts [m]; farther points are brought to it.
-        step_rad: Between azimuths, and between directions of one [rad].
 
     Returns:
         Closed outlines [m], float64 [point, 2], one for each run of azimuths; empty where it sees no ground.

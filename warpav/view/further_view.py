@@ -55,14 +55,7 @@ def add_further_cameras(
     name: str = "further_cameras",
     scale_at: tuple[float, float] = (0.325, 0.87),
 ) -> None:
-    """Add what each further camera would bring, with a scale; what was drawn before under the same name goes.
-
-    Args:
-        plotter: Where to draw.
-        further: The cameras; None: nothing is drawn.
-        name: Of the actor.
-        scale_at: Lower left corner of the scale, as shares of the window's width and height.
-    """
+    """Add what each further camera would bring, with a scale; what was drawn before under the same name goes."""
     plotter.remove_actor(name)
     if TITLE in plotter.scalar_bars:
         plotter.remove_scalar_bar(TITLE)

@@ -39,19 +39,7 @@ KEPT_SCENES = 4
 
 
 class InspectedRig:
-    """A rig that is shown and changed.
-
-    Attributes:
-        frames: Rigs to go through, such as those of the iterations of a run; at least one.
-        frame: Which of them was shown last.
-        rig: The rig as it is now; another one than that of the frame once a camera was moved.
-        scene_index: Which scene is shown.
-        scene_count: Number of scenes.
-        has_descents: Whether the direction of steepest descent is known at any frame.
-        has_further_cameras: Whether it is known what further cameras would add to the rig of the last frame.
-        has_modules: Whether cameras may be changed for modules.
-        has_requirements: Whether the rig is held against requirements.
-    """
+    """A rig that is shown and changed."""
 
     def __init__(
         self,
@@ -68,24 +56,7 @@ class InspectedRig:
         check: Callable[[Rig, Mesh], RequirementResult] | None = None,
         device: str = "cpu",
     ) -> None:
-        """Begin with the last frame and the first scene.
-
-        Args:
-            frames: Rigs to go through, at least one, all with the same cameras in the same order.
-            scene_of: Gives a scene by its number, from 0.
-            scene_count: Number of scenes, at least 1.
-            constraints: Where cameras may stand; on their surface they are moved.
-            height_offset_m: How far above the surface cameras stand that have been moved there [m].
-            observer_of: Observes scenes through a rig.
-            descents: Direction of steepest descent at every frame, None where it is unknown; or none at all.
-            further: What further cameras would add to the rig of the last frame, if that is known.
-            modules: What cameras may be changed for.
-            check: Holds a rig on a vehicle against requirements; None: there are none.
-            device: Warp device.
-
-        Raises:
-            ValueError: There is no frame or no scene, or not one descent for each frame.
-        """
+        """Begin with the last frame and the first scene."""
         if not frames or scene_count < 1:
             raise ValueError(f"expected at least one rig and one scene, got {len(frames)} and {scene_count}")
         if descents and len(descents) != len(frames):
@@ -119,11 +90,7 @@ class InspectedRig:
         return self._packed_of(self.scene_index)
 
     def go_to(self, frame: int) -> None:
-        """Show the rig of a frame; moves of cameras are forgotten.
-
-        Raises:
-            IndexError: There is no such frame.
-        """
+        """Show the rig of a frame; moves of cameras are forgotten."""
         if not 0 <= frame < len(self.frames):
             raise IndexError(f"frame must be from 0 to {len(self.frames) - 1}, got {frame}")
         self.frame = frame
@@ -139,10 +106,6 @@ class InspectedRig:
 
         A camera that stood on the surface keeps its height above it. Other cameras stay, so two may come too close:
         see `violation_m`.
-
-        Args:
-            camera: Its number.
-            position_m: x and y in the ego frame [m]; with zones a third number says how high, to tell zones apart.
         """
         surface = self._constraints.surface
         old = self.rig.cameras[camera]
@@ -166,9 +129,6 @@ class InspectedRig:
 
         It stands and looks as the camera did; its lens, image and near plane are those of the module and of the camera.
         Where there are no modules, nothing changes.
-
-        Args:
-            camera: Its number.
         """
         old, names = self.rig.cameras[camera], [module.name for module in self._modules]
         if not names:
@@ -243,11 +203,7 @@ class InspectedRig:
         return [f"scene {self.scene.name}, {len(self.scene.vehicles)} vehicles", *seen, *apart, *breach]
 
     def save(self, path: Path | str) -> Path:
-        """Write the rig as it is now.
-
-        Raises:
-            InputError: The file cannot be written.
-        """
+        """Write the rig as it is now."""
         write_rig(self.rig, path)
         return Path(path)
 

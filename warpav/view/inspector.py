@@ -97,20 +97,6 @@ _BALL_RADIUS_M = 0.11
 class Inspector:
     """A plotter whose cameras can be dragged over the mount surface.
 
-    Attributes:
-        plotter: The window; call ``show`` on it.
-        state: What is shown; change it by the methods of this class, so that the window follows.
-        chosen: Number of the camera whose view is shown; None: no view.
-        shown_height: Which of `SHOWN_HEIGHTS_M` the coverage is shown of; None: no coverage.
-        shows_outcomes: Whether traffic is coloured by what becomes of it.
-        shows_visibility: Whether the views of the cameras are painted, up to what hides the rest; the ground carries
-            either them or the coverage.
-        shows_rings: Whether circles on the ground say how far it is.
-        shows_descent: Whether arrows show where the step of an iteration moves and turns the cameras.
-        shows_further: Whether arrows show what one more camera would bring, where that is known.
-        shows_requirements: Whether the points of the requirements lie on the ground, where there are any.
-        shown_on_body: What the body is painted with: its zones, or what one more camera would bring where.
-
     What moves is changed, not drawn again: while a camera is dragged no actor is made, and one image is drawn.
     """
 
@@ -128,19 +114,8 @@ class Inspector:
         """Draw everything once.
 
         Args:
-            state: What to show.
-            save_to: File that the rig is written to; files that are there stay.
             trajectory_m: Trajectories of the cameras over a run [m], [iteration, camera, 3].
-            begin_with: What is shown at first: how many cameras see somebody where, or the ground itself; traffic in
-                the colours of what becomes of it; the views of the cameras; what one more camera would bring, as
-                arrows or painted on the body; or zones of the body.
-            off_screen: Draw without a window; by default when there is no display.
             window_size: Width and height [px].
-            panel: Takes the lines about the rig, where others than the window show them and have the controls; None:
-                the window has both.
-
-        Raises:
-            InputError: Nothing can be drawn on this machine.
         """
         self.state, self.save_to, self._panel = state, save_to, panel
         self.chosen: int | None = None
@@ -305,11 +280,7 @@ class Inspector:
             self._after_change(self.chosen)
 
     def save(self) -> Path:
-        """Write the rig as it is now, to a file of its own: a number follows the name where that is taken.
-
-        Raises:
-            InputError: The file cannot be written.
-        """
+        """Write the rig as it is now, to a file of its own: a number follows the name where that is taken."""
         path, number = self.save_to, 1
         while path.is_file():
             number += 1
@@ -597,11 +568,6 @@ def _label_m(camera: RigCamera) -> tuple[float, float, float]:
 
 def framed_view(observed: CameraObservation, *, scale: float, border_rgb: tuple[int, int, int]) -> np.ndarray:
     """A camera's image with boxes and a coloured border.
-
-    Args:
-        observed: What the detector makes of the image.
-        scale: By how much the image is enlarged.
-        border_rgb: Colour of the border.
 
     Returns:
         uint8 [row, column, 3].

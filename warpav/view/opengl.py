@@ -51,9 +51,6 @@ def tell_vtk_where_to_draw() -> None:
     """Without a display, choose VTK's window class by ``VTK_DEFAULT_OPENGL_WINDOW``, unless it is set already.
 
     To be called before VTK is first imported: left to itself it asks an X server first and can crash.
-
-    Raises:
-        InputError: There is no display and no library that draws without one.
     """
     problem = opengl_problem()
     if problem:
@@ -62,11 +59,7 @@ def tell_vtk_where_to_draw() -> None:
 
 
 def load_pyvista() -> Any:  # noqa: ANN401 (pyvista builds much of itself at run time; checkers see little of it)
-    """The module ``pyvista`` for plotters, imported so that it draws with or without a display.
-
-    Raises:
-        InputError: There is no display and no library that draws without one.
-    """
+    """The module ``pyvista`` for plotters, imported so that it draws with or without a display."""
     tell_vtk_where_to_draw()
     import pyvista
 
@@ -138,16 +131,7 @@ def _draws_in_memory() -> bool:
 
 
 def optional_module(name: str, *, purpose: str, extra: str) -> ModuleType:
-    """An optional module, or a message that says how to get it.
-
-    Args:
-        name: Its import name.
-        purpose: What it is needed for, as the start of the message.
-        extra: The extra of warpav that brings it.
-
-    Raises:
-        InputError: It is not installed.
-    """
+    """An optional module, or a message that says how to get it."""
     import importlib
 
     try:

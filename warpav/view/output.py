@@ -41,9 +41,6 @@ class Animation:
 
     Attributes:
         image_rgb: The images, at least one, all of one size, uint8 [row, column, 3]; gone through once.
-        count: Number of images.
-        frame_s: How long each is shown [s].
-        last_s: How much longer the last one is [s].
     """
 
     image_rgb: Iterable[np.ndarray]
@@ -65,19 +62,6 @@ def save_image(
     ``.png``; ``.html``, a page that stands alone, which needs the extra ``web``; ``.gif``, one turn around the ego;
     ``.mp4``, likewise, which needs imageio with ffmpeg. The file appears complete or not at all; missing folders are
     made.
-
-    Args:
-        plotter: What to write, not yet shown.
-        path: File to write; its suffix decides the format.
-        supersampling: Rays per pixel and axis in PNG and animations, 1 to 4.
-        frame_count: Images of an animation, at least 2.
-        progress: Shows how many of them are done.
-
-    Returns:
-        The path.
-
-    Raises:
-        InputError: Another suffix, a file that cannot be written, or K3D or imageio is missing.
     """
     path = Path(path)
     check_suffix(path)
@@ -94,20 +78,7 @@ def save_image(
 
 
 def save_page(plotters: Mapping[str, Plotter], path: Path | str, *, title: str, lines: Sequence[str] = ()) -> Path:
-    """Write a page that stands alone: a rig and one or more scenes, see `warpav.view.page.page_of`.
-
-    Args:
-        plotters: What to write, not yet shown, by the names of the scenes.
-        path: File to write, complete or not at all.
-        title: Heading of the page.
-        lines: What its panel says.
-
-    Returns:
-        The path.
-
-    Raises:
-        InputError: The file cannot be written, or the extra ``web`` is not installed.
-    """
+    """Write a page that stands alone: a rig and one or more scenes, see `warpav.view.page.page_of`."""
     from warpav.view.page import page_of
 
     page = page_of(plotters, title=title, lines=lines)
@@ -118,17 +89,6 @@ def save_animation(animation: Animation, path: Path | str, *, progress: Progress
     """Write an animation as ``.gif`` or ``.mp4``.
 
     The file appears complete or not at all; missing folders are made.
-
-    Args:
-        animation: The images and their times.
-        path: File to write; its suffix decides the format.
-        progress: Shows how many images are done.
-
-    Returns:
-        The path.
-
-    Raises:
-        InputError: Another suffix, a file that cannot be written, or imageio with ffmpeg is missing.
     """
     path = Path(path)
     if path.suffix.lower() not in ANIMATION_SUFFIXES:
@@ -219,11 +179,7 @@ def _mp4(image_rgb: Iterable[np.ndarray], *, frame_s: float, last_s: float) -> b
 
 
 def check_suffix(path: Path, *, further: tuple[str, ...] = ()) -> None:
-    """Check that an image file has a suffix out of `SUFFIXES`, or one of further ones, and that it can be made here.
-
-    Raises:
-        InputError: It has another one, or needs an extra that is not installed.
-    """
+    """Check that an image file has a suffix out of `SUFFIXES`, or one of further ones, and that it can be made here."""
     suffix = path.suffix.lower()
     if suffix not in (*SUFFIXES, *further):
         expected = ", ".join(dict.fromkeys((*SUFFIXES, *further)))
@@ -238,11 +194,7 @@ def check_suffix(path: Path, *, further: tuple[str, ...] = ()) -> None:
 
 
 def write_whole(path: Path, content: bytes) -> Path:
-    """Write a file that appears complete or not at all; missing folders are made. Returns the path.
-
-    Raises:
-        InputError: It cannot be written.
-    """
+    """Write a file that appears complete or not at all; missing folders are made. Returns the path."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as draft:

@@ -35,16 +35,7 @@ _OF_SCENE = ("scene/", "coverage", "ground", "legend/", "visibility/", "outcomes
 
 @dataclass(frozen=True)
 class Control:
-    """A control of the panel.
-
-    Attributes:
-        key: Which tags it switches.
-        label: What it is called.
-        kind: ``one`` of the values at a time, or ``any`` of them.
-        values: Its values, in order.
-        colours: Of the values, as ``#rrggbb``; none, or one for each.
-        shown: Which are on at first.
-    """
+    """A control of the panel."""
 
     key: str
     label: str
@@ -58,16 +49,7 @@ class Page:
     """A page that is being made."""
 
     def __init__(self, title: str, *, controls: Sequence[Control] = (), lines: Sequence[str] = ()) -> None:
-        """An empty page.
-
-        Args:
-            title: Its heading.
-            controls: What the panel switches.
-            lines: What the panel says below the heading.
-
-        Raises:
-            InputError: The extra ``web`` is not installed.
-        """
+        """An empty page."""
         self._k3d, self._title, self._controls, self._lines = _k3d(), title, controls, lines
         self._plot = self._k3d.plot(
             grid_visible=False,
@@ -90,12 +72,7 @@ class Page:
         self._plot.camera_fov = float(camera.view_angle)
 
     def add(self, plotter: Plotter, tags_by_name: Mapping[str, Tags]) -> None:
-        """Add what a plotter shows: surfaces, lines and names in space, not what lies in the plane of its window.
-
-        Args:
-            plotter: Whose actors are taken.
-            tags_by_name: The tags of actors by their names; others are left out.
-        """
+        """Add what a plotter shows: surfaces, lines and names in space, not what lies in the plane of its window."""
         pyvista = load_pyvista()
         for name, tags in tags_by_name.items():
             actor = plotter.actors[name]
@@ -213,14 +190,6 @@ def page_of(plotters: Mapping[str, Plotter], *, title: str, lines: Sequence[str]
 
     The panel switches cameras, names, range rings and paths, and what the ground carries: every actor
     ``coverage/WORDS`` is one of the choices.
-
-    Args:
-        plotters: At least one, by the names of their scenes.
-        title: Heading of the page.
-        lines: What the panel says below it.
-
-    Raises:
-        InputError: The extra ``web`` is not installed.
     """
     first, *_ = plotters
     tagged: dict[str, dict[str, Tags]] = {}
@@ -288,11 +257,7 @@ def _packed_all(rgb: np.ndarray) -> np.ndarray:
 
 
 def check_library() -> None:
-    """Check that pages can be made here.
-
-    Raises:
-        InputError: The extra ``web`` is not installed.
-    """
+    """Check that pages can be made here."""
     _k3d()
 
 

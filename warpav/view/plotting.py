@@ -47,11 +47,7 @@ class Canvas:
     """What plots of all classes have in common; `plot` says what each means.
 
     Attributes:
-        out: File that will be written; None: the plot is shown.
-        title: A line in the upper left corner.
         window_size: Width and height [px]; None: what suits the object and the file.
-        zoom: 1 fills the image with the object; None: what suits the object.
-        off_screen: Whether to draw without a window; None: if there is no display.
     """
 
     out: Path | None = None
@@ -72,14 +68,7 @@ class Canvas:
 
 @dataclass(frozen=True)
 class Kind:
-    """One way of drawing the objects of a class.
-
-    Attributes:
-        draw: Takes the object, a `Canvas` and, as keyword-only arguments, the options of the kind. It gives a
-            ``pyvista.Plotter`` that is not yet shown and that the caller closes, an `Animation` where the canvas asks
-            for one, or a ``matplotlib.figure.Figure``.
-        is_figure: Whether it is always a figure of matplotlib, which decides what files it can become.
-    """
+    """One way of drawing the objects of a class."""
 
     draw: Callable[..., Drawing]
     is_figure: bool = False
@@ -92,13 +81,7 @@ Function = TypeVar("Function", bound="Callable[..., Any]")
 
 
 def draws(cls: type, kind: str, *, is_figure: bool = False) -> Callable[[Function], Function]:
-    """Registers a function as what draws a kind of a class, and of the classes below it.
-
-    Args:
-        cls: The class.
-        kind: Name of the kind, unique within the class.
-        is_figure: As of `Kind`.
-    """
+    """Registers a function as what draws a kind of a class, and of the classes below it."""
 
     def register(draw: Function) -> Function:
         _KINDS.setdefault(cls, {})[kind] = Kind(draw, is_figure)
@@ -118,12 +101,7 @@ def kinds_of(cls: type) -> dict[str, Kind]:
 
 
 def checked_kind(cls: type, kind: str | None) -> Kind:
-    """A kind of a class by its name; None: the usual one.
-
-    Raises:
-        InputError: The class has no such kind.
-        TypeError: Nothing is registered for the class.
-    """
+    """A kind of a class by its name; None: the usual one."""
     kinds = kinds_of(cls)
     if not kinds:
         known = sorted(each.__name__ for each in _KINDS)
@@ -137,21 +115,7 @@ def checked_kind(cls: type, kind: str | None) -> Kind:
 
 
 def drawing_of(obj: object, canvas: Canvas, *, kind: str | None = None, **options: Any) -> Drawing:  # noqa: ANN401
-    """What `plot` shows or saves of an object, to be added to or saved in other ways.
-
-    Args:
-        obj: Object of a class for which `draws` has registered something.
-        canvas: Size, title and file.
-        kind: What is drawn of it; None: the usual kind of the class.
-        **options: Those of the kind.
-
-    Returns:
-        As of `Kind.draw`.
-
-    Raises:
-        InputError: The class has no such kind.
-        TypeError: Nothing is registered for the class.
-    """
+    """What `plot` shows or saves of an object, to be added to or saved in other ways."""
     return checked_kind(type(obj), kind).draw(obj, canvas, **options)
 
 
@@ -452,12 +416,7 @@ def _draw_contact(rig: Rig, canvas: Canvas, *, ego: Mesh | None = None, scene: S
 
 
 def _by_name(rig: Rig | Mapping[str, Rig]) -> dict[str, Rig]:
-    """One rig or several as several by name.
-
-    Raises:
-        InputError: There is none.
-        TypeError: Something else is among them.
-    """
+    """One rig or several as several by name."""
     if isinstance(rig, Rig):
         return {"rig": rig}
     if not rig:
@@ -469,11 +428,7 @@ def _by_name(rig: Rig | Mapping[str, Rig]) -> dict[str, Rig]:
 
 
 def _vehicle(ego: Mesh | None, scene: Scene | None, kind: str) -> Mesh:
-    """The vehicle that a plot asks for: the given one, else that of the scene.
-
-    Raises:
-        InputError: There is none.
-    """
+    """The vehicle that a plot asks for: the given one, else that of the scene."""
     vehicle = scene.ego if ego is None and scene is not None else ego
     if vehicle is None:
         raise ArgumentError(

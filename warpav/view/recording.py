@@ -43,20 +43,6 @@ def write_recording(
     ``rig/<camera>`` is a pose, below it ``image``, a pinhole with what the camera sees. Of another lens, which the
     viewer has not, ``frustum`` has the edges of its view, and ``image/<camera>`` what it sees. With frames the poses
     are on the timeline `TIMELINE`, and the images belong to the rig at its end.
-
-    Args:
-        path: A name that ends in ``.rrd``; missing folders are made.
-        rig: The cameras.
-        scene: Vehicle, street and traffic.
-        frames: The rig of every iteration that led to it, with the same cameras.
-        loss: That of every iteration, drawn as a curve, NaN where it is unknown; or none.
-        device: Warp device that renders the images.
-
-    Returns:
-        The path.
-
-    Raises:
-        InputError: rerun-sdk is not installed, or the file cannot be written.
     """
     path = Path(path)
     rerun = load_rerun(path)
@@ -86,11 +72,7 @@ def write_recording(
 
 
 def load_rerun(path: Path) -> Any:  # noqa: ANN401 (a module)
-    """The module rerun, to write this file.
-
-    Raises:
-        InputError: It is not installed.
-    """
+    """The module rerun, to write this file."""
     return optional_module("rerun", purpose=f"{path}: a recording for Rerun", extra="rerun")
 
 

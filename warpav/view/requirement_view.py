@@ -21,12 +21,7 @@ _SHARE_OF_GRID = 0.4
 
 
 def requirements_to_pyvista(result: RequirementResult) -> PolyData:
-    """The points of requirements as ``pyvista.PolyData`` on the ground: discs where they are met, crosses where not.
-
-    Returns:
-        Triangles with cell data ``rgb``, the colour of the number of cameras, and ``point``, the number of the point.
-        Points that several requirements share lie on top of each other, those not met highest.
-    """
+    """The points of requirements as ``pyvista.PolyData`` on the ground: discs where they are met, crosses where not."""
     ghosts, is_met = result.ghosts, result.is_point_met
     radius_m = _SHARE_OF_GRID * ghosts.of_each("grid_m").astype(float)
     colour = np.array(COVERAGE_RGB, np.uint8)[np.minimum(result.camera_count, 3)]
@@ -51,13 +46,7 @@ def requirements_to_pyvista(result: RequirementResult) -> PolyData:
 
 
 def add_requirements(plotter: Plotter, result: RequirementResult | None, *, name: str = "requirements") -> None:
-    """Lay the points of requirements on the ground, or take them away.
-
-    Args:
-        plotter: Where to draw.
-        result: The points; None: nothing is shown.
-        name: Name of the actor.
-    """
+    """Lay the points of requirements on the ground, or take them away."""
     if result is None:
         plotter.remove_actor(name)
         return

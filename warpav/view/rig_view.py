@@ -87,10 +87,6 @@ def rig_plotter(
     whether the cameras are named, and ``sectors`` whether the bearings that each camera covers are drawn on the ground,
     by default unless outcomes, coverage, visibility or requirements are painted. Without a rig the vehicle
     stands there as it is.
-
-    Raises:
-        InputError: Nothing can be drawn on this machine, or the trajectory does not fit the rig.
-        ValueError: Visibility, coverage or outcomes of no scene.
     """
     is_painted = visibility or coverage is not None or outcomes is not None
     if scene is None and is_painted:
@@ -202,11 +198,7 @@ def look_at_ego(
     """Point the plotter's camera at the ego vehicle, by default from the front left.
 
     Args:
-        plotter: Where to draw.
         bounds_m: Lowest and highest corner of the vehicle in the middle of the image [m], shape [2, 3].
-        azimuth_rad: Bearing of the viewer from the vehicle, left positive [rad].
-        elevation_rad: Height of the viewer above the horizon [rad].
-        zoom: 1 fills the image with the vehicle, less shows more around it.
     """
     low, high = np.asarray(bounds_m, np.float64)
     target = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, 0.62 * high[2]])
@@ -249,7 +241,6 @@ def project_px(plotter: Plotter, point_m: np.ndarray) -> np.ndarray:
     """Where points of the ego frame appear in the plotter's image [px], from the upper left corner.
 
     Args:
-        plotter: The plotter; it need not have been drawn yet.
         point_m: Points in front of the viewer [m], shape [point, 3].
 
     Returns:
@@ -280,12 +271,7 @@ def add_ground(
     """Add a plain ground that fades into the background.
 
     Args:
-        plotter: Where to draw.
         bounds_m: Lowest and highest corner of the vehicle in its middle [m], shape [2, 3].
-        height_m: Its height [m]; drawn a little lower.
-        shadow: Whether the vehicle throws a soft shadow.
-        rings: Whether to mark distances of 5, 10 and 15 m from the vehicle.
-        name: First part of the actors' names.
     """
     low, high = np.asarray(bounds_m, np.float64)
     middle = (low[:2] + high[:2]) / 2
@@ -313,10 +299,7 @@ def add_range_rings(
     """Add circles on the ground around the ego vehicle's middle, each with its radius; None takes them away.
 
     Args:
-        plotter: Where to draw.
         bounds_m: Lowest and highest corner of the ego vehicle [m], [2, 3].
-        radius_m: Radii [m].
-        name: First part of the actors' names.
     """
     for actor in [each for each in plotter.actors if each.startswith(f"{name}/")]:
         plotter.remove_actor(actor)
@@ -353,14 +336,7 @@ def add_range_rings(
 def add_axes(
     plotter: Plotter, *, length_m: Sequence[float] | np.ndarray, thick: float = 1.0, name: str = "axis"
 ) -> None:
-    """Add the axes of the ego frame at its origin, with their names.
-
-    Args:
-        plotter: Where to draw.
-        length_m: Of x, y and z [m].
-        thick: How thick they are drawn; 1 suits a car.
-        name: First part of the actors' names.
-    """
+    """Add the axes of the ego frame at its origin, with their names."""
     pyvista = load_pyvista()
     tips = []
     for axis, (label, colour) in enumerate(AXIS_RGB.items()):
@@ -394,12 +370,6 @@ def add_scene(plotter: Plotter, scene: Scene, *, name: str = "scene", softness: 
     """Add street and traffic around the ego vehicle, fading into the background with distance.
 
     Buildings are left out: they would stand between the viewer and the vehicle.
-
-    Args:
-        plotter: Where to draw.
-        scene: What to draw, without its ego vehicle.
-        name: First part of the actors' names.
-        softness: How far the street's colours move towards the background, 0..1, so that cameras stand out.
     """
     from warpav.raster.mesh import merge
 
@@ -454,17 +424,7 @@ def add_rig(
     labels: bool = True,
     taken_px: np.ndarray | None = None,
 ) -> None:
-    """Add the cameras of a rig: body, frustum, sector on the ground, name.
-
-    Args:
-        plotter: Where to draw.
-        rig: The cameras; each has its own colour, the same as in every other image.
-        name: First part of the actors' names.
-        frustum_depth_m: How far the frustums are drawn [m].
-        sectors: Whether to draw on the ground what bearings each camera covers.
-        labels: Whether to name the cameras.
-        taken_px: Where something else is written, see `label_anchors_m`.
-    """
+    """Add the cameras of a rig: body, frustum, sector on the ground, name."""
     for index, camera in enumerate(rig.cameras):
         add_camera(plotter, camera, index, name=name, frustum_depth_m=frustum_depth_m, sector=sectors)
     if labels:
@@ -480,16 +440,7 @@ def add_camera(
     frustum_depth_m: float = FRUSTUM_DEPTH_M,
     sector: bool = False,
 ) -> None:
-    """Add one camera: body, frustum, sector on the ground.
-
-    Args:
-        plotter: Where to draw.
-        camera: The camera.
-        index: Its number in the rig, which gives its colour.
-        name: First part of the actors' names.
-        frustum_depth_m: How far the frustum is drawn [m].
-        sector: Whether to draw on the ground what bearings it covers.
-    """
+    """Add one camera: body, frustum, sector on the ground."""
     colour, first = camera_rgb(index), f"{name}/{camera.name}"
     _add_frustum(plotter, camera, colour, depth_m=frustum_depth_m, name=first)
     _add_camera_body(plotter, camera, colour, name=first)
@@ -501,12 +452,7 @@ def add_trajectory(plotter: Plotter, trajectory_m: np.ndarray, *, name: str = "t
     """Add the path of every camera over an optimisation as a tube, with a white ball where it started.
 
     Args:
-        plotter: Where to draw.
         trajectory_m: Camera positions [m], shape [iteration, camera, 3], at least one iteration.
-        name: First part of the actors' names.
-
-    Raises:
-        InputError: The array has another shape.
     """
     pyvista = load_pyvista()
     path = checked_trajectory(trajectory_m)
@@ -525,11 +471,7 @@ def add_trajectory(plotter: Plotter, trajectory_m: np.ndarray, *, name: str = "t
 
 
 def checked_trajectory(trajectory_m: object) -> np.ndarray:
-    """The trajectory as float64, shape [iteration, camera, 3].
-
-    Raises:
-        InputError: It has another shape or holds a number that is not finite.
-    """
+    """The trajectory as float64, shape [iteration, camera, 3]."""
     from warpav.core.errors import InputError
 
     path = np.asarray(trajectory_m, dtype=np.float64)
@@ -637,7 +579,6 @@ def label_anchors_m(
     """Anchors of labels so that none overlaps another or leaves the image, as near as possible to what is wanted.
 
     Args:
-        plotter: The plotter, with its view set.
         wanted_m: Where the middles of the labels would like to be [m], shape [label, 3].
         size_px: Width and height of each label [px], shape [label, 2].
         taken_px: Boxes that labels keep clear of: left, upper, right and lower edge [px], shape [box, 4]; None: none.

@@ -21,10 +21,7 @@ def silhouette_m(mesh: Mesh, right: np.ndarray, up: np.ndarray, *, hole_m2: floa
     """What a mesh covers seen from afar, as closed lines around it and around its holes.
 
     Args:
-        mesh: The mesh.
         right: Direction of the picture's first coordinate, unit length, shape [3].
-        up: Of its second, likewise, square to the first.
-        hole_m2: Holes and loose parts that are smaller are left out [m^2].
 
     Returns:
         Lines [m], float64 [point, 2], within two of `STEP_M` of the mesh, the largest first. The first point is not

@@ -40,19 +40,7 @@ def vehicle_plotter(
     """A plotter that shows a vehicle, by default from its front left; not yet shown.
 
     Args:
-        vehicle: In the ego frame; None: only the surface.
-        surface: Its mount surface; the cells that can carry a camera are coloured by height, or by zone. None: none
-            are.
-        axle_m: x of its axles, drawn as lines on the ground [m].
-        title: A line in the upper left corner.
         window_size: Width and height [px].
-        zoom: 1 fills the image with the vehicle, less shows more around it.
-        off_screen: Whether to draw without a window; by default if there is no display.
-        azimuth_rad: Bearing of the viewer from the vehicle, left positive [rad].
-
-    Raises:
-        InputError: Nothing can be drawn on this machine.
-        ValueError: There is neither a vehicle nor a surface.
     """
     if vehicle is None and surface is None:
         raise ValueError("vehicle, surface: expected at least one of them, got neither")
@@ -88,16 +76,8 @@ def vehicle_plotter(
 def zones_image_rgb(vehicle: Mesh, surface: MountSurface, *, title: str) -> np.ndarray:
     """A vehicle with its zones from above, twice: from its front left and from its rear right, so that all are seen.
 
-    Args:
-        vehicle: In the ego frame.
-        surface: Its mount surface, of zones.
-        title: A line in the upper left corner.
-
     Returns:
         uint8, shape [row, column, 3].
-
-    Raises:
-        InputError: Nothing can be drawn on this machine.
     """
     views = []
     for words, azimuth_rad in (

@@ -46,18 +46,7 @@ _SEEN_ALPHA, _SIDE_ALPHA = 71, 15
 def visibility_to_pyvista(
     camera: RigCamera, scene: DeviceScene, *, farthest_m: float = FARTHEST_M, rays: int = RAYS_PX
 ) -> PolyData:
-    """What a camera sees, up to what hides the rest, as ``pyvista.PolyData``.
-
-    Args:
-        camera: The camera.
-        scene: What hides the rest.
-        farthest_m: Where an unobstructed view ends [m], positive.
-        rays: Rays along each side of the image, at least 2; the outermost go through its corners.
-
-    Returns:
-        Triangles in the ego frame, with cell data ``part``: ``seen`` surfaces, ``side`` of the volume (the sides meet
-        in the camera's centre), or ``free``, where nothing hides the rest.
-    """
+    """What a camera sees, up to what hides the rest, as ``pyvista.PolyData``."""
     from warpav.evaluation.coverage import free_shares
 
     model, transform = camera.model, camera.ego_from_camera
@@ -119,16 +108,7 @@ def add_visibility(
     top_m: float = TOP_M,
     name: str = "visibility",
 ) -> None:
-    """Paint what every camera of a rig sees in the camera's colour, with the sides of its view up to there.
-
-    Args:
-        plotter: Where to draw.
-        rig: The cameras.
-        scene: What is seen and hides the rest.
-        farthest_m: Where an unobstructed view ends [m].
-        top_m: What lies higher in the ego frame is not drawn [m].
-        name: First part of the actors' names.
-    """
+    """Paint what every camera of a rig sees in the camera's colour, with the sides of its view up to there."""
     for index, camera in enumerate(rig.cameras):
         add_camera_visibility(plotter, camera, index, scene, farthest_m=farthest_m, top_m=top_m, name=name)
 
@@ -144,18 +124,7 @@ def add_camera_visibility(
     rays: int = RAYS_PX,
     name: str = "visibility",
 ) -> None:
-    """Paint what one camera sees, with the sides of its view up to there.
-
-    Args:
-        plotter: Where to draw.
-        camera: The camera.
-        index: Its number in the rig, which gives its colour.
-        scene: What is seen and hides the rest.
-        farthest_m: Where an unobstructed view ends [m].
-        top_m: What lies higher in the ego frame is not drawn [m].
-        rays: Rays along each side of the image; fewer are faster and coarser.
-        name: First part of the actor's name.
-    """
+    """Paint what one camera sees, with the sides of its view up to there."""
     surface = visibility_to_pyvista(camera, scene, farthest_m=farthest_m, rays=rays)
     height_m = surface.points[surface.regular_faces, 2]
     is_drawn = (surface.cell_data["part"] != "free") & (height_m.min(axis=1) < top_m)
@@ -183,18 +152,7 @@ def add_outcomes(
     name: str = "scene/outcomes",
     legend: bool = True,
 ) -> None:
-    """Add the vehicles of a scene in the colours of what becomes of them, each in a box.
-
-    Args:
-        plotter: Where to draw; the vehicles are not to be drawn by `warpav.view.rig_view.add_scene` as well.
-        scene: The scene.
-        outcomes: Of every vehicle, in order.
-        name: First part of the actors' names.
-        legend: Whether to say which colour means what, and how many vehicles have it.
-
-    Raises:
-        ValueError: There are more or fewer outcomes than vehicles.
-    """
+    """Add the vehicles of a scene in the colours of what becomes of them, each in a box."""
     pyvista = load_pyvista()
     if len(outcomes) != len(scene.vehicles):
         raise ValueError(f"expected an outcome of each of {len(scene.vehicles)} vehicles, got {len(outcomes)}")
@@ -238,21 +196,7 @@ def coverage_to_pyvista(coverage: Coverage) -> PolyData:
 def add_coverage(
     plotter: Plotter, coverage: Coverage, *, height_m: float | None = None, name: str = "coverage", legend: bool = True
 ) -> PolyData:
-    """Add the ground in the colours of how many cameras see somebody there; red is a blind spot.
-
-    Args:
-        plotter: Where to draw.
-        coverage: Which cameras see whom where.
-        height_m: How tall somebody is [m], one of the coverage's heights; None: the first.
-        name: Name of the actor.
-        legend: Whether to say which colour means what.
-
-    Returns:
-        What is drawn; `colour_coverage` changes its colours.
-
-    Raises:
-        ValueError: The coverage has no such height.
-    """
+    """Add the ground in the colours of how many cameras see somebody there; red is a blind spot."""
     height_m = coverage.heights_m[0] if height_m is None else height_m
     if height_m not in coverage.heights_m:
         raise ValueError(f"height_m must be one of {coverage.heights_m}, got {height_m}")
@@ -276,13 +220,7 @@ def patch_words(height_m: float) -> str:
 
 
 def colour_coverage(surface: PolyData, coverage: Coverage, height_m: float) -> None:
-    """Change the colours of ground that is drawn already, to those of another coverage of the same ground.
-
-    Args:
-        surface: What `add_coverage` returned.
-        coverage: Which cameras see whom where.
-        height_m: How tall somebody is [m], one of the coverage's heights.
-    """
+    """Change the colours of ground that is drawn already, to those of another coverage of the same ground."""
     row, column = np.nonzero(coverage.is_open.any(axis=0))
     count = coverage.count[coverage.heights_m.index(height_m), row, column]
     palette = np.array([(*rgb, _COVERAGE_ALPHA) for rgb in COVERAGE_RGB] + [(0, 0, 0, 0)], np.uint8)  # last: nobody
@@ -292,14 +230,7 @@ def colour_coverage(surface: PolyData, coverage: Coverage, height_m: float) -> N
 
 
 def add_legend(plotter: Plotter, labels: dict[str, Rgb], *, name: str = "legend", bottom: float = 0.025) -> None:
-    """Add what colours mean, in the lower left corner; an earlier legend is replaced.
-
-    Args:
-        plotter: Where to draw.
-        labels: Colours by what they mean.
-        name: First part of the actors' names.
-        bottom: Where the lowest line stands, as a share of the window's height.
-    """
+    """Add what colours mean, in the lower left corner; an earlier legend is replaced."""
     for actor in [actor for actor in plotter.actors if actor.startswith(f"{name}/")]:
         plotter.remove_actor(actor)
     size = 10.0 * plotter.window_size[1] / 800.0

@@ -19,12 +19,7 @@ class ArrayFile:
     """An uncompressed ``.npz`` in the making; a context manager. The file appears whole, by `finish`, or not at all."""
 
     def __init__(self, file: Path, arrays: Mapping[str, tuple[tuple[int, ...], np.dtype]]) -> None:
-        """Room for the arrays in temporary files beside ``file``.
-
-        Args:
-            file: The file to be.
-            arrays: Shape and type of every array.
-        """
+        """Room for the arrays in temporary files beside ``file``."""
         self.file = file
         self._arrays = dict(arrays)
         self._parts: dict[str, IO[bytes]] = {}

@@ -32,15 +32,7 @@ SCORED_AT_ONCE = 4  # poses
 
 @dataclass(frozen=True)
 class Timing:
-    """How long something took, and what it held.
-
-    Attributes:
-        times_ms: Wall time of every repeat, from a scene on the device to a result on the device.
-        threads: Threads that worked on it.
-        setup_ms: Packing, uploading, allocating and the first run, without compiling.
-        compile_ms: Compiling or loading the kernels.
-        peak_mib: Most memory so far: of the process on the CPU, of Warp's memory pool on a GPU; None: unknown.
-    """
+    """How long something took, and what it held."""
 
     times_ms: list[float]
     threads: int
@@ -58,24 +50,13 @@ class Bench:
     """A workload on a device, ready to be measured."""
 
     def __init__(self, workload: Workload, scene: Scene, *, device: str = "cpu") -> None:
-        """Nothing is rendered yet.
-
-        Args:
-            workload: The workload.
-            scene: What `pack_workload` made of it, on the device.
-            device: Warp device.
-        """
+        """Nothing is rendered yet."""
         self.workload = workload
         self.scene = scene
         self.device = wp.get_device(device)
 
     def time_silhouettes(self, supersampling: int, *, repeat: int) -> Timing:
-        """Time W1: forward and backward for all cameras of the workload with white weights.
-
-        Args:
-            supersampling: Samples per pixel along each axis.
-            repeat: Measured runs, after one that is not measured.
-        """
+        """Time W1: forward and backward for all cameras of the workload with white weights."""
         compile_ms = self._load_kernels()
         began = time.perf_counter()
         workload = self.workload
@@ -96,9 +77,6 @@ class Bench:
 
     def score_silhouettes(self, supersampling: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Loss and gradient of W1 at every scored pose, each pose alone, for every weight.
-
-        Args:
-            supersampling: Samples per pixel along each axis.
 
         Returns:
             Gradient to x, z [per m] and yaw [per rad], float64 [pose, 3], and loss, float64 [pose], by weight.
@@ -304,7 +282,6 @@ def place_cameras(pose: wp.array, height_m: wp.array) -> tuple[wp.array, wp.arra
 
     Args:
         pose: x, z [m], yaw [rad] of every camera in the workload's world, vec3 [camera].
-        height_m: Height of every camera, float [camera].
 
     Returns:
         Centres in the ego frame [m], vec3 [view], and rotations from ego to camera axes, mat33 [view].

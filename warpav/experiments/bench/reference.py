@@ -16,12 +16,7 @@ from warpav.experiments.bench.workload import ROTATION_COUNT, Truth, Workload
 
 
 def time_embree(workload: Workload, *, repeat: int) -> dict[str, list[float]]:
-    """Wall times of every repeat [ms], by item.
-
-    Args:
-        workload: The workload.
-        repeat: Measured runs over all views, after one that is not measured.
-    """
+    """Wall times of every repeat [ms], by item."""
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 

@@ -58,25 +58,7 @@ def run_bench(
     with_sweep: bool,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Measure, print the tables, write the files, and return what the JSON file holds.
-
-    Args:
-        workload_file: Workload of format 1; None: the embedded one, with its truth.
-        truth_file: Truth of the workload; None: nothing is scored, unless the workload is embedded.
-        lens: What the cameras look through, one of `LENSES`. Others than a pinhole keep the poses and have fields of
-            view of their own; embree is then the truth of W2, and W1 has none.
-        device: Warp device.
-        items: Items to measure, separated by commas.
-        supersampling: Samples per pixel along each axis for W1; W2 and W3 have one, at the pixel's centre.
-        repeat: Measured runs of every item, at least 1.
-        json_file: Where to write the results; W2's and W3's arrays go beside it. None: nowhere.
-        with_embree: Whether to measure embree too; None: on the CPU, unless the workload is very large.
-        with_sweep: Whether to measure W1 with every supersampling as well.
-        progress: Shows what is going on, and the tables.
-
-    Raises:
-        InputError: A file or an option cannot be used.
-    """
+    """Measure, print the tables, write the files, and return what the JSON file holds."""
     wanted = _checked_items(items)
     if repeat < 1:
         raise ArgumentError("repeat", f"expected at least 1, got {repeat}")

@@ -19,12 +19,6 @@ def gradient_scores(
 
     Args:
         gradient: To x, z, yaw at every pose, [pose, 3], by weight.
-        truth: What they should be.
-
-    Returns:
-        For every weight and for (x, z) and (x, z, yaw): over the poses whose truth is not zero, median and least
-        cosine, and median, 90th percentile and largest relative error; and the relative error over all poses together.
-        None where no pose has a truth.
     """
     result: dict[str, dict[str, dict[str, float | None]]] = {}
     for name in WEIGHT_NAMES:
@@ -62,7 +56,6 @@ class ImageScores:
         """Compare consecutive views.
 
         Args:
-            first_view: The first one.
             object_index: Objects, -1 where none is, integers [view, row, column].
             depth_m: Depths [m], [view, row, column].
         """

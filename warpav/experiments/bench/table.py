@@ -18,12 +18,7 @@ ELSEWHERE = "measured elsewhere"
 
 
 def bench_table(content: Mapping[str, Any], *, with_peers: bool) -> TerminalTable:
-    """One row for this run's figure of every item, and below it what to compare it with.
-
-    Args:
-        content: What the JSON file holds.
-        with_peers: Whether other renderers' figures belong to this workload.
-    """
+    """One row for this run's figure of every item, and below it what to compare it with."""
     work, device = content["workload"], content["device"]
     table = TerminalTable(
         f"{work['file']}: {work['faces']} triangles, {work['views']} views of {work['res']} x {work['res']} px, "

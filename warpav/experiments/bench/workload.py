@@ -51,25 +51,13 @@ class Workload:
     """A workload of format 1.
 
     Attributes:
-        name: The file's name.
         vertex_m: Vertices of all objects in the workload's world [m], float32 [vertex, 3].
         triangle: Vertex indices of all objects, one behind the other, int32 [triangle, 3].
         vertex_rgb: Colour of every vertex, 0..1, float32 [vertex, 3].
-        triangle_count: Triangles of every object, int64 [object].
-        vertex_end: End of every object's vertices, int64 [object].
-        vehicle_count: So many of the first objects are vehicles.
-        vehicle_weight: Weight of every vehicle in the loss, float64 [vehicle].
         pose: x, z [m], yaw [rad] of every camera, float64 [camera, 3].
-        height_m: Height of every camera, float64 [camera].
-        fov_deg: Field of view of every camera along both axes, float64 [camera].
-        near_m: Near plane of every camera, float64 [camera].
-        size_px: Rows and columns of an image.
-        is_visible: Whether the loss counts what is visible of a vehicle; else the vehicle alone.
         weight: Weight of every pixel, float32 [row, column], by the names in `WEIGHT_NAMES`.
         scored_pose: Poses at which the gradient is scored, float64 [pose, 3]; pose i takes the height, lens and near
             plane of camera i mod C.
-        seed: Seed it was made from; -1 where the file has none.
-        lens: Through what the cameras look, one of `LENSES`.
     """
 
     name: str
@@ -135,11 +123,8 @@ class Truth:
     """What a workload's results should be.
 
     Attributes:
-        name: The file's name.
         gradient: Of the loss at every scored pose to x, z [per m], yaw [per rad], float64 [pose, 3], by weight; empty
             where it is not known.
-        check_gradient: The same from a coarser computation: a scale for the truth's own error.
-        object_view: Views whose objects and depths are known, int64 [n].
         object_index: Object at every pixel's centre, -1 where none is, integers [n, row, column].
         depth_m: Depth there, as the lens has it, float32 [n, row, column].
     """
@@ -165,11 +150,7 @@ def embedded_truth(workload: Workload) -> Truth:
 
 
 def read_workload(file: Path) -> Workload:
-    """Read a workload of format 1 and check it.
-
-    Raises:
-        InputError: It is no such file, or an array is missing, has another shape, or holds what cannot be rendered.
-    """
+    """Read a workload of format 1 and check it."""
     fields = _Fields(file)
     if int(fields.integers("format", ())) != FORMAT:
         raise fields.error("format", f"expected {FORMAT}", fields.raw("format"))
@@ -230,11 +211,7 @@ def read_workload(file: Path) -> Workload:
 
 
 def read_truth(file: Path, workload: Workload) -> Truth:
-    """Read the truth of a workload and check that it is one.
-
-    Raises:
-        InputError: It is no such file, or it belongs to another workload.
-    """
+    """Read the truth of a workload and check that it is one."""
     fields = _Fields(file)
     pose_count = len(workload.scored_pose)
     names = [str(name) for name in fields.raw("weights").ravel()]

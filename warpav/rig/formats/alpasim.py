@@ -242,10 +242,6 @@ def _fitted_fisheye(angle: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, 
     Args:
         angle: Angles from the optical axis [rad], increasing from 0, shape [sample].
         radius: Radii of the image there, shape [sample].
-
-    Returns:
-        Coefficients of the angle's powers 1, 3, 5, 7 and 9; and how far they are off at most, both in units of the
-        radius.
     """
     share = angle / angle[-1]
     basis = share[:, None] ** _POWERS

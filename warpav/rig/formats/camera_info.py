@@ -32,17 +32,7 @@ _MODELS = {
 
 
 def read_camera_infos(path: Path) -> dict[str, Optics]:
-    """The optics in a camera_info file or in all those of a folder.
-
-    Args:
-        path: A file; or a folder with ``NAME.yaml`` or ``NAME/camera_info.yaml`` for every camera.
-
-    Returns:
-        Optics by the name of the camera: the file's, or its folder's if it is called camera_info, and ``camera_name``.
-
-    Raises:
-        InputError: A file cannot be used, or there is none.
-    """
+    """The optics in a camera_info file or in all those of a folder."""
     files = [path]
     if path.is_dir():
         files = sorted(file for end in ("yaml", "yml") for file in (*path.glob(f"*.{end}"), *path.glob(f"*/*.{end}")))
@@ -74,11 +64,7 @@ def optics_of_info(record: Record) -> Optics:
 
 
 def camera_info_text(camera: PlacedCamera, losses: Losses) -> str:
-    """The file of one camera.
-
-    Raises:
-        InputError: ROS has no model for its lens.
-    """
+    """The file of one camera."""
     model = camera.model
     if model.lens not in (Lens.PINHOLE, Lens.BROWN_CONRADY, Lens.FISHEYE):
         raise losses.unsupported(camera.name, f"a {model.lens} lens")

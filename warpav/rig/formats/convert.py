@@ -53,18 +53,7 @@ _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 
 @dataclass(frozen=True)
 class ImportOptions:
-    """Information that a file lacks.
-
-    Attributes:
-        origin_m: Where its origin lies in the ego frame [m]; None: where the ego frame's does.
-        origin_rpy_deg: Roll, pitch and yaw of its axes in the ego frame [deg], about fixed axes.
-        width_px: Image width [px] of cameras without one.
-        height_px: Image height [px] of cameras without one.
-        fov_deg: Horizontal field of view [deg] of cameras without a lens.
-        intrinsics: camera_info YAML, or a folder of such: it replaces the file's values of those cameras.
-        part: Which of several rigs in the file.
-        accept_mirrored: Accept cameras whose name contradicts their side or direction.
-    """
+    """Information that a file lacks."""
 
     origin_m: tuple[float, float, float] | None = None
     origin_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -77,11 +66,7 @@ class ImportOptions:
 
 
 def find_format(name: str) -> RigFormat:
-    """The format of a name.
-
-    Raises:
-        InputError: There is none, or the name leaves CARLA's dialect open.
-    """
+    """The format of a name."""
     plain = name.strip().lower().replace("_", "-")
     plain = _OTHER_NAMES.get(plain, plain)
     if plain == "carla":
@@ -144,19 +129,7 @@ def import_rig(
 def import_rig_with_notes(
     path: str | Path, format_name: str, options: ImportOptions | None = None
 ) -> tuple[Rig, list[str]]:
-    """The rig in another tool's file.
-
-    Args:
-        path: File or folder.
-        format_name: One of `FORMAT_NAMES`.
-        options: Information that the file lacks.
-
-    Returns:
-        The rig in the ego frame; and notes for the user: the assumed frame and other assumptions.
-
-    Raises:
-        InputError: The file cannot be used; one line with file and field.
-    """
+    """The rig in another tool's file."""
     options = options or ImportOptions()
     file = Path(path).expanduser()
     form = find_format(format_name)
@@ -246,23 +219,7 @@ def export_rig_with_notes(
     approximate: bool = False,
     overwrite: bool = False,
 ) -> tuple[list[Path], list[str]]:
-    """Write a rig for another tool.
-
-    Args:
-        rig: The cameras.
-        format_name: One of `FORMAT_NAMES`.
-        target: File or folder, as the format has it; folders are made.
-        origin_m: Where the file's origin lies in the ego frame [m]; None: where the ego frame's does.
-        origin_rpy_deg: Roll, pitch and yaw of its axes in the ego frame [deg], about fixed axes.
-        approximate: Drop what the format cannot represent instead of raising an error.
-        overwrite: Replace existing files.
-
-    Returns:
-        The files, and notes for the user.
-
-    Raises:
-        InputError: The format cannot represent the rig, a file exists already, or cannot be written.
-    """
+    """Write a rig for another tool."""
     form = find_format(format_name)
     losses = Losses(form.name, approximate)
     files = content_of(rig, form, Path(target).expanduser(), losses, origin_m=origin_m, origin_rpy_deg=origin_rpy_deg)
@@ -274,11 +231,7 @@ def export_rig_with_notes(
 
 
 def check_target(file: Path, *, overwrite: bool) -> None:
-    """Check that a file can be written.
-
-    Raises:
-        InputError: It is a folder, exists already and may not be replaced, or one of its parents is a file.
-    """
+    """Check that a file can be written."""
     if file.is_dir():
         raise InputError(f"{file}: expected a file to write, got a folder; name a file in it")
     if file.exists() and not overwrite:
@@ -297,11 +250,7 @@ def content_of(
     origin_m: tuple[float, float, float] | None = None,
     origin_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> dict[Path, bytes]:
-    """The files that hold a rig, unwritten.
-
-    Raises:
-        InputError: The format cannot represent it.
-    """
+    """The files that hold a rig, unwritten."""
     if form.write is None:
         names = ", ".join(name for name in FORMAT_NAMES if find_format(name).write is not None)
         raise ArgumentError("format_name", f"expected one of {names}; {form.name} is for import only")
@@ -326,11 +275,7 @@ def formats_for(rig: Rig) -> tuple[list[str], dict[str, str]]:
 
 
 def placement(origin_m: tuple[float, float, float] | None, origin_rpy_deg: tuple[float, float, float]) -> np.ndarray:
-    """The transform from a file's coordinates to the ego frame, [4, 4].
-
-    Raises:
-        InputError: A number is not finite.
-    """
+    """The transform from a file's coordinates to the ego frame, [4, 4]."""
     for name, numbers in (("origin_m", origin_m or ()), ("origin_rpy_deg", origin_rpy_deg)):
         if not all(map(math.isfinite, numbers)):
             raise ArgumentError(name, f"expected three finite numbers, got {numbers}")

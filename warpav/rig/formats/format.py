@@ -29,17 +29,7 @@ _SAME_EXACTLY = 1e-9
 
 @dataclass(frozen=True)
 class Optics:
-    """Image size and lens of a camera as stated in a file; None where not stated.
-
-    Attributes:
-        width_px: Image width [px].
-        height_px: Image height [px].
-        fov_rad: Horizontal field of view [rad] of a lens with square pixels around the centre of the image.
-        focal_px: Or else focal lengths (fx, fy) [px].
-        centre_px: With them, the principal point from the image's upper left corner [px].
-        lens: The lens.
-        distortion: Its coefficients in OpenCV's order.
-    """
+    """Image size and lens of a camera as stated in a file; None where not stated."""
 
     width_px: int | None = None
     height_px: int | None = None
@@ -53,9 +43,6 @@ class Optics:
         """The camera model; the size and the lens must be there.
 
         A lens with square pixels around the middle is given by its field of view, which is how people write it.
-
-        Raises:
-            InputError: The parameters are invalid; the text begins with ``location``.
         """
         assert self.width_px is not None
         assert self.height_px is not None
@@ -88,10 +75,8 @@ class FoundCamera:
     """A camera in a file.
 
     Attributes:
-        name: As the file calls it.
         file_from_camera: From camera coordinates (x right, y down, z forward) to the file's frame, made right-handed
             with x forward, y left, z up [m], shape [4, 4].
-        optics: Image size and lens stated in the file; None: not stated.
     """
 
     name: str
@@ -101,12 +86,7 @@ class FoundCamera:
 
 @dataclass(frozen=True)
 class Found:
-    """What a reader found.
-
-    Attributes:
-        cameras: At least one.
-        notes: What the user should know of the reading, one sentence each.
-    """
+    """What a reader found."""
 
     cameras: tuple[FoundCamera, ...]
     notes: tuple[str, ...] = ()
@@ -114,13 +94,7 @@ class Found:
 
 @dataclass(frozen=True)
 class PlacedCamera:
-    """A camera for a writer.
-
-    Attributes:
-        name: Its name in the rig.
-        file_from_camera: As in `FoundCamera`.
-        model: Image size and lens.
-    """
+    """A camera for a writer."""
 
     name: str
     file_from_camera: np.ndarray
@@ -129,24 +103,14 @@ class PlacedCamera:
 
 @dataclass
 class Losses:
-    """Properties of a rig that a format cannot represent: an error, unless the user allows dropping them.
-
-    Attributes:
-        format_name: The format.
-        are_allowed: Whether properties may be dropped.
-        notes: What was dropped, one sentence per camera and property.
-    """
+    """Properties of a rig that a format cannot represent: an error, unless the user allows dropping them."""
 
     format_name: str
     are_allowed: bool = False
     notes: list[str] = field(default_factory=list)
 
     def leave_out(self, camera_name: str, thing: str) -> None:
-        """Drop a property.
-
-        Raises:
-            InputError: Dropping is not allowed.
-        """
+        """Drop a property."""
         if not self.are_allowed:
             raise InputError(
                 f"camera {camera_name!r}: {self.format_name} cannot represent {thing}; `approximate` drops it"
@@ -167,18 +131,7 @@ Writer = Callable[[Sequence[PlacedCamera], Path, Losses], dict[Path, bytes]]
 
 @dataclass(frozen=True)
 class RigFormat:
-    """A format of rig files.
-
-    Attributes:
-        name: As the user names it.
-        frame: Axes, handedness and units, in words.
-        origin: Origin of the frame, in words.
-        is_ego_origin: Whether it is warpav's: on the ground below the centre of the rear axle.
-        read: None where the format cannot be imported.
-        write: None where it cannot be exported.
-        parts: What `--part` picks of a file that holds several rigs; None: nothing.
-        mirrored_hint: What to try when left and right seem swapped.
-    """
+    """A format of rig files."""
 
     name: str
     frame: str
@@ -220,11 +173,7 @@ def file_in(path: Path, name: str) -> Path:
 
 
 def file_for_each(cameras: Sequence[PlacedCamera], target: Path, suffixes: Sequence[str]) -> list[Path]:
-    """The file of every camera: in the folder ``target``, or ``target`` itself if there is only one camera.
-
-    Raises:
-        InputError: The target is one file, but there are several cameras.
-    """
+    """The file of every camera: in the folder ``target``, or ``target`` itself if there is only one camera."""
     if target.suffix.lower() in suffixes and not target.is_dir():
         if len(cameras) > 1:
             raise InputError(f"{target}: expected a folder for the files of {len(cameras)} cameras, got a file's name")
@@ -253,11 +202,7 @@ def optics_of_matrix(
     width_px: int | None = None,
     height_px: int | None = None,
 ) -> Optics:
-    """The optics of a 3 x 3 camera matrix as other tools write it.
-
-    Raises:
-        InputError: It is none, or has skew.
-    """
+    """The optics of a 3 x 3 camera matrix as other tools write it."""
     (fx, skew, cx), (zero, fy, cy), last = matrix.matrix(3, 3)
     if abs(skew) > 1e-6 * abs(fx) or zero != 0.0 or last != [0.0, 0.0, 1.0]:
         raise matrix.error("a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] without skew")
@@ -274,16 +219,7 @@ def optics_of_matrix(
 
 
 def pinhole_of(camera: PlacedCamera, losses: Losses, *, is_centred: bool = False) -> CameraModel:
-    """The pinhole of a camera, for formats that hold nothing else.
-
-    Args:
-        camera: A camera of the rig.
-        losses: What may be left out.
-        is_centred: Whether the format knows only a field of view: square pixels around the centre of the image.
-
-    Raises:
-        InputError: The camera is something else, and that may not be left out.
-    """
+    """The pinhole of a camera, for formats that hold nothing else."""
     model = camera.model
     if model.lens not in (Lens.PINHOLE, Lens.BROWN_CONRADY):
         raise losses.unsupported(camera.name, f"a {model.lens} lens")

@@ -18,11 +18,7 @@ _ROTATION_TOLERANCE = 1e-3  # files round to four decimals
 
 
 class Record:
-    """A value, and where it stands.
-
-    Attributes:
-        value: Plain data: mapping, list, text, number, or None where the file has nothing.
-    """
+    """A value, and where it stands."""
 
     def __init__(
         self,
@@ -154,10 +150,6 @@ def rigid_transform(rotation: np.ndarray, position_m: np.ndarray | Sequence[floa
     Args:
         rotation: Shape [3, 3]; what rounding has left of it, it is made orthonormal.
         position_m: Shape [3].
-        record: Where it stands.
-
-    Raises:
-        InputError: It is no rotation, or one with a mirror.
     """
     rotation = np.asarray(rotation, dtype=np.float64)
     error = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
@@ -173,25 +165,12 @@ def rigid_transform(rotation: np.ndarray, position_m: np.ndarray | Sequence[floa
 
 
 def read_json_record(file: Path, kind: str, *, nodes_max: int = NODES_MAX) -> Record:
-    """The data of a JSON file.
-
-    Args:
-        file: The file.
-        kind: What it should be, for messages.
-        nodes_max: How many values it may hold.
-
-    Raises:
-        InputError: It cannot be read.
-    """
+    """The data of a JSON file."""
     return Record(file, read_json(file, kind, nodes_max=nodes_max))
 
 
 def read_yaml_record(file: Path) -> Record:
-    """The data of a YAML file, with lines.
-
-    Raises:
-        InputError: It cannot be read.
-    """
+    """The data of a YAML file, with lines."""
     data, line_of = read_yaml(file)
     return Record(file, data, (), line_of)
 

@@ -145,11 +145,7 @@ class _Tree:
             link = joint.parent
 
     def base_from(self, link: str) -> np.ndarray:
-        """Coordinates of a link brought to the base, [4, 4].
-
-        Raises:
-            InputError: No joints lead there, a circle does, or a joint between them moves.
-        """
+        """Coordinates of a link brought to the base, [4, 4]."""
         climbed: dict[str, None] = {}
         at = link
         while at not in self._place:

@@ -43,24 +43,12 @@ def preset_rig(name: str) -> Rig:
 
 
 def preset_on_vehicle(name: str, vehicle: Mesh) -> MovedRig:
-    """The shipped rig of this name on another vehicle, as its makers put it on theirs; see `put_on_body`.
-
-    Args:
-        name: One of :func:`preset_names`.
-        vehicle: The vehicle that carries it, in the ego frame.
-
-    Raises:
-        InputError: There is no such rig.
-    """
+    """The shipped rig of this name on another vehicle, as its makers put it on theirs; see `put_on_body`."""
     return put_on_body(preset_rig(name), vehicle, made_for=_BODIES.get(name))
 
 
 def preset_file(name: str) -> Path:
-    """The file of the shipped rig of this name.
-
-    Raises:
-        InputError: There is no such rig.
-    """
+    """The file of the shipped rig of this name."""
     names = preset_names()
     if name not in names:
         near = difflib.get_close_matches(name, names, 1, 0.5)
@@ -71,13 +59,7 @@ def preset_file(name: str) -> Path:
 
 @dataclass(frozen=True)
 class PresetAbout:
-    """Information in the comment at the top of a preset file.
-
-    Attributes:
-        title: Which vehicle.
-        source: Where the numbers come from.
-        licence: Under which they stand.
-    """
+    """Information in the comment at the top of a preset file."""
 
     title: str
     source: str

@@ -35,11 +35,7 @@ _ALIGN = {"left": "MIDDLE_LEFT", "middle": "MIDDLE_CENTER", "right": "MIDDLE_RIG
 
 
 def load_ezdxf(place: Path) -> Any:  # noqa: ANN401 (a module)
-    """The module ezdxf, to write this file.
-
-    Raises:
-        InputError: It is not installed.
-    """
+    """The module ezdxf, to write this file."""
     return optional_module("ezdxf", purpose=f"{place}: a drawing as DXF", extra="cad")
 
 
@@ -57,13 +53,6 @@ def drawing_dxf(drawing: Sheet, *, place: Path) -> bytes:
 
     Model space is in millimetres at 1 : 1. Its origin is the datum of the view from the left, where x of the ego frame
     runs to the left and z upwards; the other views, the frame and the table lie around it as on the page.
-
-    Args:
-        drawing: What is drawn.
-        place: What messages call the file.
-
-    Raises:
-        InputError: ezdxf is not installed.
     """
     ezdxf = load_ezdxf(place)
     with _fixed_metadata(ezdxf):

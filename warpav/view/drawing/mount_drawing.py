@@ -83,13 +83,7 @@ _NOTE_HOUSINGS = " Dashed boxes: housings."
 
 @dataclass(eq=False, kw_only=True)
 class MountDrawing(Sheet):
-    """A composed drawing, with what its table and its model are made of.
-
-    Attributes:
-        title: Name of the rig.
-        ego: The vehicle, if there is one.
-        modules: Camera modules by name, for housings.
-    """
+    """A composed drawing, with what its table and its model are made of."""
 
     title: str
     ego: Mesh | None
@@ -131,20 +125,7 @@ class MountDrawing(Sheet):
             return page.figure
 
     def save(self, path: Path | str) -> list[Path]:
-        """Write the drawing, its table or its model; the same drawing gives the same bytes.
-
-        Args:
-            path: A file that ends as one of `SUFFIXES`: PDF, SVG or PNG (A3), DXF in millimetres at 1 : 1 (needs the
-                extra ``cad``), CSV with the numbers of every camera (`mount_csv`), or GLB with vehicle, housings and
-                frustums (`mount_glb`). Else a folder, which takes ``mounts.pdf``, ``mounts.csv``, ``mounts.glb`` and,
-                where ezdxf is installed, ``mounts.dxf``. Missing folders are made.
-
-        Returns:
-            The files.
-
-        Raises:
-            InputError: Another suffix, a file that cannot be written, or ezdxf is missing.
-        """
+        """Write the drawing, its table or its model; the same drawing gives the same bytes."""
         path = Path(path)
         check_out(path)
         if not path.suffix or path.is_dir():
@@ -162,11 +143,7 @@ class MountDrawing(Sheet):
 
 
 def check_out(path: Path) -> None:
-    """Check that a drawing can be written as this file, or into this folder.
-
-    Raises:
-        InputError: It ends otherwise than `SUFFIXES` do, or needs ezdxf, which is missing.
-    """
+    """Check that a drawing can be written as this file, or into this folder."""
     is_folder = not path.suffix or path.is_dir()
     if not is_folder and path.suffix.lower() not in SUFFIXES:
         expected = f"a folder or a name that ends in {', '.join(SUFFIXES)}"
@@ -189,19 +166,6 @@ def mount_drawing(
     the place and optical axis of every camera, housings of modules, and coordinates from the datums: A is the ground,
     B the rear axle, C the plane of symmetry. A table has all numbers, a block the title, vehicle, date and scale. The
     date is today's, or that of the environment variable ``SOURCE_DATE_EPOCH``, so that a drawing can be made again.
-
-    Args:
-        rig: The cameras.
-        ego: The vehicle, in the ego frame; None: none is drawn.
-        title: Name of the rig.
-        vehicle: Name of the vehicle.
-        modules: Camera modules by name, for housings; None: the shipped ones.
-
-    Returns:
-        The drawing: `MountDrawing.save` writes it.
-
-    Raises:
-        InputError: ``SOURCE_DATE_EPOCH`` is no time.
     """
     found = mounts(rig, ego)
     point_m = np.array([camera.position_m for camera in rig.cameras] + [[0.0, 0.0, 0.0]])

@@ -38,11 +38,6 @@ def mount_glb(mounts: Sequence[Mount], ego: Mesh | None, modules: Mapping[str, M
 
     Vertices are in the ego frame [m] below one node that turns it into glTF's axes, as in scene files. Extras of a
     frustum hold the numbers of its camera. The same input gives the same bytes.
-
-    Args:
-        mounts: The cameras.
-        ego: The vehicle; None: there is none.
-        modules: The catalogue that has the housings, by name.
     """
     import trimesh
 

@@ -21,8 +21,6 @@ class Mount:
     """How a camera is mounted.
 
     Attributes:
-        camera: The camera.
-        stand_off_m: From the nearest point of the vehicle to the optical centre [m]; None: there is no vehicle.
         normal: Unit normal of the vehicle there, on the side of the camera, ego frame, float64 [3]; None: likewise.
     """
 
@@ -32,12 +30,7 @@ class Mount:
 
 
 def mounts(rig: Rig, ego: Mesh | None) -> tuple[Mount, ...]:
-    """How every camera of a rig is mounted on a vehicle.
-
-    Args:
-        rig: The cameras.
-        ego: The vehicle, in the ego frame; None: stand-offs and normals stay unknown.
-    """
+    """How every camera of a rig is mounted on a vehicle."""
     if ego is None:
         return tuple(Mount(camera) for camera in rig.cameras)
     import trimesh

@@ -19,15 +19,7 @@ MARK_MM = 1.0
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A view of the vehicle on the page.
-
-    Attributes:
-        name: ``left``, ``front`` or ``top``: from where one looks.
-        right: Direction to the right of the page in the ego frame, unit length.
-        up: Direction upwards, likewise.
-        datum_mm: Where the ego frame's origin is on the page.
-        scale: 20 stands for 1 : 20.
-    """
+    """A view of the vehicle on the page."""
 
     name: str
     right: np.ndarray
@@ -86,17 +78,7 @@ class Mark:
 
 @dataclass(eq=False, kw_only=True)
 class Sheet:
-    """What is on a sheet.
-
-    Attributes:
-        scale: 20 stands for 1 : 20.
-        views: Seen from the left, from the front and from the top, in first-angle projection.
-        mounts: The cameras and how they are mounted.
-        strokes: Lines of the drawing.
-        notes: Its texts.
-        ordinates: Its dimensions.
-        marks: Its cameras.
-    """
+    """What is on a sheet."""
 
     scale: float
     views: tuple[View, ...]

@@ -44,14 +44,6 @@ def stages(capture: Capture, path: Path | str, *, settings: ReconstructionSettin
     """Figure 5: the stages from images to meshes, from behind the ego vehicle, with the thesis's numbers 4 to 9.
 
     Its stages 1 to 3 happen inside a simulator: a capture does not know them.
-
-    Args:
-        capture: What was recorded.
-        path: PNG file to write.
-        settings: How it becomes a scene; None: the defaults.
-
-    Raises:
-        InputError: The capture cannot be used, or this machine cannot draw.
     """
     settings = settings or ReconstructionSettings()
     capture = dataclasses.replace(capture, images=list(capture.images))
@@ -113,16 +105,7 @@ def stages(capture: Capture, path: Path | str, *, settings: ReconstructionSettin
 
 
 def sphere(capture: Capture, path: Path | str, *, settings: CloudSettings | None = None) -> Path:
-    """Figure 6: the point cloud from above, without and with the sphere.
-
-    Args:
-        capture: What was recorded.
-        path: PNG file to write.
-        settings: Its radius; None: the defaults.
-
-    Raises:
-        InputError: The capture cannot be used, or this machine cannot draw.
-    """
+    """Figure 6: the point cloud from above, without and with the sphere."""
     settings = settings or CloudSettings()
     whole = dataclasses.replace(settings, radius_m=math.inf, max_height_m=math.inf)
     clouds = fuse(capture, list(capture.images), whole)
@@ -159,17 +142,7 @@ def sphere(capture: Capture, path: Path | str, *, settings: CloudSettings | None
 
 @dataclass(frozen=True, eq=False)
 class WindowClouds:
-    """What the rule of the 3D boxes does to points that were seen through window panes.
-
-    Attributes:
-        shown: Points of each vehicle by the instance images, in the order of the capture.
-        boxed: Of these, those inside its box.
-        outside: Of these, those of its outside: what becomes the vehicle.
-        around: Points of the environment's pixels, one in each cell of the environment's grid.
-        lost: Points of the environment's pixels that lie inside a box.
-        gained: Points of vehicles' pixels that become the environment.
-        environment: What becomes the environment.
-    """
+    """What the rule of the 3D boxes does to points that were seen through window panes."""
 
     shown: tuple[PointCloud, ...]
     boxed: tuple[PointCloud, ...]
@@ -181,12 +154,7 @@ class WindowClouds:
 
 
 def window_clouds(capture: Capture, settings: CloudSettings) -> WindowClouds:
-    """The points of a capture before and after the rule of the 3D boxes.
-
-    Args:
-        capture: What was recorded.
-        settings: The box's margin, and what is kept at all.
-    """
+    """The points of a capture before and after the rule of the 3D boxes."""
     images = list(capture.images)
     boxes = {EGO_INSTANCE: capture.ego_box, **{one.instance_id: one.box for one in capture.vehicles}}
     shown: dict[int, list[PointCloud]] = {one: [] for one in boxes}
@@ -225,15 +193,6 @@ def window_filter(
     """Figure 7: the rule of the 3D boxes for points that were seen through window panes, in both directions.
 
     Above, all vehicles without and with it; in the middle, one of them; below, the environment.
-
-    Args:
-        capture: What was recorded.
-        path: PNG file to write.
-        instance_id: The vehicle in the middle; None: the one through whose panes most was seen nearby.
-        settings: The box's margin; None: the defaults.
-
-    Raises:
-        InputError: There is no such vehicle, or this machine cannot draw.
     """
     settings = settings or CloudSettings()
     known = [vehicle.instance_id for vehicle in capture.vehicles]

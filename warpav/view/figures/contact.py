@@ -21,15 +21,6 @@ def contact_figure(rig: Rig, scene: Scene, *, heading: str | None = None, supers
 
     Below each stand its yaw, pitch and horizontal field of view [degrees], its size [px] and the share of its pixels
     that show the own vehicle, which is rendered alone for that.
-
-    Args:
-        rig: Cameras of any lens and image size.
-        scene: Street, traffic and the vehicle that carries the rig.
-        heading: Above the figure; None: none.
-        supersampling: Samples per pixel along each axis.
-
-    Returns:
-        A ``matplotlib.figure.Figure``.
     """
     images = render(rig, scene, supersampling=supersampling)
     share = body_shares(rig, DeviceScene.pack(scene))

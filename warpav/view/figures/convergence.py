@@ -20,17 +20,6 @@ def loss_figure(records: Sequence[Mapping[str, Any]], *, min_distance_m: float |
 
     Of inequalities, whose terms are negative where there is room to spare, those that were broken are drawn, and by how
     much. Panels that would say nothing are left out, see `convergence_panels`.
-
-    Args:
-        records: The lines of ``events.jsonl``, in order: ``iteration``, ``loss``, ``terms``, ``multipliers``,
-            ``positions_m``.
-        min_distance_m: The distance that the cameras must keep [m]; drawn as a limit when given.
-
-    Returns:
-        A ``matplotlib.figure.Figure``.
-
-    Raises:
-        InputError: No records, or one without these keys.
     """
     if not records:
         raise InputError("run: expected an iteration to draw, got none; run at least one")
@@ -71,13 +60,6 @@ def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] 
     """What draws the best rig and the bound of a search by a pool over its camera renders.
 
     Bands say what the renders were spent on. A start that is far above all that follows is written at the upper edge.
-
-    Args:
-        records: The lines of ``events.jsonl``, in order: ``stage``, ``training_objective``, ``bound``,
-            ``camera_renders``.
-
-    Returns:
-        What draws into an axis; None for a descent, and where no rig was selected.
     """
     keys = ("stage", "training_objective", "camera_renders")
     shown = [record for record in records if all(record.get(key) is not None for key in keys)]
@@ -269,14 +251,7 @@ def objective_over_renders(
     level: Mapping[str, float],
     title: str,
 ) -> Path:
-    """Draw the best objective so far over camera renders: median and range over the runs of every search.
-
-    Args:
-        curves: By search and run: camera renders, ascending, and the best objective so far, None before the first.
-        path: PNG file to write.
-        level: Objectives of rigs that took no search, by name.
-        title: A short line above.
-    """
+    """Draw the best objective so far over camera renders: median and range over the runs of every search."""
     from matplotlib.ticker import LogLocator
 
     with figure_style():

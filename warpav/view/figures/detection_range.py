@@ -51,15 +51,6 @@ def range_figure(
     `warpav.evaluation.detection_range`. Lines end where the image becomes smaller than the model speaks for
     (`DetectionRange.limit_m`) and have ticks outwards there: the road user is found up to there, and nothing is known
     of what is farther. The model knows neither haze nor blur: it says what the detector makes of so many clean pixels.
-
-    Args:
-        rigs: By name, at least one; of one, every class has a line; of several, every class has a panel.
-        ego: The vehicle.
-        probability: Gives the model for a camera; None: that of the detector which ships with warpav, for any camera.
-        heading: Above the figure; None: none.
-
-    Returns:
-        A ``matplotlib.figure.Figure``.
     """
     from matplotlib.lines import Line2D
 

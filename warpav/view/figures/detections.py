@@ -22,7 +22,6 @@ class DetectionPanel:
     """One camera image with what is there and what was found.
 
     Attributes:
-        title: A short line above the image.
         image_rgb: The image, uint8, shape [row, column, 3].
         truth_box_px: Ground-truth boxes (x0, y0, x1, y1) [px], shape [vehicle, 4]; NaN where a vehicle has none.
         detection_box_px: Detected boxes [px], shape [detection, 4].
@@ -40,13 +39,6 @@ def detections_sheet(rows: Mapping[str, Sequence[DetectionPanel]], path: Path | 
     """Draw camera images in a grid with what was there, what was found and what was not.
 
     Ground truth is thin white, true positives green, false positives red, misses dashed orange.
-
-    Args:
-        rows: The images of each row by the row's heading, for example ``start`` and ``after 100 iterations``.
-        path: PNG file to write.
-
-    Raises:
-        InputError: There is no image.
     """
     column_count = max((len(panels) for panels in rows.values()), default=0)
     if column_count == 0:

@@ -45,14 +45,6 @@ def draw_surroundings(
     """Prepare a panel from above, x upwards and y to the left: the vehicle, its cameras, rings, an arrow to the front.
 
     What is drawn into it is drawn at (y, x).
-
-    Args:
-        axis: An empty panel.
-        ego: The vehicle.
-        rig: Its cameras.
-        reach_m: How far the panel reaches from the middle of the vehicle, in all four directions [m].
-        ring_m: Radii of the rings around it [m]; None: round ones.
-        camera_size: Of the marks of cameras [pt]; 0: none.
     """
     from matplotlib.patches import Circle, PathPatch
     from matplotlib.path import Path
@@ -102,18 +94,7 @@ def draw_surroundings(
 def panels_with_key(
     count: int, columns: int, *, panel_inch: float, key_lines: int, projection: str | None = None
 ) -> tuple[Any, list[Any], Any]:
-    """A figure with rows of square panels above a key.
-
-    Args:
-        count: Number of panels.
-        columns: How many stand in a row.
-        panel_inch: Height of a row of panels [inch].
-        key_lines: Lines of the key.
-        projection: Of the panels, as matplotlib names it; None: rectangular.
-
-    Returns:
-        The figure, its panels in order, and the panel of the key.
-    """
+    """A figure with rows of square panels above a key."""
     rows = -(-count // columns)
     key_inch = KEY_LINE_INCH * key_lines + 0.05
     figure = new_figure(WIDTH_INCH, panel_inch * rows + key_inch + 0.3)
@@ -129,14 +110,7 @@ def write_key(
     columns: Sequence[int] | None = None,
     widths: Sequence[float] | None = None,
 ) -> None:
-    """Write the key of a figure into a panel of its own: groups side by side, each with a heading.
-
-    Args:
-        axis: The panel.
-        groups: Handles by heading, or lines of text.
-        columns: Into how many columns each group is set; None: one each.
-        widths: Shares of the width; None: by columns.
-    """
+    """Write the key of a figure into a panel of its own: groups side by side, each with a heading."""
     from matplotlib.lines import Line2D
 
     axis.set_axis_off()

@@ -11,16 +11,7 @@ from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, MUTED_RGB, camera_r
 
 
 def front_figure(points: Sequence[Mapping[str, Any]], *, by: str, title: str | None = None) -> Any:  # noqa: ANN401
-    """Draw a front: misses per 100 over cameras or cost, and below it what each rig is made of.
-
-    Args:
-        points: As ``front.json`` has them.
-        by: ``cameras`` or ``cost``.
-        title: Above the figure.
-
-    Raises:
-        InputError: There is no point.
-    """
+    """Draw a front: misses per 100 over cameras or cost, and below it what each rig is made of."""
     if not points:
         raise InputError("front: expected at least one rig to draw, got none")
     with figure_style():

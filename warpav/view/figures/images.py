@@ -42,15 +42,7 @@ _NOTABLE_SHARE = 0.002  # of an image's pixels: less of a vehicle is not worth s
 
 
 def image_types(capture: Capture, path: Path | str) -> Path:
-    """Figure 4: colour, depth and instances from one position, that from which the ego vehicle sees most vehicles.
-
-    Args:
-        capture: Where the images come from.
-        path: PNG file to write.
-
-    Raises:
-        InputError: There is no image.
-    """
+    """Figure 4: colour, depth and instances from one position, that from which the ego vehicle sees most vehicles."""
     image = _telling_image(capture)
     height, width = image.depth_m.shape
     limits_m = _depth_limits_m([image])
@@ -88,17 +80,7 @@ def image_types(capture: Capture, path: Path | str) -> Path:
 
 
 def contact_sheet(capture: Capture, what: str, path: Path | str) -> Path:
-    """Figures 14 to 16: all images of a capture, framed by the reason for which they were taken.
-
-    Args:
-        capture: Where the images come from.
-        what: ``rgb``, ``depth`` or ``instance``.
-        path: PNG file to write.
-
-    Raises:
-        InputError: There is no image.
-        ValueError: Something else was asked for.
-    """
+    """Figures 14 to 16: all images of a capture, framed by the reason for which they were taken."""
     if what not in ("rgb", "depth", "instance"):
         raise ValueError(f"expected rgb, depth or instance, got {what!r}")
     order = list(ViewKind)
@@ -162,7 +144,6 @@ def depth_rgb(depth_m: np.ndarray, limits_m: tuple[float, float]) -> np.ndarray:
 
     Args:
         depth_m: Depth [m], shape [row, column].
-        limits_m: Depths at the ends of the scale [m].
 
     Returns:
         uint8 [row, column, 3].

@@ -34,17 +34,7 @@ from warpav.view.figures.top_view import draw_height_map, draw_vehicle
 def mount_surface_stages(
     capture: Capture, path: Path | str, *, settings: ReconstructionSettings | None = None, cell_m: float = 0.02
 ) -> Path:
-    """Figure 9: the ego vehicle's points with the height map on them, and how the map's holes are filled.
-
-    Args:
-        capture: What was recorded.
-        path: PNG file to write.
-        settings: How the ego vehicle becomes a mesh; None: the defaults.
-        cell_m: Edge of a cell of the map [m].
-
-    Raises:
-        InputError: The ego vehicle cannot be reconstructed, or this machine cannot draw.
-    """
+    """Figure 9: the ego vehicle's points with the height map on them, and how the map's holes are filled."""
     settings = settings or ReconstructionSettings()
     images = list(capture.images)
     cloud = fuse(dataclasses.replace(capture, vehicles=()), images, settings.cloud).ego

@@ -43,14 +43,6 @@ def near_field_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None
     that is in some camera's image with no part of the own body before it (rays against the vehicle's mesh). Up to 10 m.
     Dimensions are written for the unseen ground in front, behind, to the sides and where it is worst; the table has all
     heights. Rings are at distances from the outline, too.
-
-    Args:
-        rigs: By name, at least one.
-        ego: The vehicle.
-        heading: Above the figure; None: none.
-
-    Returns:
-        A ``matplotlib.figure.Figure``.
     """
     from matplotlib.lines import Line2D
 

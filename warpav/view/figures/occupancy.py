@@ -31,18 +31,7 @@ def heat_maps(
     radius_m: float | None = None,
     cell_m: float = 0.25,
 ) -> Path:
-    """Figure 8: how often a vehicle stands where around the ego vehicle, one map for each collection.
-
-    Args:
-        collections: For each name the boxes of the vehicles, scene by scene.
-        path: PNG file to write.
-        ego_box: Box of the ego vehicle.
-        radius_m: Half the edge of the maps [m]; None: what all boxes need.
-        cell_m: Edge of a cell [m].
-
-    Raises:
-        InputError: A collection without scenes.
-    """
+    """Figure 8: how often a vehicle stands where around the ego vehicle, one map for each collection."""
     if radius_m is None:
         corners = [np.abs(box.corners_m()[:, :2]).max() for part in collections.values() for s in part for box in s]
         radius_m = 5.0 * math.ceil(max(corners, default=20.0) / 5.0)
@@ -82,16 +71,8 @@ def heat_maps(
 def vehicle_occupancy(scenes: Sequence[Sequence[Box]], *, radius_m: float, cell_m: float) -> np.ndarray:
     """Share of the scenes in which a vehicle's box covers the middle of a cell.
 
-    Args:
-        scenes: The boxes of the vehicles of each scene; at least one scene.
-        radius_m: Half the edge of the map [m], around the origin of the ego frame.
-        cell_m: Edge of a cell [m].
-
     Returns:
         0..1, float64, shape [row, column]; rows run along x, columns along y, both from ``-radius_m``.
-
-    Raises:
-        InputError: There is no scene.
     """
     if not scenes:
         raise InputError("a heat map needs at least one scene, got 0")

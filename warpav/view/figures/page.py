@@ -13,13 +13,7 @@ SCALES = (10, 20, 25, 50, 75, 100, 125, 150, 200, 250, 400, 500, 1000, 2000)
 
 
 class Page:
-    """A figure in the size of a page.
-
-    Attributes:
-        figure: A ``matplotlib.figure.Figure``.
-        width_mm: Of the page.
-        height_mm: Likewise.
-    """
+    """A figure in the size of a page."""
 
     def __init__(self, width_mm: float, height_mm: float) -> None:
         """An empty page."""
@@ -51,16 +45,7 @@ class Page:
         row_mm: float,
         fontsize: float = 7.0,
     ) -> None:
-        """Write a table: a heading, then a row for each camera, whose first cell is in its colour.
-
-        Args:
-            rows: Cells.
-            column_mm: Where columns begin, from the left edge of the table.
-            left_mm: Left edge.
-            top_mm: Upper edge.
-            row_mm: From row to row.
-            fontsize: In points.
-        """
+        """Write a table: a heading, then a row for each camera, whose first cell is in its colour."""
         for line, row in enumerate(rows):
             for column, text in enumerate(row):
                 self.text(

@@ -55,13 +55,7 @@ def plan_figure(
     camera to it is free of the own body (rays against the vehicle's mesh).
 
     Args:
-        rigs: By name, at least one.
-        ego: The vehicle.
-        heading: Above the figure; None: none.
         pixels: Least heights of the image of a car [px], the largest first, at most three.
-
-    Returns:
-        A ``matplotlib.figure.Figure``.
     """
     from matplotlib.patches import Patch
 

@@ -29,14 +29,6 @@ def redundancy_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None
     the own body does not stand before it (a ray against the vehicle's mesh), and the image of a car there, 1.5 m high,
     is at least 12 px high through the lens. Bands are drawn up to the last that is seen in half of the directions of
     the one that is seen in most: one narrow camera that sees far does not make the others small.
-
-    Args:
-        rigs: By name, at least one.
-        ego: The vehicle.
-        heading: Above the figure; None: none.
-
-    Returns:
-        A ``matplotlib.figure.Figure``.
     """
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch

@@ -27,15 +27,6 @@ def requirement_map(path: Path | str, *, result: RequirementResult, rig: Rig, eg
 
     Its colour says how many cameras see enough of the test object there; what is not met has a cross. Points that
     several requirements share are drawn on top of each other, those not met last.
-
-    Args:
-        path: PNG file to write.
-        result: The points.
-        rig: The cameras.
-        ego: The vehicle; its outline is drawn.
-
-    Raises:
-        InputError: The file cannot be written.
     """
     ghosts, body = result.ghosts, result.body
     outlines = [each.area.outlines_m(body) for each in ghosts.requirements]

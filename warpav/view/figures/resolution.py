@@ -24,13 +24,6 @@ def resolution_figure(rigs: Mapping[str, Rig], *, heading: str | None = None) ->
     The best camera of a direction is the one with most pixels per degree there: the square root of pixels per square
     degree, from the derivative of `CameraModel.project`. On the optical axis of a pinhole with the focal length f in
     pixels it is ``f pi / 180``. Directions are taken from each camera's own centre; nothing stands in the way.
-
-    Args:
-        rigs: By name, at least one.
-        heading: Above the figure; None: none.
-
-    Returns:
-        A ``matplotlib.figure.Figure``.
     """
     azimuth_deg = np.arange(-180.0, 180.0 + _STEP_DEG, _STEP_DEG)
     elevation_deg = np.arange(-_ELEVATION_DEG, _ELEVATION_DEG + _STEP_DEG, _STEP_DEG)

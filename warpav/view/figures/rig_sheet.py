@@ -95,19 +95,6 @@ def rig_sheet(
 
     Fans end at the outermost range ring, and from the side where the page has no more room, which is said there.
     Neither the vehicle nor anything else stands in their way.
-
-    Args:
-        rig: The cameras.
-        ego: The vehicle, of which the silhouette is drawn; None: none is, and the rings are around the frame's origin.
-        range_m: Radii of the range rings around the vehicle's middle [m], positive; None: every 5 m as far as the
-            vehicle is long, but two at least.
-        title: Heading; None: the number of cameras.
-
-    Returns:
-        A ``matplotlib.figure.Figure`` in the size of the page.
-
-    Raises:
-        InputError: A radius is not positive.
     """
     low_m, high_m = (np.zeros(3), np.zeros(3)) if ego is None else np.asarray(ego.bounds_m(), np.float64)
     middle_m = 0.5 * (low_m + high_m)[:2]

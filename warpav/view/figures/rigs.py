@@ -39,9 +39,7 @@ class OptimisedRig:
     """An optimisation of a rig.
 
     Attributes:
-        start: The rig at the start.
         trajectory_m: Its camera positions over the iterations [m], shape [iteration, camera, 3].
-        end: The rig at the end.
     """
 
     start: Rig
@@ -51,13 +49,7 @@ class OptimisedRig:
 
 @dataclass(frozen=True, eq=False)
 class SceneViews:
-    """What a rig's cameras and detector make of a scene.
-
-    Attributes:
-        scene: The scene.
-        is_found: Whether some camera detects a road user, bool [vehicle].
-        panels: The image of every camera with its boxes.
-    """
+    """What a rig's cameras and detector make of a scene."""
 
     scene: Scene
     is_found: np.ndarray
@@ -74,17 +66,7 @@ def without_and_with_constraints(
     constraints: Constraints,
     remark: str,
 ) -> Path:
-    """Figure 10: the trajectories of the cameras over the vehicle, without constraints and with them.
-
-    Args:
-        free: An optimisation without constraints.
-        kept: One with them.
-        path: PNG file to write.
-        ego: The vehicle.
-        surface: Its mount surface.
-        constraints: What the cameras have to keep; which gives the cameras that end outside.
-        remark: A line about both optimisations for the caption.
-    """
+    """Figure 10: the trajectories of the cameras over the vehicle, without constraints and with them."""
     point_m = np.concatenate([ego.bounds_m(), *(run.trajectory_m.reshape(-1, 3) for run in (free, kept))])
     length_m, width_m = np.ptp(point_m[:, :2], axis=0)
     with figure_style():
@@ -118,12 +100,7 @@ def without_and_with_constraints(
 
 
 def before_and_after(rows: Mapping[str, tuple[Rig, Sequence[SceneViews]]], path: Path | str) -> Path:
-    """Figure 11: what rigs see of scenes: all road users from above, and the fullest scene through every camera.
-
-    Args:
-        rows: A rig and its views of at least one scene by the row's heading; all rigs have as many cameras.
-        path: PNG file to write.
-    """
+    """Figure 11: what rigs see of scenes: all road users from above, and the fullest scene through every camera."""
     columns = 1 + max(len(rig.cameras) for rig, _ in rows.values())
     with figure_style():
         figure = new_figure(2.45 * columns, 9.2)

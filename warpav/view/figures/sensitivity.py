@@ -21,17 +21,7 @@ _BELOW_RGB = ((38, 102, 180), (190, 218, 242))
 def sensitivity_figure(
     tolerance: MountTolerance | None, outages: CameraOutages | None = None, *, heading: str | None = None
 ) -> Any:  # noqa: ANN401 (matplotlib)
-    """A heat map of cameras by degrees of freedom, and beside it a bar for the loss of each camera.
-
-    Args:
-        tolerance: Gives the heat map: the change of expected misses per 100 in the worse direction; None: no map.
-        outages: Gives the bars: expected misses per 100 more without the camera, by weight where weights are set; None:
-            there are none.
-        heading: A line above all; None: there is none.
-
-    Returns:
-        A ``matplotlib.figure.Figure``.
-    """
+    """A heat map of cameras by degrees of freedom, and beside it a bar for the loss of each camera."""
     effects = [] if tolerance is None else tolerance.effects
     lost = [] if outages is None else [each.camera for each in outages.cameras]
     names = list(dict.fromkeys(effect.camera for effect in effects)) or lost

@@ -37,15 +37,7 @@ def objective_scatter(
     objectives: Sequence[str],
     metrics: Sequence[str],
 ) -> Path:
-    """Draw training objectives against metrics on the test scenes, a dot for every rig, a panel for every pair.
-
-    Args:
-        rigs: Every rig with ``arm``, ``objectives`` by name and the metrics.
-        spearman: By objective and metric: an estimate of their rank correlation; where it is missing none is written.
-        path: PNG file to write.
-        objectives: Names of the objectives, one column each.
-        metrics: Names of the metrics, one row each.
-    """
+    """Draw training objectives against metrics on the test scenes, a dot for every rig, a panel for every pair."""
     names = {"tp_detection_rate": "recall of the rig", "ap50_pooled": "AP50"}
     arms = list(dict.fromkeys(rig["arm"] for rig in rigs))
     with figure_style():
@@ -74,13 +66,7 @@ def objective_scatter(
 
 
 def seen_and_unseen(results: Sequence[Mapping[str, Any]], path: Path | str) -> Path:
-    """Draw the objective on scenes seen and unseen over the number of training scenes, a panel for every arm.
-
-    Args:
-        results: Searches with ``arm``, ``training_scenes``, ``seen``, ``unseen`` and ``bound``; several of the same arm
-            and number are dots around their mean.
-        path: PNG file to write.
-    """
+    """Draw the objective on scenes seen and unseen over the number of training scenes, a panel for every arm."""
     arms = list(dict.fromkeys(run["arm"] for run in results))
     kinds = (("unseen", "unseen scenes", MISS_RGB), ("seen", "training scenes", TRUE_POSITIVE_RGB))
     with figure_style():
@@ -108,17 +94,7 @@ def seen_and_unseen(results: Sequence[Mapping[str, Any]], path: Path | str) -> P
 
 @dataclass(frozen=True)
 class GainMark:
-    """What is gained in a circumstance.
-
-    Attributes:
-        label: The circumstance.
-        gain: The gain; None where it is not known.
-        low: Lower end of its 95 % interval; None without one.
-        high: Upper end.
-        before: Misses per 100 without the gain.
-        after: With it.
-        is_middle: Whether it is the middle of all circumstances.
-    """
+    """What is gained in a circumstance."""
 
     label: str
     gain: float | None
@@ -130,12 +106,7 @@ class GainMark:
 
 
 def gains_by_factor(panels: Mapping[str, Sequence[GainMark]], path: Path | str) -> Path:
-    """Draw misses before and after, and below them what is gained with its interval, a column for every factor.
-
-    Args:
-        panels: Circumstances in order, by what differs among them.
-        path: PNG file to write.
-    """
+    """Draw misses before and after, and below them what is gained with its interval, a column for every factor."""
     with figure_style():
         widths = [max(len(marks), 3) for marks in panels.values()]
         figure = new_figure(max(WIDTH_INCH, 0.75 * sum(widths)), 5.2)
@@ -174,11 +145,8 @@ def reliability_diagram(
     """Draw what share of objects was detected over the probability that was predicted, and how many there were.
 
     Args:
-        bins: Objects of about one probability.
         probability: That was predicted for every object, 0..1, shape [object].
         is_detected: What came true, bool, shape [object].
-        path: PNG file to write.
-        title: A short line above.
     """
     predicted, detected, low, high = np.array(
         [[each.predicted, each.detected, each.low, each.high] for each in bins]
@@ -220,9 +188,7 @@ def detection_curves(model: DetectionProbability, feature: np.ndarray, path: Pat
     """Draw what every feature adds to the logit of the probability of detection, over where objects have it.
 
     Args:
-        model: The curves.
         feature: Features of the objects that they were fitted on, shape [object, feature].
-        path: PNG file to write.
     """
     from warpav.detection.probability import FEATURES
 
@@ -248,15 +214,7 @@ def detection_curves(model: DetectionProbability, feature: np.ndarray, path: Pat
 
 @dataclass(frozen=True)
 class MetricDifference:
-    """A difference of two rigs in a metric, the first minus the other.
-
-    Attributes:
-        metric: What the metric is called.
-        other: Name of the other rig.
-        mean: The difference.
-        low: Lower end of its 95 % interval.
-        high: Upper end.
-    """
+    """A difference of two rigs in a metric, the first minus the other."""
 
     metric: str
     other: str
@@ -285,12 +243,7 @@ class ObjectGroup(Protocol):
 
 
 def differences(rows: Sequence[MetricDifference], first: str) -> str:
-    """Differences of one rig to others with their intervals, as SVG.
-
-    Args:
-        rows: The differences, at least one.
-        first: Name of the rig from which the others are subtracted.
-    """
+    """Differences of one rig to others with their intervals, as SVG."""
 
     def draw(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
         axis.axvline(0.0, color=hex_colour(INK_RGB), linewidth=1.2)
@@ -309,13 +262,7 @@ def differences(rows: Sequence[MetricDifference], first: str) -> str:
 
 
 def recall_by_group(tables: Mapping[str, Mapping[str, ObjectGroup]], title: str, *, unit: str = "") -> str | None:
-    """Recall by group, a dot for every rig and the first one's 95 % interval, as SVG; None without objects.
-
-    Args:
-        tables: Groups by their names, by rig; at least one rig.
-        title: A short line above.
-        unit: What follows the groups' names, such as `` m``.
-    """
+    """Recall by group, a dot for every rig and the first one's 95 % interval, as SVG; None without objects."""
     groups = _groups(tables)
     if not groups:
         return None
@@ -329,12 +276,7 @@ def recall_by_group(tables: Mapping[str, Mapping[str, ObjectGroup]], title: str,
 
 
 def recall_figure(groupings: Mapping[str, Mapping[str, Mapping[str, ObjectGroup]]], *, title: str) -> Any:  # noqa: ANN401
-    """Recall of rigs by groups of objects, a panel for every grouping, as a ``matplotlib.figure.Figure``.
-
-    Args:
-        groupings: By the heading of the panel: groups by their names, by rig; at least one rig and one group.
-        title: A line above all panels.
-    """
+    """Recall of rigs by groups of objects, a panel for every grouping, as a ``matplotlib.figure.Figure``."""
     shown = {heading: tables for heading, tables in groupings.items() if _groups(tables)}
     lines = max(len(_groups(tables)) for tables in shown.values())
     with figure_style():

@@ -71,18 +71,7 @@ def new_figure(width_inch: float, height_inch: float) -> Any:  # noqa: ANN401 (m
 
 
 def save_figure(figure: Any, path: Path | str) -> Path:  # noqa: ANN401 (matplotlib)
-    """Write a figure as a file that appears whole or not at all, the same every time; missing folders are made.
-
-    Args:
-        figure: The figure.
-        path: A name that ends as one of `FIGURE_SUFFIXES`.
-
-    Returns:
-        The path.
-
-    Raises:
-        InputError: It cannot be written.
-    """
+    """Write a figure as a file that appears whole or not at all, the same every time; missing folders are made."""
     import matplotlib
 
     path = Path(path)
@@ -120,11 +109,7 @@ def svg_text(draw: Callable[[Any], None], height_inch: float) -> str:
 
 
 def checked_png(path: Path | str) -> Path:
-    """The path of a PNG file to write.
-
-    Raises:
-        InputError: It does not end in ``.png``.
-    """
+    """The path of a PNG file to write."""
     path = Path(path)
     if path.suffix.lower() != ".png":
         raise ArgumentError("out", f"expected a name that ends in .png, got {path.suffix!r}", place=path)
@@ -132,11 +117,7 @@ def checked_png(path: Path | str) -> Path:
 
 
 def checked_figure(path: Path | str) -> Path:
-    """The path of a figure to write.
-
-    Raises:
-        InputError: It does not end as one of `FIGURE_SUFFIXES`.
-    """
+    """The path of a figure to write."""
     path = Path(path)
     if path.suffix.lower() not in FIGURE_SUFFIXES:
         expected = ", ".join(FIGURE_SUFFIXES)

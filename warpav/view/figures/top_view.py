@@ -40,14 +40,7 @@ def top_view_figure(
     """Draw the vehicle from above with the cameras, where they started, their paths and their sectors.
 
     Args:
-        rig: The cameras at the end.
-        ego: The vehicle; its outline is drawn.
-        mount_surface: The height map below the cameras.
-        rig_initial: The cameras at the start, drawn hollow.
         trajectory_m: Camera positions over the iterations [m], shape [iteration, camera, 3] or [iteration, camera, 2].
-        sector_radius_m: How far the sectors are drawn [m].
-        shows_zone: Whether the border of the mountable zone is drawn.
-        heading: Above the figure; None: none.
     """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -134,17 +127,6 @@ def further_figure(
 
     The best camera of every place has an arrow in its direction, the best places carry their ranks. Nothing is
     interpolated: between the dots nobody has looked.
-
-    Args:
-        further: The cameras that could join the rig.
-        rig: The rig, drawn in white.
-        ego: The vehicle; its outline is drawn.
-        mount_surface: The height map below the cameras.
-        objects: What is counted.
-        named: How many places carry their ranks.
-
-    Returns:
-        A ``matplotlib.figure.Figure``; None where there is no such camera.
     """
     from matplotlib.patheffects import withStroke
 
@@ -217,16 +199,7 @@ def draw_cameras(
     sector_radius_m: float | None = None,
     has_names: bool = False,
 ) -> None:
-    """Draw cameras from above, x pointing right, each in its colour; arguments as in `top_view_figure`.
-
-    Args:
-        axis: Where to draw.
-        rig: The cameras at the end.
-        rig_initial: The cameras at the start, drawn hollow.
-        trajectory_m: Their paths.
-        sector_radius_m: How far the sectors are drawn [m]; None: not at all.
-        has_names: Whether every sector carries its camera's name.
-    """
+    """Draw cameras from above, x pointing right, each in its colour; arguments as in `top_view_figure`."""
     from matplotlib.patheffects import withStroke
 
     if trajectory_m is not None:
@@ -351,10 +324,7 @@ def blind_ground(
     Args:
         blind_share: Share of the scenes in which no camera sees somebody on a cell, 0..1, NaN where nobody can stand;
             shape [row, column], rows run along x (forward), columns along y (left), around the middle of the vehicle.
-        title: A short line above.
-        cell_m: Edge of a cell [m].
         ego_bounds_m: Lowest and highest corner of the vehicle [m], shape [2, 3].
-        rig: Its cameras are drawn; None: none are.
     """
     from matplotlib.colors import LinearSegmentedColormap
     from matplotlib.patches import FancyBboxPatch
