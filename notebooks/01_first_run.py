@@ -74,7 +74,7 @@ run.rig()
 # - **recall of the rig** is the share of all vehicles that at least one camera detects. It is the number to compare.
 # - **objective** is the expected share of vehicles that no camera detects ([its
 #   definition](../docs/method.md#the-default-method)). The search lowers it, and beside it with a tenth of its weight
-#   the share of the [ground near the vehicle](../docs/guide/requirements.md) on which no camera sees a child, which the
+#   the share of the [ground near the vehicle](../docs/guide/series_car.md) on which no camera sees a child, which the
 #   table *seen near the vehicle* shows.
 # - **AP50** and **false alarms** count boxes in single images, not vehicles around the car.
 #
@@ -199,6 +199,6 @@ plt.show()
 #
 # - Before you drill holes, use [your own vehicle and scenes](04_own_vehicle_and_scenes.ipynb) and [your own
 #   detector](05_own_detector.ipynb).
-# - You have cameras already? [Keep some and place the rest](../docs/guide/existing_rig.md), then export the rig.
+# - You have cameras already? [Keep some and place the rest](../docs/guide/exchange.md), then export the rig.
 # - Another seed draws another pool: `warpav optimise run.seed=1`. More cameras in it: `optimiser.pool_cameras=200`.
 # - You wonder how pixels can have a derivative? [How the gradient works](02_how_the_gradient_works.ipynb).

@@ -160,4 +160,4 @@ evaluation.table()
 # - On the command line: `warpav vehicle check van.glb --scale 0.01 --up z --forward y --out van_ego.glb`, and then
 #   `warpav optimise scenes.source=folder scenes.folder=scenes scenes.ego=van_ego.glb`.
 # - Use [your own detector](05_own_detector.ipynb).
-# - [Keep some cameras of a rig, and export it](../docs/guide/existing_rig.md).
+# - [Keep some cameras of a rig, and export it](../docs/guide/exchange.md).

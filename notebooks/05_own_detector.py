@@ -189,4 +189,4 @@ for name, one in (("all objects", placement), ("large objects", other)):
 #   detector.model=mine.onnx --out figures` measures the detector alone on 236 scenes that no detector of ours has
 #   seen. The shipped detector's figures are in its [model card](../warpav/detection/models/MODEL_CARD.md).
 # - Use [your own vehicle and scenes](04_own_vehicle_and_scenes.ipynb).
-# - [Keep some cameras of a rig, and export it](../docs/guide/existing_rig.md).
+# - [Keep some cameras of a rig, and export it](../docs/guide/exchange.md).

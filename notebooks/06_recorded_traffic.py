@@ -176,9 +176,9 @@ wa.plot(result.rig, scene=moment, outcomes=outcomes, zoom=0.28)
 #
 # - The same on the command line: `warpav optimise scenes.source=traffic`.
 # - Your own recordings, as JSON, CommonRoad XML or Argoverse 2 logs: `scenes.recordings`, and `wa.read_scenes` for
-#   single files; the [guide](../docs/guide/recorded_traffic.md) has the formats and what is refused.
+#   single files; the [guide](../docs/guide/traffic.md#recorded-traffic) has the formats and what is refused.
 # - Does another vehicle, image or lens change the answer? See [your own vehicle](04_own_vehicle_and_scenes.ipynb), and
 #   `camera.width_px=640` for road users that are far away.
-# - Streets that are as busy but are not one crossing: [levels of the town](../docs/guide/town_levels.md), and
-#   [vehicles of other makers](../docs/guide/traffic_vehicles.md) in either.
-# - Would other detectors agree? [A panel of them](../docs/guide/panel.md) judges the same rigs.
+# - Streets that are as busy but are not one crossing: [levels of the town](../docs/guide/traffic.md), and
+#   [vehicles of other makers](../docs/guide/traffic.md#vehicles-of-other-makers) in either.
+# - Would other detectors agree? [A panel of them](../docs/guide/own_detector.md) judges the same rigs.

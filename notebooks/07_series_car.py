@@ -67,12 +67,12 @@ for zone in read_zones("zones.yaml"):
 
 # %% [markdown]
 # A camera behind the glass stands in the cabin and looks through the pane; pillars, scuttle and roof hide from it what
-# they hide. The [guide](../docs/guide/zones.md) has all keys.
+# they hide. The [guide](../docs/guide/series_car.md#zones) has all keys.
 #
 # ## What can be bought
 #
 # A catalogue lists camera modules, and the kinds of zones that each fits. The one that ships is of no maker, and its
-# prices mean nothing but an order; [write your own](../docs/guide/modules.md#your-own-catalogue).
+# prices mean nothing but an order; [write your own](../docs/guide/series_car.md#your-own-catalogue).
 
 # %%
 catalogue = wa.read_modules()
@@ -192,7 +192,7 @@ wa.robustness.load_states(result.rig, test, placement, states={"luggage": (-1.0,
 
 # %% [markdown]
 # Too much? `wa.Placement(..., robust={"camera_loss": "worst"})` lets the search
-# [bear the loss of a camera](../docs/guide/camera_loss.md), and `robust={"mount_error_deg": 1.0}` errors of mounting.
+# [bear the loss of a camera](../docs/guide/series_car.md), and `robust={"mount_error_deg": 1.0}` errors of mounting.
 #
 # ## To the workshop
 #
@@ -217,7 +217,7 @@ for file in sorted(path for path in Path().rglob("*") if path.is_file()):
 #
 # - The same on the command line: [Plan the cameras of a series car](../docs/guide/series_car.md).
 # - A real decision takes more: `warpav optimise surround` has ten cameras, more scenes and a larger pool.
-# - Put your own [vehicle](04_own_vehicle_and_scenes.ipynb), catalogue, [requirements](../docs/guide/requirements.md)
+# - Put your own [vehicle](04_own_vehicle_and_scenes.ipynb), catalogue, [requirements](../docs/guide/series_car.md)
 #   and [detector](05_own_detector.ipynb) in the place of ours.
 # - Drag the cameras over the zones, and see at once what they see: `result.save("runs/series", test=test)`, then
 #   `warpav inspect runs/series`.
