@@ -1,7 +1,6 @@
 """What a search by a pool has proven, from the search to the report: bounds over the pool, and one more camera."""
 
 import dataclasses
-import io
 import itertools
 
 import numpy as np
@@ -15,8 +14,6 @@ from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.rig import Rig, RigCamera
 from warpav.runs.certificate import Certificate
 from warpav.runs.report.report import write_report
-from warpav.runs.terminal import Terminal
-from warpav.runs.verdict import show_verdict
 from warpav.view.opengl import opengl_problem
 
 BASE = [
@@ -94,20 +91,6 @@ def test_every_selection_has_a_bound_over_its_own_pool(result):
             assert (record.bound, record.pool_cameras) in [(each.bound, each.pool_cameras) for each in known]
 
 
-def test_the_history_has_the_curve(result):
-    history = result.history
-    assert np.isnan(history["bound"][0])
-    assert history["bound"][-1] == result.bound
-    assert history["pool_cameras"][-1] == result.pool_cameras
-    assert history["camera_renders"] == [record.camera_renders for record in result.records]
-
-
-def test_a_descent_proves_nothing():
-    found = wa.optimise(placement_of("optimiser.search=descent", "run.iterations=1"))
-    assert found.bound is found.gap is found.pool_cameras is found.certificate is found.further_cameras is None
-    assert "bound" not in found.history
-
-
 def test_a_gap_is_negative_where_the_polish_went_further():
     found = Certificate.of([selected(0.3, 10), selected(None, None, 50, "start"), selected(0.28)], scenes=3)
     assert (found.bound, found.pool_cameras, len(found.bounds)) == (0.28, 20, 2)
@@ -182,16 +165,6 @@ def test_the_report_shows_both_and_says_of_what(folder, result):
     assert "on the training scenes" in page
 
 
-def test_the_terminal_has_it_in_one_line(result, folder):
-    stream = io.StringIO()
-    show_verdict(Terminal(file=stream, width=300), folder.evaluation())
-    [line] = [line for line in stream.getvalue().splitlines() if "(bound)" in line]
-    assert line.strip() == (
-        f"objective {result.found_objective:.4f} on the 2 scenes of the search; there no rig of the pool's "
-        f"{result.pool_cameras} cameras is below {result.bound:.4f} (bound)"
-    )
-
-
 @pytest.mark.parametrize(
     ("damage", "told"),
     [
@@ -213,13 +186,3 @@ def test_damaged_further_cameras_are_named(folder, tmp_path, damage, told):
         assert len(str(caught.value).splitlines()) == 1
     finally:
         file.write_text(text)
-
-
-def test_a_folder_without_them_shows_no_map(folder):
-    file = folder.path / "further_cameras.csv"
-    kept = file.rename(file.with_suffix(".kept"))
-    try:
-        assert folder.further_cameras() is None
-        assert 'id="further"' not in write_report(folder).read_text(encoding="utf-8")
-    finally:
-        kept.rename(file)

@@ -68,15 +68,16 @@ def optimise(
             f"compare on, {settings.device}"
         )
         from warpav.runs.jobs import optimise_rig, resume_rig  # a second of imports, after the first line
-        from warpav.runs.verdict import show_verdict, worse_than_start
+        from warpav.runs.report.statements import worse_than_start
+        from warpav.runs.report.tables import show_run
 
         if folder is None:
-            _, evaluation = optimise_rig(settings, name=find_config(config).stem, progress=display)
+            _, run = optimise_rig(settings, name=find_config(config).stem, progress=display)
         else:
-            _, evaluation = resume_rig(folder, settings, progress=display)
-        show_verdict(display.console, evaluation)
-    for text in worse_than_start(evaluation):
-        complain(f"warning: {text}")
+            _, run = resume_rig(folder, settings, progress=display)
+        show_run(display.console, run)
+    for text in worse_than_start(run.evaluation) if run.evaluation else ():
+        complain(f"warning: WORSE THAN ITS START: {text}")
 
 
 def front(
@@ -142,8 +143,8 @@ def evaluate(
     from warpav.evaluation.robustness import LoadState, SoiledPart
     from warpav.runs.jobs import measure_rig
     from warpav.runs.progress import RunDisplay
+    from warpav.runs.report.tables import show_run
     from warpav.runs.rig_source import config_for
-    from warpav.runs.verdict import show_verdict
 
     try:
         part = SoiledPart(soiling[0], soiling[1:3], soiling[3]) if soiling else None
@@ -157,7 +158,7 @@ def evaluate(
         found = measure_rig(
             rig, settings, beside=beside or (), json_file=json, soiled=part, loads=loads, progress=display
         )
-        show_verdict(display.console, found)
+        show_run(display.console, found)
 
 
 def render(

@@ -29,29 +29,34 @@ if TYPE_CHECKING:
     from warpav.requirements.check import RequirementResult
 
 TABLE_ROWS = {
-    "rig_recall": "recall of the rig",
+    "tp_detection_rate": "recall of the rig",
     "weighted_recall": "weighted recall",
     "misses_per_100": "misses per 100",
     "weighted_misses_per_100": "weighted misses per 100",
     "attainable_rate": "attainable by any camera",
     "attainable_recall": "recall of the attainable",
     "attainable_misses_per_100": "attainable misses per 100",
-    "recall_at_equal_false_alarms": f"recall at {EQUAL_FALSE_ALARMS_PER_FRAME:g} false alarms a frame",
-    "rig_recall_visible": "recall of the visible",
+    "recall_at_equal_false_alarms": f"recall at {EQUAL_FALSE_ALARMS_PER_FRAME:g} false alarms",
     "visible_rate": "visible to the rig",
-    "tp_in_frame_rate": "in frame",
-    "ap50_pooled": "AP50, all images",
-    "ap50_95_pooled": "AP50:95, all images",
+    "rig_recall_visible": "recall of the visible",
     "redundant_rate": f"seen by {REDUNDANT_CAMERAS} cameras within {REDUNDANT_WITHIN_M:g} m",
+    "map50_average": "AP50, mean of the cameras",
+    "map50_min_camera": "AP50, worst camera",
+    "map50_max_camera": "AP50, best camera",
+    "ap50_pooled": "AP50, all images",
+    "ap50_small": "AP50, up to 32 x 32 px",
+    "ap50_medium": "AP50, to 96 x 96 px",
+    "ap50_large": "AP50, larger",
+    "ap50_95_pooled": "AP50:95, all images",
     "false_alarms_per_frame": "false alarms a frame",
+    "tp_in_frame_rate": "in frame",
     "detection_confidence": "confidence",
     "objective": "objective",
     "constraint_violation": "violation [m]",
     "min_camera_distance_m": "closest cameras [m]",
-    "body_share_max": "own body, largest share of an image",
+    "body_share_max": "own body, largest share",
 }
-"""Metrics that a table shows, and their headings; those of `OPTIONAL_METRICS` where they are known."""
-
+"""Metrics that every table shows, and their headings; those of `OPTIONAL_METRICS` where they are known."""
 
 CAPTION = "Recalls pool the objects of all scenes; difference() is a mean over scenes, each counting alike."
 

@@ -26,7 +26,8 @@ from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement
 from warpav.runs.preset_rigs import know_cameras
 from warpav.runs.progress import shown_progress
-from warpav.runs.result import LAST_STAGE, Result, StageTimer, write_verdict
+from warpav.runs.report.evaluation import Evaluation, RunContent, read_run
+from warpav.runs.result import Result, StageTimer, write_verdict
 from warpav.runs.rig_source import arm_names, find_rig, is_run_folder, is_shipped
 from warpav.runs.robustness import load_states_of, soiling_of
 from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, held_run, new_run_folder
@@ -36,7 +37,7 @@ CHECKPOINT_EVERY = 10
 """Steps of a descent after which its state is written."""
 
 
-def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunFolder, dict[str, Any]]:
+def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunFolder, RunContent]:
     """Optimise a rig, compare it with baselines on the test scenes, and leave a run folder."""
     from warpav.evaluation import blind_ground  # noqa: F401 (so that its kernel is compiled beside the others)
 
@@ -58,11 +59,11 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
         if config.run.out is None:
             held.enter_context(held_run(folder))
         progress.say(f"run folder: {folder.path}")
-        _, evaluation = _run_to_the_end(folder, optimisation, timer, progress)
-    return folder, evaluation
+        _, run = _run_to_the_end(folder, optimisation, timer, progress)
+    return folder, run
 
 
-def resume_rig(folder: RunFolder, config: Config, *, progress: Progress) -> tuple[Result, dict[str, Any]]:
+def resume_rig(folder: RunFolder, config: Config, *, progress: Progress) -> tuple[Result, RunContent]:
     """Go on with a run that was stopped, or that has ended and is given more iterations or time, in its folder."""
     from warpav.evaluation import blind_ground  # noqa: F401 (as in `optimise_rig`)
 
@@ -91,10 +92,9 @@ def resume_rig(folder: RunFolder, config: Config, *, progress: Progress) -> tupl
         timer.end("searching for a start")
         evaluation = folder.evaluation()
         is_over = optimisation.descent.verdict is not None or done >= config.run.iterations
-        is_complete = evaluation is not None and LAST_STAGE in evaluation.get("seconds", {})
-        if is_over and evaluation is not None and is_complete and (folder.path / "report.html").is_file():
+        if is_over and evaluation is not None and (folder.path / "report.html").is_file():
             progress.say(f"{folder.path} has ended: {optimisation.descent.verdict or f'{done} iterations'}")
-            return optimisation.result(), evaluation
+            return optimisation.result(), read_run(folder)
         # from here on the folder is written to
         folder.replace_events(events)
         folder.remove_verdict()
@@ -132,7 +132,7 @@ def resume(
 
 def _run_to_the_end(
     folder: RunFolder, optimisation: Optimisation, timer: StageTimer, progress: Progress
-) -> tuple[Result, dict[str, Any]]:
+) -> tuple[Result, RunContent]:
     """Take the steps that are left, compare, and complete the folder."""
     placement = optimisation.placement
     write_rig(optimisation.start, folder.rig_path("initial"))
@@ -209,7 +209,7 @@ def measure_rig(
     soiled: SoiledPart | None = None,
     loads: Mapping[str, LoadState] | None = None,
     progress: Progress,
-) -> dict[str, Any]:
+) -> RunContent:
     """Metrics of a rig on the test scenes, written to a file if there is one."""
     names = arm_names(source, beside)
     if json_file is not None and not json_file.absolute().parent.is_dir():
@@ -245,7 +245,7 @@ def measure_rig(
     if json_file is not None:
         write_json(json_file, evaluation)
         progress.say(f"wrote {json_file}")
-    return evaluation
+    return RunContent(evaluation=Evaluation.model_validate(json_ready(evaluation)), config=config)
 
 
 def _rig_to_measure(source: str, placement: Placement, progress: Progress) -> Rig:

@@ -48,12 +48,10 @@ if TYPE_CHECKING:
 
     from warpav.optimisation.losses.scene_on_tape import AssignedScene
     from warpav.requirements.check import RequirementResult
+    from warpav.runs.report.evaluation import RunContent
 
 OPTIMISED, START = "optimised", "start"
 """Names of the rigs of a run where it is compared."""
-
-LAST_STAGE = "figures"
-"""The stage of a run without whose seconds `evaluation.json` is that of one which has not ended."""
 
 _TOLERANCE_M, _TOLERANCE_RAD = 0.02, math.radians(1.0)
 _TOLERANCE_SCENES, _TOLERANCE_DRAWS = 10, 8
@@ -332,9 +330,10 @@ def write_verdict(
     *,
     timer: StageTimer,
     progress: Progress,
-) -> dict[str, Any]:
+) -> RunContent:
     """Complete a run folder that has its iterations: rigs, evaluation, figures, report."""
     from warpav.evaluation.blind_ground import BlindGround
+    from warpav.runs.report.evaluation import read_run
     from warpav.runs.report.report import write_report
     from warpav.runs.run_figures import GROUND_SCENES, RunPictures
 
@@ -372,17 +371,16 @@ def write_verdict(
         "outcomes": compared.outcomes(),
         "ground": ground.table(),
     }
-    folder.write_evaluation({**evaluation, "seconds": timer.seconds})
     pictures = placement.config.run.pictures
     if pictures != "none":
         progress.stage("pictures and report")
         drawn = RunPictures(folder, placement, result.start, result.found, test, first, evaluation)
         drawn.draw(progress, full=pictures == "all")
-    timer.end(LAST_STAGE)
-    evaluation = {**evaluation, "seconds": timer.seconds}
-    folder.write_evaluation(evaluation)
-    progress.say(f"report: {write_report(folder)}   took {timer.total_s():.0f} s")
-    return evaluation
+    timer.end("figures")
+    folder.write_evaluation({**evaluation, "seconds": timer.seconds})
+    run = read_run(folder)
+    progress.say(f"report: {write_report(folder, run)}   took {timer.total_s():.0f} s")
+    return run
 
 
 def _tolerance(result: Result, test: Sequence[AssignedScene]) -> dict[str, Any] | None:

@@ -3,11 +3,11 @@
 import numpy as np
 from PIL import Image
 
+from warpav.evaluation.rig_evaluation import TABLE_ROWS
 from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera, write_rig
 from warpav.runs.config import load_config
 from warpav.runs.run_folder import RunFolder
-from warpav.runs.verdict import ARM_ROWS
 
 ARMS = ("optimised", "start", "highest")
 SECTORS = ("front", "rear")
@@ -47,7 +47,7 @@ def arm(recall, **changed):
     group = {"objects": 8, "visible": 8, "detected": round(8 * recall), "recall": recall, "recall_visible": recall}
     none = {"objects": 0, "visible": 0, "detected": 0, "recall": None, "recall_visible": None}
     return {
-        **{name: round(0.011 * (k + 1) + 0.1 * recall, 4) for k, name in enumerate(ARM_ROWS)},
+        **{name: round(0.011 * (k + 1) + 0.1 * recall, 4) for k, name in enumerate(TABLE_ROWS)},
         "tp_detection_rate": recall,
         "constraint_violation": 0.0,
         "ap50_large": None,

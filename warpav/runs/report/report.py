@@ -16,13 +16,13 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.evaluation.metrics import SECTORS, ObjectOutcome, sectors_of
-from warpav.evaluation.rig_evaluation import outage_rows
+from warpav.evaluation.rig_evaluation import TABLE_ROWS, Table
 from warpav.runs.config import config_names, load_config, overrides_from
 from warpav.runs.mounts import free_ranges, has_zones
-from warpav.runs.report import words
-from warpav.runs.report.reading import EvaluationRecord, RunContent, View, read_run
+from warpav.runs.report import statements as words
+from warpav.runs.report.evaluation import Evaluation, RunContent, View, read_run
+from warpav.runs.report.tables import RECALL_GROUPS, metric_table, outage_table, recall_table, requirement_table
 from warpav.runs.run_folder import RunFolder
-from warpav.runs.verdict import ARM_ROWS, RECALL_GROUPS, recall_rows
 from warpav.view.figures.convergence import convergence_panels, search_panel
 from warpav.view.figures.statistics import MetricDifference, differences, recall_by_group
 from warpav.view.figures.style import svg_text
@@ -100,9 +100,9 @@ class ImageBox:
     height: float
 
 
-def write_report(folder: RunFolder) -> Path:
+def write_report(folder: RunFolder, run: RunContent | None = None) -> Path:
     """Write ``report.html`` of a run, from what its folder holds so far; nothing is rendered."""
-    run = read_run(folder)
+    run = read_run(folder) if run is None else run
     page = _template().render(_content(folder, run))
     page = page.encode("utf-8", "backslashreplace").decode()  # of paths that are not UTF-8
     if len(page.encode()) > MAX_BYTES:
@@ -151,7 +151,7 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "statements": words.summary(run),
         "cards": _cards(run),
         "objects": words.objects_name(run),
-        "metrics": _metrics(evaluation) if evaluation else [],
+        "metrics": _typeset(evaluation and metric_table(evaluation)),
         "paired": _paired(evaluation) if evaluation else [],
         "plots": _plots(run, images),
         "draws_nothing": _draws_nothing(run),
@@ -167,11 +167,11 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "is_weighted": run.config is not None and run.config.importance.is_set,
         "sensitivity": words.sensitivity(run),
         "sensitivity_map": [image for image in shown if image.name == "sensitivity"],
-        "near": _near(evaluation) if evaluation else [],
+        "near": _typeset(evaluation and requirement_table(evaluation)),
         "near_maps": [image for image in shown if image.name in _NEAR],
-        "outage": _outage(evaluation) if evaluation else None,
+        "outage": _typeset(evaluation and outage_table(evaluation)),
         "views": _views(run.views, [next(encoded) for _ in run.views], words.objects_name(run)),
-        "recall": recall_rows((folder.evaluation() or {"arms": {}})["arms"]),
+        "recall": _typeset(evaluation and recall_table(evaluation)),
         "ground": _ground(evaluation) if evaluation and evaluation.ground else [],
         "left": _left(evaluation) if evaluation and evaluation.outcomes is not None else None,
         "rows_shown": ROWS_SHOWN,
@@ -209,7 +209,7 @@ def _cards(run: RunContent) -> list[words.Statement]:
     evaluation = run.evaluation
     if evaluation is None:
         return [words.Statement("last loss", words.number(run.events[-1].loss, 4))]
-    first, arm = evaluation.first, evaluation.arms[evaluation.first]
+    first, arm = evaluation.first, evaluation.best
     before = evaluation.arms["start"].recall if "start" in evaluation.arms else None
     cards = [
         words.Statement(
@@ -241,39 +241,18 @@ def _cards(run: RunContent) -> list[words.Statement]:
     return cards
 
 
-def _near(evaluation: EvaluationRecord) -> list[tuple[str, list[str]]]:
-    """Rows of what the arms meet of every requirement."""
-    return [
-        (
-            f"{each.name}, {each.points} points" + (" (hard)" if each.hard else ""),
-            [
-                words.percent(outcomes[k].share) + ("" if outcomes[k].is_met else " (not met)")
-                for outcomes in evaluation.requirements.values()
-            ],
-        )
-        for k, each in enumerate(evaluation.requirements.get(evaluation.first, []))
-    ]
-
-
-def _outage(evaluation: EvaluationRecord) -> tuple[list[str], list[list[str]]] | None:
-    """Headings and rows of the first arm without each of its cameras; None where that is not known."""
-    outage = evaluation.camera_outage.get(evaluation.first)
-    if outage is None:
+def _typeset(table: Table | None) -> Table | None:
+    """A table with the signs that pages have for minus and for nothing."""
+    if table is None:
         return None
-    columns, rows = outage_rows(outage.model_dump(exclude_none=True))
-    return columns, [[each.replace("-", words.MINUS) if k else each for k, each in enumerate(row)] for row in rows]
+    rows = (
+        (first, *(words.NONE if each == "-" else each.replace("-", words.MINUS) for each in cells))
+        for first, *cells in table.rows
+    )
+    return Table(table.columns, tuple(rows))
 
 
-def _metrics(evaluation: EvaluationRecord) -> list[tuple[str, list[str]]]:
-    arms = evaluation.arms.values()
-    return [
-        (heading, [words.number(arm.numbers[name], 4) for arm in arms])
-        for name, heading in ARM_ROWS.items()
-        if any(arm.numbers[name] is not None for arm in arms)
-    ]
-
-
-def _paired(evaluation: EvaluationRecord) -> list[tuple[str, list[tuple[str, str]]]]:
+def _paired(evaluation: Evaluation) -> list[tuple[str, list[tuple[str, str]]]]:
     """Rows of differences with intervals: a metric, and for every other arm the text and its tone."""
     lower = {
         "misses_per_100",
@@ -287,13 +266,13 @@ def _paired(evaluation: EvaluationRecord) -> list[tuple[str, list[tuple[str, str
         (
             heading + (" (lower is better)" if name in lower else ""),
             [
-                (words.interval(each[name]), words.verdict(each[name], lower_is_better=name in lower))
+                (words.interval(each[name]), words.tone_of(each[name], lower_is_better=name in lower))
                 if name in each
                 else (words.NONE, "open")
                 for each in found.values()
             ],
         )
-        for name, heading in ARM_ROWS.items()
+        for name, heading in TABLE_ROWS.items()
         if any(name in each for each in found.values())
     ]
 
@@ -355,7 +334,7 @@ def _convergence(run: RunContent) -> list[PageImage]:
     return [_plot(name, f"{name} over the iterations", svg_text(draw, 2.9)) for name, draw in panels.items()]
 
 
-def _differences(evaluation: EvaluationRecord, metrics: Mapping[str, str]) -> list[MetricDifference]:
+def _differences(evaluation: Evaluation, metrics: Mapping[str, str]) -> list[MetricDifference]:
     """Differences with an interval, of metrics by their names and what they are called."""
     rows = []
     for metric, heading in metrics.items():
@@ -516,7 +495,7 @@ def _box(kind: str, box_px: Sequence[float]) -> ImageBox:
     return ImageBox(kind, x0, y0, round(x1 - x0, 1), round(y1 - y0, 1))
 
 
-def _ground(evaluation: EvaluationRecord) -> list[dict[str, Any]]:
+def _ground(evaluation: Evaluation) -> list[dict[str, Any]]:
     """For every height the share of the ground that no camera sees, by sector and band, and the start's."""
     ground = evaluation.ground
     assert ground is not None
@@ -544,7 +523,7 @@ def _ground(evaluation: EvaluationRecord) -> list[dict[str, Any]]:
     ]
 
 
-def _left(evaluation: EvaluationRecord) -> list[dict[str, Any]]:
+def _left(evaluation: Evaluation) -> list[dict[str, Any]]:
     """The objects that the first arm does not detect, the nearest first."""
     left = [seen for seen in evaluation.outcomes or () if seen.outcome[evaluation.first] != ObjectOutcome.DETECTED]
     rows = []

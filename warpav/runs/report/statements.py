@@ -1,4 +1,4 @@
-"""The summary of a run in words, made of its numbers: what was reached, what was not, and what is still open."""
+"""What a run has come to in words, for terminal and page alike: what was reached, what was not, what is still open."""
 
 from __future__ import annotations
 
@@ -14,33 +14,31 @@ from warpav.core.frames import wrap_angle_rad
 from warpav.evaluation.metrics import ObjectOutcome
 from warpav.optimisation.mount_errors import ANGLES
 from warpav.rig.rig import Rig
-from warpav.runs.report.reading import DifferenceRecord, EvaluationRecord, MarginRecord, RunContent
-from warpav.runs.verdict import MIN_SCENES, length_text, margin_text, mount_errors_text, robust_text
+from warpav.runs.report.evaluation import Difference, Evaluation, Margin, Robust, RunContent
 
 Tone = Literal["good", "bad", "open"]
 
 MINUS, NONE, SPACE = "\N{MINUS SIGN}", "\N{EN DASH}", "\N{NO-BREAK SPACE}"
 
-FEW_SCENES = 30
+MIN_SCENES = 6
+"""With fewer, no difference can have a p-value below 0.05: all scenes agree by chance in 2^(1 - scenes) of cases."""
 
-FAR_PER_100 = 5.0
-"""Detected misses that exceed the expected ones by so many, and twofold, are warned of."""
-
-BASELINES = {"start": "the start", "highest": "the highest rig", "random": "the best random rig"}
-
-PROVABLE = {
+_FEW_SCENES = 30
+_FAR_PER_100 = 5.0  # detected misses that exceed the expected ones by so many, and twofold, are warned of
+_HIDING_BODY = 0.5  # share of an image from which on the own body is named as why a rig detects nothing
+_BASELINES = {"start": "the start", "highest": "the highest rig", "random": "the best random rig"}
+_ALSO_COMPARED = {
     "ap50_pooled": ("AP50", False),
     "false_alarms_per_frame": ("false alarms", True),
     "tp_in_frame_rate": ("in frame", False),
 }
-"""Metrics that are reported besides recall where their difference is proven, and whether less is better."""
-
-WORTH_NAMING_M, WORTH_NAMING_DEG = 0.005, 0.5  # smaller moves are none
+"""Metrics that are named besides recall where their difference is significant, and whether less is better."""
+_WORTH_NAMING_M, _WORTH_NAMING_DEG = 0.005, 0.5  # smaller moves are none
 
 
 @dataclass(frozen=True)
 class Statement:
-    """A sentence or some, under a catchword."""
+    """A sentence or some, under a catchword; ``tone`` says whether that is good or bad news, or neither."""
 
     about: str
     text: str
@@ -62,19 +60,62 @@ def percent(value: float | None, digits: int = 1) -> str:
     return NONE if value is None else f"{100.0 * value:.{digits}f}{SPACE}%"
 
 
-def interval(difference: DifferenceRecord) -> str:
+def interval(difference: Difference) -> str:
     """A difference with its 95 % interval."""
     if difference.mean is None or difference.low is None or difference.high is None:
         return signed(difference.mean)
     return f"{signed(difference.mean)} [{signed(difference.low)}, {signed(difference.high)}]"
 
 
-def verdict(difference: DifferenceRecord, *, lower_is_better: bool = False) -> Tone:
-    """Whether a difference is proven, and in whose favour: its interval leaves 0 out, and the scenes are enough."""
+def tone_of(difference: Difference, *, lower_is_better: bool = False) -> Tone:
+    """In whose favour a difference is, where it is significant: its interval excludes 0, and the scenes are enough."""
     low, high = difference.low, difference.high
     if low is None or high is None or difference.scenes < MIN_SCENES or low <= 0.0 <= high:
         return "open"
     return "good" if (high < 0.0) == lower_is_better else "bad"
+
+
+def warnings(evaluation: Evaluation) -> list[Statement]:
+    """What is wrong with the rig that was found: worse than its start, requirements not met, the own body in the way.
+
+    Its objective is higher on the scenes where rigs are compared: then the rig of the run is the start. Or its recall
+    on the test scenes is significantly lower: these choose no rig, so it stays the rig of the run.
+    """
+    found = [Statement("WORSE THAN ITS START", text, "bad") for text in worse_than_start(evaluation)]
+    for each in evaluation.requirements.get(evaluation.first, []):
+        if each.is_met:
+            continue
+        text = f"{each.name} at {percent(each.share)} of {each.points} points"
+        text += f", asked {percent(each.need.share, 0)}" if each.need.share not in (None, 1.0) else ""
+        if each.worst:
+            x, y = each.worst[0].position_m
+            text += f"; worst at x = {x:.1f} m, y = {y:.1f} m"
+        if each.gap:
+            text += f"; largest gap: {each.gap.area_m2:.2f} m², {each.gap.sector}"
+        found.append(Statement("REQUIREMENT NOT MET", text, "bad"))
+    for name, arm in evaluation.arms.items():
+        share = arm.numbers["body_share_max"] or 0.0
+        if arm.recall == 0.0 and share >= _HIDING_BODY:
+            text = f"the vehicle's own body covers up to {share:.0%} of an image"
+            found.append(Statement(f"{name} detects nothing", text, "bad"))
+    return found
+
+
+def worse_than_start(evaluation: Evaluation) -> list[str]:
+    """In what the rig that a run has found is worse than its start, a sentence each."""
+    found = []
+    training = evaluation.training_objective
+    if training is not None and _is_worse_than_start(evaluation):
+        end = "no number" if training.optimised is None else f"{training.optimised:.4g}"
+        found.append(
+            f"the optimised rig has objective {end}, its start {training.start:.4g}; the rig of the run, "
+            "rig_best.yaml, is the start"
+        )
+    recall = evaluation.paired.get("start", {}).get("tp_detection_rate")
+    if recall is not None and recall.high is not None and recall.high < 0.0 and "start" in evaluation.arms:
+        before, after = number(evaluation.arms["start"].recall, 4), number(evaluation.best.recall, 4)
+        found.append(f"the {evaluation.first} rig has recall {after} on the test scenes, its start {before}")
+    return found
 
 
 def headline(run: RunContent) -> Statement:
@@ -83,14 +124,12 @@ def headline(run: RunContent) -> Statement:
     if evaluation is None:
         return Statement("", f"Stopped after {_counted(len(run.events), 'iteration')}, before any rig was compared.")
     compared = {
-        name: verdict(found["tp_detection_rate"])
+        name: tone_of(found["tp_detection_rate"])
         for name, found in evaluation.paired.items()
         if "tp_detection_rate" in found
     }
     if not compared:
-        return Statement(
-            "", f"Recall of the rig on the test scenes: {number(evaluation.arms[evaluation.first].recall)}."
-        )
+        return Statement("", f"Recall of the rig on the test scenes: {number(evaluation.best.recall)}.")
     counted = max(evaluation.paired[name]["tp_detection_rate"].scenes for name in compared)
     named = {tone: [_arm(name) for name in compared if compared[name] == tone] for tone in ("good", "bad", "open")}
     parts = []
@@ -104,7 +143,7 @@ def headline(run: RunContent) -> Statement:
     tone: Tone = "bad" if named["bad"] else "good" if named["good"] else "open"
     text = f"The {evaluation.first} rig {_listed(parts)}."
     if counted < MIN_SCENES:
-        text = f"{_few(counted)} too few to prove a difference"
+        text = f"{_few(counted)} too few to show a difference"
         found = _detected(run, evaluation)
         text += f"; there the {found}." if found else "."
     expected = _expected(run, evaluation)
@@ -119,13 +158,13 @@ def headline(run: RunContent) -> Statement:
     return Statement("", text, tone)
 
 
-def _expected(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
+def _expected(run: RunContent, evaluation: Evaluation) -> Statement | None:
     """What is expected to be missed on the test scenes, where that is the objective; it varies less than recall."""
-    first = evaluation.arms[evaluation.first].numbers["objective"]
+    first = evaluation.best.numbers["objective"]
     if run.certificate is None or evaluation.robust is not None or first is None:
         return None
     compared = {name: found["objective"] for name, found in evaluation.paired.items() if "objective" in found}
-    better = [name for name, each in compared.items() if verdict(each, lower_is_better=True) == "good"]
+    better = [name for name, each in compared.items() if tone_of(each, lower_is_better=True) == "good"]
     if not better:
         return None
     rest = [
@@ -137,12 +176,12 @@ def _expected(run: RunContent, evaluation: EvaluationRecord) -> Statement | None
     return Statement(
         "",
         f"In {scenes} that no search has seen, the {evaluation.first} rig is expected to miss "
-        f"{number(100.0 * first, 1)} of 100 {objects_name(run)}, proven to be fewer than {_listed(rest)}.",
+        f"{number(100.0 * first, 1)} of 100 {objects_name(run)}, significantly fewer than {_listed(rest)}.",
         "good",
     )
 
 
-def _is_worse_than_start(evaluation: EvaluationRecord) -> bool:
+def _is_worse_than_start(evaluation: Evaluation) -> bool:
     """Whether the objective of the rig that was found is higher than that of its start, or no number."""
     training = evaluation.training_objective
     if training is None or training.start is None:
@@ -187,7 +226,7 @@ def objects_name(run: RunContent, count: int = 2) -> str:
     return ("vehicle" if is_vehicles else "road user") + ("" if count == 1 else "s")
 
 
-def _traffic(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
+def _traffic(run: RunContent, evaluation: Evaluation) -> Statement | None:
     found = _detected(run, evaluation)
     if not found:
         return None
@@ -203,7 +242,7 @@ def _traffic(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
     return Statement("Traffic", text)
 
 
-def _detected(run: RunContent, evaluation: EvaluationRecord) -> str:
+def _detected(run: RunContent, evaluation: Evaluation) -> str:
     """How many objects every rig detects; empty where that is not known."""
     first, *others = evaluation.arms
     arm = evaluation.arms[first]
@@ -214,7 +253,7 @@ def _detected(run: RunContent, evaluation: EvaluationRecord) -> str:
     return f"{text}; {_listed(rest)}" if rest else text
 
 
-def _misses(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
+def _misses(run: RunContent, evaluation: Evaluation) -> Statement | None:
     """What every rig is expected to miss beside what the detector misses, where both are known."""
     pairs = {
         name: (outage.expected_misses_per_100, 100.0 * (1.0 - arm.recall))
@@ -231,47 +270,45 @@ def _misses(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
     )
     rest = [f"{_arm(name)} {number(pair[0], 1)} and {number(pair[1], 1)}" for name, pair in pairs.items()]
     text += f"; {', '.join(rest)}." if rest else "."
-    if missed <= 2.0 * expected or missed < expected + FAR_PER_100:
+    if missed <= 2.0 * expected or missed < expected + _FAR_PER_100:
         return Statement("Expected misses", text)
     text += " The detector misses far more than the model expects, so do not rely on the expected misses of this run."
     return Statement("Expected misses", text, "bad")
 
 
-def _proof(evaluation: EvaluationRecord) -> Statement | None:
+def _proof(evaluation: Evaluation) -> Statement | None:
+    """Differences of recall, and whether they are significant; of other metrics those that are."""
     sentences, tones = [], []
     for name, differences in evaluation.paired.items():
         found = differences.get("tp_detection_rate")
         if found is None or found.mean is None:
             continue
-        tone = verdict(found)
+        tone = tone_of(found)
         tones.append(tone)
         if found.low is None or found.high is None:
-            verdict_text = "one scene has no interval"
+            verdict = "one scene has no interval"
         elif found.low == found.high == 0.0:
-            verdict_text = "the same in every scene"
-        elif tone == "good":
-            verdict_text = "the interval leaves 0 out: better"
-        elif tone == "bad":
-            verdict_text = "the interval leaves 0 out: worse"
+            verdict = "the same in every scene"
+        elif tone != "open":
+            verdict = "significant: better" if tone == "good" else "significant: worse"
         elif found.low <= 0.0 <= found.high:
-            verdict_text = "the interval holds 0: no difference is proven"
+            verdict = "not significant"
         else:
-            verdict_text = f"the interval leaves 0 out, but {_counted(found.scenes, 'scene')} cannot prove a difference"
-        sentences.append(f"{interval(found)} against {_arm(name)} ({verdict_text})")
+            verdict = f"not significant with {_counted(found.scenes, 'scene')}"
+        sentences.append(f"{interval(found)} against {_arm(name)} ({verdict})")
     if not sentences:
         return None
     overall: Tone = "bad" if "bad" in tones else "good" if "good" in tones else "open"
     text = f"Difference of recall, mean of the scenes with 95{SPACE}% interval: {'; '.join(sentences)}."
     beyond = [
-        f"{PROVABLE[metric][0]} against {_arm(name)} ({'better' if tone == 'good' else 'worse'})"
+        f"{heading} against {_arm(name)} ({'better' if tone == 'good' else 'worse'})"
         for name, differences in evaluation.paired.items()
-        for metric in PROVABLE
-        if metric in differences
-        and (tone := verdict(differences[metric], lower_is_better=PROVABLE[metric][1])) != "open"
+        for metric, (heading, lower_is_better) in _ALSO_COMPARED.items()
+        if metric in differences and (tone := tone_of(differences[metric], lower_is_better=lower_is_better)) != "open"
     ]
     if beyond:
-        text += f" Of the other metrics the interval leaves 0 out for {_listed(beyond)}."
-    return Statement("Proven?", text, overall)
+        text += f" Significant as well: {_listed(beyond)}."
+    return Statement("Significant?", text, overall)
 
 
 def search_scenes(run: RunContent) -> str:
@@ -282,19 +319,23 @@ def search_scenes(run: RunContent) -> str:
     return "validation" if validation else "training"
 
 
-def _objective(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
+def _objective(run: RunContent, evaluation: Evaluation) -> Statement | None:
     training = evaluation.training_objective
-    if training is None or training.start is None or training.optimised is None:
+    if training is None or training.optimised is None:
         return None
+    if training.start is None:
+        outcomes = evaluation.requirements.get("start", [])
+        unmet = [each.name for each in outcomes if each.hard and not each.is_met]
+        reason = f", as it does not meet {_listed(unmet)}" if unmet else ""
+        return Statement("Objective", f"{number(training.optimised, 4)} at the end; the start is not allowed{reason}.")
     search = "descent" if run.certificate is None else "search"
     text = f"What the {search} lowers {_change(training.start, training.optimised)} on the {search_scenes(run)} scenes"
     if evaluation.robust is not None:
-        return Statement("Objective", f"{text}: {robust_text(evaluation.robust.model_dump())}.")
+        return Statement("Objective", f"{text}: {robust_text(evaluation.robust)}.")
     if _counts_points(run):
         text += ", expected misses and points of the requirements that are not met together"
-    arms = evaluation.arms
-    before = arms["start"].numbers["objective"] if "start" in arms else None
-    after = arms[evaluation.first].numbers["objective"]
+    before = evaluation.arms["start"].numbers["objective"] if "start" in evaluation.arms else None
+    after = evaluation.best.numbers["objective"]
     if before is None or after is None:
         return Statement("Objective", f"{text}.")
     what = "what is expected to be missed" if _counts_points(run) else "it"
@@ -302,18 +343,49 @@ def _objective(run: RunContent, evaluation: EvaluationRecord) -> Statement | Non
     found = evaluation.paired.get("start", {}).get("objective")
     if found is not None and found.low is not None:
         text += f", a difference of {interval(found)} a scene"
-    tone = "open" if found is None else verdict(found, lower_is_better=True)
+    tone = "open" if found is None else tone_of(found, lower_is_better=True)
     if tone == "good":
         text += ": the gain holds on new scenes."
     elif tone == "bad":
         text += ": on new scenes the rig is worse by it."
     elif after < before:
-        text += ": that the gain holds on new scenes is likely at best, not proven."
+        text += ": that the gain holds on new scenes is likely at best, not significant."
     elif training.optimised < training.start:
         text += ": of the gain nothing is seen on new scenes."
     else:
         text += ": there was no gain."
     return Statement("Objective", text, tone)
+
+
+def robust_text(robust: Robust) -> str:
+    """What a robust objective is made of at the start and at the end, in a sentence without its full stop."""
+
+    def change(name: str) -> str:
+        ends = (robust.start, robust.optimised)
+        return " -> ".join("-" if each is None else f"{100.0 * each[name]:.2f}" for each in ends)
+
+    errors = _mount_errors(robust)
+    if robust.camera_loss is None:
+        return (
+            f"the objective is the expected misses in the mean over errors of mounting of {errors}; per 100, start -> "
+            f"end: {change('expected_miss_rate')} with errors, {change('as_designed')} as designed"
+        )
+    lost = "the camera that is worst to lose" if robust.camera_loss == "worst" else "one camera, in the mean"
+    weight = robust.weight or 0.0
+    text = (
+        f"the objective is {1.0 - weight:g} x expected misses + {weight:g} x those without {lost}; per 100, start -> "
+        f"end: {change('expected_miss_rate')} with all cameras, {change('without_camera')} without {lost}"
+    )
+    if not errors:
+        return text
+    return f"{text}; all in the mean over errors of mounting of {errors}, as designed {change('as_designed')}"
+
+
+def _mount_errors(robust: Robust) -> str:
+    """The errors of mounting that an objective is the mean over, such as ``+-2 cm and +-1 deg``."""
+    parts = [] if robust.mount_error_m is None else [f"+-{100.0 * robust.mount_error_m:g} cm"]
+    parts += [] if robust.mount_error_deg is None else [f"+-{robust.mount_error_deg:g} deg"]
+    return " and ".join(parts)
 
 
 def _counts_points(run: RunContent) -> bool:
@@ -322,65 +394,48 @@ def _counts_points(run: RunContent) -> bool:
 
 
 def _bound(run: RunContent) -> Statement | None:
+    """How low the objective can be at most: over the cameras of the pool, on the scenes of the search, nowhere else."""
     found = run.certificate
     if found is None:
         return None
+    evaluation = run.evaluation
+    robust = None if evaluation is None else evaluation.robust
     scenes = "the scenes" if found.scenes is None else f"the {_counted(found.scenes, 'scene')}"
-    robust = None if run.evaluation is None else run.evaluation.robust
-    errors = None if robust is None else mount_errors_text(robust.model_dump())
-    if errors is not None and robust is not None and robust.camera_loss is None:
-        text = (
-            f"On {scenes} of the search no rig of the pool's {found.pool_cameras} cameras has an objective, which "
-            f"counts errors of mounting of {errors}, below {number(found.bound, 4)}, which is proven over the errors "
-            f"that were drawn; the rig that was found has {number(found.objective, 4)}. Of other errors, of cameras "
-            "that the pool does not hold, and of other scenes, nothing is proven."
-        )
-        return Statement("Bound", text)
+    text = f"On {scenes} of the search no rig of the pool's {found.pool_cameras} cameras"
+    bound, reached = number(found.bound, 4), f"the rig that was found has {number(found.objective, 4)}"
+    covers = " The bound covers the rendered candidates and the scenes of the search only."
+    if robust is not None and robust.camera_loss is None:
+        errors = f"an objective, which counts the errors of mounting of {_mount_errors(robust)} that were drawn,"
+        return Statement("Bound", f"{text} has {errors} below {bound}; {reached}.{covers}")
     if robust is not None:
-        text = (
-            f"On the scenes of the search no rig of the pool's {found.pool_cameras} cameras has a robust objective "
-            f"below {number(found.bound, 4)}, which is proven and not tight; the rig that was found has "
-            f"{number(found.objective, 4)}. Of cameras that the pool does not hold, and of other scenes, nothing is "
-            "proven."
-        )
+        text += f" has a robust objective below {bound}, which is not tight; {reached}.{covers}"
         return Statement("Bound", text)
     if _counts_points(run):
-        text = (
-            f"On {scenes} of the search no rig of the pool's {found.pool_cameras} cameras has an objective, of "
-            f"expected misses and points of the requirements together, below {number(found.bound, 4)}, which is "
-            f"proven; the rig that was found has {number(found.objective, 4)}. Of cameras that the pool does not "
-            "hold, and of other scenes, nothing is proven."
-        )
-        return Statement("Bound", text)
+        what = "an objective, of expected misses and points of the requirements together,"
+        return Statement("Bound", f"{text} has {what} below {bound}; {reached}.{covers}")
     beyond = "more" if found.gap >= 0.0 else "less, as its cameras were polished to where the pool has none"
-    text = (
-        f"On {scenes} of the search no rig of the pool's {found.pool_cameras} cameras is expected to miss less than "
-        f"{percent(found.bound, 2)} of the {objects_name(run)}, which is proven; the rig that was found misses "
-        f"{percent(found.objective, 2)}, {number(100.0 * abs(found.gap), 2)} points {beyond}."
+    text += (
+        f" is expected to miss less than {percent(found.bound, 2)} of the {objects_name(run)}; the rig that was found "
+        f"misses {percent(found.objective, 2)}, {number(100.0 * abs(found.gap), 2)} points {beyond}."
     )
     before = found.bounds[:-1]
     if before:
         text += (
-            f" The bound is over the cameras of the pool: as this grew from {before[0].pool_cameras} to "
-            f"{found.pool_cameras}, it moved from {percent(before[0].bound, 2)} to {percent(found.bound, 2)}, in the "
-            f"last round by {number(100.0 * abs(found.bound - before[-1].bound), 2)} points. What cameras that the "
-            "pool does not hold would bring is not proven."
+            f" As the pool grew from {before[0].pool_cameras} to {found.pool_cameras} cameras, the bound moved from "
+            f"{percent(before[0].bound, 2)} to {percent(found.bound, 2)}, in the last round by "
+            f"{number(100.0 * abs(found.bound - before[-1].bound), 2)} points."
         )
-    else:
-        text += " Of cameras that the pool does not hold nothing is proven."
-    unseen = None if run.evaluation is None else run.evaluation.arms[run.evaluation.first].numbers["objective"]
+    unseen = None if evaluation is None else evaluation.best.numbers["objective"]
     if unseen is not None:
-        text += (
-            f" Nor is anything of other scenes: on the test scenes the rig is expected to miss {percent(unseen, 2)}."
-        )
-    return Statement("Bound", text)
+        covers += f" On the test scenes the rig is expected to miss {percent(unseen, 2)}."
+    return Statement("Bound", f"{text}{covers}")
 
 
 def _moves(run: RunContent) -> Statement | None:
     if run.start is None or run.result is None or len(run.start.cameras) != len(run.result.cameras):
         return None
     found = moves(run.start, run.result)
-    moved = [each for each in found if each[1] >= WORTH_NAMING_M or abs(each[2]) >= WORTH_NAMING_DEG]
+    moved = [each for each in found if each[1] >= _WORTH_NAMING_M or abs(each[2]) >= _WORTH_NAMING_DEG]
     if not moved:
         return Statement("What moved", "Nothing: the rig is the one at the start.")
     parts = [
@@ -392,7 +447,7 @@ def _moves(run: RunContent) -> Statement | None:
     return Statement("What moved", text)
 
 
-def _left(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
+def _left(run: RunContent, evaluation: Evaluation) -> Statement | None:
     if evaluation.outcomes is None:
         return None
     count = Counter(seen.outcome[evaluation.first] for seen in evaluation.outcomes)
@@ -419,7 +474,7 @@ def _left(run: RunContent, evaluation: EvaluationRecord) -> Statement | None:
     return Statement("Not detected", text)
 
 
-def _requirements(evaluation: EvaluationRecord) -> Statement | None:
+def _requirements(evaluation: Evaluation) -> Statement | None:
     """Which requirements the rig that was found meets, and where not."""
     outcomes = evaluation.requirements.get(evaluation.first)
     if not outcomes:
@@ -441,7 +496,7 @@ def _requirements(evaluation: EvaluationRecord) -> Statement | None:
     return Statement("Seen near the vehicle", f"{lead}{_listed(parts)}.", "good" if is_met else "bad")
 
 
-def _ground(evaluation: EvaluationRecord) -> Statement | None:
+def _ground(evaluation: Evaluation) -> Statement | None:
     ground = evaluation.ground
     if ground is None:
         return None
@@ -468,8 +523,8 @@ def _ground(evaluation: EvaluationRecord) -> Statement | None:
     return Statement("Blind ground", text, "bad" if share > 0.5 else "open")
 
 
-def _constraints(evaluation: EvaluationRecord) -> Statement | None:
-    violation_m = evaluation.arms[evaluation.first].numbers["constraint_violation"]
+def _constraints(evaluation: Evaluation) -> Statement | None:
+    violation_m = evaluation.best.numbers["constraint_violation"]
     margins = None if evaluation.constraints is None else evaluation.constraints[evaluation.first]
     if not margins:
         if violation_m is None:
@@ -479,11 +534,11 @@ def _constraints(evaluation: EvaluationRecord) -> Statement | None:
         return Statement("Constraints", text, "good" if is_kept else "bad")
     broken = [margin for margin in margins if not margin.is_kept]
     tightest = min(margins, key=lambda margin: margin.slack_m)
-    name = margin_text(tightest.kind, tightest.cameras)
+    name = margin_name(tightest)
     if broken:
-        worst = f"{name} is {length_text(-tightest.slack_m)} too short"
+        worst = f"{name} is {_length(-tightest.slack_m)} too short"
         return Statement("Constraints", f"{len(broken)} of {len(margins)} are broken; {worst}.", "bad")
-    text = f"All {len(margins)} hold; the tightest is {name}, with {length_text(tightest.slack_m)} to spare."
+    text = f"All {len(margins)} hold; the tightest is {name}, with {_length(tightest.slack_m)} to spare."
     return Statement("Constraints", text, "good")
 
 
@@ -509,6 +564,8 @@ def _pitch_limits(run: RunContent) -> Statement | None:
 
 def _end(run: RunContent) -> Statement | None:
     end = None if run.evaluation is None else run.evaluation.descent
+    if end is None and not run.events:
+        return None
     if end is None:
         planned = None if run.config is None else run.config.run.iterations
         text = f"after {_counted(len(run.events), 'iteration')}"
@@ -549,23 +606,27 @@ def sensitivity(run: RunContent) -> str:
     return f"{text}; in traffic the loss of {lost.camera} costs most, {number(more, 1)} more misses of 100."
 
 
-def _caution(evaluation: EvaluationRecord) -> Statement | None:
+def _caution(evaluation: Evaluation) -> Statement | None:
     count = evaluation.scenes["test"]
-    if count >= FEW_SCENES:
+    if count >= _FEW_SCENES:
         return None
     text = f"{_few(count)} few"
     if count < MIN_SCENES:
-        text += f": with fewer than {MIN_SCENES}, no difference can be proven at 5 %"
+        text += f": with fewer than {MIN_SCENES}, no difference can be significant at 5 %"
     else:
         text += ", and the intervals of so few tend to be too short"
     return Statement("Caution", f"{text}. For more scenes: scenes.test_seeds=5000..5049.")
 
 
-def margin_name(margin: MarginRecord) -> str:
-    """What a constraint asks, in words."""
+def margin_name(margin: Margin) -> str:
+    """What a constraint is about, in words."""
     if margin.kind == "border":
-        return f"{margin.cameras[0]}: distance to the border of where it may stand"
-    return f"{' and '.join(margin.cameras)}: distance"
+        return f"the distance from {margin.cameras[0]} to the border of where it may stand"
+    return f"the distance between {' and '.join(margin.cameras)}"
+
+
+def _length(length_m: float) -> str:
+    return f"{1000.0 * length_m:.0f} mm" if length_m < 0.1 else f"{length_m:.2f} m"
 
 
 def _change(before: float, after: float) -> str:
@@ -576,7 +637,7 @@ def _change(before: float, after: float) -> str:
 
 
 def _arm(name: str) -> str:
-    return BASELINES.get(name, name)
+    return _BASELINES.get(name, name)
 
 
 def _few(count: int) -> str:

@@ -1,9 +1,9 @@
-"""What a run folder holds, checked: whatever a report is made of has the form that it is written in."""
+"""What a run folder holds, checked: what report and terminal show has the form that a run writes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
@@ -12,25 +12,25 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 from warpav.core.errors import InputError
 from warpav.core.yaml_file import read_yaml
 from warpav.evaluation.metrics import ObjectOutcome
+from warpav.evaluation.rig_evaluation import TABLE_ROWS
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.rig import Rig
 from warpav.rig.zone import Zone, read_zones
 from warpav.runs.certificate import Certificate
 from warpav.runs.config import Config
 from warpav.runs.run_folder import RunFolder
-from warpav.runs.verdict import ARM_ROWS
 
 BoxPx = tuple[float, float, float, float]
 Content = TypeVar("Content")
 
 
 class _Part(BaseModel):
-    """A part of a file; what a report does not need is left out."""
+    """A part of a file; what nobody shows is left out, and what older versions did not write is None or empty."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
 
-class DifferenceRecord(_Part):
+class Difference(_Part):
     """How the first arm differs from another in a metric, see `warpav.evaluation.statistics.Difference`."""
 
     mean: float | None
@@ -53,8 +53,8 @@ class Group(_Part):
         return self
 
 
-class ArmRecord(_Part):
-    """Metrics of a rig, see `warpav.evaluation.metrics.ArmMetrics`."""
+class Arm(_Part):
+    """Metrics of a rig, see `warpav.evaluation.metrics.ArmMetrics`; ``numbers`` are those of `TABLE_ROWS`."""
 
     numbers: dict[str, float | None]
     objects: int | None = None
@@ -63,9 +63,7 @@ class ArmRecord(_Part):
     @model_validator(mode="before")
     @classmethod
     def _gathered(cls, data: Any) -> Any:  # noqa: ANN401 (JSON)
-        if isinstance(data, dict):
-            return {**data, "numbers": {name: data.get(name) for name in ARM_ROWS}}
-        return data
+        return {**data, "numbers": {name: data.get(name) for name in TABLE_ROWS}} if isinstance(data, dict) else data
 
     @property
     def recall(self) -> float | None:
@@ -85,8 +83,8 @@ class StartAndEnd(_Part):
     optimised: float | None
 
 
-class DescentEnd(_Part):
-    """How a descent ended."""
+class SearchEnd(_Part):
+    """How a search ended: its steps, why it took no more (None: it took all), and those after which the rig stood."""
 
     iterations: int
     planned: int
@@ -94,7 +92,7 @@ class DescentEnd(_Part):
     kept: int
 
 
-class MarginRecord(_Part):
+class Margin(_Part):
     """How far a rig is from breaking a constraint, see `warpav.optimisation.constraints.Margin`."""
 
     kind: Literal["border", "spacing"]
@@ -147,7 +145,7 @@ class GroundTable(_Part):
         return float(np.array(self.blind[arm])[height].sum()) * self.cell_m**2 / self.scenes
 
 
-class OutageOfCamera(_Part):
+class CameraOutage(_Part):
     """A rig without one camera, see `warpav.evaluation.camera_outage.CameraOutage`."""
 
     camera: str
@@ -157,16 +155,16 @@ class OutageOfCamera(_Part):
     weighted_difference_per_100: float | None = None
 
 
-class OutageRecord(_Part):
+class Outage(_Part):
     """A rig without each of its cameras, see `warpav.evaluation.camera_outage.CameraOutages`."""
 
     expected_misses_per_100: float
     weighted_expected_misses_per_100: float | None = None
     worst: str
-    cameras: list[OutageOfCamera] = Field(min_length=1)
+    cameras: list[CameraOutage] = Field(min_length=1)
 
     @model_validator(mode="after")
-    def _is_weighted_or_not(self) -> OutageRecord:
+    def _is_weighted_or_not(self) -> Outage:
         weighted = [self.weighted_expected_misses_per_100]
         for each in self.cameras:
             weighted += [each.weighted_expected_misses_per_100, each.weighted_difference_per_100]
@@ -175,7 +173,7 @@ class OutageRecord(_Part):
         return self
 
 
-class MountEffectRecord(_Part):
+class MountEffect(_Part):
     """The camera and degree of freedom that cost most."""
 
     camera: str
@@ -183,16 +181,16 @@ class MountEffectRecord(_Part):
     change_per_100: float
 
 
-class ToleranceRecord(_Part):
+class Tolerance(_Part):
     """What errors of mounting cost, see `warpav.evaluation.mount_tolerance.MountTolerance`."""
 
     position_m: float = Field(gt=0.0)
     angle_rad: float = Field(gt=0.0)
     scenes: int
-    worst: MountEffectRecord
+    worst: MountEffect
 
 
-class NeedRecord(_Part):
+class Need(_Part):
     """What a requirement asks for, see `warpav.requirements.requirement.Requirement`."""
 
     object: str
@@ -202,7 +200,7 @@ class NeedRecord(_Part):
     share: float | None = 1.0
 
 
-class PointRecord(_Part):
+class Point(_Part):
     """A point that is not met, see `warpav.requirements.check.WorstPoint`."""
 
     position_m: tuple[float, float]
@@ -211,21 +209,29 @@ class PointRecord(_Part):
     pixels: float
 
 
-class RequirementRecord(_Part):
+class Gap(_Part):
+    """The largest connected ground that does not meet a requirement."""
+
+    area_m2: float
+    sector: str
+
+
+class Requirement(_Part):
     """What a rig meets of a requirement, see `warpav.requirements.check.RequirementOutcome`."""
 
     name: str
     hard: bool
     weight: float | None
-    need: NeedRecord
+    need: Need
     points: int
     met: int
     share: float
     is_met: bool
-    worst: list[PointRecord] = []
+    worst: list[Point] = []
+    gap: Gap | None = None
 
 
-class RobustRecord(_Part):
+class Robust(_Part):
     """What a robust objective is made of, see `warpav.optimisation.camera_loss.RobustValue`."""
 
     camera_loss: Literal["mean", "worst"] | None = None
@@ -236,31 +242,35 @@ class RobustRecord(_Part):
     optimised: dict[str, float] | None
 
 
-class EvaluationRecord(_Part):
-    """``evaluation.json``. What older versions did not write is None or empty."""
+class Evaluation(_Part):
+    """``evaluation.json``."""
 
     version: Literal[1] = Field(1, alias="schema")
     scenes: Annotated[dict[Literal["test"], int], Field(min_length=1)]
-    arms: dict[str, ArmRecord] = Field(min_length=1)
-    paired: dict[str, dict[str, DifferenceRecord]] = {}
+    arms: dict[str, Arm] = Field(min_length=1)
+    paired: dict[str, dict[str, Difference]] = {}
     training_objective: StartAndEnd | None = None
     seconds: dict[str, float] = {}
-    descent: DescentEnd | None = None
-    constraints: dict[str, list[MarginRecord]] | None = None
+    descent: SearchEnd | None = None
+    constraints: dict[str, list[Margin]] | None = None
     outcomes: list[ReportedObject] | None = None
     ground: GroundTable | None = None
-    camera_outage: dict[str, OutageRecord | None] = {}
-    mount_tolerance: ToleranceRecord | None = None
-    requirements: dict[str, list[RequirementRecord]] = {}
-    robust: RobustRecord | None = None
+    camera_outage: dict[str, Outage | None] = {}
+    mount_tolerance: Tolerance | None = None
+    requirements: dict[str, list[Requirement]] = {}
+    robust: Robust | None = None
+    soiling: dict[str, Any] | None = None
+    load_states: dict[str, Any] | None = None
 
     @model_validator(mode="after")
-    def _knows_its_arms(self) -> EvaluationRecord:
+    def _knows_its_arms(self) -> Evaluation:
         of_parts = {name for seen in self.outcomes or () for name in self.arms if name not in seen.outcome}
         of_parts |= set(self.arms) - set(self.ground.blind if self.ground else self.arms)
-        of_parts |= set(self.arms) - set(self.arms if self.constraints is None else self.constraints)
+        of_parts |= {self.first} - set(self.arms if self.constraints is None else self.constraints)
         if of_parts:
-            raise ValueError(f"outcomes, ground and constraints must be of all arms, {min(of_parts)} is missing")
+            raise ValueError(
+                f"outcomes and ground must be of all arms, constraints of the first, {min(of_parts)} is missing"
+            )
         if len({tuple(each.name for each in outcomes) for outcomes in self.requirements.values()}) > 1:
             raise ValueError("requirements must be the same for all arms")
         groups = [
@@ -274,6 +284,11 @@ class EvaluationRecord(_Part):
     def first(self) -> str:
         """The arm that the others are compared with."""
         return next(iter(self.arms))
+
+    @property
+    def best(self) -> Arm:
+        """Its metrics."""
+        return self.arms[self.first]
 
 
 class Event(_Part):
@@ -333,26 +348,26 @@ class GroundMap:
 
 @dataclass(frozen=True)
 class RunContent:
-    """Everything in a run folder that a report shows."""
+    """Everything of a run that is shown; what a run that was stopped does not have is None or empty."""
 
-    name: str
-    options: dict[str, Any]
-    config: Config | None
-    config_mistake: str
-    environment: dict[str, Any]
-    events: list[Event]
-    evaluation: EvaluationRecord | None
-    start: Rig | None
-    result: Rig | None
-    views: list[View]
-    ground: GroundMap | None
+    name: str = ""
+    options: dict[str, Any] = field(default_factory=dict)
+    config: Config | None = None
+    config_mistake: str = ""
+    environment: dict[str, Any] = field(default_factory=dict)
+    events: list[Event] = field(default_factory=list)
+    evaluation: Evaluation | None = None
+    start: Rig | None = None
+    result: Rig | None = None
+    views: list[View] = field(default_factory=list)
+    ground: GroundMap | None = None
     certificate: Certificate | None = None
     further: FurtherCameras | None = None
     zones: tuple[Zone, ...] = ()
 
 
 def read_run(folder: RunFolder) -> RunContent:
-    """Everything in a run folder that a report shows.
+    """Everything in a run folder that is shown.
 
     Raises:
         InputError: A file is not what a run writes; or there is nothing to show.
@@ -368,7 +383,8 @@ def read_run(folder: RunFolder) -> RunContent:
     content = folder.evaluation()
     if not events and content is None:
         raise InputError(f"{folder.path}: run folder: expected at least one iteration to report on, got none")
-    evaluation = None if content is None else _checked(EvaluationRecord, content, folder, "evaluation.json")
+    evaluation = None if content is None else _checked(Evaluation, content, folder, "evaluation.json")
+    scenes = None if config is None else config.scenes.search_scene_count
     return RunContent(
         name=folder.path.resolve().name,
         options=options,
@@ -381,10 +397,7 @@ def read_run(folder: RunFolder) -> RunContent:
         result=_result(folder, config),
         views=_checked(list[View], folder.views() or [], folder, "figures/views.json"),
         ground=_ground(folder, evaluation),
-        certificate=Certificate.of(
-            [event.model_dump() for event in events],
-            scenes=None if config is None else config.scenes.search_scene_count,
-        ),
+        certificate=Certificate.of([event.model_dump() for event in events], scenes=scenes),
         further=folder.further_cameras(),
         zones=() if config is None or config.mount.zones is None else read_zones(config.mount.zones),
     )
@@ -414,7 +427,7 @@ def _result(folder: RunFolder, config: Config | None) -> Rig | None:
     return None
 
 
-def _ground(folder: RunFolder, evaluation: EvaluationRecord | None) -> GroundMap | None:
+def _ground(folder: RunFolder, evaluation: Evaluation | None) -> GroundMap | None:
     arrays = folder.ground()
     if arrays is None or evaluation is None:
         return None
