@@ -351,7 +351,8 @@ def test_the_headline_of_a_search_says_what_is_expected_first(folder):
     told = headline(search)
     assert told.text.replace("\N{NO-BREAK SPACE}", " ") == (
         "In 12 scenes that no search has seen, the optimised rig is expected to miss 6.0 of 100 vehicles, "
-        "significantly fewer than the start (12.0). What the detector finds there cannot tell it from the start or the highest rig."
+        "significantly fewer than the start (12.0). What the detector finds there cannot tell it from the start or the "
+        "highest rig."
     )
     assert told.tone == "good"
     for found in paired.values():
