@@ -1,4 +1,4 @@
-"""The documentation of several versions, side by side."""
+"""The documentation of several versions, beside each other."""
 
 import subprocess
 
@@ -25,11 +25,7 @@ def repository(tmp_path):
     return tmp_path
 
 
-def test_releases_are_tags_of_three_numbers_the_newest_first(repository):
-    assert versions.releases(repository) == ["v0.10.0", "v0.2.0"]
-
-
-def test_every_release_is_built_by_its_own_files(repository, tmp_path, monkeypatch):
+def test_tags_of_three_numbers_are_built_by_their_own_files_the_newest_first(repository, tmp_path, monkeypatch):
     built = {}
 
     def sphinx(command, **variables):

@@ -70,27 +70,19 @@ def commands():
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_links_lead_somewhere(page):
+def test_links_lead_somewhere_and_tables_are_whole(page):
     assert list(lost_links(page)) == []
-
-
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_rows_of_a_table_have_as_many_cells_as_its_head(page):
     width = None
     for line in page.read_text().splitlines():
-        if not line.startswith("|"):
-            width = None
-            continue
-        cells = len(re.sub(r"\\\||`[^`]*`", "", line).strip().strip("|").split("|"))
-        width = width or cells
-        assert cells == width, line
+        cells = len(re.sub(r"\\\||`[^`]*`", "", line).strip().strip("|").split("|")) if line.startswith("|") else None
+        assert width is None or cells in (None, width), line
+        width = cells and (width or cells)
 
 
 def test_all_thirty_two_open_places_are_answered_in_order():
     section = METHOD.read_text().partition("\n## Where the text of the thesis is open")[2].partition("\n## ")[0]
     rows = [line.strip("| ").split(" | ") for line in section.splitlines() if re.match(r"\| \d", line)]
     assert [int(row[0]) for row in rows] == list(range(1, 33))
-    assert all(cell.strip() for row in rows for cell in row)
     assert all(row[4].count("](") == 2 for row in rows)  # a module and a test
 
 
@@ -130,11 +122,8 @@ def test_commands_of_the_documentation_are_understood(words, tmp_path, monkeypat
 @pytest.mark.parametrize(
     ("line", "wrong"),
     [
-        ("rig draw mine.yaml", "draw"),
         ("inspect mine --angle sight", "angle"),
-        ("inspect mine --show views", "views"),
         ("optimise rig.camera=6", "rig.camera"),
-        ("optimise rig.start=random rig.freeze=[front, rear]", "[front,"),
     ],
 )
 def test_a_slip_in_a_command_would_be_found(line, wrong, tmp_path, monkeypatch):
@@ -178,6 +167,12 @@ def test_decisions_are_dated_and_their_pages_listed():
     for page in pages:
         entries = re.split(r"^- ", page.read_text(), flags=re.MULTILINE)[1:]
         assert [entry for entry in entries if not re.match(r"\*\*[^*]+\*\*[^*]*?\(2\d{3}-\d\d-\d\d[,)]", entry)] == []
+
+
+def test_documents_stay_short():
+    generated = ROOT / "docs" / "results.md"
+    assert sum(page.stat().st_size for page in DOCS if page != generated) <= 290_000
+    assert len([page for page in DOCS if page.parent.name == "guide"]) <= 12
 
 
 def test_every_record_is_a_page_of_the_site():
