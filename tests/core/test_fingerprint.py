@@ -12,7 +12,7 @@ import pytest
 
 from warpav.core import cache as module
 from warpav.core.cache import fingerprint as fingerprint_of
-from warpav.scene.capture.plan import PlanSettings
+from warpav.scene.capture.capture import PlanSettings
 from warpav.scene.reconstruction.settings import ReconstructionSettings
 
 TOWN = "warpav.scene.town.town"

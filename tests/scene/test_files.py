@@ -10,8 +10,8 @@ import pytest
 
 from warpav.core.errors import InputError
 from warpav.core.executor import Executor
+from warpav.scene.capture.capture import PlanSettings
 from warpav.scene.capture.folder import DESCRIPTION, UNFINISHED, read_capture
-from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.capture.town_simulator import TownSimulator
 from warpav.scene.files import (
     INDEX,

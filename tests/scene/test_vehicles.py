@@ -6,6 +6,7 @@ import trimesh
 
 import warpav as wa
 from warpav.raster.mesh import Mesh
+from warpav.scene.mesh_colours import simulator_model
 from warpav.scene.own_vehicle import (
     Reading,
     examine,
@@ -14,7 +15,6 @@ from warpav.scene.own_vehicle import (
     scale_of,
     wheels_of,
 )
-from warpav.scene.simulator_model import simulator_model
 from warpav.scene.town.vehicle_shapes import vehicle_mesh
 from warpav.scene.vehicles import vehicle_file
 

@@ -14,8 +14,7 @@ from tests.view.stand_ins import needs_opengl, scene, vehicle
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.experiments import scene_figures
-from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE
-from warpav.scene.capture.plan import PlanSettings
+from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, PlanSettings
 from warpav.scene.glb import write_scene
 from warpav.scene.reconstruction.point_cloud import fuse
 from warpav.scene.reconstruction.settings import CloudSettings, MeshSettings, ReconstructionSettings

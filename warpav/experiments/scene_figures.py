@@ -10,9 +10,8 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.warp_setup import load_warp
-from warpav.scene.capture.capture import Capture
+from warpav.scene.capture.capture import Capture, PlanSettings, record
 from warpav.scene.capture.folder import read_capture
-from warpav.scene.capture.plan import PlanSettings, record
 from warpav.scene.capture.town_simulator import TownSimulator
 from warpav.scene.files import scene_path, split_seeds
 from warpav.scene.glb import read_scene

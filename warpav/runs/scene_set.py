@@ -23,7 +23,7 @@ from warpav.rig.zone import read_zones
 from warpav.runs.config import Config, RigConfig, RunConfig
 from warpav.runs.mounts import camera_mount, has_zones, mount_surface, rig_modules
 from warpav.scene.cache import BuiltSource
-from warpav.scene.capture.plan import PlanSettings
+from warpav.scene.capture.capture import PlanSettings
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.files import CaptureTask, SceneTask, capture_path, capture_scenes, make_scenes, scene_path
 from warpav.scene.reconstruction.settings import METHOD_PACKAGES, ReconstructionSettings

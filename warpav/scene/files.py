@@ -20,9 +20,8 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.executor import Executor, Outcome
 from warpav.core.files import atomic_write
 from warpav.scene.cache import BuiltSource, built_scenes
+from warpav.scene.capture.capture import PlanSettings, Simulator
 from warpav.scene.capture.folder import DESCRIPTION, UNFINISHED, check_capture, read_capture, record_capture
-from warpav.scene.capture.plan import PlanSettings
-from warpav.scene.capture.simulator import Simulator
 from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.reconstruction.settings import ReconstructionSettings
 from warpav.scene.scene import Scene

@@ -17,10 +17,17 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
-from warpav.scene.glb import EGO_NODE, ENVIRONMENT_NODE, GLTF_FROM_EGO, ROOT_NODE, vertex_coloured, write_whole
-from warpav.scene.mesh_bounds import TRIANGLES_MAX, bounded_mesh
-from warpav.scene.mesh_colours import FileFinder, Texture, texture_of, vertex_rgb
-from warpav.scene.simulator_model import SimulatorModel, simulator_model
+from warpav.scene.glb import (
+    EGO_NODE,
+    ENVIRONMENT_NODE,
+    GLTF_FROM_EGO,
+    ROOT_NODE,
+    TRIANGLES_MAX,
+    bounded_mesh,
+    vertex_coloured,
+    write_whole,
+)
+from warpav.scene.mesh_colours import FileFinder, SimulatorModel, Texture, simulator_model, texture_of, vertex_rgb
 from warpav.scene.texture_detail import VERTICES_MAX, TexturedMesh, follow_textures
 from warpav.scene.vehicles import file_of, nearest_name, vehicle_names
 

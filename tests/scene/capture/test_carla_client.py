@@ -6,7 +6,7 @@ import inspect
 import numpy as np
 
 from tests.scene.capture import carla_double
-from warpav.scene.capture.carla_frames import pose_of, transform_of
+from warpav.scene.capture.carla_client import pose_of, transform_of
 
 
 def test_any_pose_is_the_mirror_of_carlas_matrix(carla, rng):

@@ -8,7 +8,7 @@ import pytest
 from tests.scene.capture import carla_double
 from tests.scene.capture.carla_double import Server
 from warpav.core.frames import rotation_from_yaw_pitch_roll
-from warpav.scene.capture.carla_frames import boxes_overlap, ego_pose_of_wheels, lane_places, meets_box
+from warpav.scene.capture.carla_client import boxes_overlap, ego_pose_of_wheels, lane_places, meets_box
 from warpav.scene.scene import Box
 
 

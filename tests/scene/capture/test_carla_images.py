@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from warpav.scene.capture.carla_images import code_from_bgra, depth_from_bgra
+from warpav.scene.capture.carla_client import code_from_bgra, depth_from_bgra
 
 
 def test_depth_counts_red_lowest_over_one_kilometre():

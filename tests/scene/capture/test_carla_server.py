@@ -14,9 +14,9 @@ from tests.scene.capture.carla_double import Server, install
 from tests.scene.capture.carla_situation import first_vehicle, view_above
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
+from warpav.scene.capture.capture import PlanSettings
 from warpav.scene.capture.carla_simulator import CarlaSimulator
 from warpav.scene.capture.folder import check_capture, read_capture, record_capture
-from warpav.scene.capture.plan import PlanSettings
 
 
 class TestWorld:

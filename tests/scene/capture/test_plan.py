@@ -7,9 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from warpav.scene.capture.capture import CapturedImage, CapturedVehicle, ViewKind
-from warpav.scene.capture.plan import PlanSettings, capture_plan, eye_position_m, spawn_visible_traffic
-from warpav.scene.capture.simulator import SpawnPoint
+from warpav.scene.capture.capture import (
+    CapturedImage,
+    CapturedVehicle,
+    PlanSettings,
+    SpawnPoint,
+    ViewKind,
+    capture_plan,
+    eye_position_m,
+    spawn_visible_traffic,
+)
 from warpav.scene.scene import Box
 
 EGO_BOX = Box(np.array([1.3, 0.0, 0.75]), np.array([4.7, 2.0, 1.5]), 0.0)

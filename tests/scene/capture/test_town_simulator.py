@@ -5,8 +5,7 @@ import pytest
 
 from tests.oracle.ray_cast import RayCaster
 from tests.scene.capture.town_capture import SEED, town_capture
-from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, ViewKind
-from warpav.scene.capture.plan import PlanSettings
+from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, PlanSettings, ViewKind
 from warpav.scene.capture.town_simulator import PANE_OPACITY, TownSimulator
 from warpav.scene.town.town import town_world
 

@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from warpav.scene.capture.plan import PlanSettings, record
+from warpav.scene.capture.capture import PlanSettings, record
 from warpav.scene.capture.town_simulator import TownSimulator
 
 SEED = 3

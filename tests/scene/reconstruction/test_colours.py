@@ -6,7 +6,7 @@ import numpy as np
 
 from warpav.raster.camera import CameraModel
 from warpav.scene.capture.capture import CapturedImage, CaptureView, ViewKind
-from warpav.scene.reconstruction.colours import seen_rgb
+from warpav.scene.reconstruction.point_cloud import seen_rgb
 
 RED, GREEN, BLUE, GREY = (200, 10, 10), (10, 200, 10), (10, 10, 200), (90, 90, 90)
 INSTANCE = 4

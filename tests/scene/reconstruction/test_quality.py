@@ -6,7 +6,7 @@ import pytest
 from tests.scene.capture.town_capture import town_capture
 from tests.scene.reconstruction.quality import quality, roof_places
 from warpav.raster.mesh import merge
-from warpav.scene.capture.plan import PlanSettings
+from warpav.scene.capture.capture import PlanSettings
 from warpav.scene.reconstruction.reconstruct import reconstruct
 from warpav.scene.town.town import town_scene
 

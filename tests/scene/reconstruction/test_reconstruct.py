@@ -8,9 +8,8 @@ import pytest
 from scipy.spatial import KDTree
 
 from warpav.core.errors import InputError
-from warpav.scene.capture.capture import Capture
+from warpav.scene.capture.capture import Capture, PlanSettings
 from warpav.scene.capture.folder import read_capture, record_capture
-from warpav.scene.capture.plan import PlanSettings
 from warpav.scene.capture.town_simulator import TownSimulator
 from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.reconstruction.reconstruct import MIN_POINTS, reconstruct

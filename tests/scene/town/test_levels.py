@@ -13,8 +13,8 @@ from tests.scene.town.digests import digest_of
 from tests.scene.town.test_town import _Caster, _rectangle, _rectangles_overlap
 from warpav.core.errors import InputError
 from warpav.runs.config import changed_config
+from warpav.scene.town.lanes import HEADWAY_S
 from warpav.scene.town.levels import LEVELS, level_scene
-from warpav.scene.town.motion import HEADWAY_S
 
 HARD = LEVELS[1:]
 SEEDS = range(2, 6)  # on average 49, 90 and 28 road users

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.scene.town.test_town import _rectangle, _rectangles_overlap
-from warpav.scene.town.motion import HEADWAY_S, STREET_KM_H, RoadUser, velocities_m_s
+from warpav.scene.town.lanes import HEADWAY_S, STREET_KM_H, RoadUser, velocities_m_s
 from warpav.scene.town.street_life import Footprint
 from warpav.scene.town.town import town_scene
 from warpav.scene.town.town_layout import Layout, Slot

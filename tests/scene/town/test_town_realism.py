@@ -8,7 +8,7 @@ import pytest
 from network_recall import CONFIDENCE_MIN, FIRST_UNSEEN_SEED, judge
 from tests.scene.capture.town_capture import town_capture
 from warpav.detection.onnx_detector import OnnxDetector
-from warpav.scene.capture.plan import PlanSettings
+from warpav.scene.capture.capture import PlanSettings
 from warpav.scene.reconstruction.reconstruct import reconstruct
 from warpav.scene.town.town import town_scene
 

@@ -5,8 +5,8 @@ import pytest
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.houses import KERB_HEIGHT_M, SceneryBuilder
+from warpav.scene.town.surface_builder import StreetGround
 from warpav.scene.traffic.recording import Lanelet
 from warpav.scene.traffic.road import road_of
 

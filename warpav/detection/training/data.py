@@ -275,7 +275,7 @@ def reconstructed_scene(seed: int) -> Scene:
     Returns:
         The scene; of its `others` those of whom anything is left.
     """
-    from warpav.scene.capture.plan import PlanSettings, record
+    from warpav.scene.capture.capture import PlanSettings, record
     from warpav.scene.capture.town_simulator import TownSimulator
     from warpav.scene.reconstruction.reconstruct import reconstruct
     from warpav.scene.reconstruction.settings import ReconstructionSettings

@@ -1,4 +1,4 @@
-"""What was recorded of one traffic situation: colour, depth and instance images from known poses, and 3D boxes.
+"""Captures: images and 3D boxes of a traffic situation, the simulators that take them, and where from.
 
 Everything is in the ego frame (ISO 8855; origin on the ground below the centre of the ego vehicle's rear axle), so that
 captures of different locations have the same structure.
@@ -7,11 +7,15 @@ captures of different locations have the same structure.
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import TracebackType
+from typing import Protocol, Self
 
 import numpy as np
 
+from warpav.core.frames import FLU_FROM_RDF
 from warpav.raster.camera import CameraModel
 from warpav.scene.scene import Box
 
@@ -84,3 +88,212 @@ class Capture:
     ego_box: Box  # 3D bounding box of the ego vehicle
     vehicles: tuple[CapturedVehicle, ...]  # the others, in order of instance id
     images: Sequence[CapturedImage]  # the images; a sequence that may read each from disk when it is asked for
+
+
+@dataclass(frozen=True, eq=False)
+class SpawnPoint:
+    """A pose along a lane or in a parking bay where a vehicle may be spawned."""
+
+    position_m: np.ndarray  # on the ground, in the ego frame [m], shape [3]
+    yaw_rad: float  # heading [rad]
+
+
+class Simulator(Protocol):
+    """A simulator with a static world; a context manager that restores its state on exit.
+
+    All poses and boxes are in the ego frame of the situation that was begun last.
+    """
+
+    name: str  # short name of that situation, such as ``town_0007``; letters, digits, ``_`` and ``-``
+    source: str  # where it comes from, such as ``town seed 7``
+    world: str  # fingerprint of its world: captures of another world are recorded again
+
+    def begin(self, seed: int) -> Box:
+        """Begin a situation: the ego vehicle alone, in clear weather, the sun overhead, no vegetation."""
+        ...
+
+    def spawn_points(self, radius_m: float) -> Sequence[SpawnPoint]:
+        """Places for other vehicles within a radius of the ego vehicle, in an order that the seed chooses."""
+        ...
+
+    def spawn(self, point: SpawnPoint) -> CapturedVehicle | None:
+        """Spawn a randomly chosen and coloured vehicle; None if the simulator rejects it, for example if occupied."""
+        ...
+
+    def remove(self, vehicle: CapturedVehicle) -> None:
+        """Take a vehicle out again."""
+        ...
+
+    def capture(self, view: CaptureView) -> CapturedImage:
+        """Take the three images of a view."""
+        ...
+
+    def __enter__(self) -> Self:
+        """The simulator itself."""
+        ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> None:
+        """Destroy all actors of this simulator and restore everything it changed, even after an error."""
+        ...
+
+
+_TOP_FOV_RAD = math.radians(90.0)
+_NARROWEST_RAD, _WIDEST_RAD = math.radians(12.0), math.radians(100.0)
+_MARGIN = 1.25  # how much wider than the vehicle an image of one is
+_VISIBILITY_SIZE_PX = (320, 240)
+_SIDE_CLEAR_M = 0.3  # above a vehicle that an image of the ego vehicle's sides would be taken from within
+
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """How a situation is recorded."""
+
+    vehicle_count: int = 12  # vehicles that are spawned at most
+    radius_m: float = 30.0  # maximum distance from the ego vehicle [m]
+    width_px: int = 640  # image width [px]
+    height_px: int = 480  # image height [px]
+    eye_above_roof_m: float = 0.4  # height above the ego vehicle's box of the images that are taken from it [m]
+    above_vehicle_m: float = 4.0  # height above a vehicle's box of the image from straight above [m]
+    scene_heights_m: tuple[float, ...] = (14.0, 28.0, 45.0)  # heights above the ground of the overview images [m]
+    rotation_count: int = 4  # images from the ego vehicle all around
+    ego_side_count: int = 4  # images of the ego vehicle from beside it, evenly around it, starting at the front left
+    ego_side_m: float = 1.8  # how far beside its box they are taken [m]
+
+
+def capture_plan(ego_box: Box, vehicles: Sequence[CapturedVehicle], settings: PlanSettings) -> list[CaptureView]:
+    """The views of a situation: 1 + 2 for each vehicle + heights + rotations, in the order of the thesis's figure 14.
+
+    Then come the sides of the ego vehicle, which the thesis's images do not show: cameras on it look along them.
+    """
+    eye_m = eye_position_m(ego_box, settings)
+    views = [_top(settings, "ego_top", ViewKind.EGO_TOP, ego_box)]
+    views += [
+        _towards(settings, f"towards_vehicle_{vehicle.instance_id:03d}", ViewKind.TOWARDS_VEHICLE, eye_m, vehicle.box)
+        for vehicle in vehicles
+    ]
+    views += [
+        _top(settings, f"vehicle_top_{vehicle.instance_id:03d}", ViewKind.VEHICLE_TOP, vehicle.box)
+        for vehicle in vehicles
+    ]
+    for index, height_m in enumerate(settings.scene_heights_m):
+        position_m = np.array([*ego_box.center_m[:2], height_m])
+        views.append(
+            _view(settings, f"scene_top_{index}", ViewKind.SCENE_TOP, position_m, _down(ego_box.yaw_rad), _TOP_FOV_RAD)
+        )
+    step_rad = 2.0 * math.pi / max(settings.rotation_count, 1)
+    for index in range(settings.rotation_count):
+        yaw_rad = ego_box.yaw_rad + index * step_rad
+        fov_rad = min(step_rad + math.radians(10.0), _WIDEST_RAD)
+        forward = np.array([math.cos(yaw_rad), math.sin(yaw_rad), 0.0])
+        views.append(_view(settings, f"rotation_{index}", ViewKind.ROTATION, eye_m, _facing(forward), fov_rad))
+    return views + _ego_sides(settings, ego_box, [vehicle.box for vehicle in vehicles])
+
+
+def _ego_sides(settings: PlanSettings, ego_box: Box, others: Sequence[Box]) -> list[CaptureView]:
+    """From the height of the ego vehicle's roof, or from above an occupying vehicle."""
+    views = []
+    for index in range(settings.ego_side_count):
+        angle_rad = (index + 0.5) * 2.0 * math.pi / settings.ego_side_count
+        towards = np.array([math.cos(angle_rad), math.sin(angle_rad), 0.0])
+        edge_m = 0.5 * np.asarray(ego_box.size_m) * (towards / np.abs(towards).max() + [0.0, 0.0, 1.0])
+        position_m = ego_box.center_m + ego_box.ego_from_box @ (edge_m + settings.ego_side_m * towards)
+        for box in others:
+            at_its_height_m = np.array([[*position_m[:2], box.center_m[2]]])
+            if box.contains(at_its_height_m, margin_m=_SIDE_CLEAR_M).all():
+                position_m[2] = max(position_m[2], box.center_m[2] + 0.5 * box.size_m[2] + _SIDE_CLEAR_M)
+        views.append(_towards(settings, f"ego_side_{index}", ViewKind.EGO_SIDE, position_m, ego_box))
+    return views
+
+
+def eye_position_m(ego_box: Box, settings: PlanSettings) -> np.ndarray:
+    """Where the images from the ego vehicle are taken [m], shape [3]."""
+    return ego_box.center_m + np.array([0.0, 0.0, 0.5 * ego_box.size_m[2] + settings.eye_above_roof_m])
+
+
+def record(simulator: Simulator, seed: int, settings: PlanSettings) -> Capture:
+    """Set up a situation and keep its images in memory; `record_capture` in `folder` keeps them on disk."""
+    ego_box = simulator.begin(seed)
+    vehicles = spawn_visible_traffic(simulator, ego_box, settings)
+    images = [simulator.capture(view) for view in capture_plan(ego_box, vehicles, settings)]
+    return Capture(simulator.name, simulator.source, ego_box, vehicles, images)
+
+
+def spawn_visible_traffic(simulator: Simulator, ego_box: Box, settings: PlanSettings) -> tuple[CapturedVehicle, ...]:
+    """Spawn vehicles one after the other; one stays only if an instance image shows a new instance after it."""
+    eye_m = eye_position_m(ego_box, settings)
+    visible: list[CapturedVehicle] = []
+    for point in simulator.spawn_points(settings.radius_m):
+        if len(visible) == settings.vehicle_count:
+            break
+        view = _look_at_spawn(eye_m, point)
+        before = np.unique(simulator.capture(view).instance)
+        vehicle = simulator.spawn(point)
+        if vehicle is None:
+            continue
+        if np.setdiff1d(np.unique(simulator.capture(view).instance), before).size:
+            visible.append(vehicle)
+        else:
+            simulator.remove(vehicle)
+    return tuple(sorted(visible, key=lambda vehicle: vehicle.instance_id))
+
+
+def _look_at_spawn(eye_m: np.ndarray, point: SpawnPoint) -> CaptureView:
+    target_m = point.position_m + np.array([0.0, 0.0, 0.8])
+    model = CameraModel(*_VISIBILITY_SIZE_PX, _TOP_FOV_RAD)
+    return CaptureView("visibility", ViewKind.OTHER, _pose(eye_m, _facing(target_m - eye_m)), model)
+
+
+def _top(settings: PlanSettings, name: str, kind: ViewKind, box: Box) -> CaptureView:
+    """From straight above a box, its length along the image's width, as narrow as it fits."""
+    above_m = 0.5 * box.size_m[2] + settings.above_vehicle_m
+    aspect = settings.width_px / settings.height_px
+    half_width_m = 0.5 * _MARGIN * max(box.size_m[0], aspect * box.size_m[1])
+    fov_rad = 2.0 * math.atan(half_width_m / settings.above_vehicle_m)
+    if fov_rad > _WIDEST_RAD:  # long vehicles from higher up
+        fov_rad = _WIDEST_RAD
+        above_m = 0.5 * box.size_m[2] + half_width_m / math.tan(0.5 * fov_rad)
+    position_m = box.center_m + np.array([0.0, 0.0, above_m])
+    return _view(settings, name, kind, position_m, _down(box.yaw_rad + 0.5 * math.pi), fov_rad)
+
+
+def _towards(settings: PlanSettings, name: str, kind: ViewKind, eye_m: np.ndarray, box: Box) -> CaptureView:
+    """From a position towards the centre of a box, with the narrowest field of view that contains it."""
+    camera_from_ego = _facing(box.center_m - eye_m).T
+    seen = (box.corners_m() - eye_m) @ camera_from_ego.T
+    seen[:, 2] = np.maximum(seen[:, 2], 0.3)  # corners beside or behind the camera: the widest view
+    tangent = np.abs(seen[:, :2] / seen[:, 2:]).max(axis=0)
+    half = max(tangent[0], tangent[1] * settings.width_px / settings.height_px)
+    fov_rad = float(np.clip(2.0 * math.atan(_MARGIN * half), _NARROWEST_RAD, _WIDEST_RAD))
+    return _view(settings, name, kind, eye_m, camera_from_ego.T, fov_rad)
+
+
+def _view(
+    settings: PlanSettings, name: str, kind: ViewKind, position_m: np.ndarray, rotation: np.ndarray, fov_rad: float
+) -> CaptureView:
+    model = CameraModel(settings.width_px, settings.height_px, fov_rad)
+    return CaptureView(name, kind, _pose(position_m, rotation), model)
+
+
+def _pose(position_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, position_m
+    return pose
+
+
+def _facing(forward: np.ndarray) -> np.ndarray:
+    """Rotation to ego axes of an upright camera that points along a direction."""
+    forward = forward / np.linalg.norm(forward)
+    level = math.hypot(forward[0], forward[1])
+    if level < 1e-6:
+        return _down(0.0) if forward[2] < 0.0 else _down(0.0) @ np.diag([1.0, -1.0, -1.0])
+    left = np.array([-forward[1], forward[0], 0.0]) / level
+    return np.stack([forward, left, np.cross(forward, left)], axis=1) @ FLU_FROM_RDF
+
+
+def _down(yaw_rad: float) -> np.ndarray:
+    """Rotation to ego axes of a camera that points straight down; its image's up direction is a heading."""
+    top = np.array([math.cos(yaw_rad), math.sin(yaw_rad), 0.0])
+    right = np.array([top[1], -top[0], 0.0])
+    return np.stack([right, -top, [0.0, 0.0, -1.0]], axis=1)

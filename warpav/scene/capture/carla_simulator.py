@@ -26,33 +26,32 @@ from warpav.core.frames import (
     rotation_from_yaw_pitch_roll,
 )
 from warpav.raster.camera import CameraModel
-from warpav.scene.capture.capture import EGO_INSTANCE, CapturedImage, CapturedVehicle, CaptureView
-from warpav.scene.capture.carla_frames import (
+from warpav.scene.capture.capture import EGO_INSTANCE, CapturedImage, CapturedVehicle, CaptureView, SpawnPoint
+from warpav.scene.capture.carla_client import (
     RDF_FROM_FLU,
+    Remote,
     boxes_overlap,
+    category_of,
+    check_pinhole,
+    clear_noon,
+    code_from_bgra,
+    colours_of,
+    depth_from_bgra,
     ego_pose_of_wheels,
     ego_rays,
+    import_carla,
     inverse_pose,
     is_inside,
     lane_places,
     meets_box,
     point_of,
     pose_of,
-    rigid_pose,
-    transform_of,
-)
-from warpav.scene.capture.carla_images import check_pinhole, code_from_bgra, depth_from_bgra
-from warpav.scene.capture.carla_server import (
-    Remote,
-    category_of,
-    clear_noon,
-    colours_of,
-    import_carla,
     release_of,
+    rigid_pose,
     set_attributes,
+    transform_of,
     unreachable,
 )
-from warpav.scene.capture.simulator import SpawnPoint
 from warpav.scene.scene import Box
 
 _ANSWER_S = 2.0  # with `REACH_S` below the 5 s within which a missing server is reported
@@ -102,7 +101,7 @@ class _Situation:
 
 
 class CarlaSimulator:
-    """A CARLA server as a `warpav.scene.capture.simulator.Simulator`.
+    """A CARLA server as a `warpav.scene.capture.capture.Simulator`.
 
     Use it in a ``with`` statement: entering connects, makes the server synchronous and prepares the world; leaving, for
     whatever reason, destroys every actor that was made and restores weather, vegetation, lights and settings. A map

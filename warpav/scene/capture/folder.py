@@ -53,10 +53,12 @@ from warpav.scene.capture.capture import (
     CapturedImage,
     CapturedVehicle,
     CaptureView,
+    PlanSettings,
+    Simulator,
     ViewKind,
+    capture_plan,
+    spawn_visible_traffic,
 )
-from warpav.scene.capture.plan import PlanSettings, capture_plan, spawn_visible_traffic
-from warpav.scene.capture.simulator import Simulator
 from warpav.scene.scene import Box
 
 SCHEMA = "warpav-capture/1"

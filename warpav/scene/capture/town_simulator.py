@@ -10,8 +10,14 @@ import numpy as np
 
 from warpav.core.cache import fingerprint
 from warpav.raster.mesh import merge
-from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, CapturedImage, CapturedVehicle, CaptureView
-from warpav.scene.capture.simulator import SpawnPoint
+from warpav.scene.capture.capture import (
+    EGO_INSTANCE,
+    ENVIRONMENT_INSTANCE,
+    CapturedImage,
+    CapturedVehicle,
+    CaptureView,
+    SpawnPoint,
+)
 from warpav.scene.scene import Box, Sky
 from warpav.scene.town.town import TownWorld, town_world
 

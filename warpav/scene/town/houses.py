@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from warpav.raster.mesh import Mesh
-from warpav.scene.town.ground import StreetGround
+from warpav.scene.town.surface_builder import StreetGround
 from warpav.scene.town.town_layout import Block, Marking, Rectangle
 
 KERB_HEIGHT_M = 0.13

@@ -8,15 +8,14 @@ import numpy as np
 
 from warpav.raster.mesh import Mesh, merge
 from warpav.scene.scene import Scene, Vehicle
-from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.houses import SceneryBuilder
-from warpav.scene.town.motion import RoadUser, velocities_m_s
+from warpav.scene.town.lanes import RoadUser, velocities_m_s
 from warpav.scene.town.people import person_mesh
-from warpav.scene.town.placed_vehicle import LONG_KINDS, DrawnVehicle, Exchange, PlacedVehicle
+from warpav.scene.town.placed_vehicle import LONG_KINDS, DrawnVehicle, Exchange, PlacedVehicle, Sight
 from warpav.scene.town.street_life import Crowd, Footprint, Occupied, Person, upright_box
+from warpav.scene.town.surface_builder import StreetGround
 from warpav.scene.town.town import drawn_sky, ego_vehicle
 from warpav.scene.town.town_layout import Layout, Slot
-from warpav.scene.town.visibility import Sight
 
 COARSE_FROM_M, LONG_COARSE_FROM_M = 28.0, 60.0
 """Road users farther from the ego vehicle have coarse meshes, the second those of lorries and buses [m]."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Level = Literal["easy", "urban", "dense", "motorway"]
 LEVELS: tuple[Level, ...] = ("easy", "urban", "dense", "motorway")
 """Names of the levels, the easiest first."""
-_CODE = {"easy": "town", "urban": "street_traffic", "dense": "street_traffic", "motorway": "motorway"}
+_CODE = {"easy": "town", "urban": "streets", "dense": "streets", "motorway": "motorway"}
 FLEET_CODE = ("warpav.scene.fleet", "warpav.scene.reconstruction.surface")
 """Modules that make vehicles of other makers what they are in scenes."""
 _LEVEL_STREAM = 0x1E7E1  # keeps the random numbers of levels apart from other uses of the same seed
@@ -46,7 +46,7 @@ def level_scene(seed: int, level: Level = "easy", fleet: Fleet | None = None) ->
 
         motorway_world(rng, world)
     else:
-        from warpav.scene.town.street_traffic import street_world
+        from warpav.scene.town.streets import street_world
 
         street_world(level, rng, world)
     return world.finish(f"{level}_{seed:04d}", f"town {level} seed {seed}", exchange)

@@ -14,12 +14,12 @@ import numpy as np
 
 from warpav.raster.mesh import Mesh
 from warpav.scene.town.furniture import furniture_mesh
-from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.houses import SceneryBuilder, cells_of
 from warpav.scene.town.lanes import Lane, lane_vehicles
 from warpav.scene.town.level_world import LevelWorld
 from warpav.scene.town.placed_vehicle import LONG_KINDS, drawn_vehicle
 from warpav.scene.town.street_life import Footprint
+from warpav.scene.town.surface_builder import StreetGround
 from warpav.scene.town.town_layout import Marking, Slot
 
 MOTORWAY_REACH_M = 232.0

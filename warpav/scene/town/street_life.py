@@ -10,9 +10,9 @@ import numpy as np
 from warpav.raster.mesh import Mesh
 from warpav.scene.scene import Box, Vehicle
 from warpav.scene.town.furniture import FOOTPRINT_M, furniture_mesh
-from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.houses import KERB_HEIGHT_M
 from warpav.scene.town.people import person_mesh
+from warpav.scene.town.surface_builder import StreetGround
 from warpav.scene.town.town_layout import Layout, Marking, Slot
 
 _REACH_M = 40.0  # furniture stands no farther from the ego vehicle

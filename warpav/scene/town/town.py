@@ -14,14 +14,13 @@ import numpy as np
 
 from warpav.raster.mesh import Mesh, merge
 from warpav.scene.scene import Scene, Sky, Vehicle
-from warpav.scene.town.ground import StreetGround
 from warpav.scene.town.houses import SceneryBuilder
-from warpav.scene.town.motion import RoadUser, velocities_m_s
-from warpav.scene.town.placed_vehicle import LONG_KINDS, Exchange, PlacedVehicle, drawn_vehicle
+from warpav.scene.town.lanes import RoadUser, velocities_m_s
+from warpav.scene.town.placed_vehicle import LONG_KINDS, Exchange, PlacedVehicle, drawn_vehicle, visible_shares
 from warpav.scene.town.street_life import Footprint, furnish, people, upright_box
+from warpav.scene.town.surface_builder import StreetGround
 from warpav.scene.town.town_layout import SPAWN_REACH_M, Layout, Slot, town_layout
 from warpav.scene.town.vehicle_shapes import ego_glass, ego_mesh, vehicle_glass
-from warpav.scene.town.visibility import visible_shares
 
 VISIBLE_COUNT_MIN, VISIBLE_COUNT_MAX = 5, 15
 EYE_HEIGHT_M = 1.8  # traffic must be visible from here, above the centre of the ego vehicle

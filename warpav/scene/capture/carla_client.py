@@ -1,13 +1,20 @@
-"""Poses, boxes and places of CARLA's world as right-handed ones, and the geometry of the ego frame in it."""
+"""CARLA's client package: whether a server is there, its blueprints, its images, and its poses as right-handed ones."""
 
 from __future__ import annotations
 
+import importlib
 import math
+import re
+import socket
+import time
+from collections.abc import Mapping
 from types import ModuleType
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.spatial import KDTree
 
+from warpav.core.errors import InputError, install_text
 from warpav.core.frames import (
     EGO_FROM_CARLA,
     FLU_FROM_RDF,
@@ -16,9 +23,131 @@ from warpav.core.frames import (
     rotation_from_yaw_pitch_roll,
     yaw_pitch_roll_from_rotation,
 )
+from warpav.raster.camera import CameraModel
+from warpav.raster.lens import Lens
 from warpav.scene.capture.capture import CaptureView
-from warpav.scene.capture.carla_server import Remote
 from warpav.scene.scene import Box
+
+Remote: TypeAlias = Any
+"""Something that the optional package ``carla`` defines; its types cannot be named here."""
+
+REACH_S = 2.5
+"""Time within which a server answers [s]."""
+
+VERSION_REQUEST = b"\x94\x00\x01\xa7version\x91\x91\xc2"  # MessagePack: [request, number 1, "version", [[false]]]
+_ANSWER_BEGINS = b"\x94\x01\x01"  # [answer, number 1,
+_CATEGORY_OF_BASE_TYPE = {"car": "car", "van": "van", "truck": "lorry", "bus": "bus"}
+
+
+def import_carla() -> ModuleType:
+    """The client package."""
+    try:
+        return importlib.import_module("carla")
+    except ImportError as error:
+        raise InputError(f"CARLA: expected its Python client 0.9.16, got: {error}; {install_text('carla')}") from None
+
+
+def unreachable(host: str, port: int) -> str | None:
+    """Why no CARLA server is there, or None.
+
+    It is queried for its version with the client's own request: any other service would crash the client's process.
+    """
+    deadline_s = time.monotonic() + REACH_S
+    fault = "no address"
+    try:
+        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    except OSError as error:
+        return f"the host's name is not known ({error.strerror or error})"
+    for family, kind, protocol, _, address in addresses:
+        try:
+            with socket.socket(family, kind, protocol) as probe:
+                probe.settimeout(max(deadline_s - time.monotonic(), 0.05))
+                probe.connect(address)
+                probe.settimeout(max(deadline_s - time.monotonic(), 0.05))
+                probe.sendall(VERSION_REQUEST)
+                answer, length = b"", len(_ANSWER_BEGINS)
+                while len(answer) < length and (part := probe.recv(length - len(answer))):
+                    answer += part
+                if answer == _ANSWER_BEGINS:
+                    return None
+                fault = "an answer that is not CARLA's"
+        except TimeoutError:
+            fault = f"no answer within {REACH_S:g} s"
+        except OSError as error:
+            fault = (error.strerror or str(error)).lower()
+    return fault
+
+
+def release_of(version: str) -> str:
+    """``0.9.16`` of ``0.9.16-2-gabcdef``; builds from source describe themselves so."""
+    match = re.match(r"\d+\.\d+\.\d+", version)
+    return match.group() if match else version
+
+
+def clear_noon(carla: ModuleType) -> Remote:
+    """Clear and windless, the sun overhead; shadows lie below what casts them."""
+    calm = ("cloudiness", "precipitation", "precipitation_deposits", "wind_intensity", "fog_density", "wetness")
+    return carla.WeatherParameters(**dict.fromkeys(calm, 0.0), sun_altitude_angle=90.0)
+
+
+def set_attributes(blueprint: Remote, values: Mapping[str, str | None]) -> None:
+    """Those that the blueprint has and lets be changed."""
+    for name, value in values.items():
+        if value is not None and blueprint.has_attribute(name) and blueprint.get_attribute(name).is_modifiable:
+            blueprint.set_attribute(name, value)
+
+
+def colours_of(blueprint: Remote) -> list[str]:
+    """The colours that a blueprint recommends."""
+    return list(blueprint.get_attribute("color").recommended_values) if blueprint.has_attribute("color") else []
+
+
+def category_of(blueprint: Remote) -> str | None:
+    """What a blueprint is: car, van, lorry or bus; None for what has two wheels, or none."""
+    if blueprint.has_attribute("base_type"):
+        base_type = blueprint.get_attribute("base_type").as_str().lower()
+        if base_type:
+            return _CATEGORY_OF_BASE_TYPE.get(base_type)
+    wheels = blueprint.get_attribute("number_of_wheels").as_int() if blueprint.has_attribute("number_of_wheels") else 0
+    return "car" if wheels >= 4 else None
+
+
+DEPTH_RANGE_M = 1000.0
+"""Where the depth camera's 24 bits end [m]."""
+_SKY_M = 0.999 * DEPTH_RANGE_M  # the sky's dome is drawn somewhere beyond the range, so its depth is cut there
+
+
+def depth_from_bgra(bgra: np.ndarray) -> np.ndarray:
+    """Metres from what CARLA's depth camera sends: 24 bits, red the lowest, over the range of 1 km.
+
+    Shapes: ``bgra`` [row, column, 4], returns [row, column].
+    """
+    blue, green, red = (bgra[..., channel].astype(np.int64) for channel in range(3))
+    depth_m = (red + 256 * green + 65536 * blue) * (DEPTH_RANGE_M / (2**24 - 1))
+    return np.where(depth_m < _SKY_M, depth_m, np.inf).astype(np.float32)
+
+
+def code_from_bgra(bgra: np.ndarray) -> np.ndarray:
+    """One number per pixel from what CARLA's instance camera sends: semantic tag + 256 G + 65536 B.
+
+    Green and blue are the low and the high byte of a number that the server gives the object. That is the actor's id
+    on small maps and the engine's own number on large ones, so only the whole colour is compared.
+
+    Shapes: ``bgra`` [row, column, 4], returns [row, column].
+    """
+    blue, green, red = (bgra[..., channel].astype(np.int32) for channel in range(3))
+    return red + 256 * green + 65536 * blue
+
+
+def check_pinhole(model: CameraModel) -> None:
+    """Raise a ValueError for a camera that CARLA does not have."""
+    centred = CameraModel(model.width_px, model.height_px, model.fov_rad)
+    if model.lens is not Lens.PINHOLE or not np.allclose(model.intrinsics, centred.intrinsics, rtol=0.0, atol=1e-3):
+        raise ValueError(
+            "CARLA's cameras are pinholes with square pixels and the principal point in the centre, got a "
+            f"{model.lens} lens with intrinsics {model.intrinsics.round(2).tolist()}"
+        )
+
 
 _SAME_PLACE_M = 2.5  # below the distance between the centres of neighbouring lanes
 RDF_FROM_FLU = np.eye(4)
