@@ -16,7 +16,6 @@ from warpav.detection.average_precision import (
     ImageScore,
     average_precision,
     mean_image_average_precision,
-    score_image,
     score_images,
 )
 
@@ -148,36 +147,6 @@ def test_ties_crowds_and_exact_sizes_match_pycocotools(images):
         assert np.nan_to_num(_ours(images)).max() == 0.0
 
 
-def test_one_image_at_a_time_gives_the_same():
-    images = list(_images(np.random.default_rng(3), count=30))
-    scores = [
-        score_image(truth, detection, confidence, truth_ignored=hidden, truth_is_crowd=crowd)
-        for truth, crowd, hidden, detection, confidence in images
-    ]
-    assert average_precision(scores) == pytest.approx(_coco(images)[0, 0], abs=TOLERANCE)
-
-
-def test_a_size_range_of_ones_own():
-    # as by height: objects out of the range are ignored, and so are detections out of it that find nothing
-    images = list(_images(np.random.default_rng(100)))
-    low_px2, high_px2 = 400.0, 1800.0
-    scores = []
-    for truth, crowd, hidden, detection, confidence in images:
-        truth_px2, found_px2 = (np.prod(box[:, 2:] - box[:, :2], axis=1) for box in (truth, detection))
-        scores.append(
-            score_image(
-                truth,
-                detection,
-                confidence,
-                truth_ignored=hidden | (truth_px2 < low_px2) | (truth_px2 > high_px2),
-                truth_is_crowd=crowd,
-                detection_ignored_unless_matched=(found_px2 < low_px2) | (found_px2 > high_px2),
-            )
-        )
-    expected = _coco(images, iou_min=[0.5], area_px2=[(low_px2, high_px2)])[0, 0]
-    assert average_precision(scores) == pytest.approx(expected, abs=TOLERANCE)
-
-
 def test_boxes_at_the_bounds_belong_to_both_ranges():
     def square(side):
         return np.array([[0, 0, side, side]], float)
@@ -203,13 +172,6 @@ def test_the_scores_tell_the_images_apart():
     assert (nothing.object_count, len(nothing.confidence)) == (0, 0)
     assert last.true_positive.tolist() == [False]
     assert scores.image_scores(threshold=1)[2].true_positive.tolist() == [True]
-
-
-def test_no_image_at_all():
-    scores = score_images([])
-    assert scores.image_scores() == []
-    assert np.isnan(scores.average_precision()).all()
-    assert scores.average_precision().shape == (4, 10)
 
 
 def _twin(scores):
@@ -242,44 +204,6 @@ def test_precision_matches_its_twin(seed):
         assert average_precision(scores) == pytest.approx(_twin(scores), abs=1e-12)
 
 
-@settings(deadline=None, max_examples=30)
-@given(st.integers(0, 2**32 - 1))
-def test_precision_depends_on_the_order_of_confidence_alone(seed):
-    images = list(_images(np.random.default_rng(seed), 4))
-    first = [score_image(truth, detection, confidence) for truth, *_, detection, confidence in images]
-    second = [score_image(truth, detection, confidence**3 / 7) for truth, *_, detection, confidence in images]
-    value = average_precision(first)
-    assert np.isnan(value) or 0.0 <= value <= 1.0
-    np.testing.assert_allclose(average_precision(second), value)
-
-
-def test_perfect_detections_give_one_and_none_give_zero(rng):
-    truth = np.array([[0, 0, 20, 20], [40, 40, 90, 80.0]])
-    assert average_precision([score_image(truth, truth, np.array([0.3, 0.9]))]) == 1.0
-    assert average_precision([score_image(truth, np.zeros((0, 4)), np.zeros(0))]) == 0.0
-    assert np.isnan(average_precision([score_image(np.zeros((0, 4)), truth, np.ones(2))]))
-    assert np.isnan(average_precision([]))
-
-
-def test_a_false_alarm_below_every_hit_costs_nothing():
-    truth = np.array([[0, 0, 20, 20.0]])
-    detection = np.concatenate([truth, truth + 100])
-    assert average_precision([score_image(truth, detection, np.array([0.9, 0.5]))]) == 1.0
-    assert average_precision([score_image(truth, detection, np.array([0.5, 0.9]))]) == pytest.approx(0.5)
-
-
-def test_objects_without_a_box_take_no_part():
-    truth = np.array([[np.nan] * 4, [0, 0, 20, 20.0]])
-    score = score_image(truth, truth[1:], np.ones(1))
-    assert (score.object_count, score.true_positive.tolist()) == (1, [True])
-
-
-def test_only_so_many_detections_count():
-    truth = np.array([[0, 0, 20, 20.0]])
-    detection = np.concatenate([truth + 100, truth])
-    assert average_precision([score_image(truth, detection, np.array([0.9, 0.5]), detection_max=1)]) == 0.0
-
-
 def test_thesis_mean_leaves_out_images_that_miss_everything_or_hold_nothing():
     hit = ImageScore(np.array([0.9]), np.array([True]), 2)
     missed = ImageScore(np.zeros(0), np.zeros(0, bool), 3)
@@ -287,3 +211,49 @@ def test_thesis_mean_leaves_out_images_that_miss_everything_or_hold_nothing():
     assert mean_image_average_precision([hit, missed, empty]) == average_precision([hit])
     assert np.isnan(mean_image_average_precision([missed, empty]))
     assert average_precision([hit, missed, empty]) < average_precision([hit])
+
+
+BOX = np.array([[0, 0, 20, 20.0]])
+TWO = np.concatenate([BOX, BOX + 100])
+NONE = np.zeros((0, 4))
+
+
+@pytest.mark.parametrize(
+    ("truth", "detection", "confidence", "options", "expected"),
+    [
+        (TWO, TWO, [0.3, 0.9], {}, 1.0),
+        (TWO, NONE, [], {}, 0.0),
+        (NONE, TWO, [1.0, 1.0], {}, np.nan),
+        (BOX, TWO, [0.9, 0.5], {}, 1.0),  # a false alarm below every hit costs nothing
+        (BOX, TWO, [0.5, 0.9], {}, 0.5),
+        (BOX, TWO, [0.5, 0.9], {"detection_max": 1}, 0.0),
+        (np.concatenate([BOX * np.nan, BOX]), BOX, [1.0], {}, 1.0),  # objects without a box take no part
+    ],
+)
+def test_precision_by_hand(truth, detection, confidence, options, expected):
+    scores = score_images(
+        [ImageBoxes(truth, detection, np.array(confidence))], iou_min=[0.5], area_px2=[(0.0, np.inf)], **options
+    )
+    np.testing.assert_allclose(scores.average_precision(), [[expected]])
+    np.testing.assert_allclose(average_precision(scores.image_scores()), expected)
+
+
+def test_no_image_at_all():
+    scores = score_images([])
+    assert scores.image_scores() == []
+    assert np.isnan(scores.average_precision()).all()
+    assert np.isnan(average_precision([]))
+
+
+def test_detections_that_count_only_if_they_find_something():
+    """A size range of one's own, as by height, against pycocotools."""
+    images = list(_images(np.random.default_rng(100)))
+    low_px2, high_px2 = 400.0, 1800.0
+    boxes = []
+    for truth, crowd, hidden, detection, confidence in images:
+        truth_px2, found_px2 = (np.prod(box[:, 2:] - box[:, :2], axis=1) for box in (truth, detection))
+        out, waived = ((px2 < low_px2) | (px2 > high_px2) for px2 in (truth_px2, found_px2))
+        boxes.append(ImageBoxes(truth, detection, confidence, hidden | out, crowd, waived))
+    found = score_images(boxes, iou_min=[0.5], area_px2=[(0.0, np.inf)]).average_precision()
+    expected = _coco(images, iou_min=[0.5], area_px2=[(low_px2, high_px2)])
+    np.testing.assert_allclose(found, expected, atol=TOLERANCE)

@@ -8,7 +8,7 @@ import warp as wp
 
 from tests.driving_scene import packed_street, roof
 from warpav.detection.camera_mixture import WINDOWS_PX, Window, mixed_camera, window_model, windows_of
-from warpav.detection.families.letterbox import ImagePlacement, Letterbox
+from warpav.detection.families.family import ImagePlacement, Letterbox
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens

@@ -15,7 +15,7 @@ from tests.raster.test_gradients import YAW, X, Y, moved
 from warpav.core.errors import InputError
 from warpav.detection.detector import ROAD_USERS
 from warpav.detection.differentiable import DifferentiableDetector
-from warpav.detection.ground_truth import largest_component_box
+from warpav.detection.matching import largest_component_box
 from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector
 from warpav.detection.torch_network import MAX_ERROR, TorchNetwork
 from warpav.optimisation.losses.scene_on_tape import AssignedScene, SceneOnTape

@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.detection.families.coco import COCO_80, COCO_91
-from warpav.detection.families.letterbox import ImagePlacement, Letterbox
-from warpav.detection.families.recognise import FAMILIES
+from warpav.detection.families import FAMILIES
+from warpav.detection.families.family import COCO_80, COCO_91, ImagePlacement, Letterbox
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.runs.config import DetectorConfig
 

@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 
 from warpav.detection.detector import Detections
-from warpav.detection.in_loop import DetectorInLoop, RenderedImage
+from warpav.detection.observe import DetectorInLoop, RenderedImage
 
 
 class Scene:

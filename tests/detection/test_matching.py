@@ -1,11 +1,17 @@
-"""The thesis's true positive against a twin that follows the text."""
+"""The thesis's true positive against a twin that follows the text, and ground-truth boxes against flood fill."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from warpav.detection.matching import covered_fraction, iou_matrix, match_detections
+from warpav.detection.matching import (
+    covered_fraction,
+    iou_matrix,
+    largest_component_box,
+    match_detections,
+    visible_boxes,
+)
 
 
 def _boxes(rng, count, spread=60):
@@ -61,45 +67,81 @@ def test_matching_matches_its_twin(seed, iou_min):
     assert len(set(taken.tolist())) == len(taken)
 
 
-def test_the_highest_iou_goes_first_whatever_the_confidence():
-    truth = np.array([[0, 0, 10, 10.0]])
-    detection = np.array([[0, 0, 10, 8.0], [0, 0, 10, 9.0]])
-    assert match_detections(truth, detection, np.array([0.9, 0.2])).tolist() == [1]
-    assert match_detections(truth, detection, np.array([0.9, 0.05])).tolist() == [0]
+HALF = [[0, 0, 5.0, 10.0]]  # of BOX, nothing beside it: IoU 0.5 to the last bit
+BOX = [[0, 0, 10.0, 10.0]]
 
 
-def test_of_equal_boxes_the_more_confident_is_matched():
-    truth = np.array([[0, 0, 10, 10.0]])
-    assert match_detections(truth, truth.repeat(3, axis=0), np.array([0.4, 0.9, 0.5])).tolist() == [1]
+@pytest.mark.parametrize(
+    ("truth", "detection", "confidence", "options", "expected"),
+    [
+        (BOX, [[0, 0, 10, 8.0], [0, 0, 10, 9.0]], [0.9, 0.2], {}, [1]),  # the highest IoU goes first
+        (BOX, [[0, 0, 10, 8.0], [0, 0, 10, 9.0]], [0.9, 0.05], {}, [0]),
+        (BOX, BOX * 3, [0.4, 0.9, 0.5], {}, [1]),  # of equal boxes the more confident
+        ([[np.nan] * 4, *BOX], [[np.nan] * 4, *BOX], [1.0, 1.0], {}, [-1, 1]),
+        ([[np.nan] * 4, *BOX], np.zeros((0, 4)), [], {}, [-1, -1]),
+        (BOX, BOX, [0.5], {"confidence_min": 0.5}, [0]),  # the least confidence is enough
+        (BOX, BOX, [0.5], {"confidence_min": 0.51}, [-1]),
+        (BOX, HALF, [1.0], {}, [0]),  # and so is the least IoU
+        (BOX, [[0, 0, 4.99, 10.0]], [1.0], {}, [-1]),
+        # the second object's better box is taken by the first, with which it shares more
+        ([*BOX, [2, 0, 12, 10.0]], [[0.5, 0, 10.5, 10.0], [3.5, 0, 13.5, 10.0]], [0.2, 0.9], {}, [0, 1]),
+        ([*BOX, [2, 0, 12, 10.0]], [[0.5, 0, 10.5, 10.0]], [0.2], {}, [0, -1]),
+        (BOX, BOX, [1.0], {"seen_inside": np.array([[False]])}, [-1]),
+    ],
+)
+def test_matches_by_hand(truth, detection, confidence, options, expected):
+    found = match_detections(np.array(truth, float), np.array(detection, float), np.array(confidence), **options)
+    assert found.tolist() == expected
 
 
-def test_an_object_without_a_box_matches_nothing():
-    truth = np.array([[np.nan] * 4, [0, 0, 10, 10]])
-    assert match_detections(truth, truth, np.ones(2)).tolist() == [-1, 1]
-    assert match_detections(truth, np.zeros((0, 4)), np.zeros(0)).tolist() == [-1, -1]
+def _components(mask):
+    """Every 8-connected component as a list of (row, column), by flood fill."""
+    left = {tuple(cell) for cell in np.argwhere(mask)}
+    while left:
+        stack, component = [left.pop()], []
+        while stack:
+            row, column = stack.pop()
+            component.append((row, column))
+            for near in [(row + i, column + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]:
+                if near in left:
+                    left.remove(near)
+                    stack.append(near)
+        yield component
 
 
-@pytest.mark.parametrize(("confidence_min", "expected"), [(0.5, 0), (0.51, -1)])
-def test_the_least_confidence_is_enough(confidence_min, expected):
-    box = np.array([[0, 0, 10, 10.0]])
-    assert match_detections(box, box, np.array([0.5]), confidence_min=confidence_min).tolist() == [expected]
+def test_parts_that_touch_at_a_corner_are_one():
+    mask = np.zeros((20, 20), bool)
+    mask[0:4, 0:4] = True
+    mask[4:8, 4:8] = True
+    np.testing.assert_array_equal(largest_component_box(mask), [0, 0, 8, 8])
 
 
-@pytest.mark.parametrize(("right_px", "expected"), [(5.0, 0), (4.99, -1)])
-def test_the_least_iou_is_enough(right_px, expected):
-    # half of the object, nothing beside it: IoU 0.5 to the last bit
-    detection = np.array([[0, 0, right_px, 10.0]])
-    assert match_detections(np.array([[0, 0, 10, 10.0]]), detection, np.ones(1)).tolist() == [expected]
+def test_too_small_has_no_box():
+    mask = np.zeros((20, 20), bool)
+    mask[0, :15] = True
+    assert largest_component_box(mask) is None
+    mask[0, 15] = True
+    np.testing.assert_array_equal(largest_component_box(mask), [0, 0, 16, 1])
+    assert largest_component_box(mask, min_area_px=17) is None
+    assert largest_component_box(np.zeros((5, 5), bool)) is None
 
 
-def test_every_box_is_matched_once():
-    # the second object's better box is taken by the first, with which it shares more
-    truth = np.array([[0, 0, 10, 10.0], [2, 0, 12, 10.0]])
-    detection = np.array([[0.5, 0, 10.5, 10.0], [3.5, 0, 13.5, 10.0]])
-    assert match_detections(truth, detection, np.array([0.2, 0.9])).tolist() == [0, 1]
-    assert match_detections(truth, detection[:1], np.array([0.2])).tolist() == [0, -1]
-
-
-def test_an_object_that_is_not_seen_inside_does_not_match():
-    box = np.array([[0, 0, 10, 10.0]])
-    assert match_detections(box, box, np.ones(1), seen_inside=np.array([[False]])).tolist() == [-1]
+@settings(deadline=None, max_examples=50)
+@given(st.integers(0, 2**32 - 1))
+def test_visible_boxes_match_flood_fill(seed):
+    rng = np.random.default_rng(seed)
+    vehicle_count = int(rng.integers(0, 5))
+    coarse = rng.integers(-1, 2 + max(vehicle_count, 1) + 1, (6, 8))  # an index too many belongs to no vehicle
+    object_index = coarse.repeat(4, axis=0).repeat(4, axis=1)
+    object_index[rng.random(object_index.shape) < 0.1] = 0
+    box_px = visible_boxes(object_index, vehicle_count)
+    assert box_px.shape == (vehicle_count, 4)
+    assert box_px.dtype == np.float32
+    for vehicle in range(vehicle_count):
+        parts = [np.array(part) for part in _components(object_index == 2 + vehicle)]
+        size = max((len(part) for part in parts), default=0)
+        if size < 16:
+            assert np.isnan(box_px[vehicle]).all()
+            continue
+        expected = [[*part.min(0)[::-1], *(part.max(0)[::-1] + 1)] for part in parts if len(part) == size]
+        assert box_px[vehicle].tolist() in expected

@@ -13,11 +13,17 @@ from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.detection.training import CLASS_NAMES, data
 from warpav.detection.training import train as train_module
-from warpav.detection.training.augmentation import _move, _warp
 from warpav.detection.training.evaluate import evaluate
-from warpav.detection.training.export import export_network
-from warpav.detection.training.loss import TargetBoxes, assign_cells, detection_loss, generalised_iou, pairwise_iou
-from warpav.detection.training.network import TownNetwork
+from warpav.detection.training.loss import (
+    TargetBoxes,
+    _move,
+    _warp,
+    assign_cells,
+    detection_loss,
+    generalised_iou,
+    pairwise_iou,
+)
+from warpav.detection.training.network import TownNetwork, export_network
 from warpav.detection.training.train import DeviceData, Training, train_detector
 from warpav.raster.camera import Lens
 from warpav.runs.detector_training import tables

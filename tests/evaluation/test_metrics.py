@@ -87,7 +87,7 @@ def objective_of(detector, camera_count=2, free=None):
         camera_count=camera_count,
         settings=thesis_losses() if free is None else MISSED_ALONE,
         occlusion=Occlusion.EXACT,
-        probability=DetectionProbability.blank(),
+        probability=DetectionProbability.unfitted(),
     )
 
 

@@ -20,7 +20,7 @@ import trimesh
 
 from tests.optimisation.objectives import rig_objective
 from warpav.detection.detector import Detections
-from warpav.detection.ground_truth import largest_component_box
+from warpav.detection.matching import largest_component_box
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.budget import BudgetedValue
 from warpav.optimisation.constraints import ZoneAndSpacing

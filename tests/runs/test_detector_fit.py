@@ -488,7 +488,7 @@ def test_a_detector_object_that_tells_its_scale_is_fitted_once(monkeypatch):
 
     def fit(config, seeds, *, any_camera=False, camera=None, **_):
         fitted.append((any_camera, camera))
-        return SimpleNamespace(model=DetectionProbability.blank())
+        return SimpleNamespace(model=DetectionProbability.unfitted())
 
     monkeypatch.setattr(detector_fit, "fit", fit)
     cameras = [CameraModel(640, 320), CameraModel(160, 160)]

@@ -387,7 +387,7 @@ def test_a_descent_that_is_restored_goes_on_as_if_it_had_never_stopped(tmp_path,
                 camera_count=2,
                 settings=LossSettings(expected_miss_rate=1.0),
                 constraints=ZoneAndSpacing(roof(), camera_count=2),
-                probability=DetectionProbability.blank(),
+                probability=DetectionProbability.unfitted(),
             )
         assert objective.needs_panorama == is_informed
         return Descent(

@@ -50,36 +50,22 @@ class ImageBoxes:
 
 @dataclass(frozen=True)
 class ImageScore:
-    """How the detections of one image fared; pooled by `average_precision`.
+    """How the detections of one image fared; pooled by `average_precision`."""
 
-    Attributes:
-        confidence: Of the detections that count, descending, shape [detection].
-        true_positive: Whether each found an object of its own, bool, shape [detection].
-        object_count: Number of objects that could be found.
-    """
-
-    confidence: np.ndarray
-    true_positive: np.ndarray
-    object_count: int
+    confidence: np.ndarray  # of the detections that count, descending, shape [detection]
+    true_positive: np.ndarray  # whether each found an object of its own, bool, shape [detection]
+    object_count: int  # number of objects that could be found
 
 
 @dataclass(frozen=True)
 class Scores:
-    """How the detections of many images fared, in several size ranges and at several thresholds.
+    """How the detections of many images fared, in several size ranges and at several thresholds."""
 
-    Attributes:
-        image: Image of every detection, ascending, int64 [detection].
-        confidence: Descending within an image, float64 [detection].
-        true_positive: Whether it found an object of its own, bool [size range, threshold, detection].
-        counts: Whether it counts for or against the detector at all, bool [size range, threshold, detection].
-        object_count: Objects that could be found, int64 [size range, image].
-    """
-
-    image: np.ndarray
-    confidence: np.ndarray
-    true_positive: np.ndarray
-    counts: np.ndarray
-    object_count: np.ndarray
+    image: np.ndarray  # image of every detection, ascending, int64 [detection]
+    confidence: np.ndarray  # descending within an image, float64 [detection]
+    true_positive: np.ndarray  # whether it found an object of its own, bool [size range, threshold, detection]
+    counts: np.ndarray  # whether it counts for or against the detector at all, bool [size range, threshold, detection]
+    object_count: np.ndarray  # objects that could be found, int64 [size range, image]
 
     def average_precision(self) -> np.ndarray:
         """Average precision of all images together.
@@ -122,12 +108,6 @@ def score_images(
     where no counted object is left for it. A detection that takes an ignored object counts neither for nor against the
     detector. In a size range, objects whose box has another area are ignored, and so are detections that have another
     area and find nothing.
-
-    Args:
-        images: The images.
-        iou_min: Least IoU of a match, several thresholds.
-        area_px2: Size ranges, least and greatest area of a box [px^2].
-        detection_max: Only so many of the most confident detections of an image count.
     """
     held = [_Image.of(image, detection_max) for image in images]
     image = np.repeat(np.arange(len(held)), [len(each.confidence) for each in held])
@@ -152,34 +132,8 @@ def score_images(
     )
 
 
-def score_image(
-    truth_box_px: np.ndarray,
-    detection_box_px: np.ndarray,
-    confidence: np.ndarray,
-    *,
-    iou_min: float = 0.5,
-    truth_ignored: np.ndarray | None = None,
-    truth_is_crowd: np.ndarray | None = None,
-    detection_ignored_unless_matched: np.ndarray | None = None,
-    detection_max: int = 100,
-) -> ImageScore:
-    """One image at one threshold, boxes of all sizes; see `ImageBoxes` and `score_images`."""
-    image = ImageBoxes(
-        truth_box_px, detection_box_px, confidence, truth_ignored, truth_is_crowd, detection_ignored_unless_matched
-    )
-    every_size = [(0.0, np.inf)]
-    return score_images([image], iou_min=[iou_min], area_px2=every_size, detection_max=detection_max).image_scores()[0]
-
-
 def average_precision(scores: Iterable[ImageScore]) -> float:
-    """Average precision of all images together.
-
-    Args:
-        scores: One for every image.
-
-    Returns:
-        Mean of the interpolated precision at recall 0, .01, ... 1, in 0..1; NaN where there is no object to find.
-    """
+    """Average precision of all images together."""
     scores = list(scores)
     confidence = np.concatenate([np.zeros(0), *(score.confidence for score in scores)])
     hits = np.concatenate([np.zeros(0, bool), *(score.true_positive for score in scores)])
@@ -191,12 +145,6 @@ def mean_image_average_precision(scores: Iterable[ImageScore]) -> float:
 
     It leaves out images in which everything was missed, and images with nothing but false alarms (thesis, section IV);
     `average_precision` over all images is the stricter figure.
-
-    Args:
-        scores: One for every image of the camera.
-
-    Returns:
-        In 0..1; NaN where no image qualifies.
     """
     each = [average_precision([score]) for score in scores if score.object_count and len(score.confidence)]
     return float(np.mean(each)) if each else float("nan")
@@ -259,7 +207,6 @@ def _match(
     """Match images of any sizes side by side: the first detections of all, then the second ones, and so on.
 
     Args:
-        images: The images.
         threshold: Least IoU, [threshold].
         low_px2: Least area of every size range [px^2], [size range, 1].
         high_px2: Greatest area of every size range [px^2], [size range, 1].

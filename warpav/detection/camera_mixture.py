@@ -56,19 +56,12 @@ class ScalingDetector(Protocol):
 
 @dataclass(frozen=True)
 class Window:
-    """Images of one size that a detector is tried on.
+    """Images of one size that a detector is tried on."""
 
-    Attributes:
-        width_px: Their width [px].
-        height_px: Their height [px].
-        count: How many of them in every scene.
-        is_cut: Whether they are cut out of larger images; else they are whole ones.
-    """
-
-    width_px: int
-    height_px: int
-    count: int
-    is_cut: bool
+    width_px: int  # their width [px]
+    height_px: int  # their height [px]
+    count: int  # how many of them in every scene
+    is_cut: bool  # whether they are cut out of larger images; else they are whole ones
 
 
 def windows_of(detector: ScalingDetector) -> tuple[Window, ...]:
@@ -100,13 +93,9 @@ def mixed_camera(
     window that is cut out shows an object, if the camera sees any.
 
     Args:
-        rng: Random numbers.
-        window: The window.
-        surface: Roof and bonnet.
         ego_bounds_m: Lowest and highest corner of the vehicle [m], [2, 3].
         object_ego_m: Middles of the objects [m], [object, 3].
         near_m: Near plane of the camera [m].
-        name: Name of the camera.
     """
     for tries_left in range(_TRIES, -1, -1):
         model = _any_model(rng, window, near_m)
@@ -173,7 +162,6 @@ def window_model(model: CameraModel, corner_px: np.ndarray, size_px: np.ndarray)
     """The camera that sees a window of a camera's image, pixel by pixel.
 
     Args:
-        model: The camera.
         corner_px: Column and row of the window's upper left corner in its image [px].
         size_px: Width and height of the window [px].
     """

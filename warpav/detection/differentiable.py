@@ -241,11 +241,7 @@ def _moved(planes: Any, right_px: int, down_px: int) -> Any:  # noqa: ANN401
 
 
 def _torch_device(device: str) -> str:
-    """PyTorch's name of a Warp device.
-
-    Raises:
-        InputError: PyTorch is missing, or has no such device.
-    """
+    """PyTorch's name of a Warp device."""
     require_torch()
     import torch  # pyright: ignore[reportMissingImports]
 

@@ -28,11 +28,7 @@ _VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5  # kinds of fields
 
 
 def check_external_data(path: Path) -> None:
-    """Make sure that weights outside of an ONNX file lie in its folder or below.
-
-    Raises:
-        InputError: One would be read from elsewhere; the file cannot be read or is no protobuf.
-    """
+    """Make sure that weights outside of an ONNX file lie in its folder or below."""
     try:
         with path.open("rb") as file:
             content = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))

@@ -64,19 +64,7 @@ def render_images(
     device: str = "cpu",
     thread_count: int | None = None,
 ) -> list[CameraImage]:
-    """Images of a scene from each camera, with exact occlusion.
-
-    Args:
-        scene: The scene; packed first if it is not.
-        cameras: Cameras in the ego frame; those of one image size that look through one pane are rendered together.
-        supersampling: Samples per pixel along each axis; colours are averaged, ids and depths are those nearest the
-            centre.
-        device: Warp device.
-        thread_count: Views that are drawn at once on a CPU; None: as many as there are cores.
-
-    Returns:
-        One image per camera, in order.
-    """
+    """Images of a scene from each camera, with exact occlusion."""
     packed = scene if isinstance(scene, DeviceScene) else DeviceScene.pack(scene, device=device)
     image_of: dict[int, CameraImage] = {}
     kinds = [(camera.model.width_px, camera.model.height_px, camera.behind_glass) for camera in cameras]

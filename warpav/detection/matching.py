@@ -1,4 +1,4 @@
-"""Which detection belongs to which object: the thesis's true positive.
+"""Boxes around what is seen of objects, and which detection belongs to which: the thesis's true positive.
 
 Thesis, section III.B, "Ground-Truth Detection Assessment".
 """
@@ -6,6 +6,58 @@ Thesis, section III.B, "Ground-Truth Detection Assessment".
 from __future__ import annotations
 
 import numpy as np
+
+# A rendered image of object indices marks nothing with -1, the environment with 0, the ego vehicle with 1, and vehicle
+# k of the scene with 2 + k.
+FIRST_VEHICLE_INDEX = 2
+
+
+def largest_component_box(silhouette: np.ndarray, *, min_area_px: int = 16) -> np.ndarray | None:
+    """The box around the largest 8-connected component of a silhouette.
+
+    Args:
+        silhouette: True where the object is seen, bool, shape [row, column].
+
+    Returns:
+        Edges ``x0, y0, x1, y1`` [px], float32, shape [4]: pixel (row 0, column 0) alone gives ``0, 0, 1, 1``. None
+        where the component is too small. Of components of one size the uppermost wins.
+    """
+    import cv2
+
+    # Label 0 is the background and takes no part.
+    count, _, statistics, _ = cv2.connectedComponentsWithStats(silhouette.astype(np.uint8), connectivity=8)
+    if count < 2:
+        return None
+    x, y, width, height, area_px = statistics[1 + int(np.argmax(statistics[1:, cv2.CC_STAT_AREA]))]
+    if area_px < min_area_px:
+        return None
+    return np.array([x, y, x + width, y + height], np.float32)
+
+
+def visible_boxes(object_index: np.ndarray, vehicle_count: int, *, min_area_px: int = 16) -> np.ndarray:
+    """The ground-truth box of every vehicle of a scene in one image.
+
+    Args:
+        object_index: What each pixel sees, as `warpav.detection.images` writes it, int, shape [row, column].
+
+    Returns:
+        Edges ``x0, y0, x1, y1`` [px], float32, shape [vehicle, 4]; NaN where a vehicle has no box.
+    """
+    from scipy.ndimage import find_objects
+
+    box_px = np.full((vehicle_count, 4), np.nan, np.float32)
+    if vehicle_count == 0:
+        return box_px
+    # One sweep finds the rectangle that holds each vehicle, so that components are sought in small crops only.
+    label = np.asarray(object_index, np.int32) - (FIRST_VEHICLE_INDEX - 1)
+    for vehicle, region in enumerate(find_objects(np.maximum(label, 0), max_label=vehicle_count)):
+        if region is None:
+            continue
+        box = largest_component_box(label[region] == vehicle + 1, min_area_px=min_area_px)
+        if box is not None:
+            row, column = region
+            box_px[vehicle] = box + np.array([column.start, row.start, column.start, row.start], np.float32)
+    return box_px
 
 
 def _overlap(first_box_px: np.ndarray, second_box_px: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -69,9 +121,7 @@ def match_detections(
         truth_box_px: Ground-truth boxes, NaN where an object has none, shape [object, 4].
         detection_box_px: Boxes of the detector, shape [detection, 4].
         confidence: Their confidence, shape [detection].
-        confidence_min: Least confidence.
-        iou_min: Least IoU.
-        seen_inside: From `warpav.detection.ground_truth.seen_inside`, bool, shape [object, detection]; None leaves the
+        seen_inside: Whether part of an object is seen in a detection, bool, shape [object, detection]; None leaves the
             third condition out.
 
     Returns:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import warp as wp
 
 from warpav.detection.detector import Detections, Detector, TensorDetector
-from warpav.detection.ground_truth import largest_component_box
-from warpav.detection.matching import iou_matrix, match_detections
+from warpav.detection.matching import iou_matrix, largest_component_box, match_detections
 from warpav.raster.frame import Frame
 from warpav.scene.device_scene import DeviceScene
 from warpav_kernels.detection import network_input as network_input_kernels
@@ -82,12 +84,7 @@ class Observation:
         return (self.image.numpy() * 255.0 + 0.5).astype(np.uint8)
 
     def is_detected_at(self, confidence_min: float, iou_min: float) -> np.ndarray:
-        """Whether a detection matches a vehicle at other thresholds than those of `match`, bool [camera, vehicle].
-
-        Args:
-            confidence_min: Minimum confidence of a match; detections that the detector itself drops stay dropped.
-            iou_min: Minimum intersection over union of a match.
-        """
+        """Whether a detection matches a vehicle at other thresholds than those of `match`, bool [camera, vehicle]."""
         match = _matched(
             self.truth_box_px, self.detections, self.may_match, confidence_min=confidence_min, iou_min=iou_min
         )
@@ -98,9 +95,6 @@ class Observation:
 
         Objects are matched again at every threshold. A higher one only takes detections away, which never gives an
         object one that it did not have: what is found at a threshold is found at all lower ones.
-
-        Args:
-            iou_min: Minimum intersection over union of a match.
 
         Returns:
             float64 [camera, vehicle].
@@ -168,7 +162,6 @@ def matched_boxes_px(match: np.ndarray, detections: Sequence[Detections]) -> np.
 
     Args:
         match: Detection of every vehicle, -1 for none, int [camera, vehicle].
-        detections: Of every camera.
     """
     box = np.zeros((*match.shape, 4), np.float32)
     for camera, found in enumerate(detections):
@@ -182,7 +175,6 @@ def network_input_of(images: Sequence[wp.array], detector: Detector) -> wp.array
 
     Args:
         images: Colours 0..1, vec3 [image, row, column] each, of one size; at least one.
-        detector: Finds road users.
 
     Returns:
         For `detections_in`: float [image, 3, row, column] on the device, or uint8 [image, row, column, 3].
@@ -251,17 +243,7 @@ def observe(
     A detection only matches a vehicle of its own kind of road user.
 
     Args:
-        frame: A render of ``scene``.
-        scene: The scene.
-        detector: Finds vehicles.
         image: Rendered forward views, 0..1, vec3 [camera, row, column]; None: they are rendered here.
-        forward_view: Index of each camera's forward view.
-        confidence_min: Minimum confidence of a match.
-        iou_min: Minimum intersection over union of a match.
-        min_area_px: Visible parts smaller than this have no truth box [px^2].
-
-    Returns:
-        The observation; nothing here carries a gradient.
     """
     if image is None:
         image = frame.colours(views=forward_view)
@@ -270,3 +252,56 @@ def observe(
     may = visible.may_match(detections)
     match = _matched(visible.truth_box_px, detections, may, confidence_min=confidence_min, iou_min=iou_min)
     return Observation(image, detections, visible.truth_box_px, visible.too_small_box_px, match, may)
+
+
+@dataclass(frozen=True)
+class RenderedImage:
+    """A rendered image for the detector."""
+
+    scene: Hashable  # the scene; compared by identity
+    camera: int  # index of the camera
+    pose: bytes  # everything else that the content depends on, as bytes; equal bytes mean an equal image
+    image: Any  # colours 0..1, vec3 [1, row, column]; may be overwritten as soon as `DetectorInLoop.ask` returns
+
+
+class DetectorInLoop:
+    """Runs a detector on images in its own thread and caches the last detections of every scene and camera.
+
+    onnxruntime releases the GIL, so the caller can continue rendering. Which images share a batch of the network
+    depends only on the calls, not on timing.
+    """
+
+    def __init__(self, detector: Detector) -> None:
+        """The detector is called from one thread, one call at a time."""
+        self._detector = detector
+        self._pool = ThreadPoolExecutor(1)
+        self._known: WeakKeyDictionary[Any, dict[int, tuple[bytes, Detections]]] = WeakKeyDictionary()
+
+    def ask(self, images: Sequence[RenderedImage]) -> Callable[[], list[Detections]]:
+        """Start detecting.
+
+        Args:
+            images: All of one size.
+
+        Returns:
+            A function that waits for the detections, one per image, in order; it raises the errors of the detector.
+        """
+        new = [image for image in images if self._answer(image) is None]
+        answers = None
+        if new:
+            network_input = network_input_of([image.image for image in new], self._detector)
+            answers = self._pool.submit(detections_in, network_input, self._detector)
+
+        def wait() -> list[Detections]:
+            if answers is not None:
+                for image, found in zip(new, answers.result(), strict=True):
+                    self._known.setdefault(image.scene, {})[image.camera] = (image.pose, found)
+            found = [self._answer(image) for image in images]
+            assert all(each is not None for each in found)
+            return [each for each in found if each is not None]
+
+        return wait
+
+    def _answer(self, image: RenderedImage) -> Detections | None:
+        pose, found = self._known.get(image.scene, {}).get(image.camera, (None, None))
+        return found if pose == image.pose else None

@@ -20,9 +20,8 @@ from warpav.core.cores import available_cores
 from warpav.core.errors import InputError, OptionError
 from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.external_data import check_external_data
-from warpav.detection.families.letterbox import Letterbox
-from warpav.detection.families.network_file import NetworkFile, Tensor, metadata_labels
-from warpav.detection.families.recognise import recognise
+from warpav.detection.families import recognise
+from warpav.detection.families.family import Letterbox, NetworkFile, Tensor, metadata_labels
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -59,7 +58,6 @@ def suppress(
     Args:
         box_px: Edges ``x0, y0, x1, y1``, shape [box, 4].
         confidence: Shape [box].
-        iou_max: A box that overlaps a kept one by more is dropped.
         class_index: Given, boxes of the same class leave each other alone; None: whatever the class, shape [box].
 
     Returns:

@@ -35,17 +35,11 @@ FEATURE_COUNT = int(kernels.FEATURE_COUNT)
 
 @dataclass(frozen=True)
 class Feature:
-    """A feature of an object in a view.
+    """A feature of an object in a view."""
 
-    Attributes:
-        name: Short name.
-        unit: Its unit, or the function of it that is taken.
-        definition: What it is.
-    """
-
-    name: str
-    unit: str
-    definition: str
+    name: str  # short name
+    unit: str  # its unit, or the function of it that is taken
+    definition: str  # what it is
 
 
 FEATURES = (
@@ -88,13 +82,7 @@ class Appearance:
         *,
         measures: Measures | None = None,
     ) -> Appearance:
-        """Measure the last render; nothing is taped.
-
-        Args:
-            frame: All content of ``scene``.
-            scene: The scene.
-            measures: Of this render, from `Frame.measure`; None: they are taken here.
-        """
+        """Measure the last render; nothing is taped."""
         measures = frame.measure() if measures is None else measures
         in_frame, contrast = frame.window_area(visible=False), frame.contrast(measures.value)
         return cls(measures, in_frame, contrast, scene.upright_box, frame.width_px, frame.height_px)
@@ -188,10 +176,10 @@ class DetectionProbability:
     network_scale: tuple[float, float] = (1.0, 1.0)
 
     @classmethod
-    def unfitted(cls) -> DetectionProbability:
+    def unfitted(cls, *, network_scale: tuple[float, float] = (1.0, 1.0)) -> DetectionProbability:
         """A model that knows no detector: every seen object has an even chance, and the features are those of any."""
-        zero = np.zeros(FEATURE_COUNT)
-        return cls(zero, zero + 1.0, np.zeros((FEATURE_COUNT, 2)), 0.0)
+        curves = (np.zeros(FEATURE_COUNT), np.ones(FEATURE_COUNT), np.zeros((FEATURE_COUNT, 2)))
+        return cls(*curves, 0.0, network_scale=network_scale)
 
     def __post_init__(self) -> None:
         shapes = (self.start.shape, self.step.shape, self.coefficient.shape[:1])
@@ -235,7 +223,6 @@ class DetectionProbability:
         Gradients flow through areas, extents, solid angles and boxes; colours are held fixed.
 
         Args:
-            appearance: What a render showed from these very views.
             position_ego_m: Camera centres [m], vec3 [view].
             camera_from_ego: Rotations from ego to camera axes, mat33 [view].
             log_zoom: Logarithm of each view's focal length over its lens's, float [view]; None: as rendered.
@@ -255,8 +242,6 @@ class DetectionProbability:
         """Probabilities in the views of a render, the same numbers as `on_tape` gives; nothing is taped.
 
         Args:
-            frame: Of ``scene``, of content coverage or all.
-            scene: The scene.
             position_ego_m: Camera centres [m], vec3 [view].
         """
         coverage = frame.coverage()
@@ -327,18 +312,8 @@ class DetectionProbability:
         return kept[device.alias]
 
     @classmethod
-    def blank(cls, *, network_scale: tuple[float, float] = (1.0, 1.0)) -> DetectionProbability:
-        """An uninformative model with probability one half, used to compute features."""
-        curves = (np.zeros(FEATURE_COUNT), np.ones(FEATURE_COUNT), np.zeros((FEATURE_COUNT, 2)))
-        return cls(*curves, 0.0, network_scale=network_scale)
-
-    @classmethod
     def builtin(cls, camera: CameraModel) -> DetectionProbability:
-        """That of the detector that ships with warpav for vehicles of the town: the shipped fit for any camera.
-
-        Args:
-            camera: Its size decides how the detector scales its images.
-        """
+        """That of the detector that ships with warpav for vehicles of the town: the shipped fit for any camera."""
         from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector
 
         files = sorted(BUILTIN_MODEL_PATH.parent.glob(f"{BUILTIN_MODEL_PATH.stem}_p_detected_*.json"))
@@ -353,16 +328,7 @@ class DetectionProbability:
 
     @classmethod
     def find(cls, use: DetectorUse, *, unseen: Collection[int] = ()) -> DetectionProbability:
-        """The stored model that was fitted for a detector and its surroundings.
-
-        Args:
-            use: The detector and its surroundings.
-            unseen: Seeds of scenes that it must not have been fitted on, such as the evaluation scenes.
-
-        Raises:
-            InputError: There is none, it cannot be used, or it was fitted on a scene of ``unseen``; the text says what
-                to run.
-        """
+        """The stored model that was fitted for a detector and its surroundings."""
         file = stored_file(use)
         if file is None:
             raise InputError(
@@ -380,15 +346,7 @@ class DetectionProbability:
 
     @classmethod
     def read(cls, file: Path, *, use: DetectorUse | None = None) -> DetectionProbability:
-        """The model of a file that `write` wrote.
-
-        Args:
-            file: The file.
-            use: What it has to be fitted for; None: anything.
-
-        Raises:
-            InputError: It is another kind of file, of another schema, damaged, or fitted for something else.
-        """
+        """The model of a file that `write` wrote."""
         again = "run warpav detector fit --again"
         try:
             data = read_json(file, "a model of detection probability", nodes_max=DATA_SET_NODES_MAX)
@@ -420,11 +378,7 @@ class DetectionProbability:
             ) from None
 
     def write(self, folder: Path, use: DetectorUse) -> Path:
-        """Write the model and its record as JSON into a folder, under the name that `find` expects.
-
-        Raises:
-            OSError: It cannot be written there.
-        """
+        """Write the model and its record as JSON into a folder, under the name that `find` expects."""
         data = {
             "schema": SCHEMA,
             "identity": use.identity,
@@ -479,9 +433,6 @@ def spline_basis(value: np.ndarray, start: float, step: float, knot_count: int) 
 
     Args:
         value: Where, [value].
-        start: First knot.
-        step: Distance between knots.
-        knot_count: Number of knots and coefficients, at least 2.
 
     Returns:
         float64 [value, knot].

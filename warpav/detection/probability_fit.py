@@ -49,17 +49,11 @@ MONOTONE_FOR_ANY_CAMERA = (VISIBLE_SHARE, IN_FRAME_SHARE, CONTRAST)
 
 @dataclass(frozen=True)
 class DetectionSamples:
-    """Objects in views, of which at least one pixel was visible, and whether the detector found them.
+    """Objects in views, of which at least one pixel was visible, and whether the detector found them."""
 
-    Attributes:
-        feature: In the order of `warpav.detection.probability.FEATURES`, float64 [object, feature].
-        is_detected: Whether a detection matched, bool [object].
-        seed: The scene's seed, int64 [object].
-    """
-
-    feature: np.ndarray
-    is_detected: np.ndarray
-    seed: np.ndarray
+    feature: np.ndarray  # in the order of `warpav.detection.probability.FEATURES`, float64 [object, feature]
+    is_detected: np.ndarray  # whether a detection matched, bool [object]
+    seed: np.ndarray  # the scene's seed, int64 [object]
 
     def __len__(self) -> int:
         return len(self.is_detected)
@@ -93,11 +87,7 @@ def random_cameras(
     """Cameras anywhere on a mount surface, turned anywhere: where an optimisation may lead them.
 
     Args:
-        rng: Random numbers.
-        surface: Mount surface of the cameras.
-        model: Their model.
         height_offset_m: Their height above the surface [m].
-        count: How many.
         pitch_rad: Range of their pitches [rad]; None: level.
         height_m: Range of their heights above the surface [m]; None: ``height_offset_m``.
         fov_rad: Range of their fields of view [rad], uniform in the logarithm of the focal length; None: the model's.
@@ -130,18 +120,7 @@ def sample_detections(
     iou_min: float,
     network_scale: tuple[float, float] = (1.0, 1.0),
 ) -> DetectionSamples:
-    """Run the detector on a scene in some cameras; returns one sample per visible object.
-
-    Args:
-        renderer: Renders them; its lenses are replaced by theirs.
-        scene: The scene.
-        cameras: At least one, and no more than the renderer has views.
-        detector: The detector to model.
-        seed: Of the scene.
-        confidence_min: Minimum confidence of a detection.
-        iou_min: Minimum IoU with the ground-truth box.
-        network_scale: Pixels of the network's input for one of the image, along x and y.
-    """
+    """Run the detector on a scene in some cameras; returns one sample per visible object."""
     count, cameras = len(cameras), [*cameras, *[cameras[-1]] * (renderer.view_count - len(cameras))]
     transform = np.stack([camera.ego_from_camera for camera in cameras])
     device = str(renderer.device)
@@ -151,7 +130,8 @@ def sample_detections(
     renderer.set_lenses([camera.model for camera in cameras])
     frame = renderer.render(scene.raster, position_ego_m, camera_from_ego)
     appearance = Appearance.of(frame, scene)
-    seen = DetectionProbability.blank(network_scale=network_scale).on_tape(appearance, position_ego_m, camera_from_ego)
+    model = DetectionProbability.unfitted(network_scale=network_scale)
+    seen = model.on_tape(appearance, position_ego_m, camera_from_ego)
     is_visible = appearance.measures.value.numpy()[:count, :, VISIBLE_AREA] >= 1.0
     shown = np.flatnonzero(is_visible.any(axis=1)).tolist()
     if not shown:  # the detector would find nothing that counts
@@ -188,21 +168,13 @@ class ProbabilityScores:
 
 @dataclass(frozen=True)
 class CalibrationBin:
-    """Objects of about one probability.
+    """Objects of about one probability."""
 
-    Attributes:
-        count: How many.
-        predicted: Their mean probability.
-        detected: The share that was detected.
-        low: Lower end of its 95 % interval (Wilson).
-        high: Upper end.
-    """
-
-    count: int
-    predicted: float
-    detected: float
-    low: float
-    high: float
+    count: int  # how many
+    predicted: float  # their mean probability
+    detected: float  # the share that was detected
+    low: float  # lower end of its 95 % interval (Wilson)
+    high: float  # upper end
 
 
 def score(probability: np.ndarray, is_detected: np.ndarray, *, bin_count: int = BIN_COUNT) -> ProbabilityScores:
@@ -211,10 +183,6 @@ def score(probability: np.ndarray, is_detected: np.ndarray, *, bin_count: int = 
     Args:
         probability: In 0..1, [object].
         is_detected: bool [object].
-        bin_count: Bins of the calibration error.
-
-    Raises:
-        ValueError: Fewer objects than bins, or all, or none of them were detected.
     """
     from scipy.stats import rankdata
 
@@ -258,19 +226,6 @@ def fit_probability(
     """Fit the curves by logistic regression, penalised by their second differences.
 
     The penalty is the one whose likelihood is greatest on scenes that were left out, over folds of whole scenes.
-
-    Args:
-        samples: What to fit.
-        rng: Deals the scenes out to folds.
-        knot_count: Knots of every curve, at least 4.
-        penalties: To choose from, positive.
-        monotone: Features whose curves may not fall.
-
-    Returns:
-        The model and the penalty.
-
-    Raises:
-        ValueError: There are too few objects, or all, or none of them were detected.
     """
     found, count = int(samples.is_detected.sum()), len(samples)
     if count < MIN_OBJECTS or min(found, count - found) < MIN_OF_EACH:

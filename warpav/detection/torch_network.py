@@ -22,11 +22,7 @@ _FREE_SIZE_PX = (64, 96)  # of the trial image where the file leaves its size op
 
 
 def require_torch() -> None:
-    """Check that PyTorch and onnx are there.
-
-    Raises:
-        InputError: One of them is not.
-    """
+    """Check that PyTorch and onnx are there."""
     try:
         import onnx  # noqa: F401
         import torch  # noqa: F401  # pyright: ignore[reportMissingImports]
@@ -49,16 +45,7 @@ class _Node:
 
 
 class TorchNetwork:
-    """The network of an ONNX file with one input and one output, as a differentiable function.
-
-    Args:
-        path: The ONNX file.
-        device: PyTorch device.
-
-    Raises:
-        InputError: PyTorch is missing, or the file holds an operator that is not known here, or PyTorch's output
-            differs from onnxruntime's by more than `MAX_ERROR`.
-    """
+    """The network of an ONNX file with one input and one output, as a differentiable function."""
 
     def __init__(self, path: str | Path, *, device: str = "cpu") -> None:
         require_torch()

@@ -15,8 +15,15 @@ import warp as wp
 
 from warpav.core.errors import InputError
 from warpav.detection.detector import Detections, Detector
-from warpav.detection.in_loop import DetectorInLoop, RenderedImage
-from warpav.detection.observe import Observation, VisibleObjects, matched_boxes_px, observe, visible_objects
+from warpav.detection.observe import (
+    DetectorInLoop,
+    Observation,
+    RenderedImage,
+    VisibleObjects,
+    matched_boxes_px,
+    observe,
+    visible_objects,
+)
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.importance import Importance
 from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate

@@ -153,14 +153,10 @@ class WindowMeasures(Measures):
     """Solid angle [sr] of every object in every view inside the view's window, with Jacobians, on the device.
 
     As `Measures`, with one element on the last axis.
-
-    Attributes:
-        jac_window: Jacobian to the window [sr/rad], vec4 [view, object].
-        window_rad: Windows with which it was measured, vec4 [view].
     """
 
-    jac_window: wp.array
-    window_rad: wp.array
+    jac_window: wp.array  # jacobian to the window [sr/rad], vec4 [view, object]
+    window_rad: wp.array  # windows with which it was measured, vec4 [view]
 
     def on_tape(
         self,

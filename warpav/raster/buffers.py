@@ -67,19 +67,12 @@ class Content(Enum):
 
 @dataclass(frozen=True, eq=False)
 class RenderState:
-    """What one render has left in the buffers; equal only to itself.
+    """What one render has left in the buffers; equal only to itself."""
 
-    Attributes:
-        scene: The scene.
-        content: What of it.
-        rectangle: Samples of every layer, vec4i [view, layer].
-        offset: Their places in the atlas, int32 [view, layer].
-    """
-
-    scene: Scene
-    content: Content
-    rectangle: wp.array
-    offset: wp.array
+    scene: Scene  # the scene
+    content: Content  # what of it
+    rectangle: wp.array  # samples of every layer, vec4i [view, layer]
+    offset: wp.array  # their places in the atlas, int32 [view, layer]
 
 
 @cache

@@ -143,13 +143,9 @@ def render_in_chunks(
 
 @dataclass(eq=False)
 class KeptRenderers:
-    """Renderers by what they are asked for; those that were not used for the longest time go first.
+    """Renderers by what they are asked for; those that were not used for the longest time go first."""
 
-    Attributes:
-        bytes_max: How much all of them may hold. Those of the last call stay even if they hold more.
-    """
-
-    bytes_max: int = KEPT_BYTES
+    bytes_max: int = KEPT_BYTES  # how much all of them may hold. Those of the last call stay even if they hold more
     _kept: dict[Hashable, tuple[Renderer, ...]] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:

@@ -15,17 +15,11 @@ RIGID_TOLERANCE = 1e-3
 
 
 class ViewPoses(NamedTuple):
-    """Poses of views, and their focal lengths, as the kernels take them; on one device.
+    """Poses of views, and their focal lengths, as the kernels take them; on one device."""
 
-    Attributes:
-        position_world_m: Camera centres [m], vec3 [view].
-        camera_from_world: Rotations from world axes to camera axes, mat33 [view].
-        log_focal: Logarithms of the focal lengths over the cameras', float [view]; None: 0.
-    """
-
-    position_world_m: wp.array
-    camera_from_world: wp.array
-    log_focal: wp.array | None = None
+    position_world_m: wp.array  # camera centres [m], vec3 [view]
+    camera_from_world: wp.array  # rotations from world axes to camera axes, mat33 [view]
+    log_focal: wp.array | None = None  # logarithms of the focal lengths over the cameras', float [view]; None: 0
 
 
 def view_poses(

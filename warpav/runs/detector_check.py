@@ -28,20 +28,7 @@ REPEAT_WITHIN_S = 1.0
 def check_detector(
     model: str, config: Config, *, image_file: Path | None = None, out: Path | None = None
 ) -> Iterator[str]:
-    """Describe a detector, time it, and try it on an image.
-
-    Args:
-        model: An ONNX file, or ``builtin``.
-        config: How to use it; its own `detector.model` is left aside.
-        image_file: An image to find road users in.
-        out: PNG file to draw them into; None: ``<image>_boxes.png`` in the working directory.
-
-    Yields:
-        Lines to print.
-
-    Raises:
-        InputError: The file or the image cannot be used.
-    """
+    """Describe a detector, time it, and try it on an image."""
     if out is not None and image_file is None:
         raise ArgumentError("out", "expected `image` beside it, as boxes are drawn on an image")
     image_rgb = None if image_file is None else _read_image(image_file)

@@ -95,11 +95,7 @@ class FitSeeds:
 
 
 def chosen_seeds(config: Config, fit: tuple[int, ...] | None, held_out: tuple[int, ...] | None) -> FitSeeds:
-    """The scenes to use: the given ones, else embedded ones of their own, else three to two of the training scenes.
-
-    Raises:
-        InputError: A scene is in both parts, or the fit would see a test scene.
-    """
+    """The scenes to use: the given ones, else embedded ones of their own, else three to two of the training scenes."""
     if config.scenes.source == "town":
         usual = FitSeeds(TOWN_SEEDS, TOWN_HELD_OUT)
     else:
@@ -133,21 +129,13 @@ def chosen_seeds(config: Config, fit: tuple[int, ...] | None, held_out: tuple[in
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted model of detection probability, and what it was fitted and evaluated on.
+    """A fitted model of detection probability, and what it was fitted and evaluated on."""
 
-    Attributes:
-        model: The model, with its record.
-        known: What the detector made of the scenes that it was fitted on.
-        unseen: The same of those that it was evaluated on.
-        probability: What it says of these, float64 [sighting].
-        scores: How good that is.
-    """
-
-    model: DetectionProbability
-    known: DetectionSamples
-    unseen: DetectionSamples
-    probability: np.ndarray
-    scores: ProbabilityScores
+    model: DetectionProbability  # the model, with its record
+    known: DetectionSamples  # what the detector made of the scenes that it was fitted on
+    unseen: DetectionSamples  # the same of those that it was evaluated on
+    probability: np.ndarray  # what it says of these, float64 [sighting]
+    scores: ProbabilityScores  # how good that is
 
 
 def ensure_fit(
@@ -167,20 +155,6 @@ def ensure_fit(
     Where there are too few scenes of the user's own to fit it on, embedded ones take their place. What is fitted for a
     detector that is an object is kept while the object lives. Where ``losses.probability`` is a share of the object,
     which stands in for the probability, no detector is asked.
-
-    Args:
-        config: Detector, camera, scenes.
-        detector: The detector, where it is an object and not ``config.detector``.
-        ego: The vehicle, where it is an object and not ``config.scenes.ego``.
-        camera: The camera that the probability is asked for, where it is not that of ``config``.
-        progress: Reports that it has to be fitted, how long that takes and how far it is. Where it shows nothing, a
-            warning is logged.
-
-    Returns:
-        The model; it counts the pixels that the detector makes of this camera's images.
-
-    Raises:
-        InputError: It cannot be fitted or read, or was fitted on test scenes of a result.
     """
     if config.losses.probability != "fitted":
         return DetectionProbability.unfitted()
@@ -264,17 +238,7 @@ def town_config(config: Config) -> Config:
 def sample_camera(
     config: Config, seeds: Sequence[int], model: DetectionProbability, *, progress: Progress
 ) -> DetectionSamples:
-    """What the configured detector finds in views of scenes by the configured camera, anywhere on roof and bonnet.
-
-    Args:
-        config: Detector, camera, scenes; of these also their level.
-        seeds: Numbers of the scenes.
-        model: Of `ensure_fit` for this configuration; says what pixels count.
-        progress: Where to show it.
-
-    Raises:
-        InputError: A scene or the detector cannot be used.
-    """
+    """What the configured detector finds in views of scenes by the configured camera, anywhere on roof and bonnet."""
     load_detector(config)  # what it cannot do shows at once
     source = _Source(camera_model(config), VIEWS_PER_SCENE, (_CAMERAS,), model.network_scale)
     return _sample_scenes(config, seeds, None, None, [source], progress, job="scoring")
@@ -285,12 +249,7 @@ def _network_scale(detector: ScalingDetector, camera: CameraModel) -> tuple[floa
 
 
 def _ensure_for_any_camera(config: Config, progress: Progress) -> DetectionProbability:
-    """The stored fit for any camera, which is made first if there is none.
-
-    Args:
-        config: Of `any_camera_config`.
-        progress: As in `ensure_fit`.
-    """
+    """The stored fit for any camera, which is made first if there is none."""
     use = any_camera_use(config)
     if stored_file(use) is None:
         seeds = chosen_seeds(config, None, None)
@@ -330,24 +289,7 @@ def fit_detector(
     any_camera: bool = False,
     progress: Progress,
 ) -> Path:
-    """Fit the detection probability of a detector, or take the stored fit, and show how good it is.
-
-    Args:
-        config: Detector, camera, scenes.
-        words: The command, for the record.
-        fit_seeds: Scenes to fit; None: see `chosen_seeds`.
-        held_out_seeds: Scenes to evaluate on; None: see `chosen_seeds`.
-        out: Folder to keep it in; None: beside the detector's file, or in the user's cache.
-        again: Whether to fit even if there is a stored fit.
-        any_camera: Whether to fit for any camera, and not for the configuration's alone.
-        progress: Where to show it.
-
-    Returns:
-        The file of the model; its figures lie beside it.
-
-    Raises:
-        InputError: The input is wrong, or there are too few objects to fit or to evaluate on.
-    """
+    """Fit the detection probability of a detector, or take the stored fit, and show how good it is."""
     from warpav.view.figures.statistics import detection_curves, reliability_diagram
 
     if any_camera:
@@ -397,24 +339,7 @@ def fit(
     use: DetectorUse | None = None,
     progress: Progress,
 ) -> Fit:
-    """Fit the detection probability of a detector; no model is written.
-
-    Args:
-        config: Detector, camera, scenes.
-        seeds: Scenes to fit and to evaluate on.
-        detector: The detector, where it is an object and not ``config.detector``.
-        ego: The vehicle, where it is an object and not ``config.scenes.ego``.
-        camera: The camera, where it is not that of ``config``.
-        any_camera: Whether to fit for cameras of all kinds (`warpav.detection.camera_mixture`) instead of that one; the
-            detector is a `ScalingDetector`.
-        words: The command, for the record.
-        use: What the fit will be stored for: what is sampled is kept until then, so that a fit that is interrupted goes
-            on. None: nothing is kept.
-        progress: Where to show it, and how long it takes if that is long.
-
-    Raises:
-        InputError: There are too few objects to fit or to evaluate on.
-    """
+    """Fit the detection probability of a detector; no model is written."""
     began = time.perf_counter()
     name = config.detector.model if detector is None else type(detector).__name__
     used = load_detector(config) if detector is None else detector
@@ -519,19 +444,12 @@ class _Source:
 
 @dataclass(frozen=True, eq=False)
 class _Sampling:
-    """How a detector is tried on scenes; without a detector that is an object it travels to other processes.
+    """How a detector is tried on scenes; without a detector that is an object it travels to other processes."""
 
-    Attributes:
-        config: Detector, cameras.
-        surface: Roof and bonnet.
-        sources: The views.
-        detector: The detector; None: that of ``config``.
-    """
-
-    config: Config
-    surface: MountSurface
-    sources: tuple[_Source, ...]
-    detector: Detector | None
+    config: Config  # detector, cameras
+    surface: MountSurface  # roof and bonnet
+    sources: tuple[_Source, ...]  # the views
+    detector: Detector | None  # the detector; None: that of ``config``
 
     @cached_property
     def _used_detector(self) -> Detector:
@@ -621,16 +539,6 @@ def _sample_scenes(
     """What a detector finds of scenes in the views of some sources, on all cores; the numbers are those of one.
 
     Says how long it takes, if that is long.
-
-    Args:
-        config: Scenes, detector, cameras.
-        seeds: Numbers of the scenes.
-        detector: The detector, where it is an object: it stays in this process.
-        ego: The vehicle, where it is an object.
-        sources: The views.
-        progress: Where to show it.
-        job: What it is for, in words.
-        use: What is fitted; what was sampled for it is kept, and not sampled again. None: nothing is kept.
     """
     if not seeds:
         return DetectionSamples.join([])
@@ -675,11 +583,7 @@ def _process_count(config: Config, scene_count: int) -> int:
 def _outcomes(
     sampling: _Sampling, tasks: Sequence[tuple[SceneRecipe, int]], process_count: int
 ) -> Iterator[tuple[int, DetectionSamples]]:
-    """Samples of scenes as they are there, each with the number of its task.
-
-    Raises:
-        InputError: A scene cannot be made or sampled.
-    """
+    """Samples of scenes as they are there, each with the number of its task."""
     if process_count <= 1:
         yield from ((number, sampling.samples(*task)) for number, task in enumerate(tasks))
         return

@@ -31,35 +31,20 @@ _HEADS = (*_HEADS, "of the fit's own scenes: AUC, error")
 
 @dataclass(frozen=True, eq=False)
 class FitScores:
-    """The detection probability of a detector against what the detector finds.
+    """The detection probability of a detector against what the detector finds."""
 
-    Attributes:
-        name: The detector's name.
-        width_px: Width of its images.
-        height_px: Their height.
-        objects: Objects of which a view shows some pixel, over all views.
-        detected: How many of them are detected.
-        predicted: Mean probability of them.
-        auc: See `warpav.detection.probability_fit.ProbabilityScores`; the 95 % interval resamples scenes.
-        calibration_error: Likewise. Noise makes it larger than 0 for a perfect fit as well.
-        scores: All scores, with the bins.
-        of_fit: Scores on the scenes that were held out of the fit; empty where the fit does not tell.
-        probability: What the fit says, float64 [object].
-        is_detected: bool [object].
-    """
-
-    name: str
-    width_px: int
-    height_px: int
-    objects: int
-    detected: int
-    predicted: float
-    auc: Estimate
-    calibration_error: Estimate
-    scores: ProbabilityScores
-    of_fit: dict[str, float]
-    probability: np.ndarray
-    is_detected: np.ndarray
+    name: str  # the detector's name
+    width_px: int  # width of its images
+    height_px: int  # their height
+    objects: int  # objects of which a view shows some pixel, over all views
+    detected: int  # how many of them are detected
+    predicted: float  # mean probability of them
+    auc: Estimate  # see `warpav.detection.probability_fit.ProbabilityScores`; the 95 % interval resamples scenes
+    calibration_error: Estimate  # likewise. Noise makes it larger than 0 for a perfect fit as well
+    scores: ProbabilityScores  # all scores, with the bins
+    of_fit: dict[str, float]  # scores on the scenes that were held out of the fit; empty where the fit does not tell
+    probability: np.ndarray  # what the fit says, float64 [object]
+    is_detected: np.ndarray  # bool [object]
 
     def data(self) -> dict[str, Any]:
         """For a JSON file; without the single objects."""
@@ -93,17 +78,6 @@ def score_detectors(
     """Score the fits of the configured detector, or of all networks of a folder; show the scores and write them.
 
     What has no stored fit is fitted first, as a run would.
-
-    Args:
-        config: Detector, camera, scenes.
-        panel: Folder of ONNX files, each at its own image size; None: the configured detector.
-        fitted_on: Whether the fit is that of the embedded scenes, or that of the configuration's own.
-        seeds: Numbers of the scenes; None: the test scenes.
-        out: Folder for ``scores.json``, ``scores.md`` and a diagram for each detector; None: nothing is written.
-        progress: Where to show it.
-
-    Raises:
-        InputError: A file cannot be used, a scene has been fitted on, or there are too few objects.
     """
     if out is not None:
         check_folder(out, "out")

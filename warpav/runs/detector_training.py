@@ -116,20 +116,7 @@ def measure_detector(
     image_count: int | None,
     say: Callable[[str], None],
 ) -> None:
-    """Measure the configured detector on the test images, and write ``evaluation.json`` and ``evaluation.md``.
-
-    Args:
-        config: Its section ``detector`` says which network, and how its boxes are suppressed; the minimum confidence is
-            always `MIN_CONFIDENCE`.
-        out: Folder to write to.
-        image_folder: See `train_detector`.
-        processes: That render, at least 1.
-        image_count: Only so many images of every size; None: all.
-        say: Shows a line.
-
-    Raises:
-        InputError: The detector cannot be used, a number is below its minimum, or a folder cannot be written to.
-    """
+    """Measure the configured detector on the test images, and write ``evaluation.json`` and ``evaluation.md``."""
     for option, value in (("processes", processes), ("images", image_count)):
         if value is not None and value < 1:
             raise InputError(f"command line (--{option}): expected at least 1, got {value}")
@@ -156,11 +143,7 @@ def measure_detector(
 
 
 def tables(report: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
-    """The figures of a report as Markdown, a row for every kind of scene and size of image.
-
-    Args:
-        report: What `warpav.detection.training.evaluate.evaluate` returned, by kind of scene and side of the image.
-    """
+    """The figures of a report as Markdown, a row for every kind of scene and size of image."""
     images = [(f"{kind}, {side} px", each) for kind, by_side in report.items() for side, each in by_side.items()]
     lines = []
     for road_user in ROAD_USERS:
@@ -198,11 +181,7 @@ def _number(value: float | None) -> str:
 
 
 def _made_folders(out: Path, image_folder: Path | None) -> Path:
-    """Make both folders, and return that of the images.
-
-    Raises:
-        InputError: One of them cannot be written to.
-    """
+    """Make both folders, and return that of the images."""
     folders = {"out": out, "image-folder": out / "images" if image_folder is None else image_folder}
     for option, folder in folders.items():
         try:

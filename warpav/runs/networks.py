@@ -52,16 +52,8 @@ def read_detector(
 
 
 def load_detector(config: Config, *, every_road_user: bool = False) -> OnnxDetector:
-    """The detector of the configuration, tried on a grey image of the configured camera.
-
-    Args:
-        config: Says which, and whom it is to find.
-        every_road_user: Let it find whomever it has labels for, if vehicles are among those to be found.
-
-    Raises:
-        InputError: Its file cannot be used, or gives something else than detections.
-    """
-    from warpav.detection.families.letterbox import GREY
+    """The detector of the configuration, tried on a grey image of the configured camera."""
+    from warpav.detection.families.family import GREY
 
     detector = opened_detector(config, every_road_user=every_road_user)
     # what a network cannot do shows at once, not when scenes have been rendered and a run folder lies there
@@ -87,13 +79,7 @@ def opened_detector(config: Config, *, every_road_user: bool = False) -> OnnxDet
 
 
 def detector_use(config: Config, ego: Mesh | None = None, camera: CameraModel | None = None) -> DetectorUse:
-    """The detector, and everything in the configuration on which its detection probability in a view depends.
-
-    Args:
-        config: The configuration.
-        ego: The vehicle, where it is an object and not ``config.scenes.ego``.
-        camera: The camera, where it is not the configuration's.
-    """
+    """The detector, and everything in the configuration on which its detection probability in a view depends."""
     from warpav.detection.probability import DetectorUse
 
     config = with_absolute_paths(config)  # a run folder writes them so, and finds the same fit
@@ -117,9 +103,6 @@ def any_camera_use(config: Config) -> DetectorUse:
     """The detector, and what its detection probability depends on when pixels of the network's input are counted.
 
     Field of view, lens, image size, pose and vehicle are not among it.
-
-    Args:
-        config: The configuration, as `any_camera_config` gives it.
     """
     from warpav.detection.camera_mixture import RECIPE
     from warpav.detection.probability import DetectorUse
@@ -182,23 +165,14 @@ def _camera_settings(config: Config, camera: CameraModel | None) -> dict[str, An
 
 @dataclass(frozen=True, eq=False)
 class Networks:
-    """The detector, and what losses need of it.
+    """The detector, and what losses need of it."""
 
-    Attributes:
-        detector: The detector.
-        differentiable: The same network, differentiable; None where no loss needs it.
-    """
-
-    detector: Detector
-    differentiable: DifferentiableDetector | None
+    detector: Detector  # the detector
+    differentiable: DifferentiableDetector | None  # the same network, differentiable; None where no loss needs it
 
 
 def load_networks(config: Config) -> Networks:
-    """Load the detector, differentiable as well where the losses of the configuration need it.
-
-    Raises:
-        InputError: The device or the detector cannot be used.
-    """
+    """Load the detector, differentiable as well where the losses of the configuration need it."""
     device = checked_device(config.device)
     detector = load_detector(config)
     differentiable = None

@@ -29,21 +29,13 @@ IMAGE_SIZE = ("width_px", "height_px")
 
 @dataclass(frozen=True)
 class PanelNetwork:
-    """A network of a panel.
+    """A network of a panel."""
 
-    Attributes:
-        name: The name of its file in lower-case letters, digits and underscores.
-        file: Its ONNX file, absolute.
-        width_px: Width of the images that it judges.
-        height_px: Their height.
-        described: Options that its description sets, as overrides.
-    """
-
-    name: str
-    file: Path
-    width_px: int
-    height_px: int
-    described: tuple[str, ...] = ()
+    name: str  # the name of its file in lower-case letters, digits and underscores
+    file: Path  # its ONNX file, absolute
+    width_px: int  # width of the images that it judges
+    height_px: int  # their height
+    described: tuple[str, ...] = ()  # options that its description sets, as overrides
 
     @property
     def overrides(self) -> tuple[str, ...]:
@@ -56,11 +48,7 @@ class PanelNetwork:
         )
 
     def config(self, config: Config) -> Config:
-        """The configuration with this network as its detector.
-
-        Raises:
-            InputError: The options do not fit each other.
-        """
+        """The configuration with this network as its detector."""
         return changed_config(config, self.overrides)
 
 
@@ -71,14 +59,6 @@ def networks_in(folder: Path, config: Config) -> list[PanelNetwork]:
     any size gets images of the configured size. Beside ``name.onnx`` may lie ``name.yaml``, its description: options
     of the section ``detector`` (`DESCRIBED`) that the file itself does not tell, and the size of its images
     (`IMAGE_SIZE`).
-
-    Args:
-        folder: The folder; its own folders are left aside.
-        config: How to use them, all but `NETWORK_OPTIONS`.
-
-    Raises:
-        InputError: There is no such folder, or no network in it; two have one name; one is no detector of the targets;
-            or a description cannot be used.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of ONNX files, got {'a file' if folder.exists() else 'none'}")
@@ -105,11 +85,7 @@ def networks_in(folder: Path, config: Config) -> list[PanelNetwork]:
 
 
 def _description(file: Path) -> tuple[tuple[str, ...], tuple[int, int] | None]:
-    """What the description of a network says, if there is one: overrides, and the size of its images.
-
-    Raises:
-        InputError: It cannot be read, or says something else.
-    """
+    """What the description of a network says, if there is one: overrides, and the size of its images."""
     if not file.is_file():
         return (), None
     data, line_of = read_yaml(file)
@@ -133,11 +109,7 @@ def _description(file: Path) -> tuple[tuple[str, ...], tuple[int, int] | None]:
 
 
 def check_panel_options(option_names: Sequence[str]) -> None:
-    """Reject options that a panel takes from its files.
-
-    Raises:
-        InputError: One of them is.
-    """
+    """Reject options that a panel takes from its files."""
     for option in option_names:
         if option.startswith(NETWORK_OPTIONS):
             raise InputError(

@@ -28,53 +28,31 @@ class Candidate:
     """A triangle that a view with a bent lens may see, in the space of rays.
 
     A ray d meets it where no product with an edge's normal is negative.
-
-    Attributes:
-        edge0: Normal of the plane through the camera's centre and its first edge [m^2].
-        edge1: That of the second.
-        edge2: That of the third.
-        inverse_depth: Its product with a ray of depth 1 is the inverse depth [1/m].
-        first_column: First column of samples that it may cover; of one of its turns for a panorama.
-        last_column: Last such column; below the first where there is none.
-        first_row: First such row.
-        last_row: Last such row; below the first where there is none.
-        triangle: Its number in the scene.
-        is_wide: Whether it reaches so far that a cone has to bound its image, which is not done yet.
-        is_outline: Whether an outline may run along one of its sides or along the near cut, where that is asked for.
     """
 
-    edge0: wp.vec3
-    edge1: wp.vec3
-    edge2: wp.vec3
-    inverse_depth: wp.vec3
-    first_column: int
-    last_column: int
-    first_row: int
-    last_row: int
-    triangle: int
-    is_wide: int
-    is_outline: int
+    edge0: wp.vec3  # normal of the plane through the camera's centre and its first edge [m^2]
+    edge1: wp.vec3  # that of the second
+    edge2: wp.vec3  # that of the third
+    inverse_depth: wp.vec3  # its product with a ray of depth 1 is the inverse depth [1/m]
+    first_column: int  # first column of samples that it may cover; of one of its turns for a panorama
+    last_column: int  # last such column; below the first where there is none
+    first_row: int  # first such row
+    last_row: int  # last such row; below the first where there is none
+    triangle: int  # its number in the scene
+    is_wide: int  # whether it reaches so far that a cone has to bound its image, which is not done yet
+    is_outline: int  # whether an outline may run along one of its sides or along the near cut, where that is asked for
 
 
 @wp.struct
 class Question:
-    """What of a cluster is asked for.
+    """What of a cluster is asked for."""
 
-    Attributes:
-        frame: First column, first row, and those after the last, of the samples.
-        table: Number of the lens's table in `Rays`.
-        widest_cosine: Least cosine of a ray from the optical axis.
-        is_front_only: Whether backs that are seen from more than ``behind_m`` are left out.
-        behind_m: See `triangles.behind_m`.
-        has_outline: Whether triangles may lie between the rows or the columns, for their outlines.
-    """
-
-    frame: wp.vec4i
-    table: int
-    widest_cosine: float
-    is_front_only: bool
-    behind_m: float
-    has_outline: bool
+    frame: wp.vec4i  # first column, first row, and those after the last, of the samples
+    table: int  # number of the lens's table in `Rays`
+    widest_cosine: float  # least cosine of a ray from the optical axis
+    is_front_only: bool  # whether backs that are seen from more than ``behind_m`` are left out
+    behind_m: float  # see `triangles.behind_m`
+    has_outline: bool  # whether triangles may lie between the rows or the columns, for their outlines
 
 
 _CONSTANTS = {

@@ -56,15 +56,10 @@ class Lens:
 
 @wp.struct
 class Factor:
-    """By how much a Brown-Conrady lens moves places along the radius.
+    """By how much a Brown-Conrady lens moves places along the radius."""
 
-    Attributes:
-        value: New radius over old.
-        slope: Its derivative to the old radius squared.
-    """
-
-    value: float
-    slope: float
+    value: float  # new radius over old
+    slope: float  # its derivative to the old radius squared
 
 
 @wp.func

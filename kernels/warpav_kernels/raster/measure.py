@@ -59,19 +59,12 @@ LEAST_TURN = wp.constant(0.01)  # squared sine of the angle between two cuts tha
 
 @wp.struct
 class BoundaryDerivative:
-    """An area and how it changes as the view moves: sums over samples and over segments of its boundary.
+    """An area and how it changes as the view moves: sums over samples and over segments of its boundary."""
 
-    Attributes:
-        area: The area, in samples.
-        gradient: Sum of the gradients g of the flow along the boundary's normal, in camera axes [samples/m].
-        moment: Sum of their moments q x g [samples/rad].
-        log_focal: Change under a relative change of the focal lengths [samples].
-    """
-
-    area: float
-    gradient: wp.vec3
-    moment: wp.vec3
-    log_focal: float
+    area: float  # the area, in samples
+    gradient: wp.vec3  # sum of the gradients g of the flow along the boundary's normal, in camera axes [samples/m]
+    moment: wp.vec3  # sum of their moments q x g [samples/rad]
+    log_focal: float  # change under a relative change of the focal lengths [samples]
 
 
 @wp.func

@@ -26,30 +26,19 @@ VISIBLE = wp.constant(1)  # those of them that nothing hides
 
 @wp.struct
 class Hiding:
-    """What hides the layers, in their layout; see `hide`.
+    """What hides the layers, in their layout; see `hide`."""
 
-    Attributes:
-        bits: Bits of 1/z of the hiding surface; 0 where nothing hides, [sample].
-        source: The hiding triangle, or ``-1 - layer``, [sample].
-    """
-
-    bits: wp.array[wp.int32]
-    source: wp.array[wp.int32]
+    bits: wp.array[wp.int32]  # bits of 1/z of the hiding surface; 0 where nothing hides, [sample]
+    source: wp.array[wp.int32]  # the hiding triangle, or ``-1 - layer``, [sample]
 
 
 @wp.struct
 class Pair:
-    """One object in one view.
+    """One object in one view."""
 
-    Attributes:
-        view: Index of the view.
-        rectangle: The object's rectangle of samples.
-        offset: Its place in the atlas.
-    """
-
-    view: int
-    rectangle: wp.vec4i
-    offset: int
+    view: int  # index of the view
+    rectangle: wp.vec4i  # the object's rectangle of samples
+    offset: int  # its place in the atlas
 
 
 @wp.func
@@ -64,19 +53,12 @@ def pair_of(v: int, layer: int, layers: Layers) -> Pair:
 
 @wp.struct
 class EdgeCrossing:
-    """Where a surface ends between a sample's centre and a neighbour's: a subsample offset, and the depth there.
+    """Where a surface ends between a sample's centre and a neighbour's: a subsample offset, and the depth there."""
 
-    Attributes:
-        offset: 0..1 in samples.
-        inverse_depth: 1/z of the surface there [1/m].
-        cut_triangle: The triangle that the near plane ends there; -1 where something else does.
-        is_known: Whether it is solved; else half way stands for it.
-    """
-
-    offset: float
-    inverse_depth: float
-    cut_triangle: int
-    is_known: bool
+    offset: float  # 0..1 in samples
+    inverse_depth: float  # 1/z of the surface there [1/m]
+    cut_triangle: int  # the triangle that the near plane ends there; -1 where something else does
+    is_known: bool  # whether it is solved; else half way stands for it
 
 
 @wp.func
@@ -273,19 +255,12 @@ def passing_share(front: float, front_next: float, back: float, back_next: float
 
 @wp.struct
 class OutlineCrossing:
-    """Where an outline crosses from one sample's centre to the next.
+    """Where an outline crosses from one sample's centre to the next."""
 
-    Attributes:
-        x: Column in the grid.
-        y: Row in the grid.
-        inverse_depth: 1/z of the surface in front, whose outline it is [1/m].
-        cut_triangle: Its triangle, where the near plane cuts it there; else -1.
-    """
-
-    x: float
-    y: float
-    inverse_depth: float
-    cut_triangle: int
+    x: float  # column in the grid
+    y: float  # row in the grid
+    inverse_depth: float  # 1/z of the surface in front, whose outline it is [1/m]
+    cut_triangle: int  # its triangle, where the near plane cuts it there; else -1
 
 
 @wp.func
@@ -355,21 +330,13 @@ def outline_crossing(
 
 @wp.struct
 class Cell:
-    """Four neighbouring samples: which of them are of the mask.
+    """Four neighbouring samples: which of them are of the mask."""
 
-    Attributes:
-        row: Row of the upper left sample in the grid.
-        column: Its column.
-        mask: Bit 0 for the upper left, 1 upper right, 2 lower right, 3 lower left sample.
-        segment_count: Segments of outline in the cell: 0, 1, or 2 where two opposite corners are of the mask.
-        is_whole: Whether the lens sees all corners.
-    """
-
-    row: int
-    column: int
-    mask: int
-    segment_count: int
-    is_whole: bool
+    row: int  # row of the upper left sample in the grid
+    column: int  # its column
+    mask: int  # bit 0 for the upper left, 1 upper right, 2 lower right, 3 lower left sample
+    segment_count: int  # segments of outline in the cell: 0, 1, or 2 where two opposite corners are of the mask
+    is_whole: bool  # whether the lens sees all corners
 
 
 @wp.func
@@ -487,23 +454,14 @@ def side_crossing(
 
 @wp.struct
 class Segment:
-    """A piece of outline inside one cell; seen along it, the mask lies on the right.
+    """A piece of outline inside one cell; seen along it, the mask lies on the right."""
 
-    Attributes:
-        start: Column and row of its start in the grid.
-        end: Column and row of its end.
-        inverse_depth: 1/z of the surface in front, in its middle [1/m].
-        start_cut: The triangle that the near plane cuts at its start; -1 where there is none.
-        end_cut: The same at its end.
-        is_fixed: Whether it is the edge of what the lens sees, which stays where it is in the image.
-    """
-
-    start: wp.vec2
-    end: wp.vec2
-    inverse_depth: float
-    start_cut: int
-    end_cut: int
-    is_fixed: bool
+    start: wp.vec2  # column and row of its start in the grid
+    end: wp.vec2  # column and row of its end
+    inverse_depth: float  # 1/z of the surface in front, in its middle [1/m]
+    start_cut: int  # the triangle that the near plane cuts at its start; -1 where there is none
+    end_cut: int  # the same at its end
+    is_fixed: bool  # whether it is the edge of what the lens sees, which stays where it is in the image
 
 
 @wp.func

@@ -46,23 +46,14 @@ LEAST_OFFSET = wp.constant(1.0e-6)  # 0 means unknown
 
 @wp.struct
 class FrontPart:
-    """What the near plane leaves of a triangle, in camera coordinates.
+    """What the near plane leaves of a triangle, in camera coordinates."""
 
-    Attributes:
-        part_count: Triangles of the fan: 0, 1 (a, b, c), or 2 (a, b, c and a, c, d).
-        is_whole: Whether nothing was cut off.
-        a: First corner.
-        b: Second corner.
-        c: Third corner.
-        d: Fourth corner of a fan of two.
-    """
-
-    part_count: int
-    is_whole: bool
-    a: wp.vec3
-    b: wp.vec3
-    c: wp.vec3
-    d: wp.vec3
+    part_count: int  # triangles of the fan: 0, 1 (a, b, c), or 2 (a, b, c and a, c, d)
+    is_whole: bool  # whether nothing was cut off
+    a: wp.vec3  # first corner
+    b: wp.vec3  # second corner
+    c: wp.vec3  # third corner
+    d: wp.vec3  # fourth corner of a fan of two
 
 
 @wp.func
@@ -119,19 +110,12 @@ def front_part(camera: View, scene: Triangles, triangle: int) -> FrontPart:
 
 @wp.struct
 class Edge:
-    """A side of a triangle in the sample grid: inside is ``a (x - u) + b (y - v) >= 0``.
+    """A side of a triangle in the sample grid: inside is ``a (x - u) + b (y - v) >= 0``."""
 
-    Attributes:
-        u: Column of a point on it.
-        v: Row of that point.
-        a: Growth of the inequality along a row.
-        b: Growth of the inequality along a column.
-    """
-
-    u: float
-    v: float
-    a: float
-    b: float
+    u: float  # column of a point on it
+    v: float  # row of that point
+    a: float  # growth of the inequality along a row
+    b: float  # growth of the inequality along a column
 
 
 @wp.func
@@ -169,39 +153,22 @@ def line_after(place: float, first: int, end: int) -> int:
 
 @wp.struct
 class ImageTriangle:
-    """A triangle in the sample grid.
+    """A triangle in the sample grid."""
 
-    Attributes:
-        a: First corner: column, row and inverse depth [1/m].
-        b: Second corner.
-        c: Third corner.
-        side: Sign of its area; 0 where it is too thin to have a plane.
-        edge0: First side.
-        edge1: Second side.
-        edge2: Third side.
-        w: Inverse depth at the first corner [1/m]; it is linear in the image.
-        w_per_column: Its growth along a row.
-        w_per_row: Its growth along a column.
-        first_column: First column whose centre lies between the leftmost and the rightmost corner.
-        last_column: Last such column; below the first where there is none.
-        first_row: First row whose centre lies between the highest and the lowest corner.
-        last_row: Last such row; below the first where there is none.
-    """
-
-    a: wp.vec3
-    b: wp.vec3
-    c: wp.vec3
-    side: float
-    edge0: Edge
-    edge1: Edge
-    edge2: Edge
-    w: float
-    w_per_column: float
-    w_per_row: float
-    first_column: int
-    last_column: int
-    first_row: int
-    last_row: int
+    a: wp.vec3  # first corner: column, row and inverse depth [1/m]
+    b: wp.vec3  # second corner
+    c: wp.vec3  # third corner
+    side: float  # sign of its area; 0 where it is too thin to have a plane
+    edge0: Edge  # first side
+    edge1: Edge  # second side
+    edge2: Edge  # third side
+    w: float  # inverse depth at the first corner [1/m]; it is linear in the image
+    w_per_column: float  # its growth along a row
+    w_per_row: float  # its growth along a column
+    first_column: int  # first column whose centre lies between the leftmost and the rightmost corner
+    last_column: int  # last such column; below the first where there is none
+    first_row: int  # first row whose centre lies between the highest and the lowest corner
+    last_row: int  # last such row; below the first where there is none
 
 
 @wp.func

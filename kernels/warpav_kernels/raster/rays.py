@@ -121,17 +121,11 @@ def mean_and_spread(ray: wp.array4d[float], ray_set: int, samples: wp.vec4i) -> 
 
 @wp.struct
 class RowEnds:
-    """The rays of a few samples of a row.
+    """The rays of a few samples of a row."""
 
-    Attributes:
-        first: The first that sees anything.
-        last: The last that does.
-        bulge: The greatest distance of one between them from the line through both; -1 where none sees anything.
-    """
-
-    first: wp.vec3
-    last: wp.vec3
-    bulge: float
+    first: wp.vec3  # the first that sees anything
+    last: wp.vec3  # the last that does
+    bulge: float  # the greatest distance of one between them from the line through both; -1 where none sees anything
 
 
 @wp.func

@@ -134,18 +134,12 @@ class Patch:
     """The colours of one triangle, as a camera sees them along a ray of its own axes.
 
     The colour along a ray d is ``rgb + change d / whole . d``.
-
-    Attributes:
-        triangle: The triangle; -1 at first.
-        rgb: Colour of the first corner.
-        change: Growth of the colour from there, times ``whole . d``.
-        whole: Normal of the triangle's plane, of any length.
     """
 
-    triangle: int
-    rgb: wp.vec3
-    change: wp.mat33
-    whole: wp.vec3
+    triangle: int  # the triangle; -1 at first
+    rgb: wp.vec3  # colour of the first corner
+    change: wp.mat33  # growth of the colour from there, times ``whole . d``
+    whole: wp.vec3  # normal of the triangle's plane, of any length
 
 
 @wp.func

@@ -19,15 +19,10 @@ WHOLE_SCENE = wp.constant(-1)  # root of the whole mesh
 
 @wp.struct
 class Hit:
-    """What a ray hits.
+    """What a ray hits."""
 
-    Attributes:
-        inverse_depth: 1/depth [1/m]; 0 where it hits nothing.
-        triangle: The triangle; -1 where it hits nothing.
-    """
-
-    inverse_depth: float
-    triangle: int
+    inverse_depth: float  # 1/depth [1/m]; 0 where it hits nothing
+    triangle: int  # the triangle; -1 where it hits nothing
 
 
 @wp.func

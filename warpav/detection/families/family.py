@@ -1,34 +1,225 @@
-"""What all families have in common: they pack images into a network's input and decode its outputs."""
+"""What all families have in common: what a file states, how images are packed, and how outputs are decoded."""
 
 from __future__ import annotations
 
+import ast
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.detection.families.coco import COCO_80
-from warpav.detection.families.letterbox import ImagePlacement, Letterbox
-from warpav.detection.families.network_file import NetworkFile
+
+BACKGROUND = "__background__"
+
+_COCO_GAPS = {12, 26, 29, 30, 45, 66, 68, 69, 71, 83}
+_COCO_LABELS = """
+person bicycle car motorcycle airplane bus train truck boat traffic_light fire_hydrant stop_sign parking_meter bench
+bird cat dog horse sheep cow elephant bear zebra giraffe backpack umbrella handbag tie suitcase frisbee skis
+snowboard sports_ball kite baseball_bat baseball_glove skateboard surfboard tennis_racket bottle wine_glass cup fork
+knife spoon bowl banana apple sandwich orange broccoli carrot hot_dog pizza donut cake chair couch potted_plant bed
+dining_table toilet tv laptop mouse remote keyboard cell_phone microwave oven toaster sink refrigerator book clock
+vase scissors teddy_bear hair_drier toothbrush
+"""
+COCO_80 = tuple(label.replace("_", " ") for label in _COCO_LABELS.split())
+
+
+def _coco_91() -> tuple[str, ...]:
+    """COCO's labels at COCO's own numbers, which leave ten out; 0 is the background."""
+    labels = iter(COCO_80)
+    return (BACKGROUND, *("N/A" if number in _COCO_GAPS else next(labels) for number in range(1, 91)))
+
+
+COCO_91 = _coco_91()
+"""By class of networks that were trained on COCO."""
+
+
+@dataclass(frozen=True)
+class Tensor:
+    """One input or output of a network."""
+
+    name: str  # its name in the file
+    shape: tuple[int | None, ...]  # its axes; None where an axis is dynamic
+    dtype: str  # numPy's name of its numbers, such as float32
+
+    @property
+    def is_float(self) -> bool:
+        """Whether it holds floating-point numbers that onnxruntime gives to NumPy."""
+        return self.dtype in ("float16", "float32", "float64")
+
+    @property
+    def is_integer(self) -> bool:
+        """Whether it holds whole numbers."""
+        return self.dtype in ("int32", "int64")
+
+    def __str__(self) -> str:
+        """Name, shape with ? for dynamic axes, and number type."""
+        axes = ", ".join("?" if side is None else str(side) for side in self.shape)
+        return f"{self.name} [{axes}] {self.dtype}"
+
+
+@dataclass(frozen=True)
+class NetworkFile:
+    """Metadata, inputs and outputs of an ONNX file.
+
+    Attributes:
+        path: The file.
+        inputs: Its inputs.
+        outputs: Its outputs.
+        metadata: What the exporter wrote beside the network.
+        labels: Labels in the order of the classes, from the user or else the metadata; None if unknown.
+        labels_origin: Where they come from, in words.
+        run: Runs the network: inputs by name to outputs in order.
+    """
+
+    path: Path
+    inputs: tuple[Tensor, ...]
+    outputs: tuple[Tensor, ...]
+    metadata: Mapping[str, str]
+    labels: tuple[str, ...] | None
+    labels_origin: str
+    run: Callable[[dict[str, np.ndarray]], list[np.ndarray]]
+
+    def __str__(self) -> str:
+        """Its inputs, outputs and number of labels."""
+        text = f"inputs {'; '.join(map(str, self.inputs))}, outputs {'; '.join(map(str, self.outputs))}"
+        text = text if len(text) <= 400 else text[:400] + " ..."
+        return text + (
+            ", no labels" if self.labels is None else f", {len(self.labels)} label" + "s" * (len(self.labels) != 1)
+        )
+
+    @property
+    def image(self) -> Tensor | None:
+        """The input that takes images, shape [batch, 3, row, column] or [3, row, column]."""
+        for tensor in self.inputs:
+            if len(tensor.shape) in (3, 4) and tensor.shape[-3] in (3, None) and tensor.is_float:
+                return tensor
+        return None
+
+    @property
+    def size_px(self) -> tuple[int, int] | None:
+        """Rows and columns of the input where the file fixes them."""
+        rows, columns = (None, None) if self.image is None else self.image.shape[-2:]
+        return None if rows is None or columns is None else (rows, columns)
+
+    @property
+    def is_from_ultralytics(self) -> bool:
+        """Whether its metadata are those that ultralytics writes, apart from labels."""
+        return bool({"head", "end2end", "imgsz", "task"} & set(self.metadata)) or "Ultralytics" in (
+            self.metadata.get("description", "") + self.metadata.get("author", "")
+        )
+
+    @property
+    def is_ultralytics_rtdetr(self) -> bool:
+        """Whether its metadata name ultralytics' RT-DETR; older exports name no head, but the model."""
+        head = self.metadata.get("head")
+        description = self.metadata.get("description", "").lower().replace("-", "")
+        return head == "RTDETRDecoder" if head is not None else self.is_from_ultralytics and "rtdetr" in description
+
+
+def metadata_labels(path: Path, metadata: Mapping[str, str]) -> tuple[str, ...] | None:
+    """The labels that a file's metadata hold as ``names``, None where they hold none."""
+    text = metadata.get("names")
+    if text is None:
+        return None
+    try:
+        value = ast.literal_eval(text)
+        if not isinstance(value, (list, tuple, dict)) or not value:
+            raise TypeError
+        return tuple(str(value[index]) for index in range(len(value)))
+    except (ValueError, SyntaxError, TypeError, KeyError, MemoryError, RecursionError) as error:
+        raise InputError(
+            f"{path}: metadata 'names' is not a list of labels: {text[:80]!r}; set detector.labels"
+        ) from error
+
+
+GREY = 114
+"""Value of the padding."""
+
+
+class ImagePlacement(Enum):
+    """Where an image lies in the network's input."""
+
+    CENTRED = "centred"
+    TOP_LEFT = "top left"
+    STRETCHED = "stretched"
+
+
+@dataclass(frozen=True)
+class Letterbox:
+    """How an image is scaled and padded to the network's input."""
+
+    input_height_px: int  # height of the network's input [px]
+    input_width_px: int  # width of the network's input [px]
+    scaled_height_px: int  # height of the scaled image in it [px]
+    scaled_width_px: int  # width of the scaled image in it [px]
+    top_px: int  # rows of grey above it
+    left_px: int  # columns of grey left of it
+
+    @classmethod
+    def fit(
+        cls,
+        height_px: int,
+        width_px: int,
+        input_height_px: int,
+        input_width_px: int,
+        placement: ImagePlacement = ImagePlacement.CENTRED,
+    ) -> Letterbox:
+        """The letterbox that shows an image as large as the input allows; a stretched one fills the input."""
+        if placement is ImagePlacement.STRETCHED:
+            return cls(input_height_px, input_width_px, input_height_px, input_width_px, 0, 0)
+        scale = min(input_height_px / height_px, input_width_px / width_px)
+        scaled_height_px = max(1, min(input_height_px, round(height_px * scale)))
+        scaled_width_px = max(1, min(input_width_px, round(width_px * scale)))
+        centred = placement is ImagePlacement.CENTRED
+        return cls(
+            input_height_px,
+            input_width_px,
+            scaled_height_px,
+            scaled_width_px,
+            (input_height_px - scaled_height_px) // 2 if centred else 0,
+            (input_width_px - scaled_width_px) // 2 if centred else 0,
+        )
+
+    def canvas(self, images_rgb: np.ndarray) -> np.ndarray:
+        """The images at their position in the input, uint8, shape [image, row, column, 3].
+
+        Args:
+            images_rgb: Images, uint8, shape [image, row, column, 3].
+        """
+        if images_rgb.shape[1:3] == (self.input_height_px, self.input_width_px):
+            return images_rgb
+        import cv2
+
+        canvas = np.full((len(images_rgb), self.input_height_px, self.input_width_px, 3), GREY, np.uint8)
+        rows = slice(self.top_px, self.top_px + self.scaled_height_px)
+        columns = slice(self.left_px, self.left_px + self.scaled_width_px)
+        for image_rgb, target in zip(images_rgb, canvas, strict=True):
+            target[rows, columns] = cv2.resize(
+                image_rgb, (self.scaled_width_px, self.scaled_height_px), interpolation=cv2.INTER_LINEAR
+            )
+        return canvas
+
+    def unpack(self, box_input_px: np.ndarray, height_px: int, width_px: int) -> np.ndarray:
+        """Boxes of the network's input as boxes of the image, cut off at its border, float32 [box, 4]."""
+        left_top = np.array([self.left_px, self.top_px] * 2, np.float32)
+        scale = np.array([width_px / self.scaled_width_px, height_px / self.scaled_height_px] * 2, np.float32)
+        size = np.array([width_px, height_px] * 2, np.float32)
+        return np.clip((box_input_px - left_top) * scale, 0.0, size).astype(np.float32)
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """Boxes that a network proposes for one image.
+    """Boxes that a network proposes for one image."""
 
-    Attributes:
-        box_input_px: Edges ``x0, y0, x1, y1`` in pixels of the network's input, float32 [candidate, 4].
-        confidence: In 0..1, float32 [candidate].
-        class_index: Class of the network, int32 [candidate].
-    """
-
-    box_input_px: np.ndarray
-    confidence: np.ndarray
-    class_index: np.ndarray
+    box_input_px: np.ndarray  # edges ``x0, y0, x1, y1`` in pixels of the network's input, float32 [candidate, 4]
+    confidence: np.ndarray  # in 0..1, float32 [candidate]
+    class_index: np.ndarray  # class of the network, int32 [candidate]
 
 
 class Family(ABC):

@@ -6,10 +6,15 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from warpav.detection.families.coco import COCO_91
-from warpav.detection.families.family import Candidates, Family, listed_candidates
-from warpav.detection.families.letterbox import ImagePlacement
-from warpav.detection.families.network_file import NetworkFile, Tensor
+from warpav.detection.families.family import (
+    COCO_91,
+    Candidates,
+    Family,
+    ImagePlacement,
+    NetworkFile,
+    Tensor,
+    listed_candidates,
+)
 from warpav.detection.families.ultralytics import UltralyticsEndToEnd
 
 
@@ -56,12 +61,10 @@ class Torchvision(ListingFamily):
 
     @classmethod
     def fits(cls, file: NetworkFile) -> bool:
-        """As in `Family`."""
         return file.image is not None and len(file.inputs) == 1 and cls._which(file) is not None
 
     @classmethod
     def evidence(cls, file: NetworkFile) -> str | None:
-        """As in `Family`."""
         return "its outputs are boxes, labels and scores, and images its only input"
 
     @classmethod
@@ -77,18 +80,15 @@ class Torchvision(ListingFamily):
 
     @property
     def batch(self) -> int | None:
-        """As in `Family`."""
         # As many boxes as there are objects: an output without a batch's axis holds one image.
         return super().batch if self._is_batched else 1
 
     def each_image(self, outputs: Sequence[np.ndarray], image_count: int) -> list[tuple[np.ndarray, ...]]:
-        """As in `Family`."""
         return super().each_image(outputs, image_count) if self._is_batched else [tuple(outputs)]
 
     def decode(
         self, outputs: tuple[np.ndarray, ...], size_px: tuple[int, int], classes: np.ndarray, confidence_min: float
     ) -> Candidates:
-        """As in `Family`."""
         return self._list(outputs, self._outputs, classes, confidence_min)
 
 
@@ -111,7 +111,6 @@ class Rtdetr(ListingFamily):
 
     @classmethod
     def fits(cls, file: NetworkFile) -> bool:
-        """As in `Family`."""
         return (
             file.image is not None
             and len(file.image.shape) == 4
@@ -122,7 +121,6 @@ class Rtdetr(ListingFamily):
 
     @classmethod
     def evidence(cls, file: NetworkFile) -> str | None:
-        """As in `Family`."""
         return f"its second input {file.inputs[1]} takes the size of the images, and it lists labels, boxes and scores"
 
     def __init__(self, file: NetworkFile) -> None:
@@ -133,14 +131,12 @@ class Rtdetr(ListingFamily):
         self._outputs, self._size = which, size_input
 
     def feed(self, network_input: np.ndarray) -> dict[str, np.ndarray]:
-        """As in `Family`."""
         count, _, rows, columns = network_input.shape
         return super().feed(network_input) | {self._size.name: np.full((count, 2), (columns, rows), self._size.dtype)}
 
     def decode(
         self, outputs: tuple[np.ndarray, ...], size_px: tuple[int, int], classes: np.ndarray, confidence_min: float
     ) -> Candidates:
-        """As in `Family`."""
         return self._list(outputs, self._outputs, classes, confidence_min)
 
 
@@ -153,5 +149,4 @@ class RtdetrSingle(UltralyticsEndToEnd):
 
     @classmethod
     def evidence(cls, file: NetworkFile) -> str | None:
-        """As in `Family`."""
         return None  # nothing in such a file distinguishes it from an end-to-end one

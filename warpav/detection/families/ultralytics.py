@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from warpav.detection.families.coco import COCO_80
 from warpav.detection.families.family import (
+    COCO_80,
     Candidates,
     Family,
+    ImagePlacement,
+    NetworkFile,
     ScoredFamily,
     edges_of,
     listed_candidates,
     single_output_shape,
 )
-from warpav.detection.families.letterbox import ImagePlacement
-from warpav.detection.families.network_file import NetworkFile
 
 
 class Ultralytics(ScoredFamily):
@@ -38,12 +38,10 @@ class Ultralytics(ScoredFamily):
 
     @classmethod
     def fits(cls, file: NetworkFile) -> bool:
-        """As in `Family`."""
         return cls._class_axis(file) is not None
 
     @classmethod
     def evidence(cls, file: NetworkFile) -> str | None:
-        """As in `Family`."""
         axis, shape = cls._class_axis(file), single_output_shape(file)
         assert shape is not None
         assert axis is not None
@@ -61,14 +59,12 @@ class Ultralytics(ScoredFamily):
 
     @property
     def class_count(self) -> int | None:
-        """As in `Family`."""
         rows = self.file.outputs[0].shape[self._axis or 1]
         return None if rows is None else rows - 4
 
     def decode(
         self, outputs: tuple[np.ndarray, ...], size_px: tuple[int, int], classes: np.ndarray, confidence_min: float
     ) -> Candidates:
-        """As in `Family`."""
         raw = outputs[0] if self._axis == 1 else outputs[0].T
         label_count = len(self.file.labels or ())
         if raw.ndim != 2 or len(raw) != 4 + label_count:
@@ -85,13 +81,11 @@ class UltralyticsEndToEnd(Family):
 
     @classmethod
     def fits(cls, file: NetworkFile) -> bool:
-        """As in `Family`."""
         shape = single_output_shape(file)
         return shape is not None and shape[2] == 6
 
     @classmethod
     def evidence(cls, file: NetworkFile) -> str | None:
-        """As in `Family`."""
         if not file.is_from_ultralytics or file.is_ultralytics_rtdetr:
             return None
         return "its metadata are of an ultralytics export, and its output has 6 numbers for every box"
@@ -99,7 +93,6 @@ class UltralyticsEndToEnd(Family):
     def decode(
         self, outputs: tuple[np.ndarray, ...], size_px: tuple[int, int], classes: np.ndarray, confidence_min: float
     ) -> Candidates:
-        """As in `Family`."""
         rows = outputs[0]
         if rows.ndim != 2 or rows.shape[1] != 6:
             raise self._came(0, rows, "6 numbers for every box")
@@ -116,19 +109,16 @@ class UltralyticsRtdetr(Family):
 
     @classmethod
     def fits(cls, file: NetworkFile) -> bool:
-        """As in `Family`."""
         shape = single_output_shape(file)
         return shape is not None and shape[2] in (6, 4 + len(COCO_80 if file.labels is None else file.labels))
 
     @classmethod
     def evidence(cls, file: NetworkFile) -> str | None:
-        """As in `Family`."""
         return "its metadata name ultralytics' RT-DETR" if file.is_ultralytics_rtdetr else None
 
     def decode(
         self, outputs: tuple[np.ndarray, ...], size_px: tuple[int, int], classes: np.ndarray, confidence_min: float
     ) -> Candidates:
-        """As in `Family`."""
         rows = outputs[0]
         if rows.ndim != 2 or rows.shape[1] not in (6, 4 + len(self.file.labels or ())):
             raise self._came(0, rows, "6 numbers for every box")

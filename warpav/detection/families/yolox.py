@@ -7,9 +7,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from warpav.detection.families.family import Candidates, ScoredFamily, edges_of, single_output_shape
-from warpav.detection.families.letterbox import GREY, ImagePlacement
-from warpav.detection.families.network_file import NetworkFile
+from warpav.detection.families.family import (
+    GREY,
+    Candidates,
+    ImagePlacement,
+    NetworkFile,
+    ScoredFamily,
+    edges_of,
+    single_output_shape,
+)
 
 
 class Yolox(ScoredFamily):
@@ -24,7 +30,6 @@ class Yolox(ScoredFamily):
 
     @classmethod
     def fits(cls, file: NetworkFile) -> bool:
-        """As in `Family`."""
         shape = single_output_shape(file)
         if shape is None or shape[2] is None or shape[2] < 6:
             return False
@@ -34,7 +39,6 @@ class Yolox(ScoredFamily):
 
     @classmethod
     def evidence(cls, file: NetworkFile) -> str | None:
-        """As in `Family`."""
         shape = single_output_shape(file)
         assert shape is not None
         if file.is_from_ultralytics or (shape[2] == 6 and (file.size_px is None or shape[1] is None)):
@@ -48,13 +52,11 @@ class Yolox(ScoredFamily):
 
     @property
     def class_count(self) -> int | None:
-        """As in `Family`."""
         return (self.file.outputs[0].shape[2] or 5) - 5
 
     def decode(
         self, outputs: tuple[np.ndarray, ...], size_px: tuple[int, int], classes: np.ndarray, confidence_min: float
     ) -> Candidates:
-        """As in `Family`."""
         raw = outputs[0]
         label_count = len(self.file.labels or ())
         grid = _grid(*size_px, len(raw)) if raw.ndim == 2 and raw.shape[1] == 5 + label_count else None

@@ -19,7 +19,7 @@ from warpav.core.cache import fingerprint
 from warpav.core.errors import InputError
 from warpav.core.executor import Executor
 from warpav.core.warp_setup import load_warp
-from warpav.detection.ground_truth import visible_boxes
+from warpav.detection.matching import visible_boxes
 from warpav.detection.training import CLASS_NAMES
 from warpav.raster.camera import CameraModel, Lens
 from warpav.raster.mesh import Mesh
@@ -142,15 +142,10 @@ class Labels:
 
 @dataclass(frozen=True)
 class LabelledImages:
-    """Images of one size and their objects.
+    """Images of one size and their objects."""
 
-    Attributes:
-        images_rgb: uint8, shape [image, row, column, 3]; lies on the disk until it is read.
-        labels: Their objects.
-    """
-
-    images_rgb: np.ndarray
-    labels: Labels
+    images_rgb: np.ndarray  # uint8, shape [image, row, column, 3]; lies on the disk until it is read
+    labels: Labels  # their objects
 
     def first(self, count: int | None) -> LabelledImages:
         """The first so many images; None means all."""
@@ -169,14 +164,8 @@ def sample_cameras(
     120.
 
     Args:
-        rng: Random numbers.
-        surface: The ego vehicle's mount surface.
         ego_bounds_m: Least and greatest corner of the ego vehicle [m], shape [2, 3].
         side_px: Width and height of the images [px].
-        count: Number of cameras.
-
-    Returns:
-        The cameras, in the ego frame.
     """
     cameras = []
     low_xy_m, high_xy_m = surface.bounds_m
@@ -221,15 +210,7 @@ def render_scene(
     """Images of one scene by random cameras, by their side [px].
 
     Args:
-        scene: The scene; road users that are no vehicles get boxes as well.
-        surface: Mount surface of its ego vehicle.
-        seed: Of the cameras, and of the choice of one or four samples per pixel.
         views_per_scene: How many, by the side of the image [px].
-        ignored_ids: Instance ids of objects that are drawn but ignored in training.
-        thread_count: Views that are drawn at once; None: as many as there are cores.
-
-    Returns:
-        Images for every size of ``views_per_scene``.
     """
     from warpav.detection.images import render_images
     from warpav.scene.device_scene import DeviceScene
@@ -268,12 +249,6 @@ def reconstructed_scene(seed: int) -> Scene:
 
     Nobody asks a capture for its people, so that they end up in the environment, as shapes that are hard to recognise.
     Here they are cut out of it by the boxes in which they stood.
-
-    Args:
-        seed: Of the town scene.
-
-    Returns:
-        The scene; of its `others` those of whom anything is left.
     """
     from warpav.scene.capture.capture import PlanSettings, record
     from warpav.scene.capture.town_simulator import TownSimulator
@@ -302,11 +277,7 @@ def _part(mesh: Mesh, chosen: np.ndarray) -> Mesh:
 
 
 def load_images(folder: Path) -> dict[int, LabelledImages]:
-    """What `write_images` wrote, by the side of the image [px]; images stay on the disk until they are read.
-
-    Raises:
-        InputError: A file is missing or is none that `write_images` wrote.
-    """
+    """What `write_images` wrote, by the side of the image [px]; images stay on the disk until they are read."""
     labelled = {}
     for file in sorted(folder.glob("labels_*.npz")):
         side_text = file.stem.removeprefix("labels_")
@@ -366,15 +337,6 @@ def write_images(subset: Subset, folder: Path, *, processes: int) -> None:
 
     Nothing is done where they are there already, made of the same scenes by the same code. The CPU draws them, since
     processes that share a GPU wait for one another.
-
-    Args:
-        subset: The scenes.
-        folder: Where to; made if it does not exist.
-        processes: That share the scenes.
-
-    Raises:
-        RuntimeError: A scene could not be rendered.
-        InputError: The folder holds other images.
     """
     made_with = fingerprint(subset, CLASS_NAMES, code=(__name__,))
     note = folder / "made_with.txt"

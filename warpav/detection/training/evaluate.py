@@ -133,10 +133,6 @@ def evaluate(detector: Detector, labelled: LabelledImages) -> dict[str, object]:
     Objects that show too little for a ground-truth box are ignored throughout. Labels are pooled: any motor vehicle's
     label is right for a vehicle, except in ``right_label``.
 
-    Args:
-        detector: Asked for detections of low confidence too, or the average precision comes out too low.
-        labelled: Labelled images.
-
     Returns:
         ``images``, and for every road user that the images contain and the detector knows: ``objects``; ``ap50`` of all
         objects, ``ap50_headline`` of those of at least `HEADLINE_HEIGHT_PX`, ``ap50_moderate`` of those of at least

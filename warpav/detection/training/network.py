@@ -1,4 +1,4 @@
-"""The built-in detector's network: one stage, no anchors, four strides, 1.8 million parameters.
+"""The built-in detector's network and its ONNX file: one stage, no anchors, four strides, 1.8 million parameters.
 
 Plain 3 x 3 convolutions and ReLU throughout: on a CPU they run several times faster than depthwise convolutions and
 smooth activations of the same arithmetic. The finest stride is 4, because a car 20 m away is 10 px high in a 256 px
@@ -7,9 +7,13 @@ image.
 
 from __future__ import annotations
 
+import logging
 import math
+import warnings
 from collections.abc import Sequence
+from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -17,6 +21,10 @@ from torch.nn import functional
 from warpav.detection.training import CLASS_NAMES
 
 STRIDES_PX = (4, 8, 16, 32)
+OPSET = 17
+MAX_ERROR = 1e-3
+
+_logger = logging.getLogger(__name__)
 
 # exp of the network's distance output, in strides: from a fiftieth of a pixel to 150 cells.
 _LOG_DISTANCE_MIN, _LOG_DISTANCE_MAX = -5.0, 5.0
@@ -93,14 +101,7 @@ def _bias(convolution: nn.Conv2d) -> Tensor:
 
 
 class TownNetwork(nn.Module):
-    """Images to boxes and scores at strides 4, 8, 16 and 32.
-
-    Args:
-        class_count: Number of labels.
-        channels: Of the stem and of the stages at stride 4, 8, 16 and 32.
-        depth: Residual pairs of those stages.
-        neck_channels: Of the feature maps that the heads read, finest first.
-    """
+    """Images to boxes and scores at strides 4, 8, 16 and 32."""
 
     def __init__(
         self,
@@ -171,11 +172,7 @@ class TownNetwork(nn.Module):
 
 
 class ExportedNetwork(nn.Module):
-    """The network with the output layout that `warpav.detection.onnx_detector` reads.
-
-    Args:
-        network: The trained network.
-    """
+    """The network with the output layout that `warpav.detection.onnx_detector` reads."""
 
     def __init__(self, network: TownNetwork) -> None:
         super().__init__()
@@ -187,3 +184,55 @@ class ExportedNetwork(nn.Module):
         left_top, right_bottom = box_px[..., :2], box_px[..., 2:]
         output = torch.cat([0.5 * (left_top + right_bottom), right_bottom - left_top, score_logit.sigmoid()], dim=-1)
         return output.transpose(1, 2)
+
+
+def export_network(network: TownNetwork, path: Path) -> float:
+    """Write the network as ONNX with dynamic batch and size, and compare the two."""
+    import onnx
+    import onnxruntime
+
+    copy = TownNetwork(network.class_count)
+    copy.load_state_dict({name: value.detach().cpu() for name, value in network.state_dict().items()})
+    exported = ExportedNetwork(copy).eval()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        torch.onnx.export(
+            exported,
+            (torch.zeros(2, 3, 64, 96),),
+            str(path),
+            input_names=["images"],
+            output_names=["output0"],
+            dynamic_axes={
+                "images": {0: "batch", 2: "rows", 3: "columns"},
+                "output0": {0: "batch", 2: "candidates"},
+            },
+            opset_version=OPSET,
+            dynamo=False,
+        )
+    model = onnx.load(str(path))
+    onnx.helper.set_model_props(
+        model,
+        {
+            "description": "Road users in renders of warpav's town scenes",
+            "author": "The warpav authors",
+            "license": "Apache-2.0",
+            "task": "detect",
+            "stride": str(max(STRIDES_PX)),
+            "names": str(dict(enumerate(CLASS_NAMES[: network.class_count]))),
+        },
+    )
+    model.producer_name, model.producer_version = "warpav", ""
+    onnx.save(model, str(path))
+
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    error = 0.0
+    for shape in ((1, 3, 256, 256), (3, 3, 160, 224)):
+        images = np.random.default_rng(0).random(shape, np.float32)
+        with torch.no_grad():
+            expected = exported(torch.from_numpy(images)).numpy()
+        got = session.run(None, {"images": images})[0]
+        error = max(error, float((np.abs(got - expected) / np.maximum(np.abs(expected), 1.0)).max()))
+    if not error < MAX_ERROR:
+        raise RuntimeError(f"{path}: PyTorch and onnxruntime differ by {error:.2g}, at most {MAX_ERROR} is fine")
+    _logger.info("%s: %.1f MB, differs from PyTorch by %.1g", path, path.stat().st_size / 1e6, error)
+    return error

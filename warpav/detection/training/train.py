@@ -16,11 +16,9 @@ import torch
 from torch import Tensor, nn
 
 from warpav.core.errors import InputError
-from warpav.detection.training.augmentation import MIN_SIDE_PX, augment
 from warpav.detection.training.data import TRAIN_SUBSETS, LabelledImages, load_images, write_images
-from warpav.detection.training.export import export_network
-from warpav.detection.training.loss import TargetBoxes, detection_loss
-from warpav.detection.training.network import TownNetwork
+from warpav.detection.training.loss import MIN_SIDE_PX, TargetBoxes, augment, detection_loss
+from warpav.detection.training.network import TownNetwork, export_network
 
 # Relative frequency of batches by image side [px].
 SIZE_PROBABILITY = {256: 0.4, 384: 0.2, 640: 0.25, 1280: 0.15}
@@ -76,14 +74,7 @@ class DeviceData:
 
 
 class Training:
-    """A training run: the network, its running average, the optimiser and the schedule.
-
-    Args:
-        device: PyTorch device.
-        step_count: Length of the schedule.
-        seed: Of the weights and of the batches.
-        learning_rate: The largest.
-    """
+    """A training run: the network, its running average, the optimiser and the schedule."""
 
     def __init__(
         self, device: torch.device, *, step_count: int, seed: int = 0, learning_rate: float = _LEARNING_RATE
@@ -106,11 +97,7 @@ class Training:
         self.step_count = step_count
 
     def load(self, path: Path) -> None:
-        """Go on from a checkpoint.
-
-        Raises:
-            InputError: It is damaged, of another network, or of a schedule of another length.
-        """
+        """Go on from a checkpoint."""
         hint = "train into another folder, or remove the file"
         try:
             state = torch.load(path, map_location=self.device, weights_only=True)
@@ -143,15 +130,7 @@ class Training:
         partial.replace(path)
 
     def train_step(self, data: DeviceData, batch_size: int) -> tuple[Tensor, Tensor]:
-        """One step on a random batch.
-
-        Args:
-            data: Images to draw from.
-            batch_size: Number of images.
-
-        Returns:
-            The losses of scores and boxes, without gradient.
-        """
+        """One step on a random batch."""
         for group in self.optimiser.param_groups:
             group["lr"] = self._learning_rate()
         # Drawn on the device: a copy would wait for all that the device has yet to do.
@@ -202,14 +181,8 @@ def train(
     """Train until the schedule ends or the time is up, and save.
 
     Args:
-        training: The run.
         data: Images by their side [px].
-        checkpoint: Where to save.
-        batch_size: Number of images of 256 px a step; of larger images, as many as have the same number of pixels.
         stop_after_minutes: Stop before the schedule's end after so long [min].
-
-    Raises:
-        RuntimeError: The loss is no longer finite.
     """
     start_s = saved_s = time.perf_counter()
     sides_px = list(data)
