@@ -143,7 +143,7 @@ class _Observer:
 
 
 def before_and_after(config: Config, path: Path, *, run: RunFolder | None, progress: Progress) -> Path:
-    """Figure 11: what a rig sees at the start and once optimised, on a batch of training scenes and on all test scenes."""
+    """Figure 11: what a rig sees at the start and once optimised, on training scenes and on all test scenes."""
     if run is None:
         placement = Placement.from_config(config).prepare(progress)
         descent, count = Optimisation.begin(placement).descent, config.run.iterations
