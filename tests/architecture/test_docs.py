@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from cyclopts import CycloptsError
 
-from warpav.cli.app import app, main
+from warpav.cli.app import app, main, placed
 from warpav.cli.arguments import DEFAULT_CONFIG
 from warpav.core.errors import InputError
 from warpav.runs.config import Config, load_config, option_values
@@ -106,7 +106,7 @@ def understand(words):
             Path(value).touch()
         elif re.fullmatch(r"[a-z_]+", value):
             Path(value).mkdir(exist_ok=True)
-    _, bound, _ = app.parse_args(words, exit_on_error=False, print_error=False)
+    _, bound, _ = app.parse_args(placed(words), exit_on_error=False, print_error=False)
     config, overrides = bound.arguments.get("config"), [*bound.arguments.get("overrides", ())]
     if config is not None and "=" in config:
         config, overrides = None, [config, *overrides]

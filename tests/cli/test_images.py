@@ -147,11 +147,9 @@ def test_a_window_begins_with_what_is_to_be_shown(working_directory, monkeypatch
     monkeypatch.setattr("warpav.view.opengl.has_display", lambda: True)
     window = SimpleNamespace(plotter=SimpleNamespace(show=lambda: None))
     monkeypatch.setattr("warpav.view.inspector.Inspector", lambda state, **options: opened.append(options) or window)
-    for shown in ("rig", "coverage", "outcomes", "visibility", "sight", "zones", "redundancy"):
+    for shown in ("rig", "coverage", "outcomes", "visibility", "zones", "redundancy"):
         assert main(["inspect", "highest", "--show", shown]) == 0
-        warning = "--show sight: is called --show visibility now; the old name goes in the next version\n"
-        assert capsys.readouterr().err == (warning if shown == "sight" else "")
-    expected = ["coverage", "coverage", "outcomes", "visibility", "visibility", "zones", "redundancy"]
+    expected = ["coverage", "coverage", "outcomes", "visibility", "zones", "redundancy"]
     assert [options["begin_with"] for options in opened] == expected
 
 

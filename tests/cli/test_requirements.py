@@ -33,14 +33,6 @@ def test_what_is_met_is_said(working_directory, capsys):
     assert lines[2] == "all requirements are met"
 
 
-def test_the_old_name_of_the_image_works_with_a_warning(working_directory, capsys):
-    assert main(["rig", "requirements", "edgar", "--requirements", "r158_like", "--picture", "old.png"]) == 0
-    said = capsys.readouterr()
-    assert said.err == "--picture: is called --image now; the old name goes in the next version\n"
-    assert said.out.endswith("wrote old.png\n")
-    assert (working_directory / "old.png").is_file()
-
-
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [

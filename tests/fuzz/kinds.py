@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from warpav.runs.report.reading import read_run
 
 from tests.experiments.bench.small_workload import small_truth, small_workload
 from tests.rig.formats.known_pose import write_sample
@@ -32,6 +31,7 @@ from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
 from warpav.rig.zone import read_zones
 from warpav.runs.config import load_config
 from warpav.runs.panel_networks import _description
+from warpav.runs.report.evaluation import read_run
 from warpav.runs.run_folder import RunFolder
 from warpav.scene.capture.folder import read_capture, record_capture
 from warpav.scene.fleet import _stated

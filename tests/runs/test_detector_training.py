@@ -51,13 +51,6 @@ def test_an_evaluation_with_wrong_words_is_refused(capsys, words, expected):
     assert refused(capsys, "evaluate", *out, *words) == f"command line {expected}"
 
 
-def test_the_old_name_of_the_folder_works_and_warns(capsys, working_directory):
-    assert main(["detector", "evaluate", "--out", "out", "--pictures", "file"]) == 2
-    warning, error = capsys.readouterr().err.splitlines()
-    assert warning == "--pictures: is called --image-folder now; the old name goes in the next version"
-    assert error == "command line (--image-folder): expected a folder to write to, got 'file' (File exists)"
-
-
 @pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="needs PyTorch")
 @pytest.mark.parametrize(
     ("words", "expected"),

@@ -151,14 +151,6 @@ def test_the_image_shows_the_zone_in_colours_of_height(car, tmp_path, capsys):
     assert (np.abs(upper - violet).sum(axis=-1) < 60).sum() > 500  # the bonnet's front edge
 
 
-def test_the_old_name_of_the_image_works_and_warns(car, tmp_path, capsys):
-    write_vehicle(car, tmp_path / "car.glb")
-    assert check("car.glb", "--picture", "car.bmp") == 2
-    warning, refusal = capsys.readouterr().err.splitlines()
-    assert warning == "--picture: is called --image now; the old name goes in the next version"
-    assert refusal.startswith("car.bmp: expected a name that ends in .png")
-
-
 @pytest.mark.parametrize(
     ("kind", "names"),
     [

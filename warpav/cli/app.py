@@ -18,18 +18,16 @@ from collections.abc import Iterator, Sequence
 from types import FrameType
 from typing import TextIO
 
-from cyclopts import App, CycloptsError, MissingArgumentError
+from cyclopts import App, CycloptsError, Group, MissingArgumentError
 
 from warpav import __version__
 from warpav.cli.arguments import complain, flag_of, with_flags
-from warpav.cli.config import config_app
-from warpav.cli.detector import detector_app
+from warpav.cli.checks import bench, config_app, doctor, modules_app
+from warpav.cli.detector import detector_app, dev_detector_app
 from warpav.cli.experiment import experiment_app
-from warpav.cli.machine import bench, doctor
-from warpav.cli.modules import modules_app
 from warpav.cli.rig import rig_app
 from warpav.cli.runs import evaluate, front, inspect, optimise, plot, render, report, view
-from warpav.cli.scenes import scenes_app
+from warpav.cli.scenes import dev_scenes_app, scenes_app
 from warpav.cli.vehicle import vehicle_app
 from warpav.core.errors import ArgumentError, InputError
 
@@ -43,16 +41,41 @@ app = App(
     version=__version__,
     help="Find which cameras a vehicle should carry and where, by exact gradients and by search with a proven bound.",
     help_epilogue="Options are key=value, such as rig.cameras=6 camera.fov_deg='80 deg'; 'warpav config show' lists "
-    "them. --debug shows where an error was raised.",
+    "them, with --all every one. --debug shows where an error was raised.",
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-for _group in (experiment_app, scenes_app, config_app, rig_app, modules_app, detector_app, vehicle_app):
-    app.command(_group)
-app.command(optimise, alias="optimize")
-for _verb in (front, evaluate, render, inspect, view, plot, report, doctor, bench):
-    app.command(_verb)
+dev_app = App(name="dev", help="For developers: the renderer's benchmark, experiments, detectors, thesis figures.")
+dev_app.command(bench)
+for _app in (experiment_app, dev_detector_app, dev_scenes_app):
+    dev_app.command(_app)
+_GROUPS = {
+    "Start": (optimise, evaluate, report, front),
+    "Look": (inspect, view, plot, render),
+    "Inputs": (scenes_app, rig_app, vehicle_app, modules_app, detector_app, config_app),
+    "Machine": (doctor, dev_app),
+}
+for _order, (_title, _commands) in enumerate(_GROUPS.items()):
+    _group = Group(_title, sort_key=_order)
+    for _command in _commands:
+        if isinstance(_command, App):
+            _command.group = _group
+            app.command(_command)
+        else:
+            app.command(_command, group=_group, alias="optimize" if _command is optimise else None)
+_DEVELOPERS = (
+    *(("bench",), ("experiment",), ("scenes", "figure")),
+    *(("detector", "train"), ("detector", "evaluate"), ("detector", "score")),
+)
+"""Commands that work without the word dev as well."""
+
 app.register_install_completion_command(help="Install completion for bash, zsh or fish.")
+
+
+def placed(arguments: list[str]) -> list[str]:
+    """The words of a command, those of developers below ``dev``."""
+    is_moved = any(tuple(arguments[: len(words)]) == words for words in _DEVELOPERS)
+    return ["dev", *arguments] if is_moved else arguments
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -64,6 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
+    arguments = placed(arguments)
     received: list[int] = []
     gc.set_threshold(_GC_THRESHOLD)
     _ready_streams()

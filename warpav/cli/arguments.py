@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
@@ -34,6 +33,9 @@ FileOrigin = Annotated[
 ]
 FileTurn = Annotated[
     Triple, Parameter(help="How the file's axes are turned on the vehicle: roll pitch yaw.", negative="")
+]
+RigConfig = Annotated[
+    str | None, Parameter(name="--config", help="Configuration; by default that of the run folder, or quick.")
 ]
 RigSource = Annotated[str, Parameter(help="Rig YAML, preset, run folder, or highest.")]
 Executor = Annotated[Literal["serial", "process"], Parameter(help="process spreads scenes over processes.")]
@@ -69,18 +71,6 @@ def complain(text: str) -> None:
         sys.stderr.write("and more of these\n")
 
 
-def warn_renamed(old: str, new: str) -> None:
-    """Print that an argument has another name, under which it will be known alone."""
-    complain(f"{old}: is called {new} now; the old name goes in the next version")
-
-
-def image_file(image: Path | None, picture: Path | None) -> Path | None:
-    """The file of ``--image``, or of its old name with a warning."""
-    if picture is not None:
-        warn_renamed("--picture", "--image")
-    return image or picture
-
-
 def seeds_of(seeds: str | None, count: int | None) -> tuple[int, ...]:
     """The seeds that a user gave, as a text or as their number from 0."""
     from warpav.runs.config import read_seeds
@@ -92,13 +82,26 @@ def seeds_of(seeds: str | None, count: int | None) -> tuple[int, ...]:
     return tuple(range(count)) if count is not None else read_seeds(str(seeds), place="command line (--seeds)")
 
 
-def loaded(config: str, overrides: Sequence[str]):  # noqa: ANN201 (importing the type would cost start-up time)
-    """The configuration of a command that needs nothing else."""
-    from warpav.runs.config import load_config
+def configured(config: str, overrides: Sequence[str]):  # noqa: ANN201 (importing the type would cost start-up time)
+    """The configuration of a command, for a ``with`` block; without one the first word may be an override."""
+    from warpav.runs.config import placed_config
 
     if "=" in config:
         config, overrides = DEFAULT_CONFIG, (config, *overrides)
-    return load_config(config, overrides)
+    return placed_config(config, overrides)
+
+
+def loaded(config: str, overrides: Sequence[str]):  # noqa: ANN201
+    """The configuration of a command that needs nothing else."""
+    with configured(config, overrides) as settings:
+        return settings
+
+
+def of_rig(rig: str, config: str | None, overrides: Sequence[str]):  # noqa: ANN201
+    """The same of a command about a rig: the given one, else that of the run folder, else the default."""
+    from warpav.runs.rig_source import config_for
+
+    return config_for(rig, config, overrides, default=DEFAULT_CONFIG)
 
 
 def executor_overrides(name: str | None, workers: int | None, address: str | None) -> list[str]:

@@ -11,13 +11,14 @@ from warpav.cli.arguments import (
     DEFAULT_CONFIG,
     Config,
     Overrides,
+    configured,
     say,
-    warn_renamed,
 )
 
 detector_app = App(
-    name="detector", help="Check, measure and train object detectors, and fit the probability that they find an object."
+    name="detector", help="Object detectors: check one, and fit the probability that it finds an object."
 )
+dev_detector_app = App(name="detector", help="Measure and train object detectors.")
 
 
 @detector_app.command(name="check")
@@ -30,10 +31,9 @@ def detector_check(
     config: Config = DEFAULT_CONFIG,
 ) -> None:
     """Report how warpav reads a detector's file, which labels count, where it runs and how fast, and try it."""
-    from warpav.runs.config import placed_config
     from warpav.runs.detector_check import check_detector
 
-    with placed_config(config, overrides) as settings:
+    with configured(config, overrides) as settings:
         for line in check_detector(file, settings, image_file=image, out=out):
             say(line)
 
@@ -52,12 +52,10 @@ def detector_fit(
     ] = False,
 ) -> None:
     """Fit the probability that the detector finds an object to what a view shows of it; a stored fit is used again."""
-    from warpav.runs.config import placed_config, read_seeds
+    from warpav.runs.config import read_seeds
     from warpav.runs.detector_fit import fit_detector
     from warpav.runs.progress import RunDisplay
 
-    if "=" in config:
-        config, overrides = DEFAULT_CONFIG, (config, *overrides)
     chosen = [
         None if seeds is None else read_seeds(seeds, place=f"command line (--{name})")
         for name, seeds in (("scenes", scenes), ("held-out", held_out))
@@ -65,7 +63,7 @@ def detector_fit(
     words = ["warpav", "detector", "fit", config, *overrides]
     words += ["--any-camera"] if any_camera else []
     words += [word for pair in (("--scenes", scenes), ("--held-out", held_out)) if pair[1] for word in pair if word]
-    with placed_config(config, overrides) as settings, RunDisplay() as display:
+    with configured(config, overrides) as settings, RunDisplay() as display:
         file = fit_detector(
             settings,
             words=words,
@@ -79,7 +77,7 @@ def detector_fit(
     say(f"detection probability model: {file}")
 
 
-@detector_app.command(name="score")
+@dev_detector_app.command(name="score")
 def detector_score(
     config: Config = DEFAULT_CONFIG,
     /,
@@ -94,45 +92,39 @@ def detector_score(
     out: Annotated[Path | None, Parameter(help="Folder for scores.json, scores.md and reliability diagrams.")] = None,
 ) -> None:
     """Measure how well the fitted detection probability holds on other scenes, of any level or source."""
-    from warpav.runs.config import placed_config, read_seeds
+    from warpav.runs.config import read_seeds
     from warpav.runs.detector_scores import score_detectors
     from warpav.runs.panel_networks import check_panel_options
     from warpav.runs.progress import RunDisplay
 
-    if "=" in config:
-        config, overrides = DEFAULT_CONFIG, (config, *overrides)
     if panel is not None:
         check_panel_options(overrides)
     seeds = None if scenes is None else read_seeds(scenes, place="command line (--scenes)")
-    with placed_config(config, overrides) as settings, RunDisplay() as display:
+    with configured(config, overrides) as settings, RunDisplay() as display:
         score_detectors(settings, panel=panel, fitted_on=fitted_on, seeds=seeds, out=out, progress=display)
 
 
-@detector_app.command(name="evaluate")
+@dev_detector_app.command(name="evaluate")
 def detector_evaluate(
     *overrides: Overrides,
     out: Annotated[Path, Parameter(help="Folder for evaluation.json and evaluation.md.")],
     image_folder: Annotated[Path | None, Parameter(help="Folder of the images; by default OUT/images.")] = None,
-    pictures: Annotated[Path | None, Parameter(show=False)] = None,
     processes: Annotated[int, Parameter(help="Processes that render the images.")] = 2,
     images: Annotated[int | None, Parameter(help="Only so many images of every size.")] = None,
     config: Config = DEFAULT_CONFIG,
 ) -> None:
     """Measure how well the detector finds road users in held-out town scenes, direct and reconstructed."""
-    from warpav.runs.config import placed_config
     from warpav.runs.detector_training import measure_detector
 
-    with placed_config(config, overrides) as settings:
-        folder = _image_folder(image_folder, pictures)
-        measure_detector(settings, out, image_folder=folder, processes=processes, image_count=images, say=say)
+    with configured(config, overrides) as settings:
+        measure_detector(settings, out, image_folder=image_folder, processes=processes, image_count=images, say=say)
 
 
-@detector_app.command(name="train")
+@dev_detector_app.command(name="train")
 def detector_train(
     *,
     out: Annotated[Path, Parameter(help="Folder for checkpoint.pt and detector.onnx.")],
     image_folder: Annotated[Path | None, Parameter(help="Folder of the images; by default OUT/images.")] = None,
-    pictures: Annotated[Path | None, Parameter(show=False)] = None,
     device: Annotated[str, Parameter(help="cpu or cuda:0.")] = "cpu",
     processes: Annotated[int, Parameter(help="Processes that render the images.")] = 2,
     steps: Annotated[int, Parameter(help="Length of the training.")] = 11_000,
@@ -145,7 +137,7 @@ def detector_train(
 
     train_detector(
         out,
-        image_folder=_image_folder(image_folder, pictures),
+        image_folder=image_folder,
         device=device,
         processes=processes,
         steps=steps,
@@ -154,10 +146,3 @@ def detector_train(
         stop_after_minutes=stop_after_minutes,
         say=say,
     )
-
-
-def _image_folder(folder: Path | None, pictures: Path | None) -> Path | None:
-    """The folder of the images, under its old name as well."""
-    if pictures is not None:
-        warn_renamed("--pictures", "--image-folder")
-    return folder or pictures

@@ -8,14 +8,14 @@ from typing import Annotated
 from cyclopts import App, Parameter
 
 from warpav.cli.arguments import (
-    DEFAULT_CONFIG,
     FileFormat,
     FileOrigin,
     FileTurn,
     Overrides,
+    RigConfig,
     RigSource,
     complain,
-    image_file,
+    of_rig,
     say,
     with_flags,
 )
@@ -148,18 +148,15 @@ def rig_requirements(
     ] = "near_field",
     json: Annotated[Path | None, Parameter(help="JSON file to write.")] = None,
     image: Annotated[Path | None, Parameter(help="PNG to draw the ground into, seen from above.")] = None,
-    picture: Annotated[Path | None, Parameter(show=False)] = None,
-    config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
+    config: RigConfig = None,
 ) -> None:
     """Check which requirements on the ground around the vehicle a rig meets: how much of each, and where not.
 
     Status 0 whether or not they are met. Templates are no proof of compliance with a regulation.
     """
     from warpav.runs.rig_requirements import check_rig
-    from warpav.runs.rig_source import config_for
 
-    image = image_file(image, picture)
-    with config_for(rig, config, overrides, default=DEFAULT_CONFIG) as settings:
+    with of_rig(rig, config, overrides) as settings:
         for line in check_rig(rig, settings, requirements=requirements, json_file=json, image=image):
             say(line)
 
@@ -176,14 +173,13 @@ def rig_drawing(
             "camera; GLB with vehicle, housings and frustums; else a folder for all of them."
         ),
     ],
-    config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
+    config: RigConfig = None,
 ) -> None:
     """Draw a rig on its vehicle for the workshop: three views to scale, coordinates from datums, angles, a table."""
     from warpav.core.errors import install_text
     from warpav.runs.inspect import write_mount_drawing
-    from warpav.runs.rig_source import config_for
 
-    with config_for(rig, config, overrides, default=DEFAULT_CONFIG) as settings:
+    with of_rig(rig, config, overrides) as settings:
         files = write_mount_drawing(rig, settings, out)
         for file in files:
             say(f"wrote {file}")

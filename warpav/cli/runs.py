@@ -11,12 +11,14 @@ from warpav.cli.arguments import (
     DEFAULT_CONFIG,
     Config,
     Overrides,
+    RigConfig,
     RigSource,
     SceneSource,
     complain,
+    configured,
     executor_overrides,
+    of_rig,
     say,
-    warn_renamed,
 )
 from warpav.core.errors import ArgumentError, OptionError
 
@@ -93,19 +95,16 @@ def front(
         ),
     ] = None,
 ) -> None:
-    """Find the best rig of every number of cameras or every cost: rig.cameras=2..8, rig.modules={...}."""
+    """Find the best rig of every number of cameras (rig.cameras=2..8) or of every cost."""
     from warpav.core.errors import ArgumentError
-    from warpav.runs.config import placed_config
     from warpav.runs.front import FRONT_FILE
     from warpav.runs.front import front as find_front
     from warpav.runs.placement import Placement
     from warpav.runs.progress import RunDisplay
 
-    if "=" in config:
-        config, overrides = DEFAULT_CONFIG, (config, *overrides)
     if (out / FRONT_FILE).exists():  # before anything takes long
         raise ArgumentError("out", f"expected a folder without {FRONT_FILE}, got one that has it", place=out)
-    with placed_config(config, overrides) as settings, RunDisplay() as display:
+    with configured(config, overrides) as settings, RunDisplay() as display:
         found = find_front(Placement.from_config(settings), by=by, progress=display)
         folder = found.save(out)
     say(*str(found.table()).splitlines())
@@ -121,7 +120,7 @@ def evaluate(
         Parameter(help="Another rig to compare with, as the first is given. May be given several times."),
     ] = None,
     json: Annotated[Path | None, Parameter(help="File to write the metrics to.")] = None,
-    config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
+    config: RigConfig = None,
     soiling: Annotated[
         tuple[Literal["disc", "rows", "columns"], float, float, float] | None,
         Parameter(
@@ -144,7 +143,6 @@ def evaluate(
     from warpav.runs.jobs import measure_rig
     from warpav.runs.progress import RunDisplay
     from warpav.runs.report.tables import show_run
-    from warpav.runs.rig_source import config_for
 
     try:
         part = SoiledPart(soiling[0], soiling[1:3], soiling[3]) if soiling else None
@@ -154,7 +152,7 @@ def evaluate(
         loads = {f"load {number}": LoadState(*each) for number, each in enumerate(load or (), 1)}
     except ArgumentError as error:
         raise ArgumentError("load", error.text) from None
-    with config_for(rig, config, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
+    with of_rig(rig, config, overrides) as settings, RunDisplay() as display:
         found = measure_rig(
             rig, settings, beside=beside or (), json_file=json, soiled=part, loads=loads, progress=display
         )
@@ -167,13 +165,12 @@ def render(
     *overrides: Overrides,
     rig: RigSource,
     out: Annotated[Path, Parameter(help="Folder for the images.")],
-    config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
+    config: RigConfig = None,
 ) -> None:
-    """Render what every camera of a rig sees: colours, objects, depth, and the cameras themselves."""
-    from warpav.runs.rig_source import config_for
+    """Render what every camera of a rig sees: colours, objects, depth, cameras."""
     from warpav.runs.run_figures import render_rig
 
-    with config_for(rig, config, overrides, default=DEFAULT_CONFIG) as settings:
+    with of_rig(rig, config, overrides) as settings:
         folder = render_rig(scene, rig, settings, out, overrides)
     say(f"wrote {folder}")
 
@@ -201,12 +198,11 @@ def inspect(
             "zones",
             "gain",
             "sheet",
-            "sight",
         ],
         Parameter(
             help="Besides the rig: coverage, how many cameras see a child where; redundancy, how many see the ground "
             "itself; zones, where cameras may stand on the body; outcomes, which vehicles are "
-            "detected, missed, hidden or out of frame; visibility, what every camera sees (sight, its old name); "
+            "detected, missed, hidden or out of frame; visibility, what every camera sees; "
             "further, of a run with optimiser.search=pool, where one more camera would help most, gain, the same "
             "painted on the body; sheet, instead of "
             "all that, a page to print (PDF, SVG or PNG) with the rig to scale from above and from the side."
@@ -216,17 +212,13 @@ def inspect(
         str | None,
         Parameter(help="YAML file of requirements, or a template such as near_field: which of their points are met."),
     ] = None,
-    config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
+    config: RigConfig = None,
 ) -> None:
     """Inspect a rig on its vehicle: interactively when there is a display, else in a file."""
     from warpav.runs.inspect import inspect_rig
     from warpav.runs.progress import RunDisplay
-    from warpav.runs.rig_source import config_for
 
-    if show == "sight":
-        warn_renamed("--show sight", "--show visibility")
-        show = "visibility"
-    with config_for(run_or_rig, config, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
+    with of_rig(run_or_rig, config, overrides) as settings, RunDisplay() as display:
         file = inspect_rig(run_or_rig, settings, out, shown=show, requirements=requirements, progress=display)
     if file is not None and out is None and show != "sheet":
         from warpav.view.opengl import display_text
@@ -245,11 +237,10 @@ def view(
     out: Annotated[
         Path | None, Parameter(help="HTML file to write instead: a page that stands alone, to be sent to others.")
     ] = None,
-    config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
+    config: RigConfig = None,
 ) -> None:
     """View a rig in a browser: the inspector, served to this machine only, or a page that stands alone."""
     from warpav.runs.inspect import serve_inspector, write_inspector_page
-    from warpav.runs.rig_source import config_for
 
     is_scene = source.lower().endswith(".glb")
     shown, scene = (rig, Path(source)) if is_scene else (source, None)
@@ -257,7 +248,7 @@ def view(
         raise ArgumentError(
             "rig", f"expected it beside the GLB of a scene, got {rig!r} beside {source!r}; leave one out"
         )
-    with config_for(shown, config, overrides, default=DEFAULT_CONFIG) as settings:
+    with of_rig(shown, config, overrides) as settings:
         if out is not None:
             say(f"wrote {write_inspector_page(shown, settings, out, scene=scene)}")
             return
@@ -290,15 +281,14 @@ def plot(
         list[str] | None,
         Parameter(help="Another rig to compare with, as the first is given. May be given several times."),
     ] = None,
-    config: Annotated[str | None, Parameter(help="Configuration; by default that of the run folder, or quick.")] = None,
+    config: RigConfig = None,
 ) -> None:
     """Draw a plot of a rig or a run to scale, for an engineer who fits it to a vehicle."""
     from warpav.runs.asked_plots import AskedPlots
     from warpav.runs.progress import RunDisplay
-    from warpav.runs.rig_source import config_for
 
     asked = AskedPlots.of(rig_or_run, kind=kind, out=out, beside=beside or ())
-    with config_for(rig_or_run, config, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:
+    with of_rig(rig_or_run, config, overrides) as settings, RunDisplay() as display:
         files, left_out = asked.draw(settings, progress=display)
     for file in files:
         say(f"wrote {file}")

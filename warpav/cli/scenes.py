@@ -46,6 +46,7 @@ def _tasks(name: Literal["serial", "process"], workers: int | None) -> TaskExecu
 
 
 scenes_app = App(name="scenes", help="Make and show traffic scenes.")
+dev_scenes_app = App(name="scenes", help="Figures of the thesis.")
 
 
 @scenes_app.command(name="make")
@@ -194,7 +195,7 @@ def scenes_statistics(
         say(line)
 
 
-@scenes_app.command(name="figure")
+@dev_scenes_app.command(name="figure")
 def scenes_figure(
     number: Annotated[int, Parameter(help="Its number in the thesis: 4 to 12, or 14 to 16.")],
     /,

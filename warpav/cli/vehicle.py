@@ -14,7 +14,6 @@ from warpav.cli.arguments import (
     FileAxis,
     Overrides,
     complain,
-    image_file,
     say,
     with_flags,
 )
@@ -67,7 +66,6 @@ def vehicle_check(
     ] = None,
     out: Annotated[Path | None, Parameter(help="GLB to write the corrected vehicle to, for scenes.ego.")] = None,
     image: Annotated[Path | None, Parameter(help="PNG to draw it into, with the zone for cameras.")] = None,
-    picture: Annotated[Path | None, Parameter(show=False)] = None,
     config: Config = DEFAULT_CONFIG,
 ) -> int:
     """Check whether a vehicle can carry the cameras: units, axes, ground, origin, faces, zone for cameras.
@@ -77,7 +75,6 @@ def vehicle_check(
     from warpav.runs.config import placed_config
     from warpav.runs.vehicle_check import check_vehicle
 
-    image = image_file(image, picture)
     with placed_config(config, overrides) as settings:
         report = check_vehicle(
             file, settings, up=up, forward=forward, scale=scale, rear_axle_m=rear_axle, out=out, image=image
@@ -102,14 +99,12 @@ def vehicle_zones(
     *overrides: Overrides,
     out: Annotated[Path, Parameter(help="YAML to write the zones to, for mount.zones.")] = Path("zones.yaml"),
     image: Annotated[Path | None, Parameter(help="PNG to draw them into.")] = None,
-    picture: Annotated[Path | None, Parameter(show=False)] = None,
     config: Config = DEFAULT_CONFIG,
 ) -> int:
     """Propose zones anywhere on a body, where cameras may stand, in a YAML file to edit."""
     from warpav.runs.config import placed_config
     from warpav.runs.vehicle_zones import propose
 
-    image = image_file(image, picture)
     with placed_config(config, overrides) as settings:
         for line in propose(file, settings, out=out, image=image):
             say(line)

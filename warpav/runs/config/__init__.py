@@ -23,6 +23,7 @@ from warpav.runs.config.load import (
 )
 from warpav.runs.config.schema import (
     KEPT_FILES,
+    USUAL_OPTIONS,
     DetectorConfig,
     RigConfig,
     RunConfig,
@@ -38,6 +39,7 @@ __all__ = [
     "KEPT_FILES",
     "NAMED_STARTS",
     "START_TEXT",
+    "USUAL_OPTIONS",
     "Config",
     "DescribedOption",
     "DetectorConfig",

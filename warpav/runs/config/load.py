@@ -10,7 +10,7 @@ import difflib
 import functools
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -210,11 +210,17 @@ def placed_config(path: str | Path, overrides: Sequence[str] = ()) -> Iterator[C
         raise InputError(f"{place}: {error}") from None
 
 
-def dump_config(config: Config, *, kept: Mapping[str, object] | None = None) -> str:
-    """The whole tree as YAML that `load_config` reads back to an equal tree; ``kept`` replaces some options."""
-    data = config.model_dump(mode="json")
-    for option, name in (kept or {}).items():
-        _put(data, tuple(option.split(".")), name, "")
+def dump_config(
+    config: Config, *, kept: Mapping[str, object] | None = None, only: Collection[str] | None = None
+) -> str:
+    """The whole tree as YAML that `load_config` reads back to an equal tree, or some options of it.
+
+    ``kept`` replaces options, and ``only`` names those that are written.
+    """
+    data = config.model_dump(mode="json") if only is None else {}
+    chosen = {name: value for name, value in option_values(config).items() if only is not None and name in only}
+    for option, value in {**chosen, **(kept or {})}.items():
+        _put(data, tuple(option.split(".")), value, "")
     return yaml.dump(data, Dumper=_FlowListDumper, sort_keys=False, allow_unicode=True)
 
 

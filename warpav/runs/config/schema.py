@@ -63,6 +63,16 @@ from warpav.scene.town.levels import LEVELS, Level
 EXTENDS = "extends"
 """Key of a file that names another file, on top of which it stands."""
 
+USUAL_OPTIONS = (
+    *("run.seed", "run.out", "run.iterations", "run.pictures", "device", "method"),
+    *("scenes.source", "scenes.level", "scenes.train_seeds", "scenes.test_seeds", "scenes.folder", "scenes.ego"),
+    *("scenes.targets", "scenes.recordings", "rig.cameras", "rig.start", "rig.freeze", "rig.min_spacing_m"),
+    *("rig.free.pitch_deg", "rig.free.height_m", "rig.free.fov_deg", "rig.modules", "rig.max_cost", "rig.symmetric"),
+    *("camera.fov_deg", "camera.width_px", "camera.height_px", "camera.lens", "mount.zones", "detector.model"),
+    *("detector.confidence_min", "importance.category", "requirements", "robust.camera_loss", "optimiser.pool_cameras"),
+)
+"""Options that users set; ``warpav config show`` shows these, and with ``--all`` the others."""
+
 KEPT_FILES = {
     "rig.start": "rig_start.yaml",
     "mount.zones": "zones.yaml",
