@@ -9,7 +9,6 @@ import warp as wp
 from tests.driving_scene import packed_street, roof
 from warpav.detection.camera_mixture import WINDOWS_PX, Window, mixed_camera, window_model, windows_of
 from warpav.detection.families.family import ImagePlacement, Letterbox
-from warpav.detection.onnx_detector import OnnxDetector
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.raster.renderer import Renderer
@@ -92,9 +91,3 @@ def test_cut_windows_show_objects_and_stay_in_the_image(rng):
     assert lenses == {Lens.PINHOLE, Lens.FISHEYE}
     assert min(focal_px) < 130.0
     assert max(focal_px) > 1000.0
-
-
-def test_the_shipped_detector_tells_how_it_scales():
-    assert OnnxDetector("builtin").network_scale(1080, 1920) == (1.0, 1.0)
-    assert OnnxDetector("builtin", input_px=640).network_scale(1080, 1920) == (640 / 1920, 360 / 1080)
-    assert OnnxDetector("builtin", input_px=640).takes_any_size

@@ -4,11 +4,13 @@ import math
 
 import numpy as np
 import pytest
+import warp as wp
 from scipy import ndimage
 
 from tests.driving_scene import ConstantDetector, camera_pose, on_device, packed_street, street
 from tests.oracle.ray_cast import cast_scene
-from warpav.detection.observe import observe
+from warpav.detection.detector import Detections
+from warpav.detection.observe import DetectorInLoop, RenderedImage, observe
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
@@ -55,13 +57,6 @@ def test_truth_boxes_hold_the_largest_visible_part(device, supersampling):
     assert np.isnan(observation.matched_confidence()).all()
 
 
-def test_small_parts_have_no_box(device):
-    all_of_them = observed(ConstantDetector.silent(3), device, min_area_px=1).truth_box_px
-    only_large = observed(ConstantDetector.silent(3), device, min_area_px=200).truth_box_px
-    count = [np.isfinite(boxes[:, :, 0]).sum() for boxes in (all_of_them, only_large)]
-    assert count[0] > count[1] >= 1
-
-
 def test_detections_find_their_vehicles(device, boxes_at_pixels):
     # the detector gives every true box in reverse order, plus a false alarm
     cars = [np.flatnonzero(np.isfinite(boxes[:, 0]))[::-1] for boxes in boxes_at_pixels]
@@ -92,13 +87,6 @@ def test_weak_and_misplaced_detections_do_not_match(device, boxes_at_pixels):
     assert (observed(misplaced, device).match == -1).all()
     # the same with a laxer limit: 1/7 of the union is shared
     assert (observed(misplaced, device, iou_min=0.1).match[0] >= 0).any()
-
-
-def test_chosen_views_only(device):
-    observation = observed(ConstantDetector.silent(2), device, forward_view=(2, 0))
-    whole = observed(ConstantDetector.silent(3), device)
-    np.testing.assert_array_equal(observation.truth_box_px, whole.truth_box_px[[2, 0]])
-    np.testing.assert_array_equal(observation.image_rgb, whole.image_rgb[[2, 0]])
 
 
 def test_a_detection_must_hold_something_of_the_vehicle(device):
@@ -136,3 +124,68 @@ def test_a_detector_that_drops_more_says_the_same_of_the_rest(device, boxes_at_p
     assert min(found.confidence.min() for found in fewer.detections if len(found)) >= 0.6
     np.testing.assert_array_equal(fewer.is_detected_at(0.6, 0.5), observation.match >= 0)
     np.testing.assert_array_equal(fewer.matched_confidence(), observation.matched_confidence())
+
+
+class Scene:
+    """Something that can be told apart."""
+
+
+class BrightnessDetector:
+    """One box, as sure as the image is bright; fails on black ones."""
+
+    names = ("car",)
+
+    def __init__(self):
+        self.calls = []
+
+    def detect(self, images_rgb):
+        self.calls.append(len(images_rgb))
+        brightness = images_rgb.mean(axis=(1, 2, 3)) / 255.0
+        if (brightness == 0.0).any():
+            raise ValueError("too dark")
+        return [
+            Detections(np.array([[1, 1, 5, 5]], np.float32), np.array([b], np.float32), np.zeros(1, np.int32), ("car",))
+            for b in brightness
+        ]
+
+
+def picture(scene, camera, pose, brightness):
+    image = wp.array(np.full((1, 8, 8, 3), brightness, np.float32), dtype=wp.vec3, device="cpu")
+    return RenderedImage(scene, camera, pose, image)
+
+
+def confidences(found):
+    return [round(float(each.confidence[0]), 1) for each in found]
+
+
+def test_only_what_is_new_is_asked_and_answers_keep_their_order():
+    detector, one, other = BrightnessDetector(), Scene(), Scene()
+    loop = DetectorInLoop(detector)
+    first = loop.ask([picture(one, 0, b"a", 0.2), picture(other, 0, b"a", 0.4)])
+    second = loop.ask([picture(one, 1, b"a", 0.6)])
+    assert confidences(second()) == [0.6]
+    assert confidences(first()) == [0.2, 0.4]
+    # an image is known by its scene, camera and pose alone; the middle one has moved
+    again = loop.ask([picture(one, 1, b"a", 0.9), picture(one, 0, b"b", 0.8), picture(other, 0, b"a", 0.9)])
+    assert confidences(again()) == [0.6, 0.8, 0.4]
+    assert detector.calls == [2, 1, 1]
+    assert loop.ask([])() == []
+    # only the last pose is kept
+    assert confidences(loop.ask([picture(one, 0, b"a", 0.1)])()) == [0.1]
+
+
+def test_what_the_detector_raises_is_raised_and_not_remembered():
+    detector, scene = BrightnessDetector(), Scene()
+    loop = DetectorInLoop(detector)
+    dark = loop.ask([picture(scene, 0, b"a", 0.0), picture(scene, 1, b"a", 0.5)])
+    with pytest.raises(ValueError, match="too dark"):
+        dark()
+    assert confidences(loop.ask([picture(scene, 0, b"a", 0.3), picture(scene, 1, b"a", 0.4)])()) == [0.3, 0.4]
+
+
+def test_the_image_may_be_written_over_at_once():
+    loop, scene = DetectorInLoop(BrightnessDetector()), Scene()
+    asked = picture(scene, 0, b"a", 0.7)
+    answers = loop.ask([asked])
+    asked.image.zero_()
+    assert confidences(answers()) == [0.7]

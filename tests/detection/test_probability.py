@@ -312,13 +312,6 @@ def test_another_network_or_camera_needs_another_fit(tmp_path, rng, monkeypatch)
             DetectionProbability.find(other)
 
 
-def test_the_cache_is_asked_too(tmp_path, rng, monkeypatch):
-    monkeypatch.setattr(module, "cache_folder", lambda: tmp_path / "cache")
-    use = use_of(tmp_path)
-    _, file = written(tmp_path / "cache", rng, use)
-    assert stored_file(use) == file
-
-
 def test_a_fit_that_saw_the_test_scenes_is_refused(tmp_path, rng):
     use = use_of(tmp_path)
     written(tmp_path, rng, use)
@@ -347,11 +340,3 @@ def test_damaged_files_are_refused(tmp_path, rng, change, message):
         DetectionProbability.find(use)
     assert str(caught.value).endswith("run warpav detector fit --again")
     assert "\n" not in str(caught.value)
-
-
-def test_half_a_file_is_refused(tmp_path, rng):
-    use = use_of(tmp_path)
-    _, file = written(tmp_path, rng, use)
-    file.write_text(file.read_text()[:200])
-    with pytest.raises(InputError, match=r"expected valid JSON .*; run warpav detector fit --again"):
-        DetectionProbability.find(use)

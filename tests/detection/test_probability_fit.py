@@ -1,6 +1,5 @@
 """Fitting the probability of detection: known curves are found again, scores equal their definitions."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -50,12 +49,6 @@ def test_more_to_see_never_lowers_the_probability(rng):
         assert np.diff(model.curve(f, np.linspace(-1.0, 9.0, 300))).min() >= -1e-9
 
 
-def test_a_fit_repeats_itself():
-    one, other = (fit_probability(made_up(np.random.default_rng(3), 600), rng=np.random.default_rng(4)) for _ in "ab")
-    np.testing.assert_array_equal(one[0].coefficient, other[0].coefficient)
-    assert one[1] == other[1]
-
-
 @pytest.mark.parametrize(
     ("count", "chance", "message"),
     [
@@ -68,13 +61,6 @@ def test_too_little_to_fit_is_refused(rng, count, chance, message):
     samples = made_up(rng, count)
     with pytest.raises(ValueError, match=message):
         fit_probability(DetectionSamples(samples.feature, rng.random(count) < chance, samples.seed), rng=rng)
-
-
-def test_a_feature_that_never_changes_does_no_harm(rng):
-    samples = made_up(rng, 600)
-    samples.feature[:, 5] = 0.25
-    model, _ = fit_probability(samples, rng=rng)
-    assert np.isfinite(model.of_features(samples.feature)).all()
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=15, max_size=80))
@@ -98,13 +84,6 @@ def test_scores_are_what_they_are_called(pairs):
     # no calibration error is larger than the largest gap of a bin, and none smaller than that of all together
     assert found.calibration_error <= max(abs(each.predicted - each.detected) for each in found.bins) + 1e-12
     assert found.calibration_error >= abs(probability.mean() - is_detected.mean()) - 1e-12
-
-
-def test_the_right_probabilities_are_calibrated(rng):
-    probability = rng.random(20_000)
-    found = score(probability, rng.random(20_000) < probability)
-    assert found.calibration_error < 0.015
-    assert score(probability**2, rng.random(20_000) < probability).calibration_error > 0.1
 
 
 def test_what_is_seen_and_found_is_counted(device, rng):
@@ -133,16 +112,6 @@ def test_what_is_seen_and_found_is_counted(device, rng):
     assert len(blind.of_seeds([9])) == 0
 
 
-def test_cameras_stand_on_the_surface(rng):
-    surface = roof()
-    cameras = random_cameras(rng, surface, MODEL, height_offset_m=0.25, count=50)
-    place = np.array([camera.position_m for camera in cameras])
-    assert (place[:, :2] >= surface.bounds_m[0]).all()
-    assert (place[:, :2] <= surface.bounds_m[1]).all()
-    np.testing.assert_allclose(place[:, 2], surface.height_at_m(place[:, :2]) + 0.25)
-    assert np.ptp([camera.yaw_rad for camera in cameras]) > 5.0
-
-
 def test_cameras_fill_the_free_ranges_and_level_ones_stay_the_same(rng):
     surface = roof()
     ranges = {"pitch_rad": (-0.3, 0.2), "height_m": (0.05, 0.6), "fov_rad": (1.0, 1.9)}
@@ -161,15 +130,3 @@ def test_cameras_fill_the_free_ranges_and_level_ones_stay_the_same(rng):
     np.testing.assert_array_equal([camera.position_m[:2] for camera in level], place[:, :2])
     assert [camera.yaw_rad for camera in level] == [camera.yaw_rad for camera in cameras]
     assert {camera.model for camera in level} == {MODEL}
-
-
-def test_each_camera_is_looked_through_by_its_own_lens(device):
-    renderer, scene = Renderer([MODEL] * 2, device=device), packed_street(device)
-    [one] = random_cameras(np.random.default_rng(2), roof(), MODEL, height_offset_m=0.2, count=1)
-    narrow = dataclasses.replace(one, model=MODEL.zoomed(0.4))
-    limits = {"seed": 8, "confidence_min": 0.1, "iou_min": 0.5}
-    same = sample_detections(renderer, scene, [one, one], ConstantDetector.silent(2), **limits)
-    both = sample_detections(renderer, scene, [narrow, one], ConstantDetector.silent(2), **limits)
-    count = len(same) // 2
-    np.testing.assert_array_equal(both.feature[-count:], same.feature[-count:])
-    assert both.feature[:, VISIBLE_SIZE].max() > same.feature[:, VISIBLE_SIZE].max() + 0.2

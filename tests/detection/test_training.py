@@ -20,14 +20,12 @@ from warpav.detection.training.loss import (
     _warp,
     assign_cells,
     detection_loss,
-    generalised_iou,
     pairwise_iou,
 )
 from warpav.detection.training.network import TownNetwork, export_network
 from warpav.detection.training.train import DeviceData, Training, train_detector
 from warpav.raster.camera import Lens
 from warpav.runs.detector_training import tables
-from warpav.scene.town.levels import TownSource
 
 SIDE_PX = 64
 
@@ -66,14 +64,6 @@ def _grid(stride_px=4):
     line = torch.arange(SIDE_PX // stride_px) * stride_px + stride_px / 2
     y, x = torch.meshgrid(line, line, indexing="ij")
     return torch.stack([x, y], dim=-1).reshape(-1, 2)
-
-
-def test_iou_of_known_boxes():
-    first = torch.tensor([[0.0, 0, 10, 10], [0, 0, 10, 10], [0, 0, 10, 10]])
-    second = torch.tensor([[0.0, 0, 10, 10], [5, 0, 15, 10], [20, 0, 30, 10]])
-    np.testing.assert_allclose(pairwise_iou(first[:1], second)[0], [1.0, 1 / 3, 0.0], atol=1e-6)
-    # Hull 30 x 10 with 20 x 10 in it: a third of the hull is empty.
-    np.testing.assert_allclose(generalised_iou(first, second), [1.0, 1 / 3, -1 / 3], atol=1e-6)
 
 
 def test_cells_answer_for_the_object_that_they_lie_in():
@@ -124,16 +114,6 @@ def test_boxes_move_with_the_pixels(flipped, zoom, shift):
     row, column = np.nonzero(_warp(image, zooms, shifts, flips)[0, 0].numpy() > 0.5)
     seen_px = [column.min(), row.min(), column.max() + 1, row.max() + 1]
     np.testing.assert_allclose(moved.box_px[0, 0], seen_px, atol=0.51)
-
-
-def test_a_box_that_leaves_the_image_is_dropped_or_ignored():
-    truth = _truth([[0, 0, 20, 20], [50, 50, 60, 60], [20, 20, 40, 40]], [0, 1, 2])
-    size_px = torch.tensor([SIDE_PX, SIDE_PX], dtype=torch.float32)
-    moved = _move(truth, torch.tensor([1.0]), torch.tensor([[-17.0, 0.0]]), torch.tensor([False]), size_px)
-    assert moved.class_index.tolist() == [[0, 1, 2]]
-    assert moved.ignored.tolist() == [[True, False, False]]
-    moved = _move(truth, torch.tensor([1.0]), torch.tensor([[-30.0, 0.0]]), torch.tensor([False]), size_px)
-    assert moved.class_index.tolist() == [[-1, 1, 2]]
 
 
 def test_training_learns_and_goes_on_from_a_checkpoint(rng, tmp_path):
@@ -287,14 +267,6 @@ def test_scenes_of_training_and_tests_are_apart():
     assert train
     assert test
     assert not train & test
-
-
-def test_a_subset_is_of_a_level_or_of_recordings():
-    assert data.Subset("dense", 7, 2, {}).sources() == [TownSource(7, "dense"), TownSource(8, "dense")]
-    assert data.Subset("reconstructed", 7, 1, {}).sources() == [TownSource(7)]
-    (source,) = data.Subset("search recordings", 7, 1, {}).sources()
-    assert source.seed == 7
-    assert source.moment.file.name.startswith("sind")
 
 
 @pytest.mark.slow

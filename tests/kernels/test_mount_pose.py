@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from tests.driving_scene import flat_surface, roof
+from tests.driving_scene import roof
 from tests.oracle import thesis
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
 from warpav.optimisation.mount import CameraMount
@@ -75,14 +75,6 @@ def test_height_beyond_the_border_is_the_borders(device):
     pose = np.c_[np.array(outside), np.zeros((6, 5))].astype(np.float32)
     centre, _, _ = placed(pose, device)
     np.testing.assert_allclose(centre, oracle(pose, roof(), MODEL)[0], atol=2e-6)
-
-
-def test_a_surface_of_two_by_two_cells_is_enough(device):
-    surface = flat_surface([0.0, 0.0], [0.1, 0.1])
-    surface.height_m[:] = [[1.0, 2.0], [3.0, 5.0]]
-    pose = np.array([[0.05, 0.05, 0, 0, 0, 0, 0], [0.1, 0.1, 0, 0, 0, 0, 0], [0.025, 0.1, 0, 0, 0, 0, 0]], np.float32)
-    centre, _, _ = placed(pose, device, surface=surface)
-    np.testing.assert_allclose(centre[::4, 2] - OFFSET_M, [2.75, 5.0, 2.75], atol=1e-5)
 
 
 def test_gradient_to_the_six_numbers_of_the_pose_matches_differences(device, rng):

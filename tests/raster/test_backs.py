@@ -11,7 +11,7 @@ from tests.raster.bodies import body, cuboid
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh, merge
 from warpav.raster.renderer import Renderer
-from warpav.raster.scene import Scene, closed_bounds, neighbours
+from warpav.raster.scene import Scene
 
 SIZE = 96
 LENSES = {
@@ -44,11 +44,6 @@ BODIES = {
 }
 
 
-def closed_corners(mesh):
-    """What `closed_bounds` says of every triangle."""
-    return closed_bounds(mesh.vertex_m[mesh.triangle], neighbours(mesh.vertex_m, mesh.triangle))
-
-
 def images(scene, poses, model, device):
     """Depths, ids, and amodal and visible areas with their Jacobians of all views."""
     frame = Renderer([model] * len(poses), device=device).render(scene, *on_device(poses, device))
@@ -62,18 +57,6 @@ def with_backs(scene):
     bounds = scene.triangles.cluster_closed_world_m.numpy()
     bounds[:, 0], bounds[:, 1] = -np.inf, np.inf
     scene.triangles.cluster_closed_world_m.assign(bounds)
-
-
-def test_closed_surfaces_are_told_from_open_ones():
-    for name, closed in (("box", True), ("ring", True), ("inside out", False), ("open", False)):
-        low, high = closed_corners(BODIES[name])
-        np.testing.assert_array_equal(np.isfinite(np.c_[low, high]), closed, err_msg=name)
-    low, high = closed_corners(BODIES["shells that overlap"])
-    count = len(RING.triangle)
-    np.testing.assert_allclose(low[:count], np.tile(RING.bounds_m()[0], (count, 1)))
-    np.testing.assert_allclose(high[count:], np.tile([2.0, 1.5, 0.95], (12, 1)))
-    low, _ = closed_corners(BODIES["hollow"])
-    np.testing.assert_array_equal(np.isfinite(low).all(axis=1), np.arange(24) < 12)
 
 
 @pytest.mark.parametrize("lens", LENSES)

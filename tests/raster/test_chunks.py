@@ -1,13 +1,18 @@
-"""Views at once: half as many where a device's memory does not hold them."""
+"""Many renders: chunks that fit, renderers that are kept, launches that are recorded."""
 
-from types import SimpleNamespace
+import gc
+import math
 
+import numpy as np
 import pytest
+import warp as wp
 
+from tests.driving_scene import camera_pose, on_device, packed_street
 from warpav.core.errors import is_out_of_memory
-from warpav.raster import chunks
+from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.chunks import ViewsAtOnce, gpu_view_count, views_with_room
+from warpav.raster.chunks import KeptRenderers, ViewsAtOnce, record_graph, views_with_room
+from warpav.raster.renderer import Renderer
 
 LACK = RuntimeError("Failed to allocate 8589934592 bytes on device 'cuda:0'")
 
@@ -66,14 +71,82 @@ def test_a_gpu_renders_what_has_room(most, free_gib, sharers, expected):
     assert views_with_room(most, 2**28, free_bytes=free_bytes, sharers=sharers) == expected
 
 
-def test_what_has_no_room_on_a_gpu_is_said_in_one_line(monkeypatch, caplog):
-    monkeypatch.setattr(chunks.wp, "get_device", lambda _: SimpleNamespace(free_memory=2 * 10**9))
-    model = CameraModel(1022, 1022)
-    count = gpu_view_count(64, model, supersampling=1, device="cuda:0")
-    assert count == 2 * 10**9 // (2 * 4 * 8 * 1024 * 1024) == 29
-    assert [record.getMessage() for record in caplog.records] == [
-        "cuda:0 has 2.0 GB free: 29 views at once instead of 64; the numbers are the same"
-    ]
-    caplog.clear()
-    assert gpu_view_count(29, model, supersampling=1, device="cuda:0") == 29
-    assert not caplog.records
+SIZE = 96, 64
+
+
+def renderer_of(views, device, *, lens="pinhole"):
+    return Renderer([CameraModel(*SIZE, math.radians(80.0), lens=lens)] * views, device=device)
+
+
+def rendered(renderer, device):
+    pose = np.stack([camera_pose((1.0, 0.0, 1.8), 0.1 * k, 0.1) for k in range(renderer.view_count)])
+    renderer.render(packed_street(device).raster, *on_device(pose, device), content=Content.ALL)
+    return renderer
+
+
+def test_the_last_used_are_kept_as_far_as_they_fit():
+    made = []
+
+    def make(views):
+        def new():
+            made.append(views)
+            return [rendered(renderer_of(views, "cpu"), "cpu")]
+
+        return new
+
+    one_byte = rendered(renderer_of(2, "cpu"), "cpu").held_bytes
+    kept = KeptRenderers(bytes_max=int(2.5 * one_byte))
+    a, b = kept.of("a", make(2)), kept.of("b", make(2))
+    assert kept.of("a", make(2)) is a
+    assert kept.of("b", make(2)) is b
+    assert kept.of("a", make(2)) is a
+    kept.of("c", make(2))  # three are too many, which the next call sees
+    assert len(kept) == 3
+    assert kept.of("c", make(2))
+    assert len(kept) == 2
+    assert kept.of("a", make(2)) is a
+    large = kept.of("large", make(40))
+    assert kept.of("large", make(40)) is large  # too many by themselves, and in use
+    assert len(kept) == 1
+    assert kept.of("a", make(2)) is not a
+    assert len(kept) == 1
+    assert made == [2, 2, 2, 40, 2]
+
+
+@wp.kernel
+def add_one_k(value: wp.array(dtype=float)):
+    i = wp.tid()
+    value[i] = value[i] + 1.0
+
+
+@pytest.fixture
+def value(device):
+    return wp.full(4, np.nan, dtype=float, device=device)
+
+
+def test_a_graph_repeats_launches_that_are_not_done_while_it_is_recorded(value, device):
+    launch = lambda: wp.launch(add_one_k, dim=4, inputs=[value], device=device)  # noqa: E731
+    launch()
+    value.zero_()
+    graph = record_graph(launch, device)
+    for count in (1, 2, 3):
+        wp.capture_launch(graph)
+        np.testing.assert_array_equal(value.numpy(), np.full(4, count))
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+def test_nothing_is_collected_while_a_graph_is_recorded(value, device, enabled):
+    seen = []
+
+    def launch():
+        seen.append(gc.isenabled())
+        wp.launch(add_one_k, dim=4, inputs=[value], device=device)
+
+    launch()
+    (gc.enable if enabled else gc.disable)()
+    try:
+        record_graph(launch, device)
+        assert seen[1] is False
+        assert gc.isenabled() is enabled
+    finally:
+        gc.enable()

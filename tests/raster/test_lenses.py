@@ -21,7 +21,7 @@ from tests.driving_scene import (
     street,
     vehicle,
 )
-from tests.oracle.ray_cast import Silhouettes, cast_scene
+from tests.oracle.ray_cast import cast_scene
 from tests.raster.bodies import depth_and_index
 from warpav.raster.areas import AMODAL_AREA, BOTTOM, BOX_AREA, LEFT, RIGHT, TOP, VISIBLE_AREA
 from warpav.raster.buffers import Content
@@ -146,18 +146,6 @@ def test_images_agree_with_rays(device, rng, name):
     assert np.quantile(np.concatenate(rgb_error), 0.9999) < 1e-3  # worst seen 4e-5
 
 
-@pytest.mark.parametrize("name", MODELS)
-def test_vehicles_alone_are_all_there(device, rng, name):
-    """No rectangle is too small, wherever the vehicles are: before, behind, beside, across the seam."""
-    model = MODELS[name]
-    poses = random_poses(rng, 4)
-    value = measured(packed_street(device).raster, poses, [model] * 4, 1, device).value.numpy()
-    alone = [rays.look(pose, model)[0] for rays in [Silhouettes(street())] for pose in poses]
-    area = np.isfinite(alone).sum(axis=(2, 3))
-    assert np.count_nonzero(area) >= 8
-    np.testing.assert_allclose(value[..., AMODAL_AREA], area, atol=2.0)  # worst seen 0
-
-
 @functools.cache
 def ours_and_truth(name, device, near_m=0.1, count=3):
     """Jacobians at one sample a pixel and differences at 25, [pose, vehicle, measure, direction]."""
@@ -225,17 +213,6 @@ def test_jacobians_to_the_calibration_match_differences(device, name):
     assert not ours[..., count:].any()
 
 
-@pytest.mark.parametrize("name", ["brown_conrady", pytest.param("fisheye", marks=pytest.mark.nightly), "part"])
-def test_cars_are_cut_by_distance_or_depth(device, name):
-    """The near plane of a fisheye and of a panorama is a sphere, that of a Brown-Conrady lens is none."""
-    ours, truth = ours_and_truth(name, device, near_m=4.5)
-    far, _ = ours_and_truth(name, device)
-    assert relative_error(ours[:, :, AMODAL_AREA], far[:, :, AMODAL_AREA]) > 0.3  # cut indeed
-    for measure in (VISIBLE_AREA, AMODAL_AREA):
-        # worst seen .14, with a truth of 81 samples a pixel .06
-        assert relative_error(ours[:, :, measure], truth[:, :, measure]) < 0.2
-
-
 def vertex_extents(pose, model, car):
     """LEFT, RIGHT, TOP, BOTTOM of a car's vertices [px]; NaN where one of them has no image."""
     place = model.project((car.mesh.vertex_m.astype(float) - pose[:3, 3]) @ pose[:3, :3])
@@ -290,23 +267,6 @@ def test_a_lens_without_distortion_is_a_pinhole(device):
             assert error < 1e-3  # worst seen 4e-5
 
 
-def test_a_fisheye_sees_behind_and_a_panorama_all_round(device):
-    scene = packed_street(device).raster
-    pose = camera_pose([1.0, 0.0, 2.2], 0.0)
-    behind = np.array([4, 5, 9])  # cars behind the camera
-    fisheye, panorama, wide = (
-        measured(scene, [pose], [model], 1, device).value.numpy()[0, :, VISIBLE_AREA]
-        for model in (
-            CameraModel(256, 256, math.radians(330.0), lens="fisheye"),
-            MODELS["panorama"],
-            CameraModel(256, 256, math.radians(170.0)),
-        )
-    )
-    assert (fisheye[behind] > 0).all()
-    assert (panorama > 0).sum() >= 9
-    assert not wide[behind].any()
-
-
 def test_the_seam_of_a_panorama_changes_nothing(device):
     """A car half on the right, half on the left, has the area and Jacobian of one in the middle."""
     scene = DeviceScene.pack(two_cars(), device=device).raster
@@ -343,39 +303,6 @@ def test_a_turning_panorama_shifts_and_a_rolling_fisheye_turns(device):
     np.testing.assert_allclose(slope[:, AMODAL_AREA, 5], 0.0, atol=1e-3 * scale)
 
 
-def test_one_renderer_holds_all_lenses(device):
-    models = [
-        CameraModel(SIZE, SIZE),
-        MODELS["fisheye"],
-        CameraModel(SIZE, SIZE, 1.0, 0.4),
-        MODELS["brown_conrady"],
-        MODELS["part"],
-    ]
-    poses = poses_round_the_cars(len(models))
-    scene = DeviceScene.pack(two_cars(), device=device).raster
-
-    def look(models, poses, **options):
-        renderer = Renderer(models, device=device, **options)
-        frame = renderer.render(scene, *on_device(poses, device))
-        measures = frame.measure()
-        images = [array.numpy() for array in (*frame.depths_and_ids(), frame.colours())]
-        return [measures.value.numpy(), jacobian(measures), *images]
-
-    together = look(models, poses, thread_count=1)
-    for other in (look(models, poses, thread_count=3), look(models, poses, thread_count=2)):
-        for one, same in zip(together, other, strict=True):
-            np.testing.assert_array_equal(one, same)
-    for k, model in enumerate(models):
-        for one, alone in zip(together, look([model], poses[k : k + 1]), strict=True):
-            np.testing.assert_array_equal(one[k], alone[0])
-    # other lenses in the same renderer
-    renderer = Renderer(models, device=device)
-    frame = renderer.render(scene, *on_device(poses, device))
-    renderer.set_lenses(models[::-1])
-    frame = renderer.render(scene, *on_device(poses[::-1], device))
-    np.testing.assert_array_equal(frame.measure().value.numpy()[::-1], together[0])
-
-
 def colour_gradient(scene, model, pose, weight, device):
     """Gradient of the weighted sum of colours at four samples a pixel, to shift and spin."""
     position, rotation = on_device([pose], device)
@@ -410,16 +337,6 @@ def test_gradients_of_colours_match_differences(device, rng, name):
     # seen .11, .060, .036: weights jump from block to block
     ours = colour_gradient(scene, model, pose, weight, device)
     assert relative_error(ours, np.array(truth)) < 0.2
-
-
-def test_gradients_of_colours_without_distortion_are_a_pinholes(device, rng):
-    pinhole = CameraModel(SIZE, SIZE)
-    undistorted = dataclasses.replace(pinhole, lens="brown_conrady")
-    pose = poses_round_the_cars(1)[0]
-    scene = DeviceScene.pack(two_cars(), device=device).raster
-    weight = rng.normal(size=(1, SIZE, SIZE, 3)).astype(np.float32)
-    expected, ours = (colour_gradient(scene, model, pose, weight, device) for model in (pinhole, undistorted))
-    assert relative_error(ours, expected) < 1e-4  # seen 3e-7
 
 
 @pytest.mark.parametrize("lens", ["pinhole", "fisheye"])

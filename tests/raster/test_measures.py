@@ -81,18 +81,6 @@ def test_areas_extents_and_masks_equal_counts(device, rng, street_silhouettes, s
     assert seen_extents >= 15
 
 
-def test_no_box_has_no_box_area(device, rng):
-    _, value = rendered(packed_street(device).raster, poses_on_ego(rng, 2), device=device)
-    assert not value[..., BOX_AREA].any()
-
-
-def test_a_box_over_everything_holds_all_that_is_visible(device, rng):
-    boxes = np.tile([0.0, 0.0, 96.0, 72.0], (2, 10, 1))
-    _, value = rendered(packed_street(device).raster, poses_on_ego(rng, 2), device=device, box_px=boxes)
-    np.testing.assert_array_equal(value[..., BOX_AREA], value[..., VISIBLE_AREA])
-    assert value[..., VISIBLE_AREA].max() > 50
-
-
 def test_pairwise_occlusion_equals_medians(device, rng, street_silhouettes):
     # where cars hide one another
     poses = [
@@ -138,20 +126,6 @@ def test_a_silhouette_inside_another_is_hidden_or_hides_by_depth(device, swapped
         assert value[0, far, VISIBLE_AREA] == (value[0, far, AMODAL_AREA] if is_ghost else 0.0)
         assert value[0, near, VISIBLE_AREA] == value[0, near, AMODAL_AREA] > 100
         assert value[0, far, AMODAL_AREA] > 10
-
-
-@pytest.mark.parametrize("swapped", [False, True])
-def test_a_near_silhouette_inside_a_far_one_hides_it(device, swapped):
-    rng = np.random.default_rng(4)
-    small = vehicle(1, block(rng, [0.5, 0.5, 0.5], [0.0, 0.0, 0.75]), 5.0, 0.0, 0.0)
-    large = vehicle(2, block(rng, [4.0, 6.0, 3.0], [0.0, 0.0, 1.0]), 12.0, 0.0, 0.0)
-    vehicles = (large, small) if swapped else (small, large)
-    packed = DeviceScene.pack(Scene("inside", FAR_AWAY, FAR_AWAY, vehicles), device=device).raster
-    _, value = rendered(packed, [camera_pose([0.0, 0.0, 0.8], 0.0)], device=device, occlusion=Occlusion.PAIRWISE)
-    small_index = int(swapped)
-    area = value[0, :, AMODAL_AREA]
-    assert value[0, small_index, VISIBLE_AREA] == area[small_index] > 0
-    assert value[0, 1 - small_index, VISIBLE_AREA] == area[1 - small_index] - area[small_index]
 
 
 def test_only_the_parts_outside_the_overlap_are_compared(device):

@@ -38,13 +38,6 @@ def test_transformed_mesh_turns_then_moves():
     np.testing.assert_allclose(moved.vertex_m, [[0, 0, 3], [0, 1, 3], [-2, 0, 3]], atol=1e-6)
 
 
-def test_merged_mesh_keeps_every_triangle_and_colour():
-    merged = merge([triangle(), triangle(5.0, (1, 2, 3))])
-    np.testing.assert_array_equal(merged.triangle, [[0, 1, 2], [3, 4, 5]])
-    np.testing.assert_array_equal(merged.vertex_m[merged.triangle[1]], np.array(CORNER_M) + 5.0)
-    np.testing.assert_array_equal(merged.vertex_rgb[3], [1, 2, 3])
-
-
 @pytest.mark.parametrize(
     ("vertex_m", "index", "message"),
     [
@@ -91,13 +84,6 @@ def test_meshes_with_more_vertices_than_indices_do_not_merge(monkeypatch):
     monkeypatch.setattr(mesh_module, "MAX_COUNT", 5)
     with pytest.raises(ValueError, match="2 meshes have 6 vertices together, more than 5"):
         merge([triangle(), triangle()])
-
-
-def test_meshes_with_more_triangles_than_indices_do_not_merge(monkeypatch):
-    many = Mesh.create(CORNER_M, [[0, 1, 2]] * 7, (0, 0, 0))
-    monkeypatch.setattr(mesh_module, "MAX_COUNT", 13)
-    with pytest.raises(ValueError, match="2 meshes have 14 triangles together, more than 13"):
-        merge([many, many])
 
 
 def test_a_mirrored_mesh_faces_outwards_and_mirrored_twice_is_itself():

@@ -64,17 +64,3 @@ def test_a_pedestrian_hides_a_vehicle_and_is_asked_for_by_nobody():
     assert after.visible_area_px[0] < before.visible_area_px[0] - 20.0
     assert after.amodal_area_px[0] == pytest.approx(before.amodal_area_px[0], rel=1e-6)
     assert after.object_index.max() < 2 + len(with_people.vehicles)
-
-
-def test_a_scene_without_people_is_packed_as_before():
-    plain, empty = DeviceScene.pack(street()).raster, DeviceScene.pack(dataclasses.replace(street(), others=())).raster
-    np.testing.assert_array_equal(plain.source_triangle, empty.source_triangle)
-
-
-def test_a_broken_person_is_named():
-    scene = _street_with_people(count=1)
-    mesh = scene.others[0].mesh
-    bad = dataclasses.replace(mesh, vertex_m=np.full_like(mesh.vertex_m, np.nan))
-    scene = dataclasses.replace(scene, others=(dataclasses.replace(scene.others[0], mesh=bad),))
-    with pytest.raises(ValueError, match=rf"pedestrian {scene.others[0].instance_id}: "):
-        DeviceScene.pack(scene)

@@ -4,12 +4,10 @@ import math
 
 import numpy as np
 import pytest
-import trimesh
 
 from tests.driving_scene import camera_pose, ground, on_device, random_poses, street
 from tests.raster.bodies import cuboid
 from warpav.raster.camera import CameraModel
-from warpav.raster.mesh import Mesh
 from warpav.raster.pane import Pane
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene
@@ -53,19 +51,6 @@ def test_a_scene_through_a_pane_is_that_around_a_body_without_it(device):
     assert (area_px[0] > 0.0).any()
 
 
-def test_the_scene_itself_stays_closed(device):
-    closed, _ = scenes(device)
-    before = rendered(closed, device)
-    through = closed.through(FRONT)
-    assert through is closed.through(FRONT)
-    assert closed.through(None) is closed
-    assert through.triangle_count < closed.triangle_count
-    for one, other in zip(before, rendered(closed, device), strict=True):
-        np.testing.assert_array_equal(one, other)
-    # the camera 10 cm behind the pane sees nothing but the cabin
-    assert (before[0][0] == -3).all()
-
-
 def test_rays_of_another_library_see_the_same_bodies():
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
@@ -103,22 +88,6 @@ def test_half_of_a_triangle_decides():
         assert not pane.is_clear(np.add(triangle(0.6), [moved_m, 0.0, 0.0]))[0]
     # what faces elsewhere only ends there
     assert not pane.is_clear([[[1.0, -2.0, 0.0], [1.05, -2.0, 0.01], [1.0, -1.0, 0.0]]])[0]
-
-
-def test_the_area_that_is_clear_is_the_pane_s():
-    box = trimesh.creation.box(extents=[2.0, 2.0, 2.0])
-    for _ in range(4):
-        box = box.subdivide()
-    mesh = Mesh.create(box.vertices, box.faces, [9, 9, 9])
-    pane = Pane("p", (0.0, 1.0, 0.0), ((-0.5, 1, -0.5), (0.5, 1, -0.5), (0.5, 1, 0.5), (-0.5, 1, 0.5)), (-0.1, 0.1))
-    assert pane.area_m2 == pytest.approx(1.0)
-    assert pane.clear_area_m2(mesh) == pytest.approx(1.0)
-    assert len(mesh.triangle) - len(pane.opened(mesh).triangle) == len(mesh.triangle) / 6 / 4
-    away = pane.mirrored()
-    assert away.name == "p_mirrored"
-    assert away.clear_area_m2(mesh) == pytest.approx(1.0)
-    assert away.mirrored() == pane
-    assert FRONT.mirrored() is FRONT
 
 
 def test_what_is_no_pane_is_refused():

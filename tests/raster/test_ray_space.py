@@ -17,7 +17,6 @@ from warpav.raster.lens import TABLE_ENTRIES, Lens, image_table
 from warpav.raster.mesh import Mesh
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene
-from warpav_kernels.raster.candidates import WIDE as WIDE_CHORD
 
 NEAR_M = 0.1
 POSE = camera_pose([0.3, -0.2, 0.1], 0.4, 0.2, -0.3)
@@ -153,50 +152,6 @@ def test_the_table_knows_the_image_of_a_direction(name):
     assert (np.diff(radius[:-20]) > 0.0).all()
 
 
-@pytest.mark.parametrize("name", RADIAL)
-def test_arcs_bend_less_than_the_table_says(name):
-    """An arc of a great circle leaves its chord in the image by an eighth of its square times the curvature at most."""
-    shape = MODELS[name].shape
-    rng = np.random.default_rng(1)
-    start = rng.normal(size=(3000, 3))
-    start /= np.linalg.norm(start, axis=1, keepdims=True)
-    end = start + float(WIDE_CHORD) / math.sqrt(3.0) * rng.uniform(-1.0, 1.0, size=(3000, 3))
-    end /= np.linalg.norm(end, axis=1, keepdims=True)
-    share = np.linspace(0.0, 1.0, 9)[:, None, None]
-    between = (1.0 - share) * start + share * end
-    between /= np.linalg.norm(between, axis=-1, keepdims=True)
-    place = shape.place(between)
-    seen = np.isfinite(place).all(axis=(0, 2))
-    low, high = np.minimum(place[0], place[-1]), np.maximum(place[0], place[-1])
-    beyond = np.maximum(low - place.min(axis=0), place.max(axis=0) - high).max(axis=1)
-    curvature = in_table(shape, np.stack([start, end]), 1).max(axis=0)
-    chord = ((end - start) ** 2).sum(axis=1)
-    reach = np.abs(place).max(axis=(0, 2))
-    assert seen.sum() > 500
-    assert (beyond[seen] <= (0.14 * chord * curvature + moves_aside(shape) * reach**2 + 1e-6)[seen]).all()
-
-
-def test_rays_follow_the_zoom(device):
-    """Views that share a lens share its rays, unless they are zoomed."""
-    model = MODELS["fisheye"]
-    corner_m = SOUPS["small"]()
-    scene = Scene(
-        {"soup": Mesh.create(corner_m.reshape(-1, 3), np.arange(corner_m.size // 3).reshape(-1, 3), [9, 9, 9])},
-        device=device,
-    )
-    renderer = Renderer([model, model], device=device)
-    poses = on_device([POSE, POSE], device)
-    plain = renderer.render(scene, *poses).depth_m.numpy().copy()
-    np.testing.assert_array_equal(plain[0], plain[1])
-    zoom = wp.array([0.0, 0.2], dtype=float, device=device)
-    zoomed = renderer.render(scene, *poses, log_focal=zoom).depth_m.numpy().copy()
-    np.testing.assert_array_equal(zoomed[0], plain[0])
-    alone = Renderer([model.zoomed(0.2)], device=device).render(scene, *on_device([POSE], device)).depth_m.numpy()
-    same = np.isclose(zoomed[1], alone[0], rtol=1e-3)
-    assert (same | (np.isinf(zoomed[1]) & np.isinf(alone[0]))).mean() > 0.999
-    np.testing.assert_array_equal(renderer.render(scene, *poses).depth_m.numpy(), plain)
-
-
 @pytest.mark.parametrize("lens", ["brown_conrady", "fisheye"])
 def test_recorded_launches_follow_the_zoom(device, lens, monkeypatch):
     """A zoom that changes between two replays changes the picture as it does without a recording, or room for one."""
@@ -225,18 +180,3 @@ def test_recorded_launches_follow_the_zoom(device, lens, monkeypatch):
     np.testing.assert_array_equal(found["recorded"], found["launched"])
     np.testing.assert_array_equal(found["no room"], found["launched"])
     assert draw._graph is None
-
-
-@pytest.mark.parametrize("tangential", [0.0, 0.002])
-def test_a_lens_reaches_no_farther_than_its_image(device, tangential):
-    """Of polynomials that go on for long, as most do, only what the image shows counts: bounds grow with the limit."""
-    model = CameraModel(96, 64, math.radians(80.0), lens="brown_conrady", distortion=(-0.1, 0.05, tangential, 0.001))
-    assert model.shape.limit > 10.0
-    renderer = Renderer([model], device=device)
-    corner_m = SOUPS["small"]()
-    scene = Scene({"a": Mesh.create(corner_m[0], np.array([[0, 1, 2]]), [9, 9, 9])}, device=device)
-    renderer.render(scene, *on_device([POSE], device))
-    limit = renderer.view.numpy()[0]["lens"]["limit"]
-    row, column = np.indices((model.height_px + 1, model.width_px + 1))
-    tangent = np.linalg.norm(model.rays(np.stack([column, row], axis=-1))[..., :2], axis=-1)
-    assert tangent.max() < limit < 1.2 * tangent.max()

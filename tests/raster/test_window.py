@@ -209,28 +209,6 @@ def test_a_tape_follows_views_zoom_and_windows(device, rng):
     np.testing.assert_array_equal(found.on_tape(position, rotation).numpy(), found.value.numpy())
 
 
-def test_repeats_are_the_same_bit_for_bit(device, rng):
-    scene = DeviceScene.pack(two_cars(), device=device).raster
-    poses, windows = poses_round_the_car()[:POSE_COUNT], windows_round_the_axis(rng)
-    first, second = (measured(scene, poses, windows, device=device, visible=True) for _ in range(2))
-    for name in ("value", "jac_translation", "jac_rotation", "jac_log_focal", "jac_window"):
-        np.testing.assert_array_equal(getattr(first, name).numpy(), getattr(second, name).numpy())
-
-
-def test_a_result_is_written_over(device, rng):
-    scene = DeviceScene.pack(two_cars(), device=device).raster
-    renderer = Renderer([CameraModel(64, 64)], device=device)
-    position, rotation = on_device(poses_round_the_car()[:1], device)
-    frame = renderer.render(scene, position, rotation)
-    windows = [wp.array([window], dtype=wp.vec4, device=device) for window in (WIDE, (0.1, 0.0, 0.3, 0.2))]
-    kept = frame.window_area(windows[0], softness_rad=0.1, visible=True)
-    fresh = frame.window_area(windows[1], softness_rad=0.1, visible=True)
-    assert kept.value.numpy().max() > fresh.value.numpy().max() > 0.0
-    assert frame.window_area(windows[1], softness_rad=0.1, visible=True, into=kept) is kept
-    for name in ("value", "jac_translation", "jac_window", "window_rad"):
-        np.testing.assert_array_equal(getattr(kept, name).numpy(), getattr(fresh, name).numpy())
-
-
 def test_wrong_windows_are_refused(device):
     scene = DeviceScene.pack(two_cars(), device=device).raster
     renderer = Renderer([CameraModel(64, 64)] * 2, device=device)
