@@ -19,7 +19,8 @@ from warpav.runs.config import Config, load_config, option_values
 ROOT = Path(__file__).parents[2]
 DECISIONS = ROOT / "docs" / "decisions"
 DOCS = sorted((ROOT / "docs").rglob("*.md"))
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS]
+RECORDS = sorted(page for folder in ("warpav", "kernels") for page in (ROOT / folder).rglob("*.md"))
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS, *RECORDS]
 METHOD = ROOT / "docs" / "method.md"
 TUTORIAL = ROOT / "docs" / "tutorial.md"
 MISTAKE = "warpav optimise rig.camera=6"  # of the tutorial, on purpose
@@ -177,7 +178,5 @@ def test_documents_stay_short():
 
 def test_every_record_is_a_page_of_the_site():
     contents = (ROOT / "docs" / "_toctrees.md").read_text()
-    records = [
-        file.relative_to(ROOT).with_suffix("") for root in ("warpav", "kernels") for file in (ROOT / root).rglob("*.md")
-    ]
-    assert [str(name) for name in records if f"../{name}\n" not in contents] == []
+    records = [str(page.relative_to(ROOT).with_suffix("")) for page in RECORDS]
+    assert [name for name in records if f"../{name}\n" not in contents] == []
