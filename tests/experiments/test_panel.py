@@ -18,7 +18,7 @@ from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH
 from warpav.experiments import open_experiments, panel, rescore
 from warpav.experiments.experiment import Finished
 from warpav.runs.config import load_config
-from warpav.runs.panel_networks import PanelNetwork, networks_in
+from warpav.runs.networks import PanelNetwork, networks_in
 
 SCENES = 12
 OBJECTS = 20

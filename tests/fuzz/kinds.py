@@ -30,7 +30,7 @@ from warpav.rig.formats.convert import ImportOptions, export_rig, import_rig_wit
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
 from warpav.rig.zone import read_zones
 from warpav.runs.config import load_config
-from warpav.runs.panel_networks import _description
+from warpav.runs.networks import _description
 from warpav.runs.report.evaluation import read_run
 from warpav.runs.run_folder import RunFolder
 from warpav.scene.capture.folder import read_capture, record_capture

@@ -94,7 +94,7 @@ def detector_score(
     """Measure how well the fitted detection probability holds on other scenes, of any level or source."""
     from warpav.runs.config import read_seeds
     from warpav.runs.detector_scores import score_detectors
-    from warpav.runs.panel_networks import check_panel_options
+    from warpav.runs.networks import check_panel_options
     from warpav.runs.progress import RunDisplay
 
     if panel is not None:

@@ -198,7 +198,7 @@ def experiment_rescore(
         run_rescores,
     )
     from warpav.runs.config import placed_config
-    from warpav.runs.panel_networks import check_panel_options
+    from warpav.runs.networks import check_panel_options
     from warpav.runs.progress import RunDisplay
 
     given = executor_overrides(executor, workers, address)

@@ -39,7 +39,7 @@ from warpav.experiments.result_folder import DESCRIPTION, read_description
 from warpav.experiments.summary import write_summary
 from warpav.runs.config import Config, overridden_option
 from warpav.runs.environment import environment
-from warpav.runs.panel_networks import PanelNetwork, networks_in
+from warpav.runs.networks import PanelNetwork, networks_in
 from warpav.runs.scene_set import recordings_digest
 from warpav.runs.terminal import Group
 from warpav.runs.text_table import TextTable

@@ -16,7 +16,7 @@ from warpav.detection.probability_fit import BIN_COUNT, DetectionSamples, Probab
 from warpav.evaluation.statistics import LEVEL, Estimate
 from warpav.runs.config import Config
 from warpav.runs.detector_fit import ensure_fit, sample_camera, town_config
-from warpav.runs.panel_networks import networks_in
+from warpav.runs.networks import networks_in
 from warpav.runs.text_table import TextTable
 
 SCHEMA = 1
