@@ -14,10 +14,9 @@ from tests.oracle import clipped_edges
 from tests.raster.test_gradients import YAW, X, Y, moved
 from warpav.core.errors import InputError
 from warpav.detection.detector import ROAD_USERS
-from warpav.detection.differentiable import DifferentiableDetector
+from warpav.detection.differentiable import MAX_ERROR, DifferentiableDetector, TorchNetwork
 from warpav.detection.matching import largest_component_box
 from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector
-from warpav.detection.torch_network import MAX_ERROR, TorchNetwork
 from warpav.optimisation.losses.scene_on_tape import AssignedScene, SceneOnTape
 from warpav.optimisation.mount import CameraMount, PlacedViews
 from warpav.raster.camera import CameraModel

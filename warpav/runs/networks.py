@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.cache import digest
-from warpav.core.errors import InputError
+from warpav.core.errors import InputError, OptionError, install_text
 from warpav.core.warp_setup import checked_device
 from warpav.core.yaml_file import read_yaml
-from warpav.detection.differentiable import DifferentiableDetector
 from warpav.runs.config import Config, changed_config, flow_text, with_absolute_paths
 from warpav.runs.mounts import camera_model
 from warpav.runs.scene_set import own_vehicle_digest, recordings_digest
 
 if TYPE_CHECKING:
     from warpav.detection.detector import Detector
+    from warpav.detection.differentiable import DifferentiableDetector
     from warpav.detection.onnx_detector import OnnxDetector
     from warpav.detection.probability import DetectorUse
     from warpav.raster.camera import CameraModel
@@ -181,6 +181,14 @@ def load_networks(config: Config) -> Networks:
     detector = load_detector(config)
     differentiable = None
     if config.losses.weights["detector_gradient"] > 0.0:
+        try:
+            from warpav.detection.differentiable import DifferentiableDetector
+        except ImportError as error:
+            raise OptionError(
+                "losses.detector_gradient",
+                f"expected PyTorch and onnx, got no package {error.name!r}; "
+                f"{install_text('torch')}, or set losses.detector_gradient=0",
+            ) from error
         differentiable = DifferentiableDetector.of(detector, camera_model(config), device=device)
     return Networks(detector, differentiable)
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
-from warpav.detection.differentiable import DifferentiableDetector
 from warpav.optimisation.losses.loss import HostLoss, LossOptions, LossSchedule, Needs
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav.raster.areas import BOTTOM, LEFT, RIGHT, TOP
 from warpav.raster.poses import ViewPoses
+
+if TYPE_CHECKING:
+    from warpav.detection.differentiable import DifferentiableDetector
 
 _SIDES = [LEFT, TOP, RIGHT, BOTTOM]
 # A side of the visible box that is nearer than this to that of the vehicle alone is a side of the vehicle [px].

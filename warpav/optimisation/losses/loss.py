@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import warp as wp
 
 from warpav.core.errors import InputError
-from warpav.detection.differentiable import DifferentiableDetector
 from warpav.optimisation.losses.registry import LOSSES
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.areas import AMODAL_AREA, VISIBLE_AREA
 
 if TYPE_CHECKING:
+    from warpav.detection.differentiable import DifferentiableDetector
     from warpav.optimisation.losses.scene_on_tape import SceneOnTape
     from warpav.scene.device_scene import DeviceScene
 
