@@ -25,7 +25,7 @@ Item = TypeVar("Item")
 
 IN_USE_S = 3600.0
 """Other runs may still be using a file that was used so short a time ago; nobody writes one for so long."""
-FREE_MIN = 0.1
+_FREE_MIN = 0.1
 """Share of the disk that has to be free for what is in use to stay beyond the capacity."""
 _PARALLEL_MIN = 4  # fewer files are made sooner than processes start
 _PACKAGES = ("warpav", "warpav_kernels")
@@ -98,7 +98,7 @@ def remove_oldest(folder: Path, pattern: str, *, capacity_bytes: int) -> None:
 
 def _has_room(folder: Path) -> bool:
     disk = shutil.disk_usage(folder)
-    return disk.free > FREE_MIN * disk.total
+    return disk.free > _FREE_MIN * disk.total
 
 
 def digest(*parts: object) -> str:

@@ -22,9 +22,9 @@ from warpav.core.workers import (
     outcome_of,
 )
 
-__all__ = ["Executor", "ExecutorName", "Outcome"]
+__all__ = ["Executor", "Outcome"]
 
-ExecutorName = Literal["serial", "process", "ray", "slurm"]
+_ExecutorName = Literal["serial", "process", "ray", "slurm"]
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Executor:
             stay the same. 0: they see none and start sooner. Ray and Slurm give a task its GPU by ``options``.
     """
 
-    name: ExecutorName = "serial"
+    name: _ExecutorName = "serial"
     worker_count: int | None = None
     address: str | None = None
     options: Mapping[str, Any] = field(default_factory=dict)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-DIALECT = "https://json-schema.org/draft/2020-12/schema"
+_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 Schema = dict[str, Any]
 
@@ -19,7 +19,7 @@ NAME: Schema = {"type": "string", "pattern": "^[A-Za-z0-9_][A-Za-z0-9_.-]*$"}
 
 def document(name: str, title: str, body: Mapping[str, Any]) -> Schema:
     """A whole schema: what a file of this name has to be."""
-    return {"$schema": DIALECT, "$id": f"urn:warpav:schema:{name}", "title": title, **body}
+    return {"$schema": _DIALECT, "$id": f"urn:warpav:schema:{name}", "title": title, **body}
 
 
 def mapping(

@@ -27,17 +27,17 @@ from warpav.core.errors import InputError, OptionError, install_text, is_out_of_
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-CONNECT_S = 5.0
+_CONNECT_S = 5.0
 """How long a Ray cluster may take to accept a connection [s]."""
 ANSWER_S = 20.0
 """How long a Ray cluster may take to let this program in, the import of ray included [s]; two are usual."""
-KNOCK_S = 2.0
+_KNOCK_S = 2.0
 """How often the head is knocked at while tasks run [s]."""
 GONE_S = 20.0
 """A head that has not opened for so long is gone [s]; Ray would end this process after 60 s, without a word to it."""
-JOB_MIN = 240
+_JOB_MIN = 240
 """How long a Slurm job may take unless ``timeout_min`` says so [min]."""
-POLL_S = 0.2
+_POLL_S = 0.2
 """How often the folder of jobs is searched for results [s]; submitit asks Slurm itself far less often."""
 
 _KNOCK = "import ray, sys; ray.init(sys.argv[1], log_to_driver=False, logging_level='ERROR'); ray.cluster_resources()"
@@ -275,7 +275,7 @@ class RayCluster:
         problem, last_seen = None, time.monotonic()
         while problem is None or time.monotonic() - last_seen < GONE_S:
             try:
-                ended = self._ray.wait(list(handles), timeout=KNOCK_S)[0]
+                ended = self._ray.wait(list(handles), timeout=_KNOCK_S)[0]
             except ConnectionError as error:  # by ray://, Ray itself has waited
                 problem = _one_line(error)
                 break
@@ -350,7 +350,7 @@ def _why_closed(address: str) -> str | None:
     """Why nobody opens at ``host:port``; None where somebody does."""
     host, _, port = address.rpartition(":")
     try:
-        socket.create_connection((host.strip("[]"), int(port)), timeout=CONNECT_S).close()
+        socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT_S).close()
     except OSError as error:
         return error.strerror or str(error)
     return None
@@ -380,7 +380,7 @@ class SlurmJobs:
         except OSError as error:
             raise InputError(f"{folder}: expected a folder to write jobs to, got: {error.strerror}") from None
         try:
-            jobs.update_parameters(**{"name": "warpav", "timeout_min": JOB_MIN, **options})
+            jobs.update_parameters(**{"name": "warpav", "timeout_min": _JOB_MIN, **options})
         except (AssertionError, NameError, TypeError, ValueError) as error:
             raise OptionError("executor.options", f"expected parameters of submitit, got: {_one_line(error)}") from None
         self._jobs, self._call = jobs, partial(outcome_of, function)
@@ -395,7 +395,7 @@ class SlurmJobs:
     def wait(self, handles: Collection[Any]) -> Collection[Any]:
         """Wait until some of the jobs have ended."""
         while not (ended := [job for job in handles if job.done()]):
-            time.sleep(POLL_S)
+            time.sleep(_POLL_S)
         return ended
 
     def outcome(self, handle: Any) -> Outcome[Any, Any]:  # noqa: ANN401

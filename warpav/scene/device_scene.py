@@ -16,7 +16,6 @@ from warpav.raster.scene import Scene as RasterScene
 from warpav.scene.scene import ROAD_USERS, Scene
 
 # What images of object indices say, see `object_index_of`.
-ENVIRONMENT = 0
 EGO = 1
 FIRST_VEHICLE = 2
 

@@ -144,7 +144,7 @@ class _Body:
 
 def _bodies(paths: tuple[Path | str, ...]) -> tuple[_Body, ...]:
     """The vehicles of files and folders, read once in a process as long as the files stay as they are."""
-    files = [file for path in paths for file in mesh_files(path)]
+    files = [file for path in paths for file in _mesh_files(path)]
     return tuple(_body(file, _stamp(file), _stamp(file.with_suffix(".yaml"))) for file in files)
 
 
@@ -160,7 +160,7 @@ def _content(bodies: Sequence[_Body]) -> str:
     return digest(*(body.content for body in bodies))
 
 
-def mesh_files(path: Path | str) -> list[Path]:
+def _mesh_files(path: Path | str) -> list[Path]:
     """The mesh files that a user means, by name."""
     folder = vehicle_folder() if path == SHIPPED else Path(path).expanduser()
     if folder.is_file():

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 SCHEMA = "warpav-scene/1"
 ROOT_NODE, ENVIRONMENT_NODE, EGO_NODE = "ego_frame", "environment", "ego"
 _VEHICLE_PREFIX, _OTHER_PREFIX = "vehicle_", "other_"
-EGO_FRAME = "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's centre"
+_EGO_FRAME = "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's centre"
 GLTF_FROM_EGO = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]])
 """(x, y, z) in the ego frame is (x, z, -y) in glTF."""
 
@@ -59,7 +59,7 @@ def write_scene(scene: Scene, path: str | Path) -> None:
     file = trimesh.Scene(base_frame="world")
     file.metadata = {
         "schema": SCHEMA,
-        "frame": EGO_FRAME,
+        "frame": _EGO_FRAME,
         "units": "m",
         "name": scene.name,
         "source": scene.source,

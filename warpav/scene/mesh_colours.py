@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 GREY_RGB = np.array([150, 152, 156], np.uint8)
 """Colour of what has none."""
 
-MATERIAL_SUFFIX = ".mtl"
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tga", ".bmp", ".tif", ".tiff", ".webp", ".gif", ".dds")
+_MATERIAL_SUFFIX = ".mtl"
+_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tga", ".bmp", ".tif", ".tiff", ".webp", ".gif", ".dds")
 
 _TEXTURE_FOLDERS = (".", "textures", "images", "../textures", "../materials/textures", "../materials", "../images")
 _SCHEMES = ("model://", "package://", "file://")
@@ -53,7 +53,7 @@ class FileFinder:
     def notes(self) -> tuple[str, ...]:
         """What is missing, a line for each file."""
         return tuple(
-            f"{'materials' if name.lower().endswith(MATERIAL_SUFFIX) else 'texture'} {name} not found, or not "
+            f"{'materials' if name.lower().endswith(_MATERIAL_SUFFIX) else 'texture'} {name} not found, or not "
             "readable: grey instead"
             for name in dict.fromkeys(self.missing)
         )
@@ -61,7 +61,7 @@ class FileFinder:
     @property
     def lacks_materials(self) -> bool:
         """Whether the file of the materials is not there."""
-        return any(name.lower().endswith(MATERIAL_SUFFIX) for name in self.missing)
+        return any(name.lower().endswith(_MATERIAL_SUFFIX) for name in self.missing)
 
     def find(self, name: str) -> Path | None:
         """The file of this name: where the mesh file says, else in the usual folders beside it; None without one."""
@@ -83,7 +83,7 @@ class FileFinder:
 
     def get(self, name: str) -> bytes:
         """What the file of this name holds; of images that are not there a grey one, of materials none."""
-        if _plain(name).lower().endswith(IMAGE_SUFFIXES):
+        if _plain(name).lower().endswith(_IMAGE_SUFFIXES):
             from PIL import Image
 
             image = self.image(name) or Image.new("RGB", (1, 1), tuple(GREY_RGB.tolist()))
@@ -93,7 +93,7 @@ class FileFinder:
         path = self.find(name)
         if path is not None:
             return read_bytes(path, "a part of a mesh file", bytes_max=DATA_SET_BYTES_MAX)
-        if name.lower().endswith(MATERIAL_SUFFIX):
+        if name.lower().endswith(_MATERIAL_SUFFIX):
             self.missing.append(_plain(name))
             return b""
         raise FileNotFoundError(f"{name} is not beside it")
@@ -240,7 +240,7 @@ def _on_disk(path: Path) -> Path | None:
         return None
 
 
-MODEL_FILE = "model.sdf"
+_MODEL_FILE = "model.sdf"
 
 _ANGLE_TOLERANCE_RAD = 1e-3
 
@@ -262,7 +262,7 @@ def simulator_model(mesh: Path) -> SimulatorModel | None:
     some face along x, others do not.
     """
     for folder in (mesh.absolute().parent, mesh.absolute().parent.parent):
-        path = folder / MODEL_FILE
+        path = folder / _MODEL_FILE
         try:
             root = parse_xml(read_bytes(path, "a model"), str(path), "a model")
         except InputError:

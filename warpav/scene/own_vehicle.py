@@ -38,15 +38,15 @@ SCHEMA = "warpav-vehicle/1"
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 FORMATS = ("glb", "gltf", "obj", "dae", "ply", "stl", "off")
 
-USUAL_LENGTH_M = (3.0, 7.0)
-POSSIBLE_LENGTH_M = (2.0, 20.0)
-UNITS = (("metres", 1.0), ("centimetres", 0.01), ("millimetres", 0.001), ("inches", 0.0254), ("feet", 0.3048))
+_USUAL_LENGTH_M = (3.0, 7.0)
+_POSSIBLE_LENGTH_M = (2.0, 20.0)
+_UNITS = (("metres", 1.0), ("centimetres", 0.01), ("millimetres", 0.001), ("inches", 0.0254), ("feet", 0.3048))
 
-POSSIBLE_WIDTH_M = (1.0, 3.5)
-POSSIBLE_HEIGHT_M = (1.1, 4.6)
+_POSSIBLE_WIDTH_M = (1.0, 3.5)
+_POSSIBLE_HEIGHT_M = (1.1, 4.6)
 """Least and greatest extents across and upwards; mirrors and aerials count. A sports car is 1.1 m high."""
 
-TYPICAL_SIZE_M = {
+_TYPICAL_SIZE_M = {
     "a car": (4.5, 2.0, 1.5),
     "an SUV": (4.8, 2.15, 1.8),
     "a pickup": (5.6, 2.3, 1.9),
@@ -56,9 +56,9 @@ TYPICAL_SIZE_M = {
 }
 """Length, width with mirrors, and height of usual vehicles."""
 
-GROUND_TOLERANCE_M = 0.05
-AXLE_TOLERANCE_M = 0.1
-MANY_TRIANGLES = 300_000
+_GROUND_TOLERANCE_M = 0.05
+_AXLE_TOLERANCE_M = 0.1
+_MANY_TRIANGLES = 300_000
 
 _SAMPLE_COUNT = 200_000
 _SYMMETRY_COUNT = 20_000
@@ -334,7 +334,7 @@ def examine(
     problems: list[VehicleProblem] = []
     hints = list(file.notes)
     size_m = np.ptp(mesh.bounds_m().astype(np.float64), axis=0)
-    shape = shape_of(point_m)
+    shape = _shape_of(point_m)
     wrong_size, size_hints = _unit_findings(_ordered(size_m, shape), reading, file.is_declared, "scale" in stated)
     problems += wrong_size
     hints += size_hints
@@ -353,7 +353,7 @@ def examine(
         hints.append(f"not watertight ({open_edges} open edges): usable, but cameras may see through gaps")
     if flat:
         hints.append(f"{flat} of {len(mesh.triangle)} triangles have no area; `out` removes them")
-    if len(mesh.triangle) > MANY_TRIANGLES:
+    if len(mesh.triangle) > _MANY_TRIANGLES:
         hints.append(
             f"{len(mesh.triangle)} triangles slow every render, and about 10 000 are sufficient; decimate the mesh, "
             "for example in Blender or MeshLab"
@@ -361,7 +361,7 @@ def examine(
     return Examination(mesh, shift_m, shape, wheels, tuple(problems), tuple(hints), open_edges, flat)
 
 
-def shape_of(point_m: np.ndarray) -> Shape:
+def _shape_of(point_m: np.ndarray) -> Shape:
     """Infer the axes of a vehicle from points spread evenly over it, [point, 3]."""
     from scipy.spatial import KDTree
 
@@ -460,8 +460,8 @@ def wheels_of(point_m: np.ndarray) -> Wheels | None:
 
 def unit_of(length: float) -> tuple[str, float] | None:
     """The unit, and its length in metres, in which a number is a plausible vehicle length; None without one."""
-    for minimum_m, maximum_m in (USUAL_LENGTH_M, POSSIBLE_LENGTH_M):
-        for name, metres in UNITS:
+    for minimum_m, maximum_m in (_USUAL_LENGTH_M, _POSSIBLE_LENGTH_M):
+        for name, metres in _UNITS:
             if minimum_m <= length * metres <= maximum_m:
                 return name, metres
     return None
@@ -469,7 +469,7 @@ def unit_of(length: float) -> tuple[str, float] | None:
 
 def is_plausible(size_m: np.ndarray) -> bool:
     """Whether a vehicle may have this length, width and height [m], [3]."""
-    ranges = (POSSIBLE_LENGTH_M, POSSIBLE_WIDTH_M, POSSIBLE_HEIGHT_M)
+    ranges = (_POSSIBLE_LENGTH_M, _POSSIBLE_WIDTH_M, _POSSIBLE_HEIGHT_M)
     return all(low <= value <= high for value, (low, high) in zip(size_m, ranges, strict=True))
 
 
@@ -483,13 +483,13 @@ def scale_of(size: np.ndarray) -> tuple[str, float]:
 
     Shapes: ``size`` [3].
     """
-    for minimum_m, maximum_m in (USUAL_LENGTH_M, POSSIBLE_LENGTH_M):
-        for name, metres in UNITS:
+    for minimum_m, maximum_m in (_USUAL_LENGTH_M, _POSSIBLE_LENGTH_M):
+        for name, metres in _UNITS:
             if minimum_m <= size[0] * metres <= maximum_m and is_plausible(size * metres):
                 return name, metres
-    factor = {kind: np.log(np.array(typical_m) / size) for kind, typical_m in TYPICAL_SIZE_M.items()}
+    factor = {kind: np.log(np.array(typical_m) / size) for kind, typical_m in _TYPICAL_SIZE_M.items()}
     kind = min(factor, key=lambda kind: float(np.ptp(factor[kind])))
-    scale = TYPICAL_SIZE_M[kind][0] / float(size[0])
+    scale = _TYPICAL_SIZE_M[kind][0] / float(size[0])
     short, exact = float(f"{scale:.1g}"), float(f"{scale:.4g}")
     return kind, short if abs(short / scale - 1.0) < 0.08 else exact
 
@@ -507,18 +507,18 @@ def _unit_findings(
     size_m: np.ndarray, reading: Reading, is_declared: bool, is_stated: bool
 ) -> tuple[list[VehicleProblem], list[str]]:
     """Whether a vehicle may have a size, its length, width and height [m], [3]."""
-    minimum_m, maximum_m = POSSIBLE_LENGTH_M
+    minimum_m, maximum_m = _POSSIBLE_LENGTH_M
     if is_plausible(size_m) or not size_m.min() > 0.0:
         return [], []
     name, factor = scale_of(size_m)
-    is_unit = name in dict(UNITS)
+    is_unit = name in dict(_UNITS)
     scale = reading.scale * factor
     with_scale = " with this `scale`" if is_stated else ""
     better = _size_text(size_m * factor)
     if minimum_m <= size_m[0] <= maximum_m:
         text = f"units: a vehicle {_size_text(size_m)}{with_scale} is doubtful, "
-        text += f"expected a width of {POSSIBLE_WIDTH_M[0]:g} to {POSSIBLE_WIDTH_M[1]:g} m and a height of "
-        text += f"{POSSIBLE_HEIGHT_M[0]:g} to {POSSIBLE_HEIGHT_M[1]:g} m"
+        text += f"expected a width of {_POSSIBLE_WIDTH_M[0]:g} to {_POSSIBLE_WIDTH_M[1]:g} m and a height of "
+        text += f"{_POSSIBLE_HEIGHT_M[0]:g} to {_POSSIBLE_HEIGHT_M[1]:g} m"
         if is_stated or is_declared or not is_plausible(size_m * factor):
             return [], [f"{text}; accepted as stated" if is_stated or is_declared else f"{text}; `scale` changes it"]
         return [
@@ -584,7 +584,7 @@ def _place_findings(
     shift_m = np.zeros(3)
     problems: list[VehicleProblem] = []
     hints: list[str] = []
-    if abs(low[2]) > GROUND_TOLERANCE_M:
+    if abs(low[2]) > _GROUND_TOLERANCE_M:
         shift_m[2] = -low[2]
         problems.append(VehicleProblem(f"ground: expected its lowest point at z = 0, got {low[2]:+.3f} m", {}))
     if rear_axle_m is not None:
@@ -619,7 +619,7 @@ def _place_findings(
             )
         return shift_m, problems, hints
     offset_m = np.array([wheels.axle_m[0], wheels.centre_y_m])
-    if abs(offset_m[0]) > AXLE_TOLERANCE_M or abs(offset_m[1]) > GROUND_TOLERANCE_M:
+    if abs(offset_m[0]) > _AXLE_TOLERANCE_M or abs(offset_m[1]) > _GROUND_TOLERANCE_M:
         shift_m[:2] = -offset_m
         problems.append(
             VehicleProblem(

@@ -38,7 +38,7 @@ CAPACITY_BYTES = 4 * 2**30
 """What the cache holds at most: about 750 scenes of 5.5 MB. What a run uses stays until another run needs the room."""
 HELD_BYTES = 2**29
 """Meshes that a process holds on to, of all its stored scenes together."""
-RECENT_COUNT = 8
+_RECENT_COUNT = 8
 """Further scenes, those that were used last, whose meshes it has not let go of yet."""
 _FORMAT = 1
 _CHECKED_FROM = 8  # the checksum itself comes first
@@ -253,4 +253,4 @@ class _Held:
 
 
 _held = _Held()
-_recent: deque[RasterScene] = deque(maxlen=RECENT_COUNT)
+_recent: deque[RasterScene] = deque(maxlen=_RECENT_COUNT)

@@ -47,7 +47,7 @@ def follow_textures(
 ) -> TexturedMesh:
     """Split triangles until the colours follow the textures, or there are enough vertices."""
     size_px = np.array([texture.size_px for texture in textures], np.float64).reshape(-1, 2)
-    error = colour_errors(mesh, textures, np.arange(len(mesh.triangle)))
+    error = _colour_errors(mesh, textures, np.arange(len(mesh.triangle)))
     for _ in range(_ROUNDS_MAX):
         left = vertices_max - len(mesh.vertex)
         texels = _edge_texels(mesh, size_px)
@@ -68,11 +68,11 @@ def follow_textures(
             if len(split.mesh.vertex) > vertices_max:
                 break
         mesh = split.mesh
-        error = np.concatenate([error[split.kept], colour_errors(mesh, textures, split.new)])
+        error = np.concatenate([error[split.kept], _colour_errors(mesh, textures, split.new)])
     return mesh
 
 
-def colour_errors(mesh: TexturedMesh, textures: Sequence[Texture], index: np.ndarray) -> np.ndarray:
+def _colour_errors(mesh: TexturedMesh, textures: Sequence[Texture], index: np.ndarray) -> np.ndarray:
     """Rms difference of colour and texture over triangles, of 255, float64 [triangle]; 0 for those without a texture.
 
     A lattice of points is compared, the finer the more texels a triangle covers.

@@ -34,7 +34,7 @@ Remote: TypeAlias = Any
 REACH_S = 2.5
 """Time within which a server answers [s]."""
 
-VERSION_REQUEST = b"\x94\x00\x01\xa7version\x91\x91\xc2"  # MessagePack: [request, number 1, "version", [[false]]]
+_VERSION_REQUEST = b"\x94\x00\x01\xa7version\x91\x91\xc2"  # MessagePack: [request, number 1, "version", [[false]]]
 _ANSWER_BEGINS = b"\x94\x01\x01"  # [answer, number 1,
 _CATEGORY_OF_BASE_TYPE = {"car": "car", "van": "van", "truck": "lorry", "bus": "bus"}
 
@@ -64,7 +64,7 @@ def unreachable(host: str, port: int) -> str | None:
                 probe.settimeout(max(deadline_s - time.monotonic(), 0.05))
                 probe.connect(address)
                 probe.settimeout(max(deadline_s - time.monotonic(), 0.05))
-                probe.sendall(VERSION_REQUEST)
+                probe.sendall(_VERSION_REQUEST)
                 answer, length = b"", len(_ANSWER_BEGINS)
                 while len(answer) < length and (part := probe.recv(length - len(answer))):
                     answer += part
@@ -112,9 +112,9 @@ def category_of(blueprint: Remote) -> str | None:
     return "car" if wheels >= 4 else None
 
 
-DEPTH_RANGE_M = 1000.0
+_DEPTH_RANGE_M = 1000.0
 """Where the depth camera's 24 bits end [m]."""
-_SKY_M = 0.999 * DEPTH_RANGE_M  # the sky's dome is drawn somewhere beyond the range, so its depth is cut there
+_SKY_M = 0.999 * _DEPTH_RANGE_M  # the sky's dome is drawn somewhere beyond the range, so its depth is cut there
 
 
 def depth_from_bgra(bgra: np.ndarray) -> np.ndarray:
@@ -123,7 +123,7 @@ def depth_from_bgra(bgra: np.ndarray) -> np.ndarray:
     Shapes: ``bgra`` [row, column, 4], returns [row, column].
     """
     blue, green, red = (bgra[..., channel].astype(np.int64) for channel in range(3))
-    depth_m = (red + 256 * green + 65536 * blue) * (DEPTH_RANGE_M / (2**24 - 1))
+    depth_m = (red + 256 * green + 65536 * blue) * (_DEPTH_RANGE_M / (2**24 - 1))
     return np.where(depth_m < _SKY_M, depth_m, np.inf).astype(np.float32)
 
 

@@ -63,7 +63,7 @@ from warpav.scene.scene import Box
 
 SCHEMA = "warpav-capture/1"
 DESCRIPTION = "capture.json"
-DEPTH_STEP_M = 0.002
+_DEPTH_STEP_M = 0.002
 """Metres per unit of the depth images that are written here: 131 m fit into 16 bits."""
 UNFINISHED = "capture.part.json"
 """What an unfinished capture is going to hold."""
@@ -101,23 +101,25 @@ def _checked_place(name: str) -> str:
 
 Metres = Annotated[float, Field(allow_inf_nan=False)]
 Point = Annotated[list[Metres], Field(min_length=3, max_length=3)]
-Matrix3 = Annotated[list[Point], Field(min_length=3, max_length=3), AfterValidator(_checked_intrinsics)]
-Row4 = Annotated[list[Metres], Field(min_length=4, max_length=4)]
-Matrix4 = Annotated[list[Row4], Field(min_length=4, max_length=4), AfterValidator(_checked_pose)]
+_Matrix3 = Annotated[list[Point], Field(min_length=3, max_length=3), AfterValidator(_checked_intrinsics)]
+_Row4 = Annotated[list[Metres], Field(min_length=4, max_length=4)]
+_Matrix4 = Annotated[list[_Row4], Field(min_length=4, max_length=4), AfterValidator(_checked_pose)]
 Inside = Annotated[str, AfterValidator(_checked_place)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
-PositivePoint = Annotated[list[Annotated[float, Field(gt=0.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)]
+_PositivePoint = Annotated[
+    list[Annotated[float, Field(gt=0.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)
+]
 
 
 class _Record(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
 
-class BoxRecord(_Record):
+class _BoxRecord(_Record):
     """A 3D box."""
 
     box_center_m: Point
-    box_size_m: PositivePoint
+    box_size_m: _PositivePoint
     box_yaw_deg: Metres
 
     @property
@@ -126,7 +128,7 @@ class BoxRecord(_Record):
         return Box(np.array(self.box_center_m), np.array(self.box_size_m), math.radians(self.box_yaw_deg))
 
 
-class VehicleRecord(BoxRecord):
+class _VehicleRecord(_BoxRecord):
     """A vehicle."""
 
     instance_id: int = Field(gt=ENVIRONMENT_INSTANCE, lt=EGO_INSTANCE)
@@ -137,31 +139,31 @@ class VehicleRecord(BoxRecord):
     velocity_ego_m_s: Annotated[list[Metres], Field(min_length=2, max_length=2)] | None = None
 
 
-class ImageRecord(_Record):
+class _ImageRecord(_Record):
     """A view and its files."""
 
     name: Name
     kind: ViewKind = ViewKind.OTHER
     width_px: int = Field(ge=8, le=16384)
     height_px: int = Field(ge=8, le=16384)
-    intrinsics: Matrix3
-    ego_from_camera: Matrix4
+    intrinsics: _Matrix3
+    ego_from_camera: _Matrix4
     rgb: Inside
     depth: Inside
     instance: Inside
 
 
-class CaptureRecord(_Record):
+class _CaptureRecord(_Record):
     """All of ``capture.json``."""
 
     schema_: Literal["warpav-capture/1"] = Field(alias="schema")
     name: Name
     source: str = ""
     recipe: str = ""
-    depth_step_m: float = Field(default=DEPTH_STEP_M, gt=0.0, allow_inf_nan=False)
-    ego: BoxRecord
-    vehicles: list[VehicleRecord]
-    images: list[ImageRecord] = Field(min_length=1)
+    depth_step_m: float = Field(default=_DEPTH_STEP_M, gt=0.0, allow_inf_nan=False)
+    ego: _BoxRecord
+    vehicles: list[_VehicleRecord]
+    images: list[_ImageRecord] = Field(min_length=1)
 
 
 def read_capture(folder: Path) -> Capture:
@@ -270,7 +272,7 @@ def record_capture(
             image = simulator.capture(view)
             _write(folder / files.rgb, _png(image.rgb[..., ::-1]))
             _write(folder / files.instance, _png(image.instance))
-            step = np.round(np.where(np.isfinite(image.depth_m), image.depth_m, 0.0) / DEPTH_STEP_M)
+            step = np.round(np.where(np.isfinite(image.depth_m), image.depth_m, 0.0) / _DEPTH_STEP_M)
             _write(folder / files.depth, _png(np.where(step <= 65535, step, 0).astype(np.uint16)))
         if on_image is not None:
             on_image(index + 1, len(views))
@@ -281,7 +283,7 @@ def record_capture(
 class _Images(Sequence[CapturedImage]):
     """Images of a folder, each read when it is asked for."""
 
-    def __init__(self, folder: Path, record: CaptureRecord) -> None:
+    def __init__(self, folder: Path, record: _CaptureRecord) -> None:
         self._folder, self._record = folder, record
         self._known = {one.instance_id for one in record.vehicles} | {ENVIRONMENT_INSTANCE, EGO_INSTANCE}
 
@@ -354,7 +356,7 @@ class _Images(Sequence[CapturedImage]):
         return depth_m.astype(np.float32)
 
 
-def _view_of(one: ImageRecord) -> CaptureView:
+def _view_of(one: _ImageRecord) -> CaptureView:
     (fx, _, cx), (_, fy, cy), _ = one.intrinsics
     model = CameraModel(one.width_px, one.height_px, focal_px=(fx, fy), centre_px=(cx, cy))
     return CaptureView(one.name, one.kind, np.array(one.ego_from_camera), model)
@@ -366,7 +368,7 @@ def _record_of(
     ego_box: Box,
     vehicles: Sequence[CapturedVehicle],
     views: Sequence[CaptureView],
-) -> CaptureRecord:
+) -> _CaptureRecord:
     def box(one: Box) -> dict[str, Any]:
         return {
             "box_center_m": one.center_m.tolist(),
@@ -374,7 +376,7 @@ def _record_of(
             "box_yaw_deg": math.degrees(one.yaw_rad),
         }
 
-    return CaptureRecord.model_validate(
+    return _CaptureRecord.model_validate(
         {
             "schema": SCHEMA,
             "name": simulator.name,
@@ -409,7 +411,7 @@ def _record_of(
     )
 
 
-def _read_record(file: Path) -> CaptureRecord:
+def _read_record(file: Path) -> _CaptureRecord:
     text = _text(file)
     if text is None:
         is_begun = (file.parent / UNFINISHED).is_file()
@@ -420,7 +422,7 @@ def _read_record(file: Path) -> CaptureRecord:
         got = " ".join(text.split())[:60]
         raise InputError(f"{file}:1: expected an object with schema, name, ego, vehicles and images, got {got}")
     try:
-        record = CaptureRecord.model_validate(content)
+        record = _CaptureRecord.model_validate(content)
     except ValidationError as error:
         raise InputError(*(_complaint(file, one) for one in error.errors(include_url=False))) from None
     for field, values in (
@@ -450,7 +452,7 @@ def _png(image: np.ndarray) -> bytes:
     return data.tobytes()
 
 
-def _has_files(folder: Path, one: ImageRecord) -> bool:
+def _has_files(folder: Path, one: _ImageRecord) -> bool:
     """Whether a view's files are there and end as they should."""
     files = [folder / name for name in (one.rgb, one.depth, one.instance)]
     return all(file.is_file() and _is_whole(file.read_bytes()) for file in files)

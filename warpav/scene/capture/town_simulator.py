@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 PANE_OPACITY = 0.6
 """Share of a pixel's colour that a window pane gives; the rest is what lies behind it."""
-INSIDE_SHADE = 0.3
+_INSIDE_SHADE = 0.3
 """Surfaces seen from inside a vehicle are this bright."""
 _MAX_PANES = 8
 _PAST_PANE_M = 1e-4
@@ -158,7 +158,7 @@ class _Caster:
             a, b, c = np.moveaxis(self._corner_rgb[triangle], 1, 0)
             colour = (1.0 - u - v)[:, None] * a + u[:, None] * b + v[:, None] * c
             is_inside = np.einsum("ij,ij->i", hit["Ng"][seen], direction[waiting]) > 0.0
-            colour[is_inside & (self._instance[triangle] != ENVIRONMENT_INSTANCE)] *= INSIDE_SHADE
+            colour[is_inside & (self._instance[triangle] != ENVIRONMENT_INSTANCE)] *= _INSIDE_SHADE
             if layer == 0:
                 instance[waiting] = self._instance[triangle]
             passed_m[waiting] += distance

@@ -50,7 +50,7 @@ class ObjectCloud:
 
 
 @dataclass(frozen=True, eq=False)
-class SceneClouds:
+class _SceneClouds:
     """The point clouds of a situation."""
 
     environment: PointCloud  # what is no vehicle, up to the radius
@@ -61,7 +61,7 @@ class SceneClouds:
 
 def fuse(
     capture: Capture, images: Sequence[CapturedImage], settings: CloudSettings, *, thread_count: int = 2
-) -> SceneClouds:
+) -> _SceneClouds:
     """Point clouds of everything that the images show.
 
     The instance image assigns each pixel to an object, and the 3D boxes correct it (figure 7): through a window pane
@@ -81,7 +81,7 @@ def fuse(
     environment, sphere = near.below(settings.max_height_m), sphere.below(settings.max_height_m)
     with ThreadPoolExecutor(thread_count) as pool:
         objects = list(pool.map(lambda k: _outside(joined(parts[k]), boxes[k], rays[k]), range(len(ids))))
-    return SceneClouds(environment, sphere, objects[0], tuple(objects[1:]))
+    return _SceneClouds(environment, sphere, objects[0], tuple(objects[1:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +109,7 @@ def _image_share(
         parts.append(cloud.chosen(inside))
         is_around[inside] = False
         kept = row[inside] * image.instance.shape[1] + column[inside]
-        rays.append(pixel_rays(image, np.setdiff1d(passed, kept, assume_unique=True)))
+        rays.append(_pixel_rays(image, np.setdiff1d(passed, kept, assume_unique=True)))
     around = np.flatnonzero(is_around)
     around = around[first_in_cells(cloud.point_m[around], settings.environment_grid_m)]
     for box in boxes:
@@ -137,7 +137,7 @@ def unproject(image: CapturedImage, *, far_depth_m: float) -> tuple[PointCloud, 
     return cloud, image.instance[row, column], row, column
 
 
-def pixel_rays(image: CapturedImage, pixel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _pixel_rays(image: CapturedImage, pixel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Origins [m] and directions of the rays of pixels (flat indices), each [ray, 3]."""
     row, column = np.divmod(pixel, image.instance.shape[1])
     ray = image.view.model.rays(np.stack([column + 0.5, row + 0.5], axis=-1)).reshape(-1, 3)

@@ -15,7 +15,7 @@ import warp as wp
 
 from warpav_kernels.reconstruction import poisson
 
-MAX_NODE_COUNT = 20_000_000
+_MAX_NODE_COUNT = 20_000_000
 """Largest grid; a node takes about 40 bytes."""
 _SPARSE_LEVELS = 3  # grids on which points are splat: cells of 1, 2 and 4 times the length
 _MIN_PER_FACE = 1.5  # points per face of a cell below which the next coarser grid is taken
@@ -135,11 +135,11 @@ def _grids_around(point_m: np.ndarray, cell_m: float, margin_m: float, device: s
     unit = 2.0 ** (levels - 1)
     cells = np.ceil(cells / unit) * unit
     node_count = float(np.prod(cells + 1.0))
-    if node_count > MAX_NODE_COUNT:
-        fitting_m = 1.05 * cell_m * (node_count / MAX_NODE_COUNT) ** (1 / 3)
+    if node_count > _MAX_NODE_COUNT:
+        fitting_m = 1.05 * cell_m * (node_count / _MAX_NODE_COUNT) ** (1 / 3)
         size = " x ".join(f"{length:.3g}" for length in high_m - low_m)
         raise ValueError(
-            f"a grid of {size} m in cells of {cell_m} m has {node_count:.2g} nodes, more than {MAX_NODE_COUNT:.0e};"
+            f"a grid of {size} m in cells of {cell_m} m has {node_count:.2g} nodes, more than {_MAX_NODE_COUNT:.0e};"
             f" use cell_m={fitting_m:.2g} or fewer far points"
         )
     lower_m = 0.5 * (low_m + high_m) - 0.5 * cells * cell_m

@@ -23,7 +23,7 @@ from warpav.scene.scene import BLACK_SKY, Box, Scene, Sky, Vehicle
 
 MIN_POINTS = 200
 """A vehicle of fewer points is no vehicle."""
-MOST_RAYS = 40_000
+_MOST_RAYS = 40_000
 """Of more rays to where an object has surface without points, a part is enough."""
 _BELOW_SPACING_M = 0.25  # of the ground points below a vehicle
 _SKY_STEP = 7  # stride of the pixels that determine the sky's colour
@@ -127,7 +127,7 @@ def _unseen_points(vertex_m: np.ndarray, triangle: np.ndarray, one: ObjectCloud)
         return np.zeros((0, 3), np.float32)
     caster = EmbreeScene()
     TriangleMesh(caster, vertex_m[triangle].astype(np.float32))
-    step = -(-len(one.ray_origin_m) // MOST_RAYS)
+    step = -(-len(one.ray_origin_m) // _MOST_RAYS)
     origin = np.ascontiguousarray(one.ray_origin_m[::step], np.float32)
     direction = np.ascontiguousarray(one.ray_direction[::step], np.float32)
     hit = caster.run(origin, direction, output=True)

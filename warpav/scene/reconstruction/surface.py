@@ -380,7 +380,7 @@ def _split_by_colour(vertex: np.ndarray, corner_rgb: np.ndarray, weight: np.ndar
     return np.unique(np.where(moves, vertex + count, vertex), return_inverse=True)[1]
 
 
-SurfaceMethod = Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
+_SurfaceMethod = Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
 """From points [m], unit normals, sensor positions [m] (each [point, 3]) and the length of a cell [m] to vertices [m]
 and triangles."""
 
@@ -418,7 +418,7 @@ def _nksr(
     return mesh.v.cpu().numpy().astype(np.float32), mesh.f.cpu().numpy().astype(np.int32)
 
 
-SURFACE_METHODS: dict[str, SurfaceMethod] = {
+SURFACE_METHODS: dict[str, _SurfaceMethod] = {
     "poisson": _poisson,
     "signed_distance": _signed_distance,
     "nksr": _nksr,

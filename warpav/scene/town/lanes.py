@@ -96,9 +96,9 @@ def lane_vehicles(
 HEADWAY_S = 1.5
 """Time in which a driver reaches what is ahead in its lane now, at least."""
 STREET_KM_H = (30.0, 50.0)
-CAR_PARK_KM_H = (5.0, 15.0)
-CYCLIST_M_S = (4.0, 6.0)
-PEDESTRIAN_M_S = (1.1, 1.7)
+_CAR_PARK_KM_H = (5.0, 15.0)
+_CYCLIST_M_S = (4.0, 6.0)
+_PEDESTRIAN_M_S = (1.1, 1.7)
 _M_S_PER_KM_H = 1.0 / 3.6
 _STOP_LINE_M = 1.1  # from the edge of the street with priority
 
@@ -118,13 +118,13 @@ def velocities_m_s(
     users: Sequence[RoadUser], obstacles: Sequence[Footprint], layout: Layout, rng: np.random.Generator
 ) -> np.ndarray:
     """Random velocities over ground in the town frame [m/s], float64 [user, 2]."""
-    limit_m_s = np.multiply(CAR_PARK_KM_H if layout.template == "car_park" else STREET_KM_H, _M_S_PER_KM_H)
+    limit_m_s = np.multiply(_CAR_PARK_KM_H if layout.template == "car_park" else STREET_KM_H, _M_S_PER_KM_H)
     things = [*(user.footprint for user in users), *obstacles, *_stop_lines(layout)]
     centre_m = np.array([(thing.x_m, thing.y_m) for thing in things])
     radius_m = np.array([0.5 * np.hypot(thing.length_m, thing.width_m) for thing in things])
     velocity = np.zeros((len(users), 2))
     for k, user in enumerate(users):
-        usual = {"pedestrian": PEDESTRIAN_M_S, "cyclist": CYCLIST_M_S}.get(user.category, limit_m_s)
+        usual = {"pedestrian": _PEDESTRIAN_M_S, "cyclist": _CYCLIST_M_S}.get(user.category, limit_m_s)
         low, high = user.free_m_s or usual
         speed_m_s = rng.uniform(low, high)
         if user.heading_rad is None:

@@ -22,7 +22,7 @@ from warpav.scene.town.street_life import Footprint
 from warpav.scene.town.surface_builder import StreetGround
 from warpav.scene.town.town_layout import Marking, Slot
 
-MOTORWAY_REACH_M = 232.0
+_MOTORWAY_REACH_M = 232.0
 USERS_REACH_M = 200.0
 """Road users are no farther from the ego vehicle."""
 _FIELD_M = 130.0  # from the middle to the edge of the ground
@@ -165,7 +165,7 @@ class _Builder:
 
     def build(self) -> None:
         """Ground, lines, barriers, signs, bridges, trees."""
-        section, scenery, reach = self._section, self._scenery, MOTORWAY_REACH_M
+        section, scenery, reach = self._section, self._scenery, _MOTORWAY_REACH_M
         scenery.add_ground((-reach, -section.median_m, reach, section.median_m), 0.0, _GRASS * 0.95, 0.02, _ROAD_CELL_M)
         for sign in (-1.0, 1.0):
             low, high = sorted((sign * section.median_m, sign * section.edge_m))
@@ -189,22 +189,22 @@ class _Builder:
                 self._add_bridge(sign * self._rng.uniform(35.0, 170.0))
             if self._rng.random() < 0.5:
                 self._add_gantry(sign * self._rng.uniform(25.0, 190.0), sign)
-            self._add_wood(sign * MOTORWAY_REACH_M)
+            self._add_wood(sign * _MOTORWAY_REACH_M)
 
     def _add_lines(self, sign: float) -> None:
         section, add = self._section, self._scenery.add_marking
         for y in (section.first_m - 0.15, section.last_m + 0.1):
             low, high = sorted((sign * (y - 1.5 * _LINE_HALF_M), sign * (y + 1.5 * _LINE_HALF_M)))
-            add(Marking((-MOTORWAY_REACH_M, low, MOTORWAY_REACH_M, high)))
+            add(Marking((-_MOTORWAY_REACH_M, low, _MOTORWAY_REACH_M, high)))
         phase = self._rng.uniform(0.0, 18.0)
         for index in range(1, section.lanes):
             y = sign * (section.first_m + index * section.lane_m)
-            for x in np.arange(-MOTORWAY_REACH_M + phase, MOTORWAY_REACH_M - 6.0, 18.0):
+            for x in np.arange(-_MOTORWAY_REACH_M + phase, _MOTORWAY_REACH_M - 6.0, 18.0):
                 add(Marking((float(x), y - _LINE_HALF_M, float(x) + 6.0, y + _LINE_HALF_M)))
 
     def _add_rail(self, y_m: float, faces: float) -> None:
         """A steel beam on posts along the whole road; the posts stand on the side away from the traffic."""
-        reach = MOTORWAY_REACH_M
+        reach = _MOTORWAY_REACH_M
         self._scenery.add_box((-reach, y_m - 0.06, 0.46), (reach, y_m + 0.06, 0.60), _STEEL * 0.92, steps=20)
         self._scenery.add_box((-reach, y_m - 0.06, 0.63), (reach, y_m + 0.06, 0.77), _STEEL, steps=20)
         for low, high, spacing in ((-reach, -72.0, 12.0), (-72.0, 72.0, 4.0), (72.0, reach, 12.0)):
@@ -224,9 +224,9 @@ class _Builder:
         y = sign * (self._section.edge_m + rng.uniform(2.5, 5.0))
         height, panel = float(rng.uniform(2.5, 4.5)), 6.0
         colour = _WALLS[int(rng.integers(len(_WALLS)))]
-        start, end = np.sort(rng.uniform(-MOTORWAY_REACH_M, MOTORWAY_REACH_M, 2))
+        start, end = np.sort(rng.uniform(-_MOTORWAY_REACH_M, _MOTORWAY_REACH_M, 2))
         if end - start < 120.0:
-            start, end = -MOTORWAY_REACH_M, MOTORWAY_REACH_M
+            start, end = -_MOTORWAY_REACH_M, _MOTORWAY_REACH_M
         for x in np.arange(start, end - panel, panel):
             shade = colour * rng.uniform(0.95, 1.03)
             self._scenery.add_box((x, y - 0.08, 0.0), (x + panel - 0.25, y + 0.08, 0.5), _CONCRETE * 0.85)
@@ -272,7 +272,7 @@ class _Builder:
         """Bushes and trees of a few triangles in the fields."""
         rng = self._rng
         for _ in range(int(rng.integers(12, 45))):
-            x = float(rng.uniform(-MOTORWAY_REACH_M + 5.0, MOTORWAY_REACH_M - 5.0))
+            x = float(rng.uniform(-_MOTORWAY_REACH_M + 5.0, _MOTORWAY_REACH_M - 5.0))
             y = sign * (self._section.edge_m + _VERGE_M + 3.0 + float(rng.exponential(22.0)))
             if abs(y) < _FIELD_M - 6.0:
                 self._add_tree(x, y, float(rng.uniform(2.5, 11.0)))

@@ -108,7 +108,7 @@ PAINT_COLOURS = np.array(
         (0.55, 0.25, 0.05),
     ]
 )
-BUS_COLOURS = np.array(
+_BUS_COLOURS = np.array(
     [
         (0.55, 0.03, 0.025),
         (0.62, 0.42, 0.03),
@@ -118,12 +118,12 @@ BUS_COLOURS = np.array(
         (0.60, 0.19, 0.02),
     ]
 )
-PAINT_SHARES = np.array([20, 8, 14, 10, 9, 7, 11, 6, 5, 5, 2, 2, 3, 1]) / 103.0
+_PAINT_SHARES = np.array([20, 8, 14, 10, 9, 7, 11, 6, 5, 5, 2, 2, 3, 1]) / 103.0
 
 SKY_LIGHT, SUN_LIGHT, BOUNCE_LIGHT = 0.62, 0.34, 0.04
-GROUND_ALBEDO = 0.18  # an occlusion ray that ends on the road still brings this share of the light
-OCCLUSION_RAYS = 64
-OCCLUSION_STEPS = 64  # occlusion is kept on this grid, so that the last bit of a ray caster does not matter
+_GROUND_ALBEDO = 0.18  # an occlusion ray that ends on the road still brings this share of the light
+_OCCLUSION_RAYS = 64
+_OCCLUSION_STEPS = 64  # occlusion is kept on this grid, so that the last bit of a ray caster does not matter
 _RAY_OFFSET_M = 0.03
 _GAMMA = 2.2
 _REFLECTED_TINT = np.array([0.87, 0.93, 1.0])
@@ -134,11 +134,11 @@ _ENVIRONMENT_LIGHT = [0.10, 0.13, 0.16, 0.22, 0.45, 0.95, 1.0]
 
 def drawn_paint(kind: str, rng: np.random.Generator) -> np.ndarray:
     """A random paint of a kind of vehicle, linear albedo, shape [3]."""
-    paint = PAINT_COLOURS[int(rng.choice(len(PAINT_COLOURS), p=PAINT_SHARES))] * rng.uniform(0.9, 1.1)
-    return BUS_COLOURS[int(rng.integers(len(BUS_COLOURS)))] if kind == "bus" else paint
+    paint = PAINT_COLOURS[int(rng.choice(len(PAINT_COLOURS), p=_PAINT_SHARES))] * rng.uniform(0.9, 1.1)
+    return _BUS_COLOURS[int(rng.integers(len(_BUS_COLOURS)))] if kind == "bus" else paint
 
 
-def linear_to_srgb(linear: np.ndarray) -> np.ndarray:
+def _linear_to_srgb(linear: np.ndarray) -> np.ndarray:
     """Colours 0..255 (uint8) of linear light 0..1 (clipped)."""
     return np.round(255.0 * np.clip(linear, 0.0, 1.0) ** (1.0 / _GAMMA)).astype(np.uint8)
 
@@ -164,15 +164,15 @@ def sky_share_at(corner_m: np.ndarray, point_m: np.ndarray, normal: np.ndarray) 
     origin = (point_m + _RAY_OFFSET_M * normal).astype(np.float32)
     light = np.zeros(len(origin))
     weight = np.zeros(len(origin))
-    for direction in _sphere_directions(OCCLUSION_RAYS):
+    for direction in _sphere_directions(_OCCLUSION_RAYS):
         cosine = normal[:, 0] * direction[0]
         cosine += normal[:, 1] * direction[1] + normal[:, 2] * direction[2]
         lit = np.nonzero(cosine > 0.02)[0]
         ray = np.broadcast_to(direction.astype(np.float32), (len(lit), 3))
         free = caster.run(origin[lit], np.ascontiguousarray(ray), query="OCCLUDED") < 0
-        light[lit] += cosine[lit] * free * (1.0 if direction[2] > 0.0 else GROUND_ALBEDO)
+        light[lit] += cosine[lit] * free * (1.0 if direction[2] > 0.0 else _GROUND_ALBEDO)
         weight[lit] += cosine[lit]
-    return np.round(light / np.maximum(weight, 1e-6) * OCCLUSION_STEPS) / OCCLUSION_STEPS
+    return np.round(light / np.maximum(weight, 1e-6) * _OCCLUSION_STEPS) / _OCCLUSION_STEPS
 
 
 def painted_mesh(surface: Surface, sky: np.ndarray, own_albedo: Mapping[Material, np.ndarray]) -> Mesh:
@@ -199,7 +199,7 @@ def lit_rgb(normal: np.ndarray, sky: np.ndarray, albedo: np.ndarray, mirror: np.
     reflected = np.interp(mirrored, _ENVIRONMENT_ELEVATION, _ENVIRONMENT_LIGHT) * np.minimum(0.35 + sky, 1.0)
     linear = albedo * irradiance[:, None]
     linear += mirror[:, None] * reflected[:, None] * _REFLECTED_TINT
-    return linear_to_srgb(linear)
+    return _linear_to_srgb(linear)
 
 
 @cache

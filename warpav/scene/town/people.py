@@ -15,11 +15,11 @@ from warpav.raster.mesh import Mesh
 from warpav.scene.town.paint import Material, painted_mesh, sky_share
 from warpav.scene.town.surface_builder import Surface, SurfaceBuilder
 
-PEDESTRIAN_VARIANTS = 6
+_PEDESTRIAN_VARIANTS = 6
 """Poses and clothes: two steps, standing, a coat, a rucksack, a hand bag."""
-CYCLIST_VARIANTS = 2
+_CYCLIST_VARIANTS = 2
 """Upright with a helmet, and leaning forward."""
-MOTORCYCLIST_VARIANTS = 2
+_MOTORCYCLIST_VARIANTS = 2
 """On a motorcycle, and on a scooter."""
 
 _THIGH_M, _SHIN_M = 0.435, 0.425
@@ -263,9 +263,9 @@ def _motorcyclist_surface(builder: SurfaceBuilder, variant: int) -> Surface:
 
 
 _SURFACES = {
-    "pedestrian": (_pedestrian_surface, PEDESTRIAN_VARIANTS),
-    "cyclist": (_cyclist_surface, CYCLIST_VARIANTS),
-    "motorcyclist": (_motorcyclist_surface, MOTORCYCLIST_VARIANTS),
+    "pedestrian": (_pedestrian_surface, _PEDESTRIAN_VARIANTS),
+    "cyclist": (_cyclist_surface, _CYCLIST_VARIANTS),
+    "motorcyclist": (_motorcyclist_surface, _MOTORCYCLIST_VARIANTS),
 }
 
 

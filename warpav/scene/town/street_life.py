@@ -94,7 +94,7 @@ def _circle_of(footprint: Footprint) -> tuple[float, float, float]:
 
 
 @dataclass(frozen=True)
-class Furnishing:
+class _Furnishing:
     """What was set up in a town."""
 
     meshes: tuple[Mesh, ...]  # the pieces, in the town frame
@@ -183,7 +183,7 @@ def _turned(mesh: Mesh, yaw_rad: float, place_m: np.ndarray) -> Mesh:
     return mesh.transformed(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), place_m)
 
 
-class Furnisher:
+class _Furnisher:
     """Collects pieces that do not stand in each other."""
 
     def __init__(self, rng: np.random.Generator, ground: StreetGround) -> None:
@@ -205,9 +205,11 @@ class Furnisher:
         self.meshes.append(_turned(mesh, yaw_rad, np.array([place[0], place[1], z])))
 
 
-def furnish(layout: Layout, rng: np.random.Generator, ground: StreetGround, *, reach_m: float = _REACH_M) -> Furnishing:
+def furnish(
+    layout: Layout, rng: np.random.Generator, ground: StreetGround, *, reach_m: float = _REACH_M
+) -> _Furnishing:
     """Random furniture on the pavements near the ego vehicle, and in some scenes road works in a lane."""
-    furnisher = Furnisher(rng, ground)
+    furnisher = _Furnisher(rng, ground)
     markings: list[Marking] = []
     ego = np.array([layout.ego.x_m, layout.ego.y_m])
     if rng.random() < _WORKS_SHARE:
@@ -243,10 +245,10 @@ def furnish(layout: Layout, rng: np.random.Generator, ground: StreetGround, *, r
             first = rng.uniform(low, high)
             for along in np.arange(first, min(first + 12.0, high), 1.7):
                 furnisher.put("bollard", strip.at(along, _KERB_CLEAR_M - 0.1), strip.yaw_rad, KERB_HEIGHT_M)
-    return Furnishing(tuple(furnisher.meshes), tuple(furnisher.footprints), tuple(markings))
+    return _Furnishing(tuple(furnisher.meshes), tuple(furnisher.footprints), tuple(markings))
 
 
-def _put_works(furnisher: Furnisher, layout: Layout, rng: np.random.Generator) -> list[Marking]:
+def _put_works(furnisher: _Furnisher, layout: Layout, rng: np.random.Generator) -> list[Marking]:
     """Close part of a lane off: barriers at both ends, cones along the side, a patch without asphalt inside."""
     ego = np.array([layout.ego.x_m, layout.ego.y_m])
     lanes = [

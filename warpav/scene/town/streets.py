@@ -46,7 +46,7 @@ class Traffic:
 
 
 @dataclass(frozen=True)
-class StreetPlan:
+class _StreetPlan:
     """One plan."""
 
     layout: Layout  # asphalt, blocks, markings; its slots are parking bays, and places in lanes for road works
@@ -102,7 +102,7 @@ class _Drawing:
         return [(each.west_m - margin_m, each.east_m + margin_m) for each in self.junctions]
 
 
-def street_plan(traffic: Traffic, rng: np.random.Generator) -> StreetPlan:
+def _street_plan(traffic: Traffic, rng: np.random.Generator) -> _StreetPlan:
     """A random plan, mirrored half of the time."""
     lane = float(rng.uniform(3.1, 3.5))
     count = 2 if rng.random() < 0.4 else 1
@@ -138,16 +138,16 @@ def street_plan(traffic: Traffic, rng: np.random.Generator) -> StreetPlan:
         tuple(drawing.crossings),
     )
     lanes, cycle_lanes = tuple(drawing.lanes), tuple(drawing.cycle_lanes)
-    plan = StreetPlan(layout, lanes, cycle_lanes, tuple(drawing.open_crossings), half, drawing.pavement_m)
+    plan = _StreetPlan(layout, lanes, cycle_lanes, tuple(drawing.open_crossings), half, drawing.pavement_m)
     return _mirrored(plan) if rng.random() < 0.5 else plan
 
 
-def _mirrored(plan: StreetPlan) -> StreetPlan:
+def _mirrored(plan: _StreetPlan) -> _StreetPlan:
     def lane(one: Lane) -> Lane:
         x, y = one.start_m
         return Lane(**{**vars(one), "start_m": (x, -y), "yaw_rad": -one.yaw_rad})
 
-    return StreetPlan(
+    return _StreetPlan(
         plan.layout.mirrored(),
         tuple(map(lane, plan.lanes)),
         tuple(map(lane, plan.cycle_lanes)),
@@ -346,7 +346,7 @@ TRAFFIC = {
 def street_world(level: str, rng: np.random.Generator, world: LevelWorld) -> None:
     """Build a street of a level and its traffic into a world."""
     traffic = TRAFFIC[level]
-    plan = street_plan(traffic, rng)
+    plan = _street_plan(traffic, rng)
     ahead, behind = rng.uniform(*_GRADE, 2) * rng.choice([-1.0, 1.0], 2)
     is_level = rng.random() >= _GRADE_SHARE
     ground = StreetGround() if is_level else StreetGround(0.0, ahead, behind, reach_m=130.0, only_bends=True)
@@ -372,7 +372,7 @@ def street_world(level: str, rng: np.random.Generator, world: LevelWorld) -> Non
 class _Life:
     """Puts road users into a world, those first whom the others have to leave room for."""
 
-    def __init__(self, plan: StreetPlan, traffic: Traffic, world: LevelWorld, rng: np.random.Generator) -> None:
+    def __init__(self, plan: _StreetPlan, traffic: Traffic, world: LevelWorld, rng: np.random.Generator) -> None:
         self._plan, self._traffic, self._world, self._rng = plan, traffic, world, rng
         self._side = float(np.sign(plan.layout.ego.y_m))  # on which the ego vehicle drives
         self._bays: list[tuple[Slot, PlacedVehicle]] = []

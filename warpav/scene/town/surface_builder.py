@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-WELD_GRID_M = 1e-5  # vertices nearer than this are one vertex
-CREASE_COSINE = float(np.cos(np.radians(42.0)))  # flatter edges are shaded smoothly
+_WELD_GRID_M = 1e-5  # vertices nearer than this are one vertex
+_CREASE_COSINE = float(np.cos(np.radians(42.0)))  # flatter edges are shaded smoothly
 NORMAL_STEPS = 64  # normals are compared on this grid when vertices are shared
 
 
@@ -140,7 +140,7 @@ class SurfaceBuilder:
     def finish(self) -> Surface:
         """Weld all shells and compute shading normals."""
         vertex, triangle, material = (np.concatenate(parts) for parts in (self._vertex, self._triangle, self._material))
-        key, weld = np.unique(_row_key(np.round(vertex / WELD_GRID_M).astype(np.int64)), return_inverse=True)
+        key, weld = np.unique(_row_key(np.round(vertex / _WELD_GRID_M).astype(np.int64)), return_inverse=True)
         position = np.empty((len(key), 3))
         position[weld] = vertex
         corner = weld[triangle]
@@ -200,7 +200,7 @@ def corner_normals(position_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
     left = np.repeat(np.arange(triangle.size), valence)
     within = np.arange(len(left)) - np.repeat(np.cumsum(valence) - valence, valence)
     right = order[np.repeat(start[triangle.ravel()], valence) + within]
-    smooth = np.einsum("ij,ij->i", unit[left // 3], unit[right // 3]) > CREASE_COSINE
+    smooth = np.einsum("ij,ij->i", unit[left // 3], unit[right // 3]) > _CREASE_COSINE
     left, right = left[smooth], right[smooth]
     total = np.stack(
         [np.bincount(left, area_normal[right // 3, axis], minlength=triangle.size) for axis in range(3)], axis=1
@@ -210,7 +210,7 @@ def corner_normals(position_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
     return total.reshape(-1, 3, 3)
 
 
-KNOT_SPACING_M = 2.0
+_KNOT_SPACING_M = 2.0
 """The surface is made of planes between multiples of this x; whatever is split there lies on it exactly."""
 _LEVEL_REACH_M = 4.5  # the ego vehicle stands on level ground
 _CURVE_LENGTH_M = 20.0  # in which the road bends from level to its grade
@@ -233,7 +233,7 @@ class StreetGround:
     ) -> None:
         """StreetGround through height 0."""
         self.is_level = ahead == 0.0 and behind == 0.0
-        self._knot = np.arange(-reach_m, reach_m + 0.5 * KNOT_SPACING_M, KNOT_SPACING_M)
+        self._knot = np.arange(-reach_m, reach_m + 0.5 * _KNOT_SPACING_M, _KNOT_SPACING_M)
         beyond = np.maximum(np.abs(self._knot - centre_x_m) - _LEVEL_REACH_M, 0.0)
         bent = np.minimum(beyond, curve_m)
         risen = bent**2 / (2.0 * curve_m) + beyond - bent

@@ -32,7 +32,7 @@ _FILL_ROUNDS = 4
 _SECTOR_COUNT = 8
 # Beside the ego vehicle, where its own body hides much of them, only this share of the vehicles that could stand do.
 _BESIDE_M, _BESIDE_LONG_M, _BESIDE_SHARE = 2.4, 4.0, 0.08
-KIND_SHARES = {
+_KIND_SHARES = {
     "hatchback": 0.25,
     "saloon": 0.18,
     "estate": 0.14,
@@ -44,7 +44,7 @@ KIND_SHARES = {
 _LATERAL_JITTER_M, _YAW_JITTER_RAD = 0.10, 0.020
 _GRADE_SHARE = 0.4  # of the streets are on a grade
 _GRADE_MIN, _GRADE_MAX = 0.02, 0.06
-TOWN_STREAM = 0x70F3  # keeps the town's random numbers apart from other uses of the same seed
+_TOWN_STREAM = 0x70F3  # keeps the town's random numbers apart from other uses of the same seed
 
 
 @dataclass(frozen=True)
@@ -86,8 +86,8 @@ def _world(seed: int, exchange: Exchange | None) -> TownWorld:
 
 
 def _try_world(seed: int, attempt: int, exchange: Exchange | None) -> TownWorld | None:
-    rng = np.random.default_rng([TOWN_STREAM, seed, attempt])
-    life_rng = np.random.default_rng([TOWN_STREAM, seed, attempt, 1])
+    rng = np.random.default_rng([_TOWN_STREAM, seed, attempt])
+    life_rng = np.random.default_rng([_TOWN_STREAM, seed, attempt, 1])
     layout = town_layout(rng)
     ground = _ground(layout, life_rng)
     ego = ego_vehicle()
@@ -147,7 +147,7 @@ def _try_world(seed: int, attempt: int, exchange: Exchange | None) -> TownWorld 
         in_ego_frame = mesh.transformed(np.eye(3), -origin)
         vehicles.append(Vehicle(number, one.kind, in_ego_frame, upright_box(in_ego_frame, one.footprint.yaw_rad)))
     others = [person.road_user(number, origin) for number, person in enumerate(persons, start=len(placed) + 1)]
-    motion_rng = np.random.default_rng([TOWN_STREAM, seed, attempt, 2])
+    motion_rng = np.random.default_rng([_TOWN_STREAM, seed, attempt, 2])
     moving = [
         RoadUser("ego", ego_footprint, layout.ego.yaw_rad),
         *(RoadUser(one.kind, one.footprint, one.lane_yaw_rad) for one in placed),
@@ -206,7 +206,7 @@ def _ordered_slots(layout: Layout, rng: np.random.Generator) -> list[Slot]:
 
 def _park(slot: Slot, rng: np.random.Generator) -> PlacedVehicle | None:
     """A random vehicle on a slot, or None if the drawn one is too long for it."""
-    drawn = drawn_vehicle(KIND_SHARES, rng)
+    drawn = drawn_vehicle(_KIND_SHARES, rng)
     mesh = drawn.mesh()
     across = rng.uniform(-_LATERAL_JITTER_M, _LATERAL_JITTER_M)
     yaw = slot.yaw_rad + rng.uniform(-_YAW_JITTER_RAD, _YAW_JITTER_RAD)

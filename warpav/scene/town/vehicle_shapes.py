@@ -499,11 +499,6 @@ def _baked(kind: str, variant: int, coarse: bool) -> tuple[Surface, np.ndarray]:
     return surface, sky_share(surface)
 
 
-def vehicle_kinds() -> tuple[str, ...]:
-    """The kinds that `vehicle_mesh` builds."""
-    return tuple(VEHICLE_SPECS)
-
-
 def vehicle_mesh(
     kind: str, paint: np.ndarray, *, variant: int = 0, scale: ArrayLike = (1.0, 1.0, 1.0), coarse: bool = False
 ) -> Mesh:

@@ -207,7 +207,7 @@ HIGH_VAN = replace(
 
 
 @dataclass(frozen=True)
-class CargoSpec:
+class _CargoSpec:
     """Measures of the box behind a lorry's cab [m]; x counts backwards from the cab's rear wall."""
 
     length_m: float = 4.6  # length of the cargo box
@@ -219,7 +219,7 @@ class CargoSpec:
     rear_axles_m: tuple[float, ...] = field(default=(3.35,))  # how far behind the cab's rear wall the rear axles stand
 
 
-CARGO = CargoSpec()
+CARGO = _CargoSpec()
 # The ego vehicle: a tall estate whose upper surfaces are smooth and free of rails and aerials.
 EGO_SPEC = replace(
     _ESTATE,

@@ -75,7 +75,7 @@ def _read(path: Path, stamp: tuple[int, int]) -> Recording:
         if path.is_dir():
             return read_log(path)
         content = read_bytes(path, "recorded traffic", bytes_max=DATA_SET_BYTES_MAX)
-        return read_xml(content) if ".xml" in path.name else _from_json(content)
+        return _read_xml(content) if ".xml" in path.name else _from_json(content)
     except InputError as error:
         text = str(error)
         raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from None
@@ -179,7 +179,7 @@ def _numbers(data: Any, name: str, place: str, dimensions: int) -> np.ndarray:  
     return array
 
 
-VERSIONS = ("2018b", "2020a")
+_VERSIONS = ("2018b", "2020a")
 _CLASS_OF_TYPE = {
     "car": "car",
     "taxi": "car",
@@ -193,14 +193,14 @@ _CLASS_OF_TYPE = {
 }
 
 
-def read_xml(content: bytes) -> Recording:
+def _read_xml(content: bytes) -> Recording:
     """The recording of a scenario."""
     root = parse_xml(content, "", "a whole CommonRoad scenario", nodes_max=DATA_SET_NODES_MAX)
     if root.tag != "commonRoad":
         raise InputError(f"expected a CommonRoad scenario, got <{root.tag}>")
     version = root.get("commonRoadVersion", "")
-    if version not in VERSIONS:
-        raise InputError(f"commonRoadVersion: expected {' or '.join(VERSIONS)}, got {version!r}")
+    if version not in _VERSIONS:
+        raise InputError(f"commonRoadVersion: expected {' or '.join(_VERSIONS)}, got {version!r}")
     users = [user for element in _obstacles(root) if (user := _obstacle(element)) is not None]
     last = max((int(user.step[-1]) for user in users), default=0)
     static_ids = _static_ids(root)

@@ -16,7 +16,7 @@ from warpav.core.errors import InputError
 CLASSES = ("car", "truck", "bus", "motorcycle", "bicycle", "pedestrian")
 """What road users can be. Two-wheelers have their riders on them."""
 
-POSSIBLE_SIZE_M = {
+_POSSIBLE_SIZE_M = {
     "car": ((2.0, 25.0), (0.9, 3.2), (0.9, 4.6)),
     "truck": ((2.5, 30.0), (1.2, 3.6), (1.5, 4.8)),
     "bus": ((4.0, 30.0), (1.5, 3.6), (1.8, 4.8)),
@@ -26,11 +26,11 @@ POSSIBLE_SIZE_M = {
 }
 """Least and greatest length, width and height by class. Recorded cars may be long vehicles of any kind."""
 
-STEP_MAX = 1_000_000
+_STEP_MAX = 1_000_000
 """The last step that a recording may have, 27 hours at 10 Hz: beyond there are timestamps."""
 
-POSSIBLE_SPEED_M_S = 90.0
-SPEED_RATIO = (0.6, 1.7)
+_POSSIBLE_SPEED_M_S = 90.0
+_SPEED_RATIO = (0.6, 1.7)
 """Recorded speeds over those by positions, median of a recording: what lies outside contradicts the positions."""
 
 _MOVING_M_S = 1.5
@@ -128,11 +128,11 @@ def check_step(value: float, place: str) -> None:
     """Make sure that a number is a step."""
     if value % 1 != 0:
         raise InputError(f"{place}: expected whole steps, got {value:g}")
-    if not 0 <= value <= STEP_MAX:
-        raise InputError(f"{place}: expected steps from 0 to {STEP_MAX}, in units of dt_s, got {value:.15g}")
+    if not 0 <= value <= _STEP_MAX:
+        raise InputError(f"{place}: expected steps from 0 to {_STEP_MAX}, in units of dt_s, got {value:.15g}")
 
 
-def overlap_m(one: RecordedState, other: RecordedState) -> float:
+def _overlap_m(one: RecordedState, other: RecordedState) -> float:
     """How far two boxes would have to move apart at least [m]; 0 where they do not overlap."""
     corner = one.corners_m(), other.corners_m()
     depth = math.inf
@@ -155,7 +155,7 @@ def deepest_overlap(states: list[RecordedState]) -> tuple[float, tuple[str, str]
     away = np.linalg.norm(centre[:, None] - centre, axis=2)
     near = np.argwhere(np.triu(away < reach[:, None] + reach, 1))
     for i, j in near.tolist():
-        depth = overlap_m(states[i], states[j])
+        depth = _overlap_m(states[i], states[j])
         if depth > deepest:
             deepest, pair = depth, (states[i].user.user_id, states[j].user.user_id)
     return deepest, pair
@@ -208,7 +208,7 @@ def _check_user(user: RecordedUser) -> None:
     if user.category not in CLASSES:
         raise InputError(f"{place}: type: expected one of {', '.join(CLASSES)}, got {user.category!r}")
     for name, value, (low, high) in zip(
-        ("length_m", "width_m", "height_m"), user.size_m, POSSIBLE_SIZE_M[user.category], strict=True
+        ("length_m", "width_m", "height_m"), user.size_m, _POSSIBLE_SIZE_M[user.category], strict=True
     ):
         if name == "height_m" and math.isnan(value):
             continue
@@ -239,9 +239,9 @@ def _check_motion(recording: Recording) -> None:
             continue
         way_m = user.pose[span:, :2] - user.pose[:-span, :2]
         speed = np.linalg.norm(way_m, axis=1) / ((user.step[span:] - user.step[:-span]) * recording.step_s)
-        if speed.max() > POSSIBLE_SPEED_M_S:
+        if speed.max() > _POSSIBLE_SPEED_M_S:
             raise InputError(
-                f"road user {user.user_id}: expected at most {POSSIBLE_SPEED_M_S:g} m/s by its positions, got "
+                f"road user {user.user_id}: expected at most {_POSSIBLE_SPEED_M_S:g} m/s by its positions, got "
                 f"{speed.max():.0f}; positions must be in metres, dt_s in seconds"
             )
         moving = speed > _MOVING_M_S
@@ -252,7 +252,10 @@ def _check_motion(recording: Recording) -> None:
         if user.category != "pedestrian":  # people step sideways and turn on the spot
             heading = np.exp(1j * user.pose[span:, 2]) + np.exp(1j * user.pose[:-span, 2])
             away += np.abs(np.angle((way_m[:, 0] + 1j * way_m[:, 1]) * heading.conj()))[moving].tolist()
-    if len(ratio) >= _MOVING_SHARE_MIN and not SPEED_RATIO[0] <= (middle := float(np.median(ratio))) <= SPEED_RATIO[1]:
+    if (
+        len(ratio) >= _MOVING_SHARE_MIN
+        and not _SPEED_RATIO[0] <= (middle := float(np.median(ratio))) <= _SPEED_RATIO[1]
+    ):
         hint = f"dt_s {recording.step_s / middle:.2g} would fit" if middle < 1.0 else "km/h, or another dt_s?"
         raise InputError(
             f"v_mps: expected the speeds by positions over dt_s {recording.step_s:g}, got {middle:.2f} of them "

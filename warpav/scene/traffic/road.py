@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from contourpy import ContourGenerator
 
 CELL_M = 0.1
-ROAD_REACH_M = 85.0
+_ROAD_REACH_M = 85.0
 """Roads end at this distance from the ego vehicle in x and y, in front of a house."""
 
 _LAND_M = 26.0  # around the roads
@@ -290,7 +290,7 @@ def road_of(
         if not lanelet.is_crosswalk
         for line in (lanelet.left_m, lanelet.right_m)
     ]
-    inside = [line[(np.abs(line) <= ROAD_REACH_M).all(axis=1)] for line in lanes]
+    inside = [line[(np.abs(line) <= _ROAD_REACH_M).all(axis=1)] for line in lanes]
     held = np.concatenate([*inside, *heavy_m, *light_m])
     low_m, high_m = held.min(axis=0) - _LAND_M, held.max(axis=0) + _LAND_M
     shape = tuple(int(extent / CELL_M) + 1 for extent in (high_m - low_m)[::-1])
@@ -315,8 +315,8 @@ def road_of(
         owner[window][part > 0] = number
     mask = (coverage > 0).astype(np.uint8)
     y, x = (low + CELL_M * np.arange(count) for low, count in zip(low_m[::-1], shape, strict=True))
-    mask[np.abs(y) > ROAD_REACH_M] = 0
-    mask[:, np.abs(x) > ROAD_REACH_M] = 0
+    mask[np.abs(y) > _ROAD_REACH_M] = 0
+    mask[:, np.abs(x) > _ROAD_REACH_M] = 0
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (round(_CLOSED_GAP_M / CELL_M) | 1,) * 2)
     mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, disc), np.uint8)
     for outline in heavy_m:
@@ -343,7 +343,7 @@ def pavement_width_m(rng: np.random.Generator) -> float:
     return float(rng.uniform(*_PAVEMENT_M))
 
 
-def at_distances(line_m: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
+def _at_distances(line_m: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
     """Points of a line at distances along it [m], [...] gives [..., 2]."""
     length = float(np.linalg.norm(np.diff(line_m, axis=0), axis=1).sum())
     return _at_shares(line_m, np.asarray(distance_m) / max(length, 1e-9))
@@ -402,7 +402,7 @@ _CLEAR_M = 0.35
 
 
 @dataclass(frozen=True, eq=False)
-class ParkedCar:
+class _ParkedCar:
     """A car on a plot."""
 
     kind: str  # category
@@ -418,7 +418,7 @@ class Roadside:
         self._road = road
         self._rng = rng
         self._taken = list(taken)
-        self.parked: list[ParkedCar] = []
+        self.parked: list[_ParkedCar] = []
         self.furniture: list[Mesh] = []
 
     def build(self, builder: SceneryBuilder) -> None:
@@ -437,7 +437,7 @@ class Roadside:
             is_yard = self._rng.random() < _YARD_SHARE and distance_m <= self._road.pavement_m
             count = int(self._rng.integers(*_BAY_COUNT))
             for extent in (count * _BAY_M,) if is_yard else (width, 0.7 * _HOUSE_M[0]):
-                start, end = at_distances(line_m, np.array([at, min(at + extent, length)]))
+                start, end = _at_distances(line_m, np.array([at, min(at + extent, length)]))
                 chord = float(np.linalg.norm(end - start))
                 if chord < 0.9 * extent:
                     continue
@@ -472,7 +472,7 @@ class Roadside:
             yaw = math.atan2(inward[1], inward[0]) + (math.pi if self._rng.random() < 0.4 else 0.0)
             x, y = start + (bay + 0.5) * _BAY_M * along + (0.5 * size[0] + 0.25) * inward
             yaw = math.atan2(math.sin(yaw), math.cos(yaw))
-            self.parked.append(ParkedCar(kind, mesh, Footprint(float(x), float(y), yaw, size[0], size[1])))
+            self.parked.append(_ParkedCar(kind, mesh, Footprint(float(x), float(y), yaw, size[0], size[1])))
 
     def _furnish(self, line_m: np.ndarray) -> None:
         length = _length_m(line_m)
@@ -481,7 +481,7 @@ class Roadside:
         for kind, spacing in _PIECES:
             wanted += [(kind, at) for at in rng.uniform(0.0, length, rng.poisson(length / spacing))]
         for kind, at in wanted:
-            before, place, after = at_distances(line_m, np.clip([at - 0.5, at, at + 0.5], 0.0, length))
+            before, place, after = _at_distances(line_m, np.clip([at - 0.5, at, at + 0.5], 0.0, length))
             along = (after - before) / max(float(np.linalg.norm(after - before)), 1e-9)
             inward = np.array([-along[1], along[0]])
             extent = FOOTPRINT_M[kind]

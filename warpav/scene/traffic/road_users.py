@@ -18,9 +18,9 @@ from warpav.scene.town.people import person_mesh
 from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, body_width_m, vehicle_mesh
 from warpav.scene.town.vehicle_specs import CARGO, VEHICLE_SPECS
 
-LORRY_FROM_M = 6.3
+_LORRY_FROM_M = 6.3
 """A recorded car that is longer is a lorry, as in data sets that know cars alone."""
-MOTORCYCLE_TO_M = 1.3
+_MOTORCYCLE_TO_M = 1.3
 """A recorded car that is narrower is a motorcycle, likewise."""
 
 _CAR_SHARES = {"hatchback": 0.29, "saloon": 0.22, "estate": 0.16, "suv": 0.20, "van": 0.13}
@@ -37,9 +37,9 @@ def drawn_kind(category: str, size_m: tuple[float, float, float], rng: np.random
     length, width, height = size_m
     if category != "car":
         return {"truck": "lorry", "bicycle": "cyclist"}.get(category, category)
-    if width < MOTORCYCLE_TO_M:
+    if width < _MOTORCYCLE_TO_M:
         return "motorcycle"
-    if length > LORRY_FROM_M:
+    if length > _LORRY_FROM_M:
         return "lorry"
     own = {kind: VEHICLE_SPECS[kind] for kind in _CAR_SHARES}
     misfit = {kind: abs(math.log(length / spec.length_m)) for kind, spec in own.items()}
