@@ -1,20 +1,13 @@
 """Rigs to start from, and cameras of theirs that stay."""
 
 import json
-import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tests.cli.small_run import SMALL, complaint
 from warpav.cli.app import main
-from warpav.raster.camera import CameraModel
-from warpav.rig.rig import Rig, RigCamera, read_rig
-from warpav.runs.config import Config
-from warpav.runs.rig_source import start_changes, with_added_cameras
+from warpav.rig.rig import read_rig
 from warpav.runs.run_folder import RunFolder
 
 pytestmark = pytest.mark.usefixtures("working_directory")
@@ -54,19 +47,6 @@ def test_a_frozen_camera_stays_and_the_others_move(working_directory, capsys):
         assert found["constraint_violation"] == 0.0
 
 
-def test_all_cameras_that_lose_their_lens_are_named():
-    models = [CameraModel(64, 48, math.radians(deg)) for deg in (90.0, 100.0, 100.0, 120.0)]
-    cameras = [
-        RigCamera(name, np.array([k, 0.0, 2.0]), model=model)
-        for k, (name, model) in enumerate(zip("abcd", models, strict=True))
-    ]
-    begun = Rig([replace(camera, model=models[0]) for camera in cameras])
-    told = start_changes(Rig(cameras), begun)
-    assert "b and c begin as pinhole 90 deg 64 x 48 px instead of pinhole 100 deg 64 x 48 px; d begins as" in told
-    assert told.count("since only cameras of rig.freeze keep their lens") == 1
-    assert start_changes(begun, begun) == ""
-
-
 def test_cameras_that_a_start_lacks_are_added_around_those_that_stay(working_directory, capsys):
     (working_directory / "mine.yaml").write_text(f"frame: ego\ncameras:\n{BUMPER}")
     options = ["rig.start=mine.yaml", "rig.cameras=3"]
@@ -84,21 +64,6 @@ def test_cameras_that_a_start_lacks_are_added_around_those_that_stay(working_dir
         assert list(cameras) == ["front_bumper", "added_1", "added_2"]
         np.testing.assert_allclose(cameras["front_bumper"].position_m, [3.65, 0.123457, 0.6])
     assert {arm["constraint_violation"] for arm in run.evaluation()["arms"].values()} == {0.0}
-
-
-@given(st.lists(st.floats(-math.pi, math.pi), min_size=1, max_size=5), st.integers(1, 8))
-def test_an_added_camera_faces_the_middle_of_the_widest_gap(yaw_rad, count):
-    given_rig = Rig([RigCamera(f"added_{k + 1}", np.zeros(3), yaw_rad=yaw) for k, yaw in enumerate(yaw_rad)])
-    config = Config(rig={"cameras": count})
-    cameras = with_added_cameras(given_rig, config, ["added_1"]).cameras
-    assert len(cameras) == max(count, len(yaw_rad))
-    assert with_added_cameras(given_rig, config, []).cameras == given_rig.cameras
-    for k in range(len(yaw_rad), len(cameras)):
-        before = np.array([camera.yaw_rad for camera in cameras[:k]])
-        nearest = np.abs(np.angle(np.exp(1j * (cameras[k].yaw_rad - before)))).min()
-        others = np.linspace(-math.pi, math.pi, 1000)
-        best = np.abs(np.angle(np.exp(1j * (others[:, None] - before)))).min(axis=1).max()
-        assert nearest > best - 1e-6
 
 
 def test_a_run_and_a_preset_are_starts(working_directory, capsys, at_once):
@@ -154,24 +119,3 @@ def test_what_cannot_be_frozen_is_refused(working_directory, capsys, options, me
     start = _rig_file(working_directory)
     assert complaint(capsys, "optimise", *SMALL, *start, *options, "run.out=run").startswith(message)
     assert not (working_directory / "run").exists()
-
-
-def test_arms_that_place_all_cameras_refuse_frozen_ones(working_directory, capsys):
-    start = _rig_file(working_directory)
-    for arm in ("greedy_cover", "nuscenes", "random_batches"):
-        words = ["experiment", "table2", "quick", *SMALL, "method=default", *start, "--arms", arm, "--out", "x"]
-        message = complaint(capsys, *words)
-        assert f"arm {arm}: rig.freeze: expected none, since it places all cameras, got front_bumper" in message
-
-
-def test_a_run_says_what_it_cannot_keep_of_its_start(working_directory, capsys):
-    camera = CAMERA.format(name="a", place="[1, 0, 2]", yaw=0.0, pitch=0.0, fov=60.0, px=64)
-    (working_directory / "mine.yaml").write_text(f"frame: ego\ncameras:\n{camera}")
-    options = [*SMALL, "rig.cameras=1", "rig.start=mine.yaml", "optimiser.search=descent", "run.out=begun"]
-    assert main(["optimise", *options]) == 0
-    said = capsys.readouterr()
-    line = next(line for line in (said.out + said.err).splitlines() if line.startswith("rig.start: "))
-    begun = read_rig(working_directory / "begun" / "rig_initial.yaml").cameras[0]
-    side_px = begun.model.width_px
-    assert f"a begins as pinhole 90 deg {side_px} x {side_px} px instead of pinhole 60 deg 64 x 64 px" in line
-    assert line.endswith("cameras move by up to 0.20 m to where the mount has them")  # 25 cm above the roof

@@ -4,7 +4,6 @@ import os
 import pty
 import subprocess
 import sys
-import warnings
 from importlib.resources import files
 from pathlib import Path
 
@@ -110,17 +109,6 @@ def test_names_are_printed_as_they_are(capsys, status, argv, visible):
     text = captured.out + captured.err
     _require_harmless(text)
     assert visible in text
-
-
-def test_warnings_of_old_names_are_one_line():
-    name = _write(f"{NAME}.yaml", {"losses": {"missed": 1.0}})
-    with pytest.warns(FutureWarning) as caught:
-        assert main(["config", "check", name]) == 0
-    shown = [warnings.formatwarning(each.message, each.category, each.filename, each.lineno) for each in caught]
-    for each in shown:
-        _require_harmless(each)
-        assert each.count("\n") == 1
-    assert VISIBLE in "".join(shown)
 
 
 @pytest.mark.slow

@@ -20,7 +20,6 @@ from warpav.core.errors import InputError
 from warpav.rig.rig import rig_text
 from warpav.runs.inspect import inspector
 from warpav.runs.rig_source import config_for
-from warpav.runs.run_figures import OBJECT_EGO
 from warpav.runs.run_folder import RunFolder
 from warpav.scene.town.town import town_scene
 from warpav.view import Canvas, drawing_of
@@ -52,52 +51,10 @@ def test_scenes_are_made_shown_and_rendered(working_directory, capsys):
     assert not [name for name in os.listdir("images") if name.startswith(".")]
 
 
-def test_a_folder_with_a_presets_name_is_no_run_unless_it_holds_one(working_directory):
-    (working_directory / "nuscenes").mkdir()
-    assert main(["render", "5", "--rig", "nuscenes", "--out", "images", "camera.width_px=64"]) == 0
-    assert len(json.loads((working_directory / "images" / "views.json").read_text())) == 6
-
-
 def test_a_preset_keeps_its_cameras_unless_told_otherwise(working_directory):
     assert main(["render", "5", "--rig", "nuscenes", "--out", "images", "camera.width_px=64"]) == 0
     views = json.loads((working_directory / "images" / "views.json").read_text())
     assert {(view["width_px"], view["height_px"]) for view in views} == {(64, 900)}
-
-
-CALIBRATED = """\
-frame: ego
-cameras:
-  - {name: front, position_m: [1.7, 0, 1.6], yaw_deg: 0, pitch_deg: 0, roll_deg: 0, width_px: 640, height_px: 480,
-     lens: %s, focal_px: [500, 510], centre_px: [330, 235], distortion: %s}
-"""
-
-
-def test_a_calibrated_camera_is_resized_as_a_whole(working_directory):
-    (working_directory / "rig.yaml").write_text(CALIBRATED % ("pinhole", "[]"))
-    argv = ["render", "5", "--rig", "rig.yaml", "--out", "images", "camera.width_px=64", "camera.height_px=48"]
-    assert main(argv) == 0
-    (view,) = json.loads((working_directory / "images" / "views.json").read_text())
-    np.testing.assert_allclose(view["intrinsics"], [[50, 0, 33], [0, 51, 23.5], [0, 0, 1]])
-    assert (view["lens"], view["distortion"]) == ("pinhole", [])
-
-
-def test_wide_lenses_are_rendered_from_a_rig_file(working_directory):
-    camera = (
-        "  - {name: %s, position_m: [1.1, 0, 2.2], yaw_deg: 0, pitch_deg: %s, roll_deg: 0, lens: %s, fov_deg: %s, %s}"
-    )
-    size = "width_px: 96, height_px: 64"
-    lines = (camera % row for row in (("fish", 90, "fisheye", 190, size), ("round", 0, "panorama", 360, size)))
-    (working_directory / "rig.yaml").write_text("\n".join(["frame: ego", "cameras:", *lines]))
-    assert main(["render", "5", "--rig", "rig.yaml", "--out", "images"]) == 0
-    views = json.loads((working_directory / "images" / "views.json").read_text())
-    assert [view["lens"] for view in views] == ["fisheye", "panorama"]
-    # a fisheye that looks down sees the ground 2.2 m below it; a panorama at this height sees its own roof behind it
-    depth_m, round_m = (np.load(f"images/{view['name']}_depth_m.npy") for view in views)
-    assert np.isfinite(depth_m[32]).mean() > 0.8
-    assert depth_m.min() < 2.2
-    objects = cv2.imread("images/round_object.png", cv2.IMREAD_UNCHANGED)
-    assert (objects[-1] == OBJECT_EGO).all()
-    assert np.isfinite(round_m[-1]).all()
 
 
 @pytest.mark.slow
@@ -110,16 +67,6 @@ def test_a_fisheye_rig_is_optimised(working_directory):
     assert {(camera.model.lens, camera.model.distortion) for camera in rig.cameras} == {
         ("fisheye", (0.01, -0.002, 0.0, 0.0))
     }
-
-
-def test_a_field_of_view_beyond_the_lens_is_refused(working_directory, capsys):
-    # t (1 + k1 t^2) stops growing at 1 / sqrt(1.8) rad
-    (working_directory / "rig.yaml").write_text(CALIBRATED % ("fisheye", "[-0.6, 0.0, 0.0, 0.0]"))
-    message = complaint(capsys, "render", "5", "--rig", "rig.yaml", "--out", "images", "camera.fov_deg=100")
-    assert message.startswith(
-        "camera: expected numbers that camera 'front' can have, got: fov_rad must be at most 1.48"
-    )
-    assert os.listdir(working_directory) == ["rig.yaml"]
 
 
 @needs_opengl
@@ -257,18 +204,3 @@ def test_the_inspector_goes_through_a_run(run_folder):
         assert {"trajectory", "descent"} <= drawn  # as in the picture of the run
     finally:
         opened.plotter.close()
-
-
-def test_a_run_is_a_recording_and_a_table(run_folder, working_directory, capsys):
-    pandas = pytest.importorskip("pandas")
-    frame, events = run_folder.to_pandas(), run_folder.events()
-    assert frame["loss"].tolist() == [event["loss"] for event in events]
-    written = (
-        pandas.read_csv(run_folder.path / "metrics.csv", index_col="iteration").select_dtypes("number").dropna(axis=1)
-    )
-    pandas.testing.assert_frame_equal(frame[written.columns], written, check_dtype=False, check_names=False, rtol=1e-6)
-    chunks = pytest.importorskip("rerun.chunk")
-    assert main(["inspect", str(run_folder.path), "--out", "run.rrd"]) == 0
-    assert capsys.readouterr().out == "wrote run.rrd\n"
-    of_loss = [chunk for chunk in chunks.RrdReader("run.rrd").stream() if chunk.entity_path == "/loss"]
-    assert sum(chunk.num_rows for chunk in of_loss) == len(events) == 3

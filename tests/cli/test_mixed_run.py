@@ -107,14 +107,6 @@ def test_a_front_by_cost_keeps_every_budget():
     assert found.points[0].misses_per_100 is None
 
 
-def test_a_front_of_equal_cameras():
-    placement = wa.Placement(wa.town([0, 1]), cameras="1..2", config=wa.Config.load("quick", *FEW[1:]))
-    found = front(placement, wa.town([1000]))
-    assert [len(point.rig.cameras) for point in found.points] == [1, 2]
-    assert found.points[1].objective < found.points[0].objective
-    assert found.evaluation is not None
-
-
 @pytest.mark.usefixtures("catalogue")
 @pytest.mark.parametrize(
     ("options", "message"),

@@ -175,14 +175,6 @@ def test_a_reader_who_leaves_is_no_mistake(argv):
     assert (done.returncode, done.stderr) == (1, "")
 
 
-def test_a_closed_output_is_written_nowhere(working_directory):
-    (working_directory / "front.yaml").write_text(RIG)
-    done = _with_output(["config", "copy", "quick", "mine.yaml"], ">&-")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "wrote" not in (working_directory / "mine.yaml").read_text()
-    assert _with_output(["config", "check", "rig.cameras=0"], "2>&-").returncode == 2
-
-
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is full")
 def test_an_output_that_is_full_is_one_line():
     done = _with_output(["config", "show"], ">/dev/full")
@@ -260,49 +252,3 @@ def test_a_run_ends_well(working_directory, machine):
     told = [line for line in lines if line.startswith("no picture of the rig in three dimensions: ")]
     assert len(told) == (not has_opengl)
     assert not [name for name in os.listdir(run.path) if name.startswith(".draft")]
-
-
-@pytest.mark.slow
-def test_a_run_whose_reader_leaves_can_go_on(working_directory):
-    command = _command(["optimise", *SMALL, "run.out=run"])
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        for line in process.stdout:
-            if line.startswith("iteration"):
-                break
-        process.stdout.close()
-        assert process.wait() == 1
-        assert process.stderr.read() == ""
-    done = _run(["optimise", "--resume", "run"])
-    assert done.returncode == 0, done.stderr
-    assert (RunFolder.open("run").path / "report.html").is_file()
-
-
-NOTEBOOK = f"""
-import os
-for name in ("TERM", "COLUMNS", "LINES"):
-    os.environ.pop(name, None)
-
-import warpav as wa
-from warpav.runs.config import load_config
-from warpav.runs.placement import Placement
-
-placement = Placement.from_config(load_config("quick", {SMALL!r}))
-result = wa.optimise(placement, progress=True)
-result
-"""
-
-
-@pytest.mark.slow
-def test_progress_in_a_notebook_without_a_terminal_is_plain_lines(monkeypatch):
-    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
-    for name in ("TERM", "COLUMNS", "LINES"):
-        monkeypatch.delenv(name, raising=False)
-    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(NOTEBOOK)])
-    nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute()
-    outputs = notebook.cells[0].outputs
-    text = "".join(each.text for each in outputs if each.output_type == "stream" and each.name == "stdout")
-    lines = text.splitlines()
-    assert "optimising: 3" in lines
-    assert [line.split()[1] for line in lines if line.startswith("iteration")] == ["1/3", "2/3", "3/3"]
-    assert "\x1b" not in text
-    assert "text/html" in outputs[-1].data

@@ -2,14 +2,12 @@
 
 import dataclasses
 import re
-import shutil
 
 import numpy as np
 import pytest
 
 from tests.cli.small_run import SMALL, complaint
 from warpav.cli.app import main
-from warpav.optimisation import pool as pool_module
 from warpav.optimisation.pool_descent import PoolDescent
 from warpav.optimisation.selection.select import BranchAndBound
 from warpav.runs.run_folder import RunFolder
@@ -58,43 +56,6 @@ def test_ctrl_c_during_a_search_by_a_pool_keeps_what_it_knows(working_directory,
     assert main(["report", "stopped"]) == 0
 
 
-@pytest.mark.parametrize("scenes_drawn", [pytest.param(1, marks=pytest.mark.nightly), 3])
-def test_ctrl_c_while_the_pool_is_drawn_leaves_the_start(working_directory, monkeypatch, capsys, scenes_drawn):
-    """In the middle of the scenes of the start there is no state yet, in those of the pool there is."""
-    draw, tasks = pool_module._draw, []
-
-    def interrupted_later(task):
-        tasks.append(task)
-        return interrupted() if len(tasks) > scenes_drawn else draw(task)
-
-    monkeypatch.setattr("warpav.runs.optimise.pool_cache_folder", lambda: working_directory / "cache")
-    monkeypatch.setattr(pool_module, "_draw", interrupted_later)
-    assert main(["optimise", *POOL, "run.out=stopped"]) == 130
-    captured = capsys.readouterr()
-    assert captured.err == "interrupted\n"
-    folder, has_start = RunFolder.open("stopped"), scenes_drawn >= 2
-    assert ("what was reached is in stopped, for warpav evaluate, inspect and report" in captured.out) == has_start
-    assert ("the start is in stopped, for warpav evaluate and inspect" in captured.out) != has_start
-    assert [event["stage"] for event in folder.events()] == (["start"] if has_start else [])
-    assert ("done start" in captured.out) == has_start
-    assert folder.rig_path("best").is_file() == has_start
-    if has_start:
-        # two cameras in two scenes, and the points near the vehicle as a third
-        assert [event["camera_renders"] for event in folder.events()] == [2 * 3]
-        with np.load(folder.path / "checkpoints" / "last.npz", allow_pickle=False) as state:
-            assert state["iteration"] == 1
-    written = [[camera.position_m for camera in rig.cameras] for rig in (folder.rig(), folder.rig("initial"))]
-    np.testing.assert_allclose(*written, atol=1e-5)
-    assert main(["evaluate", "stopped"]) == 0
-    assert main(["inspect", "stopped", "--out", "rig.png"]) == 0
-    if has_start:
-        assert main(["report", "stopped"]) == 0
-    assert folder.further_cameras() is None
-    capsys.readouterr()
-    message = complaint(capsys, "inspect", "stopped", "--show", "further", "--out", "further.png")
-    assert "expected the folder of a run with optimiser.search=pool that has drawn its pool" in message
-
-
 def below_the_ground(vehicle):
     down_m = np.array([0.0, 0.0, -50.0])
     box = dataclasses.replace(vehicle.box, center_m=vehicle.box.center_m + down_m)
@@ -115,38 +76,3 @@ def test_a_pool_that_sees_nothing_is_one_line(working_directory, capsys):
         "check scenes.targets, and where the cameras stand",
         message,
     )
-
-
-def drawn(monkeypatch, capsys, cache, *overrides):
-    """The files of a run's pool, which is kept in a folder; the run itself is stopped at once."""
-    with monkeypatch.context() as patch:
-        patch.setattr("warpav.runs.optimise.pool_cache_folder", lambda: cache)
-        patch.setattr(BranchAndBound, "run", interrupted)
-        shutil.rmtree("drawn", ignore_errors=True)
-        assert main(["optimise", *POOL, *overrides, "run.out=drawn"]) == 130
-    capsys.readouterr()
-    return sorted(cache.iterdir())
-
-
-def test_a_pool_of_something_else_is_refused_by_its_content(working_directory, monkeypatch, capsys):
-    cache = working_directory / "cache"
-    own = drawn(monkeypatch, capsys, cache)
-    whole = [file.read_bytes() for file in own]
-    others = {
-        "scenes": whole[::-1],
-        "vehicle": ["rig.height_offset_m=0.2"],
-        "camera": ["camera.fov_deg=80"],
-        "detector": ["losses.probability=in_frame_share"],
-    }
-    for name, other in others.items():
-        if name != "scenes":
-            other = [file.read_bytes() for file in drawn(monkeypatch, capsys, working_directory / name, *other)]
-        for file, content in zip(own, other, strict=True):
-            file.write_bytes(content)
-        monkeypatch.setattr("warpav.runs.optimise.pool_cache_folder", lambda: cache)
-        message = complaint(capsys, "optimise", *POOL, "run.out=refused")
-        assert re.fullmatch(
-            rf"{re.escape(str(cache))}/pool_\w+\.npz: {name}: expected a pool of .*; remove it, and draw it again",
-            message,
-        )
-        shutil.rmtree("refused")

@@ -4,7 +4,6 @@ import json
 
 import pytest
 
-import warpav as wa
 from tests.cli.small_run import complaint
 from tests.cli.test_pool_run import POOL
 from warpav.cli.app import main
@@ -65,24 +64,6 @@ def test_the_near_field_counts_by_default_and_asks_for_nothing(working_directory
     page = (working_directory / "default" / "report.html").read_text(encoding="utf-8")
     assert "near_field is met at" in page
     assert "Not met: " not in page
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"requirements": ()},
-        {"config": wa.Config.load("quick", "requirements=null")},
-        {"config": wa.Config.load("quick", "optimiser.search=descent")},
-        {"config": wa.Config.load("quick", "method=thesis")},
-        {"robust": {"camera_loss": "mean"}},
-        {"robust": {"mount_error_m": 0.02}},
-        {"losses": [(1.0, wa.losses.DetectedArea())]},
-    ],
-)
-def test_the_near_field_is_left_out(options):
-    town = wa.town([0])
-    assert [each.name for each in wa.Placement(town).requirements] == ["near_field"]
-    assert wa.Placement(town, **options).requirements == ()
 
 
 def test_hard_requirements_that_cannot_be_met_are_named(working_directory, capsys):

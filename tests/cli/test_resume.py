@@ -18,9 +18,7 @@ import warpav as wa
 from tests.cli.small_run import RESUMED_POOL as POOL
 from tests.cli.small_run import RUNS, complaint
 from warpav.cli.app import main
-from warpav.core.errors import InputError
 from warpav.core.files import DRAFT
-from warpav.optimisation.pool_descent import PoolDescent
 from warpav.runs.placement import Placement
 from warpav.runs.run_folder import RunFolder, held_run
 
@@ -112,20 +110,6 @@ def test_a_stopped_run_goes_on_to_what_it_comes_to_at_once(at_once, monkeypatch,
     assert resumed["iteration"] == 3
 
 
-def test_a_run_that_is_killed_before_its_first_step_begins_in_its_folder(at_once, monkeypatch):
-    """There is no checkpoint yet; the configuration is there from the first moment."""
-
-    def killed(*_, **__):
-        raise InputError("stands for a kill")
-
-    with monkeypatch.context() as patch:
-        patch.setattr("warpav.runs.jobs._run_to_the_end", killed)
-        assert main(["optimise", *POOL, "run.out=killed"]) == 2
-    assert RunFolder.open("killed").checkpoint() is None
-    assert main(["optimise", "--resume", "killed"]) == 0
-    check_same("killed", at_once("pool"))
-
-
 def test_a_run_that_is_stopped_after_its_last_step_is_completed(at_once, monkeypatch):
     """It may have an evaluation already, and a report that somebody asked for."""
 
@@ -158,14 +142,6 @@ def test_a_run_that_has_ended_stays_as_it_is_and_goes_on_with_more(at_once, work
     assert len(events) == len(further.records) == folder.evaluation()["descent"]["iterations"] > len(result.records)
     metrics = (working_directory / "run" / "metrics.csv").read_text().splitlines()
     assert len(metrics) == 1 + len(events)
-
-
-def test_a_descent_takes_more_iterations(working_directory):
-    few = ["optimiser.schedule=constant", "run.checkpoint_every=2"]
-    optimised("descent", *few, "run.iterations=3", "run.out=run")
-    assert main(["optimise", "--resume", "run", "run.iterations=5"]) == 0
-    optimised("descent", *few, "run.iterations=5", "run.out=whole")
-    check_same("run", working_directory / "whole")
 
 
 @pytest.mark.parametrize(
@@ -240,28 +216,6 @@ def test_a_second_run_into_a_folder_is_refused_before_it_builds_scenes(at_once, 
     assert not (working_directory / "a").exists()
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "expected"),
-    [
-        ("pool", [], [1, 2, 3, 4, 4]),
-        ("pool", ["run.checkpoint_every=3"], [3, 4]),
-        ("descent", [], [4]),
-        ("descent", ["run.checkpoint_every=2"], [2, 4, 4]),
-    ],
-)
-def test_the_state_is_written_as_often_as_was_asked_for(monkeypatch, name, options, expected):
-    """And once more at the end."""
-    write, written = RunFolder.write_checkpoint, []
-
-    def noted(self, arrays):
-        written.append(int(arrays["iteration"]))
-        write(self, arrays)
-
-    monkeypatch.setattr(RunFolder, "write_checkpoint", noted)
-    stopped(name, "run", monkeypatch, *options, after=4)
-    assert written == expected
-
-
 @pytest.mark.parametrize("place", ["append_event", "write_checkpoint"])
 def test_ctrl_c_between_a_step_and_what_is_written_of_it_loses_nothing(at_once, monkeypatch, place):
     write, calls = getattr(RunFolder, place), []
@@ -304,20 +258,6 @@ def test_a_disk_that_is_full_loses_nothing(at_once, capsys, monkeypatch, number)
     assert RunFolder.open("full").rig().cameras
     assert main(["optimise", "--resume", "full"]) == 0
     check_same("full", expected)
-
-
-def test_a_folder_that_vanishes_is_one_line(capsys, monkeypatch):
-    step = PoolDescent.step
-
-    def gone(self):
-        if self.iteration == 2:
-            shutil.rmtree("gone")
-        return step(self)
-
-    monkeypatch.setattr(PoolDescent, "step", gone)
-    assert main(["optimise", *POOL, "run.out=gone"]) == 2
-    message = capsys.readouterr().err
-    assert message == "gone/metrics.csv: expected a place to write to, got: No such file or directory\n"
 
 
 def begun(*words, command=COMMAND):

@@ -1,6 +1,5 @@
 """``warpav optimise`` and ``evaluate``: the run folder, its documented fields, interrupted runs."""
 
-import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -8,14 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.small_run import SMALL, complaint
+from tests.cli.small_run import SMALL
 from warpav.cli.app import main
 from warpav.evaluation.metrics import OPTIONAL_METRICS
 from warpav.evaluation.rig_evaluation import TABLE_ROWS
-from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.runs.run_folder import RunFolder
-from warpav.scene.glb import write_scene
-from warpav.scene.town.town import town_scene
 from warpav.thesis.descent import Descent
 
 pytestmark = pytest.mark.usefixtures("working_directory")
@@ -47,30 +43,6 @@ def test_the_run_folder_is_complete(run_folder):
     assert len([name for name in found if name.startswith("figures/")]) <= 6
     assert not [name for name in found if "draft" in name]
     assert run_folder.path.joinpath("report.html").read_text(encoding="utf-8").count("<img") <= 6
-
-
-def test_a_full_report_draws_the_rest_and_says_what_it_cannot_draw(run_folder, tmp_path, monkeypatch, capsys):
-    copy = tmp_path / "run"
-    shutil.copytree(run_folder.path, copy, ignore=shutil.ignore_patterns("rig.png"))
-    monkeypatch.setattr("warpav.view.opengl.opengl_problem", lambda: "no display")
-    assert main(["report", str(copy), "--full"]) == 0
-    assert "no picture of the rig in three dimensions: no display" in capsys.readouterr().out
-    drawn = {file.name for file in (copy / "figures").rglob("*")}
-    assert drawn >= {"rig_top_view.png", "redundancy.png", "ground.npz", "views.json", "0_start_camera_0.webp"}
-    assert "rig.png" not in drawn
-    assert copy.joinpath("report.html").read_text(encoding="utf-8").count("<img") > 12
-
-
-def test_a_run_draws_nothing_where_nothing_is_asked_for(tmp_path, capsys):
-    out = tmp_path / "run"
-    assert complaint(capsys, "optimise", f"run.out={out}", "run.pictures=fewer").endswith(
-        "run.pictures: expected few, all or none, got 'fewer'; did you mean few?"
-    )
-    assert main(["optimise", *SMALL, "run.iterations=1", f"run.out={out}"]) == 0
-    assert list((out / "figures").iterdir()) == []
-    page = out.joinpath("report.html").read_text(encoding="utf-8")
-    assert "<img" not in page
-    assert "Not in this folder" not in page
 
 
 def test_the_events_have_the_documented_fields(run_folder):
@@ -171,22 +143,6 @@ def test_rigs_beside_the_first_are_measured_on_the_same_scenes(run_folder, worki
     assert "no difference can be significant" in capsys.readouterr().out
 
 
-def test_a_rig_is_compared_with_itself_by_no_command(working_directory, capsys):
-    for command in (["evaluate", "--json", "m.json"], ["plot", "--kind", "plan"]):
-        assert main([command[0], "highest", "--beside", "highest", *command[1:]]) == 2
-        assert "--beside): expected every rig once, got 'highest' twice" in capsys.readouterr().err
-    assert not list(working_directory.glob("*.json"))
-
-
-def test_a_rig_is_inspected_with_the_configuration_asked_for(run_folder):
-    shutil.copy(run_folder.rig_file(), "mine.yaml")
-    Path("two.yaml").write_text("scenes: {test_seeds: [1000], level: dense}\n")
-    for k, more in enumerate(([], ["--config", "two.yaml"], ["scenes.test_seeds=[1000]", "scenes.level=dense"])):
-        assert main(["inspect", "mine.yaml", *more, "--show", "outcomes", "--out", f"{k}.png"]) == 0
-    images = [Path(f"{k}.png").read_bytes() for k in range(3)]
-    assert images[1] == images[2] != images[0]
-
-
 def test_evaluating_says_what_dirt_and_loads_cost(working_directory, capsys):
     few = ["scenes.train_seeds=[0]", "scenes.test_seeds=[1000]", "run.batch_size=1", "rig.cameras=2"]
     asked = ["--soiling", "rows", "0.5", "0.5", "1", "--load", "-1", "-0.05", "--load", "0", "0"]
@@ -217,45 +173,6 @@ def test_scenes_from_files_give_the_same_metrics(working_directory):
     assert folder["arms"]["highest"]["recall_by"] == town["arms"]["highest"]["recall_by"]
 
 
-def test_targets_that_no_scene_holds_are_named(working_directory, capsys):
-    # the detector's buses stand in for people, whatever labels it has for them
-    folder = working_directory / "scenes"
-    folder.mkdir()
-    for seed in (0, 1000):
-        write_scene(dataclasses.replace(town_scene(seed), others=()), folder / f"scene_{seed}.glb")
-    options = [
-        "scenes.source=folder", "scenes.folder=scenes", "scenes.train_seeds=[0]", "scenes.test_seeds=[1000]",
-        "run.batch_size=1", "rig.cameras=2", "detector.classes.pedestrian=[bus]",
-        "losses={missed: 0, detected_area: 1}",  # else the detection probability of these labels is fitted
-    ]  # fmt: skip
-    assert main(["evaluate", "highest", *options, "scenes.targets=[pedestrian]"]) == 2
-    assert capsys.readouterr().err == (
-        "command line (scenes.targets=[pedestrian]): scenes.targets: expected road users that the scenes hold, got no "
-        "pedestrian in any of the 2 scenes; scenes made from images hold people as parts of the environment\n"
-    )
-    assert main(["evaluate", "highest", *options, "scenes.targets=[vehicle, pedestrian]"]) == 0
-    assert "no pedestrian in any of the 2 scenes, so nothing is optimised or evaluated" in capsys.readouterr().out
-
-
-def test_a_rig_of_other_cameras_is_evaluated_with_its_own(run_folder, working_directory):
-    text = (run_folder.path / "rig_best.yaml").read_text().replace("width_px: 96", "width_px: 128")
-    (working_directory / "wide.yaml").write_text(text)
-    assert main(["evaluate", "wide.yaml", *SMALL, "--json", "m.json"]) == 0
-    metrics = json.loads((working_directory / "m.json").read_text())["arms"]["wide"]
-    assert metrics["objective"] is None
-    assert metrics["tp_in_frame_rate"] > 0.0
-
-
-def test_a_rig_off_its_vehicle_is_evaluated_and_told(run_folder, working_directory, capsys):
-    rig = read_rig(run_folder.path / "rig_best.yaml")
-    raised = [
-        dataclasses.replace(camera, position_m=camera.position_m + np.array([0.0, 0.0, 4.0])) for camera in rig.cameras
-    ]
-    write_rig(Rig(raised), working_directory / "mast.yaml")
-    assert main(["evaluate", "mast.yaml", *SMALL]) == 0
-    assert "mast.yaml: 2 of 2 cameras are more than 1 m from the surface" in capsys.readouterr().out
-
-
 def test_ctrl_c_leaves_a_usable_run_folder(working_directory, monkeypatch, capsys):
     step = Descent.step
 
@@ -279,31 +196,6 @@ def test_ctrl_c_leaves_a_usable_run_folder(working_directory, monkeypatch, capsy
     assert (working_directory / "stopped" / "report.html").is_file()
 
 
-def test_ctrl_c_after_the_last_step_tells_where_the_run_is(monkeypatch, capsys):
-    def interrupted(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("warpav.runs.result.evaluate_on", interrupted)
-    assert main(["optimise", *SMALL, "run.out=stopped"]) == 130
-    assert "what was reached is in stopped" in capsys.readouterr().out
-    assert RunFolder.open("stopped").rig("best").cameras
-
-
-def test_a_start_that_stays_the_best_is_the_same_rig(capsys):
-    # so small a step that the start is kept; half a turn's symmetry in the yaws must not let rounding swap them
-    steps = ["optimiser.search=descent", "optimiser.learning_rate_position_m=1e-9"]
-    steps += ["optimiser.learning_rate_yaw_deg=1e-9", "rig.start=highest", "rig.free.pitch_deg=null"]
-    assert main(["optimise", *SMALL, *steps, "run.out=still"]) == 0
-    folder = RunFolder.open("still")
-    arms = folder.evaluation()["arms"]
-    assert arms["optimised"] == arms["start"]
-    assert (folder.path / "rig_best.yaml").read_bytes() == (folder.path / "rig_initial.yaml").read_bytes()
-    assert main(["evaluate", "still", "--json", "m.json"]) == 0
-    with open("m.json") as file:
-        found = json.load(file)["arms"]["optimised"]
-    assert found["objective"] == pytest.approx(arms["optimised"]["objective"], abs=1e-3)
-
-
 def test_a_result_that_is_worse_than_its_start_is_never_the_rig_of_the_run(capsys):
     # steps of 2 m, and the last iterate counts
     steps = ["optimiser.search=descent", "optimiser.learning_rate_position_m=2", "optimiser.keep=last"]
@@ -325,13 +217,6 @@ def test_a_result_that_is_worse_than_its_start_is_never_the_rig_of_the_run(capsy
     exported = [sorted(file for file in Path(name).rglob("*") if file.is_file()) for name in ("from_run", "from_start")]
     assert exported[0]
     assert [file.read_bytes() for file in exported[0]] == [file.read_bytes() for file in exported[1]]
-
-
-def test_an_existing_run_is_refused_before_any_work(run_folder, capsys):
-    before = sorted(run_folder.path.rglob("*"))
-    message = complaint(capsys, "optimise", *SMALL, f"run.out={run_folder.path}")
-    assert message.startswith(f"command line (run.out={run_folder.path}): run.out: expected a folder that does not")
-    assert sorted(run_folder.path.rglob("*")) == before
 
 
 @pytest.mark.slow
@@ -371,12 +256,3 @@ def test_workers_draw_the_same_pool(monkeypatch, working_directory):
     assert here.rig_path("best").read_bytes() == there.rig_path("best").read_bytes()
     one, other = ({file.name: file.read_bytes() for file in Path(f"of_{name}").iterdir()} for name in ("here", "there"))
     assert one == other
-
-
-def test_workers_are_refused_where_nothing_is_drawn_in_advance(working_directory, capsys):
-    message = complaint(capsys, "optimise", *SMALL, "optimiser.search=descent", "--executor", "process")
-    assert (
-        "executor.name: expected none with optimiser.search=descent, whose steps follow one another, got process"
-        in message
-    )
-    assert not list(working_directory.iterdir())

@@ -10,7 +10,7 @@ from tests.scene.traffic.test_files import BOMB, scenario
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.runs.config import load_config
-from warpav.runs.scene_set import load_scenes, recordings_digest
+from warpav.runs.scene_set import load_scenes
 from warpav.scene.files import read_scenes
 
 
@@ -126,21 +126,6 @@ def test_bad_recordings_are_one_line_and_leave_nothing(tmp_path, capsys, name, c
     assert message in str(error.value)
 
 
-def test_a_bad_recording_beside_good_ones_leaves_nothing(tmp_path, capsys):
-    folder = tmp_path / "recordings"
-    folder.mkdir()
-    for name in ("one.json", "two.json"):
-        write(folder, street(id=name), name)
-    write(folder, long_car(), "zzz.json")
-    assert main(["scenes", "traffic", str(folder), "--count", "2", "--out", str(tmp_path / "out")]) == 2
-    assert "zzz.json: road user a: length_m: expected 2 to 25 m for a car, got 400" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-    options = [f"scenes.recordings={folder}", f"run.out={tmp_path / 'run'}", "run.iterations=1"]
-    assert main(["optimise", "quick", "scenes.source=traffic", *options]) == 2
-    assert "zzz.json: road user a: length_m" in capsys.readouterr().err
-    assert not (tmp_path / "run").exists()
-
-
 def test_archives_that_unpack_without_end_are_refused(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("warpav.scene.traffic.files.DATA_SET_BYTES_MAX", 2**20)
     file = tmp_path / "bomb.json.gz"
@@ -159,22 +144,3 @@ def test_test_scenes_come_from_recordings_of_their_own(tmp_path):
     }
     assert name_of["train"] <= {"one", "three"}
     assert name_of["test"] == {"two"}
-
-
-def test_a_larger_ego_vehicle_takes_other_places(tmp_path):
-    options = ["scenes.source=traffic", "scenes.ego=bus", "scenes.train_seeds=[0]", "run.batch_size=1"]
-    [scene] = load_scenes(load_config("quick", options), [0])
-    assert scene.ego.bounds_m()[1, 2] == pytest.approx(3.31, abs=0.01)
-    low, high = scene.ego.bounds_m()[:, :2]
-    assert not any(user.box.meets_m(low, high) for user in scene.road_users)
-
-
-def test_options_of_recordings_are_left_out_where_they_are_not_set(tmp_path):
-    assert recordings_digest(load_config("quick", [])) is None
-    shipped = recordings_digest(load_config("quick", ["scenes.source=traffic"]))
-    own = [f"scenes.test_recordings={write(tmp_path, street())}", "scenes.source=traffic"]
-    assert recordings_digest(load_config("quick", own)) not in (None, shipped)
-    with pytest.raises(InputError, match=r"scenes.recordings: expected paths of recorded traffic.*no such file"):
-        load_config("quick", ["scenes.source=traffic", "scenes.recordings=nowhere"])
-    with pytest.raises(InputError, match=r"scenes.test_recordings: expected null, as scenes.source is not traffic"):
-        load_config("quick", own[:1])

@@ -7,17 +7,13 @@ import numpy as np
 import pytest
 import trimesh
 
-import warpav as wa
 from tests.cli.small_run import complaint
 from tests.cli.test_pool_run import POOL
 from warpav.cli.app import main
-from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
 from warpav.rig.chart import chart_of
 from warpav.rig.zone import read_zones
 from warpav.runs import placement
-from warpav.runs.config import load_config
-from warpav.runs.mounts import camera_model
 from warpav.runs.run_folder import RunFolder
 from warpav.scene.own_vehicle import write_vehicle
 from warpav.scene.town.town import ego_vehicle
@@ -108,14 +104,6 @@ def test_no_outside_zone_is_proposed_on_a_windscreen_of_the_paint_s_colour(worki
     assert not ((point_m[:, 1:] > low_m) & (point_m[:, 1:] < high_m)).all(axis=1).any()
 
 
-@pytest.mark.usefixtures("zones")
-def test_cameras_in_zones_see_what_is_near():
-    config = load_config("quick", [])
-    without = load_config("quick", ["mount.zones=null"])
-    assert camera_model(config).near_m == camera_model(without).near_m == 0.1
-    assert camera_model(load_config("quick", ["mount.zones=zones.yaml"])).near_m == 0.01
-
-
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
@@ -149,22 +137,3 @@ def test_a_zone_off_the_body_shows_before_any_scene_is_made(working_directory, c
     for words in (["config", "check"], ["optimise"]):
         line = complaint(capsys, *words, *POOL, "scenes.ego=car.glb", "mount.zones=zones.yaml")
         assert "zones.yaml: zone 'nowhere': expected a part of the body" in line
-
-
-@pytest.mark.parametrize(
-    ("option", "expected"),
-    [("mount.zones=car.glb", "readable YAML"), ("rig.modules={front_8mp_12: 1}", "did you mean front_8mp_120?")],
-)
-def test_config_check_reads_zones_and_modules(car, capsys, option, expected):
-    assert expected in complaint(capsys, "config", "check", "quick", option)
-
-
-@pytest.mark.usefixtures("zones")
-def test_the_api_takes_zones(working_directory):
-    (working_directory / "nowhere.yaml").write_text(
-        "zones: {nowhere: {normal: left, box_m: [[40, 0, 0], [41, 1, 1]]}}\n"
-    )
-    placement = wa.Placement(wa.town(range(1)), cameras=2, zones="zones.yaml")
-    assert [zone.name for zone in placement.mount.surface.zones][:2] == ["roof", "bonnet"]
-    with pytest.raises(InputError, match="zone 'nowhere'"):
-        _ = wa.Placement(wa.town(range(1)), cameras=2, zones="nowhere.yaml").mount

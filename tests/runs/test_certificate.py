@@ -1,6 +1,5 @@
 """What a search by a pool has proven, from the search to the report: bounds over the pool, and one more camera."""
 
-import dataclasses
 import itertools
 
 import numpy as np
@@ -10,7 +9,6 @@ import warpav as wa
 from tests.cli.small_run import SMALL
 from tests.detection.test_probability import model_of
 from warpav.core.errors import InputError
-from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.rig import Rig, RigCamera
 from warpav.runs.certificate import Certificate
 from warpav.runs.report.report import write_report
@@ -125,13 +123,6 @@ def test_the_gain_is_what_the_objective_of_the_larger_rig_says(placement, result
         assert result.found_objective - objective == pytest.approx(further.gain[k], abs=1e-5)
 
 
-def test_a_camera_that_joins_keeps_the_constraints(placement, result):
-    constraints, further = placement.objective.constraints, result.further_cameras
-    for k in range(len(further)):
-        camera = RigCamera("one_more", further.position_m[k], further.yaw_rad[k], model=placement.mount.camera)
-        assert constraints.violation_m(Rig([*result.found.cameras, camera])) == 0.0
-
-
 # ------------------------------------------------------------------------------------------------ the run folder
 
 
@@ -145,12 +136,6 @@ def test_a_folder_gives_back_what_was_proven(result, folder):
     assert len(content["bounds"]) == len(result.certificate.bounds)
     last = (folder.path / "metrics.csv").read_text().splitlines()
     assert dict(zip(last[0].split(","), last[-1].split(","), strict=True))["pool_cameras"] == str(result.pool_cameras)
-
-
-def test_a_folder_gives_back_the_further_cameras(result, folder):
-    found, expected = folder.further_cameras(), result.further_cameras
-    for field in dataclasses.fields(FurtherCameras):
-        np.testing.assert_allclose(getattr(found, field.name), getattr(expected, field.name), atol=1e-6)
 
 
 def test_the_report_shows_both_and_says_of_what(folder, result):

@@ -4,7 +4,6 @@ import errno
 import json
 import math
 import os
-import pickle
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,23 +12,16 @@ import numpy as np
 import pytest
 
 from warpav.cli.app import main
-from warpav.core.cache import user_cache_folder
 from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
 from warpav.detection import probability
 from warpav.detection.probability import FEATURE_COUNT, DetectionProbability, stored_file
 from warpav.detection.probability_fit import DetectionSamples, score
-from warpav.experiments.traffic_settings import find_traffic_setting
 from warpav.raster.camera import CameraModel
 from warpav.runs import detector_fit
 from warpav.runs.config import load_config
-from warpav.runs.detector_fit import TOWN_HELD_OUT, TOWN_SEEDS, chosen_seeds
-from warpav.runs.mounts import roof_surface
+from warpav.runs.detector_fit import chosen_seeds
 from warpav.runs.networks import any_camera_config, any_camera_use, detector_use
-from warpav.runs.placement import needed_fit
-from warpav.runs.scene_set import scene_recipes
-from warpav.scene.stored_scene import StoredScene
-from warpav.scene.town.town import ego_vehicle
 from warpav.scene.traffic.moments import search_and_test
 
 
@@ -47,12 +39,6 @@ def refused(capsys, *words):
     return lines[0]
 
 
-def test_embedded_scenes_of_its_own_are_the_default():
-    seeds = chosen_seeds(load_config("quick"), None, None)
-    assert (seeds.fit, seeds.held_out) == (TOWN_SEEDS, TOWN_HELD_OUT)
-    assert not set(TOWN_SEEDS) & set(TOWN_HELD_OUT)
-
-
 def test_scenes_of_files_are_shared_out(tmp_path):
     config = load_config("quick", ["scenes.source=folder", f"scenes.folder={tmp_path}", "scenes.train_seeds=0..9"])
     seeds = chosen_seeds(config, None, None)
@@ -64,16 +50,6 @@ def test_scenes_of_files_are_shared_out(tmp_path):
     )
     with pytest.raises(InputError, match=r"scenes\.train_seeds: expected at least 4"):
         chosen_seeds(few, None, None)
-
-
-def test_a_fit_is_for_what_is_free():
-    level = "rig.free.pitch_deg=null"
-    fixed = detector_use(load_config("quick", [level]))
-    assert "rig.free" not in fixed.settings
-    free = detector_use(load_config("quick", [level, "rig.free.height_m=[0.1, 0.4]"]))
-    assert free.settings["rig.free"] == {"height_m": [0.1, 0.4]}
-    wider = detector_use(load_config("quick", [level, "rig.free.height_m=[0.05, 0.4]"]))
-    assert len({fixed.identity, free.identity, wider.identity}) == 3
 
 
 @pytest.mark.parametrize("words", [["quick"], ["quick", "rig.free.pitch_deg=null"], ["default"]])
@@ -147,11 +123,6 @@ def test_a_fit_is_written_and_used_again(small_fit, own_cache, capsys):
     assert json.loads(file.read_text())["curves"] == data["curves"]
 
 
-def test_without_a_fit_the_error_says_what_to_run():
-    with pytest.raises(InputError, match="run warpav detector fit with the same configuration"):
-        DetectionProbability.find(detector_use(load_config("quick", ["camera.fov_deg=77"])))
-
-
 class StoppedError(Exception):
     """Ends a fit before it begins."""
 
@@ -164,26 +135,6 @@ class Said(NullProgress):
 
     def say(self, text):
         self.lines.append(text)
-
-
-def test_a_fit_without_progress_is_announced_in_the_log(monkeypatch, caplog):
-    """Who called without progress learns why it takes minutes; the fit itself is cut short here."""
-
-    def stop(*_, **__):
-        raise StoppedError
-
-    monkeypatch.setattr(detector_fit, "_sample_scenes", stop)
-    config = load_config("quick", ["detector.confidence_min=0.31"])
-    with pytest.raises(StoppedError):
-        detector_fit.ensure_fit(config)
-    (line,) = [record.getMessage() for record in caplog.records]
-    assert "fitting it once, in 80 scenes; the fit is stored for later runs, with any camera; progress=True" in line
-    caplog.clear()
-    said = Said()
-    with pytest.raises(StoppedError):
-        detector_fit.ensure_fit(config, progress=said)
-    assert caplog.records == []
-    assert "in 80 scenes" in said.lines[0]
 
 
 @pytest.fixture
@@ -209,18 +160,6 @@ FIT = ("--scenes", "1..3", "--held-out", "4..6", "executor.workers=1", "camera.w
 def curves(folder):
     (file,) = folder.glob("*.json")
     return json.loads(file.read_text())["curves"]
-
-
-@pytest.mark.parametrize(("scene_s", "expected"), [(4.0, ["the fit takes about 40 seconds"]), (1.0, [])])
-def test_a_long_fit_says_how_long_after_two_scenes(sampled, scene_s, expected, monkeypatch):
-    """The first scene took longer, for what all need; both count as done."""
-    monkeypatch.setattr(detector_fit.time, "perf_counter", lambda: scene_s * len(sampled) + 5.0 * bool(sampled))
-    config, said = load_config("quick", ["executor.workers=1"]), Said()
-    source = detector_fit._Source(CameraModel(64, 64), 24, (11,))
-    detector_fit._sample_scenes(config, tuple(range(8)), None, None, [source], said)
-    assert said.lines == expected
-    spoken = ["about 10 seconds", "about 40 seconds", "about 2 minutes", "about 50 minutes", "about 1.5 hours"]
-    assert [detector_fit._about(seconds) for seconds in (3.0, 38.0, 100.0, 3000.0, 5500.0)] == spoken
 
 
 def test_a_fit_that_is_interrupted_goes_on(sampled, own_cache, tmp_path, capsys, monkeypatch):
@@ -270,31 +209,6 @@ def test_a_full_disk_is_one_line_and_nothing_is_half_written(sampled, own_cache,
     assert sampled == []  # all scenes were kept
 
 
-def test_samples_that_cannot_be_kept_stop_no_fit(sampled, own_cache, monkeypatch):
-    def full(*_, **__):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(detector_fit, "write_arrays", full)
-    assert main(["detector", "fit", *FIT]) == 0
-    assert sampled == [1, 2, 3, 4, 5, 6]
-    assert len(list(own_cache.glob("*.json"))) == 1
-
-
-def test_what_is_sampled_elsewhere_and_in_other_chunks_has_the_same_bits():
-    config = load_config("quick", ["camera.width_px=64", "camera.height_px=64"])
-    (recipe,) = scene_recipes(config, (7,), NullProgress())
-    scene = StoredScene(recipe, user_cache_folder("packed_scenes"), "cpu")
-    source = detector_fit._Source(CameraModel(64, 64), 5, (11,))
-    surface = roof_surface(config, ego_vehicle())
-    sampling = detector_fit._Sampling(config, surface, (source,), None)
-    whole = detector_fit._samples_of((0, pickle.dumps(sampling), recipe, 7))
-    cameras = source.cameras(config, scene, surface, 7)
-    parts = sampling._of_cameras(source, cameras, scene, 7, 2)  # the last chunk is not full
-    assert len(whole) > 5
-    for name, array in vars(whole).items():
-        np.testing.assert_array_equal(getattr(parts, name), array, name)
-
-
 @pytest.mark.slow
 def test_processes_sample_the_same_bits():
     source = detector_fit._Source(CameraModel(64, 64), 4, (11,))
@@ -304,32 +218,6 @@ def test_processes_sample_the_same_bits():
         found.append(detector_fit._sample_scenes(config, range(16), None, None, [source], NullProgress()))
     for name, array in vars(found[0]).items():
         np.testing.assert_array_equal(getattr(found[1], name), array, name)
-
-
-@pytest.mark.parametrize(
-    ("device", "workers", "scenes", "expected"),
-    [
-        ("cpu", "null", 150, 16),  # one for each core
-        ("cpu", 3, 150, 3),
-        ("cpu", "null", 30, 3),  # as many as are worth their start
-        ("cpu", "null", 3, 1),
-        ("cuda:0", "null", 150, 5),  # as many as have room on the GPU
-    ],
-)
-def test_as_many_processes_as_there_is_work_and_room_for(device, workers, scenes, expected, monkeypatch):
-    monkeypatch.setattr(detector_fit, "available_cores", lambda: 16)
-    monkeypatch.setattr(detector_fit.wp, "get_device", lambda _: SimpleNamespace(free_memory=22 * 10**9))
-    config = load_config("quick", [f"device={device}", f"executor.workers={workers}"])
-    assert detector_fit._process_count(config, scenes) == expected
-
-
-@pytest.mark.parametrize("name", ["sind_4_rack", "sind_6_body_bus_all", "dense_2_roof_all"])
-def test_settings_on_traffic_need_no_fit(name, sampled):
-    setting = find_traffic_setting(name).experiment
-    for options in (setting.options, (*setting.options, *setting.quick)):
-        config = load_config("default", options)
-        assert detector_fit.ensure_fit(config).record["settings"]["scenes"]["targets"] == list(config.scenes.targets)
-    assert sampled == []
 
 
 def test_recordings_of_ones_own_share_the_fit_of_those_that_ship(tmp_path, own_cache):
@@ -413,15 +301,6 @@ def test_another_network_threshold_or_target_needs_another_fit():
     assert len({any_camera_use(config).identity for config in configs}) == len(options)
 
 
-def test_a_calibrated_camera_is_none_of_a_configuration():
-    config = load_config("quick")
-    centred = CameraModel(256, 256, focal_px=(128.0, 128.0))
-    assert detector_use(config, camera=centred).identity != detector_use(config).identity
-    assert (
-        detector_use(config, camera=CameraModel(256, 256, math.radians(90.0))).identity == detector_use(config).identity
-    )
-
-
 def outcomes(words, *, scene_count, model):
     """Probabilities of a model, and what the detector found, in scenes that nothing has been fitted on."""
     config = load_config("quick", words)
@@ -500,18 +379,3 @@ def test_a_detector_object_that_tells_its_scale_is_fitted_once(monkeypatch):
     for camera in (*cameras, cameras[0]):
         assert detector_fit.ensure_fit(config, detector=plain, camera=camera).network_scale == (1.0, 1.0)
     assert fitted[1:] == [(False, cameras[0]), (False, cameras[1])]
-
-
-def test_too_few_scenes_to_fit_on_are_said_once_for_all_modules(tmp_path):
-    said = []
-    progress = SimpleNamespace(say=said.append)
-    modules = "rig.modules={front_3mp_60: 1, fisheye_1_3mp_190: 1}"
-    options = ["scenes.source=folder", f"scenes.folder={tmp_path}", "scenes.train_seeds=0..5", modules]
-    config = load_config("quick", options)
-    assert len(needed_fit(config, progress)) == 2
-    assert said == [
-        "detection probability is that of the embedded scenes: to fit it on others takes 20, scenes.train_seeds has 6"
-    ]
-    said.clear()
-    assert detector_fit.fit_config(load_config("quick", [*options, "losses.probability=visible_share"]), progress)
-    assert said == []

@@ -4,11 +4,9 @@ import importlib.util
 import json
 import os
 
-import numpy as np
 import pytest
 
 from warpav.cli.app import main
-from warpav.core.errors import InputError
 from warpav.detection.training import data
 
 SIDES_PX = {64: 2, 96: 1}
@@ -98,18 +96,3 @@ def test_an_evaluation_counts_and_uses_its_images_again(capsys, working_director
     assert file.stat().st_mtime_ns == written
     report = json.loads((working_directory / "out/evaluation.json").read_text())
     assert report["easy"]["64"]["images"] == 1
-
-
-def test_damaged_images_are_named(capsys, working_directory):
-    folder = working_directory / "out/images/test_easy"
-    data.write_images(data.TEST_SUBSETS["test_easy"], folder, processes=1)
-    for side_px in SIDES_PX:
-        (folder / f"labels_{side_px}.npz").write_text("no labels")
-    line = refused(capsys, "evaluate", "--out", "out")
-    assert "labels_64.npz: expected labels and images that warpav wrote" in line
-    assert line.endswith("remove the folder, and they are made again")
-    # labels and images that do not belong together
-    data.write_images(data.TEST_SUBSETS["test_easy"], working_directory / "other", processes=1)
-    np.save(working_directory / "other/images_64.npy", np.zeros((3, 64, 64, 3), np.uint8))
-    with pytest.raises(InputError, match=r"images of shape \(3, 64, 64, 3\) for 2 labels"):
-        data.load_images(working_directory / "other")

@@ -82,17 +82,6 @@ def test_an_optimisation_writes_nothing(config, train, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_result_has_its_history(result):
-    assert len(result.history["loss"]) == len(result.records) == 3
-    assert result.history["objective"][0] == result.start_objective
-    assert result.objective <= result.start_objective
-    assert len(result.history["objective"]) == len(result.history["objective_iteration"])
-    assert "Result(2 cameras, 3 iterations" in repr(result)
-    assert result._repr_html_().startswith("<b>Result</b>")
-    with pytest.raises(AttributeError):
-        result.rig = result.start
-
-
 def test_the_rig_of_a_result_that_is_worse_is_its_start(config, train):
     steps = ["optimiser.keep=last", "optimiser.learning_rate_position_m=2", "optimiser.starts=1", "rig.start=highest"]
     worse = wa.optimise(wa.Placement(train, config=wa.Config.load("quick", *SMALL, *steps)), iterations=4)
@@ -183,15 +172,6 @@ def test_a_rig_can_be_the_start_and_cameras_of_it_stay(config, train, result):
 def test_arguments_that_cannot_be_used_are_named(train, arguments, message):
     with pytest.raises(wa.InputError, match=message):
         wa.Placement(train, **arguments)
-
-
-def test_scenes_that_are_none_are_named():
-    with pytest.raises(wa.InputError, match="train: expected at least one scene, got none"):
-        wa.Placement([])
-    with pytest.raises(TypeError, match="train: expected scenes"):
-        wa.Placement([1])
-    with pytest.raises(TypeError, match=r"train: expected a list of scenes, got one Scene; write \[scene\]"):
-        wa.Placement(wa.town([0])[0])
 
 
 def test_an_evaluation_says_which_camera_sees_what(placement, result, test_scenes):
@@ -335,14 +315,3 @@ def test_a_run_of_a_detector_that_is_an_object_is_not_evaluated_with_another(con
     assert "detector.model: expected the ONNX file of the run's detector" in error
     assert "LowerHalf" in error
     assert "rig_best.yaml" in error
-
-
-def test_a_share_of_the_object_asks_no_detector(config, train):
-    detector = LowerHalf()
-    shares = wa.Config.load("quick", *SMALL[:-1], "losses.probability=visible_share", "requirements=null")
-    placement = wa.Placement(train, config=shares, detector=detector).prepare()
-    assert detector.asked == 0  # a fit shows it thousands of images
-    rig = placement.start_rig or wa.random_rig(placement)
-    share = placement.detection_probabilities(rig)
-    assert 0.0 < share.max() <= 1.0
-    assert detector.asked == 0

@@ -1,15 +1,12 @@
 """The front door to images for what runs come to: results of optimisations and evaluations."""
 
-import importlib
-
 import numpy as np
 import pytest
 from PIL import Image
 
 import warpav as wa
-from tests.view.stand_ins import needs_opengl, rig
+from tests.view.stand_ins import needs_opengl
 from warpav.core.errors import InputError
-from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.view import Canvas, drawing_of
 
 SMALL = (160, 100)
@@ -76,9 +73,3 @@ def test_an_evaluation_is_a_figure_of_recall(placement, result, tmp_path):
         np.testing.assert_allclose(drawn["start"], expected)
     assert wa.plot(evaluation, out=tmp_path / "recall.png") == tmp_path / "recall.png"
     assert pixels(tmp_path / "recall.png").std() > 5.0
-
-
-def test_an_evaluation_without_objects_cannot_be_drawn():
-    importlib.import_module("warpav.runs.evaluate")  # as whoever has an evaluation did
-    with pytest.raises(InputError, match="plot: expected an evaluation with objects, got none"):
-        drawing_of(RigEvaluation({"rig": rig()}, {}, ("empty",), ()), Canvas())

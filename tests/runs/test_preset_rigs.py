@@ -13,13 +13,10 @@ import warpav as wa
 from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
 from warpav.evaluation.metrics import observe_scenes
-from warpav.experiments.arms import AS_BUILT, common_arms, default_like, find_rig_of
-from warpav.experiments.result_folder import unseeded
-from warpav.rig.catalogue import builtin_modules
 from warpav.rig.check import off_vehicle
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.baseline_rigs import highest_rig
-from warpav.runs.config import dump_config, load_config
+from warpav.runs.config import load_config
 from warpav.runs.evaluate import evaluate_on
 from warpav.runs.mounts import preset_for
 from warpav.runs.preset_rigs import know_cameras
@@ -63,14 +60,6 @@ def test_images_keep_their_proportions(options, size_px, portrait_px):
         assert vertical_rad[0] == pytest.approx(vertical_rad[1], rel=5e-3)
 
 
-def test_modules_share_their_mean_of_pixels():
-    config = load_config("quick", ["rig.modules={front_8mp_30: 1, side_2mp_100: 1..4}"])
-    sizes = [builtin_modules()[name].network_px for name in ("front_8mp_30", "side_2mp_100")]
-    mean = sum(width * height for width, height in sizes) / 2.0
-    model = preset_for("nuscenes", config, ego_vehicle()).rig.cameras[0].model
-    assert model.width_px * model.height_px == pytest.approx(mean, rel=2e-3)
-
-
 def test_a_preset_has_the_value_that_its_cameras_give(placement):
     """The product of the misses, object by object, by another way than the objective's."""
     rig = preset_for("nuscenes", placement.config, placement.ego).rig
@@ -106,33 +95,6 @@ def test_the_mounts_own_cameras_have_the_same_value_either_way(placement):
     own, others = (found.metrics[name].objective for name in ("own", "other"))
     assert others is not None
     assert own == pytest.approx(others, rel=1e-5)
-
-
-def test_other_losses_do_not_ask_for_more_cameras():
-    config = load_config("quick", [*SMALL, "run.batch_size=1", "losses={detected_area: 1.0, expected_miss_rate: 0.0}"])
-    placement = wa.Placement.from_config(config).prepare()
-    rig = preset_for("nuscenes", config, placement.ego).rig
-    know_cameras(rig, placement)
-    assert placement.objective.probability_of(rig.cameras[0].model) is None
-
-
-def test_arms_as_built_stand_on_the_body_and_have_a_counterpart(placement):
-    arm = common_arms()[f"nuscenes{AS_BUILT}"]
-    assert arm.is_preset
-    assert not arm.is_seeded
-    found = find_rig_of(arm, placement, None)
-    for one, other in zip(
-        found.rig.cameras, preset_for("nuscenes", placement.config, placement.ego).rig.cameras, strict=True
-    ):
-        np.testing.assert_array_equal(one.position_m, other.position_m)
-        assert one.model == other.model
-    assert placement.objective.probability_of(found.rig.cameras[0].model) is not None
-    on_roof = find_rig_of(common_arms()["nuscenes"], placement, None).rig.cameras[0].model
-    assert (on_roof.width_px, on_roof.height_px) == (256, 256)
-    like = default_like("nuscenes", pixels=256 * 256)
-    assert like.name == "default_as_nuscenes_as_built"
-    camera = like.evaluation_config(load_config("default")).camera
-    assert (camera.width_px, camera.height_px, camera.fov_deg) == (341, 192, 64.8)
 
 
 @pytest.mark.usefixtures("short_polish")
@@ -173,14 +135,6 @@ def test_rigs_of_files_are_refused_before_scenes_are_made(names, message, tmp_pa
         Path("nothing.yaml").write_text("hello: 1\n")
     with pytest.raises(InputError, match=re.escape(message)):
         wa.Placement.from_config(load_config("quick", [f"baselines.rigs=[{', '.join(names)}]"]))
-
-
-def test_files_and_hashes_are_as_before_where_nothing_is_set():
-    plain, given = load_config("default"), load_config("default", ["baselines.presets=[nuscenes]"])
-    assert "preset" not in unseeded(plain)
-    assert given.baselines.presets == ("nuscenes",)
-    assert "presets" in dump_config(given)
-    assert '"baselines.presets": ["nuscenes"]' in unseeded(given)
 
 
 def test_a_preset_is_drawn_where_it_is_measured(caplog):

@@ -7,12 +7,10 @@ from tests.driving_scene import street
 from tests.experiments.small_experiment import OPTIONS
 from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
-from warpav.runs import placement as module
 from warpav.runs.config import load_config
 from warpav.runs.placement import Placement
 from warpav.runs.scene_set import SceneSet, load_scene_set, load_scenes, pack_scenes
 from warpav.scene.glb import write_scene
-from warpav.thesis.segregation import choose_orientations
 
 
 @pytest.fixture(scope="module")
@@ -79,18 +77,6 @@ def test_nothing_is_rendered_before_somebody_asks(folder, monkeypatch):
     assert placement.test[1].assigned_camera is placement.test[1].assigned_camera
     assert placement.train[0].assigned_camera.shape == (placement.train[0].scene.vehicle_count,)
     assert len(rendered) == 4
-
-
-def test_orientations_are_chosen_by_some_of_many_scenes(folder, monkeypatch):
-    config = config_of(folder, "scenes.train_seeds=[0, 1, 4, 5]", "scenes.test_seeds=[2, 3]")
-    monkeypatch.setattr(module, "ORIENTATION_SCENES", 2)
-    placement = Placement.from_config(config)
-    scenes = load_scene_set(config, NullProgress())
-    areas = scenes.areas([scenes.train[0], scenes.train[2]], config.segregation.rotations)
-    rng = np.random.default_rng([config.run.seed, 0])
-    expected = choose_orientations(areas, 2, config.segregation.rotations, rng)
-    np.testing.assert_array_equal(placement.segregation.yaw_rad, expected.yaw_rad)
-    assert placement.segregation.seen_instances == expected.seen_instances
 
 
 def test_zones_without_room_for_a_module_are_said(tmp_path):

@@ -1,6 +1,5 @@
 """Commands about scenes: built, captured, checked, reconstructed, and the main job on what went through images."""
 
-import dataclasses
 import json
 import os
 import shutil
@@ -10,7 +9,6 @@ import pytest
 
 from tests.scene.test_files import bytes_of, content, remove, shorten
 from warpav.cli.app import main
-from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
 from warpav.runs.config import load_config
 from warpav.runs.placement import Placement
@@ -18,7 +16,6 @@ from warpav.runs.progress import RunDisplay
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scenes
 from warpav.scene.capture.folder import read_capture
-from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.scene import Box, Scene, Vehicle
 
 pytestmark = pytest.mark.usefixtures("working_directory")
@@ -105,22 +102,6 @@ def test_a_scene_that_fails_is_told_and_the_others_are_made(monkeypatch, capsys)
     assert capsys.readouterr().out.splitlines()[-1].endswith("scenes.train_seeds=[0,2,3,4] scenes.test_seeds=6..6")
 
 
-@pytest.mark.parametrize("count", [5, 6, 9])
-def test_the_advice_to_train_on_a_split_can_be_followed(monkeypatch, capsys, count):
-    monkeypatch.setattr(
-        "warpav.scene.files.built_scenes", lambda sources: [small_scene(source.seed) for source in sources]
-    )
-    assert main(["scenes", "make", "--count", str(count), "--out", "scenes"]) == 0
-    line = capsys.readouterr().out.splitlines()[-1]
-    if count < 6:
-        assert line == "scenes/scene_4.glb"
-        return
-    overrides = line.partition("warpav optimise ")[2].split()
-    scenes = load_config("quick", overrides).scenes
-    assert set(scenes.train_seeds).isdisjoint(scenes.test_seeds)
-    assert set(scenes.train_seeds) | set(scenes.test_seeds) < set(range(count))  # the others validate
-
-
 # ------------------------------------------------------------------------------------------------ capture, check
 
 
@@ -129,14 +110,6 @@ def test_captures_hold_what_was_asked_for(collection):
     assert len(capture.images) == 1 + 1 + 1 + 1 + 3 + 4
     assert len(capture.vehicles) == 1
     assert {image.rgb.shape for image in capture.images} == {(72, 96, 3)}
-
-
-def test_capturing_again_leaves_everything_alone(captures, capsys):
-    before = content(captures)
-    assert main(["scenes", "capture", *CAPTURE, "--seeds", "[3, 4]", "--out", "captures"]) == 0
-    assert content(captures) == before
-    lines = capsys.readouterr().out.splitlines()
-    assert lines == ["recording: 2", *(f"captures/scene_{seed} is there already" for seed in SEEDS)]
 
 
 def test_check_names_every_trouble(captures, capsys):
@@ -155,14 +128,6 @@ def test_check_names_every_trouble(captures, capsys):
 
 
 # ------------------------------------------------------------------------------------------------ reconstruct
-
-
-def test_reconstructed_scenes_can_be_read(collection):
-    assert sorted(os.listdir(collection / "scenes")) == ["collection.json", "scene_3.glb", "scene_4.glb"]
-    for seed in SEEDS:
-        scene = read_scene(collection / "scenes" / f"scene_{seed}.glb")
-        assert (scene.name, len(scene.vehicles)) == (f"town_{seed:04d}", 1)
-        assert len(scene.vehicles[0].mesh.triangle) <= 400
 
 
 def test_refused_captures_are_summed_up_and_the_others_are_made(captures, collection, capsys):
@@ -243,14 +208,6 @@ def test_captured_scenes_are_made_once(collection, working_directory):
     np.testing.assert_array_equal(made.environment.vertex_m, again.environment.vertex_m)
 
 
-def test_captured_scenes_are_kept_in_the_users_cache(working_directory, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(working_directory / "cache"))
-    overrides = [one for one in captured_config("x") if not one.startswith("scenes.folder")]
-    (scene,) = load_scenes(load_config("quick", overrides), [3])
-    assert scene.name == "town_0003"
-    assert sorted(os.listdir("cache/warpav/captured")) == ["captures", "collection.json", "scene_3.glb"]
-
-
 def problem(folder, *overrides):
     """What a run loads: training on scene 3, a test on scene 4 of a folder."""
     seeds = ["scenes.train_seeds=[3]", "scenes.test_seeds=[4]", "run.batch_size=1", "segregation.rotations=4"]
@@ -271,20 +228,6 @@ def test_training_scenes_are_mirrored_and_test_scenes_are_not(collection):
     np.testing.assert_allclose(mirrored[0, :, [0, 2]], original[0, :, [0, 2]], atol=1e-5)
     np.testing.assert_allclose(mirrored[0, :, 1], expected[0, :, 1], atol=1e-5)
     np.testing.assert_allclose(mirrored[1], original[1], atol=1e-5)  # the ego vehicle
-
-
-def test_ego_vehicles_may_reach_less_far_down_but_not_differ_otherwise(collection, working_directory):
-    scenes = shutil.copytree(collection / "scenes", working_directory / "scenes")
-    scene = read_scene(scenes / "scene_4.glb")
-    ego, low_m = scene.ego, scene.ego.bounds_m()[0, 2]
-    lower = np.where(ego.vertex_m[:, 2:] < low_m + 0.1, [0.0, 0.0, -0.5], 0.0).astype(np.float32)
-    deeper = dataclasses.replace(scene, ego=dataclasses.replace(ego, vertex_m=ego.vertex_m + lower))
-    write_scene(deeper, scenes / "scene_4.glb")
-    assert [one.scene.name for one in problem(scenes).test] == ["town_0004"]
-    longer = dataclasses.replace(ego, vertex_m=ego.vertex_m * np.array([1.1, 1.0, 1.0], np.float32))
-    write_scene(dataclasses.replace(scene, ego=longer), scenes / "scene_4.glb")
-    with pytest.raises(InputError, match="town_0004: ego: expected the same vehicle as in the first scene"):
-        problem(scenes)
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """``warpav vehicle check``, and a user's own vehicle in the place of every scene's: ``scenes.ego``."""
 
-import json
 import shlex
 
 import numpy as np
@@ -12,17 +11,14 @@ from tests.scene.test_own_vehicle import of_kind, save
 from tests.view.stand_ins import needs_opengl
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.core.progress import NullProgress
-from warpav.experiments import experiment as experiments
 from warpav.experiments.result_folder import unseeded
 from warpav.raster.mesh import Mesh
-from warpav.rig.rig import read_rig
 from warpav.runs.config import load_config, with_absolute_paths
 from warpav.runs.mounts import mount_surface
 from warpav.runs.networks import detector_use
-from warpav.runs.scene_set import load_scene_set, load_scenes, own_vehicle
+from warpav.runs.scene_set import load_scenes, own_vehicle
 from warpav.runs.vehicle_check import zone_parts
-from warpav.scene.glb import read_scene, write_scene
+from warpav.scene.glb import write_scene
 from warpav.scene.own_vehicle import Reading, read_vehicle_file, write_vehicle
 from warpav.scene.scene import Box, Scene, Vehicle
 from warpav.scene.town.town import ego_vehicle, town_scene
@@ -87,25 +83,6 @@ def test_the_suggested_command_fixes_the_file(car, tmp_path, capsys, name, readi
     )
 
 
-def test_what_is_not_fixed_yet_is_not_written(car, tmp_path, capsys):
-    save(car, tmp_path / "car.glb", reading=Reading("z", "x", 0.01))
-    assert check("car.glb", "--scale", "0.01", "--out", "out.glb") == 2
-    assert not (tmp_path / "out.glb").exists()
-    assert "to fix it: warpav vehicle check car.glb --scale 0.01 --up z --out out.glb" in capsys.readouterr().err
-
-
-def test_options_without_a_file_to_write_leave_something_to_do(car, tmp_path, capsys):
-    save(car, tmp_path / "car.obj", reading=Reading("y", "x"))
-    assert check("car.obj", "--up", "y") == 2
-    assert capsys.readouterr().err == "car.obj: to fix it: warpav vehicle check car.obj --up y --out car_ego.glb\n"
-
-
-def test_a_backwards_vehicle_gets_a_hint_and_no_more(car, tmp_path, capsys):
-    save(car, tmp_path / "car.obj", reading=Reading("z", "-x"))
-    check("car.obj")
-    assert "add --forward -x" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -129,14 +106,6 @@ def test_wrong_input_is_one_line_and_status_2(car, tmp_path, capsys, words, mess
     err = capsys.readouterr().err
     assert message in err
     assert err.count("\n") == 1
-
-
-def test_a_vehicle_on_which_nothing_can_stand_says_so(tmp_path, capsys):
-    corner = [[-1, -0.9, 0], [3.5, -0.9, 0], [1, 0, 4.0], [-1, 0.9, 0], [3.5, 0.9, 0]]
-    tent = Mesh.create(corner, [[0, 1, 2], [4, 3, 2], [3, 0, 2], [1, 4, 2]], (80, 80, 80))
-    write_vehicle(tent, tmp_path / "tent.glb")
-    assert check("tent.glb") == 2
-    assert "tent.glb: mount surface: expected faces that point upwards" in capsys.readouterr().err
 
 
 @needs_opengl
@@ -211,19 +180,6 @@ def test_who_stands_at_its_place_is_left_out_and_that_is_said(car):
     assert [each.instance_id for each in scene.around(car).vehicles] == [1, 2, 3]
 
 
-def test_left_out_road_users_are_reported(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "warpav.scene.stored_scene.built_scenes", lambda sources: (town_like(each.seed) for each in sources)
-    )
-    bus = of_kind("bus").transformed(np.eye(3), np.array([4.2, 0.0, 0.0]))  # to 9.6 m, and a vehicle begins at 9 m
-    write_vehicle(bus, tmp_path / "bus.glb")
-    # its origin is not below its rear axle; it is as its owner said
-    told = []
-    (scene,) = load_scenes(load_config("quick", ["scenes.ego=bus.glb"]), [1], say=told.append)
-    assert scene.vehicles == ()
-    assert told == ["s1: 1 road user left out, where the ego vehicle stands"]
-
-
 def test_an_unfit_vehicle_is_rejected_with_the_command_that_examines_it(car, tmp_path, capsys):
     save(car, tmp_path / "cm.glb", reading=Reading("y", "x", 0.01))
     assert main(["inspect", "highest", "scenes.ego=cm.glb", "--out", "x.png"]) == 2
@@ -239,17 +195,6 @@ def test_an_unfit_vehicle_is_rejected_with_the_command_that_examines_it(car, tmp
     (tmp_path / "bad.glb").write_bytes(b"glTF")
     with pytest.raises(InputError, match=r"scenes\.ego: bad\.glb: vehicle: expected a readable glb file"):
         own_vehicle(load_config("quick", ["scenes.ego=bad.glb"]))
-
-
-def test_renders_show_it(tmp_path):
-    write_vehicle(moved_van(), tmp_path / "van.glb")
-    words = ["camera.width_px=64", "camera.height_px=64", "rig.height_offset_m=0.5"]
-    for name, ego in (("own", ["scenes.ego=van.glb"]), ("usual", [])):
-        assert main(["render", "3", "--rig", "highest", "--out", name, *words, *ego]) == 0
-    views = [json.loads((tmp_path / name / "views.json").read_text()) for name in ("own", "usual")]
-    highest = [view[0]["ego_from_camera"][2][3] for view in views]
-    assert highest[0] == pytest.approx(moved_van().bounds_m()[1, 2] + 0.5, abs=0.01)
-    assert highest[1] == pytest.approx(1.55 + 0.5, abs=0.01)
 
 
 def test_what_was_made_with_another_vehicle_is_made_again(car, tmp_path):
@@ -271,48 +216,7 @@ def test_what_was_made_with_another_vehicle_is_made_again(car, tmp_path):
     assert with_absolute_paths(moved).scenes.ego == tmp_path / "elsewhere" / "car.glb"
 
 
-def test_the_traffic_of_a_process_notices_another_vehicle_in_the_same_file(car, tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "warpav.scene.stored_scene.built_scenes", lambda sources: (town_like(each.seed) for each in sources)
-    )
-    write_vehicle(car, tmp_path / "car.glb")
-    config = load_config(
-        "quick",
-        ["scenes.ego=car.glb", "scenes.train_seeds=[1]", "scenes.test_seeds=[2]", "run.batch_size=1"],
-    )
-    kept = experiments._TrafficOfProcess()
-    first = kept(config, NullProgress())
-    assert kept(config, NullProgress()) is first
-    write_vehicle(moved_van(), tmp_path / "car.glb")
-    again = kept(config, NullProgress())
-    np.testing.assert_array_equal(again.ego.vertex_m, moved_van().vertex_m)
-    assert again.mount.surface.height_m.max() > first.mount.surface.height_m.max() + 0.3
-    np.testing.assert_array_equal(load_scene_set(config, NullProgress()).ego.vertex_m, again.ego.vertex_m)
-
-
-def town_like(seed):
-    """A scene that takes no time to build."""
-    box = Box(np.array([9.5, 0.5, 0.5]), np.ones(3), 0.0)
-    scene = small_scene(seed)
-    return Scene(f"s{seed}", scene.environment, ego_vehicle(), (Vehicle(1, "van", scene.vehicles[0].mesh, box),))
-
-
-def test_a_written_vehicle_is_no_scene_but_its_node_is_the_same(car, tmp_path):
-    write_vehicle(car, tmp_path / "car.glb")
-    with pytest.raises(InputError, match="expected a mesh node named 'environment', got ego"):
-        read_scene(tmp_path / "car.glb")
-
-
 # ----------------------------------------------------------------------------------------------- shipped vehicles
-
-
-def test_the_list_of_shipped_vehicles(capsys):
-    assert main(["vehicle", "list"]) == 0
-    said = capsys.readouterr().out
-    assert "bus: midibus without a bonnet, 7.57 x 2.42 x 3.31 m (length, width, height)" in said
-    assert said.count("licence: CC0 1.0") == 7
-    assert check("bus") == 0
-    assert "it can be used as it is: scenes.ego=bus" in capsys.readouterr().out
 
 
 def test_a_name_stands_for_a_shipped_vehicle(working_directory, capsys):
@@ -325,28 +229,6 @@ def test_a_name_stands_for_a_shipped_vehicle(working_directory, capsys):
         "command line (scenes.ego=buss): scenes.ego: expected one of bus, car, coupe, minibus, moving_truck, "
         "panel_van, truck, the path of a mesh file, or null, got 'buss'; did you mean bus?\n"
     )
-
-
-@pytest.mark.parametrize("name", ["bus", "car", "coupe", "minibus", "moving_truck", "panel_van", "truck"])
-def test_cameras_have_room_on_the_roof_of_a_shipped_vehicle(name):
-    config = load_config("quick", [f"scenes.ego={name}"])
-    vehicle = own_vehicle(config)
-    roof = next(part for part in zone_parts(mount_surface(config, vehicle), vehicle) if part.name == "roof")
-    share = 0.8 if name in ("car", "coupe") else 0.95  # whose roofs run down to the rear
-    assert roof.height_m > share * vehicle.bounds_m()[1, 2]
-    assert roof.area_m2 > 1.5
-
-
-@pytest.mark.slow
-def test_a_shipped_vehicle_carries_the_cameras_of_a_search():
-    words = ["scenes.ego=bus", "scenes.train_seeds=[0, 1]", "scenes.test_seeds=[1000, 1001]", "run.batch_size=2"]
-    words += ["run.iterations=2", "rig.cameras=2", "camera.width_px=64", "camera.height_px=64", "optimiser.starts=1"]
-    words += ["baselines.random_samples=1", "optimiser.check_every=2"]
-    words += ["losses={expected_miss_rate: 0, in_frame_rotation: 1, detected_area: 10}", "run.out=on_a_bus"]
-    assert main(["optimise", *words]) == 0
-    rig = read_rig("on_a_bus/rig_best.yaml")
-    heights = [camera.ego_from_camera[2, 3] for camera in rig.cameras]
-    assert min(heights) > 3.2
 
 
 # ----------------------------------------------------------------------------------------------- bonnets

@@ -435,11 +435,7 @@ class Placement:
 
     @cached_property
     def requirements(self) -> tuple[Requirement, ...]:
-        """What has to be seen near the vehicle; empty: nothing.
-
-        Raises:
-            InputError: The file of ``config.requirements`` cannot be used.
-        """
+        """What has to be seen near the vehicle; empty: nothing."""
         if self._parts.requirements is not None:
             return self._parts.requirements
         source = self.config.requirements
@@ -452,11 +448,7 @@ class Placement:
 
     @cached_property
     def ghosts(self) -> RequiredPoints | None:
-        """The requirements' test objects around the vehicle; None where nothing is required.
-
-        Raises:
-            InputError: A requirement has no point, or there are too many.
-        """
+        """The requirements' test objects around the vehicle; None where nothing is required."""
         if not self.requirements:
             return None
         return RequiredPoints(self.requirements, self.ego, device=str(self.mount.device))
@@ -486,23 +478,13 @@ class Placement:
         return _random_numbers(self.config, stream)
 
     def assigned(self, scenes: list[AssignedScene], rig: Rig | None) -> list[AssignedScene]:
-        """The scenes with vehicles assigned to the cameras of a rig.
-
-        Args:
-            scenes: Some of the placement's scenes.
-            rig: Its cameras are paired with the orientations by their directions; None pairs camera k with
-                orientation k. A rig keeps the pairs it began with, so for one that has moved this is its start.
-        """
+        """The scenes with vehicles assigned to the cameras of a rig."""
         if rig is None or len(rig.cameras) != len(self.segregation.yaw_rad):
             return scenes
         return assign_to_nearest_cameras(scenes, self.segregation.yaw_rad, rig)
 
     def observed(self, scenes: Sequence[Scene], *, progress: Progress | None = None) -> list[AssignedScene]:
-        """Other scenes as this placement sees them: around its vehicle, with its targets, assigned, on its device.
-
-        Raises:
-            InputError: There is none, or one has another ego vehicle.
-        """
+        """Other scenes as this placement sees them: around its vehicle, with its targets, assigned, on its device."""
         progress = progress or NullProgress()
         scenes = _checked_scenes("scenes", scenes)
         self.prepare(progress)
@@ -569,11 +551,7 @@ class Placement:
         return found.detection_probability
 
     def mount_pose_of(self, rig: Rig) -> np.ndarray:
-        """The cameras of a rig as the placement's mount counts them, float32 [camera, 7].
-
-        Raises:
-            InputError: It has another number of cameras, or another camera model.
-        """
+        """The cameras of a rig as the placement's mount counts them, float32 [camera, 7]."""
         if not isinstance(rig, Rig):
             raise TypeError(f"rig: expected a Rig, got {type(rig).__name__}")
         least, most = self.config.rig.camera_range

@@ -156,11 +156,7 @@ class Result:
 
     @cached_property
     def robust(self) -> dict[str, Any] | None:
-        """What the objective is made of, of start and `found`, where it is a robust one; else None.
-
-        That is where it counts the loss of a camera or errors of mounting; the latter are in all numbers but those
-        ``as_designed``.
-        """
+        """What the objective is made of, of start and `found`, where it is a robust one; else None."""
         descent, settings = self._descent, self.placement.config.robust
         if not isinstance(descent, PoolDescent) or descent.found is None or settings.asked_for is None:
             return None
@@ -175,10 +171,7 @@ class Result:
 
     @cached_property
     def further_cameras(self) -> FurtherCameras | None:
-        """What each camera of the pool would add to `found`, the one that helps most first; None for a descent.
-
-        See `warpav.optimisation.further_camera`.
-        """
+        """What each camera of the pool would add to `found`, the one that helps most first; None for a descent."""
         return self._descent.further_cameras() if isinstance(self._descent, PoolDescent) else None
 
     @cached_property

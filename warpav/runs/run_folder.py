@@ -89,22 +89,7 @@ class RunFolder:
         own_detector: str | None = None,
         hashes: Mapping[str, str] | None = None,
     ) -> RunFolder:
-        """A new run folder with ``config.yaml`` and ``env.json``; call it once all inputs are known to be good.
-
-        Args:
-            config: The configuration of the run; ``run.out`` names the folder. Paths of other files are written whole,
-                so that the folder can be used from everywhere.
-            name: Without ``run.out`` the folder is ``runs/<name>``, or ``runs/<name>-2`` and so on.
-            device: What computes, in words.
-            start: The rig that the run starts from, where it is a certain one; the folder keeps it, so that it needs no
-                file from elsewhere.
-            freeze: Names of its cameras that stay as they are.
-            own_detector: Class of the detector where that is an object, which no file of the folder holds.
-            hashes: Of what the run depends on, by what it is (`warpav.runs.checkpoint.identity_of`).
-
-        Raises:
-            InputError: ``run.out`` exists, or no folder can be made there.
-        """
+        """A new run folder with ``config.yaml`` and ``env.json``; call it once all inputs are known to be good."""
         check_new_run(config)
         with _made_folder():
             if config.run.out is not None:
@@ -131,11 +116,7 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: str | Path) -> RunFolder:
-        """The run folder at ``path``.
-
-        Raises:
-            InputError: There is no folder, or it is not one of a run.
-        """
+        """The run folder at ``path``."""
         folder = Path(path).expanduser()
         if not folder.is_dir():
             raise InputError(f"{path}: run folder: expected an existing folder, got none of that name")
@@ -157,22 +138,14 @@ class RunFolder:
         return self.path / f"rig_{role}.yaml"
 
     def append_event(self, record: object) -> None:
-        """Append one iteration to ``events.jsonl`` and ``metrics.csv``.
-
-        Args:
-            record: A mapping or a dataclass with the fields that the run folder documents for an iteration.
-        """
+        """Append one iteration to ``events.jsonl`` and ``metrics.csv``."""
         event = json_ready(record)
         metrics = self.path / "metrics.csv"
         append_line(metrics, _metrics_rows([event], with_names=not metrics.exists()))
         append_line(self.path / "events.jsonl", _event_line(event))
 
     def first_events(self, count: int) -> list[dict[str, Any]]:
-        """So many of `events`, the first ones.
-
-        Raises:
-            InputError: As `events`, or there are fewer.
-        """
+        """So many of `events`, the first ones."""
         file = self.path / "events.jsonl"
         events = read_events(file)[:count]
         if len(events) < count:
@@ -192,20 +165,13 @@ class RunFolder:
                 metrics.unlink(missing_ok=True)
 
     def write_checkpoint(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Write the state from which the run can go on to ``checkpoints/last.npz``.
-
-        It is on the disk when this returns, and so are the iterations that it stands on.
-        """
+        """Write the state from which the run can go on to ``checkpoints/last.npz``."""
         with writing(self.path / "events.jsonl"):
             sync(self.path / "events.jsonl")
         _write_arrays(self.path / "checkpoints" / "last.npz", arrays, is_durable=True)
 
     def checkpoint(self) -> dict[str, np.ndarray] | None:
-        """The content of ``checkpoints/last.npz``, or None where the run was stopped before it had any.
-
-        Raises:
-            InputError: It cannot be read.
-        """
+        """The content of ``checkpoints/last.npz``, or None where the run was stopped before it had any."""
         return _read_arrays(self.path / "checkpoints" / "last.npz")
 
     def note_resumed(self, iteration: int) -> None:
@@ -239,11 +205,7 @@ class RunFolder:
         _write_arrays(self.path / "figures" / "ground.npz", arrays)
 
     def ground(self) -> dict[str, np.ndarray] | None:
-        """The content of ``figures/ground.npz``, or None.
-
-        Raises:
-            InputError: It cannot be read.
-        """
+        """The content of ``figures/ground.npz``, or None."""
         return _read_arrays(self.path / "figures" / "ground.npz")
 
     def write_views(self, views: Sequence[Mapping[str, Any]], image_of: Mapping[str, bytes]) -> None:
@@ -277,11 +239,7 @@ class RunFolder:
         write_text(self.path / "further_cameras.csv", text.getvalue())
 
     def further_cameras(self) -> FurtherCameras | None:
-        """The content of ``further_cameras.csv``, or None: a descent writes none.
-
-        Raises:
-            InputError: It cannot be read.
-        """
+        """The content of ``further_cameras.csv``, or None: a descent writes none."""
         import numpy as np
 
         from warpav.optimisation.further_camera import FurtherCameras
@@ -307,11 +265,7 @@ class RunFolder:
         return FurtherCameras(table[:, 1:4], yaw_rad, pitch_rad, fov_rad, table[:, 0])
 
     def checked_further_cameras(self, kind: str) -> FurtherCameras:
-        """As `further_cameras`, for a kind of plot that needs them.
-
-        Raises:
-            InputError: There are none.
-        """
+        """As `further_cameras`, for a kind of plot that needs them."""
         found = self.further_cameras()
         if found is None or not len(found):
             raise ArgumentError(
@@ -322,11 +276,7 @@ class RunFolder:
         return found
 
     def certificate(self) -> Certificate | None:
-        """What a search by a pool has proven so far; None for a descent, and where the run is older than that.
-
-        Raises:
-            InputError: As `events` and `config`.
-        """
+        """What a search by a pool has proven so far; None for a descent, and where the run is older than that."""
         events = self.events()
         if Certificate.of(events) is None:
             return None
@@ -346,12 +296,7 @@ class RunFolder:
         return self._read_json("env.json") or {}
 
     def events(self) -> list[dict[str, Any]]:
-        """All iterations so far; a line that was cut off in the middle of being written is left out.
-
-        Raises:
-            InputError: The file cannot be read, a line is no iteration of a run, or iterations of a run that has ended
-                are missing.
-        """
+        """All iterations so far; a line that was cut off in the middle of being written is left out."""
         return read_events(self.path / "events.jsonl", least=_iterations_of(self.evaluation()))
 
     def evaluation(self) -> dict[str, Any] | None:
@@ -372,15 +317,7 @@ class RunFolder:
         return self.rig("best" if keeps_best and (self.evaluation() or {}).get("rig_of_run") != "start" else "final")
 
     def rig_file(self, role: RigRole | None = None) -> Path:
-        """The file of a rig of the run.
-
-        Args:
-            role: Which one; None takes the rig of the run, ``rig_best.yaml``. A run that was stopped in its first step
-                has only the rig that it started from.
-
-        Raises:
-            InputError: The run was stopped before it had one, or it is missing.
-        """
+        """The file of a rig of the run."""
         roles: tuple[RigRole, ...] = ("best", "initial") if role is None else (role,)
         if role is None and (self.path / "evaluation.json").is_file():  # the run has ended, so it had one
             roles = ("best",)
@@ -394,15 +331,7 @@ class RunFolder:
         )
 
     def drawn(self, config: Config | None = None, *, scene: Scene | None = None) -> DrawnRun:
-        """The run as its images show it.
-
-        Args:
-            config: Names the scene; None: the configuration of the run.
-            scene: Traffic and street; None: the first test scene.
-
-        Raises:
-            InputError: A file of the folder is missing or cannot be used.
-        """
+        """The run as its images show it."""
         from warpav.runs.drawn_run import DrawnRun, rigs_of_events
         from warpav.runs.mounts import mount_surface, with_shared_model
         from warpav.runs.scene_set import load_scenes
@@ -415,11 +344,7 @@ class RunFolder:
         return DrawnRun(str(self.path), events, rig, frames, shown, lambda: mount_surface(config, shown.ego))
 
     def fitted(self, scene: Scene | None = None) -> FittedRigs:
-        """The rigs of this run on their vehicle, for plots; ``scene`` by default the first test scene.
-
-        Raises:
-            InputError: A file of the folder is missing or cannot be used.
-        """
+        """The rigs of this run on their vehicle, for plots; ``scene`` by default the first test scene."""
         from warpav.runs.mounts import with_shared_model
         from warpav.runs.scene_set import load_scenes
 

@@ -380,13 +380,6 @@ def test_broken_constraints_are_told_in_red(folder):
     assert "0.0250 m" in page.text
 
 
-def test_many_lost_vehicles_are_all_there(folder):
-    folder.write_evaluation(evaluation(outcomes=[seen(float(k), "missed") for k in range(50)]))
-    page = page_of(folder)
-    assert "20 more, farther away" in page.words
-    assert sum(row[:2] == ["town_7", "<bus>"] for table in page.tables for row in table) == 50
-
-
 # ------------------------------------------------------------------------------------------------ stopped, old, hostile
 
 
