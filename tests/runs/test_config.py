@@ -117,7 +117,7 @@ def test_thesis_configuration_holds_the_appendix():
     assert math.radians(optimiser.learning_rate_yaw_deg) == pytest.approx(0.25, rel=1e-9)
     assert (optimiser.weight_decay, optimiser.multiplier_weight_decay) == (1e-3, 1e-3)
     assert (optimiser.multiplier_learning_rate, optimiser.multiplier_damping) == (0.25, 0.0)
-    assert (config.segregation.rotations, config.visibility.occlusion) == (16, "pairwise")
+    assert (config.thesis.rotations, config.visibility.occlusion) == (16, "pairwise")
 
 
 @pytest.mark.parametrize(
@@ -237,7 +237,7 @@ FILE_MISTAKES = [
         "run: {batch_size: 61}\noptimiser: {search: descent}\n",
         "mine.yaml:1: run.batch_size: expected at most the 60 training scene(s), got 61",
     ),
-    ("segregation: {rotations: 3}\n", "mine.yaml:1: segregation.rotations: expected at least one direction per camera"),
+    ("segregation: {rotations: 3}\n", "mine.yaml:1: thesis.rotations: expected at least one direction per camera"),
     (
         "rig:\n  free:\n    fov_deg: [110, 60]\n",
         "mine.yaml:3: rig.free.fov_deg: expected two angles from 10 deg to 360 deg, the lower one first, such as "

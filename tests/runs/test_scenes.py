@@ -210,7 +210,7 @@ def test_captured_scenes_are_made_once(collection, working_directory):
 
 def problem(folder, *overrides):
     """What a run loads: training on scene 3, a test on scene 4 of a folder."""
-    seeds = ["scenes.train_seeds=[3]", "scenes.test_seeds=[4]", "run.batch_size=1", "segregation.rotations=4"]
+    seeds = ["scenes.train_seeds=[3]", "scenes.test_seeds=[4]", "run.batch_size=1", "thesis.rotations=4"]
     cameras = ["rig.cameras=2", "camera.width_px=32", "camera.height_px=32", "method=thesis"]
     files = ["scenes.source=folder", f"scenes.folder={folder}"]
     with RunDisplay() as display:

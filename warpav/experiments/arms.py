@@ -262,7 +262,7 @@ def thesis_as_printed() -> tuple[str, ...]:
     The task stays that of the configuration: scenes, number and model of the cameras, detection network.
     """
     whole = _thesis_options(
-        *("method", "run.iterations", "run.batch_size", "rig", "mount", "detector", "segregation", "losses"),
+        *("method", "run.iterations", "run.batch_size", "rig", "mount", "detector", "thesis", "losses"),
         *("visibility", "optimiser"),
     )
     task = ("rig.cameras", "rig.freeze", "detector.")

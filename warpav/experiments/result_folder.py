@@ -119,7 +119,7 @@ def unseeded(config: Config) -> str:
 def _options(config: Config) -> dict[str, Any]:
     """The options on which a result depends, all but the seed, in JSON's own types."""
     values = {
-        name: value
+        name.replace("thesis.rotations", "segregation.rotations"): value  # as results of before call it
         for name, value in option_values(config).items()
         if name not in ("run.seed", "run.out", "run.pictures")
         and not name.startswith("executor.")

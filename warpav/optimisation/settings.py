@@ -48,8 +48,8 @@ else:
     )
 
 
-class SegregationSettings(Section):
-    """Which camera is responsible for which vehicle."""
+class ThesisSettings(Section):
+    """What the method of the thesis alone needs: which camera is responsible for which vehicle."""
 
     rotations: int = Field(default=16, ge=2, le=360, description="orientations tried around the origin")
 

@@ -493,7 +493,7 @@ class Placement:
         for scene in progress.steps("scenes", _as_seen(scenes, self._parts), count=len(scenes)):
             known.check_vehicle(scene)
             packed.append(DeviceScene.pack(scene, device=self.mount.device))
-        areas = known.areas_of(packed, self.config.segregation.rotations)
+        areas = known.areas_of(packed, self.config.thesis.rotations)
         return assign_vehicles(packed, [area[:, self.segregation.rotation] for area in areas])
 
     def value_and_grad(
@@ -646,7 +646,7 @@ def _assembled(
 ) -> _Prepared:
     """The objective, and the vehicles of all scenes assigned to orientations, which happens where somebody asks."""
     config = parts.config
-    rotation_count, train_count = config.segregation.rotations, len(scenes.train)
+    rotation_count, train_count = config.thesis.rotations, len(scenes.train)
 
     @cache
     def segregation() -> Segregation:

@@ -101,9 +101,10 @@ def load_config(
     for override in overrides:
         place = _override_place(override, origin)
         location, value = _read_override(override, place)
-        if location in new_name:
-            warn_renamed(place, ".".join(location), ".".join(new_name[location]))
-            location = new_name[location]
+        for old, new in new_name.items():
+            if location[: len(old)] == old:
+                warn_renamed(place, ".".join(old), ".".join(new))
+                location = (*new, *location[len(old) :])
         override_of[location] = place
         _put(data, location, value, place)
     return _validated(data, file, written_at, override_of)
@@ -247,7 +248,8 @@ def _read_file(file: Path, above: tuple[Path, ...] = ()) -> tuple[dict[str, Any]
     written_at = {location: f"{file}:{line}" for location, line in line_of.items()}
     for old, new in renamed_options(Config):
         if move_option(data, old, new):
-            written_at[new] = written_at.get(old, f"{file}:1")
+            written_at |= {(*new, *at[len(old) :]): line for at, line in written_at.items() if at[: len(old)] == old}
+            written_at.setdefault(new, f"{file}:1")
             warn_renamed(written_at[new], ".".join(old), ".".join(new))
     base = data.pop(EXTENDS, None)
     if base is None:

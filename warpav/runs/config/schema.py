@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
@@ -20,7 +20,7 @@ from warpav.optimisation.settings import (
     LossSettings,
     OptimiserSettings,
     RobustSettings,
-    SegregationSettings,
+    ThesisSettings,
     VisibilitySettings,
 )
 from warpav.raster.lens import Lens, LensShape, checked_distortion
@@ -544,6 +544,7 @@ class ConfigTree(Section):
     """Every option of a run."""
 
     model_config = ConfigDict(json_schema_extra=_add_extends)
+    renamed: ClassVar[Mapping[str, str]] = {"segregation": "thesis"}
 
     run: RunConfig = Field(default=RunConfig(), description="the run as a whole")
     device: Device = Field(default="cpu", description="what renders, and what gradients are computed on")
@@ -559,9 +560,7 @@ class ConfigTree(Section):
     camera: CameraConfig = Field(default=CameraConfig(), description="each camera")
     mount: MountConfig = Field(default=MountConfig(), description="where cameras may sit")
     detector: DetectorConfig = Field(default=DetectorConfig(), description="the object detector")
-    segregation: SegregationSettings = Field(
-        default=SegregationSettings(), description="which camera is assigned which vehicle"
-    )
+    thesis: ThesisSettings = Field(default=ThesisSettings(), description="which camera is assigned which vehicle")
     losses: LossSettings = Field(
         default=LossSettings(**METHOD_LOSSES["default"]), description="the objectives; each method has its own"
     )
@@ -637,10 +636,10 @@ class ConfigTree(Section):
         if robust is not None and (self.descends or not self.losses.suits_pool):
             text = "expected null, as only the search by a pool, with the loss expected_miss_rate alone, knows it"
             mistake(f"{text}; leave optimiser.search and the losses as they are", robust, "optimiser.search")
-        if self.segregation.rotations < self.rig.cameras:
+        if self.thesis.rotations < self.rig.cameras:
             mistake(
-                f"expected at least one direction per camera ({self.rig.cameras}), got {self.segregation.rotations}",
-                "segregation.rotations",
+                f"expected at least one direction per camera ({self.rig.cameras}), got {self.thesis.rotations}",
+                "thesis.rotations",
                 "rig.cameras",
             )
         return self
