@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[2]
 
 
 WARP = ("wp.launch", "wp.launch_tiled")
-UNTAPED = ("buffers.launch", "self.launch")  # `Buffers.launch`, which hands ``record_tape=False`` on
+UNTAPED = ("buffers.launch", "buffers.launch_views", "self.launch")  # they hand ``record_tape=False`` on
 
 
 def launches():

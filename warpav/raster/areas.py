@@ -8,7 +8,7 @@ from typing import Any, Self
 import warp as wp
 
 from warpav.core.errors import InputError
-from warpav.raster.buffers import Buffers
+from warpav.raster.buffers import FIRST, Buffers
 from warpav.raster.poses import ViewPoses
 from warpav.raster.scene import Scene
 from warpav_kernels.raster import calibration, coverage, extent, linearise, measure, outline, shade, window
@@ -213,17 +213,12 @@ def measure_coverage(buffers: Buffers, scene: Scene) -> Coverage:
     )
     rows, columns = buffers.lanes
     covered = buffers.kept("coverage", (*pairs, rows * columns), coverage.Coverage)
-    buffers.over_views(
-        buffers.view_count,
-        lambda first, count: buffers.launch(
-            coverage.measure_coverage_kernel,
-            (count, scene.object_count, rows * columns),
-            inputs=[
-                buffers.view, buffers.layers, buffers.hiding, buffers.width, buffers.height, first, rows, columns,
-            ],
-            outputs=[covered],
-        ),
-    )  # fmt: skip
+    buffers.launch_views(
+        coverage.measure_coverage_kernel,
+        (buffers.view_count, scene.object_count, rows * columns),
+        inputs=[buffers.view, buffers.layers, buffers.hiding, buffers.width, buffers.height, FIRST, rows, columns],
+        outputs=[covered],
+    )
     buffers.launch(
         coverage.sum_coverage_kernel,
         pairs,
@@ -238,17 +233,14 @@ def measure_calibration(buffers: Buffers, scene: Scene) -> wp.array:
     size = int(calibration.CALIBRATION_SIZE)
     kind = wp.array([int(outline.VISIBLE), int(outline.ALONE)], dtype=wp.int32, device=buffers.device)
     jacobian = buffers.zeros((buffers.view_count, scene.object_count, len(kind), size), float)
-    buffers.over_views(
-        buffers.view_count,
-        lambda first, count: buffers.launch(
-            calibration.measure_calibration_kernel,
-            (count, scene.object_count, len(kind)),
-            inputs=[
-                buffers.view, scene.triangles, buffers.layers, buffers.hiding, kind, buffers.width, buffers.height,
-                buffers.supersampling, first,
-            ],
-            outputs=[jacobian],
-        ),
+    buffers.launch_views(
+        calibration.measure_calibration_kernel,
+        (buffers.view_count, scene.object_count, len(kind)),
+        inputs=[
+            buffers.view, scene.triangles, buffers.layers, buffers.hiding, kind, buffers.width, buffers.height,
+            buffers.supersampling, FIRST,
+        ],
+        outputs=[jacobian],
     )  # fmt: skip
     return jacobian
 
@@ -259,17 +251,14 @@ def measure_contrast(buffers: Buffers, scene: Scene, value: wp.array) -> wp.arra
     if value.shape != (*pairs, MEASURE_COUNT):
         raise InputError(f"value: expected measures of shape {(*pairs, MEASURE_COUNT)}, got {value.shape}")
     contrast = buffers.zeros(pairs, float)
-    buffers.over_views(
-        buffers.view_count,
-        lambda first, count: buffers.launch(
-            shade.measure_contrast_kernel,
-            (count, scene.object_count),
-            inputs=[
-                buffers.view, scene.triangles, scene.vertex_rgb, *scene.background_rgb, buffers.key, scene.layer_body,
-                value, buffers.width_px, buffers.height_px, buffers.supersampling, first,
-            ],
-            outputs=[contrast],
-        ),
+    buffers.launch_views(
+        shade.measure_contrast_kernel,
+        (buffers.view_count, scene.object_count),
+        inputs=[
+            buffers.view, scene.triangles, scene.vertex_rgb, *scene.background_rgb, buffers.key, scene.layer_body,
+            value, buffers.width_px, buffers.height_px, buffers.supersampling, FIRST,
+        ],
+        outputs=[contrast],
     )  # fmt: skip
     return contrast
 
@@ -286,17 +275,14 @@ def measure_all(buffers: Buffers, scene: Scene, box_px: wp.array | None, into: M
     farthest.zero_()
     rows, columns = buffers.lanes
     derivative = buffers.kept("derivative", (*pairs, AREA_COUNT, rows * columns), measure.BoundaryDerivative)
-    buffers.over_views(
-        buffers.view_count,
-        lambda first, count: buffers.launch(
-            measure.measure_areas_kernel,
-            (count, scene.object_count, rows * columns),
-            inputs=[
-                buffers.view, scene.triangles, buffers.layers, buffers.hiding, box_px, buffers.width, buffers.height,
-                buffers.supersampling, first, rows, columns,
-            ],
-            outputs=[derivative, farthest],
-        ),
+    buffers.launch_views(
+        measure.measure_areas_kernel,
+        (buffers.view_count, scene.object_count, rows * columns),
+        inputs=[
+            buffers.view, scene.triangles, buffers.layers, buffers.hiding, box_px, buffers.width, buffers.height,
+            buffers.supersampling, FIRST, rows, columns,
+        ],
+        outputs=[derivative, farthest],
     )  # fmt: skip
     _sum(buffers, scene, derivative, result)
     buffers.launch(
@@ -340,17 +326,14 @@ def measure_weighted(
     derivative = buffers.kept(
         "weighted derivative", (buffers.view_count, scene.object_count, 1, rows * columns), measure.BoundaryDerivative
     )
-    buffers.over_views(
-        buffers.view_count,
-        lambda first, count: buffers.launch(
-            measure.measure_weighted_area_kernel,
-            (count, scene.object_count, rows * columns),
-            inputs=[
-                buffers.view, scene.triangles, buffers.layers, hiding, *weight, kind, buffers.width, buffers.height,
-                buffers.supersampling, first, rows, columns,
-            ],
-            outputs=[derivative],
-        ),
+    buffers.launch_views(
+        measure.measure_weighted_area_kernel,
+        (buffers.view_count, scene.object_count, rows * columns),
+        inputs=[
+            buffers.view, scene.triangles, buffers.layers, hiding, *weight, kind, buffers.width, buffers.height,
+            buffers.supersampling, FIRST, rows, columns,
+        ],
+        outputs=[derivative],
     )  # fmt: skip
     _sum(buffers, scene, derivative, result)
     return result
@@ -387,17 +370,14 @@ def measure_window(
     rows, columns = buffers.lanes
     derivative = buffers.kept("weighted derivative", (*pairs, 1, rows * columns), measure.BoundaryDerivative)
     window_derivative = buffers.kept("window derivative", (*pairs, rows * columns), wp.vec4)
-    buffers.over_views(
-        buffers.view_count,
-        lambda first, count: buffers.launch(
-            window.measure_window_kernel,
-            (count, scene.object_count, rows * columns),
-            inputs=[
-                buffers.view, scene.triangles, buffers.layers, buffers.hiding, into.window_rad, softness_rad, kind,
-                buffers.width, buffers.height, first, rows, columns,
-            ],
-            outputs=[derivative, window_derivative],
-        ),
+    buffers.launch_views(
+        window.measure_window_kernel,
+        (buffers.view_count, scene.object_count, rows * columns),
+        inputs=[
+            buffers.view, scene.triangles, buffers.layers, buffers.hiding, into.window_rad, softness_rad, kind,
+            buffers.width, buffers.height, FIRST, rows, columns,
+        ],
+        outputs=[derivative, window_derivative],
     )  # fmt: skip
     _sum(buffers, scene, derivative, into, is_in_px=False)
     buffers.launch(window.sum_window_derivatives_kernel, pairs, inputs=[window_derivative], outputs=[into.jac_window])

@@ -55,6 +55,10 @@ WIDE_RAD = 50.0
 """Half the size of a window that holds all directions, whatever its softness."""
 
 
+FIRST = object()
+"""Stands for the first view of a chunk among the inputs of a kernel."""
+
+
 class Content(Enum):
     """What a render holds."""
 
@@ -227,6 +231,16 @@ class Buffers:
     def launch(self, kernel: Callable, dim: int | tuple[int, ...], *, inputs: list, outputs: list) -> None:
         """Launch a kernel that is never taped."""
         wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device, record_tape=False)
+
+    def launch_views(self, kernel: Callable, dim: tuple[int, ...], *, inputs: list, outputs: list) -> None:
+        """Launch a kernel that is never taped over views, the first of ``dim``; `FIRST` stands for a chunk's first."""
+        place = next(i for i, each in enumerate(inputs) if each is FIRST)
+        self.over_views(
+            dim[0],
+            lambda first, count: self.launch(
+                kernel, (count, *dim[1:]), inputs=[*inputs[:place], first, *inputs[place + 1 :]], outputs=outputs
+            ),
+        )
 
     def over_views(self, count: int, launch: Callable[[int, int], object]) -> None:
         """Call ``launch(first, count)`` for chunks of views: all at once on a GPU, spread over threads on the CPU.

@@ -7,7 +7,7 @@ from typing import Any
 
 import warp as wp
 
-from warpav.raster.buffers import CUDA_STRIP_GROUPS, CUDA_STRIP_LANES, Buffers, Content, RenderState
+from warpav.raster.buffers import CUDA_STRIP_GROUPS, CUDA_STRIP_LANES, FIRST, Buffers, Content, RenderState
 from warpav.raster.scene import CLUSTER_SIZE, Scene
 from warpav_kernels.raster import bent_edges, hide, rasterise, ray_space, trace
 
@@ -41,14 +41,11 @@ def decide(buffers: Buffers, scene: Scene, content: Content, occlusion: Occlusio
         if is_whole:
             buffers.over_views(buffers.view_count, lambda first, count: buffers.key[first : first + count].zero_())
         else:
-            buffers.over_views(
-                buffers.view_count,
-                lambda first, count: buffers.launch(
-                    rasterise.clear_keys_kernel,
-                    (count, buffers.row_lanes),
-                    inputs=[buffers.scissor, first, buffers.row_lanes],
-                    outputs=[buffers.key],
-                ),
+            buffers.launch_views(
+                rasterise.clear_keys_kernel,
+                (buffers.view_count, buffers.row_lanes),
+                inputs=[buffers.scissor, FIRST, buffers.row_lanes],
+                outputs=[buffers.key],
             )
     buffers.layers.inverse_depth_bits.zero_()
     if has_outlines:
@@ -87,17 +84,14 @@ def _scatter(
     if not cluster_count:
         return
     buffers.strip_count.zero_()
-    buffers.over_views(
-        buffers.view_count,
-        lambda first, count: buffers.launch(
-            rasterise.scatter_triangles_kernel,
-            (count, cluster_count, buffers.cluster_lanes),
-            inputs=[
-                buffers.view, scene.triangles, layer_count, buffers.scissor, first, int(has_key), int(has_outlines),
-                buffers.cluster_lanes,
-            ],
-            outputs=[left, buffers.key, buffers.layers, buffers.strip, buffers.strip_count],
-        ),
+    buffers.launch_views(
+        rasterise.scatter_triangles_kernel,
+        (buffers.view_count, cluster_count, buffers.cluster_lanes),
+        inputs=[
+            buffers.view, scene.triangles, layer_count, buffers.scissor, FIRST, int(has_key), int(has_outlines),
+            buffers.cluster_lanes,
+        ],
+        outputs=[left, buffers.key, buffers.layers, buffers.strip, buffers.strip_count],
     )  # fmt: skip
     if buffers.strip.size:
         buffers.launch(
@@ -116,17 +110,14 @@ def _scatter_bent(
 ) -> None:
     """The keys, layers and edge crossings of the views whose lenses are no pinholes, in the space of rays."""
     candidate = buffers.kept("candidate", (buffers.view_count, CLUSTER_SIZE), ray_space.Candidate)
-    buffers.over_views(
-        len(buffers.bent),
-        lambda first, count: buffers.launch(
-            ray_space.scatter_bent_triangles_kernel,
-            (count, cluster_count),
-            inputs=[
-                buffers.view, scene.triangles, buffers.rays, buffers.bent_view, layer_count, buffers.scissor, first,
-                int(has_key), int(has_outlines),
-            ],
-            outputs=[candidate, buffers.key, buffers.layers],
-        ),
+    buffers.launch_views(
+        ray_space.scatter_bent_triangles_kernel,
+        (len(buffers.bent), cluster_count),
+        inputs=[
+            buffers.view, scene.triangles, buffers.rays, buffers.bent_view, layer_count, buffers.scissor, FIRST,
+            int(has_key), int(has_outlines),
+        ],
+        outputs=[candidate, buffers.key, buffers.layers],
     )  # fmt: skip
 
 
@@ -136,27 +127,21 @@ def _trace(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool, i
     rows, columns = buffers.lanes
     if has_key and not (is_ghostly and scene.occluder_count == 0):
         solid = scene.occluder_mesh.id if is_ghostly else mesh
-        buffers.over_views(
-            count,
-            lambda first, count: buffers.launch(
-                trace.trace_keys_kernel,
-                (count, buffers.height, buffers.width),
-                inputs=[buffers.view, solid, bent, buffers.scissor, first],
-                outputs=[buffers.key],
-            ),
+        buffers.launch_views(
+            trace.trace_keys_kernel,
+            (count, buffers.height, buffers.width),
+            inputs=[buffers.view, solid, bent, buffers.scissor, FIRST],
+            outputs=[buffers.key],
         )
     if layer_count:
-        buffers.over_views(
-            count,
-            lambda first, count: buffers.launch(
-                trace.trace_layers_kernel,
-                (count, layer_count, rows * columns),
-                inputs=[
-                    buffers.view, scene.triangles, mesh, scene.layer_body, bent, buffers.key,
-                    int(has_key and not is_ghostly), first, rows, columns,
-                ],
-                outputs=[buffers.layers],
-            ),
+        buffers.launch_views(
+            trace.trace_layers_kernel,
+            (count, layer_count, rows * columns),
+            inputs=[
+                buffers.view, scene.triangles, mesh, scene.layer_body, bent, buffers.key,
+                int(has_key and not is_ghostly), FIRST, rows, columns,
+            ],
+            outputs=[buffers.layers],
         )  # fmt: skip
 
 
@@ -176,26 +161,20 @@ def _cross_bent(buffers: Buffers, scene: Scene, layer_count: int) -> None:
 def _hide(buffers: Buffers, scene: Scene, occlusion: Occlusion) -> None:
     if occlusion is not Occlusion.PAIRWISE:
         rows, columns = buffers.lanes
-        buffers.over_views(
-            buffers.view_count,
-            lambda first, count: buffers.launch(
-                hide.hide_by_nearest_surface_kernel,
-                (count, scene.object_count, rows * columns),
-                inputs=[buffers.key, scene.triangles, scene.layer_body, buffers.layers, first, rows, columns],
-                outputs=[buffers.hiding.bits, buffers.hiding.source],
-            ),
+        buffers.launch_views(
+            hide.hide_by_nearest_surface_kernel,
+            (buffers.view_count, scene.object_count, rows * columns),
+            inputs=[buffers.key, scene.triangles, scene.layer_body, buffers.layers, FIRST, rows, columns],
+            outputs=[buffers.hiding.bits, buffers.hiding.source],
         )
         return
     is_hidden_by = buffers.kept("order", (buffers.view_count, scene.object_count, scene.object_count), wp.int32)
     is_hidden_by.zero_()
-    buffers.over_views(
-        buffers.view_count,
-        lambda first, count: buffers.launch(
-            hide.order_overlapping_layers_kernel,
-            (count, scene.object_count, scene.object_count),
-            inputs=[buffers.layers, scene.object_count, first],
-            outputs=[is_hidden_by],
-        ),
+    buffers.launch_views(
+        hide.order_overlapping_layers_kernel,
+        (buffers.view_count, scene.object_count, scene.object_count),
+        inputs=[buffers.layers, scene.object_count, FIRST],
+        outputs=[is_hidden_by],
     )
     _hide_by_layers(buffers, scene, is_hidden_by, buffers.hiding)
 
@@ -209,12 +188,9 @@ def hide_by_foreground(buffers: Buffers, scene: Scene) -> None:
 
 def _hide_by_layers(buffers: Buffers, scene: Scene, is_hidden_by: wp.array, hiding: Any) -> None:  # noqa: ANN401 (a struct)
     """Hide objects by the silhouettes of the objects that ``is_hidden_by`` names, and of the foreground."""
-    buffers.over_views(
-        buffers.view_count,
-        lambda first, count: buffers.launch(
-            hide.hide_by_ordered_layers_kernel,
-            (count, scene.object_count),
-            inputs=[buffers.layers, is_hidden_by, scene.foreground_layer, first],
-            outputs=[hiding.bits, hiding.source],
-        ),
+    buffers.launch_views(
+        hide.hide_by_ordered_layers_kernel,
+        (buffers.view_count, scene.object_count),
+        inputs=[buffers.layers, is_hidden_by, scene.foreground_layer, FIRST],
+        outputs=[hiding.bits, hiding.source],
     )

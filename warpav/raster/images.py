@@ -10,7 +10,7 @@ import warp as wp
 
 from warpav.core.errors import InputError
 from warpav.raster.areas import checked_weight, measure_weighted
-from warpav.raster.buffers import GUARD, Buffers
+from warpav.raster.buffers import FIRST, GUARD, Buffers
 from warpav.raster.poses import ViewPoses
 from warpav.raster.scene import Scene
 from warpav_kernels.raster import image_flow, linearise, measure, shade
@@ -19,17 +19,14 @@ from warpav_kernels.raster import image_flow, linearise, measure, shade
 def draw_colours(buffers: Buffers, scene: Scene, shown: wp.array, into: wp.array | None) -> wp.array:
     """Colours 0..1 of the shown views, vec3 [image, row, column]."""
     image = buffers.image(len(shown), wp.vec3, into)
-    buffers.over_views(
-        len(shown),
-        lambda first, count: buffers.launch(
-            shade.resolve_rgb_kernel,
-            (count, buffers.height_px, buffers.row_lanes),
-            inputs=[
-                buffers.view, scene.triangles, scene.vertex_rgb, *scene.background_rgb, buffers.key, shown,
-                buffers.supersampling, first, buffers.row_lanes,
-            ],
-            outputs=[image],
-        ),
+    buffers.launch_views(
+        shade.resolve_rgb_kernel,
+        (len(shown), buffers.height_px, buffers.row_lanes),
+        inputs=[
+            buffers.view, scene.triangles, scene.vertex_rgb, *scene.background_rgb, buffers.key, shown,
+            buffers.supersampling, FIRST, buffers.row_lanes,
+        ],
+        outputs=[image],
     )  # fmt: skip
     return image
 
@@ -40,17 +37,14 @@ def draw_depths(
     """Depths [m] and ids, [view, row, column]."""
     depth_m = buffers.image(buffers.view_count, float, into[0] if into else None)
     object_id = buffers.image(buffers.view_count, wp.int32, into[1] if into else None)
-    buffers.over_views(
-        buffers.view_count,
-        lambda first, count: buffers.launch(
-            shade.resolve_depth_kernel,
-            (count, buffers.height_px, buffers.row_lanes),
-            inputs=[
-                buffers.key, scene.triangles, background_m, scene.occluder_count, buffers.supersampling, first,
-                buffers.row_lanes,
-            ],
-            outputs=[depth_m, object_id],
-        ),
+    buffers.launch_views(
+        shade.resolve_depth_kernel,
+        (buffers.view_count, buffers.height_px, buffers.row_lanes),
+        inputs=[
+            buffers.key, scene.triangles, background_m, scene.occluder_count, buffers.supersampling, FIRST,
+            buffers.row_lanes,
+        ],
+        outputs=[depth_m, object_id],
     )  # fmt: skip
     return depth_m, object_id
 
@@ -58,49 +52,43 @@ def draw_depths(
 def draw_silhouettes(buffers: Buffers, scene: Scene, kind: int) -> wp.array:
     """Share of every pixel that each object covers, float [view, object, row, column]."""
     silhouette = buffers.zeros((buffers.view_count, scene.object_count, buffers.height_px, buffers.width_px), float)
-    buffers.over_views(
-        buffers.view_count,
-        lambda first, count: buffers.launch(
-            shade.resolve_silhouettes_kernel,
-            (count, scene.object_count, buffers.row_lanes),
-            inputs=[buffers.layers, buffers.hiding, kind, buffers.supersampling, first, buffers.row_lanes],
-            outputs=[silhouette],
-        ),
+    buffers.launch_views(
+        shade.resolve_silhouettes_kernel,
+        (buffers.view_count, scene.object_count, buffers.row_lanes),
+        inputs=[buffers.layers, buffers.hiding, kind, buffers.supersampling, FIRST, buffers.row_lanes],
+        outputs=[silhouette],
     )
     return silhouette
 
 
 def flow_of_colours(buffers: Buffers, scene: Scene, image: wp.array, shown: wp.array, into: list[wp.array]) -> None:
     """Add what the gradient to a colour image says about the views to the gradients of their parts."""
-    lanes = buffers.flow_lanes
-
-    def launch(first: int, count: int, derivative: wp.array) -> None:
-        buffers.launch(
-            image_flow.flow_colours_kernel,
-            (count, math.prod(lanes)),
-            inputs=[
-                buffers.view, scene.triangles, scene.vertex_rgb, *scene.background_rgb, buffers.key, shown, image.grad,
-                buffers.supersampling, first, *lanes,
-            ],
-            outputs=[derivative],
-        )  # fmt: skip
-
-    _add_flow(buffers, shown, launch, into)
+    derivative = _flows(buffers, shown)
+    buffers.launch_views(
+        image_flow.flow_colours_kernel,
+        (len(shown), math.prod(buffers.flow_lanes)),
+        inputs=[
+            buffers.view, scene.triangles, scene.vertex_rgb, *scene.background_rgb, buffers.key, shown, image.grad,
+            buffers.supersampling, FIRST, *buffers.flow_lanes,
+        ],
+        outputs=[derivative],
+    )  # fmt: skip
+    _add_flow(buffers, shown, derivative, into)
 
 
 def flow_of_depths(buffers: Buffers, depth_m: wp.array, background_m: float, into: list[wp.array]) -> None:
     """Add what the gradient to a depth image says about the views to the gradients of their parts."""
-    lanes = buffers.flow_lanes
-
-    def launch(first: int, count: int, derivative: wp.array) -> None:
-        buffers.launch(
-            image_flow.flow_depths_kernel,
-            (count, math.prod(lanes)),
-            inputs=[buffers.view, buffers.key, depth_m.grad, background_m, buffers.supersampling, first, *lanes],
-            outputs=[derivative],
-        )
-
-    _add_flow(buffers, buffers.shown_views(None), launch, into)
+    shown = buffers.shown_views(None)
+    derivative = _flows(buffers, shown)
+    buffers.launch_views(
+        image_flow.flow_depths_kernel,
+        (len(shown), math.prod(buffers.flow_lanes)),
+        inputs=[
+            buffers.view, buffers.key, depth_m.grad, background_m, buffers.supersampling, FIRST, *buffers.flow_lanes,
+        ],
+        outputs=[derivative],
+    )  # fmt: skip
+    _add_flow(buffers, shown, derivative, into)
 
 
 def flow_of_silhouettes(buffers: Buffers, scene: Scene, silhouette: wp.array, kind: int, into: list[wp.array]) -> None:
@@ -121,14 +109,13 @@ def flow_of_silhouettes(buffers: Buffers, scene: Scene, silhouette: wp.array, ki
     )  # fmt: skip
 
 
-def _add_flow(
-    buffers: Buffers, shown: wp.array, launch: Callable[[int, int, wp.array], None], into: list[wp.array]
-) -> None:
-    """Add what ``launch(first, count, derivative)`` finds in each image."""
-    derivative = buffers.kept(
-        "image derivative", (len(shown), 1, 1, math.prod(buffers.flow_lanes)), measure.BoundaryDerivative
-    )
-    buffers.over_views(len(shown), lambda first, count: launch(first, count, derivative))
+def _flows(buffers: Buffers, shown: wp.array) -> wp.array:
+    """Room for what flows through each image."""
+    shape = (len(shown), 1, 1, math.prod(buffers.flow_lanes))
+    return buffers.kept("image derivative", shape, measure.BoundaryDerivative)
+
+
+def _add_flow(buffers: Buffers, shown: wp.array, derivative: wp.array, into: list[wp.array]) -> None:
     buffers.launch(
         image_flow.add_view_gradient_kernel,
         buffers.view_count,
