@@ -2,6 +2,7 @@
 
 import importlib.util
 import io
+import pkgutil
 import re
 import shlex
 import tomllib
@@ -97,6 +98,19 @@ def test_options_that_the_documentation_names_exist():
                 named.setdefault(name, name_of(page))
     assert len(named) > 30
     assert {name: page for name, page in named.items() if name not in known} == {}
+
+
+def test_names_of_modules_that_the_documentation_uses_exist():
+    lost, count = [], 0
+    for page in PAGES:
+        for name in re.findall(r"`(warpav(?:\.[A-Za-z_]\w*)+)", page.read_text()):
+            count += 1
+            try:
+                pkgutil.resolve_name(name.removesuffix(".torch"))  # may not be installed
+            except (ImportError, AttributeError):
+                lost.append(f"{name_of(page)}: {name}")
+    assert lost == []
+    assert count > 5
 
 
 def understand(words):
