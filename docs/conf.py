@@ -27,8 +27,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "extension.kernels",
-    "extension.mathml",
-    "extension.notebooks",
+    "extension.markup",
     "extension.reference",
     "extension.repository",
 ]

@@ -1,9 +1,22 @@
-"""Formulas as MathML, which browsers draw themselves: no script, no fonts to fetch, nothing that needs a network."""
+"""Formulas as MathML, which browsers draw themselves, and shell cells of notebooks highlighted as the shell's."""
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
+from sphinx.transforms import SphinxTransform
 from sphinx.writers.html5 import HTML5Translator
+
+
+class ShellCells(SphinxTransform):
+    """Cells that begin with ``%%bash`` are no Python."""
+
+    default_priority = 400
+
+    def apply(self, **_: object) -> None:
+        """Say so to the highlighter."""
+        for block in self.document.findall(nodes.literal_block):
+            if block.astext().startswith("%%bash"):
+                block["language"] = "bash"
 
 
 def _visit_inline(self: HTML5Translator, node: nodes.math) -> None:
@@ -17,6 +30,7 @@ def _visit_block(self: HTML5Translator, node: nodes.math_block) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Register the renderer ``mathml``."""
+    """Register the renderer ``mathml`` and the transform."""
     app.add_html_math_renderer("mathml", (_visit_inline, None), (_visit_block, None))
+    app.add_transform(ShellCells)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
