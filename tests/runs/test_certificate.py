@@ -10,7 +10,7 @@ from tests.cli.small_run import SMALL
 from tests.detection.test_probability import model_of
 from warpav.core.errors import InputError
 from warpav.rig.rig import Rig, RigCamera
-from warpav.runs.certificate import Certificate
+from warpav.runs.events import Certificate
 from warpav.runs.report.report import write_report
 from warpav.view.opengl import opengl_problem
 

@@ -122,24 +122,24 @@ def test_a_line_cut_off_by_a_crash_is_left_out(folder):
         ),
         (
             b'{"iteration": 1, "loss": 1, "positions_m": [[1, 2, null], [1, 2, 3]], "yaw_deg": [0, 0]}\n',
-            r"events\.jsonl:2: positions_m: expected \[x, y, z\] of every camera",
+            r"events\.jsonl:2: positions_m.0.2: expected a valid number",
         ),
         (
             b'{"iteration": 1, "loss": 1, "positions_m": [[1, 2, 3], [1, 2, 3]], "yaw_deg": [0]}\n',
-            r"events\.jsonl:2: yaw_deg: expected a number for each of 2 cameras, got \[0\]",
+            r"events\.jsonl:2: yaw_deg: expected a number for each of 2 cameras, got \[0",
         ),
         *(
             (json.dumps({**dataclasses.asdict(Record(1, 1.0, {}, [[1, 2, 3]] * 2, [0, 0])), **part}).encode(), message)
             for part, message in [
-                ({"loss": "a"}, r"events\.jsonl:2: loss: expected a number or null, got 'a'"),
-                ({"training_objective": []}, r"training_objective: expected a number or null"),
-                ({"terms": {"missed": "a"}}, r"terms\.missed: expected a number or null, got 'a'"),
-                ({"multipliers": [1]}, r"multipliers: expected values by name, got \[1\]"),
-                ({"gradient": 5}, "gradient: expected values by name, got 5"),
-                ({"gradient": {"a": 1}}, r"gradient\.position_per_m: expected \[x, y\] of 2 cameras, got None"),
+                ({"loss": "a"}, r"events\.jsonl:2: loss: expected a valid number.*, got 'a'"),
+                ({"training_objective": []}, r"training_objective: expected a valid number"),
+                ({"terms": {"missed": "a"}}, r"terms\.missed: expected a valid number.*, got 'a'"),
+                ({"multipliers": [1]}, r"multipliers: expected a valid dictionary, got .\[1\]"),
+                ({"gradient": 5}, "gradient: expected a valid dictionary, got .5"),
+                ({"gradient": {"a": 1}}, r"gradient\.a: expected a valid list, got .1"),
                 (
                     {"gradient": {"position_per_m": [[0, 1]] * 2, "yaw_per_rad": [0]}},
-                    r"gradient\.yaw_per_rad: expected a number for each of 2 cameras, got \[0\]",
+                    r"gradient\.yaw_per_rad: expected a number for each of 2 cameras, got \[0",
                 ),
                 ({"free": {"pitch_deg": [1]}}, r"free\.pitch_deg: expected a number for each of 2 cameras"),
             ]

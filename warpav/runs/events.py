@@ -1,11 +1,13 @@
-"""The iterations of a run, as ``events.jsonl`` has them: read, checked, made a trajectory or numbers."""
+"""The iterations of a run, as ``events.jsonl`` has them: read, checked, made a trajectory or a certificate."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from warpav.core.bounded_files import DATA_SET_BYTES_MAX, parse_json, read_bytes
 from warpav.core.errors import InputError
@@ -14,6 +16,44 @@ if TYPE_CHECKING:
     import numpy as np
 
 _MEND_EVENTS = "remove the line, or the file to go without the iterations"
+
+Number = float | None
+Place = tuple[float, float, float]
+
+
+class Event(BaseModel):
+    """An iteration, see `warpav.optimisation.records.IterationRecord`; older versions did not write all of it."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+    iteration: int
+    loss: Number
+    positions_m: Annotated[list[Place], Field(min_length=1)]
+    yaw_deg: list[float]
+    terms: dict[str, Number] = {}
+    multipliers: dict[str, Number | list[Number]] = {}
+    gradient: dict[str, list[float] | list[tuple[float, float]]] = {}
+    free: dict[str, list[float]] = {}
+    training_objective: Number = None
+    seconds: dict[str, float] = {}
+    stage: str | None = None
+    bound: Number = None
+    camera_renders: int | None = None
+    pool_cameras: int | None = None
+    modules: list[str] = []
+
+    def mistake(self, camera_count: int | None) -> str | None:
+        """Which of its lists does not speak of every camera; ``camera_count`` of the lines before, if they agree."""
+        count = len(self.positions_m)
+        if camera_count not in (None, count):
+            return f"positions_m: expected {camera_count} cameras as in the lines before, got {count}"
+        lists: dict[str, Sequence[Any]] = {"yaw_deg": self.yaw_deg}
+        lists |= {f"gradient.{name}": values for name, values in self.gradient.items()}
+        lists |= {f"free.{name}": values for name, values in self.free.items()}
+        for name, values in lists.items():
+            if len(values) != count:
+                return f"{name}: expected a number for each of {count} cameras, got {str(values)[:40]}"
+        return None
 
 
 def read_events(file: Path, *, least: int = 0) -> list[dict[str, Any]]:
@@ -35,8 +75,7 @@ def read_events(file: Path, *, least: int = 0) -> list[dict[str, Any]]:
         if event is not None:
             # of modules a rig may have more than another
             count = len(events[0]["positions_m"]) if events and not events[0].get("modules") else None
-            wrong = _event_mistake(event, camera_count=count)
-            if wrong:
+            if wrong := _mistake(event, count):
                 raise InputError(f"{file}:{number}: {wrong}; {_MEND_EVENTS}")
             events.append(event)
     if len(events) < least:
@@ -44,6 +83,21 @@ def read_events(file: Path, *, least: int = 0) -> list[dict[str, Any]]:
             f"{file}: expected the {least} iterations of a run that has ended, got {len(events)}; was it cut off?"
         )
     return events
+
+
+def _mistake(event: object, camera_count: int | None) -> str | None:
+    """What keeps a line from being an iteration of a run of so many cameras; None: nothing."""
+    if not isinstance(event, dict):
+        return f"expected one JSON object per line, got {str(event)[:40]!r}"
+    try:
+        return Event.model_validate(event).mistake(camera_count)
+    except ValidationError as error:
+        found = error.errors()[0]
+    place = ".".join(str(part) for part in found["loc"] if not str(part).startswith(("float", "list[")))
+    if found["type"] == "missing":
+        return f"expected an iteration of a run with {place}, got {', '.join(list(event)[:5]) or 'no field'}"
+    text = found["msg"].removeprefix("Input should be ")
+    return f"{place}: expected {text}, got {str(found['input'])[:40]!r}"
 
 
 def trajectory(events: Sequence[Mapping[str, Any]]) -> np.ndarray | None:
@@ -65,61 +119,6 @@ def of_modules(events: Sequence[Mapping[str, Any]], modules: Sequence[str | None
     return [event for event in events if not event.get("modules") or list(event["modules"]) == wanted]
 
 
-def _event_mistake(event: object, *, camera_count: int | None) -> str | None:
-    """What keeps a line of ``events.jsonl`` from being an iteration of a run of so many cameras; None: nothing."""
-    if not isinstance(event, dict):
-        return f"expected one JSON object per line, got {str(event)[:40]!r}"
-    missing = [name for name in ("iteration", "loss", "positions_m", "yaw_deg") if name not in event]
-    if missing:
-        return f"expected an iteration of a run with {missing[0]}, got {', '.join(list(event)[:5]) or 'no field'}"
-    places, yaws = event["positions_m"], event["yaw_deg"]
-    if not (isinstance(places, list) and places and all(_are_finite(place, 3) for place in places)):
-        return f"positions_m: expected [x, y, z] of every camera, got {str(places)[:40]}"
-    if camera_count not in (None, len(places)):
-        return f"positions_m: expected {camera_count} cameras as in the lines before, got {len(places)}"
-    if not _are_finite(yaws, len(places)):
-        return f"yaw_deg: expected a number for each of {len(places)} cameras, got {str(yaws)[:40]}"
-    for name in ("loss", "training_objective", "bound", "pool_cameras", "camera_renders"):
-        if not _is_number_or_none(event.get(name)):
-            return f"{name}: expected a number or null, got {str(event[name])[:40]!r}"
-    return _part_mistake(event, len(places))
-
-
-def _part_mistake(event: Mapping[str, Any], camera_count: int) -> str | None:
-    """The same for what is under a name: terms, multipliers, gradient and free, where they are there."""
-    for name in ("terms", "multipliers", "gradient", "free"):
-        if not isinstance(event.get(name, {}), dict):
-            return f"{name}: expected values by name, got {str(event[name])[:40]}"
-    for name in ("terms", "multipliers"):
-        for key, value in event.get(name, {}).items():
-            is_list = name == "multipliers" and isinstance(value, list)
-            if not all(_is_number_or_none(each) for each in (value if is_list else [value])):
-                return f"{name}.{key}: expected a number or null, got {str(value)[:40]!r}"
-    gradient = event.get("gradient")
-    if gradient:
-        slopes = gradient.get("position_per_m")
-        has_slopes = isinstance(slopes, list) and len(slopes) == camera_count
-        if not has_slopes or not all(_are_finite(slope, 2) for slope in slopes):
-            return f"gradient.position_per_m: expected [x, y] of {camera_count} cameras, got {str(slopes)[:40]}"
-    turns = {"gradient.yaw_per_rad": gradient.get("yaw_per_rad")} if gradient else {}
-    for name, values in {**turns, **{f"free.{key}": value for key, value in event.get("free", {}).items()}}.items():
-        if not _are_finite(values, camera_count):
-            return f"{name}: expected a number for each of {camera_count} cameras, got {str(values)[:40]}"
-    return None
-
-
-def _is_number_or_none(value: object) -> bool:
-    return value is None or (isinstance(value, (int, float)) and math.isfinite(value))
-
-
-def _are_finite(numbers: object, count: int) -> bool:
-    return (
-        isinstance(numbers, list)
-        and len(numbers) == count
-        and all(isinstance(number, (int, float)) and math.isfinite(number) for number in numbers)
-    )
-
-
 def flat_numbers(event: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """The numbers of an event by dotted name; lists are left to ``events.jsonl``."""
     row: dict[str, Any] = {}
@@ -129,3 +128,63 @@ def flat_numbers(event: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         elif not isinstance(value, (list, str)):
             row[prefix + name] = value
     return row
+
+
+@dataclass(frozen=True)
+class Bound:
+    """What a selection has proven."""
+
+    bound: float
+    pool_cameras: int
+    camera_renders: int
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """How far a rig is from the best rig of a pool of cameras, on the scenes of the search and on no others.
+
+    Attributes:
+        scenes: How many scenes the search has seen; None: unknown.
+    """
+
+    objective: float
+    bounds: tuple[Bound, ...]
+    scenes: int | None = None
+
+    @classmethod
+    def of(cls, events: Sequence[Mapping[str, Any]], *, scenes: int | None = None) -> Certificate | None:
+        """That of a run's iterations, as ``events.jsonl`` has them; None where none of them was a selection."""
+        bounds = tuple(
+            Bound(event["bound"], event["pool_cameras"], event["camera_renders"])
+            for event in events
+            if event.get("stage") == "selection"
+            and None not in map(event.get, ("bound", "pool_cameras", "camera_renders"))
+        )
+        objective = events[-1].get("training_objective") if bounds else None
+        return None if objective is None else cls(objective, bounds, scenes)
+
+    @property
+    def bound(self) -> float:
+        """The last one."""
+        return self.bounds[-1].bound
+
+    @property
+    def pool_cameras(self) -> int:
+        """Cameras that it is over."""
+        return self.bounds[-1].pool_cameras
+
+    @property
+    def gap(self) -> float:
+        """Objective less bound; negative where the polish went below what the pool's cameras can reach."""
+        return self.objective - self.bound
+
+    def to_json(self) -> dict[str, Any]:
+        """As ``evaluation.json`` has it."""
+        return {
+            "objective": self.objective,
+            "bound": self.bound,
+            "gap": self.gap,
+            "pool_cameras": self.pool_cameras,
+            "scenes": self.scenes,
+            "bounds": [asdict(each) for each in self.bounds],
+        }

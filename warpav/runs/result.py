@@ -23,11 +23,10 @@ from warpav.optimisation.settings import LATER_ROBUST_OPTIONS
 from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.baseline_rigs import highest_rig
-from warpav.runs.certificate import Certificate
 from warpav.runs.checkpoint import identity_of
 from warpav.runs.config import Config
 from warpav.runs.evaluate import evaluate_on, requirements_of
-from warpav.runs.events import of_modules
+from warpav.runs.events import Certificate, of_modules
 from warpav.runs.fitting_plots import FITTING_KINDS, FittedRigs, fitting_drawing
 from warpav.runs.mounts import preset_for
 from warpav.runs.placement import Placement, Stream

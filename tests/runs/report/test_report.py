@@ -28,8 +28,8 @@ from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.evaluation.rig_evaluation import TABLE_ROWS
 from warpav.rig.rig import Rig, write_rig
-from warpav.runs.certificate import Bound, Certificate
 from warpav.runs.config import changed_config, load_config
+from warpav.runs.events import Bound, Certificate
 from warpav.runs.report.evaluation import Evaluation, RunContent, read_run
 from warpav.runs.report.report import write_report
 from warpav.runs.report.statements import headline, summary
@@ -558,7 +558,7 @@ BROKEN = {
         _recall_by(lambda table: table["sector"].clear()),
         "recall_by must have the same groups for all arms",
     ),
-    "terms are a number": (_event(terms=5), "events.jsonl:1: terms: expected values by name, got 5"),
+    "terms are a number": (_event(terms=5), "events.jsonl:1: terms: expected a valid dictionary, got"),
     "further cameras are none": (
         _replace("further_cameras.csv", "x\n1\n"),
         "further_cameras.csv: expected rows of gain",

@@ -16,8 +16,8 @@ from warpav.evaluation.rig_evaluation import TABLE_ROWS
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.rig import Rig
 from warpav.rig.zone import Zone, read_zones
-from warpav.runs.certificate import Certificate
 from warpav.runs.config import Config
+from warpav.runs.events import Certificate, Event
 from warpav.runs.run_folder import RunFolder
 
 BoxPx = tuple[float, float, float, float]
@@ -289,22 +289,6 @@ class Evaluation(_Part):
     def best(self) -> Arm:
         """Its metrics."""
         return self.arms[self.first]
-
-
-class Event(_Part):
-    """An iteration of ``events.jsonl``, see `warpav.optimisation.history.IterationRecord`."""
-
-    iteration: int
-    loss: float | None
-    terms: dict[str, float | None] | None = None
-    multipliers: dict[str, float | list[float] | None] | None = None
-    positions_m: list[list[float]] | None = None
-    training_objective: float | None = None
-    seconds: dict[str, float] = {}
-    stage: str | None = None
-    bound: float | None = None
-    camera_renders: int | None = None
-    pool_cameras: int | None = None
 
 
 class View(_Part):

@@ -327,7 +327,7 @@ def _convergence(run: RunContent) -> list[PageImage]:
     search = search_panel(records)
     if search is not None:
         return [_plot("search", FIGURES["search"], svg_text(search, 3.4))]
-    if not records or any(record[key] is None for record in records for key in ("terms", "multipliers", "positions_m")):
+    if not records or not all({"terms", "multipliers"} <= event.model_fields_set for event in run.events):
         return []
     records = [{**record, "loss": math.nan if record["loss"] is None else record["loss"]} for record in records]
     panels = convergence_panels(records, None if run.config is None else run.config.rig.min_spacing_m)
