@@ -16,10 +16,10 @@ from dataclasses import replace
 import numpy as np
 
 import warpav as wa
+from tests.optimisation.calls import polish, pool_search
 from warpav.core.errors import InputError
 from warpav.optimisation.objective import single_cameras_of
-from warpav.optimisation.polish import polish
-from warpav.optimisation.pool_search import PoolSearchSettings, pool_search
+from warpav.optimisation.pool_search import PoolSearchSettings
 from warpav.optimisation.required_points import RequiredPoints
 from warpav.optimisation.single_cameras import hard_points
 from warpav.requirements.area import Band, Strip

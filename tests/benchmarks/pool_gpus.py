@@ -11,6 +11,7 @@ import time
 
 import warpav as wa
 from tests.benchmarks.test_pool import shipped_fit
+from tests.optimisation.calls import draw
 from warpav.core.executor import Executor
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
@@ -41,7 +42,7 @@ def main() -> None:
     def drawn(count: int, executor: Executor | None) -> tuple[CameraPool, float]:
         pose = spread_mount_poses(mount, placed, count, seed=0)
         began = time.perf_counter()
-        pool = CameraPool.draw(pose, scenes=scenes, cameras=cameras, executor=executor)
+        pool = draw(pose, scenes=scenes, cameras=cameras, executor=executor)
         return pool, time.perf_counter() - began
 
     drawn(CHUNK_CAMERAS, None)  # compiles

@@ -12,14 +12,14 @@ import pytest
 from scipy.optimize import minimize
 
 from tests.benchmarks.test_pool import shipped_fit
+from tests.optimisation.calls import draw, polish, select
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.miss_rate import SUREST, expected_miss_rate
 from warpav.optimisation.mount import CameraMount, FreeRanges
-from warpav.optimisation.polish import nearest_rig, polish, step_unit
-from warpav.optimisation.pool import CameraPool, spread_mount_poses
+from warpav.optimisation.polish import nearest_rig, step_unit
+from warpav.optimisation.pool import spread_mount_poses
 from warpav.optimisation.pool_search import too_near
-from warpav.optimisation.selection.select import select
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.camera import CameraModel
 from warpav.rig.mount_surface import mount_surface_from_mesh
@@ -41,7 +41,7 @@ class Work:
         self.cameras = SingleCameras(self.mount, CameraProbability(shipped_fit()))
         self.scenes = [DeviceScene.pack(scene, device="cpu") for scene in scenes]
         pose = spread_mount_poses(self.mount, self.constraints, 64, seed=seed)
-        pool = CameraPool.draw(pose, scenes=self.scenes, cameras=self.cameras)
+        pool = draw(pose, scenes=self.scenes, cameras=self.cameras)
         found = select(pool.detection_probability, RIG, conflict=too_near(pose, self.constraints), time_limit_s=10.0)
         self.start, self.objective = pose[found.cameras], found.objective
 

@@ -7,7 +7,7 @@ Left out of the ordinary run; ``pytest tests/benchmarks/test_selection.py --benc
 import numpy as np
 import pytest
 
-from warpav.optimisation.selection.select import select
+from tests.optimisation.calls import select
 
 
 @pytest.mark.parametrize(

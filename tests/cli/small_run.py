@@ -1,7 +1,7 @@
 """A small run, and the line with which a command rejects its input."""
 
 from warpav.cli.app import main
-from warpav.optimisation.pool_descent import PoolDescent
+from warpav.optimisation.pool_run import PoolRun
 from warpav.thesis.descent import Descent
 
 SMALL = [
@@ -32,10 +32,10 @@ RESUMED_POOL = [
 """A small search by a pool."""
 FEW = ["run.iterations=5", "optimiser.check_every=2", "optimiser.starts=2"]
 RUNS = {
-    "pool": (PoolDescent, RESUMED_POOL),
+    "pool": (PoolRun, RESUMED_POOL),
     "descent": (Descent, [*FAST, *FEW, "losses={expected_miss_rate: 0, in_frame_rotation: 1, detected_area: 10}"]),
     "thesis": (Descent, [*FAST, *FEW, "method=thesis"]),
-    "pool on a GPU": (PoolDescent, [*RESUMED_POOL, "device=cuda:0"]),
+    "pool on a GPU": (PoolRun, [*RESUMED_POOL, "device=cuda:0"]),
     "descent on a GPU": (Descent, [*FAST, *FEW, "method=thesis", "device=cuda:0"]),
 }
 """Runs that are compared with what they come to otherwise: what searches, and the options."""

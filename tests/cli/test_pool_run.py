@@ -8,7 +8,7 @@ import pytest
 
 from tests.cli.small_run import SMALL, complaint
 from warpav.cli.app import main
-from warpav.optimisation.pool_descent import PoolDescent
+from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.selection.select import BranchAndBound
 from warpav.runs.run_folder import RunFolder
 from warpav.scene.glb import write_scene
@@ -29,13 +29,13 @@ def interrupted(*_, **__):
 
 @pytest.mark.parametrize("when", [pytest.param("step", marks=pytest.mark.nightly), "selection"])
 def test_ctrl_c_during_a_search_by_a_pool_keeps_what_it_knows(working_directory, monkeypatch, capsys, when):
-    step = PoolDescent.step
+    step = PoolRun.step
 
     def interrupted_later(self):
         return interrupted() if self.iteration == 2 else step(self)
 
     if when == "step":
-        monkeypatch.setattr(PoolDescent, "step", interrupted_later)
+        monkeypatch.setattr(PoolRun, "step", interrupted_later)
     else:
         monkeypatch.setattr(BranchAndBound, "run", interrupted)
     assert main(["optimise", *POOL, "run.out=stopped"]) == 130

@@ -10,6 +10,7 @@ import warp as wp
 
 import warpav as wa
 from tests.driving_scene import SilentDetector, packed_street, street
+from tests.optimisation.calls import draw
 from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.optimisation.test_pool import cameras_of
 from warpav.core.errors import InputError
@@ -19,7 +20,7 @@ from warpav.evaluation.own_body import body_shares
 from warpav.optimisation.camera_jacobians import placing_slope
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.pool import CameraPool, spread_mount_poses
+from warpav.optimisation.pool import spread_mount_poses
 from warpav.optimisation.required_points import RequiredPoints
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
@@ -205,7 +206,7 @@ def test_requirements_are_seen_through_the_pane_by_its_camera_alone():
 
 
 def test_a_pool_of_both_kinds_is_drawn():
-    pool = CameraPool.draw(spread()[:12], scenes=(packed_street(),), cameras=cameras_of(mount=mount_of()))
+    pool = draw(spread()[:12], scenes=(packed_street(),), cameras=cameras_of(mount=mount_of()))
     expected = cameras_of(mount=mount_of()).detection_probability(spread()[:12], packed_street())
     np.testing.assert_array_equal(pool.detection_probability, expected)
     keys = [cameras_of(mount=mount_of()).identity, replace_panes(cameras_of(mount=mount_of())).identity]

@@ -2,10 +2,12 @@
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from tests.optimisation.calls import pool_search, select_robust
 from tests.optimisation.test_modules import SMALL as SMALL_MIX
 from tests.optimisation.test_modules import symmetric_cameras, symmetric_chart, symmetric_mount
 from tests.optimisation.test_polish import polished, zone_of
@@ -13,11 +15,10 @@ from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from tests.optimisation.test_pool_search import SMALL
 from warpav.core.errors import InputError
 from warpav.optimisation.baselines import highest_mount_pose
-from warpav.optimisation.camera_loss import RobustObjective, select_robust
+from warpav.optimisation.camera_loss import RobustObjective
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.mount import MIRROR
 from warpav.optimisation.pool_cache import rows_of
-from warpav.optimisation.pool_search import pool_search
 from warpav.optimisation.replacements import Replacements
 from warpav.optimisation.rig_limits import RigLimits
 from warpav.optimisation.selection.problem import Row
@@ -148,8 +149,9 @@ def test_of_one_camera_the_loss_is_that_of_everything():
 def test_every_replacement_is_a_rig_put_together():
     found, weight = pool(9)
     rig, pose, size = np.array([1, 5, 7]), np.arange(63.0).reshape(9, 7), np.array([1, 2, 1, 1, 1, 2, 1, 1, 1])
-    options = {"held": 1, "weight": weight, "size": size}
-    replacements = Replacements(pose, found, rig, np.zeros((9, 3), bool), np.ones(7), robust=WORST, **options)
+    cameras, fits = SimpleNamespace(mount_pose=pose, detection_probability=found), np.ones((9, 3), bool)
+    options = {"unit": np.ones(7), "weight": weight, "robust": (WORST, size)}
+    replacements = Replacements(cameras, rig[:1], rig[1:], fits, fits, **options)
     for camera, slot in np.ndindex(9, 2):
         other = rig.copy()
         other[1 + slot] = camera

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.optimisation.calls import draw
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from warpav.optimisation.further_camera import FurtherCameras, further_cameras
 from warpav.optimisation.miss_rate import expected_miss_rate, further_gain, missed_probability
 from warpav.optimisation.mount import PITCH_RAD, YAW_RAD
-from warpav.optimisation.pool import CameraPool
 
 
 def cameras_at(position_m, gain):
@@ -52,7 +52,7 @@ def test_large_pools_in_half_precision_have_the_same_gain():
 
 @pytest.fixture(scope="module")
 def pool():
-    return CameraPool.draw(poses_of(40), scenes=streets(), cameras=cameras_of())
+    return draw(poses_of(40), scenes=streets(), cameras=cameras_of())
 
 
 @pytest.fixture(scope="module")

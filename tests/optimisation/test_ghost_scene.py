@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import street
+from tests.optimisation.calls import pool_search
 from tests.optimisation.test_modules import MODULES, columns, symmetric_cameras, symmetric_mount
 from tests.optimisation.test_pool import cameras_of, streets
 from tests.optimisation.test_zones import MODEL, chart, constraints_of, mount_of, spread
 from warpav.core.errors import InputError
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
-from warpav.optimisation.pool_search import PoolSearchSettings, pool_search
+from warpav.optimisation.pool_search import PoolSearchSettings
 from warpav.optimisation.required_points import HARD_WEIGHT, MET, RequiredPoints
 from warpav.requirements.area import Band
 from warpav.requirements.check import check_requirements

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.optimisation.calls import polish
 from tests.optimisation.test_ghost_scene import scene
 from tests.optimisation.test_modules import columns, symmetric_cameras, symmetric_mount
 from tests.optimisation.test_polish import zone_of
@@ -10,7 +11,6 @@ from tests.optimisation.test_pool import cameras_of, poses_of
 from tests.optimisation.test_pool import mount_of as roof_mount
 from tests.optimisation.test_zones import MODEL, mount_of, spread
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
-from warpav.optimisation.polish import polish
 from warpav.optimisation.required_points import NEAR_EDGE, RequiredPoints
 from warpav.optimisation.single_cameras import camera_margins, hard_points
 from warpav.optimisation.tangent_model import KEPT_BACK, HardPoints

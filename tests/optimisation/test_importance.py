@@ -4,12 +4,14 @@ import dataclasses
 import functools
 import itertools
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import warp as wp
 
 from tests.driving_scene import ConstantDetector, packed_street, roof
+from tests.optimisation.calls import draw, pool_search, select
 from tests.optimisation.test_missed import MODEL, POSE, probabilities, probability_model
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, streets
@@ -23,10 +25,9 @@ from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbab
 from warpav.optimisation.miss_rate import further_gain
 from warpav.optimisation.mount import X_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import ObjectiveOptions, RigObjective
-from warpav.optimisation.pool import CameraPool, spread_mount_poses
-from warpav.optimisation.pool_search import PoolSearchSettings, pool_search
+from warpav.optimisation.pool import spread_mount_poses
+from warpav.optimisation.pool_search import PoolSearchSettings
 from warpav.optimisation.replacements import Replacements
-from warpav.optimisation.selection.select import select
 from warpav.optimisation.settings import ImportanceSettings
 from warpav.raster.decide import Occlusion
 from warpav.runs.config import Config, dump_config, load_config, option_values
@@ -298,7 +299,7 @@ def test_the_weighted_selection_is_the_best_rig_of_the_pool_by_brute_force():
     mount, weight, [chosen, _] = searched(False)
     constraints = zone_of(mount)
     pose = spread_mount_poses(mount, constraints, 24, seed=0)
-    pool = CameraPool.draw(pose, scenes=streets(), cameras=cameras_of(mount=mount)).detection_probability
+    pool = draw(pose, scenes=streets(), cameras=cameras_of(mount=mount)).detection_probability
     point = np.c_[pose[:, :2], mount.surface.height_at_m(pose[:, :2])]
     rigs = [
         list(rig)
@@ -330,7 +331,8 @@ def test_further_cameras_replacements_and_exchanges_count_by_weight(rng):
     expected = [before - rate(np.vstack([pool[:3], each]), weight) for each in pool]
     np.testing.assert_allclose(further_gain(missed, pool, weight), expected, atol=1e-12)
     pose = np.c_[np.arange(8.0), np.zeros((8, 6))]
-    found = Replacements(pose, pool, rig, np.zeros((8, 3), bool), np.ones(7), weight=weight)
+    cameras, fits = SimpleNamespace(mount_pose=pose, detection_probability=pool), np.ones((8, 3), bool)
+    found = Replacements(cameras, rig[:0], rig, fits, fits, unit=np.ones(7), weight=weight)
     for camera, slot in itertools.product(range(8), range(3)):
         other = rig.copy()
         other[slot] = camera

@@ -7,11 +7,12 @@ import math
 import numpy as np
 import pytest
 
+from tests.optimisation.calls import pool_search
 from tests.optimisation.known_optimum import behind_a_wall, bump, exhaustive, square
 from warpav.optimisation.budget import SingleCameraValues, run_search
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.objective import single_cameras_of
-from warpav.optimisation.pool_search import PoolSearchSettings, pool_search
+from warpav.optimisation.pool_search import PoolSearchSettings
 from warpav.optimisation.rivals import cma_es, differential_evolution, highest, random_search, sobol_search
 from warpav.optimisation.settings import OptimiserSettings
 from warpav.optimisation.space import SearchSpace

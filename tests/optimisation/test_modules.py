@@ -11,6 +11,7 @@ import pytest
 
 from tests.detection.test_probability import model_of
 from tests.driving_scene import street
+from tests.optimisation.calls import pool_search, select
 from tests.optimisation.test_pool import streets
 from tests.optimisation.test_zones import zones
 from warpav.core.errors import InputError
@@ -19,9 +20,8 @@ from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount, views_of_rig
 from warpav.optimisation.pool import spread_mount_poses
-from warpav.optimisation.pool_search import PoolSearchSettings, pool_search
+from warpav.optimisation.pool_search import PoolSearchSettings
 from warpav.optimisation.rig_limits import RigLimits
-from warpav.optimisation.selection.select import select
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.optimisation.space import SearchSpace
 from warpav.raster.camera import CameraModel

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.optimisation.calls import pool_search
 from tests.optimisation.test_ghost_scene import scene as ghosts
 from tests.optimisation.test_modules import SMALL as SMALL_MIX
 from tests.optimisation.test_modules import cameras_of as mixed_cameras
@@ -22,7 +23,6 @@ from warpav.optimisation.miss_rate import expected_miss_rate
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, MIRROR
 from warpav.optimisation.mount_errors import COLUMNS, MountErrors
 from warpav.optimisation.pool import spread_mount_poses
-from warpav.optimisation.pool_search import pool_search
 from warpav.optimisation.rig_limits import RigLimits
 from warpav.optimisation.single_cameras import MisplacedCameras
 from warpav.raster.camera import CameraModel

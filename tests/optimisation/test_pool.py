@@ -17,6 +17,7 @@ from scipy.stats import qmc
 
 from tests.detection.test_probability import model_of
 from tests.driving_scene import ConstantDetector, packed_street, roof
+from tests.optimisation.calls import draw
 from tests.optimisation.objectives import rig_objective
 from tests.optimisation.test_missed import FREE, scenes_of
 from warpav.core.errors import InputError
@@ -27,7 +28,7 @@ from warpav.optimisation import pool_cache
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.pool import CameraPool, spread_mount_poses
+from warpav.optimisation.pool import spread_mount_poses
 from warpav.optimisation.settings import LossSettings
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.camera import CameraModel
@@ -63,7 +64,7 @@ def streets(device="cpu"):
 
 def drawn(count=12, **options):
     options = {"scenes": streets(), "cameras": cameras_of(), **options}
-    return CameraPool.draw(poses_of(count), **options)
+    return draw(poses_of(count), **options)
 
 
 def files(cache):
@@ -146,7 +147,7 @@ def test_probabilities_are_those_of_the_objective(device, kind, occlusion):
         probability=cameras.probability.model,
     )
     expected = objective.evaluate(pose, assigned, detection_probability=True).detection_probability
-    found = CameraPool.draw(pose, scenes=[each.scene for each in assigned], cameras=cameras)
+    found = draw(pose, scenes=[each.scene for each in assigned], cameras=cameras)
     if device == "cpu":
         np.testing.assert_array_equal(found.detection_probability, expected)
     np.testing.assert_allclose(found.detection_probability, expected, atol=1e-5)
@@ -172,7 +173,7 @@ def test_lenses_and_samples_are_those_of_the_objective(device, lens, supersampli
     )
     pose, [assigned] = poses_of(4, mount), scenes_of(device, 8)
     expected = objective.evaluate(pose, [assigned], detection_probability=True).detection_probability
-    found = CameraPool.draw(pose, scenes=[assigned.scene], cameras=cameras).detection_probability
+    found = draw(pose, scenes=[assigned.scene], cameras=cameras).detection_probability
     np.testing.assert_allclose(found, expected, atol=0.0 if device == "cpu" else 1e-5)
     assert expected.any()
 
@@ -184,7 +185,7 @@ def test_neither_chunks_nor_threads_nor_neighbours_change_a_bit(monkeypatch):
     for chunk, threads in ((1, 1), (7, 2), (100, 3)):
         found = drawn(37, cameras=cameras_of(thread_count=threads), chunk_cameras=chunk)
         np.testing.assert_array_equal(found.detection_probability, expected)
-    backwards = CameraPool.draw(pose[::-1], scenes=streets(), cameras=cameras_of())
+    backwards = draw(pose[::-1], scenes=streets(), cameras=cameras_of())
     np.testing.assert_array_equal(backwards.detection_probability[::-1], expected)
     assert (backwards.drawn_count, backwards.cached_count) == (37 * 3, 0)
 
@@ -294,7 +295,7 @@ def test_a_process_is_sent_files_not_scenes(tmp_path):
 def test_a_renderer_without_room_draws_fewer_cameras_at_once(monkeypatch, caplog):
     """The same bytes; as Warp tells it on a GPU."""
     expected, rendered = drawn(10), Renderer.render
-    expected_pose = CameraPool.draw(poses_of(10), scenes=streets(), cameras=cameras_of()).mount_pose
+    expected_pose = draw(poses_of(10), scenes=streets(), cameras=cameras_of()).mount_pose
 
     def render(self, *args, **options):
         if self.view_count > 3:
@@ -350,12 +351,12 @@ def test_large_pools_are_kept_in_half_precision(monkeypatch):
 
 def test_a_larger_pool_draws_only_what_is_new(tmp_path):
     pose = poses_of(30)
-    small = CameraPool.draw(pose[:10], scenes=streets(), cameras=cameras_of(), cache=tmp_path, chunk_cameras=4)
+    small = draw(pose[:10], scenes=streets(), cameras=cameras_of(), cache=tmp_path, chunk_cameras=4)
     assert (small.drawn_count, small.cached_count) == (30, 0)
     large = small.extended(pose[10:])
     assert (large.drawn_count, large.cached_count) == (90, 0)
     np.testing.assert_array_equal(large.mount_pose, pose)
-    fresh = CameraPool.draw(pose, scenes=streets(), cameras=cameras_of())
+    fresh = draw(pose, scenes=streets(), cameras=cameras_of())
     np.testing.assert_array_equal(large.detection_probability, fresh.detection_probability)
     # one that the pool has, twice one that it has not
     again = large.extended(np.concatenate([pose[[3]], poses_of(31)[[30, 30]]]))
@@ -363,7 +364,7 @@ def test_a_larger_pool_draws_only_what_is_new(tmp_path):
     np.testing.assert_array_equal(again.detection_probability[30], large.detection_probability[3])
     np.testing.assert_array_equal(again.detection_probability[31], again.detection_probability[32])
     # other chunks, another order, fewer scenes: every camera is found by itself
-    cached = CameraPool.draw(pose[::-2], scenes=streets()[::-1], cameras=cameras_of(), cache=tmp_path, chunk_cameras=3)
+    cached = draw(pose[::-2], scenes=streets()[::-1], cameras=cameras_of(), cache=tmp_path, chunk_cameras=3)
     assert (cached.drawn_count, cached.cached_count) == (0, 45)
     order = np.r_[6:10, 0:6]
     np.testing.assert_array_equal(cached.detection_probability, fresh.detection_probability[::-2][:, order])
@@ -444,20 +445,8 @@ def another(name):
 
 
 @pytest.mark.parametrize("name", ["scenes", "vehicle", "camera", "detector"])
-def test_pools_of_something_else_are_refused(tmp_path, name):
-    pool = drawn(8)
-    pool.write(tmp_path / "pool.npz")
-    found = CameraPool.read(tmp_path / "pool.npz", scenes=streets(), cameras=cameras_of())
-    np.testing.assert_array_equal(found.detection_probability, pool.detection_probability)
-    assert (found.drawn_count, found.scene_index.tolist()) == (24, pool.scene_index.tolist())
-    assert found.extended(poses_of(9)[8:]).drawn_count == 27
+def test_a_cache_has_nothing_for_something_else(tmp_path, name):
     scenes, cameras = another(name)
-    with pytest.raises(
-        InputError, match=rf"pool\.npz: {name}: expected a pool of .*; remove it, and draw it again"
-    ) as caught:
-        CameraPool.read(tmp_path / "pool.npz", scenes=scenes, cameras=cameras)
-    assert "\n" not in str(caught.value)
-    # a cache has nothing for them
     drawn(8, cache=tmp_path / "cache")
     other = drawn(8, scenes=scenes, cameras=cameras, cache=tmp_path / "cache")
     assert other.cached_count == (16 if name == "scenes" else 0)
@@ -471,16 +460,6 @@ def test_a_chunk_under_the_name_of_another_is_refused(tmp_path):
     (tmp_path / other).replace(tmp_path / one)
     with pytest.raises(InputError, match=rf"{re.escape(one)}: detector: expected a pool of this model"):
         drawn(4, cache=tmp_path)
-
-
-@pytest.mark.parametrize("content", [b"", b"no pool", None])
-def test_other_files_are_refused(tmp_path, content):
-    file = tmp_path / "pool.npz"
-    if content is not None:
-        file.write_bytes(content)
-    with pytest.raises(InputError, match=r"pool\.npz: expected a pool of cameras, got .*; draw it again") as caught:
-        CameraPool.read(file, scenes=streets(), cameras=cameras_of())
-    assert "\n" not in str(caught.value)
 
 
 def test_the_cache_does_not_grow_without_end(tmp_path, monkeypatch):
@@ -516,7 +495,7 @@ def test_bad_input_is_refused(tmp_path):
         (np.where(np.arange(7) == 2, np.nan, pose), "mount_pose: expected finite numbers, got nan"),
     ):
         with pytest.raises(InputError, match=message):
-            CameraPool.draw(bad, **options)
+            draw(bad, **options)
     for changes, message in (
         ({"scenes": ()}, "scenes: expected at least one object, got none in 0 scenes"),
         ({"scenes": streets()[1:2]}, "scenes: expected at least one object, got none in 1 scenes"),
@@ -526,7 +505,7 @@ def test_bad_input_is_refused(tmp_path):
         ({"executor": Executor("ray")}, "cache: expected a folder that all machines see, with executor ray, got none"),
     ):
         with pytest.raises(InputError, match=message) as caught:
-            CameraPool.draw(pose, **{**options, **changes})
+            draw(pose, **{**options, **changes})
         assert "\n" not in str(caught.value)
     with pytest.raises(ValueError, match="at least 8 x 8 whole pixels, got 0 x 64"):
         CameraModel(0, 64)
@@ -536,10 +515,10 @@ def test_cameras_that_see_nothing_are_refused():
     pose = poses_of(3)
     pose[:, PITCH_RAD] = -math.pi / 2  # at the sky
     with pytest.raises(InputError, match="got 3 of which none sees any of the 10 objects of 3 scenes") as caught:
-        CameraPool.draw(pose, scenes=streets(), cameras=cameras_of())
+        draw(pose, scenes=streets(), cameras=cameras_of())
     assert "\n" not in str(caught.value)
     # where others join them they are refused with these
-    blind = CameraPool.draw(pose, scenes=streets(), cameras=cameras_of(), may_see_nothing=True)
+    blind = draw(pose, scenes=streets(), cameras=cameras_of(), may_see_nothing=True)
     assert not blind.detection_probability.any()
     with pytest.raises(InputError, match="got 4 of which none sees any of the 10 objects of 3 scenes"):
         blind.extended(pose[:1])

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.optimisation.calls import draw, pool_search
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from warpav.core.errors import InputError
@@ -15,7 +16,7 @@ from warpav.optimisation import pool as pool_module
 from warpav.optimisation import pool_search as module
 from warpav.optimisation.miss_rate import expected_miss_rate
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
-from warpav.optimisation.pool_search import PoolSearchSettings, _Assembly, pool_search, too_near
+from warpav.optimisation.pool_search import PoolSearchSettings, _Assembly, too_near
 
 SMALL = PoolSearchSettings(pool_cameras=24, rounds=2, priced_cameras=4, gap=0.0)
 
@@ -68,7 +69,7 @@ def test_the_selection_is_the_best_rig_of_the_pool_by_brute_force():
     constraints, cameras = zone_of(mount), cameras_of(mount=mount)
     [chosen, _] = searched(mount, settings=replace(SMALL, polishes=False))
     pose = spread_mount_poses(mount, constraints, SMALL.pool_cameras, seed=0)
-    pool = CameraPool.draw(pose, scenes=streets(), cameras=cameras)
+    pool = draw(pose, scenes=streets(), cameras=cameras)
     point = np.c_[pose[:, :2], mount.surface.height_at_m(pose[:, :2])]
     rigs = [
         rig
@@ -143,8 +144,8 @@ def test_the_start_comes_before_the_pool_is_drawn_and_changes_nothing_that_follo
         mount = mount.freezing(mount.rig(start), ["camera_1"])
         constraints = zone_of(mount, frozen=mount.frozen)
     cameras, scenes, drawn = cameras_of(mount=mount), streets(), []
-    draw = pool_module._draw
-    monkeypatch.setattr(pool_module, "_draw", lambda task: (drawn.append(len(task.mount_pose)), draw(task))[1])
+    chunk = pool_module._draw
+    monkeypatch.setattr(pool_module, "_draw", lambda task: (drawn.append(len(task.mount_pose)), chunk(task))[1])
     states = pool_search(cameras, scenes, constraints, 3, start=start, settings=settings)
     first = next(states)
     assert (first.stage, first.bound, first.pool_cameras, first.camera_renders) == ("start", 0.0, 3, 3 * len(scenes))
@@ -159,7 +160,7 @@ def test_the_start_comes_before_the_pool_is_drawn_and_changes_nothing_that_follo
     others = spread_mount_poses(mount, constraints, settings.pool_cameras, seed=0)
     pose = np.concatenate([first.pool.mount_pose, others])
     np.testing.assert_array_equal(pose[0], first.mount_pose[int(is_frozen)])
-    known = CameraPool.draw(pose, scenes=scenes, cameras=cameras)
+    known = draw(pose, scenes=scenes, cameras=cameras)
     at_once = list(pool_search(cameras, scenes, constraints, 3, start=start, settings=settings, pool=known))
     assert at_once[0].objective == first.objective
     for one, other in zip(rest, at_once[1:], strict=True):

@@ -1,10 +1,12 @@
 """Replacements of single cameras: against rigs put together one by one."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from warpav.optimisation.miss_rate import expected_miss_rate
-from warpav.optimisation.replacements import Replacements, joined
+from warpav.optimisation.replacements import Replacements
 
 UNIT = np.array([0.2, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0])
 
@@ -17,10 +19,11 @@ def pool(seed=0, cameras=30, objects=12):
 
 
 def replacements(pose, probability, rig, too_near=(), held=0):
-    conflict = np.zeros((len(pose), len(rig)), bool)
+    is_apart = np.ones((len(pose), len(rig)), bool)
     for camera, member in too_near:
-        conflict[camera, member] = True
-    return Replacements(pose, probability, np.asarray(rig), conflict, UNIT, held=held)
+        is_apart[camera, member] = False
+    cameras, fits = SimpleNamespace(mount_pose=pose, detection_probability=probability), np.ones_like(is_apart)
+    return Replacements(cameras, np.asarray(rig[:held], int), np.asarray(rig[held:]), is_apart, fits, unit=UNIT)
 
 
 @pytest.mark.parametrize("held", [0, 1])
@@ -45,7 +48,7 @@ def test_whoever_is_too_near_to_those_that_stay_is_no_replacement():
 def test_starts_are_apart_from_each_other_the_rig_and_known_places():
     pose, probability = pool(cameras=300)
     found = replacements(pose, probability, [3, 8])
-    starts = found.starts(10, joined([pose[[40]]]))
+    starts = found.starts(10, pose[[40]])
     places = np.concatenate([pose[[3, 8, 40]], pose[[camera for camera, _ in starts]]])[:, :3]
     apart = np.abs(places[:, None] - places[None])
     apart[..., 2] = np.abs((places[:, None, 2] - places[None, :, 2] + np.pi) % (2 * np.pi) - np.pi)

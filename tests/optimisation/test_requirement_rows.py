@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.optimisation.calls import select
 from warpav.core.errors import InputError
 from warpav.optimisation.required_points import require_meetable, requirement_rows, unmeetable_requirements
-from warpav.optimisation.selection.select import select
 from warpav.requirements.area import Band
 from warpav.requirements.requirement import Ghosts, Requirement
 from warpav.requirements.test_object import SIZES_M, TestObject

@@ -220,7 +220,7 @@ def test_cameras_that_run_away_end_the_run_at_the_best_rig(keep):
     assert descent.step().training_objective is not None
     with pytest.raises(NotFiniteError, match="iteration 1: expected a finite loss"):
         descent.step()
-    assert "iteration 1: expected a finite loss" in descent.verdict
+    assert "iteration 1: expected a finite loss" in descent.stop_reason
     found = descent.finish()
     assert np.isfinite(found.mount_pose).all()
     assert found.training_objective == min(each.training_objective for each in descent.candidates)
@@ -265,7 +265,7 @@ def scripted(looks, further_starts=(), *, iterations=6, **settings):
 
 def steps_until_verdict(descent, at_most):
     records = []
-    while len(records) < at_most and descent.verdict is None:
+    while len(records) < at_most and descent.stop_reason is None:
         records.append(descent.step())
     return records
 
@@ -274,11 +274,11 @@ def test_a_run_without_a_better_rig_ends_and_says_so():
     descent = scripted([0.5, 0.4, 0.45, 0.41, 0.4, 0.3], patience=3)
     records = steps_until_verdict(descent, 6)
     assert len(records) == 5  # 0.4 again is no better
-    assert descent.verdict == "no better rig in 3 evaluations on the validation scenes since iteration 1"
+    assert descent.stop_reason == "no better rig in 3 evaluations on the validation scenes since iteration 1"
     assert descent.finish().training_objective == 0.3  # the last rig is evaluated as well
     endless = scripted([0.5, 0.4, 0.45, 0.41, 0.4, 0.3])
     assert len(steps_until_verdict(endless, 6)) == 6
-    assert endless.verdict is None
+    assert endless.stop_reason is None
 
 
 def test_every_descent_begins_anew_with_its_share_of_the_steps():
@@ -305,10 +305,10 @@ def test_a_descent_that_loses_patience_makes_room_for_the_next():
     descent = scripted([0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.3, 0.2, 0.1], [START + 0.1], iterations=8, patience=2)
     records = steps_until_verdict(descent, 8)
     assert [record.descent for record in records] == [0, 0, 0, 1, 1, 1, 1, 1]
-    assert descent.verdict is None
+    assert descent.stop_reason is None
     lost = scripted([0.5, 0.6, 0.7, 0.8, 0.3, 0.4, 0.5], [START + 0.1], iterations=8, patience=2)
     assert len(steps_until_verdict(lost, 8)) == 6
-    assert lost.verdict == "no better rig in 2 evaluations on the validation scenes since iteration 3"
+    assert lost.stop_reason == "no better rig in 2 evaluations on the validation scenes since iteration 3"
 
 
 def test_cameras_of_several_descents_are_mixed_in_the_end():

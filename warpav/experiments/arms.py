@@ -33,8 +33,8 @@ from warpav.optimisation.budget import (
     run_search,
 )
 from warpav.optimisation.constraints import Constraints
-from warpav.optimisation.polish import polish
-from warpav.optimisation.pool_descent import PoolDescent
+from warpav.optimisation.polish import PolishSteps, PolishTask, polish
+from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.rivals import (
     Draw,
     cma_es,
@@ -337,10 +337,10 @@ def _pooled(placement: Placement, camera_renders_max: int | None, *, only: bool 
         settings = replace(settings, pool_cameras=every, camera_renders_max=most, rounds=0, polishes=False)
     begun = Optimisation.begin(placement, pool=settings, keeps_pool=False)
     descent, began = begun.descent, time.perf_counter()
-    assert isinstance(descent, PoolDescent)
+    assert isinstance(descent, PoolRun)
     columns = ("camera_renders", "seconds", "best_value", "stage", "round", "bound")
     history: dict[str, list[Any]] = {name: [] for name in columns}
-    while descent.verdict is None:
+    while descent.stop_reason is None:
         descent.step()
         found = descent.found
         assert found is not None
@@ -376,7 +376,7 @@ def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, 
         for column, number in zip(history.values(), row, strict=True):
             column.append(number)
 
-    while descent.iteration < config.run.iterations and descent.verdict is None:
+    while descent.iteration < config.run.iterations and descent.stop_reason is None:
         record = descent.step()
         add(record.best_training_objective, record.loss)
     unprojected = descent.mount_pose
@@ -389,7 +389,7 @@ def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, 
         history,
         training_objective=result.training_objective,
         mount_pose=result.mount_pose,
-        notes={"unprojected_constraint_loss": constraint_loss(placement, unprojected), "stopped": descent.verdict},
+        notes={"unprojected_constraint_loss": constraint_loss(placement, unprojected), "stopped": descent.stop_reason},
     )
 
 
@@ -397,14 +397,12 @@ def _descent_only(placement: Placement, camera_renders_max: int | None) -> Found
     """The polish alone, from the configuration's one start, until nothing improves or the budget is spent."""
     begun = Optimisation.begin(_from_one_start(placement, takes_batches=False))
     values, mount = _single_values(placement), placement.objective.mount
+    task = PolishTask(mount, placement.objective.constraints, len(values.scenes), weight=values.object_weight)
     steps = polish(
         begun.descent.start,
         lambda moved: values.cameras.with_jacobian(moved, values.scenes),
-        mount=mount,
-        constraints=placement.objective.constraints,
-        scene_count=len(values.scenes),
-        weight=values.object_weight,
-        camera_renders_max=_budget(placement, camera_renders_max),
+        task,
+        PolishSteps(camera_renders_max=_budget(placement, camera_renders_max)),
     )
     began, step = time.perf_counter(), None
     history: dict[str, list[Any]] = {name: [] for name in ("camera_renders", "seconds", "best_value")}

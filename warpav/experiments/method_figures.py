@@ -37,7 +37,7 @@ from warpav.view.figures.rigs import OptimisedRig, SceneViews
 from warpav.view.figures.style import checked_png
 
 if TYPE_CHECKING:
-    from warpav.optimisation.pool_descent import PoolDescent
+    from warpav.optimisation.pool_run import PoolRun
     from warpav.thesis.descent import Descent
 
 _UNCONSTRAINED = ("optimiser.multiplier_learning_rate=0", "optimiser.multiplier_damping=0")
@@ -97,7 +97,7 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, progress
     )
 
 
-def _optimised(placement: Placement, descent: Descent | PoolDescent, progress: Progress, how: str) -> OptimisedRig:
+def _optimised(placement: Placement, descent: Descent | PoolRun, progress: Progress, how: str) -> OptimisedRig:
     """Take all steps; the end is the rig after the last one, moved to a feasible position where constraints count."""
     mount, constraints = placement.objective.mount, placement.objective.constraints
     count = placement.config.run.iterations
@@ -148,7 +148,7 @@ def before_and_after(config: Config, path: Path, *, run: RunFolder | None, progr
         placement = Placement.from_config(config).prepare(progress)
         descent, count = Optimisation.begin(placement).descent, config.run.iterations
         for _ in progress.steps("optimising", range(count), count=count):
-            if descent.verdict is None:
+            if descent.stop_reason is None:
                 descent.step()
         mount = placement.objective.mount
         start, result = mount.rig(descent.start), mount.rig(descent.finish().mount_pose)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.importance import Importance
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.miss_rate import expected_miss_rate, shares_of
-from warpav.optimisation.pool_search import Found, PoolSearchSettings, pool_search
+from warpav.optimisation.pool_search import PoolSearch, PoolSearchSettings, PoolTask
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.decide import Occlusion
 from warpav.runs.config import AUTO, Config, changed_config, dump_config, with_absolute_paths
@@ -207,19 +207,19 @@ def _run(task: _Search) -> dict[str, Any]:
     )
     began = time.perf_counter()
     states = list(
-        _without_prices(
-            pool_search(
+        PoolSearch(
+            PoolTask(
                 cameras,
                 train,
                 constraints,
                 config.rig.cameras,
                 start=highest_mount_pose(constraints, config.rig.cameras),
-                settings=settings,
-                seed=config.run.seed,
                 object_weight=weight_of(train),
                 robust=config.robust.objective,
                 mount_errors=config.robust.mount_errors,
-            )
+            ),
+            settings,
+            seed=config.run.seed,
         )
     )
     seconds = time.perf_counter() - began
@@ -247,12 +247,6 @@ def _run(task: _Search) -> dict[str, Any]:
     }
     write_json(task.file, result)
     return result
-
-
-def _without_prices(states: Iterator[Found]) -> Iterator[Found]:
-    """The states of a search, without prices, which are as large as the pool."""
-    for state in states:
-        yield replace(state, price=None)
 
 
 def _result_of(task: _Search) -> dict[str, Any] | None:

@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy import sparse
 
 from warpav.core.errors import ArgumentError
 from warpav.optimisation.miss_rate import SUREST
@@ -149,70 +148,39 @@ class RobustObjective:
 
 
 def select_robust(
-    detection_probability: np.ndarray,
-    count: int,
-    *,
+    problem: SelectionProblem,
     objective: RobustObjective,
     size: np.ndarray,
-    conflict: np.ndarray | sparse.sparray | sparse.spmatrix | None = None,
-    required: Sequence[int] | np.ndarray = (),
-    rows: Sequence[Row] = (),
-    weight: np.ndarray | None = None,
+    *,
     start: Sequence[int] | np.ndarray | None = None,
     gap: float = 1e-3,
     time_limit_s: float = 60.0,
     seed: int = 0,
 ) -> Selection:
-    """A rig of a low robust objective, and a bound that no rig of the pool is below.
+    """A rig of a low robust objective, and a bound that no rig of the pool is below; options as of `select`.
 
     The rig comes from exchanges of single cameras under the robust objective, over the whole pool, from the best rig of
     the expected miss rate alone, the start, and random ones; it is not proven to be the best. The bound comes from two
-    selections of the expected miss rate, with all cameras and with one less.
-
-    Args:
-        detection_probability: At most `SUREST`, float [camera, object].
-        count: Cameras of the rig.
-        objective: What is minimised.
-        size: How many cameras each row stands for, int [camera].
-        conflict: As of `select`; so are all that follow, and what is raised.
-        required: Of the whole rig; one of them may be the camera that is lost.
-        rows: Of the whole rig.
-        weight: Of the objects.
-        start: A rig that the result is not worse than.
-        gap: At which either selection ends.
-        time_limit_s: Of both together.
-        seed: Of the random rigs.
+    selections of the expected miss rate, with all cameras and with one less, which share the time. One of the required
+    cameras may be the one that is lost. Probabilities are at most `SUREST`; ``size`` says how many cameras each row
+    stands for, int [camera].
 
     Returns:
         Its objective and bound are robust ones, its price the weighted sum of the prices of both selections, and it has
         ``ended`` by exchange unless the bound was reached.
     """
-    required = np.asarray(required, np.int64)
-    problem = SelectionProblem.create(
-        detection_probability, count, conflict=conflict, required=required, rows=rows, weight=weight
-    )
-    options = {"weight": weight, "gap": gap, "seed": seed}
-    whole = select(
-        detection_probability,
-        count,
-        conflict=conflict,
-        required=required,
-        rows=rows,
-        start=start,
-        time_limit_s=0.5 * time_limit_s,
-        **options,
-    )
+    count, required = problem.count, problem.required
+    whole = select(problem, start=start, time_limit_s=0.5 * time_limit_s, gap=gap, seed=seed)
     fewer = None
     if count > 1 and whole.ended != "interrupted":
         kept = [np.delete(whole.cameras, k) for k in range(count)]
+        rows = _without_one(problem.rows, required, problem.camera_count)
         fewer = select(
-            detection_probability,
-            count - 1,
-            conflict=conflict,
-            rows=_without_one(rows, required, problem.camera_count),
+            problem.of_fewer(count - 1, rows),
             start=min(kept, key=problem.miss_rate),
             time_limit_s=0.5 * time_limit_s,
-            **options,
+            gap=gap,
+            seed=seed,
         )
     # B_0 is 1; where the second selection was not made, B_(n-1) is not below B_n
     bound_of_fewer = 1.0 if count == 1 else whole.bound if fewer is None else max(fewer.bound, whole.bound)
@@ -231,7 +199,7 @@ def select_robust(
         ended,
         whole.seconds + (fewer.seconds if fewer else 0.0),
         whole.nodes + (fewer.nodes if fewer else 0),
-        _mixed(whole.price, None if fewer is None else fewer.price, objective.weight, len(rows)),
+        _mixed(whole.price, None if fewer is None else fewer.price, objective.weight, len(problem.rows)),
         _apart(rigs)[1 : 1 + OTHERS],
     )
 

@@ -60,54 +60,71 @@ class PolishStep:
     camera_renders: int
 
 
-def polish(
-    mount_pose: np.ndarray,
-    detect: Callable[[np.ndarray], Detected],
-    *,
-    mount: CameraMount,
-    constraints: Constraints,
-    scene_count: int,
-    weight: np.ndarray | None = None,
-    camera_renders_max: int | None = None,
-    step_count: int = 20,
-    radius: float = RADIUS_FIRST,
-    tolerance: float = 1e-4,
-    is_allowed: Callable[[np.ndarray], bool] | None = None,
-    robust: RobustObjective | None = None,
-    hard_points: HardPoints | None = None,
-) -> Iterator[PolishStep]:
-    """Steps of shrinking radius; fewer where the model sees no gain any more or the next would cost too much.
+@dataclass(frozen=True, eq=False)
+class PolishTask:
+    """What rigs are polished for.
 
-    Args:
-        mount_pose: Where to begin, float [camera, 7]; brought to the nearest rig that satisfies the constraints.
-        detect: Renders cameras [camera, 7] in all scenes.
+    Attributes:
         mount: Says what is free, and how far; frozen cameras stay.
         constraints: What every rig satisfies.
         scene_count: Camera renders that a camera costs.
         weight: Of each object, at least 0; None: all alike.
-        camera_renders_max: Camera renders that may be spent, the first among them; None: as many as it takes.
-        step_count: Steps after the start, at least 1, over which the radius shrinks; where not all can be paid, over
-            as many as can.
-        radius: Of the first step, in `STEP_UNIT`; smaller where the rig is nearly polished.
-        tolerance: Relative gain that the model must promise for another step.
-        is_allowed: Whether a rig whose cameras detect so much, float [camera, object], may be the best; the start is
-            taken to be. None: every rig may.
         robust: What is minimised; None: the expected miss rate.
         hard_points: Points that steps keep met as far as tangents tell, while ``is_allowed`` has the last word; asked
-            of cameras that ``detect`` has just rendered. None: there are none.
+            of cameras that were just rendered. None: there are none.
+        is_allowed: Whether a rig whose cameras detect so much, float [camera, object], may be the best; the start is
+            taken to be. None: every rig may.
+    """
 
-    Yields:
-        The start, then every step. Only cameras that moved are rendered.
+    mount: CameraMount
+    constraints: Constraints
+    scene_count: int
+    weight: np.ndarray | None = None
+    robust: RobustObjective | None = None
+    hard_points: HardPoints | None = None
+    is_allowed: Callable[[np.ndarray], bool] | None = None
+
+
+@dataclass(frozen=True)
+class PolishSteps:
+    """How a polish steps.
+
+    Attributes:
+        count: Steps after the start, at least 1, over which the radius shrinks; where not all can be paid, over as many
+            as can.
+        radius: Of the first step, in `STEP_UNIT`; smaller where the rig is nearly polished.
+        tolerance: Relative gain that the model must promise for another step.
+        camera_renders_max: Camera renders that may be spent, the first among them; None: as many as it takes.
+    """
+
+    count: int = 20
+    radius: float = RADIUS_FIRST
+    tolerance: float = 1e-4
+    camera_renders_max: int | None = None
+
+
+def polish(
+    mount_pose: np.ndarray,
+    detect: Callable[[np.ndarray], Detected],
+    task: PolishTask,
+    steps: PolishSteps | None = None,
+) -> Iterator[PolishStep]:
+    """Steps of shrinking radius; fewer where the model sees no gain any more or the next would cost too much.
+
+    From ``mount_pose``, float [camera, 7], or the nearest rig that satisfies the constraints; ``detect`` renders
+    cameras in all scenes, of every step those that moved. The start comes first.
 
     Raises:
         InputError: The cameras do not fit on the mount surface.
     """
+    steps = steps or PolishSteps()
+    mount, constraints, robust, hard_points = task.mount, task.constraints, task.robust, task.hard_points
     pose = nearest_rig(np.asarray(mount_pose, np.float32), mount, constraints)
     problem = _Problem(mount, constraints, pose)
     probability, jacobian = detect(pose)
     margins = None if hard_points is None else hard_points.margins(pose)
     count = probability.shape[1]
-    shares = np.ones(count) if weight is None else np.asarray(weight, np.float64)
+    shares = np.ones(count) if task.weight is None else np.asarray(task.weight, np.float64)
     shares = shares / shares.sum()
     size = 1 + mount.is_pair(pose).astype(int)
     rig_value = None if robust is None else partial(robust.value_and_slope, size=size, softness=SOFTNESS)
@@ -116,15 +133,16 @@ def polish(
         return expected_miss_rate(found, shares) if robust is None else robust.of_rig(found, shares, size).objective
 
     objective = value_of(probability)
-    renders = len(pose) * scene_count
+    renders = len(pose) * task.scene_count
     yield PolishStep(pose, objective, objective, objective, 0.0, renders)
     moving = len(pose) if mount.frozen is None else int((~mount.frozen.is_frozen).sum())
-    if camera_renders_max is not None and moving:
-        step_count = min(step_count, (camera_renders_max - renders) // (moving * scene_count))
+    step_count = steps.count
+    if steps.camera_renders_max is not None and moving:
+        step_count = min(step_count, (steps.camera_renders_max - renders) // (moving * task.scene_count))
     best = here = Rendered(pose, probability, jacobian, objective, margins)
     rendered = [here]
     refused: list[tuple[np.ndarray, Margins]] = []
-    for length in _radii(radius, step_count):
+    for length in _radii(steps.radius, step_count):
         model = TangentModel(
             here, shares, earlier=rendered, reach=REACH * length * step_unit(mount), rig_value=rig_value
         )
@@ -133,20 +151,20 @@ def polish(
             edges = hard_points.edges(here.mount_pose, here.margins, problem.reach(length), refused)
         tried = problem.feasible(problem.minimised(model, here.mount_pose, length, edges))
         promised = model.value(tried.astype(np.float64) - here.mount_pose)
-        if promised > model.value(np.zeros_like(here.jacobian[:, 0])) - tolerance * here.objective:
+        if promised > model.value(np.zeros_like(here.jacobian[:, 0])) - steps.tolerance * here.objective:
             here = best
             continue
         moved = np.flatnonzero((tried != here.mount_pose).any(axis=1))
         probability, jacobian = here.probability.copy(), here.jacobian.copy()
         probability[moved], jacobian[moved] = detect(tried[moved])
-        renders += len(moved) * scene_count
+        renders += len(moved) * task.scene_count
         if hard_points is not None and here.margins is not None:
             margins = (here.margins[0].copy(), here.margins[1].copy())
             margins[0][moved], margins[1][moved] = hard_points.margins(tried[moved])
         here = Rendered(tried, probability, jacobian, value_of(probability), margins)
         rendered.append(here)
         tried_objective = here.objective
-        if is_allowed is not None and not is_allowed(here.probability):
+        if task.is_allowed is not None and not task.is_allowed(here.probability):
             if here.margins is not None:
                 refused = [*refused, (here.mount_pose, here.margins)][-TANGENTS:]
             here = best

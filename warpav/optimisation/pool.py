@@ -11,13 +11,14 @@ import contextlib
 import itertools
 import pickle
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
 import platformdirs
+from scipy import sparse
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.executor import Executor
@@ -26,14 +27,9 @@ from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.pool_cache import (
     SCENES,
-    UNREADABLE,
-    Identity,
     PoolCache,
-    check_identity,
     pose_keys,
-    read_arrays,
     rows_of,
-    write_arrays,
 )
 from warpav.optimisation.required_points import RequiredPoints
 from warpav.optimisation.single_cameras import SingleCameras
@@ -109,6 +105,22 @@ def _spread(
 
 
 @dataclass(frozen=True, eq=False)
+class Drawing:
+    """Where pools are drawn.
+
+    Attributes:
+        executor: Where it is done; None: here, with a thread for each core.
+        cache: Folder that keeps what is drawn, such as `pool_cache_folder`; None: nothing is kept. With the executors
+            ``ray`` and ``slurm`` all machines must see it.
+        chunk_cameras: Cameras that one task draws in one scene, at least 1.
+    """
+
+    executor: Executor | None = None
+    cache: Path | None = None
+    chunk_cameras: int = CHUNK_CAMERAS
+
+
+@dataclass(frozen=True, eq=False)
 class CameraPool:
     """Single cameras, and the probability that each detects each object of some scenes.
 
@@ -119,6 +131,8 @@ class CameraPool:
         scene_index: Scene of every object, int32 [object].
         drawn_count: Camera renders (one camera in one scene) that were drawn for the pool.
         cached_count: Camera renders that were found in the cache.
+        is_drawn: Which cameras were drawn here, and are in the cache where there is one, bool [camera]; others were
+            rendered elsewhere, or are there twice.
     """
 
     mount_pose: np.ndarray
@@ -126,6 +140,7 @@ class CameraPool:
     scene_index: np.ndarray
     drawn_count: int
     cached_count: int
+    is_drawn: np.ndarray
     _source: _Source
 
     @classmethod
@@ -135,23 +150,18 @@ class CameraPool:
         *,
         scenes: Sequence[DeviceScene | RequiredPoints],
         cameras: SingleCameras,
-        executor: Executor | None = None,
-        cache: Path | None = None,
-        chunk_cameras: int = CHUNK_CAMERAS,
+        drawing: Drawing | None = None,
         progress: Progress | None = None,
         name: str = POOL_NAME,
         may_see_nothing: bool = False,
     ) -> CameraPool:
-        """Draw every camera in every scene; neither executor nor chunks nor cache change a bit of the result.
+        """Draw every camera in every scene; ``drawing`` changes no bit of the result.
 
         Args:
             mount_pose: The cameras, finite numbers, float [camera, 7].
             scenes: The scenes, on the device of the mount; requirements behind them.
             cameras: What the cameras are, and how likely one is to detect.
-            executor: Where it is done; None: here, with a thread for each core.
-            cache: Folder that keeps what is drawn, such as `pool_cache_folder`; None: nothing is kept. With the
-                executors ``ray`` and ``slurm`` all machines must see it.
-            chunk_cameras: Cameras that one task draws in one scene, at least 1.
+            drawing: Where it is done, and what keeps it.
             progress: Told of every task.
             name: What progress calls the cameras.
             may_see_nothing: Whether it is no error that no camera sees any object: others join the pool later.
@@ -160,9 +170,9 @@ class CameraPool:
             InputError: There are no cameras or no objects, no camera sees any of them, the cache holds something else
                 under the name of a chunk, or a task failed.
         """
-        source = _Source(tuple(scenes), cameras, executor or Executor(), cache, chunk_cameras)
-        none = (np.zeros((0, MOUNT_POSE_SIZE), np.float32), np.zeros((0, len(source.scene_index)), np.float32))
-        pool = cls(*none, source.scene_index, 0, 0, source)
+        source = _Source(tuple(scenes), cameras, drawing or Drawing())
+        none = np.zeros((0, MOUNT_POSE_SIZE), np.float32), np.zeros((0, len(source.scene_index)), np.float32)
+        pool = cls(*none, source.scene_index, 0, 0, np.zeros(0, bool), source)
         return pool.extended(mount_pose, progress=progress, name=name, may_see_nothing=may_see_nothing)
 
     def extended(
@@ -194,7 +204,8 @@ class CameraPool:
         found = np.empty(shape, np.float16 if 4 * shape[0] * shape[1] > HALF_ABOVE_BYTES else np.float32)
         found[: len(self.mount_pose)] = self.detection_probability
         row = rows_of(more, known)
-        is_new = row >= len(self.mount_pose)
+        is_new, is_first = row >= len(self.mount_pose), np.zeros(len(row), bool)
+        is_first[np.unique(row, return_index=True)[1]] = True
         found[len(self.mount_pose) :][is_new] = drawn[row[is_new] - len(self.mount_pose)]
         found[len(self.mount_pose) :][~is_new] = self.detection_probability[row[~is_new]]
         traffic = [scene for scene in self._source.scenes if not isinstance(scene, RequiredPoints)]
@@ -210,6 +221,7 @@ class CameraPool:
             detection_probability=found,
             drawn_count=self.drawn_count + drawn_count,
             cached_count=self.cached_count + cached_count,
+            is_drawn=np.append(self.is_drawn, is_new & is_first),
         )
 
     def joined(self, mount_pose: np.ndarray, detection_probability: np.ndarray) -> CameraPool:
@@ -231,6 +243,7 @@ class CameraPool:
                 [self.detection_probability, np.asarray(detection_probability, dtype)]
             ),
             drawn_count=self.drawn_count + len(pose) * len(self._source.scenes),
+            is_drawn=np.append(self.is_drawn, np.zeros(len(pose), bool)),
         )
 
     @property
@@ -238,58 +251,49 @@ class CameraPool:
         """What drew it; a search that goes on with the pool asks it again, with the renderers and recordings it has."""
         return self._source.cameras
 
-    @property
-    def identity(self) -> Identity:
-        """Hashes of all that it was drawn with: vehicle, camera, detector, version and the scenes in their order."""
-        return self._source.identity
-
-    def write(self, file: Path) -> None:
-        """Write the pool into an ``.npz`` file.
-
-        Raises:
-            OSError: It cannot be written.
-        """
-        write_arrays(
-            file,
-            self.identity,
-            mount_pose=self.mount_pose,
-            detection_probability=self.detection_probability,
-            counts=np.array([self.drawn_count, self.cached_count]),
-        )
+    def state(self) -> dict[str, np.ndarray]:
+        """What `restored` needs besides the cache: of cameras that were not drawn also what they detect, to the bit."""
+        kept = np.ascontiguousarray(self.detection_probability[~self.is_drawn])
+        bits = sparse.csr_array(kept.view(f"u{kept.itemsize}"))  # most are 0
+        return {
+            "mount_pose": self.mount_pose,
+            "is_drawn": self.is_drawn,
+            "counts": np.array([self.drawn_count, self.cached_count, self.detection_probability.itemsize]),
+            **{name: getattr(bits, name) for name in ("data", "indices", "indptr")},
+        }
 
     @classmethod
-    def read(
+    def restored(
         cls,
-        file: Path,
+        state: Mapping[str, np.ndarray],
         *,
         scenes: Sequence[DeviceScene | RequiredPoints],
         cameras: SingleCameras,
-        executor: Executor | None = None,
-        cache: Path | None = None,
-        chunk_cameras: int = CHUNK_CAMERAS,
+        drawing: Drawing | None = None,
+        progress: Progress | None = None,
     ) -> CameraPool:
-        """The pool of a file, for the scenes and the cameras that it was drawn with.
-
-        Args:
-            file: That `write` has written.
-            scenes: As in `draw`, as are the others; `extended` goes on with them.
-            cameras: Likewise.
-            executor: Likewise.
-            cache: Likewise.
-            chunk_cameras: Likewise.
+        """The pool that gave `state`, for the same scenes and cameras.
 
         Raises:
-            InputError: It is no pool, or one of other scenes, another vehicle, camera or detector; the text says which.
+            KeyError: The state is not whole.
+            ValueError: Its parts do not fit together.
         """
-        source = _Source(tuple(scenes), cameras, executor or Executor(), cache, chunk_cameras)
-        try:
-            arrays, identity = read_arrays(file)
-            pose, found, counts = (arrays[name] for name in ("mount_pose", "detection_probability", "counts"))
-        except UNREADABLE as error:
-            reason = getattr(error, "strerror", None) or "another or a damaged file"
-            raise InputError(f"{file}: expected a pool of cameras, got {reason}; draw it again") from None
-        check_identity(file, identity, source.identity)
-        return cls(pose, found, source.scene_index, int(counts[0]), int(counts[1]), source)
+        drawn_count, cached_count, size = (int(each) for each in state["counts"])
+        pose, is_drawn = np.asarray(state["mount_pose"], np.float32), np.asarray(state["is_drawn"], bool)
+        options = {"scenes": scenes, "cameras": cameras, "drawing": drawing, "progress": progress}
+        pool = cls.draw(pose[is_drawn], may_see_nothing=True, **options)
+        shape = int((~is_drawn).sum()), len(pool.scene_index)
+        bits = sparse.csr_array((state["data"], state["indices"], state["indptr"]), shape=shape)
+        found = np.empty((len(pose), shape[1]), f"f{size}")
+        found[is_drawn], found[~is_drawn] = pool.detection_probability, bits.toarray().view(f"f{size}")
+        return replace(
+            pool,
+            mount_pose=pose,
+            detection_probability=found,
+            drawn_count=drawn_count,
+            cached_count=cached_count,
+            is_drawn=is_drawn,
+        )
 
 
 _Place = DeviceScene | RequiredPoints | Path
@@ -321,15 +325,13 @@ class _Source:
 
     scenes: tuple[DeviceScene | RequiredPoints, ...]
     cameras: SingleCameras
-    executor: Executor
-    cache: Path | None
-    chunk_cameras: int
+    drawing: Drawing
 
     def __post_init__(self) -> None:
         if not any(scene.vehicle_count for scene in self.scenes):
             raise ArgumentError("scenes", f"expected at least one object, got none in {len(self.scenes)} scenes")
-        if self.chunk_cameras < 1:
-            raise ArgumentError("chunk_cameras", f"expected at least 1, got {self.chunk_cameras}")
+        if self.drawing.chunk_cameras < 1:
+            raise ArgumentError("chunk_cameras", f"expected at least 1, got {self.drawing.chunk_cameras}")
         supersampling = self.cameras.supersampling
         if supersampling < 1:
             raise ArgumentError("cameras", f"expected supersampling of at least 1, got {supersampling}")
@@ -344,10 +346,13 @@ class _Source:
         counts = [scene.vehicle_count for scene in self.scenes]
         return np.repeat(np.arange(len(counts), dtype=np.int32), counts)
 
+    @cached_property
+    def executor(self) -> Executor:
+        return self.drawing.executor or Executor()
+
     @property
-    def identity(self) -> Identity:
-        """See `CameraPool.identity`."""
-        return {**self.cameras.identity, "scenes": [scene.fingerprint for scene in self.scenes]}
+    def cache(self) -> Path | None:
+        return self.drawing.cache
 
     @cached_property
     def _kept(self) -> PoolCache | None:
@@ -366,7 +371,8 @@ class _Source:
                 found[is_kept, objects[number]] = kept
                 row = row[~is_kept]
             missing += [
-                (number, row[first : first + self.chunk_cameras]) for first in range(0, len(row), self.chunk_cameras)
+                (number, row[first : first + self.drawing.chunk_cameras])
+                for first in range(0, len(row), self.drawing.chunk_cameras)
             ]
         if len(mount_pose) and not missing:
             progress.stage(f"{name}: all from the cache")

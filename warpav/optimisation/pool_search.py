@@ -11,31 +11,32 @@ from other places, and the pool is refined around the rig, as the objective is r
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy import sparse
 
-from warpav.core.errors import ArgumentError
-from warpav.core.executor import Executor
+from warpav.core.errors import ArgumentError, OptionError
 from warpav.core.progress import Progress
 from warpav.optimisation.camera_loss import OTHERS, RobustObjective, RobustValue, exchange_robust, select_robust
 from warpav.optimisation.constraints import Constraints
+from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.miss_rate import SUREST, expected_miss_rate, shares_of
 from warpav.optimisation.mount import HEIGHT_DELTA_M, MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.mount_errors import MountErrors
-from warpav.optimisation.polish import PolishStep, nearest_rig, polish, step_unit
-from warpav.optimisation.pool import CameraPool, spread_mount_poses
+from warpav.optimisation.objective import RigObjective, single_cameras_of
+from warpav.optimisation.polish import Detected, PolishSteps, PolishTask, nearest_rig, polish, step_unit
+from warpav.optimisation.pool import CameraPool, Drawing, spread_mount_poses
 from warpav.optimisation.pool_cache import rows_of
-from warpav.optimisation.replacements import Replacements, joined, within_half_a_turn
+from warpav.optimisation.records import named_part, part_of
+from warpav.optimisation.replacements import Replacements, within_half_a_turn
 from warpav.optimisation.required_points import RequiredPoints
 from warpav.optimisation.rig_limits import RigLimits
-from warpav.optimisation.search_journal import Detect, SearchJournal, Walked
 from warpav.optimisation.selection.problem import Row, SelectionProblem, exchange
 from warpav.optimisation.selection.relaxation import Price
 from warpav.optimisation.selection.select import Selection, select
@@ -61,6 +62,7 @@ REFINED_FROM, REFINED_TO = 0.4, 0.01
 """Radii of these, in units of the polish: halved whenever nothing better is found."""
 _SAME = 1e-6  # the polish and the pool round differently
 _OTHER_MODULE = 1e6  # farther than any camera of the same module
+_KEPT = ("best", "objective", "bound", "price", "round", "_under", "_row_points")
 
 
 @dataclass(frozen=True)
@@ -92,25 +94,94 @@ class PoolSearchSettings:
 
 
 @dataclass(frozen=True, eq=False)
+class PoolTask:
+    """What a search looks for.
+
+    Attributes:
+        cameras: What the cameras are, and how likely one is to detect.
+        scenes: The scenes, on the device of the mount.
+        constraints: Where cameras may stand; frozen cameras are part of every rig.
+        camera_count: Cameras of the rig, frozen ones among them.
+        start: A rig whose cameras join the pool, so that the result is not worse, float [camera, 7]; None: there is
+            none.
+        object_weight: Of the objects of all scenes, scene by scene, at least 0, not all 0, float [object]; None: all
+            alike.
+        limits: How many cameras of each of the mount's modules a rig may have; None: any ``camera_count`` cameras.
+        requirements: Points that have to be seen near the vehicle besides. The objective is then the mean of the
+            expected miss rate and, by their weights, of the shares of points that are missed; rigs that break a hard
+            requirement are never the best.
+        robust: What is minimised instead of the expected miss rate, see `camera_loss`.
+        mount_errors: Over which every camera's probabilities are averaged, see `mount_errors`; a camera render is then
+            as many renders as there are draws.
+    """
+
+    cameras: SingleCameras
+    scenes: Sequence[DeviceScene]
+    constraints: Constraints
+    camera_count: int
+    start: np.ndarray | None = None
+    object_weight: np.ndarray | None = None
+    limits: RigLimits | None = None
+    requirements: RequiredPoints | None = None
+    robust: RobustObjective | None = None
+    mount_errors: MountErrors | None = None
+
+    @classmethod
+    def of(cls, objective: RigObjective, scenes: Sequence[AssignedScene], **others: Any) -> PoolTask:  # noqa: ANN401
+        """The task of an objective on some scenes; ``others`` are further attributes.
+
+        Raises:
+            InputError: The objective is made of other losses than the expected miss rate.
+        """
+        cameras = single_cameras_of(objective)
+        if cameras is None:
+            raise OptionError(
+                "optimiser.search",
+                "expected descent, as a pool knows the loss expected_miss_rate alone, with combine=any and "
+                f"detector_share=0, got {', '.join(loss.name for _, loss in objective.losses)}; set "
+                "optimiser.search=descent",
+            )
+        limits = others.get("limits")
+        count = objective.camera_count if limits is None else limits.count[1]
+        weight = objective.object_weight(scenes)
+        packed = [each.scene for each in scenes]
+        return cls(cameras, packed, objective.constraints, count, object_weight=weight, **others)
+
+    @property
+    def all_scenes(self) -> tuple[DeviceScene | RequiredPoints, ...]:
+        """The scenes, and the requirements' points behind them."""
+        return (*self.scenes, *([] if self.requirements is None else [self.requirements]))
+
+    @property
+    def object_count(self) -> int:
+        """Objects of the scenes, without the requirements' points."""
+        return sum(scene.vehicle_count for scene in self.scenes)
+
+    @property
+    def whole_weight(self) -> np.ndarray | None:
+        """Weights of the objects and of the requirements' points behind them, float64 [object]; None: all alike."""
+        if self.requirements is None:
+            return self.object_weight
+        return self.requirements.weights_with(self.object_weight, self.object_count)
+
+
+@dataclass(frozen=True, eq=False)
 class Found:
     """The state of a search: at every moment the best rig, and what is proven.
 
     Attributes:
         mount_pose: The best rig so far, which satisfies all constraints, float32 [camera, 7].
         objective: Its expected miss rate on the scenes of the search, or its robust objective.
-        bound: No rig of cameras of the pool is below it; 0 before the first selection. It says nothing of cameras that
-            the pool does not have.
+        bound: No rig of cameras of the pool is below it; 0 before the first selection. It covers the rendered
+            candidates only.
         stage: What has just been done; ``settled`` where nothing is left to do.
         camera_renders: Camera renders so far, those that the cache has spared among them.
         pool_cameras: Cameras of the pool; at the start those of the start alone, where the others are drawn next.
         seconds: Wall time so far [s].
         pool: The cameras that the search knows, those of the best rig among them, and what each of them detects.
-        price: What further cameras would bring; None before the first relaxation.
         round: Of pricing, from 0.
         robust: What the objective is made of where it is a robust one, else None.
-        is_final: Whether the same search comes to this state whenever it is taken: not after a selection that Ctrl-C
-            has ended.
-        is_over: Whether nothing comes after it.
+        is_final: Whether the same search always comes to this state: not after a selection that Ctrl-C has ended.
     """
 
     mount_pose: np.ndarray
@@ -121,11 +192,9 @@ class Found:
     pool_cameras: int
     seconds: float
     pool: CameraPool = field(repr=False)
-    price: Price | None = field(repr=False, default=None)
     round: int = 0
     robust: RobustValue | None = None
     is_final: bool = True
-    is_over: bool = False
 
     @property
     def gap(self) -> float:
@@ -133,145 +202,163 @@ class Found:
         return self.objective - self.bound
 
 
-def pool_search(
-    cameras: SingleCameras,
-    scenes: Sequence[DeviceScene],
-    constraints: Constraints,
-    camera_count: int,
-    *,
-    start: np.ndarray | None = None,
-    settings: PoolSearchSettings | None = None,
-    seed: int = 0,
-    executor: Executor | None = None,
-    cache: Path | None = None,
-    progress: Progress | None = None,
-    object_weight: np.ndarray | None = None,
-    limits: RigLimits | None = None,
-    pool: CameraPool | None = None,
-    requirements: RequiredPoints | None = None,
-    robust: RobustObjective | None = None,
-    mount_errors: MountErrors | None = None,
-    journal: SearchJournal | None = None,
-) -> Iterator[Found]:
-    """Search for the rig with the lowest expected miss rate; whoever stops listening keeps the best so far.
+class PoolSearch:
+    """A search for the rig with the lowest expected miss rate: an iterator of `Found`, whose objectives never rise.
 
-    Args:
-        cameras: What the cameras are, and how likely one is to detect.
-        scenes: The scenes, on the device of the mount.
-        constraints: Where cameras may stand; frozen cameras are part of every rig.
-        camera_count: Cameras of the rig, frozen ones among them.
-        start: A rig whose cameras join the pool, so that the result is not worse, float [camera, 7]; it is brought to
-            the nearest one that satisfies the constraints. None: there is none.
-        settings: How much to look at.
-        seed: Of the pool and of the selection.
-        executor: Where the pool is drawn.
-        cache: Folder that keeps what is drawn; None: nothing is kept.
-        progress: Shows the drawing of the pool.
-        object_weight: Of the objects of all scenes, one scene after the other, at least 0, not all 0, float [object];
-            None: all alike. Miss rates and bounds are weighted means.
-        limits: How many cameras of each of the mount's modules a rig may have; at most ``camera_count`` in all, and
-            none of them frozen where fewer are allowed too. None: any ``camera_count`` cameras.
-        pool: Of an earlier search of the same cameras in the same scenes; this one goes on with it and draws no other.
-        requirements: What has to be seen near the vehicle besides; None: nothing. The objective is then the mean of
-            the expected miss rate and, by their weights, of the shares of points that are missed; rigs that break a
-            hard requirement are never the best.
-        robust: What is minimised instead of the expected miss rate, by the same weights; see `camera_loss` for what is
-            then proven. None: the expected miss rate.
-        mount_errors: Over which the mean of every camera's probabilities is taken, and with it that of the objective,
-            see `misplaced_cameras`; what then counts as a camera render is as many renders as there are draws. None:
-            cameras stand where they are meant to.
-        journal: Keeps what the search is told. One that was restored tells it to the same search again, which so comes
-            to the same states without rendering; beyond its last answer the settings may be others, and a search that
-            had settled goes on if they are. None: nothing is kept.
+    Stop any time: the last value is the best. Whatever was rendered joins the pool, so that each selection chooses
+    among all that is known.
 
-    Yields:
-        Every state that the search comes to; objectives never rise.
+    A search is a list of short stages (``_todo``), each of which may put others in front. Between two stages all that
+    it knows is the pool and a few numbers: that is its `state`. Within a stage nothing is random, so that a search that
+    is stopped goes on from the stage's beginning to the same rigs, to the bit.
 
-    Raises:
-        InputError: The pool sees nothing, or the cameras do not fit.
-        KeyboardInterrupt: Ctrl-C: during a selection after the state that it has come to, elsewhere at once.
-    """
-    settings = settings or PoolSearchSettings()
-    if settings.pool_cameras < camera_count:
-        raise ArgumentError("pool_cameras", f"expected at least the rig's {camera_count}, got {settings.pool_cameras}")
-    if not settings.selection_time_s > 0.0:  # before anything is drawn
-        raise ArgumentError("selection_time_s", f"expected more than 0 s, got {settings.selection_time_s:g}")
-    if mount_errors is not None:
-        cameras = MisplacedCameras.of(cameras, mount_errors)
-    journal = journal or SearchJournal(is_kept=False)
-    journal.begin(asdict(settings))
-    search = _Search(
-        cameras, scenes, constraints, camera_count, journal, seed, object_weight, limits, requirements, robust
-    )
-    yield from search.begun(start, pool, executor, cache, progress)
-    while True:
-        under = yield from search.settled()
-        is_over = search.settings == under
-        yield search.found("settled", is_over=is_over)
-        if is_over:
-            return
-
-
-class _Search:
-    """What a search knows; every method that looks at something new adds it to the pool and yields what it has found.
-
-    Whatever was rendered joins the pool: the cameras of the polish and those that the prices led to as well, so that
-    each selection chooses among all that is known.
+    Attributes:
+        task: What it looks for.
+        settings: How much it looks at from now on.
+        pool: The cameras that it knows.
     """
 
     def __init__(
         self,
-        cameras: SingleCameras,
-        scenes: Sequence[DeviceScene],
-        constraints: Constraints,
-        camera_count: int,
-        journal: SearchJournal,
-        seed: int,
-        object_weight: np.ndarray | None,
-        limits: RigLimits | None,
-        requirements: RequiredPoints | None,
-        robust: RobustObjective | None,
+        task: PoolTask,
+        settings: PoolSearchSettings | None = None,
+        *,
+        seed: int = 0,
+        drawing: Drawing | None = None,
+        progress: Progress | None = None,
+        pool: CameraPool | None = None,
     ) -> None:
-        self.cameras, self.scenes, self.constraints = cameras, scenes, constraints.of_any_modules
-        self.ghosts = requirements
-        if requirements is not None:
-            object_weight = requirements.weights_with(object_weight, sum(scene.vehicle_count for scene in scenes))
-            self.scenes = (*scenes, requirements)
-        self.camera_count, self.journal, self.seed, self.limits = camera_count, journal, seed, limits
-        self.object_weight = object_weight
-        self.robust = robust
-        self.assembly = _Assembly(cameras.mount)
-        self.began = time.perf_counter()
+        """A search that has not begun.
+
+        Args:
+            task: What it looks for.
+            settings: How much to look at.
+            seed: Of the pool and of the selection.
+            drawing: Where the pool is drawn, and what keeps it.
+            progress: Shows the drawing of the pool.
+            pool: Of an earlier search of the same cameras in the same scenes; this one goes on with it and draws no
+                other.
+
+        Raises:
+            InputError: The cameras do not fit, or a setting is out of its range.
+        """
+        settings = settings or PoolSearchSettings()
+        if settings.pool_cameras < task.camera_count:
+            expected = f"expected at least the rig's {task.camera_count}, got {settings.pool_cameras}"
+            raise ArgumentError("pool_cameras", expected)
+        if not settings.selection_time_s > 0.0:  # before anything is drawn
+            raise ArgumentError("selection_time_s", f"expected more than 0 s, got {settings.selection_time_s:g}")
+        self.task, self.settings, self.seed = task, settings, seed
+        self.designed = task.cameras if pool is None or task.mount_errors else pool.cameras
+        self.cameras = (
+            self.designed if task.mount_errors is None else MisplacedCameras.of(self.designed, task.mount_errors)
+        )
+        self.constraints, self.scenes = task.constraints.of_any_modules, task.all_scenes
+        self.points, self.camera_count, self.limits = task.requirements, task.camera_count, task.limits
+        self.object_weight, self.robust = task.whole_weight, task.robust
+        self.assembly = _Assembly(self.cameras.mount)
         self.pool: CameraPool
         self.best: np.ndarray | None = None
         self.objective = np.inf
-        self.selection: Selection | None = None
-        self._row_points = np.zeros(0, int)
+        self.bound: float | None = None
+        self.price: Price | None = None
         self.round = 0
+        self._given, self._drawing, self._progress = pool, drawing or Drawing(), progress
+        self._row_points = np.zeros(0, int)
+        self._began = time.perf_counter()
+        self._under: PoolSearchSettings | None = None  # those under which pricing brought nothing more
+        self._rng, self._places = np.random.default_rng([seed, 1]), list[np.ndarray]()
+        self._todo: list[tuple[Any, ...]] = [("begin",)]
+        self.boundary: dict[str, Any] = {}
+        self.passed = 0
+        self._states = self._run()
+
+    def __iter__(self) -> PoolSearch:
+        return self
+
+    def __next__(self) -> Found:
+        """The next state.
+
+        Raises:
+            InputError: The pool sees nothing, or the cameras do not fit.
+            KeyboardInterrupt: Ctrl-C: during a selection after the state that it has come to, elsewhere at once.
+        """
+        return next(self._states)
+
+    def _run(self) -> Iterator[Found]:
+        while self._todo:
+            names = (*_KEPT, *(["pool"] if hasattr(self, "pool") else []))
+            self.boundary = {name: getattr(self, name) for name in names}
+            self.boundary |= {"_todo": list(self._todo), "_places": list(self._places)}
+            self.boundary["_rng"] = self._rng.bit_generator.state
+            self.passed += 1
+            stage, *given = self._todo.pop(0)
+            yield from getattr(self, f"_{stage}")(*given)
 
     @property
-    def settings(self) -> PoolSearchSettings:
-        """How much it looks at, from now on."""
-        return PoolSearchSettings(**self.journal.settings)
+    def is_over(self) -> bool:
+        """Whether nothing is left to do under the present settings."""
+        return not self._todo and self.settings == self._under
 
-    def found(self, stage: Stage, *, is_final: bool = True, is_over: bool = False) -> Found:
+    def state(self) -> dict[str, np.ndarray]:
+        """What `restore` needs: the search at the beginning of the present stage; drawn cameras are in the cache."""
+        known = self.boundary
+        words = {
+            "todo": known["_todo"],
+            "settings": asdict(self.settings),
+            "under": None if known["_under"] is None else asdict(known["_under"]),
+            "numbers": [known["objective"], known["bound"], known["round"]],
+            "rng": known["_rng"],
+        }
+        state = {"words": np.array(json.dumps(words)), "row_points": known["_row_points"]}
+        if known["_places"]:
+            state["places"] = np.concatenate(known["_places"])
+        if known["best"] is not None:
+            state["best"] = known["best"]
+        if known["price"] is not None:
+            state |= named_part("price", {name: np.asarray(value) for name, value in vars(known["price"]).items()})
+        return state | (named_part("pool", known["pool"].state()) if "pool" in known else {})
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> PoolSearchSettings:
+        """Be where another search of the same task was, under its settings; returns the own ones.
+
+        Raises:
+            KeyError: The state is not whole.
+            ValueError: Its parts do not fit together.
+        """
+        words = json.loads(str(state["words"]))
+        own, self.settings = self.settings, PoolSearchSettings(**words["settings"])
+        self._todo = [tuple(each) for each in words["todo"]]
+        self._under = None if words["under"] is None else PoolSearchSettings(**words["under"])
+        self.objective, self.bound, self.round = words["numbers"]
+        self._rng.bit_generator.state = words["rng"]
+        self._row_points = np.array(state["row_points"], int)
+        self._places = [each[None] for each in state["places"]] if "places" in state else []
+        self.best = np.array(state["best"], np.float32) if "best" in state else None
+        price = {name: each if each.ndim else each.item() for name, each in part_of(state, "price").items()}
+        self.price = Price(**price) if price else None
+        pool = part_of(state, "pool")
+        if pool:
+            self.pool = CameraPool.restored(
+                pool, scenes=self.scenes, cameras=self.cameras, drawing=self._drawing, progress=self._progress
+            )
+        return own
+
+    def _found(self, stage: Stage, *, is_final: bool = True) -> Found:
         """The state of the search."""
         assert self.best is not None
-        selection = self.selection
         return Found(
             self.best,
             self.objective,
-            selection.bound if selection else 0.0,
+            self.bound or 0.0,
             stage,
             self.camera_renders,
             len(self.pool.mount_pose),
-            time.perf_counter() - self.began,
+            time.perf_counter() - self._began,
             self.pool,
-            selection.price if selection else None,
             self.round,
             self._robust_value(self._rows_of_best()),
             is_final,
-            is_over,
         )
 
     def _robust_value(self, row: np.ndarray) -> RobustValue | None:
@@ -285,16 +372,14 @@ class _Search:
         """How many cameras rows of the pool stand for, int [camera]; see `_limit_rows`."""
         return np.append(1 + self.cameras.mount.is_pair(mount_pose).astype(int), np.zeros(absent, int))
 
-    def begun(
-        self,
-        start: np.ndarray | None,
-        pool: CameraPool | None,
-        executor: Executor | None,
-        cache: Path | None,
-        progress: Progress | None,
-    ) -> Iterator[Found]:
+    def _begin(self) -> Iterator[Found]:
         """Draw the start and the first pool."""
-        mount, spread_count = self.cameras.mount, self.settings.pool_cameras
+        mount, spread_count, start, pool = (
+            self.cameras.mount,
+            self.settings.pool_cameras,
+            self.task.start,
+            self._given,
+        )
         first = self.assembly.frozen
         if start is not None:
             start = nearest_rig(start, mount, self.constraints)
@@ -313,13 +398,12 @@ class _Search:
             CameraPool.draw,
             scenes=self.scenes,
             cameras=self.cameras,
-            executor=executor,
-            cache=cache,
-            progress=progress,
+            drawing=self._drawing,
+            progress=self._progress,
         )
         if pool is not None:
             new = first[rows_of(first + np.float32(0.0), pool.mount_pose) < 0]
-            self.pool = pool.extended(new, progress=progress) if len(new) else pool
+            self.pool = pool.extended(new, progress=self._progress) if len(new) else pool
         elif start is None:
             self.pool = draw(np.concatenate([first, spread]))
         else:
@@ -331,17 +415,18 @@ class _Search:
             value = robust.objective if robust else expected_miss_rate(of_start, shares_of(self.object_weight))
             self._is_better(start, value, of_start)
             if self.best is not None:
-                yield self.found("start")
+                yield self._found("start")
             if len(spread):
-                self.pool = self.pool.extended(spread, progress=progress)
-        if self.ghosts is not None:
+                self.pool = self.pool.extended(spread, progress=self._progress)
+        if self.points is not None:
             self._check_requirements()
+        self._todo = [("improve",)]
 
     def _check_requirements(self) -> None:
         """Reject a pool that cannot meet the hard requirements, with the names of those."""
-        assert self.ghosts is not None
-        found = self.pool.detection_probability[:, -self.ghosts.vehicle_count :]
-        self.ghosts.check(found, partial(self.cameras.visibility, self.pool.mount_pose, self.ghosts), self.camera_count)
+        assert self.points is not None
+        found = self.pool.detection_probability[:, -self.points.vehicle_count :]
+        self.points.check(found, partial(self.cameras.visibility, self.pool.mount_pose, self.points), self.camera_count)
 
     def _first_share(self, limit: int) -> int:
         """Camera renders that the first pool may take of so many."""
@@ -353,53 +438,67 @@ class _Search:
         rest = limit - of_a_round * len(self.scenes)
         return int(POOL_SHARE * limit) if self.settings.refinements else max(int(POOL_SHARE * limit), rest)
 
-    def settled(self) -> Generator[Found, None, PoolSearchSettings]:
-        """Improve the best rig, and prove how good it is; returns the settings under which there was nothing to add."""
-        if not self.settings.polishes:
-            under = self.settings
-        else:
-            if self.selection is None:
-                yield from self._select_and_polish(FIRST_POLISH)
-            yield from self._priced()
-            under = self.settings
-            yield from self._select_and_polish(LAST_POLISH)
-            yield from self._refined()
+    def _improve(self) -> Iterator[Found]:
+        """Improve the best rig, and prove how good it is."""
+        stages: list[tuple[Any, ...]] = []
+        if self.settings.polishes:
+            first = [] if self.bound is not None else [("select_and_polish", *FIRST_POLISH)]
+            stages = [*first, ("priced",), ("note",), ("select_and_polish", *LAST_POLISH), ("refine",)]
+        self._todo = [*(stages or [("note",)]), ("select_last",), ("settle",)]
+        yield from ()
+
+    def _note(self) -> Iterator[Found]:
+        """The settings under which pricing has come to its end."""
+        self._under = self.settings
+        yield from ()
+
+    def _settle(self) -> Iterator[Found]:
+        yield self._found("settled")
+        if self.settings != self._under:
+            self._todo = [("improve",)]
+
+    def _select_last(self) -> Iterator[Found]:
         yield from self._select(self.settings.gap)
-        return under
 
-    def _priced(self) -> Iterator[Found]:
-        """Price, select and polish until a round brings nothing."""
-        while self.round < self.settings.rounds and self._affordable(PRICED_STEPS) == PRICED_STEPS:
+    def _priced(self, before: float = np.inf) -> Iterator[Found]:
+        """Price, select and polish until a round brings nothing; ``before`` is the objective before the last."""
+        is_first, can_pay = before == np.inf, self._affordable(PRICED_STEPS) == PRICED_STEPS
+        if (is_first or self.objective <= before - _SAME) and self.round < self.settings.rounds and can_pay:
             self.round += 1
-            before = self.objective
-            yield from self._price()
-            yield from self._select_and_polish(FURTHER_POLISH)
-            if self.objective > before - _SAME:
-                break
+            self._todo[:0] = [("price",), ("select_and_polish", *FURTHER_POLISH), ("priced", self.objective)]
+        yield from ()
 
-    def _refined(self) -> Iterator[Found]:
+    def _refine(self) -> Iterator[Found]:
         """What steps along gradients have missed: other places for single cameras, and places near the rig's."""
-        rng = np.random.default_rng([self.seed, 1])
-        places: list[np.ndarray] = []
-        for _ in range(self.settings.refinements):
-            spent, vain = self.camera_renders, 0
-            while vain < VAIN_REPLACEMENTS and self._affordable(2) == 2:
-                before, renders = self.objective, self.camera_renders
-                yield from self._replace(places)
-                if self.camera_renders == renders:
-                    break
-                yield from self._select_and_polish(FURTHER_POLISH)
-                vain = 0 if self.objective < before - _SAME else vain + 1
-            radius = REFINED_FROM
-            assert self.best is not None
-            count = NEAR_CAMERAS * (len(self.best) - len(self.assembly.frozen))
-            while radius > REFINED_TO and self._affordable(count) == count:
-                before = self.objective
-                yield from self._look_nearby(radius, rng)
-                if self.objective > before - _SAME:
-                    radius *= 0.5
-            if self.camera_renders == spent:
-                break
+        self._rng, self._places = np.random.default_rng([self.seed, 1]), []
+        self._todo.insert(0, ("refined", 0, -1))
+        yield from ()
+
+    def _refined(self, times: int, spent: int) -> Iterator[Found]:
+        """One refinement after the other, while they look at something new; ``spent`` are renders before the last."""
+        if times < self.settings.refinements and self.camera_renders != spent:
+            further = ("refined", times + 1, self.camera_renders)
+            self._todo[:0] = [("replaced", -1, np.inf), ("nearby", 2.0 * REFINED_FROM, 0.0), further]
+        yield from ()
+
+    def _replaced(self, vain: int, before: float) -> Iterator[Found]:
+        """Replace single cameras until that was in vain too often."""
+        vain = 0 if vain < 0 or self.objective < before - _SAME else vain + 1
+        if vain < VAIN_REPLACEMENTS and self._affordable(2) == 2:
+            before, renders = self.objective, self.camera_renders
+            yield from self._replace()
+            if self.camera_renders != renders:
+                self._todo[:0] = [("select_and_polish", *FURTHER_POLISH), ("replaced", vain, before)]
+
+    def _nearby(self, radius: float, before: float) -> Iterator[Found]:
+        """Look around the best rig's cameras, ever nearer when nothing better is found."""
+        assert self.best is not None
+        radius = radius * 0.5 if self.objective > before - _SAME else radius
+        count = NEAR_CAMERAS * (len(self.best) - len(self.assembly.frozen))
+        if radius > REFINED_TO and self._affordable(count) == count:
+            before = self.objective
+            yield from self._look_nearby(radius)
+            self._todo.insert(0, ("nearby", radius, before))
 
     @property
     def camera_renders(self) -> int:
@@ -424,7 +523,7 @@ class _Search:
             objective: Its value.
             probability: What its cameras detect, [camera, object]; None: the pool knows it.
         """
-        if self.ghosts is not None:
+        if self.points is not None:
             if probability is None:
                 row = rows_of(rig + np.float32(0.0), self.pool.mount_pose)
                 probability = self.pool.detection_probability[row]
@@ -440,12 +539,13 @@ class _Search:
         cameras = len(self.pool.mount_pose)
         absent = 0 if self.limits is None else self.limits.absent
         rows, self._row_points = self._rows_for(self.pool.mount_pose, absent)
-        self.selection = selection = self.journal.selection(partial(self._selection, gap, rows, absent))
+        selection = self._selection(gap, rows, absent)
+        self.bound, self.price, self._others = selection.bound, selection.price, selection.others
         chosen = selection.cameras[selection.cameras < cameras]
         chosen = self.assembly.rig(self.pool.mount_pose[chosen], like=self.best)
         is_better = self._is_better(chosen, selection.objective)
         is_interrupted = selection.ended == "interrupted"
-        yield self.found("selection", is_final=not is_interrupted)
+        yield self._found("selection", is_final=not is_interrupted)
         if is_interrupted:  # what it has found is kept, the search ends
             raise KeyboardInterrupt
         return chosen, is_better
@@ -456,21 +556,18 @@ class _Search:
         if self.best is not None:
             missing = np.arange(self.camera_count - len(self.best))
             known = np.concatenate([self._rows_of_best(), len(pool.mount_pose) + missing])
-        choose = select
-        if self.robust is not None:
-            choose = partial(select_robust, objective=self.robust, size=self._sizes(pool.mount_pose, absent))
-        return choose(
+        problem = SelectionProblem.create(
             _with_absent(np.minimum(pool.detection_probability, SUREST), absent),
             self.camera_count,
             conflict=too_near(pool.mount_pose, self.constraints, absent=absent),
             required=np.arange(len(self.assembly.frozen)),
             rows=rows,
             weight=self.object_weight,
-            start=known,
-            gap=gap,
-            time_limit_s=self.settings.selection_time_s,
-            seed=self.seed,
         )
+        options = {"gap": gap, "time_limit_s": self.settings.selection_time_s, "seed": self.seed}
+        if self.robust is None:
+            return select(problem, start=known, **options)
+        return select_robust(problem, self.robust, self._sizes(pool.mount_pose, absent), start=known, **options)
 
     def _limit_rows(self, mount_pose: np.ndarray, absent: int = 0) -> list[Row]:
         """The limits for cameras [camera, 7], behind which some that are not there stand."""
@@ -480,89 +577,73 @@ class _Search:
 
     def _points_of(self, mount_pose: np.ndarray, absent: int = 0) -> np.ndarray:
         """How surely cameras of the pool see the requirements' points, [camera, point]; see `_limit_rows`."""
-        assert self.ghosts is not None
+        assert self.points is not None
         found = self.pool.detection_probability[rows_of(mount_pose + np.float32(0.0), self.pool.mount_pose)]
-        return _with_absent(found[:, -self.ghosts.vehicle_count :], absent)
+        return _with_absent(found[:, -self.points.vehicle_count :], absent)
 
     def _rows_for(self, mount_pose: np.ndarray, absent: int = 0) -> tuple[list[Row], np.ndarray]:
         """Limits and hard requirements for cameras of the pool, and the points that the latter are, int [row]."""
         rows = self._limit_rows(mount_pose, absent)
-        asked = None if self.ghosts is None else self.ghosts.rows(self._points_of(mount_pose, absent))
+        asked = None if self.points is None else self.points.rows(self._points_of(mount_pose, absent))
         return (rows, np.zeros(0, int)) if asked is None else ([*rows, *asked.rows], asked.ghost)
 
     def _coefficients_for(self, mount_pose: np.ndarray) -> np.ndarray | None:
         """Coefficients of cameras of the pool in the rows of the last selection, float [camera, row]; None: no rows."""
         rows = [row.coefficient for row in self._limit_rows(mount_pose)]
-        if self.ghosts is not None and len(self._row_points):
-            rows += list(self.ghosts.meets(self._points_of(mount_pose)[:, self._row_points]).T.astype(float))
+        if self.points is not None and len(self._row_points):
+            rows += list(self.points.meets(self._points_of(mount_pose)[:, self._row_points]).T.astype(float))
         return np.stack(rows, axis=1) if rows else None
 
-    def _select_and_polish(self, schedule: tuple[int, float]) -> Iterator[Found]:
-        is_first = self.selection is None
+    def _select_and_polish(self, step_count: int, radius: float) -> Iterator[Found]:
+        is_first = self.bound is None
         chosen, is_better = yield from self._select(max(self.settings.gap, GAP_ON_THE_WAY))
-        assert self.selection is not None
-        # their cameras are those of the pool as it was: polishes only append to it
-        others = [self.pool.mount_pose[rig[rig < len(self.pool.mount_pose)]] for rig in self.selection.others]
-        if is_better or is_first:
-            yield from self._polish(chosen, *schedule)
+        rigs = [chosen] if is_better or is_first else []
         if is_first:
-            for other in others:
-                yield from self._polish(self.assembly.rig(other), *schedule)
+            cameras = len(self.pool.mount_pose)
+            rigs += [self.assembly.rig(self.pool.mount_pose[rig[rig < cameras]]) for rig in self._others]
+        self._todo[:0] = [("polish", rig.tolist(), step_count, radius) for rig in rigs]
 
-    def _polish(self, rig: np.ndarray, step_count: int, radius: float) -> Iterator[Found]:
+    def _polish(self, rig: list[list[float]], step_count: int, radius: float) -> Iterator[Found]:
         if self._affordable(len(rig)) < len(rig):
             return
-        steps = partial(
-            polish,
-            rig,
-            step_count=step_count,
-            radius=radius,
-            mount=self.cameras.mount,
-            constraints=self.constraints,
-            scene_count=len(self.scenes),
+        task = PolishTask(
+            self.cameras.mount,
+            self.constraints,
+            len(self.scenes),
             weight=self.object_weight,
-            camera_renders_max=self._left,
-            is_allowed=None if self.ghosts is None else self._meets_requirements,
             robust=self.robust,
-            hard_points=None if self.ghosts is None else hard_points(self.cameras, self.ghosts),
+            hard_points=None if self.points is None else hard_points(self.cameras, self.points),
+            is_allowed=None if self.points is None else self._meets_requirements,
         )
+        steps = PolishSteps(step_count, radius, camera_renders_max=self._left)
         is_better = True
-        for polished, objective in self._polished(steps):
-            is_better = self._is_better(polished, objective)
+        for step in polish(np.array(rig, np.float32), self._detect, task, steps):
+            is_better = self._is_better(step.mount_pose, step.objective)
             if is_better:
-                yield self.found("polish")
+                yield self._found("polish")
         if not is_better:  # what the last steps have cost is the polish's too
-            yield self.found("polish")
+            yield self._found("polish")
+
+    def _detect(self, mount_pose: np.ndarray) -> Detected:
+        """What cameras detect in all scenes, and its Jacobian; they join the pool."""
+        probability, jacobian = self.cameras.with_jacobian(mount_pose, self.scenes)
+        self.pool = self.pool.joined(mount_pose, probability)
+        return probability, jacobian
 
     def _meets_requirements(self, probability: np.ndarray) -> bool:
         """Whether a rig whose cameras detect so much, [camera, object], meets all hard requirements."""
-        return self.ghosts is None or self.ghosts.is_kept(probability[:, -self.ghosts.vehicle_count :])
-
-    def _polished(self, steps: Callable[..., Iterator[PolishStep]]) -> Iterator[Walked]:
-        """A polish of the function that it gets as ``detect``."""
-        return self._walk(lambda detect: ((step.mount_pose, step.objective) for step in steps(detect=detect)))
-
-    def _walk(self, steps: Callable[[Detect], Iterator[Walked]]) -> Iterator[Walked]:
-        """A polish or an ascent of what cameras detect in all scenes, with the Jacobian; they join the pool."""
-        return self.journal.walk(steps, lambda pose: self.cameras.with_jacobian(pose, self.scenes), self._join)
-
-    def _join(self, mount_pose: np.ndarray, probability: np.ndarray) -> np.ndarray:
-        """Add cameras that were rendered to the pool; returns what they detect as the pool has it."""
-        self.pool = self.pool.joined(mount_pose, probability)
-        return self.pool.detection_probability[-len(mount_pose) :]
+        return self.points is None or self.points.is_kept(probability[:, -self.points.vehicle_count :])
 
     def _price(self) -> Iterator[Found]:
         """Look for cameras that promise to lower the bound, by gradient ascent from the cheapest of the pool."""
-        price = None if self.selection is None else self.selection.price
-        count = self._affordable(PRICED_STEPS * self.settings.priced_cameras) // PRICED_STEPS
+        price, count = self.price, self._affordable(PRICED_STEPS * self.settings.priced_cameras) // PRICED_STEPS
         if price is None or count < 1:
             return
-        for _ in self._walk(partial(self._ascended, price, count)):
-            pass
-        yield self.found("pricing")
+        self._ascend(price, count)
+        yield self._found("pricing")
 
-    def _ascended(self, price: Price, count: int, detect: Detect) -> Iterator[Walked]:
-        """Ascend from so many cameras; what counts is what is rendered on the way, so it comes to no rig."""
+    def _ascend(self, price: Price, count: int) -> None:
+        """Ascend from so many cameras; what is rendered on the way joins the pool."""
         found = np.minimum(np.asarray(self.pool.detection_probability, np.float64), SUREST)
         cost = price.reduced_cost(found, self._coefficients_for(self.pool.mount_pose))
         mount, unit = self.cameras.mount, step_unit(self.cameras.mount)
@@ -571,7 +652,7 @@ class _Search:
         lowest, kept, slope = np.full(len(pose), np.inf), pose, np.zeros(pose.shape)
         tried = pose
         for _ in range(PRICED_STEPS):
-            probability, jacobian = detect(tried)
+            probability, jacobian = self._detect(tried)
             probability = np.minimum(probability, SUREST)
             cost = price.reduced_cost(probability, self._coefficients_for(tried))
             is_lower = cost < lowest
@@ -584,28 +665,22 @@ class _Search:
             tried = kept + length[:, None] * slope / norm * unit
             tried[:, [X_M, Y_M]] = self.constraints.nearest_place(tried[:, [X_M, Y_M]])
             tried = mount.clipped(tried).astype(np.float32)
-        return iter(())
 
     @property
     def _replacements(self) -> Replacements:
         """What would come of the best rig with one camera replaced."""
-        pool = self.pool
-        rig = self._rows_of_best()
+        pool, rig, held = self.pool, self._rows_of_best(), len(self.assembly.frozen)
         conflict = too_near(pool.mount_pose, self.constraints)
-        near = (conflict + conflict.T)[:, rig].toarray()
-        unit, held = step_unit(self.cameras.mount), len(self.assembly.frozen)
         module = self.cameras.mount.module_of(pool.mount_pose)
+        can_replace = ~(conflict + conflict.T)[:, rig].toarray(), module[:, None] == module[rig]
         return Replacements(
-            pool.mount_pose,
-            pool.detection_probability,
-            rig,
-            near,
-            unit,
-            held=held,
+            pool,
+            rig[:held],
+            rig[held:],
+            *can_replace,
+            unit=step_unit(self.cameras.mount),
             weight=self.object_weight,
-            fits=module[:, None] == module[rig],
-            robust=self.robust,
-            size=self._sizes(pool.mount_pose),
+            robust=None if self.robust is None else (self.robust, self._sizes(pool.mount_pose)),
         )
 
     def _rows_of_best(self) -> np.ndarray:
@@ -613,33 +688,24 @@ class _Search:
         assert self.best is not None
         return rows_of(self.assembly.in_order(self.best) + np.float32(0.0), self.pool.mount_pose)
 
-    def _replace(self, places: list[np.ndarray]) -> Iterator[Found]:
+    def _replace(self) -> Iterator[Found]:
         """Polish single cameras from other places than were tried, each with the rest of the rig as it is."""
         replacements, pose = self._replacements, self.pool.mount_pose
         mount, constraints = self.cameras.mount.of_single_cameras, self.constraints.of_single_cameras
-        step_count, radius = REPLACEMENT_POLISH
-        for camera, slot in replacements.starts(REPLACEMENTS, joined(places)):
+        for camera, slot in replacements.starts(REPLACEMENTS, np.concatenate([np.zeros((0, 7)), *self._places])):
             if self._affordable(2) < 2:
                 break
-            steps = partial(
-                polish,
-                pose[camera][None],
-                step_count=step_count,
-                radius=radius,
-                mount=mount,
-                constraints=constraints,
-                scene_count=len(self.scenes),
-                weight=replacements.missed_by_others[slot],
-                camera_renders_max=self._left,
-            )
-            *_, (polished, _) = self._polished(steps)
-            places += [pose[camera][None], polished]
-        yield self.found("polish")
+            weight = replacements.missed_by_others[slot]
+            task = PolishTask(mount, constraints, len(self.scenes), weight=weight)
+            steps = PolishSteps(*REPLACEMENT_POLISH, camera_renders_max=self._left)
+            *_, last = polish(pose[camera][None], self._detect, task, steps)
+            self._places += [pose[camera][None], last.mount_pose]
+        yield self._found("polish")
 
-    def _look_nearby(self, radius: float, rng: np.random.Generator) -> Iterator[Found]:
+    def _look_nearby(self, radius: float) -> Iterator[Found]:
         """Draw cameras around those of the best rig, and exchange its own for them."""
         mount = self.cameras.mount
-        near = np.asarray(self._replacements.near(radius, NEAR_CAMERAS, rng), np.float64)
+        near = np.asarray(self._replacements.near(radius, NEAR_CAMERAS, self._rng), np.float64)
         near[:, [X_M, Y_M]] = self.constraints.nearest_place(near[:, [X_M, Y_M]])
         near = mount.clipped(near)
         before = len(self.pool.mount_pose)
@@ -660,7 +726,7 @@ class _Search:
         else:
             rigs, value = exchange_robust(problem, first, self.robust, self._sizes(pool.mount_pose[around]))
         self._is_better(self.assembly.rig(pool.mount_pose[around[rigs[0]]], like=self.best), float(value[0]))
-        yield self.found("polish")
+        yield self._found("polish")
 
 
 class _Assembly:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+
+from warpav.optimisation.constraints import min_camera_distance_m
+from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD, CameraMount
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,29 @@ class Candidate:
     iteration: int
     descent: int
     detection_probability: np.ndarray | None = None
+
+
+def rig_fields(mount: CameraMount, mount_pose: np.ndarray) -> dict[str, Any]:
+    """What a record says of a rig at ``mount_pose``, float32 [camera, 7]; of pairs the cameras one by one."""
+    rig, row = mount.rig(mount_pose), mount.rows_of_cameras(mount_pose)
+    position_m = np.array([camera.position_m for camera in rig.cameras])
+    distance_m = min_camera_distance_m(position_m)
+    side = np.where(np.append(False, row[1:] == row[:-1]), np.float32(-1.0), np.float32(1.0))  # of mirror images
+    free: dict[str, list[float]] = {}
+    if mount.is_free[PITCH_RAD]:
+        free["pitch_deg"] = np.degrees(mount_pose[row, PITCH_RAD]).tolist()
+    if mount.is_free[HEIGHT_DELTA_M]:
+        height_m = mount_pose[row, HEIGHT_DELTA_M].astype(np.float64) + mount.height_offset_m
+        free["height_m"] = height_m.tolist()
+    if mount.is_free[LOG_ZOOM]:
+        free["fov_deg"] = [math.degrees(camera.model.fov_rad) for camera in rig.cameras]
+    return {
+        "positions_m": position_m.tolist(),
+        "yaw_deg": (np.degrees(mount_pose[row, YAW_RAD]) * side).tolist(),
+        "min_camera_distance_m": distance_m if math.isfinite(distance_m) else None,
+        "free": free,
+        "modules": [camera.module for camera in rig.cameras if camera.module is not None],
+    }
 
 
 def named_part(name: str, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -10,13 +10,12 @@ Source: `near` is a cross-entropy method (Rubinstein and Kroese 2004), here with
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from warpav.optimisation.camera_loss import SOFTNESS, RobustObjective
 from warpav.optimisation.miss_rate import SUREST
 from warpav.optimisation.mount import YAW_RAD
+from warpav.optimisation.pool import CameraPool
 
 ELITE = 12
 """Cameras nearby that say in which directions to look, the best ones."""
@@ -37,37 +36,34 @@ class Replacements:
 
     def __init__(
         self,
-        mount_pose: np.ndarray,
-        detection_probability: np.ndarray,
-        rig: np.ndarray,
-        conflict: np.ndarray,
-        unit: np.ndarray,
+        pool: CameraPool,
+        held: np.ndarray,
+        replaced: np.ndarray,
+        is_apart: np.ndarray,
+        fits: np.ndarray,
         *,
-        held: int = 0,
+        unit: np.ndarray,
         weight: np.ndarray | None = None,
-        fits: np.ndarray | None = None,
-        robust: RobustObjective | None = None,
-        size: np.ndarray | None = None,
+        robust: tuple[RobustObjective, np.ndarray] | None = None,
     ) -> None:
         """All replacements of a single camera.
 
         Args:
-            mount_pose: Of the pool, float [camera, 7].
-            detection_probability: What its cameras detect, float [camera, object].
-            rig: The rig's cameras in the pool, int [rig camera].
-            conflict: Which cameras are too near to each of these, bool [camera, rig camera].
+            pool: The cameras, and what they detect.
+            held: The rig's cameras in the pool that stay, int [held camera].
+            replaced: Those that may be replaced, int [slot].
+            is_apart: Which cameras are far enough from each of the rig's, the held ones first, bool [camera, rig
+                camera].
+            fits: Which cameras may take the place of which of the rig's, as they are of one module, likewise.
             unit: Of each number, 0 where it is not free, float [7].
-            held: So many of the rig's cameras, the first ones, stay.
             weight: Of each object, at least 0, not all 0, float [object]; None: all alike.
-            fits: Which cameras of the pool may take the place of which of the rig's, as they are of one module, bool
-                [camera, rig camera]; None: all.
-            robust: What is minimised; None: the expected miss rate.
-            size: How many cameras each of the pool stands for, int [camera]; None: all 1.
+            robust: What is minimised, and how many cameras each of the pool stands for, int [camera]; None: the
+                expected miss rate.
         """
-        self._pose, self._unit = np.asarray(mount_pose, np.float64), unit
-        self._of_slot = rig[held:]
-        missed = 1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST)
-        others = [np.delete(np.arange(len(rig)), slot) for slot in range(held, len(rig))]
+        rig = np.concatenate([held, replaced])
+        self._pose, self._unit, self._of_slot = np.asarray(pool.mount_pose, np.float64), unit, replaced
+        missed = 1.0 - np.minimum(np.asarray(pool.detection_probability, np.float64), SUREST)
+        others = [np.delete(np.arange(len(rig)), slot) for slot in range(len(held), len(rig))]
         relative = None if weight is None else weight / np.mean(weight)
         if robust is None:
             self.missed_by_others = np.array([missed[rig[each]].prod(axis=0) for each in others])
@@ -75,17 +71,15 @@ class Replacements:
                 self.missed_by_others = self.missed_by_others * relative
             miss_rate = missed @ self.missed_by_others.T / missed.shape[1]
         else:
-            size = np.ones(len(missed), int) if size is None else size
+            objective, size = robust
             count = missed.shape[1]
             share = np.full(count, 1.0 / count) if relative is None else relative / count
-            slope = robust.value_and_slope(missed[rig], share, size[rig], softness=SOFTNESS)[1]
-            self.missed_by_others = slope[held:] * count
-            value = [robust.of_completed(missed.T, share, rig[each][None], size) for each in others]
+            slope = objective.value_and_slope(missed[rig], share, size[rig], softness=SOFTNESS)[1]
+            self.missed_by_others = slope[len(held) :] * count
+            value = [objective.of_completed(missed.T, share, rig[each][None], size) for each in others]
             miss_rate = np.concatenate(value, axis=1)
-        too_near = np.stack([conflict[:, each].any(axis=1) for each in others], axis=1)
-        if fits is not None:
-            too_near |= ~fits[:, held:]
-        self.miss_rate = np.where(too_near, np.inf, miss_rate)
+        can_be = np.stack([is_apart[:, each].all(axis=1) for each in others], axis=1) & fits[:, len(held) :]
+        self.miss_rate = np.where(can_be, miss_rate, np.inf)
 
     def starts(self, count: int, known: np.ndarray) -> list[tuple[int, int]]:
         """The best replacements that are a unit and more from each other, from the rig and from known places.
@@ -139,11 +133,6 @@ class Replacements:
         """The greatest difference in a free number, in units, float64 [pose]."""
         scale = np.where(self._unit > 0.0, self._unit, np.inf)
         return np.abs(within_half_a_turn(poses - pose) / scale).max(axis=1)
-
-
-def joined(places: Sequence[np.ndarray]) -> np.ndarray:
-    """Places of several calls as one array, float64 [place, 7]."""
-    return np.concatenate([np.zeros((0, 7)), *places])
 
 
 def within_half_a_turn(difference: np.ndarray) -> np.ndarray:

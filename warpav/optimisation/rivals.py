@@ -22,6 +22,7 @@ from warpav.optimisation.mount import X_M, Y_M, YAW_RAD
 from warpav.optimisation.objective import RigObjective, single_cameras_of
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import too_near
+from warpav.optimisation.selection.problem import SelectionProblem
 from warpav.optimisation.selection.select import Selection, select
 from warpav.optimisation.space import SearchSpace
 
@@ -107,17 +108,14 @@ def selected_search(
     start = None
     if best is not None:
         start = np.concatenate([np.arange(held), held + rows_of(best[~space.is_frozen], pose[row[held:]])])
-    selection = select(
+    problem = SelectionProblem.create(
         np.minimum(found[row], SUREST),
         space.camera_count,
         conflict=too_near(pose[row], space.constraints),
         required=np.arange(held),
         weight=single.object_weight,
-        start=start,
-        gap=gap,
-        time_limit_s=time_limit_s,
-        seed=seed,
     )
+    selection = select(problem, start=start, gap=gap, time_limit_s=time_limit_s, seed=seed)
     rig = pose[: space.camera_count].copy()
     rig[~space.is_frozen] = pose[row][np.setdiff1d(selection.cameras, np.arange(held))]
     value.record(rig, single.weight * selection.objective)

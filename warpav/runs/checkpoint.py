@@ -89,5 +89,5 @@ def _file_digest(file: Path) -> str:
 @cache
 def _version(is_cuda: bool) -> str:
     packages = [version(name) for name in ("warp-lang", "numpy", "scipy")]
-    code = ("warpav.thesis.descent", "warpav.optimisation.pool_descent")
+    code = ("warpav.thesis.descent", "warpav.optimisation.pool_run")
     return fingerprint(*packages, is_cuda, code=code)

@@ -17,7 +17,7 @@ from warpav.evaluation.rig_evaluation import RigEvaluation, Table
 from warpav.optimisation.miss_rate import further_gain, missed_probability
 from warpav.optimisation.pool import CameraPool
 from warpav.optimisation.pool_cache import rows_of
-from warpav.optimisation.pool_descent import PoolDescent
+from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.pool_search import PoolSearchSettings, too_near
 from warpav.optimisation.rig_limits import RigLimits, range_text
 from warpav.rig.rig import Rig, write_rig
@@ -276,13 +276,13 @@ def _searched(
     """The best rig of every step."""
     points: list[FrontPoint] = []
     pool: CameraPool | None = None
-    before: PoolDescent | None = None
+    before: PoolRun | None = None
     settings = pool_search_settings(placement.config)
     for name, count, limits in progress.steps("rigs", steps, count=len(steps)):
         start = None if before is None else _larger(before, count, limits)
         search = _search(placement, count, limits, start, pool, settings, executor, progress)
         records = []
-        while search.verdict is None:
+        while search.stop_reason is None:
             records.append(search.step())
         found = search.finish()
         assert search.found is not None
@@ -305,7 +305,7 @@ def _search(
     settings: PoolSearchSettings,
     executor: Executor | None,
     progress: Progress,
-) -> PoolDescent:
+) -> PoolRun:
     """The search of a step."""
     numbers = limits.count if limits is not None else (count, count)
     options = [f"rig.cameras={range_text(numbers)}"]
@@ -315,17 +315,17 @@ def _search(
     begun = Optimisation.begin(
         smaller, start=start, executor=executor, pool=settings, known_pool=pool, progress=progress
     )
-    assert isinstance(begun.descent, PoolDescent)
+    assert isinstance(begun.descent, PoolRun)
     return begun.descent
 
 
-def _larger(before: PoolDescent, count: int, limits: RigLimits | None) -> np.ndarray | None:
+def _larger(before: PoolRun, count: int, limits: RigLimits | None) -> np.ndarray | None:
     """A rig to begin with, float32 [camera, 7]: that of a smaller search, and the cameras that help it most.
 
     None where the limits leave no room for more, or ask for another mix.
     """
     assert before.found is not None
-    pool, rig, mount = before.found.pool, before.found.mount_pose, before.objective.mount
+    pool, rig, mount = before.found.pool, before.found.mount_pose, before.task.cameras.mount
 
     def size(rig: np.ndarray) -> int:
         return len(rig) if limits is None else limits.size(mount.module_of(rig))
@@ -334,12 +334,12 @@ def _larger(before: PoolDescent, count: int, limits: RigLimits | None) -> np.nda
         gain = further_gain(
             missed_probability(pool.detection_probability[rows_of(rig + np.float32(0.0), pool.mount_pose)]),
             pool.detection_probability,
-            before.object_weight,
+            before.task.whole_weight,
         )
         for camera in np.argsort(-gain, kind="stable"):
             larger = np.concatenate([rig, pool.mount_pose[camera][None]])
             is_part = limits is None or limits.holds(mount.module_of(larger), is_whole=False)
-            if is_part and too_near(larger, before.objective.constraints).nnz == 0:
+            if is_part and too_near(larger, before.task.constraints).nnz == 0:
                 rig = larger
                 break
         else:

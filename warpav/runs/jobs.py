@@ -15,7 +15,7 @@ from warpav.core.progress import Progress
 from warpav.core.warp_setup import device_name
 from warpav.evaluation.robustness import LoadState, SoiledPart
 from warpav.optimisation.pool import pool_cache_folder
-from warpav.optimisation.pool_descent import PoolDescent
+from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.records import IterationRecord
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.checkpoint import check_options
@@ -46,7 +46,7 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
         held.enter_context(new_run_folder(config))
         placement = Placement.from_config(config).prepare(progress)
         timer.end("scenes and detector")
-        optimisation = Optimisation.begin(placement, executor=_pool_executor(config), is_kept=True, progress=progress)
+        optimisation = Optimisation.begin(placement, executor=_pool_executor(config), progress=progress)
         timer.end("searching for a start")
         folder = RunFolder.create(
             config,
@@ -85,15 +85,15 @@ def resume_rig(folder: RunFolder, config: Config, *, progress: Progress) -> tupl
         executor = _pool_executor(config)
         events = folder.first_events(done)
         if state is None:
-            optimisation = Optimisation.begin(placement, executor=executor, is_kept=True, progress=progress)
+            optimisation = Optimisation.begin(placement, executor=executor, progress=progress)
         else:
             progress.stage(f"going on after {done} iterations")
             optimisation = Optimisation.resumed(placement, state, events, executor=executor, progress=progress)
         timer.end("searching for a start")
         evaluation = folder.evaluation()
-        is_over = optimisation.descent.verdict is not None or done >= config.run.iterations
+        is_over = optimisation.descent.stop_reason is not None or done >= config.run.iterations
         if is_over and evaluation is not None and (folder.path / "report.html").is_file():
-            progress.say(f"{folder.path} has ended: {optimisation.descent.verdict or f'{done} iterations'}")
+            progress.say(f"{folder.path} has ended: {optimisation.descent.stop_reason or f'{done} iterations'}")
             return optimisation.result(), read_run(folder)
         # from here on the folder is written to
         folder.replace_events(events)
@@ -173,7 +173,7 @@ def _record_step(folder: RunFolder, optimisation: Optimisation, record: Iteratio
     _write_rigs(folder, optimisation, ("final",) if record.training_objective is None else ("best", "final"))
     every = optimisation.placement.config.run.checkpoint_every
     if every is None:
-        every = 1 if isinstance(descent, PoolDescent) else CHECKPOINT_EVERY
+        every = 1 if isinstance(descent, PoolRun) else CHECKPOINT_EVERY
     if descent.iteration % every == 0:
         folder.write_checkpoint(optimisation.state())
 
@@ -195,7 +195,7 @@ def _keep_reached(folder: RunFolder, optimisation: Optimisation) -> None:
         folder.replace_events([json_ready(each) for each in records])
         _write_rigs(folder, optimisation, ("best", "final"))
     folder.write_checkpoint(optimisation.state())
-    further = descent.further_cameras() if isinstance(descent, PoolDescent) else None
+    further = descent.further_cameras() if isinstance(descent, PoolRun) else None
     if further is not None:
         folder.write_further_cameras(further)
 

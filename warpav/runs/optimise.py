@@ -15,9 +15,9 @@ from warpav.core.executor import Executor
 from warpav.core.progress import Progress
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimisation.objective import single_cameras_of
-from warpav.optimisation.pool import CameraPool, pool_cache_folder
-from warpav.optimisation.pool_descent import PoolDescent
-from warpav.optimisation.pool_search import PoolSearchSettings
+from warpav.optimisation.pool import CameraPool, Drawing, pool_cache_folder
+from warpav.optimisation.pool_run import PoolRun
+from warpav.optimisation.pool_search import PoolSearchSettings, PoolTask
 from warpav.optimisation.records import IterationRecord, named_part, part_of
 from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig
@@ -67,7 +67,7 @@ def optimise(
         placement = placement.with_config(placement.config.replace(changes))
     with shown_progress(progress) as shown:
         placement.prepare(shown)
-        optimisation = Optimisation.begin(placement, is_kept=True, progress=shown)
+        optimisation = Optimisation.begin(placement, progress=shown)
         optimisation.run(progress=shown)
         return optimisation.result()
 
@@ -96,7 +96,7 @@ class Optimisation:
     def __init__(
         self,
         placement: Placement,
-        descent: Descent | PoolDescent,
+        descent: Descent | PoolRun,
         began_as: Rig | None,
         starts: Sequence[np.ndarray],
     ) -> None:
@@ -119,7 +119,6 @@ class Optimisation:
         pool: PoolSearchSettings | None = None,
         keeps_pool: bool = True,
         known_pool: CameraPool | None = None,
-        is_kept: bool = False,
         progress: Progress | None = None,
     ) -> Optimisation:
         """Find the rig to start from."""
@@ -152,23 +151,22 @@ class Optimisation:
                 # those without a finite value are no starts; then some are taken twice
                 start, *further = [found[k % len(found)].mount_pose for k in range(config.optimiser.descents)]
         if by_pool:
-            settings = pool_search_settings(config) if pool is None else pool
-            seed, cache = config.run.seed, pool_cache_folder() if keeps_pool else None
-            searched = PoolDescent(
+            task = PoolTask.of(
                 objective,
                 placement.search_scenes,
-                start,
-                settings,
-                seed=seed,
-                executor=executor,
-                cache=cache,
-                progress=progress,
+                start=start,
                 limits=placement.limits,
-                pool=known_pool,
                 requirements=placement.ghosts,
                 robust=config.robust.objective,
                 mount_errors=config.robust.mount_errors,
-                is_kept=is_kept,
+            )
+            searched = PoolRun(
+                task,
+                pool_search_settings(config) if pool is None else pool,
+                seed=config.run.seed,
+                drawing=Drawing(executor, pool_cache_folder() if keeps_pool else None),
+                progress=progress,
+                pool=known_pool,
             )
             return cls(placement, searched, began_as, [start])
         descent = Descent(
@@ -207,7 +205,6 @@ class Optimisation:
             further_starts=further,
             began_as=began_as,
             executor=executor,
-            is_kept=True,
             progress=progress,
         )
         run.descent.restore(part_of(state, "search"))
@@ -238,16 +235,16 @@ class Optimisation:
         """Take all steps, or as many as are of use."""
         config, descent = self.placement.config, self.descent
         count = config.run.iterations if isinstance(descent, Descent) else None
-        with contextlib.suppress(NotFiniteError):  # the verdict says so
+        with contextlib.suppress(NotFiniteError):  # the stop reason says so
             for record in progress.iterations(self._steps(), count=count, min_spacing_m=config.rig.min_spacing_m):
                 if on_step is not None:
                     on_step(record)
-        if descent.verdict is not None:
-            progress.say(f"ended after {descent.iteration} iterations: {descent.verdict}")
+        if descent.stop_reason is not None:
+            progress.say(f"ended after {descent.iteration} iterations: {descent.stop_reason}")
 
     def _steps(self) -> Iterator[IterationRecord]:
         """The steps that are left; each is known before anybody is told of it."""
-        while self.descent.iteration < self.placement.config.run.iterations and self.descent.verdict is None:
+        while self.descent.iteration < self.placement.config.run.iterations and self.descent.stop_reason is None:
             self.records.append(self.descent.step())
             yield self.records[-1]
 

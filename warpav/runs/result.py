@@ -16,7 +16,7 @@ from warpav.core.progress import Progress
 from warpav.core.warp_setup import device_name
 from warpav.optimisation.budget import BudgetedValue, run_search
 from warpav.optimisation.further_camera import FurtherCameras
-from warpav.optimisation.pool_descent import PoolDescent
+from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.records import Candidate, IterationRecord
 from warpav.optimisation.rivals import random_search
 from warpav.optimisation.settings import LATER_ROBUST_OPTIONS
@@ -91,7 +91,7 @@ class Result:
     placement: Placement
     records: tuple[IterationRecord, ...] = field(repr=False)
     began_as: Rig | None = field(repr=False)
-    _descent: Descent | PoolDescent = field(repr=False)
+    _descent: Descent | PoolRun = field(repr=False)
     _kept: Candidate = field(repr=False)
     _state: Callable[[], dict[str, np.ndarray]] = field(repr=False)
 
@@ -99,7 +99,7 @@ class Result:
     def of(
         cls,
         placement: Placement,
-        descent: Descent | PoolDescent,
+        descent: Descent | PoolRun,
         kept: Candidate,
         records: Sequence[IterationRecord],
         began_as: Rig | None,
@@ -118,7 +118,7 @@ class Result:
             start_objective=begun,
             found_objective=end,
             history=_history(records, descent.candidates),
-            ended=descent.verdict,
+            ended=descent.stop_reason,
             placement=placement,
             records=tuple(records),
             began_as=began_as,
@@ -157,12 +157,12 @@ class Result:
     def robust(self) -> dict[str, Any] | None:
         """What the objective is made of, of start and `found`, where it is a robust one; else None."""
         descent, settings = self._descent, self.placement.config.robust
-        if not isinstance(descent, PoolDescent) or descent.found is None or settings.asked_for is None:
+        if not isinstance(descent, PoolRun) or descent.found is None or settings.asked_for is None:
             return None
         values = {START: descent.start_value, OPTIMISED: descent.found.robust}
         parts = {name: {} if value is None else asdict(value) for name, value in values.items()}
-        options = {} if descent.robust is None else asdict(descent.robust)
-        if descent.mount_errors is not None:
+        options = {} if descent.task.robust is None else asdict(descent.task.robust)
+        if descent.task.mount_errors is not None:
             options |= {name: getattr(settings, name) for name in LATER_ROBUST_OPTIONS}
             rigs = {START: descent.candidates[0].mount_pose, OPTIMISED: descent.mount_pose}
             parts = {name: (descent.misplaced_miss_rates(rigs[name]) or {}) | part for name, part in parts.items()}
@@ -171,7 +171,7 @@ class Result:
     @cached_property
     def further_cameras(self) -> FurtherCameras | None:
         """What each camera of the pool would add to `found`, the one that helps most first; None for a descent."""
-        return self._descent.further_cameras() if isinstance(self._descent, PoolDescent) else None
+        return self._descent.further_cameras() if isinstance(self._descent, PoolRun) else None
 
     @cached_property
     def requirements(self) -> RequirementResult | None:

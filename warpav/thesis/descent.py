@@ -10,12 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.losses.loss import LossSchedule
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import Evaluation, RigObjective
-from warpav.optimisation.records import Candidate, IterationRecord, named_part, part_of
+from warpav.optimisation.records import Candidate, IterationRecord, named_part, part_of, rig_fields
 from warpav.optimisation.settings import OptimiserSettings
 from warpav.thesis.segregation import BatchChooser
 from warpav.thesis.starts import exchange_cameras
@@ -233,8 +232,8 @@ class Descent:
         return self.history.best
 
     @property
-    def verdict(self) -> str | None:
-        """Why there is no use in going on, in words; None while there is."""
+    def stop_reason(self) -> str | None:
+        """Why the descent has stopped; None while it goes on."""
         if self._failure is not None:
             return self._failure
         if self.descent < len(self.further_starts) or not self._out_of_patience:
@@ -401,22 +400,13 @@ class Descent:
         result: Evaluation,
         checked: Candidate | None,
     ) -> IterationRecord:
-        rig = self._mount.rig(pose)
-        position_m = np.array([camera.position_m for camera in rig.cameras])
-        distance_m = min_camera_distance_m(position_m)
         is_free = self._mount.is_free
         moving = np.where(self._rate > 0.0, gradient, 0.0)
-        free: dict[str, np.ndarray] = {}
         norm = {
             "position": gradient[:, [X_M, Y_M, *([HEIGHT_DELTA_M] if is_free[HEIGHT_DELTA_M] else [])]],
             "rotation": gradient[:, [YAW_RAD, *([PITCH_RAD] if is_free[PITCH_RAD] else [])]],
         }
-        if is_free[PITCH_RAD]:
-            free["pitch_deg"] = np.degrees(pose[:, PITCH_RAD])
-        if is_free[HEIGHT_DELTA_M]:
-            free["height_m"] = pose[:, HEIGHT_DELTA_M].astype(np.float64) + self._mount.height_offset_m
         if is_free[LOG_ZOOM]:
-            free["fov_deg"] = np.degrees([camera.model.fov_rad for camera in rig.cameras])
             norm["zoom"] = gradient[:, LOG_ZOOM]
         return IterationRecord(
             iteration=self.iteration,
@@ -425,17 +415,14 @@ class Descent:
             terms=result.terms,
             multipliers=dict(zip(self.objective.constraints.names, multiplier.tolist(), strict=True)),
             gradient_norm={name: float(np.linalg.norm(part)) for name, part in norm.items()},
-            positions_m=position_m.tolist(),
-            yaw_deg=np.degrees(pose[:, YAW_RAD]).tolist(),
             seconds=result.seconds,
-            min_camera_distance_m=distance_m if math.isfinite(distance_m) else None,
+            **rig_fields(self._mount, pose),
             training_objective=checked.training_objective if checked else None,
             best_training_objective=self.best.training_objective if self.candidates else None,
             gradient={
                 "position_per_m": moving[:, [X_M, Y_M]].tolist(),
                 "yaw_per_rad": moving[:, YAW_RAD].tolist(),
             },
-            free={name: numbers.tolist() for name, numbers in free.items()},
         )
 
 

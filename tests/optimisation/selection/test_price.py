@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from tests.optimisation.calls import select
 from tests.optimisation.selection.pools import random_pool
 from warpav.core.errors import InputError
 from warpav.optimisation.selection.problem import Row
-from warpav.optimisation.selection.select import select
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
+from tests.optimisation.calls import select
 from tests.optimisation.selection.pools import best_by_brute_force, every_rig, miss_rate, random_pool
 from warpav.core.errors import InputError
 from warpav.optimisation.selection.problem import Row
-from warpav.optimisation.selection.select import select
 
 ROUNDING = 1e-12
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")

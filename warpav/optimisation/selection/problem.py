@@ -52,7 +52,7 @@ class SelectionProblem:
         low: Least sums of the rows, likewise, float64 [row].
         high: Greatest sums of the rows, likewise, float64 [row].
         row_scale: What the rows were divided by, > 0, float64 [row].
-        row_name: Their names.
+        rows: They as they were given.
     """
 
     missed: np.ndarray
@@ -67,7 +67,7 @@ class SelectionProblem:
     low: np.ndarray
     high: np.ndarray
     row_scale: np.ndarray
-    row_name: tuple[str, ...]
+    rows: tuple[Row, ...]
 
     @classmethod
     def create(
@@ -75,12 +75,21 @@ class SelectionProblem:
         detection_probability: np.ndarray,
         count: int,
         *,
-        conflict: np.ndarray | sparse.sparray | sparse.spmatrix | None,
-        required: Sequence[int] | np.ndarray,
-        rows: Sequence[Row],
-        weight: np.ndarray | None,
+        conflict: np.ndarray | sparse.sparray | sparse.spmatrix | None = None,
+        required: Sequence[int] | np.ndarray = (),
+        rows: Sequence[Row] = (),
+        weight: np.ndarray | None = None,
     ) -> SelectionProblem:
-        """The arguments of `select`, checked.
+        """What a rig is chosen from.
+
+        Args:
+            detection_probability: Probability p that each camera detects each object, 0..1, float [camera, object].
+            count: Number of cameras of the rig.
+            conflict: Pairs of which a rig has one at most, such as cameras too near to each other, bool [camera,
+                camera]; dense or sparse, one triangle or both.
+            required: Cameras that the rig must have, such as frozen ones.
+            rows: Further linear constraints: costs, numbers of a zone or module, objects that several must see.
+            weight: Of the objects, >= 0, float [object]; None: all alike.
 
         Raises:
             ArgumentError: One of them cannot be used.
@@ -126,7 +135,26 @@ class SelectionProblem:
             low=low,
             high=high,
             row_scale=scale,
-            row_name=tuple(row.name for row in rows),
+            rows=tuple(rows),
+        )
+
+    @property
+    def row_name(self) -> tuple[str, ...]:
+        """Names of the rows."""
+        return tuple(row.name for row in self.rows)
+
+    def of_fewer(self, count: int, rows: Sequence[Row]) -> SelectionProblem:
+        """The same for rigs of so many cameras under other rows, of which no camera is required."""
+        coefficient, low, high, scale = _checked_rows(rows, self.camera_count)
+        return replace(
+            self,
+            count=count,
+            required=self.required[:0],
+            coefficient=coefficient,
+            low=low,
+            high=high,
+            row_scale=scale,
+            rows=tuple(rows),
         )
 
     @property
@@ -310,7 +338,7 @@ def _with(problem: SelectionProblem, names: list[str]) -> SelectionProblem:
         low=problem.low[is_kept],
         high=problem.high[is_kept],
         row_scale=problem.row_scale[is_kept],
-        row_name=tuple(name for name in problem.row_name if name in names),
+        rows=tuple(row for row in problem.rows if row.name in names),
     )
 
 

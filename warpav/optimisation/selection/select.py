@@ -11,11 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy import sparse
 
 from warpav.core.errors import ArgumentError
 from warpav.optimisation.selection.problem import (
-    Row,
     SelectionProblem,
     exchange,
     feasible_rig,
@@ -345,13 +343,8 @@ class Selection:
 
 
 def select(
-    detection_probability: np.ndarray,
-    count: int,
+    problem: SelectionProblem,
     *,
-    conflict: np.ndarray | sparse.sparray | sparse.spmatrix | None = None,
-    required: Sequence[int] | np.ndarray = (),
-    rows: Sequence[Row] = (),
-    weight: np.ndarray | None = None,
     start: Sequence[int] | np.ndarray | None = None,
     gap: float = 1e-3,
     time_limit_s: float = 60.0,
@@ -360,17 +353,11 @@ def select(
 ) -> Selection:
     """Choose the rig of the lowest expected miss rate, the weighted mean over objects of the product of 1 - p.
 
-    Exchanges of single cameras find good rigs, a linear relaxation bounds all rigs from below (`relaxation`, `cut`),
-    and a branch and bound closes the gap between them (`branching`). Deterministic but for the time limit.
+    Exchanges of single cameras find good rigs, a linear relaxation bounds all rigs from below (`relaxation`), and a
+    branch and bound closes the gap between them. Deterministic but for the time limit.
 
     Args:
-        detection_probability: Probability p that each camera detects each object, 0..1, float [camera, object].
-        count: Number of cameras of the rig.
-        conflict: Pairs of which a rig has one at most, such as cameras too near to each other, bool [camera, camera];
-            dense or sparse, one triangle or both.
-        required: Cameras that the rig must have, such as frozen ones.
-        rows: Further linear constraints: costs, numbers of a zone or module, objects that several must see.
-        weight: Of the objects, >= 0, float [object]; None: all alike.
+        problem: What is chosen from.
         start: A rig that satisfies the constraints, which the result is not worse than; None: none is known.
         gap: Objective less bound at which the search ends, an expected miss rate, >= 0; 0: only the optimum will do.
         time_limit_s: When it ends at the latest [s], > 0; single steps are not cut short. The best rig and the bound
@@ -379,17 +366,14 @@ def select(
         on_improvement: Called with every better rig or bound.
 
     Raises:
-        InputError: Arguments that cannot be used; a pool in which no camera sees anything; constraints that no rig
-            satisfies, of which it names some that exclude each other, none of them dispensable.
+        InputError: Arguments that cannot be used, or constraints that no rig satisfies, of which it names some that
+            exclude each other, none of them dispensable.
     """
     began_s = time.perf_counter()
     if not time_limit_s > 0.0:
         raise ArgumentError("time_limit_s", f"expected more than 0 s, got {time_limit_s:g}")
     if not gap >= 0.0:
         raise ArgumentError("gap", f"expected an expected miss rate of 0 or more, got {gap:g}")
-    problem = SelectionProblem.create(
-        detection_probability, count, conflict=conflict, required=required, rows=rows, weight=weight
-    )
     rng = np.random.default_rng(seed)
     deadline_s = began_s + time_limit_s
     rigs = first_rigs(problem, start, rng, deadline_s)

@@ -1,0 +1,223 @@
+"""The search by a pool as a run: state by state, with what a run records of each."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from warpav.core.errors import InputError
+from warpav.core.progress import Progress
+from warpav.optimisation.camera_loss import RobustValue
+from warpav.optimisation.further_camera import FurtherCameras, further_cameras
+from warpav.optimisation.miss_rate import expected_miss_rate, shares_of
+from warpav.optimisation.pool import CameraPool, Drawing
+from warpav.optimisation.pool_cache import rows_of
+from warpav.optimisation.pool_search import Found, PoolSearch, PoolSearchSettings, PoolTask
+from warpav.optimisation.records import Candidate, IterationRecord, named_part, part_of, rig_fields
+
+
+class PoolRun:
+    """A `PoolSearch` with its records; call `step` while `stop_reason` is None, then `finish`.
+
+    Attributes:
+        task: What is searched for.
+        start: Mount poses that the rig begins with, float32 [camera, 7].
+        start_value: What the objective of the start is made of, where it is a robust one and the search has begun.
+        candidates: The rigs that were found, each better than those before; the first is the start.
+        iteration: Steps so far.
+        found: The last state; None before the first step.
+    """
+
+    def __init__(
+        self,
+        task: PoolTask,
+        settings: PoolSearchSettings,
+        *,
+        seed: int,
+        drawing: Drawing | None = None,
+        progress: Progress | None = None,
+        pool: CameraPool | None = None,
+    ) -> None:
+        """A run of a task that has a start; the others as of `PoolSearch`."""
+        assert task.start is not None
+        self.task = task
+        self.start = task.cameras.mount.within(np.asarray(task.start, np.float32))
+        self.candidates: list[Candidate] = []
+        self.iteration = 0
+        self.found: Found | None = None
+        self.start_value: RobustValue | None = None
+        self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
+        self._search = PoolSearch(task, settings, seed=seed, drawing=drawing, progress=progress, pool=pool)
+        self._at_boundary = self._summary()
+        self._final_states = 0
+
+    @property
+    def mount_pose(self) -> np.ndarray:
+        """Mount poses of the best rig so far, float32 [camera, 7]."""
+        return (self.start if self.found is None else self.found.mount_pose).copy()
+
+    @property
+    def best(self) -> Candidate:
+        """The last of the candidates."""
+        return self.candidates[-1]
+
+    @property
+    def stop_reason(self) -> str | None:
+        """Why the search has stopped; None while it goes on."""
+        if self.found is None or not self._search.is_over:
+            return None
+        return f"the search has converged, after {self.found.camera_renders} camera renders"
+
+    def step(self) -> IterationRecord:
+        """Go on until the search comes to another state.
+
+        Raises:
+            InputError: The pool sees nothing, or the cameras do not fit.
+        """
+        began, before, passed = time.perf_counter(), self._summary(), self._search.passed
+        self.found = found = next(self._search)
+        if self._search.passed != passed:
+            self._at_boundary = before
+        if not self.candidates and found.stage != "start":  # it breaks a hard requirement
+            self.candidates.append(Candidate(self.start, math.inf, self.iteration, 0))
+        if self.start_value is None:
+            self.start_value = found.robust
+        if not self.candidates or found.objective < self.best.training_objective:
+            self.candidates.append(Candidate(found.mount_pose, found.objective, self.iteration, 0))
+        record = self._record(found, time.perf_counter() - began)
+        self.iteration += 1
+        if found.is_final:
+            self._final_states = self.iteration
+        return record
+
+    def finish(self) -> Candidate:
+        """The best rig; where no step was taken, the start."""
+        if not self.candidates:
+            self.step()
+        return self.best
+
+    def further_cameras(self) -> FurtherCameras | None:
+        """What traffic each camera of the pool would add to the best rig, which is in it; None before it is drawn."""
+        if self.found is None or len(self.found.pool.mount_pose) == len(self.found.mount_pose):
+            return None
+        pool, task = self.found.pool, self.task
+        rig = rows_of(self.found.mount_pose + np.float32(0.0), pool.mount_pose)
+        assert (rig >= 0).all(), "whatever was rendered is in the pool"
+        return further_cameras(
+            pool.mount_pose,
+            pool.detection_probability[:, : task.object_count],
+            rig,
+            mount=task.cameras.mount,
+            constraints=task.constraints,
+            weight=task.object_weight,
+        )
+
+    def misplaced_miss_rates(self, mount_pose: np.ndarray) -> dict[str, float] | None:
+        """What a rig, float [camera, 7], is expected to miss in the scenes of the search.
+
+        ``expected_miss_rate`` with errors of mounting, and ``as_designed``; None for a rig that is not in the pool.
+        """
+        assert self.found is not None
+        pool, task = self.found.pool, self.task
+        row = rows_of(mount_pose + np.float32(0.0), pool.mount_pose)
+        if (row < 0).any():
+            return None
+        designed = [self._search.designed.detection_probability(mount_pose, scene) for scene in task.scenes]
+        share = shares_of(task.object_weight)
+        return {
+            "expected_miss_rate": expected_miss_rate(pool.detection_probability[row, : task.object_count], share),
+            "as_designed": expected_miss_rate(np.concatenate(designed, axis=1), share),
+        }
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Everything that `restore` needs; ``iteration`` counts the states that the search comes to again."""
+        summary = json.dumps(self._at_boundary)
+        return {
+            "iteration": np.array(self._final_states),
+            "summary": np.array(summary),
+            **named_part("search", self._search.state()),
+        }
+
+    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+        """Go on from where another run of the same task was when it gave `state`; this one has taken no step.
+
+        The stage that the other was in is taken again. The settings may be others that do not change how a pool
+        begins: rounds, refinements, gap, time.
+
+        Raises:
+            InputError: The state is of another search, or not whole.
+        """
+        what = "more states than it comes to"
+        try:
+            summary, count = json.loads(str(state["summary"])), int(state["iteration"])
+            settings = self._search.restore(part_of(state, "search"))
+            self.iteration = self._final_states = summary["iteration"]
+            self._proven = None if summary["proven"] is None else tuple(summary["proven"])
+            self.start_value = summary["start_value"] and RobustValue(**summary["start_value"])
+            self.candidates = [
+                Candidate(np.array(pose, np.float32), objective, iteration, 0)
+                for pose, objective, iteration in summary["candidates"]
+            ]
+        except KeyError as error:
+            what = f"no {error.args[0]}"
+        except (ValueError, IndexError, TypeError):
+            what = "arrays that do not fit together"
+        else:
+            with contextlib.suppress(StopIteration):
+                while self.iteration < count:
+                    self.step()
+                self._search.settings = settings
+                return
+        raise InputError(f"checkpoint: expected the state of a search by a pool, got {what}")
+
+    def _summary(self) -> dict[str, Any]:
+        """What a run knows besides its search, as JSON has it."""
+        return {
+            "iteration": self.iteration,
+            "proven": self._proven,
+            "start_value": self.start_value and asdict(self.start_value),
+            "candidates": [
+                (each.mount_pose.tolist(), each.training_objective, each.iteration) for each in self.candidates
+            ],
+        }
+
+    def _terms(self, found: Found) -> dict[str, float]:
+        """The expected miss rate, and what else there is: the share of the requirements' points that is missed."""
+        robust, points = found.robust, self.task.requirements
+        without = {} if robust is None else {"expected_miss_rate_without_camera": robust.without_camera}
+        if points is None:
+            return {"expected_miss_rate": found.objective if robust is None else robust.expected_miss_rate, **without}
+        row = rows_of(found.mount_pose + np.float32(0.0), found.pool.mount_pose)
+        probability, count = found.pool.detection_probability[row], points.vehicle_count
+        return {
+            "expected_miss_rate": expected_miss_rate(probability[:, :-count], shares_of(self.task.object_weight)),
+            "requirements": expected_miss_rate(probability[:, -count:], shares_of(points.weight)),
+            **without,
+        }
+
+    def _record(self, found: Found, seconds: float) -> IterationRecord:
+        if found.stage == "selection":
+            self._proven = found.bound, found.pool_cameras
+        bound, pool_cameras = self._proven or (None, None)
+        return IterationRecord(
+            iteration=self.iteration,
+            loss=found.objective,
+            terms=self._terms(found),
+            multipliers={},
+            gradient_norm={},
+            seconds={"total": seconds},
+            training_objective=found.objective,
+            best_training_objective=self.best.training_objective,
+            stage=found.stage,
+            bound=bound,
+            pool_cameras=pool_cameras,
+            camera_renders=found.camera_renders,
+            **rig_fields(self.task.cameras.mount, found.mount_pose),
+        )
