@@ -110,13 +110,6 @@ def test_boxes_are_those_that_the_network_means(tmp_path, rng, name):
 
 
 @EVERY
-@pytest.mark.parametrize("batch", [1, 2])
-def test_a_fixed_batch_gives_the_same(tmp_path, rng, name, batch):
-    images = pictures(rng, 3)
-    check(opened(tmp_path, name, {"batch": batch}).detect(images), images, name, atol_px=2e-3, atol=2e-5)
-
-
-@EVERY
 def test_a_dynamic_size_follows_the_image_or_the_setting(tmp_path, rng, name):
     images = pictures(rng, 2, SIDE_PX, SIDE_PX)
     is_square = PLACEMENT[name] == "stretched"

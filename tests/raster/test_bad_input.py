@@ -4,30 +4,16 @@ import numpy as np
 import pytest
 import warp as wp
 
-from tests.driving_scene import camera_pose, on_device, packed_street, street
+from tests.driving_scene import camera_pose, on_device, packed_street
 from warpav.core.errors import InputError
 from warpav.raster import buffers as buffers_module
-from warpav.raster import mesh as mesh_module
 from warpav.raster.areas import AMODAL_AREA
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import Renderer
-from warpav.scene.device_scene import DeviceScene
 
 MODEL = CameraModel(64, 48)
 POSES = np.array([camera_pose([0.0, 0.0, 1.8], yaw) for yaw in (0.0, 1.0, 2.0)])
-
-
-def test_more_triangles_than_keys_tell_apart_are_not_packed(monkeypatch, device):
-    # the key of a sample has 32 bits for the triangle, and a reach one less
-    assert mesh_module.MAX_COUNT == 2**31 - 1
-    scene = street(3)
-    count = sum(len(m.triangle) for m in (scene.environment, scene.ego, *(v.mesh for v in scene.vehicles)))
-    monkeypatch.setattr(mesh_module, "MAX_COUNT", count)
-    assert DeviceScene.pack(scene, device=device).raster.triangle_count == count
-    monkeypatch.setattr(mesh_module, "MAX_COUNT", count - 1)
-    with pytest.raises(ValueError, match=f"5 meshes have {count} triangles together, more than {count - 1}"):
-        DeviceScene.pack(scene, device=device)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from tests.driving_scene import camera_pose, on_device, packed_street, random_po
 from tests.raster.bodies import cuboid, rendered, scene_of
 from tests.raster.test_lenses import MODELS as LENSES
 from tests.raster.test_renderer import poses_on_ego
-from warpav.core.errors import InputError
 from warpav.raster.areas import BOTTOM, BOX_AREA, LEFT, RIGHT, TOP, VISIBLE_AREA
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
@@ -110,25 +109,6 @@ def test_contrast_is_read_from_the_images(device, rng, supersampling):
         # worst seen 2e-6; in single precision a point may fall into the next pixel
         assert found[v, k] == pytest.approx(expected, abs=2e-3 if expected else 0.0)
     assert compared >= 15
-
-
-def test_a_render_without_outlines_has_no_jacobians_and_no_images(device, rng):
-    poses, scene = poses_of(rng), packed_street(device, 3).raster
-    renderer = Renderer([MODEL] * len(poses), device=device)
-    frame = renderer.render(scene, *on_device(poses, device), content=Content.COVERAGE)
-    for call in (frame.measure, frame.colours, frame.depths_and_ids, lambda: frame.window_area(visible=True)):
-        with pytest.raises(InputError, match="got one that holds coverage only"):
-            call()
-    with pytest.raises(InputError, match=r"value: expected measures of shape \(13, 3, 7\), got \(13, 3, 6\)"):
-        frame.contrast(wp.zeros((13, 3, 6), dtype=float, device=device))
-    images = renderer.render(scene, *on_device(poses, device), content=Content.IMAGES)
-    with pytest.raises(InputError, match="expected a render with content coverage, got one that holds images only"):
-        images.coverage()
-    # the next render of everything is not spoilt by what was left out
-    again = renderer.render(scene, *on_device(poses, device))
-    fresh = Renderer([MODEL] * len(poses), device=device).render(scene, *on_device(poses, device))
-    np.testing.assert_array_equal(again.measure().value.numpy(), fresh.measure().value.numpy())
-    np.testing.assert_array_equal(again.colours().numpy(), fresh.colours().numpy())
 
 
 @pytest.mark.equation(17)

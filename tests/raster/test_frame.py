@@ -220,34 +220,6 @@ def changed(array, place, value):
 
 
 @pytest.mark.parametrize(
-    ("change", "kind", "message"),
-    [
-        (
-            {"vertices": changed(CUBE.vertices, (2, 1), np.nan)},
-            InputError,
-            r"\['cube'\]: 1 of 8 vertices are NaN",
-        ),
-        (
-            {"vertices": CUBE.vertices[:, :2]},
-            InputError,
-            r"\['cube'\]: expected vertices of shape \[n, 3\]",
-        ),
-        ({"vertices": "cube"}, TypeError, "expected numbers in vertex_m, got str"),
-        ({"faces": np.zeros((0, 3), int)}, InputError, r"objects\['cube'\]: expected at least one triangle"),
-        ({"faces": [[0, 1, 8]]}, InputError, r"indices must be 0\.\.7, got 0\.\.8"),
-        ({"faces": [[0, 1, -1]]}, InputError, r"indices must be 0\.\.7, got -1\.\.1"),
-        ({"faces": [[0, 1, 0.5]]}, InputError, "indices must be whole"),
-        ({"faces": [[0, 1]]}, InputError, "expected at least one triangle of three indices"),
-        ({"rgb": [1, 2, 300]}, InputError, r"colours must be 0\.\.255"),
-        ({"rgb": [[1, 2, 3]] * 3}, InputError, r"expected colours of shape \[8, 3\]"),
-    ],
-)
-def test_meshes_that_cannot_be_drawn_are_rejected(change, kind, message):
-    with pytest.raises(kind, match=message):
-        raster.Scene({"cube": raster.Mesh(*(GOOD | change).values())})
-
-
-@pytest.mark.parametrize(
     ("arguments", "kind", "message"),
     [
         ({}, InputError, "objects, occluders: expected at least one mesh, got none"),
@@ -298,11 +270,6 @@ def test_scenes_of_anything_else_are_rejected(arguments, kind, message):
 def test_cameras_that_are_none_are_rejected(arguments, kind, message):
     with pytest.raises(kind, match=message):
         raster.Cameras(**({"intrinsics": INTRINSICS, "width_px": 128, "height_px": 128} | arguments))
-
-
-def test_a_camera_without_a_size_is_rejected():
-    with pytest.raises(TypeError, match="width_px"):
-        raster.Cameras(INTRINSICS)
 
 
 @pytest.mark.parametrize(

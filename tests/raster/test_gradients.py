@@ -149,35 +149,6 @@ def test_extent_gradients_match_differences(device, measure):
     assert np.median(error) <= 0.12
 
 
-def test_a_cut_extent_does_not_move(device):
-    scene = DeviceScene.pack(two_cars(), device=device).raster
-    # so long a lens that the car fills the width of the image
-    renderer = Renderer([CameraModel(256, 256, math.radians(25.0))], device=device)
-    frame = renderer.render(scene, *on_device([camera_pose([9.0, 5.0, 0.8], -math.pi / 2)], device))
-    measures = frame.measure()
-    value, jac_rotation = measures.value.numpy()[0, 0], measures.jac_rotation.numpy()[0, 0]
-    assert value[[LEFT, RIGHT]].tolist() == [0.0, 256.0]
-    assert not jac_rotation[[LEFT, RIGHT]].any()
-    assert not measures.jac_translation.numpy()[0, 0, [LEFT, RIGHT]].any()
-
-
-def test_measures_on_tape_follow_the_pose_to_first_order(device):
-    poses = poses_round_the_car()[:5]
-    scene = DeviceScene.pack(two_cars(), device=device).raster
-    renderer = Renderer([MODEL] * 5, device=device)
-    frame = renderer.render(scene, *on_device(poses, device))
-    measures = frame.measure()
-    shift, spin = 0.02, 0.002
-    there = moved(moved(poses, Y, shift), SPIN_X, spin)
-    followed = measures.on_tape(*on_device(there, device)).numpy()
-    expected = (
-        measures.value.numpy()
-        + shift * measures.jac_translation.numpy()[..., 1]
-        + spin * measures.jac_rotation.numpy()[..., 0]
-    )
-    np.testing.assert_allclose(followed, expected, rtol=1e-3, atol=1e-2)
-
-
 def workload_scene(data):
     """The benchmark's arrays as a scene in the ego frame."""
     ends, first = data["vert_ends"], 0

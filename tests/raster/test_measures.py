@@ -156,18 +156,3 @@ def test_pairwise_occlusion_ignores_the_environment_and_exact_does_not(device):
     }
     assert visible[Occlusion.EXACT] == 0.0
     assert visible[Occlusion.PAIRWISE] > 50
-
-
-def test_the_ego_vehicle_hides_in_both_ways(device):
-    # a hull edge in front of the lower half of a car
-    rng = np.random.default_rng(4)
-    hull = block(rng, [0.2, 4.0, 1.0], [2.0, 0.0, 0.0])
-    scene = dataclasses.replace(place_cars((9.0, 0.0, 0.5)), ego=hull)
-    packed = DeviceScene.pack(scene, device=device).raster
-    pose = camera_pose([0.0, 0.0, 0.55], 0.0)
-    alone, ego = Silhouettes(scene).look(pose, MODEL)
-    expected = np.count_nonzero(np.isfinite(alone[0]) & ~np.isfinite(ego))
-    assert 0 < expected < np.isfinite(alone[0]).sum()
-    for occlusion in Occlusion:
-        _, value = rendered(packed, [pose], device=device, occlusion=occlusion)
-        assert value[0, 0, VISIBLE_AREA] == pytest.approx(expected, abs=2)

@@ -9,18 +9,15 @@ import trimesh
 from tests.driving_scene import (
     EGO_TOP_M,
     camera_pose,
-    car,
     coloured,
     on_device,
     packed_street,
     random_poses,
     street,
-    vehicle,
 )
 from tests.oracle.ray_cast import RayCaster, cast_scene
 from tests.raster.bodies import depth_and_index
 from warpav.detection.images import render_images
-from warpav.raster.areas import VISIBLE_AREA
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.raster.renderer import Renderer
@@ -155,37 +152,6 @@ def test_sky_is_graded_by_elevation(device):
     # the top of the image looks at the zenith, the bottom at the horizon
     np.testing.assert_allclose(rgb[0, 0, 64] * 255.0, street().sky.zenith_rgb, atol=2.0)
     np.testing.assert_allclose(rgb[0, -1, 64] * 255.0, street().sky.horizon_rgb, atol=2.0)
-
-
-def test_more_vehicles_than_bits_in_a_mask(device, rng):
-    prototype = car(rng, subdivisions=2)
-    places = [(4.0 + 5.0 * (k // 8), -14.0 + 4.0 * (k % 8)) for k in range(40)]
-    vehicles = tuple(vehicle(k + 1, prototype, x, y, 0.1 * k) for k, (x, y) in enumerate(places))
-    scene = Scene("crowd", FAR_AWAY, FAR_AWAY, vehicles)
-    poses = [camera_pose([-6.0, 0.0, 4.0], 0.0, 0.2), camera_pose([14.0, -20.0, 3.0], 1.5, 0.1)]
-    packed = DeviceScene.pack(scene, device=device).raster
-    renderer = Renderer([MODEL] * 2, device=device)
-    frame = renderer.render(packed, *on_device(poses, device))
-    _, object_index, _ = images = images_in(frame)
-    assert_agrees(images, cast_scene(scene), poses, MODEL)
-    area = frame.measure().value.numpy()[..., VISIBLE_AREA]
-    for k in range(40):
-        np.testing.assert_array_equal(area[:, k], (object_index == 2 + k).sum(axis=(1, 2)))
-    assert len(np.unique(object_index)) > 33
-
-
-def test_threads_do_not_change_a_bit(rng):
-    scene, poses = packed_street().raster, poses_on_ego(rng, 7)
-    results = []
-    for thread_count in (1, 2, 3):
-        renderer = Renderer([MODEL] * 7, supersampling=2, thread_count=thread_count)
-        frame = renderer.render(scene, *on_device(poses, "cpu"))
-        images = images_in(frame)
-        measures = frame.measure()
-        results.append([*images, *(getattr(measures, n).numpy() for n in ("value", "jac_translation", "jac_rotation"))])
-    for one, *others in zip(*results, strict=True):
-        for other in others:
-            np.testing.assert_array_equal(one, other)
 
 
 def test_render_images_takes_cameras_of_any_size(device, street_rays):

@@ -23,21 +23,21 @@ RECIPE = 1
 
 WINDOWS_PX = ((256, 256, 24), (512, 384, 8), (960, 544, 5), (1600, 896, 1))
 """Width, height and number a scene of the windows for networks that take images of any size."""
-ASPECTS = (1.0, 4.0 / 3.0, 16.0 / 9.0)
-WIDEST_IMAGE_PX = 2048
-PIXELS_PER_SCENE = 7e6
+_ASPECTS = (1.0, 4.0 / 3.0, 16.0 / 9.0)
+_WIDEST_IMAGE_PX = 2048
+_PIXELS_PER_SCENE = 7e6
 VIEWS_PER_SCENE = 24
 
-PINHOLE_FOV_DEG = (40.0, 130.0)
-FISHEYE_FOV_DEG = (100.0, 200.0)
-FISHEYE_SHARE = 0.25
+_PINHOLE_FOV_DEG = (40.0, 130.0)
+_FISHEYE_FOV_DEG = (100.0, 200.0)
+_FISHEYE_SHARE = 0.25
 PITCH_DEG = (-15.0, 30.0)
-LEVEL_SHARE = 0.4
-ROOF_SHARE = 0.5
-ROOF_OFFSET_M = (0.05, 2.0)
-BODY_HEIGHT_M = (0.3, 3.0)
-BODY_STANDOFF_M = 0.02
-BODY_YAW_DEG = 75.0
+_LEVEL_SHARE = 0.4
+_ROOF_SHARE = 0.5
+_ROOF_OFFSET_M = (0.05, 2.0)
+_BODY_HEIGHT_M = (0.3, 3.0)
+_BODY_STANDOFF_M = 0.02
+_BODY_YAW_DEG = 75.0
 _TRIES = 8
 
 
@@ -67,14 +67,14 @@ class Window:
 def windows_of(detector: ScalingDetector) -> tuple[Window, ...]:
     """The images that a detector is tried on: small ones, that its network receives pixel by pixel.
 
-    A network that takes any size gets windows of several sizes, cut out of images of up to `WIDEST_IMAGE_PX`; one that
+    A network that takes any size gets windows of several sizes, cut out of images of up to `_WIDEST_IMAGE_PX`; one that
     scales all images to a size of its own gets whole images as wide as that size.
     """
     if all(detector.network_scale(height, width) == (1.0, 1.0) for width, height, _ in WINDOWS_PX):
         return tuple(Window(*window, is_cut=True) for window in WINDOWS_PX)
     rows, columns = detector.input_size_px(256, 256)
-    count = max(1, round(min(VIEWS_PER_SCENE, PIXELS_PER_SCENE / (rows * columns)) / len(ASPECTS)))
-    return tuple(Window(columns, max(8, round(columns / aspect)), count, is_cut=False) for aspect in ASPECTS)
+    count = max(1, round(min(VIEWS_PER_SCENE, _PIXELS_PER_SCENE / (rows * columns)) / len(_ASPECTS)))
+    return tuple(Window(columns, max(8, round(columns / aspect)), count, is_cut=False) for aspect in _ASPECTS)
 
 
 def mixed_camera(
@@ -113,22 +113,22 @@ def mixed_camera(
 
 
 def _any_model(rng: np.random.Generator, window: Window, near_m: float) -> CameraModel:
-    is_fisheye = rng.random() < FISHEYE_SHARE
-    fov_rad = math.radians(rng.uniform(*(FISHEYE_FOV_DEG if is_fisheye else PINHOLE_FOV_DEG)))
+    is_fisheye = rng.random() < _FISHEYE_SHARE
+    fov_rad = math.radians(rng.uniform(*(_FISHEYE_FOV_DEG if is_fisheye else _PINHOLE_FOV_DEG)))
     width_px, height_px = window.width_px, window.height_px
     if window.is_cut:
-        width_px = round(math.exp(rng.uniform(math.log(width_px), math.log(WIDEST_IMAGE_PX))))
-        height_px = max(height_px, round(width_px / rng.choice(ASPECTS)))
+        width_px = round(math.exp(rng.uniform(math.log(width_px), math.log(_WIDEST_IMAGE_PX))))
+        height_px = max(height_px, round(width_px / rng.choice(_ASPECTS)))
     return CameraModel(width_px, height_px, fov_rad, near_m, Lens.FISHEYE if is_fisheye else Lens.PINHOLE)
 
 
 def _any_place(
     rng: np.random.Generator, surface: MountSurface, ego_bounds_m: np.ndarray, model: CameraModel, name: str
 ) -> RigCamera:
-    pitch_rad = 0.0 if rng.random() < LEVEL_SHARE else math.radians(rng.uniform(*PITCH_DEG))
-    if rng.random() < ROOF_SHARE:
+    pitch_rad = 0.0 if rng.random() < _LEVEL_SHARE else math.radians(rng.uniform(*PITCH_DEG))
+    if rng.random() < _ROOF_SHARE:
         position_m = rng.uniform(*surface.bounds_m)
-        offset_m = math.exp(rng.uniform(*np.log(ROOF_OFFSET_M)))
+        offset_m = math.exp(rng.uniform(*np.log(_ROOF_OFFSET_M)))
         z_m = float(surface.height_at_m(position_m[None])[0]) + offset_m
         return RigCamera(name, np.array([*position_m, z_m]), rng.uniform(-math.pi, math.pi), pitch_rad, 0.0, model)
     low_m, high_m = ego_bounds_m[:, :2].astype(np.float64)
@@ -137,9 +137,9 @@ def _any_place(
     position_m = rng.uniform(low_m, high_m)
     axis = side % 2
     position_m[axis] = (high_m if side < 2 else low_m)[axis]
-    position_m = position_m + BODY_STANDOFF_M * outwards
-    yaw_rad = 0.5 * math.pi * side + math.radians(rng.uniform(-BODY_YAW_DEG, BODY_YAW_DEG))
-    return RigCamera(name, np.array([*position_m, rng.uniform(*BODY_HEIGHT_M)]), yaw_rad, pitch_rad, 0.0, model)
+    position_m = position_m + _BODY_STANDOFF_M * outwards
+    yaw_rad = 0.5 * math.pi * side + math.radians(rng.uniform(-_BODY_YAW_DEG, _BODY_YAW_DEG))
+    return RigCamera(name, np.array([*position_m, rng.uniform(*_BODY_HEIGHT_M)]), yaw_rad, pitch_rad, 0.0, model)
 
 
 def _cut(rng: np.random.Generator, camera: RigCamera, window: Window, aim_px: np.ndarray) -> RigCamera:

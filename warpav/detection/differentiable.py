@@ -30,7 +30,7 @@ from warpav.raster.camera import CameraModel
 MAX_ERROR = 1e-3
 _MIN_OPSET = 11
 _FREE_SIZE_PX = (64, 96)  # of the trial image where the file leaves its size open
-STRIDE_PX = 32
+_STRIDE_PX = 32
 # The score at which the logarithmic score loss bends: a candidate far below still pulls, none pulls without bound.
 _SCORE_FLOOR = 0.01
 # Error of a side, in sizes of the true box along it, at which the agreement of a candidate has halved.
@@ -38,7 +38,7 @@ _TOLERANCE = 0.25
 _MIN_SIZE_PX = 4.0
 # How sharply a candidate must agree with the true box to answer for the object.
 _AGREEMENT_POWER = 3.0
-PHASE_COUNT = 16
+_PHASE_COUNT = 16
 _REACH_PX = 8  # of the moves, to both sides
 _SOFTENING = (1.0, 4.0, 6.0, 4.0, 1.0)
 _GREY = 114.0 / 255.0
@@ -100,7 +100,7 @@ class DifferentiableDetector:
         label_group: Sequence[int] | np.ndarray,
         *,
         device: str = "cpu",
-        phase_count: int = PHASE_COUNT,
+        phase_count: int = _PHASE_COUNT,
     ) -> None:
         self._path = Path(path)
         self._network = TorchNetwork(path, device=_torch_device(device))
@@ -156,11 +156,11 @@ class DifferentiableDetector:
                 not finite.
         """
         _, height_px, width_px = image.shape
-        if height_px % STRIDE_PX or width_px % STRIDE_PX:
+        if height_px % _STRIDE_PX or width_px % _STRIDE_PX:
             raise OptionError(
                 "losses.detector_gradient",
                 f"expected camera.width_px and camera.height_px to be multiples of "
-                f"{STRIDE_PX}, got {width_px} x {height_px}",
+                f"{_STRIDE_PX}, got {width_px} x {height_px}",
             )
         if len(box_px) == 0:
             still = wp.zeros_like(image) if weight is not None else None

@@ -9,7 +9,7 @@ import numpy as np
 
 # A rendered image of object indices marks nothing with -1, the environment with 0, the ego vehicle with 1, and vehicle
 # k of the scene with 2 + k.
-FIRST_VEHICLE_INDEX = 2
+_FIRST_VEHICLE_INDEX = 2
 
 
 def largest_component_box(silhouette: np.ndarray, *, min_area_px: int = 16) -> np.ndarray | None:
@@ -49,7 +49,7 @@ def visible_boxes(object_index: np.ndarray, vehicle_count: int, *, min_area_px: 
     if vehicle_count == 0:
         return box_px
     # One sweep finds the rectangle that holds each vehicle, so that components are sought in small crops only.
-    label = np.asarray(object_index, np.int32) - (FIRST_VEHICLE_INDEX - 1)
+    label = np.asarray(object_index, np.int32) - (_FIRST_VEHICLE_INDEX - 1)
     for vehicle, region in enumerate(find_objects(np.maximum(label, 0), max_label=vehicle_count)):
         if region is None:
             continue

@@ -30,12 +30,12 @@ BUILTIN_MODEL_PATH = Path(__file__).parent / "models" / "warpav_town_nano.onnx"
 
 # Labels that mean a road user, as COCO (both spellings of its motorcycle), other street data sets and the shipped
 # detector name them. COCO's bicycle is none: it marks the thing alone, ridden or parked, while its rider is a person.
-ROAD_USER_LABELS = {
+_ROAD_USER_LABELS = {
     "vehicle": ("car", "van", "truck", "lorry", "bus", "motorcycle", "motorbike", "vehicle"),
     "pedestrian": ("pedestrian", "person", "people"),
     "cyclist": ("cyclist", "bicyclist", "rider"),
 }
-PROVIDERS = {
+_PROVIDERS = {
     "cpu": "CPUExecutionProvider",
     "cuda": "CUDAExecutionProvider",
     "tensorrt": "TensorrtExecutionProvider",
@@ -98,7 +98,7 @@ class OnnxDetector:
         labels: Labels in the order of the network's classes, or a file with one a line; None: the file's metadata, else
             COCO's if implied by the number of classes or by the family.
         classes: Labels of each kind of road user, capital letters or not; where a kind is missing or None, it has those
-            of `ROAD_USER_LABELS` that the network knows.
+            of `_ROAD_USER_LABELS` that the network knows.
         targets: Kinds of road users to detect, out of `ROAD_USERS`; None: vehicles, and all others that
             it has labels for.
         input_px: Images are scaled so that their longer side has this many pixels, and padded to multiples of 32; a
@@ -388,7 +388,7 @@ class OnnxDetector:
         for user in ROAD_USERS:
             given = classes.get(user)
             # A label that the user assigns to one kind of road user belongs to no other kind.
-            usual = [label for label in ROAD_USER_LABELS[user] if named.get(label, user) == user]
+            usual = [label for label in _ROAD_USER_LABELS[user] if named.get(label, user) == user]
             wanted = usual if given is None else [label.lower() for label in given]
             found[user] = np.array(sorted({k for label in wanted for k in index.get(label, ())}), np.int32)
             if len(found[user]) == 0 and user in (("vehicle",) if targets is None else targets):
@@ -430,7 +430,7 @@ def _half_hint(image: Tensor) -> str:
 def _open_session(path: Path, threads: int | None, provider: str) -> InferenceSession:
     import onnxruntime
 
-    known = {name: full for name, full in PROVIDERS.items() if full in onnxruntime.get_available_providers()}
+    known = {name: full for name, full in _PROVIDERS.items() if full in onnxruntime.get_available_providers()}
     if provider not in known:
         raise OptionError(
             "detector.provider",

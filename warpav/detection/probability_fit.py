@@ -31,10 +31,10 @@ from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import RigCamera
 from warpav.scene.device_scene import DeviceScene
 
-KNOT_COUNT = 9
-PENALTIES = (0.3, 3.0, 30.0, 300.0)
-FOLD_COUNT = 5
-RIDGE = 0.01
+_KNOT_COUNT = 9
+_PENALTIES = (0.3, 3.0, 30.0, 300.0)
+_FOLD_COUNT = 5
+_RIDGE = 0.01
 BIN_COUNT = 15
 MIN_OBJECTS = 200
 MIN_OF_EACH = 10
@@ -219,8 +219,8 @@ def fit_probability(
     samples: DetectionSamples,
     *,
     rng: np.random.Generator,
-    knot_count: int = KNOT_COUNT,
-    penalties: Sequence[float] = PENALTIES,
+    knot_count: int = _KNOT_COUNT,
+    penalties: Sequence[float] = _PENALTIES,
     monotone: Sequence[int] = MONOTONE,
 ) -> tuple[DetectionProbability, float]:
     """Fit the curves by logistic regression, penalised by their second differences.
@@ -239,10 +239,10 @@ def fit_probability(
     )
     regression = _Regression.of(basis, samples.is_detected, knot_count, monotone)
     seeds = rng.permutation(np.unique(samples.seed))
-    fold_of = np.argsort(seeds)[np.searchsorted(np.sort(seeds), samples.seed)] % FOLD_COUNT
+    fold_of = np.argsort(seeds)[np.searchsorted(np.sort(seeds), samples.seed)] % _FOLD_COUNT
     best = penalties[0]
-    if len(seeds) >= FOLD_COUNT and len(penalties) > 1:
-        folds = [fold_of == k for k in range(FOLD_COUNT)]
+    if len(seeds) >= _FOLD_COUNT and len(penalties) > 1:
+        folds = [fold_of == k for k in range(_FOLD_COUNT)]
         loss = [sum(regression.left_out_loss(left_out, penalty) for left_out in folds) for penalty in penalties]
         best = penalties[int(np.argmin(loss))]
     weight = regression.fit(np.ones(count, bool), best)
@@ -288,7 +288,7 @@ class _Regression:
         from scipy.special import expit
 
         design, outcome = self.design[used] @ self.rising, self.outcome[used]
-        ridge = np.full(len(self.bend), RIDGE)
+        ridge = np.full(len(self.bend), _RIDGE)
         ridge[0] = 1e-9  # the constant goes where it wants
         costs = self.rising.T @ (penalty * self.bend + np.diag(ridge)) @ self.rising
 

@@ -21,7 +21,7 @@ from warpav.raster.scene import Scene
 from warpav_kernels.raster import bent_edges, layers, lens, measure, outline, ray_space, trace, view
 from warpav_kernels.raster import rays as ray_kernels
 
-LENS_KINDS = {
+_LENS_KINDS = {
     Lens.PINHOLE: (int(lens.PINHOLE), 0),
     Lens.BROWN_CONRADY: (int(lens.BROWN_CONRADY), 0),
     Lens.FISHEYE: (int(lens.FISHEYE), 0),
@@ -35,23 +35,23 @@ LENS_KINDS = {
 GUARD = int(view.GUARD)
 
 # How a launch is spread over threads: on the CPU it is one loop, where more threads would only cost.
-CUDA_CLUSTER_LANES = 32  # share one cluster of triangles
-CUDA_MEASURE_LANES = (16, 32)  # rows and columns of threads that share the samples of one object in one view
-CUDA_SUM_LANES = 16  # of them are summed first
-CUDA_ROW_LANES = 128  # share one row of an image
-FLOW_LANES, CUDA_FLOW_LANES = (64, 1), (64, 32)  # rows and columns of threads that share the flow of one image
+_CUDA_CLUSTER_LANES = 32  # share one cluster of triangles
+_CUDA_MEASURE_LANES = (16, 32)  # rows and columns of threads that share the samples of one object in one view
+_CUDA_SUM_LANES = 16  # of them are summed first
+_CUDA_ROW_LANES = 128  # share one row of an image
+_FLOW_LANES, _CUDA_FLOW_LANES = (64, 1), (64, 32)  # rows and columns of threads that share the flow of one image
 CUDA_STRIP_GROUPS, CUDA_STRIP_LANES = 8192, 32  # fill large triangles
-CUDA_STRIPS = 1 << 18, 1 << 22  # room in their queue, at least and at most
-CUDA_STRIP_SAMPLES = 64  # there is room for a strip in so many samples of the views
+_CUDA_STRIPS = 1 << 18, 1 << 22  # room in their queue, at least and at most
+_CUDA_STRIP_SAMPLES = 64  # there is room for a strip in so many samples of the views
 
 # Warp's arrays have strides of 32 bits, in bytes; see `Buffers.reserve_samples`.
 MAX_ATLAS_SAMPLES = (2**31 - 1) // 8
 MAX_VIEW_SAMPLES = 2**27
 
-REACH_STEP_RAD = math.radians(3.0)
+_REACH_STEP_RAD = math.radians(3.0)
 """Zooms whose images end at nearly the same angle from the axis share a table."""
 
-WIDE_RAD = 50.0
+_WIDE_RAD = 50.0
 """Half the size of a window that holds all directions, whatever its softness."""
 
 
@@ -149,7 +149,7 @@ class Buffers:
         self.has_foreground = has_foreground
         self.ones = wp.full((1, self.height_px, self.width_px), 1.0, dtype=float, device=self.device)
         self.all_directions = wp.full(
-            self.view_count, wp.vec4(0.0, 0.0, WIDE_RAD, WIDE_RAD), dtype=wp.vec4, device=self.device
+            self.view_count, wp.vec4(0.0, 0.0, _WIDE_RAD, _WIDE_RAD), dtype=wp.vec4, device=self.device
         )
         self._intrinsics_px = self.zeros(self.view_count, wp.vec4)
         self._near_m = self.zeros(self.view_count, float)
@@ -175,18 +175,18 @@ class Buffers:
         self.key = self.zeros((0, 0, 0), wp.int64)
         self._sample_count = self.zeros(1, wp.int64)
         self.needed_samples = self.zeros(1, wp.int64)
-        least, most = CUDA_STRIPS
-        strips = min(max(self.view_count * self.height * self.width // CUDA_STRIP_SAMPLES, least), most)
+        least, most = _CUDA_STRIPS
+        strips = min(max(self.view_count * self.height * self.width // _CUDA_STRIP_SAMPLES, least), most)
         self.strip = self.zeros(0 if self.device.is_cpu else strips, wp.vec4i)
         self.strip_count = self.zeros(1, wp.int32)
         self.layers = layers.Layers()
         self.hiding, self.foreground_hiding = outline.Hiding(), outline.Hiding()
         self.reserve_samples(0)
         self._state: RenderState | None = None
-        self.lanes = (1, 1) if self.device.is_cpu else CUDA_MEASURE_LANES
-        self.cluster_lanes = 1 if self.device.is_cpu else CUDA_CLUSTER_LANES
-        self.row_lanes = 1 if self.device.is_cpu else CUDA_ROW_LANES
-        self.flow_lanes = FLOW_LANES if self.device.is_cpu else CUDA_FLOW_LANES
+        self.lanes = (1, 1) if self.device.is_cpu else _CUDA_MEASURE_LANES
+        self.cluster_lanes = 1 if self.device.is_cpu else _CUDA_CLUSTER_LANES
+        self.row_lanes = 1 if self.device.is_cpu else _CUDA_ROW_LANES
+        self.flow_lanes = _FLOW_LANES if self.device.is_cpu else _CUDA_FLOW_LANES
         self.thread_count = 1
         if self.device.is_cpu:
             self.thread_count = thread_count or min(available_cores(), 8)
@@ -449,10 +449,10 @@ class Buffers:
     def grouped(self, derivative: wp.array) -> wp.array:
         """Sums over groups of neighbouring lanes; the same array where there are few."""
         *sums, lanes = derivative.shape
-        if lanes <= CUDA_SUM_LANES:
+        if lanes <= _CUDA_SUM_LANES:
             return derivative
-        groups = self.kept("group derivative", (*sums, lanes // CUDA_SUM_LANES), measure.BoundaryDerivative)
-        self.launch(measure.sum_lanes_kernel, groups.shape, inputs=[derivative, CUDA_SUM_LANES], outputs=[groups])
+        groups = self.kept("group derivative", (*sums, lanes // _CUDA_SUM_LANES), measure.BoundaryDerivative)
+        self.launch(measure.sum_lanes_kernel, groups.shape, inputs=[derivative, _CUDA_SUM_LANES], outputs=[groups])
         return groups
 
 
@@ -465,13 +465,13 @@ def reach_rad(model: CameraModel, log_zoom: float) -> float:
     ray = model.shape.ray((corner_px - [cx, cy]) / [fx * math.exp(log_zoom), fy * math.exp(log_zoom)])
     if not np.isfinite(ray).all():
         return math.pi
-    return REACH_STEP_RAD * (1 + math.ceil(math.atan(np.linalg.norm(ray[:, :2], axis=1).max()) / REACH_STEP_RAD))
+    return _REACH_STEP_RAD * (1 + math.ceil(math.atan(np.linalg.norm(ray[:, :2], axis=1).max()) / _REACH_STEP_RAD))
 
 
 def lens_of(model: CameraModel) -> Any:  # noqa: ANN401 (a struct, which is no type to a checker)
     """The model's lens as the kernels take it."""
     result = lens.Lens()
-    result.kind, result.formula = LENS_KINDS[model.lens]
+    result.kind, result.formula = _LENS_KINDS[model.lens]
     result.limit, result.edge = model.shape.limit, model.shape.edge
     result.distortion = lens.vec8(*model.shape.coefficients)
     return result

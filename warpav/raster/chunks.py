@@ -20,16 +20,16 @@ from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene
 
 KEPT_BYTES = 2**29
-CHUNK_KEY_BYTES = 2**28
+_CHUNK_KEY_BYTES = 2**28
 MAX_CHUNK_VIEWS = 64
-GPU_ROOM = 4
+_GPU_ROOM = 4
 """What a view takes on a GPU over its keys: silhouettes, images and what is measured of them as well."""
 
 _Result = TypeVar("_Result")
 _logger = logging.getLogger(__name__)
 
 
-def chunk_view_count(model: CameraModel, *, supersampling: int = 1, key_bytes: int = CHUNK_KEY_BYTES) -> int:
+def chunk_view_count(model: CameraModel, *, supersampling: int = 1, key_bytes: int = _CHUNK_KEY_BYTES) -> int:
     """Views that are rendered at once: as many as fit into so many bytes of keys, 1 to 64; by default 256 MiB.
 
     Street scenes take about as much again for silhouettes.
@@ -50,7 +50,7 @@ def views_with_room(most: int, view_bytes: int, *, free_bytes: int, sharers: int
 def gpu_view_count(most: int, model: CameraModel, *, supersampling: int, device: str, renderers: int = 1) -> int:
     """How many of so many views a renderer on a GPU renders at once, by what is free there now; fewer are said."""
     free_bytes = wp.get_device(device).free_memory
-    view_bytes = GPU_ROOM * _key_bytes(model, supersampling)
+    view_bytes = _GPU_ROOM * _key_bytes(model, supersampling)
     count = views_with_room(most, view_bytes, free_bytes=free_bytes, sharers=renderers * gpu_processes())
     if count < most:
         text = "%s has %.1f GB free: %d views at once instead of %d; the numbers are the same"

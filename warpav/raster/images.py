@@ -129,7 +129,7 @@ def record(buffers: Buffers, image: wp.array, poses: ViewPoses, backward: Callab
 
     Parts that want no gradient get a buffer that nobody reads.
     """
-    tape = active_tape()
+    tape = _active_tape()
     wanted = [array for array in poses if array is not None and array.requires_grad]
     if tape is None or not wanted:
         return
@@ -142,7 +142,7 @@ def record(buffers: Buffers, image: wp.array, poses: ViewPoses, backward: Callab
     tape.record_func(lambda: backward(gradients), [image, *wanted])
 
 
-def active_tape() -> wp.Tape | None:
+def _active_tape() -> wp.Tape | None:
     """The tape that records now, None outside of any.
 
     Warp records launches and copies by itself, but has no public name for where: its own ``wp.copy`` asks as is done

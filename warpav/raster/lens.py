@@ -28,13 +28,13 @@ from functools import cache, cached_property
 
 import numpy as np
 
-MAX_TANGENT = 100.0
+_MAX_TANGENT = 100.0
 """A Brown-Conrady lens sees no farther from its axis than 89.4 degrees."""
 
 TABLE_ENTRIES = 4096
 """Entries of `image_table`."""
 
-NEARBY_RAD = 0.16
+_NEARBY_RAD = 0.16
 """How far from an entry of it a great circle may begin."""
 
 _LAST_RAD = math.radians(175.0)  # from the axis: beyond, a fisheye's image of a point is a circle
@@ -112,7 +112,7 @@ class LensShape:
         if self.lens in (Lens.EUCM, Lens.DOUBLE_SPHERE):
             return self._two_spheres_limit_rad
         growth = _polynomial([1.0])
-        end = MAX_TANGENT
+        end = _MAX_TANGENT
         if self.lens is Lens.BROWN_CONRADY:
             above, below = self._fraction
             squared = _polynomial([0.0, 2.0])
@@ -315,7 +315,7 @@ def image_table(shape: LensShape, reach_rad: float = math.pi) -> np.ndarray:
 
     Returns:
         Radius over the sine of the angle t from the axis [focal lengths], and the greatest curvature of the image of a
-        great circle that comes within `NEARBY_RAD` [focal lengths/rad^2], float32 [entry, 2]; the entries lie evenly
+        great circle that comes within `_NEARBY_RAD` [focal lengths/rad^2], float32 [entry, 2]; the entries lie evenly
         over ``(1 - cos t) / 2``, from 0 to 1. Of a panorama zeros.
     """
     if not shape.is_radial:
@@ -338,7 +338,7 @@ def image_table(shape: LensShape, reach_rad: float = math.pi) -> np.ndarray:
         ]
         second = np.linalg.norm(place[0] - 2.0 * place[1] + place[2], axis=-1) / step**2
         curvature = np.maximum(curvature, second)
-    reach = math.ceil(NEARBY_RAD / (at[1] - at[0]))
+    reach = math.ceil(_NEARBY_RAD / (at[1] - at[0]))
     padded = np.pad(curvature, reach, mode="edge")
     greatest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=-1)
     return np.stack([share, 1.1 * np.interp(angle, at, greatest)], axis=-1).astype(np.float32)

@@ -10,7 +10,7 @@ import numpy as np
 
 from warpav.raster.mesh import Mesh
 
-MIN_FACING = math.cos(math.radians(30.0))
+_MIN_FACING = math.cos(math.radians(30.0))
 """Least cosine between a triangle of the pane and the pane's normal: what only ends at the pane stays, as a scuttle."""
 
 SAME_M = 0.02
@@ -93,7 +93,7 @@ class Pane:
         )
         corner_m = corner_m[near]
         normal = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
-        along = np.abs(normal @ self._axes[2]) >= MIN_FACING * np.linalg.norm(normal, axis=1)
+        along = np.abs(normal @ self._axes[2]) >= _MIN_FACING * np.linalg.norm(normal, axis=1)
         inside = self.holds(np.einsum("sk,tki->tsi", _middles(), corner_m))
         clear[near] = along & (inside.mean(axis=1) >= 0.5)
         return clear

@@ -10,7 +10,7 @@ import warp as wp
 from warpav.core.errors import InputError
 from warpav_kernels.raster import linearise
 
-RIGID_TOLERANCE = 1e-3
+_RIGID_TOLERANCE = 1e-3
 """A rotation times its transpose may differ from the identity by so much."""
 
 
@@ -99,8 +99,8 @@ def check_rigid(matrix: np.ndarray) -> None:
         raise InputError(f"camera_from_world: expected finite numbers, got NaN or infinity in view {np.argmax(bad)}")
     rotation = matrix[:, :3, :3].astype(np.float64)
     off = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    bad = (off > RIGID_TOLERANCE) | (np.linalg.det(rotation) < 0.0)
-    bad |= np.abs(matrix[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1) > RIGID_TOLERANCE
+    bad = (off > _RIGID_TOLERANCE) | (np.linalg.det(rotation) < 0.0)
+    bad |= np.abs(matrix[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1) > _RIGID_TOLERANCE
     if bad.any():
         v = int(np.argmax(bad))
         raise InputError(

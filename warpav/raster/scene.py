@@ -49,7 +49,7 @@ BACKGROUND_ID = -1
 """What ids say where nothing is hit. Object k is k, occluder j is ``-2 - j``; the foreground is the last occluder."""
 
 
-def spread_bits(value: np.ndarray) -> np.ndarray:
+def _spread_bits(value: np.ndarray) -> np.ndarray:
     """Every bit of a 10-bit number moved to three times its place, for Morton codes; uint64, same shape."""
     value = value.astype(np.uint64)
     for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
@@ -57,12 +57,14 @@ def spread_bits(value: np.ndarray) -> np.ndarray:
     return value
 
 
-def morton_order(centre_m: np.ndarray, body: np.ndarray) -> np.ndarray:
+def _morton_order(centre_m: np.ndarray, body: np.ndarray) -> np.ndarray:
     """Order that sorts triangles by body and, within a body, along a Morton curve; int64 [triangle]."""
     low, high = centre_m.min(axis=0), centre_m.max(axis=0)
     cell = ((centre_m - low) / np.maximum(high - low, 1e-9) * 1023.0).astype(np.uint64)
     code = (
-        spread_bits(cell[:, 0]) | (spread_bits(cell[:, 1]) << np.uint64(1)) | (spread_bits(cell[:, 2]) << np.uint64(2))
+        _spread_bits(cell[:, 0])
+        | (_spread_bits(cell[:, 1]) << np.uint64(1))
+        | (_spread_bits(cell[:, 2]) << np.uint64(2))
     )
     return np.lexsort((code, body))
 
@@ -100,7 +102,7 @@ def neighbours(vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
     return result
 
 
-def closed_bounds(corner_m: np.ndarray, neighbour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _closed_bounds(corner_m: np.ndarray, neighbour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest corner of the surface of every triangle [m], infinite if that is open; [triangle, axis].
 
     A surface is what hangs together across sides. It is closed if no triangle lacks a neighbour and it holds a positive
@@ -235,7 +237,7 @@ class Scene:
         """Arrays of the meshes: occluders, then objects."""
         whole = merge(meshes)
         body = np.repeat(np.arange(len(meshes)), [len(mesh.triangle) for mesh in meshes])
-        order = morton_order(whole.vertex_m[whole.triangle].mean(axis=1), body)
+        order = _morton_order(whole.vertex_m[whole.triangle].mean(axis=1), body)
         triangle, body = whole.triangle[order], body[order].astype(np.int32)
 
         # cut every body's run of triangles into clusters
@@ -257,7 +259,7 @@ class Scene:
         bounds_m = np.array([meshes[i].bounds_m() for i in layer_body], np.float32).reshape(-1, 2, 3)
 
         neighbour = neighbours(whole.vertex_m, triangle)
-        closed_low, closed_high = closed_bounds(corner_m.reshape(-1, 3, 3), neighbour)
+        closed_low, closed_high = _closed_bounds(corner_m.reshape(-1, 3, 3), neighbour)
         closed = np.stack(
             [np.minimum.reduceat(closed_low, first, axis=0), np.maximum.reduceat(closed_high, first, axis=0)], axis=1
         )

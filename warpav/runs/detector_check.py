@@ -18,11 +18,11 @@ from warpav.runs.networks import load_detector
 from warpav.view.figures.style import checked_png
 from warpav.view.palette import CAMERA_RGB, PAPER_RGB
 
-SMALL_PX = 256
-OWN_SIZE_PX = 640
+_SMALL_PX = 256
+_OWN_SIZE_PX = 640
 BATCH = 16
-REPEAT = 3
-REPEAT_WITHIN_S = 1.0
+_REPEAT = 3
+_REPEAT_WITHIN_S = 1.0
 
 
 def check_detector(
@@ -77,14 +77,14 @@ def _description(detector: OnnxDetector) -> Iterator[str]:
 def _timings(detector: OnnxDetector) -> Iterator[str]:
     """Time of an image, packing, network, boxes and suppression included."""
     rng = np.random.default_rng(0)
-    own_px = detector.file.size_px or (OWN_SIZE_PX, OWN_SIZE_PX)
-    for height_px, width_px in dict.fromkeys(((SMALL_PX, SMALL_PX), own_px)):
+    own_px = detector.file.size_px or (_OWN_SIZE_PX, _OWN_SIZE_PX)
+    for height_px, width_px in dict.fromkeys(((_SMALL_PX, _SMALL_PX), own_px)):
         parts = []
         for batch in (1, BATCH) if detector.family.batch is None else (detector.family.batch,):
             images_rgb = rng.integers(0, 256, (batch, height_px, width_px, 3), np.uint8)
             detector.detect(images_rgb)  # the first run of a size prepares those that follow
             seconds = []
-            while len(seconds) < REPEAT and sum(seconds) < REPEAT_WITHIN_S:
+            while len(seconds) < _REPEAT and sum(seconds) < _REPEAT_WITHIN_S:
                 start = time.perf_counter()
                 detector.detect(images_rgb)
                 seconds.append(time.perf_counter() - start)

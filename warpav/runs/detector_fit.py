@@ -74,7 +74,7 @@ _logger = logging.getLogger(__name__)
 # streams of random numbers
 _CAMERAS, _FOLDS, _MIXTURE = 11, 12, 13
 
-LONG_S = 30.0
+_LONG_S = 30.0
 """A fit that takes longer says how long before it begins [s]."""
 _SCENES_PER_PROCESS = 8
 """Fewer are sampled sooner than a process starts."""
@@ -560,7 +560,7 @@ def _sample_scenes(
             if done == count:  # the first of a process also pays for what all need
                 began = now
             expected_s = now - all_began + (len(missing) - done) * (now - began) / count
-            if done == 2 * count and expected_s > LONG_S:
+            if done == 2 * count and expected_s > _LONG_S:
                 _say(f"{job} takes {_about(expected_s)}", "progress=True shows how far it is", progress)
     except KeyboardInterrupt:
         with contextlib.suppress(OSError):  # the terminal may be gone

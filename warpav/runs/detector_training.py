@@ -17,7 +17,7 @@ from warpav.detection.training.evaluate import evaluate
 from warpav.runs.config import Config
 from warpav.runs.networks import load_detector
 
-MIN_CONFIDENCE = 0.01
+_MIN_CONFIDENCE = 0.01
 """Detections from here on take part in the average precision."""
 
 _FIGURES = {
@@ -121,7 +121,7 @@ def measure_detector(
         if value is not None and value < 1:
             raise InputError(f"command line (--{option}): expected at least 1, got {value}")
     found = config.model_copy(
-        update={"detector": config.detector.model_copy(update={"confidence_min": MIN_CONFIDENCE})}
+        update={"detector": config.detector.model_copy(update={"confidence_min": _MIN_CONFIDENCE})}
     )
     detector = load_detector(found, every_road_user=True)
     folder = _made_folders(out, image_folder)

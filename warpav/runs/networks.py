@@ -193,13 +193,13 @@ def load_networks(config: Config) -> Networks:
     return Networks(detector, differentiable)
 
 
-NETWORK_OPTIONS = ("detector.model", "detector.format", "detector.labels", "detector.classes", "detector.input_px")
+_NETWORK_OPTIONS = ("detector.model", "detector.format", "detector.labels", "detector.classes", "detector.input_px")
 """Options that say what a network is: a panel asks the files."""
 
-DESCRIBED = ("format", "labels", "classes", "input_px", "confidence_min", "nms_iou_max")
+_DESCRIBED = ("format", "labels", "classes", "input_px", "confidence_min", "nms_iou_max")
 """Options of the section ``detector`` that the description of a network may set."""
 
-IMAGE_SIZE = ("width_px", "height_px")
+_IMAGE_SIZE = ("width_px", "height_px")
 """Size of the images that a network judges, in its description."""
 
 
@@ -233,8 +233,8 @@ def networks_in(folder: Path, config: Config) -> list[PanelNetwork]:
 
     A file that fixes its input gets images that fill it, in the proportions of the configured camera; one that takes
     any size gets images of the configured size. Beside ``name.onnx`` may lie ``name.yaml``, its description: options
-    of the section ``detector`` (`DESCRIBED`) that the file itself does not tell, and the size of its images
-    (`IMAGE_SIZE`).
+    of the section ``detector`` (`_DESCRIBED`) that the file itself does not tell, and the size of its images
+    (`_IMAGE_SIZE`).
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of ONNX files, got {'a file' if folder.exists() else 'none'}")
@@ -265,7 +265,7 @@ def _description(file: Path) -> tuple[tuple[str, ...], tuple[int, int] | None]:
     if not file.is_file():
         return (), None
     data, line_of = read_yaml(file)
-    known = (*DESCRIBED, *IMAGE_SIZE)
+    known = (*_DESCRIBED, *_IMAGE_SIZE)
     if not isinstance(data, dict):
         raise InputError(f"{file}: expected options of a network such as input_px: 640, got {type(data).__name__}")
     for name in data:
@@ -273,8 +273,8 @@ def _description(file: Path) -> tuple[tuple[str, ...], tuple[int, int] | None]:
             near = difflib.get_close_matches(name, known, 1)
             hint = f"; did you mean {near[0]}?" if near else ""
             raise InputError(f"{file}:{line_of[(name,)]}: expected one of {', '.join(known)}, got {name!r}{hint}")
-    overrides = tuple(f"detector.{name}={flow_text(data[name])}" for name in DESCRIBED if name in data)
-    width_px, height_px = (data.get(name) for name in IMAGE_SIZE)
+    overrides = tuple(f"detector.{name}={flow_text(data[name])}" for name in _DESCRIBED if name in data)
+    width_px, height_px = (data.get(name) for name in _IMAGE_SIZE)
     if width_px is None and height_px is None:
         return overrides, None
     if type(width_px) is not int or type(height_px) is not int or min(width_px, height_px) < 1:
@@ -287,7 +287,7 @@ def _description(file: Path) -> tuple[tuple[str, ...], tuple[int, int] | None]:
 def check_panel_options(option_names: Sequence[str]) -> None:
     """Reject options that a panel takes from its files."""
     for option in option_names:
-        if option.startswith(NETWORK_OPTIONS):
+        if option.startswith(_NETWORK_OPTIONS):
             raise InputError(
                 f"command line ({option}): expected an option that all networks of a panel share, got one that each "
                 "file answers; leave it out"

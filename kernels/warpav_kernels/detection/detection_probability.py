@@ -13,28 +13,28 @@ from warpav_kernels.raster.measure import AMODAL_AREA, BOTTOM, LEFT, RIGHT, TOP,
 VISIBLE_SIZE = wp.constant(0)  # ln(1 + visible area / px^2)
 VISIBLE_SHARE = wp.constant(1)  # visible area over the area of the object alone, inside the image
 IN_FRAME_SHARE = wp.constant(2)  # solid angle of the object alone inside the image, over that of its box
-ASPECT = wp.constant(3)  # ln of (width + 1 px) over (height + 1 px) of the object alone inside the image
-BORDER_DISTANCE = wp.constant(4)  # ln(4 + least distance of that extent from the image's border / px), softly
+_ASPECT = wp.constant(3)  # ln of (width + 1 px) over (height + 1 px) of the object alone inside the image
+_BORDER_DISTANCE = wp.constant(4)  # ln(4 + least distance of that extent from the image's border / px), softly
 CONTRAST = wp.constant(5)  # distance of the object's mean colour from that of its surroundings
 FEATURE_COUNT = wp.constant(6)
 
 
 @wp.func
-def corner_solid_angle(depth_m: float, a_m: float, b_m: float) -> float:
+def _corner_solid_angle(depth_m: float, a_m: float, b_m: float) -> float:
     """Signed solid angle of the rectangle from (0, 0) to (a, b) in a plane at a positive depth [sr]."""
     return wp.atan2(a_m * b_m, depth_m * wp.sqrt(depth_m * depth_m + a_m * a_m + b_m * b_m))
 
 
 @wp.func
-def face_solid_angle(beyond_m: float, a_m: float, b_m: float, half_a_m: float, half_b_m: float) -> float:
+def _face_solid_angle(beyond_m: float, a_m: float, b_m: float, half_a_m: float, half_b_m: float) -> float:
     """Solid angle of a box's face from ``beyond_m`` above its plane and (a, b) off its middle [sr]; 0 from behind."""
     if beyond_m <= 0.0:
         return 0.0
     return (
-        corner_solid_angle(beyond_m, half_a_m - a_m, half_b_m - b_m)
-        + corner_solid_angle(beyond_m, half_a_m + a_m, half_b_m - b_m)
-        + corner_solid_angle(beyond_m, half_a_m - a_m, half_b_m + b_m)
-        + corner_solid_angle(beyond_m, half_a_m + a_m, half_b_m + b_m)
+        _corner_solid_angle(beyond_m, half_a_m - a_m, half_b_m - b_m)
+        + _corner_solid_angle(beyond_m, half_a_m + a_m, half_b_m - b_m)
+        + _corner_solid_angle(beyond_m, half_a_m - a_m, half_b_m + b_m)
+        + _corner_solid_angle(beyond_m, half_a_m + a_m, half_b_m + b_m)
     )
 
 
@@ -64,14 +64,14 @@ def box_solid_angle_kernel(
         z = away[2]
         half = half_size_m[k]
         solid_angle_sr[v, k] = (
-            face_solid_angle(wp.abs(x) - half[0], y, z, half[1], half[2])
-            + face_solid_angle(wp.abs(y) - half[1], x, z, half[0], half[2])
-            + face_solid_angle(wp.abs(z) - half[2], x, y, half[0], half[1])
+            _face_solid_angle(wp.abs(x) - half[0], y, z, half[1], half[2])
+            + _face_solid_angle(wp.abs(y) - half[1], x, z, half[0], half[2])
+            + _face_solid_angle(wp.abs(z) - half[2], x, y, half[0], half[1])
         )
 
 
 @wp.func
-def cubic_spline(coefficient: wp.array2d[float], curve: int, start: float, step: float, x: float) -> float:
+def _cubic_spline(coefficient: wp.array2d[float], curve: int, start: float, step: float, x: float) -> float:
     """Value of a curve at x, its knots being ``start + i step``."""
     last = coefficient.shape[1] - 1
     u = (x - start) / step
@@ -100,7 +100,9 @@ def cubic_spline(coefficient: wp.array2d[float], curve: int, start: float, step:
 
 
 @wp.func
-def soft_border_distance_px(left: float, right: float, top: float, bottom: float, width: float, height: float) -> float:
+def _soft_border_distance_px(
+    left: float, right: float, top: float, bottom: float, width: float, height: float
+) -> float:
     """Least of four distances from the image's border [px], or up to ln 4 px less: smooth where two are alike."""
     a = left
     b = width - right
@@ -158,21 +160,21 @@ def detection_probability_kernel(
     in_frame_share = in_frame_sr[v, k, 0] / whole_sr[v, k]
     aspect = wp.log((right - left + 1.0) / (bottom - top + 1.0))
     # extents that were carried on along their Jacobian may leave the image, where the logarithm would end
-    border = wp.log(wp.max(4.0 + soft_border_distance_px(left, right, top, bottom, width, height), 1.0))
+    border = wp.log(wp.max(4.0 + _soft_border_distance_px(left, right, top, bottom, width, height), 1.0))
     feature[v, k, VISIBLE_SIZE] = size
     feature[v, k, VISIBLE_SHARE] = visible_share
     feature[v, k, IN_FRAME_SHARE] = in_frame_share
-    feature[v, k, ASPECT] = aspect
-    feature[v, k, BORDER_DISTANCE] = border
+    feature[v, k, _ASPECT] = aspect
+    feature[v, k, _BORDER_DISTANCE] = border
     feature[v, k, CONTRAST] = contrast[v, k]
     logit = (
         constant
-        + cubic_spline(coefficient, VISIBLE_SIZE, start[VISIBLE_SIZE], step[VISIBLE_SIZE], size)
-        + cubic_spline(coefficient, VISIBLE_SHARE, start[VISIBLE_SHARE], step[VISIBLE_SHARE], visible_share)
-        + cubic_spline(coefficient, IN_FRAME_SHARE, start[IN_FRAME_SHARE], step[IN_FRAME_SHARE], in_frame_share)
-        + cubic_spline(coefficient, ASPECT, start[ASPECT], step[ASPECT], aspect)
-        + cubic_spline(coefficient, BORDER_DISTANCE, start[BORDER_DISTANCE], step[BORDER_DISTANCE], border)
-        + cubic_spline(coefficient, CONTRAST, start[CONTRAST], step[CONTRAST], contrast[v, k])
+        + _cubic_spline(coefficient, VISIBLE_SIZE, start[VISIBLE_SIZE], step[VISIBLE_SIZE], size)
+        + _cubic_spline(coefficient, VISIBLE_SHARE, start[VISIBLE_SHARE], step[VISIBLE_SHARE], visible_share)
+        + _cubic_spline(coefficient, IN_FRAME_SHARE, start[IN_FRAME_SHARE], step[IN_FRAME_SHARE], in_frame_share)
+        + _cubic_spline(coefficient, _ASPECT, start[_ASPECT], step[_ASPECT], aspect)
+        + _cubic_spline(coefficient, _BORDER_DISTANCE, start[_BORDER_DISTANCE], step[_BORDER_DISTANCE], border)
+        + _cubic_spline(coefficient, CONTRAST, start[CONTRAST], step[CONTRAST], contrast[v, k])
     )
     # the smooth step of fifth order: 0 at nothing, 1 from a pixel on, no kink of the second derivative
     fade = float(1.0)

@@ -26,11 +26,11 @@ from warpav_kernels.raster.view import View, point_in_camera, ray_between, sampl
 
 wp.set_module_options({"enable_backward": False})
 
-PIECE = wp.constant(0.05)  # chord of the directions of a piece of an edge
-PIECE_SAMPLES = wp.constant(8.0)  # its length
-MAX_PIECES = wp.constant(256)  # of an edge
-PLACE_SLACK = wp.constant(0.02)  # by which a place in the image may be off by rounding [samples]
-END_SLACK = wp.constant(2.0e-6)  # by which an edge may reach beyond its ends [rad]
+_PIECE = wp.constant(0.05)  # chord of the directions of a piece of an edge
+_PIECE_SAMPLES = wp.constant(8.0)  # its length
+_MAX_PIECES = wp.constant(256)  # of an edge
+_PLACE_SLACK = wp.constant(0.02)  # by which a place in the image may be off by rounding [samples]
+_END_SLACK = wp.constant(2.0e-6)  # by which an edge may reach beyond its ends [rad]
 
 
 @wp.struct
@@ -50,14 +50,14 @@ class Corner:
 
 
 @wp.func
-def squared_secant(cosine: float) -> float:
+def _squared_secant(cosine: float) -> float:
     """The square of the secant of an angle; very large from a right angle on."""
     cosine = wp.max(cosine, 1.0e-3)
     return 1.0 / (cosine * cosine)
 
 
 @wp.func
-def corner_of(camera: View, rays: Rays, table: int, point: wp.vec3) -> Corner:
+def _corner_of(camera: View, rays: Rays, table: int, point: wp.vec3) -> Corner:
     """A point in camera coordinates, at any distance, as the view sees it."""
     corner = Corner()
     direction = wp.normalize(point)
@@ -74,14 +74,14 @@ def corner_of(camera: View, rays: Rays, table: int, point: wp.vec3) -> Corner:
         corner.bend = entry[1]
         if (
             camera.lens.kind == BROWN_CONRADY
-            and squared_secant(direction[2]) <= 1.0 + camera.lens.limit * camera.lens.limit
+            and _squared_secant(direction[2]) <= 1.0 + camera.lens.limit * camera.lens.limit
         ):
             corner.place = moved_place(camera.lens, direction[0] / direction[2], direction[1] / direction[2])
     return corner
 
 
 @wp.func
-def short_bounds(camera: View, widest_cosine: float, a: Corner, b: Corner, c: Corner) -> wp.vec4:
+def _short_bounds(camera: View, widest_cosine: float, a: Corner, b: Corner, c: Corner) -> wp.vec4:
     """Bounds (left, top, right, bottom) in focal lengths of the image of a small triangle, or of an arc where b is c.
 
     As `find_candidates` bounds them. Columns of a panorama may lie a turn or two beside its image.
@@ -104,7 +104,7 @@ def short_bounds(camera: View, widest_cosine: float, a: Corner, b: Corner, c: Co
     if camera.lens.kind == BROWN_CONRADY:
         sideways = 3.0 * (wp.abs(camera.lens.distortion[2]) + wp.abs(camera.lens.distortion[3]))
         limit = camera.lens.limit * camera.lens.limit
-        widest = squared_secant(wp.min(a.direction[2], wp.min(b.direction[2], c.direction[2])))
+        widest = _squared_secant(wp.min(a.direction[2], wp.min(b.direction[2], c.direction[2])))
         if widest <= 1.0 + limit:
             bulge += 0.84 * squared * sideways * widest * (1.0 + limit)
         else:
@@ -118,7 +118,7 @@ def short_bounds(camera: View, widest_cosine: float, a: Corner, b: Corner, c: Co
 
 
 @wp.func
-def edge_plane(p: wp.vec3, q: wp.vec3, side: float) -> wp.vec3:
+def _edge_plane(p: wp.vec3, q: wp.vec3, side: float) -> wp.vec3:
     """Normal of the plane through the camera's centre and an edge, turned by ``side`` [m^2].
 
     It is computed from the same end whichever way the edge runs: triangles that share it share every bit of it.
@@ -130,7 +130,7 @@ def edge_plane(p: wp.vec3, q: wp.vec3, side: float) -> wp.vec3:
 
 
 @wp.func(inline=False)
-def candidate_of(
+def _candidate_of(
     camera: View,
     rays: Rays,
     table: int,
@@ -152,29 +152,29 @@ def candidate_of(
         depth = wp.vec3(p[2], q[2], r[2])
     if wp.max(depth) < camera.near_m:
         return found
-    a = corner_of(camera, rays, table, p)
-    b = corner_of(camera, rays, table, q)
-    c = corner_of(camera, rays, table, r)
+    a = _corner_of(camera, rays, table, p)
+    b = _corner_of(camera, rays, table, q)
+    c = _corner_of(camera, rays, table, r)
     chord = wp.max(wp.length_sq(b.direction - a.direction), wp.length_sq(c.direction - b.direction))
     chord = wp.max(chord, wp.length_sq(a.direction - c.direction))
     if chord > WIDE * WIDE:
         found = with_bounds(camera, found, wide_bounds(camera, a.direction, b.direction, c.direction), frame)
     else:
-        found = with_bounds(camera, found, short_bounds(camera, widest_cosine, a, b, c), frame)
+        found = with_bounds(camera, found, _short_bounds(camera, widest_cosine, a, b, c), frame)
     has_column = found.first_column <= found.last_column
     has_row = found.first_row <= found.last_row
     if has_column or has_row:
         side = wp.sign(volume)
         found.triangle = triangle
-        found.edge0 = edge_plane(p, q, side)
-        found.edge1 = edge_plane(q, r, side)
-        found.edge2 = edge_plane(r, p, side)
+        found.edge0 = _edge_plane(p, q, side)
+        found.edge1 = _edge_plane(q, r, side)
+        found.edge2 = _edge_plane(r, p, side)
         found.inverse_depth = wp.cross(q - p, r - p) / volume
     return found
 
 
 @wp.func
-def cross_pair(
+def _cross_pair(
     camera: View,
     row: int,
     column: int,
@@ -202,7 +202,7 @@ def cross_pair(
         return
     share = height / (height - other_height)
     crossing = ray_between(here, there, share)
-    slack = -END_SLACK * wp.length(crossing)
+    slack = -_END_SLACK * wp.length(crossing)
     if wp.dot(start, crossing) < slack * wp.length(start) or wp.dot(end, crossing) < slack * wp.length(end):
         return
     w = wp.dot(inverse_depth, crossing)
@@ -219,7 +219,7 @@ def cross_pair(
 
 
 @wp.func(inline=False)
-def cross_bent_edge(
+def _cross_bent_edge(
     camera: View,
     rays: Rays,
     table: int,
@@ -243,49 +243,49 @@ def cross_bent_edge(
     raw = wp.cross(p.direction, q.direction)
     start = wp.cross(raw, p.direction)
     end = wp.cross(q.direction, raw)
-    length = wp.length(q.direction - p.direction) / PIECE
+    length = wp.length(q.direction - p.direction) / _PIECE
     if length < 1.0:
         # of a short edge the table knows the length in the image
-        length = wp.max(camera.focal[0], camera.focal[1]) * wp.length(q.place - p.place) / PIECE_SAMPLES
+        length = wp.max(camera.focal[0], camera.focal[1]) * wp.length(q.place - p.place) / _PIECE_SAMPLES
     else:
-        length *= wp.max(1.0, wp.max(camera.focal[0], camera.focal[1]) * PIECE / PIECE_SAMPLES)
-    pieces = wp.clamp(int(wp.ceil(length)), 1, MAX_PIECES)
+        length *= wp.max(1.0, wp.max(camera.focal[0], camera.focal[1]) * _PIECE / _PIECE_SAMPLES)
+    pieces = wp.clamp(int(wp.ceil(length)), 1, _MAX_PIECES)
     # what is spared for a whole triangle is too much for a piece
     if widest_cosine > -1.0:
-        widest_cosine = wp.cos(wp.max(wp.acos(widest_cosine) - SPARE_RAD + 1.1 * PIECE, 0.0))
+        widest_cosine = wp.cos(wp.max(wp.acos(widest_cosine) - SPARE_RAD + 1.1 * _PIECE, 0.0))
     a = p
     for piece in range(pieces):
         b = q
         if piece + 1 < pieces:
             share = float(piece + 1) / float(pieces)
-            b = corner_of(camera, rays, table, (1.0 - share) * p.direction + share * q.direction)
-        bounds = short_bounds(camera, widest_cosine, a, b, b)
+            b = _corner_of(camera, rays, table, (1.0 - share) * p.direction + share * q.direction)
+        bounds = _short_bounds(camera, widest_cosine, a, b, b)
         turn = int(0)
         if camera.lens.kind == PANORAMA:
             turn = 1
-        first_row = line_after(camera.centre[1] + camera.focal[1] * bounds[1] - PLACE_SLACK, rectangle[1], bottom)
-        last_row = line_after(camera.centre[1] + camera.focal[1] * bounds[3] + PLACE_SLACK, rectangle[1], bottom) - 1
+        first_row = line_after(camera.centre[1] + camera.focal[1] * bounds[1] - _PLACE_SLACK, rectangle[1], bottom)
+        last_row = line_after(camera.centre[1] + camera.focal[1] * bounds[3] + _PLACE_SLACK, rectangle[1], bottom) - 1
         for n in range(-turn, turn + 1):
             if first_row <= last_row + 1:  # it may cross columns alone
                 shift = 2.0 * wp.pi * camera.focal[0] * float(n)
                 first_column = line_after(
-                    camera.centre[0] + camera.focal[0] * bounds[0] + shift - PLACE_SLACK, rectangle[0], right
+                    camera.centre[0] + camera.focal[0] * bounds[0] + shift - _PLACE_SLACK, rectangle[0], right
                 )
                 last_column = (
                     line_after(
-                        camera.centre[0] + camera.focal[0] * bounds[2] + shift + PLACE_SLACK, rectangle[0], right
+                        camera.centre[0] + camera.focal[0] * bounds[2] + shift + _PLACE_SLACK, rectangle[0], right
                     )
                     - 1
                 )
                 for row in range(wp.max(first_row - 1, 0), last_row + 1):
                     for column in range(wp.max(first_column - 1, 0), last_column + 1):
                         if column + 1 < camera.ray.shape[2] and row >= first_row:
-                            cross_pair(
+                            _cross_pair(
                                 camera, row, column, TO_RIGHT, edge, start, end, inverse_depth, farthest,
                                 rectangle, offset, layers,
                             )  # fmt: skip
                         if row + 1 < camera.ray.shape[1] and column >= first_column:
-                            cross_pair(
+                            _cross_pair(
                                 camera, row, column, TO_BOTTOM, edge, start, end, inverse_depth, farthest,
                                 rectangle, offset, layers,
                             )  # fmt: skip
@@ -293,7 +293,7 @@ def cross_bent_edge(
 
 
 @wp.func(inline=False)
-def cross_near_cut(
+def _cross_near_cut(
     image: Candidate,
     camera: View,
     rectangle: wp.vec4i,
@@ -331,7 +331,7 @@ def cross_near_cut(
 
 
 @wp.func
-def least_depth(camera: View, p: wp.vec3, q: wp.vec3, r: wp.vec3) -> float:
+def _least_depth(camera: View, p: wp.vec3, q: wp.vec3, r: wp.vec3) -> float:
     """The least depth of three points in camera coordinates [m]."""
     if camera.lens.kind == BROWN_CONRADY:
         return wp.min(p[2], wp.min(q[2], r[2]))
@@ -361,26 +361,26 @@ def cross_outline(
     is_outline1 = may_be_outline(camera, scene, is_facing, neighbour[1])
     is_outline2 = may_be_outline(camera, scene, is_facing, neighbour[2])
     if is_outline0 or is_outline1 or is_outline2:
-        a = corner_of(camera, rays, table, p)
-        b = corner_of(camera, rays, table, q)
-        c = corner_of(camera, rays, table, r)
+        a = _corner_of(camera, rays, table, p)
+        b = _corner_of(camera, rays, table, q)
+        c = _corner_of(camera, rays, table, r)
         if is_outline0:
-            cross_bent_edge(
+            _cross_bent_edge(
                 camera, rays, table, widest_cosine, a, b, image.edge0, image.inverse_depth, rectangle, offset,
                 layers,
             )  # fmt: skip
         if is_outline1:
-            cross_bent_edge(
+            _cross_bent_edge(
                 camera, rays, table, widest_cosine, b, c, image.edge1, image.inverse_depth, rectangle, offset,
                 layers,
             )  # fmt: skip
         if is_outline2:
-            cross_bent_edge(
+            _cross_bent_edge(
                 camera, rays, table, widest_cosine, c, a, image.edge2, image.inverse_depth, rectangle, offset,
                 layers,
             )  # fmt: skip
-    if not is_front_only and least_depth(camera, p, q, r) < camera.near_m:
-        cross_near_cut(image, camera, rectangle, offset, layers)
+    if not is_front_only and _least_depth(camera, p, q, r) < camera.near_m:
+        _cross_near_cut(image, camera, rectangle, offset, layers)
 
 
 @wp.kernel(enable_backward=False)
@@ -428,10 +428,10 @@ def scatter_bent_crossings_kernel(
             p = point_in_camera(camera, scene.vertex_world_m[corner[0]])
             q = point_in_camera(camera, scene.vertex_world_m[corner[1]])
             r = point_in_camera(camera, scene.vertex_world_m[corner[2]])
-            if is_outline or least_depth(camera, p, q, r) < camera.near_m:
+            if is_outline or _least_depth(camera, p, q, r) < camera.near_m:
                 table = rays.table_of_view[v]
                 widest_cosine = rays.widest_cosine[rays.set_of_view[v]]
-                image = candidate_of(camera, rays, table, widest_cosine, triangle, p, q, r, frame)
+                image = _candidate_of(camera, rays, table, widest_cosine, triangle, p, q, r, frame)
                 if image.triangle >= 0:
                     cross_outline(
                         image, p, q, r, camera, scene, rays, table, widest_cosine, is_front_only, rectangle,

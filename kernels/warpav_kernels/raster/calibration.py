@@ -17,12 +17,12 @@ wp.set_module_options({"enable_backward": False})
 
 CALIBRATION_SIZE = wp.constant(12)  # fx, fy, cx, cy and eight coefficients of the distortion, in OpenCV's order
 
-vec12 = wp.types.vector(length=12, dtype=float)
-mat28 = wp.types.matrix(shape=(2, 8), dtype=float)
+_vec12 = wp.types.vector(length=12, dtype=float)
+_mat28 = wp.types.matrix(shape=(2, 8), dtype=float)
 
 
 @wp.func
-def radius_change(lens: Lens, angle: float) -> wp.vec4:
+def _radius_change(lens: Lens, angle: float) -> wp.vec4:
     """Derivatives of a fisheye's radius at an angle to its coefficients."""
     squared = angle * angle
     power = squared * angle
@@ -42,9 +42,9 @@ def radius_change(lens: Lens, angle: float) -> wp.vec4:
 
 
 @wp.func
-def distortion_flow(lens: Lens, ray: wp.vec3) -> mat28:
+def _distortion_flow(lens: Lens, ray: wp.vec3) -> _mat28:
     """Derivatives of the image place of a ray [focal lengths] to the coefficients of the distortion."""
-    flow = mat28()
+    flow = _mat28()
     if lens.kind == BROWN_CONRADY:
         x = ray[0] / ray[2]
         y = ray[1] / ray[2]
@@ -70,7 +70,7 @@ def distortion_flow(lens: Lens, ray: wp.vec3) -> mat28:
         across = wp.sqrt(ray[0] * ray[0] + ray[1] * ray[1])
         if across > 0.0:
             angle = wp.atan2(across, ray[2])
-            change = radius_change(lens, angle)
+            change = _radius_change(lens, angle)
             for i in range(4):
                 flow[0, i] = change[i] * ray[0] / across
                 flow[1, i] = change[i] * ray[1] / across
@@ -103,7 +103,7 @@ def measure_calibration_kernel(
     v = first_view + chunk_view
     camera = view[v]
     pair = pair_of(v, object_index, layers)
-    total = vec12()
+    total = _vec12()
     for row in range(pair.rectangle[3]):
         for column in range(pair.rectangle[2]):
             mask = mask_corners(pair, row, column, kind[i], layers, hiding)
@@ -127,7 +127,7 @@ def measure_calibration_kernel(
                     total[2] += across_columns
                     total[3] += across_rows
                     if not segment.is_fixed:
-                        flow = distortion_flow(camera.lens, ray_in_camera(camera, x, y))
+                        flow = _distortion_flow(camera.lens, ray_in_camera(camera, x, y))
                         for n in range(8):
                             total[4 + n] += (
                                 across_columns * camera.focal[0] * flow[0, n]

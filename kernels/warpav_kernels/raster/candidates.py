@@ -297,7 +297,7 @@ def find_candidates(
 
 
 @wp.func
-def half_angle_of(axis: wp.vec3, direction: wp.vec3) -> float:
+def _half_angle_of(axis: wp.vec3, direction: wp.vec3) -> float:
     """Angle between two directions of unit length [rad], a little more for rounding."""
     return 2.0 * wp.asin(wp.min(0.5 * wp.length(direction - axis), 1.0)) + 1.0e-5
 
@@ -310,7 +310,7 @@ def wide_bounds(camera: View, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec4:
     if length < 1.0e-3:
         return wp.vec4(-WHOLE, -WHOLE, WHOLE, WHOLE)
     axis /= length
-    half = wp.max(half_angle_of(axis, a), wp.max(half_angle_of(axis, b), half_angle_of(axis, c)))
+    half = wp.max(_half_angle_of(axis, a), wp.max(_half_angle_of(axis, b), _half_angle_of(axis, c)))
     if half >= 0.5 * wp.pi:
         return wp.vec4(-WHOLE, -WHOLE, WHOLE, WHOLE)
     return cone_bounds(camera.lens, axis, half)

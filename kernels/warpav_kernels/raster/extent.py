@@ -14,12 +14,12 @@ from warpav_kernels.raster.view import GUARD, View, column_gradient, inverse_dep
 
 wp.set_module_options({"enable_backward": False})
 
-SLOPE_PX = wp.constant(4)  # from the border, over which the slope of an outline is taken
-STEEPEST = wp.constant(4)  # slope; what falls back faster counts as level
+_SLOPE_PX = wp.constant(4)  # from the border, over which the slope of an outline is taken
+_STEEPEST = wp.constant(4)  # slope; what falls back faster counts as level
 
 
 @wp.func
-def shows_object(layers: Layers, rectangle: wp.vec4i, offset: int, line: int, place: int, along_columns: bool) -> bool:
+def _shows_object(layers: Layers, rectangle: wp.vec4i, offset: int, line: int, place: int, along_columns: bool) -> bool:
     """Whether the sample at a place along a line shows the object; a line is a column or a row of samples."""
     row = line
     column = place
@@ -33,7 +33,7 @@ def shows_object(layers: Layers, rectangle: wp.vec4i, offset: int, line: int, pl
 
 
 @wp.func
-def slope_at_border(
+def _slope_at_border(
     layers: Layers,
     rectangle: wp.vec4i,
     offset: int,
@@ -49,12 +49,12 @@ def slope_at_border(
     ``border`` is the last place inside the image and ``inwards`` the step away from it. The outline there is compared
     with that ``reach`` samples further in. 0 where the object does not reach that border, or ends at it by itself.
     """
-    if not shows_object(layers, rectangle, offset, line, border, along_columns):
+    if not _shows_object(layers, rectangle, offset, line, border, along_columns):
         return 0.0
-    if not shows_object(layers, rectangle, offset, line, border - inwards, along_columns):
+    if not _shows_object(layers, rectangle, offset, line, border - inwards, along_columns):
         return 0.0
-    for back in range(STEEPEST * reach):
-        if shows_object(layers, rectangle, offset, line - outwards * back, border + inwards * reach, along_columns):
+    for back in range(_STEEPEST * reach):
+        if _shows_object(layers, rectangle, offset, line - outwards * back, border + inwards * reach, along_columns):
             return -float(outwards * back) / float(inwards * reach)
     return 0.0
 
@@ -111,9 +111,9 @@ def measure_extents_kernel(
             last = wp.min(rectangle[1] + rectangle[3], height - GUARD)
             end = height - GUARD
         offset = layers.offset[v, object_index]
-        reach = SLOPE_PX * supersampling
-        slope = slope_at_border(layers, rectangle, offset, line, along_columns, outwards, GUARD, 1, reach)
-        slope += slope_at_border(layers, rectangle, offset, line, along_columns, outwards, end - 1, -1, reach)
+        reach = _SLOPE_PX * supersampling
+        slope = _slope_at_border(layers, rectangle, offset, line, along_columns, outwards, GUARD, 1, reach)
+        slope += _slope_at_border(layers, rectangle, offset, line, along_columns, outwards, end - 1, -1, reach)
         for k in range(first, last):
             row = line
             column = k

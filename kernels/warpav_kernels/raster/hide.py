@@ -13,7 +13,7 @@ from warpav_kernels.raster.view import inverse_depth_of
 
 wp.set_module_options({"enable_backward": False})
 
-MEDIAN_STEPS = wp.constant(12)  # bisection of the range of inverse depths: a 4096th of it is enough to compare
+_MEDIAN_STEPS = wp.constant(12)  # bisection of the range of inverse depths: a 4096th of it is enough to compare
 
 
 @wp.kernel(enable_backward=False)
@@ -57,7 +57,7 @@ def hide_by_nearest_surface_kernel(
 
 
 @wp.func
-def overlap_rectangle(a: wp.vec4i, b: wp.vec4i) -> wp.vec4i:
+def _overlap_rectangle(a: wp.vec4i, b: wp.vec4i) -> wp.vec4i:
     """Samples that two rectangles (first column, first row, columns, rows) share; may have 0 columns or rows."""
     left = wp.max(a[0], b[0])
     top = wp.max(a[1], b[1])
@@ -67,7 +67,7 @@ def overlap_rectangle(a: wp.vec4i, b: wp.vec4i) -> wp.vec4i:
 
 
 @wp.func
-def layer_sample(row: int, column: int, rectangle: wp.vec4i, offset: int, layers: Layers) -> wp.int32:
+def _layer_sample(row: int, column: int, rectangle: wp.vec4i, offset: int, layers: Layers) -> wp.int32:
     """Bits of a layer at a sample of the grid; 0 outside its rectangle."""
     place = place_in(rectangle, offset, row, column)
     if place < 0:
@@ -76,7 +76,7 @@ def layer_sample(row: int, column: int, rectangle: wp.vec4i, offset: int, layers
 
 
 @wp.func
-def median_inverse_depth(
+def _median_inverse_depth(
     own_rectangle: wp.vec4i,
     own_offset: int,
     other_rectangle: wp.vec4i,
@@ -92,7 +92,7 @@ def median_inverse_depth(
         for column in range(own_rectangle[2]):
             own = layers.inverse_depth_bits[own_offset + row * own_rectangle[2] + column]
             if own != wp.int32(0):
-                other = layer_sample(
+                other = _layer_sample(
                     own_rectangle[1] + row, own_rectangle[0] + column, other_rectangle, other_offset, layers
                 )
                 if (other != wp.int32(0)) == shared:
@@ -101,14 +101,14 @@ def median_inverse_depth(
                     count += 1
     if count == 0:
         return 0.0
-    for _ in range(wp.int32(MEDIAN_STEPS)):  # a loop, which Warp does not unroll
+    for _ in range(wp.int32(_MEDIAN_STEPS)):  # a loop, which Warp does not unroll
         middle = 0.5 * (low + high)
         below = int(0)
         for row in range(own_rectangle[3]):
             for column in range(own_rectangle[2]):
                 own = layers.inverse_depth_bits[own_offset + row * own_rectangle[2] + column]
                 if own != wp.int32(0) and inverse_depth_of(own) < middle:
-                    other = layer_sample(
+                    other = _layer_sample(
                         own_rectangle[1] + row, own_rectangle[0] + column, other_rectangle, other_offset, layers
                     )
                     if (other != wp.int32(0)) == shared:
@@ -146,21 +146,21 @@ def order_overlapping_layers_kernel(
     b_rectangle = layers.rectangle[v, b]
     a_offset = layers.offset[v, a]
     b_offset = layers.offset[v, b]
-    common = overlap_rectangle(a_rectangle, b_rectangle)
+    common = _overlap_rectangle(a_rectangle, b_rectangle)
     overlap_count = int(0)
     for row in range(common[3]):
         for column in range(common[2]):
-            in_a = layer_sample(common[1] + row, common[0] + column, a_rectangle, a_offset, layers)
-            in_b = layer_sample(common[1] + row, common[0] + column, b_rectangle, b_offset, layers)
+            in_a = _layer_sample(common[1] + row, common[0] + column, a_rectangle, a_offset, layers)
+            in_b = _layer_sample(common[1] + row, common[0] + column, b_rectangle, b_offset, layers)
             if in_a != wp.int32(0) and in_b != wp.int32(0):
                 overlap_count += 1
     if overlap_count == 0:
         return
-    a_median = median_inverse_depth(a_rectangle, a_offset, b_rectangle, b_offset, False, layers)
-    b_median = median_inverse_depth(b_rectangle, b_offset, a_rectangle, a_offset, False, layers)
+    a_median = _median_inverse_depth(a_rectangle, a_offset, b_rectangle, b_offset, False, layers)
+    b_median = _median_inverse_depth(b_rectangle, b_offset, a_rectangle, a_offset, False, layers)
     if a_median == 0.0 or b_median == 0.0:
-        a_median = median_inverse_depth(a_rectangle, a_offset, b_rectangle, b_offset, True, layers)
-        b_median = median_inverse_depth(b_rectangle, b_offset, a_rectangle, a_offset, True, layers)
+        a_median = _median_inverse_depth(a_rectangle, a_offset, b_rectangle, b_offset, True, layers)
+        b_median = _median_inverse_depth(b_rectangle, b_offset, a_rectangle, a_offset, True, layers)
     if a_median > b_median:
         is_hidden_by[v, b, a] = 1
     else:
@@ -196,10 +196,10 @@ def hide_by_ordered_layers_kernel(
         if hides:
             other_rectangle = layers.rectangle[v, other]
             other_offset = layers.offset[v, other]
-            common = overlap_rectangle(rectangle, other_rectangle)
+            common = _overlap_rectangle(rectangle, other_rectangle)
             for row in range(common[3]):
                 for column in range(common[2]):
-                    bits = layer_sample(common[1] + row, common[0] + column, other_rectangle, other_offset, layers)
+                    bits = _layer_sample(common[1] + row, common[0] + column, other_rectangle, other_offset, layers)
                     if bits != wp.int32(0):
                         place = (
                             offset + (common[1] + row - rectangle[1]) * rectangle[2] + common[0] + column - rectangle[0]

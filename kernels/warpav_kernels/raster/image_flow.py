@@ -36,37 +36,37 @@ from warpav_kernels.raster.view import (
 
 wp.set_module_options({"enable_backward": False})
 
-LARGEST_GROWTH = wp.constant(0.1)  # of 1/z from one sample to the next on one surface
+_LARGEST_GROWTH = wp.constant(0.1)  # of 1/z from one sample to the next on one surface
 
 
 @wp.func
-def inverse_depth_at(key: wp.array3d[wp.int64], v: int, row: int, column: int) -> float:
+def _inverse_depth_at(key: wp.array3d[wp.int64], v: int, row: int, column: int) -> float:
     """1/z of the nearest surface at a sample [1/m]; 0 for the sky."""
     return inverse_depth_of(wp.int32(key[v, row, column] >> wp.int64(32)))
 
 
 @wp.func
-def front_inverse_depth(key: wp.array3d[wp.int64], v: int, row: int, column: int, step: wp.vec2i) -> float:
+def _front_inverse_depth(key: wp.array3d[wp.int64], v: int, row: int, column: int, step: wp.vec2i) -> float:
     """1/z of the nearer surface at the middle between a sample and the next in a direction (rows, columns) [1/m].
 
     1/z is linear on a plane: it is the nearer sample's, carried on by half of its growth from the sample before.
     """
-    near = inverse_depth_at(key, v, row, column)
+    near = _inverse_depth_at(key, v, row, column)
     before_row = row - step[0]
     before_column = column - step[1]
-    there = inverse_depth_at(key, v, row + step[0], column + step[1])
+    there = _inverse_depth_at(key, v, row + step[0], column + step[1])
     if there > near:
         near = there
         before_row = row + 2 * step[0]
         before_column = column + 2 * step[1]
     if before_row < 0 or before_column < 0 or before_row >= key.shape[1] or before_column >= key.shape[2]:
         return near
-    growth = near - inverse_depth_at(key, v, before_row, before_column)
-    return near + 0.5 * wp.clamp(growth, -LARGEST_GROWTH * near, LARGEST_GROWTH * near)
+    growth = near - _inverse_depth_at(key, v, before_row, before_column)
+    return near + 0.5 * wp.clamp(growth, -_LARGEST_GROWTH * near, _LARGEST_GROWTH * near)
 
 
 @wp.func
-def with_pair(
+def _with_pair(
     derivative: BoundaryDerivative,
     camera: View,
     key: wp.array3d[wp.int64],
@@ -94,14 +94,14 @@ def with_pair(
         g = change * row_gradient(camera, ray)
         away = y - camera.centre[1]
     moved = derivative
-    moved.gradient += front_inverse_depth(key, v, row, column, step) * g
+    moved.gradient += _front_inverse_depth(key, v, row, column, step) * g
     moved.moment += wp.cross(ray, g)
     moved.log_focal += change * away
     return moved
 
 
 @wp.func
-def pixel_of(sample: int, size: int, samples_per_px: int) -> int:
+def _pixel_of(sample: int, size: int, samples_per_px: int) -> int:
     """Row (or column) of the pixels that holds a row of samples; -1 in the guard band. ``size`` is the grid's."""
     if sample < GUARD or sample >= size - GUARD:
         return -1
@@ -109,7 +109,7 @@ def pixel_of(sample: int, size: int, samples_per_px: int) -> int:
 
 
 @wp.func
-def rgb_gradient_at(gradient: wp.array3d[wp.vec3], image: int, row_px: int, column_px: int) -> wp.vec3:
+def _rgb_gradient_at(gradient: wp.array3d[wp.vec3], image: int, row_px: int, column_px: int) -> wp.vec3:
     """The gradient to a pixel's colour; 0 in the guard band."""
     if row_px < 0 or column_px < 0:
         return wp.vec3(0.0, 0.0, 0.0)
@@ -117,7 +117,7 @@ def rgb_gradient_at(gradient: wp.array3d[wp.vec3], image: int, row_px: int, colu
 
 
 @wp.func
-def depth_gradient_at(gradient: wp.array3d[float], v: int, row_px: int, column_px: int) -> float:
+def _depth_gradient_at(gradient: wp.array3d[float], v: int, row_px: int, column_px: int) -> float:
     """The gradient to a pixel's depth; 0 in the guard band."""
     if row_px < 0 or column_px < 0:
         return 0.0
@@ -125,9 +125,9 @@ def depth_gradient_at(gradient: wp.array3d[float], v: int, row_px: int, column_p
 
 
 @wp.func
-def depth_at(key: wp.array3d[wp.int64], v: int, row: int, column: int, background_m: float) -> float:
+def _depth_at(key: wp.array3d[wp.int64], v: int, row: int, column: int, background_m: float) -> float:
     """Depth of the nearest surface at a sample [m]."""
-    w = inverse_depth_at(key, v, row, column)
+    w = _inverse_depth_at(key, v, row, column)
     if w == 0.0:
         return background_m
     return 1.0 / w
@@ -174,34 +174,34 @@ def flow_colours_kernel(
     right_rgb = wp.vec3(0.0, 0.0, 0.0)
     right_gradient = wp.vec3(0.0, 0.0, 0.0)
     for row in range(lane / column_lanes, height, row_lanes):
-        row_px = pixel_of(row, height, supersampling)
-        below_px = pixel_of(row + 1, height, supersampling)
+        row_px = _pixel_of(row, height, supersampling)
+        below_px = _pixel_of(row + 1, height, supersampling)
         for column in range(first_column, wp.min(first_column + run, width)):
-            column_px = pixel_of(column, width, supersampling)
+            column_px = _pixel_of(column, width, supersampling)
             rgb = right_rgb
             gradient = right_gradient
             if column == first_column:
                 patch = patch_under(patch, key[v, row, column], camera, scene, vertex_rgb)
                 ray = sample_ray(camera, row, column)
                 rgb = rgb_along(camera, ray, key[v, row, column], patch, horizon_rgb, zenith_rgb)
-                gradient = rgb_gradient_at(rgb_gradient, image, row_px, column_px)
+                gradient = _rgb_gradient_at(rgb_gradient, image, row_px, column_px)
             if row + 1 < height:
                 nearest = key[v, row + 1, column]
                 below_patch = patch_under(below_patch, nearest, camera, scene, vertex_rgb)
                 ray = sample_ray(camera, row + 1, column)
                 below_rgb = rgb_along(camera, ray, nearest, below_patch, horizon_rgb, zenith_rgb)
-                below_gradient = rgb_gradient_at(rgb_gradient, image, below_px, column_px)
+                below_gradient = _rgb_gradient_at(rgb_gradient, image, below_px, column_px)
                 change = 0.5 * wp.dot(rgb - below_rgb, gradient + below_gradient)
-                total = with_pair(total, camera, key, v, row, column, wp.vec2i(1, 0), change)
+                total = _with_pair(total, camera, key, v, row, column, wp.vec2i(1, 0), change)
             if column + 1 < width:
                 nearest = key[v, row, column + 1]
                 patch = patch_under(patch, nearest, camera, scene, vertex_rgb)
                 ray = sample_ray(camera, row, column + 1)
                 right_rgb = rgb_along(camera, ray, nearest, patch, horizon_rgb, zenith_rgb)
-                right_px = pixel_of(column + 1, width, supersampling)
-                right_gradient = rgb_gradient_at(rgb_gradient, image, row_px, right_px)
+                right_px = _pixel_of(column + 1, width, supersampling)
+                right_gradient = _rgb_gradient_at(rgb_gradient, image, row_px, right_px)
                 change = 0.5 * wp.dot(rgb - right_rgb, gradient + right_gradient)
-                total = with_pair(total, camera, key, v, row, column, wp.vec2i(0, 1), change)
+                total = _with_pair(total, camera, key, v, row, column, wp.vec2i(0, 1), change)
     derivative[image, 0, 0, lane] = total
 
 
@@ -233,28 +233,28 @@ def flow_depths_kernel(
     first_column = (lane % column_lanes) * run
     total = BoundaryDerivative()
     for row in range(lane / column_lanes, height, row_lanes):
-        row_px = pixel_of(row, height, supersampling)
-        below_px = pixel_of(row + 1, height, supersampling)
+        row_px = _pixel_of(row, height, supersampling)
+        below_px = _pixel_of(row + 1, height, supersampling)
         for column in range(first_column, wp.min(first_column + run, width)):
-            column_px = pixel_of(column, width, supersampling)
-            gradient = depth_gradient_at(depth_gradient_px, v, row_px, column_px)
-            depth_m = depth_at(key, v, row, column, background_m)
+            column_px = _pixel_of(column, width, supersampling)
+            gradient = _depth_gradient_at(depth_gradient_px, v, row_px, column_px)
+            depth_m = _depth_at(key, v, row, column, background_m)
             if gradient != 0.0 and key[v, row, column] != wp.int64(0):
                 point_m = depth_m * sample_ray(camera, row, column)
                 g = gradient * depth_gradient(camera, point_m)
                 total.gradient += g
                 total.moment += wp.cross(point_m, g)
             if row + 1 < height:
-                below_m = depth_at(key, v, row + 1, column, background_m)
-                below_gradient = depth_gradient_at(depth_gradient_px, v, below_px, column_px)
+                below_m = _depth_at(key, v, row + 1, column, background_m)
+                below_gradient = _depth_gradient_at(depth_gradient_px, v, below_px, column_px)
                 change = 0.5 * (depth_m - below_m) * (gradient + below_gradient)
-                total = with_pair(total, camera, key, v, row, column, wp.vec2i(1, 0), change)
+                total = _with_pair(total, camera, key, v, row, column, wp.vec2i(1, 0), change)
             if column + 1 < width:
-                right_m = depth_at(key, v, row, column + 1, background_m)
-                right_px = pixel_of(column + 1, width, supersampling)
-                right_gradient = depth_gradient_at(depth_gradient_px, v, row_px, right_px)
+                right_m = _depth_at(key, v, row, column + 1, background_m)
+                right_px = _pixel_of(column + 1, width, supersampling)
+                right_gradient = _depth_gradient_at(depth_gradient_px, v, row_px, right_px)
                 change = 0.5 * (depth_m - right_m) * (gradient + right_gradient)
-                total = with_pair(total, camera, key, v, row, column, wp.vec2i(0, 1), change)
+                total = _with_pair(total, camera, key, v, row, column, wp.vec2i(0, 1), change)
     derivative[v, 0, 0, lane] = total
 
 

@@ -19,7 +19,7 @@ TO_TOP = wp.constant(1)
 TO_BOTTOM = wp.constant(2)
 TO_RIGHT = wp.constant(3)
 
-BOX_PARTS = wp.constant(3)  # along each axis, into which an object's box is cut to bound its image
+_BOX_PARTS = wp.constant(3)  # along each axis, into which an object's box is cut to bound its image
 
 # Surroundings of an object: its extent in the image, enlarged on every side by this share of its size and so much more.
 SURROUNDINGS_SHARE = wp.constant(0.25)
@@ -84,7 +84,7 @@ def point_on_near_plane(a: wp.vec3, b: wp.vec3, near_m: float) -> wp.vec3:
 
 
 @wp.func
-def grow_rectangle(rectangle: wp.vec4, point_m: wp.vec3, view: View) -> wp.vec4:
+def _grow_rectangle(rectangle: wp.vec4, point_m: wp.vec3, view: View) -> wp.vec4:
     """The rectangle (left, top, right, bottom) in samples, grown to hold the image of a point."""
     u = view.centre[0] + view.focal[0] * point_m[0] / point_m[2]
     v = view.centre[1] + view.focal[1] * point_m[1] / point_m[2]
@@ -92,7 +92,7 @@ def grow_rectangle(rectangle: wp.vec4, point_m: wp.vec3, view: View) -> wp.vec4:
 
 
 @wp.func
-def box_corner(low: wp.vec3, high: wp.vec3, corner: int) -> wp.vec3:
+def _box_corner(low: wp.vec3, high: wp.vec3, corner: int) -> wp.vec3:
     """Corner 0..7 of a box."""
     place = low
     if (corner & 1) != 0:
@@ -105,7 +105,7 @@ def box_corner(low: wp.vec3, high: wp.vec3, corner: int) -> wp.vec3:
 
 
 @wp.func
-def pinhole_bounds(camera: View, low: wp.vec3, high: wp.vec3) -> wp.vec4:
+def _pinhole_bounds(camera: View, low: wp.vec3, high: wp.vec3) -> wp.vec4:
     """Bounds (left, top, right, bottom) in samples of the image of a box in the world frame.
 
     The eight corners and, where the near plane cuts the box, its twelve edges are projected.
@@ -113,19 +113,19 @@ def pinhole_bounds(camera: View, low: wp.vec3, high: wp.vec3) -> wp.vec4:
     far = 1.0e9
     bounds = wp.vec4(far, far, -far, -far)
     for corner in range(8):
-        a = point_in_camera(camera, box_corner(low, high, corner))
+        a = point_in_camera(camera, _box_corner(low, high, corner))
         if a[2] >= camera.near_m:
-            bounds = grow_rectangle(bounds, a, camera)
+            bounds = _grow_rectangle(bounds, a, camera)
         for axis in range(3):
             if (corner & (1 << axis)) == 0:
-                b = point_in_camera(camera, box_corner(low, high, corner | (1 << axis)))
+                b = point_in_camera(camera, _box_corner(low, high, corner | (1 << axis)))
                 if (a[2] >= camera.near_m) != (b[2] >= camera.near_m):
-                    bounds = grow_rectangle(bounds, point_on_near_plane(a, b, camera.near_m), camera)
+                    bounds = _grow_rectangle(bounds, point_on_near_plane(a, b, camera.near_m), camera)
     return bounds
 
 
 @wp.func
-def turned_bounds(left: float, right: float, turn: float, width: float) -> wp.vec2:
+def _turned_bounds(left: float, right: float, turn: float, width: float) -> wp.vec2:
     """Columns of a panorama between two, whole turns added; all columns where more than one turn is in the image."""
     # begin at the last turn that lies left of the image
     shift = wp.floor(-right / turn) * turn
@@ -145,23 +145,23 @@ def turned_bounds(left: float, right: float, turn: float, width: float) -> wp.ve
 
 
 @wp.func
-def lens_bounds(camera: View, low: wp.vec3, high: wp.vec3, width: float) -> wp.vec4:
+def _lens_bounds(camera: View, low: wp.vec3, high: wp.vec3, width: float) -> wp.vec4:
     """Bounds (left, top, right, bottom) in samples of the image of a box in the world frame, seen through any lens.
 
     A box lies in the cone about its centre's direction that holds its corners. The smaller, the better the bounds.
     """
     far = 1.0e9
     bounds = wp.vec4(far, far, -far, -far)
-    size = (high - low) / float(BOX_PARTS)
-    for part in range(BOX_PARTS * BOX_PARTS * BOX_PARTS):
-        x = float(part % BOX_PARTS)
-        y = float((part / BOX_PARTS) % BOX_PARTS)
-        z = float(part / (BOX_PARTS * BOX_PARTS))
+    size = (high - low) / float(_BOX_PARTS)
+    for part in range(_BOX_PARTS * _BOX_PARTS * _BOX_PARTS):
+        x = float(part % _BOX_PARTS)
+        y = float((part / _BOX_PARTS) % _BOX_PARTS)
+        z = float(part / (_BOX_PARTS * _BOX_PARTS))
         part_low = low + wp.vec3(x * size[0], y * size[1], z * size[2])
         axis = point_in_camera(camera, part_low + 0.5 * size)
         half_angle = float(0.0)
         for corner in range(8):
-            end = point_in_camera(camera, box_corner(part_low, part_low + size, corner))
+            end = point_in_camera(camera, _box_corner(part_low, part_low + size, corner))
             half_angle = wp.max(half_angle, wp.atan2(wp.length(wp.cross(axis, end)), wp.dot(axis, end)))
         if half_angle >= 0.5 * wp.pi or wp.length_sq(axis) == 0.0:  # all about the camera
             return wp.vec4(-far, -far, far, far)
@@ -171,7 +171,7 @@ def lens_bounds(camera: View, low: wp.vec3, high: wp.vec3, width: float) -> wp.v
         if right - left >= far:
             return wp.vec4(-far, -far, far, far)
         if camera.lens.kind == PANORAMA:
-            columns = turned_bounds(left, right, 2.0 * wp.pi * camera.focal[0], width)
+            columns = _turned_bounds(left, right, 2.0 * wp.pi * camera.focal[0], width)
             left = columns[0]
             right = columns[1]
         if left <= right:
@@ -210,9 +210,9 @@ def place_layers_kernel(
     camera = view[v]
     low = layer_bounds_world_m[layer, 0]
     high = layer_bounds_world_m[layer, 1]
-    box = pinhole_bounds(camera, low, high)
+    box = _pinhole_bounds(camera, low, high)
     if camera.lens.kind != PINHOLE:
-        box = lens_bounds(camera, low, high, float(width))
+        box = _lens_bounds(camera, low, high, float(width))
     # clamp in float: the cast of a huge float to an integer is undefined
     left = int(wp.floor(wp.clamp(box[0] - 1.0, 0.0, float(width))))
     top = int(wp.floor(wp.clamp(box[1] - 1.0, 0.0, float(height))))

@@ -23,12 +23,12 @@ DOUBLE_SPHERE = wp.constant(2)
 SPHERE = wp.constant(1)
 
 # Newton's steps at most, and the step after which the error is far below single precision, being that step's square
-RADIUS_STEPS = wp.constant(32)
-PLACE_STEPS = wp.constant(8)
-LAST_STEP = wp.constant(3.0e-5)
-PLACE_TOLERANCE = wp.constant(1.0e-4)  # of a place that is undistorted and distorted again [focal lengths]
-UNBOUNDED = wp.constant(1.0e9)  # beyond any image
-LEAST_ACROSS = wp.constant(1.0e-6)  # of a fisheye's ray: nearer to the axis it is a pinhole
+_RADIUS_STEPS = wp.constant(32)
+_PLACE_STEPS = wp.constant(8)
+_LAST_STEP = wp.constant(3.0e-5)
+_PLACE_TOLERANCE = wp.constant(1.0e-4)  # of a place that is undistorted and distorted again [focal lengths]
+_UNBOUNDED = wp.constant(1.0e9)  # beyond any image
+_LEAST_ACROSS = wp.constant(1.0e-6)  # of a fisheye's ray: nearer to the axis it is a pinhole
 
 vec8 = wp.types.vector(length=8, dtype=float)
 mat23 = wp.types.matrix(shape=(2, 3), dtype=float)
@@ -92,7 +92,7 @@ def sphere_terms(lens: Lens, angle: float) -> wp.vec2:
 
 
 @wp.func(inline=False)
-def radius_by_spheres(lens: Lens, angle: float) -> wp.vec2:
+def _radius_by_spheres(lens: Lens, angle: float) -> wp.vec2:
     """Radius of an image by EUCM or DOUBLE_SPHERE at an angle from the axis, and its derivative."""
     cosine = wp.cos(angle)
     terms = sphere_terms(lens, angle)
@@ -113,7 +113,7 @@ def radius_and_growth(lens: Lens, angle: float) -> wp.vec2:
     """Radius of the image at an angle from the axis (FISHEYE) or at its tangent, and its derivative."""
     squared = angle * angle
     if lens.kind == FISHEYE and lens.formula != 0:
-        return radius_by_spheres(lens, angle)
+        return _radius_by_spheres(lens, angle)
     if lens.kind == FISHEYE:
         k = lens.distortion
         series = 1.0 + squared * (k[0] + squared * (k[1] + squared * (k[2] + squared * k[3])))
@@ -130,7 +130,7 @@ def angle_at(lens: Lens, radius: float) -> float:
     high = lens.limit
     last = lens.limit
     angle = wp.min(radius, high)
-    for _ in range(RADIUS_STEPS):
+    for _ in range(_RADIUS_STEPS):
         reached = radius_and_growth(lens, angle)
         if reached[0] <= radius:
             low = angle
@@ -141,7 +141,7 @@ def angle_at(lens: Lens, radius: float) -> float:
             step = angle - 0.5 * (low + high)
         angle -= step
         last = wp.abs(step)
-        if wp.abs(step) < LAST_STEP:
+        if wp.abs(step) < _LAST_STEP:
             break
     return angle
 
@@ -160,7 +160,7 @@ def moved_place(lens: Lens, x: float, y: float) -> wp.vec2:
 
 
 @wp.func
-def moved_place_jacobian(lens: Lens, x: float, y: float) -> wp.mat22:
+def _moved_place_jacobian(lens: Lens, x: float, y: float) -> wp.mat22:
     """Derivative of `moved_place` to the image of the pinhole."""
     p1 = lens.distortion[2]
     p2 = lens.distortion[3]
@@ -175,7 +175,7 @@ def moved_place_jacobian(lens: Lens, x: float, y: float) -> wp.mat22:
 
 
 @wp.func
-def brown_conrady_ray(lens: Lens, x: float, y: float) -> wp.vec3:
+def _brown_conrady_ray(lens: Lens, x: float, y: float) -> wp.vec3:
     """Ray with z = 1 of a place in a Brown-Conrady image; zero where nothing is seen."""
     radius = wp.sqrt(x * x + y * y)
     place = wp.vec2(x, y)
@@ -183,26 +183,26 @@ def brown_conrady_ray(lens: Lens, x: float, y: float) -> wp.vec3:
     if radius > 0.0:
         pinhole = angle_at(lens, wp.min(radius, lens.edge)) / radius * place
     if lens.distortion[2] != 0.0 or lens.distortion[3] != 0.0:
-        for _ in range(PLACE_STEPS):
-            slope = moved_place_jacobian(lens, pinhole[0], pinhole[1])
+        for _ in range(_PLACE_STEPS):
+            slope = _moved_place_jacobian(lens, pinhole[0], pinhole[1])
             step = wp.inverse(slope) * (moved_place(lens, pinhole[0], pinhole[1]) - place)
             pinhole -= step
-            if wp.length(step) < LAST_STEP:
+            if wp.length(step) < _LAST_STEP:
                 break
     error = wp.length(moved_place(lens, pinhole[0], pinhole[1]) - place)
     # a place that has run away is not a number, and no comparison of it holds
-    if error < PLACE_TOLERANCE and wp.length(pinhole) <= lens.limit:
+    if error < _PLACE_TOLERANCE and wp.length(pinhole) <= lens.limit:
         return wp.vec3(pinhole[0], pinhole[1], 1.0)
     return wp.vec3(0.0, 0.0, 0.0)
 
 
 @wp.func
-def fisheye_ray(lens: Lens, x: float, y: float) -> wp.vec3:
+def _fisheye_ray(lens: Lens, x: float, y: float) -> wp.vec3:
     """Ray of unit length of a place in a fisheye's image; zero where nothing is seen."""
     radius = wp.sqrt(x * x + y * y)
     if radius > lens.edge:
         return wp.vec3(0.0, 0.0, 0.0)
-    if radius < LEAST_ACROSS:
+    if radius < _LEAST_ACROSS:
         growth = radius_and_growth(lens, 0.0)[1]
         return wp.vec3(x / growth, y / growth, 1.0)
     angle = angle_at(lens, radius)
@@ -214,9 +214,9 @@ def fisheye_ray(lens: Lens, x: float, y: float) -> wp.vec3:
 def lens_ray(lens: Lens, x: float, y: float) -> wp.vec3:
     """Ray of an image place; zero where nothing is seen."""
     if lens.kind == BROWN_CONRADY:
-        return brown_conrady_ray(lens, x, y)
+        return _brown_conrady_ray(lens, x, y)
     if lens.kind == FISHEYE:
-        return fisheye_ray(lens, x, y)
+        return _fisheye_ray(lens, x, y)
     if lens.formula == SPHERE:
         if wp.abs(y) > 0.5 * wp.pi:
             return wp.vec3(0.0, 0.0, 0.0)
@@ -225,13 +225,13 @@ def lens_ray(lens: Lens, x: float, y: float) -> wp.vec3:
 
 
 @wp.func
-def fisheye_gradient(lens: Lens, point: wp.vec3) -> mat23:
+def _fisheye_gradient(lens: Lens, point: wp.vec3) -> mat23:
     """Gradients (rows) of a fisheye's image place to the point."""
     x = point[0]
     y = point[1]
     z = point[2]
     across = wp.sqrt(x * x + y * y)
-    if across < LEAST_ACROSS * z:
+    if across < _LEAST_ACROSS * z:
         growth = radius_and_growth(lens, 0.0)[1]
         return growth * mat23(1.0 / z, 0.0, -x / (z * z), 0.0, 1.0 / z, -y / (z * z))
     squared = across * across + z * z
@@ -259,7 +259,7 @@ def place_gradient(lens: Lens, point: wp.vec3) -> mat23:
     y = point[1]
     z = point[2]
     if lens.kind == FISHEYE:
-        return fisheye_gradient(lens, point)
+        return _fisheye_gradient(lens, point)
     if lens.kind == PANORAMA:
         squared = x * x + z * z
         level = wp.sqrt(squared)
@@ -272,7 +272,7 @@ def place_gradient(lens: Lens, point: wp.vec3) -> mat23:
     w = 1.0 / z
     a = x * w
     b = y * w
-    turn = w * moved_place_jacobian(lens, a, b)
+    turn = w * _moved_place_jacobian(lens, a, b)
     return mat23(
         turn[0, 0],
         turn[0, 1],
@@ -284,7 +284,7 @@ def place_gradient(lens: Lens, point: wp.vec3) -> mat23:
 
 
 @wp.func
-def largest_cosine(low: float, high: float) -> float:
+def _largest_cosine(low: float, high: float) -> float:
     """The largest cosine of the angles between two, which may go round."""
     if wp.floor(high / (2.0 * wp.pi)) >= wp.ceil(low / (2.0 * wp.pi)):
         return 1.0
@@ -292,9 +292,9 @@ def largest_cosine(low: float, high: float) -> float:
 
 
 @wp.func
-def farthest_place(low: float, high: float, least_radius: float, radius: float) -> float:
+def _farthest_place(low: float, high: float, least_radius: float, radius: float) -> float:
     """How far right a ring's sector reaches, from angle ``low`` to ``high``."""
-    cosine = largest_cosine(low, high)
+    cosine = _largest_cosine(low, high)
     if cosine > 0.0:
         return radius * cosine
     return least_radius * cosine
@@ -309,7 +309,7 @@ def cone_bounds(lens: Lens, axis: wp.vec3, half_angle: float) -> wp.vec4:
     x = axis[0]
     y = axis[1]
     z = axis[2]
-    everything = wp.vec4(-UNBOUNDED, -UNBOUNDED, UNBOUNDED, UNBOUNDED)
+    everything = wp.vec4(-_UNBOUNDED, -_UNBOUNDED, _UNBOUNDED, _UNBOUNDED)
     if lens.kind == PANORAMA:
         level = wp.sqrt(x * x + z * z)
         drop = wp.atan2(y, level)
@@ -327,7 +327,7 @@ def cone_bounds(lens: Lens, axis: wp.vec3, half_angle: float) -> wp.vec4:
     if lens.kind == BROWN_CONRADY:
         limit = wp.atan(lens.limit)
     if low >= limit:
-        return wp.vec4(UNBOUNDED, UNBOUNDED, -UNBOUNDED, -UNBOUNDED)
+        return wp.vec4(_UNBOUNDED, _UNBOUNDED, -_UNBOUNDED, -_UNBOUNDED)
     low = wp.max(low, 0.0)
     is_all_round = low <= 0.0 or high >= wp.pi
     half = wp.pi
@@ -343,8 +343,8 @@ def cone_bounds(lens: Lens, axis: wp.vec3, half_angle: float) -> wp.vec4:
     radius = radius_and_growth(lens, high)[0]
     turn = wp.atan2(y, x)
     # left is right after half a turn; down is right after a quarter of a turn back
-    left = -farthest_place(turn - half + wp.pi, turn + half + wp.pi, least_radius, radius)
-    right = farthest_place(turn - half, turn + half, least_radius, radius)
-    top = -farthest_place(turn - half + 0.5 * wp.pi, turn + half + 0.5 * wp.pi, least_radius, radius)
-    bottom = farthest_place(turn - half - 0.5 * wp.pi, turn + half - 0.5 * wp.pi, least_radius, radius)
+    left = -_farthest_place(turn - half + wp.pi, turn + half + wp.pi, least_radius, radius)
+    right = _farthest_place(turn - half, turn + half, least_radius, radius)
+    top = -_farthest_place(turn - half + 0.5 * wp.pi, turn + half + 0.5 * wp.pi, least_radius, radius)
+    bottom = _farthest_place(turn - half - 0.5 * wp.pi, turn + half - 0.5 * wp.pi, least_radius, radius)
     return wp.vec4(left - margin, top - margin, right + margin, bottom + margin)

@@ -51,10 +51,10 @@ EXTENT_COUNT = wp.constant(4)
 
 # A gradient is meant for steps, and within a step an outline moves: where weights jump from pixel to pixel, those so
 # far [px] to either side of it count.
-OUTLINE_STEP = wp.constant(1.0 / 16.0)
+_OUTLINE_STEP = wp.constant(1.0 / 16.0)
 
-LEAST_LEVEL = wp.constant(1.0e-6)  # squared sine of the angle between a surface and the near plane that cuts it
-LEAST_TURN = wp.constant(0.01)  # squared sine of the angle between two cuts that have a corner
+_LEAST_LEVEL = wp.constant(1.0e-6)  # squared sine of the angle between a surface and the near plane that cuts it
+_LEAST_TURN = wp.constant(0.01)  # squared sine of the angle between two cuts that have a corner
 
 
 @wp.struct
@@ -68,7 +68,7 @@ class BoundaryDerivative:
 
 
 @wp.func
-def cut_gradient(
+def _cut_gradient(
     camera: View, scene: Triangles, start_triangle: int, end_triangle: int, point_m: wp.vec3, flow: wp.vec3
 ) -> wp.vec3:
     """Gradient of the flow across a segment along which the near plane cuts a surface, to the surface's point.
@@ -89,10 +89,10 @@ def cut_gradient(
     b_level = b - wp.dot(b, axis) * axis
     a_squared = wp.dot(a_level, a_level)
     b_squared = wp.dot(b_level, b_level)
-    if wp.min(a_squared, b_squared) < LEAST_LEVEL:
+    if wp.min(a_squared, b_squared) < _LEAST_LEVEL:
         return flow
     turn = wp.dot(axis, wp.cross(a_level, b_level))
-    if turn * turn > LEAST_TURN * a_squared * b_squared:
+    if turn * turn > _LEAST_TURN * a_squared * b_squared:
         along_a = wp.dot(flow, wp.cross(a_level, axis))
         along_b = wp.dot(flow, wp.cross(b_level, axis))
         return (along_b * a - along_a * b) / turn
@@ -118,7 +118,7 @@ def with_step(
     point_m = ray_in_camera(camera, column, row) / segment.inverse_depth
     g = across_columns * column_gradient(camera, point_m) + across_rows * row_gradient(camera, point_m)
     if segment.start_cut >= 0 and segment.end_cut >= 0:
-        g = cut_gradient(camera, scene, segment.start_cut, segment.end_cut, point_m, g)
+        g = _cut_gradient(camera, scene, segment.start_cut, segment.end_cut, point_m, g)
     moved.gradient += g
     moved.moment += wp.cross(point_m, g)
     return moved
@@ -135,7 +135,7 @@ def frame_weight(column: float, row: float, width: int, height: int) -> float:
 
 
 @wp.func
-def box_weight(column: float, row: float, box_px: wp.vec4, samples_per_px: float) -> float:
+def _box_weight(column: float, row: float, box_px: wp.vec4, samples_per_px: float) -> float:
     """1 where a place of the grid lies inside the box (left, top, right, bottom [px]), else 0."""
     x = (column - float(GUARD)) / samples_per_px
     y = (row - float(GUARD)) / samples_per_px
@@ -145,7 +145,7 @@ def box_weight(column: float, row: float, box_px: wp.vec4, samples_per_px: float
 
 
 @wp.func
-def pixel_weight(column: int, row: int, weight_image: wp.array3d[float], image: int) -> float:
+def _pixel_weight(column: int, row: int, weight_image: wp.array3d[float], image: int) -> float:
     """Weight of a pixel in one of the images; 0 beyond it."""
     if column < 0 or row < 0 or column >= weight_image.shape[2] or row >= weight_image.shape[1]:
         return 0.0
@@ -153,36 +153,36 @@ def pixel_weight(column: int, row: int, weight_image: wp.array3d[float], image: 
 
 
 @wp.func
-def image_weight(
+def _image_weight(
     column: float, row: float, weight_image: wp.array3d[float], image: int, samples_per_px: float
 ) -> float:
     """The weight of the pixel that holds a sample's centre."""
     x = int(wp.floor((column - float(GUARD)) / samples_per_px))
     y = int(wp.floor((row - float(GUARD)) / samples_per_px))
-    return pixel_weight(x, y, weight_image, image)
+    return _pixel_weight(x, y, weight_image, image)
 
 
 @wp.func
-def outline_weight(
+def _outline_weight(
     column: float, row: float, weight_image: wp.array3d[float], image: int, samples_per_px: float
 ) -> float:
-    """Weight at a place of an outline: the mean over as far as it moves in a small step, see `OUTLINE_STEP`."""
-    x = (column - float(GUARD)) / samples_per_px - OUTLINE_STEP
-    y = (row - float(GUARD)) / samples_per_px - OUTLINE_STEP
+    """Weight at a place of an outline: the mean over as far as it moves in a small step, see `_OUTLINE_STEP`."""
+    x = (column - float(GUARD)) / samples_per_px - _OUTLINE_STEP
+    y = (row - float(GUARD)) / samples_per_px - _OUTLINE_STEP
     left = wp.floor(x)
     top = wp.floor(y)
     # shares of the next column and row of pixels in the square of twice the step
-    right_share = wp.clamp((x - left - 1.0) / (2.0 * OUTLINE_STEP) + 1.0, 0.0, 1.0)
-    bottom_share = wp.clamp((y - top - 1.0) / (2.0 * OUTLINE_STEP) + 1.0, 0.0, 1.0)
+    right_share = wp.clamp((x - left - 1.0) / (2.0 * _OUTLINE_STEP) + 1.0, 0.0, 1.0)
+    bottom_share = wp.clamp((y - top - 1.0) / (2.0 * _OUTLINE_STEP) + 1.0, 0.0, 1.0)
     i = int(top)
     j = int(left)
-    weight = (1.0 - right_share) * (1.0 - bottom_share) * pixel_weight(j, i, weight_image, image)
+    weight = (1.0 - right_share) * (1.0 - bottom_share) * _pixel_weight(j, i, weight_image, image)
     if right_share > 0.0:
-        weight += right_share * (1.0 - bottom_share) * pixel_weight(j + 1, i, weight_image, image)
+        weight += right_share * (1.0 - bottom_share) * _pixel_weight(j + 1, i, weight_image, image)
     if bottom_share > 0.0:
-        weight += (1.0 - right_share) * bottom_share * pixel_weight(j, i + 1, weight_image, image)
+        weight += (1.0 - right_share) * bottom_share * _pixel_weight(j, i + 1, weight_image, image)
         if right_share > 0.0:
-            weight += right_share * bottom_share * pixel_weight(j + 1, i + 1, weight_image, image)
+            weight += right_share * bottom_share * _pixel_weight(j + 1, i + 1, weight_image, image)
     return weight
 
 
@@ -241,7 +241,7 @@ def measure_areas_kernel(
                     to_bottom = wp.max(to_bottom, pair.rectangle[1] + row + 1)
                 if hiding.bits[place] == wp.int32(0):
                     visible.area += weight
-                    boxed.area += weight * box_weight(x, y, box, samples_per_px)
+                    boxed.area += weight * _box_weight(x, y, box, samples_per_px)
             if row + 1 < pair.rectangle[3] and column + 1 < pair.rectangle[2]:
                 own = own_corners(pair, row, column, layers)
                 if own != 0:
@@ -273,7 +273,7 @@ def measure_areas_kernel(
                                 middle = segment.start + 0.5 * (cut[k] + cut[k + 1]) * extent
                                 share = (cut[k + 1] - cut[k]) * frame_weight(middle[0], middle[1], width, height)
                                 inside += share
-                                in_box += share * box_weight(middle[0], middle[1], box, samples_per_px)
+                                in_box += share * _box_weight(middle[0], middle[1], box, samples_per_px)
                             visible = with_step(
                                 visible, camera, scene, segment, inside * extent[1], -inside * extent[0]
                             )
@@ -331,7 +331,7 @@ def measure_weighted_area_kernel(
             if is_in_mask(pair, row, column, kind, layers, hiding):
                 x = float(pair.rectangle[0] + column) + 0.5
                 y = float(pair.rectangle[1] + row) + 0.5
-                weighted.area += image_weight(x, y, weight_image, image, samples_per_px)
+                weighted.area += _image_weight(x, y, weight_image, image, samples_per_px)
             mask = mask_corners(pair, row, column, kind, layers, hiding)
             if mask != 0 and mask != 15:
                 cell = cell_of(camera, pair, row, column, mask)
@@ -342,7 +342,7 @@ def measure_weighted_area_kernel(
                     weight = float(0.0)
                     for k in range(3):
                         middle = segment.start + 0.5 * (cut[k] + cut[k + 1]) * extent
-                        weight += (cut[k + 1] - cut[k]) * outline_weight(
+                        weight += (cut[k + 1] - cut[k]) * _outline_weight(
                             middle[0], middle[1], weight_image, image, samples_per_px
                         )
                     weighted = with_step(weighted, camera, scene, segment, weight * extent[1], -weight * extent[0])

@@ -15,7 +15,7 @@ from warpav_kernels.raster.view import View, inverse_depth_of, point_in_camera, 
 
 wp.set_module_options({"enable_backward": False})
 
-SPAN_SLACK = wp.constant(1.0e-3)  # a sample on a triangle's edge is covered by it [samples]
+_SPAN_SLACK = wp.constant(1.0e-3)  # a sample on a triangle's edge is covered by it [samples]
 
 NEAR_TOLERANCE = wp.constant(1.0e-4)  # of 1/z, by which a surface ends at the near plane
 
@@ -33,7 +33,7 @@ class Hiding:
 
 
 @wp.struct
-class Pair:
+class _Pair:
     """One object in one view."""
 
     view: int  # index of the view
@@ -42,9 +42,9 @@ class Pair:
 
 
 @wp.func
-def pair_of(v: int, layer: int, layers: Layers) -> Pair:
+def pair_of(v: int, layer: int, layers: Layers) -> _Pair:
     """The pair of a view and a layer."""
-    pair = Pair()
+    pair = _Pair()
     pair.view = v
     pair.rectangle = layers.rectangle[v, layer]
     pair.offset = layers.offset[v, layer]
@@ -52,7 +52,7 @@ def pair_of(v: int, layer: int, layers: Layers) -> Pair:
 
 
 @wp.struct
-class EdgeCrossing:
+class _EdgeCrossing:
     """Where a surface ends between a sample's centre and a neighbour's: a subsample offset, and the depth there."""
 
     offset: float  # 0..1 in samples
@@ -62,9 +62,9 @@ class EdgeCrossing:
 
 
 @wp.func
-def edge_crossing_from(key: wp.int64, bits: wp.int32, near_m: float) -> EdgeCrossing:
+def _edge_crossing_from(key: wp.int64, bits: wp.int32, near_m: float) -> _EdgeCrossing:
     """An edge crossing from its key; half way, at the depth of the sample's ``bits``, where it is unknown."""
-    edge = EdgeCrossing()
+    edge = _EdgeCrossing()
     edge.offset = 0.5
     edge.inverse_depth = inverse_depth_of(bits)
     edge.cut_triangle = -1
@@ -81,7 +81,7 @@ def edge_crossing_from(key: wp.int64, bits: wp.int32, near_m: float) -> EdgeCros
 
 
 @wp.func
-def row_span(image: ImageTriangle, y: float) -> wp.vec2:
+def _row_span(image: ImageTriangle, y: float) -> wp.vec2:
     """The columns between which a triangle covers a row; the end lies before the start where it does not."""
     span = wp.vec2(-1.0e9, 1.0e9)
     a = image.edge0
@@ -93,7 +93,7 @@ def row_span(image: ImageTriangle, y: float) -> wp.vec2:
 
 
 @wp.func
-def column_span(image: ImageTriangle, x: float) -> wp.vec2:
+def _column_span(image: ImageTriangle, x: float) -> wp.vec2:
     """The rows between which a triangle covers a column; the end lies before the start where it does not."""
     span = wp.vec2(-1.0e9, 1.0e9)
     a = image.edge0
@@ -105,7 +105,7 @@ def column_span(image: ImageTriangle, x: float) -> wp.vec2:
 
 
 @wp.func
-def share_inside(start: wp.vec3, end: wp.vec3, normal: wp.vec3) -> float:
+def _share_inside(start: wp.vec3, end: wp.vec3, normal: wp.vec3) -> float:
     """Share of the way between two rays at which it leaves the half space of a normal; 1 if it does not."""
     here = wp.max(wp.dot(start, normal), 0.0)
     there = wp.dot(end, normal)
@@ -115,10 +115,10 @@ def share_inside(start: wp.vec3, end: wp.vec3, normal: wp.vec3) -> float:
 
 
 @wp.func
-def traced_triangle_crossing(
+def _traced_triangle_crossing(
     camera: View, scene: Triangles, triangle: int, bits: wp.int32, row: int, column: int, direction: int
-) -> EdgeCrossing:
-    """`triangle_crossing` for a lens that is no pinhole, where straight sides are planes of rays."""
+) -> _EdgeCrossing:
+    """`_triangle_crossing` for a lens that is no pinhole, where straight sides are planes of rays."""
     corner = scene.triangle[triangle]
     a = point_in_camera(camera, scene.vertex_world_m[corner[0]])
     b = point_in_camera(camera, scene.vertex_world_m[corner[1]])
@@ -127,9 +127,9 @@ def traced_triangle_crossing(
     start = sample_ray(camera, row, column)
     end = sample_ray(camera, row + step[0], column + step[1])
     side = wp.sign(wp.dot(a, wp.cross(b, c)))
-    share = share_inside(start, end, side * wp.cross(a, b))
-    share = wp.min(share, share_inside(start, end, side * wp.cross(b, c)))
-    share = wp.min(share, share_inside(start, end, side * wp.cross(c, a)))
+    share = _share_inside(start, end, side * wp.cross(a, b))
+    share = wp.min(share, _share_inside(start, end, side * wp.cross(b, c)))
+    share = wp.min(share, _share_inside(start, end, side * wp.cross(c, a)))
     # 1/depth is linear in the ray
     plane = wp.cross(b - a, c - a)
     plane = plane / wp.dot(plane, a)
@@ -140,8 +140,8 @@ def traced_triangle_crossing(
     if end_w > nearest:
         cut_share = wp.clamp((nearest - start_w) / (end_w - start_w), 0.0, 1.0)
     if wp.min(share, cut_share) >= 1.0:
-        return edge_crossing_from(wp.int64(0), bits, camera.near_m)
-    edge = EdgeCrossing()
+        return _edge_crossing_from(wp.int64(0), bits, camera.near_m)
+    edge = _EdgeCrossing()
     edge.offset = wp.min(share, cut_share)
     edge.inverse_depth = start_w + edge.offset * (end_w - start_w)
     edge.cut_triangle = -1
@@ -152,7 +152,7 @@ def traced_triangle_crossing(
 
 
 @wp.func
-def triangle_crossing(
+def _triangle_crossing(
     camera: View,
     scene: Triangles,
     triangle: int,
@@ -162,17 +162,17 @@ def triangle_crossing(
     direction: int,
     width: int,
     height: int,
-) -> EdgeCrossing:
+) -> _EdgeCrossing:
     """How far one triangle goes on from a sample's centre that it covers; half way where it covers the next as well.
 
     For surfaces without a layer: their triangles are large, and their neighbours are not asked.
     """
     if camera.lens.kind != PINHOLE:
-        return traced_triangle_crossing(camera, scene, triangle, bits, row, column, direction)
+        return _traced_triangle_crossing(camera, scene, triangle, bits, row, column, direction)
     x = float(column) + 0.5
     y = float(row) + 0.5
     part = front_part(camera, scene, triangle)
-    edge = EdgeCrossing()
+    edge = _EdgeCrossing()
     edge.cut_triangle = -1
     edge.is_known = True
     for index in range(part.part_count):
@@ -182,12 +182,12 @@ def triangle_crossing(
         here = x
         w_per_step = image.w_per_column
         if direction == TO_LEFT or direction == TO_RIGHT:
-            span = row_span(image, y)
+            span = _row_span(image, y)
         else:
-            span = column_span(image, x)
+            span = _column_span(image, x)
             here = y
             w_per_step = image.w_per_row
-        if span[0] <= here + SPAN_SLACK and span[1] >= here - SPAN_SLACK:
+        if span[0] <= here + _SPAN_SLACK and span[1] >= here - _SPAN_SLACK:
             end = span[1]
             if direction == TO_LEFT or direction == TO_TOP:
                 end = span[0]
@@ -195,14 +195,14 @@ def triangle_crossing(
                 edge.offset = wp.abs(end - here)
                 edge.inverse_depth = w + w_per_step * (end - here)
     if edge.offset <= 0.0 or edge.offset >= 1.0:
-        return edge_crossing_from(wp.int64(0), bits, camera.near_m)
+        return _edge_crossing_from(wp.int64(0), bits, camera.near_m)
     if not part.is_whole and edge.inverse_depth > (1.0 - NEAR_TOLERANCE) / camera.near_m:
         edge.cut_triangle = triangle
     return edge
 
 
 @wp.func
-def hiding_crossing(
+def _hiding_crossing(
     camera: View,
     scene: Triangles,
     layers: Layers,
@@ -214,7 +214,7 @@ def hiding_crossing(
     direction: int,
     width: int,
     height: int,
-) -> EdgeCrossing:
+) -> _EdgeCrossing:
     """How far a hiding surface goes on from a sample's centre that it hides."""
     layer = -1 - source
     if source >= 0:
@@ -222,14 +222,14 @@ def hiding_crossing(
     if layer >= 0 and layer < layers.rectangle.shape[1]:
         place = place_in(layers.rectangle[v, layer], layers.offset[v, layer], row, column)
         if place >= 0:
-            return edge_crossing_from(layers.crossing_key[direction, place], bits, camera.near_m)
+            return _edge_crossing_from(layers.crossing_key[direction, place], bits, camera.near_m)
     if source < 0:
-        return edge_crossing_from(wp.int64(0), bits, camera.near_m)
-    return triangle_crossing(camera, scene, source, bits, row, column, direction, width, height)
+        return _edge_crossing_from(wp.int64(0), bits, camera.near_m)
+    return _triangle_crossing(camera, scene, source, bits, row, column, direction, width, height)
 
 
 @wp.func
-def plane_inverse_depth(camera: View, scene: Triangles, triangle: int, row: int, column: int) -> float:
+def _plane_inverse_depth(camera: View, scene: Triangles, triangle: int, row: int, column: int) -> float:
     """Inverse depth of a triangle's plane at a sample's centre [1/m]; not positive where the camera looks past it."""
     plane = scene.triangle_plane[triangle]
     normal = wp.vec3(plane[0], plane[1], plane[2])
@@ -241,7 +241,7 @@ def plane_inverse_depth(camera: View, scene: Triangles, triangle: int, row: int,
 
 
 @wp.func
-def passing_share(front: float, front_next: float, back: float, back_next: float) -> float:
+def _passing_share(front: float, front_next: float, back: float, back_next: float) -> float:
     """Share of the way from one sample to the next at which the back surface comes through the front one; else -1.
 
     All four are inverse depths, which are linear in the image.
@@ -254,7 +254,7 @@ def passing_share(front: float, front_next: float, back: float, back_next: float
 
 
 @wp.struct
-class OutlineCrossing:
+class _OutlineCrossing:
     """Where an outline crosses from one sample's centre to the next."""
 
     x: float  # column in the grid
@@ -264,8 +264,8 @@ class OutlineCrossing:
 
 
 @wp.func
-def outline_crossing(
-    pair: Pair,
+def _outline_crossing(
+    pair: _Pair,
     row: int,
     column: int,
     direction: int,
@@ -276,24 +276,24 @@ def outline_crossing(
     hiding: Hiding,
     width: int,
     height: int,
-) -> OutlineCrossing:
+) -> _OutlineCrossing:
     """The crossing next to a sample of the mask whose neighbour in a direction is not of the mask."""
     step = step_of(direction)
     place = place_in(pair.rectangle, pair.offset, row, column)
     other_row = row + step[0]
     other_column = column + step[1]
     other = place_in(pair.rectangle, pair.offset, other_row, other_column)
-    edge = EdgeCrossing()
+    edge = _EdgeCrossing()
     edge.offset = 1.0
     edge.cut_triangle = -1
     if layers.inverse_depth_bits[other] == wp.int32(0):
-        edge = edge_crossing_from(
+        edge = _edge_crossing_from(
             layers.crossing_key[direction, place], layers.inverse_depth_bits[place], camera.near_m
         )
     if kind == VISIBLE:
         bits = hiding.bits[other]
         if bits != wp.int32(0):
-            back = hiding_crossing(
+            back = _hiding_crossing(
                 camera,
                 scene,
                 layers,
@@ -309,8 +309,8 @@ def outline_crossing(
             own_next = inverse_depth_of(layers.inverse_depth_bits[other])
             if own_next > 0.0 and hiding.source[other] >= 0:
                 own = inverse_depth_of(layers.inverse_depth_bits[place])
-                behind = plane_inverse_depth(camera, scene, hiding.source[other], row, column)
-                share = passing_share(own, own_next, behind, inverse_depth_of(bits))
+                behind = _plane_inverse_depth(camera, scene, hiding.source[other], row, column)
+                share = _passing_share(own, own_next, behind, inverse_depth_of(bits))
                 if share >= 0.0 and (share > 1.0 - back.offset or not back.is_known):
                     back.offset = 1.0 - share
                     back.inverse_depth = own + share * (own_next - own)
@@ -320,7 +320,7 @@ def outline_crossing(
                 edge.offset = 1.0 - back.offset
                 edge.inverse_depth = back.inverse_depth
                 edge.cut_triangle = back.cut_triangle
-    crossing = OutlineCrossing()
+    crossing = _OutlineCrossing()
     crossing.x = float(column) + 0.5 + edge.offset * float(step[1])
     crossing.y = float(row) + 0.5 + edge.offset * float(step[0])
     crossing.inverse_depth = edge.inverse_depth
@@ -340,7 +340,7 @@ class Cell:
 
 
 @wp.func
-def own_corners(pair: Pair, row: int, column: int, layers: Layers) -> int:
+def own_corners(pair: _Pair, row: int, column: int, layers: Layers) -> int:
     """Which corners of the cell at a place of the pair's rectangle the object covers; see `Cell.mask`."""
     place = pair.offset + row * pair.rectangle[2] + column
     below = place + pair.rectangle[2]
@@ -351,7 +351,7 @@ def own_corners(pair: Pair, row: int, column: int, layers: Layers) -> int:
 
 
 @wp.func
-def unhidden_corners(pair: Pair, row: int, column: int, hiding: Hiding) -> int:
+def unhidden_corners(pair: _Pair, row: int, column: int, hiding: Hiding) -> int:
     """Which corners of the cell at a place of the pair's rectangle nothing hides; see `Cell.mask`."""
     place = pair.offset + row * pair.rectangle[2] + column
     below = place + pair.rectangle[2]
@@ -362,7 +362,7 @@ def unhidden_corners(pair: Pair, row: int, column: int, hiding: Hiding) -> int:
 
 
 @wp.func
-def cell_of(camera: View, pair: Pair, row: int, column: int, mask: int) -> Cell:
+def cell_of(camera: View, pair: _Pair, row: int, column: int, mask: int) -> Cell:
     """The cell at a place of the pair's rectangle."""
     cell = Cell()
     cell.row = pair.rectangle[1] + row
@@ -380,7 +380,7 @@ def cell_of(camera: View, pair: Pair, row: int, column: int, mask: int) -> Cell:
 
 
 @wp.func
-def is_in_mask(pair: Pair, row: int, column: int, kind: int, layers: Layers, hiding: Hiding) -> bool:
+def is_in_mask(pair: _Pair, row: int, column: int, kind: int, layers: Layers, hiding: Hiding) -> bool:
     """Whether the sample at a place of the pair's rectangle is of the mask."""
     place = pair.offset + row * pair.rectangle[2] + column
     if layers.inverse_depth_bits[place] == wp.int32(0):
@@ -391,7 +391,7 @@ def is_in_mask(pair: Pair, row: int, column: int, kind: int, layers: Layers, hid
 
 
 @wp.func
-def mask_corners(pair: Pair, row: int, column: int, kind: int, layers: Layers, hiding: Hiding) -> int:
+def mask_corners(pair: _Pair, row: int, column: int, kind: int, layers: Layers, hiding: Hiding) -> int:
     """Which corners of the cell at a place of the pair's rectangle are of the mask; none of the last row and column."""
     if row + 1 >= pair.rectangle[3] or column + 1 >= pair.rectangle[2]:
         return 0
@@ -402,7 +402,7 @@ def mask_corners(pair: Pair, row: int, column: int, kind: int, layers: Layers, h
 
 
 @wp.func
-def side_from(mask: int, first: int, leaving: bool) -> int:
+def _side_from(mask: int, first: int, leaving: bool) -> int:
     """The first side of a cell, counted clockwise from ``first``, at which the mask ends (``leaving``) or begins.
 
     Side k leads from corner k to corner k + 1, clockwise from the upper left corner.
@@ -418,10 +418,10 @@ def side_from(mask: int, first: int, leaving: bool) -> int:
 
 
 @wp.func
-def side_crossing(
+def _side_crossing(
     cell: Cell,
     side: int,
-    pair: Pair,
+    pair: _Pair,
     kind: int,
     camera: View,
     scene: Triangles,
@@ -429,7 +429,7 @@ def side_crossing(
     hiding: Hiding,
     width: int,
     height: int,
-) -> OutlineCrossing:
+) -> _OutlineCrossing:
     """The outline's crossing of one side of a cell."""
     # corners clockwise: upper left, upper right, lower right, lower left; a side's direction from its first corner
     corner = side
@@ -449,7 +449,7 @@ def side_crossing(
     column = cell.column
     if corner == 1 or corner == 2:
         column += 1
-    return outline_crossing(pair, row, column, direction, kind, camera, scene, layers, hiding, width, height)
+    return _outline_crossing(pair, row, column, direction, kind, camera, scene, layers, hiding, width, height)
 
 
 @wp.struct
@@ -468,7 +468,7 @@ class Segment:
 def cell_segment(
     cell: Cell,
     index: int,
-    pair: Pair,
+    pair: _Pair,
     kind: int,
     camera: View,
     scene: Triangles,
@@ -478,15 +478,15 @@ def cell_segment(
     height: int,
 ) -> Segment:
     """One segment of outline of a cell. Where two opposite corners are of the mask, each is cut off by itself."""
-    start_side = side_from(cell.mask, 0, True)
+    start_side = _side_from(cell.mask, 0, True)
     if index == 1:
-        start_side = side_from(cell.mask, start_side + 1, True)
+        start_side = _side_from(cell.mask, start_side + 1, True)
     # the outline goes from where the mask ends, clockwise, backwards round its corner to where it begins
-    end_side = side_from(cell.mask, start_side + 1, False)
+    end_side = _side_from(cell.mask, start_side + 1, False)
     if cell.segment_count == 2:
         end_side = (start_side + 3) % 4
-    start = side_crossing(cell, start_side, pair, kind, camera, scene, layers, hiding, width, height)
-    end = side_crossing(cell, end_side, pair, kind, camera, scene, layers, hiding, width, height)
+    start = _side_crossing(cell, start_side, pair, kind, camera, scene, layers, hiding, width, height)
+    end = _side_crossing(cell, end_side, pair, kind, camera, scene, layers, hiding, width, height)
     segment = Segment()
     segment.start = wp.vec2(start.x, start.y)
     segment.end = wp.vec2(end.x, end.y)
@@ -498,7 +498,7 @@ def cell_segment(
 
 
 @wp.func
-def sorted_cut(from_value: float, to_value: float, cut: float) -> float:
+def _sorted_cut(from_value: float, to_value: float, cut: float) -> float:
     """Share of the way from one value to another at which it passes ``cut``; 1 if it does not."""
     if (from_value < cut) == (to_value < cut):
         return 1.0
@@ -511,6 +511,6 @@ def segment_cuts(segment: Segment) -> wp.vec4:
     # the middle lines of the cell between the sample centres
     column = wp.floor(wp.min(segment.start[0], segment.end[0]) + 0.5)
     row = wp.floor(wp.min(segment.start[1], segment.end[1]) + 0.5)
-    a = sorted_cut(segment.start[0], segment.end[0], column)
-    b = sorted_cut(segment.start[1], segment.end[1], row)
+    a = _sorted_cut(segment.start[0], segment.end[0], column)
+    b = _sorted_cut(segment.start[1], segment.end[1], row)
     return wp.vec4(0.0, wp.min(a, b), wp.max(a, b), 1.0)

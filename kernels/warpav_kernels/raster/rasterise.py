@@ -38,14 +38,14 @@ from warpav_kernels.raster.view import View, point_in_camera
 wp.set_module_options({"enable_backward": False})
 
 # On a GPU, triangles of more samples than this are cut into strips of rows, which many threads fill together.
-LARGE_SAMPLES = wp.constant(64)
-STRIP_ROWS = wp.constant(8)
+_LARGE_SAMPLES = wp.constant(64)
+_STRIP_ROWS = wp.constant(8)
 
 LEAST_OFFSET = wp.constant(1.0e-6)  # 0 means unknown
 
 
 @wp.struct
-class FrontPart:
+class _FrontPart:
     """What the near plane leaves of a triangle, in camera coordinates."""
 
     part_count: int  # triangles of the fan: 0, 1 (a, b, c), or 2 (a, b, c and a, c, d)
@@ -57,11 +57,11 @@ class FrontPart:
 
 
 @wp.func
-def front_part(camera: View, scene: Triangles, triangle: int) -> FrontPart:
+def front_part(camera: View, scene: Triangles, triangle: int) -> _FrontPart:
     """The part of a triangle in front of the near plane."""
     near_m = camera.near_m
     corner = scene.triangle[triangle]
-    part = FrontPart()
+    part = _FrontPart()
     part.a = point_in_camera(camera, scene.vertex_world_m[corner[0]])
     part.b = point_in_camera(camera, scene.vertex_world_m[corner[1]])
     part.c = point_in_camera(camera, scene.vertex_world_m[corner[2]])
@@ -109,7 +109,7 @@ def front_part(camera: View, scene: Triangles, triangle: int) -> FrontPart:
 
 
 @wp.struct
-class Edge:
+class _Edge:
     """A side of a triangle in the sample grid: inside is ``a (x - u) + b (y - v) >= 0``."""
 
     u: float  # column of a point on it
@@ -119,13 +119,13 @@ class Edge:
 
 
 @wp.func
-def edge_from(u: float, v: float, next_u: float, next_v: float, side: float) -> Edge:
+def _edge_from(u: float, v: float, next_u: float, next_v: float, side: float) -> _Edge:
     """The edge from one corner to the next; ``side`` is the sign of the triangle's area.
 
     It starts at its upper end, whichever way it runs: so two triangles that share it meet every row at the same place,
     to the last bit, and leave no hole.
     """
-    edge = Edge()
+    edge = _Edge()
     edge.u = u
     edge.v = v
     if next_v < v or (next_v == v and next_u < u):
@@ -159,9 +159,9 @@ class ImageTriangle:
     b: wp.vec3  # second corner
     c: wp.vec3  # third corner
     side: float  # sign of its area; 0 where it is too thin to have a plane
-    edge0: Edge  # first side
-    edge1: Edge  # second side
-    edge2: Edge  # third side
+    edge0: _Edge  # first side
+    edge1: _Edge  # second side
+    edge2: _Edge  # third side
     w: float  # inverse depth at the first corner [1/m]; it is linear in the image
     w_per_column: float  # its growth along a row
     w_per_row: float  # its growth along a column
@@ -172,7 +172,7 @@ class ImageTriangle:
 
 
 @wp.func
-def image_triangle(camera: View, part: FrontPart, index: int, has_outline: bool, scissor: wp.vec4i) -> ImageTriangle:
+def image_triangle(camera: View, part: _FrontPart, index: int, has_outline: bool, scissor: wp.vec4i) -> ImageTriangle:
     """The image of one triangle of a fan in front of the near plane, its rows and columns cut to a scissor.
 
     Where it holds no sample's centre, its sides are left out (0), unless ``has_outline`` and it crosses a row or a
@@ -211,9 +211,9 @@ def image_triangle(camera: View, part: FrontPart, index: int, has_outline: bool,
     image.w_per_column = ((w1 - w0) * (v2 - v0) - (w2 - w0) * (v1 - v0)) / doubled_area
     image.w_per_row = ((w2 - w0) * (u1 - u0) - (w1 - w0) * (u2 - u0)) / doubled_area
     image.side = wp.sign(doubled_area)
-    image.edge0 = edge_from(u0, v0, u1, v1, image.side)
-    image.edge1 = edge_from(u1, v1, u2, v2, image.side)
-    image.edge2 = edge_from(u2, v2, u0, v0, image.side)
+    image.edge0 = _edge_from(u0, v0, u1, v1, image.side)
+    image.edge1 = _edge_from(u1, v1, u2, v2, image.side)
+    image.edge2 = _edge_from(u2, v2, u0, v0, image.side)
     return image
 
 
@@ -233,7 +233,7 @@ def narrowed(span: wp.vec2, start: float, along: float, across: float, slope: fl
 
 
 @wp.func
-def raise_bits(bits: wp.array[wp.int32], place: int, value: wp.int32):
+def _raise_bits(bits: wp.array[wp.int32], place: int, value: wp.int32):
     """Raise an element to a value, without an atomic operation where it is as high already."""
     if bits[place] < value:
         wp.atomic_max(bits, place, value)
@@ -298,11 +298,11 @@ def fill_rows(
                     if key[v, row, column] < value:
                         wp.atomic_max(key, v, row, column, value)
                 if offset >= 0:
-                    raise_bits(layers.inverse_depth_bits, layer_row + column, bits)
+                    _raise_bits(layers.inverse_depth_bits, layer_row + column, bits)
 
 
 @wp.func
-def cross_edge(
+def _cross_edge(
     start: wp.vec3, end: wp.vec3, side: float, cut_triangle: int, rectangle: wp.vec4i, offset: int, layers: Layers
 ):
     """Scatter where one side of a triangle crosses the lines from the samples next to it to their neighbours.
@@ -486,25 +486,25 @@ def scatter_triangles_kernel(
                     neighbour = scene.neighbour[triangle]
                     is_facing = faces(camera, scene.triangle_plane[triangle])
                 if may_be_outline(camera, scene, is_facing, neighbour[0]):
-                    cross_edge(image.a, image.b, image.side, -1, rectangle, offset, layers)
+                    _cross_edge(image.a, image.b, image.side, -1, rectangle, offset, layers)
                 if may_be_outline(camera, scene, is_facing, neighbour[1]):
                     # the last triangle of a fan has the side that the near plane made
                     cut_triangle = int(-1)
                     if not part.is_whole and index == part.part_count - 1:
                         cut_triangle = triangle
-                    cross_edge(image.b, image.c, image.side, cut_triangle, rectangle, offset, layers)
+                    _cross_edge(image.b, image.c, image.side, cut_triangle, rectangle, offset, layers)
                 if may_be_outline(camera, scene, is_facing, neighbour[2]):
-                    cross_edge(image.c, image.a, image.side, -1, rectangle, offset, layers)
+                    _cross_edge(image.c, image.a, image.side, -1, rectangle, offset, layers)
             rows = image.last_row - image.first_row + 1
             columns = image.last_column - image.first_column + 1
             if (is_cut or not is_drawn) and image.side != 0.0 and rows > 0 and columns > 0:
                 room = int(-1)
-                if strip.shape[0] > 0 and rows * columns > LARGE_SAMPLES:
-                    strips = (rows + STRIP_ROWS - 1) / STRIP_ROWS
+                if strip.shape[0] > 0 and rows * columns > _LARGE_SAMPLES:
+                    strips = (rows + _STRIP_ROWS - 1) / _STRIP_ROWS
                     room = wp.atomic_add(strip_count, 0, strips)
                     for s in range(strips):
                         if room + s < strip.shape[0]:
-                            strip[room + s] = wp.vec4i(v, triangle, index, image.first_row + s * STRIP_ROWS)
+                            strip[room + s] = wp.vec4i(v, triangle, index, image.first_row + s * _STRIP_ROWS)
                     if room + strips > strip.shape[0]:
                         room = -1
                 if room < 0:
@@ -563,7 +563,7 @@ def fill_strips_kernel(
             if rectangle[2] == 0:
                 offset = -1
         image = image_triangle(camera, front_part(camera, scene, triangle), entry[2], False, frame)
-        last_row = wp.min(image.last_row, entry[3] + STRIP_ROWS - 1)
+        last_row = wp.min(image.last_row, entry[3] + _STRIP_ROWS - 1)
         fill_rows(
             image,
             entry[3],

@@ -18,7 +18,7 @@ from warpav_kernels.raster.view import View, point_in_camera
 
 wp.set_module_options({"enable_backward": False})
 
-BLOCK_SAMPLES = wp.constant(256)  # triangles whose bounds hold more are filled block by block
+_BLOCK_SAMPLES = wp.constant(256)  # triangles whose bounds hold more are filled block by block
 
 
 # Eight samples of a row, or blocks, are tested at once. Warp's arrays may have any strides; that these rows lie in one
@@ -171,7 +171,7 @@ _FILL_TRIANGLE = """
 
 
 @wp.func_native(_FILL_TRIANGLE)
-def fill_triangle(
+def _fill_triangle(
     candidate: wp.array2d[Candidate],
     v: int,
     number: int,
@@ -200,7 +200,7 @@ def fill_triangle(
 
 
 @wp.func(inline=False)
-def misses_scissor(camera: View, centre_m: wp.vec3, radius_m: float, scissor: wp.vec4i) -> bool:
+def _misses_scissor(camera: View, centre_m: wp.vec3, radius_m: float, scissor: wp.vec4i) -> bool:
     """Whether a sphere (camera coordinates) surely has no image inside a view's scissor."""
     distance = wp.length(centre_m)
     if distance + radius_m < camera.near_m:
@@ -258,7 +258,7 @@ def scatter_bent_triangles_kernel(
         return
     sphere = scene.cluster_sphere_world_m[cluster]
     centre_m = point_in_camera(camera, wp.vec3(sphere[0], sphere[1], sphere[2]))
-    if misses_scissor(camera, centre_m, sphere[3], frame):
+    if _misses_scissor(camera, centre_m, sphere[3], frame):
         return
     rectangle = wp.vec4i(0, 0, 0, 0)
     offset = int(-1)
@@ -298,7 +298,7 @@ def scatter_bent_triangles_kernel(
                     found, p, q, r, camera, scene, rays, table, widest_cosine, is_front_only, rectangle,
                     offset, layers,
                 )  # fmt: skip
-        fill_triangle(
-            candidate, v, k, rays, ray_set, turn_samples, frame, BLOCK_SAMPLES,
+        _fill_triangle(
+            candidate, v, k, rays, ray_set, turn_samples, frame, _BLOCK_SAMPLES,
             LEAST_INVERSE_DEPTH, 1.0 / camera.near_m, has_key == 1, rectangle, offset, layers, key,
         )  # fmt: skip

@@ -80,7 +80,7 @@ def bound_rays_kernel(
     least = float(1.0)
     others = int(0)
     for column in range(ray.shape[3]):
-        each = ray_at(ray, i, row, column)
+        each = _ray_at(ray, i, row, column)
         others += int(each[2] != 1.0)
         if wp.length_sq(each) > 0.0:
             least = wp.min(least, each[2] / wp.length(each))
@@ -90,13 +90,13 @@ def bound_rays_kernel(
 
 
 @wp.func
-def ray_at(ray: wp.array4d[float], ray_set: int, row: int, column: int) -> wp.vec3:
+def _ray_at(ray: wp.array4d[float], ray_set: int, row: int, column: int) -> wp.vec3:
     """Ray of depth 1 through a sample's centre; see `Rays`."""
     return wp.vec3(ray[ray_set, 0, row, column], ray[ray_set, 1, row, column], ray[ray_set, 2, row, column])
 
 
 @wp.func
-def mean_and_spread(ray: wp.array4d[float], ray_set: int, samples: wp.vec4i) -> wp.vec4:
+def _mean_and_spread(ray: wp.array4d[float], ray_set: int, samples: wp.vec4i) -> wp.vec4:
     """Mean of some rays, of those that see something, and the greatest distance from it; -1: none does.
 
     ``samples`` are the first row and column, and those after the last.
@@ -105,7 +105,7 @@ def mean_and_spread(ray: wp.array4d[float], ray_set: int, samples: wp.vec4i) -> 
     count = float(0.0)
     for row in range(samples[0], wp.min(samples[2], ray.shape[2])):
         for column in range(samples[1], wp.min(samples[3], ray.shape[3])):
-            each = ray_at(ray, ray_set, row, column)
+            each = _ray_at(ray, ray_set, row, column)
             if wp.length_sq(each) > 0.0:
                 total += each
                 count += 1.0
@@ -113,14 +113,14 @@ def mean_and_spread(ray: wp.array4d[float], ray_set: int, samples: wp.vec4i) -> 
     spread = float(-1.0)
     for row in range(samples[0], wp.min(samples[2], ray.shape[2])):
         for column in range(samples[1], wp.min(samples[3], ray.shape[3])):
-            each = ray_at(ray, ray_set, row, column)
+            each = _ray_at(ray, ray_set, row, column)
             if wp.length_sq(each) > 0.0:
                 spread = wp.max(spread, wp.length(each - mean))
     return wp.vec4(mean[0], mean[1], mean[2], spread)
 
 
 @wp.struct
-class RowEnds:
+class _RowEnds:
     """The rays of a few samples of a row."""
 
     first: wp.vec3  # the first that sees anything
@@ -129,14 +129,14 @@ class RowEnds:
 
 
 @wp.func
-def row_ends(ray: wp.array4d[float], ray_set: int, row: int, first_column: int) -> RowEnds:
+def _row_ends(ray: wp.array4d[float], ray_set: int, row: int, first_column: int) -> _RowEnds:
     """What bounds the rays of a block's row."""
-    ends = RowEnds()
+    ends = _RowEnds()
     ends.bulge = -1.0
     if row >= ray.shape[2]:
         return ends
     for column in range(first_column, wp.min(first_column + BLOCK, ray.shape[3])):
-        each = ray_at(ray, ray_set, row, column)
+        each = _ray_at(ray, ray_set, row, column)
         if wp.length_sq(each) > 0.0:
             if ends.bulge < 0.0:
                 ends.first = each
@@ -144,7 +144,7 @@ def row_ends(ray: wp.array4d[float], ray_set: int, row: int, first_column: int) 
             ends.last = each
     along = wp.normalize(ends.last - ends.first)
     for column in range(first_column, wp.min(first_column + BLOCK, ray.shape[3])):
-        each = ray_at(ray, ray_set, row, column)
+        each = _ray_at(ray, ray_set, row, column)
         if wp.length_sq(each) > 0.0:
             aside = each - ends.first
             aside -= wp.dot(aside, along) * along
@@ -168,11 +168,11 @@ def place_blocks_kernel(
     """
     i, row, column = wp.tid()
     first = wp.vec4i(row * BLOCK, column * BLOCK, (row + 1) * BLOCK, (column + 1) * BLOCK)
-    whole = mean_and_spread(ray, i, first)
+    whole = _mean_and_spread(ray, i, first)
     for part in range(4):
         block[i, part, row, column] = whole[part]
     for k in range(BLOCK):
-        ends = row_ends(ray, i, first[0] + k, first[1])
+        ends = _row_ends(ray, i, first[0] + k, first[1])
         number = row * block.shape[3] + column
         for axis in range(3):
             block_row[i, axis, number, k] = ends.first[axis]

@@ -11,7 +11,7 @@ from warpav_kernels.raster.view import GUARD, View, point_in_camera, sample_ray
 wp.set_module_options({"enable_backward": False})
 
 # Points along each side of the grid on which colours are compared: the same work for large objects and for small ones.
-COLOUR_POINTS = wp.constant(24)
+_COLOUR_POINTS = wp.constant(24)
 
 
 # Rows mostly lie in one piece, so a compiler uses its vectors; images that were handed over may have any strides.
@@ -37,7 +37,7 @@ _RESOLVE_ROW = """
 
 
 @wp.func_native(_RESOLVE_ROW)
-def resolve_row(
+def _resolve_row(
     key: wp.array3d[wp.int64],
     scene: Triangles,
     v: int,
@@ -82,7 +82,7 @@ def resolve_depth_kernel(
     """
     chunk_view, row, lane = wp.tid()
     v = first_view + chunk_view
-    resolve_row(
+    _resolve_row(
         key, scene, v, row, GUARD + supersampling / 2, supersampling, background_m, first_object, lane, lane_count,
         depth_m, object_id,
     )  # fmt: skip
@@ -143,7 +143,7 @@ class Patch:
 
 
 @wp.func
-def patch_of(camera: View, scene: Triangles, vertex_rgb: wp.array[wp.vec3], triangle: int) -> Patch:
+def _patch_of(camera: View, scene: Triangles, vertex_rgb: wp.array[wp.vec3], triangle: int) -> Patch:
     """The colours of a triangle, seen by a camera."""
     corner = scene.triangle[triangle]
     a = point_in_camera(camera, scene.vertex_world_m[corner[0]])
@@ -162,7 +162,7 @@ def patch_of(camera: View, scene: Triangles, vertex_rgb: wp.array[wp.vec3], tria
 
 
 @wp.func
-def patch_rgb(patch: Patch, ray: wp.vec3) -> wp.vec3:
+def _patch_rgb(patch: Patch, ray: wp.vec3) -> wp.vec3:
     """Colour of a triangle where a ray hits it."""
     return patch.rgb + (1.0 / wp.dot(patch.whole, ray)) * (patch.change * ray)
 
@@ -175,7 +175,7 @@ def patch_under(
     triangle = wp.int32(nearest & wp.int64(0xFFFFFFFF))
     if nearest == wp.int64(0) or triangle == patch.triangle:
         return patch
-    return patch_of(camera, scene, vertex_rgb, triangle)
+    return _patch_of(camera, scene, vertex_rgb, triangle)
 
 
 @wp.func
@@ -192,11 +192,11 @@ def rgb_along(
         r = camera.camera_from_world
         up = r[0, 2] * ray[0] + r[1, 2] * ray[1] + r[2, 2] * ray[2]
         return sky_rgb(horizon_rgb, zenith_rgb, up / wp.length(ray))
-    return patch_rgb(patch, ray)
+    return _patch_rgb(patch, ray)
 
 
 @wp.func
-def mean_rgb(total: wp.vec3, supersampling: int) -> wp.vec3:
+def _mean_rgb(total: wp.vec3, supersampling: int) -> wp.vec3:
     """Colour of a pixel, 0..1, from the sum over its samples."""
     colour = (1.0 / float(supersampling * supersampling)) * total
     return wp.vec3(wp.clamp(colour[0], 0.0, 1.0), wp.clamp(colour[1], 0.0, 1.0), wp.clamp(colour[2], 0.0, 1.0))
@@ -240,7 +240,7 @@ def resolve_rgb_kernel(
             nearest = key[v, grid_row, grid_column]
             patch = patch_under(patch, nearest, camera, scene, vertex_rgb)
             total += rgb_along(camera, ray, nearest, patch, horizon_rgb, zenith_rgb)
-        rgb[image, row, column] = mean_rgb(total, supersampling)
+        rgb[image, row, column] = _mean_rgb(total, supersampling)
 
 
 @wp.kernel(enable_backward=False)
@@ -289,10 +289,10 @@ def measure_contrast_kernel(
     other_count = float(0.0)
     patch = Patch()
     patch.triangle = -1
-    for i in range(COLOUR_POINTS):
-        for j in range(COLOUR_POINTS):
-            row = int(top + (float(i) + 0.5) / float(COLOUR_POINTS) * (bottom - top))
-            column = int(left + (float(j) + 0.5) / float(COLOUR_POINTS) * (right - left))
+    for i in range(_COLOUR_POINTS):
+        for j in range(_COLOUR_POINTS):
+            row = int(top + (float(i) + 0.5) / float(_COLOUR_POINTS) * (bottom - top))
+            column = int(left + (float(j) + 0.5) / float(_COLOUR_POINTS) * (right - left))
             total = wp.vec3(0.0, 0.0, 0.0)
             for sample in range(supersampling * supersampling):
                 grid_row = GUARD + row * supersampling + sample / supersampling
@@ -307,10 +307,10 @@ def measure_contrast_kernel(
             if nearest != wp.int64(0):
                 is_own = scene.triangle_body[wp.int32(nearest & wp.int64(0xFFFFFFFF))] == layer_body[k]
             if is_own:
-                own += mean_rgb(total, supersampling)
+                own += _mean_rgb(total, supersampling)
                 own_count += 1.0
             else:
-                other += mean_rgb(total, supersampling)
+                other += _mean_rgb(total, supersampling)
                 other_count += 1.0
     if own_count > 0.0 and other_count > 0.0:
         contrast[v, k] = wp.length(own / own_count - other / other_count)

@@ -14,11 +14,11 @@ from warpav_kernels.raster.view import View, sample_ray
 wp.set_module_options({"enable_backward": False})
 
 FARTHEST_M = wp.constant(1.0e6)
-WHOLE_SCENE = wp.constant(-1)  # root of the whole mesh
+_WHOLE_SCENE = wp.constant(-1)  # root of the whole mesh
 
 
 @wp.struct
-class Hit:
+class _Hit:
     """What a ray hits."""
 
     inverse_depth: float  # 1/depth [1/m]; 0 where it hits nothing
@@ -26,9 +26,9 @@ class Hit:
 
 
 @wp.func
-def first_hit(camera: View, mesh: wp.uint64, root: int, ray: wp.vec3) -> Hit:
+def first_hit(camera: View, mesh: wp.uint64, root: int, ray: wp.vec3) -> _Hit:
     """The nearest surface along a ray of depth 1 in camera coordinates; none for a ray of zero."""
-    hit = Hit()
+    hit = _Hit()
     hit.inverse_depth = 0.0
     hit.triangle = -1
     if wp.length_sq(ray) > 0.0:
@@ -64,7 +64,7 @@ def trace_keys_kernel(
     if column < frame[0] or row < frame[1] or column >= frame[2] or row >= frame[3]:
         return
     camera = view[v]
-    hit = first_hit(camera, mesh, WHOLE_SCENE, sample_ray(camera, row, column))
+    hit = first_hit(camera, mesh, _WHOLE_SCENE, sample_ray(camera, row, column))
     nearest = wp.int64(0)
     if hit.triangle >= 0:
         nearest = (wp.int64(wp.cast(hit.inverse_depth, wp.int32)) << wp.int64(32)) | wp.int64(hit.triangle)

@@ -8,8 +8,8 @@ from warpav_kernels.raster.view import View
 wp.set_module_options({"enable_backward": False})
 
 # How far behind a plane a camera surely sees the triangle's back [m], and how much more at large coordinates.
-BEHIND_M = wp.constant(1.0e-4)
-BEHIND_SHARE = wp.constant(1.0e-6)
+_BEHIND_M = wp.constant(1.0e-4)
+_BEHIND_SHARE = wp.constant(1.0e-6)
 
 
 @wp.struct
@@ -65,7 +65,7 @@ def may_be_outline(camera: View, scene: Triangles, is_facing: bool, neighbour: i
 
 
 @wp.func
-def near_reach_m(camera: View, frame: wp.vec4i) -> float:
+def _near_reach_m(camera: View, frame: wp.vec4i) -> float:
     """How far from the camera its near cut is at most, inside a part of the grid [m]."""
     across = float(0.0)
     if camera.lens.kind == PINHOLE:
@@ -87,13 +87,13 @@ def shows_no_back(camera: View, scene: Triangles, cluster: int, frame: wp.vec4i)
     low = scene.cluster_closed_world_m[cluster, 0]
     high = scene.cluster_closed_world_m[cluster, 1]
     away = wp.max(low - camera.position_world_m, wp.max(camera.position_world_m - high, wp.vec3(0.0, 0.0, 0.0)))
-    return wp.length(away) > near_reach_m(camera, frame)
+    return wp.length(away) > _near_reach_m(camera, frame)
 
 
 @wp.func
 def behind_m(camera: View) -> float:
     """How far behind a triangle's plane a camera surely sees its back [m]."""
-    return BEHIND_M + BEHIND_SHARE * wp.length(camera.position_world_m)
+    return _BEHIND_M + _BEHIND_SHARE * wp.length(camera.position_world_m)
 
 
 @wp.func

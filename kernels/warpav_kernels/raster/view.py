@@ -136,7 +136,7 @@ def inverse_depth_of(bits: wp.int32) -> float:
 
 
 @wp.func(inline=False)
-def used_lens(view: View, width: int, height: int) -> Lens:
+def _used_lens(view: View, width: int, height: int) -> Lens:
     """The view's lens, one of BROWN_CONRADY with its limit no farther out than the corners of a grid of that size.
 
     Its polynomial may go on for long where there is no image, and all bounds grow with the limit.
@@ -197,7 +197,7 @@ def place_views_kernel(
     placed.centre = wp.vec2(intrinsics[2] * scale + float(GUARD), intrinsics[3] * scale + float(GUARD))
     placed.near_m = near_m[i]
     placed.lens = lens[i]
-    placed.lens = used_lens(placed, width, height)
+    placed.lens = _used_lens(placed, width, height)
     if ray_set[i] >= 0:
         placed.ray = ray[ray_set[i]]
     view[i] = placed

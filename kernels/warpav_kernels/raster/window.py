@@ -25,13 +25,13 @@ from warpav_kernels.raster.view import GUARD, View, ray_in_camera, solid_angle
 
 wp.set_module_options({"enable_backward": False})
 
-vec5 = wp.types.vector(length=5, dtype=float)
+_vec5 = wp.types.vector(length=5, dtype=float)
 
-FAR_EDGE = wp.constant(20.0)  # softnesses away, where a logistic edge is 1 to the last bit
+_FAR_EDGE = wp.constant(20.0)  # softnesses away, where a logistic edge is 1 to the last bit
 
 
 @wp.func
-def soft_edges(offset: float, half: float, softness: float) -> wp.vec3:
+def _soft_edges(offset: float, half: float, softness: float) -> wp.vec3:
     """Product of two logistic edges at -half and half: its value, and its derivatives to the offset and to half."""
     low = 1.0 / (1.0 + wp.exp(-(half + offset) / softness))
     high = 1.0 / (1.0 + wp.exp(-(half - offset) / softness))
@@ -40,28 +40,28 @@ def soft_edges(offset: float, half: float, softness: float) -> wp.vec3:
 
 
 @wp.func
-def window_density(camera: View, column: float, row: float, window_rad: wp.vec4, softness_rad: float) -> vec5:
+def _window_density(camera: View, column: float, row: float, window_rad: wp.vec4, softness_rad: float) -> _vec5:
     """Weighted solid angle of a sample at a place of the grid [sr], and its derivatives to the window [sr/rad].
 
     A window is the azimuth and the elevation of its centre, its half width and its half height.
     """
     ray = ray_in_camera(camera, column, row)
     if wp.length_sq(ray) == 0.0:
-        return vec5(0.0, 0.0, 0.0, 0.0, 0.0)
-    if wp.min(window_rad[2], window_rad[3]) > 2.0 * wp.pi + FAR_EDGE * softness_rad:
-        return vec5(solid_angle(camera, ray), 0.0, 0.0, 0.0, 0.0)
+        return _vec5(0.0, 0.0, 0.0, 0.0, 0.0)
+    if wp.min(window_rad[2], window_rad[3]) > 2.0 * wp.pi + _FAR_EDGE * softness_rad:
+        return _vec5(solid_angle(camera, ray), 0.0, 0.0, 0.0, 0.0)
     azimuth = wp.atan2(-ray[0], ray[2]) - window_rad[0]
     azimuth -= 2.0 * wp.pi * wp.floor(azimuth / (2.0 * wp.pi) + 0.5)
     elevation = wp.atan2(-ray[1], wp.sqrt(ray[0] * ray[0] + ray[2] * ray[2])) - window_rad[1]
-    wide = soft_edges(azimuth, window_rad[2], softness_rad)
-    high = soft_edges(elevation, window_rad[3], softness_rad)
-    return solid_angle(camera, ray) * vec5(
+    wide = _soft_edges(azimuth, window_rad[2], softness_rad)
+    high = _soft_edges(elevation, window_rad[3], softness_rad)
+    return solid_angle(camera, ray) * _vec5(
         wide[0] * high[0], -wide[1] * high[0], -wide[0] * high[1], wide[2] * high[0], wide[0] * high[2]
     )
 
 
 @wp.func
-def border_sweep(
+def _border_sweep(
     camera: View, column: int, row: int, width: int, height: int, window_rad: wp.vec4, softness_rad: float
 ) -> float:
     """What the image's border takes from the measure in a sample under a relative zoom [sr]; 0 away from the border."""
@@ -71,11 +71,11 @@ def border_sweep(
     for side in range(2):
         border_column = GUARD + side * (width - 2 * GUARD)
         if column == border_column - side:
-            density = window_density(camera, float(border_column), y, window_rad, softness_rad)
+            density = _window_density(camera, float(border_column), y, window_rad, softness_rad)
             swept += density[0] * wp.abs(float(border_column) - camera.centre[0])
         border_row = GUARD + side * (height - 2 * GUARD)
         if row == border_row - side:
-            density = window_density(camera, x, float(border_row), window_rad, softness_rad)
+            density = _window_density(camera, x, float(border_row), window_rad, softness_rad)
             swept += density[0] * wp.abs(float(border_row) - camera.centre[1])
     return swept
 
@@ -120,10 +120,10 @@ def measure_window_kernel(
                 x = float(grid_column) + 0.5
                 y = float(grid_row) + 0.5
                 if frame_weight(x, y, width, height) > 0.0:
-                    density = window_density(camera, x, y, window, softness_rad)
+                    density = _window_density(camera, x, y, window, softness_rad)
                     seen.area += density[0]
                     jac_window += wp.vec4(density[1], density[2], density[3], density[4])
-                    zoom -= border_sweep(camera, grid_column, grid_row, width, height, window, softness_rad)
+                    zoom -= _border_sweep(camera, grid_column, grid_row, width, height, window, softness_rad)
             mask = mask_corners(pair, row, column, kind, layers, hiding)
             if mask != 0 and mask != 15:
                 cell = cell_of(camera, pair, row, column, mask)
@@ -135,7 +135,7 @@ def measure_window_kernel(
                     for k in range(3):
                         middle = segment.start + 0.5 * (cut[k] + cut[k + 1]) * extent
                         if frame_weight(middle[0], middle[1], width, height) > 0.0:
-                            density = window_density(camera, middle[0], middle[1], window, softness_rad)
+                            density = _window_density(camera, middle[0], middle[1], window, softness_rad)
                             weight += (cut[k + 1] - cut[k]) * density[0]
                     seen = with_step(seen, camera, scene, segment, weight * extent[1], -weight * extent[0])
     # an outline keeps its directions; only the image's border does not

@@ -10,9 +10,11 @@ import warp as wp
 # loops over three neighbours stay loops: as fast, and compiled in 3.7 s instead of 4.5
 wp.set_module_options({"enable_backward": False, "max_unroll": 2})
 
-SHEET_PEAK = wp.constant(0.55)  # of a sheet of points, splat and read again with `spline_weights`: share at its middle
-JUMP_SLOPE = wp.constant(0.55)  # slope per cell of the field's blurred jump at the surface
-HALF_JUMP = wp.constant(0.5)
+_SHEET_PEAK = wp.constant(
+    0.55
+)  # of a sheet of points, splat and read again with `_spline_weights`: share at its middle
+_JUMP_SLOPE = wp.constant(0.55)  # slope per cell of the field's blurred jump at the surface
+_HALF_JUMP = wp.constant(0.5)
 
 
 @wp.func
@@ -26,7 +28,7 @@ def mirrored(index: int, count: int) -> int:
 
 
 @wp.func
-def spline_weights(distance: float) -> wp.vec3:
+def _spline_weights(distance: float) -> wp.vec3:
     """Quadratic B-spline at a node's neighbours and itself, for a point so many cells (up to 1/2) after the node."""
     before = 0.5 - distance
     after = 0.5 + distance
@@ -55,9 +57,9 @@ def splat_density_kernel(
     j = middle[1] - 1
     k = middle[2] - 1
     for p in range(group_start[group], group_start[group + 1]):
-        x = spline_weights(place[p][0] - float(middle[0]))
-        y = spline_weights(place[p][1] - float(middle[1]))
-        z = spline_weights(place[p][2] - float(middle[2]))
+        x = _spline_weights(place[p][0] - float(middle[0]))
+        y = _spline_weights(place[p][1] - float(middle[1]))
+        z = _spline_weights(place[p][2] - float(middle[2]))
         for a in range(3):
             for b in range(3):
                 for c in range(3):
@@ -80,15 +82,15 @@ def read_density_kernel(
     """
     p = wp.tid()
     middle = nearest_node[p]
-    x = spline_weights(place[p][0] - float(middle[0]))
-    y = spline_weights(place[p][1] - float(middle[1]))
-    z = spline_weights(place[p][2] - float(middle[2]))
+    x = _spline_weights(place[p][0] - float(middle[0]))
+    y = _spline_weights(place[p][1] - float(middle[1]))
+    z = _spline_weights(place[p][2] - float(middle[2]))
     total = float(0.0)
     for a in range(3):
         for b in range(3):
             for c in range(3):
                 total += x[a] * y[b] * z[c] * density[middle[0] - 1 + a, middle[1] - 1 + b, middle[2] - 1 + c]
-    points_per_face[p] = total / SHEET_PEAK
+    points_per_face[p] = total / _SHEET_PEAK
 
 
 @wp.kernel
@@ -117,9 +119,9 @@ def splat_normals_kernel(
     j = middle[1] - 1
     k = middle[2] - 1
     for p in range(group_start[group], group_start[group + 1]):
-        x = spline_weights(place[p][0] - float(middle[0]))
-        y = spline_weights(place[p][1] - float(middle[1]))
-        z = spline_weights(place[p][2] - float(middle[2]))
+        x = _spline_weights(place[p][0] - float(middle[0]))
+        y = _spline_weights(place[p][1] - float(middle[1]))
+        z = _spline_weights(place[p][2] - float(middle[2]))
         to_first = wp.vec3(float(i), float(j), float(k)) - place[p]
         above = wp.dot(area_normal[p], to_first)
         size = wp.length(area_normal[p])
@@ -166,8 +168,8 @@ def state_equation_kernel(
         weight = screening * area[i, j, k]
         wanted = float(0.0)
         if weight > 0.0:
-            rise = JUMP_SLOPE * height[i, j, k] / area[i, j, k]
-            wanted = weight * wp.clamp(rise, -HALF_JUMP, HALF_JUMP)
+            rise = _JUMP_SLOPE * height[i, j, k] / area[i, j, k]
+            wanted = weight * wp.clamp(rise, -_HALF_JUMP, _HALF_JUMP)
         source[i, j, k] = source[i, j, k] + scale * (wanted - 0.5 * (x + y + z))
         screen[i, j, k] = screen[i, j, k] + scale * weight
 

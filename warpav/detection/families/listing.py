@@ -18,7 +18,7 @@ from warpav.detection.families.family import (
 from warpav.detection.families.ultralytics import UltralyticsEndToEnd
 
 
-class ListingFamily(Family):
+class _ListingFamily(Family):
     """Families with boxes, labels and scores as outputs of their own, distinguished by rank and type."""
 
     @staticmethod
@@ -50,7 +50,7 @@ class ListingFamily(Family):
         return listed_candidates(self.file, boxes, scores, labels, classes, confidence_min)
 
 
-class Torchvision(ListingFamily):
+class Torchvision(_ListingFamily):
     """Detection networks of torchvision: Faster R-CNN, RetinaNet, SSD and their like."""
 
     name = "torchvision"
@@ -92,7 +92,7 @@ class Torchvision(ListingFamily):
         return self._list(outputs, self._outputs, classes, confidence_min)
 
 
-class Rtdetr(ListingFamily):
+class Rtdetr(_ListingFamily):
     """RT-DETR, RT-DETRv2, D-FINE and their like with ``orig_target_sizes`` as second input.
 
     That input is the size of the boxes' frame. It is given the size of the network's input, for from there boxes go

@@ -84,7 +84,7 @@ TEST_SUBSETS = {
 }
 """Scenes that evaluate, likewise."""
 
-CLASS_OF_CATEGORY = {
+_CLASS_OF_CATEGORY = {
     "car": "car",
     "hatchback": "car",
     "saloon": "car",
@@ -219,7 +219,7 @@ def render_scene(
     scene = replace(scene, vehicles=scene.vehicles + scene.others, others=())
     packed = DeviceScene.pack(scene)
     center_m = np.array([vehicle.box.center_m for vehicle in scene.vehicles]).reshape(-1, 3)
-    label = np.array([CLASS_NAMES.index(CLASS_OF_CATEGORY[vehicle.category]) for vehicle in scene.vehicles], np.int8)
+    label = np.array([CLASS_NAMES.index(_CLASS_OF_CATEGORY[vehicle.category]) for vehicle in scene.vehicles], np.int8)
     is_ignored = np.isin([vehicle.instance_id for vehicle in scene.vehicles], ignored_ids)
     labelled = {}
     for side_px, count in views_per_scene.items():

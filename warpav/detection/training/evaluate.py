@@ -15,13 +15,13 @@ from warpav.detection.training import CLASS_NAMES
 from warpav.detection.training.data import LabelledImages
 
 # Least height of a visible box [px] from which on an object counts in the headline figure.
-HEADLINE_HEIGHT_PX = 12.0
+_HEADLINE_HEIGHT_PX = 12.0
 # Least height [px] and visible share in the figure that goes by KITTI's moderate difficulty.
-MODERATE_HEIGHT_PX = 25.0
+_MODERATE_HEIGHT_PX = 25.0
 _MODERATE_VISIBLE_FRACTION = 0.5
-HEIGHT_BINS_PX = (0.0, 8.0, 12.0, 16.0, 24.0, 32.0, 64.0, 128.0, np.inf)
-VISIBLE_FRACTION_BINS = (0.0, 0.25, 0.5, 0.75, np.inf)
-DISTANCE_BINS_M = (0.0, 10.0, 20.0, 40.0, 80.0, np.inf)
+_HEIGHT_BINS_PX = (0.0, 8.0, 12.0, 16.0, 24.0, 32.0, 64.0, 128.0, np.inf)
+_VISIBLE_FRACTION_BINS = (0.0, 0.25, 0.5, 0.75, np.inf)
+_DISTANCE_BINS_M = (0.0, 10.0, 20.0, 40.0, 80.0, np.inf)
 # Confidence threshold of recall, precision and labels.
 OPERATING_CONFIDENCE = 0.25
 
@@ -73,7 +73,7 @@ class _Scored:
 
     def report(self) -> dict[str, object]:
         labels = self.labelled.labels
-        headline = self.exists & (self.height_px >= HEADLINE_HEIGHT_PX)
+        headline = self.exists & (self.height_px >= _HEADLINE_HEIGHT_PX)
         hit, right_label = np.zeros(headline.shape, bool), np.zeros(headline.shape, bool)
         false_alarms = 0
         for image, found in enumerate(self.detections):
@@ -88,7 +88,7 @@ class _Scored:
             free = np.setdiff1d(np.nonzero(found.confidence >= OPERATING_CONFIDENCE)[0], match)
             waived = covered_fraction(found.box_px[free], labels.box_px[image, labels.ignored[image]])
             free = free[waived.max(axis=1, initial=0.0) < 0.5]
-            false_alarms += int((found.box_px[free, 3] - found.box_px[free, 1] >= HEADLINE_HEIGHT_PX).sum())
+            false_alarms += int((found.box_px[free, 3] - found.box_px[free, 1] >= _HEADLINE_HEIGHT_PX).sum())
 
         def within(value: np.ndarray, edges: Sequence[float]) -> dict[str, np.ndarray]:
             return {f"{low:g}-{high:g}": (value >= low) & (value < high) for low, high in itertools.pairwise(edges)}
@@ -98,25 +98,25 @@ class _Scored:
             return _share(hit[counted].mean() if counted.any() else np.nan)
 
         hits = int(hit[headline].sum())
-        by_visible_fraction = within(labels.visible_fraction, VISIBLE_FRACTION_BINS)
-        by_distance_m = within(labels.distance_m, DISTANCE_BINS_M)
+        by_visible_fraction = within(labels.visible_fraction, _VISIBLE_FRACTION_BINS)
+        by_distance_m = within(labels.distance_m, _DISTANCE_BINS_M)
         return {
             "objects": int(self.exists.sum()),
             "objects_headline": int(headline.sum()),
             "ap50": self.ap50(),
-            "ap50_headline": self.ap50(low_px=HEADLINE_HEIGHT_PX),
+            "ap50_headline": self.ap50(low_px=_HEADLINE_HEIGHT_PX),
             "ap50_moderate": self.ap50(
-                labels.visible_fraction >= _MODERATE_VISIBLE_FRACTION, low_px=MODERATE_HEIGHT_PX
+                labels.visible_fraction >= _MODERATE_VISIBLE_FRACTION, low_px=_MODERATE_HEIGHT_PX
             ),
             "ap50_by_height_px": {
                 f"{low:g}-{high:g}": self.ap50(low_px=low, high_px=high)
-                for low, high in itertools.pairwise(HEIGHT_BINS_PX)
+                for low, high in itertools.pairwise(_HEIGHT_BINS_PX)
             },
             "ap50_by_visible_fraction": {
-                name: self.ap50(chosen, low_px=HEADLINE_HEIGHT_PX) for name, chosen in by_visible_fraction.items()
+                name: self.ap50(chosen, low_px=_HEADLINE_HEIGHT_PX) for name, chosen in by_visible_fraction.items()
             },
             "ap50_by_distance_m": {
-                name: self.ap50(chosen, low_px=HEADLINE_HEIGHT_PX) for name, chosen in by_distance_m.items()
+                name: self.ap50(chosen, low_px=_HEADLINE_HEIGHT_PX) for name, chosen in by_distance_m.items()
             },
             "recall": _share(hits / headline.sum() if headline.any() else np.nan),
             "precision": _share(hits / (hits + false_alarms) if hits + false_alarms else np.nan),
@@ -135,8 +135,8 @@ def evaluate(detector: Detector, labelled: LabelledImages) -> dict[str, object]:
 
     Returns:
         ``images``, and for every road user that the images contain and the detector knows: ``objects``; ``ap50`` of all
-        objects, ``ap50_headline`` of those of at least `HEADLINE_HEIGHT_PX`, ``ap50_moderate`` of those of at least
-        `MODERATE_HEIGHT_PX` of which nothing hides more than half (KITTI's moderate difficulty: 25 px, partly
+        objects, ``ap50_headline`` of those of at least `_HEADLINE_HEIGHT_PX`, ``ap50_moderate`` of those of at least
+        `_MODERATE_HEIGHT_PX` of which nothing hides more than half (KITTI's moderate difficulty: 25 px, partly
         occluded), ``ap50_by_height_px``; of the headline's
         ``ap50_by_visible_fraction`` and ``ap50_by_distance_m``, where every false alarm counts in every bin, since it
         has neither; at confidence 0.25 and for the headline's objects ``recall``, ``precision``,

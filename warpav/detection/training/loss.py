@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-NO_OBJECT = -1
+_NO_OBJECT = -1
 
 _CELLS_PER_OBJECT = 10
 _SCORE_POWER = 0.5
@@ -35,7 +35,7 @@ class TargetBoxes:
     """The objects of a batch, padded to one count."""
 
     box_px: Tensor  # edges ``x0, y0, x1, y1`` [px], float32, shape [image, object, 4]
-    class_index: Tensor  # label, `NO_OBJECT` where padded, int64, shape [image, object]
+    class_index: Tensor  # label, `_NO_OBJECT` where padded, int64, shape [image, object]
     ignored: Tensor  # objects that are neither to be found nor to be taken for background, bool, shape [image, object]
 
 
@@ -58,7 +58,7 @@ def pairwise_iou(first_px: Tensor, second_px: Tensor) -> Tensor:
     return intersection / union.clamp(min=_EPSILON)
 
 
-def generalised_iou(first_px: Tensor, second_px: Tensor) -> Tensor:
+def _generalised_iou(first_px: Tensor, second_px: Tensor) -> Tensor:
     """Generalised IoU in -1..1 of each box with its partner, [..., 4] and [..., 4], shape [...]."""
     first_low, first_high = first_px[..., :2], first_px[..., 2:]
     second_low, second_high = second_px[..., :2], second_px[..., 2:]
@@ -84,7 +84,7 @@ def assign_cells(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: 
         box_px: Predicted boxes, shape [image, cell, 4].
         center_px: Centres of the cells, shape [cell, 2].
     """
-    exists = truth.class_index != NO_OBJECT
+    exists = truth.class_index != _NO_OBJECT
     wanted = exists & ~truth.ignored
     middle_px = 0.5 * (truth.box_px[..., :2] + truth.box_px[..., 2:])
     half_px = (0.5 * (truth.box_px[..., 2:] - truth.box_px[..., :2])).clamp(min=_MIN_HALF_SIZE_PX)
@@ -123,7 +123,7 @@ def detection_loss(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth
     score_loss = (functional.binary_cross_entropy_with_logits(score_logit, target, reduction="none") * weight).sum()
 
     truth_px = truth.box_px.gather(1, assignment.object_index[..., None].expand(-1, -1, 4))
-    box_loss = ((1.0 - generalised_iou(box_px, truth_px)) * assignment.target).sum()
+    box_loss = ((1.0 - _generalised_iou(box_px, truth_px)) * assignment.target).sum()
     return score_loss / norm, _BOX_WEIGHT * box_loss / norm
 
 
@@ -215,5 +215,5 @@ def _move(truth: TargetBoxes, zoom: Tensor, shift_px: Tensor, flipped: Tensor, s
     gone = (cut_size_px < 1.0).any(dim=-1)
     small = (cut_size_px < MIN_SIDE_PX).any(dim=-1)
     mostly_gone = cut_size_px.prod(dim=-1) < _KEPT_FRACTION_MIN * area_px
-    class_index = torch.where(gone, NO_OBJECT, truth.class_index)
+    class_index = torch.where(gone, _NO_OBJECT, truth.class_index)
     return TargetBoxes(cut_px, class_index, truth.ignored | small | mostly_gone)

@@ -20,8 +20,8 @@ from torch.nn import functional
 
 from warpav.detection.training import CLASS_NAMES
 
-STRIDES_PX = (4, 8, 16, 32)
-OPSET = 17
+_STRIDES_PX = (4, 8, 16, 32)
+_OPSET = 17
 MAX_ERROR = 1e-3
 
 _logger = logging.getLogger(__name__)
@@ -127,7 +127,7 @@ class TownNetwork(nn.Module):
             _Stage(neck_channels[i] + neck_channels[i + 1], neck_channels[i + 1], 1, residual=False) for i in range(3)
         )
         self.heads = nn.ModuleList(
-            _Head(each, class_count, stride_px) for each, stride_px in zip(neck_channels, STRIDES_PX, strict=True)
+            _Head(each, class_count, stride_px) for each, stride_px in zip(neck_channels, _STRIDES_PX, strict=True)
         )
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -154,7 +154,7 @@ class TownNetwork(nn.Module):
             features[i + 1] = self.bottom_up[i](torch.cat([self.neck_down[i](features[i]), features[i + 1]], dim=1))
 
         score_logits, boxes_px, centers_px, strides_px = [], [], [], []
-        for head, feature, stride_px in zip(self.heads, features, STRIDES_PX, strict=True):
+        for head, feature, stride_px in zip(self.heads, features, _STRIDES_PX, strict=True):
             score_logit, log_distance = head(feature)
             rows, columns = feature.shape[2], feature.shape[3]
             y_px = (torch.arange(rows, device=images.device, dtype=torch.float32) + 0.5) * stride_px
@@ -171,7 +171,7 @@ class TownNetwork(nn.Module):
         return torch.cat(score_logits, 1), torch.cat(boxes_px, 1), torch.cat(centers_px), torch.cat(strides_px)
 
 
-class ExportedNetwork(nn.Module):
+class _ExportedNetwork(nn.Module):
     """The network with the output layout that `warpav.detection.onnx_detector` reads."""
 
     def __init__(self, network: TownNetwork) -> None:
@@ -193,7 +193,7 @@ def export_network(network: TownNetwork, path: Path) -> float:
 
     copy = TownNetwork(network.class_count)
     copy.load_state_dict({name: value.detach().cpu() for name, value in network.state_dict().items()})
-    exported = ExportedNetwork(copy).eval()
+    exported = _ExportedNetwork(copy).eval()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         torch.onnx.export(
@@ -206,7 +206,7 @@ def export_network(network: TownNetwork, path: Path) -> float:
                 "images": {0: "batch", 2: "rows", 3: "columns"},
                 "output0": {0: "batch", 2: "candidates"},
             },
-            opset_version=OPSET,
+            opset_version=_OPSET,
             dynamo=False,
         )
     model = onnx.load(str(path))
@@ -217,7 +217,7 @@ def export_network(network: TownNetwork, path: Path) -> float:
             "author": "The warpav authors",
             "license": "Apache-2.0",
             "task": "detect",
-            "stride": str(max(STRIDES_PX)),
+            "stride": str(max(_STRIDES_PX)),
             "names": str(dict(enumerate(CLASS_NAMES[: network.class_count]))),
         },
     )

@@ -21,7 +21,7 @@ from warpav.detection.training.loss import MIN_SIDE_PX, TargetBoxes, augment, de
 from warpav.detection.training.network import TownNetwork, export_network
 
 # Relative frequency of batches by image side [px].
-SIZE_PROBABILITY = {256: 0.4, 384: 0.2, 640: 0.25, 1280: 0.15}
+_SIZE_PROBABILITY = {256: 0.4, 384: 0.2, 640: 0.25, 1280: 0.15}
 
 _LEARNING_RATE = 2e-3
 _LAST_LEARNING_RATE_FRACTION = 0.01
@@ -186,7 +186,7 @@ def train(
     """
     start_s = saved_s = time.perf_counter()
     sides_px = list(data)
-    probability = np.array([SIZE_PROBABILITY[side_px] for side_px in sides_px])
+    probability = np.array([_SIZE_PROBABILITY[side_px] for side_px in sides_px])
     total = torch.zeros(2, device=training.device)
     first_step = training.step
     while training.step < training.step_count:
@@ -258,7 +258,7 @@ def train_detector(
         loaded = [load_images(image_folder / name) for name in TRAIN_SUBSETS]
         data = {
             side_px: DeviceData.load([each[side_px] for each in loaded], training.device)
-            for side_px in SIZE_PROBABILITY
+            for side_px in _SIZE_PROBABILITY
         }
         _logger.info("read the images in %.0f s", time.perf_counter() - start_s)
         train(training, data, checkpoint=checkpoint, batch_size=batch_size, stop_after_minutes=stop_after_minutes)
