@@ -1,1 +1,5 @@
-"""Where the cameras go: mount poses, constraints, losses, the objective, descent and searches."""
+"""Where the cameras go: mount poses, constraints, the objective, and the searches for a rig.
+
+Shapes that every module shares: mount poses are float [camera, 7] as `mount` counts them, detection probabilities float
+[camera, object] with the objects scene by scene, weights of objects float [object], and None where all are alike.
+"""

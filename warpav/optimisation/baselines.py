@@ -21,18 +21,10 @@ TOP_M = 0.25
 def highest_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarray:
     """Cameras around the highest point of the mount surface, evenly turned, the first facing forward.
 
+    Returns mount poses, float64 [camera, 7].
+
     They stand on the smallest circle that keeps neighbours apart, each on the side that it faces. Modules stand so
     around the highest point of their zones.
-
-    Args:
-        constraints: Where the cameras may stand, and how close.
-        camera_count: Number of cameras.
-
-    Returns:
-        Mount poses, float64 [camera, 7].
-
-    Raises:
-        InputError: The cameras do not fit.
     """
     pose = np.zeros((camera_count, MOUNT_POSE_SIZE))
     pose[:, YAW_RAD] = 2.0 * math.pi * np.arange(camera_count) / camera_count
@@ -48,18 +40,10 @@ def highest_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarra
 def edge_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarray:
     """Cameras at the edge of the top of the mount surface, evenly turned, each where the top ends in front of it.
 
+    Returns mount poses, float64 [camera, 7].
+
     A flush camera in the middle of a roof sees little but the roof; at the edge it sees the ground below. The top is
     what is at most `TOP_M` below the highest point, in the same zone. The first camera faces forward.
-
-    Args:
-        constraints: As of `highest_mount_pose`.
-        camera_count: Likewise.
-
-    Returns:
-        Mount poses, float64 [camera, 7].
-
-    Raises:
-        InputError: The cameras do not fit.
     """
     surface = constraints.surface
     pose = np.zeros((camera_count, MOUNT_POSE_SIZE))
@@ -82,16 +66,7 @@ def edge_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarray:
 def random_mount_pose(constraints: Constraints, yaw_rad: np.ndarray, *, rng: np.random.Generator) -> np.ndarray:
     """Cameras at random places that satisfy the constraints, each turned as the segregation says.
 
-    Args:
-        constraints: Where the cameras may stand.
-        yaw_rad: Yaw of every camera [rad], [camera].
-        rng: Random numbers.
-
-    Returns:
-        Mount poses, float64 [camera, 7].
-
-    Raises:
-        InputError: The cameras do not fit.
+    Returns mount poses, float64 [camera, 7]. ``yaw_rad`` [camera].
     """
     pose = np.zeros((len(yaw_rad), MOUNT_POSE_SIZE))
     pose[:, YAW_RAD] = (np.asarray(yaw_rad) + math.pi) % (2.0 * math.pi) - math.pi
@@ -113,16 +88,6 @@ def move_to_vehicle(
     are placed in the order of the rig, each apart from those before it.
 
     Where the view is hidden from everywhere, the place with the least hidden view is taken.
-
-    Args:
-        rig: The rig, in the frame of its own vehicle.
-        mount: Where cameras may stand, and how far above the surface; its camera model plays no part.
-        ego: The vehicle that carries them.
-        constraints: Which places are allowed, and how far apart.
-        image: Gives all cameras the size of its images and its near plane; fields of view stay.
-
-    Raises:
-        InputError: The cameras do not fit on the mount surface.
     """
     caster = ray_caster(ego)
     place_m = _places(mount, constraints)

@@ -35,11 +35,9 @@ class SingleCameraValues:
 
     They are those of the objective to 1e-6.
 
-    Attributes:
-        cameras: What the cameras are, and how likely one is to detect.
-        scenes: The scenes.
-        weight: Of the expected miss rate in the value.
-        object_weight: Of each object of the scenes in the expected miss rate, float64 [object]; None: all alike.
+    ``cameras``: what the cameras are, and how likely one is to detect. ``scenes``: the scenes. ``weight``: of the
+    expected miss rate in the value. ``object_weight``: of each object of the scenes in the expected miss rate, float64
+    [object]; None: all alike.
     """
 
     def __init__(
@@ -65,11 +63,7 @@ class SingleCameraValues:
             yield self.weight * expected_miss_rate(of_rig, share)
 
     def detection_probability(self, mount_pose: np.ndarray) -> np.ndarray:
-        """The probability that each camera detects each object, float32 [camera, object], the objects scene by scene.
-
-        Args:
-            mount_pose: As the mount counts them, float [camera, 7].
-        """
+        """The probability that each camera detects each object, float32 [camera, object], scene by scene."""
         found = [self.cameras.detection_probability(mount_pose, scene) for scene in self.scenes]
         return np.concatenate([np.zeros((len(mount_pose), 0), np.float32), *found], axis=1)
 
@@ -86,36 +80,22 @@ class BudgetSpentError(Exception):
 
 @dataclass(frozen=True)
 class SearchRecord:
-    """The state of a search after a look at a rig.
+    """The state of a search after a look at a rig."""
 
-    Attributes:
-        camera_renders: Camera renders so far.
-        best_value: Lowest value so far; inf before the first finite one.
-        seconds: Wall time so far [s].
-    """
-
-    camera_renders: int
-    best_value: float
-    seconds: float = field(compare=False)
+    camera_renders: int  # camera renders so far
+    best_value: float  # lowest value so far; inf before the first finite one
+    seconds: float = field(compare=False)  # wall time so far [s]
 
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """What a search found.
+    """What a search found."""
 
-    Attributes:
-        mount_pose: The best rig, which satisfies all constraints, float32 [camera, 7].
-        value: Its value.
-        camera_renders: Camera renders that were spent, never more than the budget.
-        history: One entry for each rig that was looked at.
-        error: What ended the search early; None if nothing did.
-    """
-
-    mount_pose: np.ndarray
-    value: float
-    camera_renders: int
-    history: tuple[SearchRecord, ...]
-    error: str | None = None
+    mount_pose: np.ndarray  # the best rig, which satisfies all constraints, float32 [camera, 7]
+    value: float  # its value
+    camera_renders: int  # camera renders that were spent, never more than the budget
+    history: tuple[SearchRecord, ...]  # one entry for each rig that was looked at
+    error: str | None = None  # what ended the search early; None if nothing did
 
 
 class BudgetedValue:
@@ -123,32 +103,14 @@ class BudgetedValue:
 
     A camera render is one scene drawn once by one camera, with or without a gradient; a rig of N cameras on S scenes
     costs N S of them. Rigs are made feasible before they are looked at.
-
-    Attributes:
-        space: The rigs that may be tried.
-        scene_count: Camera renders that a look at one camera costs.
-        camera_renders_max: Camera renders that all looks together may cost.
-        camera_renders: Camera renders so far.
-        history: One entry for each rig that was looked at.
     """
 
     def __init__(self, rig_values: RigValues, space: SearchSpace, *, scene_count: int, camera_renders_max: int) -> None:
-        """A fresh budget.
-
-        Args:
-            rig_values: Values of rigs, always on the same scenes. What is not finite is never best.
-            space: The rigs that may be tried.
-            scene_count: Number of scenes, at least 1.
-            camera_renders_max: Camera renders that may be spent, enough for at least one rig.
-
-        Raises:
-            ValueError: The budget is too small for one rig.
-        """
-        self.space = space
-        self.scene_count = scene_count
-        self.camera_renders_max = camera_renders_max
-        self.camera_renders = 0
-        self.history: list[SearchRecord] = []
+        self.space = space  # the rigs that may be tried
+        self.scene_count = scene_count  # camera renders that a look at one camera costs
+        self.camera_renders_max = camera_renders_max  # camera renders that all looks together may cost
+        self.camera_renders = 0  # camera renders so far
+        self.history: list[SearchRecord] = []  # one entry for each rig that was looked at
         self._rig_values = rig_values
         self._best_pose: np.ndarray | None = None
         self._best_value = math.inf
@@ -189,24 +151,13 @@ class BudgetedValue:
         return None if self._best_pose is None else self._best_pose.copy()
 
     def __call__(self, mount_pose: np.ndarray) -> float:
-        """Value of the feasible rig nearest to a mount pose; inf where it is not finite.
-
-        Raises:
-            BudgetSpentError: There is not enough left for it.
-        """
+        """Value of the feasible rig nearest to a mount pose; inf where it is not finite."""
         return float(self.of_rigs([mount_pose])[0])
 
     def of_rigs(self, mount_poses: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
         """Values of rigs that do not depend on one another, as by one call after another, but rendered together.
 
-        Args:
-            mount_poses: Of every rig, float [rig, camera, 7].
-
-        Returns:
-            Their values, inf where they are not finite, float64 [rig].
-
-        Raises:
-            BudgetSpentError: There is not enough left for all; those that could be paid have been looked at.
+        Returns their values, inf where they are not finite, float64 [rig]. ``mount_poses`` float [rig, camera, 7].
         """
         affordable = min(len(mount_poses), self.rigs_left)
         rigs = np.array([self.space.feasible(pose) for pose in mount_poses[:affordable]], np.float32)
@@ -220,25 +171,13 @@ class BudgetedValue:
         return np.where(np.isfinite(found), found, math.inf)
 
     def spend(self, camera_renders: int) -> None:
-        """Count camera renders that gave no value, before they are made.
-
-        Raises:
-            BudgetSpentError: There are fewer left; none is counted.
-        """
+        """Count camera renders that gave no value, before they are made."""
         if camera_renders > self.camera_renders_left:
             raise BudgetSpentError
         self.camera_renders += camera_renders
 
     def record(self, mount_pose: np.ndarray, value: float) -> None:
-        """Remember a rig whose camera renders have been counted.
-
-        Args:
-            mount_pose: It must satisfy the constraints.
-            value: Its value on the scenes of this object.
-
-        Raises:
-            ValueError: It does not satisfy them.
-        """
+        """Remember a rig whose camera renders have been counted."""
         if math.isfinite(value) and value < self._best_value:
             if self.space.violation_m(mount_pose) > 0.0:
                 raise ValueError("only rigs that satisfy the constraints can be the best")
@@ -246,11 +185,7 @@ class BudgetedValue:
         self.history.append(SearchRecord(self.camera_renders, self._best_value, time.perf_counter() - self._began))
 
     def result(self, error: str | None = None) -> SearchResult:
-        """What was found so far.
-
-        Raises:
-            ValueError: No rig had a finite value.
-        """
+        """What was found so far."""
         if self._best_pose is None:
             raise ValueError(f"none of {len(self.history)} rigs had a finite value" + (f"; {error}" if error else ""))
         return SearchResult(self._best_pose, self._best_value, self.camera_renders, tuple(self.history), error)
@@ -264,9 +199,6 @@ def run_search(search: Search, value: BudgetedValue, rng: np.random.Generator) -
     """Search until the budget is spent.
 
     A search that fails keeps what it found before; the result says why it ended.
-
-    Raises:
-        Exception: Whatever the search or the value raises before the first rig with a finite value.
     """
     error = None
     try:

@@ -45,16 +45,6 @@ class CameraJacobians:
         most_views: int,
         pane: Pane | None = None,
     ) -> None:
-        """Prepare nothing yet.
-
-        Args:
-            mount: Where the cameras stand.
-            camera: Which of the mount's models they have.
-            probability: How likely a camera is to detect.
-            renderers_for: Gives renderers of so many views, one for each thread; on a GPU always new ones.
-            most_views: How many are rendered at once, at least 1.
-            pane: What of the own vehicle the cameras look through; None: they stand outside.
-        """
         self.mount, self.camera, self.probability = mount, camera, probability
         self._renderers_for, self._at_once, self._pane = renderers_for, ViewsAtOnce(most_views), pane
         self._views: dict[int, _Views] = {}
@@ -133,19 +123,14 @@ class CameraJacobians:
 
 
 class _Views:
-    """So many views that are rendered in one scene after another.
-
-    Attributes:
-        count: How many.
-        placed: Their poses, always in the same arrays.
-    """
+    """So many views that are rendered in one scene after another."""
 
     def __init__(self, mount: CameraMount, renderers: Sequence[Renderer], pane: Pane | None) -> None:
         self._mount, self._pane = mount, pane
         self._renderers = renderers
-        self.count = renderers[0].view_count
+        self.count = renderers[0].view_count  # how many
         self._pose = wp.zeros((self.count, MOUNT_POSE_SIZE), dtype=float, device=mount.device)
-        self.placed = PlacedViews.zeros(self._pose, 1)
+        self.placed = PlacedViews.zeros(self._pose, 1)  # their poses, always in the same arrays
         self._recorded: WeakKeyDictionary[DeviceScene, _Recorded] = WeakKeyDictionary()
         is_cuda = renderers[0].device.is_cuda
         self._streams = [wp.Stream(renderer.device) for renderer in renderers] if is_cuda else []
@@ -283,17 +268,11 @@ class _Room:
 
 @dataclass(frozen=True, eq=False)
 class _PlacingSlope:
-    """How the views of cameras move with their mount poses, float64.
+    """How the views of cameras move with their mount poses, float64."""
 
-    Attributes:
-        position: Of the centres [m], [camera, 3, 7].
-        rotation: Of the small rotation about the camera's axes [rad], [camera, 3, 7].
-        log_zoom: Of the log zoom, [camera, 7].
-    """
-
-    position: np.ndarray
-    rotation: np.ndarray
-    log_zoom: np.ndarray
+    position: np.ndarray  # of the centres [m], [camera, 3, 7]
+    rotation: np.ndarray  # of the small rotation about the camera's axes [rad], [camera, 3, 7]
+    log_zoom: np.ndarray  # of the log zoom, [camera, 7]
 
     def chained(self, by_view: np.ndarray) -> np.ndarray:
         """Derivatives to the mount poses of what has such to views, both float64 [camera, object, 7]."""
@@ -328,20 +307,12 @@ def placing_slope(mount: CameraMount, mount_pose: np.ndarray) -> _PlacingSlope:
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """What cameras are shown of the objects of one or more scenes, on the host.
+    """What cameras are shown of the objects of one or more scenes, on the host."""
 
-    Attributes:
-        measures: Measures and their Jacobians by name, float32 [camera, object, measure, ...].
-        in_frame: Likewise of the solid angle in the image [sr].
-        contrast: Of colours, float32 [camera, object].
-        box: Centre, half size [m] and direction of every object's upright box, float32 [object, 3], [object, 3] and
-            [object, 2].
-    """
-
-    measures: dict[str, np.ndarray]
-    in_frame: dict[str, np.ndarray]
-    contrast: np.ndarray
-    box: tuple[np.ndarray, np.ndarray, np.ndarray]
+    measures: dict[str, np.ndarray]  # measures and their Jacobians by name, float32 [camera, object, measure, ...]
+    in_frame: dict[str, np.ndarray]  # likewise of the solid angle in the image [sr]
+    contrast: np.ndarray  # of colours, float32 [camera, object]
+    box: tuple[np.ndarray, np.ndarray, np.ndarray]  # centre, half size [m] and direction of every object's upright box
 
     @classmethod
     def of_all_cameras(cls, shown: Sequence[_Shown]) -> _Shown:
@@ -382,11 +353,10 @@ def _whole_and_slope(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Solid angle of every object's box [sr], and how it changes with a camera's centre [sr/m].
 
+    Returns float32 [camera, object] and float64 [camera, object, 3].
+
     It depends on centre less place alone, so its gradient to the centre is that to the place with the other sign; and a
     centre has a gradient of its own for every object.
-
-    Returns:
-        float32 [camera, object] and float64 [camera, object, 3].
     """
     count = len(box[0])
     centre = wp.array(box[0], dtype=wp.vec3, device=device, requires_grad=True)

@@ -38,17 +38,11 @@ SOFTNESS = 0.02
 
 @dataclass(frozen=True)
 class RobustValue:
-    """What a rig misses with all of its cameras and without one.
+    """What a rig misses with all of its cameras and without one."""
 
-    Attributes:
-        objective: Of these two, as a `RobustObjective` weights them.
-        expected_miss_rate: Of the whole rig.
-        without_camera: Of the rig without one camera: the mean over the cameras, or the worst.
-    """
-
-    objective: float
-    expected_miss_rate: float
-    without_camera: float
+    objective: float  # of these two, as a `RobustObjective` weights them
+    expected_miss_rate: float  # of the whole rig
+    without_camera: float  # of the rig without one camera: the mean over the cameras, or the worst
 
 
 @dataclass(frozen=True)
@@ -57,14 +51,10 @@ class RobustObjective:
 
     In all methods ``missed`` is the probability that a camera misses an object, at least 1 - `SUREST`, and ``size`` how
     many cameras a row stands for: 1; 2 for a pair; 0 for one that is not there.
-
-    Attributes:
-        camera_loss: ``mean`` over the loss of any one camera, or the ``worst`` one.
-        weight: Of that loss, in (0, 1]; the whole rig has the rest.
     """
 
-    camera_loss: Literal["mean", "worst"]
-    weight: float = 0.5
+    camera_loss: Literal["mean", "worst"]  # ``mean`` over the loss of any one camera, or the ``worst`` one
+    weight: float = 0.5  # of that loss, in (0, 1]; the whole rig has the rest
 
     def __post_init__(self) -> None:
         """Make sure that both are usable."""
@@ -76,13 +66,7 @@ class RobustObjective:
     def of_rig(
         self, detection_probability: np.ndarray, share: np.ndarray | None = None, size: np.ndarray | None = None
     ) -> RobustValue:
-        """The value of a rig.
-
-        Args:
-            detection_probability: Of each camera for each object, float [camera, object].
-            share: Of each object, their sum 1, float [object]; None: all alike.
-            size: Of each row, int [camera]; None: all 1.
-        """
+        """The value of a rig. ``share`` float [object]; ``size`` int [camera]."""
         missed = 1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST)
         if share is None:
             share = np.full(missed.shape[1], 1.0 / max(missed.shape[1], 1))
@@ -96,12 +80,7 @@ class RobustObjective:
     ) -> tuple[float, np.ndarray]:
         """The objective of a rig and its derivatives to what each camera misses, float64 [camera, object].
 
-        Args:
-            missed: Of each camera for each object, float64 [camera, object].
-            share: Of each object, float [object].
-            size: Of each row, int [camera]; None: all 1.
-            softness: Within which the worst loss is rounded upwards, at least 0; 0: the slope is that of the worst
-                camera alone.
+        ``missed`` float64 [camera, object]; ``share`` float [object]; ``size`` int [camera].
         """
         whole = missed.prod(axis=0)
         without = (whole / missed) @ share
@@ -117,11 +96,7 @@ class RobustObjective:
     def of_completed(self, missed: np.ndarray, weight: np.ndarray, others: np.ndarray, size: np.ndarray) -> np.ndarray:
         """The objective of rigs that each camera of a pool would complete, float64 [camera, rig].
 
-        Args:
-            missed: Of the pool, float64 [object, camera].
-            weight: Of each object, float64 [object].
-            others: The rigs but for one camera, int [rig, other].
-            size: Of each row of the pool, int [camera].
+        ``missed`` float64 [object, camera]; ``others`` int [rig, other]; ``size`` int [camera].
         """
         left = np.prod(missed[:, others], axis=2) * weight[:, None]
         nominal, lost_itself = missed.T @ left, left.sum(axis=0)[None]
@@ -159,15 +134,14 @@ def select_robust(
 ) -> Selection:
     """A rig of a low robust objective, and a bound that no rig of the pool is below; options as of `select`.
 
+    Returns its objective and bound are robust ones, its price the weighted sum of the prices of both selections, and it
+    has ``ended`` by exchange unless the bound was reached.
+
     The rig comes from exchanges of single cameras under the robust objective, over the whole pool, from the best rig of
     the expected miss rate alone, the start, and random ones; it is not proven to be the best. The bound comes from two
     selections of the expected miss rate, with all cameras and with one less, which share the time. One of the required
     cameras may be the one that is lost. Probabilities are at most `SUREST`; ``size`` says how many cameras each row
     stands for, int [camera].
-
-    Returns:
-        Its objective and bound are robust ones, its price the weighted sum of the prices of both selections, and it has
-        ``ended`` by exchange unless the bound was reached.
     """
     count, required = problem.count, problem.required
     whole = select(problem, start=start, time_limit_s=0.5 * time_limit_s, gap=gap, seed=seed)
@@ -243,14 +217,8 @@ def exchange_robust(
 ) -> tuple[np.ndarray, np.ndarray]:
     """As `exchange`, under a robust objective.
 
-    Args:
-        problem: What is chosen from; nothing is missed with less than 1 - `SUREST`.
-        rigs: Rigs that satisfy the constraints, the required cameras first, int [rig, camera].
-        objective: What is minimised.
-        size: How many cameras each row of the pool stands for, int [camera].
-
-    Returns:
-        The rigs, likewise, the best first, and their objectives, float64 [rig].
+    Returns the rigs, likewise, the best first, and their objectives, float64 [rig]. ``rigs`` int [rig, camera];
+    ``size`` int [camera].
     """
     rigs = np.array(rigs)
     every = np.arange(len(rigs))

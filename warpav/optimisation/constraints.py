@@ -33,24 +33,14 @@ _SLOPE_STEP_M = 1e-6
 
 @dataclass(frozen=True)
 class Margin:
-    """How far a rig is from breaking one constraint.
+    """How far a rig is from breaking one constraint."""
 
-    Attributes:
-        kind: ``border``, the distance of a camera to the border of where it may stand, negative outside; or
-            ``spacing``, the distance of two cameras.
-        cameras: Names of the cameras.
-        value_m: The distance [m].
-        limit_m: What it has to be at least [m].
-        slack_m: By how much it is more [m]; negative where the constraint is broken.
-        is_kept: Whether it holds, but for the rounding of rig files.
-    """
-
-    kind: str
-    cameras: tuple[str, ...]
-    value_m: float
-    limit_m: float
-    slack_m: float
-    is_kept: bool
+    kind: str  # ``border``, the distance of a camera to the border of where it may stand, negative outside
+    cameras: tuple[str, ...]  # names of the cameras
+    value_m: float  # the distance [m]
+    limit_m: float  # what it has to be at least [m]
+    slack_m: float  # by how much it is more [m]; negative where the constraint is broken
+    is_kept: bool  # whether it holds, but for the rounding of rig files
 
     @classmethod
     def of(cls, kind: str, cameras: Sequence[RigCamera], value_m: float, limit_m: float) -> Margin:
@@ -61,17 +51,9 @@ class Margin:
 
 
 class Constraints(ABC):
-    """What a rig must satisfy. A kind of constraints says which places are allowed, and what a violation costs.
+    """What a rig must satisfy. A kind of constraints says which places are allowed, and what a violation costs."""
 
-    Attributes:
-        surface: What the cameras stand on.
-        min_spacing_m: Least distance between two camera centres [m].
-        margin_m: Least distance of a camera's centre to the border of where it may stand [m].
-        are_inequalities: Whether the losses are inequalities g <= 0 [m], negative where there is room to spare; or else
-            penalties, 0 where the constraint holds and positive otherwise. `lagrangian_of` treats them differently.
-    """
-
-    are_inequalities: bool
+    are_inequalities: bool  # whether the losses are inequalities g <= 0 [m], negative where there is room to spare
 
     def __init__(
         self,
@@ -81,24 +63,12 @@ class Constraints(ABC):
         frozen: FrozenCameras | None = None,
         module: np.ndarray | None = None,
     ) -> None:
-        """Constraints on a surface.
-
-        Args:
-            surface: What the cameras stand on.
-            min_spacing_m: Least distance between two camera centres [m], positive.
-            frozen: Cameras that stay as they are: nothing is asked of their own places, but the others keep away from
-                them.
-            module: Which of the surface's modules each camera of a rig is, int [camera]; rigs of so many cameras are
-                brought to zones that carry these. None: every camera stays what it is.
-
-        Raises:
-            ValueError: ``min_spacing_m`` is not positive.
-        """
+        """Constraints on a surface. ``module`` int [camera]."""
         if not min_spacing_m > 0.0:
             raise ValueError(f"min_spacing_m must be positive, got {min_spacing_m}")
-        self.surface = surface
-        self.min_spacing_m = min_spacing_m
-        self.margin_m = 0.0
+        self.surface = surface  # what the cameras stand on
+        self.min_spacing_m = min_spacing_m  # least distance between two camera centres [m]
+        self.margin_m = 0.0  # least distance of a camera's centre to the border of where it may stand [m]
         self.frozen = frozen
         self.module = module
 
@@ -123,14 +93,9 @@ class Constraints(ABC):
 
     @abstractmethod
     def losses_of(self, views: PlacedViews, rotation_count: int) -> wp.array:
-        """The losses, recorded on the active tape.
+        """The losses, recorded on the active tape. Returns float [constraint] in the order of `names`.
 
-        Args:
-            views: Placed views.
-            rotation_count: Views per camera.
-
-        Returns:
-            float [constraint] in the order of `names`; gradients flow to the mount pose.
+        Gradients flow to the mount pose.
         """
 
     @abstractmethod
@@ -160,12 +125,8 @@ class Constraints(ABC):
     def slack_m(self, place_m: np.ndarray, height_delta_m: np.ndarray) -> np.ndarray:
         """By how much cameras keep more than they must, each from the border and each pair from each other [m].
 
-        Args:
-            place_m: x and y of the cameras [m], float [camera, 2].
-            height_delta_m: Height above the surface of each over that of the others [m], float [camera].
-
-        Returns:
-            Borders, then pairs; negative where a constraint is broken. Frozen cameras have none of their own. float64.
+        Returns borders, then pairs; negative where a constraint is broken. Frozen cameras have none of their own.
+        float64.
         """
         place, height_delta = np.array(place_m, np.float64), np.array(height_delta_m, np.float64)
         is_frozen = self._put_frozen(place, height_delta)
@@ -237,17 +198,9 @@ class Constraints(ABC):
     def project(self, place_m: np.ndarray, height_delta_m: np.ndarray | None = None) -> np.ndarray:
         """Near places that satisfy the constraints: into the borders, then pairs pushed apart, in turns.
 
-        Args:
-            place_m: x and y of the cameras [m], float [camera, 2].
-            height_delta_m: Height above the surface of each over that of the others [m], float [camera]; None: 0.
-
-        Returns:
-            float64 [camera, 2]; equal to the input where it satisfies the constraints already. What is kept is the
-            distance in the plane, which is never more than the distance in space. Cameras that are held stand where
-            they are frozen.
-
-        Raises:
-            InputError: The cameras do not fit.
+        Returns float64 [camera, 2]; equal to the input where it satisfies the constraints already. What is kept is the
+        distance in the plane, which is never more than the distance in space. Cameras that are held stand where they
+        are frozen.
         """
         place = np.array(place_m, np.float64)
         height_delta = np.zeros(len(place)) if height_delta_m is None else np.array(height_delta_m, np.float64)
@@ -305,18 +258,7 @@ class Constraints(ABC):
         return self._brought_in(np.array(place_m, np.float64))
 
     def random_place(self, camera_count: int, rng: np.random.Generator) -> np.ndarray:
-        """Places that satisfy the constraints, uniform among all that do.
-
-        Args:
-            camera_count: Number of cameras.
-            rng: Random numbers.
-
-        Returns:
-            x and y [m], float64 [camera, 2].
-
-        Raises:
-            InputError: The cameras do not fit.
-        """
+        """Places that satisfy the constraints, uniform among all that do. Returns x and y [m], float64 [camera, 2]."""
         for _ in range(RANDOM_TRIES):
             place, height_delta = self._drawn(camera_count, rng), np.zeros(camera_count)
             is_frozen = self._put_frozen(place, height_delta)
@@ -357,11 +299,9 @@ class Constraints(ABC):
 
     @abstractmethod
     def _brought_in(self, place: np.ndarray, module: np.ndarray | None = None) -> np.ndarray:
-        """The nearest places within the borders, with room for the rounding to float32.
+        """The nearest places within the borders, with room for the rounding to float32. ``place`` float64 [camera, 2].
 
-        Args:
-            place: x and y [m], float64 [camera, 2].
-            module: Whose zones they are brought to, int [camera]; None: those of any.
+        ``module`` int [camera].
         """
 
     @abstractmethod
@@ -387,20 +327,7 @@ class ZoneAndSpacing(Constraints):
         frozen: FrozenCameras | None = None,
         module: np.ndarray | None = None,
     ) -> None:
-        """Constraints for rigs of ``camera_count`` cameras.
-
-        Args:
-            surface: Its mountable zone is where cameras may stand.
-            camera_count: Number of cameras, at least 1.
-            min_spacing_m: Least distance between two camera centres [m], positive.
-            margin_m: Least distance of a camera's centre to the border of the zone [m], at least 0.
-            frozen: As in `Constraints`.
-            module: Likewise.
-
-        Raises:
-            InputError: No place of the zone is so far from its border.
-            ValueError: An option is out of its range.
-        """
+        """Constraints for rigs of ``camera_count`` cameras."""
         super().__init__(surface, min_spacing_m=min_spacing_m, frozen=frozen, module=module)
         if frozen is not None and len(frozen.is_frozen) != camera_count:
             raise ValueError(f"frozen must be of a rig of {camera_count} cameras, got {len(frozen.is_frozen)}")
@@ -451,11 +378,7 @@ class ZoneAndSpacing(Constraints):
         return self._arrays[key]
 
     def losses_of(self, views: PlacedViews, rotation_count: int) -> wp.array:
-        """Inequalities g <= 0 [m], as in `Constraints`: how far outside the zone, how much too close.
-
-        Raises:
-            ValueError: The views are of another number of cameras.
-        """
+        """Inequalities g <= 0 [m], as in `Constraints`: how far outside the zone, how much too close."""
         if views.mount_pose.shape[0] != self.camera_count:
             raise ValueError(f"expected {self.camera_count} cameras, got {views.mount_pose.shape[0]}")
         device = views.mount_pose.device

@@ -31,21 +31,13 @@ _COLUMNS = ("gain", "x [m]", "y [m]", "z [m]", "yaw [deg]", "pitch [deg]", "fov 
 
 @dataclass(frozen=True, eq=False)
 class FurtherCameras:
-    """Cameras that could join a rig, the one that would help most first.
+    """Cameras that could join a rig, the one that would help most first."""
 
-    Attributes:
-        position_m: Centres in the ego frame [m], float64 [camera, 3].
-        yaw_rad: Turn to the left about z [rad], float64 [camera].
-        pitch_rad: Nose down [rad], float64 [camera].
-        fov_rad: Horizontal field of view [rad], float64 [camera].
-        gain: Share of the objects that the rig with this one more camera is expected to find and the rig alone is not,
-            by their weights where these are set, 0..1, float64 [camera]; on the scenes of the search.
-    """
-
-    position_m: np.ndarray
-    yaw_rad: np.ndarray
-    pitch_rad: np.ndarray
-    fov_rad: np.ndarray
+    position_m: np.ndarray  # centres in the ego frame [m], float64 [camera, 3]
+    yaw_rad: np.ndarray  # turn to the left about z [rad], float64 [camera]
+    pitch_rad: np.ndarray  # nose down [rad], float64 [camera]
+    fov_rad: np.ndarray  # horizontal field of view [rad], float64 [camera]
+    # share of the objects that the rig with this one more camera is expected to find and the rig alone is not
     gain: np.ndarray
 
     def __len__(self) -> int:
@@ -59,11 +51,7 @@ class FurtherCameras:
         return np.stack([level * np.cos(self.yaw_rad), level * np.sin(self.yaw_rad), -np.sin(self.pitch_rad)], axis=1)
 
     def best_places(self, apart_m: float = PLACE_M) -> np.ndarray:
-        """The cameras that nobody better stands near to, the best first: their numbers, int [place].
-
-        Args:
-            apart_m: What counts as near: less than this distance [m].
-        """
+        """The cameras that nobody better stands near to, the best first: their numbers, int [place]."""
         is_left, best = np.ones(len(self), bool), []
         while is_left.any():
             best.append(int(is_left.argmax()))
@@ -117,13 +105,7 @@ def further_cameras(
 ) -> FurtherCameras:
     """What each camera of a pool would add to a rig; those that stand too near to one of its cameras are left out.
 
-    Args:
-        mount_pose: The pool, float [camera, 7]; some cameras may be in it twice.
-        detection_probability: What it detects, 0..1, float [camera, object].
-        rig: Which of them are the rig, int [camera of the rig].
-        mount: Says where they stand.
-        constraints: Ask for the spacing.
-        weight: Of each object, at least 0, not all 0, float [object]; None: all alike.
+    ``rig`` int [camera of the rig].
     """
     gain = further_gain(missed_probability(detection_probability[rig]), detection_probability, weight)
     position_m = mount.position_m(mount_pose)

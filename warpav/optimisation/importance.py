@@ -23,15 +23,11 @@ CATEGORIES = ("hatchback", "saloon", "estate", "suv", "car", "van", "lorry", "bu
 
 
 class Importance:
-    """Weights of road users, found once for each scene.
-
-    Attributes:
-        settings: What they follow.
-    """
+    """Weights of road users, found once for each scene."""
 
     def __init__(self, settings: ImportanceSettings) -> None:
         """Weights by some settings."""
-        self.settings = settings
+        self.settings = settings  # what they follow
         self._of_scene: WeakKeyDictionary[DeviceScene, np.ndarray] = WeakKeyDictionary()
 
     @classmethod
@@ -59,14 +55,9 @@ class Importance:
         centre_ego_m: np.ndarray,
         time_to_collision_s: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Weight of road users, at least 0, float64 [object].
+        """Weight of road users, at least 0, float64 [object]. ``centre_ego_m`` float [object, 2].
 
-        Args:
-            category: What each is, such as ``lorry``.
-            kind: Its kind, out of `ROAD_USERS`; it decides where the category is not set.
-            centre_ego_m: Centre of its box in the ego frame, forward and left of the origin [m], float [object, 2].
-            time_to_collision_s: As `DeviceScene` has it, inf and NaN included: both weigh 1 [s], float [object]. None:
-                no velocity is known.
+        ``time_to_collision_s`` float [object].
         """
         place_m = np.asarray(centre_ego_m, np.float64).reshape(-1, 2)
         settings, of_category = self.settings, self.settings.category
@@ -85,11 +76,7 @@ class Importance:
         return weight
 
     def check(self, scenes: Iterable[DeviceScene]) -> None:
-        """Make sure that the weights say something of some scenes.
-
-        Raises:
-            InputError: A category is none of theirs and none that is known, or all their road users weigh nothing.
-        """
+        """Make sure that the weights say something of some scenes."""
         scenes = list(scenes)
         check_categories(self.settings, {name.lower() for scene in scenes for name in scene.category})
         weight = self.weights_of(scenes)
@@ -100,15 +87,7 @@ class Importance:
 
 
 def check_categories(settings: ImportanceSettings, others: Collection[str] = ()) -> None:
-    """Make sure that there are the categories that have weights.
-
-    Args:
-        settings: The weights.
-        others: Categories of scenes besides those that are always known.
-
-    Raises:
-        InputError: One is unknown.
-    """
+    """Make sure that there are the categories that have weights."""
     known = list(dict.fromkeys([*ROAD_USERS, *CATEGORIES, *sorted(others)]))
     for name in settings.category:
         if name not in known:

@@ -10,12 +10,7 @@ _BLOCK = 512
 
 
 def expected_miss_rate(detection_probability: np.ndarray, weight: np.ndarray | None = None) -> float:
-    """Share of the objects that a rig misses, cameras erring independently: the weighted mean of the products of 1 - p.
-
-    Args:
-        detection_probability: Of each camera for each object, float [camera, object].
-        weight: Of each object, their sum 1, float [object]; None: all alike.
-    """
+    """Share of the objects that a rig misses: the weighted mean of the products of 1 - p; weights sum to 1."""
     missed = np.prod(1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST), axis=0)
     return float(missed.mean() if weight is None else weight @ missed)
 
@@ -25,10 +20,7 @@ def expected_miss_slope(
 ) -> np.ndarray:
     """Derivatives of `expected_miss_rate` to the mount poses, float64 [camera, 7].
 
-    Args:
-        detection_probability: Of each camera for each object, float [camera, object].
-        jacobian: Of these to the mount poses, float [camera, object, 7].
-        weight: As in `expected_miss_rate`.
+    ``jacobian`` float [camera, object, 7].
     """
     missed = 1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST)
     others = np.stack([np.prod(np.delete(missed, camera, axis=0), axis=0) for camera in range(len(missed))])
@@ -42,22 +34,12 @@ def shares_of(weight: np.ndarray | None) -> np.ndarray | None:
 
 
 def missed_probability(detection_probability: np.ndarray) -> np.ndarray:
-    """The probability that a rig misses each object, cameras erring independently: the product of 1 - p, [object].
-
-    Args:
-        detection_probability: Of each camera of the rig for each object, 0..1, float [camera, object].
-    """
+    """The probability that a rig misses each object, cameras erring independently: the product of 1 - p, [object]."""
     return np.prod(1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST), axis=0)
 
 
 def further_gain(missed: np.ndarray, detection_probability: np.ndarray, weight: np.ndarray | None = None) -> np.ndarray:
-    """The gain of each camera over a rig, 0..1, float64 [camera]; see the module.
-
-    Args:
-        missed: The probability that the rig misses each object, 0..1, float [object].
-        detection_probability: Of each further camera for each object, 0..1, float [camera, object].
-        weight: Of each object, at least 0, not all 0, float [object]; None: all alike.
-    """
+    """The gain of each camera over a rig, 0..1, float64 [camera]; see the module. ``missed`` float [object]."""
     if weight is not None:
         missed = missed * (weight / np.mean(weight))
     gain = np.empty(len(detection_probability))

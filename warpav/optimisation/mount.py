@@ -36,19 +36,12 @@ _FROZEN_OFF_M = 1e-3  # rig files keep micrometres, mount poses single precision
 
 @dataclass(frozen=True)
 class PlacedViews:
-    """Poses of all views of a rig: view = camera * rotation_count + rotational addition.
+    """Poses of all views of a rig: view = camera * rotation_count + rotational addition."""
 
-    Attributes:
-        mount_pose: x, y [m], yaw, pitch, roll [rad], height delta [m], log zoom of every camera, float [camera, 7].
-        position_ego_m: Centre of every view [m], vec3 [view].
-        camera_from_ego: Rotation from ego to camera axes of every view, mat33 [view].
-        log_zoom: Logarithm of every view's focal length over that of the mount's camera, float [view].
-    """
-
-    mount_pose: wp.array
-    position_ego_m: wp.array
-    camera_from_ego: wp.array
-    log_zoom: wp.array
+    mount_pose: wp.array  # x, y [m], yaw, pitch, roll [rad], height delta [m], log zoom of every camera
+    position_ego_m: wp.array  # centre of every view [m], vec3 [view]
+    camera_from_ego: wp.array  # rotation from ego to camera axes of every view, mat33 [view]
+    log_zoom: wp.array  # logarithm of every view's focal length over that of the mount's camera, float [view]
 
     @classmethod
     def zeros(cls, mount_pose: wp.array, rotation_count: int) -> PlacedViews:
@@ -70,17 +63,11 @@ class PlacedViews:
 
 @dataclass(frozen=True)
 class FreeRanges:
-    """What may differ from camera to camera besides x, y and yaw, and how far: low and high; None: it stays fixed.
+    """What may differ from camera to camera besides x, y and yaw, and how far: low and high; None: it stays fixed."""
 
-    Attributes:
-        pitch_rad: Pitch, nose-down positive [rad].
-        height_m: Height of the camera's centre above the mount surface [m].
-        fov_rad: Horizontal field of view [rad]; a zoom of the lens gives it.
-    """
-
-    pitch_rad: tuple[float, float] | None = None
-    height_m: tuple[float, float] | None = None
-    fov_rad: tuple[float, float] | None = None
+    pitch_rad: tuple[float, float] | None = None  # pitch, nose-down positive [rad]
+    height_m: tuple[float, float] | None = None  # height of the camera's centre above the mount surface [m]
+    fov_rad: tuple[float, float] | None = None  # horizontal field of view [rad]; a zoom of the lens gives it
 
     def __post_init__(self) -> None:
         for name, pair in vars(self).items():
@@ -90,17 +77,11 @@ class FreeRanges:
 
 @dataclass(frozen=True, eq=False)
 class FrozenCameras:
-    """Cameras of a rig that stay as they are, wherever they stand.
+    """Cameras of a rig that stay as they are, wherever they stand."""
 
-    Attributes:
-        camera: Every camera of the rig in its order; those that may move give their names alone.
-        is_frozen: Which of them stay, bool [camera].
-        mount_pose: Their mount poses, float32 [camera, 7]; those of the others mean nothing.
-    """
-
-    camera: tuple[RigCamera, ...]
-    is_frozen: np.ndarray
-    mount_pose: np.ndarray
+    camera: tuple[RigCamera, ...]  # every camera of the rig in its order; those that may move give their names alone
+    is_frozen: np.ndarray  # which of them stay, bool [camera]
+    mount_pose: np.ndarray  # their mount poses, float32 [camera, 7]; those of the others mean nothing
 
     @property
     def position_m(self) -> np.ndarray:
@@ -126,20 +107,7 @@ class CameraMount:
         device: str = "cpu",
         free: FreeRanges | None = None,
     ) -> None:
-        """Mount for cameras of one model, or of the models of several modules.
-
-        Args:
-            surface: Height map of the ego vehicle.
-            camera: The model of all cameras at log zoom 0, or that of each of the surface's modules; the narrowest
-                field of view gives the rotational additions.
-            height_offset_m: Height of the camera centres above the surface at height delta 0 [m].
-            device: Warp device.
-            free: What else may differ from camera to camera; None: nothing.
-
-        Raises:
-            ValueError: A range of ``free`` does not hold what is configured, or the lens cannot see that wide; not one
-                model for each module.
-        """
+        """Mount for cameras of one model, or of the models of several modules."""
         self.surface = surface
         self.cameras = (camera,) if isinstance(camera, CameraModel) else tuple(camera)
         if len(self.cameras) != max(len(surface.modules), 1):
@@ -274,18 +242,7 @@ class CameraMount:
         return is_free
 
     def freezing(self, rig: Rig, names: Collection[str]) -> CameraMount:
-        """The same mount for rigs of which some cameras stay as they are in ``rig``; they may stand anywhere.
-
-        Args:
-            rig: Its cameras give those of the mount their order and their names.
-            names: Which of them stay.
-
-        Raises:
-            ValueError: The rig has no camera of a name, all of them stay, or one that stays is no zoom of the mount's
-                camera: all share image size and lens.
-            InputError: One that stays is above none of the surface's zones, or looks through another pane than there
-                is.
-        """
+        """The same mount for rigs of which some cameras stay as they are in ``rig``; they may stand anywhere."""
         is_frozen = np.array([camera.name in names for camera in rig.cameras])
         if is_frozen.sum() != len(set(names)) or is_frozen.all():
             raise ValueError(f"names must be some of the rig's cameras and not all, got {sorted(names)}")
@@ -366,16 +323,7 @@ class CameraMount:
     def place(
         self, mount_pose: wp.array, rotation_count: int | None = None, *, into: PlacedViews | None = None
     ) -> PlacedViews:
-        """Poses of all views; recorded on the active tape, gradients flow to ``mount_pose``.
-
-        Args:
-            mount_pose: Of every camera, float [camera, 7].
-            rotation_count: Views of every camera; None: all rotational additions.
-            into: Arrays to write to, their gradients set to 0; None: new ones.
-
-        Raises:
-            ValueError: Not so many numbers for a camera.
-        """
+        """Poses of all views; recorded on the active tape, gradients flow to ``mount_pose``."""
         if mount_pose.ndim != 2 or mount_pose.shape[1] != MOUNT_POSE_SIZE:
             raise ValueError(f"mount poses must be [camera, {MOUNT_POSE_SIZE}], got {mount_pose.shape}")
         camera_count = mount_pose.shape[0]
@@ -410,15 +358,10 @@ class CameraMount:
     def windows(self, views: PlacedViews, *, requires_grad: bool = True) -> wp.array:
         """The field of view of each camera as a window of each view of its panorama, for `Frame.window_area`.
 
+        Returns vec4 [view].
+
         A field of view becomes a rectangle of azimuth and elevation around the optical axis. Recorded on the active
         tape; gradients flow to the views' rotations and zooms.
-
-        Args:
-            views: Placed here, or by `views_of_rig`.
-            requires_grad: Whether gradients flow through the windows; without, they are mere numbers.
-
-        Returns:
-            vec4 [view].
         """
         view_count, camera_count = len(views.position_ego_m), views.mount_pose.shape[0]
         window_rad = wp.zeros(view_count, dtype=wp.vec4, device=self.device, requires_grad=requires_grad)
@@ -483,14 +426,6 @@ class CameraMount:
 
         Cameras of another model than the mount's give the zoom at which the mount's has their focal length; those of a
         mount of modules must be these.
-
-        Args:
-            rig: The rig.
-            as_configured: Whether height and field of view are as configured where they are not free, whatever the
-                rig's are.
-
-        Raises:
-            InputError: A camera is none of the mount's modules, or of a symmetric mount has no mirror image.
         """
         rows = []
         carriers = self.surface.carriers_of(rig.cameras)
@@ -576,15 +511,7 @@ def views_of_rig(
     device: str = "cpu",
     mount: CameraMount | None = None,
 ) -> PlacedViews:
-    """Poses of all views of a rig that stands anywhere; nothing is taped.
-
-    Args:
-        rig: The rig.
-        rotation_count: Rotational additions per camera.
-        rotation_step_rad: Angle between them about the vertical [rad].
-        device: Warp device.
-        mount: Height and zoom count from its own; None: they count from the rig's own, and are 0.
-    """
+    """Poses of all views of a rig that stands anywhere; nothing is taped."""
     position, rotation = [], []
     for camera in rig.cameras:
         transform = camera.ego_from_camera

@@ -42,18 +42,10 @@ ANGLES = ("yaw", "pitch", "roll")
 
 @dataclass(frozen=True)
 class MountErrors:
-    """How far cameras may be off, each number evenly within its tolerance and independently of the others.
+    """How far cameras may be off, each number evenly within its tolerance and independently of the others."""
 
-    Attributes:
-        position_m: Greatest error of a place [m], in each direction, at least 0.
-        angle_rad: Greatest error of an angle [rad], of each of the three, at least 0.
-
-    Raises:
-        InputError: A number is out of its range.
-    """
-
-    position_m: float = 0.0
-    angle_rad: float = 0.0
+    position_m: float = 0.0  # greatest error of a place [m], in each direction, at least 0
+    angle_rad: float = 0.0  # greatest error of an angle [rad], of each of the three, at least 0
 
     def __post_init__(self) -> None:
         for name, value in (("position_m", self.position_m), ("angle_rad", self.angle_rad)):
@@ -82,15 +74,9 @@ class MountErrors:
 def outside_skin(misplaced: np.ndarray, mount_pose: np.ndarray, mount: CameraMount) -> np.ndarray:
     """Cameras with errors of mounting, those that would be below the surface that they stand on at that surface.
 
+    Returns mount poses, float32 [..., camera, 7]. ``misplaced`` float [..., camera, 7].
+
     A camera that is flush with the skin cannot be off inwards: there it would see the body's inside alone.
-
-    Args:
-        misplaced: Mount poses with errors, float [..., camera, 7].
-        mount_pose: Those without, float [camera, 7]; one that is below the surface itself can be off no further.
-        mount: Has the surface.
-
-    Returns:
-        Mount poses, float32 [..., camera, 7].
     """
     kept = np.array(misplaced, np.float32)
     skin_m = np.minimum(mount_pose[:, HEIGHT_DELTA_M], -mount.height_offset_m).astype(np.float32)

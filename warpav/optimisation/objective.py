@@ -49,75 +49,39 @@ _HELD_SAMPLES_MAX = 2**23
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Losses of a rig on some scenes.
+    """Losses of a rig on some scenes."""
 
-    Attributes:
-        total: The Lagrangian.
-        objective: Weighted sum of the losses, without constraints.
-        terms: Every loss by name, without its weight; then every constraint's.
-        gradient: Of the total to the mount poses, float32 [camera, 7]; None if it was not asked for.
-        multiplier_gradient: Of the total to the multipliers, float32 [constraint]; None likewise.
-        seconds: Wall time by stage: render, detect (preparing images, waiting for the detector, matching), backward,
-            total [s].
-        detection_probability: That each camera detects each object, by the model alone; float [camera, object], the
-            objects scene by scene. None if it was not asked for, or where no loss needs it.
-    """
-
-    total: float
-    objective: float
-    terms: dict[str, float]
-    gradient: np.ndarray | None
-    multiplier_gradient: np.ndarray | None
-    seconds: dict[str, float]
-    detection_probability: np.ndarray | None = None
+    total: float  # the Lagrangian
+    objective: float  # weighted sum of the losses, without constraints
+    terms: dict[str, float]  # every loss by name, without its weight; then every constraint's
+    gradient: np.ndarray | None  # of the total to the mount poses, float32 [camera, 7]; None if it was not asked for
+    multiplier_gradient: np.ndarray | None  # of the total to the multipliers, float32 [constraint]; None likewise
+    seconds: dict[str, float]  # wall time by stage: render
+    detection_probability: np.ndarray | None = None  # that each camera detects each object, by the model alone
 
 
 @dataclass(frozen=True)
 class _Observed:
-    """A scene that has been rendered and waits for its detections.
+    """A scene that has been rendered and waits for its detections."""
 
-    Attributes:
-        step: Its step; the step's renderer holds the render.
-        seen: What the cameras see of its vehicles; None where no loss asks for it.
-        camera: Cameras whose images go to the detector.
-    """
-
-    step: SceneStep
-    seen: VisibleObjects | None
-    camera: list[int]
+    step: SceneStep  # its step; the step's renderer holds the render
+    seen: VisibleObjects | None  # what the cameras see of its vehicles; None where no loss asks for it
+    camera: list[int]  # Cameras whose images go to the detector
 
 
 @dataclass(frozen=True)
 class ObjectiveOptions:
-    """How scenes are looked at, and how constraints count.
+    """How scenes are looked at, and how constraints count."""
 
-    Attributes:
-        confidence_min: Least confidence of a true positive.
-        iou_min: Least intersection over union of a true positive.
-        occlusion: What hides a vehicle.
-        supersampling: Samples per pixel along each axis.
-        multiplier_damping: Damping of the multipliers, at least 0; 0 as in the thesis.
-    """
-
-    confidence_min: float = 0.1
-    iou_min: float = 0.5
-    occlusion: Occlusion = Occlusion.PAIRWISE
-    supersampling: int = 1
-    multiplier_damping: float = 0.0
+    confidence_min: float = 0.1  # least confidence of a true positive
+    iou_min: float = 0.5  # least intersection over union of a true positive
+    occlusion: Occlusion = Occlusion.PAIRWISE  # what hides a vehicle
+    supersampling: int = 1  # samples per pixel along each axis
+    multiplier_damping: float = 0.0  # damping of the multipliers, at least 0; 0 as in the thesis
 
 
 class RigObjective:
-    """What a rig is worth on some scenes: a weighted sum of losses, under constraints.
-
-    Attributes:
-        mount: Where the cameras stand.
-        detector: Runs on what the cameras see ahead.
-        losses: Every loss with its weight.
-        constraints: Where the cameras may stand.
-        camera_count: Number of cameras.
-        importance: Weights of the objects; None: all 1.
-        final_schedule: How the losses are at the end of an optimisation; rigs are compared with it.
-    """
+    """What a rig is worth on some scenes: a weighted sum of losses, under constraints."""
 
     def __init__(
         self,
@@ -131,27 +95,10 @@ class RigObjective:
         importance: Importance | None = None,
         options: ObjectiveOptions | None = None,
     ) -> None:
-        """Objective for rigs of ``camera_count`` cameras of the mount's model.
-
-        Args:
-            mount: Where the cameras stand.
-            detector: Runs on what the cameras see ahead; no gradient flows through it.
-            camera_count: Number of cameras, at least 1.
-            losses: Every loss with its weight, at least 0; those of weight 0 are left out. A function of the detection
-                probabilities and the objects is a loss as well, see `LossFunction`.
-            constraints: Where the cameras may stand.
-            camera_probability: How likely a camera is to detect, or of a mount of modules how likely each of these is;
-                some losses need it.
-            importance: Weights of the objects; None: all 1.
-            options: How scenes are looked at.
-
-        Raises:
-            InputError: There is no loss, two have one name, or one needs something that is not there: the detection
-                probability, or one field of view for all cameras while the mount's are free. A mount of modules, or
-                of zones behind glass, asks for the expected miss rate alone, which single cameras give.
-        """
-        self.mount = mount
-        self.detector = detector
+        """Objective for rigs of ``camera_count`` cameras of the mount's model."""
+        self.mount = mount  # where the cameras stand
+        self.detector = detector  # runs on what the cameras see ahead
+        # every loss with its weight
         self.losses: list[tuple[float, Loss]] = [
             (weight, loss if isinstance(loss, Loss) else UserLoss.of(loss)) for weight, loss in losses if weight != 0.0
         ]
@@ -159,11 +106,12 @@ class RigObjective:
         self._probabilities = tuple(given or ())
         self._others: dict[CameraModel, CameraProbability] = {}
         self._check()
-        self.constraints = constraints
-        self.camera_count = camera_count
+        self.constraints = constraints  # where the cameras may stand
+        self.camera_count = camera_count  # number of cameras
         self.options = options = options or ObjectiveOptions()
-        self.importance = importance
+        self.importance = importance  # weights of the objects; None: all 1
         self.device = mount.device
+        # how the losses are at the end of an optimisation; rigs are compared with it
         self.final_schedule = LossSchedule(detector_share=max(loss.detector_share for _, loss in self.losses))
         self._objective = Objective(
             tuple(loss for _, loss in self.losses if isinstance(loss, DeviceLoss)),
@@ -302,18 +250,10 @@ class RigObjective:
     ) -> Evaluation:
         """Losses of cameras on the mount surface on some scenes; scenes are summed in the order given.
 
+        ``multiplier`` float [constraint].
+
         Everything goes to the device in one copy and comes back in one, unless the detector or a loss of the host takes
         part.
-
-        Args:
-            mount_pose: As `CameraMount` counts them, float [camera, 7].
-            scenes: The batch.
-            multiplier: Lagrange multipliers, float [constraint]; None: 0.
-            gradient: Whether to differentiate; to frozen cameras the gradient is 0.
-            schedule: How the losses are at this point of the optimisation; None: as at its end.
-            detection_probability: Whether to say which camera detects which object.
-            with_constraints: Whether constraints are part of the total and of the gradient; their losses are known
-                either way.
         """
         started = time.perf_counter()
         pose = np.asarray(mount_pose, np.float32)
@@ -409,10 +349,6 @@ class RigObjective:
         """Gradient of every loss by itself, without its weight, to the mount poses; float32 [camera, 7] by name.
 
         Of the losses those of the device, each the mean over the scenes; then the constraints.
-
-        Args:
-            mount_pose: As in `evaluate`.
-            scenes: The batch.
         """
         pose, exchange, schedule = np.asarray(mount_pose, np.float32), self._exchange, self.final_schedule
         views = self._views_for(schedule)
@@ -589,11 +525,10 @@ class RigObjective:
         observed.step.set_detected(match >= 0)
 
     def observe_rig(self, rig: Rig, assigned: AssignedScene) -> tuple[Observation, Measures, float, np.ndarray | None]:
-        """What a rig that stands anywhere sees of one scene.
+        """What a rig that stands anywhere sees of one scene. Returns the detections; the measures of all views.
 
-        Returns:
-            The detections; the measures of all views; the objective of this scene alone; and the probability that each
-            camera detects each object, by the model alone, float [camera, object], None where no loss needs it.
+        The objective of this scene alone; and the probability that each camera detects each object, by the model alone,
+        float [camera, object], None where no loss needs it.
         """
         at = self._views_for(self.final_schedule)
         views = views_of_rig(

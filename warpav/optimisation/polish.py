@@ -41,66 +41,37 @@ RISE_MAX = 0.15
 
 @dataclass(frozen=True, eq=False)
 class PolishStep:
-    """What a step of the polish came to.
+    """What a step of the polish came to."""
 
-    Attributes:
-        mount_pose: The best rig so far, float32 [camera, 7]; it satisfies all constraints.
-        objective: Its expected miss rate, or robust objective.
-        tried_objective: That of the rig that the step tried.
-        promised: What the model expected of that rig.
-        radius: Within which it was sought, in `STEP_UNIT`.
-        camera_renders: Camera renders (one camera in one scene) so far.
-    """
-
-    mount_pose: np.ndarray
-    objective: float
-    tried_objective: float
-    promised: float
-    radius: float
-    camera_renders: int
+    mount_pose: np.ndarray  # the best rig so far, float32 [camera, 7]; it satisfies all constraints
+    objective: float  # its expected miss rate, or robust objective
+    tried_objective: float  # that of the rig that the step tried
+    promised: float  # what the model expected of that rig
+    radius: float  # within which it was sought, in `STEP_UNIT`
+    camera_renders: int  # camera renders (one camera in one scene) so far
 
 
 @dataclass(frozen=True, eq=False)
 class PolishTask:
-    """What rigs are polished for.
+    """What rigs are polished for."""
 
-    Attributes:
-        mount: Says what is free, and how far; frozen cameras stay.
-        constraints: What every rig satisfies.
-        scene_count: Camera renders that a camera costs.
-        weight: Of each object, at least 0; None: all alike.
-        robust: What is minimised; None: the expected miss rate.
-        hard_points: Points that steps keep met as far as tangents tell, while ``is_allowed`` has the last word; asked
-            of cameras that were just rendered. None: there are none.
-        is_allowed: Whether a rig whose cameras detect so much, float [camera, object], may be the best; the start is
-            taken to be. None: every rig may.
-    """
-
-    mount: CameraMount
-    constraints: Constraints
-    scene_count: int
-    weight: np.ndarray | None = None
-    robust: RobustObjective | None = None
-    hard_points: HardPoints | None = None
-    is_allowed: Callable[[np.ndarray], bool] | None = None
+    mount: CameraMount  # says what is free, and how far; frozen cameras stay
+    constraints: Constraints  # what every rig satisfies
+    scene_count: int  # camera renders that a camera costs
+    weight: np.ndarray | None = None  # of each object, at least 0; None: all alike
+    robust: RobustObjective | None = None  # what is minimised; None: the expected miss rate
+    hard_points: HardPoints | None = None  # points that steps keep met as far as tangents tell
+    is_allowed: Callable[[np.ndarray], bool] | None = None  # whether a rig whose cameras detect so much
 
 
 @dataclass(frozen=True)
 class PolishSteps:
-    """How a polish steps.
+    """How a polish steps."""
 
-    Attributes:
-        count: Steps after the start, at least 1, over which the radius shrinks; where not all can be paid, over as many
-            as can.
-        radius: Of the first step, in `STEP_UNIT`; smaller where the rig is nearly polished.
-        tolerance: Relative gain that the model must promise for another step.
-        camera_renders_max: Camera renders that may be spent, the first among them; None: as many as it takes.
-    """
-
-    count: int = 20
-    radius: float = RADIUS_FIRST
-    tolerance: float = 1e-4
-    camera_renders_max: int | None = None
+    count: int = 20  # steps after the start, at least 1, over which the radius shrinks
+    radius: float = RADIUS_FIRST  # of the first step, in `STEP_UNIT`; smaller where the rig is nearly polished
+    tolerance: float = 1e-4  # relative gain that the model must promise for another step
+    camera_renders_max: int | None = None  # camera renders that may be spent, the first among them
 
 
 def polish(
@@ -113,9 +84,6 @@ def polish(
 
     From ``mount_pose``, float [camera, 7], or the nearest rig that satisfies the constraints; ``detect`` renders
     cameras in all scenes, of every step those that moved. The start comes first.
-
-    Raises:
-        InputError: The cameras do not fit on the mount surface.
     """
     steps = steps or PolishSteps()
     mount, constraints, robust, hard_points = task.mount, task.constraints, task.robust, task.hard_points
@@ -182,11 +150,7 @@ def _radii(first: float, count: int) -> np.ndarray:
 
 
 def nearest_rig(mount_pose: np.ndarray, mount: CameraMount, constraints: Constraints) -> np.ndarray:
-    """The nearest rig that satisfies the constraints and the free ranges, float32 [camera, 7].
-
-    Raises:
-        InputError: The cameras do not fit on the mount surface.
-    """
+    """The nearest rig that satisfies the constraints and the free ranges, float32 [camera, 7]."""
     near = mount.within(np.asarray(mount_pose, np.float32)).astype(np.float64)
     near[:, [X_M, Y_M]] = constraints.project(near[:, [X_M, Y_M]], near[:, HEIGHT_DELTA_M])
     return mount.within(near.astype(np.float32))

@@ -53,19 +53,9 @@ def pool_cache_folder() -> Path:
 def spread_mount_poses(mount: CameraMount, constraints: Constraints, count: int, *, seed: int) -> np.ndarray:
     """Cameras spread evenly over all that is free: a scrambled Sobol sequence, cut to where cameras may stand.
 
+    Returns mount poses, float32 [camera, 7]; yaws in -pi..pi.
+
     The first n of more cameras are the n cameras of the same seed. Of modules there are equally many, in turns.
-
-    Args:
-        mount: Where the cameras stand; its free ranges are covered, what is not free is as configured.
-        constraints: Where a camera that is alone may stand.
-        count: Number of cameras, at least 1.
-        seed: Scrambles the sequence.
-
-    Returns:
-        Mount poses, float32 [camera, 7]; yaws in -pi..pi.
-
-    Raises:
-        InputError: No camera was asked for, or there is next to no room for any.
     """
     if count < 1:
         raise ArgumentError("count", f"expected at least 1 camera, got {count}")
@@ -106,41 +96,23 @@ def _spread(
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """Where pools are drawn.
+    """Where pools are drawn."""
 
-    Attributes:
-        executor: Where it is done; None: here, with a thread for each core.
-        cache: Folder that keeps what is drawn, such as `pool_cache_folder`; None: nothing is kept. With the executors
-            ``ray`` and ``slurm`` all machines must see it.
-        chunk_cameras: Cameras that one task draws in one scene, at least 1.
-    """
-
-    executor: Executor | None = None
-    cache: Path | None = None
-    chunk_cameras: int = CHUNK_CAMERAS
+    executor: Executor | None = None  # where it is done; None: here, with a thread for each core
+    cache: Path | None = None  # folder that keeps what is drawn, such as `pool_cache_folder`; None: nothing is kept
+    chunk_cameras: int = CHUNK_CAMERAS  # cameras that one task draws in one scene, at least 1
 
 
 @dataclass(frozen=True, eq=False)
 class CameraPool:
-    """Single cameras, and the probability that each detects each object of some scenes.
+    """Single cameras, and the probability that each detects each object of some scenes."""
 
-    Attributes:
-        mount_pose: The cameras as the mount counts them, float32 [camera, 7].
-        detection_probability: 0..1, [camera, object], the objects scene by scene; float32, float16 where that would
-            take more than 512 MiB. In half precision a probability is off by at most 1/4096.
-        scene_index: Scene of every object, int32 [object].
-        drawn_count: Camera renders (one camera in one scene) that were drawn for the pool.
-        cached_count: Camera renders that were found in the cache.
-        is_drawn: Which cameras were drawn here, and are in the cache where there is one, bool [camera]; others were
-            rendered elsewhere, or are there twice.
-    """
-
-    mount_pose: np.ndarray
-    detection_probability: np.ndarray
-    scene_index: np.ndarray
-    drawn_count: int
-    cached_count: int
-    is_drawn: np.ndarray
+    mount_pose: np.ndarray  # the cameras as the mount counts them, float32 [camera, 7]
+    detection_probability: np.ndarray  # 0..1, [camera, object], the objects scene by scene
+    scene_index: np.ndarray  # scene of every object, int32 [object]
+    drawn_count: int  # camera renders (one camera in one scene) that were drawn for the pool
+    cached_count: int  # camera renders that were found in the cache
+    is_drawn: np.ndarray  # which cameras were drawn here, and are in the cache where there is one, bool [camera]
     _source: _Source
 
     @classmethod
@@ -155,21 +127,7 @@ class CameraPool:
         name: str = POOL_NAME,
         may_see_nothing: bool = False,
     ) -> CameraPool:
-        """Draw every camera in every scene; ``drawing`` changes no bit of the result.
-
-        Args:
-            mount_pose: The cameras, finite numbers, float [camera, 7].
-            scenes: The scenes, on the device of the mount; requirements behind them.
-            cameras: What the cameras are, and how likely one is to detect.
-            drawing: Where it is done, and what keeps it.
-            progress: Told of every task.
-            name: What progress calls the cameras.
-            may_see_nothing: Whether it is no error that no camera sees any object: others join the pool later.
-
-        Raises:
-            InputError: There are no cameras or no objects, no camera sees any of them, the cache holds something else
-                under the name of a chunk, or a task failed.
-        """
+        """Draw every camera in every scene; ``drawing`` changes no bit of the result."""
         source = _Source(tuple(scenes), cameras, drawing or Drawing())
         none = np.zeros((0, MOUNT_POSE_SIZE), np.float32), np.zeros((0, len(source.scene_index)), np.float32)
         pool = cls(*none, source.scene_index, 0, 0, np.zeros(0, bool), source)
@@ -183,17 +141,7 @@ class CameraPool:
         name: str = POOL_NAME,
         may_see_nothing: bool = False,
     ) -> CameraPool:
-        """The pool with more cameras behind those that it has; only what it does not have yet is drawn.
-
-        Args:
-            mount_pose: The further cameras, as in `draw`, as are the others.
-            progress: Likewise.
-            name: Likewise.
-            may_see_nothing: Likewise.
-
-        Raises:
-            InputError: As `draw`.
-        """
+        """The pool with more cameras behind those that it has; only what it does not have yet is drawn."""
         more = _checked_poses(mount_pose)
         new = more[rows_of(more, self.mount_pose) < 0]
         new = new[np.sort(np.unique(pose_keys(new), return_index=True)[1])]
@@ -229,10 +177,6 @@ class CameraPool:
 
         They count as drawn. They are not kept in the cache: with a Jacobian a camera is rendered another way, and its
         probabilities may differ in the last digits.
-
-        Args:
-            mount_pose: The further cameras, as in `draw`.
-            detection_probability: Theirs, float [camera, object].
         """
         pose = _checked_poses(mount_pose)
         dtype = self.detection_probability.dtype
@@ -272,12 +216,7 @@ class CameraPool:
         drawing: Drawing | None = None,
         progress: Progress | None = None,
     ) -> CameraPool:
-        """The pool that gave `state`, for the same scenes and cameras.
-
-        Raises:
-            KeyError: The state is not whole.
-            ValueError: Its parts do not fit together.
-        """
+        """The pool that gave `state`, for the same scenes and cameras."""
         drawn_count, cached_count, size = (int(each) for each in state["counts"])
         pose, is_drawn = np.asarray(state["mount_pose"], np.float32), np.asarray(state["is_drawn"], bool)
         options = {"scenes": scenes, "cameras": cameras, "drawing": drawing, "progress": progress}
@@ -302,21 +241,13 @@ _Place = DeviceScene | RequiredPoints | Path
 
 @dataclass(frozen=True)
 class _Chunk:
-    """A task: some cameras in one scene.
+    """A task: some cameras in one scene."""
 
-    Attributes:
-        cameras: What they are, or the file that they lie in.
-        scene: The scene, or the file that it lies in.
-        scene_number: Its place among the scenes.
-        row: The cameras' places among those to be drawn.
-        mount_pose: They themselves, float32 [camera, 7].
-    """
-
-    cameras: SingleCameras | Path
-    scene: _Place
-    scene_number: int
-    row: np.ndarray
-    mount_pose: np.ndarray
+    cameras: SingleCameras | Path  # what they are, or the file that they lie in
+    scene: _Place  # the scene, or the file that it lies in
+    scene_number: int  # its place among the scenes
+    row: np.ndarray  # the cameras' places among those to be drawn
+    mount_pose: np.ndarray  # they themselves, float32 [camera, 7]
 
 
 @dataclass(frozen=True, eq=False)

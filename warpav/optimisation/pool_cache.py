@@ -49,12 +49,6 @@ class PoolCache:
     """
 
     def __init__(self, folder: Path, identity: Identity) -> None:
-        """The folder, which may not exist yet.
-
-        Args:
-            folder: Its path.
-            identity: What chunks depend on besides the scene.
-        """
         self.folder = folder
         self._identity = dict(identity)
         self._pose: dict[Path, np.ndarray] = {}  # of the chunks that were opened, float32 [camera, 7]
@@ -64,14 +58,6 @@ class PoolCache:
         """Which cameras are there, bool [camera], and what these detect, float32 [camera that is there, object].
 
         Chunks that cannot be read are passed over.
-
-        Args:
-            scene: Fingerprint of the scene.
-            object_count: Number of its objects.
-            mount_pose: The cameras, float32 [camera, 7].
-
-        Raises:
-            InputError: A chunk holds something else than its name says.
         """
         is_there = np.zeros(len(mount_pose), bool)
         found = np.zeros((len(mount_pose), object_count), np.float32)
@@ -154,11 +140,7 @@ def pose_keys(mount_pose: np.ndarray) -> np.ndarray:
 
 
 def write_arrays(file: Path, identity: Identity, **arrays: np.ndarray) -> None:
-    """Write arrays and what they were drawn with.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
+    """Write arrays and what they were drawn with."""
     words = json.dumps({"format": _FORMAT, "identity": dict(identity)}).encode()
     with atomic_write(file) as draft, draft.open("wb") as stream:
         np.savez(stream, words=np.frombuffer(words, np.uint8), **arrays)  # pyright: ignore[reportArgumentType]
@@ -175,11 +157,7 @@ def read_arrays(file: Path) -> tuple[dict[str, np.ndarray], Identity]:
 
 
 def check_identity(file: Path, found: Identity, expected: Identity) -> None:
-    """Make sure that a file was drawn with what is expected.
-
-    Raises:
-        InputError: It was not; the text says with what else.
-    """
+    """Make sure that a file was drawn with what is expected."""
     for name, text in _MEANING.items():
         if found.get(name) != expected[name]:
             raise InputError(f"{file}: {name}: expected a pool {text}; remove it, and draw it again")

@@ -24,16 +24,7 @@ from warpav.optimisation.records import Candidate, IterationRecord, named_part, 
 
 
 class PoolRun:
-    """A `PoolSearch` with its records; call `step` while `stop_reason` is None, then `finish`.
-
-    Attributes:
-        task: What is searched for.
-        start: Mount poses that the rig begins with, float32 [camera, 7].
-        start_value: What the objective of the start is made of, where it is a robust one and the search has begun.
-        candidates: The rigs that were found, each better than those before; the first is the start.
-        iteration: Steps so far.
-        found: The last state; None before the first step.
-    """
+    """A `PoolSearch` with its records; call `step` while `stop_reason` is None, then `finish`."""
 
     def __init__(
         self,
@@ -47,12 +38,13 @@ class PoolRun:
     ) -> None:
         """A run of a task that has a start; the others as of `PoolSearch`."""
         assert task.start is not None
-        self.task = task
+        self.task = task  # what is searched for
+        # mount poses that the rig begins with, float32 [camera, 7]
         self.start = task.cameras.mount.within(np.asarray(task.start, np.float32))
-        self.candidates: list[Candidate] = []
-        self.iteration = 0
-        self.found: Found | None = None
-        self.start_value: RobustValue | None = None
+        self.candidates: list[Candidate] = []  # the rigs that were found, each better than those before
+        self.iteration = 0  # steps so far
+        self.found: Found | None = None  # the last state; None before the first step
+        self.start_value: RobustValue | None = None  # what the objective of the start is made of
         self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
         self._search = PoolSearch(task, settings, seed=seed, drawing=drawing, progress=progress, pool=pool)
         self._at_boundary = self._summary()
@@ -76,11 +68,7 @@ class PoolRun:
         return f"the search has converged, after {self.found.camera_renders} camera renders"
 
     def step(self) -> IterationRecord:
-        """Go on until the search comes to another state.
-
-        Raises:
-            InputError: The pool sees nothing, or the cameras do not fit.
-        """
+        """Go on until the search comes to another state."""
         began, before, passed = time.perf_counter(), self._summary(), self._search.passed
         self.found = found = next(self._search)
         if self._search.passed != passed:
@@ -148,11 +136,8 @@ class PoolRun:
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         """Go on from where another run of the same task was when it gave `state`; this one has taken no step.
 
-        The stage that the other was in is taken again. The settings may be others that do not change how a pool
-        begins: rounds, refinements, gap, time.
-
-        Raises:
-            InputError: The state is of another search, or not whole.
+        The stage that the other was in is taken again. The settings may be others that do not change how a pool begins:
+        rounds, refinements, gap, time.
         """
         what = "more states than it comes to"
         try:

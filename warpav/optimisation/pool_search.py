@@ -67,72 +67,38 @@ _KEPT = ("best", "objective", "bound", "price", "round", "_under", "_row_points"
 
 @dataclass(frozen=True)
 class PoolSearchSettings:
-    """How much the search looks at.
+    """How much the search looks at."""
 
-    Attributes:
-        pool_cameras: Single cameras of the first pool, at least as many as the rig has.
-        rounds: How often further cameras are priced, at most.
-        priced_cameras: Cameras that a round follows along their prices, each for a few steps.
-        gap: Objective less bound at which the last selection ends, an expected miss rate; those before, whose rigs are
-            polished, end at `GAP_ON_THE_WAY`, where that is more.
-        refinements: How often other places for single cameras and places near the best rig's are looked at when rounds
-            bring nothing more, at most.
-        selection_time_s: When a selection ends at the latest [s].
-        camera_renders_max: Camera renders (one camera, one scene) that may be spent, those that the cache spares and
-            those with a Jacobian among them; the first pool leaves a share for what follows. None: as many as it takes.
-        polishes: Whether selected rigs are polished.
-    """
-
-    pool_cameras: int = 128
-    rounds: int = 4
-    priced_cameras: int = 8
-    gap: float = 5e-4
+    pool_cameras: int = 128  # single cameras of the first pool, at least as many as the rig has
+    rounds: int = 4  # how often further cameras are priced, at most
+    priced_cameras: int = 8  # cameras that a round follows along their prices, each for a few steps
+    gap: float = 5e-4  # objective less bound at which the last selection ends, an expected miss rate
+    # how often other places for single cameras and places near the best rig's are looked at when rounds bring nothing
+    # more, at most
     refinements: int = 0
-    selection_time_s: float = 20.0
-    camera_renders_max: int | None = None
-    polishes: bool = True
+    selection_time_s: float = 20.0  # when a selection ends at the latest [s]
+    camera_renders_max: int | None = None  # camera renders (one camera, one scene) that may be spent
+    polishes: bool = True  # whether selected rigs are polished
 
 
 @dataclass(frozen=True, eq=False)
 class PoolTask:
-    """What a search looks for.
+    """What a search looks for."""
 
-    Attributes:
-        cameras: What the cameras are, and how likely one is to detect.
-        scenes: The scenes, on the device of the mount.
-        constraints: Where cameras may stand; frozen cameras are part of every rig.
-        camera_count: Cameras of the rig, frozen ones among them.
-        start: A rig whose cameras join the pool, so that the result is not worse, float [camera, 7]; None: there is
-            none.
-        object_weight: Of the objects of all scenes, scene by scene, at least 0, not all 0, float [object]; None: all
-            alike.
-        limits: How many cameras of each of the mount's modules a rig may have; None: any ``camera_count`` cameras.
-        requirements: Points that have to be seen near the vehicle besides. The objective is then the mean of the
-            expected miss rate and, by their weights, of the shares of points that are missed; rigs that break a hard
-            requirement are never the best.
-        robust: What is minimised instead of the expected miss rate, see `camera_loss`.
-        mount_errors: Over which every camera's probabilities are averaged, see `mount_errors`; a camera render is then
-            as many renders as there are draws.
-    """
-
-    cameras: SingleCameras
-    scenes: Sequence[DeviceScene]
-    constraints: Constraints
-    camera_count: int
-    start: np.ndarray | None = None
-    object_weight: np.ndarray | None = None
-    limits: RigLimits | None = None
-    requirements: RequiredPoints | None = None
-    robust: RobustObjective | None = None
-    mount_errors: MountErrors | None = None
+    cameras: SingleCameras  # what the cameras are, and how likely one is to detect
+    scenes: Sequence[DeviceScene]  # the scenes, on the device of the mount
+    constraints: Constraints  # where cameras may stand; frozen cameras are part of every rig
+    camera_count: int  # cameras of the rig, frozen ones among them
+    start: np.ndarray | None = None  # a rig whose cameras join the pool, so that the result is not worse
+    object_weight: np.ndarray | None = None  # of the objects of all scenes, scene by scene, at least 0, not all 0
+    limits: RigLimits | None = None  # how many cameras of each of the mount's modules a rig may have
+    requirements: RequiredPoints | None = None  # points that have to be seen near the vehicle besides
+    robust: RobustObjective | None = None  # what is minimised instead of the expected miss rate, see `camera_loss`
+    mount_errors: MountErrors | None = None  # over which every camera's probabilities are averaged, see `mount_errors`
 
     @classmethod
     def of(cls, objective: RigObjective, scenes: Sequence[AssignedScene], **others: Any) -> PoolTask:  # noqa: ANN401
-        """The task of an objective on some scenes; ``others`` are further attributes.
-
-        Raises:
-            InputError: The objective is made of other losses than the expected miss rate.
-        """
+        """The task of an objective on some scenes; ``others`` are further attributes."""
         cameras = single_cameras_of(objective)
         if cameras is None:
             raise OptionError(
@@ -167,33 +133,19 @@ class PoolTask:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """The state of a search: at every moment the best rig, and what is proven.
+    """The state of a search: at every moment the best rig, and what is proven."""
 
-    Attributes:
-        mount_pose: The best rig so far, which satisfies all constraints, float32 [camera, 7].
-        objective: Its expected miss rate on the scenes of the search, or its robust objective.
-        bound: No rig of cameras of the pool is below it; 0 before the first selection. It covers the rendered
-            candidates only.
-        stage: What has just been done; ``settled`` where nothing is left to do.
-        camera_renders: Camera renders so far, those that the cache has spared among them.
-        pool_cameras: Cameras of the pool; at the start those of the start alone, where the others are drawn next.
-        seconds: Wall time so far [s].
-        pool: The cameras that the search knows, those of the best rig among them, and what each of them detects.
-        round: Of pricing, from 0.
-        robust: What the objective is made of where it is a robust one, else None.
-        is_final: Whether the same search always comes to this state: not after a selection that Ctrl-C has ended.
-    """
-
-    mount_pose: np.ndarray
-    objective: float
-    bound: float
-    stage: Stage
-    camera_renders: int
-    pool_cameras: int
-    seconds: float
-    pool: CameraPool = field(repr=False)
-    round: int = 0
-    robust: RobustValue | None = None
+    mount_pose: np.ndarray  # the best rig so far, which satisfies all constraints, float32 [camera, 7]
+    objective: float  # its expected miss rate on the scenes of the search, or its robust objective
+    bound: float  # no rig of cameras of the pool is below it; 0 before the first selection
+    stage: Stage  # what has just been done; ``settled`` where nothing is left to do
+    camera_renders: int  # camera renders so far, those that the cache has spared among them
+    pool_cameras: int  # cameras of the pool; at the start those of the start alone, where the others are drawn next
+    seconds: float  # wall time so far [s]
+    pool: CameraPool = field(repr=False)  # the cameras that the search knows, those of the best rig among them
+    round: int = 0  # of pricing, from 0
+    robust: RobustValue | None = None  # what the objective is made of where it is a robust one, else None
+    # whether the same search always comes to this state: not after a selection that Ctrl-C has ended
     is_final: bool = True
 
     @property
@@ -212,10 +164,7 @@ class PoolSearch:
     it knows is the pool and a few numbers: that is its `state`. Within a stage nothing is random, so that a search that
     is stopped goes on from the stage's beginning to the same rigs, to the bit.
 
-    Attributes:
-        task: What it looks for.
-        settings: How much it looks at from now on.
-        pool: The cameras that it knows.
+    ``task``: what it looks for. ``settings``: how much it looks at from now on.
     """
 
     def __init__(
@@ -228,20 +177,6 @@ class PoolSearch:
         progress: Progress | None = None,
         pool: CameraPool | None = None,
     ) -> None:
-        """A search that has not begun.
-
-        Args:
-            task: What it looks for.
-            settings: How much to look at.
-            seed: Of the pool and of the selection.
-            drawing: Where the pool is drawn, and what keeps it.
-            progress: Shows the drawing of the pool.
-            pool: Of an earlier search of the same cameras in the same scenes; this one goes on with it and draws no
-                other.
-
-        Raises:
-            InputError: The cameras do not fit, or a setting is out of its range.
-        """
         settings = settings or PoolSearchSettings()
         if settings.pool_cameras < task.camera_count:
             expected = f"expected at least the rig's {task.camera_count}, got {settings.pool_cameras}"
@@ -257,7 +192,7 @@ class PoolSearch:
         self.points, self.camera_count, self.limits = task.requirements, task.camera_count, task.limits
         self.object_weight, self.robust = task.whole_weight, task.robust
         self.assembly = _Assembly(self.cameras.mount)
-        self.pool: CameraPool
+        self.pool: CameraPool  # the cameras that it knows
         self.best: np.ndarray | None = None
         self.objective = np.inf
         self.bound: float | None = None
@@ -277,12 +212,7 @@ class PoolSearch:
         return self
 
     def __next__(self) -> Found:
-        """The next state.
-
-        Raises:
-            InputError: The pool sees nothing, or the cameras do not fit.
-            KeyboardInterrupt: Ctrl-C: during a selection after the state that it has come to, elsewhere at once.
-        """
+        """The next state."""
         return next(self._states)
 
     def _run(self) -> Iterator[Found]:
@@ -320,12 +250,7 @@ class PoolSearch:
         return state | (named_part("pool", known["pool"].state()) if "pool" in known else {})
 
     def restore(self, state: Mapping[str, np.ndarray]) -> PoolSearchSettings:
-        """Be where another search of the same task was, under its settings; returns the own ones.
-
-        Raises:
-            KeyError: The state is not whole.
-            ValueError: Its parts do not fit together.
-        """
+        """Be where another search of the same task was, under its settings; returns the own ones."""
         words = json.loads(str(state["words"]))
         own, self.settings = self.settings, PoolSearchSettings(**words["settings"])
         self._todo = [tuple(each) for each in words["todo"]]
@@ -518,10 +443,7 @@ class PoolSearch:
     def _is_better(self, rig: np.ndarray, objective: float, probability: np.ndarray | None = None) -> bool:
         """Whether a rig is better than the best so far, which it then is; not if it breaks a hard requirement.
 
-        Args:
-            rig: Its cameras, float32 [camera, 7].
-            objective: Its value.
-            probability: What its cameras detect, [camera, object]; None: the pool knows it.
+        ``rig`` float32 [camera, 7]; ``probability`` [camera, object].
         """
         if self.points is not None:
             if probability is None:
@@ -744,13 +666,7 @@ class _Assembly:
         return np.concatenate([self.frozen, rig[~self._is_held(len(rig))]])
 
     def rig(self, pose: np.ndarray, *, like: np.ndarray | None = None) -> np.ndarray:
-        """The rig of chosen cameras, the frozen ones first among them, float32 [camera, 7].
-
-        Args:
-            pose: The cameras, float32 [camera, 7].
-            like: A rig whose cameras' places in the list those of the same module take that are nearest to them, where
-                it has as many, float [camera, 7].
-        """
+        """The rig of chosen cameras, the frozen ones first, in the order of those of ``like`` that are nearest."""
         is_held = self._is_held(len(pose))
         result = np.empty((len(pose), 7), np.float32)
         count = len(self.frozen)
@@ -797,13 +713,7 @@ def _with_absent(detection_probability: np.ndarray, absent: int) -> np.ndarray:
 
 
 def too_near(mount_pose: np.ndarray, constraints: Constraints, *, absent: int = 0) -> sparse.csr_array:
-    """Which cameras stand too near to each other to be in one rig, bool [camera, camera]; frozen pairs may.
-
-    Args:
-        mount_pose: The cameras, float [camera, 7].
-        constraints: Ask for the spacing.
-        absent: Cameras behind them that are not there, and near to none.
-    """
+    """Which cameras stand too near to each other to be in one rig, bool [camera, camera]; frozen pairs may."""
     from scipy.spatial import KDTree
 
     place = mount_pose[:, [X_M, Y_M]].astype(np.float64)

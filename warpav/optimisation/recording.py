@@ -26,13 +26,7 @@ class Recording:
     """
 
     def __init__(self, function: Callable[[], None], renderer: Renderer, *, enabled: bool | None = None) -> None:
-        """Record ``function``, which may use ``renderer``.
-
-        Args:
-            function: Launches kernels; neither reads arrays on the host nor depends on numbers that change.
-            renderer: Its buffers' addresses are part of a recording.
-            enabled: Whether to record; None: wherever it can be done, on a GPU and on the CPU with one thread.
-        """
+        """Record ``function``, which may use ``renderer``."""
         self._function = function
         self._renderer = renderer
         self._enabled = (renderer.device.is_cuda or renderer.thread_count == 1) if enabled is None else enabled

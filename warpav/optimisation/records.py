@@ -15,69 +15,39 @@ from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_R
 
 @dataclass(frozen=True)
 class IterationRecord:
-    """What one step did; every field goes into ``events.jsonl`` as it is.
+    """What one step did; every field goes into ``events.jsonl`` as it is."""
 
-    Attributes:
-        iteration: From 0.
-        loss: The Lagrangian on the batch, at the poses before the step.
-        terms: Every loss by name, unscaled.
-        multipliers: Every Lagrange multiplier by name.
-        gradient_norm: L2 norm of the gradient to all positions and to all angles; where it is free, to all zooms.
-        positions_m: Camera centres in the ego frame before the step [m], [camera][3].
-        yaw_deg: Yaw before the step [deg], [camera].
-        seconds: Wall time: render, detect, backward, total [s].
-        min_camera_distance_m: Smallest distance between two cameras [m].
-        training_objective: Objective of the feasible poses on all validation scenes, None where they were not checked.
-        best_training_objective: The lowest of them so far, None before the first check.
-        gradient: Of the loss to what the step moves: ``position_per_m`` to x and y on the surface, [camera][2], and
-            ``yaw_per_rad``, [camera]; 0 for frozen cameras.
-        free: What else is free, before the step: pitch_deg, height_m (above the surface) and fov_deg, each [camera].
-        descent: From 0, of those that the run has one after the other.
-        stage: Of the search by a pool, see `Found`; None: a step of a descent.
-        bound: No rig of `pool_cameras` is below it; None before the first selection, and in a descent.
-        pool_cameras: Cameras of the pool of the last selection, which the bound is over; likewise None.
-        camera_renders: One camera in one scene each, so far; None in a descent.
-        modules: Module of every camera, where the rig mixes them; empty otherwise.
-    """
-
-    iteration: int
-    loss: float
-    terms: dict[str, float]
-    multipliers: dict[str, float]
-    gradient_norm: dict[str, float]
-    positions_m: list[list[float]]
-    yaw_deg: list[float]
-    seconds: dict[str, float]
-    min_camera_distance_m: float | None
-    training_objective: float | None
-    best_training_objective: float | None
+    iteration: int  # from 0
+    loss: float  # the Lagrangian on the batch, at the poses before the step
+    terms: dict[str, float]  # every loss by name, unscaled
+    multipliers: dict[str, float]  # every Lagrange multiplier by name
+    gradient_norm: dict[str, float]  # l2 norm of the gradient to all positions and to all angles
+    positions_m: list[list[float]]  # Camera centres in the ego frame before the step [m], [camera][3]
+    yaw_deg: list[float]  # yaw before the step [deg], [camera]
+    seconds: dict[str, float]  # wall time: render, detect, backward, total [s]
+    min_camera_distance_m: float | None  # smallest distance between two cameras [m]
+    training_objective: float | None  # objective of the feasible poses on all validation scenes
+    best_training_objective: float | None  # the lowest of them so far, None before the first check
+    # of the loss to what the step moves: ``position_per_m`` to x and y on the surface, [camera][2]
     gradient: dict[str, list[Any]] = field(default_factory=dict)
-    free: dict[str, list[float]] = field(default_factory=dict)
-    descent: int = 0
-    stage: str | None = None
-    bound: float | None = None
-    camera_renders: int | None = None
-    pool_cameras: int | None = None
-    modules: list[str] = field(default_factory=list)
+    free: dict[str, list[float]] = field(default_factory=dict)  # what else is free, before the step: pitch_deg
+    descent: int = 0  # from 0, of those that the run has one after the other
+    stage: str | None = None  # of the search by a pool, see `Found`; None: a step of a descent
+    bound: float | None = None  # no rig of `pool_cameras` is below it
+    camera_renders: int | None = None  # one camera in one scene each, so far; None in a descent
+    pool_cameras: int | None = None  # cameras of the pool of the last selection, which the bound is over; likewise None
+    modules: list[str] = field(default_factory=list)  # module of every camera, where the rig mixes them
 
 
 @dataclass(eq=False)
 class Candidate:
-    """A rig that satisfies the constraints, and its objective on all validation scenes.
+    """A rig that satisfies the constraints, and its objective on all validation scenes."""
 
-    Attributes:
-        mount_pose: Mount poses, float32 [camera, 7].
-        training_objective: Its objective on all validation scenes.
-        iteration: Steps before it.
-        descent: The descent that it belongs to, from 0.
-        detection_probability: As in `Evaluation`; None where it was not asked for.
-    """
-
-    mount_pose: np.ndarray
-    training_objective: float
-    iteration: int
-    descent: int
-    detection_probability: np.ndarray | None = None
+    mount_pose: np.ndarray  # mount poses, float32 [camera, 7]
+    training_objective: float  # its objective on all validation scenes
+    iteration: int  # steps before it
+    descent: int  # the descent that it belongs to, from 0
+    detection_probability: np.ndarray | None = None  # as in `Evaluation`; None where it was not asked for
 
 
 def rig_fields(mount: CameraMount, mount_pose: np.ndarray) -> dict[str, Any]:

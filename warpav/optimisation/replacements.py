@@ -24,15 +24,7 @@ FLOOR = 0.1
 
 
 class Replacements:
-    """A rig of a pool, and what would come of it with one camera replaced.
-
-    Attributes:
-        missed_by_others: Share that the other cameras miss, for each camera that may be replaced, times the weight of
-            the object, float64 [slot, object]. Of a robust objective how much it falls, to first order, for an object
-            that the camera finds.
-        miss_rate: Expected miss rate, or robust objective, with a camera of the pool instead, infinite where it stands
-            too near to another, float64 [camera, slot].
-    """
+    """A rig of a pool, and what would come of it with one camera replaced."""
 
     def __init__(
         self,
@@ -46,19 +38,9 @@ class Replacements:
         weight: np.ndarray | None = None,
         robust: tuple[RobustObjective, np.ndarray] | None = None,
     ) -> None:
-        """All replacements of a single camera.
+        """All replacements of a single camera. ``held`` int [held camera]; ``replaced`` int [slot].
 
-        Args:
-            pool: The cameras, and what they detect.
-            held: The rig's cameras in the pool that stay, int [held camera].
-            replaced: Those that may be replaced, int [slot].
-            is_apart: Which cameras are far enough from each of the rig's, the held ones first, bool [camera, rig
-                camera].
-            fits: Which cameras may take the place of which of the rig's, as they are of one module, likewise.
-            unit: Of each number, 0 where it is not free, float [7].
-            weight: Of each object, at least 0, not all 0, float [object]; None: all alike.
-            robust: What is minimised, and how many cameras each of the pool stands for, int [camera]; None: the
-                expected miss rate.
+        ``is_apart`` bool [camera, rig camera]; ``unit`` float [7]; ``robust`` int [camera].
         """
         rig = np.concatenate([held, replaced])
         self._pose, self._unit, self._of_slot = np.asarray(pool.mount_pose, np.float64), unit, replaced
@@ -66,6 +48,7 @@ class Replacements:
         others = [np.delete(np.arange(len(rig)), slot) for slot in range(len(held), len(rig))]
         relative = None if weight is None else weight / np.mean(weight)
         if robust is None:
+            # share that the other cameras miss, for each camera that may be replaced
             self.missed_by_others = np.array([missed[rig[each]].prod(axis=0) for each in others])
             if relative is not None:
                 self.missed_by_others = self.missed_by_others * relative
@@ -79,17 +62,12 @@ class Replacements:
             value = [objective.of_completed(missed.T, share, rig[each][None], size) for each in others]
             miss_rate = np.concatenate(value, axis=1)
         can_be = np.stack([is_apart[:, each].all(axis=1) for each in others], axis=1) & fits[:, len(held) :]
-        self.miss_rate = np.where(can_be, miss_rate, np.inf)
+        self.miss_rate = np.where(can_be, miss_rate, np.inf)  # expected miss rate, or robust objective
 
     def starts(self, count: int, known: np.ndarray) -> list[tuple[int, int]]:
         """The best replacements that are a unit and more from each other, from the rig and from known places.
 
-        Args:
-            count: Of them, at most.
-            known: Places that are known already, float [place, 7].
-
-        Returns:
-            Camera of the pool, and whose slot it would take; the best first.
+        Returns camera of the pool, and whose slot it would take; the best first. ``known`` float [place, 7].
         """
         best = self.miss_rate.min(axis=1)
         known = np.concatenate([self._pose[self._of_slot], known])
@@ -106,13 +84,7 @@ class Replacements:
     def near(self, radius: float, count: int, rng: np.random.Generator) -> np.ndarray:
         """Poses around every camera that may be replaced, spread as the best of the pool nearby are.
 
-        Args:
-            radius: How far they spread, in units.
-            count: For each camera.
-            rng: Where the random numbers come from.
-
-        Returns:
-            The poses, float64 [slot times count, 7]; constraints and bounds are not kept.
+        Returns the poses, float64 [slot times count, 7]; constraints and bounds are not kept.
         """
         free = np.flatnonzero(self._unit > 0.0)
         poses = []

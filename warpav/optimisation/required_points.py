@@ -36,42 +36,25 @@ from warpav.requirements.visibility import (
 
 @dataclass(frozen=True, eq=False)
 class RequirementRows:
-    """The rows that a rig must satisfy.
+    """The rows that a rig must satisfy."""
 
-    Attributes:
-        rows: For `warpav.optimisation.selection.select`, named after requirement and point.
-        ghost: The point that each comes from, int [row].
-        requirement: Its requirement, int [row].
-    """
-
-    rows: tuple[Row, ...]
-    ghost: np.ndarray
-    requirement: np.ndarray
+    rows: tuple[Row, ...]  # for `warpav.optimisation.selection.select`, named after requirement and point
+    ghost: np.ndarray  # the point that each comes from, int [row]
+    requirement: np.ndarray  # its requirement, int [row]
 
 
 @dataclass(frozen=True)
 class Unmeetable:
-    """A requirement with points that the cameras of a pool cannot meet.
+    """A requirement with points that the cameras of a pool cannot meet."""
 
-    Attributes:
-        requirement: Its name.
-        points: Number of such points.
-        position_m: The one furthest from being met, in the ego frame [m].
-        cameras_needed: Cameras that have to see the test object there.
-        cameras_found: Cameras of the pool that do.
-        nearest: The camera of the pool that comes closest without meeting it; None where all that see it meet it.
-        visible_share: What that camera sees of it, 0..1.
-        pixels: Likewise [px^2].
-    """
-
-    requirement: str
-    points: int
-    position_m: tuple[float, float]
-    cameras_needed: int
-    cameras_found: int
-    nearest: int | None
-    visible_share: float
-    pixels: float
+    requirement: str  # its name
+    points: int  # number of such points
+    position_m: tuple[float, float]  # the one furthest from being met, in the ego frame [m]
+    cameras_needed: int  # cameras that have to see the test object there
+    cameras_found: int  # cameras of the pool that do
+    nearest: int | None  # the camera of the pool that comes closest without meeting it
+    visible_share: float  # what that camera sees of it, 0..1
+    pixels: float  # likewise [px^2]
 
     def __str__(self) -> str:
         """One line: what cannot be met, where, and what comes closest."""
@@ -87,14 +70,10 @@ class Unmeetable:
 
 
 def requirement_rows(meets: np.ndarray, ghosts: Ghosts) -> RequirementRows:
-    """The hard requirements as rows ``sum of meets over a rig's cameras >= cameras``.
+    """The hard requirements as rows ``sum of meets over a rig's cameras >= cameras``. ``meets`` bool [camera, ghost].
 
     A row that follows from another is left out: one that the same cameras, or more of them, satisfy, with as few or
     fewer cameras needed.
-
-    Args:
-        meets: Whether each camera of the pool sees enough of each test object, bool [camera, ghost].
-        ghosts: The test objects.
     """
     ghost = np.flatnonzero(ghosts.is_hard)
     needed = ghosts.of_each("cameras")[ghost]
@@ -119,10 +98,6 @@ def unmeetable_requirements(visibility: Visibility, ghosts: Ghosts) -> list[Unme
     """The hard requirements that a pool cannot meet, each with the camera that comes closest.
 
     Only single points are looked at: that a rig of few cameras meets all of them at once is for the selection to find.
-
-    Args:
-        visibility: What each camera of the pool sees of each test object.
-        ghosts: The test objects.
     """
     meets = visibility.meets(ghosts)
     found, needed = meets.sum(axis=0), ghosts.of_each("cameras")
@@ -151,16 +126,7 @@ def unmeetable_requirements(visibility: Visibility, ghosts: Ghosts) -> list[Unme
 
 
 def require_meetable(visibility: Visibility, ghosts: Ghosts, *, count: int | None = None) -> None:
-    """Make sure that a pool can meet every point of the hard requirements.
-
-    Args:
-        visibility: As for `unmeetable_requirements`.
-        ghosts: The test objects.
-        count: Cameras of a rig; None: any number.
-
-    Raises:
-        InputError: It names each requirement that the pool, or so few cameras, cannot meet, one a line.
-    """
+    """Make sure that a pool can meet every point of the hard requirements."""
     lines = [
         f"requirement {each.name}: cameras: expected at most {count}, the cameras of the rig, got {each.cameras}; "
         "lower it or allow more cameras"
@@ -191,43 +157,24 @@ SEEN_KEPT = 2
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What some cameras see.
+    """What some cameras see."""
 
-    Attributes:
-        visibility: Of all points.
-        which: Points with Jacobians, int [point].
-        found: Theirs; None where there are none.
-    """
-
-    visibility: Visibility
-    which: np.ndarray
-    found: VisibilityJacobian | None
+    visibility: Visibility  # of all points
+    which: np.ndarray  # points with Jacobians, int [point]
+    found: VisibilityJacobian | None  # theirs; None where there are none
 
 
 class RequiredPoints:
     """The test objects of some requirements around a vehicle; it stands where a scene stands in a pool.
 
-    Attributes:
-        ghosts: The test objects.
-        ego: The vehicle, which hides them.
-        name: What messages call it.
+    ``ego``: the vehicle, which hides them. ``name``: what messages call it.
     """
 
     name = "requirements"
 
     def __init__(self, requirements: Sequence[Requirement], ego: Mesh, *, device: str = "cpu") -> None:
-        """The test objects of requirements.
-
-        Args:
-            requirements: At least one.
-            ego: The vehicle in the ego frame [m].
-            device: Where they are rendered.
-
-        Raises:
-            InputError: There is no requirement, one has no point, or there are too many points.
-        """
         self.requirements, self.ego, self.device = tuple(requirements), ego, device
-        self.ghosts = Ghosts.of(self.requirements, ego)
+        self.ghosts = Ghosts.of(self.requirements, ego)  # the test objects
         self._opened: dict[Pane, RequiredPoints] = {}
         self._renderers: KeptRenderers = {}
         self._seen: dict[tuple[bytes, tuple[CameraModel, ...]], _Seen] = {}
@@ -279,12 +226,7 @@ class RequiredPoints:
         return (of_each / np.maximum(counts, 1))[self.ghosts.requirement]
 
     def weights_with(self, object_weight: np.ndarray | None, object_count: int) -> np.ndarray:
-        """Weights of the traffic's objects, 1 in sum, and of the points behind them, float64 [object and point].
-
-        Args:
-            object_weight: Of the traffic's objects, at least 0, not all 0; None: all alike.
-            object_count: How many there are.
-        """
+        """Weights of the traffic's objects, 1 in sum, and of the points behind them, float64 [object and point]."""
         share = np.full(object_count, 1.0 / max(object_count, 1)) if object_weight is None else shares_of(object_weight)
         assert share is not None
         return np.concatenate([share, self.weight])
@@ -292,9 +234,7 @@ class RequiredPoints:
     def probability(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> np.ndarray:
         """How surely each camera sees each point, 0..1, float32 [camera, point].
 
-        Args:
-            ego_from_camera: Poses, float [camera, 4, 4].
-            models: Model of every camera.
+        ``ego_from_camera`` float [camera, 4, 4].
         """
         return self._probability(self.visibility(ego_from_camera, models))[0].astype(np.float32)
 
@@ -303,8 +243,7 @@ class RequiredPoints:
     ) -> tuple[np.ndarray, np.ndarray]:
         """The same, and the derivatives to every camera's centre [1/m], rotation about its axes [1/rad] and zoom.
 
-        Returns:
-            float64 [camera, point] and [camera, point, 7]; where a point is met nothing makes it surer.
+        Returns float64 [camera, point] and [camera, point, 7]; where a point is met nothing makes it surer.
         """
         seen = self._differentiated(ego_from_camera, models)
         probability, by_share, by_pixels = self._probability(seen.visibility)
@@ -317,11 +256,10 @@ class RequiredPoints:
     def margins(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> tuple[np.ndarray, np.ndarray]:
         """What cameras see of the hard points over what is asked of one camera; 1 and more where one meets a point.
 
-        The lesser of share and pixels counts. Arguments as of `with_jacobian`, which shares the renders.
+        Returns float64 [camera, hard point], and the derivatives as of `with_jacobian`, float64 [camera, hard point,
+        7]; 0 where a camera sees the whole object or nothing of it, and from `NEAR_EDGE` on.
 
-        Returns:
-            float64 [camera, hard point], and the derivatives as of `with_jacobian`, float64 [camera, hard point, 7]; 0
-            where a camera sees the whole object or nothing of it, and from `NEAR_EDGE` on.
+        The lesser of share and pixels counts. Arguments as of `with_jacobian`, which shares the renders.
         """
         seen = self._differentiated(ego_from_camera, models)
         share, pixels = self._over_needs(seen.visibility)
@@ -408,16 +346,7 @@ class RequiredPoints:
         )
 
     def check(self, probability: np.ndarray, seen: Callable[[], Visibility], count: int) -> None:
-        """Make sure that a pool of cameras can meet every hard point.
-
-        Args:
-            probability: Of the pool, [camera, point].
-            seen: Says what its cameras see; asked where they cannot.
-            count: Cameras of a rig.
-
-        Raises:
-            InputError: It names each requirement that cannot be met, and the camera that comes nearest.
-        """
+        """Make sure that a pool of cameras can meet every hard point. ``probability`` [camera, point]."""
         found = self.meets(probability).sum(axis=0)
         needed = self.ghosts.of_each("cameras")
         if not (self.is_hard & ((found < needed) | (needed > count))).any():

@@ -24,20 +24,13 @@ class RigLimits:
 
     A rig is chosen out of columns: single cameras, and of a symmetric rig pairs of a camera and its mirror image, which
     are two cameras. A column has a kind: a module, and whether it is a pair.
-
-    Attributes:
-        count: Cameras of a rig, least and greatest, at least 1.
-        of_module: Of every module least and greatest number, by its name.
-        price: Of every module, by its name; what is not there costs nothing.
-        cost_max: What all cameras of a rig may cost together; None: anything.
-        kinds: Module of every kind and the cameras that it stands for, 1 or 2.
     """
 
-    count: tuple[int, int]
-    of_module: Mapping[str, tuple[int, int]]
-    price: Mapping[str, float]
-    cost_max: float | None
-    kinds: tuple[tuple[str, int], ...]
+    count: tuple[int, int]  # cameras of a rig, least and greatest, at least 1
+    of_module: Mapping[str, tuple[int, int]]  # of every module least and greatest number, by its name
+    price: Mapping[str, float]  # of every module, by its name; what is not there costs nothing
+    cost_max: float | None  # what all cameras of a rig may cost together; None: anything
+    kinds: tuple[tuple[str, int], ...]  # module of every kind and the cameras that it stands for, 1 or 2
 
     @classmethod
     def of(
@@ -49,18 +42,7 @@ class RigLimits:
         cost_max: float | None = None,
         kinds: Sequence[tuple[str, int]] | None = None,
     ) -> RigLimits:
-        """Limits that agree with each other.
-
-        Args:
-            of_module: Of every module least and greatest number, at least one module.
-            count: Cameras of a rig, least and greatest; None: whatever the modules allow.
-            price: Of every module.
-            cost_max: What all cameras may cost together.
-            kinds: As the attribute; None: every module alone.
-
-        Raises:
-            InputError: No rig satisfies them.
-        """
+        """Limits that agree with each other."""
         low, high = (sum(pair[end] for pair in of_module.values()) for end in range(2))
         if high < 1:
             raise OptionError("rig.modules", "expected at least one camera, got none")
@@ -80,11 +62,7 @@ class RigLimits:
         return limits
 
     def within(self, *, count: tuple[int, int] | None = None, cost_max: float | None = None) -> RigLimits:
-        """The same with another number of cameras or another budget.
-
-        Raises:
-            InputError: No rig satisfies them.
-        """
+        """The same with another number of cameras or another budget."""
         return RigLimits.of(
             self.of_module,
             count=self.count if count is None else count,
@@ -94,12 +72,7 @@ class RigLimits:
         )
 
     def first_kinds(self) -> np.ndarray:
-        """Kinds of the columns of a rig to start from, int [column]: the least of each module, then the cheapest.
-
-        Raises:
-            InputError: A symmetric rig cannot have these numbers: pairs are even, and no zone in the middle takes the
-                odd camera.
-        """
+        """Kinds of the columns of a rig to start from, int [column]: the least of each module, then the cheapest."""
         counts = {name: low for name, (low, _) in self.of_module.items()}
         for name in sorted(counts, key=lambda each: self.price.get(each, 0.0)):
             counts[name] += min(self.of_module[name][1] - counts[name], max(self.count[0] - sum(counts.values()), 0))
@@ -137,12 +110,7 @@ class RigLimits:
         return int(self._sizes[kind].sum())
 
     def holds(self, kind: np.ndarray, *, is_whole: bool = True) -> bool:
-        """Whether a rig of columns of some kinds, int [column], keeps the limits.
-
-        Args:
-            kind: Of each column.
-            is_whole: Whether nothing is added any more; else what must be there at least does not matter yet.
-        """
+        """Whether a rig of columns of some kinds, int [column], keeps the limits."""
         names = [self.kinds[number][0] for number in kind for _ in range(self.kinds[number][1])]
         counts = {name: names.count(name) for name in self.of_module}
         fits = all(counts[name] <= high for name, (_, high) in self.of_module.items()) and len(names) <= self.count[1]

@@ -83,19 +83,6 @@ def selected_search(
     """The best rig that can be made of the cameras of as many drawn rigs as the budget allows.
 
     Their cameras are the pool of `select`, as in the search by a pool; what it selects costs no render.
-
-    Args:
-        value: Evaluates rigs by ``single``.
-        rng: Random numbers.
-        draw: Draws the rigs.
-        single: Knows what each camera detects.
-        gap: Objective less bound at which the selection ends, an expected miss rate.
-        time_limit_s: When it ends at the latest [s].
-        seed: Of the selection.
-        on_selection: Told what came of it.
-
-    Raises:
-        InputError: None of the cameras sees anything.
     """
     space = value.space
     value.of_rigs(draw(space, value.rigs_left, rng))
@@ -126,9 +113,8 @@ def selected_search(
 def differential_evolution(value: BudgetedValue, rng: np.random.Generator) -> None:
     """SciPy's differential evolution by whole generations, every trial moved to the nearest feasible rig.
 
-    There is no final polish.
-    The population is an eighth of the rigs that the budget allows, from 5 to 15 for each free number, so that even a
-    small budget lets it evolve.
+    There is no final polish. The population is an eighth of the rigs that the budget allows, from 5 to 15 for each free
+    number, so that even a small budget lets it evolve.
     """
     from scipy.optimize import differential_evolution as evolve
     from scipy.stats import qmc
@@ -170,19 +156,12 @@ class _Stopped(Exception):  # noqa: N818 (it ends a loop of SciPy's and is no er
 def cma_es(value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray | None = None) -> None:
     """CMA-ES with restarts, each with twice the population of the one before, until the budget is spent.
 
+    ``start`` float [camera, 7].
+
     Constraints are kept by projection: a sample has the value of the nearest feasible rig. What CMA-ES learns from has
     a penalty on top, so that the samples do not drift away from the rigs: the spread of the generation's values (its
-    interquartile range), times the squared distance that the projection moved the sample, in standard deviations,
-    mean over the numbers. Yaws without ends just go round.
-
-    Args:
-        value: Evaluates rigs.
-        rng: Random numbers; NumPy's global ones are left alone.
-        start: Where the first search starts, float [camera, 7]; None, and after a restart: at the best of as many
-            random rigs as a generation has, since where nothing is seen nothing can be learnt.
-
-    Raises:
-        OptionError: The package ``cma`` is not installed.
+    interquartile range), times the squared distance that the projection moved the sample, in standard deviations, mean
+    over the numbers. Yaws without ends just go round.
     """
     try:
         import cma
@@ -273,16 +252,6 @@ def greedy_cover(
     after the other is chosen, the one that lowers the expected number of missed objects most. A place may be chosen
     several times: in the end the rig is moved to the nearest feasible one and evaluated. The grid is as fine as the
     budget allows; the last evaluation is paid from it as well.
-
-    Args:
-        value: Evaluates rigs.
-        rng: Breaks ties.
-        detections: See `detections_of`; a camera costs as many renders as there are scenes.
-        yaw_count: Directions at each place, at least 1, the first at yaw 0.
-        object_weight: Of the objects of all scenes, at least 0, not all 0, float [object]; None: all alike.
-
-    Raises:
-        ValueError: Yaws are not free over the whole circle, or the budget does not pay for one place.
     """
     space = value.space
     round_the_circle = space.high[:, YAW_RAD] - space.low[:, YAW_RAD]

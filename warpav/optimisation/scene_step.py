@@ -25,38 +25,23 @@ from warpav_kernels.placement import exchange
 
 @dataclass(frozen=True)
 class Fetched:
-    """What became of a step.
+    """What became of a step."""
 
-    Attributes:
-        pose_gradient: Of the Lagrangian to the mount poses, float32 [camera, 7].
-        multiplier_gradient: Of it to the multipliers, float32 [constraint].
-        batch_loss: Every loss on the device, summed over the scenes of the batch, float64 [loss].
-        constraint_loss: Every constraint's, float64 [constraint].
-        total: The Lagrangian.
-        needed_samples: Of each renderer, for `Renderer.grew`.
-    """
-
-    pose_gradient: np.ndarray
-    multiplier_gradient: np.ndarray
-    batch_loss: np.ndarray
-    constraint_loss: np.ndarray
-    total: float
-    needed_samples: tuple[int, ...]
+    pose_gradient: np.ndarray  # of the Lagrangian to the mount poses, float32 [camera, 7]
+    multiplier_gradient: np.ndarray  # of it to the multipliers, float32 [constraint]
+    batch_loss: np.ndarray  # every loss on the device, summed over the scenes of the batch, float64 [loss]
+    constraint_loss: np.ndarray  # every constraint's, float64 [constraint]
+    total: float  # the Lagrangian
+    needed_samples: tuple[int, ...]  # of each renderer, for `Renderer.grew`
 
 
 class Exchange:
     """Arrays that recorded launches read and write, always at the same place: slices of one that is sent.
 
-    Attributes:
-        pose: Mount poses, float [camera, 7], with a gradient.
-        multiplier: Lagrange multipliers, float [constraint], with a gradient.
-        panorama_share: See `LossSchedule`, float [1].
-        detector_share: Likewise, float [1].
-        weight: Of each loss of a scene in the gradient, float [loss].
-        weights: The same one by one, float [1] each.
-        count: What each loss is a mean over in the batch, float [loss].
-        batch_loss: Every loss, summed over the scenes that are done, float64 [loss].
-        host_weight: As ``weight``, of the losses that the host computes.
+    ``pose``: mount poses, float [camera, 7], with a gradient. ``multiplier``: lagrange multipliers, float [constraint],
+    with a gradient. ``panorama_share``: see `LossSchedule`, float [1]. ``detector_share``: likewise, float [1].
+    ``weight``: of each loss of a scene in the gradient, float [loss]. ``count``: what each loss is a mean over in the
+    batch, float [loss].
     """
 
     def __init__(self, camera_count: int, constraint_count: int, loss_count: int, *, device: str) -> None:
@@ -72,9 +57,9 @@ class Exchange:
         self.panorama_share, self.detector_share, self.weight, self.count, _ = parts[2:]
         assert self._sent.grad is not None
         self._gradient = _slice(self._sent.grad, 0, int(ends[2]))
-        self.weights = [_slice(self.weight, k, k + 1) for k in range(loss_count)]
-        self.host_weight: tuple[float, ...] = ()
-        self.batch_loss = wp.zeros(loss_count, dtype=wp.float64, device=device)
+        self.weights = [_slice(self.weight, k, k + 1) for k in range(loss_count)]  # the same one by one, float [1] each
+        self.host_weight: tuple[float, ...] = ()  # as ``weight``, of the losses that the host computes
+        self.batch_loss = wp.zeros(loss_count, dtype=wp.float64, device=device)  # every loss
         self._mean_loss = wp.zeros(loss_count, dtype=float, device=device)
         self._fetched_count = int(ends[2]) + loss_count + constraint_count + 1
         self._gathered = wp.zeros(self._fetched_count, dtype=wp.float64, device=device)
@@ -177,19 +162,12 @@ def _slice(array: wp.array, first: int, end: int) -> wp.array:
 
 @dataclass(frozen=True)
 class Objective:
-    """The losses of an objective, those of the device and those of the host apart.
+    """The losses of an objective, those of the device and those of the host apart."""
 
-    Attributes:
-        device: The losses that kernels compute, in their order.
-        host: The losses that the host computes, in their order.
-        camera_probability: How likely a camera is to detect; None where no loss needs it.
-        importance: Weights of the objects; None: all 1.
-    """
-
-    device: tuple[DeviceLoss, ...]
-    host: tuple[HostLoss, ...] = ()
-    camera_probability: CameraProbability | None = None
-    importance: Importance | None = None
+    device: tuple[DeviceLoss, ...]  # the losses that kernels compute, in their order
+    host: tuple[HostLoss, ...] = ()  # the losses that the host computes, in their order
+    camera_probability: CameraProbability | None = None  # how likely a camera is to detect; None where no loss needs it
+    importance: Importance | None = None  # weights of the objects; None: all 1
 
     def object_weight(self, scene: DeviceScene) -> wp.array:
         """Weight of every object of a scene on its device, float [object]."""
@@ -198,39 +176,25 @@ class Objective:
 
 
 class RigViews:
-    """The views of a rig that losses are computed from: placed once a step, rendered scene by scene.
-
-    Attributes:
-        mount: Places the cameras.
-        rotation_count: Views of every camera: all rotational additions, or only the view ahead.
-        ahead: The view of each camera in which it really looks.
-        renderers: One for each scene that is held at a time.
-        placed: Poses of all views, with gradients, at the same place from step to step.
-    """
+    """The views of a rig that losses are computed from: placed once a step, rendered scene by scene."""
 
     def __init__(self, mount: CameraMount, pose: wp.array, rotation_count: int, renderers: Sequence[Renderer]) -> None:
         """Views of the cameras at ``pose``, float [camera, 7], with a gradient."""
-        self.mount = mount
-        self.rotation_count = rotation_count
+        self.mount = mount  # places the cameras
+        self.rotation_count = rotation_count  # views of every camera: all rotational additions, or only the view ahead
+        # the view of each camera in which it really looks
         self.ahead = [camera * rotation_count for camera in range(pose.shape[0])]
-        self.renderers = list(renderers)
-        self.placed = PlacedViews.zeros(pose, rotation_count)
+        self.renderers = list(renderers)  # one for each scene that is held at a time
+        self.placed = PlacedViews.zeros(pose, rotation_count)  # poses of all views, with gradients
         self.steps: WeakKeyDictionary[AssignedScene, dict[int, SceneStep]] = WeakKeyDictionary()
 
 
 class SceneLosses(NamedTuple):
-    """What the cameras are worth on a scene; of a `SceneStep` until it is asked again.
+    """What the cameras are worth on a scene; of a `SceneStep` until it is asked again."""
 
-    Attributes:
-        value: Of every loss on the device, float [loss].
-        detection_probability: Probability that each camera detects each vehicle, without the detector's own word,
-            float [camera, vehicle]; None where no loss needs it.
-        host_value: Of every loss on the host.
-    """
-
-    value: wp.array
-    detection_probability: wp.array | None
-    host_value: tuple[float, ...] = ()
+    value: wp.array  # of every loss on the device, float [loss]
+    detection_probability: wp.array | None  # probability that each camera detects each vehicle
+    host_value: tuple[float, ...] = ()  # of every loss on the host
 
 
 class SceneStep:
@@ -239,22 +203,12 @@ class SceneStep:
     `observe` decides what every view sees. The caller may `draw` what the cameras see ahead, run a detector on its
     ``image`` and hand the boxes over with `set_boxes`. `loss_and_grad` measures, adds the losses to those of the batch,
     and adds the gradient of their weighted sum to the views' gradients; `loss` does so without the gradient. What they
-    find stands in ``losses``. Nothing in between waits for the device, unless
-    a loss is computed on the host.
+    find stands in ``losses``. Nothing in between waits for the device, unless a loss is computed on the host.
 
     What a recorded launch allocates and does not free belongs to its recording, at least 32 MiB of CUDA's memory, so
     everything that outlives a call is an array from before the first one.
 
-    Attributes:
-        scene: The scene.
-        ahead: The view of each camera in which it really looks.
-        observe: Renders the scene from the present views.
-        loss_and_grad: Takes the losses of what was observed and adds their gradient to that of the views.
-        loss: The same without a gradient.
-        losses: What the last of these found.
-        draw: Draws what the cameras saw ahead at the last `observe`.
-        image: What `draw` has drawn, until the renderer's next, 0..1, vec3 [camera, row, column].
-        frame: The render of the last `observe`; stale after the renderer's next.
+    ``scene``: the scene. ``frame``: the render of the last `observe`; stale after the renderer's next.
     """
 
     def __init__(
@@ -267,18 +221,8 @@ class SceneStep:
         *,
         recorded: bool | None = None,
     ) -> None:
-        """Prepare the step.
-
-        Args:
-            views: Placed before every call.
-            renderer: Renders all views; shared by the steps of all scenes.
-            assigned: The scene.
-            exchange: Knows the schedule and the weight of each loss, and takes the losses up.
-            objective: The losses.
-            recorded: Whether to record the launches; None: on a GPU. Losses of the host are never recorded.
-        """
         self.scene = scene = assigned.scene
-        self.ahead = views.ahead
+        self.ahead = views.ahead  # the view of each camera in which it really looks
         self._views, self._renderer = views, renderer
         self._exchange, self._objective = exchange, objective
         device, camera_count = renderer.device, len(views.ahead)
@@ -288,16 +232,20 @@ class SceneStep:
         self._assigned_camera = assigned.assigned_camera
         self._assigned_on_device = wp.array(assigned.assigned_camera, dtype=wp.int32, device=device)
         self._object_weight = objective.object_weight(scene)
-        self.image = renderer.kept_image(camera_count)
+        self.image = renderer.kept_image(camera_count)  # what `draw` has drawn, until the renderer's next, 0..1
         has_probability = objective.camera_probability is not None and scene.vehicle_count > 0
+        # what the last of these found
         self.losses = SceneLosses(
             wp.zeros(len(objective.device), dtype=float, device=device),
             wp.zeros_like(self._detected) if has_probability else None,
         )
-        self.observe = Recording(self._render, renderer, enabled=recorded)
+        self.observe = Recording(self._render, renderer, enabled=recorded)  # renders the scene from the present views
+        # draws what the cameras saw ahead at the last `observe`
         self.draw = Recording(self._draw, renderer, enabled=recorded)
         recorded = False if objective.host else recorded
+        # takes the losses of what was observed and adds their gradient to that of the views
         self.loss_and_grad = Recording(partial(self._take_losses, gradient=True), renderer, enabled=recorded)
+        # the same without a gradient
         self.loss = Recording(partial(self._take_losses, gradient=False), renderer, enabled=recorded)
 
     def set_boxes(self, ahead_box_px: np.ndarray) -> None:

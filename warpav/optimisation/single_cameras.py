@@ -59,24 +59,14 @@ _Kind = tuple[int, Pane | None]
 
 @dataclass(frozen=True, eq=False)
 class SingleCameras:
-    """Cameras of one mount, none of which knows of the others.
+    """Cameras of one mount, none of which knows of the others."""
 
-    Attributes:
-        mount: Where they stand, and their models.
-        probability: How likely a camera is to detect; where the mount carries modules, one for each of these.
-        occlusion: What hides an object.
-        supersampling: Samples per pixel along each axis, at least 1.
-        thread_count: Threads on the CPU; None: as `Renderer` takes. The numbers do not depend on it.
-        is_mirrored: Whether they are the mirror images of a symmetric mount's cameras; else a camera of a pair detects
-            what either of the two does.
-    """
-
-    mount: CameraMount
-    probability: CameraProbability | tuple[CameraProbability, ...]
-    occlusion: Occlusion = Occlusion.EXACT
-    supersampling: int = 1
-    thread_count: int | None = None
-    is_mirrored: bool = False
+    mount: CameraMount  # where they stand, and their models
+    probability: CameraProbability | tuple[CameraProbability, ...]  # how likely a camera is to detect
+    occlusion: Occlusion = Occlusion.EXACT  # what hides an object
+    supersampling: int = 1  # samples per pixel along each axis, at least 1
+    thread_count: int | None = None  # threads on the CPU; None: as `Renderer` takes. The numbers do not depend on it
+    is_mirrored: bool = False  # whether they are the mirror images of a symmetric mount's cameras
     _kept_jacobians: dict[_Kind, CameraJacobians] = field(default_factory=dict, init=False, repr=False)
     _renderers: KeptRenderers = field(default_factory=KeptRenderers, kw_only=True, repr=False)
     _at_once: dict[int, ViewsAtOnce] = field(default_factory=dict, init=False, repr=False)
@@ -138,15 +128,7 @@ class SingleCameras:
         }
 
     def detection_probability(self, mount_pose: np.ndarray, scene: DeviceScene | RequiredPoints) -> np.ndarray:
-        """The probability that each camera detects each object, float32 [camera, object].
-
-        Args:
-            mount_pose: As the mount counts them, float [camera, 7].
-            scene: On the mount's device; or requirements, whose points are its objects.
-
-        Raises:
-            InputError: The images or their supersampling are too large.
-        """
+        """The probability that each camera detects each object, float32 [camera, object]."""
         pose = np.ascontiguousarray(mount_pose, np.float32).reshape(-1, MOUNT_POSE_SIZE)
         found = np.zeros((len(pose), scene.vehicle_count), np.float32)
         if found.size == 0:
@@ -170,12 +152,7 @@ class SingleCameras:
         return found
 
     def visibility(self, mount_pose: np.ndarray, ghosts: RequiredPoints) -> Visibility:
-        """What each camera sees of each point of requirements, of a pair the camera that is not mirrored.
-
-        Args:
-            mount_pose: As the mount counts them, float [camera, 7].
-            ghosts: The points.
-        """
+        """What each camera sees of each point of requirements, of a pair the camera that is not mirrored."""
         share, pixels = np.zeros((2, len(mount_pose), ghosts.vehicle_count))
         for pane, row in self._by_pane(mount_pose):
             seen = ghosts.through(pane).visibility(*self.in_ego(mount_pose[row]))
@@ -197,8 +174,7 @@ class SingleCameras:
     def apart(self, mount_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The cameras of a rig one by one, those of pairs too, in the order of `CameraMount.rig`.
 
-        Returns:
-            Mount poses, float [camera, 7], each as that of `sides` counts it to which it belongs, int [camera].
+        Returns mount poses, float [camera, 7], each as that of `sides` counts it to which it belongs, int [camera].
         """
         row = self.mount.rows_of_cameras(mount_pose)
         side = np.append(False, row[1:] == row[:-1]).astype(int)
@@ -289,19 +265,11 @@ class SingleCameras:
     ) -> tuple[np.ndarray, np.ndarray]:
         """What each camera detects in some scenes, and how that changes as it moves.
 
+        Returns the probabilities, float64 [camera, object], the objects scene by scene; their Jacobian to the mount
+        poses, float64 [camera, object, 7].
+
         Colours and occlusion by more than outlines are held fixed, as in the loss; so the mean product of misses has
         the gradient that `ExpectedMissRate` gives on the tape.
-
-        Args:
-            mount_pose: As the mount counts them, float [camera, 7].
-            scenes: On the mount's device; on the CPU one thread takes one of them at a time. Requirements come last.
-
-        Returns:
-            The probabilities, float64 [camera, object], the objects scene by scene; their Jacobian to the mount poses,
-            float64 [camera, object, 7].
-
-        Raises:
-            InputError: The images or their supersampling are too large.
         """
         pose = np.ascontiguousarray(mount_pose, np.float32).reshape(-1, MOUNT_POSE_SIZE)
         probability, jacobian = self._alone_with_jacobian(pose, scenes)
@@ -418,15 +386,9 @@ def hard_points(cameras: SingleCameras, ghosts: RequiredPoints) -> HardPoints | 
 def camera_margins(cameras: SingleCameras, ghosts: RequiredPoints, mount_pose: np.ndarray) -> Margins:
     """Margins at the hard points, as `RequiredPoints.margins`; of a pair that of the camera that has the greater one.
 
+    Returns float64 [camera, hard point], and the Jacobian to the mount poses, float64 [camera, hard point, 7].
+
     What `SingleCameras.with_jacobian` has just rendered of the same cameras is not rendered again.
-
-    Args:
-        cameras: What the cameras are.
-        ghosts: The requirements.
-        mount_pose: As the mount counts them, float [camera, 7].
-
-    Returns:
-        float64 [camera, hard point], and the Jacobian to the mount poses, float64 [camera, hard point, 7].
     """
     pose = np.ascontiguousarray(mount_pose, np.float32)
     own, *mirrored = cameras.sides
@@ -457,12 +419,9 @@ class MisplacedCameras(SingleCameras):
 
     Poses are those without errors. Of a pair each of the two has errors of its own. Points of requirements, which are
     met or not, are seen without errors.
-
-    Attributes:
-        errors: Of the mounting.
     """
 
-    errors: MountErrors = field(kw_only=True)
+    errors: MountErrors = field(kw_only=True)  # of the mounting
 
     @classmethod
     def of(cls, cameras: SingleCameras, errors: MountErrors) -> MisplacedCameras:

@@ -18,18 +18,12 @@ class SearchSpace:
     """All rigs that a search may try.
 
     Searches without gradients work in the unit cube of the numbers that are free, those with ``low < high``.
-
-    Attributes:
-        mount: Where the cameras may stand.
-        constraints: What the rigs must satisfy.
-        low: Least mount pose of every camera, float64 [camera, 7]; x and y are the mount surface's.
-        high: Greatest mount pose of every camera, likewise. A yaw that is free over the whole circle has no ends.
     """
 
-    mount: CameraMount
-    constraints: Constraints
-    low: np.ndarray
-    high: np.ndarray
+    mount: CameraMount  # where the cameras may stand
+    constraints: Constraints  # what the rigs must satisfy
+    low: np.ndarray  # least mount pose of every camera, float64 [camera, 7]; x and y are the mount surface's
+    high: np.ndarray  # greatest mount pose of every camera, likewise
 
     @classmethod
     def over(
@@ -41,15 +35,7 @@ class SearchSpace:
         yaw_rad: np.ndarray | None = None,
         yaw_reach_rad: float = math.pi,
     ) -> SearchSpace:
-        """Cameras anywhere on the mount surface, as configured but for what is free.
-
-        Args:
-            mount: Where the cameras may stand, and what else is free.
-            camera_count: Number of cameras, at least 1.
-            constraints: What the rigs must satisfy.
-            yaw_rad: Middle of every camera's range of directions [rad], [camera]; None: evenly round the vehicle.
-            yaw_reach_rad: How far a camera may turn from there [rad], 0..pi; 0 leaves the directions as they are.
-        """
+        """Cameras anywhere on the mount surface, as configured but for what is free. ``yaw_rad`` [camera]."""
         low = np.zeros((camera_count, MOUNT_POSE_SIZE))
         high = np.zeros((camera_count, MOUNT_POSE_SIZE))
         low[:, [X_M, Y_M]], high[:, [X_M, Y_M]] = mount.surface.bounds_m
@@ -102,12 +88,7 @@ class SearchSpace:
         return int(np.count_nonzero(self.free))
 
     def pose_of(self, unit: np.ndarray) -> np.ndarray:
-        """The feasible rig nearest to a point of the unit cube, float32 [camera, 7].
-
-        Args:
-            unit: The free numbers, camera by camera, any finite values [free]; those beyond 0..1 are brought back, yaws
-                without ends by whole turns.
-        """
+        """The feasible rig nearest to a point of the unit cube, float32 [camera, 7]. ``unit`` [free]."""
         pose = self.low.copy()
         inside = np.where(self.goes_round, np.mod(unit, 1.0), np.clip(unit, 0.0, 1.0))
         pose[self.free] += inside * (self.high - self.low)[self.free]
@@ -123,9 +104,6 @@ class SearchSpace:
         """The nearest rig that satisfies all constraints, float32 [camera, 7], the precision that objectives keep.
 
         Yaws are brought to -pi..pi.
-
-        Raises:
-            InputError: The cameras do not fit on the mount surface.
         """
         pose = np.array(mount_pose, np.float64)
         height_delta_m = self.mount.within(pose.astype(np.float32))[:, HEIGHT_DELTA_M]
@@ -138,11 +116,7 @@ class SearchSpace:
         return self.constraints.violation_m(self.mount.rig(mount_pose))
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
-        """A feasible rig, uniform among them, float64 [camera, 7]; places as `random_mount_pose` draws them.
-
-        Raises:
-            InputError: The cameras do not fit on the mount surface.
-        """
+        """A feasible rig, uniform among them, float64 [camera, 7]; places as `random_mount_pose` draws them."""
         middle_rad = 0.5 * (self.low + self.high)[:, YAW_RAD]
         pose = random_mount_pose(self.constraints, middle_rad, rng=rng)
         others = self.free.copy()

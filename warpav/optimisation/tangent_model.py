@@ -39,15 +39,10 @@ CONTRADICTION = 0.3
 
 @dataclass(frozen=True, eq=False)
 class HardPoints:
-    """Points that have to be met.
+    """Points that have to be met."""
 
-    Attributes:
-        margins: Of cameras, float [camera, 7], at every point.
-        needed: How many cameras must meet each, int [point].
-    """
-
-    margins: Callable[[np.ndarray], Margins]
-    needed: np.ndarray
+    margins: Callable[[np.ndarray], Margins]  # of cameras, float [camera, 7], at every point
+    needed: np.ndarray  # how many cameras must meet each, int [point]
 
     def edges(
         self,
@@ -56,14 +51,7 @@ class HardPoints:
         reach: np.ndarray,
         refused: Sequence[tuple[np.ndarray, Margins]] = (),
     ) -> Edges:
-        """The inequalities of a rig.
-
-        Args:
-            mount_pose: Its cameras, float [camera, 7].
-            margins: Theirs.
-            reach: How far each number of a mount pose may move, at least 0, float [camera, 7].
-            refused: Mount poses and margins of rigs that broke a point.
-        """
+        """The inequalities of a rig. ``reach`` float [camera, 7]."""
         value, jacobian = margins
         rank = np.argsort(np.argsort(-value, axis=0, kind="stable"), axis=0, kind="stable")
         counts = (rank < self.needed) & (value > 0.0)
@@ -82,17 +70,11 @@ class HardPoints:
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Inequalities ``margin + jacobian . move of the camera >= low``.
+    """Inequalities ``margin + jacobian . move of the camera >= low``."""
 
-    Attributes:
-        camera: Whose margin each is about, int [row].
-        margin: What its tangent says of the margin before the move, float64 [row].
-        jacobian: Its Jacobian to the camera's mount pose, float64 [row, 7].
-    """
-
-    camera: np.ndarray
-    margin: np.ndarray
-    jacobian: np.ndarray
+    camera: np.ndarray  # whose margin each is about, int [row]
+    margin: np.ndarray  # what its tangent says of the margin before the move, float64 [row]
+    jacobian: np.ndarray  # its Jacobian to the camera's mount pose, float64 [row, 7]
 
     @property
     def spare(self) -> np.ndarray:
@@ -120,21 +102,13 @@ _LOGIT_MAX = 12.0
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """A rig that was rendered.
+    """A rig that was rendered."""
 
-    Attributes:
-        mount_pose: Of its cameras, float [camera, 7].
-        probability: What each detects, float [camera, object].
-        jacobian: Its Jacobian to the mount poses, float [camera, object, 7].
-        objective: The expected miss rate.
-        margins: Of its cameras at points of hard requirements; None: there are none.
-    """
-
-    mount_pose: np.ndarray
-    probability: np.ndarray
-    jacobian: np.ndarray
-    objective: float
-    margins: Margins | None = None
+    mount_pose: np.ndarray  # of its cameras, float [camera, 7]
+    probability: np.ndarray  # what each detects, float [camera, object]
+    jacobian: np.ndarray  # its Jacobian to the mount poses, float [camera, object, 7]
+    objective: float  # the expected miss rate
+    margins: Margins | None = None  # of its cameras at points of hard requirements; None: there are none
 
     @cached_property
     def logit(self) -> np.ndarray:
@@ -163,15 +137,7 @@ class TangentModel:
         reach: np.ndarray | float = 0.0,
         rig_value: RigValue | None = None,
     ) -> None:
-        """A model of what was rendered.
-
-        Args:
-            here: The rig.
-            weight: Of each object, float [object].
-            earlier: Rigs that were rendered before, the last one last.
-            reach: How far off in each number a camera of theirs may be to count, float [7].
-            rig_value: What is modelled; of objects that nobody sees it is their weight. None: the expected miss rate.
-        """
+        """A model of what was rendered. ``reach`` float [7]."""
         self._rig_value = rig_value
         is_seen = here.probability > 0.0
         # an object that no camera sees at all has no Jacobian

@@ -27,15 +27,12 @@ class AdamW:
     """Adam with bias correction, weight decay decoupled from the gradient, in single precision.
 
     Source: Loshchilov and Hutter, Decoupled Weight Decay Regularization, 2019, algorithm 2.
-
-    Attributes:
-        value: The numbers now, float32; every step makes a new array.
     """
 
     def __init__(self, value: np.ndarray, *, weight_decay: float) -> None:
         """State for ``value``, any shape."""
         self._weight_decay = np.float32(weight_decay)
-        self.value = np.array(value, np.float32)
+        self.value = np.array(value, np.float32)  # the numbers now, float32; every step makes a new array
         self._first_moment, self._second_moment = np.zeros_like(self.value), np.zeros_like(self.value)
         self._step_number = 0
 
@@ -75,15 +72,11 @@ class AdamW:
 
 
 class MultiplierAscent:
-    """Plain gradient steps on the multipliers of inequalities, which are never negative.
-
-    Attributes:
-        value: The multipliers now, float32; every step makes a new array.
-    """
+    """Plain gradient steps on the multipliers of inequalities, which are never negative."""
 
     def __init__(self, value: np.ndarray) -> None:
         """State for ``value``, any shape, at least 0."""
-        self.value = np.array(value, np.float32)
+        self.value = np.array(value, np.float32)  # the multipliers now, float32; every step makes a new array
 
     def step(self, gradient: np.ndarray, step_size: np.ndarray) -> None:
         """One step, as `AdamW.step` counts them: a negative step size ascends. Shapes as ``value``."""
@@ -100,15 +93,10 @@ class MultiplierAscent:
 
 @dataclass(frozen=True)
 class Schedule:
-    """The course of one descent.
+    """The course of one descent."""
 
-    Attributes:
-        settings: How it steps.
-        step_count: Its number of steps.
-    """
-
-    settings: OptimiserSettings
-    step_count: int
+    settings: OptimiserSettings  # how it steps
+    step_count: int  # its number of steps
 
     def progress(self, step: int) -> float:
         """How far along a step is: 0 at the first, 1 at the last."""
@@ -143,30 +131,19 @@ class Descent:
     With further starts the run is divided among as many more descents, one after the other, each with steps,
     multipliers and schedule as if it were alone.
 
-    Attributes:
-        objective: What is minimised.
-        scenes: The training scenes with their assigned cameras.
-        settings: How to step.
-        start: Mount poses to start from, float [camera, 7]; brought within the mount's free ranges.
-        rng: Chooses the batches.
-        iterations: Number of steps, at least 1.
-        batch_size: Scenes per step, at least 1.
-        validation: Scenes on which rigs are compared; None: the training scenes.
-        further_starts: Where to begin again, each as ``start``; ``settings.descents`` - 1 of them.
-        history: Rigs that were evaluated on all validation scenes.
-        iteration: Steps so far.
-        descent: The descent that is going on, from 0.
+    ``history``: rigs that were evaluated on all validation scenes. ``iteration``: steps so far. ``descent``: the
+    descent that is going on, from 0.
     """
 
-    objective: RigObjective
-    scenes: Sequence[AssignedScene]
-    settings: OptimiserSettings
-    start: np.ndarray
-    rng: np.random.Generator
-    iterations: int = 100
-    batch_size: int = 4
-    validation: Sequence[AssignedScene] | None = None
-    further_starts: Sequence[np.ndarray] = ()
+    objective: RigObjective  # what is minimised
+    scenes: Sequence[AssignedScene]  # the training scenes with their assigned cameras
+    settings: OptimiserSettings  # how to step
+    start: np.ndarray  # mount poses to start from, float [camera, 7]; brought within the mount's free ranges
+    rng: np.random.Generator  # chooses the batches
+    iterations: int = 100  # number of steps, at least 1
+    batch_size: int = 4  # scenes per step, at least 1
+    validation: Sequence[AssignedScene] | None = None  # scenes on which rigs are compared; None: the training scenes
+    further_starts: Sequence[np.ndarray] = ()  # where to begin again, each as ``start``
 
     def __post_init__(self) -> None:
         if len(self.further_starts) != self.settings.descents - 1:
@@ -245,10 +222,6 @@ class Descent:
         """One batch, one step of the cameras, one of the multipliers; where a descent is over, the first of the next.
 
         A step is taken whole or not at all: whatever stops it, `state` is that before it.
-
-        Raises:
-            NotFiniteError: The loss is no longer finite; the cameras stand at the best rig so far again.
-            InputError: It never was.
         """
         before = self._position()
         try:
@@ -328,9 +301,6 @@ class Descent:
 
         This one may have more iterations. Then the steps that are left of the last of its descents have the schedule
         that they would have had; those that were taken are as they were.
-
-        Raises:
-            InputError: The state is of other cameras, of another optimiser, or not whole.
         """
         found, expected = set(state), set(self.state())
         shape = np.shape(state.get("pose_value", ()))
@@ -427,18 +397,14 @@ class Descent:
 
 
 class ShuffledBatches:
-    """Batches that go through all scenes in random order before any comes again.
-
-    Attributes:
-        waiting: Scenes of the present order that are still to come.
-    """
+    """Batches that go through all scenes in random order before any comes again."""
 
     def __init__(self, scenes: Sequence[AssignedScene], camera_count: int, rng: np.random.Generator) -> None:
         """Chooser over ``scenes``; which camera answers for what does not matter."""
         del camera_count
         self._count = len(scenes)
         self._rng = rng
-        self.waiting: list[int] = []
+        self.waiting: list[int] = []  # scenes of the present order that are still to come
 
     def choose(self, batch_size: int) -> list[int]:
         """Indices of the scenes of the next batch."""
@@ -457,15 +423,11 @@ def lowest(candidates: Sequence[Candidate]) -> Candidate:
 
 
 class History:
-    """The rigs of a run that were evaluated on all validation scenes.
-
-    Attributes:
-        candidates: They, in order.
-    """
+    """The rigs of a run that were evaluated on all validation scenes."""
 
     def __init__(self) -> None:
         """None yet."""
-        self.candidates: list[Candidate] = []
+        self.candidates: list[Candidate] = []  # they, in order
 
     @property
     def best(self) -> Candidate:

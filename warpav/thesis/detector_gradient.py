@@ -28,24 +28,17 @@ class DetectorGradient(HostLoss):
     """Mean over the assigned road users of how badly the network finds them where their camera really looks.
 
     One that its camera does not see counts 1, the largest loss, and gives no gradient: there the in-frame rotation
-    acts. The gradient takes two ways. The colours change as the static scene flows through the image
-    (`Frame.colours`). The true box moves with its measured extents; a side where something else hides the
-    object, or where the image ends, is held: what hides it has no extent of its own, and the border does not move.
-
-    Attributes:
-        detector: The network, in PyTorch.
+    acts. The gradient takes two ways. The colours change as the static scene flows through the image (`Frame.colours`).
+    The true box moves with its measured extents; a side where something else hides the object, or where the image ends,
+    is held: what hides it has no extent of its own, and the border does not move.
     """
 
-    detector: DifferentiableDetector
+    detector: DifferentiableDetector  # the network, in PyTorch
     name = "detector_gradient"
 
     @classmethod
     def of(cls, options: LossOptions) -> DetectorGradient:
-        """With the network of the options.
-
-        Raises:
-            ValueError: There is none.
-        """
+        """With the network of the options."""
         if options.differentiable_detector is None:
             raise ValueError("expected a differentiable detector, got none")
         return cls(options.differentiable_detector)

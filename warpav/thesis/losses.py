@@ -52,13 +52,9 @@ def _area_around(scene: SceneOnTape, reference: Reference) -> wp.array:
 
 @dataclass(frozen=True)
 class InFrameRotation(AssignedVehicleLoss):
-    """The angle by which its camera misses a vehicle; gradients flow to the yaw alone.
+    """The angle by which its camera misses a vehicle; gradients flow to the yaw alone."""
 
-    Attributes:
-        epsilon: Weight of a vehicle that is in the frame already, in [0, 1).
-    """
-
-    epsilon: float = 1e-5
+    epsilon: float = 1e-5  # weight of a vehicle that is in the frame already, in [0, 1)
     name = "in_frame_rotation"
 
     @classmethod
@@ -104,17 +100,11 @@ class InFrameRotation(AssignedVehicleLoss):
 
 @dataclass(frozen=True)
 class DetectedArea(AssignedVehicleLoss):
-    """How much of a vehicle's silhouette lies outside the matched detection's box.
+    """How much of a vehicle's silhouette lies outside the matched detection's box."""
 
-    Attributes:
-        min_detected_area: Detected share of a vehicle below which it costs something, in (0, 1].
-        epsilon: Weight of pixels outside the box, in [0, 1).
-        reference: What the detected area is compared with.
-    """
-
-    min_detected_area: float = 0.5
-    epsilon: float = 1e-5
-    reference: Reference = Reference.NON_OCCLUDED
+    min_detected_area: float = 0.5  # detected share of a vehicle below which it costs something, in (0, 1]
+    epsilon: float = 1e-5  # weight of pixels outside the box, in [0, 1)
+    reference: Reference = Reference.NON_OCCLUDED  # what the detected area is compared with
     name = "detected_area"
 
     @classmethod
@@ -147,15 +137,10 @@ class DetectedArea(AssignedVehicleLoss):
 
 @dataclass(frozen=True)
 class ObjectVisibility(AssignedVehicleLoss):
-    """The detected-area loss of a detector that misses nothing: how much of a vehicle is not visible.
+    """The detected-area loss of a detector that misses nothing: how much of a vehicle is not visible."""
 
-    Attributes:
-        min_visible_area: Visible share of a vehicle below which it costs something, in (0, 1].
-        reference: What the visible area is compared with.
-    """
-
-    min_visible_area: float = 0.5
-    reference: Reference = Reference.NON_OCCLUDED
+    min_visible_area: float = 0.5  # visible share of a vehicle below which it costs something, in (0, 1]
+    reference: Reference = Reference.NON_OCCLUDED  # what the visible area is compared with
     name = "object_visibility"
 
     @classmethod
@@ -187,13 +172,9 @@ class ObjectVisibility(AssignedVehicleLoss):
 
 @dataclass(frozen=True)
 class SurfaceBlockage(AssignedVehicleLoss):
-    """How much of a vehicle the ego vehicle hides from the camera from which it hides least.
+    """How much of a vehicle the ego vehicle hides from the camera from which it hides least."""
 
-    Attributes:
-        min_unblocked_area: Share of a vehicle left free below which it costs something, in (0, 1].
-    """
-
-    min_unblocked_area: float = 0.5
+    min_unblocked_area: float = 0.5  # share of a vehicle left free below which it costs something, in (0, 1]
     name = "surface_blockage"
 
     @classmethod

@@ -23,19 +23,12 @@ from warpav.scene.device_scene import DeviceScene
 
 @dataclass(frozen=True)
 class Segregation:
-    """Orientations that share the vehicles among the cameras.
+    """Orientations that share the vehicles among the cameras."""
 
-    Attributes:
-        yaw_rad: Orientation of every camera, ascending in 0..2 pi, float64 [camera].
-        rotation: Its index among those that were to choose from, int64 [camera].
-        seen_instances: Vehicles of the scenes that at least one orientation sees.
-        duplicates: How often a vehicle is seen by more orientations than one, summed.
-    """
-
-    yaw_rad: np.ndarray
-    rotation: np.ndarray
-    seen_instances: int
-    duplicates: int
+    yaw_rad: np.ndarray  # orientation of every camera, ascending in 0..2 pi, float64 [camera]
+    rotation: np.ndarray  # its index among those that were to choose from, int64 [camera]
+    seen_instances: int  # vehicles of the scenes that at least one orientation sees
+    duplicates: int  # how often a vehicle is seen by more orientations than one, summed
 
 
 def areas_around(
@@ -57,15 +50,9 @@ def areas_around(
 def choose_orientations(
     areas: Sequence[np.ndarray], camera_count: int, rotation_count: int, rng: np.random.Generator
 ) -> Segregation:
-    """The set of orientations that sees most vehicles.
+    """The set of orientations that sees most vehicles. ``areas`` [vehicle, rotation].
 
     Among sets that see as many, the one with the fewest duplicates; among those, one at random.
-
-    Args:
-        areas: Area of every vehicle in every orientation, one [vehicle, rotation] per scene.
-        camera_count: Number of orientations to choose, at most ``rotation_count``.
-        rotation_count: Orientations to choose from, evenly spread from yaw 0.
-        rng: Breaks the last ties.
     """
     visible = np.concatenate([np.asarray(area) > 0.0 for area in areas]).astype(np.float32)
     best_seen, best_duplicates, ties = -1, 0, []
@@ -88,15 +75,11 @@ def choose_orientations(
 
 
 class BatchChooser:
-    """Informed batches: every camera gets scenes with a vehicle of its own.
-
-    Attributes:
-        waiting: Scenes of the order that is not used up; always none here.
-    """
+    """Informed batches: every camera gets scenes with a vehicle of its own."""
 
     def __init__(self, scenes: Sequence[AssignedScene], camera_count: int, rng: np.random.Generator) -> None:
         """Chooser over ``scenes``; cameras without any vehicle in any scene are left out."""
-        self.waiting: list[int] = []
+        self.waiting: list[int] = []  # scenes of the order that is not used up; always none here
         self._scenes = scenes
         self._rng = rng
         self._scenes_of_camera = [
@@ -122,10 +105,7 @@ class BatchChooser:
 def assign_vehicles(scenes: Sequence[DeviceScene], areas: Sequence[np.ndarray]) -> list[AssignedScene]:
     """Give every vehicle to the camera whose orientation sees most of it; to none where no orientation sees it.
 
-    Args:
-        scenes: The scenes.
-        areas: Area of every vehicle in the orientation of every camera (`areas_around`), one [vehicle, camera] per
-            scene.
+    ``areas`` [vehicle, camera].
     """
     return [AssignedScene(scene, cameras_of(area)) for scene, area in zip(scenes, areas, strict=True)]
 
@@ -133,24 +113,18 @@ def assign_vehicles(scenes: Sequence[DeviceScene], areas: Sequence[np.ndarray]) 
 def cameras_of(area: np.ndarray) -> np.ndarray:
     """The camera whose orientation sees most of a vehicle, -1 where none sees it, int32 [vehicle].
 
-    Args:
-        area: As one of those of `assign_vehicles`, [vehicle, camera].
+    ``area`` [vehicle, camera].
     """
     found = np.where((area > 0.0).any(axis=1), area.argmax(axis=1), -1) if len(area) else np.zeros(0)
     return found.astype(np.int32)
 
 
 def assign_to_nearest_cameras(scenes: Sequence[AssignedScene], yaw_rad: np.ndarray, rig: Rig) -> list[AssignedScene]:
-    """Scenes whose vehicles belong to the camera that looks the way of their orientation.
+    """Scenes whose vehicles belong to the camera that looks the way of their orientation. ``yaw_rad`` [orientation].
 
     Segregation gives every vehicle an orientation; a rig from elsewhere lists its cameras in its own order.
     Orientations and cameras are paired so that the sum of the squared angles between them is smallest. (Without the
     squares many pairings are equally good, and rounding would choose.)
-
-    Args:
-        scenes: Scenes with vehicles assigned to orientations.
-        yaw_rad: The orientations [rad], [orientation]; as many as the rig has cameras.
-        rig: The rig.
     """
     camera_of_orientation = nearest_cameras(yaw_rad, rig)
     return [AssignedScene(each.scene, partial(_renamed, each, camera_of_orientation)) for each in scenes]

@@ -40,15 +40,10 @@ def first_rigs(space: SearchSpace, rng: np.random.Generator) -> Iterator[np.ndar
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A rig that was evaluated.
+    """A rig that was evaluated."""
 
-    Attributes:
-        mount_pose: It satisfies all constraints, float32 [camera, 7].
-        value: Its objective on the scenes where it was evaluated.
-    """
-
-    mount_pose: np.ndarray
-    value: float
+    mount_pose: np.ndarray  # it satisfies all constraints, float32 [camera, 7]
+    value: float  # its objective on the scenes where it was evaluated
 
 
 def evaluate_starts(
@@ -62,20 +57,11 @@ def evaluate_starts(
 ) -> list[Start]:
     """Evaluate a known rig, `first_rigs`, and one made of the best cameras of all of them; the best come first.
 
+    ``known`` float [camera, 7].
+
     The last one is made where the objective tells which camera finds which object: single cameras are exchanged for
     those of other rigs as long as that lowers the expected number of missed objects (`exchange_cameras`). It costs no
     more renders than its own evaluation.
-
-    Args:
-        objective: What rigs are compared by.
-        scenes: On these.
-        space: All rigs that may be.
-        count: How many are evaluated, at least 1, the known one among them.
-        rng: Scrambles the sequence.
-        known: A rig that is evaluated first, float [camera, 7].
-
-    Raises:
-        ValueError: No rig had a finite value.
     """
     starts: list[Start] = []
     probability: list[np.ndarray] = []
@@ -117,17 +103,10 @@ def exchange_cameras(
 ) -> np.ndarray:
     """Exchange one camera of a rig after the other for the best of all candidates, until nothing lowers the loss.
 
-    The loss is the expected number of objects that the rig misses, the sum of the products of 1 - p over its
-    cameras; no exchange of a single camera lowers that of the result.
+    Returns candidates, int [camera]; one may be there twice. ``chosen`` int [camera]; ``is_frozen`` bool [camera].
 
-    Args:
-        detection_probability: Probability p that each candidate finds each object, float [candidate, object].
-        chosen: Candidates that the rig begins with, int [camera].
-        is_frozen: Cameras that are not exchanged, bool [camera]; None: none.
-        weight: Of each object, at least 0, float [object]; None: all alike.
-
-    Returns:
-        Candidates, int [camera]; one may be there twice.
+    The loss is the expected number of objects that the rig misses, the sum of the products of 1 - p over its cameras;
+    no exchange of a single camera lowers that of the result.
     """
     missed = 1.0 - np.asarray(detection_probability, np.float64)
     chosen = np.array(chosen)

@@ -20,11 +20,7 @@ def _document() -> dict[str, Any]:
 
 
 def thesis_table(number: str) -> dict[str, Any]:
-    """One of `TABLES`: ``caption`` as printed, ``note``, and ``rows`` in the order of the thesis.
-
-    Raises:
-        ValueError: There is no such table.
-    """
+    """One of `TABLES`: ``caption`` as printed, ``note``, and ``rows`` in the order of the thesis."""
     if number not in TABLES:
         raise ValueError(f"number must be one of {', '.join(TABLES)}, got {number!r}")
     return _document()["tables"][number]

@@ -15,15 +15,10 @@ from warpav_kernels.placement import expected_misses
 
 @dataclass(frozen=True)
 class ExpectedMissRate(DeviceLoss):
-    """The rig misses what all its cameras miss, each with the probability that `CameraProbability` gives.
+    """The rig misses what all its cameras miss, each with the probability that `CameraProbability` gives."""
 
-    Attributes:
-        combine: ``any`` camera may detect an object (noisy or), or the surest one alone counts: ``best``.
-        detector_share: How much of a probability is what the detector really found, at the end of a run, in [0, 1).
-    """
-
-    combine: Literal["any", "best"] = "any"
-    detector_share: float = 0.0
+    combine: Literal["any", "best"] = "any"  # ``any`` camera may detect an object (noisy or)
+    detector_share: float = 0.0  # how much of a probability is what the detector really found, at the end of a run
     name = "expected_miss_rate"
     weighs_objects = True
 

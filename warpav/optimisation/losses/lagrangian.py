@@ -23,19 +23,6 @@ class Lagrangian:
         repeats: int | None = None,
         device: str = "cpu",
     ) -> None:
-        """The Lagrangian of some objectives and constraints.
-
-        Args:
-            weights: Of the objectives that are on the device.
-            constraint_count: Number of constraints.
-            damping: Of the multipliers, at least 0; 0 as in the thesis.
-            are_inequalities: False: constraints are losses and count as in the thesis's Eq. 1. True: they are
-                inequalities g <= 0, and each adds ``m c + d/2 c^2`` once and unscaled, with ``c = max(g, -m/d)``, its
-                multiplier m and the damping d.
-            scale: Of every loss among the constraints; None: the largest of the weights, as in the thesis.
-            repeats: How often each loss among the constraints counts; None: once for every weight above 0, as printed.
-            device: Warp device.
-        """
         self._weight = wp.array(list(weights), dtype=float, device=device)
         scale = max(weights, default=0.0) if scale is None else scale
         self._constraint_scale = wp.array([scale] * constraint_count, dtype=float, device=device)
@@ -44,15 +31,9 @@ class Lagrangian:
         self._are_inequalities = are_inequalities
 
     def on_tape(self, objective_loss: wp.array, constraint_loss: wp.array, multiplier: wp.array) -> wp.array:
-        """The Lagrangian, recorded on the active tape.
+        """The Lagrangian, recorded on the active tape. Returns float [1]. ``objective_loss`` float [objective].
 
-        Args:
-            objective_loss: Objectives, unscaled, float [objective].
-            constraint_loss: As `Constraints.losses_of` gives them, float [constraint].
-            multiplier: Of every constraint, float [constraint]; of inequalities at least 0.
-
-        Returns:
-            float [1].
+        ``constraint_loss`` float [constraint]; ``multiplier`` float [constraint].
         """
         device = objective_loss.device
         total = wp.zeros(1, dtype=float, device=device, requires_grad=True)

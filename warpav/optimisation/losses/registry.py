@@ -6,17 +6,11 @@ from typing import NamedTuple
 
 
 class Registered(NamedTuple):
-    """A loss that has a name.
+    """A loss that has a name."""
 
-    Attributes:
-        where: Its class, as ``module:class``.
-        description: What its weight weighs, for the configuration.
-        one_field: Whether it takes one field of view for all cameras.
-    """
-
-    where: str
-    description: str
-    one_field: bool = False
+    where: str  # its class, as ``module:class``
+    description: str  # what its weight weighs, for the configuration
+    one_field: bool = False  # whether it takes one field of view for all cameras
 
 
 LOSSES = {

@@ -20,18 +20,11 @@ from warpav_kernels.placement import expected_misses
 
 @dataclass(frozen=True)
 class CameraProbability:
-    """How likely each camera is to detect an object: the model of its image, blended with that of its panorama.
+    """How likely each camera is to detect an object: the model of its image, blended with that of its panorama."""
 
-    Attributes:
-        model: Detection probability in a view.
-        probability: ``fitted`` takes the model; ``visible_share`` of an object's whole box, or its ``in_frame_share``,
-            to which hiding does not matter, stand in for it.
-        window_softness_rad: Of the fields of view over the panorama [rad], positive.
-    """
-
-    model: DetectionProbability
-    probability: str = "fitted"
-    window_softness_rad: float = np.radians(10.0)
+    model: DetectionProbability  # detection probability in a view
+    probability: str = "fitted"  # ``fitted`` takes the model
+    window_softness_rad: float = np.radians(10.0)  # of the fields of view over the panorama [rad], positive
 
     @classmethod
     def of(cls, settings: LossSettings, model: DetectionProbability | None) -> CameraProbability | None:
@@ -55,40 +48,22 @@ class CameraProbability:
 
 @dataclass(frozen=True, eq=False)
 class SceneOnTape:
-    """A scene that was rendered from some views. What is asked for is recorded on the active tape, once.
+    """A scene that was rendered from some views. What is asked for is recorded on the active tape, once."""
 
-    Attributes:
-        mount: Knows the rotational additions and the lens.
-        frame: ``scene`` from ``views``.
-        scene: The scene.
-        views: The views; gradients flow to their poses and to the mount poses.
-        measures: Of this render.
-        assigned_camera: Camera of every vehicle, -1 for none, int32 [vehicle].
-        assigned_on_device: The same on the device.
-        detected: Which camera's detector found which vehicle, 0 or 1, float [camera, vehicle].
-        panorama_share: See `LossSchedule`, float [1].
-        detector_share: Likewise, float [1].
-        forward_view: The view of each camera in which it looks straight ahead.
-        camera_probability: How likely a camera is to detect; None where no loss needs it.
-        truth_box_px: True visible boxes ahead, NaN for none [px], float [camera, vehicle, 4]; None where no loss needs
-            them.
-        weight: Of every vehicle, float [vehicle]; None: all 1.
-    """
-
-    mount: CameraMount
-    frame: Frame
-    scene: DeviceScene
-    views: PlacedViews
-    measures: Measures
-    assigned_camera: np.ndarray
-    assigned_on_device: wp.array
-    detected: wp.array
-    panorama_share: wp.array
-    detector_share: wp.array
-    forward_view: list[int]
-    camera_probability: CameraProbability | None = None
-    truth_box_px: np.ndarray | None = None
-    weight: wp.array | None = None
+    mount: CameraMount  # knows the rotational additions and the lens
+    frame: Frame  # ``scene`` from ``views``
+    scene: DeviceScene  # the scene
+    views: PlacedViews  # the views; gradients flow to their poses and to the mount poses
+    measures: Measures  # of this render
+    assigned_camera: np.ndarray  # cameras of every vehicle, -1 for none, int32 [vehicle]
+    assigned_on_device: wp.array  # the same on the device
+    detected: wp.array  # which camera's detector found which vehicle, 0 or 1, float [camera, vehicle]
+    panorama_share: wp.array  # see `LossSchedule`, float [1]
+    detector_share: wp.array  # likewise, float [1]
+    forward_view: list[int]  # the view of each camera in which it looks straight ahead
+    camera_probability: CameraProbability | None = None  # how likely a camera is to detect; None where no loss needs it
+    truth_box_px: np.ndarray | None = None  # true visible boxes ahead, NaN for none [px], float [camera, vehicle, 4]
+    weight: wp.array | None = None  # of every vehicle, float [vehicle]; None: all 1
 
     @property
     def camera_count(self) -> int:
@@ -184,20 +159,10 @@ class SceneOnTape:
 
 
 class AssignedScene:
-    """A scene and the camera that answers for each of its vehicles; equal only to itself.
-
-    Attributes:
-        scene: The scene on the device.
-    """
+    """A scene and the camera that answers for each of its vehicles; equal only to itself."""
 
     def __init__(self, scene: DeviceScene, assigned_camera: np.ndarray | Callable[[], np.ndarray]) -> None:
-        """A scene with its vehicles assigned.
-
-        Args:
-            scene: The scene on the device.
-            assigned_camera: As the property, or what finds it: that takes renders, and few losses ask for it.
-        """
-        self.scene = scene
+        self.scene = scene  # the scene on the device
         self._given = assigned_camera
 
     @cached_property

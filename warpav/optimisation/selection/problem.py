@@ -20,54 +20,31 @@ ROW_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """A linear constraint on a rig: ``low <= sum of coefficient over its cameras <= high``.
+    """A linear constraint on a rig: ``low <= sum of coefficient over its cameras <= high``."""
 
-    Attributes:
-        name: What an error calls it.
-        coefficient: Of every camera of the pool, float [camera].
-        low: Least sum; -inf: none.
-        high: Greatest sum; inf: none.
-    """
-
-    name: str
-    coefficient: np.ndarray
-    low: float = -math.inf
-    high: float = math.inf
+    name: str  # what an error calls it
+    coefficient: np.ndarray  # of every camera of the pool, float [camera]
+    low: float = -math.inf  # least sum; -inf: none
+    high: float = math.inf  # greatest sum; inf: none
 
 
 @dataclass(frozen=True, eq=False)
 class SelectionProblem:
-    """Single cameras, and the rigs that may be made of them. Its objects are those that some camera sees.
+    """Single cameras, and the rigs that may be made of them. Its objects are those that some camera sees."""
 
-    Attributes:
-        missed: Probability that a camera does not detect an object, float64 [object, camera].
-        weight: Of the objects, float64 [object].
-        unseen: Weight of the objects that no camera of the pool sees, 0..1.
-        seen: Which of the objects some camera sees, as they were counted at first, int [object].
-        every_weight: Of all objects, those that no camera sees among them, 1 in sum, float64 [every object].
-        count: Number of cameras of a rig.
-        required: Cameras that every rig has, int [required].
-        conflict: Pairs that exclude each other, symmetric bool CSR [camera, camera].
-        coefficient: Of the rows, divided by the largest of each, float64 [row, camera].
-        low: Least sums of the rows, likewise, float64 [row].
-        high: Greatest sums of the rows, likewise, float64 [row].
-        row_scale: What the rows were divided by, > 0, float64 [row].
-        rows: They as they were given.
-    """
-
-    missed: np.ndarray
-    weight: np.ndarray
-    unseen: float
-    seen: np.ndarray
-    every_weight: np.ndarray
-    count: int
-    required: np.ndarray
-    conflict: sparse.csr_array
-    coefficient: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    row_scale: np.ndarray
-    rows: tuple[Row, ...]
+    missed: np.ndarray  # probability that a camera does not detect an object, float64 [object, camera]
+    weight: np.ndarray  # of the objects, float64 [object]
+    unseen: float  # weight of the objects that no camera of the pool sees, 0..1
+    seen: np.ndarray  # which of the objects some camera sees, as they were counted at first, int [object]
+    every_weight: np.ndarray  # of all objects, those that no camera sees among them, 1 in sum, float64 [every object]
+    count: int  # number of cameras of a rig
+    required: np.ndarray  # cameras that every rig has, int [required]
+    conflict: sparse.csr_array  # pairs that exclude each other, symmetric bool CSR [camera, camera]
+    coefficient: np.ndarray  # of the rows, divided by the largest of each, float64 [row, camera]
+    low: np.ndarray  # least sums of the rows, likewise, float64 [row]
+    high: np.ndarray  # greatest sums of the rows, likewise, float64 [row]
+    row_scale: np.ndarray  # what the rows were divided by, > 0, float64 [row]
+    rows: tuple[Row, ...]  # they as they were given
 
     @classmethod
     def create(
@@ -80,20 +57,7 @@ class SelectionProblem:
         rows: Sequence[Row] = (),
         weight: np.ndarray | None = None,
     ) -> SelectionProblem:
-        """What a rig is chosen from.
-
-        Args:
-            detection_probability: Probability p that each camera detects each object, 0..1, float [camera, object].
-            count: Number of cameras of the rig.
-            conflict: Pairs of which a rig has one at most, such as cameras too near to each other, bool [camera,
-                camera]; dense or sparse, one triangle or both.
-            required: Cameras that the rig must have, such as frozen ones.
-            rows: Further linear constraints: costs, numbers of a zone or module, objects that several must see.
-            weight: Of the objects, >= 0, float [object]; None: all alike.
-
-        Raises:
-            ArgumentError: One of them cannot be used.
-        """
+        """What a rig is chosen from. ``conflict`` bool [camera, camera]."""
         probability = np.asarray(detection_probability, np.float64)
         if probability.ndim != 2 or 0 in probability.shape:
             raise ArgumentError(
@@ -177,9 +141,7 @@ class SelectionProblem:
     def whole_clique(self, clique: Sequence[int] | np.ndarray, allowed: np.ndarray) -> np.ndarray:
         """A clique of conflicting cameras with all that fit into it one after the other, bool [camera].
 
-        Args:
-            clique: Cameras that exclude each other, at least one.
-            allowed: Which others may be added, bool [camera].
+        ``allowed`` bool [camera].
         """
         member = np.zeros(self.camera_count, bool)
         member[clique] = True
@@ -264,13 +226,7 @@ def feasible_rig(
 ) -> np.ndarray | None:
     """A rig that satisfies all constraints, its required cameras first, int [camera]; None where there is none.
 
-    Args:
-        problem: What is chosen from.
-        time_limit_s: When to give up.
-        cost: Of the cameras, float64 [camera], whose sum over the rig is to be low; None: any rig will do.
-
-    Raises:
-        TimeoutError: Neither a rig was found nor that there is none.
+    ``cost`` float64 [camera].
     """
     cameras = problem.camera_count
     deadline_s = time.perf_counter() + time_limit_s
@@ -307,9 +263,6 @@ def raise_conflict(problem: SelectionProblem, *, time_limit_s: float) -> None:
 
     They are found by deletion: what can go while there still is no rig, goes (Chinneck and Dravnieks 1991, Locating
     minimal infeasible constraint sets in linear programs). ``count`` is among them always.
-
-    Raises:
-        InputError: Always; it names them.
     """
     kept = [
         *(["required"] if len(problem.required) else []),
@@ -347,10 +300,7 @@ def random_rig(
 ) -> np.ndarray | None:
     """A rig that satisfies the constraints, its required cameras first, int [camera]; None where the draw got stuck.
 
-    Args:
-        problem: What is drawn from.
-        rng: Draws.
-        fraction: How a camera is favoured, >= 0, float64 [camera]; None: all alike.
+    ``fraction`` float64 [camera].
     """
     rig = list(problem.required)
     favour = np.ones(problem.camera_count) if fraction is None else fraction + 1e-6
@@ -378,12 +328,8 @@ def random_rig(
 def exchange(problem: SelectionProblem, rigs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Exchange one camera of each rig after the other for the best of the pool, until nothing helps any of them.
 
-    Args:
-        problem: What is chosen from.
-        rigs: Rigs that satisfy the constraints, the required cameras first, int [rig, camera].
-
-    Returns:
-        The rigs, likewise, the best first, and their expected miss rates, float64 [rig].
+    Returns the rigs, likewise, the best first, and their expected miss rates, float64 [rig]. ``rigs`` int [rig,
+    camera].
     """
     rigs = np.array(rigs)
     every = np.arange(len(rigs))

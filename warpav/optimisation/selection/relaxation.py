@@ -48,13 +48,7 @@ def cut_constant(level: np.ndarray) -> np.ndarray:
 
 
 def cut_coefficient(missed: np.ndarray, log_missed: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """What a camera takes off the right side, phi(L), 0..1; concave and increasing in L.
-
-    Args:
-        missed: Probability 1 - p that the camera misses the object, any shape.
-        log_missed: L = -log(1 - p), 0..inf, likewise.
-        level: z >= 0, of a shape that broadcasts.
-    """
+    """What a camera takes off the right side, phi(L), 0..1; concave and increasing in L."""
     decay = np.exp(-level)
     return np.where(log_missed <= level, decay * log_missed, decay * (1.0 + level) - missed)
 
@@ -68,13 +62,11 @@ def cut_slope(missed: np.ndarray, level: np.ndarray) -> np.ndarray:
 def cut_level(fraction: np.ndarray, log_missed: np.ndarray) -> np.ndarray:
     """The level of the cut that a fractional choice violates most, for every object, 0..30, float64 [object].
 
+    ``fraction`` float64 [camera]; ``log_missed`` float64 [camera, object].
+
     The derivative of the right side by z is ``exp(-z) (sum of x min(L, z) - z)``. Its bracket is concave in z and 0 at
     z = 0, so it is positive up to one root and negative beyond, or nowhere positive. Newton's steps from the right
     reach that root.
-
-    Args:
-        fraction: Share x of every camera of the choice, 0..1, float64 [camera].
-        log_missed: L, 0..inf, float64 [camera, object].
     """
     level = np.minimum(fraction @ np.minimum(log_missed, MOST_LEVEL), MOST_LEVEL)
     while True:
@@ -90,38 +82,23 @@ def cut_level(fraction: np.ndarray, log_missed: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Price:
-    """Duals of a bound on all rigs of a pool.
+    """Duals of a bound on all rigs of a pool."""
 
-    Attributes:
-        bound: The bound, an expected miss rate.
-        object_count: Number of objects of the pool.
-        cut_object: Objects of the cuts that hold it up, int [cut].
-        cut_level: Their levels, float64 [cut].
-        cut_dual: Their duals, > 0; an object's sum to its weight at most, float64 [cut].
-        row_dual: What the bound rises by for a unit more of a row's limit, float64 [row]; 0 where the row is slack.
-        dearest: Cost of the dearest camera that the bound takes: who costs less would replace it.
-    """
-
-    bound: float
-    object_count: int
-    cut_object: np.ndarray
-    cut_level: np.ndarray
-    cut_dual: np.ndarray
-    row_dual: np.ndarray
-    dearest: float
+    bound: float  # the bound, an expected miss rate
+    object_count: int  # number of objects of the pool
+    cut_object: np.ndarray  # objects of the cuts that hold it up, int [cut]
+    cut_level: np.ndarray  # their levels, float64 [cut]
+    cut_dual: np.ndarray  # their duals, > 0; an object's sum to its weight at most, float64 [cut]
+    row_dual: np.ndarray  # what the bound rises by for a unit more of a row's limit, float64 [row]
+    dearest: float  # cost of the dearest camera that the bound takes: who costs less would replace it
 
     def reduced_cost(self, detection_probability: np.ndarray, coefficient: np.ndarray | None = None) -> np.ndarray:
         """How much lower the bound would be with one more camera in the pool, if negative; float64 [camera].
 
+        ``coefficient`` float [camera, row].
+
         No rig of the pool and one such camera is below ``bound + min(0, reduced cost)``; the most negative promises
         most. Where conflicts hold the bound up, the new camera is taken to be free of them.
-
-        Args:
-            detection_probability: Of the new cameras for the pool's objects, 0..1, float [camera, object].
-            coefficient: Theirs in the rows, float [camera, row]; None: 0.
-
-        Raises:
-            ArgumentError: Probabilities of another number of objects, or not within 0..1.
         """
         missed = self._missed(detection_probability)
         with np.errstate(divide="ignore"):
@@ -129,11 +106,7 @@ class Price:
         return -gain - self.dearest - (0.0 if coefficient is None else np.asarray(coefficient) @ self.row_dual)
 
     def reduced_cost_slope(self, detection_probability: np.ndarray) -> np.ndarray:
-        """Derivative of the reduced cost by each probability, <= 0 and continuous, float64 [camera, object].
-
-        Raises:
-            ArgumentError: As `reduced_cost`.
-        """
+        """Derivative of the reduced cost by each probability, <= 0 and continuous, float64 [camera, object]."""
         missed = self._missed(detection_probability)
         slope = np.zeros((len(missed), self.object_count))
         share = -self.cut_dual * cut_slope(missed, self.cut_level)
@@ -192,19 +165,12 @@ STRONG_ITERATIONS = 60
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """A part of all rigs.
+    """A part of all rigs."""
 
-    Attributes:
-        allowed: Cameras that its rigs may have, bool [camera].
-        required: Cameras that all its rigs have, bool [camera]; allowed ones.
-        branch: Bounds of groups of cameras, by the index of their row in the relaxation.
-        bound: No rig in it is known to have a lower expected miss rate.
-    """
-
-    allowed: np.ndarray
-    required: np.ndarray
-    branch: Mapping[int, tuple[float, float]]
-    bound: float
+    allowed: np.ndarray  # cameras that its rigs may have, bool [camera]
+    required: np.ndarray  # cameras that all its rigs have, bool [camera]; allowed ones
+    branch: Mapping[int, tuple[float, float]]  # bounds of groups of cameras
+    bound: float  # no rig in it is known to have a lower expected miss rate
 
     def is_empty(self, count: int) -> bool:
         """Whether it has no rig of so many cameras, whatever the other constraints; branches can ask for too many."""
@@ -214,23 +180,14 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Relaxed:
-    """The relaxation of a node.
+    """The relaxation of a node."""
 
-    Attributes:
-        bound: Lower bound on the expected miss rate of the node's rigs; inf where it has none.
-        value: Relaxed expected miss rate of the fractional choice, which exceeds the bound by what is left to do.
-        fraction: The fractional choice, float64 [camera].
-        rise_in: By how much the bound rises if a camera is taken, float64 [camera]; inf where it is not allowed.
-        rise_out: By how much it rises if a camera is left out, float64 [camera]; inf where it is required.
-        price: The duals of the bound.
-    """
-
-    bound: float
-    value: float = math.inf
-    fraction: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    rise_in: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    rise_out: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    price: Price | None = None
+    bound: float  # lower bound on the expected miss rate of the node's rigs; inf where it has none
+    value: float = math.inf  # relaxed expected miss rate of the fractional choice
+    fraction: np.ndarray = field(default_factory=lambda: np.zeros(0))  # the fractional choice, float64 [camera]
+    rise_in: np.ndarray = field(default_factory=lambda: np.zeros(0))  # by how much the bound rises if a camera is taken
+    rise_out: np.ndarray = field(default_factory=lambda: np.zeros(0))  # by how much it rises if a camera is left out
+    price: Price | None = None  # the duals of the bound
 
 
 class Relaxation:
@@ -239,19 +196,13 @@ class Relaxation:
     The model begins empty. Rounds add the cameras that its duals ask for and the cuts that its choice violates, those
     of cliques of conflicts among them. All of it serves every node, and the simplex goes on where it stopped.
 
-    Bounds are not the solver's. For any duals >= 0 of the cuts, of which an object's sum to its weight at most, and
-    any duals of the rows, the Lagrangian is a lower bound on every rig, and its minimum over choices of ``count``
-    cameras is a sort. So tolerances of the solver cost tightness and not validity. That a node has no rig at all is
-    the solver's word.
+    Bounds are not the solver's. For any duals >= 0 of the cuts, of which an object's sum to its weight at most, and any
+    duals of the rows, the Lagrangian is a lower bound on every rig, and its minimum over choices of ``count`` cameras
+    is a sort. So tolerances of the solver cost tightness and not validity. That a node has no rig at all is the
+    solver's word.
     """
 
     def __init__(self, problem: SelectionProblem, deadline_s: float) -> None:
-        """An empty model.
-
-        Args:
-            problem: What is chosen from.
-            deadline_s: When `relax` gives up, on the clock of `time.perf_counter`.
-        """
         import highspy
 
         class Silent(highspy.Highs):
@@ -327,13 +278,7 @@ class Relaxation:
         return self._camera
 
     def relax(self, node: Node, enough: float) -> Relaxed:
-        """The bound of a node.
-
-        Args:
-            node: It keeps its bound, where this finds no better one.
-            enough: The bound is not raised beyond this, nor once the fractional choice is so near to it that a small
-                part of the way to here is left at most.
-        """
+        """The bound of a node."""
         if node.is_empty(self.problem.count):  # the model may lack the cameras that would show it
             return Relaxed(math.inf)
         self._drop_idle_cuts()

@@ -40,36 +40,24 @@ ROUNDING_EVERY = 8
 
 @dataclass(frozen=True)
 class Improvement:
-    """A better rig or a better bound.
+    """A better rig or a better bound."""
 
-    Attributes:
-        cameras: The best rig so far, ascending, int [camera].
-        objective: Its expected miss rate, 0..1.
-        bound: No rig of the pool is below it.
-        seconds: Wall time so far [s].
-    """
-
-    cameras: np.ndarray
-    objective: float
-    bound: float
-    seconds: float
+    cameras: np.ndarray  # the best rig so far, ascending, int [camera]
+    objective: float  # its expected miss rate, 0..1
+    bound: float  # no rig of the pool is below it
+    seconds: float  # wall time so far [s]
 
 
 class BranchAndBound:
     """The state of a search: the best rig, the bound, and the nodes that are open.
 
-    At the root the relaxation holds all cameras; those whose choice would raise its bound above the best rig go out
-    for good. Then the node of the lowest bound is relaxed and split: of some group of cameras a rig has at most k, or
-    at least k + 1. Groups are the clusters of a tree over the detection probabilities, single cameras its leaves: to
+    At the root the relaxation holds all cameras; those whose choice would raise its bound above the best rig go out for
+    good. Then the node of the lowest bound is relaxed and split: of some group of cameras a rig has at most k, or at
+    least k + 1. Groups are the clusters of a tree over the detection probabilities, single cameras its leaves: to
     forbid one camera hardly matters as long as there are others like it, to forbid a whole sector does. Trial
     relaxations of few iterations choose the group.
 
-    Attributes:
-        rig: The best rig, int [camera].
-        objective: Its expected miss rate.
-        bound: No rig of the pool is below it.
-        price: Duals of the root's bound; None before there is one.
-        nodes: Number of nodes relaxed.
+    ``rig``: the best rig, int [camera]. ``objective``: its expected miss rate.
     """
 
     def __init__(
@@ -82,20 +70,11 @@ class BranchAndBound:
         rng: np.random.Generator,
         on_improvement: Callable[[Improvement], None] | None,
     ) -> None:
-        """Begin with rigs that satisfy the constraints, the required cameras first, int [rig, camera].
-
-        Args:
-            problem: What is chosen from.
-            rigs: At least one.
-            gap: Objective less bound at which the search ends, >= 0.
-            deadline_s: When it ends, on the clock of `time.perf_counter`.
-            rng: Draws rigs from fractional choices.
-            on_improvement: Called with every better rig or bound.
-        """
+        """Begin with rigs that satisfy the constraints, the required cameras first, int [rig, camera]."""
         self.rig, self.objective = np.sort(rigs[0]), problem.miss_rate(rigs[0])
-        self.bound = _each_object_alone(problem)
-        self.price: Price | None = None
-        self.nodes = 0
+        self.bound = _each_object_alone(problem)  # no rig of the pool is below it
+        self.price: Price | None = None  # duals of the root's bound; None before there is one
+        self.nodes = 0  # number of nodes relaxed
         self._problem, self._kept = problem, np.arange(problem.camera_count)
         self._starts = rigs
         self._gap, self._deadline_s, self._rng = max(gap, TOLERANCE), deadline_s, rng
@@ -205,11 +184,7 @@ class BranchAndBound:
 
 
 class GroupTree:
-    """Nested groups of cameras that see alike: single cameras, and the clusters that Ward's method merges them into.
-
-    Attributes:
-        member: Cameras of the groups, the single ones first, bool [group, camera].
-    """
+    """Nested groups of cameras that see alike: single cameras, and the clusters that Ward's method merges them into."""
 
     def __init__(self, problem: SelectionProblem) -> None:
         """Cluster the cameras of a pool."""
@@ -226,7 +201,7 @@ class GroupTree:
             merged = ward(distance[np.triu_indices(cameras, 1)])[:, :2].astype(int)
             for k, (one, other) in enumerate(merged):
                 member[cameras + k] = member[one] | member[other]
-        self.member = member
+        self.member = member  # cameras of the groups, the single ones first, bool [group, camera]
         self._row: dict[int, int] = {}
         self._group: dict[int, int] = {}
 
@@ -312,29 +287,16 @@ Ended = Literal["optimal", "gap", "time", "interrupted", "exchange"]
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """A rig, and what is proven of it.
+    """A rig, and what is proven of it."""
 
-    Attributes:
-        cameras: The cameras of the pool that it consists of, ascending, int [camera].
-        objective: Its expected miss rate, 0..1.
-        bound: No rig of the pool that satisfies the constraints is below it.
-        ended: ``optimal``: no other is better by more than 1e-9; ``gap``: none by more than the gap that was asked for;
-            ``time``: it was over; ``interrupted``: by Ctrl-C; ``exchange``: no exchange of a camera helps, and no more
-            is proven than the bound.
-        seconds: Wall time [s].
-        nodes: Nodes of the branch and bound beyond the root.
-        price: What further cameras would bring; None where the time did not suffice for a relaxation.
-        others: Of a selection without a proof further good rigs, no two of which share all cameras but one.
-    """
-
-    cameras: np.ndarray
-    objective: float
-    bound: float
-    ended: Ended
-    seconds: float
-    nodes: int
-    price: Price | None
-    others: tuple[np.ndarray, ...] = ()
+    cameras: np.ndarray  # the cameras of the pool that it consists of, ascending, int [camera]
+    objective: float  # its expected miss rate, 0..1
+    bound: float  # no rig of the pool that satisfies the constraints is below it
+    ended: Ended  # ``optimal``: no other is better by more than 1e-9
+    seconds: float  # wall time [s]
+    nodes: int  # nodes of the branch and bound beyond the root
+    price: Price | None  # what further cameras would bring; None where the time did not suffice for a relaxation
+    others: tuple[np.ndarray, ...] = ()  # of a selection without a proof further good rigs
 
     @property
     def gap(self) -> float:
@@ -355,19 +317,6 @@ def select(
 
     Exchanges of single cameras find good rigs, a linear relaxation bounds all rigs from below (`relaxation`), and a
     branch and bound closes the gap between them. Deterministic but for the time limit.
-
-    Args:
-        problem: What is chosen from.
-        start: A rig that satisfies the constraints, which the result is not worse than; None: none is known.
-        gap: Objective less bound at which the search ends, an expected miss rate, >= 0; 0: only the optimum will do.
-        time_limit_s: When it ends at the latest [s], > 0; single steps are not cut short. The best rig and the bound
-            are kept, and on Ctrl-C as well.
-        seed: Of the rigs that exchanges begin with.
-        on_improvement: Called with every better rig or bound.
-
-    Raises:
-        InputError: Arguments that cannot be used, or constraints that no rig satisfies, of which it names some that
-            exclude each other, none of them dispensable.
     """
     began_s = time.perf_counter()
     if not time_limit_s > 0.0:
@@ -399,9 +348,6 @@ def first_rigs(
     """Rigs that no exchange of a single camera makes better, the best first, int [rig, camera].
 
     They come from random ones; where the constraints are so tight that those break them, from an integer programme.
-
-    Raises:
-        InputError: The start cannot be used, or no rig satisfies the constraints.
     """
     rigs = [] if start is None else [_checked_start(problem, start)]
     drawn = (random_rig(problem, rng) for _ in range(DRAWS))
