@@ -26,25 +26,19 @@ _IMAGES_AT_ONCE = 512
 
 @dataclass(frozen=True)
 class ImageBoxes:
-    """Ground truth and detections of one image.
+    """Ground truth and detections of one image."""
 
-    Attributes:
-        truth_box_px: Edges ``x0, y0, x1, y1`` of the objects; those without a box (NaN) take no part; [object, 4].
-        detection_box_px: Edges, [detection, 4].
-        confidence: In any order, [detection].
-        truth_ignored: Objects that need not be found (too small, say), bool [object]; None: none.
-        truth_is_crowd: Objects that are regions full of things that nobody labelled; they are ignored too, match any
-            number of detections, and their IoU is the share of the detection that lies in them. Bool [object]; None:
-            none.
-        detection_ignored_unless_matched: Detections that count only if they find an object, bool [detection]; None:
-            none, but for those outside the size range that is being scored.
-    """
-
+    # Edges ``x0, y0, x1, y1`` of the objects; those without a box (NaN) take no part; [object, 4]
     truth_box_px: np.ndarray
-    detection_box_px: np.ndarray
-    confidence: np.ndarray
+    detection_box_px: np.ndarray  # edges, [detection, 4]
+    confidence: np.ndarray  # in any order, [detection]
+    # Objects that need not be found (too small, say), bool [object]; None: none
     truth_ignored: np.ndarray | None = None
+    # Objects that are regions full of things that nobody labelled; they are ignored too, match any number of
+    # detections, and their IoU is the share of the detection that lies in them. Bool [object]; None: none
     truth_is_crowd: np.ndarray | None = None
+    # Detections that count only if they find an object, bool [detection]; None: none, but for those outside the size
+    # range that is being scored
     detection_ignored_unless_matched: np.ndarray | None = None
 
 

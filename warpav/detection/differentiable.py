@@ -47,17 +47,12 @@ _TINY = 1e-20
 
 @dataclass(frozen=True)
 class DetectionLoss:
-    """The loss of every object, and its gradients.
+    """The loss of every object, and its gradients."""
 
-    Attributes:
-        loss: In 0..1, float32 [object].
-        image_gradient: Of the weighted sum to the colours, vec3 [image, row, column], on the device; None if not asked.
-        box_gradient: Of the weighted sum to the true boxes [1/px], float32 [object, 4]; None likewise.
-    """
-
-    loss: np.ndarray
+    loss: np.ndarray  # in 0..1, float32 [object]
+    # Of the weighted sum to the colours, vec3 [image, row, column], on the device; None if not asked
     image_gradient: wp.array | None
-    box_gradient: np.ndarray | None
+    box_gradient: np.ndarray | None  # of the weighted sum to the true boxes [1/px], float32 [object, 4]; None likewise
 
 
 class DifferentiableDetector:

@@ -20,21 +20,14 @@ from warpav_kernels.detection import network_input as network_input_kernels
 
 @dataclass(frozen=True)
 class VisibleObjects:
-    """Visible parts of every vehicle of a scene in every camera, without a detector.
+    """Visible parts of every vehicle of a scene in every camera, without a detector."""
 
-    Attributes:
-        scene: The scene.
-        supersampling: Samples per pixel edge of the masks.
-        masks: Silhouettes of the visible parts: left, top and mask in samples, [camera][vehicle].
-        truth_box_px: See `Observation`.
-        too_small_box_px: See `Observation`.
-    """
-
-    scene: DeviceScene
-    supersampling: int
+    scene: DeviceScene  # the scene
+    supersampling: int  # samples per pixel edge of the masks
+    # Silhouettes of the visible parts: left, top and mask in samples, [camera][vehicle]
     masks: list[list[tuple[int, int, np.ndarray]]]
-    truth_box_px: np.ndarray
-    too_small_box_px: np.ndarray
+    truth_box_px: np.ndarray  # see `Observation`
+    too_small_box_px: np.ndarray  # see `Observation`
 
     def may_match(self, detections: Sequence[Detections]) -> list[np.ndarray]:
         """Whether a visible part of a vehicle lies in a detection of its kind, bool [camera][vehicle, detection]."""
@@ -59,24 +52,16 @@ class VisibleObjects:
 
 @dataclass(frozen=True)
 class Observation:
-    """Detections of one scene through the cameras of a rig.
+    """Detections of one scene through the cameras of a rig."""
 
-    Attributes:
-        image: Rendered images, 0..1, vec3 [camera, row, column], on the device.
-        detections: Of the detector, one per camera.
-        truth_box_px: Box around the largest visible part of every vehicle [px]; NaN where too little is visible,
-            float32 [camera, vehicle, 4].
-        too_small_box_px: The same for objects with too little visible for a truth box; else NaN.
-        match: Detection matched to every vehicle, -1 for none, int64 [camera, vehicle].
-        may_match: See `VisibleObjects.may_match`.
-    """
-
-    image: wp.array
-    detections: list[Detections]
+    image: wp.array  # rendered images, 0..1, vec3 [camera, row, column], on the device
+    detections: list[Detections]  # of the detector, one per camera
+    # Box around the largest visible part of every vehicle [px]; NaN where too little is visible, float32 [camera,
+    # vehicle, 4]
     truth_box_px: np.ndarray
-    too_small_box_px: np.ndarray
-    match: np.ndarray
-    may_match: list[np.ndarray]
+    too_small_box_px: np.ndarray  # the same for objects with too little visible for a truth box; else NaN
+    match: np.ndarray  # detection matched to every vehicle, -1 for none, int64 [camera, vehicle]
+    may_match: list[np.ndarray]  # see `VisibleObjects.may_match`
 
     @property
     def image_rgb(self) -> np.ndarray:

@@ -56,23 +56,15 @@ IN_FRAME_SHARE, CONTRAST = int(kernels.IN_FRAME_SHARE), int(kernels.CONTRAST)
 
 @dataclass(frozen=True)
 class Appearance:
-    """What a render shows of every vehicle in every view, on the device; the render's buffers are free again.
+    """What a render shows of every vehicle in every view, on the device; the render's buffers are free again."""
 
-    Attributes:
-        measures: From `Frame.measure`.
-        in_frame: Solid angle of every vehicle alone in every view [sr], float [view, vehicle, 1], with Jacobians.
-        contrast: Of colours; it is held fixed while a view moves, float [view, vehicle].
-        box: Boxes of the vehicles (and more).
-        width_px: Width of the images [px].
-        height_px: Height of the images [px].
-    """
-
-    measures: Measures
+    measures: Measures  # from `Frame.measure`
+    # Solid angle of every vehicle alone in every view [sr], float [view, vehicle, 1], with Jacobians
     in_frame: Measures
-    contrast: wp.array
-    box: UprightBoxes
-    width_px: int
-    height_px: int
+    contrast: wp.array  # of colours; it is held fixed while a view moves, float [view, vehicle]
+    box: UprightBoxes  # boxes of the vehicles (and more)
+    width_px: int  # width of the images [px]
+    height_px: int  # height of the images [px]
 
     @classmethod
     def of(
@@ -90,27 +82,19 @@ class Appearance:
 
 @dataclass(frozen=True)
 class Seen:
-    """Detection probability of every vehicle in every view, on the tape.
+    """Detection probability of every vehicle in every view, on the tape."""
 
-    Attributes:
-        probability: That it finds the vehicle there, in 0..1; 0 where nothing of it is visible, float [view, vehicle].
-        feature: In the order of `FEATURES`, 0 where nothing is visible, float [view, vehicle, feature].
-    """
-
+    # That it finds the vehicle there, in 0..1; 0 where nothing of it is visible, float [view, vehicle]
     probability: wp.array
-    feature: wp.array
+    feature: wp.array  # in the order of `FEATURES`, 0 where nothing is visible, float [view, vehicle, feature]
 
 
 @dataclass(frozen=True)
 class DetectorUse:
-    """A detector, and everything about its surroundings on which its detection probability depends.
+    """A detector, and everything about its surroundings on which its detection probability depends."""
 
-    Attributes:
-        model: Path of its ONNX file.
-        settings: Configuration of the detector and its surroundings: numbers, strings, lists and mappings.
-    """
-
-    model: Path
+    model: Path  # path of its ONNX file
+    # Configuration of the detector and its surroundings: numbers, strings, lists and mappings
     settings: Mapping[str, Any]
 
     @cached_property
@@ -157,22 +141,16 @@ class DetectionProbability:
 
     A curve is a uniform cubic B-spline; its coefficients go on along straight lines, so it is C2 everywhere, and
     straight beyond its knots.
-
-    Attributes:
-        start: First knot of every curve, float64 [feature].
-        step: Distance between its knots, positive, float64 [feature].
-        coefficient: B-spline coefficients, one for each knot, float64 [feature, knot], at least two.
-        constant: The constant.
-        record: How it was fitted and how good it is, as it is written to files.
-        network_scale: Pixels of the network's input for one of the image, along x and y, of the camera that it is asked
-            about; features count the network's pixels. It is not written to files.
     """
 
-    start: np.ndarray
-    step: np.ndarray
-    coefficient: np.ndarray
-    constant: float
+    start: np.ndarray  # first knot of every curve, float64 [feature]
+    step: np.ndarray  # distance between its knots, positive, float64 [feature]
+    coefficient: np.ndarray  # B-spline coefficients, one for each knot, float64 [feature, knot], at least two
+    constant: float  # the constant
+    # How it was fitted and how good it is, as it is written to files
     record: Mapping[str, Any] = field(default_factory=dict)
+    # Pixels of the network's input for one of the image, along x and y, of the camera that it is asked about; features
+    # count the network's pixels. It is not written to files
     network_scale: tuple[float, float] = (1.0, 1.0)
 
     @classmethod

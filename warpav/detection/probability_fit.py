@@ -147,23 +147,17 @@ def sample_detections(
 
 @dataclass(frozen=True)
 class ProbabilityScores:
-    """ProbabilityScores of a probability model.
+    """ProbabilityScores of a probability model."""
 
-    Attributes:
-        auc: Share of pairs of a detected and a missed object of which the detected one has the higher probability; ties
-            count half.
-        brier: Mean squared difference between probability and outcome.
-        brier_base_rate: The same for one probability for all, the share that was detected.
-        calibration_error: Expected calibration error: objects sorted by probability, cut into 15 bins of equal number;
-            the mean over bins of abs(mean probability - share detected), weighted by the number in the bin.
-        bins: The bins, in the order of probability.
-    """
-
+    # Share of pairs of a detected and a missed object of which the detected one has the higher probability; ties count
+    # half
     auc: float
-    brier: float
-    brier_base_rate: float
+    brier: float  # mean squared difference between probability and outcome
+    brier_base_rate: float  # the same for one probability for all, the share that was detected
+    # Expected calibration error: objects sorted by probability, cut into 15 bins of equal number; the mean over bins of
+    # abs(mean probability - share detected), weighted by the number in the bin
     calibration_error: float
-    bins: tuple[CalibrationBin, ...]
+    bins: tuple[CalibrationBin, ...]  # the bins, in the order of probability
 
 
 @dataclass(frozen=True)

@@ -70,15 +70,11 @@ COEFFICIENT_COUNTS = {
 
 @dataclass(frozen=True)
 class LensShape:
-    """A lens without its focal length.
+    """A lens without its focal length."""
 
-    Attributes:
-        lens: Which kind.
-        distortion: Coefficients: ``k1 k2 p1 p2 [k3 [k4 k5 k6]]`` of Brown-Conrady, ``k1 k2 k3 k4`` of a fisheye, in
-            OpenCV's order (none counts as zeros); ``alpha beta`` of eucm, ``xi alpha`` of double_sphere.
-    """
-
-    lens: Lens
+    lens: Lens  # which kind
+    # Coefficients: ``k1 k2 p1 p2 [k3 [k4 k5 k6]]`` of Brown-Conrady, ``k1 k2 k3 k4`` of a fisheye, in OpenCV's order
+    # (none counts as zeros); ``alpha beta`` of eucm, ``xi alpha`` of double_sphere
     distortion: tuple[float, ...] = ()
 
     @property

@@ -24,19 +24,14 @@ class Pane:
     """A prism over a convex outline: triangles inside of it that face along it are clear.
 
     A triangle is clear if at least half of it lies inside, and its normal is within 30 degrees of the pane's.
-
-    Attributes:
-        name: What it is called, such as ``windscreen``.
-        normal: Outwards, unit length.
-        outline_m: Corners of its outline in the world frame, in order along the border, at least 3 [m]; along the
-            normal they are projected.
-        reach_m: Least and greatest height of what is clear along the normal, over the plane through the middle of the
-            outline [m].
     """
 
-    name: str
-    normal: tuple[float, float, float]
+    name: str  # what it is called, such as ``windscreen``
+    normal: tuple[float, float, float]  # outwards, unit length
+    # Corners of its outline in the world frame, in order along the border, at least 3 [m]; along the normal they are
+    # projected
     outline_m: tuple[tuple[float, float, float], ...]
+    # Least and greatest height of what is clear along the normal, over the plane through the middle of the outline [m]
     reach_m: tuple[float, float]
 
     def __post_init__(self) -> None:

@@ -397,20 +397,14 @@ def _existing(file: Path) -> Path | None:
 
 @dataclass(frozen=True)
 class _Source:
-    """Views of one image size that a detector is tried on.
+    """Views of one image size that a detector is tried on."""
 
-    Attributes:
-        model: A camera of that size.
-        count: Views in every scene, at least.
-        stream: Of the random numbers for them.
-        network_scale: Pixels of the network's input for one of their images, along x and y.
-        window: What cameras of all kinds are seen through; None: places and directions of the one camera.
-    """
-
-    model: CameraModel
-    count: int
-    stream: tuple[int, ...]
+    model: CameraModel  # A camera of that size
+    count: int  # views in every scene, at least
+    stream: tuple[int, ...]  # of the random numbers for them
+    # Pixels of the network's input for one of their images, along x and y
     network_scale: tuple[float, float] = (1.0, 1.0)
+    # What cameras of all kinds are seen through; None: places and directions of the one camera
     window: Window | None = None
 
     @classmethod

@@ -35,17 +35,13 @@ _END_SLACK = wp.constant(2.0e-6)  # by which an edge may reach beyond its ends [
 
 @wp.struct
 class Corner:
-    """The direction of an end of an edge, or of a piece of one, as a view with a bent lens sees it.
+    """The direction of an end of an edge, or of a piece of one, as a view with a bent lens sees it."""
 
-    Attributes:
-        direction: Direction, of unit length.
-        place: Place in the image [focal lengths]; of a Brown-Conrady lens beyond its limit without what moves sideways.
-        bend: Greatest curvature of the image of a great circle near there [focal lengths/rad^2]; of a PANORAMA the sine
-            of the elevation, without its sign.
-    """
-
-    direction: wp.vec3
+    direction: wp.vec3  # direction, of unit length
+    # Place in the image [focal lengths]; of a Brown-Conrady lens beyond its limit without what moves sideways
     place: wp.vec2
+    # Greatest curvature of the image of a great circle near there [focal lengths/rad^2]; of a PANORAMA the sine of the
+    # elevation, without its sign
     bend: float
 
 

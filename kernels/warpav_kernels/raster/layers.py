@@ -34,23 +34,17 @@ NEAR_CUT = wp.constant(wp.int64(0x80000000))
 
 @wp.struct
 class Layers:
-    """The atlas of layers.
+    """The atlas of layers."""
 
-    Attributes:
-        rectangle: First column, first row, columns, rows of every layer in every view, [view, layer]; 0 columns where
-            the object is out of sight.
-        offset: Place of the rectangle's first sample, [view, layer].
-        inverse_depth_bits: Bits of 1/z of the object's nearest surface at the sample's centre, 0 where it does not
-            cover it, [sample].
-        crossing_key: Where the object's surface ends between the sample's centre and each neighbour's: bits of the
-            offset, 0..1 in samples, solved from the edges of its triangles. In the lower half the bits of 1/z there;
-            where the near plane ends it, which triangle it cuts, with the highest bit set. 0 where all that is unknown,
-            [direction, sample].
-    """
-
+    # First column, first row, columns, rows of every layer in every view, [view, layer]; 0 columns where the object is
+    # out of sight
     rectangle: wp.array2d[wp.vec4i]
-    offset: wp.array2d[wp.int32]
+    offset: wp.array2d[wp.int32]  # place of the rectangle's first sample, [view, layer]
+    # Bits of 1/z of the object's nearest surface at the sample's centre, 0 where it does not cover it, [sample]
     inverse_depth_bits: wp.array[wp.int32]
+    # Where the object's surface ends between the sample's centre and each neighbour's: bits of the offset, 0..1 in
+    # samples, solved from the edges of its triangles. In the lower half the bits of 1/z there; where the near plane
+    # ends it, which triangle it cuts, with the highest bit set. 0 where all that is unknown, [direction, sample]
     crossing_key: wp.array2d[wp.int64]
 
 

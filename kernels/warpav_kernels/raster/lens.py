@@ -36,21 +36,15 @@ mat23 = wp.types.matrix(shape=(2, 3), dtype=float)
 
 @wp.struct
 class Lens:
-    """A lens without its focal length.
+    """A lens without its focal length."""
 
-    Attributes:
-        kind: PINHOLE, BROWN_CONRADY, FISHEYE or PANORAMA.
-        formula: Which FISHEYE or PANORAMA.
-        limit: Up to which the radius grows: the angle from the axis of a FISHEYE [rad], its tangent for BROWN_CONRADY.
-        edge: The radius there; places beyond see nothing.
-        distortion: k1 k2 p1 p2 k3 k4 k5 k6 of BROWN_CONRADY, k1 k2 k3 k4 of a FISHEYE by polynomial, alpha beta of
-            EUCM, xi alpha of DOUBLE_SPHERE.
-    """
-
-    kind: int
-    formula: int
+    kind: int  # PINHOLE, BROWN_CONRADY, FISHEYE or PANORAMA
+    formula: int  # which FISHEYE or PANORAMA
+    # Up to which the radius grows: the angle from the axis of a FISHEYE [rad], its tangent for BROWN_CONRADY
     limit: float
-    edge: float
+    edge: float  # the radius there; places beyond see nothing
+    # k1 k2 p1 p2 k3 k4 k5 k6 of BROWN_CONRADY, k1 k2 k3 k4 of a FISHEYE by polynomial, alpha beta of EUCM, xi alpha of
+    # DOUBLE_SPHERE
     distortion: vec8
 
 

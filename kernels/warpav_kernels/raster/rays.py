@@ -15,32 +15,25 @@ SPARE_RAD = wp.constant(0.3)  # more than two corners of a triangle without a co
 
 @wp.struct
 class Rays:
-    """Rays of the samples of all views that are no pinholes.
+    """Rays of the samples of all views that are no pinholes."""
 
-    Attributes:
-        set_of_view: Which rays a view has; -1 for a pinhole, [view].
-        table_of_view: Which table a view's lens has, [view].
-        ray: x, y and z of the ray of depth 1 in camera coordinates through the centre of every sample, 0 where nothing
-            is seen, [set, axis, row, column].
-        widest_cosine: Cosine of an angle from the axis beyond which no ray is, with `SPARE_RAD` to spare, [set].
-        is_flat: Whether all rays have z = 1, [set].
-        block: x, y and z of the mean of the rays of every block of samples, and the greatest distance from it; -1 where
-            none of them sees anything, [set, part, row, column].
-        block_row: x, y and z of the first and of the last ray of every row of a block that sees anything, and the
-            greatest distance of one between them from the line through both; -1 where none does, [set, part, block,
-            row].
-        table: Of a lens, over half of one less the cosine of the angle from the axis: radius over the sine of the angle
-            [focal lengths], and the greatest curvature of the image of a great circle near there [focal
-            lengths/rad^2], [table, entry].
-    """
-
-    set_of_view: wp.array[wp.int32]
-    table_of_view: wp.array[wp.int32]
+    set_of_view: wp.array[wp.int32]  # which rays a view has; -1 for a pinhole, [view]
+    table_of_view: wp.array[wp.int32]  # which table a view's lens has, [view]
+    # Cosine of an angle from the axis beyond which no ray is, with `SPARE_RAD` to spare, [set]
     widest_cosine: wp.array[float]
-    is_flat: wp.array[wp.int32]
+    is_flat: wp.array[wp.int32]  # whether all rays have z = 1, [set]
+    # x, y and z of the ray of depth 1 in camera coordinates through the centre of every sample, 0 where nothing is
+    # seen, [set, axis, row, column]
     ray: wp.array4d[float]
+    # x, y and z of the mean of the rays of every block of samples, and the greatest distance from it; -1 where none of
+    # them sees anything, [set, part, row, column]
     block: wp.array4d[float]
+    # x, y and z of the first and of the last ray of every row of a block that sees anything, and the greatest distance
+    # of one between them from the line through both; -1 where none does, [set, part, block, row]
     block_row: wp.array4d[float]
+    # Of a lens, over half of one less the cosine of the angle from the axis: radius over the sine of the angle [focal
+    # lengths], and the greatest curvature of the image of a great circle near there [focal lengths/rad^2], [table,
+    # entry]
     table: wp.array2d[wp.vec2]
 
 

@@ -17,35 +17,25 @@ class Triangles:
     """The scene's triangles, sorted by body and by place, in clusters of one body each.
 
     A body is one mesh of the scene: the occluders in order, then the objects in order.
-
-    Attributes:
-        vertex_world_m: Vertex positions in the world frame [m], [vertex].
-        triangle: Vertex indices, [triangle].
-        triangle_body: Body of every triangle, [triangle].
-        triangle_plane: Plane of every triangle: unit normal, and its product with a point of the plane [m], [triangle].
-        neighbour: Triangles on the other sides of its three sides; -1 where there is none, or more than one, or one of
-            the other winding, [triangle].
-        body_layer: Layer of every body; -1 where it has none, [body].
-        cluster_first: First triangle of each cluster, [cluster].
-        cluster_count: Number of triangles of each cluster, [cluster].
-        cluster_vertices: First vertex of each cluster, and how many it has; no other cluster uses them, [cluster].
-        cluster_layer: Layer of each cluster's body; -1 where it has none, [cluster].
-        cluster_sphere_world_m: Bounding sphere, centre and radius [m], [cluster].
-        cluster_closed_world_m: Lowest and highest corner of the closed surfaces that a cluster's triangles belong to
-            [m]; infinite where one of them is open, [cluster, 2].
     """
 
-    vertex_world_m: wp.array[wp.vec3]
-    triangle: wp.array[wp.vec3i]
-    triangle_body: wp.array[wp.int32]
+    vertex_world_m: wp.array[wp.vec3]  # vertex positions in the world frame [m], [vertex]
+    triangle: wp.array[wp.vec3i]  # vertex indices, [triangle]
+    triangle_body: wp.array[wp.int32]  # body of every triangle, [triangle]
+    # Plane of every triangle: unit normal, and its product with a point of the plane [m], [triangle]
     triangle_plane: wp.array[wp.vec4]
+    # Triangles on the other sides of its three sides; -1 where there is none, or more than one, or one of the other
+    # winding, [triangle]
     neighbour: wp.array[wp.vec3i]
-    body_layer: wp.array[wp.int32]
-    cluster_first: wp.array[wp.int32]
-    cluster_count: wp.array[wp.int32]
+    body_layer: wp.array[wp.int32]  # layer of every body; -1 where it has none, [body]
+    cluster_first: wp.array[wp.int32]  # first triangle of each cluster, [cluster]
+    cluster_count: wp.array[wp.int32]  # number of triangles of each cluster, [cluster]
+    # First vertex of each cluster, and how many it has; no other cluster uses them, [cluster]
     cluster_vertices: wp.array[wp.vec2i]
-    cluster_layer: wp.array[wp.int32]
-    cluster_sphere_world_m: wp.array[wp.vec4]
+    cluster_layer: wp.array[wp.int32]  # layer of each cluster's body; -1 where it has none, [cluster]
+    cluster_sphere_world_m: wp.array[wp.vec4]  # bounding sphere, centre and radius [m], [cluster]
+    # Lowest and highest corner of the closed surfaces that a cluster's triangles belong to [m]; infinite where one of
+    # them is open, [cluster, 2]
     cluster_closed_world_m: wp.array2d[wp.vec3]
 
 

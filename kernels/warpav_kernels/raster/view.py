@@ -28,25 +28,16 @@ GUARD = wp.constant(1)
 
 @wp.struct
 class View:
-    """Pose and lens of one view.
+    """Pose and lens of one view."""
 
-    Attributes:
-        position_world_m: Camera centre in the world frame [m].
-        camera_from_world: Rotation from world axes to camera axes (x right, y down, z forward).
-        focal: Focal lengths along columns and rows, in samples of the grid.
-        centre: Principal point (column, row), in samples of the grid.
-        near_m: Depth below which nothing is seen [m].
-        lens: The lens without its focal lengths.
-        ray: x, y and z of the ray of depth 1 in camera coordinates through the centre of every sample, 0 where nothing
-            is seen, [axis, row, column]; empty for a pinhole, and on a GPU, where it is computed when it is asked for.
-    """
-
-    position_world_m: wp.vec3
-    camera_from_world: wp.mat33
-    focal: wp.vec2
-    centre: wp.vec2
-    near_m: float
-    lens: Lens
+    position_world_m: wp.vec3  # camera centre in the world frame [m]
+    camera_from_world: wp.mat33  # rotation from world axes to camera axes (x right, y down, z forward)
+    focal: wp.vec2  # focal lengths along columns and rows, in samples of the grid
+    centre: wp.vec2  # principal point (column, row), in samples of the grid
+    near_m: float  # depth below which nothing is seen [m]
+    lens: Lens  # the lens without its focal lengths
+    # x, y and z of the ray of depth 1 in camera coordinates through the centre of every sample, 0 where nothing is
+    # seen, [axis, row, column]; empty for a pinhole, and on a GPU, where it is computed when it is asked for
     ray: wp.array3d[float]
 
 

@@ -65,25 +65,16 @@ class Tensor:
 
 @dataclass(frozen=True)
 class NetworkFile:
-    """Metadata, inputs and outputs of an ONNX file.
+    """Metadata, inputs and outputs of an ONNX file."""
 
-    Attributes:
-        path: The file.
-        inputs: Its inputs.
-        outputs: Its outputs.
-        metadata: What the exporter wrote beside the network.
-        labels: Labels in the order of the classes, from the user or else the metadata; None if unknown.
-        labels_origin: Where they come from, in words.
-        run: Runs the network: inputs by name to outputs in order.
-    """
-
-    path: Path
-    inputs: tuple[Tensor, ...]
-    outputs: tuple[Tensor, ...]
-    metadata: Mapping[str, str]
+    path: Path  # the file
+    inputs: tuple[Tensor, ...]  # its inputs
+    outputs: tuple[Tensor, ...]  # its outputs
+    metadata: Mapping[str, str]  # what the exporter wrote beside the network
+    # Labels in the order of the classes, from the user or else the metadata; None if unknown
     labels: tuple[str, ...] | None
-    labels_origin: str
-    run: Callable[[dict[str, np.ndarray]], list[np.ndarray]]
+    labels_origin: str  # where they come from, in words
+    run: Callable[[dict[str, np.ndarray]], list[np.ndarray]]  # runs the network: inputs by name to outputs in order
 
     def __str__(self) -> str:
         """Its inputs, outputs and number of labels."""

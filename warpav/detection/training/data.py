@@ -34,20 +34,14 @@ from warpav.scene.traffic.traffic_scene import TrafficSource
 
 @dataclass(frozen=True)
 class Subset:
-    """Scenes that serve one purpose.
+    """Scenes that serve one purpose."""
 
-    Attributes:
-        made_of: A level of the town; ``reconstructed``: scenes of the level easy that are recorded by cameras and made
-            of their images again; or recordings that ship with warpav, those of the search or those of the test.
-        first_seed: Seeds count up from here; those below a million belong to experiments.
-        scene_count: Number of scenes.
-        views_per_scene: Images per scene, by their side [px].
-    """
-
+    # A level of the town; ``reconstructed``: scenes of the level easy that are recorded by cameras and made of their
+    # images again; or recordings that ship with warpav, those of the search or those of the test
     made_of: Level | Literal["reconstructed", "search recordings", "test recordings"]
-    first_seed: int
-    scene_count: int
-    views_per_scene: dict[int, int]
+    first_seed: int  # seeds count up from here; those below a million belong to experiments
+    scene_count: int  # number of scenes
+    views_per_scene: dict[int, int]  # images per scene, by their side [px]
 
     @property
     def seeds(self) -> range:
@@ -109,23 +103,16 @@ _logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Labels:
-    """The objects of a set of images, padded to one count.
+    """The objects of a set of images, padded to one count."""
 
-    Attributes:
-        box_px: Ground-truth box ``x0, y0, x1, y1`` [px], float32, shape [image, object, 4].
-        class_index: Index into `CLASS_NAMES`, -1 where padded, int8, shape [image, object].
-        ignored: Objects that are neither to be found nor to be left alone: they show less than the least area of a
-            ground-truth box, or are people whom a reconstruction made unrecognisable, bool, shape [image, object].
-        visible_fraction: Unoccluded share of the object's area in the image, in 0..1, float32, shape
-            [image, object].
-        distance_m: From the camera to the middle of the object [m], float32, shape [image, object].
-    """
-
-    box_px: np.ndarray
-    class_index: np.ndarray
+    box_px: np.ndarray  # ground-truth box ``x0, y0, x1, y1`` [px], float32, shape [image, object, 4]
+    class_index: np.ndarray  # index into `CLASS_NAMES`, -1 where padded, int8, shape [image, object]
+    # Objects that are neither to be found nor to be left alone: they show less than the least area of a ground-truth
+    # box, or are people whom a reconstruction made unrecognisable, bool, shape [image, object]
     ignored: np.ndarray
+    # Unoccluded share of the object's area in the image, in 0..1, float32, shape [image, object]
     visible_fraction: np.ndarray
-    distance_m: np.ndarray
+    distance_m: np.ndarray  # from the camera to the middle of the object [m], float32, shape [image, object]
 
     @classmethod
     def empty(cls, image_count: int) -> Labels:
