@@ -13,7 +13,7 @@ from warpav.experiments import experiment as module
 from warpav.experiments.arms import Arm
 from warpav.experiments.experiment import arms_of, run_experiment
 from warpav.rig.rig import read_rig
-from warpav.runs.commit import running_commit
+from warpav.runs.environment import running_commit
 from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay

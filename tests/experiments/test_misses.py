@@ -16,7 +16,7 @@ from warpav.experiments.arms import common_arms
 from warpav.experiments.miss_table import OWN_JUDGE, MissTable, miss_goals, miss_table
 from warpav.experiments.traffic_judgement import JudgedSetting, judge_traffic
 from warpav.experiments.traffic_settings import ARMS, traffic_settings
-from warpav.runs.commit import has_history, history
+from warpav.runs.environment import has_history, history
 
 ROOT = Path(__file__).parents[2]
 SCENES, OBJECTS, ATTAINABLE = 40, 10, 8

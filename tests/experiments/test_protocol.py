@@ -25,10 +25,10 @@ from warpav.experiments.protocol import (
     unknown_code,
 )
 from warpav.experiments.rival_settings import SETTINGS
-from warpav.runs import commit as git
-from warpav.runs.commit import Commit, code_of, commit_of_code, history, is_known, running_commit
+from warpav.runs import environment as git
 from warpav.runs.config import config_names, load_config
 from warpav.runs.detector_fit import TOWN_HELD_OUT, TOWN_SEEDS
+from warpav.runs.environment import Commit, code_of, commit_of_code, history, is_known, running_commit
 
 ROOT = Path(__file__).parents[2]
 NOBODY = "0" * 40

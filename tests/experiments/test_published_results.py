@@ -14,9 +14,9 @@ from warpav.experiments.protocol import seal_of, unknown_code
 from warpav.experiments.result_folder import unseeded
 from warpav.experiments.rival_settings import RIVAL_ARMS, SETTINGS
 from warpav.experiments.summary import with_history, write_results_page
-from warpav.runs import commit as commit_module
-from warpav.runs.commit import code_of, has_history, history
+from warpav.runs import environment as commit_module
 from warpav.runs.config import load_config
+from warpav.runs.environment import code_of, has_history, history
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "results.md"

@@ -19,7 +19,6 @@ from warpav.runs.baseline_rigs import highest_rig
 from warpav.runs.config import load_config
 from warpav.runs.evaluate import evaluate_on
 from warpav.runs.mounts import preset_for
-from warpav.runs.preset_rigs import know_cameras
 from warpav.runs.rig_source import find_rig
 from warpav.scene.own_vehicle import read_vehicle
 from warpav.scene.town.town import ego_vehicle
@@ -65,7 +64,7 @@ def test_a_preset_has_the_value_that_its_cameras_give(placement):
     rig = preset_for("nuscenes", placement.config, placement.ego).rig
     before = evaluate_on({"nuscenes": rig}, placement.test, placement, progress=NullProgress())
     assert before.metrics["nuscenes"].objective is None
-    know_cameras(rig, placement)
+    placement.add_camera_models(rig)
     found = evaluate_on({"nuscenes": rig}, placement.test, placement, progress=NullProgress())
     metrics, outage = found.metrics["nuscenes"], found.camera_outage["nuscenes"]
     assert outage is not None
@@ -90,7 +89,7 @@ def test_the_mounts_own_cameras_have_the_same_value_either_way(placement):
             for each in rig.cameras
         ]
     )
-    know_cameras(other, placement)
+    placement.add_camera_models(other)
     found = evaluate_on({"own": rig, "other": other}, placement.test, placement, progress=NullProgress())
     own, others = (found.metrics[name].objective for name in ("own", "other"))
     assert others is not None

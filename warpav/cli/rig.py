@@ -154,7 +154,7 @@ def rig_requirements(
 
     Status 0 whether or not they are met. Templates are no proof of compliance with a regulation.
     """
-    from warpav.runs.rig_requirements import check_rig
+    from warpav.runs.evaluate import check_rig
 
     with of_rig(rig, config, overrides) as settings:
         for line in check_rig(rig, settings, requirements=requirements, json_file=json, image=image):

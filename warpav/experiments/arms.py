@@ -56,7 +56,6 @@ from warpav.runs.config import Config, changed_config, load_config, option_value
 from warpav.runs.mounts import camera_mount, constraints_of, preset_for
 from warpav.runs.optimise import Optimisation, pool_search_settings, searches_by_pool
 from warpav.runs.placement import Placement, Stream
-from warpav.runs.preset_rigs import know_cameras
 from warpav.runs.rig_source import read_start
 from warpav.thesis.descent import Descent, affordable_iterations, descent_camera_renders
 from warpav.thesis.segregation import BatchChooser
@@ -497,7 +496,7 @@ def _preset_as_built(placement: Placement, camera_renders_max: int | None, *, na
     """A known rig on the body of the vehicle, with images in its own proportions."""
     del camera_renders_max
     moved = preset_for(name, placement.config, placement.ego)
-    know_cameras(moved.rig, placement)
+    placement.add_camera_models(moved.rig)
     notes = {"moved_m": moved.moved_m, "blocked_share": moved.blocked_share}
     return FoundRig(moved.rig, moved.rig, 0, {}, notes=notes)
 

@@ -42,7 +42,6 @@ from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.miss_rate import expected_miss_rate, shares_of
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import write_rig
-from warpav.runs.commit import running_commit
 from warpav.runs.config import (
     AUTO,
     Config,
@@ -50,6 +49,7 @@ from warpav.runs.config import (
     overridden_option,
     with_absolute_paths,
 )
+from warpav.runs.environment import running_commit
 from warpav.runs.mounts import camera_mount, constraints_of
 from warpav.runs.networks import load_networks
 from warpav.runs.placement import Placement, needed_fit, placement_on

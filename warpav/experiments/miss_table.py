@@ -24,7 +24,7 @@ from warpav.experiments.goals import Goal
 from warpav.experiments.result_folder import ATTAINABLE
 from warpav.experiments.tables import Results
 from warpav.experiments.traffic_protocol import traffic_protocol
-from warpav.runs.text_table import TextTable
+from warpav.runs.terminal import TextTable
 
 OWN_JUDGE = "the detector of the search"
 REFERENCE = "default"

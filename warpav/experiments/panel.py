@@ -41,8 +41,7 @@ from warpav.runs.config import Config, overridden_option
 from warpav.runs.environment import environment
 from warpav.runs.networks import PanelNetwork, networks_in
 from warpav.runs.scene_set import recordings_digest
-from warpav.runs.terminal import Group
-from warpav.runs.text_table import TextTable
+from warpav.runs.terminal import Group, TextTable
 
 SCHEMA = 1
 

@@ -18,8 +18,8 @@ from pydantic import BaseModel, ConfigDict, field_validator
 
 from warpav.core.errors import ArgumentError
 from warpav.core.yaml_file import read_yaml
-from warpav.runs.commit import changed_files, code_of, file_at, history, is_known, running_commit
 from warpav.runs.config import overridden_option, read_seeds
+from warpav.runs.environment import changed_files, code_of, file_at, history, is_known, running_commit
 from warpav.scene.files import MAX_SEED
 
 FILE = Path(__file__).with_name("protocol.yaml")

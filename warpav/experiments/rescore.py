@@ -40,9 +40,8 @@ from warpav.experiments.tables import COMPARED, Results, compare_results
 from warpav.optimisation.losses.registry import LOSSES
 from warpav.optimisation.objective import RigObjective
 from warpav.rig.rig import read_rig
-from warpav.runs.commit import running_commit
 from warpav.runs.config import Config, changed_config, overridden_option, with_absolute_paths
-from warpav.runs.environment import environment
+from warpav.runs.environment import environment, running_commit
 from warpav.runs.networks import load_networks
 from warpav.runs.placement import placement_on
 

@@ -21,8 +21,7 @@ from warpav.experiments.result_folder import DESCRIPTION, objective_on_tests, re
 from warpav.experiments.tables import COMPARED, Results
 from warpav.experiments.traffic_protocol import holds_traffic_protocol
 from warpav.experiments.traffic_settings import is_traffic_setting
-from warpav.runs.commit import commit_of_code, history
-from warpav.runs.environment import command_line
+from warpav.runs.environment import command_line, commit_of_code, history
 
 SCHEMA = 1
 SUMMARY = "summary.json"

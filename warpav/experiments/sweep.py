@@ -32,7 +32,7 @@ from warpav.experiments.result_folder import objective_of_tests
 from warpav.experiments.summary import write_summary
 from warpav.experiments.tables import Results
 from warpav.runs.config import Config
-from warpav.runs.text_table import TextTable
+from warpav.runs.terminal import TextTable
 from warpav.scene.town.levels import LEVELS
 
 NAME = "sweep"

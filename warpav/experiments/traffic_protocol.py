@@ -15,8 +15,8 @@ from pydantic import BaseModel, ConfigDict, field_validator
 
 from warpav.core.errors import ArgumentError
 from warpav.core.yaml_file import read_yaml
-from warpav.runs.commit import file_at, running_commit
 from warpav.runs.config import read_seeds
+from warpav.runs.environment import file_at, running_commit
 
 FILE = Path(__file__).with_name("traffic_protocol.yaml")
 PLACE = "warpav/experiments/traffic_protocol.yaml"

@@ -17,7 +17,7 @@ from warpav.evaluation.statistics import LEVEL, Estimate
 from warpav.runs.config import Config
 from warpav.runs.detector_fit import ensure_fit, sample_camera, town_config
 from warpav.runs.networks import networks_in
-from warpav.runs.text_table import TextTable
+from warpav.runs.terminal import TextTable
 
 SCHEMA = 1
 

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
+from warpav.core.files import atomic_write, writing
 from warpav.core.progress import Progress
+from warpav.core.warp_setup import checked_device
 from warpav.evaluation.attainable import attainable_objects
 from warpav.evaluation.camera_outage import CameraOutages
 from warpav.evaluation.metrics import SceneObservations, metrics_of, observe_scenes
 from warpav.evaluation.rig_evaluation import RigEvaluation, seen_objects
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.requirements.check import RequirementResult, check_rigs
+from warpav.requirements.check import RequirementResult, check_requirements, check_rigs
+from warpav.requirements.read import read_requirements
 from warpav.rig.rig import Rig
+from warpav.runs.config import Config
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
+from warpav.runs.rig_source import check_rig_source, find_rig
+from warpav.runs.scene_set import load_scenes
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.view import Canvas, draws
@@ -129,3 +137,40 @@ def weights_on(scenes: Sequence[DeviceScene], placement: Placement) -> np.ndarra
     importance = placement.objective.importance
     weight = None if importance is None else importance.weights_of(scenes)
     return weight if weight is not None and weight.any() else None
+
+
+def check_rig(
+    source: str,
+    config: Config,
+    *,
+    requirements: str,
+    json_file: Path | None = None,
+    image: Path | None = None,
+) -> Iterator[str]:
+    """Check a rig against requirements; lines that say what it meets."""
+    from warpav.view.figures.requirements import requirement_map
+    from warpav.view.figures.style import checked_png
+
+    if image is not None:
+        checked_png(image)
+    wanted = read_requirements(requirements)
+    check_rig_source(source)
+    ego = next(load_scenes(config, config.scenes.test_seeds[:1])).ego
+    rig = find_rig(source, config, ego)
+    result = check_requirements(
+        rig, ego, wanted, supersampling=config.camera.supersampling, device=checked_device(config.device)
+    )
+    yield from result.table().splitlines()
+    unmet = [
+        f"{each.requirement.name} (largest gap: {each.gap.area_m2:.2f} m², {each.gap.sector})"
+        for each in result.outcomes
+        if not each.is_met and each.gap is not None
+    ]
+    yield f"not met: {', '.join(unmet)}" if unmet else "all requirements are met"
+    if json_file is not None:
+        with writing(json_file), atomic_write(json_file) as draft:
+            draft.write_text(json.dumps(result.to_json(), indent=1) + "\n", encoding="utf-8")
+        yield f"wrote {json_file}"
+    if image is not None:
+        requirement_map(image, result=result, rig=rig, ego=ego)
+        yield f"wrote {image}"

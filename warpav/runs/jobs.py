@@ -24,7 +24,6 @@ from warpav.runs.evaluate import evaluate_on
 from warpav.runs.mounts import preset_for
 from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement
-from warpav.runs.preset_rigs import know_cameras
 from warpav.runs.progress import shown_progress
 from warpav.runs.report.evaluation import Evaluation, RunContent, read_run
 from warpav.runs.result import Result, StageTimer, write_verdict
@@ -253,10 +252,10 @@ def _rig_to_measure(source: str, placement: Placement, progress: Progress) -> Ri
     config, ego = placement.config, placement.ego
     if not is_shipped(source):
         rig = find_rig(source, config, ego, say=progress.say)
-        know_cameras(rig, placement, progress)
+        placement.add_camera_models(rig, progress)
         return rig
     moved = preset_for(source, config, ego)
-    know_cameras(moved.rig, placement, progress)
+    placement.add_camera_models(moved.rig, progress)
     sizes = dict.fromkeys(f"{each.model.width_px} x {each.model.height_px} px" for each in moved.rig.cameras)
     progress.say(
         f"{source} on this vehicle, images of {' and '.join(sizes)}; the camera farthest from its place is "

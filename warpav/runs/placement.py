@@ -229,9 +229,9 @@ class Placement:
             "requirements": str(requirements) if isinstance(requirements, (str, Path)) else None,
             "robust": None if robust is None else _section(robust),
             **({} if rig is None else {f"rig.{name}": value for name, value in _section(rig).items()}),
-            **_scene_options(train, validation, base),
         }
-        found = base.replace({name: value for name, value in options.items() if value is not None})
+        given = {name: value for name, value in options.items() if value is not None}
+        found = base.replace({**given, **_scene_options(train, validation, base)})
         names = (freeze,) if isinstance(freeze, str) else tuple(freeze)
         if start_rig is None:
             start_rig = read_start(found, names)
@@ -563,6 +563,22 @@ class Placement:
                 expected = "modules of the placement" if self.mount.is_mixed else f"model {self.mount.camera}"
                 raise ArgumentError("rig", f"expected cameras of the placement's {expected}, got {camera.model}")
         return self.mount.mount_pose_of_rig(rig)
+
+    def add_camera_models(self, rig: Rig, progress: Progress | None = None) -> None:
+        """Give the objective the models of detection probability of a rig's cameras, so that it judges them too.
+
+        Where it needs none, or does not follow from single cameras, nothing happens.
+        """
+        objective, parts = self.objective, self._parts
+        if not objective.is_by_single_cameras or parts.probability is not None:
+            return
+        detector, progress = self.detector if parts.has_own_detector else None, progress or NullProgress()
+        for model in dict.fromkeys(camera.model for camera in rig.cameras):
+            if objective.probability_of(model) is None:
+                fit = ensure_fit(self.config, detector=detector, ego=parts.ego, camera=model, progress=progress)
+                probability = CameraProbability.of(self.config.losses, fit)
+                assert probability is not None
+                objective.know(model, probability)
 
     def _scenes_for(self, rig: Rig, scenes: Sequence[Scene] | None) -> list[AssignedScene]:
         return self.assigned(self.train if scenes is None else self.observed(scenes), rig)

@@ -30,7 +30,6 @@ from warpav.runs.events import Certificate, of_modules
 from warpav.runs.fitting_plots import FITTING_KINDS, FittedRigs, fitting_drawing
 from warpav.runs.mounts import preset_for
 from warpav.runs.placement import Placement, Stream
-from warpav.runs.preset_rigs import know_cameras
 from warpav.runs.progress import shown_progress
 from warpav.runs.rig_source import read_baselines
 from warpav.runs.robustness import tolerance_on
@@ -415,7 +414,7 @@ def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[
     presets = {name: preset_for(name, config, placement.ego).rig for name in config.baselines.presets or ()}
     others = {**presets, **read_baselines(config)}
     for rig in others.values():
-        know_cameras(rig, placement, progress)
+        placement.add_camera_models(rig, progress)
     return (
         {OPTIMISED: result.found, START: result.start, "highest": highest, "random": random, **others},
         {OPTIMISED: began_as, START: began_as, "highest": highest, "random": placement.frozen_rig, **others},

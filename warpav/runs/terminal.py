@@ -7,7 +7,8 @@ they come out as they are written. A test refuses other imports of rich.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from rich import box
@@ -19,7 +20,7 @@ from rich.text import Text
 
 from warpav.core.errors import one_line, printable
 
-__all__ = ["Group", "RenderableType", "Terminal", "TerminalTable", "shown"]
+__all__ = ["Group", "RenderableType", "Terminal", "TerminalTable", "TextTable", "shown"]
 
 
 def shown(text: str, style: str = "") -> Text:
@@ -62,3 +63,32 @@ class Terminal(Console):
         """What something consists of."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(printable(segment.text), segment.style)
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table; the first column is to the left, numbers to the right."""
+
+    title: str
+    headings: Sequence[str]
+    lines: Sequence[Sequence[str]]
+    note: str
+
+    def markdown(self) -> str:
+        """The table as Markdown."""
+        rule = ["---", *["---:"] * (len(self.headings) - 1)]
+        rows = [_markdown_row(cells) for cells in (self.headings, rule, *self.lines)]
+        return "\n".join([f"**{self.title}**", "", *rows, "", self.note, ""])
+
+    def terminal(self) -> Group:
+        """The table for the console."""
+        table = TerminalTable(has_frame=False)
+        for k, heading in enumerate(self.headings):
+            table.add_column(heading, justify="right" if k else "left", overflow="fold")
+        for cells in self.lines:
+            table.add_row(*cells)
+        return Group(shown(self.title, "bold"), table, shown(self.note), shown(""))
+
+
+def _markdown_row(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
