@@ -72,7 +72,7 @@ EMPTY = {**street()["road_users"][0], "t": [], "x_m": [], "y_m": [], "yaw_rad": 
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.json", json.dumps(without_sizes()), "road user a: length_m: expected a number, got nothing"),
+        ("a.json", json.dumps(without_sizes()), "road user a: length_m: expected a value, got nothing"),
         (
             "a.json",
             json.dumps(overlapping()),

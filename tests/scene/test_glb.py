@@ -156,14 +156,26 @@ def test_truncated_file(scene, tmp_path):
     [
         (lambda d: _node(d, "ego").update(name="car"), r"expected a mesh node named 'ego', got car, "),
         (lambda d: _node(d, "environment").update(name="road"), r"expected a mesh node named 'environment'"),
-        (lambda d: _node(d, "vehicle_1")["extras"].pop("instance_id"), r"'vehicle_1': extra 'instance_id' is missing"),
-        (lambda d: _node(d, "vehicle_1")["extras"].pop("class"), r"'vehicle_1': extra 'class' is missing"),
-        (lambda d: _node(d, "vehicle_1")["extras"].update(instance_id=0), r"'instance_id' must be an integer from 1"),
+        (
+            lambda d: _node(d, "vehicle_1")["extras"].pop("instance_id"),
+            r"'vehicle_1': extras: instance_id: expected a value, got nothing",
+        ),
+        (
+            lambda d: _node(d, "vehicle_1")["extras"].pop("class"),
+            r"'vehicle_1': extras: class: expected a value, got nothing",
+        ),
+        (lambda d: _node(d, "vehicle_1")["extras"].update(instance_id=0), r"instance_id: expected at least 1, got 0"),
         (lambda d: _node(d, "vehicle_1")["extras"].update(instance_id=2), r"instance_id must be unique, got 2 2 times"),
-        (lambda d: _node(d, "vehicle_2")["extras"].update(box_size_m=[1, 2]), r"'box_size_m' must be 3 numbers, got"),
-        (lambda d: _node(d, "vehicle_2")["extras"].update(box_yaw_deg="x"), r"'box_yaw_deg' must be a number, got 'x'"),
-        (lambda d: d["scenes"][0]["extras"].update(sky_zenith_rgb=[0, 0, 300]), r"'sky_zenith_rgb' must be 0..255"),
-        (lambda d: _node(d, "vehicle_1").pop("extras"), r"extra 'instance_id' is missing; got no extras"),
+        (
+            lambda d: _node(d, "vehicle_2")["extras"].update(box_size_m=[1, 2]),
+            r"box_size_m: expected at least 3 values, got",
+        ),
+        (lambda d: _node(d, "vehicle_2")["extras"].update(box_yaw_deg="x"), r"box_yaw_deg: expected a number, got 'x'"),
+        (
+            lambda d: d["scenes"][0]["extras"].update(sky_zenith_rgb=[0, 0, 300]),
+            r"sky_zenith_rgb\[2\]: expected at most 255, got 300",
+        ),
+        (lambda d: _node(d, "vehicle_1").pop("extras"), r"instance_id: expected a value, got nothing"),
     ],
 )
 def test_bad_contents(scene, tmp_path, change, message):

@@ -8,18 +8,18 @@ anew. Light is baked into the colours as into those of the town's own vehicles. 
 from __future__ import annotations
 
 import difflib
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import BeforeValidator, ConfigDict, Field
 
 from warpav.core.cache import digest
 from warpav.core.errors import InputError
-from warpav.core.section import shown
+from warpav.core.records import Record, read_record
 from warpav.core.yaml_file import read_yaml
 from warpav.raster.mesh import Mesh
 from warpav.scene.own_vehicle import (
@@ -52,7 +52,6 @@ _ALIKE = (0.8, 1.25)  # of length, width and height of a category's own vehicles
 _VERTICES_MAX = 2_400  # up to which triangles are split for their textures
 _COARSE_BELOW = 2_000  # triangles of an own mesh that is coarse
 _STREAM = 0xF1EE7
-_KEYS = ("category", "up", "forward", "scale")
 _INWARDS = 0.35  # of the way from a corner to the middle of its triangle
 _PAINT_SHARE = 0.4  # of the surface that one colour takes up, if it is a paint that others could replace
 _PAINT_CELL, _PAINT_REACH, _DARK = 32, 24, 60  # of 255
@@ -180,7 +179,7 @@ def _mesh_files(path: Path | str) -> list[Path]:
 def _body(path: Path, _stamp: tuple[int, int] | None, _stated_stamp: tuple[int, int] | None) -> _Body:
     stated = _stated(path)
     file = read_vehicle_file(path, vertices_max=_VERTICES_MAX)
-    axes = {name: stated[name] for name in ("up", "forward", "scale") if name in stated}
+    axes = stated.model_dump(include={"up", "forward", "scale"}, exclude_none=True)
     try:
         reading = file.usual.changed(**axes)
     except InputError as error:
@@ -188,7 +187,7 @@ def _body(path: Path, _stamp: tuple[int, int] | None, _stated_stamp: tuple[int, 
     found = examine(file, reading, stated=frozenset(axes))
     for problem in found.problems:
         if problem.remedy != {}:  # what has to be shifted is shifted
-            remedy = {name: value for name, value in (problem.remedy or {}).items() if name in _KEYS}
+            remedy = {name: value for name, value in (problem.remedy or {}).items() if name in _Stated.model_fields}
             advice = ", ".join(f"{name}: {value}" for name, value in remedy.items())
             hint = f"; write {advice} into {path.with_suffix('.yaml').name} beside it" if advice else ""
             raise InputError(f"{path}: {problem.text.replace('`', '')}{hint}")
@@ -197,7 +196,7 @@ def _body(path: Path, _stamp: tuple[int, int] | None, _stated_stamp: tuple[int, 
     mesh = mesh.transformed(np.eye(3), -np.append(0.5 * (low + high)[:2], low[2]))
     point_m = points_on(mesh)
     size_m = np.array([high[0] - low[0], body_width_m(point_m), high[2] - low[2]])
-    categories = stated.get("category") or _categories_of(path, size_m)
+    categories = tuple(dict.fromkeys(stated.category or _categories_of(path, size_m)))
     fine, coarse = (_decimated(mesh, count) for count in TRIANGLES_MAX)
     look = _look(fine)
     arrays = [array.tobytes() for array in (mesh.vertex_m, mesh.triangle, mesh.vertex_rgb)]
@@ -205,39 +204,28 @@ def _body(path: Path, _stamp: tuple[int, int] | None, _stated_stamp: tuple[int, 
     return _Body(categories, size_m, _wheels(point_m), looks, digest(categories, *arrays))
 
 
-def _stated(path: Path) -> dict[str, Any]:
+class _Stated(Record):
     """What the YAML file beside a mesh says."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    category: (
+        Annotated[
+            list[Literal[*CATEGORIES]],
+            Field(min_length=1),
+            BeforeValidator(lambda one: one if isinstance(one, list) else [one]),
+        ]
+        | None
+    ) = None  # type: ignore[valid-type]
+    up: Literal[*AXES] | None = None  # type: ignore[valid-type]
+    forward: Literal[*AXES] | None = None  # type: ignore[valid-type]
+    scale: float | None = Field(None, gt=0.0, allow_inf_nan=False)
+
+
+def _stated(path: Path) -> _Stated:
     place = path.with_suffix(".yaml")
-    if not place.is_file():
-        return {}
-    data, line_of = read_yaml(place)
-
-    def refuse(key: str, expected: str, got: object, names: Sequence[str] = ()) -> None:
-        near = difflib.get_close_matches(str(got), names, 1, 0.5)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise InputError(f"{place}:{line_of.get((key,), 1)}: {key}: expected {expected}, got {shown(got)}{hint}")
-
-    if not isinstance(data, dict):
-        refuse("vehicle", f"{', '.join(_KEYS)}", data)
-    for key, value in data.items():
-        if key not in _KEYS:
-            refuse(key, f"one of {', '.join(_KEYS)}", key, _KEYS)
-        if key in ("up", "forward") and value not in AXES:
-            refuse(key, f"one of {', '.join(AXES)}", value)
-        if key == "scale" and not _is_scale(value):
-            refuse(key, "a positive number", value)
-        if key == "category":
-            names = value if isinstance(value, list) else [value]
-            wrong = [name for name in names if name not in CATEGORIES]
-            if wrong or not names:
-                got = wrong[0] if wrong else value
-                refuse(key, f"one or a list out of {', '.join(CATEGORIES)}", got, CATEGORIES)
-            data[key] = tuple(dict.fromkeys(names))
-    return data
-
-
-def _is_scale(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and 0.0 < value < math.inf
+    data, line_of = read_yaml(place) if place.is_file() else ({}, {})
+    return read_record(_Stated, data, str(place), line_of=line_of)
 
 
 def _categories_of(path: Path, size_m: np.ndarray) -> tuple[str, ...]:

@@ -12,9 +12,10 @@ from __future__ import annotations
 import math
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from pydantic import ConfigDict, Field
 
 from warpav.core.bounded_files import (
     ARRAY_BYTES_MAX,
@@ -27,6 +28,7 @@ from warpav.core.bounded_files import (
 )
 from warpav.core.errors import InputError
 from warpav.core.files import atomic_write
+from warpav.core.records import Point2, Point3, Record, Word, read_record
 from warpav.raster.mesh import Mesh
 from warpav.scene.scene import BLACK_SKY, Box, Scene, Sky, Vehicle
 
@@ -135,17 +137,14 @@ def read_scene(path: str | Path) -> Scene:
     instance_id, count = max(Counter(ids).items(), key=lambda each: each[1], default=(0, 0))
     if count > 1:
         raise InputError(f"{path}: instance_id must be unique, got {instance_id} {count} times")
-    metadata: dict[str, Any] = file.metadata or {}
+    about = read_record(_SceneExtras, file.metadata or {}, f"{path}: scene extras")
     scene = Scene(
-        str(metadata.get("name", path.stem)),
+        path.stem if about.name is None else about.name,
         _read_mesh(file, ENVIRONMENT_NODE, f"{path}: node '{ENVIRONMENT_NODE}'"),
         _read_mesh(file, EGO_NODE, f"{path}: node '{EGO_NODE}'"),
         users,
-        Sky(
-            _colour(metadata, "sky_horizon_rgb", BLACK_SKY.horizon_rgb, path),
-            _colour(metadata, "sky_zenith_rgb", BLACK_SKY.zenith_rgb, path),
-        ),
-        str(metadata.get("source", "")),
+        Sky(np.array(about.sky_horizon_rgb).astype(np.uint8), np.array(about.sky_zenith_rgb).astype(np.uint8)),
+        about.source,
     )
     return scene.targeting(("vehicle",))
 
@@ -206,44 +205,38 @@ def _read_mesh(file: trimesh.Scene, name: str, where: str) -> Mesh:
     return Mesh.create(vertex, geometry.faces, colour, name=where)
 
 
+class _Extras(Record):
+    """Extras of a node of a road user."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    instance_id: int = Field(ge=1)
+    category: Word = Field(alias="class")
+    box_center_m: Point3
+    box_size_m: Point3
+    box_yaw_deg: float
+    velocity_ego_m_s: Point2 | None = None
+
+
+_Colour = Annotated[list[Annotated[float, Field(ge=0.0, le=255.0)]], Field(min_length=3, max_length=3)]
+
+
+class _SceneExtras(Record):
+    """Extras of the whole scene."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+    name: Word | None = None
+    source: Word = ""
+    sky_horizon_rgb: _Colour = BLACK_SKY.horizon_rgb.tolist()
+    sky_zenith_rgb: _Colour = BLACK_SKY.zenith_rgb.tolist()
+
+
 def _read_vehicle(file: trimesh.Scene, name: str, extras: dict[str, Any], where: str) -> Vehicle:
-    instance_id = _extra(extras, "instance_id", where)
-    if isinstance(instance_id, bool) or not isinstance(instance_id, int) or instance_id < 1:
-        raise InputError(f"{where}: extra 'instance_id' must be an integer from 1, got {instance_id!r}")
-    box = Box(
-        _numbers(extras, "box_center_m", where),
-        _numbers(extras, "box_size_m", where),
-        float(np.radians(_numbers(extras, "box_yaw_deg", where, count=1)[0])),
-    )
-    velocity = _numbers(extras, "velocity_ego_m_s", where, count=2) if "velocity_ego_m_s" in extras else None
-    return Vehicle(instance_id, str(_extra(extras, "class", where)), _read_mesh(file, name, where), box, velocity)
-
-
-def _extra(extras: dict[str, Any], key: str, where: str) -> object:
-    if key not in extras:
-        raise InputError(f"{where}: extra '{key}' is missing; got {', '.join(sorted(extras)) or 'no extras'}")
-    return extras[key]
-
-
-def _numbers(extras: dict[str, Any], key: str, where: str, count: int = 3) -> np.ndarray:
-    value = _extra(extras, key, where)
-    try:
-        array = np.atleast_1d(np.asarray(value, np.float64))
-    except (TypeError, ValueError):
-        array = np.empty(0)
-    if array.shape != (count,) or not np.isfinite(array).all():
-        expected = "a number" if count == 1 else f"{count} numbers"
-        raise InputError(f"{where}: extra '{key}' must be {expected}, got {value!r}")
-    return array
-
-
-def _colour(metadata: dict[str, Any], key: str, default: np.ndarray, path: Path) -> np.ndarray:
-    if key not in metadata:
-        return default
-    value = _numbers(metadata, key, f"{path}: scene")
-    if value.min() < 0 or value.max() > 255:
-        raise InputError(f"{path}: scene extra '{key}' must be 0..255, got {metadata[key]!r}")
-    return value.astype(np.uint8)
+    found = read_record(_Extras, extras, f"{where}: extras")
+    box = Box(np.array(found.box_center_m), np.array(found.box_size_m), float(np.radians(found.box_yaw_deg)))
+    velocity = None if found.velocity_ego_m_s is None else np.array(found.velocity_ego_m_s)
+    return Vehicle(found.instance_id, found.category, _read_mesh(file, name, where), box, velocity)
 
 
 def _one_line(error: Exception) -> str:

@@ -30,7 +30,7 @@ from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, ConfigDict, Field
 
 from warpav.core.bounded_files import (
     ARRAY_BYTES_MAX,
@@ -45,6 +45,7 @@ from warpav.core.bounded_files import (
 from warpav.core.cache import digest
 from warpav.core.errors import InputError
 from warpav.core.files import atomic_write
+from warpav.core.records import Point2, Point3, Record, read_record
 from warpav.raster.camera import CameraModel
 from warpav.scene.capture.capture import (
     EGO_INSTANCE,
@@ -99,28 +100,25 @@ def _checked_place(name: str) -> str:
     return name
 
 
-Metres = Annotated[float, Field(allow_inf_nan=False)]
-Point = Annotated[list[Metres], Field(min_length=3, max_length=3)]
-_Matrix3 = Annotated[list[Point], Field(min_length=3, max_length=3), AfterValidator(_checked_intrinsics)]
-_Row4 = Annotated[list[Metres], Field(min_length=4, max_length=4)]
+_Matrix3 = Annotated[list[Point3], Field(min_length=3, max_length=3), AfterValidator(_checked_intrinsics)]
+_Row4 = Annotated[list[float], Field(min_length=4, max_length=4)]
 _Matrix4 = Annotated[list[_Row4], Field(min_length=4, max_length=4), AfterValidator(_checked_pose)]
-Inside = Annotated[str, AfterValidator(_checked_place)]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
-_PositivePoint = Annotated[
-    list[Annotated[float, Field(gt=0.0, allow_inf_nan=False)]], Field(min_length=3, max_length=3)
-]
+_Inside = Annotated[str, AfterValidator(_checked_place)]
+_Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
+_Sizes = Annotated[list[Annotated[float, Field(gt=0.0)]], Field(min_length=3, max_length=3)]
+_Rgb = Annotated[list[Annotated[int, Field(ge=0, le=255)]], Field(min_length=3, max_length=3)]
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+class _Described(Record):
+    model_config = ConfigDict(extra="forbid", strict=False, allow_inf_nan=False)
 
 
-class _BoxRecord(_Record):
+class _BoxRecord(_Described):
     """A 3D box."""
 
-    box_center_m: Point
-    box_size_m: _PositivePoint
-    box_yaw_deg: Metres
+    box_center_m: Point3
+    box_size_m: _Sizes
+    box_yaw_deg: float
 
     @property
     def box(self) -> Box:
@@ -133,34 +131,34 @@ class _VehicleRecord(_BoxRecord):
 
     instance_id: int = Field(gt=ENVIRONMENT_INSTANCE, lt=EGO_INSTANCE)
     category: str = Field(alias="class", min_length=1)
-    spawn_m: Point | None = None
-    spawn_yaw_deg: Metres | None = None
-    instance_rgb: Annotated[list[Annotated[int, Field(ge=0, le=255)]], Field(min_length=3, max_length=3)] | None = None
-    velocity_ego_m_s: Annotated[list[Metres], Field(min_length=2, max_length=2)] | None = None
+    spawn_m: Point3 | None = None
+    spawn_yaw_deg: float | None = None
+    instance_rgb: _Rgb | None = None
+    velocity_ego_m_s: Point2 | None = None
 
 
-class _ImageRecord(_Record):
+class _ImageRecord(_Described):
     """A view and its files."""
 
-    name: Name
+    name: _Name
     kind: ViewKind = ViewKind.OTHER
     width_px: int = Field(ge=8, le=16384)
     height_px: int = Field(ge=8, le=16384)
     intrinsics: _Matrix3
     ego_from_camera: _Matrix4
-    rgb: Inside
-    depth: Inside
-    instance: Inside
+    rgb: _Inside
+    depth: _Inside
+    instance: _Inside
 
 
-class _CaptureRecord(_Record):
+class _CaptureRecord(_Described):
     """All of ``capture.json``."""
 
     schema_: Literal["warpav-capture/1"] = Field(alias="schema")
-    name: Name
+    name: _Name
     source: str = ""
     recipe: str = ""
-    depth_step_m: float = Field(default=_DEPTH_STEP_M, gt=0.0, allow_inf_nan=False)
+    depth_step_m: float = Field(default=_DEPTH_STEP_M, gt=0.0)
     ego: _BoxRecord
     vehicles: list[_VehicleRecord]
     images: list[_ImageRecord] = Field(min_length=1)
@@ -296,13 +294,13 @@ class _Images(Sequence[CapturedImage]):
         one = self._record.images[index]
         if one.width_px * one.height_px > _PIXELS_MAX:
             raise InputError(
-                f"{self._folder / DESCRIPTION}: images.{index}: expected at most {_PIXELS_MAX:,} pixels, got "
+                f"{self._folder / DESCRIPTION}: images[{index}]: expected at most {_PIXELS_MAX:,} pixels, got "
                 f"{one.width_px} x {one.height_px}"
             )
         try:
             view = _view_of(one)
         except ValueError as error:
-            place = f"{self._folder / DESCRIPTION}: images.{index}.intrinsics"
+            place = f"{self._folder / DESCRIPTION}: images[{index}].intrinsics"
             raise InputError(f"{place}: expected those of a camera, got: {error}") from None
         size = (one.height_px, one.width_px)
         rgb = self._read(one.rgb, np.uint8, (*size, 3))[..., ::-1]
@@ -421,10 +419,7 @@ def _read_record(file: Path) -> _CaptureRecord:
     if not isinstance(content, dict):
         got = " ".join(text.split())[:60]
         raise InputError(f"{file}:1: expected an object with schema, name, ego, vehicles and images, got {got}")
-    try:
-        record = _CaptureRecord.model_validate(content)
-    except ValidationError as error:
-        raise InputError(*(_complaint(file, one) for one in error.errors(include_url=False))) from None
+    record = read_record(_CaptureRecord, content, str(file), most=20)
     for field, values in (
         ("images: name", [one.name for one in record.images]),
         ("vehicles: instance_id", [str(one.instance_id) for one in record.vehicles]),
@@ -433,13 +428,6 @@ def _read_record(file: Path) -> _CaptureRecord:
         if count > 1:
             raise InputError(f"{file}: {field}: expected each once, got {value} {count} times")
     return record
-
-
-def _complaint(file: Path, error: Any) -> str:  # noqa: ANN401 (pydantic's ErrorDetails)
-    place = ".".join(str(part) for part in error["loc"])
-    got = str(error["input"])
-    text = error["msg"].removeprefix("Value error, ")
-    return f"{file}: {place}: {text}" + ("" if "got" in text else f", got {got[:60]}")
 
 
 def _text(file: Path) -> str | None:

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 from xml.etree import ElementTree
 
 import numpy as np
+from pydantic import BeforeValidator, Field
 
 from warpav.core.bounded_files import DATA_SET_BYTES_MAX, DATA_SET_NODES_MAX, parse_json, parse_xml, read_bytes
 from warpav.core.cache import digest
 from warpav.core.errors import InputError
+from warpav.core.records import Point2, Record, Word, read_record
+from warpav.core.yaml_file import Location
 from warpav.scene.traffic.argoverse2 import ANNOTATIONS, read_log
-from warpav.scene.traffic.recording import CLASSES, Lanelet, RecordedUser, Recording, check_step
+from warpav.scene.traffic.recording import Lanelet, RecordedUser, Recording, check_step
 
 SUFFIXES = (".json", ".json.gz", ".xml", ".xml.gz")
 SHIPPED = Path(__file__).parent / "sind"
@@ -77,8 +79,7 @@ def _read(path: Path, stamp: tuple[int, int]) -> Recording:
         content = read_bytes(path, "recorded traffic", bytes_max=DATA_SET_BYTES_MAX)
         return _read_xml(content) if ".xml" in path.name else _from_json(content)
     except InputError as error:
-        text = str(error)
-        raise InputError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+        raise InputError(*(line if line.startswith(str(path)) else f"{path}: {line}" for line in error.args)) from None
 
 
 @lru_cache(maxsize=1024)
@@ -103,80 +104,72 @@ def _natural_order(path: Path) -> list[tuple[str, int]]:
     return [(text, int(digits or -1)) for text, digits in re.findall(r"(\D*)(\d*)", str(path))]
 
 
+class _JsonLanelet(Record):
+    left: list[Point2]
+    right: list[Point2]
+    type: Annotated[list[Word], BeforeValidator(lambda kinds: [kinds] if isinstance(kinds, str) else kinds or [])] = (
+        Field(default_factory=list)
+    )
+
+
+class _JsonUser(Record):
+    id: Word | None = None  # None: its number in the list
+    type: Literal["car", "truck", "bus", "motorcycle", "bicycle", "pedestrian"]
+    length_m: float
+    width_m: float
+    height_m: float | None = None
+    t: list[float]
+    x_m: list[float]
+    y_m: list[float]
+    yaw_rad: list[float]
+    v_mps: list[float] | None = None
+
+
+class _JsonRecording(Record):
+    id: Word = ""
+    source: Word = ""
+    dt_s: float
+    lanelets: list[_JsonLanelet]
+    road_users: list[_JsonUser]
+    ego: Any = None  # the id of a road user, or an object with it
+
+
 def _from_json(content: bytes) -> Recording:
     data = parse_json(content, "", "recorded traffic", nodes_max=DATA_SET_NODES_MAX)
-    if not isinstance(data, dict):
-        raise InputError(f"expected an object with lanelets and road_users, got {type(data).__name__}")
-    lanelets = []
-    for number, each in enumerate(_list_of(data, "lanelets")):
-        kinds = each.get("type") or () if isinstance(each, dict) else ()
-        kinds = [kinds] if isinstance(kinds, str) else kinds
-        place = f"lanelet {number}"
-        lanelets.append(
-            Lanelet(
-                _numbers(each, "left", place, 2), _numbers(each, "right", place, 2), tuple(str(kind) for kind in kinds)
-            )
-        )
-    users = [_user(each, number) for number, each in enumerate(_list_of(data, "road_users"))]
-    ego = data.get("ego")
+
+    def name_of(location: Location) -> tuple[str, int]:
+        if len(location) < 3:
+            return "", 0
+        each = data[location[0]][int(location[1])]
+        user_id = each.get("id", location[1]) if isinstance(each, dict) else location[1]
+        return (f"road user {user_id}" if location[0] == "road_users" else f"lanelet {location[1]}"), 2
+
+    found = read_record(_JsonRecording, data, "", name_of=name_of)
+    ego = found.ego.get("id") if isinstance(found.ego, dict) else found.ego
     return Recording(
-        str(data.get("id", "")),
-        str(data.get("source", "")),
-        _number(data, "dt_s", "recording"),
-        tuple(lanelets),
-        tuple(users),
-        None if ego is None else str(ego.get("id") if isinstance(ego, dict) else ego),
+        found.id,
+        found.source,
+        found.dt_s,
+        tuple(
+            Lanelet(np.array(each.left).reshape(-1, 2), np.array(each.right).reshape(-1, 2), tuple(each.type))
+            for each in found.lanelets
+        ),
+        tuple(_json_user(each, number) for number, each in enumerate(found.road_users)),
+        None if ego is None else str(ego),
     )
 
 
-def _user(data: Any, number: int) -> RecordedUser:  # noqa: ANN401
-    if not isinstance(data, dict):
-        raise InputError(f"road_users[{number}]: expected an object, got {type(data).__name__}")
-    user_id = str(data.get("id", number))
+def _json_user(data: _JsonUser, number: int) -> RecordedUser:
+    user_id = str(number) if data.id is None else data.id
     place = f"road user {user_id}"
-    category = str(data.get("type"))
-    if category not in CLASSES:
-        near = difflib.get_close_matches(category, CLASSES, 1, 0.6)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise InputError(f"{place}: type: expected one of {', '.join(CLASSES)}, got {category!r}{hint}")
-    height = data.get("height_m")
-    size = (
-        _number(data, "length_m", place),
-        _number(data, "width_m", place),
-        math.nan if height is None else _number(data, "height_m", place),
-    )
-    track = [_numbers(data, name, place, 1) for name in ("t", "x_m", "y_m", "yaw_rad")]
-    speed = None if data.get("v_mps") is None else _numbers(data, "v_mps", place, 1)
+    track = [np.array(each, np.float64) for each in (data.t, data.x_m, data.y_m, data.yaw_rad)]
     if len({len(each) for each in track}) > 1:
         raise InputError(f"{place}: expected as many x_m, y_m and yaw_rad as t, got {[len(each) for each in track]}")
-    for value in track[0].tolist():
+    for value in data.t:
         check_step(value, f"{place}: t")
-    return RecordedUser(user_id, category, size, track[0].astype(np.int64), np.stack(track[1:], axis=1), speed)
-
-
-def _list_of(data: dict[str, Any], name: str) -> Sequence[Any]:
-    value = data.get(name)
-    if not isinstance(value, list):
-        raise InputError(f"{name}: expected a list, got {'nothing' if value is None else type(value).__name__}")
-    return value
-
-
-def _number(data: dict[str, Any], name: str, place: str) -> float:
-    value = data.get(name)
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(f"{place}: {name}: expected a number, got {'nothing' if value is None else repr(value)}")
-    return float(value)
-
-
-def _numbers(data: Any, name: str, place: str, dimensions: int) -> np.ndarray:  # noqa: ANN401
-    value = data.get(name) if isinstance(data, dict) else None
-    try:
-        array = np.array(value, np.float64)
-    except (TypeError, ValueError):
-        array = np.empty(0)
-    if value is None or array.ndim != dimensions:
-        raise InputError(f"{place}: {name}: expected a list of {'numbers' if dimensions == 1 else 'points'}")
-    return array
+    size_m = (data.length_m, data.width_m, math.nan if data.height_m is None else data.height_m)
+    speed_m_s = None if data.v_mps is None else np.array(data.v_mps, np.float64)
+    return RecordedUser(user_id, data.type, size_m, track[0].astype(np.int64), np.stack(track[1:], axis=1), speed_m_s)
 
 
 _VERSIONS = ("2018b", "2020a")
