@@ -72,7 +72,7 @@ def draw_mount_drawing(folder: Path) -> None:
 
 def draw_fitting(folder: Path) -> None:
     """plot_*: every kind of plot of the rig of a series car on its vehicle."""
-    rig = Path(__file__).parent / "results" / "surround_rig.yaml"
+    rig = Path(__file__).parent / "surround_rig.yaml"
     for kind in FITTING:
         image = folder / f"plot_{kind}.png"
         _warpav("plot", str(rig), "--config", "surround", "--kind", kind, "--out", str(image))
@@ -159,7 +159,7 @@ def draw_requirements(folder: Path) -> None:
 
 def draw_series_car(folder: Path) -> None:
     """series_car: what of the ground within 5 m the rig that ``warpav optimise surround`` found sees."""
-    rig = Path(__file__).parent / "results" / "surround_rig.yaml"
+    rig = Path(__file__).parent / "surround_rig.yaml"
     _warpav("rig", "requirements", str(rig), "--image", str(folder / "series_car.png"))
 
 

@@ -5,8 +5,7 @@ import functools
 from tests.driving_scene import street
 from warpav.cli.app import main
 from warpav.experiments.arms import Arm
-from warpav.experiments.experiment import Experiment
-from warpav.experiments.thesis_experiments import loss_overrides
+from warpav.experiments.study import Study, loss_overrides
 from warpav.runs.config import load_config
 from warpav.scene.glb import write_scene
 
@@ -25,7 +24,7 @@ OPTIONS = (
 
 BOTH = loss_overrides("IFR+DOA")
 ARMS = (Arm("sgd_ifr_doa", "optimiser", BOTH), Arm("random_ifr_doa", "random_batches", BOTH))
-SMALL = Experiment("small", "thesis", ARMS, runs=2)
+SMALL = Study("small", "thesis", ARMS, runs=2)
 
 
 @functools.cache

@@ -11,7 +11,7 @@ from warpav.core.errors import InputError
 from warpav.experiments import arms as arms_module
 from warpav.experiments import experiment as module
 from warpav.experiments.arms import Arm
-from warpav.experiments.experiment import arms_of, run_experiment
+from warpav.experiments.experiment import run_study
 from warpav.rig.rig import read_rig
 from warpav.runs.environment import running_commit
 from warpav.runs.optimise import Optimisation
@@ -33,7 +33,7 @@ def copied(tmp_path, finished):
 
 def run(out, scenes, *more, **options):
     with RunDisplay() as display:
-        return run_experiment(SMALL, config(scenes, *more), out=out, progress=display, **options)
+        return run_study(SMALL, config(scenes, *more), out=out, progress=display, **options)
 
 
 def without_seconds(result):
@@ -52,7 +52,7 @@ def test_every_task_leaves_its_result(finished, scenes):
         for result in finished.results[arm.name]:
             name = f"{arm.name}_{result['seed']}"
             assert result == json.loads((finished.folder / "results" / f"{name}.json").read_text())
-            assert (result["schema"], result["arm"]) == (2, arm.name)
+            assert (result["schema"], result["arm"]) == (3, arm.name)
             assert result["commit"] == dataclasses.asdict(running_commit())
             rig = read_rig(finished.folder / "results" / f"{name}.yaml")
             assert [camera["position_m"] for camera in result["rig"]["cameras"]] == [
@@ -107,12 +107,12 @@ def test_other_cameras_share_the_scenes(tmp_path, scenes, monkeypatch):
 
 
 def test_the_same_command_again_does_nothing(copied, scenes, monkeypatch):
-    before = {file: file.stat().st_mtime_ns for file in copied.rglob("*") if file.is_file()}
+    before = {file: file.stat().st_mtime_ns for file in (copied / "results").iterdir()}
     monkeypatch.setattr(module, "load_scene_set", None)
     monkeypatch.setattr(module, "find_rig_of", None)
     again = run(copied, scenes)
     assert (again.failed, again.done) == ([], 0)
-    assert {file: file.stat().st_mtime_ns for file in copied.rglob("*") if file.is_file()} == before
+    assert {file: file.stat().st_mtime_ns for file in (copied / "results").iterdir()} == before
 
 
 def test_what_is_missing_is_done_and_comes_out_the_same(copied, finished, scenes):
@@ -130,7 +130,7 @@ def test_more_runs_and_other_arms_join(copied, scenes):
     highest = Arm("highest", "highest")
     more = run(copied, scenes, arms=[ARMS[1], highest], runs=3)
     assert more.done == 2  # a third random rig, and the highest, which needs one run alone
-    assert [len(runs) for runs in more.results.values()] == [3, 1]
+    assert [len(more.results[arm.name]) for arm in (ARMS[1], highest)] == [3, 1]
 
 
 def fail(problem, camera_renders_max):
@@ -142,7 +142,7 @@ def test_a_failing_arm_leaves_the_others_alone(tmp_path, scenes, monkeypatch, ca
     chosen = [Arm("broken", "fails"), Arm("highest", "highest")]
     done = run(tmp_path / "run", scenes, arms=chosen, runs=1)
     assert done.failed == ["broken_0: ValueError: a search that fails"]
-    assert [len(runs) for runs in done.results.values()] == [0, 1]
+    assert {arm: len(runs) for arm, runs in done.results.items()} == {"highest": 1}
     assert "broken, run seed 0: failed: ValueError: a search that fails" in capsys.readouterr().out
     monkeypatch.setitem(arms_module.METHODS, "fails", arms_module.METHODS["highest"])
     mended = run(tmp_path / "run", scenes, arms=chosen, runs=1)
@@ -164,13 +164,13 @@ def test_an_interrupted_experiment_goes_on(tmp_path, scenes, monkeypatch, capsys
 
 
 def test_an_arm_that_is_named_twice_runs_once():
-    assert [arm.name for arm in arms_of(SMALL, "highest, highest,sgd_ifr_doa ,sgd_ifr_doa")] == [
+    assert [arm.name for arm in SMALL.arms_of("highest, highest,sgd_ifr_doa ,sgd_ifr_doa")] == [
         "highest",
         "sgd_ifr_doa",
     ]
     both = dataclasses.replace(SMALL, arms=(Arm("highest", "highest"), *ARMS))
     with pytest.raises(InputError, match=r"arms: expected names out of highest, sgd_ifr_doa, .*, got ''") as refused:
-        arms_of(both, "highest,")
+        both.arms_of("highest,")
     names = str(refused.value).partition("out of ")[2].partition(", got")[0].split(", ")
     assert len(names) == len(set(names))
 
@@ -182,9 +182,9 @@ def description(folder, **changes):
 
 def test_a_folder_of_something_else_is_refused(copied, scenes, tmp_path):
     description(copied, schema=7)
-    with pytest.raises(InputError, match=r"experiment\.json: schema: expected 2, got 7.*choose another .* `out`"):
+    with pytest.raises(InputError, match=r"experiment\.json: schema: expected 3, got 7.*choose another .* `out`"):
         run(copied, scenes)
-    description(copied, schema=2, experiment="table9")
+    description(copied, schema=3, experiment="table9")
     with pytest.raises(InputError, match="experiment: expected small, got 'table9'"):
         run(copied, scenes)
     (tmp_path / "diary").mkdir()
@@ -201,7 +201,7 @@ def test_results_of_another_configuration_are_refused(copied, scenes):
     with pytest.raises(InputError, match="camera_renders_max: expected 16, got None"):
         run(copied, scenes, camera_renders_max=16)
     changed = [dataclasses.replace(ARMS[0], method="start"), ARMS[1]]
-    with pytest.raises(InputError, match=r"sgd_ifr_doa_0\.json: expected a result of schema 2 made with this"):
+    with pytest.raises(InputError, match=r"sgd_ifr_doa_0\.json: expected a result of schema 3 made with this"):
         run(copied, scenes, arms=changed)
     (copied / "results" / "sgd_ifr_doa_0.json").write_text("{")
     with pytest.raises(InputError, match=r"sgd_ifr_doa_0\.json:1: expected valid JSON .*, got: .*; delete it"):

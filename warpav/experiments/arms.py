@@ -66,6 +66,9 @@ CMA_SHARE = 0.5
 AS_BUILT = "_as_built"
 """Ending of the arms of presets that stand where their makers put them, with images in their own proportions."""
 
+PIXELS = 256 * 256
+"""Pixels of an image of the configuration ``default``, which presets as they are built have as well."""
+
 GREEDY_DIRECTIONS = 8
 """Directions that greedy cover evaluates at each position."""
 
@@ -188,6 +191,9 @@ def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
     every = {**common_arms(), **arms}
     if name in every:
         return every[name]
+    preset = name.removeprefix("default_as_").removesuffix(AS_BUILT)
+    if name.startswith("default_as_") and preset in preset_names():
+        return default_like(preset, pixels=PIXELS if name.endswith(AS_BUILT) else None)
     near = difflib.get_close_matches(name, list(every), 1, 0.5)
     hint = f"; did you mean {near[0]}?" if near else ""
     names = ", ".join(dict.fromkeys([*arms, *every]))

@@ -1,4 +1,4 @@
-"""An experiment: arms and run seeds, one task for each pair, every result in a file of its own as soon as it is there.
+"""The runner of studies: a task for each arm and run seed, every result in a file of its own as soon as it is there.
 
 `warpav.experiments.result_folder` says what the folder holds. The same command again does what is missing, and nothing
 else.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,13 +17,13 @@ import numpy as np
 import yaml
 
 from warpav.core.cache import digest
-from warpav.core.errors import ArgumentError, InputError
+from warpav.core.errors import ArgumentError
 from warpav.core.executor import Executor, Outcome
-from warpav.core.files import write_json
+from warpav.core.files import write_json, write_text
 from warpav.core.progress import NullProgress, Progress
 from warpav.evaluation.attainable import attainable_objects
 from warpav.evaluation.metrics import metrics_of, observe_scenes
-from warpav.experiments.arms import Arm, FoundRig, constraint_loss, find_arm, find_rig_of, resized
+from warpav.experiments.arms import Arm, FoundRig, constraint_loss, find_rig_of, resized
 from warpav.experiments.gradient_magnitude import measure_gradient_magnitudes
 from warpav.experiments.result_folder import (
     ATTAINABLE,
@@ -32,10 +32,11 @@ from warpav.experiments.result_folder import (
     is_there,
     objective_on_tests,
     open_folder,
-    read_json,
     results_in,
     unseeded,
 )
+from warpav.experiments.rows import OWN_JUDGE, ROWS, rows_of, table_of, write_rows
+from warpav.experiments.study import GRADIENTS, Judge, Study
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.budget import SingleCameraValues, rig_values_of
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
@@ -46,7 +47,6 @@ from warpav.runs.config import (
     AUTO,
     Config,
     changed_config,
-    overridden_option,
     with_absolute_paths,
 )
 from warpav.runs.environment import running_commit
@@ -68,71 +68,6 @@ from warpav.runs.scene_set import (
 
 Task = TypeVar("Task")
 
-GRADIENTS = "gradients"
-"""Method of an arm that finds no rig but measures gradients (tables I and V)."""
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """What is compared."""
-
-    name: str
-    config: str
-    arms: tuple[Arm, ...]
-    runs: int
-    options: tuple[str, ...] = ()
-    quick: tuple[str, ...] = ()
-    quick_runs: int = 2
-    quick_arms: tuple[str, ...] | None = None
-    runs_of: Mapping[str, int] = field(default_factory=dict)
-    quick_runs_of: Mapping[str, int] = field(default_factory=dict)
-    reference: str | None = None
-    objectives: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    camera_renders_max: int | None = None
-    quick_camera_renders_max: int | None = None
-    is_judged: bool = True
-    knows_attainable: bool = False
-
-    def made_quick(self) -> Experiment:
-        """Its small version, in a folder of its own; the configuration has to be quick, too (`overrides_of`)."""
-        arms = [arm for arm in self.arms if self.quick_arms is None or arm.name in self.quick_arms]
-        return replace(
-            self,
-            name=f"{self.name}_quick",
-            arms=tuple(arms),
-            runs=self.quick_runs,
-            runs_of=self.quick_runs_of,
-            camera_renders_max=self.quick_camera_renders_max,
-        )
-
-
-def overrides_of(
-    experiment: Experiment, overrides: Sequence[str], *, arms: Sequence[Arm] | None = None, quick: bool
-) -> list[str]:
-    """All overrides of an experiment's configuration: its own, those that make it quick, the user's."""
-    taking_part = (experiment.made_quick() if quick else experiment).arms if arms is None else arms
-    own = {overridden_option(each): arm for arm in taking_part for each in arm.own_overrides}
-    for override in overrides:
-        option = overridden_option(override)
-        if option in own:
-            raise InputError(
-                f"command line ({override}): {option}: expected an option that the arms of {experiment.name} leave "
-                f"alone, got one that arm {own[option].name} sets; warpav optimise takes it"
-            )
-    return [*experiment.options, *(experiment.quick if quick else ()), *overrides]
-
-
-def arms_of(experiment: Experiment, text: str | None) -> list[Arm] | None:
-    """The arms that a list such as ``sgd_ifr,highest`` names; None for all of the experiment's."""
-    if text is None:
-        return None
-    own = {arm.name: arm for arm in experiment.arms}
-    if GRADIENTS in own:
-        raise ArgumentError(
-            "arms", f"expected nothing, as {experiment.name} measures gradients of one descent, got {text!r}"
-        )
-    return [find_arm(name, own) for name in dict.fromkeys(each.strip() for each in text.split(","))]
-
 
 @dataclass(frozen=True)
 class ArmTask:
@@ -143,9 +78,7 @@ class ArmTask:
     camera_renders_max: int | None
     folder: Path
     made_with: str
-    objectives: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    is_judged: bool = True
-    knows_attainable: bool = False
+    judge: Judge = "detector"
 
     @property
     def name(self) -> str:
@@ -214,8 +147,8 @@ class _AttainableOfProcess:
 attainable_of_process = _AttainableOfProcess()
 
 
-def run_experiment(
-    experiment: Experiment,
+def run_study(
+    study: Study,
     config: Config,
     *,
     arms: Sequence[Arm] | None = None,
@@ -224,24 +157,28 @@ def run_experiment(
     out: Path | None = None,
     progress: Progress,
 ) -> Finished:
-    """Do what is missing of an experiment."""
+    """Do what is missing of a study, show its table and write its rows.
+
+    The folder gets ``rows.csv`` and ``table.md``, of all results that it holds.
+    """
+    study.check(config)
     if config.requirements == AUTO:  # its arms are compared by what they are expected to miss
         config = changed_config(config, ["requirements=null"])
-    runs_of = {} if runs is not None else experiment.runs_of
-    runs = experiment.runs if runs is None else runs
-    camera_renders_max = experiment.camera_renders_max if camera_renders_max is None else camera_renders_max
+    runs_of = {} if runs is not None else study.runs_of
+    runs = study.runs if runs is None else runs
+    camera_renders_max = study.camera_renders_max if camera_renders_max is None else camera_renders_max
     for option, value in (("runs", runs), ("budget", camera_renders_max)):
         if value is not None and value < 1:
             raise ArgumentError(option, f"expected at least 1, got {value}")
-    arms = experiment.arms if arms is None else arms
+    arms = study.arms if arms is None else arms
     for arm in arms:
         if arm.method != GRADIENTS:
             arm.check(config, camera_renders_max)
     _try_networks(arms, config, progress)
-    folder = (out or config.run.out or RUNS_FOLDER / experiment.name).absolute()
+    folder = (out or config.run.out or RUNS_FOLDER / study.name).absolute()
     runs_of = {arm.name: runs_of.get(arm.name, runs) for arm in arms}
-    tasks = _tasks(experiment, arms, config, runs_of, camera_renders_max, folder / RESULTS)
-    open_folder(folder, experiment.name, config, camera_renders_max)
+    tasks = _tasks(study, arms, config, runs_of, camera_renders_max, folder / RESULTS)
+    open_folder(folder, study.name, config, camera_renders_max)
     waiting = [task for task in tasks if not is_there(task.file, task.made_with)]
     if len(waiting) < len(tasks):
         progress.say(f"{len(tasks) - len(waiting)} of {len(tasks)} results are in {folder} already")
@@ -257,29 +194,27 @@ def run_experiment(
     except KeyboardInterrupt:
         progress.say(f"stopped; what is finished is in {folder}, and the same command goes on from there")
         raise
-    return Finished(folder, read_results(tasks), failed, len(waiting) - len(failed))
+    results = results_in(folder, [arm.name for arm in (*study.arms, *arms)])
+    written = Finished(folder, results, failed, len(waiting) - len(failed))
+    show_rows(written, study.name, OWN_JUDGE, study.references, study.table, progress)
+    return written
 
 
-def read_results(tasks: Sequence[ArmTask]) -> dict[str, list[dict[str, Any]]]:
-    """The results of tasks that are finished, by arm, in the order of the tasks."""
-    results: dict[str, list[dict[str, Any]]] = {task.arm.name: [] for task in tasks}
-    for task in tasks:
-        if task.file.is_file():
-            results[task.arm.name].append(read_json(task.file))
-    return results
-
-
-def merged_results(done: Finished, experiment: Experiment) -> Finished:
-    """The same with what the folder holds of earlier commands, arms in order; those without a result have none."""
-    in_order = dict.fromkeys([*(arm.name for arm in experiment.arms), *done.results])
-    there = {**{arm: [] for arm in done.results}, **results_in(done.folder, list(in_order))}
-    return replace(done, results={arm: there[arm] for arm in in_order if arm in there})
-
-
-def say_failures(done: Finished, progress: Progress) -> None:
-    """Why tasks failed, a line each."""
+def show_rows(
+    done: Finished, study: str, judge: str, references: Mapping[str, str], table: str, progress: Progress
+) -> None:
+    """Write the rows and the table of what has come of a study, and show it and what has failed."""
+    if any(done.results.values()):
+        progress.stage("intervals")
+        rows = rows_of(done.results, study, judge, references)
+        write_rows(rows, done.folder / ROWS)
+        tables = [table, "thesis III"] if table == "thesis II" else [table]
+        texts = [table_of(f"{each} {study} {judge}", rows) for each in tables]
+        write_text(done.folder / "table.md", "\n".join(each.markdown() for each in texts))
+        progress.show(texts[0].terminal())
     for failure in done.failed:
         progress.say(f"failed: {failure}")
+    progress.say(f"{done.done} new results; rows, table and results: {done.folder}")
 
 
 def run_arm(task: ArmTask) -> dict[str, Any]:
@@ -315,8 +250,8 @@ def _rig(task: ArmTask) -> dict[str, Any]:
         found = replace(found, rig=resized(found.rig, evaluation.config))
     searched = time.perf_counter()
     scenes = evaluation.assigned(evaluation.test, found.began_as)
-    if task.is_judged:
-        attainable = attainable_of_process(evaluation) if task.knows_attainable else None
+    if task.judge != "objective":
+        attainable = attainable_of_process(evaluation) if task.judge == "attainable" else None
         seen = observe_scenes(found.rig, scenes, evaluation.objective)
         tested: dict[str, Any] = {
             "metrics": metrics_of(seen, evaluation.objective, attainable=attainable).to_json(),
@@ -336,7 +271,7 @@ def _rig(task: ArmTask) -> dict[str, Any]:
         "overrides": list(task.arm.overrides),
         "search_overrides": list(task.arm.search_overrides),
         "training_objective": found.training_objective,
-        "validation_objectives": _validation_objectives(task, found),
+        "objective_seen": _objective_seen(evaluation, found),
         "constraint_loss": None if found.mount_pose is None else constraint_loss(evaluation, found.mount_pose),
         **found.notes,
         "camera_renders": found.camera_renders,
@@ -371,17 +306,12 @@ def _objective_of_scene(evaluation: Placement, found: FoundRig, scenes: Sequence
     ]
 
 
-def _validation_objectives(task: ArmTask, found: FoundRig) -> dict[str, float | None]:
-    """Objectives of a rig on all validation scenes, by name; None for cameras of other lenses."""
-    values: dict[str, float | None] = {}
-    for name, overrides in task.objectives.items():
-        values[name] = None
-        if found.mount_pose is not None:
-            evaluation = _placement(changed_config(task.arm.evaluation_config(task.config), overrides))
-            scenes = evaluation.assigned(evaluation.validation, found.began_as)
-            rigs = np.asarray(found.mount_pose, np.float32)[None]
-            values[name] = next(iter(rig_values_of(evaluation.objective, scenes)(rigs)))
-    return values
+def _objective_seen(evaluation: Placement, found: FoundRig) -> float | None:
+    """The objective of a rig on all scenes that it was chosen on; None for cameras of other lenses."""
+    if found.mount_pose is None:
+        return None
+    scenes = evaluation.assigned(evaluation.validation, found.began_as)
+    return next(iter(rig_values_of(evaluation.objective, scenes)(np.asarray(found.mount_pose, np.float32)[None])))
 
 
 def _gradients(task: ArmTask) -> dict[str, Any]:
@@ -407,7 +337,7 @@ def _gradients(task: ArmTask) -> dict[str, Any]:
 
 
 def _tasks(
-    experiment: Experiment,
+    study: Study,
     arms: Sequence[Arm],
     config: Config,
     runs_of: Mapping[str, int],
@@ -415,7 +345,6 @@ def _tasks(
     folder: Path,
 ) -> list[ArmTask]:
     config = with_absolute_paths(config)
-    objectives, is_judged = experiment.objectives, experiment.is_judged
     tasks = []
     for arm in arms:
         made_with = digest(
@@ -424,14 +353,11 @@ def _tasks(
             camera_renders_max,
             unseeded(arm.evaluation_config(config)),
             unseeded(arm.search_config(config)),
-            sorted(objectives.items()),
-            is_judged,
-            *((ATTAINABLE,) if experiment.knows_attainable else ()),
+            study.judge,
         )
         for k in range(runs_of[arm.name] if arm.is_seeded else 1):
             seeded = changed_config(config, [f"run.seed={config.run.seed + k}"])
-            what = (objectives, is_judged, experiment.knows_attainable)
-            tasks.append(ArmTask(arm, seeded, camera_renders_max, folder, made_with, *what))
+            tasks.append(ArmTask(arm, seeded, camera_renders_max, folder, made_with, study.judge))
     return tasks
 
 

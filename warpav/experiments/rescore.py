@@ -1,4 +1,4 @@
-"""Rescoring of an experiment's rigs with another detector, image size or source of scenes.
+"""Rescoring of a study's rigs by other judges: another detector, several, another image size or source of scenes.
 
 ``<folder>/rescored_<name>/`` holds what the folder of an experiment holds. The rigs stay as they are; the same command
 again does what is missing.
@@ -18,14 +18,12 @@ import numpy as np
 
 from warpav.core.cache import digest
 from warpav.core.errors import ArgumentError, InputError
-from warpav.core.files import write_json, write_text
+from warpav.core.files import write_json
 from warpav.core.progress import NullProgress, Progress
 from warpav.core.warp_setup import device_name
-from warpav.evaluation.metrics import SceneObservations, false_alarm_confidences, metrics_of, observe_scenes
-from warpav.evaluation.statistics import RESAMPLES, rank_correlation
+from warpav.evaluation.metrics import metrics_of, observe_scenes
 from warpav.experiments.arms import resized
-from warpav.experiments.experiment import Finished, make_scenes_ready, outcomes, traffic_of_process
-from warpav.experiments.goals import RIVALS, Goal
+from warpav.experiments.experiment import Finished, make_scenes_ready, outcomes, show_rows, traffic_of_process
 from warpav.experiments.result_folder import (
     ATTAINABLE,
     DESCRIPTION,
@@ -35,14 +33,13 @@ from warpav.experiments.result_folder import (
     results_in,
     unseeded,
 )
-from warpav.experiments.summary import SUMMARY, read_summary, write_summary
-from warpav.experiments.tables import COMPARED, Results, compare_results
+from warpav.experiments.rows import ROWS, read_rows
 from warpav.optimisation.losses.registry import LOSSES
-from warpav.optimisation.objective import RigObjective
 from warpav.rig.rig import read_rig
 from warpav.runs.config import Config, changed_config, overridden_option, with_absolute_paths
 from warpav.runs.environment import environment, running_commit
 from warpav.runs.networks import load_networks
+from warpav.runs.networks import networks_in
 from warpav.runs.placement import placement_on
 
 SCHEMA = 2
@@ -52,14 +49,7 @@ RESCORED_SECTIONS = ("detector", "scenes", "capture", "reconstruction", "visibil
 RESCORED_OPTIONS = ("camera.width_px", "camera.height_px", "camera.supersampling")
 """Such options of other sections."""
 
-CONFIDENCE_FLOOR = 0.05
-"""Minimum confidence down to which `object_record` knows what a detector finds; a lower configured one goes further."""
-
-RECORD = "objects"
-"""Key of `object_record` in a result."""
-
 _REFERENCE = "default"
-_RECALL = "tp_detection_rate"
 
 
 @dataclass(frozen=True)
@@ -71,7 +61,6 @@ class RescoreTask:
     source: Path
     folder: Path
     made_with: str
-    keeps_objects: bool = False
     knows_attainable: bool = False
 
     @property
@@ -138,7 +127,8 @@ class Rescoring:
     """All rigs of an experiment, to be rescored by one evaluation."""
 
     described: Mapping[str, Any]
-    before: Results
+    before: Mapping[str, Sequence[Mapping[str, Any]]]
+    judge: str
     config: Config
     out: Path
     tasks: Sequence[RescoreTask]
@@ -149,104 +139,71 @@ class Rescoring:
         return [task for task in self.tasks if not _is_there(task)]
 
 
-def planned_rescore(folder: Path, config: Config, *, name: str, keeps_objects: bool = False) -> Rescoring:
+def plan_rescore(folder: Path, config: Config, *, name: str, judge: str | None = None) -> Rescoring:
     """What there is to do to rescore all rigs of an experiment."""
     described = read_description(folder)
     before = read_rigs(folder)
     is_same = _same_test_scenes(described["options"], config)
     config = with_absolute_paths(changed_config(config, light_overrides(config)))
     out = (folder / f"rescored_{name}").absolute()
-    tasks = [
-        _task(run, config, folder, out, keeps_objects, is_same and ATTAINABLE in run)
-        for runs in before.values()
-        for run in runs
-    ]
-    return Rescoring(described, before, config, out, tasks)
+    tasks = [_task(run, config, folder, out, is_same and ATTAINABLE in run) for runs in before.values() for run in runs]
+    return Rescoring(described, before, judge or name, config, out, tasks)
 
 
-def run_rescores(
-    planned: Sequence[Rescoring],
-    *,
-    is_shown: bool = True,
-    resamples: int = RESAMPLES,
-    progress: Progress,
-) -> list[Finished]:
-    """Rescore the rigs of experiments; show the table of each, and report whether its arms keep their order.
+def run_rescores(planned: Sequence[Rescoring], *, progress: Progress) -> list[Finished]:
+    """Rescore the rigs of a study by one or several judges; show the table of each.
 
     All are rescored by one set of processes, which keep the scenes from one evaluation to the next.
     """
     for each in planned:
         load_networks(each.config)  # what is wrong with the detector shows before anything else begins
-    waiting_in = {each.out: each.waiting for each in planned}
-    waiting = [task for tasks in waiting_in.values() for task in tasks]
+    waiting = [task for each in planned for task in each.waiting]
     if waiting:
         make_scenes_ready(planned[0].config, progress)  # and likewise what is wrong with the scenes
     for each in planned:
         (each.out / RESULTS).mkdir(parents=True, exist_ok=True)
-        title = f"{each.described['experiment']} rescored {each.out.name.removeprefix('rescored_')}"
         options = json.loads(unseeded(each.config))
-        write_json(each.out / DESCRIPTION, {**each.described, "experiment": title, "options": options})
+        write_json(each.out / DESCRIPTION, {**each.described, "options": options, "judge": each.judge})
         write_json(each.out / "env.json", environment(each.config, device_name(each.config.device)))
-        if len(each.waiting) < len(each.tasks):
-            progress.say(
-                f"{len(each.tasks) - len(each.waiting)} of {len(each.tasks)} results are in {each.out} already"
-            )
+        there = len(each.tasks) - len(each.waiting)
+        if there:
+            progress.say(f"{there} of {len(each.tasks)} results are in {each.out} already")
+    asked = {each.out: len(each.waiting) for each in planned}
     failed: dict[Path, list[str]] = {each.out: [] for each in planned}
     done = outcomes(rescore_rig, waiting, planned[0].config, planned[0].out)
     for outcome in progress.steps("rigs", done, count=len(waiting)) if waiting else ():
         if outcome.error is not None:
             failed[outcome.task.folder].append(f"{outcome.task.name}: {outcome.error}")
-    return [
-        _finished(
-            each,
-            failed[each.out],
-            len(waiting_in[each.out]),
-            is_shown=is_shown,
-            resamples=resamples,
-            progress=progress,
-        )
-        for each in planned
-    ]
+    finished = []
+    for each in planned:
+        results: dict[str, list[dict[str, Any]]] = {arm: [] for arm in each.before}
+        for task in each.tasks:
+            if _is_there(task):  # results of other evaluation options do not count
+                result = read_json(task.file)
+                results[result["arm"]].append(result)
+        wrong = failed[each.out]
+        finished.append(Finished(each.out, results, wrong, asked[each.out] - len(wrong)))
+        references = {arm: _REFERENCE for arm in results if arm != _REFERENCE}
+        show_rows(finished[-1], each.described["experiment"], each.judge, references, "arms", progress)
+    return finished
 
 
-def _finished(
-    rescoring: Rescoring, failed: list[str], asked: int, *, is_shown: bool, resamples: int, progress: Progress
-) -> Finished:
-    """Write the tables of an experiment whose rigs have been rescored."""
-    out = rescoring.out
-    after: dict[str, list[dict[str, Any]]] = {arm: [] for arm in rescoring.before}
-    for task in rescoring.tasks:
-        if _is_there(task):  # results of other evaluation options do not count
-            result = read_json(task.file)
-            after[result["arm"]].append(result)
-    there = [arm for arm, runs in after.items() if runs]
-    if there:
-        reference = _REFERENCE if _REFERENCE in there else there[0]
-        metrics = [metric for metric in COMPARED if metric != "objective"]
-        table = compare_results(after, reference, metrics=metrics, resamples=resamples)
-        goals = same_order(rescoring.before, after)
-        text = table.markdown() + "\n" + "\n".join(f"- {goal}" for goal in goals) + "\n"
-        write_text(out / "rescored.md", text)
-        write_json(out / "rescored.json", {**table.data(), "goals": [goal.data() for goal in goals]})
-        write_summary(out, after, text, goals)
-        if is_shown:
-            progress.show(table.terminal())
-            for goal in goals:
-                progress.say(str(goal))
-    for failure in failed:
-        progress.say(f"failed: {failure}")
-    progress.say(f"{asked - len(failed)} new results; tables and results: {out}")
-    return Finished(out, after, failed, asked - len(failed))
+def plan_panel(folder: Path, config: Config, panel: Path, *, name: str, progress: Progress) -> list[Rescoring]:
+    """What there is to do to let every network of a folder judge the rigs of a study, at its own image size."""
+    planned = []
+    for network in networks_in(panel, config):
+        progress.say(f"{network.name} judges images of {network.width_px} x {network.height_px} px")
+        planned.append(plan_rescore(folder, network.config(config), name=f"{name}_{network.name}", judge=network.name))
+    return planned
 
 
 def read_rigs(folder: Path) -> dict[str, list[dict[str, Any]]]:
     """All results of an experiment that have rigs, by arm in the order of its summary, and by run seed."""
-    order: list[str] = []
-    if (folder / SUMMARY).is_file():
-        order = [run["arm"] for run in read_summary(folder)["runs"]]
+    file = folder / ROWS
+    order = dict.fromkeys(row["arm"] for row in read_rows(file)) if file.is_file() else {}
     found = {
         arm: [run for run in runs if "metrics" in run and "rig" in run]
-        for arm, runs in results_in(folder, order).items()
+        for arm, runs in results_in(folder, list(order)).items()
     }
     if not any(found.values()):
         raise InputError(f"{folder / RESULTS}: expected rigs, got none; run the experiment first")
@@ -258,14 +215,9 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
     began = time.perf_counter()
     config = task.config
     traffic = traffic_of_process(config, NullProgress())
-    said = config
-    if task.keeps_objects:  # the detector says more; what counts stays
-        said = changed_config(config, [f"detector.confidence_min={confidence_floor(config)}"])
-    placement = placement_on(traffic, config, load_networks(said), None)
+    placement = placement_on(traffic, config, load_networks(config), None)
     rig = resized(read_rig(task.source / RESULTS / f"{task.name}.yaml"), config)
     seen = observe_scenes(rig, placement.test, placement.objective, with_objective=False)
-    record = {RECORD: object_record(seen, placement.objective)} if task.keeps_objects else {}
-    seen = seen.from_confidence(config.detector.confidence_min)
     old = read_json(task.source / RESULTS / f"{task.name}.json")
     known = {ATTAINABLE: old[ATTAINABLE]} if task.knows_attainable else {}
     attainable = [np.array(each, bool) for each in known[ATTAINABLE]] if known else None
@@ -283,56 +235,10 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
         "metrics": metrics,
         "objects_of_scene": [assigned.scene.vehicle_count for assigned in placement.test],
         **known,
-        **record,
         "seconds": {"search": old["seconds"]["search"], "rescore": time.perf_counter() - began},
     }
     write_json(task.file, result)
     return result
-
-
-def confidence_floor(config: Config) -> float:
-    """The least confidence of which an `object_record` knows."""
-    return min(CONFIDENCE_FLOOR, config.detector.confidence_min)
-
-
-def object_record(seen: SceneObservations, objective: RigObjective) -> dict[str, Any]:
-    """What a rig and a detector make of every object at any threshold, and all false alarms, for a JSON file."""
-    return {
-        "images": len(seen.scenes) * len(seen.rig.cameras),
-        "false_alarm_confidence": false_alarm_confidences(seen, objective),
-        "detected_up_to": [each.detected_up_to(objective.options.iou_min) for each in seen.observations],
-    }
-
-
-def same_order(before: Results, after: Results) -> list[Goal]:
-    """Whether the arms keep their order by recall, and the default method stays ahead."""
-    old, new = (_mean_recalls(results) for results in (before, after))
-    arms = [arm for arm in old if arm in new]
-    order = [sorted(arms, key=lambda arm: -values[arm]) for values in (old, new)]
-    swapped = [
-        f"{one} and {other}"
-        for k, one in enumerate(order[0])
-        for other in order[0][k + 1 :]
-        if (old[one] - old[other]) * (new[one] - new[other]) < 0.0
-    ]
-    pairs = len(arms) * (len(arms) - 1) // 2
-    rank = rank_correlation([old[arm] for arm in arms], [new[arm] for arm in arms]).value if len(arms) > 1 else None
-    numbers = " > ".join(f"{arm} {new[arm]:.3f}" for arm in order[1])
-    if swapped:
-        numbers += f"; {len(swapped)} of {pairs} pairs swap ranks: {', '.join(swapped)}"
-    if rank is not None:
-        numbers += f"; rank correlation of the arms' means {rank:.3f}"
-    goals = [Goal("the arms keep their order by recall", not swapped, numbers)]
-    rivals = [arm for arm in RIVALS if arm in arms]
-    if _REFERENCE in arms and rivals:
-        numbers = f"{new[_REFERENCE]:.4f} against " + ", ".join(f"{arm} {new[arm]:.4f}" for arm in rivals)
-        ahead = all(new[_REFERENCE] >= new[arm] for arm in rivals)
-        goals.append(Goal(f"recall at least that of {', '.join(rivals)}", ahead, numbers))
-    return goals
-
-
-def _mean_recalls(results: Results) -> dict[str, float]:
-    return {arm: float(np.mean([run["metrics"][_RECALL] for run in runs])) for arm, runs in results.items() if runs}
 
 
 def _name(run: Mapping[str, Any]) -> str:
@@ -347,13 +253,11 @@ def _same_test_scenes(options: Mapping[str, Any], config: Config) -> bool:
     return all(options.get(name) == now.get(name) for name in names)
 
 
-def _task(
-    run: Mapping[str, Any], config: Config, folder: Path, out: Path, keeps_objects: bool, knows_attainable: bool
-) -> RescoreTask:
+def _task(run: Mapping[str, Any], config: Config, folder: Path, out: Path, knows_attainable: bool) -> RescoreTask:
     # a file may be another network by now
     network = () if config.detector.model == "builtin" else (digest(Path(config.detector.model).read_bytes()),)
     made_with = digest(SCHEMA, run["made_with"], json.dumps(run["rig"]), unseeded(config), *network)
-    return RescoreTask(_name(run), config, folder.absolute(), out, made_with, keeps_objects, knows_attainable)
+    return RescoreTask(_name(run), config, folder.absolute(), out, made_with, knows_attainable)
 
 
 def _is_there(task: RescoreTask) -> bool:
@@ -363,4 +267,4 @@ def _is_there(task: RescoreTask) -> bool:
     result = read_json(task.file)
     if not isinstance(result, dict) or result.get("made_with") != task.made_with:
         return False
-    return (RECORD in result or not task.keeps_objects) and (ATTAINABLE in result or not task.knows_attainable)
+    return ATTAINABLE in result or not task.knows_attainable

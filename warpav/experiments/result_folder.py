@@ -22,20 +22,11 @@ from warpav.runs.config import KEPT_FILES, Config, dump_config, option_values
 from warpav.runs.environment import environment
 from warpav.runs.scene_set import own_vehicle_digest, recordings_digest, traffic_fleet_digest
 
-SCHEMA = 2
+SCHEMA = 3
 DESCRIPTION = "experiment.json"
 RESULTS = "results"
 ATTAINABLE = "attainable"
 """Key of a result that says which objects of the test scenes can be found from the mount: 0 or 1, [scene][object]."""
-
-_LATER_OPTIONS = {
-    "run.checkpoint_every",
-    *(f"scenes.{name}" for name in ("level", "recordings", "test_recordings", "vehicles", "vehicles_share")),
-    *(f"rig.{name}" for name in ("fewest_cameras", "modules", "catalogue", "max_cost", "symmetric")),
-    *(f"baselines.{name}" for name in ("presets", "rigs", "preset_images")),
-    *("robust.mount_error_m", "robust.mount_error_deg"),
-}
-"""Options that earlier results do not have; where they are not set, results do not depend on them."""
 
 
 def open_folder(folder: Path, name: str, config: Config, camera_renders_max: int | None) -> None:
@@ -121,12 +112,7 @@ def _options(config: Config) -> dict[str, Any]:
     values = {
         name.replace("thesis.rotations", "segregation.rotations"): value  # as results of before call it
         for name, value in option_values(config).items()
-        if name not in ("run.seed", "run.out", "run.pictures")
-        and not name.startswith("executor.")
-        # results from before there were weights, zones and modules are those of none
-        and (value or not name.startswith(("importance.", "mount.zones", "requirements")))
-        and (config.robust.asked_for is not None or not name.startswith("robust."))
-        and (value is not None or name not in _LATER_OPTIONS)
+        if name not in ("run.seed", "run.out", "run.pictures") and not name.startswith("executor.")
     }
     if config.rig.catalogue is not None:
         values["rig.catalogue"] = f"{config.rig.catalogue.name} {digest(config.rig.catalogue.read_bytes())}"

@@ -78,7 +78,8 @@ class TextTable:
         """The table as Markdown."""
         rule = ["---", *["---:"] * (len(self.headings) - 1)]
         rows = [_markdown_row(cells) for cells in (self.headings, rule, *self.lines)]
-        return "\n".join([f"**{self.title}**", "", *rows, "", self.note, ""])
+        title = [f"**{self.title}**", ""] if self.title else []
+        return "\n".join([*title, *rows, "", *([self.note, ""] if self.note else [])])
 
     def terminal(self) -> Group:
         """The table for the console."""
@@ -87,7 +88,8 @@ class TextTable:
             table.add_column(heading, justify="right" if k else "left", overflow="fold")
         for cells in self.lines:
             table.add_row(*cells)
-        return Group(shown(self.title, "bold"), table, shown(self.note), shown(""))
+        title = [shown(self.title, "bold")] if self.title else []
+        return Group(*title, table, *([shown(self.note)] if self.note else []))
 
 
 def _markdown_row(cells: Sequence[str]) -> str:
