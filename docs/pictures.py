@@ -7,12 +7,10 @@ the run that README shows.
 from __future__ import annotations
 
 import io
-import json
 import math
 import os
 import shutil
 import sys
-import tarfile
 import tempfile
 from collections.abc import Callable
 from itertools import pairwise
@@ -138,18 +136,6 @@ def draw_front(folder: Path) -> None:
     modules = "rig.modules={side_2mp_100: 0..8, surround_1_4mp_70: 0..8, fisheye_1_3mp_190: 0..8}"
     _warpav("front", "quick", modules, "rig.cameras=2..8", "--out", str(folder / "front"))
     shutil.copyfile(folder / "front" / "front.png", folder / "front.png")
-
-
-def draw_sweep(folder: Path) -> None:
-    """sweep: when placement matters, from the packed runs of ``warpav experiment sweep``."""
-    from pydantic import TypeAdapter
-
-    from warpav.experiments.sweep import Gain, draw_gains
-
-    with tarfile.open(Path(__file__).parent / "results" / "traffic_runs.tar.xz") as runs:
-        runs.extract("sweep/sweep.json", folder, filter="data")
-    gains = json.loads((folder / "sweep" / "sweep.json").read_text())["gains"]
-    draw_gains(TypeAdapter(list[Gain]).validate_python(gains), folder / "sweep.png")
 
 
 def draw_requirements(folder: Path) -> None:
@@ -422,7 +408,6 @@ DRAWN: dict[str, Callable[[Path], None]] = {
     **{f"plot_{kind}": draw_fitting for kind in FITTING},
     "vehicle": draw_vehicle,
     "front": draw_front,
-    "sweep": draw_sweep,
     "zones": draw_zones,
     "behind_glass": draw_behind_glass,
     "gain": draw_gain,

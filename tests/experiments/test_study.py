@@ -67,7 +67,10 @@ def test_arms_of_the_thesis_have_its_weights():
         (["open", "--setting", "4x90"], "(--setting): expected nothing, as it is an option of rivals"),
         (["open", "--vary", "cameras"], "(--vary): expected nothing, as it is an option of sweep"),
         (["open", "--detector"], "(--detector): expected nothing, as it is an option of rivals"),
-        (["sweep", "--vary", "colour"], "(--vary): expected a factor out of cameras, fov, height, traffic, got 'colour'"),
+        (
+            ["sweep", "--vary", "colour"],
+            "(--vary): expected a factor out of cameras, fov, height, traffic",
+        ),
         (["sweep", "--vary", "cameras=few"], "(--vary): expected values of cameras with commas, numbers, got 'few'"),
         (["sweep", "--vary", "traffic=none"], "out of dense, easy, motorway, sind, urban"),
         (["open", "--arms", "nuscense"], "did you mean nuscenes"),
