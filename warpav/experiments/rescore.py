@@ -38,8 +38,7 @@ from warpav.optimisation.losses.registry import LOSSES
 from warpav.rig.rig import read_rig
 from warpav.runs.config import Config, changed_config, overridden_option, with_absolute_paths
 from warpav.runs.environment import environment, running_commit
-from warpav.runs.networks import load_networks
-from warpav.runs.networks import networks_in
+from warpav.runs.networks import load_networks, networks_in
 from warpav.runs.placement import placement_on
 
 SCHEMA = 2
