@@ -18,7 +18,7 @@ from warpav.detection import probability
 from warpav.detection.probability import FEATURE_COUNT, DetectionProbability, stored_file
 from warpav.detection.probability_fit import DetectionSamples, score
 from warpav.raster.camera import CameraModel
-from warpav.runs import detector_fit
+from warpav.runs import detector_fit, detector_samples
 from warpav.runs.config import load_config
 from warpav.runs.detector_fit import chosen_seeds
 from warpav.runs.networks import any_camera_config, any_camera_use, detector_use
@@ -82,7 +82,7 @@ def test_bad_words_are_refused(capsys, words, message):
 
 @pytest.mark.slow
 def test_too_few_objects_are_refused(capsys, monkeypatch):
-    monkeypatch.setattr(detector_fit, "VIEWS_PER_SCENE", 2)
+    monkeypatch.setattr(detector_samples, "VIEWS_PER_SCENE", 2)
     line = refused(capsys, "--scenes", "1", "--held-out", "2", "camera.width_px=64", "camera.height_px=64")
     assert "detection probability: --scenes: expected at least 200 visible objects" in line
     assert line.endswith("give more --scenes, or other sizes of image")
@@ -90,7 +90,7 @@ def test_too_few_objects_are_refused(capsys, monkeypatch):
 
 @pytest.fixture
 def small_fit(monkeypatch):
-    monkeypatch.setattr(detector_fit, "VIEWS_PER_SCENE", 6)
+    monkeypatch.setattr(detector_samples, "VIEWS_PER_SCENE", 6)
     monkeypatch.setattr("warpav.detection.probability_fit.MIN_OBJECTS", 30)
     monkeypatch.setattr("warpav.detection.probability_fit.MIN_OF_EACH", 2)
     # small images, so that some objects are missed
@@ -149,7 +149,7 @@ def sampled(monkeypatch):
         is_detected = rng.random(40) < 1.0 / (1.0 + np.exp(-2.0 * feature[:, 0]))
         return DetectionSamples(feature, is_detected, np.full(40, seed))
 
-    monkeypatch.setattr(detector_fit._Sampling, "samples", samples)
+    monkeypatch.setattr(detector_samples._Sampling, "samples", samples)
     monkeypatch.setattr("warpav.detection.probability_fit.MIN_OBJECTS", 30)
     return seeds
 
@@ -164,7 +164,7 @@ def curves(folder):
 
 def test_a_fit_that_is_interrupted_goes_on(sampled, own_cache, tmp_path, capsys, monkeypatch):
     assert main(["detector", "fit", *FIT, "--out", str(tmp_path / "whole")]) == 0
-    sample, stop = detector_fit._Sampling.samples, [True]
+    sample, stop = detector_samples._Sampling.samples, [True]
 
     def samples(sampling, recipe, seed):
         if seed == 3 and stop:
@@ -172,7 +172,7 @@ def test_a_fit_that_is_interrupted_goes_on(sampled, own_cache, tmp_path, capsys,
             raise KeyboardInterrupt
         return sample(sampling, recipe, seed)
 
-    monkeypatch.setattr(detector_fit._Sampling, "samples", samples)
+    monkeypatch.setattr(detector_samples._Sampling, "samples", samples)
     sampled.clear()
     capsys.readouterr()
     assert main(["detector", "fit", *FIT]) == 130
@@ -211,11 +211,11 @@ def test_a_full_disk_is_one_line_and_nothing_is_half_written(sampled, own_cache,
 
 @pytest.mark.slow
 def test_processes_sample_the_same_bits():
-    source = detector_fit._Source(CameraModel(64, 64), 4, (11,))
+    source = detector_samples.Source(CameraModel(64, 64), 4, (11,))
     found = []
     for workers in (1, 2):
         config = load_config("quick", [f"executor.workers={workers}"])
-        found.append(detector_fit._sample_scenes(config, range(16), None, None, [source], NullProgress()))
+        found.append(detector_samples.sample_scenes(config, range(16), None, None, [source], NullProgress()))
     for name, array in vars(found[0]).items():
         np.testing.assert_array_equal(getattr(found[1], name), array, name)
 
@@ -276,7 +276,7 @@ def test_the_fit_for_the_very_camera_comes_first():
 )
 def test_other_cameras_share_one_fit(words, scale, monkeypatch):
     """What is shipped serves them without any sampling."""
-    monkeypatch.setattr(detector_fit, "_sample_scenes", None)
+    monkeypatch.setattr(detector_fit, "sample_scenes", None)
     config = load_config("quick", words)
     shared = stored_file(any_camera_use(any_camera_config(load_config("default"))))
     assert shared is not None
@@ -305,7 +305,7 @@ def outcomes(words, *, scene_count, model):
     """Probabilities of a model, and what the detector found, in scenes that nothing has been fitted on."""
     config = load_config("quick", words)
     seeds = range(500_200, 500_200 + scene_count)
-    samples = detector_fit.sample_camera(config, seeds, model, progress=NullProgress())
+    samples = detector_samples.sample_camera(config, seeds, model, progress=NullProgress())
     return model.of_features(samples.feature), samples.is_detected
 
 
@@ -329,7 +329,7 @@ def test_the_shipped_fit_is_calibrated_in_a_camera_that_it_has_not_seen():
     ],
 )
 def test_the_shipped_fit_is_calibrated_in_large_images(words, monkeypatch):
-    monkeypatch.setattr(detector_fit, "VIEWS_PER_SCENE", 8)
+    monkeypatch.setattr(detector_samples, "VIEWS_PER_SCENE", 8)
     model = detector_fit.ensure_fit(load_config("quick", words))
     scores = score(*outcomes(words, scene_count=30, model=model))
     # seen .027, .963, .55 times the base rate's; .017, .982, .32; .040, .972, .59

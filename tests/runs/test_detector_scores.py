@@ -7,7 +7,7 @@ import pytest
 from warpav.cli.app import main
 from warpav.core.progress import NullProgress
 from warpav.detection.probability_fit import score
-from warpav.runs import detector_fit, detector_scores
+from warpav.runs import detector_fit, detector_samples, detector_scores
 from warpav.runs.config import load_config
 
 SMALL = ("camera.width_px=192", "camera.height_px=192")
@@ -16,7 +16,7 @@ SMALL = ("camera.width_px=192", "camera.height_px=192")
 @pytest.fixture(autouse=True)
 def few_views(monkeypatch):
     """A quarter of the views, and few resamples, for time."""
-    monkeypatch.setattr(detector_fit, "VIEWS_PER_SCENE", 6)
+    monkeypatch.setattr(detector_samples, "VIEWS_PER_SCENE", 6)
     monkeypatch.setattr(detector_scores, "_RESAMPLES", 49)
 
 
@@ -30,7 +30,7 @@ def test_scores_are_those_of_the_fit_on_the_scenes_asked_for(tmp_path, capsys):
     (found,) = written["detectors"]
     config = load_config("quick", [*SMALL, "scenes.level=dense"])
     model = detector_fit.ensure_fit(config)
-    samples = detector_fit.sample_camera(config, (5000, 5001), model, progress=NullProgress())
+    samples = detector_samples.sample_camera(config, (5000, 5001), model, progress=NullProgress())
     expected = score(model.of_features(samples.feature), samples.is_detected)
     assert found["objects"] == len(samples)
     assert found["detected"] == samples.is_detected.sum()
@@ -43,7 +43,7 @@ def test_scores_are_those_of_the_fit_on_the_scenes_asked_for(tmp_path, capsys):
     assert (out / "builtin_reliability.png").is_file()
     # the level counts
     easy = load_config("quick", SMALL)
-    assert len(detector_fit.sample_camera(easy, (5000, 5001), model, progress=NullProgress())) != len(samples)
+    assert len(detector_samples.sample_camera(easy, (5000, 5001), model, progress=NullProgress())) != len(samples)
 
 
 def test_recorded_traffic_is_a_source_like_others(tmp_path):

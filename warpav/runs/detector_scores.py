@@ -15,7 +15,8 @@ from warpav.core.progress import Progress
 from warpav.detection.probability_fit import BIN_COUNT, DetectionSamples, ProbabilityScores, score
 from warpav.evaluation.statistics import LEVEL, Estimate
 from warpav.runs.config import Config
-from warpav.runs.detector_fit import ensure_fit, sample_camera, town_config
+from warpav.runs.detector_fit import ensure_fit, town_config
+from warpav.runs.detector_samples import sample_camera
 from warpav.runs.networks import networks_in
 from warpav.runs.terminal import TextTable
 
