@@ -12,7 +12,7 @@ import pytest
 
 import warpav as wa
 from tests.view.stand_ins import needs_opengl
-from warpav.runs.config import changed_config
+from warpav.runs.config import load_config
 
 TEN_LINES = """
 import warpav as wa
@@ -74,7 +74,7 @@ def test_the_ten_lines_run_as_printed(tmp_path, monkeypatch, capsys):
     for printed, small in SMALLER.items():
         assert printed in program
         program = program.replace(printed, small)
-    names = {"SMALL": changed_config(wa.Config(), SMALL, origin=None)}
+    names = {"SMALL": load_config(wa.Config(), SMALL, origin=None)}
     exec(program, names)
     result, out = names["result"], capsys.readouterr().out
     assert "recall of the rig" in out

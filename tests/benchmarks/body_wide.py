@@ -33,7 +33,7 @@ from warpav.raster.mesh import Mesh
 from warpav.raster.renderer import Renderer
 from warpav.rig.presets import preset_names
 from warpav.rig.zone import read_zones, write_zones
-from warpav.runs.config import Config, changed_config
+from warpav.runs.config import Config, load_config
 from warpav.runs.detector_fit import ensure_fit
 from warpav.runs.mounts import preset_for
 from warpav.runs.vehicle_zones import propose
@@ -165,14 +165,14 @@ def config_of(task: Task, *, seed: int = 0) -> Config:
         model = model.with_pixels(PIXELS)
         options += [f"rig.cameras={len(cameras)}", f"camera.fov_deg={fov}"]
         options += [f"camera.width_px={model.width_px}", f"camera.height_px={model.height_px}"]
-    return changed_config(Config(), options, origin=None)
+    return load_config(Config(), options, origin=None)
 
 
 def zones_of(vehicle: str, file: Path, where: str) -> Path:
     """The zones that a body suggests outside of its glass, or its roof alone, in a file."""
     mesh, source = vehicle_of(vehicle), file.with_suffix(".ply")
     trimesh.Trimesh(mesh.vertex_m, mesh.triangle, vertex_colors=mesh.vertex_rgb, process=False).export(source)
-    config = changed_config(Config(), ["rig.free.pitch_deg=[-10, 30]"], origin=None)
+    config = load_config(Config(), ["rig.free.pitch_deg=[-10, 30]"], origin=None)
     for _ in propose(source, config, out=file):
         pass
     zones = [zone for zone in read_zones(file) if not zone.is_behind_glass]

@@ -21,7 +21,7 @@ import numpy as np
 
 import warpav as wa
 from warpav.evaluation.statistics import Difference, paired_difference
-from warpav.runs.config import Config, changed_config
+from warpav.runs.config import Config, load_config
 
 UNSEEN_FROM = 20_000
 NOMINAL = "nominal"
@@ -59,7 +59,7 @@ def of_seed(seed: int, settings: argparse.Namespace) -> list[dict[str, object]]:
     train = wa.town(range(settings.train * seed, settings.train * (seed + 1)))
     unseen = list(wa.town(range(UNSEEN_FROM, UNSEEN_FROM + settings.unseen)))
     options = [f"device={settings.device}", f"optimiser.pool_cameras={settings.pool}", f"run.seed={seed}"]
-    config = changed_config(Config(), options, origin=None)
+    config = load_config(Config(), options, origin=None)
     robust = {NOMINAL: None} | {
         f"worst, {weight}": {"camera_loss": "worst", "weight": float(weight)} for weight in settings.weights.split(",")
     }

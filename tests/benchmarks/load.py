@@ -19,8 +19,7 @@ import numpy as np
 
 import warpav as wa
 from warpav.core.progress import NullProgress
-from warpav.runs.config import changed_config
-from warpav.runs.config.load import load_config
+from warpav.runs.config import load_config
 from warpav.runs.optimise import Optimisation
 from warpav.runs.report.report import write_report
 from warpav.runs.run_folder import RunFolder
@@ -45,7 +44,7 @@ def main() -> None:
         "scenes.validation_seeds=0..3",
     ]
     with tempfile.TemporaryDirectory() as folder:
-        config = changed_config(load_config("quick"), [*options, f"run.out={folder}/run"], origin=None)
+        config = load_config(load_config("quick"), [*options, f"run.out={folder}/run"], origin=None)
         placement = wa.Placement.from_config(config).prepare(NullProgress())
         optimisation = Optimisation.begin(placement)
         written = RunFolder.create(config, name="run")

@@ -16,7 +16,7 @@ from warpav.optimisation.losses.registry import LOSSES
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.rig.rig import write_rig
-from warpav.runs.config import changed_config, load_config, option_values
+from warpav.runs.config import load_config, option_values
 from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
 from warpav.thesis.descent import descent_camera_renders
@@ -162,7 +162,7 @@ def test_values_of_single_cameras_are_those_of_the_objective(missing, rng):
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-6)
     assert len(set(expected)) > 1
     assert isinstance(module._single_values(missing), SingleCameraValues)
-    double = missing.with_config(changed_config(missing.config, ["losses.expected_miss_rate=2"]))
+    double = missing.with_config(load_config(missing.config, ["losses.expected_miss_rate=2"]))
     again = BudgetedValue.of(double.objective, double.train, space, camera_renders_max=20).of_rigs(rigs)
     np.testing.assert_allclose(again, 2.0 * found, rtol=1e-6)
 
@@ -172,7 +172,7 @@ def test_frozen_cameras_stay(missing, tmp_path, name):
     start = find_rig_of(Arm("random_rig", "random_rig"), missing, None).rig
     write_rig(start, tmp_path / "mine.yaml")
     held = [f"rig.start={tmp_path / 'mine.yaml'}", f"rig.freeze={start.cameras[1].name}"]
-    placement = missing.with_config(changed_config(missing.config, held))
+    placement = missing.with_config(load_config(missing.config, held))
     placement = Placement.from_config(placement.config).prepare()
     found = find_rig_of(Arm(name, name) if name != "default" else find_arm(name, {}), placement, 90)
     frozen, free = found.rig.cameras[1], found.rig.cameras[0]
@@ -189,7 +189,7 @@ def test_losses_that_single_cameras_do_not_know_are_refused(problem, missing):
     for name in ("random_selected", "descent_only"):
         with pytest.raises(InputError, match="losses: expected expected_miss_rate alone"):
             find_rig_of(Arm(name, name), problem, None)
-    best = missing.with_config(changed_config(missing.config, ["losses.combine=best"]))
+    best = missing.with_config(load_config(missing.config, ["losses.combine=best"]))
     with pytest.raises(InputError, match=r"optimiser\.search: expected descent"):
         find_rig_of(Arm("pool_only", "pool_only"), best, 60)
     # but its values are there, one rig after the other
@@ -238,7 +238,7 @@ def test_what_cannot_work_is_refused_before_it_starts(problem, monkeypatch):
             find_arm(name, {}).check(settings, None)
     with pytest.raises(InputError, match=r"run\.batch_size: expected at most the 2 training scene"):
         find_arm("thesis_as_printed", {}).check(settings, None)  # it prints batches of four
-    larger = changed_config(settings, ["optimiser.search=pool", "run.batch_size=4"])
+    larger = load_config(settings, ["optimiser.search=pool", "run.batch_size=4"])
     find_arm("start", {}).check(larger, None)
     assert found_by("start", problem.with_config(larger), None).camera_renders == 0
     with pytest.raises(InputError, match=r"run\.batch_size: expected at most the 2 training scene"):

@@ -3,7 +3,7 @@
 import pytest
 
 import warpav as wa
-from warpav.runs.config import Config, changed_config
+from warpav.runs.config import Config, load_config
 
 SMALL = ["camera.width_px=64", "camera.height_px=64", "optimiser.pool_cameras=16", "optimiser.pool_rounds=0"]
 
@@ -15,12 +15,12 @@ def test_the_near_field_counts_where_it_is_asked_for_alone(requirements, counts)
         wa.town([1]),
         cameras="1..2",
         requirements=requirements,
-        config=changed_config(Config(), [*SMALL, "run.batch_size=1", "run.iterations=3"], origin=None),
+        config=load_config(Config(), [*SMALL, "run.batch_size=1", "run.iterations=3"], origin=None),
     )
     found = wa.front(placement, wa.town([5000]))
     assert ("points of the requirements together" in str(found.table())) is counts
     for point in found.points:
-        seen = placement.with_config(changed_config(placement.config, [f"rig.cameras={len(point.rig.cameras)}"]))
+        seen = placement.with_config(load_config(placement.config, [f"rig.cameras={len(point.rig.cameras)}"]))
         probability = seen.detection_probabilities(point.rig)
         missed = float((1.0 - probability.clip(max=0.9999)).prod(axis=0).mean())
         if counts:

@@ -13,7 +13,7 @@ from warpav.optimisation.miss_rate import expected_miss_rate
 from warpav.optimisation.mount_errors import MountErrors
 from warpav.optimisation.objective import single_cameras_of
 from warpav.optimisation.single_cameras import MisplacedCameras
-from warpav.runs.config import Config, changed_config, dump_config, load_config
+from warpav.runs.config import Config, dump_config, load_config
 from warpav.runs.report.evaluation import Robust
 from warpav.runs.report.statements import robust_text
 
@@ -34,12 +34,12 @@ def test_files_and_hashes_without_it_stay_as_they_were():
     assert "robust" not in unseeded(Config())
     assert Config().robust.objective is None
     assert Config().robust.mount_errors is None
-    with_loss = changed_config(Config(), MEAN, origin=None)
+    with_loss = load_config(Config(), MEAN, origin=None)
     assert "mount_error" not in unseeded(with_loss)
 
 
 def test_what_is_written_is_read_again(tmp_path):
-    config = changed_config(Config(), MEAN, origin=None)
+    config = load_config(Config(), MEAN, origin=None)
     assert config.robust.objective == RobustObjective("mean", 0.3)
     (tmp_path / "mine.yaml").write_text(dump_config(config))
     assert load_config(tmp_path / "mine.yaml") == config
@@ -47,12 +47,12 @@ def test_what_is_written_is_read_again(tmp_path):
 
 
 def test_errors_that_are_written_are_read_again(tmp_path):
-    config = changed_config(Config(), ERRORS, origin=None)
+    config = load_config(Config(), ERRORS, origin=None)
     assert config.robust.mount_errors == MountErrors(0.05, math.radians(3.0))
     (tmp_path / "mine.yaml").write_text(dump_config(config))
     assert load_config(tmp_path / "mine.yaml") == config
     assert '"robust.mount_error_m": 0.05' in unseeded(config)
-    alone = changed_config(Config(), ERRORS[1:], origin=None)
+    alone = load_config(Config(), ERRORS[1:], origin=None)
     assert alone.robust.mount_errors == MountErrors(0.0, math.radians(3.0))
 
 
@@ -75,7 +75,7 @@ def test_errors_that_are_written_are_read_again(tmp_path):
 )
 def test_what_cannot_be_is_refused(options, message):
     with pytest.raises(InputError, match=message):
-        changed_config(Config(), options, origin=None)
+        load_config(Config(), options, origin=None)
 
 
 @pytest.mark.parametrize(("option", "value"), [("camera_loss", "mean"), ("mount_error_deg", 2.0)])
@@ -87,7 +87,7 @@ def test_a_front_is_refused(option, value):
 
 @pytest.mark.usefixtures("short_polish")
 def test_a_result_says_what_its_objective_is_made_of(tmp_path):
-    config = changed_config(Config(), SMALL, origin=None)
+    config = load_config(Config(), SMALL, origin=None)
     robust = {"camera_loss": "worst", "weight": 0.4}
     result = wa.optimise(wa.Placement(list(wa.town([1])), cameras=2, robust=robust, config=config))
     for name, objective in (("start", result.start_objective), ("optimised", result.found_objective)):
@@ -113,7 +113,7 @@ def test_a_result_says_what_its_objective_is_made_of(tmp_path):
 @pytest.mark.usefixtures("short_polish")
 @pytest.mark.parametrize("others", [{}, {"camera_loss": "mean", "weight": 0.5}])
 def test_a_result_says_what_errors_cost(tmp_path, others):
-    config = changed_config(Config(), SMALL, origin=None)
+    config = load_config(Config(), SMALL, origin=None)
     robust = {"mount_error_m": 0.05, "mount_error_deg": 3.0, **others}
     placement = wa.Placement(list(wa.town([1])), cameras=2, robust=robust, config=config)
     result = wa.optimise(placement)

@@ -52,7 +52,7 @@ from warpav.optimisation.space import SearchSpace
 from warpav.raster.camera import CameraModel
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig
-from warpav.runs.config import Config, changed_config, load_config, option_values
+from warpav.runs.config import Config, load_config, option_values
 from warpav.runs.mounts import camera_mount, constraints_of, preset_for
 from warpav.runs.optimise import Optimisation, pool_search_settings, searches_by_pool
 from warpav.runs.placement import Placement, Stream
@@ -120,11 +120,11 @@ class Arm:
 
     def evaluation_config(self, config: Config) -> Config:
         """The configuration that its rigs are evaluated with."""
-        return changed_config(config, self.overrides)
+        return load_config(config, self.overrides)
 
     def search_config(self, config: Config) -> Config:
         """The configuration that it searches by."""
-        return changed_config(config, (*self.overrides, *self.search_overrides))
+        return load_config(config, (*self.overrides, *self.search_overrides))
 
     def check(self, config: Config, camera_renders_max: int | None) -> None:
         """Reject early what would fail in every run."""
@@ -142,7 +142,7 @@ class Arm:
         if self.method in _STARTING or config.rig.freeze:
             read_start(config)
         if self.method in _BATCHED:
-            changed_config(config, ("optimiser.search=descent",))
+            load_config(config, ("optimiser.search=descent",))
         least = self._least_camera_renders(config)
         if camera_renders_max is not None and camera_renders_max < least:
             raise InputError(
@@ -316,7 +316,7 @@ def _within(placement: Placement, camera_renders_max: int | None) -> Placement:
         camera_count=config.rig.cameras,
         batch_size=config.run.batch_size,
     )
-    return placement.with_config(changed_config(config, [f"run.iterations={iterations}"]))
+    return placement.with_config(load_config(config, [f"run.iterations={iterations}"]))
 
 
 def _from_one_start(placement: Placement, *, takes_batches: bool = True) -> Placement:
@@ -324,7 +324,7 @@ def _from_one_start(placement: Placement, *, takes_batches: bool = True) -> Plac
     one = ["optimiser.search=descent", "optimiser.starts=1", "optimiser.descents=1"]
     if not takes_batches:
         one.append("run.batch_size=1")
-    return placement.with_config(changed_config(placement.config, one))
+    return placement.with_config(load_config(placement.config, one))
 
 
 def _pooled(placement: Placement, camera_renders_max: int | None, *, only: bool = False) -> FoundRig:
@@ -332,7 +332,7 @@ def _pooled(placement: Placement, camera_renders_max: int | None, *, only: bool 
 
     What the cache holds is drawn again, so that the seconds count.
     """
-    placement = placement.with_config(changed_config(placement.config, ["optimiser.search=pool"]))
+    placement = placement.with_config(load_config(placement.config, ["optimiser.search=pool"]))
     settings = replace(pool_search_settings(placement.config), camera_renders_max=camera_renders_max)
     if camera_renders_max is not None:  # rounds until it is spent, or until one brings nothing
         settings = replace(settings, rounds=camera_renders_max, refinements=camera_renders_max)
@@ -479,7 +479,7 @@ def _practice(placement: Placement, pose_of: Callable[[Constraints, int], np.nda
 def _highest_raised(placement: Placement, camera_renders_max: int | None) -> FoundRig:
     """Cameras around the highest point, on a rack that is ``rig.height_offset_m`` high, whatever zones there are."""
     del camera_renders_max
-    config = changed_config(placement.config, ["mount.zones=null"])
+    config = load_config(placement.config, ["mount.zones=null"])
     mount = camera_mount(config, placement.ego)
     pose = highest_mount_pose(constraints_of(config, mount.surface), config.rig.cameras).astype(np.float32)
     shared = placement.objective.mount.camera  # whose near plane may be another

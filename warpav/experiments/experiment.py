@@ -46,7 +46,7 @@ from warpav.rig.rig import write_rig
 from warpav.runs.config import (
     AUTO,
     Config,
-    changed_config,
+    load_config,
     with_absolute_paths,
 )
 from warpav.runs.environment import running_commit
@@ -163,7 +163,7 @@ def run_study(
     """
     study.check(config)
     if config.requirements == AUTO:  # its arms are compared by what they are expected to miss
-        config = changed_config(config, ["requirements=null"])
+        config = load_config(config, ["requirements=null"])
     runs_of = {} if runs is not None else study.runs_of
     runs = study.runs if runs is None else runs
     camera_renders_max = study.camera_renders_max if camera_renders_max is None else camera_renders_max
@@ -356,7 +356,7 @@ def _tasks(
             study.judge,
         )
         for k in range(runs_of[arm.name] if arm.is_seeded else 1):
-            seeded = changed_config(config, [f"run.seed={config.run.seed + k}"])
+            seeded = load_config(config, [f"run.seed={config.run.seed + k}"])
             tasks.append(ArmTask(arm, seeded, camera_renders_max, folder, made_with, study.judge))
     return tasks
 

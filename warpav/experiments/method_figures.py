@@ -20,7 +20,7 @@ from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M
 from warpav.raster.decide import Occlusion
 from warpav.rig.find import HIGHEST
 from warpav.rig.rig import Rig
-from warpav.runs.config import Config, changed_config
+from warpav.runs.config import Config, load_config
 from warpav.runs.events import trajectory
 from warpav.runs.mounts import camera_mount
 from warpav.runs.networks import load_detector, load_networks
@@ -66,7 +66,7 @@ def draw_method_figure(
 def unconstrained(config: Config, path: Path, *, run: RunFolder | None, progress: Progress) -> Path:
     """Figure 10: the trajectories of the cameras from one start, with all multipliers at 0 and without that."""
     # which iterate is kept and how often rigs are compared changes no trajectory
-    config = changed_config(config, ["optimiser.keep=last", "optimiser.patience=null", "optimiser.descents=1"])
+    config = load_config(config, ["optimiser.keep=last", "optimiser.patience=null", "optimiser.descents=1"])
     traffic, networks = load_scene_set(config, progress), load_networks(config)
     probability = needed_fit(config, progress)
     placement = placement_on(traffic, config, networks, probability)
@@ -81,7 +81,7 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, progress
         start = placement.objective.mount.mount_pose_of_rig(began)
         began_as = None if placement.has_ordered_start else began
         kept = OptimisedRig(began, path_m, run.rig("final"))
-    loose = placement_on(traffic, changed_config(config, _UNCONSTRAINED), networks, probability)
+    loose = placement_on(traffic, load_config(config, _UNCONSTRAINED), networks, probability)
     freed = Optimisation.begin(loose, start=start, began_as=began_as)
     free = _optimised(loose, freed.descent, progress, "without constraints")
 

@@ -36,7 +36,7 @@ from warpav.experiments.result_folder import (
 from warpav.experiments.rows import ROWS, read_rows
 from warpav.optimisation.losses.registry import LOSSES
 from warpav.rig.rig import read_rig
-from warpav.runs.config import Config, changed_config, overridden_option, with_absolute_paths
+from warpav.runs.config import Config, load_config, overridden_option, with_absolute_paths
 from warpav.runs.environment import environment, running_commit
 from warpav.runs.networks import load_networks, networks_in
 from warpav.runs.placement import placement_on
@@ -143,7 +143,7 @@ def plan_rescore(folder: Path, config: Config, *, name: str, judge: str | None =
     described = read_description(folder)
     before = read_rigs(folder)
     is_same = _same_test_scenes(described["options"], config)
-    config = with_absolute_paths(changed_config(config, light_overrides(config)))
+    config = with_absolute_paths(load_config(config, light_overrides(config)))
     out = (folder / f"rescored_{name}").absolute()
     tasks = [_task(run, config, folder, out, is_same and ATTAINABLE in run) for runs in before.values() for run in runs]
     return Rescoring(described, before, judge or name, config, out, tasks)

@@ -28,7 +28,7 @@ from warpav.detection.probability_fit import (
     score,
 )
 from warpav.raster.camera import CameraModel
-from warpav.runs.config import Config, changed_config
+from warpav.runs.config import Config
 from warpav.runs.detector_samples import (
     FOLDS,
     Source,
@@ -177,7 +177,7 @@ def fit_config(config: Config, progress: Progress) -> Config:
     scenes = config.scenes
     if scenes.source != "traffic" or (scenes.recordings, scenes.test_recordings) == (None, None):
         return config
-    shipped = changed_config(config, ["scenes.recordings=null", "scenes.test_recordings=null"], origin=None)
+    shipped = config.replace({"scenes.recordings": None, "scenes.test_recordings": None})
     own_uses = [any_camera_use(any_camera_config(config))]
     own_uses += [detector_use(config, camera=each) for each in camera_models(config)]
     (seen, _), (_, tested) = search_and_test(None, None), search_and_test(scenes.recordings, scenes.test_recordings)
@@ -204,8 +204,8 @@ def _unseen(config: Config) -> tuple[int, ...]:
 
 def town_config(config: Config) -> Config:
     """The configuration with embedded scenes for its own."""
-    town = {"source": "town", "folder": "null", "recordings": "null", "test_recordings": "null"}
-    return changed_config(config, [f"scenes.{name}={value}" for name, value in town.items()])
+    town = {"source": "town", "folder": None, "recordings": None, "test_recordings": None}
+    return config.replace({f"scenes.{name}": value for name, value in town.items()})
 
 
 def _ensure_for_any_camera(config: Config, progress: Progress) -> DetectionProbability:
@@ -300,7 +300,7 @@ def fit(
         sources = [Source.through(window, used, config, k) for k, window in enumerate(windows_of(used))]
     else:
         sources = [Source.of_camera(camera or camera_model(config))]
-    usual = changed_config(config, [f"scenes.{name}=null" for name in _NOT_FITTED], origin=None)
+    usual = config.replace({f"scenes.{name}": None for name in _NOT_FITTED})
     samples = sample_scenes(usual, (*seeds.fit, *seeds.held_out), detector, ego, sources, progress, use=use)
     progress.stage("fitting")
     known, unseen = samples.of_seeds(seeds.fit), samples.of_seeds(seeds.held_out)

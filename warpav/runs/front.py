@@ -21,7 +21,7 @@ from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.pool_search import PoolSearchSettings, too_near
 from warpav.optimisation.rig_limits import RigLimits, range_text
 from warpav.rig.rig import Rig, write_rig
-from warpav.runs.config import AUTO, changed_config
+from warpav.runs.config import AUTO
 from warpav.runs.evaluate import evaluate_on
 from warpav.runs.mounts import check_one_unit, rig_modules
 from warpav.runs.optimise import Optimisation, pool_search_settings, searches_by_pool
@@ -207,7 +207,7 @@ def front(
         text = "expected null, as the rigs of a front are compared by their expected misses"
         raise OptionError(robust.asked_for, f"{text}, got {getattr(robust, robust.asked_for.partition('.')[2])}")
     if placement.config.requirements == AUTO:  # its rigs are compared by what they are expected to miss
-        placement = placement.with_config(changed_config(placement.config, ["requirements=null"], origin=None))
+        placement = placement.with_config(placement.config.replace({"requirements": None}))
     has_requirements = bool(placement.requirements)
     with shown_progress(progress) as shown:
         placement.prepare(shown)
@@ -308,10 +308,10 @@ def _search(
 ) -> PoolRun:
     """The search of a step."""
     numbers = limits.count if limits is not None else (count, count)
-    options = [f"rig.cameras={range_text(numbers)}"]
+    options: dict[str, object] = {"rig.cameras": numbers[0] if numbers[0] == numbers[1] else range_text(numbers)}
     if limits is not None and limits.cost_max is not None:
-        options.append(f"rig.max_cost={limits.cost_max!r}")
-    smaller = placement.with_config(changed_config(placement.config, options, origin=None))
+        options["rig.max_cost"] = limits.cost_max
+    smaller = placement.with_config(placement.config.replace(options))
     begun = Optimisation.begin(
         smaller, start=start, executor=executor, pool=settings, known_pool=pool, progress=progress
     )

@@ -16,7 +16,7 @@ from warpav.core.cache import digest
 from warpav.core.errors import InputError, OptionError, install_text
 from warpav.core.warp_setup import checked_device
 from warpav.core.yaml_file import read_yaml
-from warpav.runs.config import Config, changed_config, flow_text, with_absolute_paths
+from warpav.runs.config import Config, flow_text, load_config, with_absolute_paths
 from warpav.runs.mounts import camera_model
 from warpav.runs.scene_set import own_vehicle_digest, recordings_digest
 
@@ -51,8 +51,7 @@ def read_detector(
     """
     given = {"scenes.targets": list(targets), "detector.model": str(model)}
     given |= {f"detector.{name}": value for name, value in options.items()}
-    overrides = [f"{name}={flow_text(value)}" for name, value in given.items()]
-    return load_detector(changed_config(Config(), overrides, origin=None))
+    return load_detector(Config().replace(given))
 
 
 def load_detector(config: Config, *, every_road_user: bool = False) -> OnnxDetector:
@@ -129,10 +128,10 @@ def any_camera_config(config: Config) -> Config:
 
     A network that takes images of any size does not care to what size others are scaled before.
     """
-    changes = ["scenes.ego=null"]
+    changes: dict[str, object] = {"scenes.ego": None}
     if config.detector.input_px is not None and opened_detector(config).takes_any_size:
-        changes.append("detector.input_px=null")
-    return changed_config(config, changes, origin=None)
+        changes["detector.input_px"] = None
+    return config.replace(changes)
 
 
 def model_path(config: Config) -> Path:
@@ -225,7 +224,7 @@ class PanelNetwork:
 
     def config(self, config: Config) -> Config:
         """The configuration with this network as its detector."""
-        return changed_config(config, self.overrides)
+        return load_config(config, self.overrides)
 
 
 def networks_in(folder: Path, config: Config) -> list[PanelNetwork]:
@@ -255,7 +254,7 @@ def networks_in(folder: Path, config: Config) -> list[PanelNetwork]:
     found = []
     for name, file in named.items():
         described, size_px = _description(file.with_suffix(".yaml"))
-        detector = load_detector(changed_config(config, (*_network_overrides(file), *described)))
+        detector = load_detector(load_config(config, (*_network_overrides(file), *described)))
         found.append(PanelNetwork(name, file, *(size_px or _image_size_px(detector, config)), described))
     return found
 

@@ -215,7 +215,7 @@ class Placement:
             cameras = len(start_rig.cameras)
         base = Config() if config is None else config
         options: dict[str, object] = {
-            "rig.modules": None if modules is None else _counts(modules),
+            "rig.modules": None if modules is None else dict(modules),
             "rig.cameras": cameras,
             "camera.fov_deg": fov_deg,
             "device": device,
@@ -803,11 +803,6 @@ def _packer(train: Sequence[Scene], validation: Sequence[Scene], parts: Parts) -
         return pack_scenes(steps, (len(train), len(validation)), parts.config, progress)
 
     return pack
-
-
-def _counts(modules: Mapping[str, int | str | tuple[int, int]]) -> dict[str, int | str]:
-    """Numbers of modules as they are written in files."""
-    return {name: range_text(count) if isinstance(count, tuple) else count for name, count in modules.items()}
 
 
 def _section(settings: Section | Mapping[str, Any]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
 from warpav.rig.mount_surface import MountSurface
-from warpav.runs.config import Config, changed_config
+from warpav.runs.config import Config
 from warpav.runs.mounts import mount_surface
 from warpav.scene.own_vehicle import (
     Examination,
@@ -261,7 +261,7 @@ def _normal_without_windscreen(parts: Sequence[ZonePart], vehicle: Mesh, config:
         if normal <= config.mount.min_zone_normal:
             continue
         try:
-            changed = changed_config(config, [f"mount.min_zone_normal={normal}"])
+            changed = config.replace({"mount.min_zone_normal": normal})
             kept = zone_parts(mount_surface(changed, vehicle), vehicle)
         except InputError:  # nothing is left
             return None

@@ -12,7 +12,7 @@ import warpav as wa
 from tests.scene.town.digests import digest_of
 from tests.scene.town.test_town import _Caster, _rectangle, _rectangles_overlap
 from warpav.core.errors import InputError
-from warpav.runs.config import changed_config
+from warpav.runs.config import load_config
 from warpav.scene.town.lanes import HEADWAY_S
 from warpav.scene.town.levels import LEVELS, level_scene
 
@@ -185,4 +185,4 @@ def test_a_level_that_is_none_is_refused():
     with pytest.raises(ValueError, match="seed must be 0 or more, got -1"):
         level_scene(-1, "urban")
     with pytest.raises(InputError, match=r"expected no level because scenes\.source is captured"):
-        changed_config(wa.Config(), ["scenes.source=captured", "scenes.level=urban"])
+        load_config(wa.Config(), ["scenes.source=captured", "scenes.level=urban"])

@@ -152,9 +152,7 @@ def _to_indent(mistaken: Sequence[Location]) -> dict[Location, list[Location]]:
     return {section: found for section, found in beside.items() if found}
 
 
-def changed_config(config: Config, overrides: Sequence[str], *, origin: str | None = COMMAND_LINE) -> Config:
-    """The configuration with other values for some options."""
-    return load_config(config, overrides, origin=origin)
+changed_config = load_config  # until nobody imports the old name
 
 
 def with_absolute_paths(config: Config) -> Config:
