@@ -1,5 +1,6 @@
 """Training of the shipped detector, on a scale that fits a test; collected where PyTorch is installed."""
 
+import dataclasses
 import math
 from dataclasses import replace
 
@@ -11,7 +12,7 @@ from tests.driving_scene import roof, street
 from warpav.core.errors import InputError
 from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.onnx_detector import OnnxDetector
-from warpav.detection.training import CLASS_NAMES, data
+from warpav.detection.training import CLASS_NAMES, TrainingOptions, data
 from warpav.detection.training import train as train_module
 from warpav.detection.training.evaluate import evaluate
 from warpav.detection.training.loss import (
@@ -145,9 +146,8 @@ def test_a_checkpoint_of_another_training_is_refused_before_images_are_made(tmp_
     Training(torch.device("cpu"), step_count=16).save(file)
     if content is not None:
         file.write_bytes(content)
-    settings = {"device": "cpu", "processes": 1, "batch_size": 2, "seed": 0, "stop_after_minutes": math.inf}
     with pytest.raises(InputError, match=message):
-        train_detector(tmp_path, image_folder=tmp_path / "images", step_count=steps, **settings)
+        train_detector(tmp_path, TrainingOptions(steps=steps), image_folder=tmp_path / "images")
     assert not (tmp_path / "images").exists()
 
 
@@ -290,13 +290,14 @@ def test_data_is_written_trained_on_and_gone_on_from(tmp_path, monkeypatch):
         "train": data.Subset("dense", 1_000_000, 2, few),
         "train_recorded": data.Subset("search recordings", 1_000_100, 1, few),
     })  # fmt: skip
-    settings = {"image_folder": tmp_path / "images", "device": "cpu", "processes": 1, "step_count": 3, "batch_size": 2}
-    assert train_detector(tmp_path, **settings, seed=0, stop_after_minutes=0.0) is None
-    file = train_detector(tmp_path, **settings, seed=0, stop_after_minutes=math.inf)
+    options, folder = TrainingOptions(processes=1, steps=3, batch_size=2), tmp_path / "images"
+    stopped = dataclasses.replace(options, stop_after_minutes=0.0)
+    assert train_detector(tmp_path, stopped, image_folder=folder) is None
+    file = train_detector(tmp_path, options, image_folder=folder)
     assert OnnxDetector(file).names == CLASS_NAMES
     monkeypatch.setitem(train_module.TRAIN_SUBSETS, "train", data.Subset("dense", 1_000_001, 2, few))
     with pytest.raises(InputError, match="expected images of 2 scenes from seed 1000001 on"):
-        train_detector(tmp_path, **settings, seed=0, stop_after_minutes=math.inf)
+        train_detector(tmp_path, options, image_folder=folder)
     read = data.load_images(tmp_path / "images" / "train")
     assert list(read) == [256, 384, 640, 1280]
     assert len(read[256].images_rgb) == 4

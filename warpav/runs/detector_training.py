@@ -12,6 +12,7 @@ from typing import Any
 from warpav.core.errors import ArgumentError, InputError, install_text
 from warpav.core.files import write_json
 from warpav.detection.detector import ROAD_USERS
+from warpav.detection.training import TrainingOptions
 from warpav.detection.training.data import TEST_SUBSETS, load_images, write_images
 from warpav.detection.training.evaluate import evaluate
 from warpav.runs.config import Config
@@ -41,33 +42,11 @@ _TABLES = {
 
 
 def train_detector(
-    out: Path,
-    *,
-    image_folder: Path | None,
-    device: str,
-    processes: int,
-    steps: int,
-    batch_size: int,
-    seed: int,
-    stop_after_minutes: float,
-    say: Callable[[str], None],
+    out: Path, options: TrainingOptions, *, image_folder: Path | None, say: Callable[[str], None]
 ) -> None:
     """Make the images, train, write ``detector.onnx``; an interrupted training continues from its checkpoint.
 
-    Args:
-        out: Folder for ``checkpoint.pt`` and ``detector.onnx``.
-        image_folder: Folder of the images, made where they are missing; None: ``images`` in ``out``.
-        device: ``cpu`` or ``cuda:0``.
-        processes: That render, at least 1.
-        steps: Length of the training, at least 1.
-        batch_size: Images of 256 px a step, at least 1; of larger ones as many as have the same number of pixels.
-        seed: Of the weights and of the batches, at least 0.
-        stop_after_minutes: Stop before the end after so long [min], above 0.
-        say: Shows a line.
-
-    Raises:
-        InputError: PyTorch is missing, the device is not there, a number is below its minimum, a folder cannot be
-            written to, or a checkpoint is of another training.
+    The images are in ``images`` in ``out``, or in ``image_folder``, and made where they are missing.
     """
     missing = [name for name in ("torch", "onnx") if importlib.util.find_spec(name) is None]
     if missing:
@@ -76,34 +55,26 @@ def train_detector(
             f"such module; {install_text('train')}"
         )
     for option, value, minimum in (
-        ("processes", processes, 1),
-        ("steps", steps, 1),
-        ("batch-size", batch_size, 1),
-        ("seed", seed, 0),
+        ("processes", options.processes, 1),
+        ("steps", options.steps, 1),
+        ("batch-size", options.batch_size, 1),
+        ("seed", options.seed, 0),
     ):
         if value < minimum:
             raise InputError(f"command line (--{option}): expected at least {minimum}, got {value}")
-    if not stop_after_minutes > 0.0:
-        raise ArgumentError("stop_after_minutes", f"expected more than 0, got {stop_after_minutes:g}")
+    if not options.stop_after_minutes > 0.0:
+        raise ArgumentError("stop_after_minutes", f"expected more than 0, got {options.stop_after_minutes:g}")
     import torch  # pyright: ignore[reportMissingImports]
 
     from warpav.detection.training import train
 
     devices = ("cpu", *(f"cuda:{k}" for k in range(torch.cuda.device_count())))
-    if device not in devices:
-        raise ArgumentError("device", f"expected one of {', '.join(devices)}, which PyTorch finds, got {device!r}")
+    if options.device not in devices:
+        raise ArgumentError(
+            "device", f"expected one of {', '.join(devices)}, which PyTorch finds, got {options.device!r}"
+        )
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    made = _made_folders(out, image_folder)
-    file = train.train_detector(
-        out,
-        image_folder=made,
-        device=device,
-        processes=processes,
-        step_count=steps,
-        batch_size=batch_size,
-        seed=seed,
-        stop_after_minutes=stop_after_minutes,
-    )
+    file = train.train_detector(out, options, image_folder=_made_folders(out, image_folder))
     say(f"wrote {file}" if file else f"stopped before the end; the same command continues from {out / 'checkpoint.pt'}")
 
 

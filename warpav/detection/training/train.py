@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from warpav.core.errors import InputError
+from warpav.detection.training import TrainingOptions
 from warpav.detection.training.data import TRAIN_SUBSETS, LabelledImages, load_images, write_images
 from warpav.detection.training.loss import MIN_SIDE_PX, TargetBoxes, augment, detection_loss
 from warpav.detection.training.network import TownNetwork, export_network
@@ -170,20 +171,8 @@ def _parameter_groups(network: nn.Module) -> list[dict[str, object]]:
     return [{"params": weights, "weight_decay": _WEIGHT_DECAY}, {"params": others, "weight_decay": 0.0}]
 
 
-def train(
-    training: Training,
-    data: dict[int, DeviceData],
-    *,
-    checkpoint: Path,
-    batch_size: int,
-    stop_after_minutes: float,
-) -> None:
-    """Train until the schedule ends or the time is up, and save.
-
-    Args:
-        data: Images by their side [px].
-        stop_after_minutes: Stop before the schedule's end after so long [min].
-    """
+def train(training: Training, data: dict[int, DeviceData], options: TrainingOptions, checkpoint: Path) -> None:
+    """Train on images by their side [px] until the schedule ends or the time is up, and save."""
     start_s = saved_s = time.perf_counter()
     sides_px = list(data)
     probability = np.array([_SIZE_PROBABILITY[side_px] for side_px in sides_px])
@@ -191,7 +180,7 @@ def train(
     first_step = training.step
     while training.step < training.step_count:
         side_px = int(training.random.choice(sides_px, p=probability / probability.sum()))
-        losses = training.train_step(data[side_px], max(1, round(batch_size * (256 / side_px) ** 2)))
+        losses = training.train_step(data[side_px], max(1, round(options.batch_size * (256 / side_px) ** 2)))
         total += torch.stack(losses)
         now_s = time.perf_counter()
         if training.step % _LOG_STEPS == 0:
@@ -206,7 +195,7 @@ def train(
         if now_s - saved_s > _CHECKPOINT_S:
             training.save(checkpoint)
             saved_s = now_s
-        if now_s - start_s > 60.0 * stop_after_minutes:
+        if now_s - start_s > 60.0 * options.stop_after_minutes:
             break
     training.save(checkpoint)
     _logger.info(
@@ -214,45 +203,21 @@ def train(
     )
 
 
-def train_detector(
-    folder: Path,
-    *,
-    image_folder: Path,
-    device: str,
-    processes: int,
-    step_count: int,
-    batch_size: int,
-    seed: int,
-    stop_after_minutes: float,
-) -> Path | None:
+def train_detector(folder: Path, options: TrainingOptions, *, image_folder: Path) -> Path | None:
     """Render the images, train, and write the network as ``detector.onnx``; resumes from existing results.
-
-    Args:
-        folder: For ``checkpoint.pt`` and ``detector.onnx``.
-        image_folder: Folder of the images; missing ones are rendered.
-        device: PyTorch device.
-        processes: That render.
-        step_count: Length of the schedule.
-        batch_size: See `train`.
-        seed: Of the weights and of the batches.
-        stop_after_minutes: See `train`.
 
     Returns:
         The ONNX file; None where the time was up before the schedule's end.
-
-    Raises:
-        InputError: The checkpoint is of another training, or the images are damaged.
-        RuntimeError: A scene cannot be rendered, the loss is not finite, or the ONNX file differs from the network.
     """
     torch.backends.cudnn.benchmark = True
     torch.set_float32_matmul_precision("high")
-    training = Training(torch.device(device), step_count=step_count, seed=seed)
+    training = Training(torch.device(options.device), step_count=options.steps, seed=options.seed)
     checkpoint = folder / "checkpoint.pt"
     if checkpoint.exists():
         training.load(checkpoint)
         _logger.info("going on from step %d of %d", training.step, training.step_count)
     for name, subset in TRAIN_SUBSETS.items():
-        write_images(subset, image_folder / name, processes=processes)
+        write_images(subset, image_folder / name, processes=options.processes)
     if training.step < training.step_count:
         start_s = time.perf_counter()
         loaded = [load_images(image_folder / name) for name in TRAIN_SUBSETS]
@@ -261,7 +226,7 @@ def train_detector(
             for side_px in _SIZE_PROBABILITY
         }
         _logger.info("read the images in %.0f s", time.perf_counter() - start_s)
-        train(training, data, checkpoint=checkpoint, batch_size=batch_size, stop_after_minutes=stop_after_minutes)
+        train(training, data, options, checkpoint)
     if training.step < training.step_count:
         return None
     file = folder / "detector.onnx"
