@@ -116,76 +116,66 @@ class TestCleanup:
         assert not server.settings.synchronous_mode  # the rest is restored all the same
 
 
-class TestMistakes:
-    def told(self, match, simulator):
-        with pytest.raises(InputError, match=match) as caught, simulator:
-            simulator.begin(0)
-        assert "\n" not in str(caught.value)
+MISTAKES = [
+    (
+        lambda server: setattr(server, "is_mute", True),
+        {},
+        r"a CARLA server at 127.0.0.1:2000, got no answer \(time-out",
+    ),
+    (lambda server: setattr(server, "version", "0.9.15"), {}, r"version 0\.9\.16, got 0\.9\.15;.*carla==0\.9\.15"),
+    (lambda server: None, {"map_name": "Town10HD"}, "got 'Town10HD'; did you mean Town10HD_Opt"),
+    (
+        lambda server: None,
+        {"ego_blueprint": "vehicle.lincoln.mkz_2021"},
+        "did you mean vehicle.lincoln.mkz_2020",
+    ),
+    (lambda server: put_stranger(server), {}, "expected a world without vehicles and walkers.*got 1 of them"),
+    (lambda server: setattr(server, "wheels_of", lambda wheels: [wheels[0]] * 4), {}, "state rear_axle_m"),
+]
 
-    @pytest.fixture
-    def closed_port(self):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            return probe.getsockname()[1]
 
-    def test_missing_server(self, monkeypatch, closed_port):
-        monkeypatch.setitem(sys.modules, "carla", Server().module())
-        begun_s = time.monotonic()
-        self.told(
-            rf"expected a server at 127.0.0.1:{closed_port}, got: connection refused; start it with .*CarlaUE4",
-            CarlaSimulator(port=closed_port),
-        )
-        assert time.monotonic() - begun_s < 5.0
+def put_stranger(server):
+    server.spawn(server.library().find("vehicle.audi.tt"), carla_double.Transform(carla_double.Location(z=9.0)))
+    server.listed = set(server.actors)
 
-    def test_answer_of_no_use(self, server):
-        server.is_mute = True
-        self.told(r"expected a CARLA server at 127.0.0.1:2000, got no answer \(time-out", CarlaSimulator())
 
-    def test_missing_package(self, monkeypatch):
-        monkeypatch.setitem(sys.modules, "carla", None)
-        self.told(r'pip install "warpav\[carla\]"', CarlaSimulator())
+@pytest.mark.parametrize(("spoil", "options", "match"), MISTAKES)
+def test_mistakes_are_told_in_a_line_and_change_nothing(server, spoil, options, match):
+    spoil(server)
+    before = server.state()
+    with pytest.raises(InputError, match=match) as caught, CarlaSimulator(**options) as simulator:
+        simulator.begin(0)
+    assert "\n" not in str(caught.value)
+    assert server.state() == before
 
-    def test_other_version(self, server):
-        server.version = "0.9.15"
-        self.told(r"client's version 0\.9\.16, got 0\.9\.15;.*pip install carla==0\.9\.15", CarlaSimulator())
 
-    def test_unknown_map(self, server):
-        before = server.state()
-        self.told(r"got 'Town10HD'; did you mean Town10HD_Opt", CarlaSimulator(map_name="Town10HD"))
-        assert server.state() == before
+def test_missing_server_and_package(monkeypatch):
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    monkeypatch.setitem(sys.modules, "carla", Server().module())
+    begun_s = time.monotonic()
+    with pytest.raises(InputError, match=f"a server at 127.0.0.1:{port}, got: connection refused; start it with .*UE4"):
+        CarlaSimulator(port=port).__enter__()
+    assert time.monotonic() - begun_s < 5.0
+    monkeypatch.setitem(sys.modules, "carla", None)
+    with pytest.raises(InputError, match=r'pip install "warpav\[carla\]"'):
+        CarlaSimulator().__enter__()
 
-    def test_unknown_ego(self, server):
-        self.told("did you mean vehicle.lincoln.mkz_2020", CarlaSimulator(ego_blueprint="vehicle.lincoln.mkz_2021"))
 
-    def test_traffic_of_others(self, server):
-        server.spawn(server.library().find("vehicle.audi.tt"), carla_double.Transform(carla_double.Location(z=9.0)))
-        server.listed = set(server.actors)
-        before = server.state()
-        self.told("expected a world without vehicles and walkers.*got 1 of them", CarlaSimulator())
-        assert server.state() == before
-        server.settings.synchronous_mode = server.was_synchronous = True  # as a program that was killed leaves it
-        self.told("got 1 of them", CarlaSimulator())
-        assert server.settings.synchronous_mode
-
-    def test_wheels_nowhere(self, server):
-        before = server.state()
-        server.wheels_of = lambda wheels: [wheels[0]] * 4
-        self.told("state rear_axle_m", CarlaSimulator())
-        assert server.state() == before
-
-    def test_numbers(self, server):
-        for options, match in (
-            ({"port": 0}, "port must lie"),
-            ({"rear_axle_m": (1.0, 2.0)}, "rear_axle_m must be three"),
-            ({"waypoint_spacing_m": 0.0}, "waypoint_spacing_m must be positive"),
-            ({"exposure": -1.0}, "exposure must be positive"),
-            ({"timeout_s": math.inf}, "timeout_s must be positive"),
-            ({"warm_up_ticks": -1}, "warm_up_ticks must not be negative"),
-        ):
-            with pytest.raises(ValueError, match=match):
-                CarlaSimulator(**options)
-        with CarlaSimulator() as simulator, pytest.raises(ValueError, match="seed must not be negative"):
-            simulator.begin(-1)
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"port": 0}, "port must lie"),
+        ({"rear_axle_m": (1.0, 2.0)}, "rear_axle_m must be three"),
+        ({"waypoint_spacing_m": 0.0}, "waypoint_spacing_m must be positive"),
+        ({"timeout_s": math.inf}, "timeout_s must be positive"),
+        ({"warm_up_ticks": -1}, "warm_up_ticks must not be negative"),
+    ],
+)
+def test_numbers_out_of_range(options, match):
+    with pytest.raises(ValueError, match=match):
+        CarlaSimulator(**options)
 
 
 class TestConnection:
