@@ -6,7 +6,6 @@ of this machine, which it treats like Slurm's but for who starts them.
 
 import importlib.util
 import json
-import multiprocessing
 import os
 import shutil
 import signal
@@ -193,17 +192,6 @@ def test_libraries_start_no_more_threads_than_the_share(monkeypatch):
     assert outcome.result == {1} if count > 1 else {count}
 
 
-def test_a_smaller_share_lowers_what_it_inherited(monkeypatch):
-    monkeypatch.setattr(cores, "_share", cores.Share())
-    monkeypatch.setattr(os, "cpu_count", lambda: 64)
-    given = {"OMP_NUM_THREADS": "5", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "4,2"}
-    for variable, value in given.items():
-        monkeypatch.setenv(variable, value)
-    monkeypatch.setenv("OPENCV_FOR_THREADS_NUM", "")
-    cores.take_share(cores.Share(1))
-    assert {os.environ[variable] for variable in cores._THREAD_VARIABLES} == {"1"}
-
-
 @pytest.mark.parametrize(
     ("groups", "own", "expected"),
     [
@@ -262,15 +250,6 @@ def mark(task):
         os.kill(os.getpid(), signal.SIGKILL)
     time.sleep(0.2)
     return began, time.time()
-
-
-def test_what_was_killed_is_tried_again_alone_and_last(elsewhere, tmp_path):
-    outcomes = list(run_tasks(mark, [(number, tmp_path) for number in range(3)], **elsewhere, worker_count=2))
-    assert all(outcome.error is None for outcome in outcomes)
-    assert 0 in [outcome.task[0] for outcome in outcomes[-2:]]  # with 'process', the task beside it is under suspicion
-    again = next(outcome.result for outcome in outcomes if outcome.task[0] == 0)
-    spans = [outcome.result for outcome in outcomes if outcome.task[0] > 0]
-    assert all(ended <= again[0] or again[1] <= began for began, ended in spans)
 
 
 class DeadlyProcesses:
@@ -405,19 +384,6 @@ def test_slurm_that_is_not_here_is_refused(tmp_path):
         list(run_tasks(square, [1], executor="slurm", folder=tmp_path))
 
 
-@needs_ray
-@pytest.mark.slow
-def test_a_ray_of_this_machine_starts_and_ends_with_the_tasks(no_ray_here):
-    import ray
-
-    found = list(run_tasks(square, range(5), executor="ray", worker_count=2))
-    assert sorted(found, key=lambda outcome: outcome.task) == EXPECTED
-    assert not ray.is_initialized()
-    with pytest.raises(OptionError, match=r"^executor\.options: expected num_cpus of at most 2, .*, got 3;"):
-        list(run_tasks(square, [1], executor="ray", worker_count=2, options={"num_cpus": 3}))
-    assert not ray.is_initialized()
-
-
 def optimise(task):
     """A whole small run; all its numbers but the clock's."""
     from warpav.cli.app import main
@@ -468,24 +434,6 @@ def test_processes_end_with_the_one_that_started_them():
         except ProcessLookupError:
             is_left = False
     assert not is_left
-
-
-def test_processes_share_the_gpus_in_turn(monkeypatch):
-    """What a task calls cuda:0 is another GPU in every process, as each sees them in another order."""
-    monkeypatch.setattr("warp.get_cuda_device_count", lambda: 3)
-    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "4,6,7")
-    outcomes = list(run_tasks(os.getenv, ["CUDA_VISIBLE_DEVICES"] * 6, executor="process", worker_count=2, gpu_count=2))
-    assert {outcome.result for outcome in outcomes} <= {"4,6,7", "6,7,4"}
-    started = multiprocessing.get_context("spawn").Value("i", 0)
-    monkeypatch.setattr(workers, "_end_with_parent", lambda: None)
-    seen = []
-    for _ in range(3):
-        workers._begin(started, ["4,6,7", "6,7,4"], cores.Share())
-        seen.append(os.environ["CUDA_VISIBLE_DEVICES"])
-    assert seen == ["4,6,7", "6,7,4", "4,6,7"]
-    monkeypatch.delenv("CUDA_VISIBLE_DEVICES")
-    assert workers._gpu_orders(2) == ["0,1,2", "1,2,0"]
-    assert workers._gpu_orders(1) == []
 
 
 @pytest.mark.parametrize(("executor", "expected"), [("serial", "expected 1 with"), ("process", "expected at most 2")])

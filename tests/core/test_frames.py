@@ -70,23 +70,6 @@ def test_carla_numbers_of_the_known_pose():
     np.testing.assert_allclose([*location, pitch, yaw, roll], [1.7, -0.5, 1.6, -5.0, -45.0, 2.0], atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("yaw_rad", "pitch_rad", "axis", "expected"),
-    [
-        (math.pi / 2, 0.0, 0, [0, 1, 0]),  # turned left, the nose points left
-        (0.0, math.pi / 2, 0, [0, 0, -1]),  # nose down
-    ],
-)
-def test_signs_of_yaw_and_pitch(yaw_rad, pitch_rad, axis, expected):
-    rotation = rotation_from_yaw_pitch_roll(yaw_rad, pitch_rad, 0.0)
-    np.testing.assert_allclose(rotation[:, axis], expected, atol=1e-12)
-
-
-def test_positive_roll_lowers_the_right_side():
-    left = rotation_from_yaw_pitch_roll(0.0, 0.0, 0.1)[:, 1]
-    assert left[2] > 0.0
-
-
 @given(angles)
 def test_wrapped_angle_is_the_same_direction(angle_rad):
     wrapped = wrap_angle_rad(angle_rad)

@@ -14,7 +14,6 @@ from warpav.scene.capture.capture import PlanSettings
 from warpav.scene.capture.folder import DESCRIPTION, UNFINISHED, read_capture
 from warpav.scene.capture.town_simulator import TownSimulator
 from warpav.scene.files import (
-    INDEX,
     CaptureTask,
     SceneTask,
     capture_path,
@@ -207,20 +206,6 @@ def reconstructed(recorded, tmp_path_factory):
     return out
 
 
-@pytest.mark.parametrize("spoiled", ["scene", "index", "no index"])
-def test_a_spoiled_scene_is_made_again_with_the_same_bytes(recorded, reconstructed, tmp_path, spoiled):
-    out = shutil.copytree(reconstructed, tmp_path / "scenes")
-    if spoiled == "scene":
-        scene_path(out, SEED).write_bytes(scene_path(out, SEED).read_bytes()[:1000])
-    elif spoiled == "index":
-        (out / INDEX).write_text('{"schema": "warpav-collection/1", "scenes": [')
-    else:
-        (out / INDEX).unlink()
-    (outcome,) = make_scenes(scene_tasks(recorded, out))
-    assert (outcome.result, outcome.error) == (True, None)
-    assert bytes_of(out) == bytes_of(reconstructed)
-
-
 def test_a_scene_of_other_settings_or_another_capture_is_made_again(captures, recorded, reconstructed, tmp_path):
     out = shutil.copytree(reconstructed, tmp_path / "scenes")
     other = dataclasses.replace(MESHES, vehicle=MeshSettings(2000, 0.1, 0.2, 200))
@@ -268,26 +253,6 @@ def test_a_capture_that_cannot_be_used_is_named_and_writes_nothing(captures, tmp
     assert len(outcome.error.splitlines()) == 1
     assert list(out.iterdir()) == []
     assert content(captures) == before
-
-
-def test_refused_scenes_keep_nothing_from_being_made_and_lose_nothing(captures, reconstructed, tmp_path):
-    out = shutil.copytree(reconstructed, tmp_path / "scenes")
-    spoiled = [shutil.copytree(capture_path(captures, SEED), capture_path(captures, seed)) for seed in (2, 3)]
-    remove("ego_top_rgb.png")(spoiled[0])
-    shorten("ego_top_instance.png", 0.5)(spoiled[1])
-    shutil.copytree(capture_path(captures, SEED), capture_path(captures, 5))
-    before = content(out)
-    outcomes = {outcome.task.seed: outcome for outcome in make_scenes(scene_tasks(captures, out))}
-    assert {seed: outcome.result for seed, outcome in outcomes.items()} == {2: None, 3: None, 4: False, 5: True}
-    assert content(out)[f"scene_{SEED}.glb"] == before[f"scene_{SEED}.glb"]
-    assert sorted(file.name for file in out.iterdir()) == [INDEX, "scene_4.glb", "scene_5.glb"]
-    assert list(json.loads((out / INDEX).read_text())["scenes"]) == ["scene_4.glb", "scene_5.glb"]
-    # a capture that is spoiled later on does not take its scene away
-    remove("ego_top_rgb.png")(capture_path(captures, SEED))
-    after = content(out)
-    outcomes = {outcome.task.seed: outcome for outcome in make_scenes(scene_tasks(captures, out))}
-    assert outcomes[SEED].error is not None
-    assert content(out) == after
 
 
 # ------------------------------------------------------------------------------------------------ building, spreading

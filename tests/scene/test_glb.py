@@ -1,6 +1,5 @@
 """Scene files: exact round trip, axes, the same bytes, and one-line messages for bad files."""
 
-import dataclasses
 import json
 import struct
 
@@ -12,7 +11,6 @@ from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
 from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.scene import Box, Scene, Sky, Vehicle
-from warpav.scene.town.town import town_scene
 
 
 def _tetrahedron(offset_m, colour):
@@ -76,43 +74,6 @@ def test_round_trip_is_exact(scene, tmp_path):
         np.testing.assert_array_equal(one.box.center_m, other.box.center_m)
         np.testing.assert_array_equal(one.box.size_m, other.box.size_m)
         assert one.box.yaw_rad == pytest.approx(other.box.yaw_rad, abs=1e-14)
-
-
-def _with_people(scene):
-    people = tuple(
-        Vehicle(
-            number,
-            kind,
-            _tetrahedron([3.0 * number, 4.0, 0.0], [10 * number, 20, 3]),
-            Box(np.array([3.0 * number, 4.0, 0.9]), np.array([0.8, 0.6, 1.8]), -0.2),
-        )
-        for number, kind in ((13, "pedestrian"), (14, "cyclist"))
-    )
-    return dataclasses.replace(scene, others=people)
-
-
-def test_people_and_vehicles_share_no_instance_id(scene, tmp_path):
-    path = tmp_path / "scene.glb"
-    write_scene(_with_people(scene), path)
-    _rewritten(path, lambda document: _node(document, "other_13")["extras"].update(instance_id=2))
-    with pytest.raises(InputError, match="instance_id must be unique, got 2 2 times"):
-        read_scene(path)
-
-
-def test_town_scene_round_trip_and_same_bytes(tmp_path):
-    town = town_scene(7)
-    write_scene(town, tmp_path / "one.glb")
-    write_scene(town_scene(7), tmp_path / "two.glb")
-    assert (tmp_path / "one.glb").read_bytes() == (tmp_path / "two.glb").read_bytes()
-    again = read_scene(tmp_path / "one.glb")
-    assert again.name == "town_0007"
-    assert again.source == "town seed 7"
-    for one, other in zip(
-        (town.environment, town.ego, *(v.mesh for v in (*town.vehicles, *town.others))),
-        (again.environment, again.ego, *(v.mesh for v in (*again.vehicles, *again.others))),
-        strict=True,
-    ):
-        _assert_same_mesh(one, other)
 
 
 def test_other_programs_see_y_up_and_the_extras(scene, tmp_path):

@@ -2,13 +2,9 @@
 
 import time
 
-import numpy as np
 import pytest
-from PIL import Image
 
-from tests.scene.test_mesh_colours import write_obj, write_texture
 from warpav.core.errors import InputError
-from warpav.scene.mesh_colours import FileFinder
 from warpav.scene.own_vehicle import read_vehicle_file
 
 
@@ -38,20 +34,3 @@ def test_vehicles_keep_the_bounds(tmp_path, name, text):
     (tmp_path / name).write_text(text)
     told = refusal(read_vehicle_file, tmp_path / name)
     assert told.startswith(f"{tmp_path / name}: vehicle: expected a ")
-
-
-@pytest.mark.parametrize(
-    "name", ["../secret.png", "{folder}/secret.png", "model://../secret.png", "a/../../secret.png"]
-)
-def test_textures_come_from_the_folder_of_the_mesh(tmp_path, name):
-    folder = tmp_path / "model"
-    folder.mkdir()
-    Image.fromarray(np.full((2, 2, 3), 7, np.uint8)).save(tmp_path / "secret.png")
-    write_obj(folder / "quad.obj", texture=name.format(folder=tmp_path))
-    file = read_vehicle_file(folder / "quad.obj", vertices_max=None)
-    assert (file.vertex_rgb != 7).all()
-    assert "secret.png not found" in " ".join(file.notes)
-    assert FileFinder(folder / "quad.obj").find("../secret.png") is None
-    # what has the same name beside it is another matter
-    write_texture(folder / "textures" / "secret.png")
-    assert FileFinder(folder / "quad.obj").find("../secret.png") == folder / "textures" / "secret.png"

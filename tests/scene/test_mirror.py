@@ -9,7 +9,6 @@ from tests.scene.town.closed_surface import signed_volume_m3
 from warpav.detection.images import render_images
 from warpav.raster.camera import CameraModel
 from warpav.rig.rig import RigCamera
-from warpav.scene.scene import Box
 from warpav.scene.town.town import town_scene
 
 LEFT_RIGHT = np.array([1.0, -1.0, 1.0])
@@ -22,21 +21,6 @@ def scene():
 
 def all_users(scene):
     return (*scene.vehicles, *scene.others)
-
-
-def test_a_mirrored_box_has_the_mirrored_corners(rng):
-    box = Box(np.array([7.0, -3.0, 0.8]), np.array([4.0, 2.0, 1.5]), 0.4)
-    mirrored = box.mirrored()
-    expected = {tuple(corner) for corner in (box.corners_m() * LEFT_RIGHT).round(9).tolist()}
-    assert {tuple(corner) for corner in mirrored.corners_m().round(9).tolist()} == expected
-    point_m = rng.uniform([3, -6, -1], [11, 0, 3], (500, 3))
-    inside = box.contains(point_m)
-    assert 0 < inside.sum() < 500
-    np.testing.assert_array_equal(mirrored.contains(point_m * LEFT_RIGHT), inside)
-    twice = mirrored.mirrored()
-    np.testing.assert_array_equal(twice.center_m, box.center_m)
-    np.testing.assert_array_equal(twice.size_m, box.size_m)
-    assert twice.yaw_rad == box.yaw_rad
 
 
 def test_a_mirrored_scene_keeps_who_is_there_and_the_ego_vehicle(scene):

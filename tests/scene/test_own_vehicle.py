@@ -6,7 +6,7 @@ import trimesh
 
 from warpav.core.errors import InputError
 from warpav.scene.glb import vertex_coloured
-from warpav.scene.own_vehicle import AXES, Reading, examine, read_vehicle_file, wheels_of, write_vehicle
+from warpav.scene.own_vehicle import AXES, Reading, examine, read_vehicle_file, write_vehicle
 from warpav.scene.town.town import ego_vehicle
 from warpav.scene.town.vehicle_shapes import vehicle_mesh
 
@@ -84,23 +84,6 @@ def test_the_shape_tells_axes_and_units_and_what_it_suggests_mends_them(car, tmp
     np.testing.assert_allclose(again.mesh.vertex_m, car.vertex_m, atol=1e-5)
 
 
-@pytest.mark.parametrize("kind", ["hatchback", "saloon", "estate", "suv", "van", "lorry", "bus"])
-def test_every_kind_of_vehicle_is_understood(kind, tmp_path):
-    mesh = of_kind(kind)
-    right = checked(save(mesh, tmp_path / "right.ply"))
-    assert right.shape.up == "z"
-    assert right.shape.is_up_sure
-    assert right.shape.forward == "x"
-    # its origin is its middle, so the one thing to mend is the origin
-    assert [problem.text.split(":")[0] for problem in right.problems] == ["origin"]
-    assert right.problems[0].remedy == {}
-    fallen = checked(save(mesh, tmp_path / "fallen.ply", reading=Reading("-z", "x")))
-    assert "is upside down" in fallen.problems[0].text
-    assert fallen.problems[0].remedy == {"up": "-z"}
-    lying = checked(save(mesh, tmp_path / "lying.ply", reading=Reading("y", "z")))
-    assert lying.problems[0].remedy == {"up": "y", "forward": "z"}
-
-
 @pytest.mark.parametrize("shift", [(0.5, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, -0.7), (400.0, -20.0, 3.0)])
 def test_a_vehicle_that_stands_elsewhere_is_moved_to_its_rear_axle(car, tmp_path, shift):
     found = checked(save(car, tmp_path / "car.ply", shift=shift))
@@ -142,25 +125,6 @@ def test_parts_in_places_of_their_own_become_one_mesh(car, tmp_path):
         atol=2e-6,
     )
     assert examine(file, Reading("z", "x")).open_edge_count == 0
-
-
-def test_wheels_are_seen_where_there_are_some():
-    rng = np.random.default_rng(0)
-    box = rng.uniform([-1.0, -0.9, 0.0], [3.6, 0.9, 1.5], (20_000, 3))
-    assert wheels_of(box) is None
-    feet = np.array([[x, y, 0.0] for x in (0.0, 2.7) for y in (-0.8, 0.8)])
-    body = box * [1.0, 1.0, 0.8] + [0.0, 0.0, 0.3]
-    found = wheels_of(np.concatenate([body, np.repeat(feet, 50, axis=0)]))
-    np.testing.assert_allclose(found.axle_m, [0.0, 2.7])
-    assert found.centre_y_m == 0.0
-
-
-def test_a_body_without_wheels_is_asked_for_its_rear_axle(tmp_path):
-    box = trimesh.creation.box((4.5, 1.8, 1.4))
-    box.apply_translation([9.0, 0.0, 0.7])
-    box.export(tmp_path / "box.ply")
-    found = checked(tmp_path / "box.ply")
-    assert [problem.remedy for problem in found.problems] == [{"rear-axle": "0.90"}]
 
 
 @pytest.mark.parametrize(

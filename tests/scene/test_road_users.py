@@ -34,18 +34,6 @@ def ids(users):
 
 
 @pytest.mark.parametrize(
-    ("category", "road_user"),
-    [
-        ("saloon", "vehicle"), ("motorcycle", "vehicle"), ("pedestrian", "pedestrian"), ("Person", "pedestrian"),
-        ("cyclist", "cyclist"), ("bicyclist", "cyclist"), ("", "vehicle"),
-    ],
-)  # fmt: skip
-def test_categories_have_a_road_user(category, road_user):
-    assert user(1, category).road_user == road_user
-    assert road_user in ROAD_USERS
-
-
-@pytest.mark.parametrize(
     ("targets", "vehicles", "others"),
     [
         (["vehicle"], [1, 4], [2, 3]),

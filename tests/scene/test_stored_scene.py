@@ -151,14 +151,6 @@ def test_a_damaged_file_is_made_again(tmp_path, recipes, made, damage):
     assert file.read_bytes() == whole
 
 
-def test_where_nothing_can_be_kept_scenes_stay_in_memory(tmp_path, glb_files, recipes):
-    (tmp_path / "file").write_text("in the place of the folder")
-    scenes = list(stored_scenes(recipes, folder=tmp_path / "file"))
-    for file, scene in zip(glb_files, scenes, strict=True):
-        assert_identical(scene, DeviceScene.pack(read_scene(file).targeting(["vehicle"])))
-    assert scenes[0].raster is scenes[0].raster
-
-
 def test_meshes_are_held_up_to_a_size_and_then_let_go(tmp_path, recipes, monkeypatch):
     list(stored_scenes(recipes, folder=tmp_path))
     monkeypatch.setattr(module, "_held", module._Held())

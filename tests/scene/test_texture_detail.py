@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from warpav.scene import own_vehicle
 from warpav.scene.mesh_colours import Texture
-from warpav.scene.own_vehicle import read_vehicle_file
-from warpav.scene.texture_detail import VERTICES_MAX, TexturedMesh, follow_textures
+from warpav.scene.texture_detail import TexturedMesh, follow_textures
 
 QUAD = np.array([[0, 0, 0], [4, 0, 0], [4, 2, 0], [0, 2, 0]], float)
 TWO = np.array([[0, 1, 2], [0, 2, 3]])
@@ -85,32 +83,3 @@ def test_a_closed_box_stays_closed():
     assert len(found.vertex) > 3000
     assert rim(found) == (0.0, 0)
     np.testing.assert_allclose(areas(found).sum(), 6.0)
-
-
-@pytest.mark.parametrize(
-    ("name", "before", "after"),
-    [
-        pytest.param("bus/meshes/bus.obj", 38.8, 18.7, marks=pytest.mark.nightly),
-        pytest.param("suv/meshes/suv.obj", 71.2, 24.0, marks=pytest.mark.nightly),
-        ("hatchback/meshes/hatchback.obj", 56.4, 21.0),
-        pytest.param("prius_hybrid/meshes/Hybrid.obj", 45.9, 16.5, marks=pytest.mark.nightly),
-        pytest.param("pickup/meshes/pickup.dae", 62.5, 21.4, marks=pytest.mark.nightly),
-    ],
-)
-def test_outside_vehicles_look_as_their_textures_do(vehicle_folder, monkeypatch, rng, name, before, after):
-    """Rms of 200,000 points; measured on 2026-11-23."""
-    kept = {}
-    joined = own_vehicle._joined
-    monkeypatch.setattr(own_vehicle, "_joined", lambda parts: kept.setdefault("parts", joined(parts)))
-    plain = read_vehicle_file(vehicle_folder / name, vertices_max=None)
-    mesh, textures = kept["parts"]
-    found = follow_textures(mesh, textures)
-    assert rms_on(mesh, textures, rng, 200_000) == pytest.approx(before, rel=0.02)
-    assert rms_on(found, textures, rng, 200_000) == pytest.approx(after, rel=0.03)
-    assert len(found.vertex) <= VERTICES_MAX
-    np.testing.assert_allclose(areas(found).sum(), areas(mesh).sum(), rtol=1e-12)
-    np.testing.assert_allclose(rim(found)[0], rim(mesh)[0], rtol=1e-9)
-    file = read_vehicle_file(vehicle_folder / name)
-    assert len(file.vertex) == len(found.vertex)
-    np.testing.assert_array_equal(file.vertex[: len(plain.vertex)], plain.vertex)
-    np.testing.assert_array_equal(file.vertex_rgb[: len(plain.vertex)], plain.vertex_rgb)

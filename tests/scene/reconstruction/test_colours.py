@@ -43,13 +43,6 @@ def test_the_squarer_view_gives_the_colour():
     assert colour_of_origin(square, flat) == colour_of_origin(flat, square) == RED
 
 
-def test_a_view_from_behind_or_along_the_surface_gives_none():
-    right = looking_along_x(RED, distance_m=9.0)
-    behind = looking_along_x(GREEN, distance_m=3.0, turned_rad=math.pi)
-    along = looking_along_x(BLUE, distance_m=3.0, turned_rad=math.pi / 2 - 0.05)
-    assert colour_of_origin(behind, along, right) == RED
-
-
 def test_a_hidden_vertex_takes_no_colour_of_what_hides_it():
     hidden = looking_along_x(GREEN, distance_m=3.0, depth_m=2.0)
     assert colour_of_origin(hidden, looking_along_x(RED, distance_m=9.0)) == RED
@@ -71,14 +64,6 @@ def test_a_pane_of_a_vehicle_has_the_colour_of_what_it_shows():
         looking_along_x(RED, distance_m=9.0, instance=0),
     )
     assert colour_of_origin(pane, wall, instance=0) == RED
-
-
-def test_the_rim_of_an_object_gives_its_colour_only_where_nothing_else_does():
-    whose = np.full((SIZE_PX, SIZE_PX), INSTANCE)
-    whose[:, SIZE_PX // 2 + 1 :] = 0  # the origin's pixel is the last but one before the rim ends
-    rim = looking_along_x(GREEN, distance_m=3.0, instance=whose)
-    assert colour_of_origin(rim) == GREEN
-    assert colour_of_origin(rim, looking_along_x(RED, distance_m=9.0)) == RED
 
 
 def test_vertices_that_no_image_shows_take_the_nearest_colour():

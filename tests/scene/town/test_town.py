@@ -8,7 +8,6 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from warpav.scene.town.town import EYE_HEIGHT_M, ego_vehicle, town_scene, visible_shares
-from warpav.scene.town.town_layout import town_layout
 
 SEEDS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 1000, 1001)
 
@@ -133,30 +132,6 @@ def test_people_stand_on_the_ground_and_in_nothing_else(scenes):
             corner = scene.environment.vertex_m[scene.environment.triangle].mean(axis=1).astype(np.float64)
             inside = other.box.contains(corner, margin_m=-0.02)
             assert not (inside & (corner[:, 2] > vertex[:, 2].min() + 0.1)).any(), where
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_lanes_keep_to_one_side(seed):
-    """Seen along its heading, every lane lies on the same side of its street; mirrored plans on the other."""
-    layout = town_layout(np.random.default_rng(seed))
-    if layout.template == "car_park":
-        return
-    sides = {
-        float(np.sign(np.cos(slot.yaw_rad) * slot.y_m))
-        for slot in layout.slots
-        if not slot.parked and abs(np.sin(slot.yaw_rad)) < 0.5
-    }
-    assert sides == {float(np.sign(layout.ego.y_m))}
-
-
-def test_contact_shadows_darken_the_road_below_vehicles(scenes):
-    scene = scenes[SEEDS.index(3)]  # level
-    road = np.abs(scene.environment.vertex_m[:, 2]) < 0.03
-    ground, colour = scene.environment.vertex_m[road], scene.environment.vertex_rgb[road].mean(axis=1)
-    for vehicle in scene.vehicles:
-        below = np.hypot(*(ground[:, :2] - vehicle.box.center_m[:2]).T) < 0.05
-        assert below.any()
-        assert colour[below].min() < 0.3 * np.percentile(colour, 75)
 
 
 def test_negative_seeds_are_refused():

@@ -6,10 +6,7 @@ Counted are vehicles of 40 px and more, 60 % of which are unoccluded.
 import pytest
 
 from network_recall import CONFIDENCE_MIN, FIRST_UNSEEN_SEED, judge
-from tests.scene.capture.town_capture import town_capture
 from warpav.detection.onnx_detector import OnnxDetector
-from warpav.scene.capture.capture import PlanSettings
-from warpav.scene.reconstruction.reconstruct import reconstruct
 from warpav.scene.town.town import town_scene
 
 UNSEEN_SEEDS = range(FIRST_UNSEEN_SEED, FIRST_UNSEEN_SEED + 40)
@@ -43,16 +40,3 @@ def test_recall_on_forty_unseen_scenes(detector, capsys):
     lorries, _ = found.of(lambda one: one.kind == "lorry")
     assert lorries >= 0.65  # seen: .73 of 15; those missed show little more than a roof over a car
     assert found.background_count <= 0.05 * found.detection_count
-
-
-@pytest.mark.slow
-def test_recall_on_forty_unseen_scenes_that_went_through_images(detector, capsys):
-    """About a quarter of an hour on two cores."""
-    scenes = (reconstruct(town_capture.__wrapped__(seed, PlanSettings())) for seed in UNSEEN_SEEDS)
-    found = judged(detector, scenes)
-    with capsys.disabled():
-        print("\nreconstructed: " + "\n".join(found.lines()))  # noqa: T201
-    recall, count = found.of()
-    assert count >= 160
-    assert recall >= 0.80
-    assert found.background_count <= 0.08 * found.detection_count

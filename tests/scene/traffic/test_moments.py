@@ -11,7 +11,6 @@ from warpav.scene.traffic.moments import (
     MOVED_M,
     OVERLAP_MAX_M,
     SPACING_S,
-    moment_of,
     moments_of,
     traffic_of,
 )
@@ -29,14 +28,6 @@ def test_moments_are_spaced_and_of_vehicles_about_as_large(tmp_path):
     assert min(np.diff(steps)) * STEP_S >= SPACING_S
     assert steps == [0, 2, 4, 6, 8]
     assert {moment.ego_id for moment in moments_of([file], BUS_M)} == {"c"}
-
-
-def test_who_waits_is_the_ego_vehicle_once(tmp_path):
-    users = [track(str(k), "car", (4.5, 1.8), (9.0 * k, -1.75), 0.0, 0.0 if k else 5.0) for k in range(3)]
-    users[0]["x_m"] = [x - 40.0 for x in users[0]["x_m"]]
-    moments = moments_of([write(tmp_path, street(users=users))], CAR_M)
-    assert sorted((moment.ego_id, moment.step) for moment in moments if moment.ego_id != "0") == [("1", 0), ("2", 0)]
-    assert sum(moment.ego_id == "0" for moment in moments) == 5
 
 
 def test_moments_of_shipped_recordings_keep_what_they_promise():
@@ -62,15 +53,6 @@ def test_search_and_test_share_no_recording():
     assert not search & test
     # the test comes later
     assert max(moment.file.name for moment in traffic.search) < min(moment.file.name for moment in traffic.test)
-
-
-def test_a_seed_means_the_same_moment_every_time_and_many_seeds_all_of_them():
-    moments = traffic_of(None, None, CAR_M).search
-    assert moments == traffic_of(None, None, CAR_M).search
-    assert {moment_of(moments, seed) for seed in range(7, 7 + len(moments))} == set(moments)
-    assert moment_of(moments, 5) == moment_of(moments, 5 + len(moments))
-    first = [moment_of(moments, seed).file for seed in range(30)]
-    assert len(set(first)) > 5  # mixed
 
 
 def two_cars(gap_m):

@@ -4,21 +4,8 @@ import math
 
 import pytest
 
-from tests.scene.traffic.recordings import STEP_S, recording_of, street
+from tests.scene.traffic.recordings import recording_of, street
 from warpav.core.errors import InputError
-
-
-def test_states_are_those_of_the_samples():
-    recording = recording_of(street(turn_rad=0.4, shift_m=(100.0, -50.0)))
-    state = {each.user.user_id: each for each in recording.states_at(4)}
-    assert set(state) == set("abcde")
-    assert recording.last_step == 8
-    way = 4 * STEP_S * 8.0
-    c, s = math.cos(0.4), math.sin(0.4)
-    x, y = -10.0 + way, -1.75
-    assert state["a"].centre_m == pytest.approx([c * x - s * y + 100.0, s * x + c * y - 50.0])
-    assert state["a"].velocity_m_s == pytest.approx([8.0 * c, 8.0 * s])
-    assert recording.states_at(9) == []
 
 
 def test_velocities_without_recorded_speeds_are_those_of_the_positions():

@@ -74,31 +74,9 @@ def test_the_ground_has_no_gap_and_one_height_everywhere(seed, rng):
     assert 0.5 * normal[flat, 2].sum() == pytest.approx(np.prod(road.high_m - road.low_m), rel=1e-5)
 
 
-def test_gaps_between_lanes_are_closed_and_islands_stay():
-    gap = straight_road(lane((-40.0, 40.0), 4.8, 8.0))
-    assert (gap.distance_m(np.array([[x, 4.4] for x in range(-30, 31, 5)])) < 0.0).all()
-    island = straight_road(lane((-40.0, 40.0), 8.0, 12.0))
-    assert (island.distance_m(np.array([[x, 6.0] for x in range(-30, 31, 5)])) > 0.0).all()
-
-
 def test_whoever_stands_outside_the_lanes_stands_on_road_and_riders_not_across_a_kerb():
     away = np.array([[22.0, 15.0], [18.0, 15.0], [18.0, 13.0], [22.0, 13.0]])
     assert (straight_road(heavy=[away]).distance_m(away * 0.5 + away.mean(axis=0) * 0.5) < 0.0).all()
     assert (straight_road(light=[away]).distance_m(away) > 0.0).all()
     across = away - [0.0, 10.0]  # 3 to 5 m from the middle
     assert (straight_road(light=[across]).distance_m(across * 0.5 + across.mean(axis=0) * 0.5) < 0.0).all()
-
-
-def marking_points_m(road):
-    builder = SceneryBuilder(np.random.default_rng(0), StreetGround())
-    road.add_markings(builder)
-    return builder.finish().vertex_m
-
-
-def test_lanes_of_one_direction_have_dashes_between_them():
-    lanes = [lane((-40.0, 40.0), -4.0, 0.0), lane((-40.0, 40.0), 0.0, 4.0)]
-    place = np.array([[2.5, 1.0], [-2.5, 1.0], [-2.5, -1.0], [2.5, -1.0]])
-    point = marking_points_m(road_of(lanes, [place], [], 3.0))
-    x = np.unique(np.round(point[np.abs(point[:, 1]) < 0.5, 0], 2))
-    assert len(x) > 10
-    assert np.diff(x).max() == pytest.approx(3.0, abs=0.2)  # gaps

@@ -7,7 +7,6 @@ import pytest
 
 from tests.scene.town.closed_surface import unmatched_edge_count
 from warpav.scene.scene import road_user_of
-from warpav.scene.town.vehicle_shapes import vehicle_mesh
 from warpav.scene.traffic.road_users import body_mesh, drawn_kind
 
 SIZES = [
@@ -36,29 +35,6 @@ def test_bodies_have_the_recorded_length_width_and_height(kind, size_m):
         beside = np.abs(mesh.vertex_m[mesh.vertex_m[:, 2] < 0.35 * high[2], 1]).max()
         assert 2.0 * beside == pytest.approx(size_m[1], abs=0.05)  # a lorry's guards stand out by .02
         assert unmatched_edge_count(mesh) == 0
-
-
-@pytest.mark.parametrize(("kind", "size_m"), SIZES)
-def test_wheels_stay_round_and_on_the_ground(kind, size_m):
-    """A wheel's lowest point is below its middle, as far from it as its foremost one, but for the height's spread."""
-    mesh = body_mesh(kind, size_m, np.random.default_rng(0))
-    own = vehicle_mesh(kind, np.full(3, 0.5), variant=int(np.random.default_rng(0).integers(2)))
-    same = body_mesh(kind, (float(np.ptp(own.vertex_m[:, 0])), size_m[1], math.nan), np.random.default_rng(0))
-    for each in (mesh, same):
-        foot = each.vertex_m[each.vertex_m[:, 2] < 1e-3]
-        axles = np.unique(np.round(foot[:, 0], 2))
-        axles = axles[np.r_[True, np.diff(axles) > 0.3]]
-        assert len(axles) >= 2
-    rate = float(mesh.vertex_m[:, 2].max() / own.vertex_m[:, 2].max())
-    tyres = [tyre_length_m(mesh, 0.06 * rate), tyre_length_m(own, 0.06)]
-    assert tyres[0] == pytest.approx(rate * tyres[1], rel=0.03)
-
-
-def tyre_length_m(mesh, height_m):
-    """Length of the rearmost tyre up to a height above the ground."""
-    low = mesh.vertex_m[mesh.vertex_m[:, 2] < height_m]
-    rear = low[low[:, 0] < low[:, 0].min() + 0.6]
-    return float(np.ptp(rear[:, 0]))
 
 
 def test_kinds_follow_class_and_size():
