@@ -32,7 +32,7 @@ from IPython.display import Image
 
 import warpav as wa
 from warpav.rig.zone import read_zones
-from warpav.runs.vehicle_zones import propose
+from warpav.runs.vehicle import propose
 
 folder = tempfile.TemporaryDirectory()  # for the files of this notebook
 os.chdir(folder.name)

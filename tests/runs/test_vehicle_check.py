@@ -17,7 +17,7 @@ from warpav.runs.config import load_config, with_absolute_paths
 from warpav.runs.mounts import mount_surface
 from warpav.runs.networks import detector_use
 from warpav.runs.scene_set import load_scenes, own_vehicle
-from warpav.runs.vehicle_check import zone_parts
+from warpav.runs.vehicle import zone_parts
 from warpav.scene.glb import write_scene
 from warpav.scene.own_vehicle import Reading, read_vehicle_file, write_vehicle
 from warpav.scene.scene import Box, Scene, Vehicle

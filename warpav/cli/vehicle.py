@@ -73,7 +73,7 @@ def vehicle_check(
     Status 0: scenes.ego takes it as it is, or the file of --out; 2: something has to be corrected, and how.
     """
     from warpav.runs.config import placed_config
-    from warpav.runs.vehicle_check import check_vehicle
+    from warpav.runs.vehicle import check_vehicle
 
     with placed_config(config, overrides) as settings:
         report = check_vehicle(
@@ -103,7 +103,7 @@ def vehicle_zones(
 ) -> int:
     """Propose zones anywhere on a body, where cameras may stand, in a YAML file to edit."""
     from warpav.runs.config import placed_config
-    from warpav.runs.vehicle_zones import propose
+    from warpav.runs.vehicle import propose
 
     with placed_config(config, overrides) as settings:
         for line in propose(file, settings, out=out, image=image):

@@ -39,10 +39,7 @@ def wrap_angle_rad(angle_rad: float) -> float:
 
 
 def rotation_from_yaw_pitch_roll(yaw_rad: float, pitch_rad: float, roll_rad: float) -> np.ndarray:
-    """The rotation ``Rz(yaw) Ry(pitch) Rx(roll)``.
-
-    Shapes: returns [3, 3].
-    """
+    """``ego_from_link`` [3, 3], ``Rz(yaw) Ry(pitch) Rx(roll)``: yaw turns left, pitch nose down, roll right down."""
     cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
     cos_pitch, sin_pitch = math.cos(pitch_rad), math.sin(pitch_rad)
     cos_roll, sin_roll = math.cos(roll_rad), math.sin(roll_rad)
@@ -53,9 +50,9 @@ def rotation_from_yaw_pitch_roll(yaw_rad: float, pitch_rad: float, roll_rad: flo
 
 
 def yaw_pitch_roll_from_rotation(ego_from_link: np.ndarray) -> tuple[float, float, float]:
-    """The angles of a rotation; the inverse of :func:`rotation_from_yaw_pitch_roll`.
+    """The angles of ``ego_from_link`` [3, 3]: yaw and roll in (-pi, pi], pitch in [-pi/2, pi/2].
 
-    Shapes: ``ego_from_link`` [3, 3].
+    Looking straight up or down, yaw and roll turn about the same axis; roll is then 0.
     """
     rotation = np.asarray(ego_from_link, dtype=np.float64)
     level = math.hypot(rotation[0, 0], rotation[1, 0])
@@ -68,10 +65,7 @@ def yaw_pitch_roll_from_rotation(ego_from_link: np.ndarray) -> tuple[float, floa
 
 
 def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
-    """The rotation of a quaternion.
-
-    Shapes: ``quaternion`` [4], returns [3, 3].
-    """
+    """The rotation [3, 3] of a quaternion ``w, x, y, z`` of any length but 0."""
     w, x, y, z = np.asarray(quaternion, dtype=np.float64) / np.linalg.norm(quaternion)
     return np.array(
         [
@@ -83,10 +77,7 @@ def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
 
 
 def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:
-    """The quaternion of a rotation; the inverse of :func:`rotation_from_quaternion`.
-
-    Shapes: ``rotation`` [3, 3], returns [4].
-    """
+    """The quaternion ``w, x, y, z`` of a rotation [3, 3], of length 1 with ``w >= 0``."""
     turn = np.asarray(rotation, dtype=np.float64)
     xx, yy, zz = np.diag(turn)
     # four times the products of all components with one another; the row of the largest has no cancellation
@@ -106,11 +97,9 @@ def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:
 def ego_from_carla_pose(
     location_m: np.ndarray, *, pitch_deg: float, yaw_deg: float, roll_deg: float
 ) -> tuple[np.ndarray, float, float, float]:
-    """An ego pose from the numbers of CARLA's ``Transform``.
+    """Position [m], [3], yaw, pitch and roll [rad] in the ego frame from the numbers of CARLA's ``Transform``.
 
     The mirror of y turns yaw and pitch around; roll is seen along the mirrored plane and keeps its sign.
-
-    Shapes: ``location_m`` [3], returns [3].
     """
     position_m = EGO_FROM_CARLA @ np.asarray(location_m, dtype=np.float64)
     yaw_rad, pitch_rad, roll_rad = (math.radians(angle) for angle in (-yaw_deg, -pitch_deg, roll_deg))
@@ -120,10 +109,7 @@ def ego_from_carla_pose(
 def carla_from_ego_pose(
     position_m: np.ndarray, *, yaw_rad: float, pitch_rad: float, roll_rad: float
 ) -> tuple[np.ndarray, float, float, float]:
-    """The numbers for CARLA's ``Transform`` from an ego pose; the inverse of :func:`ego_from_carla_pose`.
-
-    Shapes: ``position_m`` [3], returns [3].
-    """
+    """CARLA's location [m], [3], and its pitch, yaw and roll [deg], in the order of ``carla.Rotation``."""
     location_m = EGO_FROM_CARLA @ np.asarray(position_m, dtype=np.float64)
     pitch_deg, yaw_deg, roll_deg = (
         math.degrees(angle) for angle in (-pitch_rad, wrap_angle_rad(-yaw_rad), wrap_angle_rad(roll_rad))

@@ -283,10 +283,7 @@ def check_zones(config: Config) -> None:
 
 
 def checked_vehicle(ego: object) -> Mesh:
-    """A vehicle that is given as an object, in the ego frame.
-
-    Shapes: ``ego`` [vertex, 3].
-    """
+    """A vehicle that is given as an object, in the ego frame; ``ego`` [vertex, 3]."""
     from warpav.scene.own_vehicle import Reading, VehicleFile, examine
 
     mesh = ego if isinstance(ego, Mesh) else _mesh_of(ego)

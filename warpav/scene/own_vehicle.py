@@ -426,10 +426,7 @@ def _mirrors_ahead(point_m: np.ndarray) -> float | None:
 
 
 def body_width_m(point_m: np.ndarray) -> float:
-    """Width of a vehicle without its mirrors, where it has any [m].
-
-    Shapes: ``point_m`` [point, 3].
-    """
+    """Width of a vehicle without its mirrors, where it has any [m]; ``point_m`` [point, 3]."""
     low, high = point_m.min(axis=0), point_m.max(axis=0)
     ahead = _mirrors_ahead(point_m)
     if ahead is None:

@@ -124,10 +124,7 @@ class CarlaSimulator:
         exposure: float | None = None,
         timeout_s: float = 60.0,
     ) -> None:
-        """Nothing is connected yet.
-
-        Shapes: ``rear_axle_m`` [3].
-        """
+        """Nothing is connected yet; ``rear_axle_m`` [3]."""
         if not 0 < port < 65535:
             raise ValueError(f"port must lie between 1 and 65534, got {port}")
         if rear_axle_m is not None and (len(rear_axle_m) != 3 or not all(map(math.isfinite, rear_axle_m))):

@@ -247,10 +247,7 @@ class SceneryBuilder:
         ends: tuple[bool, bool] = (True, True),
         is_free_standing: bool = False,
     ) -> None:
-        """Add a house of two to four floors, `HOUSE_DEPTH_M` deep.
-
-        Shapes: ``left`` [2], ``direction`` [2].
-        """
+        """Add a house of two to four floors, `HOUSE_DEPTH_M` deep; ``left`` [2], ``direction`` [2]."""
         rng = self._rng
         self._house_x_m = float(left[0] + 0.5 * width * direction[0])
         outward = np.array([direction[1], -direction[0]])

@@ -176,10 +176,7 @@ def sky_share_at(corner_m: np.ndarray, point_m: np.ndarray, normal: np.ndarray) 
 
 
 def painted_mesh(surface: Surface, sky: np.ndarray, own_albedo: Mapping[Material, np.ndarray]) -> Mesh:
-    """The surface as a mesh with the light baked into its colours.
-
-    Shapes: ``sky`` [vertex], ``own_albedo`` [3].
-    """
+    """The surface as a mesh with the light baked into its colours; ``sky`` [vertex], ``own_albedo`` [3]."""
     albedo = _ALBEDO.copy()
     for material, colour in own_albedo.items():
         albedo[material] = colour
@@ -188,10 +185,7 @@ def painted_mesh(surface: Surface, sky: np.ndarray, own_albedo: Mapping[Material
 
 
 def lit_rgb(normal: np.ndarray, sky: np.ndarray, albedo: np.ndarray, mirror: np.ndarray) -> np.ndarray:
-    """Colours of a surface in the light of the town, uint8 [vertex, 3].
-
-    Shapes: ``sky`` [vertex], ``mirror`` [vertex].
-    """
+    """Colours of a surface in the light of the town, uint8 [vertex, 3]; ``sky`` [vertex], ``mirror`` [vertex]."""
     up = normal[:, 2]
     irradiance = SKY_LIGHT * sky + SUN_LIGHT * np.maximum(up, 0.0) * np.minimum(2.0 * sky, 1.0) + BOUNCE_LIGHT
     # A level line of sight that meets a surface tilted up by phi leaves it at an elevation of 2 phi.

@@ -135,8 +135,5 @@ class Sight:
 
 
 def visible_shares(eye_m: np.ndarray, blockers: Sequence[Mesh], vehicles: Sequence[Mesh]) -> np.ndarray:
-    """Share of each vehicle's triangles that can be seen from a point, 0..1, shape [vehicle].
-
-    Shapes: ``eye_m`` [3].
-    """
+    """Share of each vehicle's triangles that can be seen from a point, 0..1, shape [vehicle]; ``eye_m`` [3]."""
     return Sight(blockers, vehicles).shares(eye_m)

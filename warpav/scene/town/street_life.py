@@ -329,10 +329,7 @@ class Crowd:
     """Collects people who stand on the ground and in nothing else."""
 
     def __init__(self, ground: StreetGround, taken: Occupied, ego_m: np.ndarray, *, clear_m: float) -> None:
-        """Nobody yet.
-
-        Shapes: ``ego_m`` [2].
-        """
+        """Nobody yet; ``ego_m`` [2]."""
         self.persons: list[Person] = []
         self._ground, self._taken, self._ego_m, self._clear_m = ground, taken, ego_m, clear_m
 

@@ -117,10 +117,7 @@ class SurfaceBuilder:
         sides: int,
         cap: float = 0.45,
     ) -> None:
-        """Add a closed tube along a path.
-
-        Shapes: ``centre_m`` [ring, 3], ``radius_m`` [ring, 2].
-        """
+        """Add a closed tube along a path; ``centre_m`` [ring, 3], ``radius_m`` [ring, 2]."""
         step = np.diff(centre_m, axis=0)
         step /= np.linalg.norm(step, axis=1, keepdims=True)
         along = np.concatenate([step[:1], step[:-1] + step[1:], step[-1:]])
@@ -259,10 +256,7 @@ class StreetGround:
         return float(max(0.0, np.max(height - np.interp(x, x[[0, -1]], height[[0, -1]]))))
 
     def stand(self, x_m: float, y_m: float, yaw_rad: float, size_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How a vehicle stands: the plane through the ground below its wheels.
-
-        Shapes: ``size_m`` [3], returns [3, 3].
-        """
+        """How a vehicle stands: the plane through the ground below its wheels; ``size_m`` [3], returns [3, 3]."""
         c, s = np.cos(yaw_rad), np.sin(yaw_rad)
         if self.is_level:
             return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array([x_m, y_m, 0.0])

@@ -85,10 +85,7 @@ class _Body:
         return height
 
     def ring_m(self, parameter: np.ndarray, height_nose: np.ndarray, height_tail: np.ndarray) -> np.ndarray:
-        """Points of the left half [m], shape [row, column, 3].
-
-        Shapes: ``parameter`` [column], ``height_nose`` [row].
-        """
+        """Points of the left half [m], shape [row, column, 3]; ``parameter`` [column], ``height_nose`` [row]."""
         spec = self.spec
         blend = np.clip((parameter - 1.0) / 3.0, 0.0, 1.0)
         share = height_nose[:, None] * (1.0 - blend) + height_tail[:, None] * blend

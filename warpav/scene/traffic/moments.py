@@ -55,10 +55,7 @@ class Traffic:
 def traffic_of(
     recordings: Sequence[Path] | None, test_recordings: Sequence[Path] | None, ego_bounds_m: np.ndarray
 ) -> Traffic:
-    """The moments of recordings.
-
-    Shapes: ``ego_bounds_m`` [2, 3].
-    """
+    """The moments of recordings; ``ego_bounds_m`` [2, 3]."""
     search, test = search_and_test(recordings, test_recordings)
     return Traffic(moments_of(search, ego_bounds_m), moments_of(test, ego_bounds_m))
 

@@ -278,10 +278,7 @@ class Road:
 def road_of(
     lanelets: Sequence[Lanelet], heavy_m: Sequence[np.ndarray], light_m: Sequence[np.ndarray], pavement_m: float
 ) -> Road:
-    """The road of lanes, in the ego frame.
-
-    Shapes: ``heavy_m`` [point, 2].
-    """
+    """The road of lanes, in the ego frame; ``heavy_m`` [point, 2]."""
     import cv2
 
     lanes = [

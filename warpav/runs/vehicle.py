@@ -1,16 +1,22 @@
-"""``warpav vehicle check``: whether a mesh can carry the cameras, what is wrong with it, and how to fix that."""
+"""``warpav vehicle``: whether a mesh can carry cameras, how to fix what is wrong with it, and zones proposed for it."""
 
 from __future__ import annotations
 
+import io
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
+from warpav.rig.chart import chart_of, propose_zones
+from warpav.rig.keep_out import kinds_of_names, propose_keep_out
 from warpav.rig.mount_surface import MountSurface
+from warpav.rig.zone import Zone, write_zones
 from warpav.runs.config import Config
 from warpav.runs.mounts import mount_surface
 from warpav.scene.own_vehicle import (
@@ -19,6 +25,7 @@ from warpav.scene.own_vehicle import (
     VehicleFile,
     VehicleProblem,
     examine,
+    read_vehicle,
     read_vehicle_file,
     write_vehicle,
 )
@@ -282,3 +289,114 @@ def _draw(found: Examination, surface: MountSurface | None, image: Path, title: 
 
 def _row(name: str, text: str) -> str:
     return f"  {name:9} {text}"
+
+
+# How far a pane may bulge out of the plane of its corners, along the vehicle [m].
+_PANE_BULGE_M = 0.3
+
+
+def propose(path: Path, config: Config, *, out: Path, image: Path | None = None) -> Iterator[str]:
+    """Propose zones of a vehicle, write them, draw them; lines that say what there is."""
+    from PIL import Image
+
+    from warpav.view.output import check_suffix, write_whole
+    from warpav.view.plotting import plot
+    from warpav.view.vehicle_view import zones_image_rgb
+
+    if image is not None:
+        check_suffix(image)
+    mesh = read_vehicle(path)
+    names = part_names(path, mesh)
+    kind = None if names is None else kinds_of_names(names)
+    is_glass = None if kind is None or not (kind == "glass").any() else kind == "glass"
+    boxes = propose_keep_out(mesh, kind)
+    proposed = propose_zones(mesh, is_glass)
+    panes = [(zone.name, _box_of_pane(zone.outline_m)) for zone in proposed if zone.outline_m is not None]
+    boxes_of = {False: boxes, True: [*boxes, *panes]}
+    zones = tuple(each for zone in proposed if (each := _kept_clear(zone, mesh, boxes_of[_holds_panes(zone)])))
+    if not zones:
+        raise InputError(f"{path}: expected a body that faces upwards, sideways, forwards or backwards, got none")
+    mount = config.mount
+    chart = chart_of(
+        zones,
+        mesh,
+        cell_m=mount.cell_m,
+        min_upward_normal=mount.min_upward_normal,
+        min_zone_normal=mount.min_zone_normal,
+    )
+    write_zones(zones, out)
+    counts = Counter(
+        name for name, box in boxes_of[True] if any((box == each).all() for zone in zones for each in zone.keep_out_m)
+    )
+    if counts:
+        yield "  kept out: " + ", ".join(f"{count} x {name}" for name, count in counts.items())
+    for number, zone in enumerate(zones):
+        inside = (chart.zone_of_cell == number) & np.asarray(chart.is_mountable)
+        yield f"  {zone.name:11} {np.count_nonzero(inside) * chart.cell_m**2:.2f} m²"
+    yield f"wrote {out}; edit it, and use it with mount.zones={out}"
+    if image is not None:
+        title = f"zones of {path.name}"
+        if image.suffix.lower() == ".png":
+            encoded = io.BytesIO()
+            Image.fromarray(zones_image_rgb(mesh, chart, title=title)).save(encoded, format="PNG", optimize=True)
+            write_whole(image, encoded.getvalue())
+        else:
+            plot(mesh, mount_surface=chart, title=title, out=image)
+        yield f"wrote {image}"
+
+
+def _box_of_pane(outline_m: np.ndarray) -> np.ndarray:
+    """A box around a pane whose corners are known [m], [corner, 3]; panes bulge."""
+    low_m, high_m = outline_m.min(axis=0), outline_m.max(axis=0)
+    bulge_m = _PANE_BULGE_M * np.array([1.0, 0.0, 0.0])
+    return np.round([low_m - bulge_m, high_m + bulge_m], 3)
+
+
+def _holds_panes(zone: Zone) -> bool:
+    """Whether a zone faces as windscreen and rear window do, and is on the outside."""
+    return not zone.is_behind_glass and abs(zone.axes[2][0]) > 0.7
+
+
+def _kept_clear(zone: Zone, mesh: Mesh, boxes: Sequence[tuple[str, np.ndarray]]) -> Zone | None:
+    """A zone with the boxes that reach into it, which carry no camera; None where they leave nothing of it."""
+    if zone.is_behind_glass:
+        return zone
+    chart = chart_of([zone], mesh, cell_m=0.04)
+    assert chart.is_mountable is not None
+    place_m = chart.origin_m + chart.cell_m * np.argwhere(chart.is_mountable)
+    point_m = chart.point_m(place_m, chart.height_at_m(place_m))
+    inside = [box for _, box in boxes if ((point_m >= box[0]) & (point_m <= box[1])).all(axis=1).any()]
+    clear = replace(zone, keep_out_m=(*zone.keep_out_m, *inside))
+    try:
+        chart_of([clear], mesh, cell_m=0.04)
+    except InputError:
+        return None
+    return clear
+
+
+SAME_M = 1e-3
+"""A triangle of the file and one of the vehicle whose middles are so near are one [m]."""
+
+
+def part_names(path: str | Path, mesh: Mesh, *, forward: str | None = None) -> list[str] | None:
+    """Names of node, geometry and material of every triangle of a vehicle, each as one text; returns [triangle]."""
+    import trimesh
+    from scipy.spatial import KDTree
+
+    file = read_vehicle_file(file_of(path))
+    loaded = trimesh.load_scene(file.path, process=False)
+    names: list[str] = []
+    for node in loaded.graph.nodes_geometry:
+        geometry_name = loaded.graph.get(node)[1]
+        geometry: Any = loaded.geometry[geometry_name]
+        material = getattr(getattr(geometry, "visual", None), "material", None)
+        text = " ".join((str(node), str(geometry_name), str(getattr(material, "name", None) or "")))
+        names += [text] * len(getattr(geometry, "faces", ()))
+    if len(names) != len(file.triangle):
+        return None
+    found = examine(file, file.usual.changed(forward=forward))
+    middle_m = found.mesh.vertex_m[found.mesh.triangle].mean(axis=1) + found.shift_m
+    away_m, nearest = KDTree(middle_m).query(mesh.vertex_m[mesh.triangle].mean(axis=1))
+    if np.max(away_m) > SAME_M:
+        return None
+    return [names[k] for k in np.asarray(nearest)]
