@@ -10,11 +10,8 @@ import warp as wp
 
 import warpav as wa
 from tests.driving_scene import SilentDetector, packed_street, street
-from tests.optimisation.calls import draw
-from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.optimisation.test_pool import cameras_of
 from warpav.core.errors import InputError
-from warpav.evaluation.coverage import Ground
 from warpav.evaluation.metrics import RigObserver
 from warpav.evaluation.own_body import body_shares
 from warpav.optimisation.camera_jacobians import placing_slope
@@ -179,14 +176,6 @@ def test_metrics_and_pictures_know_the_pane(device):
     assert len(np.unique(images["in"].object_index)) > 3
 
 
-def test_ground_is_seen_through_the_pane_by_its_camera_alone(device):
-    ground = Ground.around(packed_street(device), radius_m=20.0)
-    camera = RigCamera("in", np.array([2.1, 0.0, 1.3]), model=MODEL, behind_glass=chart().panes[1])
-    point_m = np.array([[12.0, 0.0, 1.3], [12.0, 0.5, 1.4], [-12.0, 0.0, 1.3]])
-    assert ground.is_seen(camera, point_m).tolist() == [True, True, False]
-    assert not ground.is_seen(replace(camera, behind_glass=None), point_m).any()
-
-
 def test_requirements_are_seen_through_the_pane_by_its_camera_alone():
     pose = spread()[inside(spread())][:2]
     rig = mount_of().rig(pose)
@@ -203,14 +192,6 @@ def test_requirements_are_seen_through_the_pane_by_its_camera_alone():
     again, jacobian = cameras_of(mount=mount_of()).with_jacobian(pose, [ghosts])
     np.testing.assert_allclose(again, cameras_of(mount=mount_of()).detection_probability(pose, ghosts), atol=2e-2)
     assert np.abs(jacobian).max() > 0.0
-
-
-def test_a_pool_of_both_kinds_is_drawn():
-    pool = draw(spread()[:12], scenes=(packed_street(),), cameras=cameras_of(mount=mount_of()))
-    expected = cameras_of(mount=mount_of()).detection_probability(spread()[:12], packed_street())
-    np.testing.assert_array_equal(pool.detection_probability, expected)
-    keys = [cameras_of(mount=mount_of()).identity, replace_panes(cameras_of(mount=mount_of())).identity]
-    assert keys[0]["vehicle"] != keys[1]["vehicle"]
 
 
 def test_a_rig_file_says_what_its_cameras_look_through(tmp_path):
@@ -234,29 +215,6 @@ def test_a_rig_file_says_what_its_cameras_look_through(tmp_path):
     other = replace(camera, name="other", behind_glass=replace(camera.behind_glass, reach_m=(-0.3, 0.3)))
     with pytest.raises(InputError, match="expected one pane called 'windscreen', got two"):
         Rig([camera, other])
-
-
-def test_what_stays_has_to_look_through_the_pane_of_its_place():
-    rig = mount_of().rig(np.concatenate([spread()[inside(spread())][:1], spread()[~inside(spread())][:1]]))
-    mount_of().freezing(rig, ["camera_0"])
-    shut = Rig([replace(rig.cameras[0], behind_glass=None), rig.cameras[1]])
-    with pytest.raises(InputError, match=r"camera 'camera_0': behind_glass: expected that of its place .*, windscreen"):
-        mount_of().freezing(shut, ["camera_0"])
-
-
-def test_only_single_cameras_give_such_an_objective():
-    with pytest.raises(InputError, match="for cameras behind glass"):
-        rig_objective(mount_of(), SilentDetector(), settings=thesis_losses(), camera_count=2)
-
-
-def test_coarse_triangles_are_refused():
-    from tests.raster.bodies import cuboid
-
-    zone = replace(WINDSCREEN, box_m=np.array([[2.0, -0.3, 0.9], [2.4, 0.3, 1.6]]))
-    with pytest.raises(
-        InputError, match=r"^zone 'windscreen': behind_glass: expected triangles that lie under the zone"
-    ):
-        chart_of((zone,), cuboid((4.0, 1.8, 1.4), (0.2, 0.0, 0.9)))
 
 
 def test_pairs_look_through_the_pane_on_either_side():

@@ -50,34 +50,6 @@ def test_projection_ends_feasible(surface, place):
     assert BoundsAndSpacing(surface, min_spacing_m=0.3).violation_m(rig_at(rounded, surface)) == 0.0
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
-@given(place=places)
-def test_projection_leaves_feasible_places_alone(place):
-    low, high = SURFACE.bounds_m
-    inside = np.clip(place, low + 1e-5, high - 1e-5)
-    if min_camera_distance_m(on_surface(inside, SURFACE)) >= 0.3 + 1e-5:
-        np.testing.assert_array_equal(BoundsAndSpacing(SURFACE, min_spacing_m=0.3).project(inside), inside)
-
-
-def test_projection_does_not_touch_its_input():
-    place = np.array([[5.0, 5.0], [5.0, 5.0]])
-    BoundsAndSpacing(SURFACE, min_spacing_m=0.3).project(place)
-    assert (place == 5.0).all()
-
-
-def test_projection_moves_no_further_than_needed():
-    projected = BoundsAndSpacing(SURFACE, min_spacing_m=0.3).project(np.array([[0.0, 0.0], [0.2, 0.0]]))
-    np.testing.assert_allclose(projected, [[-0.05, 0.0], [0.25, 0.0]], atol=1e-4)
-    outside = BoundsAndSpacing(SURFACE, min_spacing_m=0.3).project(np.array([[9.0, 0.1], [0.0, -9.0]]))
-    np.testing.assert_allclose(outside, [[1.4, 0.1], [0.0, -0.6]], atol=1e-5)
-
-
-def test_projection_parts_cameras_in_a_corner_and_on_one_point():
-    for point in ([1.4, 0.6], [-1.0, -0.6], [0.2, 0.0], [30.0, -30.0]):
-        projected = BoundsAndSpacing(SURFACE, min_spacing_m=0.3).project(np.tile(point, (4, 1)))
-        assert min_camera_distance_m(on_surface(projected, SURFACE)) >= 0.3
-
-
 def test_spacing_counts_in_space_not_in_the_plane():
     # 0.2 m apart in the plane, one 1 m above the other
     cliff = flat_surface([0.0, 0.0], [0.2, 0.2])
@@ -88,37 +60,10 @@ def test_spacing_counts_in_space_not_in_the_plane():
     np.testing.assert_array_equal(constraints.project(place, np.array([0.2, 0.4])), place)
 
 
-def test_cameras_on_masts_part_by_their_own_heights():
-    slope = flat_surface([0.0, 0.0], [2.0, 2.0])
-    slope.height_m[:] += np.linspace(0.0, 2.0, len(slope.height_m))[:, None]
-    constraints = BoundsAndSpacing(slope, min_spacing_m=0.5)
-    place = np.array([[0.8, 1.0], [1.2, 1.0]])
-    np.testing.assert_array_equal(constraints.project(place), place)
-    height_delta_m = np.array([0.4, 0.0])  # as high as the other one
-    parted = constraints.project(place, height_delta_m)
-    assert np.linalg.norm(parted[1] - parted[0]) > 0.45
-    assert min_camera_distance_m(np.c_[parted, slope.height_at_m(parted) + height_delta_m]) >= 0.5
-
-
 @pytest.mark.parametrize("camera_count", [2, 9])
 def test_projection_refuses_what_does_not_fit(camera_count):
     with pytest.raises(InputError, match=rf"rig\.cameras: expected .* fits .* 2\.40 m x 1\.20 m .* got {camera_count}"):
         BoundsAndSpacing(SURFACE, min_spacing_m=3.0).project(np.zeros((camera_count, 2)))
-
-
-def test_cameras_beyond_one_edge_leave_it_when_it_is_too_short():
-    # clipped they stand on one line of 1.2 m, which holds five of them at most
-    place = np.c_[np.full(7, 9.0), np.linspace(-0.6, 0.6, 7)]
-    projected = BoundsAndSpacing(SURFACE, min_spacing_m=0.3).project(place)
-    assert min_camera_distance_m(on_surface(projected, SURFACE)) >= 0.3
-
-
-def test_many_cameras_that_fit_are_placed(rng):
-    # a grid of 12 fits with room to spare
-    for _ in range(5):
-        place = rng.uniform(-1.0, 1.0, (12, 2))
-        projected = BoundsAndSpacing(SURFACE, min_spacing_m=0.3).project(place)
-        assert min_camera_distance_m(on_surface(projected, SURFACE)) >= 0.3
 
 
 def test_violation_adds_excess_and_missing_spacing():
@@ -148,12 +93,6 @@ def test_the_slope_of_the_slack_is_that_of_its_differences(held):
             ends.append(constraints.slack_m(moved[:, :2], moved[:, 2]))
         expected[:, camera, number] = (ends[0] - ends[1]) / 2e-5
     np.testing.assert_allclose(found, expected, atol=1e-5)
-
-
-def test_smallest_distance_of_cameras():
-    points = np.array([[0, 0, 0], [3, 4, 0], [3, 4, 2.0]])
-    assert min_camera_distance_m(points) == pytest.approx(2.0)
-    assert min_camera_distance_m(points[:1]) == math.inf
 
 
 # --- the mountable zone ----------------------------------------------------------------------------------------------
@@ -247,32 +186,6 @@ def test_violation_of_the_zone_adds_what_is_missing():
     assert not BoundsAndSpacing(surface).violation_m(rig_at([[0.2, 0.0], [-0.5, 0.75]], surface))
 
 
-def test_a_camera_on_the_windscreen_is_outside_the_zone():
-    surface = town_surface()
-    rig = rig_at([[2.05, 0.0], [0.6, 0.0]], surface)
-    assert BoundsAndSpacing(surface).violation_m(rig) == 0.0
-    assert zone(surface, 2).violation_m(rig) > 0.2
-
-
-def test_names_say_which_cameras():
-    names = zone(SURFACE, 3).names
-    assert names == ("zone_0", "zone_1", "zone_2", "spacing_0_1", "spacing_0_2", "spacing_1_2")
-    assert zone(SURFACE, 1).names == ("zone_0",)
-
-
-def test_options_of_the_zone_are_checked():
-    with pytest.raises(InputError, match=r"mount\.margin_m: expected less than 0\.6 m.* got 0\.7"):
-        zone(SURFACE, margin_m=0.7)
-    with pytest.raises(ValueError, match="margin_m must be at least 0, got -1"):
-        zone(SURFACE, margin_m=-1)
-    with pytest.raises(ValueError, match="camera_count must be at least 1, got 0"):
-        zone(SURFACE, 0)
-    with pytest.raises(ValueError, match="min_spacing_m must be positive, got 0"):
-        BoundsAndSpacing(SURFACE, min_spacing_m=0)
-    with pytest.raises(InputError, match=r"rig\.cameras: expected .* mountable zone of \d\.\d\d m² .* got 9"):
-        ZoneAndSpacing(SURFACE, camera_count=9, min_spacing_m=1.5).project(np.zeros((9, 2)))
-
-
 @pytest.mark.parametrize("surface", [zone_surface(), roof()], ids=["two parts", "curved"])
 def test_inequalities_match_oracle_and_differences(device, rng, surface):
     count, cell = 4, surface.cell_m
@@ -309,13 +222,6 @@ def test_inequalities_match_oracle_and_differences(device, rng, surface):
         assert not array.grad.numpy()[:, [2, 3, 4, 6]].any()
 
 
-def test_views_of_another_number_of_cameras_are_refused(device):
-    mount = CameraMount(SURFACE, camera=CameraModel(64, 64), height_offset_m=0.25, device=device)
-    views = mount.place(wp.zeros((3, 7), dtype=float, device=device))
-    with pytest.raises(ValueError, match="expected 4 cameras, got 3"):
-        zone(SURFACE, 4).losses_of(views, mount.rotation_count)
-
-
 @pytest.mark.parametrize("kind", [BoundsAndSpacing, functools.partial(ZoneAndSpacing, camera_count=3, margin_m=0.05)])
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(place=st.lists(st.tuples(coordinate, coordinate), min_size=3, max_size=3))
@@ -334,11 +240,3 @@ def test_margins_are_the_single_constraints(kind, place):
     np.testing.assert_array_equal([margin.slack_m >= 0.0 for margin in margins[:3]], inside)
     missing = sum(max(-margin.slack_m, 0.0) for margin in margins[3:])
     assert constraints.violation_m(rig) >= missing - 1e-6
-
-
-def test_the_margin_of_a_camera_in_the_middle_is_the_way_out():
-    at = [[0.2, 0.1], [1.3, 0.0], [1.5, 0.0]]  # the nearest border of 2.4 m x 1.2 m is that of the left side
-    found = BoundsAndSpacing(SURFACE, min_spacing_m=0.3).margins(rig_at(at, SURFACE))
-    assert [margin.value_m for margin in found[:3]] == pytest.approx([0.5, 0.1, -0.1])
-    assert [margin.is_kept for margin in found] == [True, True, False, True, True, False]
-    assert found[-1].slack_m == pytest.approx(-0.1)

@@ -60,31 +60,6 @@ def assert_within(mount, mount_pose):
 # --- the mount -------------------------------------------------------------------------------------------------------
 
 
-def test_nothing_is_free_unless_asked_for():
-    mount = mount_of(free=None)
-    assert not mount.is_free.any()
-    pose = np.random.default_rng(0).normal(0.0, 10.0, (3, 7))
-    np.testing.assert_array_equal(mount.within(pose), pose)
-    space = SearchSpace.over(mount, 2, constraints=BoundsAndSpacing(mount.surface))
-    assert space.size == 6
-
-
-@pytest.mark.parametrize(
-    ("name", "number", "low", "high"),
-    [
-        ("pitch_rad", PITCH_RAD, math.radians(-20.0), math.radians(20.0)),
-        ("height_m", HEIGHT_DELTA_M, -0.2, 0.35),
-        ("fov_rad", LOG_ZOOM, -math.log(math.tan(math.radians(55.0))), -math.log(math.tan(math.radians(30.0)))),
-    ],
-)
-def test_each_number_is_freed_alone(name, number, low, high):
-    mount = mount_of(FreeRanges(**{name: getattr(FREE, name)}))
-    assert np.flatnonzero(mount.is_free).tolist() == [number]
-    assert (mount.low[number], mount.high[number]) == (pytest.approx(low, abs=1e-6), pytest.approx(high, abs=1e-6))
-    # a camera that turns sees all round without gaps at its narrowest
-    assert mount.rotation_count == (6 if name == "fov_rad" else 4)
-
-
 @pytest.mark.parametrize(
     ("free", "message"),
     [
@@ -110,23 +85,6 @@ def test_a_start_keeps_what_is_free_and_takes_the_rest_as_configured(rng):
     fixed = mount_of(free=None).within(mount_of(free=None).mount_pose_of_rig(rig, as_configured=True))
     np.testing.assert_array_equal(fixed[:, [HEIGHT_DELTA_M, LOG_ZOOM]], 0.0)
     np.testing.assert_allclose(fixed[:, :5], pose[:, :5], atol=1e-6)
-
-
-def test_windows_of_level_cameras_are_those_of_the_model():
-    mount = mount_of()
-    pose = START.astype(np.float32)
-    views = mount.place(wp.array(pose, dtype=float))
-    half_height = math.atan(math.tan(0.5 * MODEL.fov_rad) * MODEL.height_px / MODEL.width_px)
-    turn = -mount.rotation_step_rad * np.arange(mount.rotation_count)
-    still = np.tile([[a, 0.0, 0.5 * MODEL.fov_rad, half_height] for a in turn], (2, 1))
-    difference = mount.windows(views).numpy() - still
-    np.testing.assert_allclose(np.exp(1j * difference), 1.0, atol=2e-6)
-    pose[:, PITCH_RAD], pose[:, LOG_ZOOM] = 0.1, 0.2
-    window = mount.windows(mount.place(wp.array(pose, dtype=float))).numpy().reshape(2, mount.rotation_count, 4)
-    np.testing.assert_allclose(window[:, 0, :2], 0.0, atol=1e-6)
-    # a view to the rear looks down as well: in its axes the camera's axis points down by twice as much
-    np.testing.assert_allclose(window[:, 3, 1], -0.2, atol=1e-6)
-    np.testing.assert_allclose(window[:, :, 2], 0.5 * MODEL.zoomed(0.2).fov_rad, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -242,14 +200,6 @@ def test_searches_try_all_that_is_free_and_nothing_else(seed):
     assert_within(mount, random.astype(np.float32))
     assert (np.ptp(random[:, [PITCH_RAD, HEIGHT_DELTA_M, LOG_ZOOM]], axis=0) > 0.0).all()
     np.testing.assert_allclose(space.pose_of(space.unit_of(random))[:, 3:], random[:, 3:], atol=1e-6)
-
-
-def test_records_hold_only_what_is_free():
-    objective = Slope()
-    objective.mount = mount_of(FreeRanges(pitch_rad=FREE.pitch_rad))
-    record = Descent(objective, street_scenes(), OptimiserSettings(), START, np.random.default_rng(0), 1, 1).step()
-    assert record.free == {"pitch_deg": [0.0, 0.0]}
-    assert set(record.gradient_norm) == {"position", "rotation"}
 
 
 # --- a world with a known answer -------------------------------------------------------------------------------------

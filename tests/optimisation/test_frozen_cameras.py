@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,7 +20,6 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
 from warpav.thesis.descent import Descent
-from warpav.thesis.starts import evaluate_starts, exchange_cameras, first_rigs
 
 MODEL = CameraModel(64, 64, math.pi / 2)
 WIDE = CameraModel(64, 64, math.radians(120.0))
@@ -86,23 +84,6 @@ def test_what_is_held_is_the_same_to_the_last_bit_whatever_the_pose(rng, tmp_pat
     np.testing.assert_array_equal(read.position_m, BUMPER.position_m)
 
 
-def test_its_mount_pose_is_where_it_stands():
-    mount = frozen_mount(MAST, ROOF, BUMPER, names=("bumper", "mast"))
-    views = mount.place(wp.array(mount.frozen.mount_pose, dtype=float), 1)
-    for view, expected in enumerate((MAST, ROOF, BUMPER)):
-        # single precision; worst seen 1.2e-7 m and 1.2e-7
-        np.testing.assert_allclose(views.position_ego_m.numpy()[view], expected.position_m, atol=1e-6)
-        np.testing.assert_allclose(views.camera_from_ego.numpy()[view].T, expected.ego_from_camera[:3, :3], atol=1e-6)
-        zoom = expected.model.log_zoom_over(MODEL)
-        assert views.log_zoom.numpy()[view] == pytest.approx(zoom, abs=1e-6)
-
-
-def test_the_narrowest_camera_says_how_often_a_camera_turns_to_look_all_round():
-    assert CameraMount(roof(), camera=MODEL, height_offset_m=0.25).rotation_count == 4
-    assert frozen_mount(MAST, ROOF, names=("mast",)).rotation_count == 9
-    assert frozen_mount(BUMPER, ROOF).rotation_count == 4
-
-
 def test_another_lens_cannot_be_held():
     fisheye = CameraModel(64, 64, math.radians(190.0), lens=Lens.FISHEYE)
     for model in (CameraModel(64, 32, math.pi / 2), fisheye):
@@ -111,21 +92,6 @@ def test_another_lens_cannot_be_held():
     other = CameraModel(64, 64, math.radians(150.0), lens=Lens.FISHEYE, distortion=(0.01, 0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="must differ from the mount's in zoom alone"):
         frozen_mount(camera("odd", [0.5, 0, 1.8], model=other), ROOF, names=("odd",), model=fisheye)
-
-
-@pytest.mark.parametrize("fov_deg", [190.0, 150.0])
-def test_a_fisheye_is_held_beside_others_of_its_lens(fov_deg):
-    fisheye = CameraModel(64, 64, math.radians(190.0), lens=Lens.FISHEYE)
-    held = CameraModel(64, 64, math.radians(fov_deg), lens=Lens.FISHEYE)
-    frozen = frozen_mount(camera("odd", [0.5, 0, 1.8], model=held), ROOF, names=("odd",), model=fisheye)
-    assert frozen.has_model(held)
-    assert frozen.frozen.mount_pose[0, LOG_ZOOM] == pytest.approx(math.log(190.0 / fov_deg))
-
-
-@pytest.mark.parametrize("names", [("none",), ("bumper", "none"), ("bumper", "roof")])
-def test_names_are_some_of_the_rigs_and_not_all(names):
-    with pytest.raises(ValueError, match="names must be some of the rig's cameras and not all"):
-        frozen_mount(names=names)
 
 
 def test_losses_of_the_thesis_refuse_several_fields_of_view():
@@ -148,18 +114,6 @@ def test_the_place_of_what_is_held_breaks_nothing_but_others_keep_away_from_it()
     assert constraints.violation_m(Rig((*pair, BUMPER, near))) == pytest.approx(0.1, abs=1e-9)
     outside = camera("roof", [3.9, 0.5, 0.51])
     assert constraints.violation_m(Rig((*pair, BUMPER, outside))) > 1.0
-
-
-def test_the_same_inequalities_as_without_holding(rng):
-    mount = frozen_mount(MAST, ROOF, BUMPER, names=("bumper", "mast"))
-    constraints = constraints_of(mount)
-    every = ZoneAndSpacing(mount.surface, camera_count=3, margin_m=0.02)
-    pose = mount.within(rng.uniform(-1.0, 1.0, (3, 7)).astype(np.float32))
-    views = mount.place(wp.array(pose, dtype=float, requires_grad=True))
-    found, whole = (each.losses_of(views, mount.rotation_count).numpy() for each in (constraints, every))
-    value = dict(zip(every.names, whole, strict=True))
-    assert constraints.names == ("zone_1", "spacing_0_1", "spacing_1_2")
-    np.testing.assert_array_equal(found, [value[name] for name in constraints.names])
 
 
 @settings(max_examples=40, deadline=None)
@@ -191,46 +145,6 @@ def test_random_places_keep_away_from_what_is_held(rng):
 
 
 # --- searches and starts --------------------------------------------------------------------------------------------
-
-
-def test_searches_move_the_others_alone(rng):
-    mount = frozen_mount(MAST, ROOF, BUMPER, names=("bumper", "mast"), free=FreeRanges(pitch_rad=(-0.3, 0.3)))
-    space = SearchSpace.over(mount, 3, constraints=constraints_of(mount))
-    assert space.size == 4  # x, y, yaw and pitch of one camera
-    for rig in (space.pose_of(rng.uniform(0.0, 1.0, 4)), space.pose_of(rng.normal(0.0, 9.0, 4))):
-        np.testing.assert_array_equal(rig[[0, 2]], mount.frozen.mount_pose[[0, 2]])
-    rigs = first_rigs(space, rng)
-    for _ in range(8):
-        np.testing.assert_array_equal(next(rigs)[[0, 2]], mount.frozen.mount_pose[[0, 2]])
-
-
-def test_cameras_are_put_in_order_around_what_is_held(rng):
-    mount = frozen_mount(ROOF, BUMPER, MAST, names=("bumper",))
-    yaw_rad = np.array([math.pi / 2, 0.0, -math.pi / 2])
-    space = SearchSpace.over(mount, 3, constraints=constraints_of(mount), yaw_rad=yaw_rad)
-    pose = mount.frozen.mount_pose.copy()
-    pose[:, YAW_RAD] = [-1.5, 1.4, 1.6]
-    np.testing.assert_array_equal(space.in_order(pose)[:, YAW_RAD], pose[[2, 1, 0], YAW_RAD])
-
-
-def test_what_is_held_is_not_exchanged(rng):
-    chance = rng.uniform(0.0, 1.0, (12, 30))
-    chance[7] = 1.0
-    first = np.array([0, 1, 2])
-    assert 7 in exchange_cameras(chance, first)
-    frozen = exchange_cameras(chance, first, is_frozen=np.array([True, False, True]))
-    np.testing.assert_array_equal(frozen, [0, 7, 2])
-
-
-def test_all_starts_hold_it():
-    mount = frozen_mount(ROOF, BUMPER)
-    objective = objective_of(mount)
-    space = SearchSpace.over(mount, 2, constraints=objective.constraints)
-    known = mount.within(mount.mount_pose_of_rig(Rig((ROOF, BUMPER)), as_configured=True))
-    starts = evaluate_starts(objective, street_scenes(), space, 7, np.random.default_rng(0), known=known)
-    for start in starts:
-        np.testing.assert_array_equal(start.mount_pose[1], mount.frozen.mount_pose[1])
-    assert len({start.mount_pose[0].tobytes() for start in starts}) > 3
 
 
 # --- the descent ----------------------------------------------------------------------------------------------------

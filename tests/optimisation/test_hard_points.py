@@ -14,7 +14,6 @@ from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, 
 from warpav.optimisation.required_points import NEAR_EDGE, RequiredPoints
 from warpav.optimisation.single_cameras import camera_margins, hard_points
 from warpav.optimisation.tangent_model import KEPT_BACK, HardPoints
-from warpav.requirements import visibility
 
 
 def test_margins_reach_one_where_points_are_met():
@@ -60,18 +59,6 @@ def test_the_jacobian_of_margins_agrees_with_differences(share, pixels):
         cosine = one @ other / (np.linalg.norm(one) * np.linalg.norm(other))
         assert cosine > 0.97, (column, cosine)
         assert np.linalg.norm(other) == pytest.approx(np.linalg.norm(one), rel=0.1)
-
-
-def test_margins_share_the_renders_of_probabilities(monkeypatch):
-    cameras, pose, ghosts = cameras_of(mount=mount_of()), spread()[40:44], scene()
-    calls = []
-    frames = visibility._frames
-    monkeypatch.setattr(visibility, "_frames", lambda *args: (calls.append(1), frames(*args))[1])
-    cameras.with_jacobian(pose, [ghosts])
-    count = len(calls)
-    assert count > 0
-    camera_margins(cameras, ghosts, pose)
-    assert len(calls) == count
 
 
 def test_only_the_best_cameras_that_could_lose_a_point_are_held():

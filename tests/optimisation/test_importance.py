@@ -4,7 +4,6 @@ import dataclasses
 import functools
 import itertools
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,19 +19,15 @@ from warpav.core.errors import InputError
 from warpav.optimisation.budget import rig_values_of
 from warpav.optimisation.importance import Importance
 from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
-from warpav.optimisation.losses.loss import LossSchedule
 from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
-from warpav.optimisation.miss_rate import further_gain
 from warpav.optimisation.mount import X_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import ObjectiveOptions, RigObjective
 from warpav.optimisation.pool import spread_mount_poses
 from warpav.optimisation.pool_search import PoolSearchSettings
-from warpav.optimisation.replacements import Replacements
 from warpav.optimisation.settings import ImportanceSettings
 from warpav.raster.decide import Occlusion
 from warpav.runs.config import Config, dump_config, load_config, option_values
 from warpav.thesis.constraints import BoundsAndSpacing
-from warpav.thesis.starts import exchange_cameras
 from warpav_kernels.placement import expected_misses
 
 SETTINGS = ImportanceSettings(
@@ -173,33 +168,6 @@ def test_the_objective_is_the_weighted_mean_of_products(device):
     assert objective.observe_rig(objective.mount.rig(pose), scenes[0])[2] == pytest.approx(of_first, rel=1e-4)
 
 
-@pytest.mark.parametrize("combine", ["any", "best"])
-def test_the_weighted_gradient_is_the_sum_of_the_objects_own(device, combine):
-    """Gradients of single objects, taken with all other weights 0, add up to the weighted one by NumPy."""
-    scenes, pose = scenes_of(device)[:1], POSE.copy()
-    pose[1, YAW_RAD] = 0.7
-    loss = (1.0, ExpectedMissRate(combine))
-    weight = weights_by_hand(scenes[0].scene)
-
-    class Only(Importance):
-        def __init__(self, k):
-            super().__init__(SETTINGS)
-            self.k = k
-
-        def weights(self, scene):
-            return np.eye(scene.vehicle_count)[self.k]
-
-    def gradient(importance):
-        return objective_of(importance, loss, device=device).evaluate(pose, scenes, gradient=True).gradient
-
-    of_object = np.array([gradient(Only(k)) for k in range(10)])
-    assert (np.abs(of_object).max(axis=(1, 2)) > 1e-4).sum() >= 3
-    expected = np.einsum("o,ock->ck", weight, of_object) / weight.sum()
-    np.testing.assert_allclose(gradient(Importance(SETTINGS)), expected, rtol=1e-4, atol=1e-6)
-    by_term = objective_of(Importance(SETTINGS), loss, device=device).gradients(pose, scenes)["expected_miss_rate"]
-    np.testing.assert_allclose(by_term, expected, rtol=1e-4, atol=1e-6)
-
-
 def test_the_weighted_gradient_matches_differences(device):
     """Means over poses beside each other, as single renders are rough; `test_missed` does so for more numbers."""
     rng = np.random.default_rng(0)
@@ -224,38 +192,6 @@ def test_the_weighted_gradient_matches_differences(device):
     # seen 0.072 and 0.48 on the CPU
     assert np.linalg.norm(ours - truth) < 0.1 * np.linalg.norm(truth)
     assert np.linalg.norm(unweighted - truth) > 0.3 * np.linalg.norm(truth)
-
-
-def test_weights_of_one_change_no_bit(device):
-    """Neither value nor gradient, of a batch and of the whole; nothing set is no `Importance` at all."""
-    scenes = scenes_of(device)
-    ones = Importance(ImportanceSettings(distance_m={0: 1.0}))
-    for schedule in (None, LossSchedule(0.5)):
-        plain, weighted = (
-            objective_of(each, device=device).evaluate(POSE, scenes, gradient=True, schedule=schedule)
-            for each in (None, ones)
-        )
-        assert (plain.total, plain.objective, plain.terms) == (weighted.total, weighted.objective, weighted.terms)
-        assert plain.gradient.tobytes() == weighted.gradient.tobytes()
-    assert Importance.of(ImportanceSettings()) is None
-    assert objective_of(None).object_weight(scenes) is None
-
-
-def test_a_loss_of_ones_own_gets_the_weights():
-    seen = []
-
-    def misses(probability, objects):
-        seen.append((objects.scene, objects.weight))
-        return 0.0, np.zeros_like(probability)
-
-    scenes = scenes_of()
-    for importance in (Importance(SETTINGS), None):
-        seen.clear()
-        objective_of(importance, (1.0, misses)).evaluate(POSE, scenes)
-        expected = {each.scene.name: weights_by_hand(each.scene) for each in scenes}
-        assert len(seen) == 2
-        for name, weight in seen:
-            np.testing.assert_allclose(weight, np.ones(len(weight)) if importance is None else expected[name])
 
 
 # --- the search by a pool --------------------------------------------------------------------------------------------
@@ -314,36 +250,6 @@ def test_the_weighted_selection_is_the_best_rig_of_the_pool_by_brute_force():
     assert rate(pool[alike], weight) > best + 1e-3
 
 
-def test_every_state_of_a_weighted_search_has_the_weighted_miss_rate_of_its_rig():
-    mount, weight, states = searched(True)
-    cameras = cameras_of(mount=mount)
-    assert {state.stage for state in states} >= {"selection", "polish", "settled"}
-    for state in states:
-        found = np.concatenate([cameras.detection_probability(state.mount_pose, each) for each in streets()], axis=1)
-        assert rate(found, weight) == pytest.approx(state.objective, abs=1e-6)
-    assert states[-1].objective < states[0].objective
-
-
-def test_further_cameras_replacements_and_exchanges_count_by_weight(rng):
-    pool, weight = rng.uniform(0.0, 0.9, (8, 20)), rng.uniform(0.0, 3.0, 20)
-    rig, before = np.array([0, 1, 2]), rate(pool[:3], weight)
-    missed = np.prod(1.0 - pool[:3], axis=0)
-    expected = [before - rate(np.vstack([pool[:3], each]), weight) for each in pool]
-    np.testing.assert_allclose(further_gain(missed, pool, weight), expected, atol=1e-12)
-    pose = np.c_[np.arange(8.0), np.zeros((8, 6))]
-    cameras, fits = SimpleNamespace(mount_pose=pose, detection_probability=pool), np.ones((8, 3), bool)
-    found = Replacements(cameras, rig[:0], rig, fits, fits, unit=np.ones(7), weight=weight)
-    for camera, slot in itertools.product(range(8), range(3)):
-        other = rig.copy()
-        other[slot] = camera
-        assert found.miss_rate[camera, slot] == pytest.approx(rate(pool[other], weight), abs=1e-12)
-    exchanged = exchange_cameras(pool, rig, weight=weight)
-    for camera, slot in itertools.product(range(8), range(3)):
-        other = exchanged.copy()
-        other[slot] = camera
-        assert rate(pool[other], weight) >= rate(pool[exchanged], weight) - 1e-12
-
-
 # --- the configuration -----------------------------------------------------------------------------------------------
 
 
@@ -388,24 +294,6 @@ def test_a_wrong_weight_is_told_in_one_line(option, expected):
     assert "\n" not in str(error.value)
 
 
-def test_weights_need_a_loss_that_knows_them():
-    with pytest.raises(InputError, match="importance: expected nothing, as only the loss expected_miss_rate knows"):
-        load_config(None, ["method=thesis", "importance.distance_m={0: 2, 20: 1}"])
-
-
-def test_an_unknown_category_gets_a_suggestion():
-    config = load_config(None, ["importance.category={lorri: 2}"])
-    with pytest.raises(InputError, match=r"expected some of vehicle, .*, got 'lorri'; did you mean lorry\?"):
-        config.placement()
-    scenes = [each.scene for each in scenes_of()]
-    with pytest.raises(InputError, match=r"got 'hatchbak'; did you mean hatchback\?"):
-        Importance(ImportanceSettings(category={"hatchbak": 2.0})).check(scenes)
-    own = [dataclasses.replace(scenes[2], category=("Tram",) * 4)]
-    Importance(ImportanceSettings(category={"tram": 2.0})).check(own)
-    with pytest.raises(InputError, match="importance: expected a weight above 0 for some road user, got 0 for all 14"):
-        Importance(ImportanceSettings(category={"vehicle": 0.0})).check(scenes)
-
-
 def test_weights_are_written_and_read_back_and_what_is_not_set_is_not_written(tmp_path):
     options = [
         "scenes.targets=[vehicle, pedestrian]",
@@ -422,14 +310,3 @@ def test_weights_are_written_and_read_back_and_what_is_not_set_is_not_written(tm
     assert load_config(file) == config
     assert load_config(config) == config
     assert option_values(Config())["importance.category"] == {}
-
-
-def test_times_are_written_and_read_back_and_files_without_stay_as_they_were(tmp_path):
-    older = load_config(None, ["importance.distance_m={0: 2, 20: 1}"])
-    assert option_values(older)["importance.time_to_collision_s"] == {}
-    config = load_config(None, ["importance.time_to_collision_s={0: 3, 1.5: 2, 4000 ms: 1}"])
-    assert config.importance.time_to_collision_s == {0.0: 3.0, 1.5: 2.0, 4.0: 1.0}
-    file = tmp_path / "config.yaml"
-    file.write_text(dump_config(config))
-    assert load_config(file) == config
-    assert "4 s: 1.0" in file.read_text()

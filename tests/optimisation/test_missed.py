@@ -214,58 +214,6 @@ def test_what_lies_outside_the_image_pulls_over_the_panorama_alone(device):
     assert seen.terms["expected_miss_rate"] < 0.5
 
 
-def test_repeats_bit_by_bit_and_gradient_is_optional(device):
-    objective, scenes = objective_of(device), scenes_of(device, 10, 4, 7)
-    for schedule in (LossSchedule(), LossSchedule(0.7)):
-        first = objective.evaluate(POSE, scenes, gradient=True, schedule=schedule)
-        again = objective.evaluate(POSE, scenes, gradient=True, schedule=schedule)
-        np.testing.assert_array_equal(again.gradient, first.gradient)
-        assert objective.evaluate(POSE, scenes, schedule=schedule).terms == first.terms == again.terms
-
-
-@pytest.mark.parametrize("free", [None, FREE], ids=["fixed", "free"])
-def test_a_rig_from_elsewhere_has_the_same_value(device, free):
-    objective, [scene] = objective_of(device, free=free), scenes_of(device, 10)
-    pose = POSE if free is None else POSE + np.array([0.0, 0.0, 0.0, 0.1, 0.0, 0.2, -0.2], np.float32)
-    _, _, value, _ = objective.observe_rig(objective.mount.rig(pose), scene)
-    assert value == pytest.approx(objective.evaluate(pose, [scene]).objective, rel=1e-4)
-    assert (free is None) == (objective.evaluate(POSE, [scene]).objective == pytest.approx(value, rel=1e-3))
-
-
-def test_what_is_free_changes_nothing_while_it_is_as_configured(device):
-    scenes = scenes_of(device, 10, 4)
-    fixed, free = objective_of(device), objective_of(device, free=FREE)
-    one, other = (each.evaluate(POSE, scenes, gradient=True, schedule=LossSchedule()) for each in (fixed, free))
-    assert one.terms == other.terms
-    np.testing.assert_array_equal(one.gradient, other.gradient)
-
-
-def test_the_losses_of_the_thesis_refuse_a_free_field_of_view():
-    with pytest.raises(ValueError, match="takes one field of view for all cameras"):
-        objective_of(free=FREE, in_frame_rotation=1.0)
-    pitch_alone = FreeRanges(pitch_rad=(-0.1, 0.1))
-    assert objective_of(free=pitch_alone, in_frame_rotation=1.0).needs_panorama
-
-
-def test_a_scene_without_road_users_misses_none(device):
-    objective, scenes = objective_of(device), scenes_of(device, 10, 0)
-    both = objective.evaluate(POSE, scenes, gradient=True)
-    alone = objective.evaluate(POSE, scenes[:1], gradient=True)
-    assert both.terms["expected_miss_rate"] == pytest.approx(alone.terms["expected_miss_rate"])
-    np.testing.assert_allclose(both.gradient, alone.gradient, rtol=1e-5, atol=1e-7)
-    assert objective.evaluate(POSE, scenes[1:]).terms["expected_miss_rate"] == 0.0
-
-
-def test_a_model_is_needed():
-    with pytest.raises(ValueError, match="needs the model of detection probability"):
-        rig_objective(
-            CameraMount(roof(), camera=MODEL, height_offset_m=0.25),
-            ConstantDetector.silent(2),
-            camera_count=2,
-            settings=LossSettings(expected_miss_rate=1.0),
-        )
-
-
 def test_recorded_steps_follow_cameras_that_are_free(rng, monkeypatch):
     scenes = scenes_of("cpu", 10, 4)
     change = np.zeros((3, *POSE.shape), np.float32)

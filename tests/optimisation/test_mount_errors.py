@@ -11,12 +11,10 @@ import pytest
 from tests.optimisation.calls import pool_search
 from tests.optimisation.test_ghost_scene import scene as ghosts
 from tests.optimisation.test_modules import SMALL as SMALL_MIX
-from tests.optimisation.test_modules import cameras_of as mixed_cameras
-from tests.optimisation.test_modules import columns, spread, symmetric_cameras, symmetric_chart
+from tests.optimisation.test_modules import columns, symmetric_cameras, symmetric_chart
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, drawn, mount_of, poses_of, streets
 from tests.optimisation.test_pool_search import SMALL
-from warpav.core.errors import InputError
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.miss_rate import expected_miss_rate
@@ -83,12 +81,6 @@ def test_the_mean_of_few_draws_is_near_that_of_many():
     assert np.sqrt(np.mean((few - many) ** 2)) < 0.5 * np.sqrt(np.mean((plain - many) ** 2))
 
 
-def test_mixed_modules_have_means_too():
-    cameras, pose = mixed_cameras(), spread(12)
-    found = detected(MisplacedCameras.of(cameras, ERRORS), pose)
-    np.testing.assert_allclose(found, in_the_mean(cameras, pose), atol=1e-6)
-
-
 def test_of_a_pair_each_camera_has_errors_of_its_own():
     cameras, pose = symmetric_cameras(), columns(12)
     left, right = cameras.sides
@@ -128,21 +120,6 @@ def test_the_jacobian_is_that_of_differences():
         assert np.corrcoef(found, difference)[0, 1] > 0.95, column
 
 
-def test_a_camera_at_the_skin_rises_with_the_errors_that_are_outwards():
-    mount = mount_of(model=FINE)
-    pose = poses_of(2, mount)
-    pose[:, HEIGHT_DELTA_M] = -0.25
-    cameras = cameras_of(mount=mount)
-    found = MisplacedCameras.of(cameras, ERRORS).with_jacobian(pose, streets())[1]
-    each = []
-    for draw in ERRORS.draws:
-        off = np.float32(pose + draw)
-        off[:, HEIGHT_DELTA_M] = np.maximum(off[:, HEIGHT_DELTA_M], np.float32(-0.25))
-        slope = cameras.with_jacobian(off, streets())[1]
-        each.append(slope * np.where(np.arange(7) == HEIGHT_DELTA_M, draw[HEIGHT_DELTA_M] >= 0.0, 1.0))
-    np.testing.assert_allclose(found, np.mean(each, axis=0), atol=1e-6)
-
-
 def test_points_of_requirements_are_seen_without_errors():
     cameras, pose = symmetric_cameras(), columns(6)
     misplaced, together = MisplacedCameras.of(cameras, ERRORS), [*streets(), ghosts()]
@@ -153,16 +130,6 @@ def test_points_of_requirements_are_seen_without_errors():
     np.testing.assert_array_equal(found[:, -count:], plain[:, -count:])
     np.testing.assert_array_equal(slope[:, -count:], plain_slope[:, -count:])
     assert np.abs(found[:, :-count] - plain[:, :-count]).max() > 0.02
-
-
-def test_next_to_no_errors_change_next_to_nothing():
-    cameras, pose = cameras_of(), poses_of(4)
-    none, tiny = (MisplacedCameras.of(cameras, MountErrors(*each)) for each in ((0.0, 0.0), (1e-7, 1e-7)))
-    np.testing.assert_allclose(detected(none, pose), detected(cameras, pose), atol=1e-7)
-    np.testing.assert_allclose(detected(tiny, pose), detected(cameras, pose), atol=2e-3)
-    one, other = none.with_jacobian(pose, streets()), cameras.with_jacobian(pose, streets())
-    np.testing.assert_allclose(one[0], other[0], atol=1e-6)
-    np.testing.assert_allclose(one[1], other[1], atol=1e-5)
 
 
 def test_caches_keep_errors_apart_and_processes_agree(tmp_path):
@@ -217,21 +184,6 @@ def test_no_rig_of_a_tiny_pool_is_below_the_bound():
     assert chosen.objective == pytest.approx(expected_miss_rate(detected(cameras, chosen.mount_pose)), abs=1e-6)
 
 
-def test_without_errors_the_search_is_the_plain_one():
-    settings = replace(SMALL, polishes=False)
-    [plain, _], [none, _] = searched(None, settings=settings), searched(MountErrors(), settings=settings)
-    np.testing.assert_array_equal(none.mount_pose, plain.mount_pose)
-    assert none.objective == pytest.approx(plain.objective, abs=1e-7)
-
-
-def test_states_get_better_and_the_polish_goes_below_the_pool():
-    states = searched(ERRORS, settings=replace(SMALL, rounds=1))
-    values = [state.objective for state in states]
-    assert values == sorted(values, reverse=True)
-    first = next(state for state in states if state.stage == "selection")
-    assert states[-1].objective < 0.99 * first.objective
-
-
 def test_a_symmetric_search_counts_the_errors_of_both_cameras_of_a_pair():
     surface, cameras, scenes = symmetric_chart(), symmetric_cameras(), streets()[:1]
     kinds = [(name, 1 + pair) for name, pair in zip(surface.modules, surface.pairs, strict=True)]
@@ -248,9 +200,3 @@ def test_a_symmetric_search_counts_the_errors_of_both_cameras_of_a_pair():
     pose, side = cameras.apart(last.mount_pose)
     found = [in_the_mean(cameras.sides[k], pose[side == k], scenes=scenes) for k in (0, 1)]
     assert last.objective == pytest.approx(expected_miss_rate(np.concatenate(found)), abs=1e-4)
-
-
-@pytest.mark.parametrize("numbers", [(-0.01, 0.0), (0.0, math.nan), (math.inf, 0.0)])
-def test_errors_that_cannot_be_are_one_line(numbers):
-    with pytest.raises(InputError, match="expected a finite number of at least 0"):
-        MountErrors(*numbers)

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.driving_scene import EGO_TOP_M, flat_surface, roof, street
-from warpav.core.errors import InputError
+from tests.driving_scene import EGO_TOP_M, flat_surface, street
 from warpav.optimisation.baselines import PLACE_STEP_M, move_to_vehicle
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.mount import CameraMount
@@ -50,42 +49,6 @@ def test_presets_keep_everything_but_their_places(name, town_ego):
     assert moved.blocked_share.max() == 0.0
 
 
-def test_images_get_the_size_asked_for_and_keep_their_field_of_view(town_ego):
-    mount = mount_on(mount_surface_from_mesh(town_ego))
-    image = CameraModel(320, 192, math.pi / 2, 0.05)
-    moved = move_to_vehicle(
-        preset_rig("nuscenes"),
-        mount,
-        town_ego,
-        constraints=BoundsAndSpacing(mount.surface),
-        image=image,
-    )
-    for before, after in zip(preset_rig("nuscenes").cameras, moved.rig.cameras, strict=True):
-        assert (after.model.width_px, after.model.height_px, after.model.near_m) == (320, 192, 0.05)
-        assert after.model.fov_rad == before.model.fov_rad
-
-
-def test_a_camera_that_stands_on_the_surface_stays():
-    ego, surface = street().ego, roof()
-    place = np.array([1.1, 0.5, 0.0])
-    place[2] = surface.height_at_m(place[:2]) + 0.25
-    moved = move_to_vehicle(
-        Rig([camera("a", place)]),
-        mount_on(surface),
-        ego,
-        constraints=BoundsAndSpacing(surface),
-    )
-    assert moved.moved_m[0] <= PLACE_STEP_M
-    # beyond the rear end: to the nearest place of the edge
-    moved = move_to_vehicle(
-        Rig([camera("a", [-3.0, 0.5, 1.7])]),
-        mount_on(surface),
-        ego,
-        constraints=BoundsAndSpacing(surface),
-    )
-    np.testing.assert_allclose(moved.rig.cameras[0].position_m[:2], [0.0, 0.5], atol=PLACE_STEP_M)
-
-
 def test_a_camera_goes_where_the_vehicle_does_not_hide_its_view():
     # on a bonnet before the cabin; the cabin reaches from x = 0 to 2.2, y = -0.8 to 0.8, up to EGO_TOP_M
     ego, bonnet = street().ego, flat_surface([2.3, -0.8], [3.5, 0.8], height_m=1.0)
@@ -100,22 +63,6 @@ def test_a_camera_goes_where_the_vehicle_does_not_hide_its_view():
     # above the cabin nothing hides anything
     high = move_to_vehicle(rig, mount_on(bonnet, EGO_TOP_M), ego, constraints=BoundsAndSpacing(bonnet))
     assert not high.blocked_share.any()
-
-
-def test_cameras_at_one_place_are_parted():
-    rig = Rig([camera(f"camera_{i}", [1.1, 0.0, 1.7], 90.0 * i) for i in range(4)])
-    moved = move_to_vehicle(
-        rig, mount_on(roof()), street().ego, constraints=BoundsAndSpacing(roof(), min_spacing_m=0.3)
-    )
-    assert BoundsAndSpacing(roof(), min_spacing_m=0.3).violation_m(moved.rig) == 0.0
-    assert moved.moved_m.max() < 0.6
-
-
-def test_cameras_that_do_not_fit_are_refused():
-    rig = Rig([camera(f"camera_{i}", [1.1, 0.0, 1.7]) for i in range(3)])
-    small = mount_on(flat_surface([0.0, 0.0], [0.2, 0.2]))
-    with pytest.raises(InputError, match=r"rig\.cameras: expected a number that fits"):
-        move_to_vehicle(rig, small, street().ego, constraints=BoundsAndSpacing(small.surface, min_spacing_m=0.5))
 
 
 def test_presets_stay_in_the_zone(town_ego):

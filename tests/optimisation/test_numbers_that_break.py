@@ -109,26 +109,11 @@ def test_cameras_in_one_place_and_beyond_the_borders_are_moved_apart_and_back(tm
     searched(search, f"rig.start={file}")
 
 
-@pytest.mark.parametrize("search", SEARCHES)
-def test_scenes_without_road_users_are_refused(tmp_path, search):
-    with pytest.raises(InputError, match="expected road users that the scenes hold, got no vehicle in any"):
-        searched(search, *scenes(tmp_path, lambda scene: replace(scene, vehicles=(), others=())))
-
-
 def test_road_users_out_of_every_frame_are_missed_by_a_descent_and_refused_by_a_pool(tmp_path):
     options = scenes(tmp_path, lifted)
     assert searched("descent", *options)[0].descent.best.training_objective == 1.0
     with pytest.raises(InputError, match="expected cameras that see something, got 18 of which none sees any"):
         searched("pool", *options)
-
-
-def test_learning_rates_beyond_all_measure_are_refused_with_their_range():
-    with pytest.raises(InputError, match="learning_rate_position_m: expected a length in metres above 0 m to 10 m"):
-        load_config("quick", ["optimiser.learning_rate_position_m=1e9"])
-    with pytest.raises(InputError, match="learning_rate_yaw_deg: expected"):
-        load_config("quick", ["optimiser.learning_rate_yaw_deg=1e9"])
-    with pytest.raises(InputError, match="from 10 deg to 170 deg, the widest for this pinhole lens, got 179"):
-        load_config("quick", ["camera.fov_deg=179"])
 
 
 def test_a_loss_that_breaks_ends_the_run_once_and_keeps_the_best(monkeypatch):

@@ -1,13 +1,8 @@
 """Pools of single cameras: the objective's own probabilities, on every executor and from every cache the same bytes."""
 
 import functools
-import gc
 import importlib.util
 import math
-import os
-import pickle
-import re
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +19,6 @@ from warpav.core.errors import InputError
 from warpav.core.executor import Executor
 from warpav.core.progress import NullProgress
 from warpav.optimisation import pool as module
-from warpav.optimisation import pool_cache
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD, CameraMount
@@ -36,7 +30,6 @@ from warpav.raster.decide import Occlusion
 from warpav.raster.lens import Lens
 from warpav.raster.renderer import Renderer
 from warpav.rig.mount_surface import MountSurface
-from warpav.scene.device_scene import DeviceScene
 from warpav.thesis.constraints import BoundsAndSpacing
 
 MODEL = CameraModel(64, 64, math.pi / 2)
@@ -113,22 +106,6 @@ def test_cameras_are_spread_more_evenly_than_random_ones():
     assert qmc.discrepancy(np.clip(unit, 0.0, 1.0)) < 0.5 * min(random)
 
 
-def test_fewer_cameras_are_the_first_of_more():
-    many = poses_of(3000, seed=5)
-    np.testing.assert_array_equal(poses_of(500, seed=5), many[:500])
-    assert not np.array_equal(poses_of(500, seed=6), many[:500])
-    assert len(np.unique(many, axis=0)) == 3000
-
-
-def test_no_cameras_and_no_room_are_refused(monkeypatch):
-    with pytest.raises(InputError, match="count: expected at least 1 camera, got 0"):
-        poses_of(0)
-    monkeypatch.setattr(BoundsAndSpacing, "contains", lambda self, place: np.zeros(len(place), bool))
-    monkeypatch.setattr(module, "_SPREAD_TRIES", 4096)
-    with pytest.raises(InputError, match=r"rig\.cameras: expected a number that fits"):
-        poses_of(1)
-
-
 # --- what they detect ------------------------------------------------------------------------------------------------
 
 
@@ -190,59 +167,6 @@ def test_neither_chunks_nor_threads_nor_neighbours_change_a_bit(monkeypatch):
     assert (backwards.drawn_count, backwards.cached_count) == (37 * 3, 0)
 
 
-def test_views_at_once_follow_the_size_of_images(monkeypatch):
-    """Neither probabilities nor Jacobians depend on it, to the bit."""
-    made, init = [], Renderer.__init__
-
-    def noted(renderer, models, **options):
-        made.append(len(models))
-        init(renderer, models, **options)
-
-    pose, scenes = poses_of(13), streets()
-    monkeypatch.setattr(Renderer, "__init__", noted)
-    camera = mount_of().cameras[0]
-    view_bytes = 8 * (camera.width_px + 2) * (camera.height_px + 2)
-    for key_bytes, most in ((2**26, 13), (5 * view_bytes, 5), (1, 1)):
-        monkeypatch.setattr("warpav.optimisation.single_cameras.CPU_KEY_BYTES", key_bytes)
-        for threads in (1, 2):
-            made.clear()
-            cameras = cameras_of(thread_count=threads)
-            found = cameras.detection_probability(pose, scenes[0]), *cameras.with_jacobian(pose, scenes)
-            if most == 13 and threads == 1:
-                expected = found
-            for one, other in zip(found, expected, strict=True):
-                np.testing.assert_array_equal(one, other)
-            assert max(made) == -(-13 // -(-13 // most))
-    assert np.abs(expected[2]).max() > 0.1
-
-
-def test_renderers_of_large_images_are_not_kept_for_every_number_of_cameras(monkeypatch):
-    cameras = cameras_of(thread_count=1)
-    scene = streets()[0]
-    for count in range(1, 8):
-        cameras.detection_probability(poses_of(count), scene)
-    assert len(cameras._renderers) == 7
-    monkeypatch.setattr(cameras._renderers, "bytes_max", 1)
-    cameras.detection_probability(poses_of(8), scene)
-    assert len(cameras._renderers) == 1
-
-
-def test_renderers_go_with_the_cameras_that_used_them(device):
-    gc.collect()
-    before = sum(isinstance(each, Renderer) for each in gc.get_objects())
-    gc.disable()  # no circle of references keeps them until somebody looks for circles
-    try:
-        cameras = cameras_of(device, thread_count=2)
-        cameras.detection_probability(poses_of(5), streets(device)[0])
-        for _ in range(3):  # a GPU records the second time
-            cameras.with_jacobian(poses_of(5), streets(device))
-        assert sum(isinstance(each, Renderer) for each in gc.get_objects()) > before
-        del cameras
-        assert sum(isinstance(each, Renderer) for each in gc.get_objects()) == before
-    finally:
-        gc.enable()
-
-
 def is_missing(package):
     return pytest.mark.skipif(importlib.util.find_spec(package) is None, reason=f"{package} is not installed")
 
@@ -278,20 +202,6 @@ def test_two_gpus_give_the_same_bytes_as_one():
     assert shared.detection_probability.tobytes() == alone.detection_probability.tobytes()
 
 
-def test_a_process_is_sent_files_not_scenes(tmp_path):
-    sizes = []
-
-    class Measured(Executor):
-        def map(self, function, tasks):
-            sent = [pickle.dumps(task) for task in tasks]
-            sizes.extend(map(len, sent))
-            return Executor().map(function, [pickle.loads(task) for task in sent])
-
-    drawn(12, executor=Measured("process", worker_count=1), chunk_cameras=5)
-    assert len(sizes) == 3 * 3
-    assert max(sizes) < 2000  # a street alone takes 100 kB
-
-
 def test_a_renderer_without_room_draws_fewer_cameras_at_once(monkeypatch, caplog):
     """The same bytes; as Warp tells it on a GPU."""
     expected, rendered = drawn(10), Renderer.render
@@ -311,23 +221,6 @@ def test_a_renderer_without_room_draws_fewer_cameras_at_once(monkeypatch, caplog
     monkeypatch.setattr(Renderer, "render", rendered)
     for fewer, all_at_once in zip(slope, cameras_of().with_jacobian(expected_pose[:8], streets()), strict=True):
         np.testing.assert_array_equal(fewer, all_at_once)
-
-
-@pytest.mark.gpu
-@pytest.mark.skipif(wp.get_cuda_device_count() < 1, reason="needs a GPU")
-def test_a_full_gpu_draws_fewer_cameras_at_once(caplog):
-    device = wp.get_device("cuda:0")
-    model = CameraModel(1280, 960, math.pi / 2)
-    mount = mount_of("cuda:0", model=model)
-    expected = drawn(120, scenes=streets("cuda:0"), cameras=cameras_of(mount=mount))
-    gc.collect()
-    wp.synchronize_device(device)
-    mib = device.free_memory // 2**20 - 512
-    full = wp.empty((mib, 2**20), dtype=wp.uint8, device=device)  # one axis holds 2 GiB at most
-    found = drawn(120, scenes=streets("cuda:0"), cameras=cameras_of(mount=mount))
-    assert full.capacity
-    assert "views at once" in caplog.text
-    np.testing.assert_array_equal(found.detection_probability, expected.detection_probability)
 
 
 def test_large_pools_are_kept_in_half_precision(monkeypatch):
@@ -452,37 +345,7 @@ def test_a_cache_has_nothing_for_something_else(tmp_path, name):
     assert other.cached_count == (16 if name == "scenes" else 0)
 
 
-def test_a_chunk_under_the_name_of_another_is_refused(tmp_path):
-    drawn(4, cache=tmp_path)
-    before = set(files(tmp_path))
-    drawn(4, cameras=cameras_of(seed=2), cache=tmp_path)
-    [one, *_], [other, *_] = sorted(before), sorted(set(files(tmp_path)) - before)
-    (tmp_path / other).replace(tmp_path / one)
-    with pytest.raises(InputError, match=rf"{re.escape(one)}: detector: expected a pool of this model"):
-        drawn(4, cache=tmp_path)
-
-
-def test_the_cache_does_not_grow_without_end(tmp_path, monkeypatch):
-    drawn(4, cache=tmp_path)
-    size = sum(file.stat().st_size for file in tmp_path.iterdir())
-    for file in tmp_path.iterdir():
-        os.utime(file, (1e9, 1e9))  # none that another run may be using
-    monkeypatch.setattr(pool_cache, "CAPACITY_BYTES", size)
-    drawn(4, cameras=cameras_of(seed=2), cache=tmp_path)
-    assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= size
-    assert files(tmp_path)
-
-
 # --- what cannot be --------------------------------------------------------------------------------------------------
-
-
-def test_scenes_of_draws_that_were_killed_go_after_a_week(tmp_path):
-    for name, days in (("scenes-left", 8), ("scenes-used", 6)):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "0.npz").touch()
-        os.utime(tmp_path / name, (time.time() - days * 86400.0,) * 2)
-    drawn(3, cache=tmp_path)
-    assert [path.name for path in tmp_path.glob("scenes-*")] == ["scenes-used"]
 
 
 def test_bad_input_is_refused(tmp_path):
@@ -525,12 +388,3 @@ def test_cameras_that_see_nothing_are_refused():
     assert blind.extended(poses_of(4)).detection_probability[3:].any()
     # beside others they may be there
     assert not drawn(4).extended(pose).detection_probability[4:].any()
-
-
-def test_scenes_travel_as_arrays():
-    scene = streets()[0]
-    for there in (DeviceScene.of_arrays(scene.arrays()), pickle.loads(pickle.dumps(scene))):
-        assert (there.name, there.category, there.fingerprint) == (scene.name, scene.category, scene.fingerprint)
-        for name, array in scene.arrays().items():
-            np.testing.assert_array_equal(there.arrays()[name], array)
-    assert len({each.fingerprint for each in (*streets(), packed_street("cpu", 6, 5))}) == 4

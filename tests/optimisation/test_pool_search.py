@@ -15,8 +15,8 @@ from warpav.core.errors import InputError
 from warpav.optimisation import pool as pool_module
 from warpav.optimisation import pool_search as module
 from warpav.optimisation.miss_rate import expected_miss_rate
-from warpav.optimisation.pool import CameraPool, spread_mount_poses
-from warpav.optimisation.pool_search import PoolSearchSettings, _Assembly, too_near
+from warpav.optimisation.pool import spread_mount_poses
+from warpav.optimisation.pool_search import PoolSearchSettings
 
 SMALL = PoolSearchSettings(pool_cameras=24, rounds=2, priced_cameras=4, gap=0.0)
 
@@ -82,20 +82,6 @@ def test_the_selection_is_the_best_rig_of_the_pool_by_brute_force():
     assert chosen.gap == pytest.approx(0.0, abs=1e-6)
 
 
-def test_what_is_proven_at_the_end_is_of_the_whole_pool():
-    *_, first, last, settled = [state for state in small_states() if state.stage != "polish"]
-    assert (last.stage, settled.stage) == ("selection", "settled")
-    assert last.pool_cameras == settled.pool_cameras >= first.pool_cameras
-    assert settled.objective == pytest.approx(settled.bound, abs=1e-6)
-
-
-def test_cameras_keep_their_places_in_the_rig():
-    assembly = _Assembly(mount_of(free=None))
-    rig = poses_of(3, mount_of(free=None))
-    moved = rig + np.float32(0.01)
-    np.testing.assert_array_equal(assembly.rig(moved[[2, 0, 1]], like=rig), moved)
-
-
 def test_frozen_cameras_are_part_of_every_rig():
     plain = mount_of(free=None)
     rig = plain.rig(poses_of(3, plain))
@@ -117,15 +103,6 @@ def test_whatever_was_rendered_joins_the_pool():
     pool, cameras = state.pool, cameras_of(mount=mount_of(free=None))
     again = np.concatenate([cameras.detection_probability(pool.mount_pose, scene) for scene in streets()], axis=1)
     np.testing.assert_allclose(pool.detection_probability, again, atol=1e-5)
-
-
-def test_of_a_budget_enough_is_left_for_the_polish():
-    settings = PoolSearchSettings(pool_cameras=1000, camera_renders_max=400)
-    states = searched(settings=settings)
-    assert states[0].camera_renders <= 0.45 * 400
-    assert "polish" in {state.stage for state in states}
-    only = PoolSearchSettings(pool_cameras=1000, camera_renders_max=400, polishes=False, rounds=0)
-    assert searched(settings=only)[-1].camera_renders > 400 - len(streets())
 
 
 def assert_same(one, other):
@@ -181,24 +158,6 @@ def test_a_second_search_draws_neither_the_start_nor_the_pool(tmp_path, monkeypa
     assert again[-1].camera_renders == 27 * len(streets())
 
 
-def test_a_start_that_sees_nothing_is_no_reason_to_refuse_the_pool():
-    mount = mount_of(free=None)
-    scenes, constraints, cameras = streets()[:1], zone_of(mount), cameras_of(mount=mount)
-    pose = spread_mount_poses(mount, constraints, 400, seed=5)
-    blind = pose[~cameras.detection_probability(pose, scenes[0]).any(axis=1)]
-    apart = too_near(blind[[0, -1, len(blind) // 2]], constraints)
-    assert not apart.nnz
-    start = blind[[0, -1, len(blind) // 2]]
-    few = replace(SMALL, rounds=0)
-    first, *_, last = pool_search(cameras, scenes, constraints, 3, start=start, settings=few)
-    assert (first.stage, first.objective) == ("start", 1.0)
-    assert last.objective < 1.0
-    # the budget is that of the start alone, so nothing follows that could see
-    only = PoolSearchSettings(pool_cameras=3, camera_renders_max=3, polishes=False)
-    with pytest.raises(InputError, match="expected cameras that see something, got 3 of which none sees any of the 6"):
-        next(pool_search(cameras, scenes, constraints, 3, start=start, settings=only))
-
-
 def test_refinement_spends_what_rounds_leave_and_finds_better_rigs():
     plain = mount_of(free=None)
     mount = plain.freezing(plain.rig(poses_of(3, plain)), ["camera_1"])
@@ -212,17 +171,6 @@ def test_refinement_spends_what_rounds_leave_and_finds_better_rigs():
     assert objectives[-1] < without.objective
     for state in states:
         np.testing.assert_array_equal(state.mount_pose[1], mount.frozen.mount_pose[1])
-
-
-def test_a_pool_that_is_too_small_is_refused():
-    with pytest.raises(InputError, match="pool_cameras: expected at least the rig's 3, got 2"):
-        searched(settings=PoolSearchSettings(pool_cameras=2))
-
-
-def test_a_time_limit_of_nothing_is_refused_before_anything_is_drawn(monkeypatch):
-    monkeypatch.setattr(CameraPool, "draw", None)
-    with pytest.raises(InputError, match=r"^selection_time_s: expected more than 0 s, got 0$"):
-        searched(settings=replace(SMALL, selection_time_s=0.0))
 
 
 def test_constraints_that_no_rig_of_the_pool_satisfies_are_named():

@@ -54,12 +54,6 @@ def test_the_gradient_is_that_of_differences():
         assert gradient[camera, number] == pytest.approx(difference, abs=1e-6)
 
 
-def test_tangents_out_of_reach_do_not_count():
-    here, earlier, moved = two_sides(5)
-    near = TangentModel(here, WEIGHT, earlier=earlier, reach=0.01 * REACH)
-    assert near.value(moved) == TangentModel(here, WEIGHT).value(moved)
-
-
 def test_tangents_that_were_proven_wrong_do_not_count():
     """Where a logit is the greatest of two planes, the other one lies below what was rendered."""
     here, earlier, moved = two_sides(6, which=np.argmax)

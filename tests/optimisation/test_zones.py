@@ -82,29 +82,6 @@ def test_the_kernel_stands_cameras_where_the_chart_says(device):
         np.testing.assert_allclose(point_m, chart().plane_m[number] + local_m @ zone.axes, atol=2e-6)
 
 
-def test_a_rig_comes_back_as_mount_poses():
-    pose = spread(64)
-    mount = mount_of()
-    again = mount.mount_pose_of_rig(mount.rig(pose))
-    same = chart().zone_at(again[:, [X_M, Y_M]]) == chart().zone_at(pose[:, [X_M, Y_M]])
-    # where two zones meet, such as roof and slant, a camera may belong to either
-    assert same.mean() > 0.7
-    np.testing.assert_allclose(again[same], pose[same], atol=1e-5)
-    np.testing.assert_allclose(mount.position_m(again), mount.position_m(pose), atol=1e-5)
-
-
-def test_poses_are_brought_into_the_ranges_of_their_zones():
-    pose = spread(64).copy()
-    pose[:, YAW_RAD] += 2.0 * np.pi
-    turned = mount_of().clipped(pose)
-    ends = np.isfinite(mount_of().ends_of(pose[:, [X_M, Y_M]])[0][:, YAW_RAD])
-    np.testing.assert_allclose(turned[ends, YAW_RAD], spread(64)[ends, YAW_RAD], atol=1e-5)
-    pose[:, PITCH_RAD], pose[:, HEIGHT_DELTA_M] = 3.0, -1.0
-    clipped = mount_of().clipped(pose)
-    np.testing.assert_allclose(clipped[:, PITCH_RAD], PITCH[1], atol=1e-6)
-    np.testing.assert_allclose(clipped[:, HEIGHT_DELTA_M], 0.0, atol=1e-6)
-
-
 def test_cameras_keep_apart_across_zones():
     """Two cameras of roof and side that meet at the edge are parted, and the spacing's slope is that of differences."""
     constraints = constraints_of(2)

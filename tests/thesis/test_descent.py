@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import warp as wp
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.driving_scene import ConstantDetector, packed_street, roof
@@ -97,16 +97,6 @@ def test_training_objective_falls_and_result_is_feasible(finished):
     assert again == pytest.approx(result.training_objective, rel=1e-6)
 
 
-def test_best_is_kept(finished):
-    descent, records, result = finished
-    looked = [r.training_objective for r in records if r.training_objective is not None]
-    assert [r.iteration for r in records if r.training_objective is not None] == [0, 5, 10, 15, 20]
-    assert len(descent.candidates) == 6  # and the last pose
-    assert result.training_objective == min(c.training_objective for c in descent.candidates) <= looked[0]
-    best = np.minimum.accumulate([math.inf if r.training_objective is None else r.training_objective for r in records])
-    assert [r.best_training_objective for r in records] == pytest.approx(list(best))
-
-
 def test_records_hold_what_happened(finished):
     _, records, _ = finished
     assert [r.iteration for r in records] == list(range(25))
@@ -133,23 +123,6 @@ def test_same_seed_same_result_other_seed_other_batches(finished):
     assert positions[0] == positions[1]
     assert positions[0] != positions[2]
     np.testing.assert_array_equal(runs[0][2].mount_pose, runs[1][2].mount_pose)
-
-
-def test_keep_last_takes_the_last_pose(finished):
-    descent, records, result = run(changed(keep="last"), iterations=3)
-    assert [r.training_objective is None for r in records] == [False, True, True]
-    assert result.iteration == 3
-    np.testing.assert_allclose(result.mount_pose[:, YAW_RAD], descent.mount_pose[:, YAW_RAD])
-
-
-def test_keep_best_never_ends_worse_than_the_start():
-    # steps so large that every one of them spoils the start
-    wild = changed(learning_rate_position_m=2.0, learning_rate_yaw_deg=math.degrees(2.0))
-    good = START.copy()
-    good[:, YAW_RAD] = [0.0, math.pi]
-    _, records, result = run(wild, start=good, iterations=4)
-    assert result.training_objective <= records[0].training_objective
-    assert BoundsAndSpacing(roof()).violation_m(street_objective().mount.rig(result.mount_pose)) == 0.0
 
 
 class Slope:
@@ -206,13 +179,6 @@ def test_cameras_descend_and_multipliers_ascend_as_adamw_says(schedule):
     assert records[-1].multipliers["camera_spacing"] == 0.0
 
 
-@pytest.mark.parametrize("total", [math.nan, math.inf])
-def test_a_loss_that_is_not_finite_stops_the_run(total):
-    descent = Descent(Slope(total), street_scenes(), SETTINGS, START, np.random.default_rng(0))
-    with pytest.raises(InputError, match=r"iteration 0: expected a finite loss .* got (nan|inf); lower optimiser"):
-        descent.step()
-
-
 @pytest.mark.parametrize("keep", ["best", "last"])
 def test_cameras_that_run_away_end_the_run_at_the_best_rig(keep):
     far = changed(learning_rate_position_m=1e9, learning_rate_yaw_rad=1e9, keep=keep, check_every=1)
@@ -224,13 +190,6 @@ def test_cameras_that_run_away_end_the_run_at_the_best_rig(keep):
     found = descent.finish()
     assert np.isfinite(found.mount_pose).all()
     assert found.training_objective == min(each.training_objective for each in descent.candidates)
-
-
-def test_a_rig_without_a_finite_objective_is_never_the_best():
-    descent = scripted([math.nan, 3.0, math.nan, 2.0, math.inf])
-    for _ in range(5):
-        descent.step()
-    assert descent.best.training_objective == 2.0
 
 
 class Scripted(Slope):
@@ -335,11 +294,7 @@ def test_cameras_of_several_descents_are_mixed_in_the_end():
     assert descent.finish() is result  # nothing is evaluated twice
 
 
-def test_as_many_starts_as_descents():
-    with pytest.raises(ValueError, match="2 descents need as many starts, got 3"):
-        scripted([], [START, START], descents=2)
-
-
+@settings(deadline=None)
 @given(
     st.integers(1, 5),
     st.integers(1, 40),
@@ -362,15 +317,6 @@ def test_renders_of_a_run_are_counted(descents, iterations, check_every, keep, s
     assert 2 * spent <= counted
     if descents == 1:
         assert 2 * spent == counted
-
-
-def test_a_start_beyond_the_constraints_is_projected_for_the_first_check():
-    outside = START.copy()
-    outside[:, :2] = [[9.0, 0.0], [9.0, 0.05]]
-    descent, records, _ = run(iterations=1, start=outside)
-    first = descent.candidates[0].mount_pose
-    assert BoundsAndSpacing(roof()).violation_m(descent.objective.mount.rig(first)) == 0.0
-    assert records[0].terms["out_of_bounds"] > 1.0
 
 
 @pytest.mark.parametrize("is_informed", [True, False])
@@ -444,26 +390,6 @@ def test_a_step_is_taken_whole_or_not_at_all(monkeypatch):
     assert [stopped.step().loss for _ in range(2)] == [whole.step().loss for _ in range(2)]
 
 
-@pytest.mark.parametrize("schedule", ["constant", "cosine"])
-def test_a_descent_that_has_ended_goes_on_with_more_iterations(schedule):
-    def fresh(iterations):
-        settings = changed(check_every=2, schedule=schedule)
-        return Descent(Slope(), street_scenes(), settings, START, np.random.default_rng(3), iterations, 1)
-
-    ended, further, whole = fresh(4), fresh(8), fresh(8)
-    for _ in range(4):
-        ended.step()
-    ended.finish()
-    further.restore(ended.state())
-    for descent in (further, whole):
-        while descent.iteration < 8:
-            descent.step()
-        descent.finish()
-    assert [each.iteration for each in further.candidates] == [each.iteration for each in whole.candidates]
-    # the first four had another schedule where steps shrink
-    assert np.array_equal(further.mount_pose, whole.mount_pose) == (schedule == "constant")
-
-
 def test_a_state_of_something_else_is_refused():
     descent = Descent(Slope(), street_scenes(), SETTINGS, START, np.random.default_rng(0))
     state = descent.state()
@@ -506,25 +432,6 @@ def test_damped_multipliers_reach_the_constrained_optimum():
     # from beyond all of them, and with a multiplier that has to go
     last = saddle_point(lambda x: x - [2.0, 1.0], excess, [4.0, 4.0], [0.0, 2.0, 0.0], damping=4.0)[-1]
     np.testing.assert_allclose(last, [1.0, 1.0, 1.0, 0.0, 0.0], atol=1e-4)
-
-
-def test_damping_ends_the_swinging_on_a_slope():
-    """Downhill along x until x <= 1 stops it: the multiplier becomes the slope. Undamped it swings for ever."""
-
-    def along(damping):
-        return saddle_point(
-            lambda x: np.array([-2.0]), lambda x: ([x[0] - 1.0], [[1.0]]), [0.0], [0.0], damping=damping
-        )[-100:]
-
-    np.testing.assert_allclose(along(4.0), np.broadcast_to([1.0, 2.0], (100, 2)), atol=1e-4)
-    assert np.ptp(along(0.0)[:, 0]) > 0.5
-
-
-def test_multipliers_of_inequalities_are_never_negative():
-    ascent = MultiplierAscent(np.array([0.5, 0.5, 0.0]))
-    ascent.step(np.array([-1.0, 0.25, -1.0]), np.full(3, -1.0))
-    np.testing.assert_array_equal(ascent.value, [0.0, 0.75, 0.0])
-    np.testing.assert_array_equal(ascent.state()["value"], ascent.value)
 
 
 def test_descent_under_inequalities_ends_in_the_zone():

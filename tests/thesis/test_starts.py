@@ -4,7 +4,6 @@ import itertools
 import math
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -104,17 +103,6 @@ def test_cameras_of_several_rigs_make_a_better_one():
     assert sum(better) >= 4
 
 
-def test_cameras_stand_in_the_order_of_the_directions():
-    space = SearchSpace.over(
-        MOUNT, 3, constraints=BoundsAndSpacing(MOUNT.surface), yaw_rad=np.radians([0.0, 120.0, 240.0])
-    )
-    known = space.feasible(space.random(np.random.default_rng(0)))
-    known[:, YAW_RAD] = np.radians([-120.0, 5.0, 118.0])
-    objective = Chances()
-    evaluate_starts(objective, ["a scene"], space, 1, np.random.default_rng(0), known=known)
-    np.testing.assert_allclose(np.degrees(objective.looked[0][:, YAW_RAD]), [5.0, 118.0, -120.0], atol=1e-4)
-
-
 @given(
     st.integers(1, 3),
     hnp.arrays(np.float64, st.tuples(st.integers(3, 6), st.integers(1, 5)), elements=st.floats(0.0, 1.0)),
@@ -132,10 +120,3 @@ def test_no_exchange_of_a_camera_is_left_that_would_help(camera_count, chance, r
         other = chosen.copy()
         other[camera] = candidate
         assert missed(chosen) <= missed(other) + 1e-8
-
-
-def test_rigs_without_a_value_are_no_starts():
-    objective = Chances()
-    objective.evaluate = lambda *_, **__: Evaluation(math.nan, math.nan, {}, None, None, {})
-    with pytest.raises(ValueError, match="none of 4 rigs had a finite value"):
-        look(objective, 4)

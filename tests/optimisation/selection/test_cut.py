@@ -48,12 +48,6 @@ def test_no_level_is_violated_more(probability, data):
     assert found >= max(right_side(fraction, probability, level) for level in levels) - 1e-9
 
 
-def test_at_level_0_it_is_the_submodular_cut_of_the_empty_rig():
-    probability = np.array([0.0, 0.3, 1.0])
-    np.testing.assert_allclose(cut_coefficient(1.0 - probability, log_missed(probability), 0.0), probability)
-    assert cut_constant(0.0) == 1.0
-
-
 @given(st.floats(1e-4, 1.0 - 1e-4), st.floats(0.0, 8.0))
 def test_slope_is_the_derivative_by_the_probability(probability, level):
     step = 1e-6

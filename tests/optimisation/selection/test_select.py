@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import sparse
 
 from tests.optimisation.calls import select
 from tests.optimisation.selection.pools import best_by_brute_force, every_rig, miss_rate, random_pool
@@ -108,15 +107,6 @@ def test_branches_find_the_best_of_a_million_rigs(seed):
     assert found.objective == pytest.approx(best_of_four(probability), abs=1e-9)
 
 
-def test_branches_without_structure(rng):
-    """Objects that cameras see by chance: groups mean nothing, and the relaxation is weak."""
-    probability = rng.uniform(size=(40, 80)) * (rng.uniform(size=(40, 80)) < 0.3)
-    found = select(probability, 4, gap=0.0)
-    assert found.nodes > 5
-    assert found.ended == "optimal"
-    assert found.objective == pytest.approx(best_of_four(probability), abs=1e-9)
-
-
 def best_of_four(probability, conflict=None):
     """Of all rigs of four cameras without a conflict: every pair against every pair."""
     missed = 1.0 - probability
@@ -131,21 +121,6 @@ def best_of_four(probability, conflict=None):
     return value[~shared].min()
 
 
-def test_conflicts_of_cameras_in_a_row(streets):
-    """Cameras that stand too near, as many as a roof has: cliques hold, whichever half or form says so."""
-    place = np.random.default_rng(4).uniform(0.0, 3.0, 60)
-    conflict = np.abs(place[:, None] - place) < 0.7
-    free = select(streets, 4, gap=0.0)
-    found = select(streets, 4, gap=0.0, conflict=conflict)
-    assert found.ended == "optimal"
-    assert np.diff(np.sort(place[found.cameras])).min() >= 0.7
-    assert np.diff(np.sort(place[free.cameras])).min() < 0.7
-    assert found.objective > free.objective
-    half = select(streets, 4, gap=0.0, conflict=sparse.coo_array(np.triu(conflict)))
-    np.testing.assert_array_equal(half.cameras, found.cameras)
-    assert found.objective == pytest.approx(best_of_four(streets, conflict), abs=1e-9)
-
-
 def test_so_tight_that_no_random_rig_fits(streets):
     """Four numbers with one sum and a large sum of squares: random rigs do not have them, an integer programme does."""
     number = np.arange(60.0)
@@ -154,32 +129,6 @@ def test_so_tight_that_no_random_rig_fits(streets):
     rigs = [rig for rig in itertools.combinations(range(60), 4) if sum(rig) == 118]
     rigs = [rig for rig in rigs if sum(each**2 for each in rig) >= 59**2 + 58**2 + 1]
     assert found.objective == pytest.approx(min(miss_rate(streets, rig) for rig in rigs), abs=1e-9)
-
-
-def test_seen_twice(streets):
-    """An object that two cameras must see with a probability of .5 is a row."""
-    seen = (streets[:, 17] >= 0.5).astype(float)
-    found = select(streets, 4, rows=[Row("object 17 twice", seen, low=2.0)], gap=0.0)
-    assert seen[found.cameras].sum() >= 2
-    assert seen[select(streets, 4, gap=0.0).cameras].sum() < 2
-
-
-def test_all_cameras_of_the_pool(streets):
-    found = select(streets[:5], 5, gap=0.0)
-    assert found.cameras.tolist() == [0, 1, 2, 3, 4]
-    assert found.ended == "optimal"
-
-
-def test_all_required(streets):
-    found = select(streets, 3, required=[7, 1, 30], gap=0.0)
-    assert found.cameras.tolist() == [1, 7, 30]
-    assert found.bound == pytest.approx(miss_rate(streets, [1, 7, 30]), abs=1e-9)
-
-
-def test_the_same_seed_gives_the_same(streets):
-    one, other = (select(streets, 5, gap=0.01, seed=2) for _ in range(2))
-    np.testing.assert_array_equal(one.cameras, other.cameras)
-    assert (one.bound, one.nodes) == (other.bound, other.nodes)
 
 
 def test_a_start_is_kept_or_bettered(streets):
@@ -241,23 +190,6 @@ def test_what_cannot_be_used(streets, change, message):
         select(streets, arguments.pop("count"), **arguments)
 
 
-@pytest.mark.parametrize("wrong", [math.nan, -0.1, 1.1, math.inf])
-def test_no_probability(streets, wrong):
-    spoilt = streets.copy()
-    spoilt[7, 11] = wrong
-    with pytest.raises(
-        InputError, match=r"detection_probability: expected probabilities 0..1, got .* at camera 7, object 11"
-    ):
-        select(spoilt, 4)
-
-
-def test_a_pool_that_sees_nothing():
-    with pytest.raises(InputError, match="none of the 3 cameras sees any of the 5 objects"):
-        select(np.zeros((3, 5)), 2)
-    with pytest.raises(InputError, match=r"expected \[camera, object\], at least one of each"):
-        select(np.zeros((0, 5)), 2)
-
-
 def test_constraints_in_conflict_are_named_and_none_is_dispensable(streets):
     front = np.arange(60) < 10
     rows = [
@@ -291,17 +223,6 @@ def test_four_of_204_rendered_cameras(pool_folder):
     assert found.ended == "optimal"
     assert found.cameras.tolist() == [55, 64, 119, 166]
     assert found.objective == pytest.approx(0.05435933, abs=1e-8)
-
-
-def test_two_of_300_rendered_cameras(pool_folder):
-    probability = pool_of(pool_folder, "pool_2x60")
-    found = select(probability, 2, gap=0.0)
-    missed = 1.0 - probability.astype(float)
-    value = missed @ missed.T / missed.shape[1]
-    np.fill_diagonal(value, np.inf)
-    assert found.ended == "optimal"
-    assert found.objective == pytest.approx(value.min(), abs=1e-9)
-    assert found.objective == pytest.approx(0.33115, abs=5e-6)
 
 
 @pytest.mark.slow
