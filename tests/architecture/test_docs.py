@@ -103,7 +103,7 @@ def test_options_that_the_documentation_names_exist():
 def test_modules_and_tests_that_the_documentation_names_exist():
     lost, count = [], 0
     for page in PAGES:
-        tests = re.findall(r"\b(tests/[\w/]+\.\w+)", page.read_text())
+        tests = re.findall(r"(?<![:/\w])(tests/[\w/]+\.\w+)", page.read_text())
         lost += [f"{name_of(page)}: {test}" for test in tests if not (ROOT / test).exists()]
         for name in re.findall(r"`(warpav(?:\.[A-Za-z_]\w*)+)", page.read_text()):
             count += 1
