@@ -16,6 +16,7 @@ from warpav.core.files import DRAFT
 from warpav.raster.camera import CameraModel
 from warpav.rig.presets import preset_rig
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
+from warpav.runs.checkpoint import check_options
 from warpav.runs.config import load_config
 from warpav.runs.run_folder import RunFolder, check_new_run, held_run, new_run_folder
 
@@ -312,3 +313,14 @@ def test_a_checkpoint_is_on_the_disk_before_it_takes_its_place(folder, monkeypat
     folder.write_checkpoint({"iteration": np.array(1)})
     assert done == ["events.jsonl", "last.npz", "replaced", "checkpoints"]
     assert folder.checkpoint()["iteration"] == 1
+
+
+def test_a_run_may_go_on_where_its_files_lie_elsewhere(tmp_path):
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+    before, after = (
+        load_config("quick", ["scenes.source=folder", f"scenes.folder={tmp_path / name}"]) for name in ("one", "other")
+    )
+    check_options(before, after)  # what they hold is compared with the checkpoint
+    with pytest.raises(InputError, match=r"command line \(rig\.cameras\): expected the values of the run"):
+        check_options(before, after.replace({"rig.cameras": 3}))

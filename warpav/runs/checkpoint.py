@@ -29,6 +29,15 @@ MAY_CHANGE = (
     "executor",
 )
 """Options, or sections of them, that a run may go on with other values of: they change nothing of what it has done."""
+_FILES = (
+    "scenes.folder",
+    "scenes.ego",
+    "scenes.vehicles",
+    "scenes.recordings",
+    "scenes.test_recordings",
+    "detector.model",
+)
+"""Options that name files, which may lie elsewhere now: what they hold counts, see `identity_of`."""
 _MEANING = {
     "scenes": "the scenes of the run, got others",
     "vehicle": "the vehicle of the run, got another",
@@ -44,12 +53,13 @@ def check_options(before: Config, after: Config) -> None:
     differ = [
         name
         for name, value in given.items()
-        if value != known[name] and not any(name == each or name.startswith(f"{each}.") for each in MAY_CHANGE)
+        if value != known[name]
+        and not any(name == each or name.startswith(f"{each}.") for each in (*MAY_CHANGE, *_FILES))
     ]
     if differ:
         raise InputError(
             f"command line ({', '.join(differ)}): expected the values of the run, as others change what has been "
-            f"computed; may change: {', '.join(MAY_CHANGE)}"
+            f"computed; may change: {', '.join(MAY_CHANGE)}, and where files lie"
         )
 
 

@@ -107,9 +107,9 @@ class RunFolder:
             shutil.copyfile(config.rig.catalogue, path / KEPT_FILES["rig.catalogue"])
         if config.requirements_file is not None:
             copy_requirements(config.requirements_file, path / KEPT_FILES["requirements"])
+        known = {"configuration": digest(dump_config(config.replace({"run.out": None}))), **(hashes or {})}
         config = with_absolute_paths(config)
         folder.write_config(config, freeze=freeze)  # from here on a run that is killed can be resumed
-        known = {"configuration": digest(dump_config(config.replace({"run.out": None}))), **(hashes or {})}
         write_json(path / "env.json", {**environment(config, device), "own_detector": own_detector, "hashes": known})
         return folder
 
