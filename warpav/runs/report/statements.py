@@ -60,11 +60,13 @@ def percent(value: float | None, digits: int = 1) -> str:
     return NONE if value is None else f"{100.0 * value:.{digits}f}{SPACE}%"
 
 
-def interval(difference: Difference) -> str:
-    """A difference with its 95 % interval."""
-    if difference.mean is None or difference.low is None or difference.high is None:
-        return signed(difference.mean)
-    return f"{signed(difference.mean)} [{signed(difference.low)}, {signed(difference.high)}]"
+def interval(difference: Difference, factor: float = 1.0, digits: int = 3) -> str:
+    """A difference with its 95 % interval, times a factor."""
+    mean, low, high = (
+        signed(None if each is None else factor * each, digits)
+        for each in (difference.mean, difference.low, difference.high)
+    )
+    return mean if NONE in (low, high) else f"{mean} [{low}, {high}]"
 
 
 def tone_of(difference: Difference, *, lower_is_better: bool = False) -> Tone:
@@ -194,7 +196,7 @@ def summary(run: RunContent) -> list[Statement]:
     found: list[Statement | None] = []
     if run.evaluation is not None:
         found += [_traffic(run, run.evaluation), _misses(run, run.evaluation)]
-        found += [_proof(run.evaluation), _objective(run, run.evaluation)]
+        found += [_differences(run, run.evaluation), _objective(run, run.evaluation)]
     found += [_bound(run), _moves(run)]
     if run.evaluation is not None:
         found += [_left(run, run.evaluation), _requirements(run.evaluation)]
@@ -276,14 +278,38 @@ def _misses(run: RunContent, evaluation: Evaluation) -> Statement | None:
     return Statement("Expected misses", text, "bad")
 
 
-def _proof(evaluation: Evaluation) -> Statement | None:
-    """Differences of recall, and whether they are significant; of other metrics those that are."""
-    sentences, tones = [], []
+def _differences(run: RunContent, evaluation: Evaluation) -> Statement | None:
+    """Differences of recall and of expected misses, and whether they are significant; of others those that are."""
+    recall, tones = _differences_of(evaluation, "tp_detection_rate")
+    if not recall:
+        return None
+    text = f"Difference of recall, mean of the scenes with 95{SPACE}% interval: {recall}."
+    if run.certificate is not None and evaluation.robust is None:  # then the objective is what is expected to be missed
+        misses, more = _differences_of(evaluation, "objective", factor=100.0, digits=2, lower_is_better=True)
+        text += f" Of expected misses per 100: {misses}." if misses else ""
+        tones += more
+    overall: Tone = "bad" if "bad" in tones else "good" if "good" in tones else "open"
+    beyond = [
+        f"{heading} against {_arm(name)} ({'better' if tone == 'good' else 'worse'})"
+        for name, differences in evaluation.paired.items()
+        for metric, (heading, lower_is_better) in _ALSO_COMPARED.items()
+        if metric in differences and (tone := tone_of(differences[metric], lower_is_better=lower_is_better)) != "open"
+    ]
+    if beyond:
+        text += f" Significant as well: {_listed(beyond)}."
+    return Statement("Significant?", text, overall)
+
+
+def _differences_of(
+    evaluation: Evaluation, metric: str, *, factor: float = 1.0, digits: int = 3, lower_is_better: bool = False
+) -> tuple[str, list[Tone]]:
+    """Differences of a metric to the other arms in words, and in whose favour they are."""
+    sentences, tones = [], list[Tone]()
     for name, differences in evaluation.paired.items():
-        found = differences.get("tp_detection_rate")
+        found = differences.get(metric)
         if found is None or found.mean is None:
             continue
-        tone = tone_of(found)
+        tone = tone_of(found, lower_is_better=lower_is_better)
         tones.append(tone)
         if found.low is None or found.high is None:
             verdict = "one scene has no interval"
@@ -295,20 +321,8 @@ def _proof(evaluation: Evaluation) -> Statement | None:
             verdict = "not significant"
         else:
             verdict = f"not significant with {_counted(found.scenes, 'scene')}"
-        sentences.append(f"{interval(found)} against {_arm(name)} ({verdict})")
-    if not sentences:
-        return None
-    overall: Tone = "bad" if "bad" in tones else "good" if "good" in tones else "open"
-    text = f"Difference of recall, mean of the scenes with 95{SPACE}% interval: {'; '.join(sentences)}."
-    beyond = [
-        f"{heading} against {_arm(name)} ({'better' if tone == 'good' else 'worse'})"
-        for name, differences in evaluation.paired.items()
-        for metric, (heading, lower_is_better) in _ALSO_COMPARED.items()
-        if metric in differences and (tone := tone_of(differences[metric], lower_is_better=lower_is_better)) != "open"
-    ]
-    if beyond:
-        text += f" Significant as well: {_listed(beyond)}."
-    return Statement("Significant?", text, overall)
+        sentences.append(f"{interval(found, factor, digits)} against {_arm(name)} ({verdict})")
+    return "; ".join(sentences), tones
 
 
 def search_scenes(run: RunContent) -> str:
