@@ -45,15 +45,15 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,
 )
-dev_app = App(name="dev", help="For developers: the renderer's benchmark, experiments, detectors, thesis figures.")
-dev_app.command(bench)
+_dev_app = App(name="dev", help="For developers: the renderer's benchmark, experiments, detectors, thesis figures.")
+_dev_app.command(bench)
 for _app in (experiment_app, dev_detector_app, dev_scenes_app):
-    dev_app.command(_app)
+    _dev_app.command(_app)
 _GROUPS = {
     "Start": (optimise, evaluate, report, front),
     "Look": (inspect, view, plot, render),
     "Inputs": (scenes_app, rig_app, vehicle_app, modules_app, detector_app, config_app),
-    "Machine": (doctor, dev_app),
+    "Machine": (doctor, _dev_app),
 }
 for _order, (_title, _commands) in enumerate(_GROUPS.items()):
     _group = Group(_title, sort_key=_order)

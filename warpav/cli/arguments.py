@@ -16,7 +16,7 @@ _LINES_MAX, _LINE_MAX = 60, 2000  # of a message; files may have a hundred thous
 
 Config = Annotated[str, Parameter(help="YAML file, or the name of a shipped configuration.")]
 Overrides = Annotated[str, Parameter(help="key=value, such as rig.cameras=6.")]
-Triple = tuple[float, float, float]
+_Triple = tuple[float, float, float]
 FileFormat = Annotated[
     str,
     Parameter(
@@ -26,13 +26,13 @@ FileFormat = Annotated[
     ),
 ]
 FileOrigin = Annotated[
-    Triple | None,
+    _Triple | None,
     Parameter(
         help="Where the file's origin lies, from the ground below the centre of the rear axle: x y z.", negative=""
     ),
 ]
 FileTurn = Annotated[
-    Triple, Parameter(help="How the file's axes are turned on the vehicle: roll pitch yaw.", negative="")
+    _Triple, Parameter(help="How the file's axes are turned on the vehicle: roll pitch yaw.", negative="")
 ]
 RigConfig = Annotated[
     str | None, Parameter(name="--config", help="Configuration; by default that of the run folder, or quick.")

@@ -20,9 +20,9 @@ from warpav.runs.environment import package_versions, required_packages
 
 Status = Literal["ok", "warning", "failed"]
 OPENGL_TIMEOUT_S = 120
-SELF_TEST_MIN_COSINE = 0.99
-SELF_TEST_STEP_M = 0.02
-SELF_TEST_SUPERSAMPLING = 4  # long straight edges alias at 1
+_SELF_TEST_MIN_COSINE = 0.99
+_SELF_TEST_STEP_M = 0.02
+_SELF_TEST_SUPERSAMPLING = 4  # long straight edges alias at 1
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def check_versions() -> Finding:
     return Finding("versions", "ok", text, details)
 
 
-def check_devices() -> Finding:
+def _check_devices() -> Finding:
     """The devices that Warp sees."""
     wp = load_warp()
     names = {device.alias: device.name for device in wp.get_devices()}
@@ -93,7 +93,7 @@ def check_devices() -> Finding:
     return Finding("devices", "ok", text, {"devices": names, "cuda": wp.is_cuda_available()})
 
 
-def check_cache() -> Finding:
+def _check_cache() -> Finding:
     """The folders in which Warp keeps compiled kernels, and warpav its scenes."""
     import tempfile
 
@@ -179,7 +179,7 @@ def check_detector() -> Finding:
     return Finding("detector", "ok", text, {"names": list(detector.names), "first_image_ms": duration_ms})
 
 
-def check_renderer() -> Finding:
+def _check_renderer() -> Finding:
     """A small render on every device, with the error of its gradient against finite differences."""
     wp = load_warp()
     details = {}
@@ -189,7 +189,7 @@ def check_renderer() -> Finding:
     text = "gradient against finite differences: " + "; ".join(
         f"{alias} cosine {found['cosine']:.5f}, error {found['relative_error']:.2%}" for alias, found in details.items()
     )
-    good = all(found["cosine"] >= SELF_TEST_MIN_COSINE for found in details.values())
+    good = all(found["cosine"] >= _SELF_TEST_MIN_COSINE for found in details.values())
     return Finding("renderer", "ok" if good else "failed", text, details)
 
 
@@ -235,9 +235,9 @@ def gradient_error(device: str) -> tuple[float, float]:
         return value, np.concatenate([translation, (rotation_about * down_camera).sum(axis=1, keepdims=True)], axis=1)
 
     pose = np.array([[0.3, -0.2, 1.7, 0.1]])
-    _, gradient = visible_area(pose, SELF_TEST_SUPERSAMPLING)
-    step = np.array([SELF_TEST_STEP_M] * 3 + [SELF_TEST_STEP_M / 4.0])
-    area, _ = visible_area(np.concatenate([pose + np.diag(step), pose - np.diag(step)]), 2 * SELF_TEST_SUPERSAMPLING)
+    _, gradient = visible_area(pose, _SELF_TEST_SUPERSAMPLING)
+    step = np.array([_SELF_TEST_STEP_M] * 3 + [_SELF_TEST_STEP_M / 4.0])
+    area, _ = visible_area(np.concatenate([pose + np.diag(step), pose - np.diag(step)]), 2 * _SELF_TEST_SUPERSAMPLING)
     difference = (area[:4] - area[4:]) / (2.0 * step)
     cosine = float(gradient[0] @ difference / (np.linalg.norm(gradient[0]) * np.linalg.norm(difference)))
     error = float(np.linalg.norm(gradient[0] - difference) / np.linalg.norm(difference))
@@ -246,10 +246,10 @@ def gradient_error(device: str) -> tuple[float, float]:
 
 CHECKS: dict[str, Callable[[], Finding]] = {
     "versions": check_versions,
-    "devices": check_devices,
-    "cache": check_cache,
+    "devices": _check_devices,
+    "cache": _check_cache,
     "providers": check_providers,
     "detector": check_detector,
     "opengl": check_opengl,
-    "renderer": check_renderer,
+    "renderer": _check_renderer,
 }

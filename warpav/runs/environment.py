@@ -112,10 +112,10 @@ def running_commit() -> Commit:
     if head is None:
         return Commit(None, None, code)
     commit = head.decode().strip()
-    return Commit(commit, code_of(commit) == code, code)
+    return Commit(commit, _code_of(commit) == code, code)
 
 
-def has_history() -> bool:
+def _has_history() -> bool:
     """Whether the code runs from a checkout with its whole history, so that a commit can be unknown to it."""
     return _git("rev-parse", "--is-shallow-repository") == b"false\n"
 
@@ -135,14 +135,14 @@ def file_at(commit: str, place: str) -> bytes | None:
     return _git("show", f"{commit}:{place}")
 
 
-def changed_files(commit: str, other: str) -> list[str]:
+def _changed_files(commit: str, other: str) -> list[str]:
     """Files of the packages and the shipped configurations that differ between two commits."""
     found = _git("diff", "--name-only", commit, other, "--", *_PACKAGES.values(), "configs")
     return [] if found is None else found.decode().splitlines()
 
 
 @cache
-def code_of(commit: str) -> str | None:
+def _code_of(commit: str) -> str | None:
     """`Commit.code` of a commit; None if the history does not hold it."""
     listed = _git("ls-tree", "-r", "-z", "--full-tree", commit, "--", *_PACKAGES.values())
     if not listed:
@@ -151,9 +151,9 @@ def code_of(commit: str) -> str | None:
     return _code_hash((place, about.split()[2]) for about, place in entries)
 
 
-def commit_of_code(code: str) -> str | None:
+def _commit_of_code(code: str) -> str | None:
     """The newest commit with this code, for results of a copy without history; None if there is none."""
-    return next((commit for commit in history() if code_of(commit) == code), None)
+    return next((commit for commit in history() if _code_of(commit) == code), None)
 
 
 def _code_hash(blobs: Iterable[tuple[str, str]]) -> str:

@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from warpav.optimisation.rig_limits import RigLimits
     from warpav.raster.mesh import Mesh
 
-FLUSH_NEAR_M = 0.01
+_FLUSH_NEAR_M = 0.01
 """What is nearer to a camera in a zone is not seen [m]: its own body is nearer than most near planes are."""
 
-SAME_CAMERA_TOLERANCE = 1e-6  # rig files keep six decimals
+_SAME_CAMERA_TOLERANCE = 1e-6  # rig files keep six decimals
 
 
 def camera_model(config: Config) -> CameraModel:
@@ -52,7 +52,7 @@ def camera_model(config: Config) -> CameraModel:
 def _near_m(config: Config) -> float:
     """What is nearer to a camera is not seen [m]."""
     near_m = config.camera.near_m
-    return min(near_m, FLUSH_NEAR_M) if has_zones(config) else near_m
+    return min(near_m, _FLUSH_NEAR_M) if has_zones(config) else near_m
 
 
 def has_zones(config: Config) -> bool:
@@ -98,7 +98,7 @@ def preset_for(name: str, config: Config, ego: Mesh) -> MovedRig:
 
 def _network_model(model: CameraModel, config: Config) -> CameraModel:
     """A camera with the image that a network gets of it; one flush with a body sees what is a centimetre away."""
-    model = dataclasses.replace(model, near_m=min(config.camera.near_m, FLUSH_NEAR_M))
+    model = dataclasses.replace(model, near_m=min(config.camera.near_m, _FLUSH_NEAR_M))
     known = camera_models(config)
     match config.baselines.preset_images:
         case "sensor":
@@ -282,6 +282,6 @@ def with_shared_model(rig: Rig, config: Config) -> Rig:
 def _completed(model: CameraModel, shared: CameraModel) -> CameraModel:
     """A model from a file with what files do not hold: the near plane, and the decimals that were rounded off."""
     model = dataclasses.replace(model, near_m=shared.near_m)
-    same_fov = np.isclose(model.fov_rad, shared.fov_rad, rtol=0.0, atol=SAME_CAMERA_TOLERANCE)
+    same_fov = np.isclose(model.fov_rad, shared.fov_rad, rtol=0.0, atol=_SAME_CAMERA_TOLERANCE)
     is_shared = same_fov and model.focal_px is None and dataclasses.replace(model, fov_rad=shared.fov_rad) == shared
     return shared if is_shared else model

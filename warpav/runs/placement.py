@@ -59,10 +59,10 @@ if TYPE_CHECKING:
     from warpav.detection.detector import Detector
     from warpav.raster.camera import CameraModel
 
-ORIENTATION_SCENES = 200
+_ORIENTATION_SCENES = 200
 """Training scenes by which the orientations are chosen, at most; of more, so many that are evenly spread."""
 
-DEGREES_OF_FREEDOM = {
+_DEGREES_OF_FREEDOM = {
     "x_m": X_M,
     "y_m": Y_M,
     "height_m": HEIGHT_DELTA_M,
@@ -73,7 +73,7 @@ DEGREES_OF_FREEDOM = {
 """Degrees of freedom of a camera on the mount surface, and their column among its mount pose."""
 
 
-DetectionProbabilities = DetectionProbability | tuple[DetectionProbability, ...]
+_DetectionProbabilities = DetectionProbability | tuple[DetectionProbability, ...]
 """The model of detection probability of all cameras, or of each module."""
 
 
@@ -106,7 +106,7 @@ class Parts:
     freeze: tuple[str, ...] = ()
     ego: Mesh | None = None
     networks: Networks | None = None
-    probability: DetectionProbabilities | None = None
+    probability: _DetectionProbabilities | None = None
     losses: tuple[tuple[float, Loss], ...] | None = None
     requirements: tuple[Requirement, ...] | None = None
     has_own_detector: bool = False
@@ -124,7 +124,7 @@ class _Prepared:
 
     scenes: SceneSet
     networks: Networks
-    probability: DetectionProbabilities | None
+    probability: _DetectionProbabilities | None
     objective: RigObjective
     segregation: Callable[[], Segregation]
     train: list[AssignedScene]
@@ -521,7 +521,7 @@ class Placement:
         assert found.gradient is not None
         columns = {
             name: column
-            for name, column in DEGREES_OF_FREEDOM.items()
+            for name, column in _DEGREES_OF_FREEDOM.items()
             if name in ("x_m", "y_m", "yaw_rad") or self.mount.is_free[column]
         }
         gradient = {
@@ -604,7 +604,7 @@ class Placement:
 
 
 def placement_on(
-    scenes: SceneSet, config: Config, networks: Networks, probability: DetectionProbabilities | None
+    scenes: SceneSet, config: Config, networks: Networks, probability: _DetectionProbabilities | None
 ) -> Placement:
     """A placement on scenes that are on the device already."""
     start = read_start(config)
@@ -614,14 +614,14 @@ def placement_on(
     return placement
 
 
-def needed_fit(config: Config, progress: Progress) -> DetectionProbabilities | None:
+def needed_fit(config: Config, progress: Progress) -> _DetectionProbabilities | None:
     """What `ensure_fit` gives, where the losses of a configuration need it; else None."""
     return _fitted(config, progress) if _needs_fit(Parts(config)) else None
 
 
 def _fitted(
     config: Config, progress: Progress, *, detector: Detector | None = None, ego: Mesh | None = None
-) -> DetectionProbabilities:
+) -> _DetectionProbabilities:
     """The model of detection probability, or that of each module; arguments as of `ensure_fit`."""
     if config.rig.modules is None:
         return ensure_fit(config, detector=detector, ego=ego, progress=progress)
@@ -658,7 +658,7 @@ def _have_one_objective(one: Config, other: Config) -> bool:
 
 
 def _assembled(
-    parts: Parts, scenes: SceneSet, networks: Networks, probability: DetectionProbabilities | None
+    parts: Parts, scenes: SceneSet, networks: Networks, probability: _DetectionProbabilities | None
 ) -> _Prepared:
     """The objective, and the vehicles of all scenes assigned to orientations, which happens where somebody asks."""
     config = parts.config
@@ -666,7 +666,7 @@ def _assembled(
 
     @cache
     def segregation() -> Segregation:
-        looked_at = scenes.train[:: -(-train_count // ORIENTATION_SCENES)]
+        looked_at = scenes.train[:: -(-train_count // _ORIENTATION_SCENES)]
         rng = _random_numbers(config, Stream.SEGREGATION)
         return choose_orientations(scenes.areas(looked_at, rotation_count), camera_count, rotation_count, rng)
 
@@ -715,7 +715,7 @@ def _assembled(
 
 
 def _camera_probabilities(
-    config: Config, probability: DetectionProbabilities | None, modules: Sequence[str]
+    config: Config, probability: _DetectionProbabilities | None, modules: Sequence[str]
 ) -> CameraProbability | list[CameraProbability] | None:
     """How likely a camera is to detect, of a mount's modules each; one model stands for all of these."""
     models = probability if isinstance(probability, tuple) else (probability,)

@@ -25,7 +25,7 @@ Record = TypeVar("Record")
 
 _ONLY_LIVE = ("multiplier ", "gradient ")  # rows that plain lines leave out; events.jsonl has them
 REFRESH_PER_SECOND = 4
-PLAIN_LINES_PER_STAGE = 10
+_PLAIN_LINES_PER_STAGE = 10
 
 
 class RunDisplay:
@@ -81,7 +81,7 @@ class RunDisplay:
     def steps(self, description: str, items: Iterable[Item], *, count: int) -> Iterator[Item]:
         """Pass ``items`` on and show how many of ``count`` have come."""
         self._start(description, count)
-        every = max(1, count // PLAIN_LINES_PER_STAGE) if count > PLAIN_LINES_PER_STAGE else count
+        every = max(1, count // _PLAIN_LINES_PER_STAGE) if count > _PLAIN_LINES_PER_STAGE else count
         began = time.perf_counter()
         for number, item in enumerate(items, start=1):
             self._advance(number, (time.perf_counter() - began) / number)
@@ -95,7 +95,7 @@ class RunDisplay:
             yield from self._states(records, min_spacing_m)
             return
         self._start("optimising", count)
-        every = max(1, count // PLAIN_LINES_PER_STAGE)
+        every = max(1, count // _PLAIN_LINES_PER_STAGE)
         began = time.perf_counter()
         for taken, record in enumerate(records, start=1):
             speed = (time.perf_counter() - began) / taken

@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
-START_MOVED_M = 0.005
+_START_MOVED_M = 0.005
 """How far a camera of a start has to move for a run to say so [m]."""
 
-ADDED_AWAY_M = 0.5
+_ADDED_AWAY_M = 0.5
 """How far cameras that a run adds to a rig stand from its middle at first [m]."""
 
 
@@ -79,16 +79,16 @@ def config_for(
     return placed_config(config or default, overrides)
 
 
-def arm_name(source: str) -> str:
+def _arm_name(source: str) -> str:
     """What the rig of ``source`` is called in results."""
     return "optimised" if is_run_folder(source) else Path(source).stem
 
 
 def arm_names(source: str, beside: Sequence[str] = ()) -> dict[str, str]:
     """Rigs that are compared, by what they are called in results."""
-    names = {arm_name(source): source}
+    names = {_arm_name(source): source}
     for each in beside:
-        name = Path(each).absolute().name if is_run_folder(each) else arm_name(each)
+        name = Path(each).absolute().name if is_run_folder(each) else _arm_name(each)
         name = each if name in names else name
         if name in names or each == source:
             raise ArgumentError("beside", f"expected every rig once, got {each!r} twice")
@@ -163,7 +163,7 @@ def with_added_cameras(rig: Rig, config: Config, freeze: Collection[str]) -> Rig
         gap_rad = np.diff(yaw_rad, append=yaw_rad[0] + math.tau)
         widest = int(gap_rad.argmax())
         facing_rad = math.remainder(yaw_rad[widest] + 0.5 * gap_rad[widest], math.tau)
-        away_m = ADDED_AWAY_M * np.array([math.cos(facing_rad), math.sin(facing_rad), 0.0])
+        away_m = _ADDED_AWAY_M * np.array([math.cos(facing_rad), math.sin(facing_rad), 0.0])
         cameras.append(RigCamera(next(free_names), middle_m + away_m, yaw_rad=facing_rad, model=camera_model(config)))
     return Rig(cameras)
 
@@ -191,7 +191,7 @@ def start_changes(start: Rig, begun: Rig) -> str:
             f"{lenses}, since only cameras of rig.freeze keep their lens; "
             "camera.* or rig.modules say that of the others"
         )
-    if moved_m > START_MOVED_M:
+    if moved_m > _START_MOVED_M:
         changes.append(f"cameras move by up to {moved_m:.2f} m to where the mount has them")
     return "; ".join(changes)
 

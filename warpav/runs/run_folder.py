@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
     MultiBlock = Any
 
-RigRole = Literal["start", "initial", "best", "final"]
+_RigRole = Literal["start", "initial", "best", "final"]
 RUNS_FOLDER = Path("runs")
 EVALUATION_SCHEMA = 1
 _FURTHER_COLUMNS = ("gain", "x_m", "y_m", "z_m", "yaw_deg", "pitch_deg", "fov_deg")
@@ -132,7 +132,7 @@ class RunFolder:
             kept["rig.freeze"] = list(freeze)
         write_text(self.path / "config.yaml", dump_config(config, kept=kept))
 
-    def rig_path(self, role: RigRole) -> Path:
+    def rig_path(self, role: _RigRole) -> Path:
         """Where ``rig_<role>.yaml`` is or will be."""
         return self.path / f"rig_{role}.yaml"
 
@@ -306,7 +306,7 @@ class RunFolder:
         """The PNG files of the run, by name."""
         return sorted(each for each in (self.path / "figures").glob("*.png") if not each.name.startswith(DRAFT))
 
-    def rig(self, role: RigRole | None = None) -> Rig:
+    def rig(self, role: _RigRole | None = None) -> Rig:
         """A rig of the run; see `rig_file`."""
         return read_rig(self.rig_file(role))
 
@@ -315,9 +315,9 @@ class RunFolder:
         keeps_best = self.config().optimiser.keep == "best"
         return self.rig("best" if keeps_best and (self.evaluation() or {}).get("rig_of_run") != "start" else "final")
 
-    def rig_file(self, role: RigRole | None = None) -> Path:
+    def rig_file(self, role: _RigRole | None = None) -> Path:
         """The file of a rig of the run."""
-        roles: tuple[RigRole, ...] = ("best", "initial") if role is None else (role,)
+        roles: tuple[_RigRole, ...] = ("best", "initial") if role is None else (role,)
         if role is None and (self.path / "evaluation.json").is_file():  # the run has ended, so it had one
             roles = ("best",)
         for name in roles:

@@ -118,7 +118,7 @@ def find_config(path: str | Path) -> Path:
 
 
 @cache
-def shipped_values(name: str) -> dict[str, Any]:
+def _shipped_values(name: str) -> dict[str, Any]:
     """What a shipped configuration says, as its file has it; not to be changed."""
     return read_yaml(config_dir() / f"{name}.yaml")[0]
 
@@ -590,7 +590,7 @@ class ConfigTree(Section):
         if isinstance(data.get("losses"), dict):
             data = {**data, "losses": LossSettings.with_new_names(data["losses"])}  # pyright: ignore[reportCallIssue]
         if method == "thesis":
-            return merged(shipped_values("thesis"), data)
+            return merged(_shipped_values("thesis"), data)
         return merged({"losses": METHOD_LOSSES[method]}, data)
 
     @property

@@ -20,7 +20,7 @@ from warpav.runs.config import Config
 from warpav.runs.events import Certificate, Event
 from warpav.runs.run_folder import RunFolder
 
-BoxPx = tuple[float, float, float, float]
+_BoxPx = tuple[float, float, float, float]
 Content = TypeVar("Content")
 
 
@@ -76,14 +76,14 @@ class Arm(_Part):
         return None if self.objects is None or self.recall is None else round(self.recall * self.objects)
 
 
-class StartAndEnd(_Part):
+class _StartAndEnd(_Part):
     """A number before and after."""
 
     start: float | None
     optimised: float | None
 
 
-class SearchEnd(_Part):
+class _SearchEnd(_Part):
     """How a search ended: its steps, why it took no more (None: it took all), and those after which the rig stood."""
 
     iterations: int
@@ -103,7 +103,7 @@ class Margin(_Part):
     is_kept: bool
 
 
-class ReportedObject(_Part):
+class _ReportedObject(_Part):
     """An object of a test scene, and what becomes of it by arm."""
 
     scene: str
@@ -113,7 +113,7 @@ class ReportedObject(_Part):
     outcome: dict[str, ObjectOutcome]
 
 
-class GroundTable(_Part):
+class _GroundTable(_Part):
     """Cells of the ground by sector and band, see `warpav.evaluation.blind_ground.BlindGround.table`."""
 
     scenes: int = Field(ge=1)
@@ -126,7 +126,7 @@ class GroundTable(_Part):
     blind: dict[str, list[list[list[int]]]]
 
     @model_validator(mode="after")
-    def _has_its_shape(self) -> GroundTable:
+    def _has_its_shape(self) -> _GroundTable:
         shape = len(self.heights_m), len(self.sectors), len(self.bands_m)
         for name, counts in (("cells", self.cells), *self.blind.items()):
             sizes = {(len(counts), len(layer), len(row)) for layer in counts for row in layer}
@@ -155,7 +155,7 @@ class CameraOutage(_Part):
     weighted_difference_per_100: float | None = None
 
 
-class Outage(_Part):
+class _Outage(_Part):
     """A rig without each of its cameras, see `warpav.evaluation.camera_outage.CameraOutages`."""
 
     expected_misses_per_100: float
@@ -164,7 +164,7 @@ class Outage(_Part):
     cameras: list[CameraOutage] = Field(min_length=1)
 
     @model_validator(mode="after")
-    def _is_weighted_or_not(self) -> Outage:
+    def _is_weighted_or_not(self) -> _Outage:
         weighted = [self.weighted_expected_misses_per_100]
         for each in self.cameras:
             weighted += [each.weighted_expected_misses_per_100, each.weighted_difference_per_100]
@@ -181,7 +181,7 @@ class MountEffect(_Part):
     change_per_100: float
 
 
-class Tolerance(_Part):
+class _Tolerance(_Part):
     """What errors of mounting cost, see `warpav.evaluation.mount_tolerance.MountTolerance`."""
 
     position_m: float = Field(gt=0.0)
@@ -190,7 +190,7 @@ class Tolerance(_Part):
     worst: MountEffect
 
 
-class Need(_Part):
+class _Need(_Part):
     """What a requirement asks for, see `warpav.requirements.requirement.Requirement`."""
 
     object: str
@@ -222,7 +222,7 @@ class Requirement(_Part):
     name: str
     hard: bool
     weight: float | None
-    need: Need
+    need: _Need
     points: int
     met: int
     share: float
@@ -249,14 +249,14 @@ class Evaluation(_Part):
     scenes: Annotated[dict[Literal["test"], int], Field(min_length=1)]
     arms: dict[str, Arm] = Field(min_length=1)
     paired: dict[str, dict[str, Difference]] = {}
-    training_objective: StartAndEnd | None = None
+    training_objective: _StartAndEnd | None = None
     seconds: dict[str, float] = {}
-    descent: SearchEnd | None = None
+    descent: _SearchEnd | None = None
     constraints: dict[str, list[Margin]] | None = None
-    outcomes: list[ReportedObject] | None = None
-    ground: GroundTable | None = None
-    camera_outage: dict[str, Outage | None] = {}
-    mount_tolerance: Tolerance | None = None
+    outcomes: list[_ReportedObject] | None = None
+    ground: _GroundTable | None = None
+    camera_outage: dict[str, _Outage | None] = {}
+    mount_tolerance: _Tolerance | None = None
     requirements: dict[str, list[Requirement]] = {}
     robust: Robust | None = None
     soiling: dict[str, Any] | None = None
@@ -300,8 +300,8 @@ class View(_Part):
     camera: str
     image: Annotated[str, Field(pattern=r"^[^/\\]+$")]
     size_px: tuple[int, int]
-    truth_box_px: list[BoxPx | None]
-    detection_box_px: list[BoxPx]
+    truth_box_px: list[_BoxPx | None]
+    detection_box_px: list[_BoxPx]
     detection_of_truth: list[int]
 
     @field_validator("size_px")
@@ -313,7 +313,7 @@ class View(_Part):
 
 
 @dataclass(frozen=True)
-class GroundMap:
+class _GroundMap:
     """Cells of the ground, see `warpav.evaluation.blind_ground.BlindGround`.
 
     Attributes:
@@ -344,7 +344,7 @@ class RunContent:
     start: Rig | None = None
     result: Rig | None = None
     views: list[View] = field(default_factory=list)
-    ground: GroundMap | None = None
+    ground: _GroundMap | None = None
     certificate: Certificate | None = None
     further: FurtherCameras | None = None
     zones: tuple[Zone, ...] = ()
@@ -411,7 +411,7 @@ def _result(folder: RunFolder, config: Config | None) -> Rig | None:
     return None
 
 
-def _ground(folder: RunFolder, evaluation: Evaluation | None) -> GroundMap | None:
+def _ground(folder: RunFolder, evaluation: Evaluation | None) -> _GroundMap | None:
     arrays = folder.ground()
     if arrays is None or evaluation is None:
         return None
@@ -435,4 +435,4 @@ def _ground(folder: RunFolder, evaluation: Evaluation | None) -> GroundMap | Non
         if blind.shape != opened.shape or len(blind) != len(arrays["heights_m"]):
             raise InputError(f"{file}: expected counts of one shape, got {blind.shape} and {opened.shape}")
         shares[arm] = np.divide(blind, opened, out=np.full(opened.shape, np.nan), where=opened > 0)
-    return GroundMap(shares, arrays["heights_m"].tolist(), float(arrays["cell_m"]), arrays["ego_bounds_m"])
+    return _GroundMap(shares, arrays["heights_m"].tolist(), float(arrays["cell_m"]), arrays["ego_bounds_m"])

@@ -41,13 +41,13 @@ IMAGE_BYTES = 3_200_000
 SIZES: Sequence[tuple[int, int]] = ((1280, 84), (960, 80), (640, 75), (480, 65), (320, 50), (200, 35))
 """Longer side [px] and quality of images: the first at which all of them fit."""
 
-ROWS_SHOWN = 30
+_ROWS_SHOWN = 30
 """Vehicles that are listed at once; the others follow folded."""
 
-MOST_ROWS = 1000
+_MOST_ROWS = 1000
 """Vehicles that are listed at all."""
 
-FURTHER_SHOWN = 5
+_FURTHER_SHOWN = 5
 """Places of a further camera that are listed, as many as carry ranks in the figure."""
 
 FIGURES = {
@@ -76,7 +76,7 @@ _ELSEWHERE = ("rig", "detections", *_FITTING, *_CURVES, "further_cameras", "sens
 
 
 @dataclass(frozen=True)
-class PageImage:
+class _PageImage:
     """An image of the page.
 
     Attributes:
@@ -90,7 +90,7 @@ class PageImage:
 
 
 @dataclass(frozen=True)
-class ImageBox:
+class _ImageBox:
     """A box on an image: corner and size [px], and what it says."""
 
     kind: str
@@ -142,7 +142,7 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
     named = sorted(images, key=lambda name: (order.index(name) if name in order else len(order), name))
     files = [*(images[name][0] for name in named), *(folder.view_path(view.image) for view in run.views)]
     encoded = iter(_images(files))
-    shown = [PageImage(name, images[name][1], *next(encoded)) for name in named]
+    shown = [_PageImage(name, images[name][1], *next(encoded)) for name in named]
     return {
         "run": run,
         "evaluation": evaluation,
@@ -174,8 +174,8 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "recall": _typeset(evaluation and recall_table(evaluation)),
         "ground": _ground(evaluation) if evaluation and evaluation.ground else [],
         "left": _left(evaluation) if evaluation and evaluation.outcomes is not None else None,
-        "rows_shown": ROWS_SHOWN,
-        "most_rows": MOST_ROWS,
+        "rows_shown": _ROWS_SHOWN,
+        "most_rows": _MOST_ROWS,
         "margin_name": words.margin_name,
         "seconds": _seconds(run),
         "versions": _versions(run.environment),
@@ -281,10 +281,10 @@ def _draws_nothing(run: RunContent) -> bool:
     return run.config is not None and run.config.run.pictures == "none"
 
 
-def _plots(run: RunContent, drawn: Collection[str]) -> dict[str, list[PageImage]]:
+def _plots(run: RunContent, drawn: Collection[str]) -> dict[str, list[_PageImage]]:
     """The plots of every section that are drawn with the page: those of a full report, and curves that no file has."""
     evaluation = run.evaluation
-    found: dict[str, list[PageImage]] = {name: [] for name in ("convergence", "metrics", "recall", "ground")}
+    found: dict[str, list[_PageImage]] = {name: [] for name in ("convergence", "metrics", "recall", "ground")}
     curves = "loss_curves" if run.certificate is None else "search"
     if curves not in drawn and not _draws_nothing(run):
         found["convergence"] = _convergence(run)
@@ -321,7 +321,7 @@ def _plots(run: RunContent, drawn: Collection[str]) -> dict[str, list[PageImage]
     return found
 
 
-def _convergence(run: RunContent) -> list[PageImage]:
+def _convergence(run: RunContent) -> list[_PageImage]:
     """The course of the search, or loss, loss terms, multipliers and camera distance; none for events without them."""
     records = [event.model_dump() for event in run.events]
     search = search_panel(records)
@@ -345,11 +345,11 @@ def _differences(evaluation: Evaluation, metrics: Mapping[str, str]) -> list[Met
     return rows
 
 
-def _plot(name: str, caption: str, svg: str) -> PageImage:
+def _plot(name: str, caption: str, svg: str) -> _PageImage:
     address = "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
     opening = svg[svg.index("<svg") :].partition(">")[0]
     width, height = (float(opening.partition(f'{side}="')[2].partition("pt")[0]) for side in ("width", "height"))
-    return PageImage(name, caption, address, (round(width), round(height)))
+    return _PageImage(name, caption, address, (round(width), round(height)))
 
 
 def _images(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
@@ -381,7 +381,7 @@ def _further(run: RunContent) -> list[list[str]]:
     """Rows of the best places of a further camera: rank, gain, place and direction."""
     if run.further is None:
         return []
-    best = run.further[run.further.best_places()[:FURTHER_SHOWN]]
+    best = run.further[run.further.best_places()[:_FURTHER_SHOWN]]
     return [
         [str(rank), *(words.number(value, 1 if "[deg]" in name else 2) for name, value in row.items())]
         for rank, row in enumerate(best.rows(), 1)
@@ -474,7 +474,7 @@ def _views(
     return [(name, cameras) for (_, name), cameras in scenes.items()]
 
 
-def _boxes(view: View) -> Iterable[ImageBox]:
+def _boxes(view: View) -> Iterable[_ImageBox]:
     """The boxes of a view, in the order in which they are drawn."""
     found = {match for truth, match in zip(view.truth_box_px, view.detection_of_truth, strict=False) if truth}
     for index, box in enumerate(view.detection_box_px):
@@ -490,9 +490,9 @@ def _boxes(view: View) -> Iterable[ImageBox]:
             yield _box("missed", truth)
 
 
-def _box(kind: str, box_px: Sequence[float]) -> ImageBox:
+def _box(kind: str, box_px: Sequence[float]) -> _ImageBox:
     x0, y0, x1, y1 = (round(value, 1) for value in box_px)
-    return ImageBox(kind, x0, y0, round(x1 - x0, 1), round(y1 - y0, 1))
+    return _ImageBox(kind, x0, y0, round(x1 - x0, 1), round(y1 - y0, 1))
 
 
 def _ground(evaluation: Evaluation) -> list[dict[str, Any]]:

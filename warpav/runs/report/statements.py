@@ -16,7 +16,7 @@ from warpav.optimisation.mount_errors import ANGLES
 from warpav.rig.rig import Rig
 from warpav.runs.report.evaluation import Difference, Evaluation, Margin, Robust, RunContent
 
-Tone = Literal["good", "bad", "open"]
+_Tone = Literal["good", "bad", "open"]
 
 MINUS, NONE, SPACE = "\N{MINUS SIGN}", "\N{EN DASH}", "\N{NO-BREAK SPACE}"
 
@@ -42,7 +42,7 @@ class Statement:
 
     about: str
     text: str
-    tone: Tone = "open"
+    tone: _Tone = "open"
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -69,7 +69,7 @@ def interval(difference: Difference, factor: float = 1.0, digits: int = 3) -> st
     return mean if NONE in (low, high) else f"{mean} [{low}, {high}]"
 
 
-def tone_of(difference: Difference, *, lower_is_better: bool = False) -> Tone:
+def tone_of(difference: Difference, *, lower_is_better: bool = False) -> _Tone:
     """In whose favour a difference is, where it is significant: its interval excludes 0, and the scenes are enough."""
     low, high = difference.low, difference.high
     if low is None or high is None or difference.scenes < MIN_SCENES or low <= 0.0 <= high:
@@ -142,7 +142,7 @@ def headline(run: RunContent) -> Statement:
     if named["open"]:
         alternatives = _listed(named["open"], "or")
         parts.append(f"cannot be distinguished from {alternatives} by what it detects")
-    tone: Tone = "bad" if named["bad"] else "good" if named["good"] else "open"
+    tone: _Tone = "bad" if named["bad"] else "good" if named["good"] else "open"
     text = f"The {evaluation.first} rig {_listed(parts)}."
     if counted < MIN_SCENES:
         text = f"{_few(counted)} too few to show a difference"
@@ -288,7 +288,7 @@ def _differences(run: RunContent, evaluation: Evaluation) -> Statement | None:
         misses, more = _differences_of(evaluation, "objective", factor=100.0, digits=2, lower_is_better=True)
         text += f" Of expected misses per 100: {misses}." if misses else ""
         tones += more
-    overall: Tone = "bad" if "bad" in tones else "good" if "good" in tones else "open"
+    overall: _Tone = "bad" if "bad" in tones else "good" if "good" in tones else "open"
     beyond = [
         f"{heading} against {_arm(name)} ({'better' if tone == 'good' else 'worse'})"
         for name, differences in evaluation.paired.items()
@@ -302,9 +302,9 @@ def _differences(run: RunContent, evaluation: Evaluation) -> Statement | None:
 
 def _differences_of(
     evaluation: Evaluation, metric: str, *, factor: float = 1.0, digits: int = 3, lower_is_better: bool = False
-) -> tuple[str, list[Tone]]:
+) -> tuple[str, list[_Tone]]:
     """Differences of a metric to the other arms in words, and in whose favour they are."""
-    sentences, tones = [], list[Tone]()
+    sentences, tones = [], list[_Tone]()
     for name, differences in evaluation.paired.items():
         found = differences.get(metric)
         if found is None or found.mean is None:
