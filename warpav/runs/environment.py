@@ -115,32 +115,6 @@ def running_commit() -> Commit:
     return Commit(commit, _code_of(commit) == code, code)
 
 
-def _has_history() -> bool:
-    """Whether the code runs from a checkout with its whole history, so that a commit can be unknown to it."""
-    return _git("rev-parse", "--is-shallow-repository") == b"false\n"
-
-
-def is_known(commit: str) -> bool:
-    """Whether the history of what is checked out holds the commit, given by its full hash."""
-    return len(commit) == 40 and _git("merge-base", "--is-ancestor", commit, "HEAD") is not None
-
-
-def history() -> list[str]:
-    """Full hashes of all commits that what is checked out goes back to, newest first; empty without a history."""
-    return (_git("rev-list", "HEAD") or b"").decode().split()
-
-
-def file_at(commit: str, place: str) -> bytes | None:
-    """A file of a commit, by its path in the checkout; None where the commit lacks it."""
-    return _git("show", f"{commit}:{place}")
-
-
-def _changed_files(commit: str, other: str) -> list[str]:
-    """Files of the packages and the shipped configurations that differ between two commits."""
-    found = _git("diff", "--name-only", commit, other, "--", *_PACKAGES.values(), "configs")
-    return [] if found is None else found.decode().splitlines()
-
-
 @cache
 def _code_of(commit: str) -> str | None:
     """`Commit.code` of a commit; None if the history does not hold it."""
@@ -149,11 +123,6 @@ def _code_of(commit: str) -> str | None:
         return None
     entries = (line.split("\t", 1) for line in listed.decode().split("\0") if line)
     return _code_hash((place, about.split()[2]) for about, place in entries)
-
-
-def _commit_of_code(code: str) -> str | None:
-    """The newest commit with this code, for results of a copy without history; None if there is none."""
-    return next((commit for commit in history() if _code_of(commit) == code), None)
 
 
 def _code_hash(blobs: Iterable[tuple[str, str]]) -> str:
