@@ -84,7 +84,7 @@ WITHOUT_BUDGET += [
 ]
 WITHOUT_BUDGET += [pytest.param("cma", None, marks=[needs_cma, pytest.mark.nightly])]
 WITH_BUDGET = [(name, BUDGET) for name in SEARCHES]
-WITH_BUDGET += [pytest.param(name, BUDGET, marks=needs_cma) for name in ("cma", "cma_then_gradient")]
+WITH_BUDGET += [pytest.param(name, BUDGET, marks=needs_cma) for name in ("cma",)]
 
 
 def found_by(name, placement, budget):
@@ -234,7 +234,7 @@ def test_unknown_arms_are_named_with_their_neighbour():
 def test_what_cannot_work_is_refused_before_it_starts(problem, monkeypatch):
     settings = problem.config
     for name in common_arms():
-        if name not in ("cma", "cma_then_gradient", "thesis_as_printed"):
+        if name not in ("cma", "thesis_as_printed"):
             find_arm(name, {}).check(settings, None)
     with pytest.raises(InputError, match=r"run\.batch_size: expected at most the 2 training scene"):
         find_arm("thesis_as_printed", {}).check(settings, None)  # it prints batches of four

@@ -13,7 +13,7 @@ from warpav.experiments import experiment as module
 from warpav.experiments.arms import Arm
 from warpav.experiments.experiment import run_study
 from warpav.rig.rig import read_rig
-from warpav.runs.environment import running_commit
+from warpav.runs.environment import git_commit
 from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
@@ -53,7 +53,7 @@ def test_every_task_leaves_its_result(finished, scenes):
             name = f"{arm.name}_{result['seed']}"
             assert result == json.loads((finished.folder / "results" / f"{name}.json").read_text())
             assert (result["schema"], result["arm"]) == (3, arm.name)
-            assert result["commit"] == dataclasses.asdict(running_commit())
+            assert result["commit"] == git_commit()
             rig = read_rig(finished.folder / "results" / f"{name}.yaml")
             assert [camera["position_m"] for camera in result["rig"]["cameras"]] == [
                 pytest.approx(camera.position_m, abs=1e-6) for camera in rig.cameras

@@ -1,6 +1,5 @@
 """Tables I and V: which losses move what, and how the mean over numbers that are not 0 is taken."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -14,9 +13,7 @@ from warpav.experiments.gradient_magnitude import (
     THESIS_ITERATIONS,
     THESIS_RUNS,
     THESIS_SETTINGS,
-    GradientMagnitude,
     measure_gradient_magnitudes,
-    pooled_magnitudes,
 )
 from warpav.optimisation.losses.registry import LOSSES
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
@@ -98,21 +95,6 @@ def test_runs_differ_and_repeat(device):
 def test_the_thesis_measured_ten_runs_of_a_hundred_iterations():
     assert (THESIS_RUNS, THESIS_ITERATIONS, THESIS_BATCH_SIZE) == (10, 100, 1)
     assert THESIS_SETTINGS.learning_rate_position_m == THESIS_SETTINGS.learning_rate_yaw_rad == 0.25
-
-
-def test_runs_pool_as_if_they_were_one(rng):
-    values = rng.normal(size=(3, 40)) * (rng.random((3, 40)) < 0.3)
-    values[1] = 0.0  # a run in which nothing moved counts in the shares alone
-    runs = []
-    for run in np.abs(values):
-        mean, share = (run[run > 0.0].mean() if run.any() else 0.0), (run > 0.0).mean()
-        runs.append({"detected_area": dataclasses.asdict(GradientMagnitude(mean, 0.0, share, 0.0))})
-    pooled = pooled_magnitudes(runs)["detected_area"]
-    every = np.abs(values)
-    assert pooled.positional == pytest.approx(every[every > 0.0].mean(), rel=1e-12)
-    assert pooled.positional_share == pytest.approx((every > 0.0).mean(), rel=1e-12)
-    assert (pooled.rotational, pooled.rotational_share) == (0.0, 0.0)
-    assert pooled_magnitudes([]) == {}
 
 
 def test_the_packaged_tables_are_whole():

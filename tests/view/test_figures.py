@@ -1,13 +1,11 @@
 """Figures of a run, looked at by their colours and places."""
 
 import dataclasses
-import itertools
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from tests.view.golden import same_text
 from tests.view.stand_ins import ego, rig
 from warpav.core.errors import InputError
 from warpav.optimisation.further_camera import FurtherCameras
@@ -16,7 +14,6 @@ from warpav.rig.rig import Rig
 from warpav.view.figures.convergence import (
     convergence_panels,
     loss_figure,
-    objective_over_renders,
     running_mean,
     search_figure,
     search_panel,
@@ -278,22 +275,3 @@ def test_figure_that_cannot_be_written_says_so(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be written"):
         save_figure(loss_figure(records(3)), tmp_path / "file" / "loss.png")
-
-
-@same_text
-def test_labels_of_logarithmic_axes_do_not_collide(tmp_path, monkeypatch):
-    drawn = []
-    monkeypatch.setattr(
-        "warpav.view.figures.convergence.save_figure", lambda figure, path: drawn.append(figure) or path
-    )
-    renders = np.geomspace(20, 30000, 40).astype(int).tolist()
-    for end, level in ((0.2, 0.12), (0.7, 0.12), (0.001, 2.0)):
-        runs = [(renders, np.geomspace(0.3, 0.3 * end, 40).tolist())]
-        objective_over_renders({"pool": runs}, tmp_path / "x.png", level={"highest": level}, title="search")
-        [figure], drawn[:] = drawn, []
-        figure.draw_without_rendering()
-        for axis in (figure.axes[0].xaxis, figure.axes[0].yaxis):
-            shown = [label for label in (*axis.get_ticklabels(), *axis.get_ticklabels(minor=True)) if label.get_text()]
-            boxes = [label.get_window_extent() for label in shown]
-            assert len(boxes) >= 2
-            assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))

@@ -421,19 +421,6 @@ def observe_scenes(
     return SceneObservations(rig, [assigned.scene for assigned in scenes], observations, losses)
 
 
-def false_alarm_confidences(seen: SceneObservations, objective: RigObjective) -> np.ndarray:
-    """Confidence of every false alarm in all images, highest first, float64 [detection].
-
-    What is a false alarm, see `ArmMetrics`, follows from more confident detections alone: those from any threshold on
-    are the false alarms of a detector with that threshold. The objective supplies the minimum IoU of a match.
-    """
-    every_size, alarms = [(0.0, math.inf)], [np.zeros(0)]
-    for images in _image_boxes(seen.scenes, [each.observations for each in seen.observations]):
-        scores = score_images(images, iou_min=[objective.options.iou_min], area_px2=every_size)
-        alarms.append(scores.confidence[scores.counts[0, 0] & ~scores.true_positive[0, 0]])
-    return np.sort(np.concatenate(alarms))[::-1]
-
-
 def confidence_at(
     false_alarm_confidence: np.ndarray, images: int, false_alarms_per_image: float, *, least: float
 ) -> float:

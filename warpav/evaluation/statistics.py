@@ -10,8 +10,8 @@ from __future__ import annotations
 import itertools
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -46,7 +46,6 @@ class Difference:
     low: float | None
     high: float | None
     p_value: float | None
-    p_holm: float | None
     scenes: int
 
 
@@ -65,45 +64,6 @@ def paired_difference(
     resampled scenes. Resampling the scenes separately for every run would attribute the difficulty of a scene to chance
     of a run, and make the interval too short.
     """
-
-    def difference(ours: np.ndarray, theirs: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        return np.average(ours - theirs, weights=weights, axis=-1)
-
-    return _paired(one, other, difference, weight=weight, seed=seed, resamples=resamples)
-
-
-def relative_reduction(
-    one: Numbers,
-    other: Numbers,
-    *,
-    weight: Sequence[float] | np.ndarray | None = None,
-    seed: int = 0,
-    resamples: int = RESAMPLES,
-) -> Difference:
-    """By which share the mean of a metric is lower than that of another arm: 1 - one / other, over the same scenes.
-
-    Scenes and runs are resampled as by `paired_difference`, whose arguments these are; the means are divided, not the
-    scenes. The p-value is that of no reduction.
-    """
-
-    def reduction(ours: np.ndarray, theirs: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        mean, of_other = (np.average(each, weights=weights, axis=-1) for each in (ours, theirs))
-        return 1.0 - np.divide(mean, of_other, out=np.ones_like(mean), where=of_other > 0.0)
-
-    return _paired(one, other, reduction, weight=weight, seed=seed, resamples=resamples, is_share=True)
-
-
-def _paired(
-    one: Numbers,
-    other: Numbers,
-    combine: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
-    *,
-    weight: Sequence[float] | np.ndarray | None,
-    seed: int,
-    resamples: int,
-    is_share: bool = False,
-) -> Difference:
-    """A number of two arms on the same scenes with its interval, as `paired_difference` gives it."""
     tables = [np.atleast_2d(np.array(numbers, np.float64)) for numbers in (one, other)]
     scene_count = tables[0].shape[1]
     weights = np.ones(scene_count) if weight is None else np.asarray(weight, np.float64)
@@ -118,10 +78,10 @@ def _paired(
     first, second = (table[:, kept] for table in tables)
     weights = weights[kept]
     count = len(weights)
-    if not count or (is_share and not second.any()):
-        return Difference(None, None, None, None, None, count)
+    if not count:
+        return Difference(None, None, None, None, count)
 
-    noise = _NOISE * (1.0 if is_share else max(float(np.abs(table).max()) for table in (first, second)))
+    noise = _NOISE * max(float(np.abs(table).max()) for table in (first, second))
 
     def combined(scenes: np.ndarray, *runs: np.ndarray, axis: int = -1) -> np.ndarray:
         """Of resampled indices, [..., scene] and, for every arm of several runs, [..., run]."""
@@ -133,49 +93,16 @@ def _paired(
                 by_scene.append(table[next(runs_left)[..., :, None], scenes[..., None, :]].mean(axis=-2))
             else:
                 by_scene.append(table[0, scenes])
-        found = combine(by_scene[0], by_scene[1], weights[scenes])
+        found = np.average(by_scene[0] - by_scene[1], weights=weights[scenes], axis=-1)
         return np.where(np.abs(found) <= noise, 0.0, found)  # sums in another order are no difference
 
     units = [np.arange(count), *(np.arange(len(table)) for table in (first, second) if len(table) > 1)]
     mean = float(combined(*units))
     if count < 2:
-        return Difference(mean, None, None, None, None, count)
+        return Difference(mean, None, None, None, count)
     interval_at = _interval_at(units, combined, seed=seed, resamples=resamples)
     p_value = _p_value(interval_at, max(1.0 / (resamples + 1), 2.0 ** (1 - count)))
-    return Difference(mean, *interval_at(LEVEL), p_value, None, count)
-
-
-def mean_over_scenes(numbers: Numbers, weight: Sequence[float] | np.ndarray) -> float:
-    """Mean of a metric over its runs and the scenes that have a weight; NaN where one of these has no number."""
-    table, weights = np.atleast_2d(np.array(numbers, np.float64)), np.asarray(weight, np.float64)
-    kept = weights > 0.0
-    return float(np.average(table[:, kept].mean(axis=0), weights=weights[kept]))
-
-
-def compare_arms(
-    one: Numbers,
-    others: Mapping[str, Numbers],
-    *,
-    weight: Sequence[float] | np.ndarray | None = None,
-    seed: int = 0,
-    resamples: int = RESAMPLES,
-) -> dict[str, Difference]:
-    """`paired_difference` of an arm to every other, with p-values corrected by Holm's method."""
-    found = {
-        name: paired_difference(one, numbers, weight=weight, seed=seed, resamples=resamples)
-        for name, numbers in others.items()
-    }
-    corrected = holm({name: each.p_value for name, each in found.items() if each.p_value is not None})
-    return {name: replace(each, p_holm=corrected.get(name)) for name, each in found.items()}
-
-
-def holm(p_values: Mapping[str, float]) -> dict[str, float]:
-    """Holm's correction: among those below 0.05, the probability of any false positive is at most 5 %."""
-    corrected, largest = {}, 0.0
-    for rank, name in enumerate(sorted(p_values, key=p_values.__getitem__)):
-        largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[name]))
-        corrected[name] = largest
-    return {name: corrected[name] for name in p_values}
+    return Difference(mean, *interval_at(LEVEL), p_value, count)
 
 
 def paired_differences(
@@ -218,81 +145,6 @@ def rank_correlation(
     return Estimate(value, *interval_at(LEVEL), count)
 
 
-@dataclass(frozen=True)
-class OrderAgreement:
-    """Whether two judges put the same items in the same order; 1 if so, -1 in the opposite order."""
-
-    spearman: Estimate
-    kendall: Estimate
-
-
-def order_agreement(
-    one: Sequence[Numbers],
-    other: Sequence[Numbers],
-    *,
-    weight: Sequence[float] | np.ndarray | None = None,
-    seed: int = 0,
-    resamples: int = RESAMPLES,
-) -> OrderAgreement:
-    """Rank correlations of two metrics of the same items, such as arms that two detectors judge on the same scenes.
-
-    The items stay; the scenes are resampled, together for all items and both metrics, and so are the runs of an item
-    that has several. An item that leads by chance of the scenes changes its rank in the resamples.
-    """
-    tables = [[np.atleast_2d(np.array(numbers, np.float64)) for numbers in items] for items in (one, other)]
-    shapes = [[table.shape for table in each] for each in tables]
-    scene_count = shapes[0][0][1] if shapes[0] else 0
-    if shapes[0] != shapes[1] or any(shape[1] != scene_count for shape in shapes[0]):
-        raise ValueError(f"both must have the same items, runs and scenes, got {shapes[0]} and {shapes[1]}")
-    weights = np.ones(scene_count) if weight is None else np.asarray(weight, np.float64)
-    if weights.shape != (scene_count,) or not (weights >= 0.0).all():
-        raise ValueError(f"expected a weight of at least 0 for each of {scene_count} scenes, got {weights}")
-    count = len(tables[0])
-    kept = weights > 0.0
-    for table in (*tables[0], *tables[1]):
-        kept &= np.isfinite(table).all(axis=0)
-    weights = weights[kept]
-    tables = [[table[:, kept] for table in each] for each in tables]
-    nothing = Estimate(None, None, None, count)
-    if count < 2 or not len(weights):
-        return OrderAgreement(nothing, nothing)
-
-    def means(items: Sequence[np.ndarray], scenes: np.ndarray, runs: Sequence[np.ndarray]) -> np.ndarray:
-        """Of resampled indices, [..., item]."""
-        runs_left = iter(runs)
-        of_item = [
-            table[next(runs_left)[..., :, None], scenes[..., None, :]].mean(axis=-2)
-            if len(table) > 1
-            else table[0, scenes]
-            for table in items
-        ]
-        return np.stack([np.average(numbers, weights=weights[scenes], axis=-1) for numbers in of_item], axis=-1)
-
-    units = [np.arange(len(weights)), *(np.arange(len(table)) for table in tables[0] if len(table) > 1)]
-
-    def estimate(correlation: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Estimate:
-        def statistic(scenes: np.ndarray, *runs: np.ndarray, axis: int = -1) -> np.ndarray:
-            del axis  # always the last
-            return correlation(*(_without_rounding(means(items, scenes, runs)) for items in tables))
-
-        values = [_without_rounding(means(items, units[0], units[1:])) for items in tables]
-        if not all(np.ptp(numbers) for numbers in values):
-            return nothing
-        value = float(correlation(*values))
-        if len(weights) < 2:
-            return Estimate(value, None, None, count)
-        # BCa would take it for bias that resamples of a correlation of 1 are all below: [1, 1] however close the items
-        interval_at = _interval_at(units, statistic, seed=seed, resamples=resamples, methods=("percentile",))
-        return Estimate(value, *interval_at(LEVEL), count)
-
-    return OrderAgreement(estimate(_spearman), estimate(_kendall))
-
-
-def _without_rounding(means: np.ndarray) -> np.ndarray:
-    """Means whose sums differ by rounding alone are level."""
-    return means.round(12)
-
-
 def _spearman(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Spearman's rank correlation along the last axis, 0 where all of one are level."""
     from scipy.stats import rankdata
@@ -301,29 +153,6 @@ def _spearman(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     x, y = (rank - rank.mean(axis=-1, keepdims=True) for rank in ranks)
     scale = np.sqrt((x * x).sum(axis=-1) * (y * y).sum(axis=-1))
     return np.divide((x * y).sum(axis=-1), scale, out=np.zeros_like(scale), where=scale > 0.0)
-
-
-def _kendall(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Kendall's tau-b along the last axis, 0 where all of one are level."""
-    first, second = np.triu_indices(one.shape[-1], 1)
-    x, y = (np.sign(numbers[..., first] - numbers[..., second]) for numbers in (one, other))
-    scale = np.sqrt((x * x).sum(axis=-1) * (y * y).sum(axis=-1))
-    return np.divide((x * y).sum(axis=-1), scale, out=np.zeros_like(scale), where=scale > 0.0)
-
-
-def run_spread(numbers: Sequence[float | None] | np.ndarray) -> Estimate:
-    """Standard deviation of a metric over runs, with the interval of a normal distribution (chi-squared)."""
-    from scipy.stats import chi2
-
-    finite = np.array(numbers, np.float64)
-    finite = finite[np.isfinite(finite)]
-    count = len(finite)
-    if count < 2:
-        return Estimate(None, None, None, count)
-    value = float(finite.std(ddof=1))
-    tail = (1.0 - LEVEL) / 2.0
-    low, high = (value * math.sqrt((count - 1) / chi2.ppf(share, count - 1)) for share in (1.0 - tail, tail))
-    return Estimate(value, low, high, count)
 
 
 def _interval_at(

@@ -60,9 +60,6 @@ from warpav.runs.rig_source import read_start
 from warpav.thesis.descent import Descent, affordable_iterations, descent_camera_renders
 from warpav.thesis.segregation import BatchChooser
 
-CMA_SHARE = 0.5
-"""Share of the budget that CMA-ES has before the gradient method takes over."""
-
 AS_BUILT = "_as_built"
 """Ending of the arms of presets that stand where their makers put them, with images in their own proportions."""
 
@@ -164,8 +161,6 @@ class Arm:
                 return one_step
             case "optimiser" | "pool_only":  # the start, and a pool of as many
                 return 2 * one_rig
-            case "cma_then_gradient":
-                return max(math.ceil(one_step / (1.0 - CMA_SHARE)), math.ceil(one_rig / CMA_SHARE))
             case "random_batches":
                 return cameras * config.run.batch_size
             case "greedy_cover":  # one position in all directions, and the evaluation of the rig
@@ -242,15 +237,6 @@ def default_like(preset: str, *, pixels: int | None = None) -> Arm:
         model = next(each.model for each in cameras if _fov_deg(each.model) == common).with_pixels(pixels)
         overrides += (f"camera.width_px={model.width_px}", f"camera.height_px={model.height_px}")
     return Arm(name, "optimiser", overrides, common_arms()["default"].search_overrides)
-
-
-def odd_fields(preset: str) -> str:
-    """In words, how the fields of view of a preset differ from those of its counterpart, `default_like`."""
-    common = common_fov_deg(preset)
-    angles = [math.degrees(camera.model.fov_rad) for camera in preset_rig(preset).cameras]
-    odd = [f"{angle:.1f}" for angle in angles if abs(angle - common) > 1.0]
-    differ = f", but {' and '.join(odd)} in the preset" if odd else ""
-    return f"default_as_{preset}: {len(angles)} cameras of {common:g} deg{differ}"
 
 
 def thesis_method() -> tuple[str, ...]:
@@ -575,33 +561,6 @@ def _selected(placement: Placement, camera_renders_max: int | None, *, draw: Dra
     return replace(_found(placement, run_search(search, value, rng)), notes=notes)
 
 
-def _cma_then_gradient(placement: Placement, camera_renders_max: int | None) -> FoundRig:
-    """CMA-ES, then the descent from the best rig."""
-    rng = placement.random_numbers(Stream.SEARCH)
-    whole = _budget(placement, camera_renders_max)
-    value = BudgetedValue.of(
-        placement.objective,
-        placement.train,
-        _space(placement, free_yaw=True),
-        camera_renders_max=int(CMA_SHARE * whole),
-    )
-    first = _found(placement, run_search(cma_es, value, rng))
-    # its start is found already
-    rest = _within(_from_one_start(placement), whole - first.camera_renders)
-    begun = Optimisation.begin(rest, start=first.mount_pose, began_as=rest.frozen_rig)
-    assert isinstance(begun.descent, Descent)
-    second = _descended(rest, begun.descent, rest.frozen_rig)
-    both, seconds = first.history, first.history["seconds"][-1]
-    for name, shift in (("camera_renders", first.camera_renders), ("seconds", seconds), ("best_value", 0.0)):
-        both[name] += [None if number is None else number + shift for number in second.history[name]]
-    return replace(
-        second,
-        camera_renders=first.camera_renders + second.camera_renders,
-        history=both,
-        notes={**second.notes, "cma_camera_renders": first.camera_renders},
-    )
-
-
 def _budget(placement: Placement, camera_renders_max: int | None) -> int:
     if camera_renders_max is not None:
         return camera_renders_max
@@ -674,7 +633,6 @@ METHODS: dict[str, Finder] = {
     "cma": partial(_searched, search=lambda *_: cma_es, free_yaw=True),
     "differential_evolution": partial(_searched, search=lambda *_: differential_evolution, free_yaw=True),
     "greedy_cover": partial(_searched, search=_greedy, free_yaw=True),
-    "cma_then_gradient": _cma_then_gradient,
 }
 """How a rig can be found, by name; the presets' names are methods as well."""
 
@@ -688,11 +646,11 @@ _NEEDS_OPTIONS = ("optimiser", "as_configured")
 _WHOLE = ("thesis_gradient", "thesis_as_printed")
 _HOLDING = (
     *(*_STARTING, "random_rig", "highest", "random", "sobol", "random_selected", "sobol_selected"),
-    *("cma", "differential_evolution", "cma_then_gradient"),
+    *("cma", "differential_evolution"),
 )
 """Ways that keep the cameras of ``rig.freeze`` where they are."""
 
-_BATCHED = ("random_batches", "cma_then_gradient")
+_BATCHED = ("random_batches",)
 """Ways that take batches of scenes whatever the configuration searches by."""
 
-_PACKAGES = {"cma": "cma", "cma_then_gradient": "cma"}
+_PACKAGES = {"cma": "cma"}

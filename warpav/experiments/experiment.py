@@ -49,7 +49,7 @@ from warpav.runs.config import (
     load_config,
     with_absolute_paths,
 )
-from warpav.runs.environment import running_commit
+from warpav.runs.environment import git_commit
 from warpav.runs.mounts import camera_mount, constraints_of
 from warpav.runs.networks import load_networks
 from warpav.runs.placement import Placement, needed_fit, placement_on
@@ -228,7 +228,7 @@ def run_arm(task: ArmTask) -> dict[str, Any]:
         "arm": task.arm.name,
         "seed": task.config.run.seed,
         "made_with": task.made_with,
-        "commit": asdict(running_commit()),
+        "commit": git_commit(),
         **result,
     }
     write_json(task.file, result)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -115,17 +115,3 @@ def measure_gradient_magnitudes(
         )
         for name in names
     }
-
-
-def pooled_magnitudes(runs: Sequence[Mapping[str, Mapping[str, float]]]) -> dict[str, GradientMagnitude]:
-    """Magnitudes of several runs of equal length together, as if `measure_gradient_magnitudes` had done them all."""
-    pooled = {}
-    for name in runs[0] if runs else ():
-        mean = {}
-        for part in ("positional", "rotational"):
-            shares = [run[name][f"{part}_share"] for run in runs]
-            total = sum(share * run[name][part] for share, run in zip(shares, runs, strict=True))
-            mean[part] = total / sum(shares) if any(shares) else 0.0
-            mean[f"{part}_share"] = sum(shares) / len(runs)
-        pooled[name] = GradientMagnitude(**mean)
-    return pooled

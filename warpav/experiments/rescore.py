@@ -10,7 +10,7 @@ import json
 import re
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,7 @@ from warpav.experiments.rows import ROWS, read_rows
 from warpav.optimisation.losses.registry import LOSSES
 from warpav.rig.rig import read_rig
 from warpav.runs.config import Config, load_config, overridden_option, with_absolute_paths
-from warpav.runs.environment import environment, running_commit
+from warpav.runs.environment import environment, git_commit
 from warpav.runs.networks import load_networks, networks_in
 from warpav.runs.placement import placement_on
 
@@ -226,7 +226,7 @@ def rescore_rig(task: RescoreTask) -> dict[str, Any]:
     result = {
         "schema": SCHEMA,
         "made_with": task.made_with,
-        "commit": asdict(running_commit()),
+        "commit": git_commit(),
         **{name: old.get(name) for name in ("arm", "seed", "camera_renders", "rig")},
         "method": old.get("method"),
         "overrides": old.get("overrides", []),

@@ -101,10 +101,10 @@ def rows_of(
         if not ours or not theirs:
             continue
         for of, scale in _COMPARED.items():
-            pair = [_of_scenes(runs, of) for runs in (ours, theirs)]
-            if any(each is None for each in pair):
+            one, other = _of_scenes(ours, of), _of_scenes(theirs, of)
+            if one is None or other is None:
                 continue
-            found = paired_difference(*pair, weight=ours[0]["objects_of_scene"], resamples=resamples)
+            found = paired_difference(one, other, weight=ours[0]["objects_of_scene"], resamples=resamples)
             rows.append(
                 {
                     **{"study": study, "judge": judge, "arm": arm, "of": of, "reference": reference},

@@ -295,7 +295,7 @@ def _varied(
 
 def _values(file: _StudyFile, vary: Sequence[str] | None, *, quick: bool) -> dict[str, Sequence[Any]]:
     """The circumstances that vary, and their values."""
-    usual = {name: each.quick if quick else each.values for name, each in file.vary.items()}
+    usual: dict[str, Sequence[Any]] = {name: each.quick if quick else each.values for name, each in file.vary.items()}
     if not vary:
         return usual
     found: dict[str, Sequence[Any]] = {}

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.view.figures.style import SVG_WIDTH_INCH, WIDTH_INCH, figure_style, new_figure, save_figure
+from warpav.view.figures.style import SVG_WIDTH_INCH, WIDTH_INCH, figure_style, new_figure
 from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, camera_rgb, hex_colour
 
 
@@ -242,60 +240,6 @@ def _smallest_distance_m(position_m: object) -> float:
 
 _STEPS = {1.5: (1, 1.5, 2, 3, 4, 5, 7), 4.5: (1, 2, 5), math.inf: (1,)}
 """What is labelled within a decade of an axis of fewer decades than the key, far enough apart."""
-
-
-def objective_over_renders(
-    curves: Mapping[str, Sequence[tuple[Sequence[int], Sequence[float | None]]]],
-    path: Path | str,
-    *,
-    level: Mapping[str, float],
-    title: str,
-) -> Path:
-    """Draw the best objective so far over camera renders: median and range over the runs of every search."""
-    from matplotlib.ticker import LogLocator
-
-    with figure_style():
-        figure = new_figure(WIDTH_INCH, 5.2)
-        axis = figure.subplots()
-        ends_at = list(level.values())
-        for index, (name, runs) in enumerate(curves.items()):
-            known = [
-                [(at, value) for at, value in zip(renders, values, strict=True) if value is not None and at > 0]
-                for renders, values in runs
-            ]
-            known = [pairs for pairs in known if pairs]
-            if not known:
-                continue
-            # where every run has a rig, up to where all of them have ended
-            first = max(pairs[0][0] for pairs in known)
-            grid = np.unique([max(at, first) for pairs in known for at, _ in pairs])
-            table = np.array([_last_at(grid, pairs) for pairs in known])
-            median, colour = np.median(table, axis=0), hex_colour(camera_rgb(index))
-            # the colours come round again
-            style = "--" if camera_rgb(index) in map(camera_rgb, range(index)) else "-"
-            axis.plot(grid, median, drawstyle="steps-post", color=colour, linestyle=style, label=name)
-            axis.plot(grid[-1:], median[-1:], "o", markersize=3.5, color=colour)
-            ends_at.append(float(median[-1]))
-            if len(known) > 1:
-                ends = table.min(axis=0), table.max(axis=0)
-                axis.fill_between(grid, *ends, step="post", color=colour, alpha=0.15, linewidth=0.0)
-        for (name, value), style in zip(level.items(), itertools.cycle((":", "-.", (0, (6, 3)))), strict=False):
-            axis.axhline(value, color=hex_colour(INK_RGB), linestyle=style, linewidth=0.8, label=name)
-        axis.set_xscale("log")
-        axis.set_yscale("log")
-        # where searches end, and not where the worst begin
-        axis.set_ylim(top=1.6 * max(ends_at))
-        for side, written in ((axis.xaxis, "{x:,.0f}"), (axis.yaxis, "{x:.2g}")):
-            low, high = sorted(side.get_view_interval())
-            steps = next(each for most, each in _STEPS.items() if math.log10(high / low) < most)
-            side.set_major_locator(LogLocator(subs=steps, numticks=99))
-            side.set_major_formatter(written)
-            side.set_minor_formatter("")
-        axis.set_xlabel("camera renders")
-        axis.set_ylabel("objective on the scenes of the search")
-        axis.set_title(title)
-        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=5)
-        return save_figure(figure, path)
 
 
 def _last_at(grid: np.ndarray, pairs: Sequence[tuple[int, float]]) -> np.ndarray:
