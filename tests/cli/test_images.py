@@ -6,14 +6,13 @@ import os
 import re
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 from PIL import Image
 
-from tests.cli.small_run import SMALL, complaint
+from tests.cli.small_run import complaint
 from tests.view.stand_ins import needs_opengl
 from warpav.cli.app import main
 from warpav.core.errors import InputError
@@ -57,18 +56,6 @@ def test_a_preset_keeps_its_cameras_unless_told_otherwise(working_directory):
     assert {(view["width_px"], view["height_px"]) for view in views} == {(64, 900)}
 
 
-@pytest.mark.slow
-def test_a_fisheye_rig_is_optimised(working_directory):
-    wide = ["camera.lens=fisheye", "camera.fov_deg=200", "camera.distortion=[0.01, -0.002, 0.0, 0.0]"]
-    small = [option for option in SMALL if not option.startswith("camera.")]
-    argv = ["optimise", *small, *wide, "camera.width_px=48", "camera.height_px=48", "run.out=wide"]
-    assert main(argv) == 0
-    rig = RunFolder.open("wide").rig()
-    assert {(camera.model.lens, camera.model.distortion) for camera in rig.cameras} == {
-        ("fisheye", (0.01, -0.002, 0.0, 0.0))
-    }
-
-
 @needs_opengl
 def test_inspect_draws_a_run(run_folder, working_directory, capsys):
     assert main(["inspect", str(run_folder.path), "--out", "rig.png"]) == 0
@@ -87,17 +74,6 @@ def test_inspect_draws_a_run(run_folder, working_directory, capsys):
             told = complaint(capsys, "inspect", source, "--show", shown, "--out", "further.png")
             words = f"expected the folder of a run with optimiser.search=pool that has drawn its pool for '{shown}'"
             assert f"--show): {words}" in told
-
-
-def test_a_window_begins_with_what_is_to_be_shown(working_directory, monkeypatch, capsys):
-    opened = []
-    monkeypatch.setattr("warpav.view.opengl.has_display", lambda: True)
-    window = SimpleNamespace(plotter=SimpleNamespace(show=lambda: None))
-    monkeypatch.setattr("warpav.view.inspector.Inspector", lambda state, **options: opened.append(options) or window)
-    for shown in ("rig", "coverage", "outcomes", "visibility", "zones", "redundancy"):
-        assert main(["inspect", "highest", "--show", shown]) == 0
-    expected = ["coverage", "coverage", "outcomes", "visibility", "zones", "redundancy"]
-    assert [options["begin_with"] for options in opened] == expected
 
 
 @needs_opengl

@@ -160,21 +160,6 @@ def _with_output(argv, redirection):
     return subprocess.run(["sh", "-c", script, "sh", *_command(argv)], capture_output=True, text=True)
 
 
-@pytest.mark.parametrize(
-    "argv",
-    [
-        *(["--version"], ["config", "schema"]),
-        *(pytest.param(argv, marks=pytest.mark.nightly) for argv in (["optimise", "--help"], ["config", "show"])),
-    ],
-)
-def test_a_reader_who_leaves_is_no_mistake(argv):
-    reader, writer = os.pipe()
-    os.close(reader)
-    done = subprocess.run(_command(argv), stdout=writer, stderr=subprocess.PIPE, text=True)
-    os.close(writer)
-    assert (done.returncode, done.stderr) == (1, "")
-
-
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is full")
 def test_an_output_that_is_full_is_one_line():
     done = _with_output(["config", "show"], ">/dev/full")
@@ -184,20 +169,6 @@ def test_an_output_that_is_full_is_one_line():
 
 
 # ------------------------------------------------------------------------------------------------ folders
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    "changed",
-    [{"HOME": "home", "WARP_CACHE_PATH": None}, {"WARP_CACHE_PATH": "home"}],
-    ids=["HOME", "WARP_CACHE_PATH"],
-)
-def test_without_a_place_for_kernels_the_line_names_one(working_directory, changed):
-    (working_directory / "front.yaml").write_text(RIG)
-    done = _run(["evaluate", "front.yaml", "--json", "found.json"], "HOME not writable", **changed)
-    _require_one_line(done, "set WARP_CACHE_PATH to one")
-    assert str(working_directory / "home") in done.stderr
-    assert sorted(os.listdir()) == ["front.yaml", "home"]
 
 
 # ------------------------------------------------------------------------------------------------ OpenGL

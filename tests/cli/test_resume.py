@@ -19,8 +19,7 @@ from tests.cli.small_run import RESUMED_POOL as POOL
 from tests.cli.small_run import RUNS, complaint
 from warpav.cli.app import main
 from warpav.core.files import DRAFT
-from warpav.runs.placement import Placement
-from warpav.runs.run_folder import RunFolder, held_run
+from warpav.runs.run_folder import RunFolder
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 
@@ -192,28 +191,6 @@ def test_what_holds_no_run_that_can_go_on_is_one_line(at_once, capsys, working_d
     checkpoint.write_bytes(whole)
     (working_directory / "run" / "events.jsonl").unlink()
     assert "events.jsonl: expected the 1" in complaint(capsys, "optimise", "--resume", "run")
-
-
-def test_a_second_run_into_a_folder_is_refused_before_it_builds_scenes(at_once, capsys, monkeypatch, working_directory):
-    shutil.copytree(at_once("pool"), "run")
-    capsys.readouterr()
-
-    def too_late(*_):
-        raise AssertionError("scenes are built")
-
-    (working_directory / "begun").mkdir()
-    with monkeypatch.context() as patch:
-        patch.setattr(Placement, "prepare", too_late)
-        with held_run(RunFolder.open("run")):
-            message = complaint(capsys, "optimise", "--resume", "run")
-            assert message == "run: run folder: expected one that no run writes to; one does now, wait for it"
-        with held_run(RunFolder(working_directory / "begun")):
-            message = complaint(capsys, "optimise", *POOL, "run.out=begun")
-            assert message.endswith("run.out: expected a folder that no run writes to, got 'begun'; one does now")
-    # what is refused later leaves nothing behind
-    crowd = ["rig.cameras=8", "rig.min_spacing_m=4", "run.out=a/b"]
-    assert "expected a number that fits" in complaint(capsys, "optimise", *POOL, *crowd)
-    assert not (working_directory / "a").exists()
 
 
 @pytest.mark.parametrize("place", ["append_event", "write_checkpoint"])

@@ -162,17 +162,6 @@ def test_evaluating_says_what_dirt_and_loads_cost(working_directory, capsys):
     assert not {"soiling", "load_states"} & set(json.loads((working_directory / "plain.json").read_text()))
 
 
-def test_scenes_from_files_give_the_same_metrics(working_directory):
-    seeds = ["scenes.train_seeds=[0]", "scenes.test_seeds=[1000]", "run.batch_size=1", "rig.cameras=2"]
-    assert main(["scenes", "make", "--seeds", "[0, 1000]", "--out", "scenes"]) == 0
-    assert main(["evaluate", "highest", *seeds, "--json", "town.json"]) == 0
-    files = ["scenes.source=folder", "scenes.folder=scenes"]
-    assert main(["evaluate", "highest", *seeds, *files, "--json", "files.json"]) == 0
-    town, folder = (json.loads((working_directory / name).read_text()) for name in ("town.json", "files.json"))
-    assert _numbers(folder["arms"]["highest"]) == pytest.approx(_numbers(town["arms"]["highest"]), rel=1e-5)
-    assert folder["arms"]["highest"]["recall_by"] == town["arms"]["highest"]["recall_by"]
-
-
 def test_ctrl_c_leaves_a_usable_run_folder(working_directory, monkeypatch, capsys):
     step = Descent.step
 

@@ -13,7 +13,6 @@ from warpav.cli.app import main
 from warpav.raster.mesh import Mesh
 from warpav.rig.chart import chart_of
 from warpav.rig.zone import read_zones
-from warpav.runs import placement
 from warpav.runs.run_folder import RunFolder
 from warpav.scene.own_vehicle import write_vehicle
 from warpav.scene.town.town import ego_vehicle
@@ -124,16 +123,3 @@ def test_a_broken_file_of_zones_leaves_nothing(working_directory, capsys):
     assert "zones.door.normal" in line
     assert "did you mean left" in line
     assert not (working_directory / "none").exists()
-
-
-def test_a_zone_off_the_body_shows_before_any_scene_is_made(working_directory, car, capsys, monkeypatch):
-    text = "zones: {nowhere: {normal: left, box_m: [[40, 0, 0], [41, 1, 1]]}}\n"
-    (working_directory / "zones.yaml").write_text(text)
-
-    def no_scenes(*_args, **_options):
-        raise AssertionError
-
-    monkeypatch.setattr(placement, "load_scene_set", no_scenes)
-    for words in (["config", "check"], ["optimise"]):
-        line = complaint(capsys, *words, *POOL, "scenes.ego=car.glb", "mount.zones=zones.yaml")
-        assert "zones.yaml: zone 'nowhere': expected a part of the body" in line

@@ -8,7 +8,6 @@ import pytest
 import warpav as wa
 from tests.cli.small_run import SMALL
 from tests.detection.test_probability import model_of
-from warpav.core.errors import InputError
 from warpav.rig.rig import Rig, RigCamera
 from warpav.runs.events import Certificate
 from warpav.runs.report.report import write_report
@@ -148,26 +147,3 @@ def test_the_report_shows_both_and_says_of_what(folder, result):
     assert "Best rig and bound over the camera renders" in page
     assert f"no rig of the pool&#39;s {result.pool_cameras} cameras is expected to miss less than" in page
     assert "on the training scenes" in page
-
-
-@pytest.mark.parametrize(
-    ("damage", "told"),
-    [
-        (lambda text: text.replace("gain,", "benefit,"), "got: columns benefit, x_m"),
-        (lambda text: text + "1,2,3\n", "was the file changed"),
-        (lambda text: text + "x,0,0,0,0,0,0\n", "could not convert"),
-        (lambda text: text + "nan,0,0,0,0,0,0\n", "a number that is not finite"),
-        (lambda text: "", "was the file changed"),
-    ],
-)
-def test_damaged_further_cameras_are_named(folder, tmp_path, damage, told):
-    file = folder.path / "further_cameras.csv"
-    text = file.read_text()
-    try:
-        file.write_text(damage(text))
-        with pytest.raises(InputError, match=r"further_cameras\.csv: expected rows of gain, x_m") as caught:
-            folder.further_cameras()
-        assert told in str(caught.value)
-        assert len(str(caught.value).splitlines()) == 1
-    finally:
-        file.write_text(text)

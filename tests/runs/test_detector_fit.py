@@ -1,11 +1,8 @@
 """`warpav detector fit`: what it takes, refuses, writes and uses again."""
 
-import errno
 import json
 import math
-import os
 import re
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -189,35 +186,6 @@ def test_a_fit_that_is_interrupted_goes_on(sampled, own_cache, tmp_path, capsys,
     assert {3, 4, 5, 6} < set(sampled[2:])
     assert curves(own_cache) == curves(tmp_path / "whole")
     assert not list(own_cache.rglob("*.npz"))  # the kept samples went
-
-
-def test_a_full_disk_is_one_line_and_nothing_is_half_written(sampled, own_cache, capsys, monkeypatch):
-    write = Path.write_text
-
-    def full(path, text, **options):
-        if path.suffix != ".json":
-            return write(path, text, **options)
-        write(path, text[: len(text) // 2], **options)
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(Path, "write_text", full)
-    assert "expected a folder to write to, got No space left on device" in refused(capsys, *FIT)
-    assert not [file for file in own_cache.rglob("*") if file.is_file() and file.suffix != ".npz"]
-    monkeypatch.setattr(Path, "write_text", write)
-    sampled.clear()
-    assert main(["detector", "fit", *FIT]) == 0
-    assert sampled == []  # all scenes were kept
-
-
-@pytest.mark.slow
-def test_processes_sample_the_same_bits():
-    source = detector_samples.Source(CameraModel(64, 64), 4, (11,))
-    found = []
-    for workers in (1, 2):
-        config = load_config("quick", [f"executor.workers={workers}"])
-        found.append(detector_samples.sample_scenes(config, range(16), None, None, [source], NullProgress()))
-    for name, array in vars(found[0]).items():
-        np.testing.assert_array_equal(getattr(found[1], name), array, name)
 
 
 def test_recordings_of_ones_own_share_the_fit_of_those_that_ship(tmp_path, own_cache):

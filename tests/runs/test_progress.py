@@ -54,11 +54,6 @@ def test_piped_output_is_one_line_for_about_every_tenth_iteration():
     assert "s/it" in lines[1]
 
 
-def test_piped_steps_show_some_progress():
-    text = _shown(False, lambda display: list(display.steps("scenes", range(40), count=40)))
-    assert text.splitlines() == ["scenes: 40", *(f"scenes: {k}/40" for k in range(4, 40, 4))]
-
-
 def test_a_terminal_shows_the_table_while_it_runs():
     def watch(display):
         for _ in display.iterations(_records(2), count=2, min_spacing_m=0.2):
@@ -96,18 +91,6 @@ def test_an_interrupted_search_by_a_pool_says_what_it_has_come_to():
         states.close()
 
     assert _shown(False, interrupt).splitlines()[-1].startswith("done polish  objective 0.17")
-
-
-def test_a_terminal_shows_objective_bound_and_what_was_spent():
-    def watch(display):
-        for record in display.iterations(_states(), count=None, min_spacing_m=0.2):
-            list(display.steps("scenes seen by the pool", "ab", count=2) if record.stage == "start" else ())
-            time.sleep(4.0 * REFRESH_S)
-
-    text = _shown(True, watch)
-    for word in ("searching", "done", "polish", "bound", "0.15 (of any rig of 40 cameras)", "camera renders", "600"):
-        assert word in text
-    assert "optimising" not in text.rpartition("settled")[2]
 
 
 def test_inequalities_with_room_to_spare_are_left_out():

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from warpav.core.errors import InputError
-from warpav.core.files import DRAFT
 from warpav.raster.camera import CameraModel
 from warpav.rig.presets import preset_rig
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
@@ -209,16 +208,6 @@ def test_checkpoint_and_evaluation_come_back(folder):
     assert folder.evaluation() == {"schema": 1, "scenes": {"test": 2}, "arms": {"optimised": {"ap50_pooled": None}}}
 
 
-def test_a_failed_write_leaves_what_was_there(folder):
-    folder.write_checkpoint({"iteration": np.array(1)})
-    before = sorted(folder.path.rglob("*"))
-    with pytest.raises(ValueError, match="allow_pickle"):
-        folder.write_checkpoint({"iteration": np.array([object()])})
-    assert sorted(folder.path.rglob("*")) == before
-    with np.load(folder.path / "checkpoints" / "last.npz") as file:
-        assert file["iteration"] == 1
-
-
 def test_an_empty_folder_is_welcome_and_a_file_is_not(tmp_path):
     (tmp_path / "empty").mkdir()
     assert RunFolder.create(load_config("quick", [f"run.out={tmp_path}/empty"]), name="x").path.name == "empty"
@@ -230,33 +219,6 @@ def test_an_empty_folder_is_welcome_and_a_file_is_not(tmp_path):
 
 
 # --- what a kill leaves -----------------------------------------------------------------------------------------------
-
-
-def test_a_run_that_was_killed_before_its_first_best_rig_has_its_start(folder):
-    """K2."""
-    write_rig(_rig(0.5), folder.rig_path("initial"))
-    write_rig(_rig(0.6), folder.rig_path("final"))
-    assert folder.rig().cameras[0].position_m[0] == 0.5
-    write_rig(_rig(0.7), folder.rig_path("best"))
-    assert folder.rig().cameras[0].position_m[0] == 0.7
-    # a run that has ended has had one
-    folder.write_evaluation({})
-    folder.rig_path("best").unlink()
-    with pytest.raises(InputError, match=r"expected rig_best\.yaml, got none; was it removed\?"):
-        folder.rig()
-
-
-def test_a_folder_with_nothing_but_empty_ones_can_be_begun_in(tmp_path):
-    """K3."""
-    out = tmp_path / "run"
-    (out / "checkpoints").mkdir(parents=True)
-    (out / "figures" / "views").mkdir(parents=True)
-    (out / f"{DRAFT}1234-config.yaml").write_text("run:")
-    config = load_config("quick", [f"run.out={out}"])
-    with new_run_folder(config):
-        assert RunFolder.create(config, name="run").config().run.out == out
-    with pytest.raises(InputError, match=rf"does not exist yet.*; warpav optimise --resume {out} goes on with the run"):
-        check_new_run(config)
 
 
 def test_a_folder_of_which_no_run_was_made_goes_again(tmp_path):

@@ -15,7 +15,6 @@ from warpav.runs.placement import Placement
 from warpav.runs.progress import RunDisplay
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scenes
-from warpav.scene.capture.folder import read_capture
 from warpav.scene.scene import Box, Scene, Vehicle
 
 pytestmark = pytest.mark.usefixtures("working_directory")
@@ -105,13 +104,6 @@ def test_a_scene_that_fails_is_told_and_the_others_are_made(monkeypatch, capsys)
 # ------------------------------------------------------------------------------------------------ capture, check
 
 
-def test_captures_hold_what_was_asked_for(collection):
-    capture = read_capture(collection / "captures" / "scene_3")
-    assert len(capture.images) == 1 + 1 + 1 + 1 + 3 + 4
-    assert len(capture.vehicles) == 1
-    assert {image.rgb.shape for image in capture.images} == {(72, 96, 3)}
-
-
 def test_check_names_every_trouble(captures, capsys):
     assert main(["scenes", "check", "captures"]) == 0
     assert capsys.readouterr().out.splitlines() == ["2 of 2 captures are valid"]
@@ -128,26 +120,6 @@ def test_check_names_every_trouble(captures, capsys):
 
 
 # ------------------------------------------------------------------------------------------------ reconstruct
-
-
-def test_refused_captures_are_summed_up_and_the_others_are_made(captures, collection, capsys):
-    remove("ego_top_rgb.png")(captures / "scene_3")
-    assert main(["scenes", "reconstruct", "captures", *RECONSTRUCTION, "--out", "scenes"]) == 2
-    lines = capsys.readouterr().out.splitlines()
-    assert lines == [
-        "reconstructing: 2",
-        "scenes/scene_4.glb",
-        "1 of 2 done; rejected:",
-        "captures/scene_3/images/ego_top_rgb.png: expected an image, got no such file; take or copy it again",
-    ]
-    assert sorted(os.listdir("scenes")) == ["collection.json", "scene_4.glb"]
-    # what the message advises: take it again, go on
-    assert main(["scenes", "capture", *CAPTURE, "--seeds", "3..4", "--out", "captures"]) == 0
-    assert bytes_of(captures) == bytes_of(collection / "captures")
-    capsys.readouterr()
-    assert main(["scenes", "reconstruct", "captures", *RECONSTRUCTION, "--out", "scenes"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines == ["reconstructing: 2", "scenes/scene_4.glb is there already", "scenes/scene_3.glb"]
 
 
 BAD_INPUT = [

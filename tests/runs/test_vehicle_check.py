@@ -4,20 +4,15 @@ import shlex
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from tests.runs.test_scenes import small_scene
 from tests.scene.test_own_vehicle import of_kind, save
-from tests.view.stand_ins import needs_opengl
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.experiments.result_folder import unseeded
-from warpav.raster.mesh import Mesh
 from warpav.runs.config import load_config, with_absolute_paths
-from warpav.runs.mounts import mount_surface
 from warpav.runs.networks import detector_use
 from warpav.runs.scene_set import load_scenes, own_vehicle
-from warpav.runs.vehicle import zone_parts
 from warpav.scene.glb import write_scene
 from warpav.scene.own_vehicle import Reading, read_vehicle_file, write_vehicle
 from warpav.scene.scene import Box, Scene, Vehicle
@@ -108,47 +103,7 @@ def test_wrong_input_is_one_line_and_status_2(car, tmp_path, capsys, words, mess
     assert err.count("\n") == 1
 
 
-@needs_opengl
-def test_the_image_shows_the_zone_in_colours_of_height(car, tmp_path, capsys):
-    write_vehicle(car, tmp_path / "car.glb")
-    assert check("car.glb", "--image", "car.png") == 0
-    assert "wrote car.png" in capsys.readouterr().out
-    shown_rgb = np.asarray(Image.open(tmp_path / "car.png").convert("RGB")).astype(int)
-    yellow, violet = np.array([253, 231, 37]), np.array([68, 1, 84])
-    upper = shown_rgb[:560]  # without the scale of heights
-    assert (np.abs(upper - yellow).sum(axis=-1) < 60).sum() > 2000  # the roof, the highest
-    assert (np.abs(upper - violet).sum(axis=-1) < 60).sum() > 500  # the bonnet's front edge
-
-
-@pytest.mark.parametrize(
-    ("kind", "names"),
-    [
-        ("saloon", {"roof", "bonnet", "rear"}),
-        ("estate", {"roof", "bonnet"}),
-        ("van", {"roof", "bonnet"}),
-        ("bus", {"roof"}),
-        ("lorry", {"roof", "front"}),
-    ],
-)
-def test_parts_of_the_zone_have_their_names(kind, names):
-    mesh = of_kind(kind)
-    surface = mount_surface(load_config("quick"), mesh)
-    parts = zone_parts(surface, mesh)
-    assert {part.name for part in parts} == names
-    assert sum(part.area_m2 for part in parts) == pytest.approx(surface.is_mountable.sum() * surface.cell_m**2)
-
-
 # ----------------------------------------------------------------------------------------------- scenes.ego
-
-
-def test_the_scenes_own_vehicle_in_a_file_changes_nothing(car, tmp_path):
-    write_vehicle(car, tmp_path / "car.glb")
-    for own, usual in zip(
-        *(list(load_scenes(load_config("quick", words), [3, 4])) for words in (["scenes.ego=car.glb"], [])), strict=True
-    ):
-        for name in ("vertex_m", "triangle", "vertex_rgb"):
-            np.testing.assert_array_equal(getattr(own.ego, name), getattr(usual.ego, name))
-        assert [user.instance_id for user in own.road_users] == [user.instance_id for user in usual.road_users]
 
 
 def test_another_vehicle_carries_the_cameras_of_every_source(tmp_path):
@@ -247,32 +202,3 @@ def test_a_bonnet_that_a_flat_windscreen_joins_to_the_roof_is_found(vehicle_fold
     assert "no bonnet was found" not in said
     assert "bonnet 0.88 m²" in said
     assert f"the windscreen is flat enough to carry cameras; {option} leaves it out\n" in said
-
-
-def wedge(bonnet_slope, windscreen_slope):
-    """A car whose profile from above is rear deck, roof, windscreen and bonnet, without gaps."""
-    x = np.array([-0.8, 1.5, 2.5, 3.6])
-    z = 1.5 - np.array([0.0, 0.0, windscreen_slope, windscreen_slope + 1.1 * bonnet_slope])
-    corner = [[a, y, b] for a, b in zip(x, z, strict=True) for y in (-0.9, 0.9)]
-    triangle = [t for k in (0, 2, 4) for t in ([k, k + 2, k + 1], [k + 1, k + 2, k + 3])]
-    return Mesh.create(corner, triangle, (80, 80, 80))
-
-
-@pytest.mark.parametrize(
-    ("bonnet_slope", "windscreen_slope", "names"),
-    [
-        (0.15, 0.45, {"roof", "windscreen", "bonnet"}),
-        (0.45, 0.45, {"roof"}),  # no kink: nothing tells where the bonnet begins
-        (0.1, 0.15, {"roof"}),  # a shallow step of the roof
-    ],
-)
-def test_kinks_tell_roof_windscreen_and_bonnet_apart(bonnet_slope, windscreen_slope, names):
-    mesh = wedge(bonnet_slope, windscreen_slope)
-    surface = mount_surface(load_config("quick"), mesh)
-    parts = zone_parts(surface, mesh)
-    assert {part.name for part in parts} == names
-    assert sum(part.area_m2 for part in parts) == pytest.approx(surface.is_mountable.sum() * surface.cell_m**2)
-    if "bonnet" in names:
-        area_m2 = {part.name: part.area_m2 for part in parts}
-        assert area_m2["bonnet"] == pytest.approx(1.1 * 1.8, rel=0.15)
-        assert area_m2["windscreen"] == pytest.approx(1.0 * 1.8, rel=0.15)

@@ -48,15 +48,6 @@ def test_the_page_fits_any_window(browser, report, width_px):
     assert [address for address in addresses if not address.startswith("data:")] == [report.as_uri()]
 
 
-def test_trouble_would_be_noticed(browser, tmp_path):
-    page = tmp_path / "page.html"
-    page.write_text("<script>console.error('no')</script><img src='http://127.0.0.1:9/x.png'><p style='width:999px'>")
-    browser.open(page, width_px=390)
-    assert told(browser, *TROUBLE)
-    assert len(told(browser, "Network.requestWillBeSent")) == 2
-    assert browser.evaluate("document.documentElement.scrollWidth") > 390
-
-
 def test_links_and_wide_tables_are_reached_by_keyboard(browser, report):
     browser.open(report, width_px=390)
     reached = """(() => { const boxes = [...document.querySelectorAll('.wide')];
@@ -81,12 +72,3 @@ def test_the_page_is_dark_where_that_is_wanted(browser, report):
         colours[scheme] = ink < paper
     browser.ask("Emulation.setEmulatedMedia", features=[])
     assert colours == {"light": True, "dark": False}
-
-
-def test_the_page_prints_on_some_sheets_of_a4(browser, report):
-    browser.open(report, width_px=1280)
-    pdf = browser.pdf()
-    assert 4 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 12
-    sizes = {tuple(float(each) for each in box.split()[2:]) for box in re.findall(rb"/MediaBox\s*\[([^]]*)\]", pdf)}
-    assert len(sizes) == 1
-    assert sizes.pop() == pytest.approx((595.3, 841.9), abs=1.0)
