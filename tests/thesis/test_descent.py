@@ -20,10 +20,11 @@ from warpav.optimisation.losses.loss import LossSchedule
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import Evaluation
+from warpav.optimisation.records import NotFiniteError
 from warpav.optimisation.settings import LossSettings, OptimiserSettings
 from warpav.raster.camera import CameraModel
 from warpav.thesis.constraints import BoundsAndSpacing
-from warpav.thesis.descent import Descent, MultiplierAscent, NotFiniteError, descent_camera_renders
+from warpav.thesis.descent import Descent, MultiplierAscent, descent_camera_renders
 
 MODEL = CameraModel(64, 64, math.pi / 2)
 START = np.array([[1.7, 0.4, 1.2, 0.0, 0.0, 0.0, 0.0], [0.5, -0.4, -1.9, 0.0, 0.0, 0.0, 0.0]])

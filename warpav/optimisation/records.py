@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from warpav.core.errors import InputError
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD, CameraMount
 
@@ -81,3 +82,7 @@ def named_part(name: str, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndar
 def part_of(state: Mapping[str, np.ndarray], name: str) -> dict[str, np.ndarray]:
     """The arrays that are the part of a state with this name."""
     return {key.removeprefix(f"{name}_"): value for key, value in state.items() if key.startswith(f"{name}_")}
+
+
+class NotFiniteError(InputError):
+    """A descent ends because its loss is no longer finite; what it has found so far is kept."""

@@ -6,7 +6,7 @@ import contextlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from warpav.optimisation.objective import single_cameras_of
 from warpav.optimisation.pool import CameraPool, Drawing, pool_cache_folder
 from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.pool_search import PoolSearchSettings, PoolTask
-from warpav.optimisation.records import IterationRecord, named_part, part_of
+from warpav.optimisation.records import IterationRecord, NotFiniteError, named_part, part_of
 from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig
 from warpav.runs.checkpoint import check_identity, identity_of
@@ -27,8 +27,9 @@ from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress
 from warpav.runs.result import Result
 from warpav.runs.rig_source import start_changes
-from warpav.thesis.descent import Descent, NotFiniteError
-from warpav.thesis.starts import evaluate_starts
+
+if TYPE_CHECKING:
+    from warpav.thesis.descent import Descent
 
 
 def optimise(
@@ -139,6 +140,8 @@ class Optimisation:
             start = start.astype(np.float32)  # as the optimiser keeps it: a start that stays the best is the same rig
             began_as = placement.frozen_rig if placement.has_ordered_start else mount.rig(start)
             if config.optimiser.starts > 1 and not by_pool:
+                from warpav.thesis.starts import evaluate_starts
+
                 if progress is not None:
                     progress.stage(f"best of {config.optimiser.starts} rigs to start from")
                 space = SearchSpace.over(
@@ -169,6 +172,8 @@ class Optimisation:
                 pool=known_pool,
             )
             return cls(placement, searched, began_as, [start])
+        from warpav.thesis.descent import Descent
+
         descent = Descent(
             objective,
             placement.assigned(placement.train, began_as),
@@ -234,7 +239,7 @@ class Optimisation:
     def run(self, *, progress: Progress, on_step: Callable[[IterationRecord], None] | None = None) -> None:
         """Take all steps, or as many as are of use."""
         config, descent = self.placement.config, self.descent
-        count = config.run.iterations if isinstance(descent, Descent) else None
+        count = None if isinstance(descent, PoolRun) else config.run.iterations
         with contextlib.suppress(NotFiniteError):  # the stop reason says so
             for record in progress.iterations(self._steps(), count=count, min_spacing_m=config.rig.min_spacing_m):
                 if on_step is not None:

@@ -44,20 +44,13 @@ from warpav.runs.scene_set import SceneSet, check_zones, checked_vehicle, load_s
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.scene.town.levels import level_of
-from warpav.thesis.segregation import (
-    Segregation,
-    assign_to_nearest_cameras,
-    assign_vehicles,
-    cameras_of,
-    choose_orientations,
-    nearest_cameras,
-)
 
 if TYPE_CHECKING:
     import trimesh
 
     from warpav.detection.detector import Detector
     from warpav.raster.camera import CameraModel
+    from warpav.thesis.segregation import Segregation
 
 _ORIENTATION_SCENES = 200
 """Training scenes by which the orientations are chosen, at most; of more, so many that are evenly spread."""
@@ -464,6 +457,8 @@ class Placement:
         orientation_rad = self.segregation.yaw_rad
         if self.frozen_rig is None:
             return orientation_rad
+        from warpav.thesis.segregation import nearest_cameras
+
         return orientation_rad[np.argsort(nearest_cameras(orientation_rad, self.frozen_rig))]
 
     @property
@@ -481,6 +476,8 @@ class Placement:
         """The scenes with vehicles assigned to the cameras of a rig."""
         if rig is None or len(rig.cameras) != len(self.segregation.yaw_rad):
             return scenes
+        from warpav.thesis.segregation import assign_to_nearest_cameras
+
         return assign_to_nearest_cameras(scenes, self.segregation.yaw_rad, rig)
 
     def observed(self, scenes: Sequence[Scene], *, progress: Progress | None = None) -> list[AssignedScene]:
@@ -494,6 +491,8 @@ class Placement:
             known.check_vehicle(scene)
             packed.append(DeviceScene.pack(scene, device=self.mount.device))
         areas = known.areas_of(packed, self.config.thesis.rotations)
+        from warpav.thesis.segregation import assign_vehicles
+
         return assign_vehicles(packed, [area[:, self.segregation.rotation] for area in areas])
 
     def value_and_grad(
@@ -668,9 +667,13 @@ def _assembled(
     def segregation() -> Segregation:
         looked_at = scenes.train[:: -(-train_count // _ORIENTATION_SCENES)]
         rng = _random_numbers(config, Stream.SEGREGATION)
+        from warpav.thesis.segregation import choose_orientations
+
         return choose_orientations(scenes.areas(looked_at, rotation_count), camera_count, rotation_count, rng)
 
     def assigned_camera(scene: DeviceScene) -> np.ndarray:
+        from warpav.thesis.segregation import cameras_of
+
         return cameras_of(scenes.areas([scene], rotation_count)[0][:, segregation().rotation])
 
     assigned = [AssignedScene(scene, partial(assigned_camera, scene)) for scene in scenes.scenes]

@@ -38,7 +38,6 @@ from warpav.runs.scene_set import load_scenes
 from warpav.scene.files import scene_path
 from warpav.scene.glb import write_scene
 from warpav.scene.scene import Scene
-from warpav.thesis.descent import Descent
 from warpav.view import Canvas, draws, plot
 
 if TYPE_CHECKING:
@@ -47,6 +46,7 @@ if TYPE_CHECKING:
     from warpav.optimisation.losses.scene_on_tape import AssignedScene
     from warpav.requirements.check import RequirementResult
     from warpav.runs.report.evaluation import RunContent
+    from warpav.thesis.descent import Descent
 
 OPTIMISED, START = "optimised", "start"
 """Names of the rigs of a run where it is compared."""

@@ -35,7 +35,6 @@ from warpav.scene.traffic.files import content_digest
 from warpav.scene.traffic.moments import moment_of, search_and_test, traffic_of
 from warpav.scene.traffic.traffic_scene import TrafficSource
 from warpav.scene.vehicles import file_of
-from warpav.thesis.segregation import areas_around
 
 if TYPE_CHECKING:
     from warpav.optimisation.mount import CameraMount
@@ -90,6 +89,8 @@ class SceneSet:
 
         Shapes: returns [vehicle, rotation].
         """
+        from warpav.thesis.segregation import areas_around
+
         return areas_around(
             scenes,
             np.arange(rotation_count) * (2.0 * math.pi / rotation_count),

@@ -14,7 +14,7 @@ from warpav.optimisation.losses.loss import LossSchedule
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import Evaluation, RigObjective
-from warpav.optimisation.records import Candidate, IterationRecord, named_part, part_of, rig_fields
+from warpav.optimisation.records import Candidate, IterationRecord, NotFiniteError, named_part, part_of, rig_fields
 from warpav.optimisation.settings import OptimiserSettings
 from warpav.thesis.segregation import BatchChooser
 from warpav.thesis.starts import exchange_cameras
@@ -118,10 +118,6 @@ class Schedule:
     def is_time_to_check(self, step: int) -> bool:
         """Whether the rig is evaluated on the validation scenes before a step."""
         return step == 0 or (self.settings.keep == "best" and step % self.settings.check_every == 0)
-
-
-class NotFiniteError(InputError):
-    """A descent ends because its loss is no longer finite; what it has found so far is kept."""
 
 
 @dataclass
