@@ -122,7 +122,7 @@ def test_objectives_are_those_of_the_objective():
     ],
 )
 def test_settings_know_which_objectives_suit_a_pool(settings):
-    assert settings.suits_pool == (single_cameras_of(objective_of(settings)) is not None)
+    assert settings.is_by_single_cameras == (single_cameras_of(objective_of(settings)) is not None)
 
 
 @pytest.mark.parametrize(

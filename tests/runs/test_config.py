@@ -321,7 +321,7 @@ def test_a_mistake_in_an_override_is_named_with_the_override(yaml_file, override
 )
 def test_batches_may_exceed_the_training_scenes_where_no_descent_takes_any(yaml_file, options, descends):
     file, scenes = yaml_file("run: {batch_size: 4}\n"), "scenes.train_seeds=[1, 2]"
-    assert load_config(file, options).descends == descends
+    assert (load_config(file, options).search_kind == "descent") == descends
     if descends:
         found = _message(file, *options, scenes)
         place = f"command line ({scenes}): run.batch_size"

@@ -79,7 +79,7 @@ class FoundRig:
     """
 
     rig: Rig
-    began_as: Rig | None
+    pairing_rig: Rig | None
     camera_renders: int
     history: dict[str, list[Any]]
     training_objective: float | None = None
@@ -287,7 +287,9 @@ def _optimised(placement: Placement, camera_renders_max: int | None) -> FoundRig
     optimisation = Optimisation.begin(placement)
     starts = placement.config.optimiser.starts
     assert isinstance(optimisation.descent, Descent)
-    return _descended(placement, optimisation.descent, optimisation.began_as, start_count=starts if starts > 1 else 0)
+    return _descended(
+        placement, optimisation.descent, optimisation.pairing_rig, start_count=starts if starts > 1 else 0
+    )
 
 
 def _within(placement: Placement, camera_renders_max: int | None) -> Placement:
@@ -343,7 +345,7 @@ def _pooled(placement: Placement, camera_renders_max: int | None, *, only: bool 
     mount = placement.objective.mount
     return FoundRig(
         mount.rig(best.mount_pose),
-        begun.began_as,
+        begun.pairing_rig,
         best.camera_renders,
         history,
         training_objective=best.objective,
@@ -352,7 +354,7 @@ def _pooled(placement: Placement, camera_renders_max: int | None, *, only: bool 
     )
 
 
-def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, start_count: int = 0) -> FoundRig:
+def _descended(placement: Placement, descent: Descent, pairing_rig: Rig | None, *, start_count: int = 0) -> FoundRig:
     """The rig at the end of a descent, preceded by the given number of evaluations on all validation scenes."""
     config = placement.config
     history: dict[str, list[Any]] = {name: [] for name in ("camera_renders", "seconds", "best_value", "loss")}
@@ -375,7 +377,7 @@ def _descended(placement: Placement, descent: Descent, began_as: Rig | None, *, 
     add(min(each.training_objective for each in descent.candidates), None)
     return FoundRig(
         placement.objective.mount.rig(result.mount_pose),
-        began_as,
+        pairing_rig,
         camera_renders(),
         history,
         training_objective=result.training_objective,
@@ -404,7 +406,7 @@ def _descent_only(placement: Placement, camera_renders_max: int | None) -> Found
     assert step is not None
     return FoundRig(
         mount.rig(step.mount_pose),
-        begun.began_as,
+        begun.pairing_rig,
         step.camera_renders,
         history,
         training_objective=values.weight * step.objective,
@@ -428,7 +430,7 @@ def _start(placement: Placement, camera_renders_max: int | None) -> FoundRig:
     """The rig that the configuration's search starts from, without trying others."""
     del camera_renders_max
     begun = Optimisation.begin(_from_one_start(placement, takes_batches=False))
-    return FoundRig(begun.start, begun.began_as, 0, {}, mount_pose=begun.descent.start)
+    return FoundRig(begun.start, begun.pairing_rig, 0, {}, mount_pose=begun.descent.start)
 
 
 def _random_rig(placement: Placement, camera_renders_max: int | None) -> FoundRig:

@@ -249,7 +249,7 @@ def _rig(task: ArmTask) -> dict[str, Any]:
     if placement.config.camera != evaluation.config.camera:  # all arms are judged with images of one size
         found = replace(found, rig=resized(found.rig, evaluation.config))
     searched = time.perf_counter()
-    scenes = evaluation.assigned(evaluation.test, found.began_as)
+    scenes = evaluation.assigned(evaluation.test, found.pairing_rig)
     if task.judge != "objective":
         attainable = attainable_of_process(evaluation) if task.judge == "attainable" else None
         seen = observe_scenes(found.rig, scenes, evaluation.objective)
@@ -310,7 +310,7 @@ def _objective_seen(evaluation: Placement, found: FoundRig) -> float | None:
     """The objective of a rig on all scenes that it was chosen on; None for cameras of other lenses."""
     if found.mount_pose is None:
         return None
-    scenes = evaluation.assigned(evaluation.validation, found.began_as)
+    scenes = evaluation.assigned(evaluation.validation, found.pairing_rig)
     return next(iter(rig_values_of(evaluation.objective, scenes)(np.asarray(found.mount_pose, np.float32)[None])))
 
 

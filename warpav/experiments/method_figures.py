@@ -72,17 +72,17 @@ def unconstrained(config: Config, path: Path, *, run: RunFolder | None, progress
     placement = placement_on(traffic, config, networks, probability)
     if run is None:
         optimisation = Optimisation.begin(placement)
-        start, began_as = optimisation.descent.start, optimisation.began_as
+        start, pairing_rig = optimisation.descent.start, optimisation.pairing_rig
         kept = _optimised(placement, optimisation.descent, progress, "with constraints")
     else:
         path_m, began = trajectory(run.events()), run.rig("initial")
         if path_m is None:
             raise InputError(f"{run.path}: run folder: expected at least two iterations, got fewer")
         start = placement.objective.mount.mount_pose_of_rig(began)
-        began_as = None if placement.has_ordered_start else began
+        pairing_rig = None if placement.has_ordered_start else began
         kept = OptimisedRig(began, path_m, run.rig("final"))
     loose = placement_on(traffic, load_config(config, _UNCONSTRAINED), networks, probability)
-    freed = Optimisation.begin(loose, start=start, began_as=began_as)
+    freed = Optimisation.begin(loose, start=start, pairing_rig=pairing_rig)
     free = _optimised(loose, freed.descent, progress, "without constraints")
 
     steps = len(free.trajectory_m) - 1

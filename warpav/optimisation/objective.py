@@ -168,7 +168,7 @@ class RigObjective:
         return self._probabilities if self._needs(LossSchedule()).detection_probability else None
 
     def probability_of(self, model: CameraModel) -> CameraProbability | None:
-        """How likely a camera of a model is to detect; None where no loss needs it, or nobody knows (see `know`)."""
+        """How likely a camera of a model is to detect; None where no loss needs it, or no model of it was added."""
         found, mount = self.camera_probabilities, self.mount
         if found is None:
             return None
@@ -176,7 +176,7 @@ class RigObjective:
             return self._others.get(model)
         return found[mount.cameras.index(model)] if mount.is_mixed else found[0]
 
-    def know(self, model: CameraModel, probability: CameraProbability) -> None:
+    def add_camera_model(self, model: CameraModel, probability: CameraProbability) -> None:
         """From now on say of cameras of another model than the mount's how likely they are to detect.
 
         With it rigs of such cameras have a value, where `is_by_single_cameras`; the mount's cameras stay the same.

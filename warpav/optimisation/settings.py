@@ -111,7 +111,7 @@ class LossSettings(LossWeights):
         return {name: getattr(self, name) for name in LOSSES}
 
     @property
-    def suits_pool(self) -> bool:
+    def is_by_single_cameras(self) -> bool:
         """Whether a pool of single cameras knows the objective; of its objects `single_cameras_of` says the same."""
         taking_part = [name for name, weight in self.weights.items() if weight]
         return taking_part == ["expected_miss_rate"] and self.combine == "any" and self.detector_share == 0.0

@@ -90,14 +90,14 @@ def evaluate_on(
     scenes: list[AssignedScene],
     placement: Placement,
     *,
-    began_as: Mapping[str, Rig | None] | None = None,
+    pairing_rig: Mapping[str, Rig | None] | None = None,
     progress: Progress,
 ) -> RigEvaluation:
     """Measure rigs on scenes that are on the device."""
-    began_as = {} if began_as is None else began_as
+    pairing_rig = {} if pairing_rig is None else pairing_rig
     observations = {
         name: observe_scenes(
-            rig, placement.assigned(scenes, began_as.get(name, rig)), placement.objective, with_probability=True
+            rig, placement.assigned(scenes, pairing_rig.get(name, rig)), placement.objective, with_probability=True
         )
         for name, rig in progress.steps("comparing", rigs.items(), count=len(rigs))
     }

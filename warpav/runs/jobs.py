@@ -228,8 +228,8 @@ def measure_rig(
         _check_posed(rig, placement, "load" if soiled is None else "soiling")  # before anything takes long
     name, *others = names
     rigs = {name: rig, **{other: _rig_to_measure(names[other], placement, progress) for other in others}}
-    began_as = {other: _began_as(each, rigs[other], placement) for other, each in names.items()}
-    found = evaluate_on(rigs, placement.test, placement, began_as=began_as, progress=progress)
+    pairing_rig = {other: _pairing_rig(each, rigs[other], placement) for other, each in names.items()}
+    found = evaluate_on(rigs, placement.test, placement, pairing_rig=pairing_rig, progress=progress)
     margins = placement.objective.constraints.margins(rig)
     evaluation = {
         "schema": EVALUATION_SCHEMA,
@@ -264,7 +264,7 @@ def _rig_to_measure(source: str, placement: Placement, progress: Progress) -> Ri
     return moved.rig
 
 
-def _began_as(source: str, rig: Rig, placement: Placement) -> Rig | None:
+def _pairing_rig(source: str, rig: Rig, placement: Placement) -> Rig | None:
     """The rig that the search of a run began with, see `Placement.assigned`; any other rig is its own."""
     if not is_run_folder(source):
         return rig

@@ -183,7 +183,7 @@ def camera_mount(config: Config, ego: Mesh, *, say: Callable[[str], None] | None
     if say is not None:
         for note in surface.notes:
             say(note)
-    if any(surface.panes) and (config.descends or not config.losses.suits_pool):
+    if any(surface.panes) and (config.search_kind == "descent" or not config.losses.is_by_single_cameras):
         raise OptionError(
             "mount.zones",
             "expected no zone with behind_glass, as only the search by a pool, with the loss expected_miss_rate alone, "

@@ -98,13 +98,13 @@ class Optimisation:
         self,
         placement: Placement,
         descent: Descent | PoolRun,
-        began_as: Rig | None,
+        pairing_rig: Rig | None,
         starts: Sequence[np.ndarray],
     ) -> None:
         """A run before its first step; ``starts`` are those of its descents, the first one's first."""
         self.placement = placement
         self.descent = descent
-        self.began_as = began_as
+        self.pairing_rig = pairing_rig
         self.records: list[IterationRecord] = []
         self._starts = starts
 
@@ -115,7 +115,7 @@ class Optimisation:
         *,
         start: np.ndarray | None = None,
         further_starts: Sequence[np.ndarray] = (),
-        began_as: Rig | None = None,
+        pairing_rig: Rig | None = None,
         executor: Executor | None = None,
         pool: PoolSearchSettings | None = None,
         keeps_pool: bool = True,
@@ -138,7 +138,7 @@ class Optimisation:
                 rng = placement.random_numbers(Stream.START)
                 start = random_mount_pose(objective.constraints, placement.segregation.yaw_rad, rng=rng)
             start = start.astype(np.float32)  # as the optimiser keeps it: a start that stays the best is the same rig
-            began_as = placement.frozen_rig if placement.has_ordered_start else mount.rig(start)
+            pairing_rig = placement.frozen_rig if placement.has_ordered_start else mount.rig(start)
             if config.optimiser.starts > 1 and not by_pool:
                 from warpav.thesis.starts import evaluate_starts
 
@@ -159,7 +159,7 @@ class Optimisation:
                 placement.search_scenes,
                 start=start,
                 limits=placement.limits,
-                requirements=placement.ghosts,
+                requirements=placement.test_points,
                 robust=config.robust.objective,
                 mount_errors=config.robust.mount_errors,
             )
@@ -171,21 +171,21 @@ class Optimisation:
                 progress=progress,
                 pool=known_pool,
             )
-            return cls(placement, searched, began_as, [start])
+            return cls(placement, searched, pairing_rig, [start])
         from warpav.thesis.descent import Descent
 
         descent = Descent(
             objective,
-            placement.assigned(placement.train, began_as),
+            placement.assigned(placement.train, pairing_rig),
             config.optimiser,
             start,
             placement.random_numbers(Stream.BATCHES),
             iterations=config.run.iterations,
             batch_size=config.run.batch_size,
-            validation=placement.assigned(placement.validation, began_as),
+            validation=placement.assigned(placement.validation, pairing_rig),
             further_starts=further,
         )
-        return cls(placement, descent, began_as, [start, *further])
+        return cls(placement, descent, pairing_rig, [start, *further])
 
     @classmethod
     def resumed(
@@ -203,12 +203,12 @@ class Optimisation:
             raise InputError("checkpoint: expected one that a run can go on from, got one of an earlier version")
         check_identity(json.loads(str(state["identity"])), identity_of(placement))
         start, *further = (np.array(each, np.float32) for each in starts)
-        began_as = placement.frozen_rig if placement.has_ordered_start else placement.mount.rig(start)
+        pairing_rig = placement.frozen_rig if placement.has_ordered_start else placement.mount.rig(start)
         run = cls.begin(
             placement,
             start=start,
             further_starts=further,
-            began_as=began_as,
+            pairing_rig=pairing_rig,
             executor=executor,
             progress=progress,
         )
@@ -256,4 +256,4 @@ class Optimisation:
     def result(self) -> Result:
         """What it has come to; the last look at all validation scenes is taken here."""
         found = self.descent.finish()
-        return Result.of(self.placement, self.descent, found, self.records, self.began_as, self.state)
+        return Result.of(self.placement, self.descent, found, self.records, self.pairing_rig, self.state)

@@ -440,7 +440,7 @@ class Placement:
         return () if source is None else read_requirements(source)
 
     @cached_property
-    def ghosts(self) -> RequiredPoints | None:
+    def test_points(self) -> RequiredPoints | None:
         """The requirements' test objects around the vehicle; None where nothing is required."""
         if not self.requirements:
             return None
@@ -577,7 +577,7 @@ class Placement:
                 fit = ensure_fit(self.config, detector=detector, ego=parts.ego, camera=model, progress=progress)
                 probability = CameraProbability.of(self.config.losses, fit)
                 assert probability is not None
-                objective.know(model, probability)
+                objective.add_camera_model(model, probability)
 
     def _scenes_for(self, rig: Rig, scenes: Sequence[Scene] | None) -> list[AssignedScene]:
         return self.assigned(self.train if scenes is None else self.observed(scenes), rig)

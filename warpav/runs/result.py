@@ -76,7 +76,7 @@ class Result:
         ended: Why it ended early; None where it took all iterations.
         placement: What it ran on.
         records: What every iteration did.
-        began_as: See `warpav.runs.placement.Placement.assigned`.
+        pairing_rig: See `warpav.runs.placement.Placement.assigned`.
     """
 
     rig: Rig
@@ -89,7 +89,7 @@ class Result:
     ended: str | None
     placement: Placement
     records: tuple[IterationRecord, ...] = field(repr=False)
-    began_as: Rig | None = field(repr=False)
+    pairing_rig: Rig | None = field(repr=False)
     _descent: Descent | PoolRun = field(repr=False)
     _kept: Candidate = field(repr=False)
     _state: Callable[[], dict[str, np.ndarray]] = field(repr=False)
@@ -101,7 +101,7 @@ class Result:
         descent: Descent | PoolRun,
         kept: Candidate,
         records: Sequence[IterationRecord],
-        began_as: Rig | None,
+        pairing_rig: Rig | None,
         state: Callable[[], dict[str, np.ndarray]],
     ) -> Result:
         """The result of a descent that has finished with a candidate; ``state`` gives what a checkpoint holds."""
@@ -120,7 +120,7 @@ class Result:
             ended=descent.stop_reason,
             placement=placement,
             records=tuple(records),
-            began_as=began_as,
+            pairing_rig=pairing_rig,
             _descent=descent,
             _kept=kept,
             _state=state,
@@ -335,8 +335,8 @@ def write_verdict(
     if result.further_cameras is not None:
         folder.write_further_cameras(result.further_cameras)
 
-    rigs, began_as = _compared(result, progress)
-    compared = evaluate_on(rigs, test, placement, began_as=began_as, progress=progress)
+    rigs, pairing_rig = _compared(result, progress)
+    compared = evaluate_on(rigs, test, placement, pairing_rig=pairing_rig, progress=progress)
     timer.end("comparison on the test scenes")
     progress.stage("ground that no camera sees")
     ground = BlindGround.of(compared.rigs, [assigned.scene for assigned in test[:GROUND_SCENES]])
@@ -410,14 +410,14 @@ def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[
     camera_renders = samples * len(scenes) * space.camera_count
     value = BudgetedValue.of(placement.objective, scenes, space, camera_renders_max=camera_renders)
     random = mount.rig(run_search(random_search, value, rng).mount_pose)
-    began_as = result.began_as
+    pairing_rig = result.pairing_rig
     presets = {name: preset_for(name, config, placement.ego).rig for name in config.baselines.presets or ()}
     others = {**presets, **read_baselines(config)}
     for rig in others.values():
         placement.add_camera_models(rig, progress)
     return (
         {OPTIMISED: result.found, START: result.start, "highest": highest, "random": random, **others},
-        {OPTIMISED: began_as, START: began_as, "highest": highest, "random": placement.frozen_rig, **others},
+        {OPTIMISED: pairing_rig, START: pairing_rig, "highest": highest, "random": placement.frozen_rig, **others},
     )
 
 

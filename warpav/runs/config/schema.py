@@ -607,18 +607,19 @@ class ConfigTree(Section):
     @property
     def knows_requirements(self) -> bool:
         """Whether the search is one that knows requirements."""
-        return not self.descends and self.losses.suits_pool and self.method != "thesis"
+        return self.search_kind == "pool" and self.losses.is_by_single_cameras and self.method != "thesis"
 
     @property
-    def descends(self) -> bool:
-        """Whether the search is a descent, whose steps take batches, and not one by a pool."""
-        search = self.optimiser.search
-        return search == "descent" or (search == "auto" and not self.losses.suits_pool)
+    def search_kind(self) -> str:
+        """Which search it is: ``pool``, or ``descent``, whose steps take batches of scenes."""
+        if self.optimiser.search != "auto":
+            return self.optimiser.search
+        return "pool" if self.losses.is_by_single_cameras else "descent"
 
     @model_validator(mode="after")
     def _check(self) -> ConfigTree:
         scene_count = len(self.scenes.train_seeds)
-        if self.descends and self.run.batch_size > scene_count:
+        if self.search_kind == "descent" and self.run.batch_size > scene_count:
             mistake(
                 f"expected at most the {scene_count} training scene(s), got {self.run.batch_size}; "
                 f"set run.batch_size={scene_count} or lower",
@@ -633,7 +634,7 @@ class ConfigTree(Section):
         if self.requirements not in (None, AUTO) and not self.knows_requirements:
             mistake(f"expected null: {NO_REQUIREMENTS}", "requirements", "optimiser.search")
         robust = self.robust.asked_for
-        if robust is not None and (self.descends or not self.losses.suits_pool):
+        if robust is not None and (self.search_kind == "descent" or not self.losses.is_by_single_cameras):
             text = "expected null, as only the search by a pool, with the loss expected_miss_rate alone, knows it"
             mistake(f"{text}; leave optimiser.search and the losses as they are", robust, "optimiser.search")
         if self.thesis.rotations < self.rig.cameras:
@@ -685,7 +686,7 @@ class ConfigTree(Section):
             mistake(f"expected none with rig.symmetric, got {shown(rig.freeze)}", "rig.freeze", "rig.symmetric")
         if self.method == "thesis":
             mistake("expected null, as the thesis has equal cameras; take method: default", "rig.modules", "method")
-        if self.descends or not self.losses.suits_pool:
+        if self.search_kind == "descent" or not self.losses.is_by_single_cameras:
             text = "expected null, as only the search by a pool, with the loss expected_miss_rate alone, knows modules"
             mistake(f"{text}; set optimiser.search=pool, or leave the losses as they are", "rig.modules", "losses")
         for name in ("height_m", "fov_deg"):
