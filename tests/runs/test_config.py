@@ -237,7 +237,7 @@ FILE_MISTAKES = [
         "run: {batch_size: 61}\noptimiser: {search: descent}\n",
         "mine.yaml:1: run.batch_size: expected at most the 60 training scene(s), got 61",
     ),
-    ("segregation: {rotations: 3}\n", "mine.yaml:1: thesis.rotations: expected at least one direction per camera"),
+    ("thesis: {rotations: 3}\n", "mine.yaml:1: thesis.rotations: expected at least one direction per camera"),
     (
         "rig:\n  free:\n    fov_deg: [110, 60]\n",
         "mine.yaml:3: rig.free.fov_deg: expected two angles from 10 deg to 360 deg, the lower one first, such as "
@@ -381,18 +381,14 @@ def test_what_turns_out_wrong_later_is_told_with_its_place(yaml_file, option, pl
 @pytest.mark.parametrize(
     ("text", "overrides", "warning"),
     [
-        ("losses: {missed: 2}\n", [], r"mine.yaml:1: losses.missed is called losses.expected_miss_rate now; the old"),
-        (
-            "",
-            ["losses.missed=2"],
-            r"command line \(losses.missed=2\): losses.missed is called losses.expected_miss_rate",
-        ),
-        ("losses:\n  expected_miss_rate: 3\n", ["losses.missed=2"], r"losses.missed is called"),
+        ("segregation: {rotations: 9}\n", [], "mine.yaml:1: segregation is called thesis now; the old name works in"),
+        ("", ["segregation.rotations=9"], r"command line \(segregation.rotations=9\): segregation is called thesis"),
     ],
 )
 def test_an_option_that_was_renamed_works_with_one_line_of_warning(yaml_file, text, overrides, warning):
     with pytest.warns(FutureWarning, match=warning) as warnings:
         config = load_config(yaml_file(text), overrides)
     assert len(warnings) == 1
-    assert config.losses.weights["expected_miss_rate"] == 2.0
-    assert config == load_config(yaml_file(""), ["losses.expected_miss_rate=2"])
+    assert config == load_config(yaml_file(""), ["thesis.rotations=9"])
+    with pytest.warns(FutureWarning, match="segregation is called thesis now"):
+        assert Config(segregation={"rotations": 9}) == config

@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, create_model, model_validator
@@ -56,8 +56,6 @@ class ThesisSettings(Section):
 
 class LossSettings(LossWeights):
     """Weights of the objectives, and the numbers inside them."""
-
-    renamed: ClassVar[Mapping[str, str]] = {"missed": "expected_miss_rate"}
 
     min_detected_area: float = Field(
         default=0.5,

@@ -12,7 +12,6 @@ from warpav.runs.config.explain import COMMAND_LINE, DescribedOption, described_
 from warpav.runs.config.fields import AUTO, NAMED_STARTS, START_TEXT, read_seeds
 from warpav.runs.config.load import (
     Config,
-    changed_config,
     dump_config,
     flow_text,
     load_config,
@@ -46,7 +45,6 @@ __all__ = [
     "RigConfig",
     "RunConfig",
     "SceneConfig",
-    "changed_config",
     "config_dir",
     "config_names",
     "described_options",

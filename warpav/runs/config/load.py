@@ -152,9 +152,6 @@ def _to_indent(mistaken: Sequence[Location]) -> dict[Location, list[Location]]:
     return {section: found for section, found in beside.items() if found}
 
 
-changed_config = load_config  # until nobody imports the old name
-
-
 def with_absolute_paths(config: Config) -> Config:
     """The same configuration, whose files are found from every working directory; ``run.out`` stays as it is."""
 
