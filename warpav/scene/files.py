@@ -13,23 +13,24 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from warpav.core.cache import fingerprint
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.executor import Executor, Outcome
 from warpav.core.files import atomic_write
 from warpav.scene.cache import BuiltSource, built_scenes
-from warpav.scene.capture.capture import PlanSettings, Simulator
-from warpav.scene.capture.folder import DESCRIPTION, UNFINISHED, check_capture, read_capture, record_capture
 from warpav.scene.glb import read_scene, write_scene
-from warpav.scene.reconstruction.settings import ReconstructionSettings
 from warpav.scene.scene import Scene
 from warpav.scene.town.levels import TownSource, checked_level
 from warpav.scene.town.town import ego_vehicle
 from warpav.scene.traffic.files import is_recording, recordings_in
 from warpav.scene.traffic.moments import Moment, moments_of
 from warpav.scene.traffic.traffic_scene import TrafficSource
+
+if TYPE_CHECKING:
+    from warpav.scene.capture.capture import PlanSettings, Simulator
+    from warpav.scene.reconstruction.settings import ReconstructionSettings
 
 MAX_SEED = 2**31 - 1
 SCHEMA = "warpav-collection/1"
@@ -200,6 +201,8 @@ def scene_path(folder: Path, seed: int) -> Path:
 
 def captures_in(path: Path) -> dict[int, Path]:
     """The captures that a path means, by seed: a capture itself or those in a folder, unfinished ones too."""
+    from warpav.scene.capture.folder import DESCRIPTION, UNFINISHED
+
     names = (DESCRIPTION, UNFINISHED)
     captures = [path] if any((path / name).is_file() for name in names) else []
     captures = captures or sorted({file.parent for name in names for file in path.glob(f"*/{name}")})
@@ -261,6 +264,8 @@ def capture_carla_scenes(tasks: Sequence[CaptureTask], *, host: str, port: int) 
 
 def check_captures(captures: Sequence[Path], say: Callable[[str], None]) -> int:
     """Tell everything that is wrong with captures; returns how many have something wrong."""
+    from warpav.scene.capture.folder import check_capture
+
     bad = 0
     for capture in captures:
         troubles = list(check_capture(capture))
@@ -289,6 +294,7 @@ def _make_scene(task: SceneTask) -> bool:
         (scene,) = built_scenes([task.source])
     else:
         from warpav.core.warp_setup import load_warp
+        from warpav.scene.capture.folder import read_capture
         from warpav.scene.reconstruction.reconstruct import reconstruct
 
         assert task.capture is not None
@@ -307,6 +313,8 @@ def _capture_scene(task: CaptureTask) -> bool:
 
 def _record(simulator: Simulator, task: CaptureTask) -> bool:
     """Record a situation; returns whether images had to be taken."""
+    from warpav.scene.capture.folder import record_capture
+
     views: list[int] = []
     record_capture(
         simulator, task.seed, task.folder, task.settings, on_image=lambda number, count: views.append(number)
