@@ -52,7 +52,7 @@ nb_merge_streams = True
 
 default_role = "code"
 autodoc_member_order = "bysource"
-autodoc_mock_imports = ["torch"]
+autodoc_mock_imports = ["onnx", "torch"]
 autodoc_use_type_comments = False
 autodoc_typehints_format = "short"
 autosummary_generate = True
