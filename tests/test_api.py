@@ -162,8 +162,8 @@ def test_render_gives_the_images_of_every_camera_by_name():
 
 
 def test_coverage_is_that_of_the_ground_around_the_vehicle():
-    from warpav.evaluation.coverage import Ground
     from warpav.scene.device_scene import DeviceScene
+    from warpav.sight.ground import Ground
 
     (scene,) = wa.town([3])
     rig = wa.Rig((wa.Camera("front", np.array([1.2, 0.0, 1.8]), 0.0, 0.0, 0.0, wa.CameraModel(64, 64, 1.6)),))

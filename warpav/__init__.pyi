@@ -6,12 +6,9 @@ from warpav.core.errors import InputError
 from warpav.core.progress import Progress
 from warpav.detection.detector import Detections, Detector
 from warpav.detection.images import render
-from warpav.evaluation.coverage import coverage
 from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
-from warpav.requirements.check import check_requirements
-from warpav.requirements.read import read_requirements
 from warpav.rig.catalogue import read_modules
 from warpav.rig.formats.convert import export_rig, import_rig
 from warpav.rig.module import Module
@@ -32,6 +29,9 @@ from warpav.runs.run_folder import RunFolder, read_run
 from warpav.scene.files import read_scenes, town, write_scenes
 from warpav.scene.own_vehicle import read_vehicle
 from warpav.scene.scene import Scene
+from warpav.sight.check import check_requirements
+from warpav.sight.ground import coverage
+from warpav.sight.read import read_requirements
 from warpav.view import plot
 
 __version__: Final[str]

@@ -23,13 +23,13 @@ from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
-from warpav.requirements.read import read_requirements
-from warpav.requirements.requirement import Ghosts
-from warpav.requirements.visibility import ghost_jacobians, ghost_visibility, poses_of
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.runs.config import Config
 from warpav.runs.detector_fit import ensure_fit
 from warpav.scene.device_scene import DeviceScene
+from warpav.sight.read import read_requirements
+from warpav.sight.requirement import Ghosts
+from warpav.sight.visibility import ghost_jacobians, ghost_visibility, poses_of
 from warpav.thesis.descent import AdamW
 
 CAMERA = CameraModel(256, 256, math.radians(90.0))

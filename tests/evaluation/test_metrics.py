@@ -12,7 +12,6 @@ from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
 from warpav.detection.probability import DetectionProbability
 from warpav.evaluation.metrics import PAIRED_METRICS, GroupRecall, ObjectOutcome, RigObserver, evaluate_rig
-from warpav.evaluation.own_body import body_shares
 from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import CameraMount, FreeRanges, views_of_rig
@@ -23,6 +22,7 @@ from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
+from warpav.sight.around import body_shares
 from warpav.thesis.segregation import assign_to_nearest_cameras
 
 MODEL = CameraModel(128, 96, math.pi / 2)

@@ -11,7 +11,7 @@ from tests.driving_scene import SKY, ConstantDetector, car, ego_mesh, vehicle
 from tests.evaluation.test_metrics import MODEL, ScriptedDetector, objective_of, rig_of, truth_boxes
 from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
-from warpav.evaluation.metrics import DISTANCE_EDGES_M, EQUAL_FALSE_ALARMS_PER_FRAME, SECTORS, GroupRecall, evaluate_rig
+from warpav.evaluation.metrics import DISTANCE_EDGES_M, EQUAL_FALSE_ALARMS_PER_FRAME, GroupRecall, evaluate_rig
 from warpav.evaluation.statistics import paired_differences
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import views_of_rig
@@ -20,6 +20,7 @@ from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import ROAD_USERS, Scene
+from warpav.sight.ground import SECTORS
 
 AHEAD, ASIDE, TINY = (9.0, 0.0, 0.4), (0.0, 9.0, 0.4), (45.0, -6.0, 0.0)
 BOTH_AHEAD = (0.0, 0.2)  # yaws of two cameras that see the same

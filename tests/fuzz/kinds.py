@@ -24,7 +24,6 @@ from warpav.detection.onnx_detector import OnnxDetector
 from warpav.experiments.bench.workload import read_truth, read_workload
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
-from warpav.requirements.read import read_requirements
 from warpav.rig.catalogue import read_modules
 from warpav.rig.formats.convert import ImportOptions, export_rig, import_rig_with_notes
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
@@ -39,6 +38,7 @@ from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.own_vehicle import examine, read_vehicle_file
 from warpav.scene.scene import Box, Scene, Vehicle
 from warpav.scene.traffic.files import read_recording
+from warpav.sight.read import read_requirements
 
 ZONES = """
 zones:

@@ -13,7 +13,6 @@ from tests.driving_scene import SilentDetector, packed_street, street
 from tests.optimisation.test_pool import cameras_of
 from warpav.core.errors import InputError
 from warpav.evaluation.metrics import RigObserver
-from warpav.evaluation.own_body import body_shares
 from warpav.optimisation.camera_jacobians import placing_slope
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
@@ -22,11 +21,12 @@ from warpav.optimisation.required_points import RequiredPoints
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
-from warpav.requirements.read import read_requirements
 from warpav.rig.chart import chart_of
 from warpav.rig.rig import Rig, RigCamera
 from warpav.rig.zone import NORMALS, Zone
 from warpav.scene.device_scene import DeviceScene
+from warpav.sight.around import body_shares
+from warpav.sight.read import read_requirements
 
 MODEL = CameraModel(64, 64, math.radians(100.0), near_m=0.01)
 PITCH = (-0.1, 0.3)

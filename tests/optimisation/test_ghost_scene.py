@@ -15,10 +15,9 @@ from warpav.core.errors import InputError
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
 from warpav.optimisation.pool_search import PoolSearchSettings
 from warpav.optimisation.required_points import HARD_WEIGHT, MET, RequiredPoints
-from warpav.requirements.area import Band
-from warpav.requirements.check import check_requirements
-from warpav.requirements.read import read_requirements
-from warpav.requirements.requirement import Requirement
+from warpav.sight.check import check_requirements
+from warpav.sight.read import read_requirements
+from warpav.sight.requirement import Band, Requirement
 
 SMALL = PoolSearchSettings(pool_cameras=40, rounds=1, priced_cameras=3, gap=0.0)
 

@@ -10,10 +10,8 @@ from hypothesis import strategies as st
 from tests.optimisation.calls import select
 from warpav.core.errors import InputError
 from warpav.optimisation.required_points import require_meetable, requirement_rows, unmeetable_requirements
-from warpav.requirements.area import Band
-from warpav.requirements.requirement import Ghosts, Requirement
-from warpav.requirements.test_object import SIZES_M, TestObject
-from warpav.requirements.visibility import Visibility
+from warpav.sight.requirement import SIZES_M, Band, Ghosts, Requirement, TestObject
+from warpav.sight.visibility import Visibility
 
 POST = TestObject("post", SIZES_M["post"])
 

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from warpav.core.errors import InputError
 from warpav.core.yaml_file import read_yaml
-from warpav.requirements.read import read_requirements
 from warpav.rig.catalogue import read_modules
 from warpav.rig.rig import read_rig
 from warpav.rig.zone import read_zones
 from warpav.runs.config import load_config
 from warpav.runs.file_schemas import file_schema
+from warpav.sight.read import read_requirements
 
 jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")
 
@@ -32,7 +32,7 @@ SHIPPED = {
     "config": sorted((ROOT / "configs").glob("*.yaml")),
     "rig": sorted((ROOT / "warpav/rig/presets").glob("*.yaml")),
     "modules": [ROOT / "warpav/rig/modules.yaml"],
-    "requirements": sorted((ROOT / "warpav/requirements/templates").glob("*.yaml")),
+    "requirements": sorted((ROOT / "warpav/sight/templates").glob("*.yaml")),
 }
 EVERY_KEY = {
     "rig": """

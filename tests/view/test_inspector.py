@@ -8,16 +8,14 @@ import pytest
 
 from tests.driving_scene import ConstantDetector, flat_surface
 from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
-from warpav.evaluation.coverage import PATCH_M, Ground
 from warpav.evaluation.metrics import RigObserver
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.raster.decide import Occlusion
-from warpav.requirements.area import Band
-from warpav.requirements.check import check_requirements
-from warpav.requirements.requirement import Requirement
-from warpav.requirements.test_object import SIZES_M, TestObject
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import Rig, read_rig
+from warpav.sight.check import check_requirements
+from warpav.sight.ground import PATCH_M, Ground
+from warpav.sight.requirement import SIZES_M, Band, Requirement, TestObject
 from warpav.thesis.constraints import BoundsAndSpacing
 from warpav.view.descent_view import Steepest
 from warpav.view.further_view import ARROW_M, TITLE

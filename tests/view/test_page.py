@@ -10,8 +10,8 @@ from PIL import Image
 from tests.runs.report.chromium import Chromium, find_chromium
 from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
 from warpav.core.errors import InputError
-from warpav.evaluation.coverage import Ground
 from warpav.scene.device_scene import DeviceScene
+from warpav.sight.ground import Ground
 from warpav.view import page as module
 from warpav.view.output import save_page
 from warpav.view.rig_view import add_range_rings, rig_plotter

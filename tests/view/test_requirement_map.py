@@ -7,11 +7,9 @@ import numpy as np
 from PIL import Image
 
 import warpav as wa
-from tests.requirements.test_area import box
+from tests.sight.test_area import box
 from warpav.raster.camera import CameraModel
-from warpav.requirements.area import Band, Polygon
-from warpav.requirements.requirement import Requirement
-from warpav.requirements.test_object import SIZES_M, TestObject
+from warpav.sight.requirement import SIZES_M, Band, Polygon, Requirement, TestObject
 from warpav.view.figures.requirements import requirement_map
 from warpav.view.palette import COVERAGE_RGB
 

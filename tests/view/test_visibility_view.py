@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from tests.view.stand_ins import ego, needs_opengl, rig, scene, vehicle
-from warpav.evaluation.coverage import Ground
 from warpav.evaluation.metrics import ObjectOutcome
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.device_scene import DeviceScene
+from warpav.sight.ground import Ground
 from warpav.view import visibility_view
 from warpav.view.output import render_rgb
 from warpav.view.palette import COVERAGE_RGB, OUTCOME_RGB

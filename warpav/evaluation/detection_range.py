@@ -10,7 +10,6 @@ import numpy as np
 import warp as wp
 
 from warpav.detection.probability import CONTRAST, VISIBLE_SIZE, DetectionProbability, whole_solid_angle
-from warpav.evaluation.coverage import is_in_image
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
@@ -20,6 +19,7 @@ from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Box, Scene, Vehicle, road_user_of
 from warpav.scene.town.people import person_mesh
 from warpav.scene.town.vehicle_shapes import vehicle_mesh
+from warpav.sight.sight import is_in_image
 
 CATEGORIES = ("saloon", "van", "bus", "pedestrian", "cyclist")
 """Road users that are asked for, as far as the detector's fit knows their kind."""

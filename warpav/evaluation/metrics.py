@@ -23,8 +23,6 @@ from warpav.detection.average_precision import (
 from warpav.detection.detector import ROAD_USERS, Detections, Detector
 from warpav.detection.observe import Observation, observe
 from warpav.detection.probability import Appearance
-from warpav.evaluation.own_body import body_shares
-from warpav.evaluation.redundancy import redundancy
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
 from warpav.optimisation.mount import CameraMount, PlacedViews, views_of_rig
@@ -36,6 +34,9 @@ from warpav.raster.frame import Frame
 from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig
 from warpav.scene.device_scene import DeviceScene
+from warpav.sight.around import body_shares
+from warpav.sight.ground import SECTORS, sectors_of
+from warpav.sight.sight import redundancy
 
 # metrics defined per scene, so that rigs can be compared scene by scene
 PAIRED_METRICS = (
@@ -75,10 +76,6 @@ EQUAL_FALSE_ALARMS_PER_FRAME = 0.5
 DISTANCE_EDGES_M = (0.0, 10.0, 20.0, 30.0, 40.0, math.inf)
 """Bins of the horizontal distance from the centre of the ego vehicle to the centre of an object's box [m]; a bin
 includes its lower edge."""
-
-SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
-"""Sectors of 45 degrees around the centre of the ego vehicle, the first one centred straight ahead; the centre of an
-object's box decides, and a sector includes its right edge."""
 
 
 @dataclass(frozen=True)
@@ -596,12 +593,6 @@ class _Boxes:
             for camera in range(count)
         ]
         return [value for value in values if math.isfinite(value)]
-
-
-def sectors_of(from_ego_m: np.ndarray) -> np.ndarray:
-    """Index in `SECTORS` of positions relative to the ego vehicle's centre: forward and left [m], [..., 2]."""
-    turn = np.arctan2(from_ego_m[..., 1], from_ego_m[..., 0]) * (len(SECTORS) / (2.0 * math.pi))
-    return (np.floor(turn + 0.5) % len(SECTORS)).astype(int)
 
 
 def _recall_by(

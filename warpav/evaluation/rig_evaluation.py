@@ -26,7 +26,7 @@ from warpav.rig.rig import Rig
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingImports]
 
-    from warpav.requirements.check import RequirementResult
+    from warpav.sight.check import RequirementResult
 
 TABLE_ROWS = {
     "tp_detection_rate": "recall of the rig",

@@ -22,8 +22,8 @@ from warpav.optimisation.selection.problem import Row
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.raster.pane import Pane
-from warpav.requirements.requirement import Ghosts, Requirement
-from warpav.requirements.visibility import (
+from warpav.sight.requirement import Ghosts, Requirement
+from warpav.sight.visibility import (
     GhostScenes,
     KeptRenderers,
     Visibility,

@@ -40,8 +40,8 @@ from warpav.raster.decide import Occlusion
 from warpav.raster.pane import Pane
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene as RasterScene
-from warpav.requirements.visibility import Visibility
 from warpav.scene.device_scene import DeviceScene
+from warpav.sight.visibility import Visibility
 
 CPU_VIEWS = 16
 """Views that one thread renders at once, at most."""

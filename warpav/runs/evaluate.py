@@ -18,8 +18,6 @@ from warpav.evaluation.camera_outage import CameraOutages
 from warpav.evaluation.metrics import SceneObservations, metrics_of, observe_scenes
 from warpav.evaluation.rig_evaluation import RigEvaluation, seen_objects
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.requirements.check import RequirementResult, check_requirements, check_rigs
-from warpav.requirements.read import read_requirements
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config
 from warpav.runs.placement import Placement
@@ -28,6 +26,8 @@ from warpav.runs.rig_source import check_rig_source, find_rig
 from warpav.runs.scene_set import load_scenes
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
+from warpav.sight.check import RequirementResult, check_requirements, check_rigs
+from warpav.sight.read import read_requirements
 from warpav.view import Canvas, draws
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from warpav.core.json_schema import document
-from warpav.requirements.read import requirements_schema
 from warpav.rig.catalogue import modules_schema
 from warpav.rig.rig import rig_schema
 from warpav.rig.zone import zones_schema
 from warpav.runs.config import Config
+from warpav.sight.read import requirements_schema
 
 _SCHEMAS = {"rig": rig_schema, "modules": modules_schema, "zones": zones_schema, "requirements": requirements_schema}
 FILES = ("config", *_SCHEMAS)

@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
     from warpav.core.progress import Progress
     from warpav.detection.detector import Detector
-    from warpav.evaluation.coverage import Coverage
     from warpav.evaluation.metrics import ObjectOutcome, RigObserver
     from warpav.optimisation.further_camera import FurtherCameras
     from warpav.raster.mesh import Mesh
-    from warpav.requirements.check import RequirementResult
     from warpav.rig.module import Module
     from warpav.scene.scene import Scene
+    from warpav.sight.check import RequirementResult
+    from warpav.sight.ground import Coverage
     from warpav.view.inspector import BEGINNINGS, Inspector
 
 Shown = Literal["rig", "coverage", "redundancy", "outcomes", "visibility", "further", "zones", "gain", "sheet"]
@@ -301,8 +301,8 @@ def write_inspector_page(
         InputError: The rig, a scene or the file cannot be used, this machine cannot draw, or the extra ``web`` is not
             installed.
     """
-    from warpav.evaluation.coverage import HEIGHTS_M, PATCH_M, Ground
     from warpav.scene.device_scene import DeviceScene
+    from warpav.sight.ground import HEIGHTS_M, PATCH_M, Ground
     from warpav.view.output import save_page
     from warpav.view.page import check_library
     from warpav.view.rig_view import WIDE_ZOOM, add_range_rings, rig_plotter
@@ -344,8 +344,8 @@ def _modules(config: Config) -> tuple[Module, ...]:
 
 def _check(requirements: str, config: Config) -> Callable[[Rig, Mesh], RequirementResult]:
     """Holds rigs against requirements, which are read now."""
-    from warpav.requirements.check import check_requirements
-    from warpav.requirements.read import read_requirements
+    from warpav.sight.check import check_requirements
+    from warpav.sight.read import read_requirements
 
     wanted, device = read_requirements(requirements), checked_device(config.device)
     return lambda rig, ego: check_requirements(
@@ -367,8 +367,8 @@ def _further(source: str, shown: str) -> FurtherCameras:
 
 def _coverage(rig: Rig, scene: Scene, config: Config, shown: Shown) -> Coverage:
     """Which cameras see whom where, or the ground itself."""
-    from warpav.evaluation.coverage import HEIGHTS_M, PATCH_M, Ground
     from warpav.scene.device_scene import DeviceScene
+    from warpav.sight.ground import HEIGHTS_M, PATCH_M, Ground
 
     packed = DeviceScene.pack(scene, device=checked_device(config.device))
     heights_m = HEIGHTS_M if shown == "coverage" else (PATCH_M,)

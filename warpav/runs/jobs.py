@@ -38,7 +38,7 @@ CHECKPOINT_EVERY = 10
 
 def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunFolder, RunContent]:
     """Optimise a rig, compare it with baselines on the test scenes, and leave a run folder."""
-    from warpav.evaluation import blind_ground  # noqa: F401 (so that its kernel is compiled beside the others)
+    from warpav.sight import ground  # noqa: F401 (so that its kernel is compiled beside the others)
 
     timer = StageTimer()
     with contextlib.ExitStack() as held:
@@ -64,7 +64,7 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
 
 def resume_rig(folder: RunFolder, config: Config, *, progress: Progress) -> tuple[Result, RunContent]:
     """Go on with a run that was stopped, or that has ended and is given more iterations or time, in its folder."""
-    from warpav.evaluation import blind_ground  # noqa: F401 (as in `optimise_rig`)
+    from warpav.sight import ground  # noqa: F401 (as in `optimise_rig`)
 
     timer = StageTimer()
     with held_run(folder):

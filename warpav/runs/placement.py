@@ -31,8 +31,6 @@ from warpav.optimisation.rig_limits import RigLimits, range_text
 from warpav.optimisation.settings import ImportanceSettings, RobustSettings
 from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import Mesh
-from warpav.requirements.read import read_requirements
-from warpav.requirements.requirement import Requirement
 from warpav.rig.rig import Rig
 from warpav.runs.config import AUTO, Config, RigConfig
 from warpav.runs.config.schema import NO_REQUIREMENTS
@@ -44,6 +42,8 @@ from warpav.runs.scene_set import SceneSet, check_zones, checked_vehicle, load_s
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.scene.town.levels import level_of
+from warpav.sight.read import read_requirements
+from warpav.sight.requirement import Requirement
 
 if TYPE_CHECKING:
     import trimesh

@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from warpav.optimisation.losses.scene_on_tape import AssignedScene
-    from warpav.requirements.check import RequirementResult
     from warpav.runs.report.evaluation import RunContent
+    from warpav.sight.check import RequirementResult
     from warpav.thesis.descent import Descent
 
 OPTIMISED, START = "optimised", "start"
@@ -323,10 +323,10 @@ def write_verdict(
     progress: Progress,
 ) -> RunContent:
     """Complete a run folder that has its iterations: rigs, evaluation, figures, report."""
-    from warpav.evaluation.blind_ground import BlindGround
     from warpav.runs.report.evaluation import read_run
     from warpav.runs.report.report import write_report
     from warpav.runs.run_figures import GROUND_SCENES, RunPictures
+    from warpav.sight.ground import BlindGround
 
     placement, descent = result.placement, result._descent
     folder.write_checkpoint(result._state())

@@ -166,7 +166,7 @@ class RunPictures:
 
     def _draw_further(self) -> None:
         """All other pictures, and what the report's maps of the ground are drawn from."""
-        from warpav.evaluation.blind_ground import BlindGround
+        from warpav.sight.ground import BlindGround
         from warpav.view import plot
         from warpav.view.figures.requirements import requirement_map
         from warpav.view.figures.top_view import further_figure, top_view_figure

@@ -40,7 +40,6 @@ from warpav.core.files import (
     write_text,
     writing,
 )
-from warpav.requirements.read import copy_requirements
 from warpav.rig.presets import preset_names
 from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.zone import read_zones, write_zones
@@ -48,6 +47,7 @@ from warpav.runs.config import KEPT_FILES, Config, dump_config, load_config, wit
 from warpav.runs.environment import command_line, environment
 from warpav.runs.events import Certificate, flat_numbers, of_modules, read_events, trajectory
 from warpav.runs.fitting_plots import FITTING_KINDS, FittedRigs, fitting_drawing
+from warpav.sight.read import copy_requirements
 from warpav.view import Canvas, drawing_of, draws, plot
 
 if TYPE_CHECKING:

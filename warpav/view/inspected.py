@@ -14,21 +14,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpav.evaluation.coverage import HEIGHTS_M, PATCH_M, Ground
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.rig.rig import Rig, RigCamera, write_rig
 from warpav.scene.device_scene import DeviceScene
+from warpav.sight.ground import HEIGHTS_M, PATCH_M, Ground
 
 if TYPE_CHECKING:
-    from warpav.evaluation.coverage import Coverage
     from warpav.evaluation.metrics import RigObservation, RigObserver
     from warpav.optimisation.constraints import Constraints
     from warpav.optimisation.further_camera import FurtherCameras
     from warpav.raster.mesh import Mesh
-    from warpav.requirements.check import RequirementResult
     from warpav.rig.module import Module
     from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
+    from warpav.sight.check import RequirementResult
+    from warpav.sight.ground import Coverage
     from warpav.view.descent_view import Steepest
 
 NEAR_M = 20.0

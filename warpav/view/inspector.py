@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.evaluation.coverage import HEIGHTS_M, PATCH_M
+from warpav.sight.ground import HEIGHTS_M, PATCH_M
 from warpav.view.body_view import add_gain, add_zones
 from warpav.view.descent_view import add_descent
 from warpav.view.frustum import frustum_points
@@ -44,9 +44,9 @@ from warpav.view.visibility_view import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from warpav.evaluation.coverage import Coverage, Ground
     from warpav.evaluation.metrics import CameraObservation
     from warpav.rig.rig import RigCamera
+    from warpav.sight.ground import Coverage, Ground
     from warpav.view.inspected import InspectedRig
 
     Plotter = Any

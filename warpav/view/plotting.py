@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 
     from warpav.core.progress import Progress
     from warpav.detection.probability import DetectionProbability
-    from warpav.evaluation.coverage import Coverage
     from warpav.optimisation.further_camera import FurtherCameras
     from warpav.raster.camera import CameraModel
-    from warpav.requirements.check import RequirementResult
+    from warpav.sight.check import RequirementResult
+    from warpav.sight.ground import Coverage
 
     Drawing = Any
     Plotter = Any

@@ -10,7 +10,7 @@ from warpav.view.opengl import load_pyvista
 from warpav.view.palette import COVERAGE_RGB
 
 if TYPE_CHECKING:
-    from warpav.requirements.check import RequirementResult
+    from warpav.sight.check import RequirementResult
 
     Plotter = Any
     PolyData = Any

@@ -21,13 +21,13 @@ from warpav.view.polydata import mesh_to_pyvista
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from warpav.evaluation.coverage import Coverage
     from warpav.optimisation.further_camera import FurtherCameras
     from warpav.raster.mesh import Mesh
-    from warpav.requirements.check import RequirementResult
     from warpav.rig.mount_surface import MountSurface
     from warpav.rig.rig import Rig, RigCamera
     from warpav.scene.scene import Scene
+    from warpav.sight.check import RequirementResult
+    from warpav.sight.ground import Coverage
 
     Plotter = Any
     PolyData = Any

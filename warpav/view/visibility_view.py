@@ -18,10 +18,10 @@ from warpav.view.polydata import mesh_to_pyvista
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from warpav.evaluation.coverage import Coverage
     from warpav.rig.rig import Rig, RigCamera
     from warpav.scene.device_scene import DeviceScene
     from warpav.scene.scene import Scene
+    from warpav.sight.ground import Coverage
 
     Plotter = Any
     PolyData = Any
@@ -47,7 +47,7 @@ def visibility_to_pyvista(
     camera: RigCamera, scene: DeviceScene, *, farthest_m: float = FARTHEST_M, rays: int = RAYS_PX
 ) -> PolyData:
     """What a camera sees, up to what hides the rest, as ``pyvista.PolyData``."""
-    from warpav.evaluation.coverage import free_shares
+    from warpav.sight.sight import free_shares
 
     model, transform = camera.model, camera.ego_from_camera
     row_px, column_px = np.linspace(0.0, model.height_px, rays), np.linspace(0.0, model.width_px, rays)
@@ -214,7 +214,7 @@ def add_coverage(
 
 def patch_words(height_m: float) -> str:
     """Whom a height of a coverage means [m]: the ground itself, or somebody so tall."""
-    from warpav.evaluation.coverage import PATCH_M
+    from warpav.sight.ground import PATCH_M
 
     return "the ground" if height_m <= PATCH_M else f"{height_m:g} m tall"
 

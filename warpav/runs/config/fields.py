@@ -23,10 +23,10 @@ from warpav.core.section import (
     shown,
 )
 from warpav.core.yaml_file import read_yaml
-from warpav.requirements.template import template_names
 from warpav.rig.presets import preset_names
 from warpav.scene.scene import ROAD_USERS
 from warpav.scene.vehicles import SHIPPED, vehicle_file, vehicle_names
+from warpav.sight.read import template_names
 
 NAMED_STARTS = ("random", "highest")
 """What rig.start may be besides a rig."""

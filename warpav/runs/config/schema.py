@@ -24,7 +24,6 @@ from warpav.optimisation.settings import (
     VisibilitySettings,
 )
 from warpav.raster.lens import Lens, LensShape, checked_distortion
-from warpav.requirements.template import template_names
 from warpav.runs.config.fields import (
     AUTO,
     COUNTS_TEXT,
@@ -59,6 +58,7 @@ from warpav.runs.config.fields import (
 )
 from warpav.scene.scene import ROAD_USERS, road_user_of
 from warpav.scene.town.levels import LEVELS, Level
+from warpav.sight.read import template_names
 
 EXTENDS = "extends"
 """Key of a file that names another file, on top of which it stands."""

@@ -191,7 +191,7 @@ class _Tolerance(_Part):
 
 
 class _Need(_Part):
-    """What a requirement asks for, see `warpav.requirements.requirement.Requirement`."""
+    """What a requirement asks for, see `warpav.sight.requirement.Requirement`."""
 
     object: str
     visible_share: float
@@ -201,7 +201,7 @@ class _Need(_Part):
 
 
 class Point(_Part):
-    """A point that is not met, see `warpav.requirements.check.WorstPoint`."""
+    """A point that is not met, see `warpav.sight.check.WorstPoint`."""
 
     position_m: tuple[float, float]
     camera: str | None
@@ -217,7 +217,7 @@ class Gap(_Part):
 
 
 class Requirement(_Part):
-    """What a rig meets of a requirement, see `warpav.requirements.check.RequirementOutcome`."""
+    """What a rig meets of a requirement, see `warpav.sight.check.RequirementOutcome`."""
 
     name: str
     hard: bool

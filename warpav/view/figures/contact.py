@@ -6,8 +6,8 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from warpav.detection.images import render
-from warpav.evaluation.own_body import body_shares
 from warpav.scene.device_scene import DeviceScene
+from warpav.sight.around import body_shares
 from warpav.view.figures.style import WIDTH_INCH, caption, empty_panel, figure_style, new_figure
 from warpav.view.palette import INK_RGB, camera_rgb, hex_colour
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.evaluation.fitting import Footprint, NearField
+from warpav.sight.around import NearField
+from warpav.sight.requirement import Body
 from warpav.view.figures.from_above import draw_surroundings, middle_of, panels_with_key, write_key
 from warpav.view.figures.style import caption, figure_style, title
 from warpav.view.palette import INK_RGB, MUTED_RGB, camera_rgb, hex_colour
@@ -113,7 +114,7 @@ def _draw_line(axis: Any, field: NearField, row: int, colour: str) -> None:  # n
 
 def _draw_rings(axis: Any, ego: Mesh, reach_m: float) -> None:  # noqa: ANN401 (matplotlib)
     """Lines at round distances from the outline of the body, as far as the panel reaches, and the outline itself."""
-    footprint = Footprint.of(ego)
+    footprint = Body.of(ego)
     room_m = reach_m - 0.5 * float(np.ptp(np.asarray(ego.bounds_m()), axis=0)[:2].max())
     grey, ink = hex_colour(MUTED_RGB), hex_colour(INK_RGB)
     paper = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.75}

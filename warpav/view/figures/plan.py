@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.evaluation.fitting import CAR_HEIGHT_M, PIXELS, VisibleGround, size_ranges_m
+from warpav.sight.around import CAR_HEIGHT_M, PIXELS, VisibleGround, size_ranges_m
 from warpav.view.figures.from_above import (
     RINGS,
     camera_handles,

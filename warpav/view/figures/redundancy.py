@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.evaluation.fitting import CAR_HEIGHT_M, PIXELS, SectorCounts
+from warpav.sight.around import CAR_HEIGHT_M, PIXELS, SectorCounts
 from warpav.view.figures.from_above import RINGS, draw_surroundings, middle_of, panels_with_key, write_key
 from warpav.view.figures.style import caption, figure_style, title
 from warpav.view.palette import COVERAGE_RGB, hex_colour

@@ -13,8 +13,8 @@ from warpav.view.palette import COVERAGE_RGB, INK_RGB, MUTED_RGB, hex_colour
 
 if TYPE_CHECKING:
     from warpav.raster.mesh import Mesh
-    from warpav.requirements.check import RequirementResult
     from warpav.rig.rig import Rig
+    from warpav.sight.check import RequirementResult
 
 _LEFT_INCH, _RIGHT_INCH, _BELOW_INCH, _ABOVE_INCH = 0.7, 0.15, 0.95, 0.42
 """Around the panel, for labels, the key and the title."""

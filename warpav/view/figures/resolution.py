@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.evaluation.fitting import px_per_degree
+from warpav.sight.around import px_per_degree
 from warpav.view.figures.style import WIDTH_INCH, caption, figure_style, new_figure, title
 from warpav.view.palette import GROUND_RGB, camera_rgb, hex_colour
 

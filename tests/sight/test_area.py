@@ -11,9 +11,7 @@ from matplotlib.path import Path
 
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
-from warpav.requirements.area import Band, Body, Polygon, Strip, grid_m
-from warpav.requirements.requirement import Ghosts, Requirement
-from warpav.requirements.test_object import SIZES_M, TestObject
+from warpav.sight.requirement import SIZES_M, Band, Body, Ghosts, Polygon, Requirement, Strip, TestObject, grid_m
 
 POST = TestObject("post", SIZES_M["post"])
 
@@ -109,6 +107,6 @@ def test_a_sector_keeps_its_directions():
 def test_an_area_without_points_or_with_too_many_is_rejected(monkeypatch):
     with pytest.raises(InputError, match="requirement under: expected at least one point of the area outside"):
         Ghosts.of([Requirement("under", Strip("rear", (-1.0, -0.5)), 0.25, POST)], box())
-    monkeypatch.setattr("warpav.requirements.requirement.MAX_GHOSTS", 1000)
+    monkeypatch.setattr("warpav.sight.requirement.MAX_GHOSTS", 1000)
     with pytest.raises(InputError, match=r"at most 1000 points together, got 2032; choose wider grids"):
         Ghosts.of([Requirement("all", Band((0.0, 3.0)), 0.25, POST)] * 2, box())

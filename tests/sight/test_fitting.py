@@ -7,9 +7,9 @@ import pytest
 import trimesh
 
 from tests.view.stand_ins import block, ego, rig
-from warpav.evaluation.coverage import sees
-from warpav.evaluation.fitting import (
-    Footprint,
+from warpav.raster.camera import CameraModel
+from warpav.rig.rig import Rig, RigCamera
+from warpav.sight.around import (
     NearField,
     SectorCounts,
     VisibleGround,
@@ -18,8 +18,8 @@ from warpav.evaluation.fitting import (
     size_ranges_m,
     upright_px,
 )
-from warpav.raster.camera import CameraModel
-from warpav.rig.rig import Rig, RigCamera
+from warpav.sight.requirement import Body
+from warpav.sight.sight import sight
 
 HIGH = block((-0.5, -0.5, 0.1), (0.5, 0.5, 0.2), (90, 95, 100))  # a body that hides next to nothing
 
@@ -129,12 +129,12 @@ def test_near_ground_agrees_with_rays_of_another_library():
 def test_points_on_the_ground_are_free_and_below_it_are_not():
     model, _ = pinhole()
     scene, one = level_ground(HIGH), camera(model, place_m=(2.0, 0.0, 1.5))
-    assert sees(scene, one, np.array([[30.0, 0.0, 0.0], [30.0, 0.0, -1.2]])).tolist() == [True, False]
+    assert sight([one], np.array([[30.0, 0.0, 0.0], [30.0, 0.0, -1.2]]), scene).seen.tolist() == [[True, False]]
 
 
 def test_the_outline_of_a_body_is_its_convex_hull():
-    footprint = Footprint.of(ego())
-    assert footprint.middle_m == pytest.approx([1.35, 0.0])
+    footprint = Body.of(ego())
+    assert footprint.centre_m == pytest.approx([1.35, 0.0])
     border_m = footprint.border_m(np.radians([0.0, 90.0, 180.0, 45.0]))
     assert border_m == pytest.approx(np.array([[3.6, 0.0], [1.35, 0.9], [-0.9, 0.0], [2.25, 0.9]]))
     assert footprint.contains(np.array([[0.0, 0.0], [3.7, 0.0]])).tolist() == [True, False]
@@ -143,7 +143,7 @@ def test_the_outline_of_a_body_is_its_convex_hull():
 @pytest.mark.parametrize("distance_m", [0.0, 0.5, 10.0])
 def test_a_ring_is_everywhere_as_far_from_the_outline_and_as_long_as_steiner_says(distance_m):
     body = block((-1.0, -0.8, 0.1), (3.0, 0.8, 1.5), (90, 95, 100))
-    line_m = Footprint.of(body).ring_m(distance_m, direction_count=7200)
+    line_m = Body.of(body).ring_m(distance_m, direction_count=7200)
     nearest_m = np.clip(line_m, [-1.0, -0.8], [3.0, 0.8])
     np.testing.assert_allclose(np.linalg.norm(line_m - nearest_m, axis=1), distance_m, atol=1e-6)
     around_m = np.linalg.norm(np.diff(line_m, axis=0, append=line_m[:1]), axis=1).sum()

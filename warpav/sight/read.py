@@ -24,15 +24,12 @@ from warpav.core.json_schema import (
     mapping,
     named,
 )
-from warpav.requirements.area import SIDES, Area, Band, Polygon, Strip
-from warpav.requirements.requirement import Requirement
-from warpav.requirements.template import template_file, template_names
-from warpav.requirements.test_object import SIZES_M, TestObject
 from warpav.rig.formats.record import Record, read_yaml_record
 from warpav.scene.own_vehicle import read_vehicle_file
+from warpav.sight.ground import SECTORS
+from warpav.sight.requirement import SIDES, SIZES_M, Area, Band, Polygon, Requirement, Strip, TestObject
 
-SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
-"""Sectors of 45 degrees around the middle of the body, the first one centred straight ahead."""
+_TEMPLATES = Path(__file__).parent / "templates"
 
 _SPAN = items(NUMBER, 2)
 _SIZE: Schema = {"type": "number", "exclusiveMinimum": 0}
@@ -69,6 +66,16 @@ _KEYS: dict[str, Schema] = {
     "share": described(_SHARE, "share of the points that must be met, with a weight"),
 }
 """Every key of a requirement in a file, and its schema."""
+
+
+def template_names() -> list[str]:
+    """Names of the shipped templates, sorted, such as ``near_field``."""
+    return sorted(file.stem for file in _TEMPLATES.glob("*.yaml"))
+
+
+def template_file(name: str) -> Path:
+    """The file of a template."""
+    return _TEMPLATES / f"{name}.yaml"
 
 
 def requirements_schema() -> Schema:

@@ -7,13 +7,14 @@ import pytest
 import trimesh
 
 from tests.driving_scene import SKY, block, ego_mesh, ground, street
-from warpav.evaluation.coverage import PATCH_M, Ground, free_shares
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.raster.mesh import Mesh, merge
 from warpav.rig.rig import RigCamera
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
+from warpav.sight.ground import PATCH_M, Ground
+from warpav.sight.sight import free_shares
 
 WIDE = CameraModel(360, 180, 2.0 * math.pi, lens=Lens.PANORAMA)
 EYE_M = np.array([1.35, 0.0, 2.5])

@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import SKY, block, ego_mesh, ground
-from warpav.evaluation.blind_ground import DISTANCE_EDGES_M, BlindGround
-from warpav.evaluation.coverage import Ground
-from warpav.evaluation.metrics import SECTORS
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.raster.mesh import merge
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
+from warpav.sight.ground import DISTANCE_EDGES_M, SECTORS, BlindGround, Ground
 
 
 def scene_with(rng, *blocks):

@@ -7,10 +7,8 @@ import pytest
 import trimesh
 
 from warpav.core.errors import InputError
-from warpav.requirements.area import Band, Polygon, Strip
-from warpav.requirements.read import read_requirements
-from warpav.requirements.template import template_file, template_names
-from warpav.requirements.test_object import SIZES_M
+from warpav.sight.read import read_requirements, template_file, template_names
+from warpav.sight.requirement import SIZES_M, Band, Polygon, Strip
 
 POST = "area: {around_m: [0, 5]}, grid_m: 0.5, object: post"
 

@@ -9,13 +9,13 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from tests.driving_scene import SKY, block, ego_mesh, ground, street
-from warpav.evaluation.own_body import body_shares
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
+from warpav.sight.around import body_shares
 
 
 def scene_around(ego, environment=None):

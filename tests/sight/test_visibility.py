@@ -8,17 +8,15 @@ import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.requirements.test_area import box
+from tests.sight.test_area import box
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
-from warpav.requirements.area import Polygon
-from warpav.requirements.read import read_requirements
-from warpav.requirements.requirement import Ghosts, Requirement
-from warpav.requirements.test_object import SIZES_M, TestObject
-from warpav.requirements.visibility import ghost_jacobians, ghost_visibility, whole_solid_angle_sr
 from warpav.rig.rig import RigCamera
 from warpav.scene.town.town import town_scene
+from warpav.sight.read import read_requirements
+from warpav.sight.requirement import SIZES_M, Ghosts, Polygon, Requirement, TestObject
+from warpav.sight.visibility import ghost_jacobians, ghost_visibility, whole_solid_angle_sr
 
 MODEL = CameraModel(640, 480, math.radians(90.0))
 FISHEYE = CameraModel(640, 480, math.radians(180.0), lens=Lens.FISHEYE, distortion=(0.0, 0.0, 0.0, 0.0))

@@ -21,8 +21,8 @@ from warpav.raster.frame import Frame
 from warpav.raster.mesh import Mesh
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene
-from warpav.requirements.requirement import Ghosts
 from warpav.rig.rig import Rig
+from warpav.sight.requirement import Ghosts
 
 GHOSTS_AT_ONCE = 256
 """Objects of one scene; a render of a chunk of views holds this many silhouettes in each."""

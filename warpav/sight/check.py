@@ -13,10 +13,11 @@ import numpy as np
 
 from warpav.core.errors import one_line
 from warpav.raster.mesh import Mesh
-from warpav.requirements.area import Body
-from warpav.requirements.read import SECTORS, read_requirements
-from warpav.requirements.requirement import Ghosts, Requirement
-from warpav.requirements.visibility import (
+from warpav.rig.rig import Rig
+from warpav.sight.ground import SECTORS
+from warpav.sight.read import read_requirements
+from warpav.sight.requirement import Body, Ghosts, Requirement
+from warpav.sight.visibility import (
     RENDER_WIDTH_PX,
     GhostScenes,
     KeptRenderers,
@@ -25,7 +26,6 @@ from warpav.requirements.visibility import (
     ghost_visibility,
     poses_of,
 )
-from warpav.rig.rig import Rig
 
 if TYPE_CHECKING:
     from warpav.raster.pane import Pane

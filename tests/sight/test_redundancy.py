@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from warpav.evaluation.metrics import RigObservation
-from warpav.evaluation.redundancy import probability_of_at_least, redundancy
+from warpav.sight.sight import probability_of_at_least, redundancy
 
 
 @pytest.mark.parametrize("cameras", [0, 1, 2, 3, 5])

@@ -12,12 +12,19 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import warp as wp
 
-from warpav.evaluation.coverage import is_in_image, sees
+from warpav.raster.buffers import Content
 from warpav.raster.mesh import Mesh
+from warpav.raster.pane import Pane
+from warpav.raster.renderer import Renderer
+from warpav.raster.scene import BACKGROUND_ID
+from warpav.raster.scene import Scene as RasterScene
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
+from warpav.sight.requirement import Body
+from warpav.sight.sight import is_in_image, seen_by_any, sight
 
 CAR_HEIGHT_M = 1.5
 """Of the car whose image is measured [m]."""
@@ -122,52 +129,6 @@ def px_per_degree(camera: RigCamera, direction: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Footprint:
-    """The outline of a vehicle from above, without its dents: the convex hull.
-
-    Attributes:
-        middle_m: Middle of its bounds, x and y [m], [2].
-        side: Outward unit normal and offset of every side: ``normal @ point + offset`` is positive outside, [side, 3].
-        corner_m: Corners, x and y, float64 [corner, 2].
-    """
-
-    middle_m: np.ndarray
-    side: np.ndarray
-    corner_m: np.ndarray
-
-    @classmethod
-    def of(cls, ego: Mesh) -> Footprint:
-        """That of a vehicle."""
-        from scipy.spatial import ConvexHull
-
-        low_m, high_m = np.asarray(ego.bounds_m(), np.float64)
-        hull = ConvexHull(np.asarray(ego.vertex_m, np.float64)[:, :2])
-        return cls(0.5 * (low_m + high_m)[:2], hull.equations, hull.points[hull.vertices])
-
-    def contains(self, point_m: np.ndarray) -> np.ndarray:
-        """Whether points are inside or on the border, [..., 2] in, bool [...] out."""
-        return np.asarray((point_m @ self.side[:, :2].T + self.side[:, 2] <= 0.0).all(axis=-1))
-
-    def border_m(self, azimuth_rad: np.ndarray) -> np.ndarray:
-        """Points of the border by azimuth from the middle [m], float64 [direction, 2]."""
-        across = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
-        inside = -(self.side[:, :2] @ self.middle_m + self.side[:, 2])
-        along = across @ self.side[:, :2].T
-        distance_m = np.where(along > 1e-12, inside / np.maximum(along, 1e-12), np.inf).min(axis=1)
-        return self.middle_m + distance_m[:, None] * across
-
-    def ring_m(self, distance_m: float, *, direction_count: int = 720) -> np.ndarray:
-        """The closed line at a distance from the border, by the direction of its outward normal.
-
-        Returns:
-            x and y [m], float64 [direction, 2]; the first is ahead, the others follow to the left.
-        """
-        turn_rad = np.arange(direction_count) * 2.0 * math.pi / direction_count
-        normal = np.stack([np.cos(turn_rad), np.sin(turn_rad)], axis=-1)
-        return self.corner_m[(normal @ self.corner_m.T).argmax(axis=1)] + distance_m * normal
-
-
-@dataclass(frozen=True, eq=False)
 class NearField:
     """How far from the body the first point is that some camera sees, by direction.
 
@@ -203,7 +164,7 @@ class NearField:
         """
         scene = level_ground(ego, device=device)
         azimuth_rad = np.arange(direction_count) * 2.0 * math.pi / direction_count
-        border_m = Footprint.of(ego).border_m(azimuth_rad)
+        border_m = Body.of(ego).border_m(azimuth_rad)
         outwards = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
         tried_m = np.linspace(0.0, reach_m, 1 + math.ceil(reach_m / 0.05))
 
@@ -212,7 +173,7 @@ class NearField:
             place_m = border_m + distance_m[..., None] * outwards
             height_m = np.reshape(heights_m, (-1, *(1,) * (distance_m.ndim - 1)))
             point_m = np.concatenate([place_m, np.broadcast_to(height_m, distance_m.shape)[..., None]], axis=-1)
-            return seen_by_any(rig, scene, point_m)
+            return seen_by_any(rig, point_m, scene)
 
         shape = len(heights_m), len(tried_m), direction_count
         seen = is_seen(np.broadcast_to(tried_m[:, None], shape))
@@ -260,12 +221,11 @@ class VisibleGround:
             for low, high in zip(low_m, high_m, strict=True)
         )
         place_m = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1)
-        is_body = Footprint.of(ego).contains(place_m)
+        is_body = Body.of(ego).contains(place_m)
         point_m = np.concatenate([place_m, np.zeros((*is_body.shape, 1))], axis=-1)[~is_body]
-        in_image, seen = np.zeros(is_body.shape, np.int64), np.zeros(is_body.shape, np.int64)
-        for camera in rig.cameras:
-            in_image[~is_body] += is_in_image(camera, point_m)
-            seen[~is_body] += sees(scene, camera, point_m)
+        in_image, seen = np.zeros((2, *is_body.shape), np.int64)
+        found = sight(rig, point_m, scene)
+        in_image[~is_body], seen[~is_body] = found.in_image.sum(axis=0), found.count
         return cls(x_m, y_m, is_body, in_image, seen)
 
     @property
@@ -319,19 +279,15 @@ class SectorCounts:
         Args:
             ego: The vehicle in the ego frame [m].
         """
-        scene, footprint = level_ground(ego, device=device), Footprint.of(ego)
+        scene, body = level_ground(ego, device=device), Body.of(ego)
         azimuth_rad = np.arange(sector_count) * 2.0 * math.pi / sector_count
         distance_m = 0.5 * (np.asarray(edges_m)[1:] + np.asarray(edges_m)[:-1])
         across = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
-        foot_m = footprint.middle_m + distance_m[:, None] * across[:, None]
+        foot_m = body.centre_m + distance_m[:, None] * across[:, None]
         point_m = np.concatenate([foot_m, np.full((*foot_m.shape[:2], 1), 0.5 * CAR_HEIGHT_M)], axis=-1)
-        found = [
-            (upright_px(camera, foot_m, CAR_HEIGHT_M) >= least_px)
-            & sees(scene, camera, point_m.reshape(-1, 3)).reshape(foot_m.shape[:2])
-            for camera in rig.cameras
-        ]
-        names = tuple(camera.name for camera in rig.cameras)
-        return cls(names, tuple(edges_m), footprint.contains(foot_m), np.stack(found))
+        is_large = [upright_px(camera, foot_m, CAR_HEIGHT_M) >= least_px for camera in rig.cameras]
+        seen = sight(rig, point_m, scene).seen & np.stack(is_large)
+        return cls(tuple(camera.name for camera in rig.cameras), tuple(edges_m), body.contains(foot_m), seen)
 
     def within(self, bands: int) -> SectorCounts:
         """The first bands alone."""
@@ -361,15 +317,6 @@ class SectorCounts:
         return float((area * (count == 0)).sum() / area.sum())
 
 
-def seen_by_any(rig: Rig, scene: DeviceScene, point_m: np.ndarray) -> np.ndarray:
-    """Whether some camera sees points of the ego frame [m], [..., 3]; bool [...]."""
-    point = point_m.reshape(-1, 3)
-    seen = np.zeros(len(point), bool)
-    for camera in rig.cameras:
-        seen[~seen] = sees(scene, camera, point[~seen])
-    return seen.reshape(point_m.shape[:-1])
-
-
 def _in_camera_m(camera: RigCamera, point_m: np.ndarray) -> np.ndarray:
     pose = camera.ego_from_camera
     return (point_m - pose[:3, 3]) @ pose[:3, :3]
@@ -383,3 +330,43 @@ def _edge(holds: Callable[[np.ndarray], np.ndarray], inside: np.ndarray, outside
         is_inside = holds(middle)
         inside, outside = np.where(is_inside, middle, inside), np.where(is_inside, outside, middle)
     return inside
+
+
+# --------------------------------------------------------------------------------------- the body in the images
+
+
+def body_shares(rig: Rig, scene: DeviceScene) -> dict[str, float]:
+    """Share of the image of every camera that the body of the own vehicle covers.
+
+    The vehicle is drawn alone, so nothing of the scene counts but its ego vehicle. Pixels whose centres show it are
+    counted over all pixels of the image, those included in which the lens sees nothing. Surfaces nearer than a camera's
+    ``near_m`` are cut away, as in every render, and so is a pane that a camera stands behind.
+    """
+    share: dict[str, float] = {}
+    kinds = [(camera.model.width_px, camera.model.height_px, camera.behind_glass) for camera in rig.cameras]
+    for kind in dict.fromkeys(kinds):
+        group = [camera for camera, each in zip(rig.cameras, kinds, strict=True) if each == kind]
+        body = _body_alone(scene, kind[2])
+        transform = np.stack([camera.ego_from_camera for camera in group])
+        renderer = Renderer([camera.model for camera in group], device=str(body.device))
+        frame = renderer.render(
+            body,
+            wp.array(transform[:, :3, 3].astype(np.float32), dtype=wp.vec3, device=body.device),
+            wp.array(transform[:, :3, :3].transpose(0, 2, 1).astype(np.float32), dtype=wp.mat33, device=body.device),
+            content=Content.IMAGES,
+        )
+        covered = (frame.object_id.numpy() != BACKGROUND_ID).mean(axis=(1, 2), dtype=np.float64)
+        share |= {camera.name: float(value) for camera, value in zip(group, covered, strict=True)}
+    return {camera.name: share[camera.name] for camera in rig.cameras}
+
+
+def _body_alone(scene: DeviceScene, pane: Pane | None) -> RasterScene:
+    """The ego vehicle of a scene as cameras behind a pane see it, and nothing else, on the scene's device."""
+    raster = scene.raster.through(pane)
+    body = raster.layer_body.numpy()[raster.foreground_layer]
+    triangles = raster.triangles
+    triangle = triangles.triangle.numpy()[triangles.triangle_body.numpy() == body]
+    used, triangle = np.unique(triangle, return_inverse=True)
+    vertex_rgb = np.zeros((len(used), 3), np.uint8)  # only ids are read
+    mesh = Mesh(triangles.vertex_world_m.numpy()[used], triangle.reshape(-1, 3).astype(np.int32), vertex_rgb)
+    return RasterScene(occluders=[mesh], device=raster.device)

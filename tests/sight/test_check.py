@@ -10,13 +10,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import warpav as wa
-from tests.requirements.test_area import box
+from tests.sight.test_area import box
 from warpav.raster.camera import CameraModel
-from warpav.requirements.area import Band, Strip
-from warpav.requirements.check import Gap
-from warpav.requirements.read import SECTORS
-from warpav.requirements.requirement import Requirement
-from warpav.requirements.test_object import SIZES_M, TestObject
+from warpav.sight.check import Gap
+from warpav.sight.ground import SECTORS
+from warpav.sight.requirement import SIZES_M, Band, Requirement, Strip, TestObject
 
 POST = TestObject("post", SIZES_M["post"])
 EGO = box((4.0, 2.0, 1.5), (1.0, 0.0, 0.75))

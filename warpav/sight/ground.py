@@ -1,27 +1,23 @@
-"""Ground coverage of a rig: where around the vehicle a person of a given height is seen, and by how many cameras.
-
-The computation is geometric: a point is seen if it projects into a camera's image and nothing occludes it. It involves
-no detector and no minimum size in pixels.
-"""
+"""Coverage of the ground: where around the vehicle a person is seen, by how many cameras, and where by none."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import warp as wp
 
-from warpav.core.cores import available_cores
 from warpav.core.warp_setup import checked_device
-from warpav.raster.pane import Pane
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
-from warpav_kernels.evaluation import ground as kernels
+from warpav.sight.sight import sight
+from warpav_kernels.sight import ground as kernels
 
 HEIGHTS_M = (1.1, 1.7)
 """Top of a child's and of an adult's head above the ground [m]."""
@@ -33,6 +29,20 @@ RADIUS_M = 25.0
 CELL_M = 0.5
 STEP_M = 0.3
 """Surfaces up to this height above the lowest surface count as ground [m]: kerbs, but no walls or benches."""
+
+
+SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
+"""Sectors of 45 degrees around the middle of the vehicle, the first one centred straight ahead; the centre of an
+object's box decides, and a sector includes its right edge."""
+
+DISTANCE_EDGES_M = (0.0, 5.0, 10.0, 15.0, 20.0, RADIUS_M)
+"""Bands of the distance from the centre of the ego vehicle [m]; a band includes its lower edge, the last one both."""
+
+
+def sectors_of(from_ego_m: np.ndarray) -> np.ndarray:
+    """Index in `SECTORS` of positions relative to the ego vehicle's centre: forward and left [m], [..., 2]."""
+    turn = np.arctan2(from_ego_m[..., 1], from_ego_m[..., 0]) * (len(SECTORS) / (2.0 * math.pi))
+    return (np.floor(turn + 0.5) % len(SECTORS)).astype(int)
 
 
 def coverage(
@@ -143,8 +153,7 @@ class Ground:
         is_open = np.stack([self.is_open(height_m) for height_m in heights_m])
         height, row, column, point_m = self.points_m(is_open, heights_m)
         is_seen = np.zeros((len(cameras), *is_open.shape), bool)
-        for camera, seen in zip(cameras, is_seen, strict=True):
-            seen[height, row, column] = self.is_seen(camera, point_m)
+        is_seen[:, height, row, column] = sight(cameras, point_m, self.scene).seen
         return Coverage(self, tuple(heights_m), is_open, is_seen)
 
     def points_m(
@@ -161,78 +170,6 @@ class Ground:
         height, row, column = np.nonzero(is_open)
         top_m = self.ground_m[row, column] + np.asarray(heights_m)[height]
         return height, row, column, np.stack([self.x_m[row], self.y_m[column], top_m], axis=-1)
-
-    def is_seen(self, camera: RigCamera, point_m: np.ndarray) -> np.ndarray:
-        """Whether a camera sees points of the ego frame [m], [point, 3]; bool [point]."""
-        return sees(self.scene, camera, point_m)
-
-
-def is_in_image(camera: RigCamera, point_m: np.ndarray) -> np.ndarray:
-    """Whether points of the ego frame [m], [..., 3], have an image within the camera's image; bool [...]."""
-    ego_from_camera = camera.ego_from_camera
-    in_camera_m = (point_m - ego_from_camera[:3, 3]) @ ego_from_camera[:3, :3]
-    with np.errstate(invalid="ignore"):
-        point_px = camera.model.project(in_camera_m)
-        is_inside = (point_px >= 0.0) & (point_px < [camera.model.width_px, camera.model.height_px])
-    return np.asarray(is_inside.all(axis=-1))
-
-
-def sees(scene: DeviceScene, camera: RigCamera, point_m: np.ndarray) -> np.ndarray:
-    """Whether a camera sees points of the ego frame [m], [point, 3]: in its image, with nothing before them."""
-    is_seen = is_in_image(camera, point_m)
-    asked = np.flatnonzero(is_seen)
-    share = free_shares(
-        scene,
-        camera.ego_from_camera[:3, 3],
-        point_m[asked],
-        near_m=camera.model.near_m,
-        behind_glass=camera.behind_glass,
-    )
-    is_seen[asked] = share == 1.0
-    return is_seen
-
-
-def free_shares(
-    scene: DeviceScene,
-    start_m: np.ndarray,
-    end_m: np.ndarray,
-    *,
-    near_m: float = 0.0,
-    behind_glass: Pane | None = None,
-) -> np.ndarray:
-    """Share of the line of sight from one point to others that is free of occluders.
-
-    Args:
-        start_m: Start point in the ego frame [m], [3].
-        end_m: End points in the ego frame [m], [point, 3].
-    """
-    raster = scene.raster.through(behind_glass)  # held while kernels read it
-    device, count = raster.device, len(end_m)
-    if count == 0:
-        return np.zeros(0, np.float32)
-    end = wp.array(np.asarray(end_m, np.float32), dtype=wp.vec3, device=device)
-    share = wp.empty(count, dtype=float, device=device)
-    mesh = raster.mesh.id  # built before the threads use it
-
-    def launch(first: int) -> None:
-        wp.launch(
-            kernels.free_share_kernel,
-            dim=min(chunk, count - first),
-            inputs=[mesh, wp.vec3(*start_m), end, near_m, first],
-            outputs=[share],
-            device=device,
-            record_tape=False,
-        )
-
-    threads = 1 if device.is_cuda else available_cores()
-    chunk = -(-count // threads)
-    list(_threads(threads).map(launch, range(0, count, chunk)))
-    return share.numpy()
-
-
-@cache
-def _threads(count: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(count)
 
 
 def _reached_from(start: np.ndarray, is_open: np.ndarray) -> np.ndarray:
@@ -262,7 +199,7 @@ class Coverage:
         """The coverage with one camera replaced; the results of the other cameras are reused."""
         height, row, column, point_m = self.ground.points_m(self.is_open, self.heights_m)
         is_seen = self.is_seen.copy()
-        is_seen[index, height, row, column] = self.ground.is_seen(camera, point_m)
+        is_seen[index, height, row, column] = sight([camera], point_m, self.ground.scene).seen[0]
         return Coverage(self.ground, self.heights_m, self.is_open, is_seen)
 
     @cached_property
@@ -308,3 +245,77 @@ class Coverage:
         is_open = self.is_open if within is None else self.is_open & within
         total = is_open.sum(axis=(1, 2))
         return np.where(total > 0, (flag & is_open).sum(axis=(1, 2)) / np.maximum(total, 1), np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class BlindGround:
+    """Per ground cell, the number of scenes in which a person can stand there, and in which no camera sees that person.
+
+    The cells lie around the centre of the ego vehicle, x forward along the rows and y left along the columns. A cell is
+    blind if it is outside all images or occluded.
+
+    Attributes:
+        open_count: Scenes in which a person of a height can stand on a cell, int64 [height, row, column].
+        blind_count: Of these, scenes in which no camera sees the person, same shape, for every rig by name.
+    """
+
+    scene_count: int
+    open_count: np.ndarray
+    blind_count: dict[str, np.ndarray]
+    heights_m: tuple[float, ...] = HEIGHTS_M
+    cell_m: float = CELL_M
+    radius_m: float = RADIUS_M
+
+    @classmethod
+    def of(cls, rigs: Mapping[str, Rig], scenes: Iterable[DeviceScene]) -> BlindGround:
+        """Count the blind ground of every rig over at least one scene."""
+        open_counts: list[np.ndarray] = []
+        blind_counts: dict[str, list[np.ndarray]] = {name: [] for name in rigs}
+        for scene in scenes:
+            ground = Ground.around(scene)
+            for name, rig in rigs.items():
+                blind_counts[name].append(ground.coverage(rig.cameras).count == 0)
+            open_counts.append(np.stack([ground.is_open(height_m) for height_m in HEIGHTS_M]))
+        blind_count = {name: np.sum(counts, axis=0) for name, counts in blind_counts.items()}
+        return cls(len(open_counts), np.sum(open_counts, axis=0), blind_count)
+
+    @property
+    def from_ego_m(self) -> np.ndarray:
+        """Cell centres relative to the centre of the ego vehicle, forward and left [m], [row, column, 2]."""
+        steps = [self.cell_m * (np.arange(count) - (count - 1) / 2) for count in self.open_count.shape[1:]]
+        return np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1)
+
+    def table(self) -> dict[str, Any]:
+        """The counts by sector and band, for ``evaluation.json``.
+
+        ``cells`` and each of ``blind`` count cells, once per scene, by height, sector and band; the other keys
+        describe these axes.
+        """
+        sector = sectors_of(self.from_ego_m)
+        band = np.searchsorted(DISTANCE_EDGES_M[1:-1], np.linalg.norm(self.from_ego_m, axis=-1), side="right")
+
+        def by_sector(count: np.ndarray) -> list[list[list[int]]]:
+            bands = range(len(DISTANCE_EDGES_M) - 1)
+            groups = [[(sector == s) & (band == b) for b in bands] for s in range(len(SECTORS))]
+            return [[[int(layer[group].sum()) for group in row] for row in groups] for layer in count]
+
+        return {
+            "scenes": self.scene_count,
+            "heights_m": list(self.heights_m),
+            "cell_m": self.cell_m,
+            "radius_m": self.radius_m,
+            "sectors": list(SECTORS),
+            "bands_m": [f"{low:g}-{high:g}" for low, high in itertools.pairwise(DISTANCE_EDGES_M)],
+            "cells": by_sector(self.open_count),
+            "blind": {name: by_sector(count) for name, count in self.blind_count.items()},
+        }
+
+    def arrays(self, ego_bounds_m: np.ndarray) -> dict[str, np.ndarray]:
+        """The counts for ``figures/ground.npz``, with the ego vehicle's lowest and highest corner [m], [2, 3]."""
+        return {
+            "open_count": self.open_count.astype(np.uint16),
+            **{f"blind_count_{name}": count.astype(np.uint16) for name, count in self.blind_count.items()},
+            "heights_m": np.array(self.heights_m),
+            "cell_m": np.array(self.cell_m),
+            "ego_bounds_m": np.asarray(ego_bounds_m, np.float64),
+        }

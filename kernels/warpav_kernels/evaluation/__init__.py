@@ -1,1 +1,0 @@
-"""Ground that cameras see."""
