@@ -20,7 +20,7 @@ from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import ROAD_USERS, Scene
-from warpav.sight.ground import SECTORS
+from warpav.sight.requirement import SECTORS
 
 AHEAD, ASIDE, TINY = (9.0, 0.0, 0.4), (0.0, 9.0, 0.4), (45.0, -6.0, 0.0)
 BOTH_AHEAD = (0.0, 0.2)  # yaws of two cameras that see the same

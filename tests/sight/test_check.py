@@ -13,8 +13,7 @@ import warpav as wa
 from tests.sight.test_area import box
 from warpav.raster.camera import CameraModel
 from warpav.sight.check import Gap
-from warpav.sight.ground import SECTORS
-from warpav.sight.requirement import SIZES_M, Band, Requirement, Strip, TestObject
+from warpav.sight.requirement import SECTORS, SIZES_M, Band, Requirement, Strip, TestObject
 
 POST = TestObject("post", SIZES_M["post"])
 EGO = box((4.0, 2.0, 1.5), (1.0, 0.0, 0.75))

@@ -35,7 +35,7 @@ from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig
 from warpav.scene.device_scene import DeviceScene
 from warpav.sight.around import body_shares
-from warpav.sight.ground import SECTORS, sectors_of
+from warpav.sight.requirement import SECTORS, sectors_of
 from warpav.sight.sight import redundancy
 
 # metrics defined per scene, so that rigs can be compared scene by scene

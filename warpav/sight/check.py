@@ -14,9 +14,8 @@ import numpy as np
 from warpav.core.errors import one_line
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig
-from warpav.sight.ground import SECTORS
 from warpav.sight.read import read_requirements
-from warpav.sight.requirement import Body, Ghosts, Requirement
+from warpav.sight.requirement import SECTORS, Body, Ghosts, Requirement
 from warpav.sight.visibility import (
     RENDER_WIDTH_PX,
     GhostScenes,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +15,7 @@ from warpav.core.warp_setup import checked_device
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
+from warpav.sight.requirement import SECTORS, sectors_of
 from warpav.sight.sight import sight
 from warpav_kernels.sight import ground as kernels
 
@@ -31,18 +31,8 @@ STEP_M = 0.3
 """Surfaces up to this height above the lowest surface count as ground [m]: kerbs, but no walls or benches."""
 
 
-SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
-"""Sectors of 45 degrees around the middle of the vehicle, the first one centred straight ahead; the centre of an
-object's box decides, and a sector includes its right edge."""
-
 DISTANCE_EDGES_M = (0.0, 5.0, 10.0, 15.0, 20.0, RADIUS_M)
 """Bands of the distance from the centre of the ego vehicle [m]; a band includes its lower edge, the last one both."""
-
-
-def sectors_of(from_ego_m: np.ndarray) -> np.ndarray:
-    """Index in `SECTORS` of positions relative to the ego vehicle's centre: forward and left [m], [..., 2]."""
-    turn = np.arctan2(from_ego_m[..., 1], from_ego_m[..., 0]) * (len(SECTORS) / (2.0 * math.pi))
-    return (np.floor(turn + 0.5) % len(SECTORS)).astype(int)
 
 
 def coverage(

@@ -26,10 +26,8 @@ from warpav.core.json_schema import (
 )
 from warpav.rig.formats.record import Record, read_yaml_record
 from warpav.scene.own_vehicle import read_vehicle_file
-from warpav.sight.ground import SECTORS
-from warpav.sight.requirement import SIDES, SIZES_M, Area, Band, Polygon, Requirement, Strip, TestObject
-
-_TEMPLATES = Path(__file__).parent / "templates"
+from warpav.sight.requirement import SECTORS, SIDES, SIZES_M, Area, Band, Polygon, Requirement, Strip, TestObject
+from warpav.sight.templates import template_file, template_names
 
 _SPAN = items(NUMBER, 2)
 _SIZE: Schema = {"type": "number", "exclusiveMinimum": 0}
@@ -66,16 +64,6 @@ _KEYS: dict[str, Schema] = {
     "share": described(_SHARE, "share of the points that must be met, with a weight"),
 }
 """Every key of a requirement in a file, and its schema."""
-
-
-def template_names() -> list[str]:
-    """Names of the shipped templates, sorted, such as ``near_field``."""
-    return sorted(file.stem for file in _TEMPLATES.glob("*.yaml"))
-
-
-def template_file(name: str) -> Path:
-    """The file of a template."""
-    return _TEMPLATES / f"{name}.yaml"
 
 
 def requirements_schema() -> Schema:

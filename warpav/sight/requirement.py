@@ -15,6 +15,10 @@ from warpav.raster.mesh import Mesh
 
 # ------------------------------------------------------------------------------------------- areas on the ground
 
+SECTORS = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
+"""Sectors of 45 degrees around the middle of the vehicle, the first one centred straight ahead; the centre of an
+object's box decides, and a sector includes its right edge."""
+
 SIDES = ("front", "rear", "left", "right")
 """Sides of the body that a strip lies beside."""
 
@@ -142,6 +146,12 @@ class Polygon:
 
 
 Area = Band | Strip | Polygon
+
+
+def sectors_of(from_ego_m: np.ndarray) -> np.ndarray:
+    """Index in `SECTORS` of positions relative to the ego vehicle's centre: forward and left [m], [..., 2]."""
+    turn = np.arctan2(from_ego_m[..., 1], from_ego_m[..., 0]) * (len(SECTORS) / (2.0 * math.pi))
+    return (np.floor(turn + 0.5) % len(SECTORS)).astype(int)
 
 
 def grid_m(area: Area, body: Body, spacing_m: float) -> np.ndarray:

@@ -26,7 +26,7 @@ from warpav.core.yaml_file import read_yaml
 from warpav.rig.presets import preset_names
 from warpav.scene.scene import ROAD_USERS
 from warpav.scene.vehicles import SHIPPED, vehicle_file, vehicle_names
-from warpav.sight.read import template_names
+from warpav.sight.templates import template_names
 
 NAMED_STARTS = ("random", "highest")
 """What rig.start may be besides a rig."""

@@ -58,7 +58,7 @@ from warpav.runs.config.fields import (
 )
 from warpav.scene.scene import ROAD_USERS, road_user_of
 from warpav.scene.town.levels import LEVELS, Level
-from warpav.sight.read import template_names
+from warpav.sight.templates import template_names
 
 EXTENDS = "extends"
 """Key of a file that names another file, on top of which it stands."""

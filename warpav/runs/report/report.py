@@ -23,7 +23,7 @@ from warpav.runs.report import statements as words
 from warpav.runs.report.evaluation import Evaluation, RunContent, View, read_run
 from warpav.runs.report.tables import RECALL_GROUPS, metric_table, outage_table, recall_table, requirement_table
 from warpav.runs.run_folder import RunFolder
-from warpav.sight.ground import SECTORS, sectors_of
+from warpav.sight.requirement import SECTORS, sectors_of
 from warpav.view.figures.convergence import convergence_panels, search_panel
 from warpav.view.figures.statistics import MetricDifference, differences, recall_by_group
 from warpav.view.figures.style import svg_text
