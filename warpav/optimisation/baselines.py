@@ -14,7 +14,7 @@ from warpav.raster.mesh import Mesh
 from warpav.rig.on_body import MovedRig, blocked_shares, ray_caster
 from warpav.rig.rig import Rig
 
-TOP_M = 0.25
+_TOP_M = 0.25
 """How far below the highest point the top of a vehicle may reach [m]."""
 
 
@@ -43,7 +43,7 @@ def edge_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarray:
     Returns mount poses, float64 [camera, 7].
 
     A flush camera in the middle of a roof sees little but the roof; at the edge it sees the ground below. The top is
-    what is at most `TOP_M` below the highest point, in the same zone. The first camera faces forward.
+    what is at most `_TOP_M` below the highest point, in the same zone. The first camera faces forward.
     """
     surface = constraints.surface
     pose = np.zeros((camera_count, MOUNT_POSE_SIZE))
@@ -53,7 +53,7 @@ def edge_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarray:
     if surface.zones:
         place = place[surface.zone_at(place) == surface.zone_at(surface.highest_point_m()[None, :2])]
     point = surface.point_m(place, surface.height_at_m(place))
-    is_top = point[:, 2] >= point[:, 2].max() - TOP_M
+    is_top = point[:, 2] >= point[:, 2].max() - _TOP_M
     place, from_middle = place[is_top], point[is_top, :2] - point[is_top, :2].mean(axis=0)
     for camera, yaw in enumerate(pose[:, YAW_RAD]):
         ahead = from_middle @ np.array([math.cos(yaw), math.sin(yaw)])

@@ -16,11 +16,11 @@ from warpav.optimisation.single_cameras import SingleCameras
 from warpav.optimisation.space import SearchSpace
 from warpav.scene.device_scene import DeviceScene
 
-RigValues = Callable[[np.ndarray], Iterable[float]]
+_RigValues = Callable[[np.ndarray], Iterable[float]]
 """Values of rigs, float32 [rig, camera, 7], one after the other; a search keeps those before one that fails."""
 
 
-def rig_values_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> RigValues:
+def rig_values_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> _RigValues:
     """The values of rigs by an objective: by single cameras where that can be, else one rig after the other."""
     cameras = single_cameras_of(objective)
     if cameras is not None:
@@ -74,7 +74,7 @@ class SingleCameraValues:
         return np.concatenate(pose), np.concatenate(found)
 
 
-class BudgetSpentError(Exception):
+class _BudgetSpentError(Exception):
     """The next look would cost more than what is left of the budget."""
 
 
@@ -105,7 +105,9 @@ class BudgetedValue:
     costs N S of them. Rigs are made feasible before they are looked at.
     """
 
-    def __init__(self, rig_values: RigValues, space: SearchSpace, *, scene_count: int, camera_renders_max: int) -> None:
+    def __init__(
+        self, rig_values: _RigValues, space: SearchSpace, *, scene_count: int, camera_renders_max: int
+    ) -> None:
         self.space = space  # the rigs that may be tried
         self.scene_count = scene_count  # camera renders that a look at one camera costs
         self.camera_renders_max = camera_renders_max  # camera renders that all looks together may cost
@@ -167,13 +169,13 @@ class BudgetedValue:
             found.append(float(next(values)))
             self.record(pose, found[-1])
         if affordable < len(mount_poses):
-            raise BudgetSpentError
+            raise _BudgetSpentError
         return np.where(np.isfinite(found), found, math.inf)
 
     def spend(self, camera_renders: int) -> None:
         """Count camera renders that gave no value, before they are made."""
         if camera_renders > self.camera_renders_left:
-            raise BudgetSpentError
+            raise _BudgetSpentError
         self.camera_renders += camera_renders
 
     def record(self, mount_pose: np.ndarray, value: float) -> None:
@@ -203,7 +205,7 @@ def run_search(search: Search, value: BudgetedValue, rng: np.random.Generator) -
     error = None
     try:
         search(value, rng)
-    except BudgetSpentError:
+    except _BudgetSpentError:
         pass
     except Exception as failure:
         if value.best_mount_pose is None:

@@ -28,7 +28,7 @@ from warpav.optimisation.selection.problem import Row, SelectionProblem, fits, r
 from warpav.optimisation.selection.relaxation import Price
 from warpav.optimisation.selection.select import STARTS, TOLERANCE, Ended, Selection, select
 
-MOST_EXCHANGES, EXCHANGE_TIME = 8, 0.25
+_MOST_EXCHANGES, _EXCHANGE_TIME = 8, 0.25
 """Times `STARTS` random rigs that are exchanged, and the share of a selection's time after which no more are."""
 OTHERS = 2
 """Further rigs that are handed out for a polish: the best of a pool often ends higher than they."""
@@ -160,7 +160,7 @@ def select_robust(
     bound_of_fewer = 1.0 if count == 1 else whole.bound if fewer is None else max(fewer.bound, whole.bound)
     bound = (1.0 - objective.weight) * whole.bound + objective.weight * bound_of_fewer
     known = [whole.cameras] if start is None else [np.asarray(start, np.int64), whole.cameras]
-    rigs, value = _exchanged(problem, known, objective, size, EXCHANGE_TIME * time_limit_s, seed)
+    rigs, value = _exchanged(problem, known, objective, size, _EXCHANGE_TIME * time_limit_s, seed)
     ended: Ended = "exchange"
     if value[0] - bound <= max(TOLERANCE, gap):
         ended = "optimal" if value[0] - bound <= TOLERANCE else "gap"
@@ -191,7 +191,7 @@ def _exchanged(
     required, deadline_s = problem.required, time.perf_counter() + time_limit_s
     rigs = [np.concatenate([required, np.setdiff1d(rig, required)]) for rig in known]
     found: list[tuple[np.ndarray, np.ndarray]] = []
-    for _ in range(MOST_EXCHANGES):
+    for _ in range(_MOST_EXCHANGES):
         rigs += [rig for rig in (random_rig(problem, rng) for _ in range(STARTS)) if rig is not None]
         if rigs:
             found.append(exchange_robust(problem, np.array(rigs), objective, size))

@@ -22,9 +22,9 @@ from warpav_kernels.placement import constraint_losses
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
 
-PROJECTION_ROUNDS = 200
-SHAKE_EVERY = 20  # rounds
-RANDOM_TRIES = 1000
+_PROJECTION_ROUNDS = 200
+_SHAKE_EVERY = 20  # rounds
+_RANDOM_TRIES = 1000
 
 # a rig file keeps micrometres; what is smaller is rounding, not a violation
 _ROUNDING_M = 1e-6
@@ -208,8 +208,8 @@ class Constraints(ABC):
         module = self.module if self.module is not None and len(self.module) == len(place) else None
         wanted_m = self.min_spacing_m + 1e-5  # the numbers that follow are rounded to float32
         rng = np.random.default_rng(0)
-        for projection_round in range(1, PROJECTION_ROUNDS + 1):
-            if projection_round % SHAKE_EVERY == 0:
+        for projection_round in range(1, _PROJECTION_ROUNDS + 1):
+            if projection_round % _SHAKE_EVERY == 0:
                 # cameras on one line, such as an edge of the surface, would push each other along it for ever
                 shaken = rng.uniform(-0.5, 0.5, place.shape) * self.min_spacing_m
                 place[~is_frozen] += shaken[~is_frozen]
@@ -259,7 +259,7 @@ class Constraints(ABC):
 
     def random_place(self, camera_count: int, rng: np.random.Generator) -> np.ndarray:
         """Places that satisfy the constraints, uniform among all that do. Returns x and y [m], float64 [camera, 2]."""
-        for _ in range(RANDOM_TRIES):
+        for _ in range(_RANDOM_TRIES):
             place, height_delta = self._drawn(camera_count, rng), np.zeros(camera_count)
             is_frozen = self._put_frozen(place, height_delta)
             point_m = self._point_m(place, height_delta)

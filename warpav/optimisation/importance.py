@@ -18,7 +18,7 @@ from warpav.optimisation.settings import ImportanceSettings
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import ROAD_USERS
 
-CATEGORIES = ("hatchback", "saloon", "estate", "suv", "car", "van", "lorry", "bus")
+_CATEGORIES = ("hatchback", "saloon", "estate", "suv", "car", "van", "lorry", "bus")
 """Categories of vehicles in embedded and captured scenes; files may have others."""
 
 
@@ -88,7 +88,7 @@ class Importance:
 
 def check_categories(settings: ImportanceSettings, others: Collection[str] = ()) -> None:
     """Make sure that there are the categories that have weights."""
-    known = list(dict.fromkeys([*ROAD_USERS, *CATEGORIES, *sorted(others)]))
+    known = list(dict.fromkeys([*ROAD_USERS, *_CATEGORIES, *sorted(others)]))
     for name in settings.category:
         if name not in known:
             near = difflib.get_close_matches(name, known, 1, 0.6)

@@ -31,23 +31,23 @@ from warpav.optimisation.tangent_model import REACH, TANGENTS, Edges, HardPoints
 Detected = tuple[np.ndarray, np.ndarray]
 """The probability that each camera detects each object [camera, object], and its Jacobian [camera, object, 7]."""
 
-STEP_UNIT = {X_M: 0.2, Y_M: 0.2, YAW_RAD: 0.2, PITCH_RAD: 0.1, HEIGHT_DELTA_M: 0.1, LOG_ZOOM: 0.1}
+_STEP_UNIT = {X_M: 0.2, Y_M: 0.2, YAW_RAD: 0.2, PITCH_RAD: 0.1, HEIGHT_DELTA_M: 0.1, LOG_ZOOM: 0.1}
 """How far a number of a mount pose may move in a step of radius 1 [m, rad, 1]."""
-RADIUS_FIRST, RADIUS_LAST = 0.4, 0.03
-"""Of the first and of the last step, in `STEP_UNIT`: 8 cm and 6 mm."""
-RISE_MAX = 0.15
+_RADIUS_FIRST, _RADIUS_LAST = 0.4, 0.03
+"""Of the first and of the last step, in `_STEP_UNIT`: 8 cm and 6 mm."""
+_RISE_MAX = 0.15
 """How much higher than the best an objective may be, relatively, for the steps to go on from there."""
 
 
 @dataclass(frozen=True, eq=False)
-class PolishStep:
+class _PolishStep:
     """What a step of the polish came to."""
 
     mount_pose: np.ndarray  # the best rig so far, float32 [camera, 7]; it satisfies all constraints
     objective: float  # its expected miss rate, or robust objective
     tried_objective: float  # that of the rig that the step tried
     promised: float  # what the model expected of that rig
-    radius: float  # within which it was sought, in `STEP_UNIT`
+    radius: float  # within which it was sought, in `_STEP_UNIT`
     camera_renders: int  # camera renders (one camera in one scene) so far
 
 
@@ -69,7 +69,7 @@ class PolishSteps:
     """How a polish steps."""
 
     count: int = 20  # steps after the start, at least 1, over which the radius shrinks
-    radius: float = RADIUS_FIRST  # of the first step, in `STEP_UNIT`; smaller where the rig is nearly polished
+    radius: float = _RADIUS_FIRST  # of the first step, in `_STEP_UNIT`; smaller where the rig is nearly polished
     tolerance: float = 1e-4  # relative gain that the model must promise for another step
     camera_renders_max: int | None = None  # camera renders that may be spent, the first among them
 
@@ -79,7 +79,7 @@ def polish(
     detect: Callable[[np.ndarray], Detected],
     task: PolishTask,
     steps: PolishSteps | None = None,
-) -> Iterator[PolishStep]:
+) -> Iterator[_PolishStep]:
     """Steps of shrinking radius; fewer where the model sees no gain any more or the next would cost too much.
 
     From ``mount_pose``, float [camera, 7], or the nearest rig that satisfies the constraints; ``detect`` renders
@@ -102,7 +102,7 @@ def polish(
 
     objective = value_of(probability)
     renders = len(pose) * task.scene_count
-    yield PolishStep(pose, objective, objective, objective, 0.0, renders)
+    yield _PolishStep(pose, objective, objective, objective, 0.0, renders)
     moving = len(pose) if mount.frozen is None else int((~mount.frozen.is_frozen).sum())
     step_count = steps.count
     if steps.camera_renders_max is not None and moving:
@@ -138,15 +138,15 @@ def polish(
             here = best
         elif here.objective < best.objective:
             best = here
-        elif here.objective > best.objective * (1.0 + RISE_MAX):
+        elif here.objective > best.objective * (1.0 + _RISE_MAX):
             here = best
-        yield PolishStep(best.mount_pose, best.objective, tried_objective, promised, length, renders)
+        yield _PolishStep(best.mount_pose, best.objective, tried_objective, promised, length, renders)
 
 
 def _radii(first: float, count: int) -> np.ndarray:
     """A cosine from the first radius to the last."""
     share = 0.5 * (1.0 + np.cos(np.pi * np.arange(count) / max(count, 1)))
-    return RADIUS_LAST + (first - RADIUS_LAST) * share
+    return _RADIUS_LAST + (first - _RADIUS_LAST) * share
 
 
 def nearest_rig(mount_pose: np.ndarray, mount: CameraMount, constraints: Constraints) -> np.ndarray:
@@ -161,7 +161,7 @@ def step_unit(mount: CameraMount) -> np.ndarray:
     is_free = mount.is_free.copy()
     is_free[[X_M, Y_M, YAW_RAD]] = True
     unit = np.zeros(len(is_free))
-    unit[list(STEP_UNIT)] = list(STEP_UNIT.values())
+    unit[list(_STEP_UNIT)] = list(_STEP_UNIT.values())
     return np.where(is_free, unit, 0.0)
 
 

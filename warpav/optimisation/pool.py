@@ -37,7 +37,7 @@ from warpav.scene.device_scene import DeviceScene
 
 CHUNK_CAMERAS = 512
 """Cameras that one task draws in one scene."""
-POOL_NAME = "scenes seen by the pool"
+_POOL_NAME = "scenes seen by the pool"
 """What progress calls the cameras that are drawn."""
 HALF_ABOVE_BYTES = 2**29
 """Matrices that would be larger than this in single precision are kept in half precision."""
@@ -124,7 +124,7 @@ class CameraPool:
         cameras: SingleCameras,
         drawing: Drawing | None = None,
         progress: Progress | None = None,
-        name: str = POOL_NAME,
+        name: str = _POOL_NAME,
         may_see_nothing: bool = False,
     ) -> CameraPool:
         """Draw every camera in every scene; ``drawing`` changes no bit of the result."""
@@ -138,7 +138,7 @@ class CameraPool:
         mount_pose: np.ndarray,
         *,
         progress: Progress | None = None,
-        name: str = POOL_NAME,
+        name: str = _POOL_NAME,
         may_see_nothing: bool = False,
     ) -> CameraPool:
         """The pool with more cameras behind those that it has; only what it does not have yet is drawn."""

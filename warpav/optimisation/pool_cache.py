@@ -22,7 +22,7 @@ from warpav.core.errors import InputError
 from warpav.core.files import atomic_write
 from warpav.optimisation.mount import MOUNT_POSE_SIZE
 
-CAPACITY_BYTES = 2**30
+_CAPACITY_BYTES = 2**30
 """What a folder holds at most; beyond that the chunks that were not used for the longest time go."""
 SCENES = "scenes-"
 """How the names of folders begin in which scenes travel to tasks."""
@@ -38,7 +38,7 @@ _MEANING = {
     "version": "of this version of warpav and this kind of device, got one of others",
 }
 
-Identity = Mapping[str, Any]
+_Identity = Mapping[str, Any]
 """Hashes of what a file was drawn with, by `_MEANING`'s names; those of the scenes in a list."""
 
 
@@ -48,7 +48,7 @@ class PoolCache:
     Where the folder cannot be written to, nothing is kept.
     """
 
-    def __init__(self, folder: Path, identity: Identity) -> None:
+    def __init__(self, folder: Path, identity: _Identity) -> None:
         self.folder = folder
         self._identity = dict(identity)
         self._pose: dict[Path, np.ndarray] = {}  # of the chunks that were opened, float32 [camera, 7]
@@ -94,7 +94,7 @@ class PoolCache:
 
     def shrink(self) -> None:
         """Remove the oldest chunks, until the others fit into the capacity, and scenes of draws that were killed."""
-        remove_oldest(self.folder, "pool_*.npz", capacity_bytes=CAPACITY_BYTES)
+        remove_oldest(self.folder, "pool_*.npz", capacity_bytes=_CAPACITY_BYTES)
         with contextlib.suppress(OSError):  # another process removes as well
             for scenes in self.folder.glob(f"{SCENES}*"):
                 if time.time() - scenes.stat().st_mtime > _ABANDONED_S:
@@ -139,14 +139,14 @@ def pose_keys(mount_pose: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(mount_pose, np.float32).view(f"S{4 * MOUNT_POSE_SIZE}").reshape(-1)
 
 
-def write_arrays(file: Path, identity: Identity, **arrays: np.ndarray) -> None:
+def write_arrays(file: Path, identity: _Identity, **arrays: np.ndarray) -> None:
     """Write arrays and what they were drawn with."""
     words = json.dumps({"format": _FORMAT, "identity": dict(identity)}).encode()
     with atomic_write(file) as draft, draft.open("wb") as stream:
         np.savez(stream, words=np.frombuffer(words, np.uint8), **arrays)  # pyright: ignore[reportArgumentType]
 
 
-def read_arrays(file: Path) -> tuple[dict[str, np.ndarray], Identity]:
+def read_arrays(file: Path) -> tuple[dict[str, np.ndarray], _Identity]:
     """What `write_arrays` wrote; any of `UNREADABLE` where it did not, or the file is damaged."""
     with np.load(file, allow_pickle=False) as kept:
         arrays = {name: kept[name] for name in kept.files}
@@ -156,7 +156,7 @@ def read_arrays(file: Path) -> tuple[dict[str, np.ndarray], Identity]:
     return arrays, words["identity"]
 
 
-def check_identity(file: Path, found: Identity, expected: Identity) -> None:
+def check_identity(file: Path, found: _Identity, expected: _Identity) -> None:
     """Make sure that a file was drawn with what is expected."""
     for name, text in _MEANING.items():
         if found.get(name) != expected[name]:

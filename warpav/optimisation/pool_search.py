@@ -43,22 +43,22 @@ from warpav.optimisation.selection.select import Selection, select
 from warpav.optimisation.single_cameras import MisplacedCameras, SingleCameras, hard_points
 from warpav.scene.device_scene import DeviceScene
 
-Stage = Literal["start", "selection", "polish", "pricing", "settled"]
-START_NAME = "scenes seen by the start"
+_Stage = Literal["start", "selection", "polish", "pricing", "settled"]
+_START_NAME = "scenes seen by the start"
 """What progress calls them."""
-POOL_SHARE = 0.45
+_POOL_SHARE = 0.45
 """Of a budget, the share of the first pool; more where less than the rest is enough for a round with its polishes."""
-PRICED_STEPS = 3
+_PRICED_STEPS = 3
 """Steps of the ascent of the prices."""
 FIRST_POLISH, FURTHER_POLISH, LAST_POLISH = (16, 0.4), (10, 0.4), (6, 0.2)
 """Steps and first radius of a polish: of the first selected rig, in a round of pricing, and at the end."""
-GAP_ON_THE_WAY = 3e-3
+_GAP_ON_THE_WAY = 3e-3
 """Objective less bound at which a selection ends whose rig is polished next: about what the relaxation alone proves."""
-REPLACEMENTS, REPLACEMENT_POLISH, VAIN_REPLACEMENTS = 4, (12, 0.4), 2
+_REPLACEMENTS, REPLACEMENT_POLISH, VAIN_REPLACEMENTS = 4, (12, 0.4), 2
 """Single cameras that are polished from elsewhere at a time, their steps and first radius, and how often in vain."""
 NEAR_CAMERAS = 16
 """Cameras that are drawn around each of the rig's at a time."""
-REFINED_FROM, REFINED_TO = 0.4, 0.01
+_REFINED_FROM, REFINED_TO = 0.4, 0.01
 """Radii of these, in units of the polish: halved whenever nothing better is found."""
 _SAME = 1e-6  # the polish and the pool round differently
 _OTHER_MODULE = 1e6  # farther than any camera of the same module
@@ -138,7 +138,7 @@ class Found:
     mount_pose: np.ndarray  # the best rig so far, which satisfies all constraints, float32 [camera, 7]
     objective: float  # its expected miss rate on the scenes of the search, or its robust objective
     bound: float  # no rig of cameras of the pool is below it; 0 before the first selection
-    stage: Stage  # what has just been done; ``settled`` where nothing is left to do
+    stage: _Stage  # what has just been done; ``settled`` where nothing is left to do
     camera_renders: int  # camera renders so far, those that the cache has spared among them
     pool_cameras: int  # cameras of the pool; at the start those of the start alone, where the others are drawn next
     seconds: float  # wall time so far [s]
@@ -269,7 +269,7 @@ class PoolSearch:
             )
         return own
 
-    def _found(self, stage: Stage, *, is_final: bool = True) -> Found:
+    def _found(self, stage: _Stage, *, is_final: bool = True) -> Found:
         """The state of the search."""
         assert self.best is not None
         return Found(
@@ -332,7 +332,7 @@ class PoolSearch:
         elif start is None:
             self.pool = draw(np.concatenate([first, spread]))
         else:
-            self.pool = draw(first, name=START_NAME, may_see_nothing=len(spread) > 0)
+            self.pool = draw(first, name=_START_NAME, may_see_nothing=len(spread) > 0)
         if start is not None:
             row = rows_of(first + np.float32(0.0), self.pool.mount_pose)
             of_start = self.pool.detection_probability[row]
@@ -359,9 +359,9 @@ class PoolSearch:
             return limit
         polishes = (FIRST_POLISH, FURTHER_POLISH, LAST_POLISH, *(FIRST_POLISH,) * (OTHERS if self.robust else 0))
         steps = sum(1 + count for count, _ in polishes)
-        of_a_round = steps * self.camera_count + PRICED_STEPS * self.settings.priced_cameras
+        of_a_round = steps * self.camera_count + _PRICED_STEPS * self.settings.priced_cameras
         rest = limit - of_a_round * len(self.scenes)
-        return int(POOL_SHARE * limit) if self.settings.refinements else max(int(POOL_SHARE * limit), rest)
+        return int(_POOL_SHARE * limit) if self.settings.refinements else max(int(_POOL_SHARE * limit), rest)
 
     def _improve(self) -> Iterator[Found]:
         """Improve the best rig, and prove how good it is."""
@@ -387,7 +387,7 @@ class PoolSearch:
 
     def _priced(self, before: float = np.inf) -> Iterator[Found]:
         """Price, select and polish until a round brings nothing; ``before`` is the objective before the last."""
-        is_first, can_pay = before == np.inf, self._affordable(PRICED_STEPS) == PRICED_STEPS
+        is_first, can_pay = before == np.inf, self._affordable(_PRICED_STEPS) == _PRICED_STEPS
         if (is_first or self.objective <= before - _SAME) and self.round < self.settings.rounds and can_pay:
             self.round += 1
             self._todo[:0] = [("price",), ("select_and_polish", *FURTHER_POLISH), ("priced", self.objective)]
@@ -403,7 +403,7 @@ class PoolSearch:
         """One refinement after the other, while they look at something new; ``spent`` are renders before the last."""
         if times < self.settings.refinements and self.camera_renders != spent:
             further = ("refined", times + 1, self.camera_renders)
-            self._todo[:0] = [("replaced", -1, np.inf), ("nearby", 2.0 * REFINED_FROM, 0.0), further]
+            self._todo[:0] = [("replaced", -1, np.inf), ("nearby", 2.0 * _REFINED_FROM, 0.0), further]
         yield from ()
 
     def _replaced(self, vain: int, before: float) -> Iterator[Found]:
@@ -518,7 +518,7 @@ class PoolSearch:
 
     def _select_and_polish(self, step_count: int, radius: float) -> Iterator[Found]:
         is_first = self.bound is None
-        chosen, is_better = yield from self._select(max(self.settings.gap, GAP_ON_THE_WAY))
+        chosen, is_better = yield from self._select(max(self.settings.gap, _GAP_ON_THE_WAY))
         rigs = [chosen] if is_better or is_first else []
         if is_first:
             cameras = len(self.pool.mount_pose)
@@ -558,7 +558,7 @@ class PoolSearch:
 
     def _price(self) -> Iterator[Found]:
         """Look for cameras that promise to lower the bound, by gradient ascent from the cheapest of the pool."""
-        price, count = self.price, self._affordable(PRICED_STEPS * self.settings.priced_cameras) // PRICED_STEPS
+        price, count = self.price, self._affordable(_PRICED_STEPS * self.settings.priced_cameras) // _PRICED_STEPS
         if price is None or count < 1:
             return
         self._ascend(price, count)
@@ -573,7 +573,7 @@ class PoolSearch:
         length = np.full(len(pose), 0.5)
         lowest, kept, slope = np.full(len(pose), np.inf), pose, np.zeros(pose.shape)
         tried = pose
-        for _ in range(PRICED_STEPS):
+        for _ in range(_PRICED_STEPS):
             probability, jacobian = self._detect(tried)
             probability = np.minimum(probability, SUREST)
             cost = price.reduced_cost(probability, self._coefficients_for(tried))
@@ -614,7 +614,7 @@ class PoolSearch:
         """Polish single cameras from other places than were tried, each with the rest of the rig as it is."""
         replacements, pose = self._replacements, self.pool.mount_pose
         mount, constraints = self.cameras.mount.of_single_cameras, self.constraints.of_single_cameras
-        for camera, slot in replacements.starts(REPLACEMENTS, np.concatenate([np.zeros((0, 7)), *self._places])):
+        for camera, slot in replacements.starts(_REPLACEMENTS, np.concatenate([np.zeros((0, 7)), *self._places])):
             if self._affordable(2) < 2:
                 break
             weight = replacements.missed_by_others[slot]

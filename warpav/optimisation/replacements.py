@@ -17,9 +17,9 @@ from warpav.optimisation.miss_rate import SUREST
 from warpav.optimisation.mount import YAW_RAD
 from warpav.optimisation.pool import CameraPool
 
-ELITE = 12
+_ELITE = 12
 """Cameras nearby that say in which directions to look, the best ones."""
-FLOOR = 0.1
+_FLOOR = 0.1
 """Standard deviation that is added in every direction, in radii."""
 
 
@@ -91,9 +91,9 @@ class Replacements:
         for slot, camera in enumerate(self._of_slot):
             here = self._pose[camera]
             nearby = np.flatnonzero(self._distance(self._pose, here) <= 2.0 * radius)
-            elite = nearby[np.argsort(self.miss_rate[nearby, slot], kind="stable")[:ELITE]]
+            elite = nearby[np.argsort(self.miss_rate[nearby, slot], kind="stable")[:_ELITE]]
             offset = within_half_a_turn(self._pose[elite] - here)[:, free] / self._unit[free]
-            spread = FLOOR if len(elite) >= ELITE else 1.0
+            spread = _FLOOR if len(elite) >= _ELITE else 1.0
             covariance = offset.T @ offset / len(elite) + (spread * radius) ** 2 * np.eye(len(free))
             step = rng.multivariate_normal(np.zeros(len(free)), covariance, size=count)
             pose = np.tile(here, (count, 1))

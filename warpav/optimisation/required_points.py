@@ -35,7 +35,7 @@ from warpav.sight.visibility import (
 
 
 @dataclass(frozen=True, eq=False)
-class RequirementRows:
+class _RequirementRows:
     """The rows that a rig must satisfy."""
 
     rows: tuple[Row, ...]  # for `warpav.optimisation.selection.select`, named after requirement and point
@@ -44,7 +44,7 @@ class RequirementRows:
 
 
 @dataclass(frozen=True)
-class Unmeetable:
+class _Unmeetable:
     """A requirement with points that the cameras of a pool cannot meet."""
 
     requirement: str  # its name
@@ -69,7 +69,7 @@ class Unmeetable:
         return f"{text}; camera {self.nearest} comes closest with {self.visible_share:.0%} and {self.pixels:.0f} px"
 
 
-def requirement_rows(meets: np.ndarray, ghosts: Ghosts) -> RequirementRows:
+def requirement_rows(meets: np.ndarray, ghosts: Ghosts) -> _RequirementRows:
     """The hard requirements as rows ``sum of meets over a rig's cameras >= cameras``. ``meets`` bool [camera, ghost].
 
     A row that follows from another is left out: one that the same cameras, or more of them, satisfy, with as few or
@@ -91,10 +91,10 @@ def requirement_rows(meets: np.ndarray, ghosts: Ghosts) -> RequirementRows:
         Row(_row_name(ghosts, g), coefficient.astype(np.float64), low=float(low))
         for g, coefficient, low in zip(ghost, pattern, needed, strict=True)
     )
-    return RequirementRows(rows, ghost, ghosts.requirement[ghost])
+    return _RequirementRows(rows, ghost, ghosts.requirement[ghost])
 
 
-def unmeetable_requirements(visibility: Visibility, ghosts: Ghosts) -> list[Unmeetable]:
+def unmeetable_requirements(visibility: Visibility, ghosts: Ghosts) -> list[_Unmeetable]:
     """The hard requirements that a pool cannot meet, each with the camera that comes closest.
 
     Only single points are looked at: that a rig of few cameras meets all of them at once is for the selection to find.
@@ -111,7 +111,7 @@ def unmeetable_requirements(visibility: Visibility, ghosts: Ghosts) -> list[Unme
         is_other = bool(visibility.visible_share[nearest, worst] > 0.0) and not meets[nearest, worst]
         x, y = ghosts.position_m[worst].tolist()
         result.append(
-            Unmeetable(
+            _Unmeetable(
                 ghosts.requirements[r].name,
                 len(points),
                 (x, y),
@@ -145,13 +145,13 @@ def _row_name(ghosts: Ghosts, ghost: int) -> str:
 
 MET = 0.999
 """Probability of a point that a camera meets."""
-NEARLY_MET = 0.9
+_NEARLY_MET = 0.9
 """Probability just before: two cameras that do not meet a point together stay below one that does."""
 HARD_WEIGHT = 0.1
 """Weight of a hard requirement: it leads the search to where it is met, and the rows keep it there."""
 NEAR_EDGE = 3.0
 """Margin from which on a hard point counts as met whatever a step does."""
-SEEN_KEPT = 2
+_SEEN_KEPT = 2
 """Answers with Jacobians that are kept: of a pair's two sides."""
 
 
@@ -212,7 +212,7 @@ class RequiredPoints:
         parts = [part for body in bodies for part in (body.vertex_m.tobytes(), body.triangle.tobytes())]
         return digest(
             "requirements", ego.vertex_m.tobytes(), ego.triangle.tobytes(), ghosts.position_m.tobytes(),
-            ghosts.requirement.tobytes(), *needs, *parts, MET, NEARLY_MET,
+            ghosts.requirement.tobytes(), *needs, *parts, MET, _NEARLY_MET,
         )  # fmt: skip
 
     @cached_property
@@ -291,7 +291,7 @@ class RequiredPoints:
                 found = ghost_jacobians(
                     ego_from_camera, models, ghosts, self.ego, device=self.device, renderers=self._renderers
                 )
-            while len(self._seen) >= SEEN_KEPT:
+            while len(self._seen) >= _SEEN_KEPT:
                 del self._seen[next(iter(self._seen))]
             self._seen[key] = _Seen(seen, which, found)
         return self._seen[key]
@@ -305,11 +305,11 @@ class RequiredPoints:
         need_share, need_px = self.ghosts.of_each("visible_share"), _needed_px(self.ghosts)
         share, pixels = self._over_needs(seen)
         is_met = seen.meets(self.ghosts)
-        found = np.where(is_met, MET, NEARLY_MET * np.minimum(np.minimum(share, pixels), 1.0))
+        found = np.where(is_met, MET, _NEARLY_MET * np.minimum(np.minimum(share, pixels), 1.0))
         is_by_share = ~is_met & (share < 1.0) & (share <= pixels)
         is_by_pixels = ~is_met & (pixels < 1.0) & (pixels < share)
-        by_share = np.where(is_by_share, NEARLY_MET / need_share, 0.0)
-        return found, by_share, np.where(is_by_pixels, NEARLY_MET / need_px, 0.0)
+        by_share = np.where(is_by_share, _NEARLY_MET / need_share, 0.0)
+        return found, by_share, np.where(is_by_pixels, _NEARLY_MET / need_px, 0.0)
 
     @property
     def is_hard(self) -> np.ndarray:
@@ -321,7 +321,7 @@ class RequiredPoints:
         found = self.meets(probability).sum(axis=0)
         return bool((found >= self.ghosts.of_each("cameras"))[self.is_hard].all())
 
-    def rows(self, probability: np.ndarray) -> RequirementRows | None:
+    def rows(self, probability: np.ndarray) -> _RequirementRows | None:
         """The hard requirements as rows of a selection from cameras that see the points so surely, [camera, point].
 
         None where there is none.

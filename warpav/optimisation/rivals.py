@@ -26,10 +26,10 @@ from warpav.optimisation.selection.problem import SelectionProblem
 from warpav.optimisation.selection.select import Selection, select
 from warpav.optimisation.space import SearchSpace
 
-FIRST_STEP = 0.2
+_FIRST_STEP = 0.2
 """First standard deviation of CMA-ES, in widths of the mount surface and turns of the yaw."""
 
-SEEN_SHARE = 0.9
+_SEEN_SHARE = 0.9
 """Assumed probability that a camera detects an object that the detector once found in its image."""
 
 
@@ -182,7 +182,7 @@ def cma_es(value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray 
             "verbose": -9,
             "verb_log": 0,
         }
-        evolution = cma.CMAEvolutionStrategy(first, FIRST_STEP, options)
+        evolution = cma.CMAEvolutionStrategy(first, _FIRST_STEP, options)
         while not evolution.stop():
             samples = evolution.ask()
             deviation = np.asarray(evolution.stds)
@@ -212,14 +212,14 @@ def _with_penalty(value: np.ndarray, squared_distance: np.ndarray) -> np.ndarray
     return np.where(is_finite, value, worst + (high - low)) + (high - low) * squared_distance
 
 
-Detections = Callable[[np.ndarray], np.ndarray]
+_Detections = Callable[[np.ndarray], np.ndarray]
 """The probability that each camera detects each object of all scenes: mount poses [camera, 7] to [camera, object]."""
 
 
-def detections_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> Detections:
+def detections_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> _Detections:
     """What single cameras detect: by the model of an objective that is made of it, else by the detector itself.
 
-    A camera in whose image the detector finds an object is taken to detect it with a probability of `SEEN_SHARE`.
+    A camera in whose image the detector finds an object is taken to detect it with a probability of `_SEEN_SHARE`.
     """
     cameras = single_cameras_of(objective)
     if cameras is not None:
@@ -232,7 +232,7 @@ def detections_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> D
             filled = np.concatenate([asked, np.repeat(asked[-1:], objective.camera_count - len(asked), axis=0)])
             rig = objective.mount.rig(filled)
             seen = np.concatenate([objective.observe_rig(rig, scene)[0].match >= 0 for scene in scenes], axis=1)
-            found.append(SEEN_SHARE * seen[: len(asked)])
+            found.append(_SEEN_SHARE * seen[: len(asked)])
         return np.concatenate(found)
 
     return detections
@@ -242,7 +242,7 @@ def greedy_cover(
     value: BudgetedValue,
     rng: np.random.Generator,
     *,
-    detections: Detections,
+    detections: _Detections,
     yaw_count: int = 8,
     object_weight: np.ndarray | None = None,
 ) -> None:

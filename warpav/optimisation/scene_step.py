@@ -24,7 +24,7 @@ from warpav_kernels.placement import exchange
 
 
 @dataclass(frozen=True)
-class Fetched:
+class _Fetched:
     """What became of a step."""
 
     pose_gradient: np.ndarray  # of the Lagrangian to the mount poses, float32 [camera, 7]
@@ -118,7 +118,7 @@ class Exchange:
         )
         return self._mean_loss
 
-    def fetch(self, constraint_loss: wp.array, total: wp.array, renderers: Sequence[Renderer]) -> Fetched:
+    def fetch(self, constraint_loss: wp.array, total: wp.array, renderers: Sequence[Renderer]) -> _Fetched:
         """End a step: one copy to the host, the only one that waits for the device."""
         size = self._fetched_count + len(renderers)
         if len(self._gathered) != size:
@@ -143,7 +143,7 @@ class Exchange:
         gathered = self._gathered.numpy()
         sizes = [self._shape[0] * self._shape[1], len(self.multiplier), len(self.batch_loss), len(self.multiplier), 1]
         pose, multiplier, batch_loss, constraints, total_loss, needed = np.split(gathered, np.cumsum(sizes))
-        return Fetched(
+        return _Fetched(
             pose.astype(np.float32).reshape(self._shape),
             multiplier.astype(np.float32),
             batch_loss.copy(),

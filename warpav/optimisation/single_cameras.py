@@ -45,11 +45,11 @@ from warpav.sight.visibility import Visibility
 
 CPU_VIEWS = 16
 """Views that one thread renders at once, at most."""
-CPU_KEY_BYTES = 2**26
+_CPU_KEY_BYTES = 2**26
 """Of the views that one thread renders at once: one of 8 MP, four of 1920 x 1080 pixels, all of smaller ones."""
-CUDA_STREAMS = 12
+_CUDA_STREAMS = 12
 """Scenes that a GPU renders beside each other for Jacobians, of all who share it: few cameras do not fill it."""
-CUDA_CHUNKS = 8
+_CUDA_CHUNKS = 8
 """Chunks of `chunk_view_count` that a GPU renders at once, for all who share it; they fill it as no CPU's cache."""
 
 
@@ -306,7 +306,7 @@ class SingleCameras:
         """Probabilities and Jacobians of cameras of one kind; kept for the next call."""
         module, pane = kind
         if kind not in self._kept_jacobians:
-            maker, streams = self._maker(module), gpu_share(CUDA_STREAMS)
+            maker, streams = self._maker(module), gpu_share(_CUDA_STREAMS)
             self._kept_jacobians[kind] = CameraJacobians(
                 self.mount,
                 self.mount.cameras[module],
@@ -326,10 +326,10 @@ class SingleCameras:
         """Views that each renderer renders at once: as the caches of a core hold, or as fill a GPU and have room."""
         camera = self.mount.cameras[module]
         if self._is_cuda:
-            most = gpu_share(CUDA_CHUNKS) * chunk_view_count(camera, supersampling=self.supersampling)
+            most = gpu_share(_CUDA_CHUNKS) * chunk_view_count(camera, supersampling=self.supersampling)
             device = self.mount.device
             return gpu_view_count(most, camera, supersampling=self.supersampling, device=device, renderers=renderers)
-        return min(chunk_view_count(camera, supersampling=self.supersampling, key_bytes=CPU_KEY_BYTES), views_max)
+        return min(chunk_view_count(camera, supersampling=self.supersampling, key_bytes=_CPU_KEY_BYTES), views_max)
 
     def _maker(self, module: int) -> _RendererMaker:
         return _RendererMaker(

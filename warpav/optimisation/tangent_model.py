@@ -94,7 +94,7 @@ REACH = 3.0
 """How far those may be in a number, in radii of the step to be taken."""
 CONTRADICTION = 0.3
 """Logit by which a tangent may be below what was rendered; one that is lower by more has been proven wrong."""
-RigValue = Callable[[np.ndarray, np.ndarray], tuple[float, np.ndarray]]
+_RigValue = Callable[[np.ndarray, np.ndarray], tuple[float, np.ndarray]]
 """The value of a rig and its derivatives [camera, object] to what each camera misses [camera, object], by weights."""
 _SOFTNESS = 0.02  # logit within which the least of some tangents is rounded, so that it has a slope everywhere
 _LOGIT_MAX = 12.0
@@ -135,7 +135,7 @@ class TangentModel:
         *,
         earlier: Sequence[Rendered] = (),
         reach: np.ndarray | float = 0.0,
-        rig_value: RigValue | None = None,
+        rig_value: _RigValue | None = None,
     ) -> None:
         """A model of what was rendered. ``reach`` float [7]."""
         self._rig_value = rig_value

@@ -19,8 +19,8 @@ from warpav.optimisation.settings import OptimiserSettings
 from warpav.thesis.segregation import BatchChooser
 from warpav.thesis.starts import exchange_cameras
 
-BETAS = (np.float32(0.9), np.float32(0.999))
-EPSILON = np.float32(1e-8)
+_BETAS = (np.float32(0.9), np.float32(0.999))
+_EPSILON = np.float32(1e-8)
 
 
 class AdamW:
@@ -41,7 +41,7 @@ class AdamW:
         self._step_number += 1
         gradient, rate = np.asarray(gradient, np.float32), np.asarray(step_size, np.float32)
         moves = rate != 0.0
-        beta1, beta2 = BETAS
+        beta1, beta2 = _BETAS
         one = np.float32(1.0)
         first = beta1 * self._first_moment + (one - beta1) * gradient
         second = beta2 * self._second_moment + (one - beta2) * gradient * gradient
@@ -49,7 +49,7 @@ class AdamW:
             moment / (one - beta ** np.float32(self._step_number)) for moment, beta in ((first, beta1), (second, beta2))
         )
         decayed = self.value * (one - np.abs(rate) * self._weight_decay)
-        stepped = decayed - rate * unbiased_first / (np.sqrt(unbiased_second) + EPSILON)
+        stepped = decayed - rate * unbiased_first / (np.sqrt(unbiased_second) + _EPSILON)
         self._first_moment = np.where(moves, first, self._first_moment)
         self._second_moment = np.where(moves, second, self._second_moment)
         self.value = np.where(moves, stepped, self.value)
@@ -92,7 +92,7 @@ class MultiplierAscent:
 
 
 @dataclass(frozen=True)
-class Schedule:
+class _Schedule:
     """The course of one descent."""
 
     settings: OptimiserSettings  # how it steps
@@ -146,14 +146,14 @@ class Descent:
             raise ValueError(
                 f"{self.settings.descents} descents need as many starts, got {1 + len(self.further_starts)}"
             )
-        self.history = History()
+        self.history = _History()
         self._failure: str | None = None
         self.iteration = 0
         self.descent = 0
         self._mount: CameraMount = self.objective.mount
         self.start, *self.further_starts = (self._mount.within(pose) for pose in (self.start, *self.further_starts))
         self._begin(self.start)
-        chooser = BatchChooser if self.objective.needs_panorama else ShuffledBatches
+        chooser = BatchChooser if self.objective.needs_panorama else _ShuffledBatches
         self._batches = chooser(self.scenes, len(self.start), self.rng)
         self._rate = self._rates()
         are_inequalities = self.objective.constraints.are_inequalities
@@ -180,7 +180,7 @@ class Descent:
         constraints = self.objective.constraints
         self._begun_at = self.iteration
         left = self.settings.descents - self.descent
-        self._schedule = Schedule(self.settings, round((self.iterations - self.iteration) / left))
+        self._schedule = _Schedule(self.settings, round((self.iterations - self.iteration) / left))
         self._pose = AdamW(start, weight_decay=self.settings.weight_decay)
         multiplier = np.zeros(len(constraints.names), np.float32)
         self._multiplier: AdamW | MultiplierAscent = (
@@ -275,7 +275,7 @@ class Descent:
 
     def state(self) -> dict[str, np.ndarray]:
         """Everything that `restore` needs, as arrays of numbers and text: where the last step has led."""
-        stepped = History()  # without what `finish` has looked at, which it does again
+        stepped = _History()  # without what `finish` has looked at, which it does again
         stepped.candidates = [each for each in self.candidates if each.iteration < self.iteration]
         return self._position() | named_part("candidate", stepped.state())
 
@@ -306,14 +306,14 @@ class Descent:
             raise InputError(f"checkpoint: expected the state of a run of {len(self.start)} cameras, got {what}")
         self._return_to(state)
         if self.descent == len(self.further_starts):
-            self._schedule = Schedule(self.settings, self.iterations - self._begun_at)
+            self._schedule = _Schedule(self.settings, self.iterations - self._begun_at)
         self.history.restore(part_of(state, "candidate"))
 
     def _return_to(self, state: Mapping[str, np.ndarray]) -> None:
         """Be where a `_position` was taken."""
         self.iteration, self.descent = int(state["iteration"]), int(state["descent"])
         self._begun_at = int(state["begun_at"])
-        self._schedule = Schedule(self.settings, int(state["step_count"]))
+        self._schedule = _Schedule(self.settings, int(state["step_count"]))
         self.rng.bit_generator.state = json.loads(str(state["random_numbers"]))
         self._batches.waiting = [int(k) for k in state["waiting_scenes"]]
         self._pose.restore(part_of(state, "pose"))
@@ -392,7 +392,7 @@ class Descent:
         )
 
 
-class ShuffledBatches:
+class _ShuffledBatches:
     """Batches that go through all scenes in random order before any comes again."""
 
     def __init__(self, scenes: Sequence[AssignedScene], camera_count: int, rng: np.random.Generator) -> None:
@@ -418,7 +418,7 @@ def lowest(candidates: Sequence[Candidate]) -> Candidate:
     )
 
 
-class History:
+class _History:
     """The rigs of a run that were evaluated on all validation scenes."""
 
     def __init__(self) -> None:

@@ -12,7 +12,7 @@ from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav_kernels.thesis import losses as kernels
 
 
-class AssignedVehicleLoss(DeviceLoss):
+class _AssignedVehicleLoss(DeviceLoss):
     """Mean over the assigned vehicles of a scene; a scene without any costs nothing."""
 
     def on_tape(self, scene: SceneOnTape) -> wp.array:
@@ -51,7 +51,7 @@ def _area_around(scene: SceneOnTape, reference: Reference) -> wp.array:
 
 
 @dataclass(frozen=True)
-class InFrameRotation(AssignedVehicleLoss):
+class InFrameRotation(_AssignedVehicleLoss):
     """The angle by which its camera misses a vehicle; gradients flow to the yaw alone."""
 
     epsilon: float = 1e-5  # weight of a vehicle that is in the frame already, in [0, 1)
@@ -68,7 +68,7 @@ class InFrameRotation(AssignedVehicleLoss):
         return Needs(panorama=True, one_field=True)
 
     def add(self, scene: SceneOnTape, vehicle_loss: wp.array) -> None:
-        """As in `AssignedVehicleLoss`."""
+        """As in `_AssignedVehicleLoss`."""
         mount, views, device = scene.mount, scene.views, scene.frame.device
         vehicle_count = scene.scene.vehicle_count
         bearing_rad = wp.zeros(vehicle_count, dtype=wp.vec2, device=device)
@@ -99,7 +99,7 @@ class InFrameRotation(AssignedVehicleLoss):
 
 
 @dataclass(frozen=True)
-class DetectedArea(AssignedVehicleLoss):
+class DetectedArea(_AssignedVehicleLoss):
     """How much of a vehicle's silhouette lies outside the matched detection's box."""
 
     min_detected_area: float = 0.5  # detected share of a vehicle below which it costs something, in (0, 1]
@@ -118,7 +118,7 @@ class DetectedArea(AssignedVehicleLoss):
         return Needs(panorama=True, detections=DetectedImages.ASSIGNED, one_field=True)
 
     def add(self, scene: SceneOnTape, vehicle_loss: wp.array) -> None:
-        """As in `AssignedVehicleLoss`."""
+        """As in `_AssignedVehicleLoss`."""
         wp.launch(
             kernels.detected_area_loss_kernel,
             dim=scene.scene.vehicle_count,
@@ -136,7 +136,7 @@ class DetectedArea(AssignedVehicleLoss):
 
 
 @dataclass(frozen=True)
-class ObjectVisibility(AssignedVehicleLoss):
+class ObjectVisibility(_AssignedVehicleLoss):
     """The detected-area loss of a detector that misses nothing: how much of a vehicle is not visible."""
 
     min_visible_area: float = 0.5  # visible share of a vehicle below which it costs something, in (0, 1]
@@ -154,7 +154,7 @@ class ObjectVisibility(AssignedVehicleLoss):
         return Needs(panorama=True, one_field=True)
 
     def add(self, scene: SceneOnTape, vehicle_loss: wp.array) -> None:
-        """As in `AssignedVehicleLoss`."""
+        """As in `_AssignedVehicleLoss`."""
         wp.launch(
             kernels.object_visibility_loss_kernel,
             dim=scene.scene.vehicle_count,
@@ -171,7 +171,7 @@ class ObjectVisibility(AssignedVehicleLoss):
 
 
 @dataclass(frozen=True)
-class SurfaceBlockage(AssignedVehicleLoss):
+class SurfaceBlockage(_AssignedVehicleLoss):
     """How much of a vehicle the ego vehicle hides from the camera from which it hides least."""
 
     min_unblocked_area: float = 0.5  # share of a vehicle left free below which it costs something, in (0, 1]
@@ -188,7 +188,7 @@ class SurfaceBlockage(AssignedVehicleLoss):
         return Needs(panorama=True, unblocked_area=True, one_field=True)
 
     def add(self, scene: SceneOnTape, vehicle_loss: wp.array) -> None:
-        """As in `AssignedVehicleLoss`."""
+        """As in `_AssignedVehicleLoss`."""
         device, vehicle_count = scene.frame.device, scene.scene.vehicle_count
         clearest_camera = wp.zeros(vehicle_count, dtype=wp.int32, device=device)
         wp.launch(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 
-class Registered(NamedTuple):
+class _Registered(NamedTuple):
     """A loss that has a name."""
 
     where: str  # its class, as ``module:class``
@@ -14,28 +14,28 @@ class Registered(NamedTuple):
 
 
 LOSSES = {
-    "expected_miss_rate": Registered(
+    "expected_miss_rate": _Registered(
         "warpav.optimisation.losses.expected_miss_rate:ExpectedMissRate",
         "the share of road users that no camera is expected to detect",
     ),
-    "in_frame_rotation": Registered(
+    "in_frame_rotation": _Registered(
         "warpav.thesis.losses:InFrameRotation", "the in-frame rotation loss", one_field=True
     ),
-    "detected_area": Registered("warpav.thesis.losses:DetectedArea", "the detected object area loss", one_field=True),
-    "surface_blockage": Registered(
+    "detected_area": _Registered("warpav.thesis.losses:DetectedArea", "the detected object area loss", one_field=True),
+    "surface_blockage": _Registered(
         "warpav.thesis.losses:SurfaceBlockage", "the surface blockage loss: what the ego vehicle hides", one_field=True
     ),
-    "object_visibility": Registered(
+    "object_visibility": _Registered(
         "warpav.thesis.losses:ObjectVisibility",
         "the object visibility loss: detected_area without a detector",
         one_field=True,
     ),
-    "angular_coverage": Registered(
+    "angular_coverage": _Registered(
         "warpav.thesis.losses:AngularCoverage",
         "the angular coverage loss: directions in no camera's view",
         one_field=True,
     ),
-    "detector_gradient": Registered(
+    "detector_gradient": _Registered(
         "warpav.thesis.detector_gradient:DetectorGradient",
         "the detection network's own loss, differentiated through it; needs warpav[torch]",
     ),

@@ -14,7 +14,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 
 from warpav.core.errors import ArgumentError, InputError
 
-ROW_TOLERANCE = 1e-6
+_ROW_TOLERANCE = 1e-6
 """How far a row may be missed, per unit of its largest coefficient: what HiGHS allows itself."""
 
 
@@ -177,8 +177,8 @@ class SelectionProblem:
         total = self.coefficient @ chosen
         return bool(
             not self.conflict[rig][:, rig].nnz
-            and (total >= self.low - ROW_TOLERANCE).all()
-            and (total <= self.high + ROW_TOLERANCE).all()
+            and (total >= self.low - _ROW_TOLERANCE).all()
+            and (total <= self.high + _ROW_TOLERANCE).all()
         )
 
 
@@ -217,7 +217,7 @@ def _checked_rows(rows: Sequence[Row], cameras: int) -> tuple[np.ndarray, np.nda
     return coefficient / scale[:, None], low, high, scale
 
 
-INFEASIBLE = 2
+_INFEASIBLE = 2
 """Status of `scipy.optimize.milp`."""
 
 
@@ -245,7 +245,7 @@ def feasible_rig(
             bounds=Bounds(low, 1.0),  # pyright: ignore[reportArgumentType]
             options={"time_limit": max(deadline_s - time.perf_counter(), 1e-3), "mip_rel_gap": 0.1},
         )
-        if found.status == INFEASIBLE:
+        if found.status == _INFEASIBLE:
             return None
         if found.x is None:
             raise TimeoutError
@@ -312,8 +312,8 @@ def random_rig(
         wanted = can_be.copy()
         for coefficient, now, low, high in zip(problem.coefficient, total, problem.low, problem.high, strict=True):
             if (coefficient >= 0.0).all():
-                wanted &= now + coefficient <= high + ROW_TOLERANCE
-                if now < low - ROW_TOLERANCE and (wanted & (coefficient > 0.0)).any():
+                wanted &= now + coefficient <= high + _ROW_TOLERANCE
+                if now < low - _ROW_TOLERANCE and (wanted & (coefficient > 0.0)).any():
                     wanted &= coefficient > 0.0
         choice = np.flatnonzero(wanted)
         if not len(choice):
@@ -362,5 +362,5 @@ def fits(problem: SelectionProblem, others: np.ndarray) -> np.ndarray:
     total = problem.coefficient @ chosen
     for coefficient, now, low, high in zip(problem.coefficient, total, problem.low, problem.high, strict=True):
         then = coefficient[:, None] + now
-        fits &= (then >= low - ROW_TOLERANCE) & (then <= high + ROW_TOLERANCE)
+        fits &= (then >= low - _ROW_TOLERANCE) & (then <= high + _ROW_TOLERANCE)
     return fits

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     import highspy
 
 
-MOST_LEVEL = 30.0
+_MOST_LEVEL = 30.0
 """Greatest level [log of a miss probability]: such a cut asks for no more than 3e-12."""
 
 
@@ -68,7 +68,7 @@ def cut_level(fraction: np.ndarray, log_missed: np.ndarray) -> np.ndarray:
     z = 0, so it is positive up to one root and negative beyond, or nowhere positive. Newton's steps from the right
     reach that root.
     """
-    level = np.minimum(fraction @ np.minimum(log_missed, MOST_LEVEL), MOST_LEVEL)
+    level = np.minimum(fraction @ np.minimum(log_missed, _MOST_LEVEL), _MOST_LEVEL)
     while True:
         is_above = log_missed > level
         share_above = fraction @ is_above
@@ -128,13 +128,13 @@ class Price:
 ROUNDING = 1e-11
 """What bounds are lowered by: more than some thousand sums of numbers up to 1 lose in double precision."""
 
-NEAR = 0.15
+_NEAR = 0.15
 """Part of what a node's bound lacks to the best rig that further rounds are not worth."""
 
-MOST_NEW_CAMERAS = 60
+_MOST_NEW_CAMERAS = 60
 """Cameras that enter the model in a round, those of the lowest reduced cost."""
 
-SOLVER_OPTIONS = {
+_SOLVER_OPTIONS = {
     "threads": 1,
     "presolve": "off",
     "solver": "simplex",
@@ -144,8 +144,8 @@ SOLVER_OPTIONS = {
 }
 """Of HiGHS."""
 
-TROUBLED_OPTIONS = {
-    **SOLVER_OPTIONS,
+_TROUBLED_OPTIONS = {
+    **_SOLVER_OPTIONS,
     "presolve": "on",
     "simplex_scale_strategy": 4,
     "primal_feasibility_tolerance": 1e-7,
@@ -153,13 +153,13 @@ TROUBLED_OPTIONS = {
 }
 """Of HiGHS, where these fail: bounds do not rest on its tolerances."""
 
-LEAST_VIOLATION = 1e-8
+_LEAST_VIOLATION = 1e-8
 """By how much a cut must be violated to be added: more than the solver allows itself."""
 
-MOST_IDLE_ROUNDS = 8
+_MOST_IDLE_ROUNDS = 8
 """Rounds after which a cut without a dual leaves the model."""
 
-STRONG_ITERATIONS = 60
+_STRONG_ITERATIONS = 60
 """Simplex iterations that a trial of a branch may take."""
 
 
@@ -218,7 +218,7 @@ class Relaxation:
             self._log_missed = -np.log(problem.missed)
         self._status = highspy.HighsModelStatus
         self._model = Silent()
-        self._set_options(SOLVER_OPTIONS)
+        self._set_options(_SOLVER_OPTIONS)
         objects = problem.object_count
         self._model.addVars(objects, np.zeros(objects), np.full(objects, math.inf))
         self._model.changeColsCost(objects, np.arange(objects, dtype=np.int32), problem.weight)
@@ -312,11 +312,11 @@ class Relaxation:
             else:  # the choice is newer, the duals are better
                 best = Relaxed(best.bound, relaxed.value, fraction, best.rise_in, best.rise_out, best.price)
             cliques = self._violated_cliques(fraction, support, node)
-            near = max(NEAR * (enough - best.bound), LEAST_VIOLATION)
+            near = max(_NEAR * (enough - best.bound), _LEAST_VIOLATION)
             if best.bound >= enough or (best.value - best.bound < near and not cliques):
                 return best
             wanted = np.flatnonzero(node.allowed & ~in_model & (cost < dual[0] - 1e-9))
-            wanted = wanted[np.argsort(cost[wanted])[:MOST_NEW_CAMERAS]]
+            wanted = wanted[np.argsort(cost[wanted])[:_MOST_NEW_CAMERAS]]
             violated = np.flatnonzero(missed - value[: self.problem.object_count] > min(near, 1e-4))
             if not (len(wanted) or len(violated) or cliques):
                 return best
@@ -337,7 +337,7 @@ class Relaxation:
         self._enter(node)
         self._solve()
         basis = self._model.getBasis()
-        self._model.setOptionValue("simplex_iteration_limit", STRONG_ITERATIONS)
+        self._model.setOptionValue("simplex_iteration_limit", _STRONG_ITERATIONS)
         found = []
         for branch in branches:
             self._set_branches({**node.branch, **branch})
@@ -355,14 +355,14 @@ class Relaxation:
         self._model.setOptionValue("time_limit", self._model.getRunTime() + left_s)
         self._model.run()
         status = self._model.getModelStatus()
-        for options in (SOLVER_OPTIONS, TROUBLED_OPTIONS):  # numerical trouble: from a basis of its own
+        for options in (_SOLVER_OPTIONS, _TROUBLED_OPTIONS):  # numerical trouble: from a basis of its own
             if status not in (self._status.kUnknown, self._status.kSolveError):
                 break
             self._model.clearSolver()
             self._set_options(options)
             self._model.run()
             status = self._model.getModelStatus()
-            self._set_options(SOLVER_OPTIONS)
+            self._set_options(_SOLVER_OPTIONS)
         return status
 
     def _set_options(self, options: Mapping[str, Any]) -> None:
@@ -476,7 +476,7 @@ class Relaxation:
 
     def _drop_idle_cuts(self) -> None:
         is_group = np.isinf(self._low[self._row_index]) & np.isinf(self._high[self._row_index])
-        is_idle = (self._idle > MOST_IDLE_ROUNDS) & ((self._cut_object >= 0) | is_group)
+        is_idle = (self._idle > _MOST_IDLE_ROUNDS) & ((self._cut_object >= 0) | is_group)
         if np.count_nonzero(is_idle) < 0.15 * len(is_idle):
             return
         dropped = np.flatnonzero(is_idle).astype(np.int32)

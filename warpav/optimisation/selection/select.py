@@ -25,21 +25,21 @@ from warpav.optimisation.selection.relaxation import Node, Price, Relaxation, Re
 TOLERANCE = 1e-9
 """Expected miss rates that differ by less count as equal."""
 
-TRIALS = 8
+_TRIALS = 8
 """Groups that are tried before one is branched on."""
 
-LEAST_FRACTION = 0.02
+_LEAST_FRACTION = 0.02
 """How far the cameras that the relaxation takes from a group must be from a whole number, for it to be tried."""
 
-ROUNDED_RIGS = 16
+_ROUNDED_RIGS = 16
 """Rigs that are drawn from a fractional choice and exchanged."""
 
-ROUNDING_EVERY = 8
+_ROUNDING_EVERY = 8
 """Nodes from one such draw to the next."""
 
 
 @dataclass(frozen=True)
-class Improvement:
+class _Improvement:
     """A better rig or a better bound."""
 
     cameras: np.ndarray  # the best rig so far, ascending, int [camera]
@@ -68,7 +68,7 @@ class BranchAndBound:
         gap: float,
         deadline_s: float,
         rng: np.random.Generator,
-        on_improvement: Callable[[Improvement], None] | None,
+        on_improvement: Callable[[_Improvement], None] | None,
     ) -> None:
         """Begin with rigs that satisfy the constraints, the required cameras first, int [rig, camera]."""
         self.rig, self.objective = np.sort(rigs[0]), problem.miss_rate(rigs[0])
@@ -86,7 +86,7 @@ class BranchAndBound:
         relaxation, root = self._root()
         if self._is_over:
             return
-        tree = GroupTree(self._problem)
+        tree = _GroupTree(self._problem)
         ties = itertools.count()
         open_nodes = [(root.bound, next(ties), root)]
         closed = math.inf  # least bound of the nodes that are not looked into
@@ -111,7 +111,7 @@ class BranchAndBound:
         required[problem.required] = True
         root = Node(every, required, {}, self.bound)
         relaxation = Relaxation(problem, self._deadline_s)
-        starts = self._starts[:ROUNDED_RIGS]
+        starts = self._starts[:_ROUNDED_RIGS]
         relaxation.add_cameras(np.unique(starts))
         relaxation.add_first_cuts(np.bincount(starts.ravel(), minlength=problem.camera_count) / len(starts))
         relaxed = relaxation.relax(root, self.objective)
@@ -130,7 +130,7 @@ class BranchAndBound:
         smaller.add_cuts(*relaxation.cuts)
         return smaller, replace(root, allowed=root.allowed[camera], required=root.required[camera])
 
-    def _split(self, node: Node, relaxation: Relaxation, tree: GroupTree) -> tuple[list[Node], float]:
+    def _split(self, node: Node, relaxation: Relaxation, tree: _GroupTree) -> tuple[list[Node], float]:
         """Relax a node; its children, and the least bound of what of it is in none of them."""
         problem = self._problem
         if node.bound >= self.objective - TOLERANCE:
@@ -148,7 +148,7 @@ class BranchAndBound:
             return [], relaxed.bound
         if relaxed.bound >= enough:  # it waits, in case a better rig asks for more
             return [replace(node, bound=relaxed.bound)], math.inf
-        if self.nodes % ROUNDING_EVERY == 0:
+        if self.nodes % _ROUNDING_EVERY == 0:
             self._round(relaxed.fraction)
         self._offer(np.argsort(-(relaxed.fraction + node.required), kind="stable")[: problem.count])
         node, _ = _without_useless(node, relaxed, self.objective)
@@ -159,7 +159,7 @@ class BranchAndBound:
         return [_child(node, branch, tree, self._problem.count) for branch in branches], closed
 
     def _round(self, fraction: np.ndarray) -> None:
-        drawn = [random_rig(self._problem, self._rng, fraction) for _ in range(ROUNDED_RIGS)]
+        drawn = [random_rig(self._problem, self._rng, fraction) for _ in range(_ROUNDED_RIGS)]
         drawn = [rig for rig in drawn if rig is not None]
         if drawn:
             rigs, _ = exchange(self._problem, np.array(drawn))
@@ -180,10 +180,10 @@ class BranchAndBound:
     def _report(self) -> None:
         if self._on_improvement is not None:
             seconds = time.perf_counter() - self._began_s
-            self._on_improvement(Improvement(self.rig, self.objective, self.bound, seconds))
+            self._on_improvement(_Improvement(self.rig, self.objective, self.bound, seconds))
 
 
-class GroupTree:
+class _GroupTree:
     """Nested groups of cameras that see alike: single cameras, and the clusters that Ward's method merges them into."""
 
     def __init__(self, problem: SelectionProblem) -> None:
@@ -215,12 +215,12 @@ class GroupTree:
         """The two branches of the group whose trials rise most, by the product of both, each up to ``enough``."""
         taken = np.round(self.member @ fraction, 9)
         away = np.abs(taken - np.round(taken))
-        group = np.flatnonzero(away > LEAST_FRACTION)
+        group = np.flatnonzero(away > _LEAST_FRACTION)
         _, first = np.unique(taken[group], return_index=True)  # nested groups with the same share of the choice
         group = group[first]
         inside = np.count_nonzero(self.member[group] & node.allowed, axis=1)
         size = np.minimum(inside, np.count_nonzero(node.allowed) - inside) + 1.0
-        group = group[np.argsort(-away[group] * np.sqrt(size))[:TRIALS]]
+        group = group[np.argsort(-away[group] * np.sqrt(size))[:_TRIALS]]
         if not len(group):  # a whole choice, or nearly: take one camera that it does not agree on, or has not proved
             away[len(fraction) :] = 0.0
             single = int(np.argmax(away)) if away.any() else int(np.argmax(fraction * ~node.required))
@@ -244,7 +244,7 @@ class GroupTree:
         return [{row: (low, float(split))}, {row: (split + 1.0, high)}]
 
 
-def _child(node: Node, branch: dict[int, tuple[float, float]], tree: GroupTree, count: int) -> Node:
+def _child(node: Node, branch: dict[int, tuple[float, float]], tree: _GroupTree, count: int) -> Node:
     ((row, (low, high)),) = branch.items()
     member = tree.members_of_row(row)
     allowed, required = node.allowed, node.required
@@ -271,13 +271,13 @@ def _each_object_alone(problem: SelectionProblem) -> float:
 STARTS = 64
 """Random rigs that are exchanged first."""
 
-DRAWS = 4 * STARTS
+_DRAWS = 4 * STARTS
 """Draws that may be made for them: with tight constraints most get stuck."""
 
-FEWEST_STARTS = 8
+_FEWEST_STARTS = 8
 """Rigs that an integer programme looks for where random ones do not satisfy the constraints."""
 
-FURTHER_STARTS_TIME = 0.1
+_FURTHER_STARTS_TIME = 0.1
 """Share of the time left that it may take for each but the first."""
 
 
@@ -311,7 +311,7 @@ def select(
     gap: float = 1e-3,
     time_limit_s: float = 60.0,
     seed: int = 0,
-    on_improvement: Callable[[Improvement], None] | None = None,
+    on_improvement: Callable[[_Improvement], None] | None = None,
 ) -> Selection:
     """Choose the rig of the lowest expected miss rate, the weighted mean over objects of the product of 1 - p.
 
@@ -325,7 +325,7 @@ def select(
         raise ArgumentError("gap", f"expected an expected miss rate of 0 or more, got {gap:g}")
     rng = np.random.default_rng(seed)
     deadline_s = began_s + time_limit_s
-    rigs = first_rigs(problem, start, rng, deadline_s)
+    rigs = _first_rigs(problem, start, rng, deadline_s)
     search = BranchAndBound(problem, rigs, gap=gap, deadline_s=deadline_s, rng=rng, on_improvement=on_improvement)
     ended = "time"
     try:
@@ -342,7 +342,7 @@ def select(
     )
 
 
-def first_rigs(
+def _first_rigs(
     problem: SelectionProblem, start: Sequence[int] | np.ndarray | None, rng: np.random.Generator, deadline_s: float
 ) -> np.ndarray:
     """Rigs that no exchange of a single camera makes better, the best first, int [rig, camera].
@@ -350,16 +350,16 @@ def first_rigs(
     They come from random ones; where the constraints are so tight that those break them, from an integer programme.
     """
     rigs = [] if start is None else [_checked_start(problem, start)]
-    drawn = (random_rig(problem, rng) for _ in range(DRAWS))
+    drawn = (random_rig(problem, rng) for _ in range(_DRAWS))
     rigs += itertools.islice((rig for rig in drawn if rig is not None), STARTS)
     cost = np.zeros(problem.camera_count)
-    while len(rigs) < FEWEST_STARTS:
+    while len(rigs) < _FEWEST_STARTS:
         left_s = deadline_s - time.perf_counter()
         if rigs and left_s <= 0.0:
             break
         try:
             rig = feasible_rig(
-                problem, time_limit_s=max(FURTHER_STARTS_TIME * left_s if rigs else left_s, 1e-3), cost=cost
+                problem, time_limit_s=max(_FURTHER_STARTS_TIME * left_s if rigs else left_s, 1e-3), cost=cost
             )
         except TimeoutError:
             if rigs:
