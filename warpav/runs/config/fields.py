@@ -187,9 +187,9 @@ RigFiles = Annotated[
 
 
 def _once(paths: object) -> object:
-    for k, path in enumerate(paths if isinstance(paths, tuple) else ()):
-        if path in paths[:k]:
-            mistake(f"expected every path once, got {shown(str(path))} twice")
+    twice = [path for path, count in Counter(paths if isinstance(paths, tuple) else ()).items() if count > 1]
+    if twice:
+        mistake(f"expected every path once, got {shown(str(twice[0]))} twice")
     return paths
 
 

@@ -89,13 +89,14 @@ def load_config(
     data, written_at = _read_file(file) if file else ({}, {})
     if isinstance(source, Config):
         data = source.model_dump(mode="json")
-    for option, name in KEPT_FILES.items() if file else ():
+    beside = KEPT_FILES if file else {}
+    for option, name in beside.items():
         *sections, last = option.split(".")
         values: Any = data
         for section in sections:
             values = values.get(section)
-        if isinstance(values, dict) and values.get(last) == name and (file.parent / name).is_file():
-            values[last] = str((file.parent / name).absolute())
+        if isinstance(values, dict) and values.get(last) == name and (kept := Path(file or "").parent / name).is_file():
+            values[last] = str(kept.absolute())
     override_of: dict[Location, str] = {}
     new_name = dict(renamed_options(Config))
     for override in overrides:
