@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from warpav.core.cores import gpu_processes
-from warpav.core.errors import InputError, is_out_of_memory
+from warpav.core.errors import is_out_of_memory
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.frame import Frame
@@ -98,12 +98,9 @@ def render_in_chunks(
     camera_from_world: np.ndarray,
     *,
     renderer: Renderer | None = None,
-    views_at_once: int | None = None,
-    supersampling: int = 1,
     content: Content = Content.ALL,
-    device: str = "cpu",
 ) -> Iterator[tuple[slice, Frame]]:
-    """Render views chunk by chunk; no gradient.
+    """Render views chunk by chunk, as many at once as the renderer has views (None: a new one); no gradient.
 
     Args:
         position_world_m: Camera centres [m], [view, 3].
@@ -113,32 +110,19 @@ def render_in_chunks(
         The views of the chunk, and their frame. A last chunk that is not full is filled up with copies
         of the last view: the frame's first views are the chunk's.
     """
-    view_count = len(models)
-    if len(position_world_m) != view_count or len(camera_from_world) != view_count:
-        raise InputError(
-            f"every view needs a model, a position and a rotation, got {view_count}, {len(position_world_m)} and "
-            f"{len(camera_from_world)}"
-        )
-    if renderer is not None:
-        views_at_once = renderer.view_count
-    elif views_at_once is None:
-        views_at_once = min(chunk_view_count(models[0], supersampling=supersampling), view_count)
-    if views_at_once < 1:
-        raise InputError(f"views_at_once must be at least 1, got {views_at_once}")
-    for first in range(0, view_count, views_at_once):
-        chunk = np.minimum(np.arange(first, first + views_at_once), view_count - 1)
-        chunk_models = [models[i] for i in chunk]
-        if renderer is None:
-            renderer = Renderer(chunk_models, supersampling=supersampling, device=device)
-        else:
-            renderer.set_lenses(chunk_models)
+    view_count, device = len(models), scene.device
+    if renderer is None:
+        renderer = Renderer(models[: chunk_view_count(models[0])], device=device.alias)
+    for first in range(0, view_count, renderer.view_count):
+        chunk = np.minimum(np.arange(first, first + renderer.view_count), view_count - 1)
+        renderer.set_lenses([models[i] for i in chunk])
         frame = renderer.render(
             scene,
-            wp.array(np.asarray(position_world_m)[chunk].astype(np.float32), dtype=wp.vec3, device=device),
-            wp.array(np.asarray(camera_from_world)[chunk].astype(np.float32), dtype=wp.mat33, device=device),
+            wp.array(position_world_m[chunk].astype(np.float32), dtype=wp.vec3, device=device),
+            wp.array(camera_from_world[chunk].astype(np.float32), dtype=wp.mat33, device=device),
             content=content,
         )
-        yield slice(first, min(first + views_at_once, view_count)), frame
+        yield slice(first, min(first + renderer.view_count, view_count)), frame
 
 
 @dataclass(eq=False)

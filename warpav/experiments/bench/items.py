@@ -147,15 +147,8 @@ class Bench:
     def _rendered(self, renderer: Renderer | None = None) -> Iterator[tuple[slice, Frame]]:
         """All views at one sample per pixel, some at a time."""
         position_ego_m, camera_from_ego = (array.numpy() for array in self._placed())
-        device = self.device.alias
         return render_in_chunks(
-            self.scene,
-            self._models(),
-            position_ego_m,
-            camera_from_ego,
-            renderer=renderer,
-            content=Content.IMAGES,
-            device=device,
+            self.scene, self._models(), position_ego_m, camera_from_ego, renderer=renderer, content=Content.IMAGES
         )
 
     def _time_images(self, resolve: Callable[[Frame, Any], object], repeat: int) -> Timing:
