@@ -13,8 +13,8 @@ from scipy.optimize import minimize
 
 from tests.benchmarks.test_speed import town_cameras
 from tests.optimisation.calls import draw, polish, select
+from warpav.detection.miss_rate import SUREST, expected_miss_rate
 from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.miss_rate import SUREST, expected_miss_rate
 from warpav.optimisation.mount import FreeRanges
 from warpav.optimisation.polish import nearest_rig, step_unit
 from warpav.optimisation.pool_search import too_near

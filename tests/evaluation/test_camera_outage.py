@@ -13,8 +13,8 @@ from tests.evaluation.test_metrics import SCENES as PLACES
 from tests.optimisation.test_missed import probability_model
 from warpav.core.errors import InputError
 from warpav.detection.probability import Appearance
-from warpav.evaluation.camera_outage import CameraOutages
 from warpav.evaluation.metrics import OPTIONAL_METRICS, ArmMetrics, metrics_of, observe_scenes
+from warpav.evaluation.perturbations import CameraOutages
 from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.evaluation.statistics import paired_differences
 from warpav.optimisation.importance import Importance

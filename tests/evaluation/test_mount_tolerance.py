@@ -12,8 +12,7 @@ from tests.optimisation.test_modules import cameras_of as mixed_cameras
 from tests.optimisation.test_modules import columns, spread, symmetric_cameras
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from warpav.core.errors import InputError
-from warpav.evaluation.camera_outage import CameraOutages
-from warpav.evaluation.mount_tolerance import COLUMNS, MountEffect, MountTolerance
+from warpav.evaluation.perturbations import COLUMNS, CameraOutages, MountEffect, MountTolerance
 from warpav.optimisation.mount import HEIGHT_DELTA_M
 from warpav.raster.camera import CameraModel
 from warpav.view.figures.sensitivity import sensitivity_figure

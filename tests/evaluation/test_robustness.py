@@ -11,8 +11,15 @@ from tests.driving_scene import street
 from tests.optimisation.test_modules import cameras_of as mixed_cameras
 from tests.optimisation.test_modules import columns, models, probabilities, spread, symmetric_cameras
 from warpav.core.errors import InputError
-from warpav.evaluation.camera_outage import CameraOutages
-from warpav.evaluation.robustness import LoadState, LoadStates, SoiledPart, Soiling, loaded_scene, soiled_scene
+from warpav.evaluation.perturbations import (
+    CameraOutages,
+    LoadState,
+    LoadStates,
+    SoiledPart,
+    Soiling,
+    loaded_scene,
+    soiled_scene,
+)
 from warpav.optimisation.mount import views_of_rig
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion

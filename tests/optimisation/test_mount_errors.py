@@ -15,9 +15,9 @@ from tests.optimisation.test_modules import columns, symmetric_cameras, symmetri
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, drawn, mount_of, poses_of, streets
 from tests.optimisation.test_pool_search import SMALL
+from warpav.detection.miss_rate import expected_miss_rate
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.miss_rate import expected_miss_rate
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, MIRROR
 from warpav.optimisation.mount_errors import COLUMNS, MountErrors
 from warpav.optimisation.pool import spread_mount_poses

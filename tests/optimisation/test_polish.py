@@ -10,10 +10,10 @@ from tests.driving_scene import ConstantDetector
 from tests.optimisation.calls import polish
 from tests.optimisation.objectives import rig_objective
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
+from warpav.detection.miss_rate import SUREST, expected_miss_rate, expected_miss_slope
 from warpav.optimisation import polish as module
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.miss_rate import SUREST, expected_miss_rate, expected_miss_slope
 from warpav.optimisation.mount import FreeRanges
 from warpav.optimisation.settings import LossSettings
 from warpav.optimisation.tangent_model import Rendered, TangentModel

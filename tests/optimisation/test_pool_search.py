@@ -12,9 +12,9 @@ from tests.optimisation.calls import draw, pool_search
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from warpav.core.errors import InputError
+from warpav.detection.miss_rate import expected_miss_rate
 from warpav.optimisation import pool as pool_module
 from warpav.optimisation import pool_search as module
-from warpav.optimisation.miss_rate import expected_miss_rate
 from warpav.optimisation.pool import spread_mount_poses
 from warpav.optimisation.pool_search import PoolSearchSettings
 

@@ -139,7 +139,7 @@ def evaluate(
 ) -> None:
     """Measure a rig on the test scenes."""
     from warpav.core.errors import ArgumentError
-    from warpav.evaluation.robustness import LoadState, SoiledPart
+    from warpav.evaluation.perturbations import LoadState, SoiledPart
     from warpav.runs.jobs import measure_rig
     from warpav.runs.progress import RunDisplay
     from warpav.runs.report.tables import show_run

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from warpav.core.data_frame import data_frame
 from warpav.core.errors import ArgumentError
-from warpav.evaluation.camera_outage import CameraOutages
+from warpav.core.table import Table
 from warpav.evaluation.metrics import (
     EQUAL_FALSE_ALARMS_PER_FRAME,
     OPTIONAL_METRICS,
@@ -20,6 +19,7 @@ from warpav.evaluation.metrics import (
     ArmMetrics,
     ObjectOutcome,
 )
+from warpav.evaluation.perturbations import CameraOutages
 from warpav.evaluation.statistics import Difference, paired_difference, paired_differences
 from warpav.rig.rig import Rig
 
@@ -72,42 +72,6 @@ class SeenObject:
     outcome: dict[str, ObjectOutcome]
     seen_by: dict[str, tuple[str, ...]]
     detected_by: dict[str, tuple[str, ...]]
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table that prints as text and shows itself in a notebook."""
-
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    caption: str = ""
-
-    def __str__(self) -> str:
-        every = [self.columns, *self.rows]
-        widths = [max(len(row[k]) for row in every) for k in range(len(self.columns))]
-        lines = [
-            "  ".join(
-                cell.ljust(width) if k == 0 else cell.rjust(width)
-                for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-            )
-            for row in every
-        ]
-        lines = [lines[0], "-" * len(lines[0]), *lines[1:]]
-        return "\n".join([*lines, self.caption] if self.caption else lines)
-
-    def __repr__(self) -> str:
-        return str(self)
-
-    def _repr_html_(self) -> str:
-        head = "".join(f"<th>{html.escape(name)}</th>" for name in self.columns)
-        body = "".join(
-            f"<tr><th style='text-align:left'>{html.escape(row[0])}</th>"
-            + "".join(f"<td style='text-align:right'>{html.escape(cell)}</td>" for cell in row[1:])
-            + "</tr>"
-            for row in self.rows
-        )
-        caption = f"<caption style='caption-side:bottom'>{html.escape(self.caption)}</caption>" if self.caption else ""
-        return f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
 @dataclass(frozen=True, eq=False)

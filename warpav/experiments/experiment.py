@@ -21,6 +21,7 @@ from warpav.core.errors import ArgumentError
 from warpav.core.executor import Executor, Outcome
 from warpav.core.files import write_json, write_text
 from warpav.core.progress import NullProgress, Progress
+from warpav.detection.miss_rate import expected_miss_rate, shares_of
 from warpav.evaluation.attainable import attainable_objects
 from warpav.evaluation.metrics import metrics_of, observe_scenes
 from warpav.experiments.arms import Arm, FoundRig, constraint_loss, find_rig_of, resized
@@ -40,7 +41,6 @@ from warpav.experiments.study import GRADIENTS, Judge, Study
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.budget import SingleCameraValues, rig_values_of
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.miss_rate import expected_miss_rate, shares_of
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import write_rig
 from warpav.runs.config import (

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from warpav.detection.miss_rate import expected_miss_rate, shares_of
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.miss_rate import expected_miss_rate, shares_of
 from warpav.optimisation.objective import RigObjective, single_cameras_of
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.optimisation.space import SearchSpace

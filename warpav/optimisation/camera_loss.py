@@ -23,7 +23,7 @@ from typing import Literal
 import numpy as np
 
 from warpav.core.errors import ArgumentError
-from warpav.optimisation.miss_rate import SUREST
+from warpav.detection.miss_rate import SUREST
 from warpav.optimisation.selection.problem import Row, SelectionProblem, fits, random_rig
 from warpav.optimisation.selection.relaxation import Price
 from warpav.optimisation.selection.select import STARTS, TOLERANCE, Ended, Selection, select

@@ -18,8 +18,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from warpav.detection.miss_rate import further_gain, missed_probability
 from warpav.optimisation.constraints import Constraints
-from warpav.optimisation.miss_rate import further_gain, missed_probability
 from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, YAW_RAD, CameraMount
 from warpav.optimisation.pool_cache import pose_keys
 

@@ -15,6 +15,7 @@ import warp as wp
 
 from warpav.core.errors import InputError
 from warpav.detection.detector import Detections, Detector
+from warpav.detection.miss_rate import expected_miss_rate, expected_miss_slope, shares_of
 from warpav.detection.observe import (
     DetectorInLoop,
     Observation,
@@ -31,7 +32,6 @@ from warpav.optimisation.losses.lagrangian import Lagrangian
 from warpav.optimisation.losses.loss import DetectedImages, DeviceLoss, HostLoss, Loss, LossSchedule, Needs
 from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability, SceneOnTape
 from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
-from warpav.optimisation.miss_rate import expected_miss_rate, expected_miss_slope, shares_of
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, views_of_rig
 from warpav.optimisation.scene_step import Exchange, Objective, RigViews, SceneLosses, SceneStep
 from warpav.optimisation.single_cameras import SingleCameras

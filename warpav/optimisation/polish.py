@@ -22,9 +22,9 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from warpav.detection.miss_rate import expected_miss_rate
 from warpav.optimisation.camera_loss import SOFTNESS, RobustObjective
 from warpav.optimisation.constraints import Constraints
-from warpav.optimisation.miss_rate import expected_miss_rate
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.tangent_model import REACH, TANGENTS, Edges, HardPoints, Margins, Rendered, TangentModel
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.progress import Progress
+from warpav.detection.miss_rate import expected_miss_rate, shares_of
 from warpav.optimisation.camera_loss import RobustValue
 from warpav.optimisation.further_camera import FurtherCameras, further_cameras
-from warpav.optimisation.miss_rate import expected_miss_rate, shares_of
 from warpav.optimisation.pool import CameraPool, Drawing
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import Found, PoolSearch, PoolSearchSettings, PoolTask

@@ -23,10 +23,10 @@ from scipy import sparse
 
 from warpav.core.errors import ArgumentError, OptionError
 from warpav.core.progress import Progress
+from warpav.detection.miss_rate import SUREST, expected_miss_rate, shares_of
 from warpav.optimisation.camera_loss import OTHERS, RobustObjective, RobustValue, exchange_robust, select_robust
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.miss_rate import SUREST, expected_miss_rate, shares_of
 from warpav.optimisation.mount import HEIGHT_DELTA_M, MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.mount_errors import MountErrors
 from warpav.optimisation.objective import RigObjective, single_cameras_of

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from warpav.detection.miss_rate import SUREST
 from warpav.optimisation.camera_loss import SOFTNESS, RobustObjective
-from warpav.optimisation.miss_rate import SUREST
 from warpav.optimisation.mount import YAW_RAD
 from warpav.optimisation.pool import CameraPool
 

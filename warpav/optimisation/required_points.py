@@ -17,7 +17,7 @@ import numpy as np
 
 from warpav.core.cache import digest
 from warpav.core.errors import InputError
-from warpav.optimisation.miss_rate import shares_of
+from warpav.detection.miss_rate import shares_of
 from warpav.optimisation.selection.problem import Row
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh

@@ -13,11 +13,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from warpav.core.errors import OptionError, install_text
+from warpav.detection.miss_rate import SUREST
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.budget import BudgetedValue, SingleCameraValues
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.miss_rate import SUREST
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD
 from warpav.optimisation.objective import RigObjective, single_cameras_of
 from warpav.optimisation.pool_cache import rows_of

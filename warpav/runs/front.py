@@ -13,8 +13,9 @@ from warpav.core.errors import ArgumentError, OptionError
 from warpav.core.executor import Executor
 from warpav.core.files import write_json
 from warpav.core.progress import Progress
-from warpav.evaluation.rig_evaluation import RigEvaluation, Table
-from warpav.optimisation.miss_rate import further_gain, missed_probability
+from warpav.core.table import Table
+from warpav.detection.miss_rate import further_gain, missed_probability
+from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.optimisation.pool import CameraPool
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_run import PoolRun

@@ -13,7 +13,7 @@ from warpav.core.executor import Executor
 from warpav.core.files import json_ready, write_json
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import device_name
-from warpav.evaluation.robustness import LoadState, SoiledPart
+from warpav.evaluation.perturbations import LoadState, SoiledPart
 from warpav.optimisation.pool import pool_cache_folder
 from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.records import IterationRecord

@@ -10,9 +10,15 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.progress import Progress
-from warpav.evaluation.camera_outage import CameraOutages
-from warpav.evaluation.mount_tolerance import MountTolerance
-from warpav.evaluation.robustness import LoadState, LoadStates, SoiledPart, Soiling, SoilShape
+from warpav.evaluation.perturbations import (
+    CameraOutages,
+    LoadState,
+    LoadStates,
+    MountTolerance,
+    SoiledPart,
+    Soiling,
+    SoilShape,
+)
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.objective import single_cameras_of
 from warpav.optimisation.single_cameras import SingleCameras

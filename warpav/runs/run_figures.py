@@ -33,8 +33,7 @@ from warpav.runs.scene_set import load_scene
 if TYPE_CHECKING:
     from warpav.detection.images import CameraImage
     from warpav.detection.probability import DetectionProbability
-    from warpav.evaluation.camera_outage import CameraOutages
-    from warpav.evaluation.mount_tolerance import MountTolerance
+    from warpav.evaluation.perturbations import CameraOutages, MountTolerance
     from warpav.optimisation.losses.scene_on_tape import AssignedScene
     from warpav.optimisation.objective import RigObjective
     from warpav.raster.camera import CameraModel
@@ -253,7 +252,7 @@ class RunPictures:
 
 def _tolerance_of(evaluation: Mapping[str, Any]) -> MountTolerance | None:
     """What errors of mounting cost, as ``evaluation.json`` has it: of the draws only their mean."""
-    from warpav.evaluation.mount_tolerance import MountEffect, MountTolerance
+    from warpav.evaluation.perturbations import MountEffect, MountTolerance
 
     found = evaluation.get("mount_tolerance")
     if not found:
@@ -269,7 +268,7 @@ def _tolerance_of(evaluation: Mapping[str, Any]) -> MountTolerance | None:
 
 
 def _outages_of(evaluation: Mapping[str, Any]) -> CameraOutages | None:
-    from warpav.evaluation.camera_outage import CameraOutage, CameraOutages
+    from warpav.evaluation.perturbations import CameraOutage, CameraOutages
 
     found = evaluation.get("camera_outage", {}).get("optimised")
     if not found:

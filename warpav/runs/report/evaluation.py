@@ -146,7 +146,7 @@ class _GroundTable(_Part):
 
 
 class CameraOutage(_Part):
-    """A rig without one camera, see `warpav.evaluation.camera_outage.CameraOutage`."""
+    """A rig without one camera, see `warpav.evaluation.perturbations.CameraOutage`."""
 
     camera: str
     expected_misses_per_100: float
@@ -156,7 +156,7 @@ class CameraOutage(_Part):
 
 
 class _Outage(_Part):
-    """A rig without each of its cameras, see `warpav.evaluation.camera_outage.CameraOutages`."""
+    """A rig without each of its cameras, see `warpav.evaluation.perturbations.CameraOutages`."""
 
     expected_misses_per_100: float
     weighted_expected_misses_per_100: float | None = None
@@ -182,7 +182,7 @@ class MountEffect(_Part):
 
 
 class _Tolerance(_Part):
-    """What errors of mounting cost, see `warpav.evaluation.mount_tolerance.MountTolerance`."""
+    """What errors of mounting cost, see `warpav.evaluation.perturbations.MountTolerance`."""
 
     position_m: float = Field(gt=0.0)
     angle_rad: float = Field(gt=0.0)

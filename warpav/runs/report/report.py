@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import InputError
+from warpav.core.table import Table
 from warpav.evaluation.metrics import ObjectOutcome
-from warpav.evaluation.rig_evaluation import TABLE_ROWS, Table
+from warpav.evaluation.rig_evaluation import TABLE_ROWS
 from warpav.runs.config import config_names, load_config, overrides_from
 from warpav.runs.mounts import free_ranges, has_zones
 from warpav.runs.report import statements as words

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from warpav.evaluation.rig_evaluation import TABLE_ROWS, Table, outage_rows
+from warpav.core.table import Table
+from warpav.evaluation.rig_evaluation import TABLE_ROWS, outage_rows
 from warpav.runs.report.evaluation import Evaluation, RunContent
 from warpav.runs.report.statements import MINUS, NONE, SPACE, Statement, headline, summary, warnings
 from warpav.runs.terminal import Terminal, TerminalTable, shown

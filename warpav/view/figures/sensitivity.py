@@ -11,8 +11,7 @@ from warpav.view.figures.style import WIDTH_INCH, caption, figure_style, new_fig
 from warpav.view.palette import FURTHER_RGB, INK_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
-    from warpav.evaluation.camera_outage import CameraOutages
-    from warpav.evaluation.mount_tolerance import MountTolerance
+    from warpav.evaluation.perturbations import CameraOutages, MountTolerance
 
 _LEAST_SHOWN = 0.1  # misses per 100 that have the full colour at least: less is no sensitivity
 _BELOW_RGB = ((38, 102, 180), (190, 218, 242))

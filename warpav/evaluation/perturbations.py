@@ -1,7 +1,10 @@
-"""What a rig is expected to miss with a soiled camera, and under loads that pitch and lower the vehicle.
+"""What perturbations cost a rig in expected misses: a lost camera, errors of mounting, dirt before a lens, loads.
 
-Both render scenes that are changed instead of the rig: dirt is an opaque sheet before the lens, and under a load it is
-the world that moves in the ego frame. Every camera is rendered by itself, as a pool is.
+Cameras err independently, so a rig misses object o with the probability m_o, the product over its cameras of 1 - p_io.
+Whatever befalls a rig changes rows of its matrix of probabilities; `perturb` is the cost of that. Each camera is
+rendered by itself, as a pool is, and only where it is changed: a lost one is a row of zeros; one that is off stands
+elsewhere, inwards up to the skin of the body; dirt is an opaque sheet before the lens; under a load it is the world
+that moves in the ego frame.
 """
 
 from __future__ import annotations
@@ -16,8 +19,9 @@ import numpy as np
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.frames import rotation_from_yaw_pitch_roll
 from warpav.core.progress import NullProgress, Progress
-from warpav.evaluation.rig_evaluation import Table
-from warpav.optimisation.miss_rate import expected_miss_rate, shares_of
+from warpav.core.table import Table
+from warpav.detection.miss_rate import expected_miss_rate, expected_miss_slope, shares_of
+from warpav.optimisation.mount_errors import COLUMNS, MountErrors, outside_skin
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
@@ -25,6 +29,241 @@ from warpav.raster.mesh import Mesh, merge
 from warpav.rig.rig import RigCamera
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Box, Scene, Vehicle
+
+
+def perturb(
+    probability: np.ndarray, changed: Mapping[int, np.ndarray] | None = None, share: np.ndarray | None = None
+) -> float:
+    """Expected misses per 100 objects of a rig of which some cameras detect otherwise.
+
+    Args:
+        probability: Of each camera for each object, 0..1, float [camera, object].
+        changed: New rows by the number of their camera; 0: lost.
+        share: Of each object in the mean, see `shares_of`; None: all count the same.
+    """
+    rows = probability
+    if changed:
+        rows = np.array(probability)
+        for camera, row in changed.items():
+            rows[camera] = row
+    return 100.0 * expected_miss_rate(rows, share)
+
+
+def _detected(cameras: SingleCameras, pose: np.ndarray, side: np.ndarray, scene: DeviceScene) -> np.ndarray:
+    """What each camera of rigs detects, on its own side, float [..., camera, object]; ``pose`` [..., camera, 7]."""
+    found = np.zeros((*pose.shape[:-1], scene.vehicle_count))
+    for number, of_side in enumerate(cameras.sides):
+        own = np.flatnonzero(side == number)
+        seen = of_side.detection_probability(pose[..., own, :].reshape(-1, pose.shape[-1]), scene)
+        found[..., own, :] = seen.reshape(*pose.shape[:-2], len(own), -1)
+    return found
+
+
+# ---------------------------------------------------------------------------------------------------- lost cameras
+
+
+@dataclass(frozen=True)
+class CameraOutage:
+    """A rig without one of its cameras."""
+
+    camera: str
+    expected_misses_per_100: float
+    difference_per_100: float
+    weighted_expected_misses_per_100: float | None = None
+    weighted_difference_per_100: float | None = None
+
+
+@dataclass(frozen=True)
+class CameraOutages:
+    """A rig without each of its cameras in turn."""
+
+    expected_misses_per_100: float
+    weighted_expected_misses_per_100: float | None
+    cameras: tuple[CameraOutage, ...]
+
+    @classmethod
+    def of(
+        cls, camera: Sequence[str], detection_probability: np.ndarray, weight: np.ndarray | None = None
+    ) -> CameraOutages | None:
+        """From what each camera detects.
+
+        Args:
+            detection_probability: Of each camera for each object, 0..1, float [camera, object].
+        """
+        if detection_probability.shape[1] == 0:
+            return None
+        share = None if weight is None or not weight.any() else shares_of(weight)
+        lost: list[dict[int, Any]] = [{}, *({k: 0.0} for k in range(len(camera)))]
+        plain, *without = (perturb(detection_probability, each) for each in lost)
+        if share is None:
+            outages = (CameraOutage(name, rate, rate - plain) for name, rate in zip(camera, without, strict=True))
+            return cls(plain, None, tuple(outages))
+        weighted, *weighted_without = (perturb(detection_probability, each, share) for each in lost)
+        numbers = zip(camera, without, weighted_without, strict=True)
+        outages = (
+            CameraOutage(name, rate, rate - plain, by_weight, by_weight - weighted) for name, rate, by_weight in numbers
+        )
+        return cls(plain, weighted, tuple(outages))
+
+    @property
+    def worst(self) -> CameraOutage:
+        """The outage with most expected misses, by their weights where these are set; of equal ones the first."""
+        return max(self.cameras, key=_expected_misses)
+
+    def to_json(self) -> dict[str, Any]:
+        """As ``evaluation.json`` has it; without weights their numbers are left out."""
+        cameras = [asdict(each) for each in self.cameras]
+        found = {**asdict(self), "cameras": cameras, "worst": self.worst.camera}
+        for each in (found, *cameras):
+            for name in [name for name, value in each.items() if value is None]:
+                del each[name]
+        return found
+
+
+def _expected_misses(outage: CameraOutage) -> float:
+    weighted = outage.weighted_expected_misses_per_100
+    return outage.expected_misses_per_100 if weighted is None else weighted
+
+
+# -------------------------------------------------------------------------------------------------- errors of mounting
+
+
+@dataclass(frozen=True)
+class MountEffect:
+    """One camera that is off in one degree of freedom.
+
+    Attributes:
+        per_unit: Derivative of the expected misses per 100 objects at the rig [1/m, 1/rad].
+    """
+
+    camera: str
+    degree: str
+    per_unit: float
+    below: float
+    above: float
+
+    @property
+    def worst(self) -> float:
+        """The greater of both changes."""
+        return max(self.below, self.above)
+
+
+@dataclass(frozen=True, eq=False)
+class MountTolerance:
+    """What errors of mounting cost a rig in expected misses per 100 objects, weighted where objects have weights."""
+
+    position_m: float
+    angle_rad: float
+    nominal: float
+    samples: np.ndarray
+    effects: tuple[MountEffect, ...]
+
+    @property
+    def worst(self) -> MountEffect:
+        """The camera and degree of freedom that cost most; of equal ones the first."""
+        return max(self.effects, key=lambda effect: effect.worst)
+
+    def table(self) -> Table:
+        """What each camera costs by degree of freedom: text when printed, HTML in a notebook."""
+        cameras = dict.fromkeys(effect.camera for effect in self.effects)
+        found = {(effect.camera, effect.degree): f"{effect.worst:+z.2f}" for effect in self.effects}
+        limits = f"+-{100.0 * self.position_m:g} cm, +-{np.degrees(self.angle_rad):g} deg"
+        high = np.quantile(self.samples, 0.95)
+        return Table(
+            ("misses per 100, change", *COLUMNS),
+            tuple((name, *(found[name, degree] for degree in COLUMNS)) for name in cameras),
+            f"Worst change with one camera off by {limits} in one direction. The rig is expected to miss "
+            f"{self.nominal:.2f} of 100; with all cameras off by chance {self.samples.mean():.2f}, "
+            f"in 95 % of {len(self.samples)} draws at most {high:.2f}.",
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """As ``evaluation.json`` has it, angles in radians."""
+        return {
+            "position_m": self.position_m,
+            "angle_rad": self.angle_rad,
+            "expected_misses_per_100": self.nominal,
+            "draws": {
+                "count": len(self.samples),
+                "expected_misses_per_100": float(self.samples.mean()),
+                "quantile_95": float(np.quantile(self.samples, 0.95)),
+            },
+            "effects": [{**asdict(effect), "worst": effect.worst} for effect in self.effects],
+            "worst": {"camera": self.worst.camera, "degree": self.worst.degree, "change_per_100": self.worst.worst},
+        }
+
+    @classmethod
+    def of(
+        cls,
+        camera: Sequence[str],
+        mount_pose: np.ndarray,
+        cameras: SingleCameras,
+        scenes: Sequence[DeviceScene],
+        *,
+        position_m: float,
+        angle_rad: float,
+        sample_count: int,
+        seed: int,
+        weight: np.ndarray | None = None,
+        progress: Progress | None = None,
+    ) -> MountTolerance:
+        """Render a rig's cameras with errors of mounting; inwards they end at the surface that the cameras stand on.
+
+        Args:
+            mount_pose: The rig, float [camera, 7].
+        """
+        for name, value in (("position_m", position_m), ("angle_rad", angle_rad), ("sample_count", sample_count)):
+            if not value > 0.0:
+                raise ArgumentError(name, f"expected a positive number, got {value!r}")
+        if not any(scene.vehicle_count for scene in scenes):
+            raise ArgumentError("scenes", "expected at least one object, got none")
+        pose, side = cameras.apart(np.asarray(mount_pose, np.float64))
+        count, columns = len(pose), list(COLUMNS.values())
+        tolerance = MountErrors(position_m, angle_rad).tolerance
+        rng = np.random.default_rng(seed)
+        drawn = np.tile(pose, (sample_count, 1, 1))
+        drawn[..., columns] += tolerance * rng.uniform(-1.0, 1.0, (sample_count, count, len(columns)))
+        alone = np.tile(pose, (2, len(columns), 1, 1))  # [below or above, degree, camera, 7]
+        for k, column in enumerate(columns):
+            alone[0, k, :, column] -= tolerance[k]
+            alone[1, k, :, column] += tolerance[k]
+        every = np.concatenate([pose[None], alone.reshape(-1, count, pose.shape[1]), drawn])
+        every = outside_skin(every, pose, cameras.mount)
+        progress = progress or NullProgress()
+        steps = progress.steps("mount errors", scenes, count=len(scenes))
+        found = np.concatenate([_detected(cameras, every, side, scene) for scene in steps], axis=-1)
+        share = shares_of(weight)
+        plain, single, together = found[0], found[1 : 1 + 2 * len(columns)], found[1 + 2 * len(columns) :]
+        nominal = perturb(plain, share=share)
+        single = single.reshape(2, len(columns), count, -1)
+        slope = _slopes(cameras, pose.astype(np.float32), side, scenes, share)
+        effects = []
+        for c, name in enumerate(camera):
+            for k, degree in enumerate(COLUMNS):
+                below, above = (perturb(plain, {c: ends[k, c]}, share) - nominal for ends in single)
+                effects.append(MountEffect(name, degree, float(slope[c, columns[k]]), below, above))
+        samples = np.array([perturb(each, share=share) for each in together])
+        return cls(position_m, angle_rad, nominal, samples, tuple(effects))
+
+
+def _slopes(
+    cameras: SingleCameras,
+    mount_pose: np.ndarray,
+    side: np.ndarray,
+    scenes: Sequence[DeviceScene],
+    share: np.ndarray | None,
+) -> np.ndarray:
+    """Derivatives of the expected misses per 100 to every number of every camera of a side, float64 [camera, 7]."""
+    objects = sum(scene.vehicle_count for scene in scenes)
+    probability, jacobian = np.zeros((len(side), objects)), np.zeros((len(side), objects, mount_pose.shape[1]))
+    for number, of_side in enumerate(cameras.sides):
+        own = np.flatnonzero(side == number)
+        probability[own], jacobian[own] = of_side.with_jacobian(mount_pose[own], scenes)
+    return 100.0 * expected_miss_slope(probability, jacobian, share)
+
+
+# ---------------------------------------------------------------------------------------------------------------- dirt
+
 
 SoilShape = Literal["disc", "rows", "columns"]
 
@@ -189,22 +428,18 @@ class Soiling:
 
         clean, soiled = [], []
         for scene in (progress or NullProgress()).steps("soiled cameras", scenes, count=len(scenes)):
-            packed = _packed(scene, cameras)
-            seen = np.zeros((len(pose), packed.vehicle_count))
-            for number, of_side in enumerate(cameras.sides):
-                own = np.flatnonzero(side == number)
-                seen[own] = of_side.detection_probability(pose[own], packed)
-            clean.append(seen)
+            clean.append(_detected(cameras, pose, side, _packed(scene, cameras)))
             soiled.append([detected(k, soiled_scene(scene, each, part)) for k, each in enumerate(standing)])
         plain, dirty = np.concatenate(clean, axis=1), np.concatenate(soiled, axis=1)
-        nominal = 100.0 * expected_miss_rate(plain, share)
+        nominal = perturb(plain, share=share)
         found = []
         for k, (name, each) in enumerate(zip(camera, standing, strict=True)):
-            changed = plain.copy()
-            changed[k] = dirty[k]
-            missed = 100.0 * expected_miss_rate(changed, share)
+            missed = perturb(plain, {k: dirty[k]}, share)
             found.append(SoiledCamera(name, part.covered_share(each.model), missed, missed - nominal))
         return cls(part, nominal, tuple(found))
+
+
+# ------------------------------------------------------------------------------------------------------------ loads
 
 
 @dataclass(frozen=True)
@@ -326,7 +561,7 @@ class LoadStates:
                 found, [scene, *(loaded_scene(scene, state) for state in states.values())], strict=True
             ):
                 rows.append(cameras.detection_probability(pose, _packed(changed, cameras)))
-        nominal, *loaded = (100.0 * expected_miss_rate(np.concatenate(rows, axis=1), share) for rows in found)
+        nominal, *loaded = (perturb(np.concatenate(rows, axis=1), share=share) for rows in found)
         return cls(
             nominal,
             tuple(
