@@ -8,12 +8,10 @@ import warp as wp
 
 from tests.view.stand_ins import ego
 from warpav.detection.images import render_images
-from warpav.detection.probability import CONTRAST, DetectionProbability, whole_solid_angle
+from warpav.detection.probability import DetectionProbability, whole_solid_angle
 from warpav.evaluation.detection_range import LEAST_HEIGHT_PX, DetectionRange, _alone, average_contrast
 from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
-from warpav.runs.config import load_config
-from warpav.runs.networks import any_camera_use
 
 MODEL = CameraModel(256, 192, math.radians(70.0))
 NEAR_M = (6.0, 15.0, 40.0, 120.0)
@@ -28,12 +26,6 @@ def rig(*yaw_deg, model=MODEL, place_m=(1.35, 0.0, 1.5)):
 @pytest.fixture(scope="module")
 def found():
     return DetectionRange.of(rig(0.0), ego(), categories=("saloon",), azimuth_count=8, distances_m=NEAR_M)
-
-
-def test_the_builtin_fit_is_that_for_any_camera():
-    model = DetectionProbability.builtin(MODEL)
-    assert model.record["settings"]["cameras"].startswith("any")
-    assert model.record["identity"] == any_camera_use(load_config("quick")).identity
 
 
 def test_the_probability_is_the_models_of_the_area_that_a_render_shows(found):
@@ -63,13 +55,6 @@ def test_the_probability_is_the_models_of_the_area_that_a_render_shows(found):
     assert found.probability[0, 0, 1] == pytest.approx(
         float(model.of_features(np.array(feature))), abs=2e-3
     )  # seen 1e-4
-
-
-def test_what_is_outside_the_image_or_farther_is_found_less(found):
-    assert (found.probability[0, 4] == 0.0).all()
-    assert found.range_m(0.5)[0, 4] == 0.0
-    assert found.probability[0, 0, 1] > found.probability[0, 0, 3]
-    assert 15.0 < found.range_m(0.9)[0, 0] < found.range_m(0.5)[0, 0] < 120.0
 
 
 def test_the_best_camera_counts_and_pixels_bring_distance(found):
@@ -107,8 +92,3 @@ def test_nothing_is_promised_of_images_smaller_than_the_fit_speaks_for(found):
     assert found.limit_m()[0, 0] == pytest.approx(limit_m, rel=0.02)
     assert found.limit_m()[0, 4] == 0.0
     assert found.size[0, 0, 1] > 1.0 > found.size[0, 0, 3]
-
-
-def test_the_contrast_adds_nothing():
-    model = DetectionProbability.builtin(MODEL)
-    assert model.curve(CONTRAST, np.array([average_contrast(model)]))[0] == pytest.approx(0.0, abs=2e-3)

@@ -8,13 +8,10 @@ import pytest
 
 import warpav as wa
 from tests.driving_scene import street
-from tests.optimisation.test_modules import cameras_of as mixed_cameras
-from tests.optimisation.test_modules import columns, models, probabilities, spread, symmetric_cameras
+from tests.optimisation.test_modules import columns, models, probabilities, symmetric_cameras
 from warpav.core.errors import InputError
 from warpav.evaluation.perturbations import (
-    CameraOutages,
     LoadState,
-    LoadStates,
     SoiledPart,
     Soiling,
     loaded_scene,
@@ -22,7 +19,6 @@ from warpav.evaluation.perturbations import (
 )
 from warpav.optimisation.mount import views_of_rig
 from warpav.raster.camera import CameraModel
-from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.device_scene import DeviceScene
@@ -72,14 +68,6 @@ def test_dirt_covers_its_part_of_the_image_and_nothing_else(town, cameras_and_cl
     assert expected.mean() == part.covered_share(model)
     np.testing.assert_array_equal(dirty.object_index[is_soiled], 0)
     np.testing.assert_array_equal(dirty.object_index[~is_soiled], clean.object_index[~is_soiled])
-
-
-def test_covered_shares_have_closed_forms():
-    model = CameraModel(400, 300)
-    assert SoiledPart("disc", (0.5, 0.5), 0.2).covered_share(model) == pytest.approx(0.2, abs=1e-3)
-    assert SoiledPart("disc", (0.0, 0.0), 0.2).covered_share(model) == pytest.approx(0.05, abs=1e-3)
-    assert SoiledPart("rows", (0.3, 0.5), 0.25).covered_share(model) == pytest.approx(0.25, abs=4e-3)
-    assert SoiledPart("columns", (1.0, 0.5), 0.5).covered_share(model) == pytest.approx(0.25, abs=4e-3)
 
 
 @pytest.fixture(scope="module")
@@ -225,21 +213,3 @@ def test_loads_and_placements_that_cannot_be_are_one_line(problem):
     thesis = wa.Placement(wa.town([0]), cameras=3, losses={"detected_area": 1.0})
     with pytest.raises(InputError, match=r"losses: expected the expected_miss_rate alone, .*, for what dirt costs"):
         wa.robustness.soiling(rig, scenes, thesis)
-
-
-def test_rigs_of_different_modules_are_soiled_and_loaded_each_in_its_own_image():
-    cameras, pose = mixed_cameras(), spread()[[0, 20, 40]]
-    assert sorted(cameras.mount.module_of(pose)) == [0, 1, 2]
-    scenes, names = [street(6, 0), street(4, 2)], ("a", "b", "c")
-    packed = [DeviceScene.pack(scene) for scene in scenes]
-    detected = np.concatenate([cameras.detection_probability(pose, scene) for scene in packed], axis=1)
-    outages = CameraOutages.of(names, detected)
-    found = Soiling.of(names, pose, cameras, scenes, SoiledPart("columns", share=1.0))
-    lost = [each.expected_misses_per_100 for each in outages.cameras]
-    assert [each.expected_misses_per_100 for each in found.cameras] == pytest.approx(lost, abs=0.01)
-    loads = LoadStates.of(pose, cameras, scenes, {"none": LoadState(), "steep": LoadState(10.0)})
-    assert loads.states[0].difference_per_100 == pytest.approx(0.0, abs=1e-3)
-    assert abs(loads.states[1].difference_per_100) > 0.1
-    others = replace(cameras, occlusion=Occlusion.PAIRWISE)
-    with pytest.raises(InputError, match="expected exact for dirt to hide something, got pairwise"):
-        Soiling.of(names, pose, others, scenes, SoiledPart())

@@ -26,40 +26,12 @@ recalls = st.integers(2, 12).flatmap(
 quick = settings(max_examples=25, deadline=None)
 
 
-def test_many_normal_numbers_give_the_interval_of_the_normal_distribution(rng):
-    one, other = rng.normal(0.3, 1.0, 400), rng.normal(size=400)
-    found = paired_difference(one, other)
-    difference = one - other
-    error = difference.std(ddof=1) / math.sqrt(400)
-    assert found.mean == pytest.approx(difference.mean(), abs=1e-12)
-    assert found.scenes == 400
-    # worst seen over ten seeds of the resampling: 0.05 standard errors
-    assert found.low == pytest.approx(difference.mean() - 1.96 * error, abs=0.1 * error)
-    assert found.high == pytest.approx(difference.mean() + 1.96 * error, abs=0.1 * error)
-
-
 def test_the_interval_is_that_of_scipy(rng):
     one, other = rng.exponential(size=30), rng.exponential(size=30)
     found = paired_difference(one, other, seed=4)
     expected = scipy.stats.bootstrap((one - other,), np.mean, rng=np.random.default_rng(4)).confidence_interval
     # the same resamples, as both draw indices of scenes first
     assert (found.low, found.high) == pytest.approx((expected.low, expected.high), abs=1e-12)
-
-
-def test_the_same_seed_gives_the_same_and_another_nearly_the_same(rng):
-    one, other = rng.normal(size=40), rng.normal(size=40)
-    found = paired_difference(one, other)
-    assert paired_difference(one, other) == found
-    again = paired_difference(one, other, seed=1)
-    assert again != found
-    assert again.low == pytest.approx(found.low, abs=0.1 * (found.high - found.low))
-
-
-def test_the_spread_of_scenes_does_not_count_only_that_of_differences(rng):
-    hard = rng.normal(0.0, 100.0, 20)
-    found = paired_difference(hard + 1.0 + rng.normal(0.0, 0.01, 20), hard)
-    assert 0.99 < found.low < found.mean < found.high < 1.01
-    assert found.p_value < 0.001
 
 
 def test_equal_differences_give_that_number_and_no_more_confidence_than_the_scenes_allow():
@@ -109,29 +81,6 @@ def test_arms_of_other_scenes_and_wrong_weights_are_refused(one, other, weight):
 
 
 @quick
-@given(recalls)
-def test_swapping_the_arms_turns_the_sign(both):
-    one, other = both
-    found, swapped = (paired_difference(*pair, resamples=299) for pair in ((one, other), (other, one)))
-    assert swapped.mean == -found.mean
-    assert (swapped.low, swapped.high) == pytest.approx((-found.high, -found.low), abs=1e-9)
-    assert swapped.p_value == pytest.approx(found.p_value, rel=1e-9)
-
-
-@quick
-@given(recalls, st.randoms(use_true_random=False))
-def test_the_order_of_scenes_does_not_count(both, random):
-    one, other = both
-    order = random.sample(range(len(one)), len(one))
-    found, mixed = (paired_difference(*pair, resamples=2999) for pair in ((one, other), (one[order], other[order])))
-    assert mixed.mean == pytest.approx(found.mean, abs=1e-12)
-    # the order decides which resamples are drawn, and so may move an end to the next mean that resamples can have: as
-    # far as swapping a scene for the next better one moves it; worst seen beyond that in 10 000 examples: 0.012
-    step = np.diff(np.unique(one - other)).max(initial=0.0) / len(one)
-    assert (mixed.low, mixed.high) == pytest.approx((found.low, found.high), abs=step + 0.03)
-
-
-@quick
 # such that nothing is rounded: resamples that tie stay ties
 @given(recalls, st.sampled_from([0.125, 0.5, 2.0, 8.0]), st.integers(-5, 5))
 def test_units_and_what_both_arms_share_do_not_count(both, scale, shift):
@@ -164,17 +113,6 @@ def test_runs_that_are_all_alike_add_no_doubt(both, run_count):
     several = paired_difference(np.tile(one, (run_count, 1)), other, resamples=999)
     assert several.mean == pytest.approx(single.mean, abs=1e-12)
     assert (several.low, several.high) == pytest.approx((single.low, single.high), abs=1e-9)
-
-
-def test_runs_that_differ_add_doubt(rng):
-    other = rng.normal(size=50)
-    alike = other + 0.2 + rng.normal(0.0, 0.3, (10, 50))
-    differing = alike + rng.normal(0.0, 0.3, (10, 1))
-    width_alike, width = (
-        found.high - found.low for found in (paired_difference(arm, other) for arm in (alike, differing))
-    )
-    assert width > 2.0 * width_alike
-    assert width == pytest.approx(2 * 1.96 * differing.mean(axis=1).std(ddof=1) / math.sqrt(10), rel=0.15)
 
 
 def test_p_values_are_those_of_students_test_for_many_normal_numbers(rng):
@@ -211,14 +149,6 @@ def test_rank_correlation_is_that_of_scipy(rng):
     half = 1.96 * math.sqrt((1.0 + found.value**2 / 2.0) / 57)
     expected = np.tanh(np.arctanh(found.value) + np.array([-half, half]))
     assert (found.low, found.high) == pytest.approx(expected, abs=0.06)  # worst seen 0.03
-
-
-def test_rank_correlation_only_sees_ranks(rng):
-    one, other = rng.normal(size=(2, 30))
-    found = rank_correlation(one, other, resamples=999)
-    assert rank_correlation(np.exp(one), other**3, resamples=999) == found
-    assert rank_correlation(-one, other, resamples=999).value == pytest.approx(-found.value, abs=1e-12)
-    assert rank_correlation(other, one, resamples=999) == found
 
 
 def test_a_perfect_order_is_1_and_too_few_rigs_say_nothing():
@@ -275,19 +205,6 @@ def test_intervals_of_runs_are_right_about_as_often_as_they_say(one_count, other
 
 
 @pytest.mark.slow
-def test_resampling_scenes_alone_would_be_wrong_about_runs():
-    rng = np.random.default_rng(3)
-    held, repeats = {"runs and scenes": 0, "scenes": 0}, 300
-    for seed in range(repeats):
-        one, other, truth = simulate_runs(rng, 5, 5, run_sd=0.1)
-        for name, arms in (("runs and scenes", (one, other)), ("scenes", (one.mean(axis=0), other.mean(axis=0)))):
-            found = paired_difference(*arms, seed=seed, resamples=499)
-            held[name] += found.low <= truth <= found.high
-    assert held["scenes"] / repeats < 0.6
-    assert held["runs and scenes"] / repeats > 0.85
-
-
-@pytest.mark.slow
 def test_intervals_of_rank_correlations_are_right_about_as_often_as_they_say():
     rng = np.random.default_rng(5)
 
@@ -301,9 +218,3 @@ def test_intervals_of_rank_correlations_are_right_about_as_often_as_they_say():
         found = rank_correlation(*rigs(100), seed=seed, resamples=999)
         held += found.low <= truth <= found.high
     assert 0.91 <= held / repeats <= 0.98
-
-
-# ------------------------------------------------------------------------------------------------ orders of two judges
-
-
-# ------------------------------------------------------------------------------------------------ relative reductions

@@ -72,11 +72,6 @@ def test_a_catalogue_can_extend_the_shipped_one(tmp_path):
     assert list(read_modules(catalogue(tmp_path, ONE))) == ["mine"]
 
 
-def test_changing_what_was_read_does_not_change_what_ships():
-    builtin_modules().clear()
-    assert len(builtin_modules()) >= 12
-
-
 def changed(old, new):
     assert ONE.count(old) == 1
     return ONE.replace(old, new)
@@ -154,18 +149,6 @@ def test_a_mistake_is_one_line_with_its_place(case, tmp_path):
     assert len(str(caught.value).splitlines()) == 1, str(caught.value)
 
 
-def test_mistakes_of_several_modules_are_told_together(tmp_path):
-    second = changed("name: mine", "name: other").removeprefix("modules:\n").replace("fov_deg: 100", "fov_deg: 400")
-    file = catalogue(tmp_path, changed("power_w: 0.8", "power_w: -1") + second.replace("roof, mirror", "a b"))
-    with pytest.raises(InputError) as caught:
-        read_modules(file)
-    assert [each.removeprefix(f"{file}:").split(": ")[:2] for each in str(caught.value).splitlines()] == [
-        ["12", "modules[0].power_w"],
-        ["20", "modules[1].fov_deg"],
-        ["26", "modules[1].zones[0]"],
-    ]
-
-
 @pytest.mark.parametrize("name", list(builtin_modules()))
 def test_a_shipped_module_is_what_its_name_says(name):
     used = builtin_modules()[name]
@@ -187,13 +170,6 @@ def test_a_shipped_module_is_what_its_name_says(name):
     # an optical axis has as many pixels a degree as the lens says
     focal_px = network.intrinsics[0, 0]
     assert used.pixels_per_degree == pytest.approx(math.radians(focal_px))
-
-
-def test_the_shipped_modules_cover_the_usual_sensors_and_fields():
-    shipped = builtin_modules().values()
-    assert {(3840, 2160), (1920, 1536), (1920, 1080), (1280, 960)} <= {each.sensor_px for each in shipped}
-    assert {30, 50, 60, 70, 100, 120, 190} <= {round(math.degrees(each.fov_rad)) for each in shipped}
-    assert {each.network_by for each in shipped} == set(Fitting)
 
 
 def test_the_table_says_what_the_network_gets(tmp_path):

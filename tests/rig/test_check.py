@@ -42,11 +42,6 @@ def test_cameras_far_from_the_surface_are_told(position_m, away):
     assert bool(text) == bool(away)
 
 
-def test_rigs_on_their_vehicle_are_not():
-    assert off_vehicle(wa.preset("nuscenes"), ego_vehicle()) == ""
-    assert "is the rig of another vehicle" in off_vehicle(at(1.0, 0.0, 3.2), ego_vehicle())
-
-
 def scaled(rig, factor):
     return Rig([dataclasses.replace(each, position_m=factor * each.position_m) for each in rig.cameras])
 

@@ -9,7 +9,6 @@ from tests.raster.bodies import ball, cuboid
 from warpav.core.errors import InputError
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
 from warpav.rig.chart import chart_of
-from warpav.rig.housing_fit import housing_reach_m
 from warpav.rig.module import Housing, Module, Price
 from warpav.rig.zone import NORMALS, Zone, read_zones, write_zones
 
@@ -42,16 +41,6 @@ def test_a_level_camera_on_a_flat_roof_stands_half_its_height_above_it():
     let_in = chart_of([roof(recess_m=0.01)], BOX, cell_m=0.05, modules=[module()])
     assert let_in.zones[0].stand_off_m == (pytest.approx(0.005), 0.1)
     assert chart_of([roof(recess_m=0.05)], BOX, cell_m=0.05, modules=[module()]).zones[0].stand_off_m == (0.0, 0.1)
-
-
-def test_a_pitched_camera_needs_more_room():
-    """Pitched by p, what is behind sinks by its length times sin p, and half the height counts by cos p."""
-    p = math.radians(20.0)
-    zone = roof(pitch_rad=(-p, p))
-    depth_m, across_m = housing_reach_m(module().housing, zone, np.array([0.0, 0.0, -1.0]), pitch_rad=(0.0, 0.0))
-    # behind the centre are 5 cm, which a camera that looks up lowers; ahead 1 cm
-    assert depth_m == pytest.approx(0.015 * math.cos(p) + 0.05 * math.sin(p), rel=1e-3)
-    assert across_m == pytest.approx(math.hypot(0.05 * math.cos(p) + 0.015 * math.sin(p), 0.02), rel=1e-2)
 
 
 def test_no_corner_of_a_housing_is_in_a_ball():

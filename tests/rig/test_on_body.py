@@ -7,7 +7,7 @@ import pytest
 
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh, merge
-from warpav.rig.on_body import APART_M, LEAST_STAND_OFF_M, REACH_M, Body, blocked_shares, put_on_body, ray_caster
+from warpav.rig.on_body import LEAST_STAND_OFF_M, REACH_M, Body, blocked_shares, put_on_body, ray_caster
 from warpav.rig.presets import preset_names, preset_on_vehicle, preset_rig
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.town.town import town_scene
@@ -76,12 +76,6 @@ def test_cameras_stand_on_their_part_of_the_body(position_m, yaw_deg, expected_m
     assert (found.yaw_rad, found.model) == (math.radians(yaw_deg), CameraModel(64, 48, math.radians(60.0)))
 
 
-def test_without_its_own_body_a_rig_stays_where_the_frames_say():
-    moved = put_on_body(Rig([camera("a", [1.25, 0.0, 1.53])]), CAR)
-    np.testing.assert_allclose(moved.rig.cameras[0].position_m, [1.25, 0.0, 1.53], atol=SPACING_M)
-    np.testing.assert_allclose(moved.moved_m, [math.dist(moved.rig.cameras[0].position_m, [1.25, 0.0, 1.53])])
-
-
 def test_a_camera_gives_way_to_what_hides_its_view_but_not_far():
     pillar = merge([CAR, box([2.3, -0.1, 1.5], [2.4, 0.1, 2.5])])
     rig = Rig([camera("a", [2.25, 0.0, 1.53], fov_deg=20.0)])
@@ -101,14 +95,6 @@ def test_blocked_shares_are_those_of_the_angles():
     wall = box([5.0, 0.0, 0.0], [5.1, 50.0, 9.0])
     share = blocked_shares(ray_caster(wall), camera("a", [0.0, 0.0, 1.0], fov_deg=90.0), np.array([[0.0, 1e-3, 1.0]]))
     assert share[0] == pytest.approx(9 / 17)
-
-
-def test_cameras_of_one_point_are_parted():
-    moved = put_on_body(Rig([camera(f"c{k}", [1.0, 0.0, 1.5], 60.0 * k) for k in range(6)]), CAR)
-    position_m = np.array([each.position_m for each in moved.rig.cameras])
-    distance_m = np.linalg.norm(position_m[:, None] - position_m, axis=2)[np.triu_indices(6, 1)]
-    assert distance_m.min() >= APART_M
-    assert moved.moved_m.max() < 0.2
 
 
 @pytest.mark.parametrize("name", preset_names())

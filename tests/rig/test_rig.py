@@ -57,13 +57,6 @@ def test_pose_of_the_known_camera(tmp_path):
     assert front.model.fov_rad == pytest.approx(math.pi / 2)
 
 
-def test_level_camera_looks_along_its_yaw():
-    ego_from_camera = camera(yaw_rad=math.pi / 2).ego_from_camera
-    np.testing.assert_allclose(ego_from_camera @ [0, 0, 1, 0], [0, 1, 0, 0], atol=1e-12)  # optical axis: left
-    np.testing.assert_allclose(ego_from_camera @ [0, 1, 0, 0], [0, 0, -1, 0], atol=1e-12)  # image down: down
-    np.testing.assert_allclose(ego_from_camera @ [0, 0, 0, 1], [1.0, 0.0, 1.5, 1.0])
-
-
 def test_written_rig_follows_the_contract(tmp_path):
     rig = Rig([camera("front", (1.25, -0.0, 1.5), -math.pi), camera("rear", yaw_rad=math.radians(30.0))])
     write_rig(rig, tmp_path / "rig.yaml")
@@ -161,11 +154,6 @@ def test_writing_replaces_the_file_in_one_step(tmp_path, monkeypatch):
         write_rig(Rig([camera("new")]), file)
     assert read_rig(file).cameras[0].name == "old"
     assert list(tmp_path.iterdir()) == [file]
-
-
-def test_writing_rejects_a_missing_folder(tmp_path):
-    with pytest.raises(InputError, match="expected a place to write to, got: No such file"):
-        write_rig(Rig([camera()]), tmp_path / "missing" / "rig.yaml")
 
 
 @pytest.mark.parametrize(
@@ -267,15 +255,6 @@ def test_reading_reports_every_mistake_on_a_line_of_its_own(tmp_path):
     assert all(line.startswith(str(tmp_path / "rig.yaml") + ":") for line in lines)
 
 
-@pytest.mark.parametrize("content", [None, b"\xff\xfe\x00"])
-def test_reading_rejects_a_file_that_is_no_text(tmp_path, content):
-    file = tmp_path / "rig.yaml"
-    if content:
-        file.write_bytes(content)
-    with pytest.raises(InputError, match=r"rig\.yaml: expected a readable YAML file, got: (No such file|not UTF-8)"):
-        read_rig(file)
-
-
 @pytest.mark.parametrize(
     ("names", "message"),
     [
@@ -290,28 +269,6 @@ def test_rig_rejects_cameras_that_do_not_make_one(names, message):
         Rig(["front"])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"name": "a/b"}, "name: expected a name of letters"),
-        ({"name": ""}, "name: expected a name of letters"),
-        ({"position_m": (0, 0, math.nan)}, "position_m: expected three finite numbers"),
-        ({"position_m": (0, 0)}, "position_m: expected three finite numbers"),
-        ({"yaw_rad": math.inf}, "yaw_rad: expected a finite number, got inf"),
-    ],
-)
-def test_camera_rejects_what_cannot_be_used(arguments, message):
-    with pytest.raises(InputError, match=message):
-        camera(**arguments)
-
-
-def test_a_name_that_is_there_twice_names_the_file(tmp_path):
-    write_rig(Rig([camera("front"), camera("rear")]), tmp_path / "rig.yaml")
-    file = written((tmp_path / "rig.yaml").read_text().replace("rear", "front"), tmp_path)
-    with pytest.raises(InputError, match=r"rig\.yaml: rig: cameras\[1\]\.name: expected every name once"):
-        read_rig(file)
-
-
 def test_a_notebook_shows_the_cameras_as_a_table():
     left = camera("left", (0.5, 0.91, 1.234), math.pi / 2, math.radians(-5.0), width_px=640, height_px=480)
     page = Rig([camera(), left])._repr_html_()
@@ -322,17 +279,6 @@ def test_a_notebook_shows_the_cameras_as_a_table():
     assert rows[1] == ["left", "0.500", "0.910", "1.234", "90.0", "-5.0", "0.0", "90.0", "640 x 480", "pinhole"]
     assert [row[0] for row in rows] == ["front", "left"]
     assert page.count("<th>") == len(rows[0])
-
-
-def test_a_terminal_shows_the_names_and_the_cameras_as_a_table():
-    left = camera("left", (0.5, 0.91, 1.234), math.pi / 2, math.radians(-5.0), width_px=640, height_px=480)
-    rig = Rig([camera(), left])
-    assert repr(rig) == "Rig(front, left)"
-    head, *rows = str(rig).splitlines()
-    assert head.split()[0] == "camera"
-    assert len({len(head), *map(len, rows)}) == 1  # columns stand below each other
-    assert " ".join(rows[1].split()) == "left 0.500 0.910 1.234 90.0 -5.0 0.0 90.0 640 x 480 pinhole"
-    assert [row.split()[0] for row in rows] == ["front", "left"]
 
 
 def test_showing_a_rig_as_a_table_imports_nothing_heavy():

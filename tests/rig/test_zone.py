@@ -14,7 +14,6 @@ from warpav.rig.chart import chart_of, propose_zones, with_middles
 from warpav.rig.glass import propose_panes
 from warpav.rig.zone import NORMALS, Zone, mirrored, read_zones, write_zones
 from warpav.scene.own_vehicle import read_vehicle
-from warpav.scene.town.vehicle_shapes import ego_glass, ego_mesh
 
 SIZE_M, PLACE_M = (4.0, 1.8, 1.4), (1.3, 0.0, 0.9)
 LOW_M, HIGH_M = np.array(PLACE_M) - np.array(SIZE_M) / 2.0, np.array(PLACE_M) + np.array(SIZE_M) / 2.0
@@ -54,24 +53,6 @@ def test_the_zones_of_a_box_are_its_sides():
         np.testing.assert_array_equal(chart.zone_at(place_m), number)
 
 
-def test_zones_lie_apart_in_the_chart():
-    chart = chart_of(zones_of(), BOX, cell_m=0.05)
-    place_m = [cells(chart, number)[0] for number in range(5)]
-    for one in range(5):
-        for other in range(one):
-            apart_m = np.linalg.norm(place_m[one][::7, None] - place_m[other][None, ::7], axis=-1)
-            assert apart_m.min() > 0.9
-    middle_m = 0.5 * (place_m[0].mean(axis=0) + place_m[1].mean(axis=0))
-    assert chart.zone_distance_m(np.array([place_m[0].mean(axis=0)]))[0] > 0.5
-    assert np.isfinite(chart.zone_distance_m(middle_m[None]))[0]
-
-
-def test_one_zone_that_faces_up_is_the_ground_plane_s_height_map():
-    chart = chart_of([Zone("roof", NORMALS["up"])], BOX, cell_m=0.05)
-    place_m, point_m = cells(chart, 0)
-    np.testing.assert_allclose(point_m[:, :2], place_m, atol=1e-9)
-
-
 def test_the_height_field_of_a_ball_is_its_own():
     """A slanting zone: every point of it is on the ball, and its box limits it."""
     normal = np.array([1.0, 1.0, 1.0]) / math.sqrt(3.0)
@@ -82,14 +63,6 @@ def test_the_height_field_of_a_ball_is_its_own():
     np.testing.assert_allclose(np.linalg.norm(point_m - middle_m, axis=1), 0.8, atol=0.012)
     assert (point_m > middle_m - 0.02).all()
     assert len(point_m) > 300
-
-
-def test_what_is_kept_out_carries_nothing():
-    keep_out_m = np.array([[0.0, 0.8, 0.5], [2.0, 1.0, 1.0]])
-    chart = chart_of([Zone("left", NORMALS["left"], keep_out_m=(keep_out_m,))], BOX, cell_m=0.05)
-    _, point_m = cells(chart, 0)
-    assert not ((point_m > keep_out_m[0] + 0.06) & (point_m < keep_out_m[1] - 0.06)).all(axis=1).any()
-    assert len(point_m) * 0.05**2 == pytest.approx(4.0 * 1.4 - 2.0 * 0.5, rel=0.05)
 
 
 @given(st.integers(0, 4), st.floats(0.05, 0.95), st.floats(0.05, 0.95), st.floats(0.0, 0.03))
@@ -191,20 +164,6 @@ def test_only_what_lies_across_the_middle_gets_a_zone_in_the_middle():
     assert with_middles(oblique) == oblique
 
 
-def test_the_highest_point_of_a_chart_is_one_that_carries_a_camera():
-    """Between zones the chart is bridged; the roof is the highest, of one side its upper edge."""
-    chart = chart_of(zones_of(), BOX, cell_m=0.05)
-    *place_m, height_m = chart.highest_point_m()
-    assert int(chart.zone_at(np.array(place_m))) == list(NORMALS).index("up")
-    point_m = chart.point_m(np.array(place_m), np.array(height_m))
-    np.testing.assert_allclose(point_m, [PLACE_M[0], PLACE_M[1], HIGH_M[2]], atol=0.05)
-    left = chart_of([Zone("left", NORMALS["left"])], BOX, cell_m=0.05)
-    *place_m, height_m = left.highest_point_m()
-    row, column = np.round((np.array(place_m) - left.origin_m) / left.cell_m).astype(int)
-    assert left.is_mountable[row, column]
-    np.testing.assert_allclose(left.point_m(np.array(place_m), np.array(height_m))[2], HIGH_M[2], atol=0.05)
-
-
 def test_a_zone_behind_glass_has_a_pane_as_large_as_its_outline():
     """Without an outline it is the hull of its cells, a margin of 2 cm wider."""
     normal = (0.6, 0.0, 0.8)
@@ -240,21 +199,6 @@ def test_the_panes_of_the_shipped_vehicles_are_found_by_their_colour(name):
         )
         assert area_m2[clear & is_dark].sum() > 0.85 * area_m2[clear].sum()
         assert area_m2[clear].sum() > 1.0
-
-
-def test_the_windscreen_of_the_town_s_car_is_found_by_its_shape():
-    car, is_glass = ego_mesh(), ego_glass()
-    [zone] = propose_panes(car)
-    named = propose_panes(car, is_glass)
-    assert [each.name for each in named] == ["windscreen", "rear_window"]
-    corner_m = car.vertex_m[car.triangle]
-    doubled = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
-    area_m2 = 0.5 * np.linalg.norm(doubled, axis=1)
-    is_screen = is_glass & (doubled[:, 0] > 0.8 * area_m2)
-    for each in (zone, named[0]):
-        clear = chart_of([each], car, cell_m=0.02).panes[0].is_clear(corner_m)
-        assert area_m2[clear & is_screen].sum() > 0.9 * area_m2[is_screen].sum()
-        assert area_m2[clear & ~is_glass].sum() < 0.3  # of its black border
 
 
 def test_a_mirrored_zone_is_on_the_other_side(tmp_path):

@@ -47,24 +47,6 @@ def test_a_polygon_holds_what_matplotlib_says(rng):
     np.testing.assert_array_equal(found, Path(star).contains_points(point))
 
 
-@pytest.mark.parametrize(
-    ("strip", "low", "high"),
-    [
-        (Strip("rear", (0.3, 3.5)), (-4.5, -1.0), (-1.3, 1.0)),
-        (Strip("front", (0.0, 2.0), (-3.0, 1.0)), (3.0, -3.0), (5.0, 1.0)),
-        (Strip("left", (0.0, 1.0)), (-1.0, 1.0), (3.0, 2.0)),
-        (Strip("right", (0.5, 1.0), (-4.0, -2.0)), (-3.0, -2.0), (-1.0, -1.5)),
-    ],
-)
-def test_a_strip_lies_beside_its_side(strip, low, high):
-    body = Body.of(box())
-    (outline,) = strip.outlines_m(body)
-    np.testing.assert_allclose([outline.min(axis=0), outline.max(axis=0)], [low, high], atol=1e-9)
-    point = grid_m(strip, body, 0.1)
-    np.testing.assert_allclose([point.min(axis=0), point.max(axis=0)], [low, high], atol=1e-6)
-    assert len(point) == np.prod(np.round((np.array(high) - low) / 0.1) + 1)
-
-
 @pytest.mark.parametrize("spacing_m", [0.1, 0.25])
 def test_a_band_has_as_many_points_as_its_area(spacing_m):
     body = Body.of(box())
@@ -90,18 +72,6 @@ def test_no_test_object_reaches_under_the_body():
         gap = (offset - lengths).max(axis=1)
         assert gap.min() > -0.05  # a corner of the body may point at the middle of a side of the post
         assert 0.0 < gap.min() + 0.05 < 0.15
-
-
-def test_a_sector_keeps_its_directions():
-    wanted = Requirement("rear", Band((0.0, 3.0)), 0.25, POST, sector_rad=(0.75 * math.pi, 1.25 * math.pi))
-    point = wanted.points_m(Body.of(box()))
-    turn = np.arctan2(point[:, 1], point[:, 0] - 1.0)
-    assert len(point) > 20
-    assert (np.abs(turn) >= 0.75 * math.pi - 1e-6).all()
-    whole = Requirement("all", Band((0.0, 3.0)), 0.25, POST).points_m(Body.of(box()))
-    others = ~(whole[:, None] == point[None]).all(axis=2).any(axis=1)
-    turn = np.arctan2(whole[others, 1], whole[others, 0] - 1.0)
-    assert (np.abs(turn) < 0.75 * math.pi).all()
 
 
 def test_an_area_without_points_or_with_too_many_is_rejected(monkeypatch):

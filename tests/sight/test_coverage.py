@@ -13,7 +13,7 @@ from warpav.raster.mesh import Mesh, merge
 from warpav.rig.rig import RigCamera
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
-from warpav.sight.ground import PATCH_M, Ground
+from warpav.sight.ground import Ground
 from warpav.sight.sight import free_shares
 
 WIDE = CameraModel(360, 180, 2.0 * math.pi, lens=Lens.PANORAMA)
@@ -71,18 +71,6 @@ def test_a_free_plane_is_seen_all_round_but_for_the_vehicle_itself(device, rng):
     rings = found.covered_share_by_distance([0.0, 6.0, 30.0])
     assert rings.shape == (2, 2)
     assert rings[1, 1] == 1.0
-
-
-@pytest.mark.parametrize("yaw_rad", [0.0, 2.0])
-def test_a_pinhole_sees_its_wedge(device, rng, yaw_rad):
-    fov_rad = math.radians(70.0)
-    cells = Ground.around(packed(rng, device), cell_m=0.4)
-    found = cells.coverage([around_eye(CameraModel(200, 2000, fov_rad), yaw_rad)], heights_m=(1.7,))
-    offset = places(cells) - EYE_M[:2]
-    bearing = np.angle(np.exp(1j * (np.arctan2(offset[..., 1], offset[..., 0]) - yaw_rad)))
-    distance = np.linalg.norm(offset, axis=-1)
-    clear = found.is_open[0] & (distance > 6.0) & (np.abs(np.abs(bearing) - 0.5 * fov_rad) > 1e-3)
-    np.testing.assert_array_equal(found.is_seen[0, 0][clear], (np.abs(bearing) < 0.5 * fov_rad)[clear])
 
 
 def test_slopes_and_steps_are_ground_and_roofs_are_not(device, rng):
@@ -160,27 +148,3 @@ def test_sizes_are_checked(device, rng):
         Ground.around(scene, cell_m=0.0)
     with pytest.raises(ValueError, match="heights_m must be positive"):
         Ground.around(scene).coverage([around_eye()], heights_m=())
-
-
-def test_the_ground_itself_is_seen_around_the_vehicle(device, rng):
-    """Two cameras that see all round see a patch of a plane unless the vehicle hides it: counts against embree."""
-    scene = packed(rng, device)
-    cells = Ground.around(scene, radius_m=20.0, cell_m=0.8)
-    eyes_m = np.array([[1.35, 0.6, 1.8], [1.35, -0.6, 1.8]])
-    cameras = [RigCamera(f"eye_{k}", eye_m, 0.0, 0.0, 0.0, WIDE) for k, eye_m in enumerate(eyes_m)]
-    found = cells.coverage(cameras, heights_m=(PATCH_M,))
-    row, column = np.nonzero(found.is_open[0])
-    point_m = np.stack([cells.x_m[row], cells.y_m[column], np.full(len(row), PATCH_M)], axis=1)
-    ego = ego_mesh(rng)
-    body = trimesh.Trimesh(ego.vertex_m, ego.triangle, process=False)
-    assert type(body.ray).__module__.endswith("ray_pyembree")
-    # a segment that meets the body ends at it; the plane below is never met before the point
-    hidden = [body.ray.intersects_any(np.tile(eye_m, (len(point_m), 1)), point_m - eye_m) for eye_m in eyes_m]
-    expected = 2 - np.sum(hidden, axis=0)
-    found_count = found.count[0, row, column]
-    assert set(np.unique(expected)) == {0, 1, 2}
-    assert (found_count != expected).mean() < 0.005  # rays along the body's outline
-    distance_m = np.linalg.norm(point_m[:, :2] - 0.5 * sum(ego.bounds_m())[:2], axis=1)
-    for cameras_count in (1, 2):
-        share = float(found.share_seen_by(cameras_count, radius_m=10.0)[0])
-        assert share == pytest.approx((found_count[distance_m < 10.0] >= cameras_count).mean())

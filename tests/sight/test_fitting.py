@@ -13,13 +13,11 @@ from warpav.sight.around import (
     NearField,
     SectorCounts,
     VisibleGround,
-    level_ground,
     px_per_degree,
     size_ranges_m,
     upright_px,
 )
 from warpav.sight.requirement import Body
-from warpav.sight.sight import sight
 
 HIGH = block((-0.5, -0.5, 0.1), (0.5, 0.5, 0.2), (90, 95, 100))  # a body that hides next to nothing
 
@@ -52,13 +50,6 @@ def test_the_range_of_a_size_is_where_the_depth_is(yaw_deg):
     # the middle, 0.75 m below the camera, enters the image at half its height
     near_m = 0.75 / math.tan(math.atan(150.0 / focal_px))
     assert ranges_m[1, 0, 0] == pytest.approx(near_m, rel=1e-5)
-
-
-def test_a_camera_that_looks_down_ends_where_its_image_does():
-    model, focal_px = pinhole()
-    half_rad = math.atan(150.0 / focal_px)
-    [[[_, far_m]]] = size_ranges_m(camera(model, pitch_deg=60.0), np.array([0.0]), pixels=(12.0,))
-    assert far_m == pytest.approx(0.75 / math.tan(math.radians(60.0) - half_rad), rel=1e-5)
 
 
 def test_pixels_per_degree_of_a_pinhole():
@@ -126,12 +117,6 @@ def test_near_ground_agrees_with_rays_of_another_library():
     assert found.area_m2(~found.is_body) == pytest.approx(len(point_m) * 0.0625)
 
 
-def test_points_on_the_ground_are_free_and_below_it_are_not():
-    model, _ = pinhole()
-    scene, one = level_ground(HIGH), camera(model, place_m=(2.0, 0.0, 1.5))
-    assert sight([one], np.array([[30.0, 0.0, 0.0], [30.0, 0.0, -1.2]]), scene).seen.tolist() == [[True, False]]
-
-
 def test_the_outline_of_a_body_is_its_convex_hull():
     footprint = Body.of(ego())
     assert footprint.centre_m == pytest.approx([1.35, 0.0])
@@ -160,16 +145,3 @@ def test_sectors_count_cameras_and_the_costliest_loss_is_named():
     assert counts.without(2)[2].tolist() == [0, 0]
     assert counts.blind_share(counts.without(2)) > counts.blind_share(counts.count)
     assert counts.within(1).edges_m == (3.0, 6.0)
-
-
-def test_a_small_image_is_not_seen():
-    model, focal_px = pinhole()
-    far_m = focal_px * 1.5 / 12.0
-    counts = SectorCounts.of(Rig([camera(model)]), HIGH, edges_m=(0.9 * far_m, far_m - 0.1, 1.2 * far_m))
-    assert counts.count[0].tolist() == [1, 0]
-
-
-def test_what_is_within_the_body_counts_as_nothing():
-    counts = SectorCounts.of(rig(4), ego(), edges_m=(1.0, 2.0, 30.0), sector_count=4)
-    assert counts.count[0, 0] == -1
-    assert (counts.count[:, 1] >= 0).all()

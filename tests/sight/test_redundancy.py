@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from warpav.evaluation.metrics import RigObservation
 from warpav.sight.sight import probability_of_at_least, redundancy
 
 
@@ -34,14 +33,6 @@ def test_only_road_users_within_the_radius_count():
     assert redundancy(seen, scenes, radius_m=1.0, cameras=1).share is None
     likely = [np.full((2, 3), 0.5), np.full((2, 1), 0.5)]
     assert redundancy(likely, scenes, radius_m=math.inf, cameras=2).share == pytest.approx(0.25)
-
-
-def test_cameras_come_in_the_order_of_the_rig():
-    # two models: cameras 0 and 2 of one, camera 1 of the other
-    boxes = [np.full((2, 2, 4), np.nan), np.zeros((1, 2, 4))]
-    boxes[0][1, 0] = 1.0
-    observation = RigObservation([SimpleNamespace(truth_box_px=each) for each in boxes], np.ones(2, bool), [0, 2, 1])
-    np.testing.assert_array_equal(observation.visible_to_camera, [[False, False], [True, True], [True, False]])
 
 
 def test_wrong_numbers_are_rejected():

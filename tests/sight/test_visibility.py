@@ -5,11 +5,10 @@ import math
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.sight.test_area import box
-from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.rig.rig import RigCamera
@@ -50,17 +49,6 @@ def test_a_slab_in_front_of_a_pinhole_has_the_area_of_its_face(device):
     focal_px = 320.0
     assert seen.pixels[0, 0] == pytest.approx(focal_px**2 * 1.5 * 0.8 / 16.0, rel=1e-3)
     assert seen.visible_share[0, 0] == 1.0
-
-
-def test_areas_are_those_of_the_camera_however_small_it_is_drawn(device):
-    model = CameraModel(1920, 1200, math.radians(100.0))
-    posts = ghosts_at(TestObject("post", SIZES_M["post"]), (3.0, 0.0), (4.0, 1.0), (6.0, -2.0))
-    whole, small = (
-        ghost_visibility(pose([0.0, 0.0, 1.2])[None], [model], posts, FAR_AWAY, render_width_px=width, device=device)
-        for width in (1920, 640)
-    )
-    assert (whole.pixels > 5_000).all()
-    np.testing.assert_allclose(small.pixels, whole.pixels, rtol=0.03)  # worst seen 0.017
 
 
 def test_half_of_what_the_edge_of_the_image_cuts_in_the_middle_counts(device):
@@ -158,28 +146,6 @@ def test_visible_shares_are_embrees(device, rng, car, k):
     assert difference.mean() < 0.01
 
 
-@pytest.fixture(scope="module")
-def seen_by_all(car):
-    """The ghosts of each shipped file of requirements, and what the random rig sees of them all."""
-    poses, models = np.stack([each for each, _ in RANDOM_RIG]), [each for _, each in RANDOM_RIG]
-    names = ("near_field", "r158_like", "r46_like")
-    ghosts = {name: Ghosts.of(read_requirements(name), car) for name in names}
-    return {name: (each, ghost_visibility(poses, models, each, car)) for name, each in ghosts.items()}
-
-
-@given(st.data())
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_a_ghost_among_many_is_seen_as_alone(car, seen_by_all, data):
-    """Bit for bit: a ghost hides nobody, and neither cameras nor ghosts beside them change what is seen."""
-    ghosts, many = seen_by_all[data.draw(st.sampled_from(sorted(seen_by_all)))]
-    which = np.array(data.draw(st.lists(st.integers(0, len(ghosts) - 1), min_size=1, max_size=6, unique=True)))
-    k = data.draw(st.integers(0, len(RANDOM_RIG) - 1))
-    pose_of, model = RANDOM_RIG[k]
-    alone = ghost_visibility(pose_of[None], [model], subset(ghosts, which), car)
-    np.testing.assert_array_equal(many.visible_share[k, which], alone.visible_share[0])
-    np.testing.assert_array_equal(many.pixels[k, which], alone.pixels[0])
-
-
 def test_jacobians_are_finite_differences():
     # partly hidden by the bonnet, twice cut by the image, and one as a whole
     car = box((4.0, 2.0, 1.2), (1.0, 0.0, 0.6))
@@ -220,8 +186,3 @@ def test_more_ghosts_than_one_scene_holds_and_images_of_several_sizes(device, ca
     np.testing.assert_array_equal(seen.pixels[0], seen.pixels[2])
     assert (seen.pixels[0] > 3.0 * seen.pixels[1]).mean() > 0.5
     assert seen.meets(ghosts)[0].sum() > 100
-
-
-def test_poses_need_models(car):
-    with pytest.raises(InputError, match="expected one pose for each of 2 models, got 1"):
-        ghost_visibility(np.eye(4)[None], [MODEL] * 2, Ghosts.of(read_requirements("near_field"), car), car)

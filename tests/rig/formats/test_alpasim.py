@@ -7,7 +7,6 @@ import pytest
 import yaml
 
 from tests.rig.formats.known_pose import ALPASIM, POSITION_M, write_sample
-from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
 from warpav.rig.formats.alpasim import READ_PX, WRITE_PX
@@ -275,15 +274,6 @@ def test_f_theta_with_odd_powers_is_a_fisheye(tmp_path):
     np.testing.assert_allclose(model.project(np.array(point)), expected, atol=1e-9)
 
 
-def test_an_image_that_ends_before_its_corners_is_told(tmp_path):
-    row, _ = written(EXACT["fisheye"], tmp_path)
-    assert 1.5 < row["intrinsics"]["opencv_fisheye"]["max_angle"] < math.pi
-    file = tmp_path / "rig.yaml"
-    assert not any("max_angle" in note for note in import_rig_with_notes(file, "alpasim")[1])
-    file.write_text(file.read_text().replace("max_angle: ", "max_angle: 1.0  # "))
-    assert any("beyond 57.3 deg from its axis" in note for note in import_rig_with_notes(file, "alpasim")[1])
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -334,22 +324,6 @@ def test_f_theta_that_is_none_is_refused(tmp_path, old, new, message):
 # ----------------------------------------------------------------------------------------- refusals, command line
 
 
-def test_a_file_that_breaks_off_is_refused_or_read_as_far_as_it_goes(tmp_path):
-    file = tmp_path / "alpasim.yaml"
-    whole = ftheta_file(tmp_path).read_text()
-    outcomes = []
-    for length in range(0, len(whole), 7):
-        file.write_text(whole[:length])
-        try:
-            found = [camera.name for camera in import_rig_with_notes(file, "alpasim")[0].cameras]
-        except InputError as error:
-            found = str(error)
-        outcomes.append(found)
-    refused = [outcome for outcome in outcomes if outcome != ["front_left"]]
-    assert all(text.startswith(str(file)) and "\n" not in text for text in refused)
-    assert len(outcomes) / 2 < len(refused) < len(outcomes)  # only the end may be absent
-
-
 def test_lenses_that_ncore_does_not_have_are_refused(tmp_path):
     strong = CameraModel(1280, 960, lens="eucm", focal_px=(300.0, 300.0), distortion=(0.7, 2.0))
     for model, lens in (
@@ -375,18 +349,3 @@ def test_distortion_that_ncore_does_not_project_is_told(tmp_path):
         assert (place > 0.0).all()
         assert (place < [1920, 1080]).all()
         assert bool(ncore.camera_rays_to_image_points(ray).valid_flag[0]) == is_seen
-
-
-def test_the_command_exports_and_imports(tmp_path, capsys):
-    out, back = tmp_path / "rig.yaml", tmp_path / "back.yaml"
-    assert main(["rig", "export", "nuscenes", "--format", "alpasim", "--out", str(out)]) == 0
-    assert "rejects other names" in capsys.readouterr().out
-    assert main(["rig", "import", str(out), "--format", "alpasim", "--out", str(back)]) == 0
-    captured = capsys.readouterr()
-    assert "warning" not in captured.err  # the origin is warpav's
-    assert len(yaml.safe_load(back.read_text())["cameras"]) == 6
-    out.write_text(out.read_text().replace("opencv_pinhole\n", "mirror\n", 1))
-    assert main(["rig", "import", str(out), "--format", "alpasim"]) == 2
-    captured = capsys.readouterr()
-    assert len(captured.err.splitlines()) == 1
-    assert "intrinsics.model: expected one of opencv_pinhole, opencv_fisheye, ftheta, got 'mirror'" in captured.err

@@ -13,7 +13,6 @@ from tests.rig.formats.known_pose import KALIBR, KITTI, NUSCENES, URDF, write_sa
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
-from warpav.rig.check import side_of_name
 from warpav.rig.formats.convert import (
     FORMAT_NAMES,
     ImportOptions,
@@ -22,8 +21,6 @@ from warpav.rig.formats.convert import (
     import_rig_with_notes,
 )
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
-from warpav.runs.config import load_config
-from warpav.runs.run_folder import RunFolder
 
 SIZED = ImportOptions(width_px=640, height_px=480)
 
@@ -208,12 +205,6 @@ def test_argoverse2_without_its_package_names_the_extra(tmp_path, monkeypatch):
         import_rig_with_notes(tmp_path, "argoverse2")
 
 
-def test_argoverse2_refuses_what_is_no_feather(tmp_path):
-    pytest.importorskip("pyarrow")
-    (tmp_path / "intrinsics.feather").write_bytes(b"ARROW1")
-    assert "intrinsics.feather: expected Argoverse 2's feather file" in refusal(tmp_path, "argoverse2")
-
-
 def test_missing_sizes_and_lenses_are_asked_for(tmp_path):
     kitti = write_sample("kitti", tmp_path / "kitti")
     assert "give `width_px` and `height_px`" in refusal(kitti, "kitti", ImportOptions())
@@ -259,22 +250,6 @@ def test_large_tables_of_nuscenes_are_read_row_by_row(tmp_path):
     ):
         (tmp_path / "sample_data.json").write_text(spoilt_text)
         assert message in refusal(file, "nuscenes", ImportOptions())
-
-
-@pytest.mark.parametrize(
-    ("name", "side"),
-    [
-        ("CAM_FRONT_RIGHT", "right"),
-        ("ring_side_left", "left"),
-        ("rearRight", "right"),
-        ("LeftMirror", "left"),
-        ("upright", None),
-        ("left_right", None),
-        ("CAM_FRONT", None),
-    ],
-)
-def test_sides_are_found_in_names(name, side):
-    assert side_of_name(name) == side
 
 
 def mirrored_file(folder):
@@ -364,15 +339,6 @@ def test_exports_replace_nothing_unless_told(tmp_path):
 # ------------------------------------------------------------------------------------------------ the command line
 
 
-def test_the_command_prints_the_rig_and_nothing_else(tmp_path, capsys):
-    assert main(["rig", "import", str(write_sample("carla-python", tmp_path)), "--format", "carla-python"]) == 0
-    captured = capsys.readouterr()
-    (tmp_path / "rig.yaml").write_text(captured.out)
-    assert read_rig(tmp_path / "rig.yaml").cameras[0].name == "front_left"
-    assert "left-handed" in captured.err
-    assert "warning: the file's origin is" in captured.err
-
-
 def test_the_command_replaces_no_rig_unless_told(tmp_path, capsys):
     out = tmp_path / "rig.yaml"
     words = [
@@ -394,14 +360,6 @@ def test_the_command_replaces_no_rig_unless_told(tmp_path, capsys):
     for more in ([], ["--overwrite"]):
         assert main([*words[:-1], str(tmp_path), *more]) == 2
         assert capsys.readouterr().err == f"{tmp_path}: expected a file to write, got a folder; name a file in it\n"
-
-
-def test_autoware_names_the_files_that_it_looks_for(tmp_path):
-    (tmp_path / "sensors.json").write_text("{}")
-    with pytest.raises(
-        InputError, match=r"sensors.json: expected a folder with sensors_calibration.yaml and sensor_kit"
-    ):
-        import_rig_with_notes(tmp_path / "sensors.json", "autoware")
 
 
 def test_the_command_takes_origins_behind_the_axle(tmp_path, capsys):
@@ -430,25 +388,6 @@ def test_the_command_checks_rigs(tmp_path, capsys):
     assert main(["rig", "check", str(mirrored)]) == 2
     assert "expected it on the left" in capsys.readouterr().err
     assert main(["rig", "check", str(mirrored), "--accept-mirrored"]) == 0
-
-
-def test_a_run_may_move_a_camera_to_the_other_side(tmp_path, capsys):
-    """The optimiser knows no names, so nothing is wrong with the rig of a run but the name of the camera."""
-    run = RunFolder.create(load_config("quick", [f"run.out={tmp_path / 'run'}"]), name="quick")
-    write_rig(
-        import_rig_with_notes(mirrored_file(tmp_path), "carla-ros-bridge", ImportOptions(accept_mirrored=True))[0],
-        run.rig_path("best"),
-    )
-    assert main(["rig", "check", str(run.path)]) == 0
-    captured = capsys.readouterr()
-    assert "the run moved it there, so it needs another name" in captured.out
-    assert captured.err == ""
-
-
-def test_the_help_names_every_format(capsys):
-    assert main(["rig", "import", "--help"]) == 0
-    output = capsys.readouterr().out
-    assert [name for name in FORMAT_NAMES if name not in output] == []
 
 
 @pytest.mark.parametrize(
