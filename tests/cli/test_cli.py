@@ -5,13 +5,16 @@ import os
 import shutil
 import subprocess
 import sys
+from typing import get_args
 
 import pytest
 import yaml
 
 from tests.cli.small_run import SMALL, complaint
 from warpav.cli.app import main
+from warpav.cli.scenes import SceneLevel
 from warpav.runs.config import Config, described_options
+from warpav.scene.town.levels import LEVELS
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 
@@ -209,3 +212,7 @@ def test_completion_is_installed_and_completes(tmp_path, monkeypatch, capsys):
         ask = f"source {script}; COMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}; _warpav; echo $COMPREPLY"
         answer = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
         assert answer.stdout.split() == [expected]
+
+
+def test_the_levels_of_the_command_line_are_those_of_the_town():
+    assert get_args(get_args(SceneLevel)[0]) == tuple(LEVELS)

@@ -19,12 +19,14 @@ from warpav.cli.arguments import (
     seeds_of,
 )
 from warpav.core.errors import InputError
-from warpav.scene.town.levels import Level
 
 if TYPE_CHECKING:
     from warpav.core.executor import Executor as TaskExecutor
 
-SceneLevel = Annotated[Level, Parameter(help="Of the embedded town, for seeds: easy, urban, dense or motorway.")]
+SceneLevel = Annotated[
+    Literal["easy", "urban", "dense", "motorway"],  # LEVELS, whose import would cost start-up time
+    Parameter(help="Of the embedded town, for seeds: easy, urban, dense or motorway."),
+]
 
 TrafficVehicles = Annotated[
     list[str] | None,
