@@ -101,7 +101,7 @@ def draw_behind_glass(folder: Path) -> None:
     import warpav as wa
     from warpav.optimisation.mount import X_M, Y_M, CameraMount
     from warpav.rig.chart import chart_of
-    from warpav.rig.glass import propose_panes
+    from warpav.rig.proposals import propose_panes
     from warpav.scene.own_vehicle import read_vehicle
 
     [town], images = wa.town([3]), []

@@ -9,9 +9,9 @@ from tests.evaluation.test_metrics import SCENES as PLACES
 from tests.evaluation.test_metrics import ScriptedDetector, answers, rig_of, scene_of
 from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.detector import ROAD_USERS
-from warpav.evaluation.attainable import LIKELY, attainable_objects
 from warpav.evaluation.metrics import metrics_of, observe_scenes
 from warpav.evaluation.statistics import paired_differences
+from warpav.optimisation.attainable import LIKELY, attainable_objects
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.pool import spread_mount_poses
 from warpav.scene.device_scene import DeviceScene

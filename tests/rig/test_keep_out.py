@@ -5,7 +5,7 @@ import pytest
 
 from tests.raster.bodies import cuboid
 from warpav.raster.mesh import Mesh, merge
-from warpav.rig.keep_out import kinds_of_names, propose_keep_out
+from warpav.rig.proposals import kinds_of_names, propose_keep_out
 from warpav.scene.own_vehicle import read_vehicle
 
 

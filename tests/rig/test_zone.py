@@ -11,7 +11,7 @@ import warpav as wa
 from tests.raster.bodies import ball, cuboid
 from warpav.core.errors import InputError
 from warpav.rig.chart import chart_of, propose_zones, with_middles
-from warpav.rig.glass import propose_panes
+from warpav.rig.proposals import propose_panes
 from warpav.rig.zone import NORMALS, Zone, mirrored, read_zones, write_zones
 from warpav.scene.own_vehicle import read_vehicle
 

@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from warpav.rig.keep_out import kinds_of_names
+from warpav.rig.proposals import kinds_of_names
 from warpav.runs.vehicle import part_names
 from warpav.scene.own_vehicle import read_vehicle
 from warpav.scene.town.vehicle_shapes import ego_glass, ego_mesh

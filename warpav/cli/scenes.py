@@ -229,7 +229,7 @@ def scenes_figure(
     if seed is not None or capture is not None or scenes is not None:
         raise InputError(f"figure {number}: expected --run, --config or key=value, got --seed, --capture or --scenes")
     from warpav.experiments.method_figures import draw_method_figure
-    from warpav.rig.find import HIGHEST
+    from warpav.rig.presets import HIGHEST
     from warpav.runs.progress import RunDisplay
     from warpav.runs.rig_source import config_for
     from warpav.runs.run_folder import RunFolder

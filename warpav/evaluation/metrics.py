@@ -61,7 +61,7 @@ OPTIONAL_METRICS = (
     "redundant_rate",
 )
 """Metrics that not every evaluation has: where the objects have weights (section ``importance``), where it is known
-which of them are attainable (`warpav.evaluation.attainable`), and where some are near; defined per scene as well, but
+which of them are attainable (`warpav.optimisation.attainable`), and where some are near; defined per scene as well, but
 for the attainable rate."""
 
 REDUNDANT_WITHIN_M = 20.0

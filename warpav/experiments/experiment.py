@@ -22,7 +22,6 @@ from warpav.core.executor import Executor, Outcome
 from warpav.core.files import write_json, write_text
 from warpav.core.progress import NullProgress, Progress
 from warpav.detection.miss_rate import expected_miss_rate, shares_of
-from warpav.evaluation.attainable import attainable_objects
 from warpav.evaluation.metrics import metrics_of, observe_scenes
 from warpav.experiments.arms import Arm, FoundRig, constraint_loss, find_rig_of, resized
 from warpav.experiments.gradient_magnitude import measure_gradient_magnitudes
@@ -38,6 +37,7 @@ from warpav.experiments.result_folder import (
 )
 from warpav.experiments.rows import OWN_JUDGE, ROWS, rows_of, table_of, write_rows
 from warpav.experiments.study import GRADIENTS, Judge, Study
+from warpav.optimisation.attainable import attainable_objects
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.budget import SingleCameraValues, rig_values_of
 from warpav.optimisation.losses.scene_on_tape import AssignedScene

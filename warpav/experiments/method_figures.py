@@ -18,7 +18,7 @@ from warpav.evaluation.metrics import RigObserver
 from warpav.experiments.scene_figures import RIG_NUMBERS
 from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M
 from warpav.raster.decide import Occlusion
-from warpav.rig.find import HIGHEST
+from warpav.rig.presets import HIGHEST
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, load_config
 from warpav.runs.events import trajectory

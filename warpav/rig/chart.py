@@ -15,10 +15,10 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
 from warpav.raster.pane import Pane
-from warpav.rig.glass import propose_panes, simplified
 from warpav.rig.housing_fit import with_room
 from warpav.rig.module import Module
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
+from warpav.rig.proposals import propose_panes, simplified
 from warpav.rig.zone import NORMALS, Zone
 
 GAP_M = 1.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -190,9 +189,7 @@ def read_zones(path: Path | str) -> tuple[Zone, ...]:
     """
     file = Path(path).expanduser()
     record = read_yaml_record(file)
-    unknown = [each for each in record.mapping("a mapping with zones") if each != "zones"]
-    if unknown:
-        raise record.at(unknown[0]).error("the key zones alone", f"the key {unknown[0]!r}")
+    record.fields(("zones",), "a mapping with zones")
     zones: list[Zone] = []
     for name, each in record.at("zones").mapping("a mapping from names to zones").items():
         zone = _zone(name, each)
@@ -205,14 +202,8 @@ def read_zones(path: Path | str) -> tuple[Zone, ...]:
 
 
 def _zone(name: str, record: Record) -> Zone:
-    fields = record.mapping("a zone: a mapping with normal")
-    for key in fields:
-        if key not in _FORMS:
-            near = difflib.get_close_matches(key, _FORMS, 1, 0.5)
-            raise fields[key].error(
-                f"one of {', '.join(_FORMS)}", f"the key {key!r}" + (f"; did you mean {near[0]}?" if near else "")
-            )
-    if _flag(record.at("mirror")) and _flag(record.at("centred")):
+    fields = record.fields(_FORMS, "a zone: a mapping with normal")
+    if record.at("mirror").flag() and record.at("centred").flag():
         raise record.at("mirror").error("false, as a centred zone is its own mirror image", "true")
     box = record.at("box_m")
     try:
@@ -225,13 +216,13 @@ def _zone(name: str, record: Record) -> Zone:
             if "keep_out_m" in fields
             else (),
             stand_off_m=_range(record.at("stand_off_m"))
-            or (BEHIND_GLASS_M if _flag(record.at("behind_glass")) else FLUSH_M),
+            or (BEHIND_GLASS_M if record.at("behind_glass").flag() else FLUSH_M),
             yaw_rad=_radians(record.at("yaw_deg")),
             pitch_rad=_radians(record.at("pitch_deg")),
             roll_rad=_radians(record.at("roll_deg")),
             kinds=_kinds(record.at("kind")),
-            is_centred=_flag(record.at("centred")),
-            is_behind_glass=_flag(record.at("behind_glass")),
+            is_centred=bool(record.at("centred").flag()),
+            is_behind_glass=bool(record.at("behind_glass").flag()),
             recess_m=None if record.at("recess_m").value is None else record.at("recess_m").number(),
             outline_m=np.array([each.numbers(3) for each in record.at("outline_m").items("a list of corners")])
             if "outline_m" in fields
@@ -243,25 +234,13 @@ def _zone(name: str, record: Record) -> Zone:
 
 def _normal(record: Record) -> tuple[float, float, float]:
     if isinstance(record.value, str):
-        if record.value not in NORMALS:
-            near = difflib.get_close_matches(record.value, NORMALS, 1, 0.5)
-            raise record.error(
-                f"{', '.join(NORMALS)} or three numbers",
-                f"{record.value!r}" + (f"; did you mean {near[0]}?" if near else ""),
-            )
-        return NORMALS[record.value]
+        return NORMALS[record.one_of(NORMALS, ", or three numbers")]
     numbers = np.array(record.numbers(3))
     length = float(np.linalg.norm(numbers))
     if length < 1e-6:
         raise record.error("a direction", "one of length 0")
     x, y, z = (numbers / length).tolist()
     return x, y, z
-
-
-def _flag(record: Record) -> bool:
-    if record.value not in (None, True, False):
-        raise record.error("true or false")
-    return bool(record.value)
 
 
 def _kinds(record: Record) -> tuple[str, ...]:

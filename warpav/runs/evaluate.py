@@ -13,10 +13,10 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import atomic_write, writing
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import checked_device
-from warpav.evaluation.attainable import attainable_objects
 from warpav.evaluation.metrics import SceneObservations, metrics_of, observe_scenes
 from warpav.evaluation.perturbations import CameraOutages
 from warpav.evaluation.rig_evaluation import RigEvaluation, seen_objects
+from warpav.optimisation.attainable import attainable_objects
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config

@@ -15,8 +15,7 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError, OptionError
 from warpav.rig.check import off_vehicle
-from warpav.rig.find import HIGHEST, find_rig_file, is_preset
-from warpav.rig.presets import preset_names
+from warpav.rig.presets import HIGHEST, find_rig_file, is_preset, preset_names
 from warpav.rig.rig import Rig, RigCamera, read_rig
 from warpav.runs.config import NAMED_STARTS, START_TEXT, Config, placed_config
 from warpav.runs.mounts import camera_model, camera_mount, checked_frozen, constraints_of, preset_for, with_shared_model

@@ -14,8 +14,8 @@ import numpy as np
 from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
 from warpav.rig.chart import chart_of, propose_zones
-from warpav.rig.keep_out import kinds_of_names, propose_keep_out
 from warpav.rig.mount_surface import MountSurface
+from warpav.rig.proposals import kinds_of_names, propose_keep_out
 from warpav.rig.zone import Zone, write_zones
 from warpav.runs.config import Config
 from warpav.runs.mounts import mount_surface

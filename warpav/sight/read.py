@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import difflib
 import math
-from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +22,7 @@ from warpav.core.json_schema import (
     mapping,
     named,
 )
-from warpav.rig.formats.record import Record, read_yaml_record
+from warpav.rig.formats.record import Record, did_you_mean, read_yaml_record
 from warpav.scene.own_vehicle import read_vehicle_file
 from warpav.sight.requirement import SECTORS, SIDES, SIZES_M, Area, Band, Polygon, Requirement, Strip, TestObject
 from warpav.sight.templates import template_file, template_names
@@ -91,8 +89,7 @@ def read_requirements(source: str | Path) -> tuple[Requirement, ...]:
     """
     file = _found(source)
     record = read_yaml_record(file)
-    fields = record.mapping("a mapping with requirements")
-    _check_keys(fields, ("requirements",))
+    record.fields(("requirements",), "a mapping with requirements")
     found = record.at("requirements").mapping("a mapping from names to requirements")
     if not found:
         raise record.at("requirements").error("at least one requirement")
@@ -114,23 +111,13 @@ def _found(source: str | Path) -> Path:
         return template_file(str(source))
     path = Path(source).expanduser()
     if path.suffix.lower() not in (".yaml", ".yml") and not path.is_file():
-        near = difflib.get_close_matches(str(source), names, 1, 0.5)
-        hint = f"; did you mean {near[0]}?" if near else ""
+        hint = did_you_mean(source, names)
         raise InputError(f"requirements: expected a YAML file or one of {', '.join(names)}, got {str(source)!r}{hint}")
     return path
 
 
-def _check_keys(fields: Mapping[str, Record], known: Collection[str]) -> None:
-    for key, record in fields.items():
-        if key not in known:
-            near = difflib.get_close_matches(key, known, 1, 0.5)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise record.error(f"one of {', '.join(known)}", f"the key {key!r}{hint}")
-
-
 def _requirement(name: str, record: Record, folder: Path) -> Requirement:
-    fields = record.mapping("a requirement: a mapping with area, grid_m and object")
-    _check_keys(fields, _KEYS)
+    record.fields(_KEYS, "a requirement: a mapping with area, grid_m and object")
     visible_share = record.at("visible_share").number(0.5)
     if not 0.0 < visible_share <= 1.0:
         raise record.at("visible_share").error("a share above 0 and up to 1")
@@ -141,8 +128,7 @@ def _requirement(name: str, record: Record, folder: Path) -> Requirement:
     if cameras < 1:
         raise record.at("cameras").error("at least 1 camera")
     hard = record.at("hard")
-    if hard.value not in (None, True, False):
-        raise hard.error("true or false")
+    hard.flag()
     weight = None if record.at("weight").value is None else _positive(record.at("weight"))
     if hard.value is True and weight is not None:
         raise record.at("weight").error("no weight of a hard requirement; leave out one of hard and weight")
@@ -168,8 +154,7 @@ def _requirement(name: str, record: Record, folder: Path) -> Requirement:
 
 
 def _area(record: Record) -> Area:
-    fields = record.mapping(f"an area: a mapping with one of {', '.join(_AREAS)}")
-    _check_keys(fields, _AREAS)
+    fields = record.fields(_AREAS, f"an area: a mapping with one of {', '.join(_AREAS)}")
     if len(fields) != 1:
         raise record.error(f"one of {', '.join(_AREAS)}", f"{', '.join(fields) or 'none'}")
     ((kind, value),) = fields.items()
@@ -179,13 +164,8 @@ def _area(record: Record) -> Area:
             raise value.error("distances of 0 m or more")
         return Band(distance)
     if kind == "strip":
-        strip = value.mapping(f"a mapping with {', '.join(_STRIP)}")
-        _check_keys(strip, _STRIP)
-        side = value.at("side").text()
-        if side not in SIDES:
-            near = difflib.get_close_matches(side, SIDES, 1, 0.5)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise value.at("side").error(f"one of {', '.join(SIDES)}", f"{side!r}{hint}")
+        value.fields(_STRIP, f"a mapping with {', '.join(_STRIP)}")
+        side = value.at("side").one_of(SIDES)
         along = value.at("along_m")
         return Strip(side, _range(value.at("distance_m")), None if along.value is None else _range(along))
     if kind == "box_m":
@@ -203,9 +183,8 @@ def _area(record: Record) -> Area:
 
 def _test_object(record: Record, folder: Path) -> TestObject:
     if isinstance(record.value, str):
-        return TestObject(_kind(record), SIZES_M[_kind(record)])
-    fields = record.mapping(f"one of {', '.join(SIZES_M)}, or a mapping with {', '.join(_OBJECT)}")
-    _check_keys(fields, _OBJECT)
+        return TestObject(record.one_of(SIZES_M), SIZES_M[record.one_of(SIZES_M)])
+    fields = record.fields(_OBJECT, f"one of {', '.join(SIZES_M)}, or a mapping with {', '.join(_OBJECT)}")
     if ("kind" in fields) == ("mesh" in fields):
         raise record.error("one of kind and mesh", "both" if "kind" in fields else "none")
     yaw_rad = math.radians(record.at("yaw_deg").number(0.0))
@@ -214,21 +193,12 @@ def _test_object(record: Record, folder: Path) -> TestObject:
         if sized:
             raise fields[sized[0]].error("no size of a mesh, which has its own")
         return _own(record.at("mesh"), folder, yaw_rad)
-    kind = _kind(record.at("kind"))
+    kind = record.at("kind").one_of(SIZES_M)
     size = [
         _positive(record.at(name)) if name in fields else usual
         for name, usual in zip(("length_m", "width_m", "height_m"), SIZES_M[kind], strict=True)
     ]
     return TestObject(kind, (size[0], size[1], size[2]), yaw_rad)
-
-
-def _kind(record: Record) -> str:
-    kind = record.text()
-    if kind not in SIZES_M:
-        near = difflib.get_close_matches(kind, SIZES_M, 1, 0.5)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise record.error(f"one of {', '.join(SIZES_M)}", f"{kind!r}{hint}")
-    return kind
 
 
 def _own(record: Record, folder: Path, yaw_rad: float) -> TestObject:
@@ -252,11 +222,8 @@ def _sector(record: Record) -> tuple[float, float] | None:
     if record.value is None:
         return None
     if isinstance(record.value, str):
-        if record.value not in SECTORS:
-            near = difflib.get_close_matches(record.value, SECTORS, 1, 0.5)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise record.error(f"one of {', '.join(SECTORS)}, or two yaws in degrees", f"{record.value!r}{hint}")
-        middle = 0.25 * math.pi * SECTORS.index(record.value)
+        name = record.one_of(SECTORS, ", or two yaws in degrees")
+        middle = 0.25 * math.pi * SECTORS.index(name)
         return middle - math.pi / 8.0, middle + math.pi / 8.0
     start, end = record.numbers(2)
     if not start < end <= start + 360.0:

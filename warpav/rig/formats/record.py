@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -82,12 +83,27 @@ class Record:
             raise self.error("a text")
         return self.value.strip()
 
-    def one_of(self, words: Iterable[str]) -> str:
-        """One of some words."""
+    def one_of(self, words: Iterable[str], more: str = "") -> str:
+        """One of some words; ``more`` says what else is expected."""
         known = list(words)
         if not isinstance(self.value, str) or self.value not in known:
-            raise self.error(f"one of {', '.join(known)}")
+            got = f"{self.value!r}{did_you_mean(self.value, known)}" if isinstance(self.value, str) else None
+            raise self.error(f"one of {', '.join(known)}{more}", got)
         return self.value
+
+    def fields(self, known: Iterable[str], expected: str) -> dict[str, Record]:
+        """The records of a mapping that has no keys but known ones."""
+        names, found = list(known), self.mapping(expected)
+        for key, record in found.items():
+            if key not in names:
+                raise record.error(f"one of {', '.join(names)}", f"the key {key!r}{did_you_mean(key, names)}")
+        return found
+
+    def flag(self) -> bool | None:
+        """True or false, or None where there is nothing."""
+        if self.value not in (None, True, False):
+            raise self.error("true or false")
+        return None if self.value is None else bool(self.value)
 
     def number(self, default: float | None = None) -> float:
         """A finite number."""
@@ -137,6 +153,12 @@ class Record:
         if abs(length - 1.0) > _ROTATION_TOLERANCE:
             raise self.error("a quaternion of length 1", f"{list(quaternion)} of length {length:.6g}")
         return rotation_from_quaternion(np.array(quaternion))
+
+
+def did_you_mean(word: object, known: Iterable[str]) -> str:
+    """The end of a message that names the nearest of some words; empty where none is near."""
+    near = difflib.get_close_matches(str(word), list(known), 1, 0.5)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def is_number(value: object) -> TypeGuard[int | float]:

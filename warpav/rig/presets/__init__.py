@@ -11,6 +11,9 @@ from warpav.raster.mesh import Mesh
 from warpav.rig.on_body import Body, MovedRig, put_on_body
 from warpav.rig.rig import Rig, read_rig
 
+HIGHEST = "highest"
+"""The name of the thesis's baseline, cameras around the highest point; it needs a vehicle to stand on."""
+
 _FOLDER = Path(__file__).parent
 
 _BODIES = {
@@ -79,3 +82,24 @@ def preset_about(name: str) -> PresetAbout:
             key, text = word.lower(), rest
         head[key] = f"{head[key]} {text}" if key in head else text
     return PresetAbout(head["title"], head["source"], head["licence"])
+
+
+def is_preset(source: str) -> bool:
+    """Whether a preset has this name."""
+    return source in preset_names()
+
+
+def find_rig_file(source: str) -> Path:
+    """The file of a rig YAML or a preset."""
+    file = Path(source).expanduser()
+    if file.is_file():
+        return file
+    names = preset_names()
+    if source in names:
+        return preset_file(source)
+    near = difflib.get_close_matches(source, [*names, HIGHEST], 1, 0.6)
+    hint = f"; did you mean {near[0]}?" if near else ""
+    raise InputError(
+        f"{source}: rig: expected a rig YAML, a run folder, a preset ({', '.join(names)}) or {HIGHEST}, "
+        f"got no file of that name{hint}"
+    )

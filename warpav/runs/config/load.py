@@ -20,7 +20,7 @@ from pydantic import ValidationError
 from warpav.core.errors import InputError, OptionError
 from warpav.core.section import move_option, renamed_options, shown, warn_renamed
 from warpav.core.yaml_file import Location, read_yaml
-from warpav.rig.find import is_preset
+from warpav.rig.presets import is_preset
 from warpav.runs.config.explain import COMMAND_LINE, explain, option_locations, option_values, place_of, placed
 from warpav.runs.config.fields import NAMED_STARTS
 from warpav.runs.config.schema import EXTENDS, KEPT_FILES, ConfigTree, find_config, merged
