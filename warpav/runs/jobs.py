@@ -32,7 +32,7 @@ from warpav.runs.robustness import load_states_of, soiling_of
 from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, held_run, new_run_folder
 from warpav.runs.scene_set import load_scenes
 
-CHECKPOINT_EVERY = 10
+_CHECKPOINT_EVERY = 10
 """Steps of a descent after which its state is written."""
 
 
@@ -172,7 +172,7 @@ def _record_step(folder: RunFolder, optimisation: Optimisation, record: Iteratio
     _write_rigs(folder, optimisation, ("final",) if record.training_objective is None else ("best", "final"))
     every = optimisation.placement.config.run.checkpoint_every
     if every is None:
-        every = 1 if isinstance(descent, PoolRun) else CHECKPOINT_EVERY
+        every = 1 if isinstance(descent, PoolRun) else _CHECKPOINT_EVERY
     if descent.iteration % every == 0:
         folder.write_checkpoint(optimisation.state())
 

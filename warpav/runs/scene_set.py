@@ -40,13 +40,13 @@ if TYPE_CHECKING:
     from warpav.optimisation.mount import CameraMount
     from warpav.scene.fleet import Fleet
 
-VEHICLE_RGB = (150, 152, 156)
+_VEHICLE_RGB = (150, 152, 156)
 """Colour of a vehicle that comes without one."""
 
-RARE_KERNELS = ("experiments", "thesis", "raster.trace", "reconstruction")
+_RARE_KERNELS = ("experiments", "thesis", "raster.trace", "reconstruction")
 """Kernels that few runs launch, by the beginning of their names: compiled when they are needed."""
 
-EGO_TOLERANCE_M = 0.2
+_EGO_TOLERANCE_M = 0.2
 """Ego vehicles that were reconstructed from images of different scenes differ by less."""
 
 
@@ -69,7 +69,7 @@ class SceneSet:
 
     def check_vehicle(self, scene: Scene) -> None:
         """Make sure that a scene is around the same ego vehicle."""
-        if not is_same_vehicle(scene.ego, self.ego):
+        if not _is_same_vehicle(scene.ego, self.ego):
             raise InputError(f"{scene.name}: ego: expected the vehicle of the placement, got another")
 
     def with_cameras(self, config: Config) -> SceneSet:
@@ -135,7 +135,7 @@ def load_scene_set(config: Config, progress: Progress) -> SceneSet:
     train, validation, test = _seeds(config)
     recipes = _recipes(config, progress)
     scenes: list[StoredScene] = []
-    with compiling(device, but=RARE_KERNELS):
+    with compiling(device, but=_RARE_KERNELS):
         made = stored_scenes(recipes, device=device)
         for scene in progress.steps("scenes", made, count=len(recipes)):
             _check_same_vehicle(scene.name, scene.ego_bounds_m, (scenes or [scene])[0].ego_bounds_m)
@@ -188,7 +188,7 @@ def scene_recipes(
     elif config.scenes.source == "traffic":
         sources = _moments(config, seeds, ego)
     elif config.scenes.source == "town":
-        fleet = traffic_fleet(config)
+        fleet = _traffic_fleet(config)
         sources = [TownSource(seed, config.scenes.level or "easy", fleet) for seed in seeds]
     else:
         sources = _files_of(config, seeds)
@@ -202,7 +202,7 @@ def pack_scenes(scenes: Iterable[Scene], counts: tuple[int, int], config: Config
     packed: list[DeviceScene] = []
     mirrored: list[DeviceScene] = []
     ego = shown = None
-    with compiling(device, but=RARE_KERNELS):
+    with compiling(device, but=_RARE_KERNELS):
         for k, scene in enumerate(scenes):
             ego = scene.ego if ego is None else ego
             _check_same_vehicle(scene.name, scene.ego.bounds_m(), ego.bounds_m())
@@ -244,7 +244,7 @@ def load_scene(source: str, config: Config | None = None, *, fleet: Fleet | None
     ego = None if config is None else own_vehicle(config)
     level: Level = "easy"
     if config is not None:
-        level, fleet = config.scenes.level or "easy", traffic_fleet(config) if fleet is None else fleet
+        level, fleet = config.scenes.level or "easy", _traffic_fleet(config) if fleet is None else fleet
     scene = _scene_of(source, level, fleet)
     return scene if ego is None else scene.around(ego)
 
@@ -306,14 +306,14 @@ def _mesh_of(ego: Any) -> Mesh:  # noqa: ANN401 (checked here)
             f"ego: expected the path of a mesh file, a Mesh, a trimesh or (vertices, faces), got {type(ego).__name__}"
         )
     try:
-        return Mesh.create(*pair, VEHICLE_RGB, name="ego")
+        return Mesh.create(*pair, _VEHICLE_RGB, name="ego")
     except (TypeError, ValueError) as error:
         if isinstance(error, InputError):
             raise
         raise ArgumentError("ego", f"expected numbers of shape [vertex, 3] and [face, 3], got: {error}") from None
 
 
-def traffic_fleet(config: Config) -> Fleet | None:
+def _traffic_fleet(config: Config) -> Fleet | None:
     """The vehicles of ``scenes.vehicles``; None where there are none."""
     scenes = config.scenes
     if scenes.vehicles is None:
@@ -328,7 +328,7 @@ def traffic_fleet(config: Config) -> Fleet | None:
 
 def traffic_fleet_digest(config: Config) -> str | None:
     """Hash of the meshes of ``scenes.vehicles``; None where there are none."""
-    fleet = traffic_fleet(config)
+    fleet = _traffic_fleet(config)
     return None if fleet is None else fleet.content
 
 
@@ -401,7 +401,7 @@ def _moments(config: Config, seeds: Sequence[int], ego: Mesh | None) -> list[Tra
     bounds_m = (ego_vehicle() if ego is None else ego).bounds_m()
     traffic = traffic_of(scenes.recordings, scenes.test_recordings, bounds_m)
     tested = set(scenes.test_seeds)
-    fleet = traffic_fleet(config)
+    fleet = _traffic_fleet(config)
     return [
         TrafficSource(moment_of(traffic.test if seed in tested else traffic.search, seed), seed, fleet)
         for seed in seeds
@@ -463,7 +463,7 @@ def _check_targets(targets: Sequence[str], scenes: Sequence[DeviceScene], progre
     progress.say(f"scenes.targets: {text}, so nothing is optimised or evaluated for them{hint}")
 
 
-def is_same_vehicle(one: Mesh, other: Mesh) -> bool:
+def _is_same_vehicle(one: Mesh, other: Mesh) -> bool:
     """Whether two meshes may show the same vehicle; how low they reach is left out.
 
     How much of its sides images show above the ground differs from scene to scene, by half a metre and more.
@@ -474,7 +474,7 @@ def is_same_vehicle(one: Mesh, other: Mesh) -> bool:
 def _is_same_size(one_bounds_m: np.ndarray, other_bounds_m: np.ndarray) -> bool:
     difference_m = np.abs(one_bounds_m - other_bounds_m)
     difference_m[0, 2] = 0.0
-    return bool(difference_m.max() <= EGO_TOLERANCE_M)
+    return bool(difference_m.max() <= _EGO_TOLERANCE_M)
 
 
 def _check_same_vehicle(name: str, bounds_m: np.ndarray, first_bounds_m: np.ndarray) -> None:

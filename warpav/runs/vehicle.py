@@ -31,30 +31,30 @@ from warpav.scene.own_vehicle import (
 )
 from warpav.scene.vehicles import file_of
 
-BONNET_BELOW = 0.07
-BONNET_BELOW_M = 0.15
+_BONNET_BELOW = 0.07
+_BONNET_BELOW_M = 0.15
 """A part of the mountable zone that is lower than the roof by this share of its height, and by this at least, does not
 belong to it."""
 
-BONNET_SHARE = 0.8
+_BONNET_SHARE = 0.8
 """A bonnet is lower than this share of the roof's height; the top of a lorry's cab is not."""
 
-SLOPE_REACH_M = 0.4
+_SLOPE_REACH_M = 0.4
 """Slopes of windscreen and bonnet are means over this distance."""
 
-LEAST_KINK = 0.06
+_LEAST_KINK = 0.06
 """A windscreen is steeper than the bonnet before it by this [m/m]."""
 
-LEAST_BONNET_M = 0.3
+_LEAST_BONNET_M = 0.3
 """A shorter part before the windscreen is its lower edge."""
 
 
-ZONE_NORMALS = (0.92, 0.94, 0.95, 0.96, 0.97, 0.98)
+_ZONE_NORMALS = (0.92, 0.94, 0.95, 0.96, 0.97, 0.98)
 """Values of mount.min_zone_normal that may leave out a windscreen: slopes of 23 to 11 degrees."""
 
 
 @dataclass(frozen=True)
-class VehicleReport:
+class _VehicleReport:
     """What was found out about a vehicle."""
 
     lines: tuple[str, ...]  # what was found
@@ -65,7 +65,7 @@ class VehicleReport:
 
 
 @dataclass(frozen=True)
-class ZonePart:
+class _ZonePart:
     """A part of the mountable zone that hangs together."""
 
     name: str  # ``roof``, ``windscreen``, ``bonnet``, ``front`` (such as a lorry's cab) or ``rear``
@@ -83,7 +83,7 @@ def check_vehicle(
     rear_axle_m: float | None = None,
     out: Path | None = None,
     image: Path | None = None,
-) -> VehicleReport:
+) -> _VehicleReport:
     """Examine a vehicle as it is read with some options, write it fixed, draw it."""
     if out is not None and out.suffix.lower() != ".glb":
         raise ArgumentError("out", f"expected a name that ends in .glb, got {out.name!r}", place=out)
@@ -124,16 +124,16 @@ def check_vehicle(
     if out is not None and is_fixable:
         write_vehicle(_with_colours(found, path, reading).corrected, out, source=path.name)
         lines.append(f"wrote {out}; use it with scenes.ego={out}")
-        return VehicleReport(tuple(lines), ())
+        return _VehicleReport(tuple(lines), ())
     found_wrong = tuple(f"{path}: {problem.text}" for problem in problems)
     if needs_writing and all(problem.remedy is not None for problem in problems):
         fix = {**{name: str(value) for name, value in given.items() if value is not None}, **remedies}
         if rear_axle_m is not None:
             fix.setdefault("rear-axle", f"{rear_axle_m:g}")
-        return VehicleReport(tuple(lines), found_wrong, fix)
+        return _VehicleReport(tuple(lines), found_wrong, fix)
     if not found_wrong:
         lines.append(f"it can be used as it is: scenes.ego={path}")
-    return VehicleReport(tuple(lines), found_wrong)
+    return _VehicleReport(tuple(lines), found_wrong)
 
 
 def _with_colours(found: Examination, path: str | Path, reading: Reading) -> Examination:
@@ -141,10 +141,10 @@ def _with_colours(found: Examination, path: str | Path, reading: Reading) -> Exa
     return replace(found, mesh=read_vehicle_file(file_of(path)).in_ego_frame(reading))
 
 
-def zone_parts(surface: MountSurface, vehicle: Mesh) -> list[ZonePart]:
+def _zone_parts(surface: MountSurface, vehicle: Mesh) -> list[_ZonePart]:
     """The parts of the mountable zone, the largest first.
 
-    The part with the highest point is the roof. What is lower than it by `BONNET_BELOW` is bonnet or front before the
+    The part with the highest point is the roof. What is lower than it by `_BONNET_BELOW` is bonnet or front before the
     roof's centre, and rear behind it. Windscreens of many cars are flat enough to be part of the zone, and join roof
     and bonnet: what separates these are the kinks in between.
     """
@@ -174,25 +174,25 @@ def zone_parts(surface: MountSurface, vehicle: Mesh) -> list[ZonePart]:
                 inside = inside.copy()
                 inside[kinks[0] :] = False
             roof_x_m = float(x_m[np.nonzero(inside)[0]].mean())
-        elif height_m > highest_m - max(BONNET_BELOW_M, BONNET_BELOW * highest_m):
+        elif height_m > highest_m - max(_BONNET_BELOW_M, _BONNET_BELOW * highest_m):
             name = "roof"
         elif centre_x_m < roof_x_m:
             name = "rear"
         else:
-            name = "bonnet" if height_m < BONNET_SHARE * highest_m else "front"
+            name = "bonnet" if height_m < _BONNET_SHARE * highest_m else "front"
         parts.append(_zone_part(name, surface, inside))
     return sorted(parts, key=lambda part: -part.area_m2)
 
 
-def _zone_part(name: str, surface: MountSurface, inside: np.ndarray) -> ZonePart:
+def _zone_part(name: str, surface: MountSurface, inside: np.ndarray) -> _ZonePart:
     area_m2 = float(np.count_nonzero(inside)) * surface.cell_m**2
-    return ZonePart(name, area_m2, float(surface.height_m[inside].mean()))
+    return _ZonePart(name, area_m2, float(surface.height_m[inside].mean()))
 
 
 def _windscreen_rows(surface: MountSurface, inside: np.ndarray, highest_m: float) -> tuple[int, int] | None:
     """First row of the windscreen and of the bonnet before it, in a part of the zone that joins them with the roof.
 
-    The bonnet begins where the surface, lower than `BONNET_SHARE` of the roof, becomes flatter by most; the windscreen
+    The bonnet begins where the surface, lower than `_BONNET_SHARE` of the roof, becomes flatter by most; the windscreen
     where the slope from the top of the roof first is half of that before the bonnet.
 
     Shapes: ``inside`` [row, column].
@@ -201,17 +201,17 @@ def _windscreen_rows(surface: MountSurface, inside: np.ndarray, highest_m: float
     if len(row) < row[-1] - row[0] + 1:  # rows between are no part of it, so nothing joins roof and bonnet there
         row = row[row > np.flatnonzero(~inside.any(axis=1) & (np.arange(len(inside)) < row[-1])).max(initial=-1)]
     height_m = np.array([np.median(surface.height_m[each][inside[each]]) for each in row])
-    reach = max(1, round(SLOPE_REACH_M / surface.cell_m))
+    reach = max(1, round(_SLOPE_REACH_M / surface.cell_m))
     top = int(height_m.argmax())
     slope = (height_m[:-reach] - height_m[reach:]) / (reach * surface.cell_m)  # down to the front, positive
-    least = max(1, round(LEAST_BONNET_M / surface.cell_m))
+    least = max(1, round(_LEAST_BONNET_M / surface.cell_m))
     at = np.arange(max(top + reach, reach), min(len(row) - least, len(slope)))
-    at = at[height_m[at] < BONNET_SHARE * highest_m]
+    at = at[height_m[at] < _BONNET_SHARE * highest_m]
     if not len(at):
         return None
     flatter = slope[at - reach] - slope[at]
     best = int(at[flatter.argmax()])
-    if flatter.max() < LEAST_KINK:
+    if flatter.max() < _LEAST_KINK:
         return None
     steep = slope[best - reach]
     local = np.gradient(height_m, surface.cell_m)
@@ -243,7 +243,7 @@ def _shape_lines(found: Examination) -> Iterator[str]:
 
 
 def _mount_lines(surface: MountSurface, vehicle: Mesh, config: Config) -> Iterator[str]:
-    parts = zone_parts(surface, vehicle)
+    parts = _zone_parts(surface, vehicle)
     total = sum(part.area_m2 for part in parts)
     shown = ", ".join(f"{part.name} {part.area_m2:.2f} m² at {part.height_m:.2f} m" for part in parts[:5])
     yield _row("cameras", f"{total:.2f} m² can carry them: {shown}" + (", ..." if len(parts) > 5 else ""))
@@ -258,18 +258,18 @@ def _mount_lines(surface: MountSurface, vehicle: Mesh, config: Config) -> Iterat
     yield _row("highest", f"{z:.2f} m, at x {x:.2f}, y {y:.2f}")
 
 
-def _normal_without_windscreen(parts: Sequence[ZonePart], vehicle: Mesh, config: Config) -> float | None:
+def _normal_without_windscreen(parts: Sequence[_ZonePart], vehicle: Mesh, config: Config) -> float | None:
     """The least ``mount.min_zone_normal`` of those tried that keeps the bonnet and not the windscreen; None: none."""
 
-    def area_m2(parts: Sequence[ZonePart], *names: str) -> float:
+    def area_m2(parts: Sequence[_ZonePart], *names: str) -> float:
         return sum(part.area_m2 for part in parts if part.name in names)
 
-    for normal in ZONE_NORMALS:
+    for normal in _ZONE_NORMALS:
         if normal <= config.mount.min_zone_normal:
             continue
         try:
             changed = config.replace({"mount.min_zone_normal": normal})
-            kept = zone_parts(mount_surface(changed, vehicle), vehicle)
+            kept = _zone_parts(mount_surface(changed, vehicle), vehicle)
         except InputError:  # nothing is left
             return None
         roof, bonnet = (area_m2(kept, name) / area_m2(parts, name) for name in ("roof", "bonnet"))
