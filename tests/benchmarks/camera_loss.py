@@ -1,10 +1,10 @@
 """Rigs that are to bear the loss of a camera against rigs that are not, on town scenes that neither was made on.
 
-A program, not a test: ``python tests/benchmarks/camera_loss.py --device cuda:0 --workers 8 --out FILE``. For
-each seed it searches a rig for its expected misses alone, and rigs with ``robust.camera_loss=worst`` of some weights
-and with ``mean``.
-Figures are of unseen scenes: expected misses per 100 with all cameras, how many more there are without the camera that
-is worst to lose, the recall of the detector; and the differences to the rig of the same seed, with 95 % intervals.
+A program, not a test: ``python tests/benchmarks/camera_loss.py --device cuda:0 --workers 8 --out FILE``. For each seed
+it searches a rig for its expected misses alone, and rigs with ``robust.camera_loss=worst`` of some weights and with
+``mean``. Figures are of unseen scenes: expected misses per 100 with all cameras, how many more there are without the
+camera that is worst to lose, the recall of the detector; and the differences to the rig of the same seed, with 95 %
+intervals.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 
 import warpav as wa
 from warpav.evaluation.statistics import Difference, paired_difference
-from warpav.runs.config import Config, load_config
+from warpav.runs.config import Config, changed_config
 
 UNSEEN_FROM = 20_000
 NOMINAL = "nominal"
@@ -40,41 +40,34 @@ def main() -> None:
     parser.add_argument("--unseen", type=int, default=60, help="scenes that judge")
     parser.add_argument("--pool", type=int, default=128, help="cameras of the first pool of a search")
     parser.add_argument("--out", type=Path, default=Path("camera_loss.json"))
-    settings = parser.parse_args()
+    given = parser.parse_args()
     began = time.perf_counter()
-    wa.town([*range(settings.seeds * settings.train), *range(UNSEEN_FROM, UNSEEN_FROM + settings.unseen)])
-    kept = {key: str(value) for key, value in vars(settings).items() if key != "out"}
-    result: dict[str, object] = {"settings": kept, "rows": []}
-    with ProcessPoolExecutor(settings.workers, mp_context=get_context("spawn")) as processes:
-        for rows in processes.map(of_seed, range(settings.seeds), [settings] * settings.seeds):
-            for row in rows:
-                print(json.dumps(row), flush=True)  # noqa: T201
-            result["rows"] += rows
-            result["seconds"] = time.perf_counter() - began
-            settings.out.write_text(json.dumps(result, indent=1), encoding="utf-8")
+    wa.town([*range(given.seeds * given.train), *range(UNSEEN_FROM, UNSEEN_FROM + given.unseen)])
+    settings = {key: str(value) for key, value in vars(given).items() if key != "out"}
+    rows: list[dict] = []
+    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as processes:
+        for found in processes.map(of_seed, range(given.seeds), [given] * given.seeds):
+            rows += found
+            print(*map(json.dumps, found), sep="\n", flush=True)  # noqa: T201
+            result = {"settings": settings, "rows": rows, "seconds": time.perf_counter() - began}
+            given.out.write_text(json.dumps(result, indent=1), encoding="utf-8")
 
 
-def of_seed(seed: int, settings: argparse.Namespace) -> list[dict[str, object]]:
+def of_seed(seed: int, given: argparse.Namespace) -> list[dict]:
     """The rigs of a seed: what they miss, what the loss of a camera costs, and how that compares."""
-    train = wa.town(range(settings.train * seed, settings.train * (seed + 1)))
-    unseen = list(wa.town(range(UNSEEN_FROM, UNSEEN_FROM + settings.unseen)))
-    options = [f"device={settings.device}", f"optimiser.pool_cameras={settings.pool}", f"run.seed={seed}"]
-    config = load_config(Config(), options, origin=None)
-    robust = {NOMINAL: None} | {
-        f"worst, {weight}": {"camera_loss": "worst", "weight": float(weight)} for weight in settings.weights.split(",")
-    }
-    robust["mean, 0.5"] = {"camera_loss": "mean", "weight": 0.5}
-    placements = {
-        name: wa.Placement(
-            train, cameras=settings.cameras, fov_deg=settings.fov_deg, requirements=(), robust=each, config=config
-        )
-        for name, each in robust.items()
-    }
+    train = wa.town(range(given.train * seed, given.train * (seed + 1)))
+    unseen = list(wa.town(range(UNSEEN_FROM, UNSEEN_FROM + given.unseen)))
+    options = [f"device={given.device}", f"optimiser.pool_cameras={given.pool}", f"run.seed={seed}"]
+    config = changed_config(Config(), options, origin=None)
+    robust = {f"worst, {each}": {"camera_loss": "worst", "weight": float(each)} for each in given.weights.split(",")}
+    robust = {NOMINAL: None} | robust | {"mean, 0.5": {"camera_loss": "mean", "weight": 0.5}}
+    common = {"cameras": given.cameras, "fov_deg": given.fov_deg, "requirements": (), "config": config}
+    placements = {name: wa.Placement(train, robust=each, **common) for name, each in robust.items()}
     rigs = {name: wa.optimise(placement).rig for name, placement in placements.items()}
     judge = placements[NOMINAL]
     evaluation = wa.evaluate(rigs, unseen, judge)
     lost = {name: lost_per_scene(rig, judge, unseen) for name, rig in rigs.items()}
-    rows: list[dict[str, object]] = []
+    rows = []
     for name in rigs:
         outage = evaluation.camera_outage[name]
         row = {
@@ -92,7 +85,6 @@ def of_seed(seed: int, settings: argparse.Namespace) -> list[dict[str, object]]:
 
 
 def in_numbers(found: Difference) -> dict[str, float]:
-    """A difference and its interval."""
     return {"mean": found.mean, "low": found.low, "high": found.high}
 
 

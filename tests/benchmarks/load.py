@@ -15,16 +15,12 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
-
 import warpav as wa
 from warpav.core.progress import NullProgress
 from warpav.runs.config import load_config
 from warpav.runs.optimise import Optimisation
 from warpav.runs.report.report import write_report
 from warpav.runs.run_folder import RunFolder
-
-PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def main() -> None:
@@ -45,8 +41,7 @@ def main() -> None:
     ]
     with tempfile.TemporaryDirectory() as folder:
         config = load_config(load_config("quick"), [*options, f"run.out={folder}/run"], origin=None)
-        placement = wa.Placement.from_config(config).prepare(NullProgress())
-        optimisation = Optimisation.begin(placement)
+        optimisation = Optimisation.begin(wa.Placement.from_config(config).prepare(NullProgress()))
         written = RunFolder.create(config, name="run")
         print(f"{'steps':>7} {'memory MB':>10} {'files':>6} {'ms a step':>10}", flush=True)  # noqa: T201
         measured = []
@@ -55,22 +50,21 @@ def main() -> None:
             written.append_event(optimisation.descent.step())
             if step % settings.every == 0:
                 gc.collect()
-                seconds = time.perf_counter() - began
-                measured.append((memory_mb(), len(os.listdir("/proc/self/fd")), 1e3 * seconds / settings.every))
-                print(f"{step:7d} {measured[-1][0]:10.1f} {measured[-1][1]:6d} {measured[-1][2]:10.2f}", flush=True)  # noqa: T201
+                step_ms = 1e3 * (time.perf_counter() - began) / settings.every
+                measured.append((memory_mb(), len(os.listdir("/proc/self/fd"))))
+                print(f"{step:7d} {measured[-1][0]:10.1f} {measured[-1][1]:6d} {step_ms:10.2f}", flush=True)  # noqa: T201
                 began = time.perf_counter()
         size = sum(each.stat().st_size for each in Path(folder).rglob("*") if each.is_file()) / 1e6
-        steady = np.array(measured[len(measured) // 10 :])
-        growth = steady[-1, 0] / steady[0, 0] - 1.0
-        print(f"memory {growth:+.2%} and files {steady[-1, 1] - steady[0, 1]:+.0f} over the last nine tenths")  # noqa: T201
+        (first_mb, first_files), (last_mb, last_files) = measured[len(measured) // 10], measured[-1]
+        print(f"memory {last_mb / first_mb - 1:+.2%}, files {last_files - first_files:+d} over the last nine tenths")  # noqa: T201
         report = write_report(written).stat().st_size / 1e6
         print(f"run folder {size:.1f} MB, report {report:.1f} MB")  # noqa: T201
 
 
 def memory_mb() -> float:
     """Memory that the process holds, without files that are mapped [MB]."""
-    resident, shared = Path("/proc/self/statm").read_text(encoding="utf-8").split()[1:3]
-    return (int(resident) - int(shared)) * PAGE_MB
+    resident, shared = map(int, Path("/proc/self/statm").read_text(encoding="utf-8").split()[1:3])
+    return (resident - shared) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 if __name__ == "__main__":

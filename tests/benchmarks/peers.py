@@ -14,7 +14,8 @@ import functools
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -48,15 +49,41 @@ def main() -> None:
             sys.stdout.write(json.dumps(left_out) + "\n")
 
 
-def timed(run: Callable[[], object], repeat: int) -> dict[str, float]:
-    """Median and least time of a call [ms], after one that is not measured."""
-    run()
-    times_ms = []
-    for _ in range(repeat):
-        began = time.perf_counter()
+@dataclass(frozen=True)
+class Peer:
+    """A renderer whose rows are made."""
+
+    name: str
+    threads: int
+    workload: Workload
+    repeat: int
+
+    def row(self, item: str, times_ms: Sequence[float], **scores: object) -> dict[str, object]:
+        """The line of an item."""
+        times = {"median_ms": round(float(np.median(times_ms)), 2), "min_ms": round(min(times_ms), 2)}
+        return {"item": item, "peer": self.name, "threads": self.threads, **times, **scores}
+
+    def timed(self, item: str, run: Callable[[], object], **scores: object) -> dict[str, object]:
+        """The line of an item whose call is timed, after one that is not."""
         run()
-        times_ms.append(1000.0 * (time.perf_counter() - began))
-    return {"median_ms": round(float(np.median(times_ms)), 2), "min_ms": round(min(times_ms), 2)}
+        times_ms = []
+        for _ in range(self.repeat):
+            began = time.perf_counter()
+            run()
+            times_ms.append(1000.0 * (time.perf_counter() - began))
+        return self.row(item, times_ms, **scores)
+
+    def silhouettes(self, gradient: Callable[[np.ndarray, int, str], np.ndarray], step: Callable[[], object]) -> dict:
+        """The line of W1 by the gradient of a pose of a camera with a weight image, and all of a step's."""
+        scored = {
+            which: np.array(
+                [gradient(pose, i % len(self.workload.pose), which) for i, pose in enumerate(self.workload.scored_pose)]
+            )
+            for which in WEIGHT_NAMES
+        }
+        errors = gradient_scores(scored, embedded_truth(self.workload).gradient)
+        parts = {f"{which} {part}": errors[which][part] for which in ("smooth", "white") for part in ("xzyaw", "xz")}
+        return self.timed("w1", step, **parts)
 
 
 def image_scores(workload: Workload, object_index: np.ndarray, depth_m: np.ndarray) -> dict[str, float]:
@@ -76,21 +103,13 @@ def measure_warpav(workload: Workload, repeat: int, *, device: str) -> Iterator[
         ("w2", bench.time_depth_and_object(repeat=repeat)),
         ("w3", bench.time_rgb(repeat=repeat)),
     ):
-        least = round(min(timing.times_ms), 2)
-        yield {
-            "item": item,
-            "peer": "warpav",
-            "threads": timing.threads,
-            "median_ms": round(timing.median_ms, 2),
-            "min_ms": least,
-        }
+        yield Peer("warpav", timing.threads, workload, repeat).row(item, timing.times_ms)
 
 
 def measure_embree(workload: Workload, repeat: int) -> Iterator[dict]:
     """Embree through embreex, one thread."""
     for item, times_ms in time_embree(workload, repeat=repeat).items():
-        median, least = round(float(np.median(times_ms)), 2), round(min(times_ms), 2)
-        yield {"item": item, "peer": "embreex", "threads": 1, "median_ms": median, "min_ms": least}
+        yield Peer("embreex", 1, workload, repeat).row(item, times_ms)
 
 
 def measure_mitsuba(workload: Workload, repeat: int) -> Iterator[dict]:
@@ -114,9 +133,12 @@ def measure_mitsuba(workload: Workload, repeat: int) -> Iterator[dict]:
     dr.eval(ray, colour, face, index, near_m)
     dr.sync_thread()
 
-    def depths() -> tuple:
+    def hits() -> tuple:
         hit = scene.ray_intersect_preliminary(ray, coherent=True)
-        is_hit = hit.is_valid()
+        return hit, hit.is_valid()
+
+    def depths() -> tuple:
+        hit, is_hit = hits()
         depth_m = dr.select(is_hit, hit.t + near_m, -1.0)
         found = dr.select(is_hit, dr.gather(mi.Int32, index, hit.prim_index, is_hit), -1)
         dr.eval(depth_m, found)
@@ -124,8 +146,7 @@ def measure_mitsuba(workload: Workload, repeat: int) -> Iterator[dict]:
         return depth_m, found
 
     def colours() -> object:
-        hit = scene.ray_intersect_preliminary(ray, coherent=True)
-        is_hit = hit.is_valid()
+        hit, is_hit = hits()
         corners = dr.gather(mi.Vector3u, face, hit.prim_index, is_hit)
         b1, b2 = hit.prim_uv.x, hit.prim_uv.y
         rgb = (1.0 - b1 - b2) * dr.gather(mi.Color3f, colour, corners.x, is_hit)
@@ -136,12 +157,11 @@ def measure_mitsuba(workload: Workload, repeat: int) -> Iterator[dict]:
         dr.sync_thread()
         return rgb
 
-    name = f"Mitsuba {mi.__version__}"
-    threads = dr.thread_count()
+    peer = Peer(f"Mitsuba {mi.__version__}", dr.thread_count(), workload, repeat)
     depth_m, found = depths()
     scores = image_scores(workload, np.array(found), np.array(depth_m))
-    yield {"item": "w2", "peer": name, "threads": threads, **timed(depths, repeat), **scores}
-    yield {"item": "w3", "peer": name, "threads": threads, **timed(colours, repeat)}
+    yield peer.timed("w2", depths, **scores)
+    yield peer.timed("w3", colours)
 
 
 def measure_deodr(workload: Workload, repeat: int) -> Iterator[dict]:
@@ -150,7 +170,7 @@ def measure_deodr(workload: Workload, repeat: int) -> Iterator[dict]:
 
     from deodr.triangulated_mesh import TriMesh
 
-    name = f"DEODR {version('deodr')}"
+    peer = Peer(f"DEODR {version('deodr')}", 1, workload, repeat)
     object_index = np.repeat(np.arange(len(workload.vertex_end)), np.diff(workload.vertex_end, prepend=0))
     size = workload.size_px
     views = [
@@ -175,9 +195,9 @@ def measure_deodr(workload: Workload, repeat: int) -> Iterator[dict]:
     scores = image_scores(
         workload, np.where(is_hit, np.rint(image[..., 0]), -1).astype(int), np.where(is_hit, depth_m, -1.0)
     )
-    yield {"item": "w2", "peer": name, "threads": 1, **timed(lambda: draw(index_value), repeat), **scores}
+    yield peer.timed("w2", lambda: draw(index_value), **scores)
     rgb = workload.vertex_rgb.astype(np.float64)
-    yield {"item": "w3", "peer": name, "threads": 1, **timed(lambda: draw(rgb), repeat)}
+    yield peer.timed("w3", lambda: draw(rgb))
 
     first_vertex = np.r_[0, workload.vertex_end[:-1]]
     first_triangle = np.r_[0, np.cumsum(workload.triangle_count)[:-1]]
@@ -186,7 +206,7 @@ def measure_deodr(workload: Workload, repeat: int) -> Iterator[dict]:
         triangle = workload.triangle[first_triangle[k] :][: workload.triangle_count[k]] - first_vertex[k]
         meshes.append(TriMesh(triangle.astype(np.uint32), workload.vertex_m[first_vertex[k] : workload.vertex_end[k]]))
 
-    def gradient(pose: np.ndarray, camera: int, weight: np.ndarray) -> np.ndarray:
+    def gradient(pose: np.ndarray, camera: int, which: str) -> np.ndarray:
         total = np.zeros(3)
         for turn in range(ROTATION_COUNT):
             for k, mesh in enumerate(meshes):
@@ -201,32 +221,12 @@ def measure_deodr(workload: Workload, repeat: int) -> Iterator[dict]:
                 outline = mesh.edge_on_silhouette(place_px)[kept]
                 place_gradient = deodr_image(
                     mesh.faces[kept], place_px, point_m[:, 2], np.ones((len(place_px), 1)), outline, 1.0, size,
-                    workload.vehicle_weight[k] * weight[..., None].astype(np.float64),
+                    workload.vehicle_weight[k] * workload.weight[which][..., None].astype(np.float64),
                 )  # fmt: skip
                 total += np.einsum("vi,vij->j", place_gradient, change)
         return total
 
-    scored = {
-        which: np.array(
-            [
-                gradient(pose, i % len(workload.pose), workload.weight[which])
-                for i, pose in enumerate(workload.scored_pose)
-            ]
-        )
-        for which in WEIGHT_NAMES
-    }
-    errors = gradient_scores(scored, embedded_truth(workload).gradient)
-
-    def step() -> list[np.ndarray]:
-        return [gradient(pose, c, workload.weight["white"]) for c, pose in enumerate(workload.pose)]
-
-    yield {
-        "item": "w1",
-        "peer": name,
-        "threads": 1,
-        **timed(step, repeat),
-        **{f"{which} {part}": errors[which][part] for which in ("smooth", "white") for part in ("xzyaw", "xz")},
-    }
+    yield peer.silhouettes(gradient, lambda: [gradient(pose, c, "white") for c, pose in enumerate(workload.pose)])
 
 
 def measure_drtk(workload: Workload, repeat: int) -> Iterator[dict]:
@@ -281,11 +281,11 @@ def measure_drtk(workload: Workload, repeat: int) -> Iterator[dict]:
         image = drtk.interpolate(rgb.expand(len(vertices), -1, -1), triangle, index, weight)
         return image * (index >= 0)[:, None]
 
-    name = f"DRTK {drtk.__version__}"
+    peer = Peer(f"DRTK {drtk.__version__}", 1, workload, repeat)
     depth_m, found = depths()
     scores = image_scores(workload, found.cpu().numpy(), torch.where(found >= 0, depth_m, -1.0).cpu().numpy())
-    yield {"item": "w2", "peer": name, "threads": 1, **timed(depths, repeat), **scores}
-    yield {"item": "w3", "peer": name, "threads": 1, **timed(colours, repeat)}
+    yield peer.timed("w2", depths, **scores)
+    yield peer.timed("w3", colours)
 
     # a batch has one silhouette for every turn and vehicle; those of fewer triangles are filled up with empty ones
     ends = np.cumsum(workload.triangle_count)
@@ -296,43 +296,27 @@ def measure_drtk(workload: Workload, repeat: int) -> Iterator[dict]:
         alone[k, :count] = triangle[ends[k] - count : ends[k]]
     alone = alone.repeat(ROTATION_COUNT, 1, 1).contiguous()
     vehicle_weight = torch.tensor(workload.vehicle_weight, dtype=torch.float32, device=device)
+    weights = {which: torch.tensor(workload.weight[which], device=device).float() for which in WEIGHT_NAMES}
 
-    def gradient(pose: torch.Tensor, camera: int, weight: torch.Tensor) -> torch.Tensor:
+    def gradient(pose: torch.Tensor, camera: int, which: str) -> torch.Tensor:
         pose = pose.clone().requires_grad_()
         vertex = placed(pose, camera).repeat_interleave(workload.vehicle_count, dim=0)
         with torch.no_grad():
             index = drtk.rasterize(vertex, alone, size, size)
             _, share = drtk.render(vertex, alone, index)
         mask = drtk.edge_grad_estimator(vertex, alone, share, (index >= 0).float()[:, None], index)
-        area = (mask[:, 0] * weight).sum(dim=(1, 2)).reshape(ROTATION_COUNT, -1)
+        area = (mask[:, 0] * weights[which]).sum(dim=(1, 2)).reshape(ROTATION_COUNT, -1)
         (area * vehicle_weight).sum().backward()
         return pose.grad
 
-    weights = {which: torch.tensor(workload.weight[which], device=device).float() for which in WEIGHT_NAMES}
-    scored = {
-        which: np.array(
-            [
-                gradient(torch.tensor(pose, device=device).float(), i % len(workload.pose), weights[which])
-                .cpu()
-                .numpy()
-                for i, pose in enumerate(workload.scored_pose)
-            ]
-        )
-        for which in WEIGHT_NAMES
-    }
-    errors = gradient_scores(scored, embedded_truth(workload).gradient)
-
     @synchronised
     def step() -> list[torch.Tensor]:
-        return [gradient(pose, c, weights["white"]) for c, pose in enumerate(poses)]
+        return [gradient(pose, c, "white") for c, pose in enumerate(poses)]
 
-    yield {
-        "item": "w1",
-        "peer": name,
-        "threads": 1,
-        **timed(step, repeat),
-        **{f"{which} {part}": errors[which][part] for which in ("smooth", "white") for part in ("xzyaw", "xz")},
-    }
+    def on_host(pose: np.ndarray, camera: int, which: str) -> np.ndarray:
+        return gradient(torch.tensor(pose, device=device).float(), camera, which).cpu().numpy()
+
+    yield peer.silhouettes(on_host, step)
 
 
 def projected(

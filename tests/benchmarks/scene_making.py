@@ -13,8 +13,9 @@ import resource
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from warpav.core.cores import available_cores
 from warpav.scene.device_scene import DeviceScene
@@ -40,50 +41,53 @@ def sources(name: str, count: int) -> list[TownSource | TrafficSource]:
     return [TrafficSource(moment_of(moments, seed), seed) for seed in seeds]
 
 
-def main(argv: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Print the times."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("sources", nargs="*", default=["traffic", *LEVELS], metavar="SOURCE")
     parser.add_argument("--scenes", type=int, default=1500)
-    given = parser.parse_args(argv)
-    before_s = 0.0
+    given = parser.parse_args()
     for name in given.sources:
         began_s = time.perf_counter()
         every = sources(name, given.scenes)
         every[0].scene()  # reads the recording, and what is kept of vehicles
         say(f"{Path(name).name}: {time.perf_counter() - began_s:.1f} s until the first scene is there")
-        spent = []
-        for source in every[1 : 1 + ALONE]:
-            began_s, began_core_s = time.perf_counter(), time.process_time()
-            scene = source.scene()
-            made_s, made_core_s = time.perf_counter() - began_s, time.process_time() - began_core_s
-            DeviceScene.pack(scene)
-            spent.append((made_s, made_core_s, time.process_time() - began_core_s - made_core_s))
-        mean = [sum(each[k] for each in spent) / len(spent) for k in range(3)]
+        spent = np.array([on_one_core(source) for source in every[1 : 1 + ALONE]])
+        wall_s, made_s, packed_s = spent.mean(axis=0)
         say(
-            f"  one core: {mean[0]:.2f} s a scene ({mean[1]:.2f} s of the processor, the slowest "
-            f"{max(each[1] for each in spent):.2f} s), {mean[2]:.2f} s to pack it"
+            f"  one core: {wall_s:.2f} s a scene ({made_s:.2f} s of the processor, the slowest "
+            f"{spent[:, 1].max():.2f} s), {packed_s:.2f} s to pack it"
         )
         with tempfile.TemporaryDirectory() as folder:
             recipes = [SceneRecipe(source) for source in every]
-            began_s = time.perf_counter()
-            for _ in stored_scenes(recipes, folder=Path(folder)):
-                pass
-            made_s = time.perf_counter() - began_s
-            worker_s = resource.getrusage(resource.RUSAGE_CHILDREN)
+            before = resource.getrusage(resource.RUSAGE_CHILDREN)
+            made_s, opened_s = (through(recipes, Path(folder)) for _ in range(2))
+            worker = resource.getrusage(resource.RUSAGE_CHILDREN)
             size = sum(file.stat().st_size for file in Path(folder).iterdir())
-            began_s = time.perf_counter()
-            for _ in stored_scenes(recipes, folder=Path(folder)):
-                pass
-            opened_s = time.perf_counter() - began_s
-        own, worker = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, worker_s.ru_maxrss  # KiB
-        cores, core_s = available_cores(), worker_s.ru_utime + worker_s.ru_stime  # of all sources so far
+        core_s = worker.ru_utime + worker.ru_stime - before.ru_utime - before.ru_stime
+        cores, own = available_cores(), resource.getrusage(resource.RUSAGE_SELF)
+        most_gib = (own.ru_maxrss + cores * worker.ru_maxrss) / 2**20
         say(
-            f"  {len(every)} scenes on {cores} cores: {made_s:.0f} s to make, pack and keep them "
-            f"({core_s - before_s:.0f} s of the processor), {size / 1e9:.1f} GB; {opened_s:.0f} s to open them; "
-            f"at most {(own + cores * worker) / 2**20:.2f} GiB of memory"
+            f"  {len(every)} scenes on {cores} cores: {made_s:.0f} s to make, pack and keep them ({core_s:.0f} s of "
+            f"the processor), {size / 1e9:.1f} GB; {opened_s:.0f} s to open them; at most {most_gib:.2f} GiB of memory"
         )
-        before_s = core_s
+
+
+def on_one_core(source: TownSource | TrafficSource) -> tuple[float, float, float]:
+    """Wall and processor time of a scene, and processor time until it is packed [s]."""
+    began_s, began_core_s = time.perf_counter(), time.process_time()
+    scene = source.scene()
+    made_s, made_core_s = time.perf_counter() - began_s, time.process_time() - began_core_s
+    DeviceScene.pack(scene)
+    return made_s, made_core_s, time.process_time() - began_core_s - made_core_s
+
+
+def through(recipes: list[SceneRecipe], folder: Path) -> float:
+    """Time until all scenes have come out of a folder [s]."""
+    began_s = time.perf_counter()
+    for _ in stored_scenes(recipes, folder=folder):
+        pass
+    return time.perf_counter() - began_s
 
 
 def say(line: str) -> None:

@@ -40,8 +40,10 @@ def finer(mesh):
     return Mesh.create(vertex_m, triangle, np.clip(attribute["rgb"].round(), 0, 255))
 
 
-def large_scene():
-    scene = town_scene(1000)
+@pytest.fixture(scope="module")
+def arguments(tmp_path_factory):
+    """A rig of four cameras, and what makes the inspector show it in the large scene."""
+    folder, scene = tmp_path_factory.mktemp("large"), town_scene(1000)
     environment, users = finer(scene.environment), list(scene.vehicles)
     count = len(environment.triangle) + len(scene.ego.triangle) + sum(len(user.mesh.triangle) for user in users)
     for k, user in enumerate(users):
@@ -49,18 +51,26 @@ def large_scene():
             users[k] = dataclasses.replace(user, mesh=finer(user.mesh))
             count += len(users[k].mesh.triangle) - len(user.mesh.triangle)
     assert count >= TRIANGLES
-    return dataclasses.replace(scene, environment=environment, vehicles=tuple(users), others=())
-
-
-@pytest.fixture(scope="module")
-def arguments(tmp_path_factory):
-    """A rig of four cameras, and what makes the inspector show it in the large scene."""
-    folder = tmp_path_factory.mktemp("large")
-    scene = large_scene()
-    write_scene(scene, folder / "scene_0.glb")
-    config = load_config("quick", [])
-    write_rig(find_rig("highest", config, scene.ego), folder / "four.yaml")
+    large = dataclasses.replace(scene, environment=environment, vehicles=tuple(users), others=())
+    write_scene(large, folder / "scene_0.glb")
+    write_rig(find_rig("highest", load_config("quick", []), scene.ego), folder / "four.yaml")
     return [str(folder / "four.yaml"), f"scenes.folder={folder}", *SCENES]
+
+
+@pytest.fixture
+def opened(arguments):
+    """Opens the inspector up to its first picture; what is opened is closed at the end."""
+    config, plotters = load_config("quick", arguments[1:]), []
+
+    def show(**options):
+        found = inspector(arguments[0], config, off_screen=True, **options)
+        plotters.append(found.plotter)
+        found.plotter.show(auto_close=False, interactive=False)
+        return found
+
+    yield show
+    for plotter in plotters:
+        plotter.close()
 
 
 def test_open_from_the_shell(benchmark, arguments):
@@ -69,38 +79,25 @@ def test_open_from_the_shell(benchmark, arguments):
     benchmark.pedantic(lambda: subprocess.run(command, check=True), rounds=3, warmup_rounds=1)
 
 
-def test_open(benchmark, arguments):
+def test_open(benchmark, opened):
     """From the files of scene, rig and detector to the first picture, in a Python that has done so before."""
-    config = load_config("quick", arguments[1:])
-
-    def show():
-        plotter = inspector(arguments[0], config, off_screen=True).plotter
-        plotter.show(auto_close=False, interactive=False)
-        plotter.close()
-
-    benchmark.pedantic(show, rounds=5, warmup_rounds=1)
+    benchmark.pedantic(lambda: opened().plotter.close(), rounds=5, warmup_rounds=1)
 
 
 @pytest.mark.parametrize("begin_with", ["coverage", "visibility"])
-def test_drag(benchmark, arguments, begin_with):
+def test_drag(benchmark, opened, begin_with):
     """One move of the mouse with the ball of a camera held: camera, coverage of four cameras, numbers, picture."""
-    config = load_config("quick", arguments[1:])
-    opened = inspector(arguments[0], config, begin_with=begin_with, off_screen=True)
-    plotter = opened.plotter
-    try:
-        plotter.show(auto_close=False, interactive=False)
-        before = opened.state.rig.cameras[0].position_m
-        column, row = project_px(plotter, before[None])[0]
-        row = plotter.window_size[1] - row
-        plotter.iren._mouse_move(int(column), int(row))
-        plotter.iren._mouse_left_button_press(int(column), int(row))
-        step = iter(range(1, 10_000))
+    shown = opened(begin_with=begin_with)
+    before, plotter = shown.state.rig.cameras[0].position_m, shown.plotter
+    column, row = project_px(plotter, before[None])[0]
+    row = plotter.window_size[1] - row
+    plotter.iren._mouse_move(int(column), int(row))
+    plotter.iren._mouse_left_button_press(int(column), int(row))
+    step = iter(range(1, 10_000))
 
-        def move():
-            k = next(step)
-            plotter.iren._mouse_move(int(column + 60.0 * np.sin(0.3 * k)), int(row + 20.0 * np.cos(0.3 * k)))
+    def move():
+        k = next(step)
+        plotter.iren._mouse_move(int(column + 60.0 * np.sin(0.3 * k)), int(row + 20.0 * np.cos(0.3 * k)))
 
-        benchmark.pedantic(move, rounds=40, warmup_rounds=5)
-        assert (opened.state.rig.cameras[0].position_m != before).any()
-    finally:
-        plotter.close()
+    benchmark.pedantic(move, rounds=40, warmup_rounds=5)
+    assert (shown.state.rig.cameras[0].position_m != before).any()

@@ -1,8 +1,8 @@
 """The ladder: W2 for more and more views of finer and finer scenes, each rung in a process of its own.
 
-``pytest -m slow -s tests/benchmarks/test_ladder.py`` prints the rungs; WARPAV_LADDER=FILE.json keeps them. The scenes
-are those of the outside ``workload.py`` where WARPAV_TEST_WORKLOADS names its folder, else the embedded scene, and the
-same with every triangle cut into four, once and twice.
+``pytest -m slow -s tests/benchmarks/test_ladder.py`` prints the rungs. The scenes are those of the outside
+``workload.py`` where WARPAV_TEST_WORKLOADS names its folder, else the embedded scene, and the same with every triangle
+cut into four, once and twice.
 """
 
 import importlib.util
@@ -20,7 +20,6 @@ from warpav.experiments.bench.workload import embedded_workload
 
 VIEWS = (8, 16, 64, 256, 1024)
 FULL_CHUNK = 64  # views; memory is flat from here on
-COMMAND = "import sys; from warpav.cli.app import main; sys.exit(main(sys.argv[1:]))"
 
 
 def subdivided(vertex, rgb, triangle):
@@ -36,19 +35,16 @@ def subdivided(vertex, rgb, triangle):
 def scaled(level):
     """Arrays of the embedded scene with ``4 ** level`` times its triangles."""
     workload = embedded_workload()
-    parts, first, face_first = [], 0, 0
-    for end, count in zip(workload.vertex_end, workload.triangle_count, strict=True):
-        part = (
-            workload.vertex_m[first:end],
-            workload.vertex_rgb[first:end],
-            workload.triangle[face_first : face_first + count] - first,
-        )
+    first = np.r_[0, workload.vertex_end[:-1]]
+    faces = np.split(workload.triangle, np.cumsum(workload.triangle_count)[:-1])
+    parts = []
+    for start, end, face in zip(first, workload.vertex_end, faces, strict=True):
+        part = (workload.vertex_m[start:end], workload.vertex_rgb[start:end], face - start)
         for _ in range(level):
             part = subdivided(*part)
         parts.append(part)
-        first, face_first = end, face_first + count
     vertex_end = np.cumsum([len(vertex) for vertex, _, _ in parts])
-    triangle = [part[2] + at for part, at in zip(parts, np.r_[0, vertex_end[:-1]], strict=True)]
+    triangle = [part[2] + start for part, start in zip(parts, np.r_[0, vertex_end[:-1]], strict=True)]
     return {
         "verts": np.concatenate([part[0] for part in parts]).astype(np.float32),
         "colors": np.concatenate([part[1] for part in parts]).astype(np.float32),
@@ -72,79 +68,53 @@ def cameras(view_count):
     workload = embedded_workload()
     count = view_count // 4
     more = np.random.default_rng([workload.seed, 1]).uniform([-0.8, -2.0, -np.pi], [0.8, 2.0, np.pi], (count, 3))
-    return {
-        "cams": np.concatenate([workload.pose, more])[:count],
-        "cam_y": np.full(count, workload.height_m[0]),
-        "fov_deg": np.full(count, workload.fov_deg[0]),
-        "near": np.full(count, workload.near_m[0]),
-    }
+    constant = {"cam_y": workload.height_m, "fov_deg": workload.fov_deg, "near": workload.near_m}
+    own = {name: np.full(count, value[0]) for name, value in constant.items()}
+    return {"cams": np.concatenate([workload.pose, more])[:count], **own}
 
 
 def scenes():
     """Scale, and a function from the number of views to the workload's arrays."""
-    folder = os.environ.get("WARPAV_TEST_WORKLOADS")
-    file = Path(folder or "") / "workload.py"
-    if folder and file.is_file():
-        spec = importlib.util.spec_from_file_location("outside_workload", file)
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        for scale in (0.5, 1.0, 2.0, 4.0):
-            yield scale, lambda views, scale=scale: module.build(7, scale, views)
+    file = Path(os.environ.get("WARPAV_TEST_WORKLOADS", ""), "workload.py")
+    if not file.is_file():
+        for level in (0, 1, 2):
+            scene = scaled(level)
+            yield 2.0**level, lambda views, scene=scene: scene | cameras(views)
         return
-    for level in (0, 1, 2):
-        scene = scaled(level)
-        yield 2.0**level, lambda views, scene=scene: scene | cameras(views)
+    spec = importlib.util.spec_from_file_location("outside_workload", file)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    for scale in (0.5, 1.0, 2.0, 4.0):
+        yield scale, lambda views, scale=scale: module.build(7, scale, views)
 
 
 def climb(folder, arrays, device):
-    """One rung."""
+    """One rung: triangles, views, least time [ms], most memory [MiB]."""
     np.savez(folder / "rung.npz", **arrays)
     repeat = 9 if 4 * len(arrays["cams"]) <= FULL_CHUNK else 3
-    argv = ["bench", "--workload", "rung.npz", "--items", "w2", "--repeat", repeat, "--device", device, "--no-embree"]
-    subprocess.run(
-        [sys.executable, "-c", COMMAND, *map(str, argv), "--json", "rung.json"],
-        cwd=folder,
-        check=True,
-        stdout=subprocess.DEVNULL,
-    )
+    command = [sys.executable, "-m", "warpav.cli.app", "bench", "--workload", "rung.npz", "--items", "w2"]
+    command += ["--repeat", str(repeat), "--device", device, "--no-embree", "--json", "rung.json"]
+    subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
     content = json.loads((folder / "rung.json").read_text())
-    (folder / "rung.w2.npz").unlink()
     entry, work = content["items"]["w2"], content["workload"]
-    second = 1e-3 * entry["median_ms"]
-    return {
-        "faces": work["faces"],
-        "views": work["views"],
-        "median_ms": entry["median_ms"],
-        "min_ms": entry["min_ms"],
-        "views_per_s": work["views"] / second,
-        "face_views_per_s": work["faces"] * work["views"] / second,
-        "peak_mib": entry.get("peak_rss_mib", entry.get("peak_device_mib")),
-        "device": content["device"],
-    }
+    peak_mib = entry.get("peak_rss_mib", entry.get("peak_device_mib"))
+    return work["faces"], work["views"], entry["min_ms"], peak_mib
 
 
 @pytest.mark.slow
 def test_time_grows_with_the_work_and_memory_does_not_grow_with_views(tmp_path, device):
     rungs = []
     for scale, build in scenes():
-        for views in VIEWS:
-            rung = {"scale": scale, **climb(tmp_path, build(views), device)}
-            rungs.append(rung)
-            sys.stdout.write(
-                f"scale {scale:g}: {rung['faces']} faces, {views} views: {rung['median_ms']:.1f} ms, "
-                f"{rung['views_per_s']:.0f} views/s, {rung['face_views_per_s']:.3g} faces x views/s, "
-                f"{rung['peak_mib']:.0f} MiB\n"
-            )
-    if "WARPAV_LADDER" in os.environ:
-        Path(os.environ["WARPAV_LADDER"]).write_text(json.dumps(rungs, indent=1))
-    for scale in {rung["scale"] for rung in rungs}:
-        row = {rung["views"]: rung for rung in rungs if rung["scale"] == scale}
+        peak_mib = {}
+        for count in VIEWS:
+            faces, views, min_ms, peak_mib[count] = climb(tmp_path, build(count), device)
+            rungs.append((faces, views, min_ms))
+            rate = f"{1e3 * views / min_ms:.0f} views/s, {peak_mib[count]:.0f} MiB"
+            sys.stdout.write(f"scale {scale:g}: {faces} faces, {views} views: {min_ms:.1f} ms, {rate}\n")
         # memory stays what a full chunk takes
-        assert row[VIEWS[-1]]["peak_mib"] < row[FULL_CHUNK]["peak_mib"] + 20
-    work = np.array([[1, rung["views"], rung["views"] * rung["faces"]] for rung in rungs], float)
-    took_ms = np.array([rung["min_ms"] for rung in rungs])
+        assert peak_mib[VIEWS[-1]] < peak_mib[FULL_CHUNK] + 20
+    faces, views, took_ms = np.array(rungs, float).T
+    work = np.stack([np.ones(len(rungs)), views, views * faces], axis=1)
     cost, _ = nnls(work / took_ms[:, None], np.ones(len(rungs)))
     ratio = took_ms / (work @ cost)
     sys.stdout.write(
