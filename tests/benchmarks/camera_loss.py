@@ -21,7 +21,7 @@ import numpy as np
 
 import warpav as wa
 from warpav.evaluation.statistics import Difference, paired_difference
-from warpav.runs.config import Config, changed_config
+from warpav.runs.config import Config, load_config
 
 UNSEEN_FROM = 20_000
 NOMINAL = "nominal"
@@ -58,7 +58,7 @@ def of_seed(seed: int, given: argparse.Namespace) -> list[dict]:
     train = wa.town(range(given.train * seed, given.train * (seed + 1)))
     unseen = list(wa.town(range(UNSEEN_FROM, UNSEEN_FROM + given.unseen)))
     options = [f"device={given.device}", f"optimiser.pool_cameras={given.pool}", f"run.seed={seed}"]
-    config = changed_config(Config(), options, origin=None)
+    config = load_config(Config(), options, origin=None)
     robust = {f"worst, {each}": {"camera_loss": "worst", "weight": float(each)} for each in given.weights.split(",")}
     robust = {NOMINAL: None} | robust | {"mean, 0.5": {"camera_loss": "mean", "weight": 0.5}}
     common = {"cameras": given.cameras, "fov_deg": given.fov_deg, "requirements": (), "config": config}
