@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -13,9 +12,10 @@ from typing import Any
 
 from warpav.core.errors import InputError
 from warpav.core.json_schema import NAME, NUMBER, TEXT, Schema, described, document, items, mapping
-from warpav.core.yaml_file import Location, dotted, read_yaml
+from warpav.core.yaml_file import Location, read_yaml
 from warpav.raster.camera import MAX_IMAGE_PX
 from warpav.raster.lens import Lens
+from warpav.rig.formats.record import Mistakes, is_number
 from warpav.rig.module import MAX_HOUSING_M, MIN_IMAGE_PX, Fitting, Housing, Module, ModuleError, Price
 
 BUILTIN = "builtin"
@@ -114,10 +114,6 @@ class _Form:
     schema: Schema
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and -1e9 < value < 1e9
-
-
 def _is_list(count: int | None, fits: Callable[[Any], bool]) -> Callable[[Any], bool]:
     return lambda value: (
         isinstance(value, list) and len(value) == (len(value) if count is None else count) and all(map(fits, value))
@@ -144,31 +140,31 @@ _FORMS = {
     "lens": _Form("the name of a lens, such as pinhole or fisheye", _is_text, {"enum": [str(each) for each in Lens]}),
     "fov_deg": _Form(
         "the horizontal field of view of the whole sensor in degrees, such as 100.0",
-        _is_number,
+        is_number,
         {"type": "number", "exclusiveMinimum": 0, "maximum": 360},
     ),
     "vertical_fov_deg": _Form(
-        "a number of degrees, such as 60.0", _is_number, {"type": "number", "exclusiveMinimum": 0, "maximum": 360}
+        "a number of degrees, such as 60.0", is_number, {"type": "number", "exclusiveMinimum": 0, "maximum": 360}
     ),
-    "distortion": _Form("a list of finite numbers in OpenCV's order", _is_list(None, _is_number), items(NUMBER)),
+    "distortion": _Form("a list of finite numbers in OpenCV's order", _is_list(None, is_number), items(NUMBER)),
     "housing": _Form(
         "a mapping with size_m and maybe offset_m", lambda value: isinstance(value, dict), {"type": "object"}
     ),
     "price": _Form("a mapping with value and unit", lambda value: isinstance(value, dict), {"type": "object"}),
     "power_w": _Form(
         "watts, or null where it is unknown",
-        lambda value: value is None or _is_number(value),
+        lambda value: value is None or is_number(value),
         {"type": ["number", "null"], "minimum": 0},
     ),
     "zones": _Form("a list of names, such as [windscreen]; [] for all zones", _is_list(None, _is_text), items(NAME)),
     "source": _Form("where the figures come from, as text", _is_text, TEXT),
     "housing.size_m": _Form(
         "width, height and depth [m], such as [0.03, 0.03, 0.04]",
-        _is_list(3, _is_number),
+        _is_list(3, is_number),
         items({"type": "number", "exclusiveMinimum": 0, "maximum": MAX_HOUSING_M}, 3),
     ),
-    "housing.offset_m": _Form("three numbers [m]: right, down, forward", _is_list(3, _is_number), items(NUMBER, 3)),
-    "price.value": _Form("a number, such as 1.5", _is_number, {"type": "number", "minimum": 0}),
+    "housing.offset_m": _Form("three numbers [m]: right, down, forward", _is_list(3, is_number), items(NUMBER, 3)),
+    "price.value": _Form("a number, such as 1.5", is_number, {"type": "number", "minimum": 0}),
     "price.unit": _Form("a unit, such as EUR or relative", _is_text, TEXT),
 }
 _OPTIONAL = {"network_px", "network_by", "lens", "vertical_fov_deg", "distortion", "zones", "housing.offset_m"}
@@ -195,14 +191,8 @@ def modules_schema() -> Schema:
     return document("modules", "catalogue of camera modules", mapping(root, ["modules"]))
 
 
-class _CatalogueReader:
+class _CatalogueReader(Mistakes):
     """Validates a catalogue's data and collects every mistake with its location."""
-
-    def __init__(self, location: str, line_of: Mapping[Location, int]) -> None:
-        self.location = location
-        self.line_of = line_of
-        self.mistakes: list[str] = []
-        self.meant: set[Location] = set()
 
     def modules(self, data: object) -> dict[str, Module]:
         """The modules of the file, and those that it extends."""
@@ -210,7 +200,7 @@ class _CatalogueReader:
             remedy = "write modules: and below it a list of modules"
             self.report((), "a mapping with modules, and maybe extends", data, remedy)
             return {}
-        root = self.known(data, (), ("extends", "modules"))
+        root = self.mapping(data, (), {"extends": BUILTIN, "modules": "a list of modules"}, ("extends",))
         found: dict[str, Module] = {}
         if "extends" in root:
             if root["extends"] == BUILTIN:
@@ -238,9 +228,9 @@ class _CatalogueReader:
     def module(self, data: object, location: Location) -> Module | None:
         """A module; None where something is wrong with it."""
         known_count = len(self.mistakes)
-        item = self.mapping(data, location, "")
+        item = self.part(data, location, "")
         parts = [name for name in ("housing", "price") if isinstance(item.get(name), dict)]
-        inner = {name: self.mapping(item[name], (*location, name), f"{name}.") for name in parts}
+        inner = {name: self.part(item[name], (*location, name), f"{name}.") for name in parts}
         if len(self.mistakes) > known_count:
             return None
         given: dict[str, Any] = {name: item[name] for name in _AS_WRITTEN if name in item}
@@ -254,43 +244,17 @@ class _CatalogueReader:
             for problem in error.problems:
                 field = _FIELD_IN_FILE.get(problem.field, problem.field)
                 place = (*location, *field.replace("[", ".").replace("]", "").split("."))
-                self.mistakes.append(f"{self.line(place)}: {dotted(place)}: {problem}")
+                self.tell(place, str(problem))
             return None
 
-    def mapping(self, data: object, location: Location, prefix: str) -> dict[str, Any]:
+    def part(self, data: object, location: Location, prefix: str) -> dict[str, Any]:
         """The fields of a mapping that are what they should be; all else is a mistake."""
-        fields = [name.removeprefix(prefix) for name in _FORMS if name.startswith(prefix)]
-        fields = [name for name in fields if "." not in name]
-        if not isinstance(data, dict):
-            self.report(location, f"a mapping with {', '.join(fields)}", data, "write one line a field")
-            return {}
-        item = self.known(data, location, fields)
+        names = [name for name in _FORMS if name.startswith(prefix) and "." not in name.removeprefix(prefix)]
+        texts = {name.removeprefix(prefix): _FORMS[name].text for name in names}
+        optional = {name.removeprefix(prefix) for name in names if name in _OPTIONAL}
+        item = self.mapping(data, location, texts, optional)
         for name, value in item.items():
             form = _FORMS[prefix + name]
             if not form.fits(value):
                 self.report((*location, name), form.text, value, "correct it" if value is not None else "write it")
-        for name in fields:
-            if name not in data and prefix + name not in _OPTIONAL and (*location, name) not in self.meant:
-                self.report((*location, name), _FORMS[prefix + name].text, None, f"add {name}")
         return item
-
-    def known(self, data: Mapping[str, Any], location: Location, fields: Sequence[str]) -> dict[str, Any]:
-        """The known fields of a mapping; others are mistakes."""
-        for name in data:
-            if name not in fields:
-                near = difflib.get_close_matches(name, [each for each in fields if each not in data] or fields, 1, 0.5)
-                self.meant.update((*location, each) for each in near)
-                remedy = f"did you mean {near[0]}?" if near else "remove it"
-                self.report((*location, name), f"one of {', '.join(fields)}", name, remedy)
-        return {name: data[name] for name in fields if name in data}
-
-    def report(self, location: Location, expected: str, value: object, remedy: str) -> None:
-        """Note a mistake: where, which field, what was expected, what came, and how to put it right."""
-        field = f"{dotted(location)}: " if location else ""
-        shown = "nothing" if value is None else repr(value) if len(repr(value)) <= 60 else f"{value!r:.60}..."
-        self.mistakes.append(f"{self.line(location)}: {field}expected {expected}, got {shown}; {remedy}")
-
-    def line(self, location: Location) -> str:
-        """The file, and the line at which a value stands or should stand."""
-        known = next((location[:n] for n in range(len(location), -1, -1) if location[:n] in self.line_of), None)
-        return self.location if known is None else f"{self.location}:{self.line_of[known]}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import html
 import math
 import re
@@ -18,11 +17,12 @@ from warpav.core.errors import InputError
 from warpav.core.files import atomic_write, writing
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, yaw_pitch_roll_from_rotation
 from warpav.core.json_schema import NAME, NUMBER, TEXT, Schema, described, document, items, mapping
-from warpav.core.yaml_file import Location, dotted, read_yaml, yaml_name
+from warpav.core.yaml_file import Location, read_yaml, yaml_name
 from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import Lens, LensShape
 from warpav.raster.pane import Pane
 from warpav.rig.catalogue import builtin_modules, read_modules
+from warpav.rig.formats.record import Mistakes, is_number, nearest, yaml_number
 
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingImports]
@@ -275,6 +275,7 @@ _OF_MODULE = ("fov_deg", "width_px", "height_px")
 """What a camera need not say that is a module of the catalogue."""
 
 _PANE = ("normal", "outline_m", "reach_m")
+_ROOT = {field: f"the field {field}" for field in ("frame", "cameras", "modules", "panes")}
 
 
 def rig_schema() -> Schema:
@@ -412,12 +413,6 @@ def _angle(angle_rad: float) -> str:
     return "180.0" if text == "-180.0" else text
 
 
-def _coefficient(value: float) -> str:
-    """The number in full, with a point before any exponent, as YAML 1.1 wants it."""
-    text = repr(float(value))
-    return text if "." in text else text.replace("e", ".0e")
-
-
 def _model_lines(model: CameraModel) -> list[str]:
     lines = [] if model.lens is Lens.PINHOLE else [f"    lens: {model.lens}"]
     if model.focal_px is None or model.centre_px is None:
@@ -426,17 +421,15 @@ def _model_lines(model: CameraModel) -> list[str]:
         lines.append(f"    focal_px: [{', '.join(_number(value) for value in model.focal_px)}]")
         lines.append(f"    centre_px: [{', '.join(_number(value) for value in model.centre_px)}]")
     if model.distortion:
-        lines.append(f"    distortion: [{', '.join(_coefficient(value) for value in model.distortion)}]")
+        lines.append(f"    distortion: [{', '.join(yaml_number(value) for value in model.distortion)}]")
     return [*lines, f"    width_px: {model.width_px}", f"    height_px: {model.height_px}"]
 
 
-class _RigReader:
+class _RigReader(Mistakes):
     """Validates a rig's data and collects every mistake with its location."""
 
     def __init__(self, location: str, line_of: Mapping[Location, int]) -> None:
-        self.location = location
-        self.line_of = line_of
-        self.mistakes: list[str] = []
+        super().__init__(location, line_of)
         self.modules = builtin_modules()
         self.panes: dict[str, Pane] = {}
 
@@ -445,9 +438,9 @@ class _RigReader:
         if not isinstance(data, dict) or not {"frame", "cameras"} & data.keys():
             is_config = isinstance(data, dict) and "rig" in data
             hint = "this is a configuration: of a run, give the folder instead" if is_config else _OTHER_TOOLS_TEXT
-            self.report((), "a mapping with frame, cameras", data, f"; {hint}")
+            self.report((), "a mapping with frame, cameras", data, hint)
             raise InputError(self.mistakes[0])
-        root = self.mapping(data, (), ("frame", "cameras", "modules", "panes"), ("modules", "panes"))
+        root = self.mapping(data, (), _ROOT, ("modules", "panes"), {"frame": "write frame: ego"})
         panes = root.get("panes", {})
         if not isinstance(panes, dict):
             self.report(("panes",), "a mapping from names to panes", panes)
@@ -468,16 +461,16 @@ class _RigReader:
         is_calibrated = isinstance(data, dict) and "focal_px" in data
         is_module = isinstance(data, dict) and "module" in data and not {*_OF_MODULE, "focal_px"} & data.keys()
         optional = (*_OPTIONAL, *(_OF_MODULE if is_module else ("fov_deg",) if is_calibrated else ()))
-        item = self.mapping(data, location, tuple(_EXPECTED), optional)
+        item = self.mapping(data, location, _EXPECTED, optional)
         for field, value in item.items():
             if not _is_fit(field, value, item.get("lens", Lens.PINHOLE)):
-                near = difflib.get_close_matches(str(value), list(Lens), 1, 0.5) if field == "lens" else []
-                self.report((*location, field), _EXPECTED[field], value, f"; did you mean {near[0]}?" if near else "")
+                self.report(
+                    (*location, field), _EXPECTED[field], value, nearest(value, Lens) if field == "lens" else ""
+                )
         glass = item.get("behind_glass")
         if _is_fit("behind_glass", glass, None) and glass not in self.panes:
-            near = difflib.get_close_matches(str(glass), self.panes, 1, 0.5)
             expected = f"one of panes, {', '.join(self.panes)}" if self.panes else "panes beside frame, with this name"
-            self.report((*location, "behind_glass"), expected, glass, f"; did you mean {near[0]}?" if near else "")
+            self.report((*location, "behind_glass"), expected, glass, nearest(glass, self.panes))
         model = self.model(item, location) if len(self.mistakes) == known_count else None
         if model is None:
             return None
@@ -496,7 +489,7 @@ class _RigReader:
         """A pane; None where it is a mistake."""
         location = ("panes", name)
         known_count = len(self.mistakes)
-        item = self.mapping(data, location, _PANE)
+        item = self.mapping(data, location, {field: f"the field {field}" for field in _PANE})
         for field, count in (("normal", 3), ("reach_m", 2)):
             if field in item and not _are_numbers(item[field], count):
                 self.report((*location, field), f"{count} finite numbers", item[field])
@@ -510,7 +503,7 @@ class _RigReader:
             (x, y, z), (low_m, high_m) = item["normal"], item["reach_m"]
             return Pane(name, (float(x), float(y), float(z)), outline_m, (float(low_m), float(high_m)))
         except ValueError as error:
-            self.mistakes.append(f"{self.line(location)}: {dotted(location)}: {error}")
+            self.tell(location, str(error))
             return None
 
     def _catalogue(self, path: object) -> dict[str, Module]:
@@ -518,7 +511,7 @@ class _RigReader:
         if not isinstance(path, str):
             self.report(("modules",), "the path of a catalogue of modules", path)
             return builtin_modules()
-        return read_modules(Path(self.location).parent / Path(path).expanduser())
+        return read_modules(Path(self.file).parent / Path(path).expanduser())
 
     def model(self, item: Mapping[str, Any], location: Location) -> CameraModel | None:
         """The camera model of a mapping whose fields are fit one by one; a mistake where they contradict each other."""
@@ -526,57 +519,20 @@ class _RigReader:
             name = item["module"]
             if name in self.modules:
                 return self.modules[name].camera_model()
-            near = difflib.get_close_matches(name, self.modules, 1, 0.5)
             expected = f"a module of the catalogue, {', '.join(self.modules)}"
-            self.report((*location, "module"), expected, name, f"; did you mean {near[0]}?" if near else "")
+            self.report((*location, "module"), expected, name, nearest(name, self.modules))
             return None
         angle = {"fov_rad": math.radians(item["fov_deg"])} if "fov_deg" in item else {}
         given = {field: item[field] for field in _OF_MODEL if field in item}
         try:
             return CameraModel(item["width_px"], item["height_px"], **angle, **given)
         except ValueError as error:
-            where = f"{self.line(location)}: {dotted(location)}"
-            self.mistakes.append(f"{where}: expected valid camera parameters, got: {error}")
+            self.tell(location, f"expected valid camera parameters, got: {error}")
             return None
-
-    def mapping(
-        self, data: object, location: Location, fields: Sequence[str], optional: Sequence[str] = ()
-    ) -> dict[str, Any]:
-        """The known fields of a mapping; unknown ones and missing ones that are not optional are mistakes."""
-        if not isinstance(data, dict):
-            self.report(location, f"a mapping with {', '.join(fields)}", data)
-            return {}
-        missing = [field for field in fields if field not in data and field not in optional]
-        meant: set[str] = set()
-        for field in data:
-            if field not in fields:
-                near = difflib.get_close_matches(field, missing or fields, 1, 0.5)
-                meant.update(near)
-                hint = f"; did you mean {near[0]}?" if near else ""
-                self.report((*location, field), f"one of {', '.join(fields)}", field, hint)
-        for field in (each for each in missing if each not in meant):
-            hint = "; write frame: ego" if field == "frame" else ""
-            self.report((*location, field), _EXPECTED.get(field, f"the field {field}"), None, hint)
-        return {field: data[field] for field in fields if field in data}
-
-    def report(self, location: Location, expected: str, value: object, hint: str = "") -> None:
-        field = f"{dotted(location)}: " if location else ""
-        shown = "nothing" if value is None else repr(value) if len(repr(value)) <= 60 else f"{value!r:.60}..."
-        self.mistakes.append(f"{self.line(location)}: {field}expected {expected}, got {shown}{hint}")
-
-    def line(self, location: Location) -> str:
-        """The file, and the line at which a value stands or should stand."""
-        known = next((location[:n] for n in range(len(location), -1, -1) if location[:n] in self.line_of), None)
-        return self.location if known is None else f"{self.location}:{self.line_of[known]}"
-
-
-def _is_number(value: object) -> bool:
-    # A comparison, because math.isfinite fails on integers beyond the range of floats.
-    return isinstance(value, int | float) and not isinstance(value, bool) and -1e9 < value < 1e9
 
 
 def _are_numbers(value: object, count: int | None = None) -> bool:
-    return isinstance(value, list) and len(value) == (count or len(value)) and all(map(_is_number, value))
+    return isinstance(value, list) and len(value) == (count or len(value)) and all(map(is_number, value))
 
 
 def _is_fit(field: str, value: Any, lens: object) -> bool:  # noqa: ANN401
@@ -595,8 +551,8 @@ def _is_fit(field: str, value: Any, lens: object) -> bool:  # noqa: ANN401
             return _are_numbers(value)
         case "fov_deg":
             is_wide = lens in list(Lens) and LensShape(Lens(lens)).has_unit_rays
-            return _is_number(value) and (0.0 < value < 180.0 or (is_wide and 180.0 <= value <= 360.0))
+            return is_number(value) and (0.0 < value < 180.0 or (is_wide and 180.0 <= value <= 360.0))
         case "width_px" | "height_px":
             return isinstance(value, int) and not isinstance(value, bool) and 8 <= value <= MAX_IMAGE_PX
         case _:
-            return _is_number(value)
+            return is_number(value)
