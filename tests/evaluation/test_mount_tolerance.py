@@ -14,7 +14,7 @@ from warpav.core.errors import InputError
 from warpav.evaluation.perturbations import COLUMNS, CameraOutages, MountTolerance
 from warpav.optimisation.mount import HEIGHT_DELTA_M
 from warpav.raster.camera import CameraModel
-from warpav.view.figures.sensitivity import sensitivity_figure
+from warpav.view.figures.statistics import sensitivity_figure
 
 MODEL = CameraModel(128, 128, math.pi / 2)
 NAMES = ("front", "left", "rear")

@@ -9,9 +9,9 @@ import pytest
 from tests.driving_scene import flat_surface
 from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
 from warpav.rig.mount_surface import MountSurface
-from warpav.view.animation import run_animation, shown_iterations
 from warpav.view.descent_view import LONGEST_M, WIDEST_RAD, Steepest, add_descent, arrows_m
 from warpav.view.palette import camera_rgb
+from warpav.view.recording import run_animation, shown_iterations
 from warpav.view.rig_view import rig_plotter
 
 FLAT = flat_surface([-1.0, -1.0], [3.0, 1.0], height_m=1.5)

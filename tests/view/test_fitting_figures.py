@@ -15,7 +15,7 @@ from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.scene import Scene
 from warpav.view import Canvas, drawing_of, kinds_of, plot
 from warpav.view.figures import detection_range
-from warpav.view.figures.from_above import camera_handles, ring_radii_m
+from warpav.view.figures.plan import camera_handles, ring_radii_m
 from warpav.view.figures.style import new_figure
 
 KINDS = ("plan", "range", "near_field", "redundancy", "resolution", "contact")

@@ -17,8 +17,7 @@ from warpav.sight.check import check_requirements
 from warpav.sight.ground import PATCH_M, Ground
 from warpav.sight.requirement import SIZES_M, Band, Requirement, TestObject
 from warpav.thesis.constraints import BoundsAndSpacing
-from warpav.view.descent_view import Steepest
-from warpav.view.further_view import ARROW_M, TITLE
+from warpav.view.descent_view import ARROW_M, TITLE, Steepest
 from warpav.view.inspected import InspectedRig
 from warpav.view.inspector import KEYS, Inspector
 from warpav.view.opengl import opengl_problem

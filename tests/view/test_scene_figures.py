@@ -21,7 +21,7 @@ from warpav.scene.reconstruction.settings import CloudSettings, MeshSettings, Re
 from warpav.scene.scene import Box
 from warpav.view import cloud_view
 from warpav.view.cloud_view import BACKGROUND_RGB
-from warpav.view.figures import clouds, images, mount_surface, occupancy
+from warpav.view.figures import clouds, images, rigs
 from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH, count_text
 from warpav.view.palette import camera_rgb
 
@@ -38,7 +38,7 @@ def drawn(monkeypatch):
     """Matplotlib's figures of what was drawn, to read their texts; clouds are drawn coarsely."""
     monkeypatch.setattr(cloud_view, "_SUPERSAMPLING", 1)
     figures = []
-    for module in (images, clouds, mount_surface, occupancy):
+    for module in (images, clouds, rigs):
 
         def save(figure, path, real=module.save_figure):
             figures.append(figure)
@@ -244,7 +244,7 @@ def test_vehicle_occupancy_matches_a_loop_over_cells(rng):
         ]
         for _ in range(3)
     ]
-    found = occupancy.vehicle_occupancy(scenes, radius_m=6.0, cell_m=0.5)
+    found = rigs.vehicle_occupancy(scenes, radius_m=6.0, cell_m=0.5)
     expected = np.zeros((24, 24))
     for i in range(24):
         for j in range(24):
@@ -326,7 +326,7 @@ def test_a_scene_alone_cannot_be_split(tmp_path, scenes_folder):
 
 @needs_opengl
 def test_mount_surface_is_measured_filled_and_smoothed(tmp_path, drawn):
-    image = pixels(mount_surface.mount_surface_stages(capture(), tmp_path / "9.png", settings=COARSE, cell_m=0.05))
+    image = pixels(rigs.mount_surface_stages(capture(), tmp_path / "9.png", settings=COARSE, cell_m=0.05))
     assert image.shape[1] == WIDTH_PX
     shown = remarks(drawn[0])
     assert list(shown)[:4] == ["Map and points", "Measured", "Filled", "Smoothed"]

@@ -32,7 +32,7 @@ from warpav.runs.scene_set import load_scene_set, load_scenes
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.view.figures import rigs
-from warpav.view.figures.detections import DetectionPanel
+from warpav.view.figures.images import DetectionPanel
 from warpav.view.figures.rigs import OptimisedRig, SceneViews
 from warpav.view.figures.style import checked_png
 

@@ -18,8 +18,7 @@ from warpav.scene.glb import read_scene
 from warpav.scene.scene import Box
 from warpav.view.figures.clouds import sphere, stages, window_filter
 from warpav.view.figures.images import contact_sheet, image_types
-from warpav.view.figures.mount_surface import mount_surface_stages
-from warpav.view.figures.occupancy import heat_maps
+from warpav.view.figures.rigs import heat_maps, mount_surface_stages
 from warpav.view.figures.style import checked_png
 
 CAPTURE_NUMBERS = (4, 5, 6, 7, 9, 14, 15, 16)

@@ -90,7 +90,7 @@ class DrawnRun:
         Raises:
             InputError: The run has no iteration.
         """
-        from warpav.view.animation import run_animation
+        from warpav.view.recording import run_animation
 
         if not self.events:
             raise InputError(f"{self.name}: expected iterations to animate, got none; write a .png instead")

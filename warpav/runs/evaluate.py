@@ -65,7 +65,7 @@ def evaluate(
 
 @draws(CameraOutages, "outages", is_figure=True)
 def _outages_drawing(outages: CameraOutages, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view.plotting.Kind)
-    from warpav.view.figures.sensitivity import sensitivity_figure
+    from warpav.view.figures.statistics import sensitivity_figure
 
     return sensitivity_figure(None, outages, heading=canvas.title)
 
@@ -148,7 +148,7 @@ def check_rig(
     image: Path | None = None,
 ) -> Iterator[str]:
     """Check a rig against requirements; lines that say what it meets."""
-    from warpav.view.figures.requirements import requirement_map
+    from warpav.view.figures.near_field import requirement_map
     from warpav.view.figures.style import checked_png
 
     if image is not None:

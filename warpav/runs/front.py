@@ -360,6 +360,6 @@ def _without_dominated(points: Sequence[FrontPoint]) -> tuple[FrontPoint, ...]:
 
 @draws(Front, "front", is_figure=True)
 def _drawing(found: Front, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view.plotting.Kind)
-    from warpav.view.figures.front import front_figure
+    from warpav.view.figures.statistics import front_figure
 
     return front_figure([each.to_json() for each in found.points], by=found.by, title=canvas.title)

@@ -214,6 +214,6 @@ def _unknown_probability(placement: Placement, what: str) -> InputError:
 
 @draws(MountTolerance, "tolerance", is_figure=True)
 def _tolerance_drawing(tolerance: MountTolerance, canvas: Canvas, *, outages: CameraOutages | None = None) -> Any:  # noqa: ANN401
-    from warpav.view.figures.sensitivity import sensitivity_figure
+    from warpav.view.figures.statistics import sensitivity_figure
 
     return sensitivity_figure(tolerance, outages, heading=canvas.title)

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from warpav.optimisation.objective import RigObjective
     from warpav.raster.camera import CameraModel
     from warpav.scene.scene import Scene
-    from warpav.view.figures.detections import DetectionPanel
+    from warpav.view.figures.images import DetectionPanel
 
 VIEW_PX = 960
 """Longer side of the images that are kept of what cameras see."""
@@ -147,8 +147,8 @@ class RunPictures:
         """The pictures of the first page, but for the rig."""
         from warpav.view import plot
         from warpav.view.figures.convergence import loss_figure, search_figure
-        from warpav.view.figures.detections import detections_sheet
-        from warpav.view.figures.sensitivity import sensitivity_figure
+        from warpav.view.figures.images import detections_sheet
+        from warpav.view.figures.statistics import sensitivity_figure
 
         events, min_spacing_m = self.folder.events(), self.placement.objective.constraints.min_spacing_m
         search = search_figure(events)
@@ -167,7 +167,7 @@ class RunPictures:
         """All other pictures, and what the report's maps of the ground are drawn from."""
         from warpav.sight.ground import BlindGround
         from warpav.view import plot
-        from warpav.view.figures.requirements import requirement_map
+        from warpav.view.figures.near_field import requirement_map
         from warpav.view.figures.top_view import further_figure, top_view_figure
 
         placement, ego = self.placement, self.scene.ego
@@ -326,7 +326,7 @@ def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequ
 
 def _panels(rig: Rig, objective: RigObjective, assigned: AssignedScene) -> list[DetectionPanel]:
     from warpav.evaluation.metrics import observe_scenes
-    from warpav.view.figures.detections import DetectionPanel
+    from warpav.view.figures.images import DetectionPanel
 
     [seen] = observe_scenes(rig, [assigned], objective, with_objective=False).observations
     return [

@@ -16,9 +16,8 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.sight.ground import HEIGHTS_M, PATCH_M
 from warpav.view.body_view import add_gain, add_zones
-from warpav.view.descent_view import add_descent
+from warpav.view.descent_view import add_descent, add_further_cameras
 from warpav.view.frustum import frustum_points
-from warpav.view.further_view import add_further_cameras
 from warpav.view.inspected import NEAR_M
 from warpav.view.opengl import load_pyvista, tell_vtk_where_to_draw
 from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour

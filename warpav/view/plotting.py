@@ -390,7 +390,7 @@ def _draw_near_field(
 def _draw_redundancy(
     rig: Rig | Mapping[str, Rig], canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None
 ) -> Drawing:
-    from warpav.view.figures.redundancy import redundancy_figure
+    from warpav.view.figures.detection_range import redundancy_figure
 
     return redundancy_figure(_by_name(rig), _vehicle(ego, scene, "redundancy"), heading=canvas.title)
 
@@ -400,7 +400,7 @@ def _draw_redundancy(
 def _draw_resolution(
     rig: Rig | Mapping[str, Rig], canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None
 ) -> Drawing:
-    from warpav.view.figures.resolution import resolution_figure
+    from warpav.view.figures.plan import resolution_figure
 
     del ego, scene  # the body is left out of account
     return resolution_figure(_by_name(rig), heading=canvas.title)
@@ -408,7 +408,7 @@ def _draw_resolution(
 
 @draws(Rig, "contact", is_figure=True)
 def _draw_contact(rig: Rig, canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None) -> Drawing:
-    from warpav.view.figures.contact import contact_figure
+    from warpav.view.figures.images import contact_figure
 
     if scene is None:
         raise ArgumentError("scene", "expected the scene for kind='contact', got none; give scene=wa.town([0])[0]")

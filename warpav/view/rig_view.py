@@ -153,7 +153,7 @@ def rig_plotter(
         add_requirements(plotter, requirements)
     if further is not None:
         from warpav.view.body_view import add_gain
-        from warpav.view.further_view import add_further_cameras
+        from warpav.view.descent_view import add_further_cameras
 
         if mount_surface is None:
             add_further_cameras(plotter, further, scale_at=SCALE_AT)

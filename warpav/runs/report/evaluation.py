@@ -292,7 +292,7 @@ class Evaluation(_Part):
 
 
 class View(_Part):
-    """What a camera sees of a scene, with boxes [px]; see `warpav.view.figures.detections.DetectionPanel`."""
+    """What a camera sees of a scene, with boxes [px]; see `warpav.view.figures.images.DetectionPanel`."""
 
     scene: str
     scene_number: int = 0

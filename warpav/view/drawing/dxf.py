@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.view.drawing.mount_table import angles_deg, plain
+from warpav.view.drawing.sheet import angles_deg, plain
 from warpav.view.opengl import optional_module
 from warpav.view.palette import camera_rgb
 

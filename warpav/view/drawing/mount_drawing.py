@@ -21,10 +21,8 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.lens import Lens
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import rig_text
-from warpav.view.drawing.camera_numbers import add_numbers
 from warpav.view.drawing.dxf import drawing_dxf, has_ezdxf, load_ezdxf
-from warpav.view.drawing.mount_model import housing_corners_m, mount_glb
-from warpav.view.drawing.mount_table import angles_deg, mount_csv, mounts, plain
+from warpav.view.drawing.mount_model import add_numbers, housing_corners_m, mount_glb
 from warpav.view.drawing.sheet import (
     MARK_MM,
     TEXT_MM,
@@ -34,12 +32,15 @@ from warpav.view.drawing.sheet import (
     Sheet,
     Stroke,
     View,
+    angles_deg,
+    mount_csv,
+    mounts,
     ordinate_line_mm,
+    plain,
     text_points,
     text_width_mm,
 )
-from warpav.view.figures.page import SCALES, Page
-from warpav.view.figures.style import FIGURE_SUFFIXES, figure_style, save_figure
+from warpav.view.figures.style import FIGURE_SUFFIXES, SCALES, Page, figure_style, save_figure
 from warpav.view.output import write_whole
 from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 from warpav.view.silhouette import silhouette_m

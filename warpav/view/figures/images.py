@@ -1,18 +1,46 @@
-"""Images of a capture: the three kinds from one position (figure 4), and all of them (figures 14 to 16)."""
+"""Images of cameras: sheets of all cameras, images with detections, the types of images of a capture."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpav.core.errors import InputError
+from warpav.detection.images import render
 from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture, CapturedImage, ViewKind
-from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure, save_figure, show_image, title
-from warpav.view.palette import INK_RGB, MUTED_RGB, PAPER_RGB, Rgb, camera_rgb, hex_colour
+from warpav.scene.device_scene import DeviceScene
+from warpav.sight.around import body_shares
+from warpav.view.figures.style import (
+    WIDTH_INCH,
+    caption,
+    empty_panel,
+    figure_style,
+    new_figure,
+    save_figure,
+    show_image,
+    title,
+)
+from warpav.view.palette import (
+    FALSE_POSITIVE_RGB,
+    INK_RGB,
+    MISS_RGB,
+    MUTED_RGB,
+    PAPER_RGB,
+    TRUE_POSITIVE_RGB,
+    TRUTH_RGB,
+    Rgb,
+    camera_rgb,
+    hex_colour,
+)
+
+if TYPE_CHECKING:
+    from warpav.rig.rig import Rig, RigCamera
+    from warpav.scene.scene import Scene
 
 KIND_RGB: Mapping[ViewKind, Rgb] = {
     ViewKind.EGO_TOP: (240, 126, 22),
@@ -236,3 +264,144 @@ def _instance_legend(axis: Any, image: CapturedImage) -> None:  # noqa: ANN401 (
         list(entries.values()), list(entries), loc="upper left", bbox_to_anchor=(0.0, 1.6), ncols=2,
         handler_map={tuple: HandlerTuple(ndivide=None, pad=0.0)}, handlelength=1.8, columnspacing=1.6, borderpad=0.0,
     )  # fmt: skip
+
+
+def contact_figure(rig: Rig, scene: Scene, *, heading: str | None = None, supersampling: int = 2) -> Any:  # noqa: ANN401
+    """The images of all cameras, from the left to the right of the vehicle and then behind it, in equal widths.
+
+    Below each stand its yaw, pitch and horizontal field of view [degrees], its size [px] and the share of its pixels
+    that show the own vehicle, which is rendered alone for that.
+    """
+    images = render(rig, scene, supersampling=supersampling)
+    share = body_shares(rig, DeviceScene.pack(scene))
+    order = sorted(range(len(rig.cameras)), key=lambda k: _turn_from_left_rad(rig.cameras[k]))
+    columns = min(3, len(order)) if len(order) != 4 else 2
+    rows = -(-len(order) // columns)
+    with figure_style():
+        width_inch = WIDTH_INCH / columns
+        shape = [rig.cameras[k].model.height_px / rig.cameras[k].model.width_px for k in order]
+        row_inch = [0.94 * width_inch * max(shape[k : k + columns]) + 0.8 for k in range(0, len(order), columns)]
+        figure = new_figure(WIDTH_INCH, sum(row_inch) + 0.6)
+        axes = figure.subplots(rows, columns, squeeze=False, height_ratios=row_inch)
+        for axis in axes.flat[len(order) :]:
+            axis.set_axis_off()
+        for axis, index in zip(axes.flat, order, strict=False):
+            camera = rig.cameras[index]
+            axis.imshow(images[camera.name].rgb, interpolation="antialiased")
+            axis.set_anchor("N")
+            empty_panel(axis)
+            axis.spines[:].set(color=hex_colour(camera_rgb(index)), linewidth=2.0)
+            axis.set_title(camera.name, fontsize=10, color=hex_colour(camera_rgb(index)))
+            model, degrees = camera.model, (camera.yaw_rad, camera.pitch_rad, camera.model.fov_rad)
+            yaw_deg, pitch_deg, fov_deg = (math.degrees(each) for each in degrees)
+            yaw_deg = math.remainder(yaw_deg, 360.0)
+            axis.set_xlabel(
+                f"yaw {yaw_deg + 0.0:.0f}°, pitch {pitch_deg + 0.0:.0f}°, fov {fov_deg:.0f}°\n"
+                f"{model.width_px} x {model.height_px} px, own body {100.0 * share[camera.name]:.1f} % of the image",
+                fontsize=8,
+                color=hex_colour(INK_RGB),
+            )
+        caption(figure, f"Scene {scene.name}. Yaw: 0 ahead, positive to the left. Pitch: positive nose down.")
+        if heading:
+            figure.suptitle(heading, x=0.01, ha="left", fontweight="bold")
+        return figure
+
+
+def _turn_from_left_rad(camera: RigCamera) -> float:
+    """How far to the right of the left rear a camera looks [rad], so that a row goes from left to right."""
+    forward = camera.ego_from_camera[:2, 2]
+    return (0.75 * math.pi - math.atan2(forward[1], forward[0])) % (2.0 * math.pi)
+
+
+LONG_TITLE = 14
+"""Titles of more letters stand in a line of their own."""
+
+
+@dataclass(frozen=True)
+class DetectionPanel:
+    """One camera image with what is there and what was found.
+
+    Attributes:
+        image_rgb: The image, uint8, shape [row, column, 3].
+        truth_box_px: Ground-truth boxes (x0, y0, x1, y1) [px], shape [vehicle, 4]; NaN where a vehicle has none.
+        detection_box_px: Detected boxes [px], shape [detection, 4].
+        detection_of_truth: Index of the detection that found each vehicle, -1 for none, shape [vehicle].
+    """
+
+    title: str
+    image_rgb: np.ndarray
+    truth_box_px: np.ndarray
+    detection_box_px: np.ndarray
+    detection_of_truth: np.ndarray
+
+
+def detections_sheet(rows: Mapping[str, Sequence[DetectionPanel]], path: Path | str) -> Path:
+    """Draw camera images in a grid with what was there, what was found and what was not.
+
+    Ground truth is thin white, true positives green, false positives red, misses dashed orange.
+    """
+    column_count = max((len(panels) for panels in rows.values()), default=0)
+    if column_count == 0:
+        raise InputError(f"{path}: there is no image to draw")
+    sample = next(panels[0].image_rgb for panels in rows.values() if panels)
+    edge_inch = min((WIDTH_INCH - 0.3) / column_count, 4.0)
+    is_long = any(len(panel.title) > LONG_TITLE for panels in rows.values() for panel in panels)
+    row_inch = edge_inch * sample.shape[0] / sample.shape[1] + (0.5 if is_long else 0.3)
+    with figure_style():
+        figure = new_figure(edge_inch * column_count + 0.3, row_inch * len(rows) + 0.4)
+        grid = figure.subplots(len(rows), column_count, squeeze=False)
+        for (heading, panels), axes in zip(rows.items(), grid, strict=True):
+            for column, axis in enumerate(axes):
+                axis.set(xticks=[], yticks=[], frame_on=False)
+                if column < len(panels):
+                    draw_detections(axis, panels[column])
+            axes[0].set_ylabel(heading, fontweight="bold", fontsize=11)
+        figure.legend(handles=detection_handles(), loc="outside lower center", ncols=4)
+        return save_figure(figure, path)
+
+
+def detection_handles() -> list[Any]:
+    """Handles of a legend for the colours of `draw_detections`."""
+    from matplotlib.lines import Line2D
+
+    return [
+        Line2D([], [], color=hex_colour(TRUE_POSITIVE_RGB), linewidth=2.2, label="found"),
+        Line2D([], [], color=hex_colour(MISS_RGB), linewidth=2.2, linestyle=(0, (3, 2)), label="missed"),
+        Line2D([], [], color=hex_colour(FALSE_POSITIVE_RGB), linewidth=2.2, label="false alarm"),
+        Line2D([], [], color=hex_colour(MUTED_RGB), linewidth=1.0, label="ground truth (white)"),
+    ]
+
+
+def draw_detections(axis: Any, panel: DetectionPanel) -> None:  # noqa: ANN401 (matplotlib)
+    """Draw an image with its boxes, in the colours of `detections_sheet`."""
+    height, width = panel.image_rgb.shape[:2]
+    axis.imshow(panel.image_rgb, extent=(0, width, height, 0), interpolation="antialiased")
+    match = np.asarray(panel.detection_of_truth, dtype=int)
+    truth = np.asarray(panel.truth_box_px, dtype=np.float64).reshape(-1, 4)
+    detection = np.asarray(panel.detection_box_px, dtype=np.float64).reshape(-1, 4)
+    present = np.isfinite(truth).all(axis=1)
+    found_index = set(match[present & (match >= 0)].tolist())
+    for index, box in enumerate(detection):
+        is_found = index in found_index
+        colour = TRUE_POSITIVE_RGB if is_found else FALSE_POSITIVE_RGB
+        # many false alarms must not cover what was found, nor that what was not
+        _draw_box(axis, box, colour, linewidth=1.6 if is_found else 1.2, zorder=4 if is_found else 2)
+    for box, found in zip(truth[present], match[present] >= 0, strict=True):
+        if found:
+            _draw_box(axis, box, TRUTH_RGB, linewidth=0.9, zorder=3)
+        else:
+            _draw_box(axis, box, MISS_RGB, linewidth=1.6, linestyle=(0, (3, 2)), zorder=5)
+    axis.set_xlim(0, width)
+    axis.set_ylim(height, 0)
+    found = f"{len(found_index)} of {int(present.sum())} found"
+    is_long = len(panel.title) > LONG_TITLE
+    axis.set_title(
+        f"{panel.title}\n{found}" if is_long else f"{panel.title}: {found}", fontsize=9.5, fontweight="normal", pad=4
+    )
+
+
+def _draw_box(axis: Any, box_px: np.ndarray, colour: tuple[int, int, int], **line: Any) -> None:  # noqa: ANN401
+    from matplotlib.patches import Rectangle
+
+    x0, y0, x1, y1 = box_px
+    axis.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor=hex_colour(colour), **line))

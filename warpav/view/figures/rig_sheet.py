@@ -11,8 +11,7 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError
 from warpav.raster.lens import Lens
-from warpav.view.figures.page import SCALES, Page, camera_digit, camera_mark
-from warpav.view.figures.style import figure_style
+from warpav.view.figures.style import SCALES, Page, camera_digit, camera_mark, figure_style
 from warpav.view.figures.top_view import draw_vehicle
 from warpav.view.frustum import seen_arcs_rad, seen_ground_m
 from warpav.view.palette import INK_RGB, MUTED_RGB, camera_rgb, hex_colour

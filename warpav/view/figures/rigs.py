@@ -1,7 +1,8 @@
-"""The thesis's figures of rigs: without constraints (10), before and after optimisation (11), the highest rig (12)."""
+"""Figures of the thesis: rigs side by side, the mount surface in stages, where vehicles stand."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,9 +11,29 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.core.errors import InputError
+from warpav.raster.mesh import Mesh
+from warpav.rig.mount_surface import MountSurface, measured_surface, mount_surface_from_mesh
 from warpav.rig.rig import Rig
-from warpav.view.figures.detections import DetectionPanel, detection_handles, draw_detections
-from warpav.view.figures.style import WIDTH_INCH, count_text, figure_style, new_figure, save_figure, title
+from warpav.scene.capture.capture import EGO_INSTANCE, Capture
+from warpav.scene.reconstruction.point_cloud import fuse
+from warpav.scene.reconstruction.reconstruct import object_mesh
+from warpav.scene.reconstruction.settings import ReconstructionSettings
+from warpav.scene.scene import Box
+from warpav.view.cloud_view import BACKGROUND_RGB, cloud_image, towards, view_of
+from warpav.view.figures.images import DetectionPanel, detection_handles, draw_detections
+from warpav.view.figures.style import (
+    WIDTH_INCH,
+    caption,
+    count_text,
+    empty_panel,
+    figure_style,
+    new_figure,
+    panel_sizes_px,
+    save_figure,
+    show_image,
+    title,
+)
 from warpav.view.figures.top_view import (
     draw_bounds,
     draw_cameras,
@@ -23,7 +44,7 @@ from warpav.view.figures.top_view import (
     start_and_end_handles,
 )
 from warpav.view.frustum import bearing_sector_rad, sector_polygon_m
-from warpav.view.palette import MISS_RGB, MUTED_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
+from warpav.view.palette import INK_RGB, MISS_RGB, MUTED_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
     from warpav.optimisation.constraints import Constraints
@@ -218,3 +239,153 @@ def _caption(figure: Any, handles: Sequence[Any], text: str) -> None:  # noqa: A
     """A caption with what the marks mean below all panels."""
     legend = figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), title=text)
     legend.get_title().set(fontsize=9, color=hex_colour(MUTED_RGB), multialignment="center")
+
+
+def mount_surface_stages(
+    capture: Capture, path: Path | str, *, settings: ReconstructionSettings | None = None, cell_m: float = 0.02
+) -> Path:
+    """Figure 9: the ego vehicle's points with the height map on them, and how the map's holes are filled."""
+    settings = settings or ReconstructionSettings()
+    images = list(capture.images)
+    cloud = fuse(dataclasses.replace(capture, vehicles=()), images, settings.cloud).ego
+    if len(cloud.cloud) == 0:
+        raise InputError(f"{capture.name}: expected images of the ego vehicle, got none")
+    ego = object_mesh(cloud, images, EGO_INSTANCE, settings.ego, settings)
+    maps = {
+        "Measured": measured_surface(ego, cell_m=cell_m),
+        "Filled": mount_surface_from_mesh(ego, cell_m=cell_m, smoothing_tolerance_m=math.inf),
+        "Smoothed": mount_surface_from_mesh(ego, cell_m=cell_m),
+    }
+    surface = maps["Smoothed"]
+    limits_m = float(surface.height_m.min()), float(surface.height_m.max())
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 5.5)
+        axes = figure.subplots(2, 2)
+        title(axes[0, 0], "Map and points", count_text(len(cloud.cloud)))
+        empty_panel(axes[0, 0])
+        low_m, high_m = ego.bounds_m()[:, :2] + np.array([[-0.15], [0.15]])
+        axes[0, 0].set_box_aspect((high_m[1] - low_m[1]) / (high_m[0] - low_m[0]))
+        image = None
+        for axis, (text, one) in zip(axes.flat[1:], maps.items(), strict=True):
+            draw_vehicle(axis, ego)
+            image = draw_height_map(axis, one, colours="viridis")
+            image.set_clim(*limits_m)
+            share = float(np.isfinite(one.height_m).mean())
+            title(axis, text, f"{100.0 * share:.0f} % of the cells" if share < 1.0 else "")
+            axis.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]), aspect="equal")
+            axis.set_ylabel("y, left [m]")
+            axis.set_xlabel("x, forward [m]")
+        bar = figure.colorbar(image, ax=axes, shrink=0.7, pad=0.02, aspect=28)
+        bar.set_label("height of the mount surface [m]")
+        bar.outline.set_visible(False)
+        caption(
+            figure,
+            f"{capture.name}. Measured: what looks upwards, seen from above, in cells of {100.0 * cell_m:g} cm. "
+            "Filled: other cells have the height of the nearest.\nSmoothed: until they no longer change.",
+        )
+        (size_px,) = panel_sizes_px(figure, axes[:1, 0])
+        viewpoint = view_of(cloud.cloud.point_m, towards(math.radians(38.0), math.radians(40.0)), size_px)
+        parts = [cloud.cloud, _coloured(surface, limits_m)]
+        show_image(
+            axes[0, 0],
+            cloud_image(parts, viewpoint, size_px=size_px, point_px=1.6, cover=1.0, background_rgb=BACKGROUND_RGB),
+        )
+        return save_figure(figure, path)
+
+
+def _coloured(surface: MountSurface, limits_m: tuple[float, float]) -> Mesh:
+    """A height map as squares, one for each cell, in colours of height."""
+    import matplotlib
+
+    height_m = surface.height_m.astype(np.float64)
+    share = (height_m - limits_m[0]) / max(limits_m[1] - limits_m[0], 1e-9)
+    rgb = np.rint(255.0 * matplotlib.colormaps["viridis"](np.clip(share, 0.0, 1.0))[..., :3]).astype(np.uint8)
+    row, column = np.indices(height_m.shape)
+    centre = np.stack(
+        [
+            surface.origin_m[0] + row * surface.cell_m,
+            surface.origin_m[1] + column * surface.cell_m,
+            height_m + 0.02,  # clear of the points that it was made of
+        ],
+        axis=-1,
+    ).reshape(-1, 1, 3)
+    corner = 0.5 * surface.cell_m * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    first = 4 * np.arange(height_m.size)[:, None]
+    triangle = np.concatenate([first + np.array(half) for half in ([0, 1, 2], [0, 2, 3])])
+    return Mesh(
+        (centre + corner).reshape(-1, 3).astype(np.float32),
+        triangle.astype(np.int32),
+        np.repeat(rgb.reshape(-1, 3), 4, axis=0),
+    )
+
+
+def heat_maps(
+    collections: Mapping[str, Sequence[Sequence[Box]]],
+    path: Path | str,
+    *,
+    ego_box: Box,
+    radius_m: float | None = None,
+    cell_m: float = 0.25,
+) -> Path:
+    """Figure 8: how often a vehicle stands where around the ego vehicle, one map for each collection."""
+    if radius_m is None:
+        corners = [np.abs(box.corners_m()[:, :2]).max() for part in collections.values() for s in part for box in s]
+        radius_m = 5.0 * math.ceil(max(corners, default=20.0) / 5.0)
+    share = {name: vehicle_occupancy(part, radius_m=radius_m, cell_m=cell_m) for name, part in collections.items()}
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 1.45 + (WIDTH_INCH - 0.9) / len(share))
+        axes = figure.subplots(1, len(share), sharey=True, squeeze=False)[0]
+        for axis, (name, one) in zip(axes, share.items(), strict=True):
+            image = axis.imshow(
+                np.where(one > 0.0, 100.0 * one, np.nan)[::-1, ::-1],
+                extent=(radius_m, -radius_m, -radius_m, radius_m),
+                cmap=_heat_colours(),
+                vmin=0.0,
+                vmax=100.0 * max(float(one.max()), 1e-9),
+                interpolation="nearest",
+                zorder=2,
+            )
+            x, y = ego_box.corners_m()[[0, 4, 6, 2], :2].T
+            axis.fill(y, x, color=hex_colour(INK_RGB), linewidth=0, zorder=3)
+            vehicle_count = sum(len(boxes) for boxes in collections[name])
+            title(
+                axis,
+                name.title(),
+                f"{count_text(len(collections[name]), 'scenes')}, {count_text(vehicle_count, 'vehicles')}",
+            )
+            axis.set_xlabel("y, left [m]")
+            axis.locator_params(nbins=4)
+            bar = figure.colorbar(image, ax=axis, orientation="horizontal", pad=0.02, aspect=28)
+            bar.set_label("scenes with a vehicle there [%]")
+            bar.outline.set_visible(False)
+        axes[0].set_ylabel("x, forward [m]")
+        caption(figure, "Black: the ego vehicle. White: no vehicle in any scene. Every map has a scale of its own.")
+        figure.get_layout_engine().set(w_pad=0.1)
+        return save_figure(figure, path)
+
+
+def vehicle_occupancy(scenes: Sequence[Sequence[Box]], *, radius_m: float, cell_m: float) -> np.ndarray:
+    """Share of the scenes in which a vehicle's box covers the middle of a cell.
+
+    Returns:
+        0..1, float64, shape [row, column]; rows run along x, columns along y, both from ``-radius_m``.
+    """
+    if not scenes:
+        raise InputError("a heat map needs at least one scene, got 0")
+    count = math.ceil(2.0 * radius_m / cell_m)
+    centre = -radius_m + (np.arange(count) + 0.5) * cell_m
+    point_m = np.stack([*np.meshgrid(centre, centre, indexing="ij"), np.zeros((count, count))], axis=-1).reshape(-1, 3)
+    total = np.zeros(count * count)
+    for boxes in scenes:
+        covered = np.zeros(count * count, bool)
+        for box in boxes:
+            covered |= box.contains(point_m + np.array([0.0, 0.0, box.center_m[2]]))
+        total += covered
+    return total.reshape(count, count) / len(scenes)
+
+
+def _heat_colours() -> Any:  # noqa: ANN401 (matplotlib)
+    """From blue, where vehicles are rare, to dark red, where most are; the thesis's colours."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("heat", ["#2c4fa3", "#4fa3d1", "#f3e38a", "#ee7b35", "#a3121f", "#6b0612"])

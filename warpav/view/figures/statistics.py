@@ -1,4 +1,4 @@
-"""Correlations, calibration, differences with their intervals, recall by group."""
+"""Numbers as figures: fits, differences, recall by group, the front of cameras or costs, sensitivity."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure, save_figure, svg_text
+from warpav.core.errors import InputError
+from warpav.view.figures.style import WIDTH_INCH, caption, figure_style, new_figure, save_figure, svg_text, title
 from warpav.view.palette import (
     BASELINE_RGB,
+    FALSE_POSITIVE_RGB,
+    FURTHER_RGB,
     GRID_RGB,
     INK_RGB,
     MISS_RGB,
@@ -25,6 +28,8 @@ from warpav.view.palette import (
 if TYPE_CHECKING:
     from warpav.detection.probability import DetectionProbability
     from warpav.detection.probability_fit import CalibrationBin
+if TYPE_CHECKING:
+    from warpav.evaluation.perturbations import CameraOutages, MountTolerance
 
 _LEVEL_95 = 1.959964  # standard deviations of a normal number that hold 95 %
 
@@ -228,3 +233,130 @@ def _wilson_interval(group: ObjectGroup) -> tuple[float, float]:
     middle = (share + z * z / (2 * n)) / (1 + z * z / n)
     half = z / (1 + z * z / n) * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
     return max(middle - half, 0.0), min(middle + half, 1.0)
+
+
+def front_figure(points: Sequence[Mapping[str, Any]], *, by: str, title: str | None = None) -> Any:  # noqa: ANN401
+    """Draw a front: misses per 100 over cameras or cost, and below it what each rig is made of."""
+    if not points:
+        raise InputError("front: expected at least one rig to draw, got none")
+    with figure_style():
+        names = list(dict.fromkeys(name for point in points for name in point["modules"]))
+        figure = new_figure(WIDTH_INCH, 4.6 + 0.22 * len(names))
+        ratio = [1.0, 0.07 * len(names) + 0.05] if names else [1.0]
+        axes = figure.subplots(len(ratio), 1, sharex=True, height_ratios=ratio, squeeze=False)[:, 0]
+        x = [point["cameras" if by == "cameras" else "cost"] for point in points]
+        _draw_misses(axes[0], points, x)
+        axes[-1].set_xlabel("cameras" if by == "cameras" else "cost of all modules")
+        if by == "cameras":
+            axes[-1].set_xticks(sorted(set(x)))
+        if names:
+            _draw_modules(axes[1], points, x, names)
+        axes[0].set_title(title or f"What {'another camera' if by == 'cameras' else 'a larger budget'} brings")
+        return figure
+
+
+def _draw_misses(axis: Any, points: Sequence[Mapping[str, Any]], x: Sequence[float]) -> None:  # noqa: ANN401 (matplotlib)
+    series = (
+        ("unseen scenes, detector", "misses_per_100", 1.0, INK_RGB, "o-"),
+        ("unseen scenes, expected", "expected_misses_per_100", 1.0, camera_rgb(0), "s-"),
+        ("scenes of the search, objective", "objective", 100.0, camera_rgb(1), "^--"),
+        ("bound: no rig of the pool is below", "bound", 100.0, MUTED_RGB, "_:"),
+    )
+    for label, name, scale, rgb, line in series:
+        if any(point[name] is None for point in points):
+            continue
+        values = [scale * point[name] for point in points]
+        axis.plot(x, values, line, color=hex_colour(rgb), label=label, markersize=6)
+    dominated = [k for k, point in enumerate(points) if point["is_dominated"]]
+    if dominated:
+        values = [100.0 * points[k]["objective"] for k in dominated]
+        where = [x[k] for k in dominated]
+        axis.plot(where, values, "x", color=hex_colour(FALSE_POSITIVE_RGB), label="dominated", markersize=10)
+    axis.set_ylim(bottom=0.0)
+    axis.set_ylabel("misses per 100")
+    axis.legend()
+
+
+def _draw_modules(axis: Any, points: Sequence[Mapping[str, Any]], x: Sequence[float], names: Sequence[str]) -> None:  # noqa: ANN401
+    axis.set(yticks=range(len(names)), ylim=(len(names) - 0.5, -0.5))
+    axis.set_yticklabels(names)
+    axis.grid(visible=False)
+    for place, point in zip(x, points, strict=True):
+        for row, name in enumerate(names):
+            count = point["modules"].get(name, 0)
+            colour = hex_colour(INK_RGB if count else MUTED_RGB)
+            axis.text(place, row, str(count) if count else "·", ha="center", va="center", color=colour)
+
+
+_LEAST_SHOWN = 0.1  # misses per 100 that have the full colour at least: less is no sensitivity
+_BELOW_RGB = ((38, 102, 180), (190, 218, 242))
+
+
+def sensitivity_figure(
+    tolerance: MountTolerance | None, outages: CameraOutages | None = None, *, heading: str | None = None
+) -> Any:  # noqa: ANN401 (matplotlib)
+    """A heat map of cameras by degrees of freedom, and beside it a bar for the loss of each camera."""
+    effects = [] if tolerance is None else tolerance.effects
+    lost = [] if outages is None else [each.camera for each in outages.cameras]
+    names = list(dict.fromkeys(effect.camera for effect in effects)) or lost
+    if lost and names != lost:
+        raise ValueError("tolerance and outages must be of the same cameras")
+    panels = [part for part in (tolerance, outages) if part is not None]
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 1.5 + 0.34 * len(names))
+        axes = figure.subplots(
+            1, len(panels), squeeze=False, sharey=True, width_ratios=[1.7, 1.0] if len(panels) > 1 else None
+        )[0]
+        if heading:
+            figure.suptitle(heading, fontweight="bold")
+        if tolerance is not None:
+            _draw_changes(axes[0], tolerance, names)
+            caption(
+                figure,
+                f"Expected misses per 100 objects: {tolerance.nominal:.2f}; with all cameras off by chance "
+                f"{tolerance.samples.mean():.2f} (mean of {len(tolerance.samples)} draws).",
+            )
+        if outages is not None:
+            _draw_losses(axes[-1], outages)
+        axes[0].set_yticks(range(len(names)), names)
+        for label, index in zip(axes[0].get_yticklabels(), range(len(names)), strict=True):
+            label.set(color=hex_colour(camera_rgb(index)), fontweight="bold")
+        axes[0].set_ylim(len(names) - 0.5, -0.5)
+        return figure
+
+
+def _draw_changes(axis: Any, tolerance: MountTolerance, names: list[str]) -> None:  # noqa: ANN401 (matplotlib)
+    from matplotlib.colors import LinearSegmentedColormap
+
+    degrees = list(dict.fromkeys(effect.degree for effect in tolerance.effects))
+    change = np.full((len(names), len(degrees)), math.nan)
+    for effect in tolerance.effects:
+        change[names.index(effect.camera), degrees.index(effect.degree)] = effect.worst
+    most = max(float(np.abs(change).max()), _LEAST_SHOWN)
+    stops = [hex_colour(rgb) for rgb in (*_BELOW_RGB, (255, 255, 255), *FURTHER_RGB[1:3])]
+    colours = LinearSegmentedColormap.from_list("change", stops)
+    axis.imshow(change, cmap=colours, vmin=-most, vmax=most, aspect="auto")
+    for (row, column), value in np.ndenumerate(change):
+        axis.text(column, row, f"{value:+z.2f}", ha="center", va="center", fontsize=8.5, color=hex_colour(INK_RGB))
+    axis.set_xticks(range(len(degrees)), degrees)
+    axis.grid(visible=False)
+    axis.spines[:].set_visible(False)
+    axis.tick_params(length=0)
+    off = f"{100.0 * tolerance.position_m:g} cm or {math.degrees(tolerance.angle_rad):g}°"
+    title(axis, f"Camera off by {off}", "misses per 100, change")
+
+
+def _draw_losses(axis: Any, outages: CameraOutages) -> None:  # noqa: ANN401 (matplotlib)
+    is_weighted = outages.weighted_expected_misses_per_100 is not None
+    more = [
+        each.difference_per_100 if each.weighted_difference_per_100 is None else each.weighted_difference_per_100
+        for each in outages.cameras
+    ]
+    bars = axis.barh(range(len(more)), more, color=[hex_colour(camera_rgb(k)) for k in range(len(more))], height=0.62)
+    axis.bar_label(bars, [f"{each:+z.1f}" for each in more], padding=3, fontsize=8.5)
+    axis.margins(x=0.16)
+    axis.grid(visible=False)
+    axis.set_xticks([])
+    axis.spines["bottom"].set_visible(False)
+    axis.tick_params(left=False)
+    title(axis, "Camera lost", "change, weighted" if is_weighted else "change")
