@@ -24,8 +24,8 @@ from warpav.sight.sight import is_in_image
 CATEGORIES = ("saloon", "van", "bus", "pedestrian", "cyclist")
 """Road users that are asked for, as far as the detector's fit knows their kind."""
 
-DISTANCES_M = tuple(float(each) for each in np.geomspace(5.0, 500.0, 18))
-AZIMUTH_COUNT = 72
+_DISTANCES_M = tuple(float(each) for each in np.geomspace(5.0, 500.0, 18))
+_AZIMUTH_COUNT = 72
 
 LEAST_HEIGHT_PX = 8.0
 """Height of an image, in pixels of the network's input, below which no probability is promised.
@@ -66,8 +66,8 @@ class DetectionRange:
         *,
         probability: Callable[[CameraModel], DetectionProbability] = DetectionProbability.builtin,
         categories: Sequence[str] | None = None,
-        distances_m: Sequence[float] = DISTANCES_M,
-        azimuth_count: int = AZIMUTH_COUNT,
+        distances_m: Sequence[float] = _DISTANCES_M,
+        azimuth_count: int = _AZIMUTH_COUNT,
         device: str = "cpu",
     ) -> DetectionRange:
         """Ask the model of detection probability about road users all around.

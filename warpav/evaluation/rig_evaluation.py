@@ -58,7 +58,7 @@ TABLE_ROWS = {
 }
 """Metrics that every table shows, and their headings; those of `OPTIONAL_METRICS` where they are known."""
 
-CAPTION = "Recalls pool the objects of all scenes; difference() is a mean over scenes, each counting alike."
+_CAPTION = "Recalls pool the objects of all scenes; difference() is a mean over scenes, each counting alike."
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class RigEvaluation:
             if field not in OPTIONAL_METRICS or any(getattr(each, field) is not None for each in self.metrics.values())
         ]
         rows += requirement_rows(self.to_json()["requirements"])
-        return Table((f"{len(self.scenes)} scenes, {len(self.objects)} objects", *self.metrics), tuple(rows), CAPTION)
+        return Table((f"{len(self.scenes)} scenes, {len(self.objects)} objects", *self.metrics), tuple(rows), _CAPTION)
 
     def outage_table(self, name: str | None = None) -> Table:
         """What a rig is expected to miss without each of its cameras: text when printed, HTML in a notebook.

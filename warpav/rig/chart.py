@@ -21,16 +21,16 @@ from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.proposals import propose_panes, simplified
 from warpav.rig.zone import NORMALS, Zone
 
-GAP_M = 1.0
+_GAP_M = 1.0
 """Between the rectangles of two zones in the chart: more than twice what any search moves a camera at once."""
 
-CENTRE_M = 0.1
+_CENTRE_M = 0.1
 """Half the width of what of a centred zone is drawn: cameras stand in its middle."""
 
-PANE_MARGIN_M = 0.02
+_PANE_MARGIN_M = 0.02
 """How far a pane reaches beyond the cells of its zone, along them and across [m]."""
 
-MIN_CLEAR = 0.5
+_MIN_CLEAR = 0.5
 """Least share of a pane's area that has to be clear: less shows that its triangles are larger than the pane."""
 
 _SKIRT_CELLS = 3
@@ -59,7 +59,7 @@ def chart_of(
         raise InputError(f"zones: expected at least one, and names that differ, got {names}")
     options = {"cell_m": cell_m, "min_upward_normal": min_upward_normal, "min_zone_normal": min_zone_normal}
     field_of = {zone.name: zone_surface(zone, mesh, **options) for zone in zones}
-    pane_of = {zone.name: pane_under(zone, field_of[zone.name], mesh) for zone in zones if zone.is_behind_glass}
+    pane_of = {zone.name: _pane_under(zone, field_of[zone.name], mesh) for zone in zones if zone.is_behind_glass}
     surface_of = {name: _with_skirt(surface) for name, surface in field_of.items()}
     names, module_of_zone, pairs, notes = [module.name for module in modules], np.zeros(0, np.int64), (), ()
     if pair_spacing_m is not None:
@@ -72,7 +72,7 @@ def chart_of(
         zones, surfaces = [zone for zone, _ in sheets], [surface for _, surface in sheets]
     else:
         surfaces = [surface_of[zone.name] for zone in zones]
-    firsts, size = _packed([each.height_m.shape for each in surfaces], math.ceil(GAP_M / cell_m))
+    firsts, size = _packed([each.height_m.shape for each in surfaces], math.ceil(_GAP_M / cell_m))
     # the first zone keeps its own coordinates
     origin_m = surfaces[0].origin_m - np.multiply(firsts[0], cell_m)
     height_m, zone_of = np.zeros(size, np.float32), np.full(size, -1, np.int32)
@@ -101,11 +101,11 @@ def chart_of(
     )
 
 
-def pane_under(zone: Zone, surface: MountSurface, mesh: Mesh) -> Pane:
+def _pane_under(zone: Zone, surface: MountSurface, mesh: Mesh) -> Pane:
     """What of the body the cameras of a zone behind glass look through.
 
-    Its outline is that of the zone, or else the convex hull of the cells that carry a camera, `PANE_MARGIN_M` wider. It
-    reaches so much beyond the skin to either side, so a second sheet of glass is clear as well.
+    Its outline is that of the zone, or else the convex hull of the cells that carry a camera, `_PANE_MARGIN_M` wider.
+    It reaches so much beyond the skin to either side, so a second sheet of glass is clear as well.
 
     Args:
         mesh: The vehicle in the ego frame [m].
@@ -124,7 +124,7 @@ def pane_under(zone: Zone, surface: MountSurface, mesh: Mesh) -> Pane:
         around_m = half_m * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
         corner_m = (place_m[:, None] + around_m).reshape(-1, 2)
     angle_rad = np.arange(0.0, 2.0 * math.pi, math.pi / 8.0)
-    round_m = PANE_MARGIN_M * np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=1)
+    round_m = _PANE_MARGIN_M * np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=1)
     corner_m = (corner_m[:, None] + round_m).reshape(-1, 2)
     corner_m = simplified(corner_m[ConvexHull(corner_m).vertices], _SIMPLER_M)
     outline_m = np.c_[corner_m, np.full(len(corner_m), middle_m)] @ zone.axes + zone.origin_m
@@ -133,13 +133,13 @@ def pane_under(zone: Zone, surface: MountSurface, mesh: Mesh) -> Pane:
         tuple(np.round(zone.axes[2], 6).tolist()),
         tuple(tuple(corner) for corner in np.round(outline_m, 6).tolist()),
         (
-            round(float(height_m.min()) - middle_m - PANE_MARGIN_M, 6),
-            round(float(height_m.max()) - middle_m + PANE_MARGIN_M, 6),
+            round(float(height_m.min()) - middle_m - _PANE_MARGIN_M, 6),
+            round(float(height_m.max()) - middle_m + _PANE_MARGIN_M, 6),
         ),
     )
     clear_m2 = pane.clear_area_m2(mesh)
     zone_m2 = len(cell) * surface.cell_m**2
-    if clear_m2 < MIN_CLEAR * zone_m2:
+    if clear_m2 < _MIN_CLEAR * zone_m2:
         raise InputError(
             f"zone {zone.name!r}: behind_glass: expected triangles that lie under the zone, got {clear_m2:.2f} of "
             f"{zone_m2:.2f} m² clear; the others reach beyond it: let box_m or outline_m cover the whole pane"
@@ -206,7 +206,7 @@ def _left_halves(
         place_m = surface.origin_m + surface.cell_m * np.stack([row, column], axis=-1)
         local_m = np.concatenate([place_m, surface.height_m[..., None]], axis=-1)
         y_m = (local_m @ zone.axes)[..., 1] + zone.origin_m[1]
-        is_kept = np.abs(y_m) <= CENTRE_M if zone.is_centred else y_m >= 0.5 * pair_spacing_m
+        is_kept = np.abs(y_m) <= _CENTRE_M if zone.is_centred else y_m >= 0.5 * pair_spacing_m
         if (surface.is_mountable & is_kept).any():
             result[zone.name] = replace(surface, is_mountable=surface.is_mountable & is_kept)
     if not result:

@@ -18,7 +18,7 @@ FAR_M = 100.0
 _VEHICLE_M = 20.0  # no camera of a bus is farther from its rear axle
 _HEIGHT_M = (0.2, 5.0)
 
-OFF_VEHICLE_M = 1.0
+_OFF_VEHICLE_M = 1.0
 """A camera farther from the surface of its vehicle stands on a mast, or belongs to another vehicle."""
 
 _SIDES = {"left": 1.0, "right": -1.0}
@@ -28,7 +28,7 @@ _LOOKS = math.sin(math.radians(10.0))
 _SAME_PLACE_M = 1e-3
 
 
-def side_of_name(name: str) -> str | None:
+def _side_of_name(name: str) -> str | None:
     """``left`` or ``right`` where the name says so, as ``CAM_FRONT_LEFT`` and ``rearRight`` do."""
     found = {word.lower() for word in _WORD.findall(name)} & set(_SIDES)
     return found.pop() if len(found) == 1 else None
@@ -40,7 +40,7 @@ def mirrored_cameras(cameras: Iterable[RigCamera]) -> Iterator[str]:
     Reading a left-handed file as right-handed gives such a rig.
     """
     for camera in cameras:
-        side = side_of_name(camera.name)
+        side = _side_of_name(camera.name)
         if side is None:
             continue
         forward_y = camera.ego_from_camera[1, 2]
@@ -67,7 +67,7 @@ def description(camera: RigCamera) -> str:
     )
 
 
-def in_millimetres(rig: Rig) -> str:
+def _in_millimetres(rig: Rig) -> str:
     """One line where all positions are far away, but as millimetres those of a vehicle's cameras; else empty."""
     position = np.array([camera.position_m for camera in rig.cameras])
     position_m = 1e-3 * position
@@ -85,7 +85,7 @@ def in_millimetres(rig: Rig) -> str:
 
 def oddities(rig: Rig) -> Iterator[str]:
     """Other implausible properties that may be intended, one message each."""
-    unit = in_millimetres(rig)
+    unit = _in_millimetres(rig)
     if unit:
         yield unit
     for camera in rig.cameras:
@@ -102,15 +102,15 @@ def oddities(rig: Rig) -> Iterator[str]:
 
 def off_vehicle(rig: Rig, body: Mesh) -> str:
     """One line about cameras of a rig that are far from the surface of its vehicle; empty where none is."""
-    if unit := in_millimetres(rig):
+    if unit := _in_millimetres(rig):
         return unit
     away_m = {camera.name: _distance_m(camera.position_m, body) for camera in rig.cameras}
-    far = {name: distance_m for name, distance_m in away_m.items() if distance_m > OFF_VEHICLE_M}
+    far = {name: distance_m for name, distance_m in away_m.items() if distance_m > _OFF_VEHICLE_M}
     if not far:
         return ""
     farthest = max(far, key=far.__getitem__)
     return (
-        f"{len(far)} of {len(away_m)} cameras are more than {OFF_VEHICLE_M:g} m from the surface of the vehicle, "
+        f"{len(far)} of {len(away_m)} cameras are more than {_OFF_VEHICLE_M:g} m from the surface of the vehicle, "
         f"{farthest} {far[farthest]:.1f} m; is the rig of another vehicle? scenes.ego says which carries it"
     )
 
@@ -120,7 +120,7 @@ def _distance_m(position_m: np.ndarray, body: Mesh) -> float:
     from trimesh.triangles import closest_point
 
     to_vertex_m = float(np.linalg.norm(body.vertex_m - position_m, axis=1).min())
-    if to_vertex_m <= OFF_VEHICLE_M:
+    if to_vertex_m <= _OFF_VEHICLE_M:
         return to_vertex_m
     corner_m = body.vertex_m[body.triangle].astype(np.float64)
     closest_m = closest_point(corner_m, np.broadcast_to(position_m, (len(corner_m), 3)))

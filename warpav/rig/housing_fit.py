@@ -34,7 +34,7 @@ def with_room(
     if not zone.is_behind_glass and zone.recess_m is None:
         return zone, surface
     outwards = 1.0 if zone.is_behind_glass else -1.0
-    depth_m, reach_m = housing_reach_m(module.housing, zone, outwards * zone.axes[2], pitch_rad=pitch_rad)
+    depth_m, reach_m = _housing_reach_m(module.housing, zone, outwards * zone.axes[2], pitch_rad=pitch_rad)
     assert surface.is_mountable is not None
     # how far the skin comes nearer within reach of the housing
     height_m = -outwards * surface.height_m.astype(np.float64)
@@ -49,7 +49,7 @@ def with_room(
     return replace(zone, stand_off_m=(least_m, high_m)), replace(surface, is_mountable=kept)
 
 
-def housing_reach_m(
+def _housing_reach_m(
     housing: Housing, zone: Zone, direction: np.ndarray, *, pitch_rad: tuple[float, float]
 ) -> tuple[float, float]:
     """How far a housing reaches from the camera's centre at most, whichever way the camera points within a zone.

@@ -23,7 +23,7 @@ MIN_IMAGE_PX = 8
 MAX_HOUSING_M = 1.0
 """Maximum size of a housing [m]: a larger number is one of millimetres."""
 
-VERTICAL_TOLERANCE_DEG = 1.0
+_VERTICAL_TOLERANCE_DEG = 1.0
 """How far a stated vertical field of view may be from that of lens and sensor [deg]: data sheets round."""
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
@@ -292,7 +292,7 @@ def _image_problems(module: Module) -> Iterator[Problem]:
             yield Problem("distortion", expected, f"a fold-back before the {blind}", remedy)
     elif module.vertical_fov_rad is not None:
         found_deg = math.degrees(vertical_angle_rad(sensor))
-        if abs(found_deg - math.degrees(module.vertical_fov_rad)) > VERTICAL_TOLERANCE_DEG:
+        if abs(found_deg - math.degrees(module.vertical_fov_rad)) > _VERTICAL_TOLERANCE_DEG:
             expected = f"{found_deg:.1f} degrees, as horizontal field, lens and sensor give"
             remedy = "correct one of them, or leave it out"
             yield Problem("vertical_fov_rad", expected, _degrees(module.vertical_fov_rad), remedy)

@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 
     from warpav.rig.rig import RigCamera
 
-SAMPLES_PER_CELL = 2
+_SAMPLES_PER_CELL = 2
 """Surface points per cell and axis."""
 
-MIN_PATCH_FRACTION = 0.1
+_MIN_PATCH_FRACTION = 0.1
 """A patch of fewer cells than this share of the largest one's is a mirror, a sill or a handle, not roof or bonnet."""
 
-LEDGE_STEP_M = 0.3
+_LEDGE_STEP_M = 0.3
 """A cell beside one that is higher by this is the foot of a wall; a sill below a roof's edge is nothing else."""
 
-MAX_EXTENT_M = 40.0
+_MAX_EXTENT_M = 40.0
 """A vehicle longer or wider than this was not given in metres."""
 
 
@@ -362,7 +362,7 @@ def _measured(
         raise ValueError(f"min_upward_normal must lie in (0, 1], got {min_upward_normal}")
     low_m, high_m = mesh.bounds_m().astype(np.float64)[:, :2]
     extent_m = high_m - low_m
-    if extent_m.max() > MAX_EXTENT_M:
+    if extent_m.max() > _MAX_EXTENT_M:
         raise InputError(
             f"ego mesh: expected a vehicle in metres, got {extent_m[0]:.6g} x {extent_m[1]:.6g}; scale it to metres"
         )
@@ -371,16 +371,16 @@ def _measured(
     origin_m = 0.5 * (low_m + high_m) - 0.5 * (size - 1) * cell_m
 
     sample_m, sample_upward = _first_upward_height(
-        mesh, origin_m - 0.5 * cell_m, size * SAMPLES_PER_CELL, cell_m / SAMPLES_PER_CELL, min_upward_normal
+        mesh, origin_m - 0.5 * cell_m, size * _SAMPLES_PER_CELL, cell_m / _SAMPLES_PER_CELL, min_upward_normal
     )
     sample_m[sample_m < min_height_m] = -np.inf
     if keeps is not None:
         at = np.moveaxis(np.indices(sample_m.shape), 0, -1)
-        plane_m = origin_m - 0.5 * cell_m + (at + 0.5) * (cell_m / SAMPLES_PER_CELL)
+        plane_m = origin_m - 0.5 * cell_m + (at + 0.5) * (cell_m / _SAMPLES_PER_CELL)
         point_m = np.concatenate([plane_m, np.where(np.isfinite(sample_m), sample_m, 0.0)[..., None]], axis=-1)
         sample_m[~keeps(point_m)] = -np.inf
     sample_upward[sample_m == -np.inf] = -np.inf
-    in_cells = (size[0], SAMPLES_PER_CELL, size[1], SAMPLES_PER_CELL)
+    in_cells = (size[0], _SAMPLES_PER_CELL, size[1], _SAMPLES_PER_CELL)
     height_m = sample_m.reshape(in_cells).max(axis=(1, 3))
     upward = sample_upward.reshape(in_cells).max(axis=(1, 3))
     is_measured = _without_small_patches(np.isfinite(height_m) & ~_is_foot_of_wall(height_m))
@@ -458,10 +458,10 @@ def _first_upward_height(
 
 
 def _is_foot_of_wall(height_m: np.ndarray) -> np.ndarray:
-    """Which cells have a neighbour that is higher by `LEDGE_STEP_M`, bool [row, column]."""
+    """Which cells have a neighbour that is higher by `_LEDGE_STEP_M`, bool [row, column]."""
     from scipy import ndimage
 
-    return ndimage.maximum_filter(height_m, size=3, mode="nearest") > height_m + LEDGE_STEP_M
+    return ndimage.maximum_filter(height_m, size=3, mode="nearest") > height_m + _LEDGE_STEP_M
 
 
 def _without_small_patches(is_measured: np.ndarray) -> np.ndarray:
@@ -474,7 +474,7 @@ def _without_small_patches(is_measured: np.ndarray) -> np.ndarray:
     ndimage.label(is_measured, structure=np.ones((3, 3)), output=label)
     area = np.bincount(label.ravel())
     area[0] = 0
-    return is_measured & (area >= MIN_PATCH_FRACTION * area.max())[label]
+    return is_measured & (area >= _MIN_PATCH_FRACTION * area.max())[label]
 
 
 def _without_gaps(is_inside: np.ndarray) -> np.ndarray:

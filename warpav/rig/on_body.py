@@ -17,16 +17,16 @@ if TYPE_CHECKING:
 LEAST_STAND_OFF_M = 0.03
 """What a camera's centre stands off the skin at least: half a small housing."""
 
-APART_M = 0.05
+_APART_M = 0.05
 """How far centres of cameras are apart at least: two small housings side by side."""
 
 REACH_M = 0.5
 """How much farther than the nearest place of the body a camera may move where that frees its view."""
 
-MIRROR_SHARE = 0.012
+_MIRROR_SHARE = 0.012
 """Share of the skin that may lie beyond the sides of a body: mirrors have .0002 to .006, a side far more."""
 
-FAN_RAYS = 17
+_FAN_RAYS = 17
 """Rays across the middle row of the image that should miss the vehicle."""
 
 _PLACE_COUNT = 100_000
@@ -51,10 +51,10 @@ class Body:
 
     @classmethod
     def of(cls, vehicle: Mesh) -> Body:
-        """The box of a mesh in the ego frame; as in data sheets mirrors do not count (`MIRROR_SHARE`)."""
+        """The box of a mesh in the ego frame; as in data sheets mirrors do not count (`_MIRROR_SHARE`)."""
         (rear_m, _, _), (front_m, _, high_m) = vehicle.bounds_m().astype(float)
         skin_m, _ = _skin(vehicle)
-        right_m, left_m = np.quantile(skin_m[:, 1], [0.5 * MIRROR_SHARE, 1.0 - 0.5 * MIRROR_SHARE])
+        right_m, left_m = np.quantile(skin_m[:, 1], [0.5 * _MIRROR_SHARE, 1.0 - 0.5 * _MIRROR_SHARE])
         return cls((rear_m, float(right_m), 0.0), (front_m, float(left_m), high_m))
 
     @classmethod
@@ -87,7 +87,7 @@ def put_on_body(rig: Rig, vehicle: Mesh, *, made_for: Body | None = None) -> Mov
     A camera goes to its place on the vehicle (`Body.carried_to`), and from there to the nearest place off the skin, the
     roof's, a side's or an end's: as far off as it stood out of its own vehicle's box, at least `LEAST_STAND_OFF_M`. Of
     the places up to `REACH_M` farther it takes the one whose view the vehicle hides least, and of these the nearest.
-    Directions stay, and so do lenses and images. Cameras are placed in the order of the rig, `APART_M` apart.
+    Directions stay, and so do lenses and images. Cameras are placed in the order of the rig, `_APART_M` apart.
     """
     caster = ray_caster(vehicle)
     skin_m, outward = _skin(vehicle)
@@ -100,7 +100,7 @@ def put_on_body(rig: Rig, vehicle: Mesh, *, made_for: Body | None = None) -> Mov
     for camera, middle_m, stand_off_m in zip(rig.cameras, wanted_m, beyond_m, strict=True):
         place_m = skin_m + max(stand_off_m, LEAST_STAND_OFF_M) * outward
         taken_m = np.array([other.position_m for other in cameras]).reshape(-1, 1, 3)
-        is_free = (np.linalg.norm(place_m - taken_m, axis=2) >= APART_M).all(axis=0)
+        is_free = (np.linalg.norm(place_m - taken_m, axis=2) >= _APART_M).all(axis=0)
         best_m, share = _freest(caster, camera, middle_m, place_m[is_free], outward[is_free])
         cameras.append(dataclasses.replace(camera, position_m=best_m))
         shares.append(share)
@@ -125,8 +125,8 @@ def blocked_shares(caster: EmbreeScene, camera: RigCamera, place_m: np.ndarray) 
         place_m: Where it might stand [m], [place, 3].
     """
     model = camera.model
-    column_px = (np.arange(FAN_RAYS) + 0.5) / FAN_RAYS * model.width_px
-    ray = model.rays(np.c_[column_px, np.full(FAN_RAYS, 0.5 * model.height_px)])
+    column_px = (np.arange(_FAN_RAYS) + 0.5) / _FAN_RAYS * model.width_px
+    ray = model.rays(np.c_[column_px, np.full(_FAN_RAYS, 0.5 * model.height_px)])
     ray = ray[np.isfinite(ray).all(axis=1)] @ camera.ego_from_camera[:3, :3].T
     is_hit = _are_hit(caster, np.repeat(place_m, len(ray), axis=0), np.tile(ray, (len(place_m), 1)))
     return is_hit.reshape(len(place_m), -1).mean(axis=1)

@@ -13,16 +13,16 @@ from warpav.rig.zone import BEHIND_GLASS_M, Zone
 
 # -------------------------------------------------- windscreen and rear window, by shape, colour or a file's names
 
-LEAST_RISE, GREATEST_RISE = math.radians(15.0), math.radians(87.0)
+_LEAST_RISE, _GREATEST_RISE = math.radians(15.0), math.radians(87.0)
 """Steeper than a roof, and no wall: how far from level a pane is that is found by shape alone [rad]."""
 
-FLAT_COSINE = math.cos(math.radians(8.0))
+_FLAT_COSINE = math.cos(math.radians(8.0))
 """Triangles whose normals are so near to a pane's belong to it: a windscreen bends less, a roof turns away."""
 
-MIN_AREA_M2 = 0.25
+_MIN_AREA_M2 = 0.25
 """A smaller pane carries no camera."""
 
-DARK_LUMA = 50.0
+_DARK_LUMA = 50.0
 """Glass is drawn darker than this, 0..255, where there are lighter parts beside it."""
 
 _FLOOR_SHARE = 0.55  # bonnets, grilles and bumpers are lower
@@ -56,9 +56,9 @@ def propose_panes(mesh: Mesh, is_glass: np.ndarray | None = None) -> tuple[Zone,
         if is_glass is not None:
             may_be &= is_glass
         elif _has_dark(may_be, luma, area_m2):
-            may_be &= luma < DARK_LUMA
+            may_be &= luma < _DARK_LUMA
         elif forward > 0.0:
-            may_be &= (rise > LEAST_RISE) & (rise < GREATEST_RISE)
+            may_be &= (rise > _LEAST_RISE) & (rise < _GREATEST_RISE)
         else:
             continue
         part = _flattest(normal, area_m2, may_be)
@@ -70,8 +70,8 @@ def propose_panes(mesh: Mesh, is_glass: np.ndarray | None = None) -> tuple[Zone,
 
 def _has_dark(may_be: np.ndarray, luma: np.ndarray, area_m2: np.ndarray) -> bool:
     """Whether glass is told by its colour: a large dark part beside lighter ones."""
-    dark_m2 = area_m2[may_be & (luma < DARK_LUMA)].sum()
-    return bool(MIN_AREA_M2 < dark_m2 < 0.9 * area_m2[may_be].sum())
+    dark_m2 = area_m2[may_be & (luma < _DARK_LUMA)].sum()
+    return bool(_MIN_AREA_M2 < dark_m2 < 0.9 * area_m2[may_be].sum())
 
 
 def _flattest(normal: np.ndarray, area_m2: np.ndarray, may_be: np.ndarray) -> np.ndarray:
@@ -83,15 +83,15 @@ def _flattest(normal: np.ndarray, area_m2: np.ndarray, may_be: np.ndarray) -> np
     some = candidates[np.argsort(-area_m2[candidates])[:400]]
     level = normal[some] * [1.0, 0.0, 1.0]
     level /= np.maximum(np.linalg.norm(level, axis=1, keepdims=True), 1e-9)
-    together = ((level @ normal[candidates].T) >= FLAT_COSINE) @ area_m2[candidates]
+    together = ((level @ normal[candidates].T) >= _FLAT_COSINE) @ area_m2[candidates]
     axis = level[int(together.argmax())]
     for _ in range(5):
-        near = may_be & (normal @ axis >= FLAT_COSINE)
+        near = may_be & (normal @ axis >= _FLAT_COSINE)
         mean = (area_m2[near, None] * normal[near]).sum(axis=0) * [1.0, 0.0, 1.0]
         if not np.linalg.norm(mean) > 0.0:
             break
         axis = mean / np.linalg.norm(mean)
-    return may_be & (normal @ axis >= FLAT_COSINE)
+    return may_be & (normal @ axis >= _FLAT_COSINE)
 
 
 def _zone_over(name: str, corner_m: np.ndarray, normal: np.ndarray, area_m2: np.ndarray, width_m: float) -> Zone | None:
@@ -100,7 +100,7 @@ def _zone_over(name: str, corner_m: np.ndarray, normal: np.ndarray, area_m2: np.
     from scipy import ndimage
     from scipy.spatial import ConvexHull
 
-    if area_m2.sum() < MIN_AREA_M2:
+    if area_m2.sum() < _MIN_AREA_M2:
         return None
     mean = (area_m2[:, None] * normal).sum(axis=0) * [1.0, 0.0, 1.0]
     x, _, z = mean / np.linalg.norm(mean)
@@ -120,7 +120,7 @@ def _zone_over(name: str, corner_m: np.ndarray, normal: np.ndarray, area_m2: np.
     best = int(sizes.argmax())
     at = np.rint((place.mean(axis=1) - first) / _CELL_M).astype(int)
     inside = label[at[:, 0], at[:, 1]] == best
-    if area_m2[inside].sum() < MIN_AREA_M2:
+    if area_m2[inside].sum() < _MIN_AREA_M2:
         return None
     corner, height_m = place[inside].reshape(-1, 2), (corner_m[inside] @ plane.axes[2]).mean()
     if np.ptp(corner[:, 0]) < _WIDTH_SHARE * width_m:
@@ -163,7 +163,7 @@ WORDS = {
 MARGIN_M = {"glass": 0.02, "lamp": 0.02, "plate": 0.02, "wheel": 0.08, "other colour": 0.02}
 """How far a box reaches beyond its part [m]; around wheels their arches."""
 
-OTHER_COLOUR = 45.0
+_OTHER_COLOUR = 45.0
 """Distance of a colour, 0..255, from all shades of the paint, from which on it is no paint."""
 
 _SHADES = (0.45, 1.35)  # of the paint, in light and shadow
@@ -249,7 +249,7 @@ def _has_other_colour(mesh: Mesh, corner_m: np.ndarray) -> np.ndarray:
     area_m2 = np.bincount(group.reshape(-1), weights=np.linalg.norm(doubled, axis=1))
     paint = rgb[group.reshape(-1) == area_m2.argmax()].mean(axis=0)
     shade = np.clip(rgb @ paint / max(paint @ paint, 1.0), *_SHADES)
-    return np.linalg.norm(rgb - shade[:, None] * paint, axis=1) > OTHER_COLOUR
+    return np.linalg.norm(rgb - shade[:, None] * paint, axis=1) > _OTHER_COLOUR
 
 
 def _merged(boxes: list[np.ndarray]) -> list[np.ndarray]:

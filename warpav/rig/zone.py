@@ -35,10 +35,10 @@ NORMALS = {
 }
 """Names of outward normals, in the ego frame."""
 
-FLUSH_M = (0.0, 0.03)
+_FLUSH_M = (0.0, 0.03)
 """Stand-off of a zone that says none: from level with the skin to 3 cm outwards."""
 
-OUTWARD_RAD = math.radians(85.0)
+_OUTWARD_RAD = math.radians(85.0)
 """How far cameras turn from a zone's normal where the zone does not say."""
 
 BEHIND_GLASS_M = (0.03, 0.15)
@@ -94,7 +94,7 @@ class Zone:
     origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     box_m: np.ndarray | None = None
     keep_out_m: tuple[np.ndarray, ...] = ()
-    stand_off_m: tuple[float, float] = FLUSH_M
+    stand_off_m: tuple[float, float] = _FLUSH_M
     yaw_rad: tuple[float, float] | None = None
     pitch_rad: tuple[float, float] | None = None
     roll_rad: tuple[float, float] | None = None
@@ -156,7 +156,7 @@ class Zone:
         if abs(self.axes[2, 2]) > (0.99 if self.is_behind_glass else 0.5):
             return None
         outward_rad = math.atan2(self.axes[2, 1], self.axes[2, 0])
-        return outward_rad - OUTWARD_RAD, outward_rad + OUTWARD_RAD
+        return outward_rad - _OUTWARD_RAD, outward_rad + _OUTWARD_RAD
 
     def holds(self, point_m: np.ndarray) -> np.ndarray:
         """Which points of its own coordinates [..., 3] belong to it, bool [...]."""
@@ -216,7 +216,7 @@ def _zone(name: str, record: Record) -> Zone:
             if "keep_out_m" in fields
             else (),
             stand_off_m=_range(record.at("stand_off_m"))
-            or (BEHIND_GLASS_M if record.at("behind_glass").flag() else FLUSH_M),
+            or (BEHIND_GLASS_M if record.at("behind_glass").flag() else _FLUSH_M),
             yaw_rad=_radians(record.at("yaw_deg")),
             pitch_rad=_radians(record.at("pitch_deg")),
             roll_rad=_radians(record.at("roll_deg")),

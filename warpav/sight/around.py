@@ -35,8 +35,8 @@ PIXELS = (40.0, 20.0, 12.0)
 HEIGHTS_M = (0.0, 0.6, 1.1)
 """Of what has to be seen near the vehicle [m]: the ground, something small, the top of a child's head."""
 
-BAND_EDGES_M = (3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 150.0, 200.0)
-SECTOR_COUNT = 36
+_BAND_EDGES_M = (3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 150.0, 200.0)
+_SECTOR_COUNT = 36
 
 _NEAREST_M, _FARTHEST_M, _DISTANCE_COUNT = 0.2, 1000.0, 240
 _BISECTIONS = 20
@@ -44,7 +44,7 @@ _BELOW_M = 1.0  # of the ground that stands there for the rays, so that points a
 _TURN_RAD = 1e-4
 
 
-def level_ground(ego: Mesh, *, device: str = "cpu") -> DeviceScene:
+def _level_ground(ego: Mesh, *, device: str = "cpu") -> DeviceScene:
     """The vehicle with nothing around it, in which points from the height of the ground upwards are free.
 
     Args:
@@ -162,7 +162,7 @@ class NearField:
         Args:
             ego: The vehicle in the ego frame [m].
         """
-        scene = level_ground(ego, device=device)
+        scene = _level_ground(ego, device=device)
         azimuth_rad = np.arange(direction_count) * 2.0 * math.pi / direction_count
         border_m = Body.of(ego).border_m(azimuth_rad)
         outwards = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
@@ -214,7 +214,7 @@ class VisibleGround:
         Args:
             ego: The vehicle in the ego frame [m].
         """
-        scene = level_ground(ego, device=device)
+        scene = _level_ground(ego, device=device)
         low_m, high_m = np.asarray(ego.bounds_m(), np.float64)[:, :2]
         x_m, y_m = (
             np.arange(low - margin_m + 0.5 * cell_m, high + margin_m, cell_m)
@@ -266,8 +266,8 @@ class SectorCounts:
         rig: Rig,
         ego: Mesh,
         *,
-        sector_count: int = SECTOR_COUNT,
-        edges_m: Sequence[float] = BAND_EDGES_M,
+        sector_count: int = _SECTOR_COUNT,
+        edges_m: Sequence[float] = _BAND_EDGES_M,
         least_px: float = PIXELS[-1],
         device: str = "cpu",
     ) -> SectorCounts:
@@ -279,7 +279,7 @@ class SectorCounts:
         Args:
             ego: The vehicle in the ego frame [m].
         """
-        scene, body = level_ground(ego, device=device), Body.of(ego)
+        scene, body = _level_ground(ego, device=device), Body.of(ego)
         azimuth_rad = np.arange(sector_count) * 2.0 * math.pi / sector_count
         distance_m = 0.5 * (np.asarray(edges_m)[1:] + np.asarray(edges_m)[:-1])
         across = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)

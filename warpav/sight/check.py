@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from warpav.raster.pane import Pane
     from warpav.scene.scene import Scene
 
-WORST_COUNT = 5
+_WORST_COUNT = 5
 """Points of a requirement that a table and JSON name."""
 
 SCHEMA = "warpav-requirements/1"
@@ -198,7 +198,7 @@ class RequirementResult:
         last = np.sort(closeness, axis=0)[-k] if len(closeness) >= requirement.cameras else np.zeros(len(ghost))
         is_met = self.is_point_met[ghost]
         order = np.argsort(last, kind="stable")
-        worst = [int(ghost[i]) for i in order if not is_met[i]][:WORST_COUNT]
+        worst = [int(ghost[i]) for i in order if not is_met[i]][:_WORST_COUNT]
         unmet_m = self.ghosts.position_m[ghost[~is_met]]
         gap = Gap.largest(unmet_m, requirement.grid_m, self.body.centre_m)
         return RequirementOutcome(requirement, len(ghost), int(is_met.sum()), tuple(map(self._point, worst)), gap)

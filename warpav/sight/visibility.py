@@ -24,7 +24,7 @@ from warpav.raster.scene import Scene
 from warpav.rig.rig import Rig
 from warpav.sight.requirement import Ghosts
 
-GHOSTS_AT_ONCE = 256
+_GHOSTS_AT_ONCE = 256
 """Objects of one scene; a render of a chunk of views holds this many silhouettes in each."""
 
 RENDER_WIDTH_PX = 640
@@ -91,7 +91,7 @@ VIEWS_AT_ONCE = 8
 
 def ghost_scenes(ghosts: Ghosts, ego: Mesh, *, device: str = "cpu") -> GhostScenes:
     """Ghosts on a device, as `ghost_visibility` draws them; whoever asks often keeps them."""
-    chunks = np.array_split(np.arange(len(ghosts)), -(-len(ghosts) // GHOSTS_AT_ONCE))
+    chunks = np.array_split(np.arange(len(ghosts)), -(-len(ghosts) // _GHOSTS_AT_ONCE))
     return [(which, Scene({str(g): ghosts.mesh(g) for g in which}, foreground=ego, device=device)) for which in chunks]
 
 

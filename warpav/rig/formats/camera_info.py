@@ -41,14 +41,14 @@ def read_camera_infos(path: Path) -> dict[str, Optics]:
     found: dict[str, Optics] = {}
     for file in files:
         record = read_yaml_record(file)
-        optics = optics_of_info(record)
+        optics = _optics_of_info(record)
         found[file.parent.name if file.stem == "camera_info" else file.stem] = optics
         if record.at("camera_name").value is not None:
             found.setdefault(record.at("camera_name").text(), optics)
     return found
 
 
-def optics_of_info(record: Record) -> Optics:
+def _optics_of_info(record: Record) -> Optics:
     """The optics of a camera_info mapping."""
     record.mapping("a camera_info mapping with image_width, image_height, camera_matrix and distortion_model")
     lens, counts = _MODELS[record.at("distortion_model").one_of(_MODELS)]
@@ -63,7 +63,7 @@ def optics_of_info(record: Record) -> Optics:
     )
 
 
-def camera_info_text(camera: PlacedCamera, losses: Losses) -> str:
+def _camera_info_text(camera: PlacedCamera, losses: Losses) -> str:
     """The file of one camera."""
     model = camera.model
     if model.lens not in (Lens.PINHOLE, Lens.BROWN_CONRADY, Lens.FISHEYE):
@@ -92,14 +92,14 @@ def _matrix(name: str, matrix: np.ndarray) -> list[str]:
 
 def camera_info_files(cameras: Sequence[PlacedCamera], folder: Path, losses: Losses) -> dict[Path, bytes]:
     """The files of all cameras, ``NAME.yaml`` each."""
-    return {folder / f"{camera.name}.yaml": camera_info_text(camera, losses).encode() for camera in cameras}
+    return {folder / f"{camera.name}.yaml": _camera_info_text(camera, losses).encode() for camera in cameras}
 
 
 def write(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
     """One file per camera, without poses: camera_info does not contain them."""
     files = file_for_each(cameras, target, (".yaml", ".yml"))
     losses.notes.append("camera_info holds no poses; urdf and autoware do")
-    return {file: camera_info_text(camera, losses).encode() for file, camera in zip(files, cameras, strict=True)}
+    return {file: _camera_info_text(camera, losses).encode() for file, camera in zip(files, cameras, strict=True)}
 
 
 FORMAT = RigFormat(

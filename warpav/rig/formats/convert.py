@@ -222,7 +222,7 @@ def export_rig_with_notes(
     """Write a rig for another tool."""
     form = find_format(format_name)
     losses = Losses(form.name, approximate)
-    files = content_of(rig, form, Path(target).expanduser(), losses, origin_m=origin_m, origin_rpy_deg=origin_rpy_deg)
+    files = _content_of(rig, form, Path(target).expanduser(), losses, origin_m=origin_m, origin_rpy_deg=origin_rpy_deg)
     for file in files:
         check_target(file, overwrite=overwrite)
     for file, content in files.items():
@@ -241,7 +241,7 @@ def check_target(file: Path, *, overwrite: bool) -> None:
             raise InputError(f"{folder}: expected a folder to write to, got a file; choose another path")
 
 
-def content_of(
+def _content_of(
     rig: Rig,
     form: RigFormat,
     target: Path,
@@ -267,7 +267,7 @@ def formats_for(rig: Rig) -> tuple[list[str], dict[str, str]]:
         if form.write is None:
             continue
         try:
-            content_of(rig, form, Path("rig"), Losses(name))
+            _content_of(rig, form, Path("rig"), Losses(name))
             fit.append(name)
         except InputError as error:
             unfit[name] = str(error).removeprefix(f"{name}: ")

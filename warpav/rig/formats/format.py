@@ -1,7 +1,7 @@
 """What every format of rig files is made of: what its reader finds, what its writer gets, and words about its frame.
 
 Principal points in other tools' files count from the centre of the upper left pixel, as OpenCV does; warpav counts from
-the image's corner. `PIXEL_CENTRE_PX` is the difference, and is added and taken away here only.
+the image's corner. `_PIXEL_CENTRE_PX` is the difference, and is added and taken away here only.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from warpav.raster.lens import Lens
 if TYPE_CHECKING:
     from warpav.rig.formats.record import Record
 
-PIXEL_CENTRE_PX = 0.5
+_PIXEL_CENTRE_PX = 0.5
 _SAME_PX = 1e-5  # rig files keep six decimals
 _SAME_EXACTLY = 1e-9
 
@@ -122,10 +122,10 @@ class Losses:
         return InputError(f"camera {camera_name!r}: {self.format_name} cannot represent {thing}; choose another format")
 
 
-Reader = Callable[[Path, str | None], Found]
+_Reader = Callable[[Path, str | None], Found]
 """Reads a file or folder; the text picks a part of it (`RigFormat.parts`)."""
 
-Writer = Callable[[Sequence[PlacedCamera], Path, Losses], dict[Path, bytes]]
+_Writer = Callable[[Sequence[PlacedCamera], Path, Losses], dict[Path, bytes]]
 """Returns the files and their content for the target; writes nothing itself."""
 
 
@@ -137,8 +137,8 @@ class RigFormat:
     frame: str
     origin: str
     is_ego_origin: bool
-    read: Reader | None
-    write: Writer | None
+    read: _Reader | None
+    write: _Writer | None
     parts: str | None = None
     mirrored_hint: str = "is the file left-handed?"
 
@@ -190,7 +190,7 @@ def is_plain(model: CameraModel, *, within: float = _SAME_PX) -> bool:
 def camera_matrix(model: CameraModel) -> list[list[float]]:
     """Focal lengths and principal point as other tools write them, 3 x 3."""
     matrix = model.intrinsics.copy()
-    matrix[:2, 2] -= PIXEL_CENTRE_PX
+    matrix[:2, 2] -= _PIXEL_CENTRE_PX
     return matrix.tolist()
 
 
@@ -212,7 +212,7 @@ def optics_of_matrix(
         width_px,
         height_px,
         focal_px=(fx, fy),
-        centre_px=(cx + PIXEL_CENTRE_PX, cy + PIXEL_CENTRE_PX),
+        centre_px=(cx + _PIXEL_CENTRE_PX, cy + _PIXEL_CENTRE_PX),
         lens=lens,
         distortion=tuple(distortion),
     )

@@ -42,7 +42,7 @@ def preset_rig(name: str) -> Rig:
     Raises:
         InputError: There is no such rig.
     """
-    return read_rig(preset_file(name))
+    return read_rig(_preset_file(name))
 
 
 def preset_on_vehicle(name: str, vehicle: Mesh) -> MovedRig:
@@ -50,7 +50,7 @@ def preset_on_vehicle(name: str, vehicle: Mesh) -> MovedRig:
     return put_on_body(preset_rig(name), vehicle, made_for=_BODIES.get(name))
 
 
-def preset_file(name: str) -> Path:
+def _preset_file(name: str) -> Path:
     """The file of the shipped rig of this name."""
     names = preset_names()
     if name not in names:
@@ -96,7 +96,7 @@ def find_rig_file(source: str) -> Path:
         return file
     names = preset_names()
     if source in names:
-        return preset_file(source)
+        return _preset_file(source)
     near = difflib.get_close_matches(source, [*names, HIGHEST], 1, 0.6)
     hint = f"; did you mean {near[0]}?" if near else ""
     raise InputError(
