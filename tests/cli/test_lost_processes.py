@@ -132,7 +132,7 @@ def timeless(value):
 def results_of(folder):
     """All results of an experiment but their times, and the bytes of its rigs and of its table."""
     results = {file.name: timeless(json.loads(file.read_text())) for file in folder.glob("results/*.json")}
-    return results, {file.name: file.read_bytes() for file in [*folder.glob("results/*.yaml"), folder / "table2.md"]}
+    return results, {file.name: file.read_bytes() for file in [*folder.glob("results/*.yaml"), folder / "table.md"]}
 
 
 def finished_in(folder):

@@ -79,11 +79,7 @@ def placed(arguments: list[str]) -> list[str]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit status.
-
-    Args:
-        argv: Arguments without the program's name; those of the process when None.
-    """
+    """Run the command line and return its exit status."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
@@ -154,11 +150,7 @@ def _failed(error: Exception, debug: bool) -> int:
 
 @contextlib.contextmanager
 def _as_ctrl_c(received: list[int]) -> Iterator[None]:
-    """SIGTERM and SIGHUP end the block as Ctrl-C does, where nobody has said that they mean something else.
-
-    Args:
-        received: Takes the number of each that comes.
-    """
+    """SIGTERM and SIGHUP end the block as Ctrl-C does, where nobody has said that they mean something else."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         del frame

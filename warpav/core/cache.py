@@ -52,9 +52,6 @@ def made_files(
     Where few are missing, or one could not be made, the file is not there: whoever reads it makes it.
 
     Args:
-        make: Makes an item's file; importable, as another process has to find it.
-        items: What the files are made of.
-        files: Their files; equal ones are made once.
         worker_count: Processes; None: one for each core.
     """
     from warpav.core.executor import Executor
@@ -111,13 +108,7 @@ def digest(*parts: object) -> str:
 
 
 def fingerprint(*parts: object, code: Collection[str]) -> str:
-    """Hash of the parts and of the code that works on them, as `digest`.
-
-    Args:
-        *parts: Inputs and settings.
-        code: Modules, such as ``warpav.scene.town.town``. With each counts what it imports when it is imported, and so
-            on down to ``warpav.core``; what it imports inside functions counts only if it is named here.
-    """
+    """Hash of the parts and of the code that works on them, as `digest`."""
     return digest(_code_hash(tuple(code)), *parts)
 
 

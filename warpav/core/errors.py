@@ -40,11 +40,7 @@ class WriteError(InputError):
 
 
 class OptionError(InputError):
-    """The value of one option turns out not to fit once it is used; its text begins with the option's name.
-
-    Attributes:
-        option: The option's dotted name, such as ``rig.cameras``. Who knows where its value stands, adds that.
-    """
+    """The value of one option turns out not to fit once it is used; its text begins with the option's name."""
 
     def __init__(self, option: str, text: str) -> None:
         """The error; ``text`` says what was expected, what came, and how to fix it."""
@@ -56,11 +52,6 @@ class ArgumentError(InputError):
     """An argument of a function cannot be used; its text begins with the argument's name.
 
     Arguments that the text speaks of stand in backquotes, so that the command line can call them as it does.
-
-    Attributes:
-        option: The argument's name, such as ``held_out``.
-        text: What was expected, what came, and how to put it right.
-        place: The file or folder that it is about, where there is one.
     """
 
     def __init__(self, option: str, text: str, *, place: object = None) -> None:

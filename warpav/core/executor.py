@@ -35,17 +35,11 @@ class Executor:
     system that they share.
 
     Attributes:
-        name: ``serial``; ``process`` for processes of their own; ``ray``; ``slurm``.
         worker_count: Tasks at a time, from 1. None: one for each core with ``process`` and a Ray of this machine, as
             many as there is room for on a Ray cluster, and one job array with ``slurm``.
         address: Of a running Ray cluster, as ``ray.init`` understands it: ``host:port`` from one of its machines,
             ``ray://host:port`` from elsewhere, ``auto``. None: that of ``RAY_ADDRESS``, else ``local``, a Ray of this
             machine that ends with the tasks. With ``slurm``, ``local`` means processes of this machine.
-        options: What a task needs: options of ``ray.remote`` such as ``num_gpus``, or of submitit's ``AutoExecutor``
-            such as ``slurm_partition``, ``timeout_min`` (240 by default) and ``gpus_per_node``.
-        folder: For jobs and logs of ``slurm``; all machines must see it.
-        gpu_count: GPUs that the processes of ``process`` share in turn, from the tasks' own device on; the results
-            stay the same. 0: they see none and start sooner. Ray and Slurm give a task its GPU by ``options``.
     """
 
     name: _ExecutorName = "serial"
@@ -60,20 +54,6 @@ class Executor:
 
         Every executor calls the function once per task and adds nothing up, so the results are those of ``serial``, bit
         for bit where the function's own do not depend on the machine or on its number of threads.
-
-        Args:
-            function: Importable from a module, as another process has to find it.
-            tasks: What it is called with; small, as it travels to the processes.
-
-        Yields:
-            Outcomes, in the order of the tasks with ``serial`` and as they finish with the others. With these, tasks
-            that failed for want of memory, and all that were under way when a process was killed, are tried again after
-            the rest, by a quarter as many processes and so on down to a single one: a task fails only if it does so
-            alone.
-
-        Raises:
-            OptionError: The executor's package is not installed, nobody answers at the address, or an option is wrong;
-                it names ``executor.name``, ``.workers``, ``.address``, ``.options`` or ``.gpus``.
         """
         if self.gpu_count > 1 and self.name != "process":
             raise OptionError(

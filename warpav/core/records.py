@@ -64,15 +64,7 @@ def read_record(
     """The data as a model.
 
     Args:
-        form: The model.
-        data: Plain data, as JSON and YAML give it.
-        place: Where it stands, for messages; empty where the caller adds that.
-        most: Mistakes that are told, a line each.
-        line_of: Lines of values, for messages.
         name_of: How messages call the beginning of a location, and how many parts that is; None: as it is written.
-
-    Raises:
-        InputError: Something is not as the model says.
     """
     try:
         return form.model_validate(data)

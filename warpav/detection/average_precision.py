@@ -62,12 +62,7 @@ class Scores:
     object_count: np.ndarray  # objects that could be found, int64 [size range, image]
 
     def average_precision(self) -> np.ndarray:
-        """Average precision of all images together.
-
-        Returns:
-            Mean of the interpolated precision at recall 0, .01, ... 1, in 0..1, float64 [size range, threshold]; NaN
-            where there is no object to find.
-        """
+        """Average precision of all images together."""
         order = np.argsort(-self.confidence, kind="stable")
         object_count = self.object_count.sum(axis=1)
         result = np.full(self.counts.shape[:2], np.nan)
@@ -198,17 +193,7 @@ class _Image:
 def _match(
     images: Sequence[_Image], threshold: np.ndarray, low_px2: np.ndarray, high_px2: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Match images of any sizes side by side: the first detections of all, then the second ones, and so on.
-
-    Args:
-        threshold: Least IoU, [threshold].
-        low_px2: Least area of every size range [px^2], [size range, 1].
-        high_px2: Greatest area of every size range [px^2], [size range, 1].
-
-    Returns:
-        Whether each detection is a true positive, and whether it is ignored, bool [size range, threshold, detection];
-        objects that could be found, int64 [size range, image].
-    """
+    """Match images of any sizes side by side: the first detections of all, then the second ones, and so on."""
     first = np.cumsum([0, *(len(each.confidence) for each in images)])
     detection_px2 = np.concatenate([each.detection_px2 for each in images])
     waived = np.concatenate([each.waived for each in images])

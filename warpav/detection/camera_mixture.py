@@ -95,7 +95,6 @@ def mixed_camera(
     Args:
         ego_bounds_m: Lowest and highest corner of the vehicle [m], [2, 3].
         object_ego_m: Middles of the objects [m], [object, 3].
-        near_m: Near plane of the camera [m].
     """
     for tries_left in range(_TRIES, -1, -1):
         model = _any_model(rng, window, near_m)
@@ -159,12 +158,7 @@ def _cut(rng: np.random.Generator, camera: RigCamera, window: Window, aim_px: np
 
 
 def window_model(model: CameraModel, corner_px: np.ndarray, size_px: np.ndarray) -> CameraModel:
-    """The camera that sees a window of a camera's image, pixel by pixel.
-
-    Args:
-        corner_px: Column and row of the window's upper left corner in its image [px].
-        size_px: Width and height of the window [px].
-    """
+    """The camera that sees a window of a camera's image, pixel by pixel."""
     fx, fy, cx, cy = model.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]]
     return CameraModel(
         int(size_px[0]),

@@ -94,8 +94,5 @@ class TensorDetector(Detector, Protocol):
         Args:
             network_input: Anything with the DLPack protocol: RGB in 0..1, float32 [image, 3, row, column], on any
                 device. It is not kept.
-
-        Returns:
-            One `Detections` for every image, in order.
         """
         ...

@@ -81,12 +81,6 @@ class DifferentiableDetector:
     Args:
         path: ONNX file whose one output is [image, 4 + labels, candidates]: centre x, centre y, width, height in pixels
             of the input, then scores in 0..1.
-        label_group: Group of every label, -1 for none, int [label]; see `warpav.detection.detector.ROAD_USERS`.
-        device: Warp device of the images.
-        phase_count: n, 1 to 16; the cost grows with it.
-
-    Raises:
-        InputError: PyTorch is missing or cannot use the device, or the file cannot be differentiated.
     """
 
     def __init__(
@@ -106,11 +100,7 @@ class DifferentiableDetector:
 
     @classmethod
     def of(cls, detector: OnnxDetector, camera: CameraModel, *, device: str) -> DifferentiableDetector:
-        """The network of a detector, for images of a camera.
-
-        Raises:
-            InputError: As the class; or the layout or size of the network's input is another than the images'.
-        """
+        """The network of a detector, for images of a camera."""
         if detector.family.name != "ultralytics":
             raise InputError(
                 f"{detector.file.path}: losses.detector_gradient expected the raw layout ultralytics, got "
@@ -141,14 +131,8 @@ class DifferentiableDetector:
 
         Args:
             image: Colours 0..1, vec3 [image, row, column], sides multiples of 32 px.
-            image_index: The image of every object, int [object].
             box_px: True visible boxes ``x0, y0, x1, y1`` [px], float [object, 4].
-            group: Group of every object, int [object].
             weight: Of every object's loss in the sum that is differentiated, float [object]; None: no gradient.
-
-        Raises:
-            InputError: The images' size is none that the network takes as it is, or its output is not of the layout, or
-                not finite.
         """
         _, height_px, width_px = image.shape
         if height_px % _STRIDE_PX or width_px % _STRIDE_PX:

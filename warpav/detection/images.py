@@ -26,8 +26,6 @@ class CameraImage:
         depth_m: Depth [m] along the optical axis, for a fisheye or a panorama the distance; +inf where nothing is hit,
             float32 [row, column].
         object_index: -1 nothing, 0 environment, 1 ego vehicle, 2 + k vehicle k of the scene, int32 [row, column].
-        visible_area_px: Unoccluded area in the image [px^2], float32 [vehicle].
-        amodal_area_px: Area in the image of the vehicle alone [px^2], float32 [vehicle].
     """
 
     rgb: np.ndarray

@@ -263,14 +263,7 @@ class DetectorInLoop:
         self._known: WeakKeyDictionary[Any, dict[int, tuple[bytes, Detections]]] = WeakKeyDictionary()
 
     def ask(self, images: Sequence[RenderedImage]) -> Callable[[], list[Detections]]:
-        """Start detecting.
-
-        Args:
-            images: All of one size.
-
-        Returns:
-            A function that waits for the detections, one per image, in order; it raises the errors of the detector.
-        """
+        """Start detecting."""
         new = [image for image in images if self._answer(image) is None]
         answers = None
         if new:

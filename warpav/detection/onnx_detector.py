@@ -57,11 +57,7 @@ def suppress(
 
     Args:
         box_px: Edges ``x0, y0, x1, y1``, shape [box, 4].
-        confidence: Shape [box].
         class_index: Given, boxes of the same class leave each other alone; None: whatever the class, shape [box].
-
-    Returns:
-        Indices of the kept boxes, most confident first, int64.
     """
     order = np.argsort(-confidence, kind="stable")[:_CANDIDATE_MAX]
     box = np.asarray(box_px, np.float64)[order].reshape(-1, 4)
@@ -91,31 +87,13 @@ class OnnxDetector:
     label; only boxes of different labels of one kind, as car and truck, still give way to each other.
 
     Args:
-        model: Path of an ONNX file, or ``builtin`` for the shipped network.
-        confidence_min: Detections below are dropped.
-        nms_iou_max: Of two detections that overlap by more, the less confident is dropped.
-        family: Layout of inputs and outputs, see `warpav.detection.families`; ``auto`` finds it out.
         labels: Labels in the order of the network's classes, or a file with one a line; None: the file's metadata, else
             COCO's if implied by the number of classes or by the family.
-        classes: Labels of each kind of road user, capital letters or not; where a kind is missing or None, it has those
-            of `_ROAD_USER_LABELS` that the network knows.
         targets: Kinds of road users to detect, out of `ROAD_USERS`; None: vehicles, and all others that
             it has labels for.
         input_px: Images are scaled so that their longer side has this many pixels, and padded to multiples of 32; a
             family that wants a square gets one of this side. None: as they are, or the family's own. A file that fixes
             its input size takes none.
-        threads: Threads of onnxruntime; None lets it use all cores that the process may use.
-        provider: Where the network runs: ``cpu``, ``cuda`` or ``tensorrt``.
-
-    Attributes:
-        file: Its metadata, with the labels in use and their origin.
-        family: How its inputs and outputs are read.
-        reason: Why this family, in words.
-
-    Raises:
-        InputError: The file is missing, not ONNX, of unknown layout, without labels or without a label of a target; or
-            the provider is missing or was replaced by another.
-        ValueError: A target is no road user.
     """
 
     def __init__(
@@ -207,13 +185,6 @@ class OnnxDetector:
 
         Args:
             images_rgb: Images of one size, uint8, shape [image, row, column, 3].
-
-        Returns:
-            One `Detections` for every image, in order.
-
-        Raises:
-            InputError: The network gives something else than its file promises, or numbers that are not finite.
-            ValueError: The images are of another shape or type, or have no pixels.
         """
         if len(images_rgb) == 0:
             return []
@@ -241,13 +212,6 @@ class OnnxDetector:
         Args:
             network_input: Anything with the DLPack protocol: RGB in 0..1, float32 [image, 3, row, column], of a size
                 that `takes_tensor`.
-
-        Returns:
-            One `Detections` for every image, in order.
-
-        Raises:
-            InputError: As `detect`.
-            ValueError: The tensor has another layout or size.
         """
         import warp as wp
 

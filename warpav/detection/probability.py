@@ -201,8 +201,6 @@ class DetectionProbability:
         Gradients flow through areas, extents, solid angles and boxes; colours are held fixed.
 
         Args:
-            position_ego_m: Camera centres [m], vec3 [view].
-            camera_from_ego: Rotations from ego to camera axes, mat33 [view].
             log_zoom: Logarithm of each view's focal length over its lens's, float [view]; None: as rendered.
         """
         measure = appearance.measures.on_tape(position_ego_m, camera_from_ego, log_zoom)
@@ -217,11 +215,7 @@ class DetectionProbability:
         )
 
     def of_coverage(self, frame: Frame, scene: DeviceScene, position_ego_m: wp.array) -> Seen:
-        """Probabilities in the views of a render, the same numbers as `on_tape` gives; nothing is taped.
-
-        Args:
-            position_ego_m: Camera centres [m], vec3 [view].
-        """
+        """Probabilities in the views of a render, the same numbers as `on_tape` gives; nothing is taped."""
         coverage = frame.coverage()
         return self.of_measures(
             coverage.value,
@@ -249,8 +243,6 @@ class DetectionProbability:
             in_frame_sr: Solid angle of every vehicle alone inside the image [sr], float [view, vehicle, 1].
             whole_sr: That of its whole box, from `whole_solid_angle` [sr], float [view, vehicle].
             contrast: As in `Appearance`, float [view, vehicle].
-            width_px: Width of the images [px].
-            height_px: Height of the images [px].
         """
         device = measure.device
         pairs = measure.shape[:2]
@@ -408,9 +400,6 @@ def whole_solid_angle(position_ego_m: wp.array, box: UprightBoxes, *, vehicle_co
 
 def spline_basis(value: np.ndarray, start: float, step: float, knot_count: int) -> np.ndarray:
     """What every coefficient of a curve weighs at given values: the curve is ``basis @ coefficient``.
-
-    Args:
-        value: Where, [value].
 
     Returns:
         float64 [value, knot].

@@ -87,7 +87,6 @@ def random_cameras(
     """Cameras anywhere on a mount surface, turned anywhere: where an optimisation may lead them.
 
     Args:
-        height_offset_m: Their height above the surface [m].
         pitch_rad: Range of their pitches [rad]; None: level.
         height_m: Range of their heights above the surface [m]; None: ``height_offset_m``.
         fov_rad: Range of their fields of view [rad], uniform in the logarithm of the focal length; None: the model's.
@@ -172,12 +171,7 @@ class CalibrationBin:
 
 
 def score(probability: np.ndarray, is_detected: np.ndarray, *, bin_count: int = BIN_COUNT) -> ProbabilityScores:
-    """Compare probabilities with outcomes.
-
-    Args:
-        probability: In 0..1, [object].
-        is_detected: bool [object].
-    """
+    """Compare probabilities with outcomes."""
     from scipy.stats import rankdata
 
     probability, is_detected = np.asarray(probability, np.float64), np.asarray(is_detected, bool)

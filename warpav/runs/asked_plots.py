@@ -29,14 +29,7 @@ _KINDS_OF = {"run": RunFolder, "rig": Rig, "comparison": dict}
 
 @dataclass(frozen=True)
 class AskedPlots:
-    """What ``warpav plot`` was asked for, found possible before anything is loaded.
-
-    Attributes:
-        source: Run folder, rig YAML, preset, or ``highest``.
-        beside: Further such, to compare with.
-        files: The file of every kind to draw.
-        is_all: Whether all kinds were asked for; then one that this rig or run cannot have is passed over.
-    """
+    """What ``warpav plot`` was asked for, found possible before anything is loaded."""
 
     source: str
     beside: tuple[str, ...]
@@ -48,13 +41,7 @@ class AskedPlots:
         """Check what was asked for.
 
         Args:
-            source: Run folder, rig YAML, preset, or ``highest``.
-            kind: Name of a kind, or ``all``.
             out: File; of ``all`` the folder for the files. None: the kind's name in this folder, or this folder.
-            beside: Further sources, to compare with.
-
-        Raises:
-            InputError: There is no such rig, kind or comparison, or the file's name says another format.
         """
         arm_names(source, beside)
         is_run = is_run_folder(source)
@@ -82,18 +69,7 @@ class AskedPlots:
         return cls(source, tuple(beside), {kind: file}, is_all=False)
 
     def draw(self, config: Config, *, progress: Progress | None = None) -> tuple[list[Path], dict[str, str]]:
-        """Draw them all.
-
-        Args:
-            config: Of the run, or the one asked for: gives the scene, the detector, and ``highest``.
-            progress: Shows how many images of an animation are done.
-
-        Returns:
-            The files, and by kind why one of all was passed over.
-
-        Raises:
-            InputError: A rig or a file cannot be used.
-        """
+        """Draw them all."""
         scene = next(load_scenes(config, config.scenes.test_seeds[:1]))
         heading = Path(self.source).name if is_run_folder(self.source) else Path(self.source).stem
         written, left_out = [], {}

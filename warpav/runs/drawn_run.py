@@ -24,16 +24,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DrawnRun:
-    """What images of a run are drawn from.
-
-    Attributes:
-        name: Where it is, for messages.
-        events: Its iterations, as in ``events.jsonl``.
-        rig: Its result.
-        frames: The rig before the step of every iteration.
-        scene: Traffic and street around it.
-        surface_of: Gives what the cameras stand on.
-    """
+    """What images of a run are drawn from."""
 
     name: str
     events: Sequence[Mapping[str, Any]]
@@ -84,11 +75,7 @@ class DrawnRun:
         """The cameras move over the vehicle, and their trajectories grow.
 
         Args:
-            arrows: Whether to draw where the descent moves and turns the cameras.
             window_size: Width and height [px].
-
-        Raises:
-            InputError: The run has no iteration.
         """
         from warpav.view.recording import run_animation
 
@@ -125,28 +112,14 @@ draws(DrawnRun, "view")(DrawnRun.drawing)
 
 
 def nearest_iteration(events: Sequence[Mapping[str, Any]], rig: Rig) -> int:
-    """The iteration before whose step the cameras stood nearest to those of a rig; from 0.
-
-    Args:
-        events: Lines of ``events.jsonl``, at least one, of as many cameras as the rig has.
-        rig: The rig.
-    """
+    """The iteration before whose step the cameras stood nearest to those of a rig; from 0."""
     end_m = np.array([camera.position_m for camera in rig.cameras])
     positions_m = np.array([event["positions_m"] for event in events], np.float64)
     return int(np.linalg.norm(positions_m - end_m, axis=2).max(axis=1).argmin())
 
 
 def rigs_of_events(events: Sequence[Mapping[str, Any]], rig: Rig, *, place: Path | str = "run") -> list[Rig]:
-    """The rigs of a run's iterations.
-
-    Args:
-        events: Lines of ``events.jsonl``.
-        rig: The run's result; its names, and what the events do not hold, such as lenses that are not free.
-        place: The run folder, for messages.
-
-    Raises:
-        InputError: The events are of another number of cameras.
-    """
+    """The rigs of a run's iterations."""
     rigs = []
     counts = {len(event["positions_m"]) for event in events}
     if counts - {len(rig.cameras)}:

@@ -26,24 +26,14 @@ FITTING_KINDS = (*COMPARED_KINDS, "contact", "sheet")
 
 @dataclass(frozen=True, eq=False)
 class FittedRigs:
-    """Rigs on one vehicle in one scene, and the configuration whose detector looks through them.
-
-    Attributes:
-        rigs: By name, the one that counts last.
-        scene: The first test scene, or another; around the vehicle.
-        config: Gives the detector.
-    """
+    """Rigs on one vehicle in one scene, and the configuration whose detector looks through them."""
 
     rigs: Mapping[str, Rig]
     scene: Scene
     config: Config
 
     def drawing(self, kind: str, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view.plotting.Kind)
-        """What a kind out of `FITTING_KINDS` shows of them.
-
-        Raises:
-            InputError: The detection probability is not known for ``range``.
-        """
+        """What a kind out of `FITTING_KINDS` shows of them."""
         if kind not in COMPARED_KINDS:
             return drawing_of(list(self.rigs.values())[-1], canvas, kind=kind, scene=self.scene)
         options = {"probability": self.probability} if kind == "range" else {}

@@ -39,19 +39,7 @@ FRONT_FILE, FRONT_FIGURE = "front.json", "front.png"
 
 @dataclass(frozen=True, eq=False)
 class FrontPoint:
-    """The best rig of a number of cameras, or within a budget.
-
-    Attributes:
-        name: ``4_cameras``, or ``cost_12.5``.
-        rig: The rig.
-        cost: What its modules cost together; 0 of equal cameras.
-        objective: Expected miss rate on the scenes of the search; with requirements their points are part of it.
-        bound: No rig of the pool's cameras within the same limits is below it, on these scenes.
-        pool_cameras: Cameras of that pool.
-        misses_per_100: Objects of unseen scenes that the detector does not find, per 100; None without such scenes.
-        expected_misses_per_100: The same by the model of detection probability.
-        is_dominated: Whether another rig of no more cameras and no more cost misses fewer on the scenes of the search.
-    """
+    """The best rig of a number of cameras, or within a budget."""
 
     name: str
     rig: Rig
@@ -87,15 +75,7 @@ class FrontPoint:
 
 @dataclass(frozen=True, eq=False)
 class Front:
-    """Rigs of rising number or cost, the best of each.
-
-    Attributes:
-        points: They, from the fewest cameras or the smallest budget on.
-        by: ``cameras`` or ``cost``.
-        scenes: Names of the unseen scenes that they were judged on.
-        evaluation: All metrics on these; None without such scenes.
-        has_requirements: Whether the searches counted the points of requirements as well.
-    """
+    """Rigs of rising number or cost, the best of each."""
 
     points: tuple[FrontPoint, ...]
     by: str
@@ -126,17 +106,7 @@ class Front:
         return Table(columns, tuple(rows), caption)
 
     def save(self, folder: str | Path) -> Path:
-        """Write the rigs, one file each, ``front.json`` and ``front.png``.
-
-        Args:
-            folder: A folder; it is made where it does not exist.
-
-        Returns:
-            The folder.
-
-        Raises:
-            InputError: It holds a front already, or cannot be written.
-        """
+        """Write the rigs, one file each, ``front.json`` and ``front.png``."""
         path = Path(folder).expanduser()
         if (path / FRONT_FILE).exists():
             raise ArgumentError(

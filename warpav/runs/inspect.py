@@ -52,25 +52,7 @@ def inspect_rig(
     requirements: str | None = None,
     progress: Progress | None = None,
 ) -> Path | None:
-    """Show a rig on its vehicle in traffic: in the interactive inspector if there is a display, else in a file.
-
-    Args:
-        source: Run folder, rig YAML, preset, or ``highest``.
-        config: Gives the scene, which is the first test scene, and the detector.
-        out: PNG, HTML, GIF or MP4 to write; the last two are animations of a run. Of a sheet PNG, PDF or SVG. RRD is a
-            recording for Rerun. None opens a window, or writes ``sheet.pdf``.
-        shown: What is drawn besides the rig and the trajectories of its cameras. The inspector begins with it, and with
-            the coverage when it is the rig alone.
-        requirements: YAML file, or a template's name: their points lie on the ground by what is met. In a file, only
-            beside the rig alone.
-        progress: Shows how many images of an animation are done.
-
-    Returns:
-        The file that was written, if one was.
-
-    Raises:
-        InputError: The rig or the file cannot be used, or this machine cannot draw.
-    """
+    """Show a rig on its vehicle in traffic: in the interactive inspector if there is a display, else in a file."""
     from warpav.view import plot
     from warpav.view.opengl import has_display
     from warpav.view.output import check_suffix
@@ -139,19 +121,7 @@ def _write_recording(source: str, config: Config, out: Path, shown: Shown, requi
 
 
 def write_mount_drawing(source: str, config: Config, out: Path) -> list[Path]:
-    """Write the drawing by which a workshop mounts a rig; see `warpav.view.drawing.mount_drawing`.
-
-    Args:
-        source: Run folder, rig YAML, preset, or ``highest``.
-        config: Gives the vehicle, which is that of the first test scene, and the catalogue of modules.
-        out: PDF, SVG, PNG, DXF, CSV or GLB, or a folder that takes all of them.
-
-    Returns:
-        The files.
-
-    Raises:
-        InputError: The rig or a file cannot be used, or ezdxf is missing.
-    """
+    """Write the drawing by which a workshop mounts a rig; see `warpav.view.drawing.mount_drawing`."""
     from warpav.rig.catalogue import BUILTIN, read_modules
     from warpav.view.drawing.mount_drawing import check_out, mount_drawing
 
@@ -183,17 +153,7 @@ def inspector(
     """The interactive view of a rig on the test scenes, with the iterations of a run; not yet shown.
 
     Args:
-        source: Run folder, rig YAML, preset, or ``highest``.
-        config: Gives scenes, detector, mount surface and constraints.
-        begin_with: What is shown at first, see `warpav.view.inspector.Inspector`.
         requirements: YAML file, or a template's name; None: there are none.
-        scenes: To be shown instead of the configuration's test scenes.
-        off_screen: Draw without a window; by default when there is no display.
-        panel: Takes the lines about the rig, see `Inspector`.
-
-    Raises:
-        InputError: The rig or a scene cannot be used, or this machine cannot draw; to begin with what one more camera
-            would bring, the source is no run of a search by a pool.
     """
     from warpav.view.descent_view import Steepest
     from warpav.view.inspected import InspectedRig
@@ -258,15 +218,7 @@ def serve_inspector(
     """Serve the inspector to browsers of this machine until it is interrupted.
 
     Args:
-        source: Run folder, rig YAML, preset, or ``highest``.
-        config: Gives scenes, detector, mount surface and constraints.
-        scene: GLB of a scene to show instead of the configuration's test scenes.
         port: Where to listen, 0 for any that is free; None: `warpav.view.browser.DEFAULT_PORT`.
-        ready: Told the address and the port as soon as it can be opened.
-
-    Raises:
-        InputError: As `inspector`, the extra ``web`` is not installed, or the port is taken.
-        KeyboardInterrupt: As it comes.
     """
     from warpav.view.browser import DEFAULT_PORT, BrowserInspector, new_token
 
@@ -285,22 +237,7 @@ def write_inspector_page(
     scene: Path | None = None,
     scene_count: int = PAGE_SCENES,
 ) -> Path:
-    """Write a page that stands alone: a rig in some scenes, what its cameras see of the ground, and switches for all.
-
-    Args:
-        source: Run folder, rig YAML, preset, or ``highest``.
-        config: Gives the scenes.
-        out: HTML file to write.
-        scene: GLB of a scene to show instead of the configuration's test scenes.
-        scene_count: How many of these it holds at most.
-
-    Returns:
-        The file.
-
-    Raises:
-        InputError: The rig, a scene or the file cannot be used, this machine cannot draw, or the extra ``web`` is not
-            installed.
-    """
+    """Write a page that stands alone: a rig in some scenes, what its cameras see of the ground, switches for all."""
     from warpav.scene.device_scene import DeviceScene
     from warpav.sight.ground import HEIGHTS_M, PATCH_M, Ground
     from warpav.view.output import save_page

@@ -46,25 +46,7 @@ def mount_tolerance(
     seed: int = 0,
     progress: bool | Progress | None = None,
 ) -> MountTolerance:
-    """What errors of mounting cost a rig, by rendering its cameras where they are off. Nothing is written.
-
-    Args:
-        rig: As many cameras as the placement has, of its camera model.
-        scenes: Scenes that no rig was optimised on.
-        placement: Gives the vehicle, the targets, the model of detection probability and the weights of objects.
-        position_m: Greatest error of a place in each direction [m], positive.
-        angle_deg: Greatest error of yaw, pitch and roll [deg], positive.
-        sample_count: Draws of all errors together, at least 1.
-        seed: Of the draws.
-        progress: As of `warpav.runs.optimise.optimise`.
-
-    Returns:
-        Expected misses per 100 objects: of the rig, of the draws, and with each camera off in each degree of freedom.
-
-    Raises:
-        InputError: The rig does not fit the placement, whose objective has to be the expected miss rate alone; a number
-            is not positive, or the scenes hold no objects.
-    """
+    """What errors of mounting cost a rig, by rendering its cameras where they are off. Nothing is written."""
     with shown_progress(progress) as shown:
         found = tolerance_on(
             rig,
@@ -126,20 +108,7 @@ def soiling(
     The soiled part is opaque: what lies in it is not visible, and what it touches is partly hidden. Nothing is written.
 
     Args:
-        rig: As many cameras as the placement has, of its camera model.
-        scenes: Scenes that no rig was optimised on.
-        placement: Gives the vehicle, the targets, the model of detection probability and the weights of objects.
         shape: ``disc``; ``rows``, a band from the left edge to the right; ``columns``, one from the upper to the lower.
-        place: Its middle as shares of the image's width and height from the upper left corner, 0..1.
-        share: Its area as a share of the image's, in (0, 1]; what lies beyond the image's edge counts too.
-        progress: As of `warpav.runs.optimise.optimise`.
-
-    Returns:
-        Expected misses per 100 objects of the clean rig, and with each camera soiled.
-
-    Raises:
-        InputError: The rig does not fit the placement, whose objective has to be the expected miss rate alone with
-            ``visibility.occlusion=exact``; a number is out of its range, or the scenes hold no objects.
     """
     part = SoiledPart(shape, place, share)
     with shown_progress(progress) as shown:
@@ -166,20 +135,9 @@ def load_states(
     """What a rig is expected to miss when a load pitches or lowers the vehicle with its cameras. Nothing is written.
 
     Args:
-        rig: As many cameras as the placement has, of its camera model.
-        scenes: Scenes that no rig was optimised on, without a load.
-        placement: Gives the vehicle, the targets, the model of detection probability and the weights of objects.
         states: Of each load by name ``pitch_deg``, the turn about the ego frame's y axis, nose down positive [deg],
             within 30, and ``height_m``, how far the frame's origin (on the ground below the rear axle) rises [m].
             None: one degree nose down, one degree nose up, and laden: 1 degree nose up and 5 cm lower.
-        progress: As of `warpav.runs.optimise.optimise`.
-
-    Returns:
-        Expected misses per 100 objects of the rig without a load, and under each.
-
-    Raises:
-        InputError: The rig does not fit the placement, whose objective has to be the expected miss rate alone; a number
-            is out of its range, or the scenes hold no objects.
     """
     given = _LOADS if states is None else states
     loads = {name: LoadState(*state) for name, state in given.items()}

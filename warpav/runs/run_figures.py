@@ -58,16 +58,6 @@ def render_rig(source: str, rig_source: str, config: Config, out: Path, override
     Writes per camera ``<camera>_rgb.png``, ``<camera>_object.png`` (16 bit: 0 background and environment, 65535 ego,
     else the instance id) and ``<camera>_depth_m.npy`` (float32, inf where nothing; the distance for a fisheye or a
     panorama, else along the optical axis), and ``views.json``. The files appear once all images are rendered.
-
-    Args:
-        source: GLB file, or the seed of an embedded scene.
-        rig_source: Rig YAML, preset, run folder, or ``highest``.
-        config: Device, supersampling, near plane, and the cameras of ``highest``.
-        out: Folder to write to; made when it does not exist.
-        overrides: The overrides that the user gave; those of ``camera`` replace what the rig's file says.
-
-    Raises:
-        InputError: The scene, the rig, the device or the folder cannot be used.
     """
     from warpav.detection.images import render_images
 
@@ -92,17 +82,7 @@ def render_rig(source: str, rig_source: str, config: Config, out: Path, override
 
 @dataclass(frozen=True, eq=False)
 class RunPictures:
-    """What the pictures of a run are drawn from.
-
-    Attributes:
-        folder: The run folder, which has its iterations and, where it has been evaluated, its ``evaluation.json``.
-        placement: What it ran on.
-        start: The rig that the run started from.
-        found: The rig that it found.
-        test: Test scenes.
-        scene: The first of them, as meshes.
-        evaluation: Content of ``evaluation.json``.
-    """
+    """What the pictures of a run are drawn from."""
 
     folder: RunFolder
     placement: Placement
@@ -114,11 +94,7 @@ class RunPictures:
 
     @classmethod
     def of_folder(cls, folder: RunFolder, progress: Progress) -> RunPictures:
-        """Those of a run that has ended: its scenes and its detector are loaded again.
-
-        Raises:
-            InputError: The run has not been evaluated, or something that it ran on is gone.
-        """
+        """Those of a run that has ended: its scenes and its detector are loaded again."""
         evaluation = folder.evaluation()
         if evaluation is None:
             raise InputError(
@@ -201,11 +177,7 @@ class RunPictures:
         _keep_views(self.folder, [(each.scene.name, self._panels(each)) for each in shown])
 
     def _draw_rig(self) -> str | None:
-        """Start and result on the vehicle in the first test scene, side by side.
-
-        Returns:
-            Why this machine cannot draw them; None where it can.
-        """
+        """Start and result on the vehicle in the first test scene, side by side."""
         from warpav.view.opengl import opengl_problem
 
         problem = opengl_problem()
@@ -288,12 +260,7 @@ def _shown_scenes(scenes: Sequence[AssignedScene], evaluation: Mapping[str, Any]
 
 
 def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequence[DetectionPanel]]]]) -> None:
-    """Write what cameras see into a run folder, by scene and by rig, as images and boxes.
-
-    Args:
-        folder: The run folder.
-        panels: Name of every scene, which others may have as well, and what the cameras see there by rig.
-    """
+    """Write what cameras see into a run folder, by scene and by rig, as images and boxes."""
     from PIL import Image
 
     views, image_of = [], {}

@@ -47,13 +47,6 @@ def write_scene(scene: Scene, path: str | Path) -> None:
     """Write a scene; the same scene gives the same bytes.
 
     The file appears only once it is complete.
-
-    Args:
-        scene: The scene.
-        path: A name that ends in ``.glb``.
-
-    Raises:
-        InputError: The folder does not exist or cannot be written to.
     """
     import trimesh
 
@@ -94,19 +87,7 @@ def write_scene(scene: Scene, path: str | Path) -> None:
 
 
 def read_scene(path: str | Path) -> Scene:
-    """Read a scene that `write_scene` or another program wrote.
-
-    Args:
-        path: A GLB file with the nodes and extras that this module documents.
-
-    Returns:
-        The scene in the ego frame; its class alone determines whether a node is a vehicle (`Vehicle.road_user`), and
-        the others are among its `others`. Both are in order of instance id.
-
-    Raises:
-        InputError: The file is missing, is no GLB, lacks a node or an extra, or holds a mesh without triangles or with
-            NaN vertices.
-    """
+    """Read a scene that `write_scene` or another program wrote."""
     import trimesh
 
     path = Path(path)

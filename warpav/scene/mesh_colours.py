@@ -37,12 +37,7 @@ _MAP_OPTION = re.compile(r"^-\w+(\s+(on|off|[-+]?[\d.]+))*\s+")
 
 
 class FileFinder:
-    """The files that a mesh file names: materials, textures, buffers. It is a resolver as trimesh takes them.
-
-    Attributes:
-        mesh: The mesh file.
-        missing: What it names and is not there, and images that cannot be read, in the order in which they were met.
-    """
+    """The files that a mesh file names: materials, textures, buffers. It is a resolver as trimesh takes them."""
 
     def __init__(self, mesh: Path) -> None:
         self.mesh = mesh

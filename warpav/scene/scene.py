@@ -44,7 +44,6 @@ class Box:
     Attributes:
         center_m: Centre [m], shape [3].
         size_m: Length, width, height [m], shape [3].
-        yaw_rad: Heading about z, left positive [rad].
     """
 
     center_m: np.ndarray
@@ -114,11 +113,6 @@ class Vehicle:
     """A road user other than the ego vehicle; mostly a vehicle, hence the name.
 
     Attributes:
-        instance_id: Number of the instance within its scene, from 1.
-        category: What it is: ``hatchback``, ``saloon``, ``estate``, ``suv``, ``van``, ``lorry`` or ``bus``; of those
-            that are no vehicles ``pedestrian`` or ``cyclist``. Scenes from elsewhere may hold any word.
-        mesh: Its surface in the ego frame.
-        box: Its bounding box in the ego frame.
         velocity_ego_m_s: How it moves in the ego frame, forward and left [m/s], shape [2]: relative to the ego vehicle,
             which moves itself, so that what stands on the road comes nearer. None: unknown.
     """

@@ -217,15 +217,6 @@ class Family(ABC):
     """One layout of inputs and outputs; an instance serves one file.
 
     Attributes:
-        file: The file that it serves.
-        image: The input for images.
-        name: What `detector.format` calls it.
-        layout: Its inputs and outputs in words.
-        placement: Where an image lies in the input.
-        is_bgr: Whether blue comes first.
-        white: The value of white.
-        stride_px: Inputs of dynamic size are multiples of this.
-        suppresses: Whether the network itself gives an object one box of a class.
         square_px: Side of the input of a file of dynamic size, where it must be square; None: as the image.
         assumed_labels: Labels if neither user, metadata nor the number of classes determines them; None: an error.
     """
@@ -280,8 +271,6 @@ class Family(ABC):
         """Rows and columns of the network's input for an image.
 
         Args:
-            height_px: Height of the image.
-            width_px: Width of the image.
             input_px: The wanted longer side of the image in it; None: as it is.
         """
         if self.file.size_px is not None:
@@ -300,7 +289,6 @@ class Family(ABC):
 
         Args:
             images_rgb: Images, uint8 [image, row, column, 3].
-            letterbox: Where they lie in the input.
         """
         canvas = letterbox.canvas(images_rgb).transpose(0, 3, 1, 2)
         network_input = np.empty(canvas.shape, np.float32)
@@ -309,20 +297,12 @@ class Family(ABC):
         return network_input
 
     def feed(self, network_input: np.ndarray) -> dict[str, np.ndarray]:
-        """The network's inputs by name.
-
-        Args:
-            network_input: From `pack`, of as many images as one run takes.
-        """
+        """The network's inputs by name."""
         array = network_input if len(self.image.shape) == 4 else network_input[0]
         return {self.image.name: array.astype(self.image.dtype, copy=False)}
 
     def each_image(self, outputs: Sequence[np.ndarray], image_count: int) -> list[tuple[np.ndarray, ...]]:
-        """The outputs of one run, image by image.
-
-        Raises:
-            InputError: They are not of the shapes that the file promises.
-        """
+        """The outputs of one run, image by image."""
         for tensor, array in zip(self.file.outputs, outputs, strict=True):
             if array.ndim == 0 or len(array) != image_count:
                 raise InputError(
@@ -335,17 +315,7 @@ class Family(ABC):
     def decode(
         self, outputs: tuple[np.ndarray, ...], size_px: tuple[int, int], classes: np.ndarray, confidence_min: float
     ) -> Candidates:
-        """Boxes of one image.
-
-        Args:
-            outputs: All outputs of one image, the batch's axis taken off.
-            size_px: Rows and columns of the network's input.
-            classes: The classes to detect, int32.
-            confidence_min: Least confidence.
-
-        Raises:
-            InputError: The outputs are not of the shapes that the file promises.
-        """
+        """Boxes of one image."""
 
     def _came(self, output: int, array: np.ndarray, expected: str) -> InputError:
         """What is wrong with an output; the batch's axis is off."""

@@ -152,7 +152,6 @@ def sample_cameras(
 
     Args:
         ego_bounds_m: Least and greatest corner of the ego vehicle [m], shape [2, 3].
-        side_px: Width and height of the images [px].
     """
     cameras = []
     low_xy_m, high_xy_m = surface.bounds_m
@@ -194,11 +193,7 @@ def render_scene(
     ignored_ids: Sequence[int] = (),
     thread_count: int | None = None,
 ) -> dict[int, LabelledImages]:
-    """Images of one scene by random cameras, by their side [px].
-
-    Args:
-        views_per_scene: How many, by the side of the image [px].
-    """
+    """Images of one scene by random cameras, by their side [px]."""
     from warpav.detection.images import render_images
     from warpav.scene.device_scene import DeviceScene
 

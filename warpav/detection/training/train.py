@@ -204,11 +204,7 @@ def train(training: Training, data: dict[int, DeviceData], options: TrainingOpti
 
 
 def train_detector(folder: Path, options: TrainingOptions, *, image_folder: Path) -> Path | None:
-    """Render the images, train, and write the network as ``detector.onnx``; resumes from existing results.
-
-    Returns:
-        The ONNX file; None where the time was up before the schedule's end.
-    """
+    """Render the images, train, and write the network as ``detector.onnx``; resumes from existing results."""
     torch.backends.cudnn.benchmark = True
     torch.set_float32_matmul_precision("high")
     training = Training(torch.device(options.device), step_count=options.steps, seed=options.seed)

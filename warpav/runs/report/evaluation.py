@@ -319,8 +319,6 @@ class _GroundMap:
     Attributes:
         blind_share: Share of the scenes in which no camera sees somebody on a cell, of those in which he can stand
             there, by arm, float64 [height, row, column]; NaN where he never can.
-        heights_m: Heights above the ground [m].
-        cell_m: Size of a cell [m].
         ego_bounds_m: Lowest and highest corner of the vehicle in its frame [m], [2, 3].
     """
 

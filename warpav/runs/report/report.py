@@ -79,11 +79,7 @@ _ELSEWHERE = ("rig", "detections", *_FITTING, *_CURVES, "further_cameras", "sens
 
 @dataclass(frozen=True)
 class _PageImage:
-    """An image of the page.
-
-    Attributes:
-        size_px: Width and height [px], so that a page keeps its place.
-    """
+    """An image of the page."""
 
     name: str
     caption: str
