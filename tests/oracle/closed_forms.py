@@ -46,12 +46,7 @@ def half_plane_area(a_ego_m, b_ego_m, ego_from_camera, model):
 def convex_area(corner_ego_m, edges, ego_from_camera, model, window_px=None):
     """Area [px^2] and derivative of a convex body, cut by the near plane and a window (left, top, right, bottom).
 
-    Args:
-        corner_ego_m: Corners [corner, 3].
-        edges: Pairs of corners that a straight edge joins, [edge, 2].
-        ego_from_camera: Pose.
-        model: Size, field of view and near plane of a pinhole camera.
-        window_px: None: the image.
+    ``edges`` are pairs of corners that a straight edge joins, [edge, 2]; without a window the image is it.
     """
     window_px = (0.0, 0.0, model.width_px, model.height_px) if window_px is None else window_px
     return _with_derivative(
@@ -62,13 +57,9 @@ def convex_area(corner_ego_m, edges, ego_from_camera, model, window_px=None):
 
 
 def unblocked_area(body, blocking, ego_from_camera, model):
-    """Area [px^2] and derivative of the part of a convex body that another one's silhouette leaves free.
+    """Area [px^2] and derivative of the part of a convex body that another, nearer one's silhouette leaves free.
 
-    Args:
-        body: Corners [corner, 3] and pairs of corners that a straight edge joins, [edge, 2].
-        blocking: The same of the other body, which counts as nearer everywhere.
-        ego_from_camera: Pose.
-        model: Size, field of view and near plane of a pinhole camera.
+    Bodies are corners [corner, 3] and pairs of corners that a straight edge joins, [edge, 2].
     """
     image_px = (0.0, 0.0, model.width_px, model.height_px)
 

@@ -8,10 +8,7 @@ def pairwise_hidden(depth_m, ego_depth_m):
 
     Of two overlapping silhouettes the one whose part outside the overlap has the smaller median depth hides the other;
     the medians inside the overlap decide where one silhouette has no part outside. The ego vehicle hides everything.
-
-    Args:
-        depth_m: Every vehicle alone, inf outside, [vehicle, row, column].
-        ego_depth_m: The ego vehicle alone, [row, column].
+    Depths are those of every vehicle alone, inf outside, [vehicle, row, column], and the ego vehicle's, [row, column].
     """
     inside = np.isfinite(depth_m)
     hidden = inside & np.isfinite(ego_depth_m)

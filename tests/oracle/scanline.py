@@ -15,14 +15,10 @@ SHIFTS, SPINS, ZOOM = (0, 1, 2), (3, 4, 5), 6
 
 
 def areas(meshes, ego_from_camera, model, *, weight=None, log_zoom=0.0):
-    """Weighted areas of every mesh: what is visible of it and what it covers alone [px^2], float64 [2, mesh].
+    """Weighted areas of every mesh in a pinhole camera: what is visible of it and what it covers alone [px^2].
 
-    Args:
-        meshes: Objects with ``vertex_m`` [vertex, 3] and ``triangle`` [triangle, 3]; a few hundred triangles.
-        ego_from_camera: Pose, [4, 4].
-        model: Size, field of view and near plane of a pinhole camera.
-        weight: Weights of every pixel, [image, row, column]: the result has another first axis; None: 1.
-        log_zoom: Logarithm of a factor of the focal length.
+    Float64 [2, mesh]; with weights of the pixels, [image, row, column], [image, 2, mesh]. The focal length is
+    multiplied by ``exp(log_zoom)``. A few hundred triangles are many.
     """
     width, height = model.width_px, model.height_px
     focal = 0.5 * width / np.tan(0.5 * model.fov_rad) * np.exp(log_zoom)
@@ -57,28 +53,15 @@ def areas(meshes, ego_from_camera, model, *, weight=None, log_zoom=0.0):
 def gradients(meshes, ego_from_camera, model, *, shift_m, spin_rad, **settings):
     """Central differences of `areas`: to ego x, y, z [1/m], spins about camera axes [1/rad], the log focal length.
 
-    Args:
-        meshes: See `areas`.
-        ego_from_camera: See `areas`.
-        model: See `areas`.
-        shift_m: Step of the shifts; a thousandth of the distance or less.
-        spin_rad: Step of the spins and of the logarithm of the focal length.
-        settings: More arguments of `areas`.
-
-    Returns:
-        Float64 [visible or alone, mesh, 7]; with weights another first axis.
+    Float64 [2, mesh, 7]; with weights another first axis. ``shift_m`` is a thousandth of the distance or less;
+    ``spin_rad`` is also the step of the logarithm of the focal length.
     """
     columns = []
     for direction in (*SHIFTS, *SPINS, ZOOM):
         step = shift_m if direction in SHIFTS else spin_rad
+        settings_of = {sign: {"log_zoom": sign * step * (direction == ZOOM), **settings} for sign in (1, -1)}
         high, low = (
-            areas(
-                meshes,
-                moved(ego_from_camera, direction, sign * step),
-                model,
-                log_zoom=sign * step * (direction == ZOOM),
-                **settings,
-            )
+            areas(meshes, moved(ego_from_camera, direction, sign * step), model, **settings_of[sign])
             for sign in (1, -1)
         )
         columns.append((high - low) / (2.0 * step))

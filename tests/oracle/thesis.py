@@ -12,13 +12,8 @@ import numpy as np
 
 def lagrangian(objective, objective_scale, multiplier, constraint, constraint_scale):
     """Eq. 1: every optimisable loss with all constraints, summed."""
-    total = 0.0
-    for loss, scale in zip(objective, objective_scale, strict=True):
-        constrained = scale * loss
-        for i in range(len(constraint)):
-            constrained += multiplier[i] * constraint_scale[i] * constraint[i]
-        total += constrained
-    return total
+    constraints = sum(m * s * c for m, s, c in zip(multiplier, constraint_scale, constraint, strict=True))
+    return sum(scale * loss + constraints for loss, scale in zip(objective, objective_scale, strict=True))
 
 
 def closest_field_of_view(fov_rad):
@@ -81,15 +76,8 @@ def merged_bearings(area, left_column, right_column, *, yaw_rad, fov_rad, width_
     """Bearings of the left and right end of one vehicle from its silhouettes in all rotational additions.
 
     The columns of all views form a circle (view a + 1 lies to the left of view a). The ends are those of the run of
-    neighbouring views with something in them that holds the view with the largest silhouette. None: nothing seen.
-
-    Args:
-        area: Size of the silhouette, [rotation].
-        left_column: Its first column, [rotation].
-        right_column: One past its last column, [rotation].
-        yaw_rad: Yaw of the camera.
-        fov_rad: Field of view.
-        width_px: Width of the image.
+    neighbouring views with something in them that holds the view with the largest silhouette: its first column, and
+    one past its last. None: nothing seen.
     """
     count = len(area)
     step = 2 * math.pi / count
@@ -106,6 +94,12 @@ def merged_bearings(area, left_column, right_column, *, yaw_rad, fov_rad, width_
     )
 
 
+def short_of(visibility, min_visibility):
+    """Eqs. 15 and 18, of one vehicle."""
+    short = min_visibility - visibility
+    return 0.0 if short < 0 else abs(short) / min_visibility
+
+
 def detected_area_loss(vehicles, min_visibility, epsilon):
     """Eqs. 4 and 14 to 16 over (non-occluded silhouettes [rotation, row, column], box mask of rotation 0 or None).
 
@@ -120,9 +114,7 @@ def detected_area_loss(vehicles, min_visibility, epsilon):
         box = np.zeros(silhouettes[0].shape) if box_mask is None else box_mask.astype(float)
         detected = (silhouettes[0] * soft_mask(box, epsilon)).sum()
         lost = whole - detected
-        visibility = (whole - lost) / whole
-        short = min_visibility - visibility
-        losses.append(0.0 if short < 0 else abs(short) / min_visibility)
+        losses.append(short_of((whole - lost) / whole, min_visibility))
     return sum(losses) / len(losses)
 
 
@@ -138,11 +130,7 @@ def surface_blockage_loss(vehicles, min_visibility):
             both = alone[i] | ego[i]
             if alone[i].any():
                 visibilities.append((both.sum() - ego[i].sum()) / alone[i].sum())
-        if not visibilities:
-            losses.append(1.0)
-            continue
-        short = min_visibility - max(visibilities)
-        losses.append(0.0 if short < 0 else abs(short) / min_visibility)
+        losses.append(short_of(max(visibilities), min_visibility) if visibilities else 1.0)
     return sum(losses) / len(losses)
 
 
@@ -161,21 +149,6 @@ def angular_coverage_loss(yaw_rad, fov_rad):
         union += max(end - max(start, reached), 0.0)
         reached = max(reached, end)
     return (most - union) / (most - fov_rad)
-
-
-def object_visibility_loss(vehicles, min_visibility):
-    """Eq. 24 with Eqs. 15 and 16 over non-occluded silhouettes [rotation, row, column]; one without pixels counts 1."""
-    losses = []
-    for silhouettes in vehicles:
-        whole = silhouettes.sum()
-        if whole == 0:
-            losses.append(1.0)
-            continue
-        lost = whole - silhouettes[0].sum()
-        visibility = (whole - lost) / whole
-        short = min_visibility - visibility
-        losses.append(0.0 if short < 0 else abs(short) / min_visibility)
-    return sum(losses) / len(losses)
 
 
 class AdamW:
