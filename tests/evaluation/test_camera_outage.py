@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import math
 
 import numpy as np
 import pytest
@@ -193,18 +192,3 @@ def test_outages_are_a_table_and_part_of_the_file():
     assert unknown.to_json()["camera_outage"] == {"a": None}
     with pytest.raises(InputError, match="name: expected a rig whose detection probabilities are known"):
         unknown.outage_table()
-
-
-def test_weighted_numbers_are_named_so():
-    found = evaluation_of(weighted=True)
-    table = str(found.outage_table())
-    assert "weighted expected misses per 100" in table
-    assert [line.replace("(worst)", "").replace("no ", "").split()[1:] for line in table.splitlines()[2:]] == [
-        ["30.00", "20.00"],
-        ["55.00", "+25.00", "32.50", "+12.50"],
-        ["75.00", "+45.00", "87.50", "+67.50"],
-    ]
-    rows = {row[0]: row[1] for row in found.table().rows}
-    assert rows["weighted recall"] == "0.2500"
-    assert list(rows)[:4] == ["recall of the rig", "weighted recall", "misses per 100", "weighted misses per 100"]
-    assert math.isclose(found.to_json()["arms"]["a"]["weighted_recall"], 0.25)

@@ -184,16 +184,6 @@ def test_metrics_of_a_rig_with_another_number_of_cameras(scenes):
     assert metrics.map50_min_camera == metrics.map50_max_camera == metrics.map50_average
 
 
-def test_a_blind_detector_scores_zero_not_nothing(scenes):
-    metrics = evaluate_rig(rig_of(), scenes, objective_of(ConstantDetector.silent(2)))
-    assert metrics.tp_detection_rate == 0.0
-    assert metrics.ap50_pooled == 0.0
-    assert metrics.map50_average is None  # the thesis's way: no image has both truth and detections
-    assert metrics.detection_confidence is None
-    assert metrics.tp_in_frame_rate == pytest.approx(5 / 6)
-    assert metrics.per_scene["detection_confidence"] == [None, None]
-
-
 def test_what_becomes_of_every_object():
     rig = rig_of((MODEL, WIDE))
     wall = block(np.random.default_rng(0), [0.2, 6.0, 20.0], [-5.0, 0.0, 0.0])
@@ -267,3 +257,17 @@ def test_vehicles_follow_the_camera_that_looks_their_way(scenes):
     assert [item.assigned_camera.tolist() for item in same] == [[0, 1, -1], [0, 0, 1]]
     assert all(a.scene is b.scene for a, b in zip(result, scenes, strict=True))
     assert result[0].assigned_camera.dtype == np.int32
+
+
+def test_orientations_are_shared_out_one_to_one(scenes):
+    # both cameras look ahead: one of them still has to take what lies behind
+    result = assign_to_nearest_cameras(scenes, np.array([0.0, math.pi]), rig_of(yaw=(0.1, 0.5)))
+    assert result[0].assigned_camera.tolist() == [0, 1, -1]
+
+
+def test_rounding_does_not_pair_anew(scenes):
+    # both pairings need turns of 100 degrees in all; only one of them turns both cameras about equally
+    orientation = np.radians([0.0, 40.0])
+    for rounding in (-1e-7, 0.0, 1e-7):
+        rig = rig_of(yaw=(math.radians(50.0) + rounding, math.radians(90.0) - rounding))
+        assert assign_to_nearest_cameras(scenes, orientation, rig)[0].assigned_camera.tolist() == [0, 1, -1]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.driving_scene import SKY, ConstantDetector, car, ego_mesh, vehicle
+from tests.driving_scene import SKY, ConstantDetector, car, vehicle
 from tests.evaluation.test_metrics import MODEL, ScriptedDetector, objective_of, rig_of, truth_boxes
 from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
@@ -118,14 +118,6 @@ def test_sectors_hold_their_edge_to_the_right(groups_of, turn):
     for offset, sector in ((-0.5 + 1e-9, turn), (0.0, turn), (0.5 - 1e-9, turn), (0.5 + 1e-9, turn + 1)):
         angle = (turn + offset) * math.pi / 4
         assert groups_of([20.0 * math.cos(angle), 20.0 * math.sin(angle)])["sector"] == SECTORS[sector % 8]
-
-
-def test_places_are_measured_from_the_middle_of_the_ego_vehicle():
-    # the middle is 1.35 m ahead of the rear axle
-    scene = world((11.0, 0.0, 0.0), (-9.0, 0.0, 0.0), ego=ego_mesh(np.random.default_rng(0)))
-    table = evaluate_rig(rig_of(), [scene], objective_of(ConstantDetector(*NOTHING))).recall_by["distance_m"]
-    assert [table[name].objects for name in ("0-10", "10-20")] == [1, 1]
-    assert scene.scene.from_ego_m[:, 0] == pytest.approx([9.65, -10.35], abs=0.2)  # a car's box is not quite centred
 
 
 def test_a_false_alarm_on_the_ego_vehicle_and_a_second_box_count():

@@ -105,16 +105,6 @@ def test_the_interval_leaves_zero_out_where_the_p_value_is_small(both):
         assert (found.p_value < 0.0505) >= (not found.low <= 0.0 <= found.high)
 
 
-@quick
-@given(recalls, st.integers(2, 5))
-def test_runs_that_are_all_alike_add_no_doubt(both, run_count):
-    one, other = both
-    single = paired_difference(one, other, resamples=999)
-    several = paired_difference(np.tile(one, (run_count, 1)), other, resamples=999)
-    assert several.mean == pytest.approx(single.mean, abs=1e-12)
-    assert (several.low, several.high) == pytest.approx((single.low, single.high), abs=1e-9)
-
-
 def test_p_values_are_those_of_students_test_for_many_normal_numbers(rng):
     for shift in (0.0, 0.05, 0.1, 0.15):
         difference = rng.normal(shift, 1.0, 500)

@@ -10,7 +10,7 @@ from warpav.core.errors import InputError
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
 from warpav.rig.chart import chart_of
 from warpav.rig.module import Housing, Module, Price
-from warpav.rig.zone import NORMALS, Zone, read_zones, write_zones
+from warpav.rig.zone import NORMALS, Zone
 
 BOX = cuboid((4.0, 1.8, 1.4), (1.3, 0.0, 0.9))
 
@@ -103,12 +103,3 @@ def test_a_housing_that_fits_nowhere_names_module_and_zone():
     )
     assert chart_of([side], BOX, cell_m=0.05, modules=[module()]).notes == ()
     assert chart_of([zone, side], BOX, cell_m=0.05).notes == ()
-
-
-def test_a_recess_comes_back_from_its_file(tmp_path):
-    write_zones([roof(recess_m=0.015)], tmp_path / "zones.yaml")
-    assert read_zones(tmp_path / "zones.yaml")[0].recess_m == 0.015
-    for text, words in (("recess_m: -1", "from 0 on"), ("behind_glass: true\n    recess_m: 0.1", "none behind glass")):
-        (tmp_path / "wrong.yaml").write_text(f"zones:\n  a:\n    normal: front\n    {text}\n")
-        with pytest.raises(InputError, match=words):
-            read_zones(tmp_path / "wrong.yaml")

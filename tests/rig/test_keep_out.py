@@ -54,14 +54,6 @@ def test_another_colour_and_wheels_are_kept_out():
     np.testing.assert_allclose(pane, [[0.48, 0.88, 0.88], [1.52, 0.94, 1.32]], atol=1e-3)
 
 
-def test_names_go_before_colours():
-    mesh = body_with_parts()
-    kind = np.full(len(mesh.triangle), "", object)
-    kind[24:36] = "glass"
-    found = propose_keep_out(mesh, kind)
-    assert [name for name, _ in found] == ["glass", "wheel", "wheel"]
-
-
 @pytest.mark.parametrize("name", ["bus", "minibus", "moving_truck", "truck"])
 def test_the_windows_of_the_shipped_vehicles_are_kept_out(name):
     mesh = read_vehicle(name)

@@ -63,18 +63,6 @@ def test_a_scaled_image_keeps_the_field_and_a_crop_the_focal_length():
     assert scaled.focal_px is cropped.focal_px is None
 
 
-@pytest.mark.parametrize("lens", ["panorama", "equirectangular"])
-@pytest.mark.parametrize("fitting", list(Fitting))
-def test_a_panorama_may_go_all_round(lens, fitting):
-    all_round = module(
-        lens=lens, fov_rad=2.0 * math.pi, sensor_px=(1280, 600), network_px=(1280, 333), network_by=fitting
-    )
-    assert all_round.camera_model().fov_rad == pytest.approx(2.0 * math.pi, rel=1e-12)
-    half = dataclasses.replace(all_round, network_px=(640, 300), network_by="crop")
-    assert half.camera_model().fov_rad == pytest.approx(math.pi, rel=1e-12)
-    assert half.pixels_per_degree == pytest.approx(1280 / 360)
-
-
 def place_in_sensor(given, place_px):
     """Where a place of the network's image lies on the sensor [px]; places count from the corner of the first pixel."""
     sensor, network = np.array(given.sensor_px), np.array(given.network_px)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import warpav as wa
 from tests.raster.bodies import ball, cuboid
 from warpav.core.errors import InputError
-from warpav.rig.chart import chart_of, propose_zones, with_middles
+from warpav.rig.chart import chart_of, propose_zones
 from warpav.rig.proposals import propose_panes
 from warpav.rig.zone import NORMALS, Zone, mirrored, read_zones, write_zones
 from warpav.scene.own_vehicle import read_vehicle
@@ -153,17 +153,6 @@ def test_borders_belong_to_a_zone_and_to_what_it_keeps_out():
             assert (zone.holds(place_m) == belongs).all()
 
 
-def test_only_what_lies_across_the_middle_gets_a_zone_in_the_middle():
-    sides = zones_of()
-    names = [zone.name for zone in with_middles(sides)]
-    assert names == [*NORMALS, "front_middle", "rear_middle"]
-    centred = with_middles(sides)[len(sides) :]
-    assert all(zone.is_centred for zone in centred)
-    assert with_middles(centred) == centred
-    oblique = (Zone("corner", (0.8, 0.6, 0.0)), Zone("aside", NORMALS["front"], origin_m=np.array([0.0, 0.5, 0.0])))
-    assert with_middles(oblique) == oblique
-
-
 def test_a_zone_behind_glass_has_a_pane_as_large_as_its_outline():
     """Without an outline it is the hull of its cells, a margin of 2 cm wider."""
     normal = (0.6, 0.0, 0.8)
@@ -199,22 +188,6 @@ def test_the_panes_of_the_shipped_vehicles_are_found_by_their_colour(name):
         )
         assert area_m2[clear & is_dark].sum() > 0.85 * area_m2[clear].sum()
         assert area_m2[clear].sum() > 1.0
-
-
-def test_a_mirrored_zone_is_on_the_other_side(tmp_path):
-    file = tmp_path / "zones.yaml"
-    file.write_text(
-        "zones:\n  pillar:\n    normal: left\n    box_m: [[0, 0.5, 0.8], [1, 1, 1.2]]\n    yaw_deg: [20, 100]\n"
-        "    mirror: true\n"
-    )
-    zone, other = read_zones(file)
-    assert other.name == "pillar_mirrored"
-    np.testing.assert_allclose(other.normal, NORMALS["right"])
-    np.testing.assert_allclose(other.box_m, [[0, -1, 0.8], [1, -0.5, 1.2]])
-    np.testing.assert_allclose(np.degrees(other.yaw_rad), [-100, -20])
-    again = mirrored(other)
-    np.testing.assert_allclose(again.box_m, zone.box_m)
-    np.testing.assert_allclose(again.normal, zone.normal)
 
 
 @pytest.mark.parametrize(

@@ -58,14 +58,3 @@ def test_sectors_and_bands_lie_where_they_are_called(scenes):
     # a wedge of 90 degrees ends in the middle of its neighbours
     for side in ("front left", "front right"):
         np.testing.assert_allclose(share[side][far], 0.5, atol=0.12)
-
-
-def test_a_wall_hides_the_child_behind_it_and_not_the_tall(rng):
-    # at 8 m a wall of 1.6 m; from 2.5 m a child behind it is hidden, someone of 1.7 m is not
-    hidden = scene_with(rng, block(rng, [0.4, 60.0, 1.6], [8.0, 0.0, 0.8]))
-    found = BlindGround.of({"around": rig_of(2.0 * math.pi)}, [hidden])
-    blind, place = found.blind_count["around"], found.from_ego_m
-    behind = (place[..., 0] > 8.0) & (place[..., 0] < 10.0) & (np.abs(place[..., 1]) < 5.0) & (found.open_count[0] > 0)
-    assert behind.any()
-    assert (blind[0][behind] == 1).all()
-    assert (blind[1][behind] == 0).all()

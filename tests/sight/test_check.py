@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 import warpav as wa
 from tests.sight.test_area import box
@@ -105,25 +103,3 @@ def test_the_table_and_json_say_the_same(tmp_path):
         assert f"{100.0 * outcome.share:.1f} %" in line
         assert entry["met"] == outcome.met == sum(np.array(entry["camera_count"]) >= entry["need"]["cameras"])
         assert len(entry["position_m"]) == len(entry["camera_count"]) == entry["points"]
-
-
-def test_a_scene_gives_its_vehicle():
-    from warpav.scene.town.town import town_scene
-
-    scene = town_scene(0)
-    rig = wa.preset("edgar")
-    by_scene, by_mesh = (wa.check_requirements(rig, ego, "r159_like") for ego in (scene, scene.ego))
-    np.testing.assert_array_equal(by_scene.meets, by_mesh.meets)
-    assert 0.5 < by_scene.is_point_met.mean() < 1.0
-
-
-@given(st.lists(st.integers(0, len(CAMERAS) - 1), min_size=1, unique=True), st.integers(0, len(CAMERAS) - 1))
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-def test_one_more_camera_lowers_nothing(chosen, more):
-    rig = wa.check_requirements(wa.Rig([CAMERAS[k] for k in chosen]), EGO, WANTED)
-    others = [CAMERAS[k] for k in dict.fromkeys([*chosen, more])]
-    larger = wa.check_requirements(wa.Rig(others), EGO, WANTED)
-    assert (larger.is_point_met >= rig.is_point_met).all()
-    assert (larger.camera_count >= rig.camera_count).all()
-    assert larger.cost <= rig.cost
-    np.testing.assert_array_equal(larger.visibility.visible_share[: len(chosen)], rig.visibility.visible_share)

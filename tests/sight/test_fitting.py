@@ -63,15 +63,6 @@ def test_pixels_per_degree_of_a_pinhole():
     assert px_per_degree(turned, turned.ego_from_camera[None, :3, 2]) == pytest.approx([math.radians(focal_px)])
 
 
-def test_pixels_per_degree_of_a_fisheye_are_the_same_along_a_ray():
-    model = CameraModel(400, 400, math.radians(180.0), lens="fisheye")
-    focal_px = float(model.intrinsics[0, 0])
-    angle_rad = np.radians([0.5, 40.0, 80.0])
-    direction = np.stack([np.cos(angle_rad), np.sin(angle_rad), 0.0 * angle_rad], axis=-1)
-    expected = math.radians(focal_px) * np.sqrt(angle_rad / np.sin(angle_rad))  # f along, f angle / sin across
-    assert px_per_degree(camera(model), direction) == pytest.approx(expected, rel=1e-6)
-
-
 def test_the_first_ground_of_a_camera_is_below_the_edge_of_its_image():
     model, focal_px = pinhole()
     above = Rig([camera(model, place_m=(0.5, 0.0, 1.5))])

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.rig.formats.known_pose import KALIBR, KITTI, NUSCENES, URDF, write_sample
+from tests.rig.formats.known_pose import NUSCENES, URDF, write_sample
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
@@ -299,13 +299,6 @@ def test_xacro_is_refused_with_the_command_to_run(tmp_path):
     start = '<robot name="a" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="b"/>'
     file.write_text(URDF.replace('<robot name="shuttle">', start))
     assert "run: xacro rig.urdf.xacro > rig.urdf" in refusal(file, "urdf")
-
-
-def test_a_folder_of_files_with_several_cameras_is_refused(tmp_path):
-    write_sample("kitti", tmp_path)
-    assert "000000.txt: expected one camera per file in a folder" in refusal(tmp_path, "kitti")
-    assert KITTI.count("P") == 4
-    assert KALIBR.count("cam") > 2
 
 
 def plain_rig(*names):

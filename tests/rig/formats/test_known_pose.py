@@ -157,13 +157,6 @@ def test_kitti_is_written_as_others_read_it(tmp_path):
     ]
 
 
-def test_kitti_keeps_the_baseline_of_its_cameras_and_counts_equal_ones_once(tmp_path):
-    rig, _ = import_rig_with_notes(write_sample("kitti", tmp_path), "kitti", SIZED)
-    assert [camera.name for camera in rig.cameras] == ["image_0", "image_1"]
-    between = np.linalg.inv(rig.cameras[0].ego_from_camera) @ rig.cameras[1].ego_from_camera
-    np.testing.assert_allclose(between[:3, 3], [0.5, 0.0, 0.0], atol=1e-6)  # -160 = -fx * 0.5
-
-
 def test_opencv_is_written_as_its_own_reader_reads_it(tmp_path):
     file = written("opencv", tmp_path)["front_left.yaml"]
     storage = cv2.FileStorage(str(file), cv2.FILE_STORAGE_READ)
