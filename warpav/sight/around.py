@@ -223,7 +223,7 @@ class VisibleGround:
         place_m = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1)
         is_body = Body.of(ego).contains(place_m)
         point_m = np.concatenate([place_m, np.zeros((*is_body.shape, 1))], axis=-1)[~is_body]
-        in_image, seen = np.zeros((2, *is_body.shape), np.int64)
+        in_image, seen = np.zeros(is_body.shape, np.int64), np.zeros(is_body.shape, np.int64)
         found = sight(rig, point_m, scene)
         in_image[~is_body], seen[~is_body] = found.in_image.sum(axis=0), found.count
         return cls(x_m, y_m, is_body, in_image, seen)
