@@ -34,10 +34,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 MUTATED = (
-    *("warpav/optimisation/*.py", "warpav/raster/*.py", "warpav/core/frames.py"),
+    *("warpav/optimisation/*.py", "warpav/thesis/*.py", "warpav/raster/*.py", "warpav/core/frames.py"),
     *(f"warpav/rig/{name}.py" for name in ("mount_surface", "chart", "zone", "rig")),
 )
-TESTS = ("tests/optimisation", "tests/raster", "tests/rig", "tests/core/test_frames.py")
+TESTS = ("tests/optimisation", "tests/thesis", "tests/raster", "tests/rig", "tests/core/test_frames.py")
 COPIED = (
     *("configs", "docs", "kernels", "notebooks", "tests", "warpav"),
     *("pyproject.toml", "README.md", "CHANGELOG.md", "CONTRIBUTING.md"),

@@ -9,16 +9,26 @@ from cyclopts import App, Parameter
 
 from warpav.cli.arguments import Overrides, TaskExecutor, executor_overrides, say
 
+_Study = Literal[
+    "table1",
+    "table2",
+    "table3",
+    "table4",
+    "table5",
+    "open",
+    "rivals",
+    "ablations",
+    "correlation",
+    "scene_count",
+    "sweep",
+]
 experiment_app = App(name="experiment", help="Run studies, rescore their rigs, join their results.")
 
 
 @experiment_app.default
 def experiment(
     name: Annotated[
-        Literal[
-            *("table1", "table2", "table3", "table4", "table5", "open", "rivals", "ablations"),
-            *("correlation", "scene_count", "sweep"),
-        ],
+        _Study,
         Parameter(
             help="A table of the thesis; open: all methods at equal budgets, judged by the detector; rivals: the same "
             "by their objective, in the setting of --setting; ablations: the descent with one thing changed at a time; "

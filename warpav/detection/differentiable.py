@@ -46,7 +46,7 @@ _TINY = 1e-20
 
 
 @dataclass(frozen=True)
-class DetectionLoss:
+class _DetectionLoss:
     """The loss of every object, and its gradients."""
 
     loss: np.ndarray  # in 0..1, float32 [object]
@@ -126,7 +126,7 @@ class DifferentiableDetector:
         group: np.ndarray,
         *,
         weight: np.ndarray | None = None,
-    ) -> DetectionLoss:
+    ) -> _DetectionLoss:
         """The loss of every object in the image that should show it.
 
         Args:
@@ -143,7 +143,7 @@ class DifferentiableDetector:
             )
         if len(box_px) == 0:
             still = wp.zeros_like(image) if weight is not None else None
-            return DetectionLoss(
+            return _DetectionLoss(
                 np.zeros(0, np.float32), still, None if weight is None else np.zeros((0, 4), np.float32)
             )
         # a view of the renderer's memory, not a copy; gradients are asked for a fresh leaf
@@ -164,9 +164,9 @@ class DifferentiableDetector:
                     gradients.append(torch.autograd.grad((part * share).sum(), [rgb, truth_px]))
         loss = torch.stack(parts).sum(dim=0).cpu().numpy()
         if weight is None:
-            return DetectionLoss(loss, None, None)
+            return _DetectionLoss(loss, None, None)
         to_image, to_truth = (torch.stack(each).sum(dim=0) for each in zip(*gradients, strict=True))
-        return DetectionLoss(loss, wp.from_torch(to_image.contiguous(), dtype=wp.vec3), to_truth.cpu().numpy())
+        return _DetectionLoss(loss, wp.from_torch(to_image.contiguous(), dtype=wp.vec3), to_truth.cpu().numpy())
 
     def _raw_output(self, rgb: Tensor) -> Tensor:
         """The network's output for colours [image, 3, row, column], checked."""

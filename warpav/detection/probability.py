@@ -34,7 +34,7 @@ FEATURE_COUNT = int(kernels.FEATURE_COUNT)
 
 
 @dataclass(frozen=True)
-class Feature:
+class _Feature:
     """A feature of an object in a view."""
 
     name: str  # short name
@@ -43,12 +43,12 @@ class Feature:
 
 
 FEATURES = (
-    Feature("visible_size", "ln(1 + px²)", "unoccluded area in the image"),
-    Feature("visible_share", "0..1", "unoccluded area over the object's whole area, both in the image"),
-    Feature("in_frame_share", "0..1", "solid angle of the object alone in the image over that of its upright box"),
-    Feature("aspect", "ln(px / px)", "width + 1 px over height + 1 px of the extent of the object alone in the image"),
-    Feature("border_distance", "ln(4 + px)", "soft least distance of that extent from the image's border"),
-    Feature("contrast", "RGB in 0..1", "distance of its mean colour from that of what else its surroundings show"),
+    _Feature("visible_size", "ln(1 + px²)", "unoccluded area in the image"),
+    _Feature("visible_share", "0..1", "unoccluded area over the object's whole area, both in the image"),
+    _Feature("in_frame_share", "0..1", "solid angle of the object alone in the image over that of its upright box"),
+    _Feature("aspect", "ln(px / px)", "width + 1 px over height + 1 px of the extent of the object alone in the image"),
+    _Feature("border_distance", "ln(4 + px)", "soft least distance of that extent from the image's border"),
+    _Feature("contrast", "RGB in 0..1", "distance of its mean colour from that of what else its surroundings show"),
 )
 VISIBLE_SIZE, VISIBLE_SHARE = int(kernels.VISIBLE_SIZE), int(kernels.VISIBLE_SHARE)
 IN_FRAME_SHARE, CONTRAST = int(kernels.IN_FRAME_SHARE), int(kernels.CONTRAST)

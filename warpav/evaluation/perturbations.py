@@ -348,7 +348,7 @@ def soiled_scene(scene: Scene, camera: RigCamera, part: SoiledPart) -> Scene:
 
 
 @dataclass(frozen=True)
-class SoiledCamera:
+class _SoiledCamera:
     """A rig of which one camera is soiled."""
 
     camera: str
@@ -363,10 +363,10 @@ class Soiling:
 
     part: SoiledPart
     expected_misses_per_100: float
-    cameras: tuple[SoiledCamera, ...]
+    cameras: tuple[_SoiledCamera, ...]
 
     @property
-    def worst(self) -> SoiledCamera:
+    def worst(self) -> _SoiledCamera:
         """The camera whose soiling costs most; of equal ones the first."""
         return max(self.cameras, key=lambda each: each.difference_per_100)
 
@@ -435,7 +435,7 @@ class Soiling:
         found = []
         for k, (name, each) in enumerate(zip(camera, standing, strict=True)):
             missed = perturb(plain, {k: dirty[k]}, share)
-            found.append(SoiledCamera(name, part.covered_share(each.model), missed, missed - nominal))
+            found.append(_SoiledCamera(name, part.covered_share(each.model), missed, missed - nominal))
         return cls(part, nominal, tuple(found))
 
 
@@ -491,7 +491,7 @@ def loaded_scene(scene: Scene, state: LoadState) -> Scene:
 
 
 @dataclass(frozen=True)
-class LoadedRig:
+class _LoadedRig:
     """A rig on a vehicle under a load."""
 
     name: str
@@ -505,10 +505,10 @@ class LoadStates:
     """What loads cost a rig, weighted where objects have weights; the weights are those without a load."""
 
     expected_misses_per_100: float
-    states: tuple[LoadedRig, ...]
+    states: tuple[_LoadedRig, ...]
 
     @property
-    def worst(self) -> LoadedRig:
+    def worst(self) -> _LoadedRig:
         """The load that costs most; of equal ones the first."""
         return max(self.states, key=lambda each: each.difference_per_100)
 
@@ -565,7 +565,7 @@ class LoadStates:
         return cls(
             nominal,
             tuple(
-                LoadedRig(name, state, missed, missed - nominal)
+                _LoadedRig(name, state, missed, missed - nominal)
                 for (name, state), missed in zip(states.items(), loaded, strict=True)
             ),
         )

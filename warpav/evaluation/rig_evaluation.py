@@ -62,7 +62,7 @@ _CAPTION = "Recalls pool the objects of all scenes; difference() is a mean over 
 
 
 @dataclass(frozen=True)
-class SeenObject:
+class _SeenObject:
     """An object of a scene before several rigs."""
 
     scene: str
@@ -91,7 +91,7 @@ class RigEvaluation:
     rigs: dict[str, Rig]
     metrics: dict[str, ArmMetrics]
     scenes: tuple[str, ...]
-    objects: tuple[SeenObject, ...]
+    objects: tuple[_SeenObject, ...]
     camera_outage: dict[str, CameraOutages | None] = field(default_factory=dict)
     requirements: dict[str, RequirementResult] = field(default_factory=dict)
 
@@ -246,7 +246,7 @@ def _cell(value: float | None) -> str:
 
 def seen_objects(
     observations: Mapping[str, Any], scenes: Sequence[Any], rigs: Mapping[str, Rig]
-) -> tuple[SeenObject, ...]:
+) -> tuple[_SeenObject, ...]:
     """Every object of scenes before several rigs."""
     objects = []
     for number, scene in enumerate(scenes):
@@ -255,7 +255,7 @@ def seen_objects(
         for k in range(scene.vehicle_count):
             forward_m, left_m = scene.from_ego_m[k]
             objects.append(
-                SeenObject(
+                _SeenObject(
                     scene.name,
                     scene.category[k],
                     math.hypot(forward_m, left_m),

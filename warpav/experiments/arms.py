@@ -60,13 +60,13 @@ from warpav.runs.rig_source import read_start
 from warpav.thesis.descent import Descent, affordable_iterations, descent_camera_renders
 from warpav.thesis.segregation import BatchChooser
 
-AS_BUILT = "_as_built"
+_AS_BUILT = "_as_built"
 """Ending of the arms of presets that stand where their makers put them, with images in their own proportions."""
 
 PIXELS = 256 * 256
 """Pixels of an image of the configuration ``default``, which presets as they are built have as well."""
 
-GREEDY_DIRECTIONS = 8
+_GREEDY_DIRECTIONS = 8
 """Directions that greedy cover evaluates at each position."""
 
 
@@ -87,7 +87,7 @@ class FoundRig:
     notes: dict[str, Any] = field(default_factory=dict)
 
 
-Finder = Callable[[Placement, int | None], FoundRig]
+_Finder = Callable[[Placement, int | None], FoundRig]
 """Finds a rig on a placement; its random numbers come from ``run.seed``, its budget [camera renders] may be None."""
 
 
@@ -108,7 +108,7 @@ class Arm:
     @property
     def is_preset(self) -> bool:
         """Whether its rig is that of a known vehicle."""
-        return self.method.removesuffix(AS_BUILT) in preset_names()
+        return self.method.removesuffix(_AS_BUILT) in preset_names()
 
     @property
     def own_overrides(self) -> tuple[str, ...]:
@@ -164,13 +164,13 @@ class Arm:
             case "random_batches":
                 return cameras * config.run.batch_size
             case "greedy_cover":  # one position in all directions, and the evaluation of the rig
-                return one_rig + GREEDY_DIRECTIONS * train_count
+                return one_rig + _GREEDY_DIRECTIONS * train_count
         return one_rig if self.method in METHODS and self.is_seeded else 1
 
 
 def find_rig_of(arm: Arm, placement: Placement, camera_renders_max: int | None) -> FoundRig:
     """The rig that an arm finds."""
-    name = arm.method.removesuffix(AS_BUILT)
+    name = arm.method.removesuffix(_AS_BUILT)
     preset = partial(_preset if name == arm.method else _preset_as_built, name=name)
     return METHODS.get(arm.method, preset)(placement, camera_renders_max)
 
@@ -186,9 +186,9 @@ def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
     every = {**common_arms(), **arms}
     if name in every:
         return every[name]
-    preset = name.removeprefix("default_as_").removesuffix(AS_BUILT)
+    preset = name.removeprefix("default_as_").removesuffix(_AS_BUILT)
     if name.startswith("default_as_") and preset in preset_names():
-        return default_like(preset, pixels=PIXELS if name.endswith(AS_BUILT) else None)
+        return _default_like(preset, pixels=PIXELS if name.endswith(_AS_BUILT) else None)
     near = difflib.get_close_matches(name, list(every), 1, 0.5)
     hint = f"; did you mean {near[0]}?" if near else ""
     names = ", ".join(dict.fromkeys([*arms, *every]))
@@ -200,20 +200,20 @@ def common_arms() -> dict[str, Arm]:
 
     ``default`` is the search by a pool, ``descent`` the many starts and the descent from the best of them.
     ``thesis_as_printed`` is the search of the shipped configuration ``thesis`` with its own number of steps,
-    ``thesis_gradient`` a hybrid of it and the descent (`thesis_method`); they are evaluated like all others.
+    ``thesis_gradient`` a hybrid of it and the descent (`_thesis_method`); they are evaluated like all others.
     """
     own = [
         Arm("default", "optimiser", search_overrides=("optimiser.search=pool",)),
         Arm("descent", "optimiser", search_overrides=("optimiser.search=descent",)),
-        Arm("thesis_gradient", "optimiser", search_overrides=thesis_method()),
+        Arm("thesis_gradient", "optimiser", search_overrides=_thesis_method()),
         Arm("thesis_as_printed", "as_configured", search_overrides=thesis_as_printed()),
     ]
-    presets = [f"{name}{ending}" for ending in ("", AS_BUILT) for name in preset_names()]
+    presets = [f"{name}{ending}" for ending in ("", _AS_BUILT) for name in preset_names()]
     others = [Arm(name, name) for name in (*METHODS, *presets) if name not in _NEEDS_OPTIONS]
     return {arm.name: arm for arm in (*own, *others)}
 
 
-def common_fov_deg(preset: str) -> float:
+def _common_fov_deg(preset: str) -> float:
     """The horizontal field of view that most cameras of a preset have, to a tenth of a degree."""
     angles = [_fov_deg(camera.model) for camera in preset_rig(preset).cameras]
     return Counter(angles).most_common(1)[0][0]
@@ -223,23 +223,23 @@ def _fov_deg(model: CameraModel) -> float:
     return round(math.degrees(model.fov_rad), 1)
 
 
-def default_like(preset: str, *, pixels: int | None = None) -> Arm:
+def _default_like(preset: str, *, pixels: int | None = None) -> Arm:
     """The default method with as many cameras as a preset and its most frequent field of view.
 
     All cameras of an objective share one model, so a preset's odd fields of view have no counterpart; `odd_fields` says
     which.
     """
-    cameras, common = preset_rig(preset).cameras, common_fov_deg(preset)
+    cameras, common = preset_rig(preset).cameras, _common_fov_deg(preset)
     overrides = (f"rig.cameras={len(cameras)}", f"camera.fov_deg={common}")
     name = f"default_as_{preset}"
     if pixels is not None:
-        name += AS_BUILT
+        name += _AS_BUILT
         model = next(each.model for each in cameras if _fov_deg(each.model) == common).with_pixels(pixels)
         overrides += (f"camera.width_px={model.width_px}", f"camera.height_px={model.height_px}")
     return Arm(name, "optimiser", overrides, common_arms()["default"].search_overrides)
 
 
-def thesis_method() -> tuple[str, ...]:
+def _thesis_method() -> tuple[str, ...]:
     """Overrides for a search with the thesis's losses, occlusion, optimiser and bounding rectangle.
 
     A hybrid: batch size, start, iterations and the detector's thresholds stay those of the configuration.
@@ -612,10 +612,10 @@ def _columns(history: Sequence[SearchRecord]) -> dict[str, list[Any]]:
 def _greedy(placement: Placement) -> Search:
     detections = detections_of(placement.objective, placement.train)
     weight = placement.objective.object_weight(placement.train)
-    return partial(greedy_cover, detections=detections, yaw_count=GREEDY_DIRECTIONS, object_weight=weight)
+    return partial(greedy_cover, detections=detections, yaw_count=_GREEDY_DIRECTIONS, object_weight=weight)
 
 
-METHODS: dict[str, Finder] = {
+METHODS: dict[str, _Finder] = {
     "optimiser": _optimised,
     "as_configured": lambda placement, _: _optimised(placement, None),  # with its own number of steps
     "pool_only": partial(_pooled, only=True),

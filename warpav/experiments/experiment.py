@@ -70,7 +70,7 @@ Task = TypeVar("Task")
 
 
 @dataclass(frozen=True)
-class ArmTask:
+class _ArmTask:
     """One run of one arm, small enough to travel to another process."""
 
     arm: Arm
@@ -144,7 +144,7 @@ class _AttainableOfProcess:
         return self._found
 
 
-attainable_of_process = _AttainableOfProcess()
+_attainable_of_process = _AttainableOfProcess()
 
 
 def run_study(
@@ -186,7 +186,7 @@ def run_study(
     try:
         if waiting:
             _check_places(arms, config, make_scenes_ready(config, progress))
-        done = outcomes(run_arm, waiting, config, folder)
+        done = outcomes(_run_arm, waiting, config, folder)
         for outcome in progress.steps("runs", done, count=len(waiting)) if waiting else ():
             progress.say(_line(outcome))
             if outcome.error is not None:
@@ -217,7 +217,7 @@ def show_rows(
     progress.say(f"{done.done} new results; rows, table and results: {done.folder}")
 
 
-def run_arm(task: ArmTask) -> dict[str, Any]:
+def _run_arm(task: _ArmTask) -> dict[str, Any]:
     """Do a task, write its result, and return the result without its history."""
     gc.collect()  # what the last task has recorded on a GPU hangs together in circles
     began = time.perf_counter()
@@ -240,7 +240,7 @@ def _placement(config: Config) -> Placement:
     return placement_on(traffic_of_process(config, NullProgress()), config, networks, probability)
 
 
-def _rig(task: ArmTask) -> dict[str, Any]:
+def _rig(task: _ArmTask) -> dict[str, Any]:
     began = time.perf_counter()
     evaluation = _placement(task.arm.evaluation_config(task.config))
     placement = _placement(task.arm.search_config(task.config)) if task.arm.search_overrides else evaluation
@@ -251,7 +251,7 @@ def _rig(task: ArmTask) -> dict[str, Any]:
     searched = time.perf_counter()
     scenes = evaluation.assigned(evaluation.test, found.pairing_rig)
     if task.judge != "objective":
-        attainable = attainable_of_process(evaluation) if task.judge == "attainable" else None
+        attainable = _attainable_of_process(evaluation) if task.judge == "attainable" else None
         seen = observe_scenes(found.rig, scenes, evaluation.objective)
         tested: dict[str, Any] = {
             "metrics": metrics_of(seen, evaluation.objective, attainable=attainable).to_json(),
@@ -314,7 +314,7 @@ def _objective_seen(evaluation: Placement, found: FoundRig) -> float | None:
     return next(iter(rig_values_of(evaluation.objective, scenes)(np.asarray(found.mount_pose, np.float32)[None])))
 
 
-def _gradients(task: ArmTask) -> dict[str, Any]:
+def _gradients(task: _ArmTask) -> dict[str, Any]:
     config = task.arm.evaluation_config(task.config)
     began = time.perf_counter()
     placement = _placement(config)
@@ -343,7 +343,7 @@ def _tasks(
     runs_of: Mapping[str, int],
     camera_renders_max: int | None,
     folder: Path,
-) -> list[ArmTask]:
+) -> list[_ArmTask]:
     config = with_absolute_paths(config)
     tasks = []
     for arm in arms:
@@ -357,7 +357,7 @@ def _tasks(
         )
         for k in range(runs_of[arm.name] if arm.is_seeded else 1):
             seeded = load_config(config, [f"run.seed={config.run.seed + k}"])
-            tasks.append(ArmTask(arm, seeded, camera_renders_max, folder, made_with, study.judge))
+            tasks.append(_ArmTask(arm, seeded, camera_renders_max, folder, made_with, study.judge))
     return tasks
 
 
@@ -413,7 +413,7 @@ def outcomes(
     return Executor(of.name, of.workers, of.address, of.options, jobs, config.shared_gpu_count).map(function, tasks)
 
 
-def _line(outcome: Outcome[ArmTask, dict[str, Any]]) -> str:
+def _line(outcome: Outcome[_ArmTask, dict[str, Any]]) -> str:
     """What became of a task, in one line."""
     name = f"{outcome.task.arm.name}, run seed {outcome.task.config.run.seed}"
     if outcome.error is not None or outcome.result is None:

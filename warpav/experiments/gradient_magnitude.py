@@ -36,7 +36,7 @@ THESIS_BATCH_SIZE = 1
 
 
 @dataclass(frozen=True)
-class GradientMagnitude:
+class _GradientMagnitude:
     """Mean absolute value of a loss's gradient, over all its numbers that are not 0.
 
     Attributes:
@@ -81,7 +81,7 @@ def measure_gradient_magnitudes(
     batch_size: int = THESIS_BATCH_SIZE,
     seed: int = 0,
     finished: Callable[[int], object] | None = None,
-) -> dict[str, GradientMagnitude]:
+) -> dict[str, _GradientMagnitude]:
     """Mean magnitudes of every loss's gradient along descents in which all losses count, unscaled.
 
     Every run starts at random positions; every iteration differentiates each loss separately, and the cameras follow
@@ -110,7 +110,7 @@ def measure_gradient_magnitudes(
         if finished is not None:
             finished(run)
     return {
-        name: GradientMagnitude(
+        name: _GradientMagnitude(
             positional[name].value, rotational[name].value, positional[name].share, rotational[name].share
         )
         for name in names

@@ -42,17 +42,17 @@ from warpav.runs.networks import load_networks, networks_in
 from warpav.runs.placement import placement_on
 
 SCHEMA = 2
-RESCORED_SECTIONS = ("detector", "scenes", "capture", "reconstruction", "visibility", "device", "executor")
+_RESCORED_SECTIONS = ("detector", "scenes", "capture", "reconstruction", "visibility", "device", "executor")
 """Sections of options that affect the evaluation of rigs."""
 
-RESCORED_OPTIONS = ("camera.width_px", "camera.height_px", "camera.supersampling")
+_RESCORED_OPTIONS = ("camera.width_px", "camera.height_px", "camera.supersampling")
 """Such options of other sections."""
 
 _REFERENCE = "default"
 
 
 @dataclass(frozen=True)
-class RescoreTask:
+class _RescoreTask:
     """One rig to rescore."""
 
     name: str
@@ -85,10 +85,10 @@ def check_rescored_options(overrides: Sequence[str], *, needs_some: bool = True)
         )
     for override in overrides:
         option = overridden_option(override)
-        if option.partition(".")[0] not in RESCORED_SECTIONS and option not in RESCORED_OPTIONS:
+        if option.partition(".")[0] not in _RESCORED_SECTIONS and option not in _RESCORED_OPTIONS:
             raise InputError(
                 f"command line ({override}): {option}: expected an evaluation option: of "
-                f"{', '.join(RESCORED_SECTIONS)}, or {', '.join(RESCORED_OPTIONS)}; rigs stay as they are"
+                f"{', '.join(_RESCORED_SECTIONS)}, or {', '.join(_RESCORED_OPTIONS)}; rigs stay as they are"
             )
 
 
@@ -106,7 +106,7 @@ def folder_name(name: str | None, overrides: Sequence[str]) -> str:
     return made
 
 
-def light_overrides(config: Config) -> tuple[str, ...]:
+def _light_overrides(config: Config) -> tuple[str, ...]:
     """Overrides that disable what rescoring does not need: training, validation, losses that need a fit."""
     return (
         f"scenes.train_seeds=[{_unused_seed(config)}]",
@@ -130,10 +130,10 @@ class Rescoring:
     judge: str
     config: Config
     out: Path
-    tasks: Sequence[RescoreTask]
+    tasks: Sequence[_RescoreTask]
 
     @property
-    def waiting(self) -> list[RescoreTask]:
+    def waiting(self) -> list[_RescoreTask]:
         """The tasks that have no result yet."""
         return [task for task in self.tasks if not _is_there(task)]
 
@@ -141,9 +141,9 @@ class Rescoring:
 def plan_rescore(folder: Path, config: Config, *, name: str, judge: str | None = None) -> Rescoring:
     """What there is to do to rescore all rigs of an experiment."""
     described = read_description(folder)
-    before = read_rigs(folder)
+    before = _read_rigs(folder)
     is_same = _same_test_scenes(described["options"], config)
-    config = with_absolute_paths(load_config(config, light_overrides(config)))
+    config = with_absolute_paths(load_config(config, _light_overrides(config)))
     out = (folder / f"rescored_{name}").absolute()
     tasks = [_task(run, config, folder, out, is_same and ATTAINABLE in run) for runs in before.values() for run in runs]
     return Rescoring(described, before, judge or name, config, out, tasks)
@@ -169,7 +169,7 @@ def run_rescores(planned: Sequence[Rescoring], *, progress: Progress) -> list[Fi
             progress.say(f"{there} of {len(each.tasks)} results are in {each.out} already")
     asked = {each.out: len(each.waiting) for each in planned}
     failed: dict[Path, list[str]] = {each.out: [] for each in planned}
-    done = outcomes(rescore_rig, waiting, planned[0].config, planned[0].out)
+    done = outcomes(_rescore_rig, waiting, planned[0].config, planned[0].out)
     for outcome in progress.steps("rigs", done, count=len(waiting)) if waiting else ():
         if outcome.error is not None:
             failed[outcome.task.folder].append(f"{outcome.task.name}: {outcome.error}")
@@ -196,7 +196,7 @@ def plan_panel(folder: Path, config: Config, panel: Path, *, name: str, progress
     return planned
 
 
-def read_rigs(folder: Path) -> dict[str, list[dict[str, Any]]]:
+def _read_rigs(folder: Path) -> dict[str, list[dict[str, Any]]]:
     """All results of an experiment that have rigs, by arm in the order of its summary, and by run seed."""
     file = folder / ROWS
     order = dict.fromkeys(row["arm"] for row in read_rows(file)) if file.is_file() else {}
@@ -209,7 +209,7 @@ def read_rigs(folder: Path) -> dict[str, list[dict[str, Any]]]:
     return found
 
 
-def rescore_rig(task: RescoreTask) -> dict[str, Any]:
+def _rescore_rig(task: _RescoreTask) -> dict[str, Any]:
     """Evaluate a rig, write the new result and return it."""
     began = time.perf_counter()
     config = task.config
@@ -252,14 +252,14 @@ def _same_test_scenes(options: Mapping[str, Any], config: Config) -> bool:
     return all(options.get(name) == now.get(name) for name in names)
 
 
-def _task(run: Mapping[str, Any], config: Config, folder: Path, out: Path, knows_attainable: bool) -> RescoreTask:
+def _task(run: Mapping[str, Any], config: Config, folder: Path, out: Path, knows_attainable: bool) -> _RescoreTask:
     # a file may be another network by now
     network = () if config.detector.model == "builtin" else (digest(Path(config.detector.model).read_bytes()),)
     made_with = digest(SCHEMA, run["made_with"], json.dumps(run["rig"]), unseeded(config), *network)
-    return RescoreTask(_name(run), config, folder.absolute(), out, made_with, knows_attainable)
+    return _RescoreTask(_name(run), config, folder.absolute(), out, made_with, knows_attainable)
 
 
-def _is_there(task: RescoreTask) -> bool:
+def _is_there(task: _RescoreTask) -> bool:
     """Whether a rig has been rescored with the same options; other results are replaced."""
     if not task.file.is_file():
         return False

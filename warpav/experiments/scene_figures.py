@@ -21,9 +21,9 @@ from warpav.view.figures.images import contact_sheet, image_types
 from warpav.view.figures.rigs import heat_maps, mount_surface_stages
 from warpav.view.figures.style import checked_png
 
-CAPTURE_NUMBERS = (4, 5, 6, 7, 9, 14, 15, 16)
+_CAPTURE_NUMBERS = (4, 5, 6, 7, 9, 14, 15, 16)
 """Figures of one capture, by their numbers in the thesis."""
-COLLECTION_NUMBER = 8
+_COLLECTION_NUMBER = 8
 """The figure of a collection of scenes."""
 RIG_NUMBERS = (10, 11, 12)
 """The figures of rigs, which `warpav.experiments.method_figures` draws."""
@@ -39,12 +39,12 @@ def draw_figure(
 ) -> Path:
     """Draw a figure by its number in the thesis."""
     path = checked_png(path)
-    if number == COLLECTION_NUMBER:
+    if number == _COLLECTION_NUMBER:
         if scenes is None or seed is not None or capture is not None:
             raise InputError(f"figure {number}: expected scenes, a folder of them, and nothing else")
         return scene_store_heat_maps(scenes, path)
-    if number not in CAPTURE_NUMBERS:
-        known = ", ".join(map(str, sorted((*CAPTURE_NUMBERS, COLLECTION_NUMBER, *RIG_NUMBERS))))
+    if number not in _CAPTURE_NUMBERS:
+        known = ", ".join(map(str, sorted((*_CAPTURE_NUMBERS, _COLLECTION_NUMBER, *RIG_NUMBERS))))
         raise InputError(f"figure: expected one of {known}, got {number}")
     if scenes is not None:
         raise InputError(f"figure {number}: expected seed or capture, got scenes; that goes with figure 8")

@@ -20,7 +20,7 @@ from warpav.rig.rig import RigCamera
 from warpav.scene.scene import ROAD_USERS, Scene
 
 DISTANCE_EDGES_M = (0.0, 10.0, 20.0, 40.0, 80.0, 200.0)
-VISIBLE_EDGES = (0.0, 0.4, 0.6, 0.8, 1.0)
+_VISIBLE_EDGES = (0.0, 0.4, 0.6, 0.8, 1.0)
 """Edges of the shares of nuScenes: to 40 %, to 60 %, to 80 %, to all."""
 EYE_HEIGHT_M = 1.8
 _SIZE_PX = 768
@@ -28,7 +28,7 @@ _VIEWS = 4
 
 
 @dataclass
-class SceneStatistics:
+class _SceneStatistics:
     """Counts over scenes."""
 
     scene_count: int = 0
@@ -54,7 +54,7 @@ class SceneStatistics:
 
     def by_visible_share(self) -> dict[str, float]:
         """Share of the road users, 0..1, by visible share; those without a pixel count as not visible at all."""
-        return _shares(list(np.nan_to_num(self.visible_share)), VISIBLE_EDGES, "%", 100.0)
+        return _shares(list(np.nan_to_num(self.visible_share)), _VISIBLE_EDGES, "%", 100.0)
 
     def table(self) -> list[str]:
         """Lines of text."""
@@ -78,9 +78,9 @@ class SceneStatistics:
         return lines
 
 
-def scene_statistics(scenes: Iterable[Scene], *, device: str = "cpu") -> SceneStatistics:
+def scene_statistics(scenes: Iterable[Scene], *, device: str = "cpu") -> _SceneStatistics:
     """Count the road users of scenes, those that are no targets too."""
-    found = SceneStatistics()
+    found = _SceneStatistics()
     for scene in scenes:
         whole = scene.targeting(ROAD_USERS)
         centre_m = scene.ego.bounds_m()[:, :2].astype(np.float64).mean(axis=0)

@@ -260,7 +260,8 @@ class PoolSearch:
         self._row_points = np.array(state["row_points"], int)
         self._places = [each[None] for each in state["places"]] if "places" in state else []
         self.best = np.array(state["best"], np.float32) if "best" in state else None
-        price = {name: each if each.ndim else each.item() for name, each in part_of(state, "price").items()}
+        price: dict[str, Any] = dict(part_of(state, "price"))
+        price = {name: each if each.ndim else each.item() for name, each in price.items()}
         self.price = Price(**price) if price else None
         pool = part_of(state, "pool")
         if pool:

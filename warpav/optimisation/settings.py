@@ -121,7 +121,7 @@ class LossSettings(LossWeights):
 
 
 @dataclass(frozen=True)
-class Sector:
+class _Sector:
     """A range of azimuths with a weight.
 
     Attributes:
@@ -144,7 +144,7 @@ class Sector:
         turned_deg = np.mod(np.asarray(azimuth_deg, np.float64) - self.from_deg, 360.0)
         return (turned_deg < self.width_deg) | (self.width_deg >= 360.0)  # rounding gives a whole turn for -1e-17
 
-    def overlaps(self, other: Sector) -> bool:
+    def overlaps(self, other: _Sector) -> bool:
         """Whether some azimuth is in both."""
         return bool(self.contains(np.array(other.from_deg)) or other.contains(np.array(self.from_deg)))
 
@@ -197,10 +197,10 @@ def _read_times(value: object) -> dict[float, float]:
     return _read_steps(value, quantity="time", expected=_TIME_TEXT, unit_factor=SECONDS_PER_UNIT)
 
 
-def _read_sectors(value: object) -> tuple[Sector, ...]:
-    sectors: list[Sector] = []
+def _read_sectors(value: object) -> tuple[_Sector, ...]:
+    sectors: list[_Sector] = []
     for item in value if isinstance(value, (list, tuple)) else [value]:
-        if isinstance(item, Sector):
+        if isinstance(item, _Sector):
             item = _written_sector(item)  # noqa: PLW2901
         if not isinstance(item, dict) or item.keys() != {"from", "to", "weight"}:
             mistake(f"expected {_SECTOR_TEXT}, got {shown(item)}")
@@ -210,7 +210,7 @@ def _read_sectors(value: object) -> tuple[Sector, ...]:
         if not low < high <= low + 360.0:
             hint = f"; write {low:g} to {high + 360.0:g}" if low - 360.0 < high < low else ""
             mistake(f"expected sectors that end above their start, by at most 360, got {low:g} to {high:g}{hint}")
-        sectors.append(Sector(low, high, _weight(item["weight"], f"the sector from {low:g} to {high:g} deg")))
+        sectors.append(_Sector(low, high, _weight(item["weight"], f"the sector from {low:g} to {high:g} deg")))
     for one, other in itertools.combinations(sectors, 2):
         if one.overlaps(other):
             edges = f"{one.from_deg:g} to {one.to_deg:g} and {other.from_deg:g} to {other.to_deg:g}"
@@ -225,7 +225,7 @@ def _written_steps(weights: dict[float, float], unit: str) -> dict[str, float]:
     return {f"{int(each) if each.is_integer() else each} {unit}": weight for each, weight in weights.items()}
 
 
-def _written_sector(sector: Sector) -> dict[str, float]:
+def _written_sector(sector: _Sector) -> dict[str, float]:
     return {"from": sector.from_deg, "to": sector.to_deg, "weight": sector.weight}
 
 
@@ -265,7 +265,7 @@ class ImportanceSettings(Section):
         "are; 1 where they never meet, or where the velocity is unknown",
     )
     sector_deg: Annotated[
-        tuple[Sector, ...],
+        tuple[_Sector, ...],
         BeforeValidator(_read_sectors),
         PlainSerializer(lambda sectors: [_written_sector(each) for each in sectors]),
         Expectation(_SECTOR_TEXT),

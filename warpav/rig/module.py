@@ -57,7 +57,7 @@ class Price:
 
 
 @dataclass(frozen=True)
-class Problem:
+class _Problem:
     """What is wrong with one field of a module."""
 
     field: str
@@ -72,7 +72,7 @@ class Problem:
 class ModuleError(InputError):
     """A module cannot be what it says."""
 
-    def __init__(self, name: object, problems: tuple[Problem, ...]) -> None:
+    def __init__(self, name: object, problems: tuple[_Problem, ...]) -> None:
         """The error, one line a problem."""
         super().__init__(*(f"module {name!r}: {each.field}: {each}" for each in problems))
         self.name, self.problems = name, problems
@@ -196,7 +196,7 @@ def vertical_angle_rad(model: CameraModel) -> float:
     return float(angle[1] - angle[0])
 
 
-def _problems(module: Module) -> Iterator[Problem]:
+def _problems(module: Module) -> Iterator[_Problem]:
     """All that is wrong with a module; contradictions only between fields that are right by themselves."""
     of_image = [*_name_problems(module), *_size_problems(module), *_lens_problems(module)]
     yield from of_image
@@ -204,28 +204,30 @@ def _problems(module: Module) -> Iterator[Problem]:
         yield from _image_problems(module)
     yield from _housing_problems(module.housing)
     if not _is_number(module.price.value, 0.0):
-        yield Problem("price.value", "a number from 0 on", f"{module.price.value}", "write what the module costs")
+        yield _Problem("price.value", "a number from 0 on", f"{module.price.value}", "write what the module costs")
     if not (isinstance(module.price.unit, str) and module.price.unit.strip()):
-        yield Problem("price.unit", "a unit, such as EUR or relative", repr(module.price.unit), "name the unit")
+        yield _Problem("price.unit", "a unit, such as EUR or relative", repr(module.price.unit), "name the unit")
     if module.power_w is not None and not _is_number(module.power_w, 0.0):
-        yield Problem("power_w", "watts from 0 on", f"{module.power_w}", "write null where it is unknown")
+        yield _Problem("power_w", "watts from 0 on", f"{module.power_w}", "write null where it is unknown")
     for i, zone in enumerate(module.zones):
         if not (isinstance(zone, str) and _NAME.fullmatch(zone)):
-            yield Problem(
+            yield _Problem(
                 f"zones[{i}]", "letters, digits, '_', '-' and '.'", repr(zone), "name a zone, such as windscreen"
             )
         elif zone in module.zones[:i]:
-            yield Problem(f"zones[{i}]", "every zone once", f"{zone!r} again", "remove it")
+            yield _Problem(f"zones[{i}]", "every zone once", f"{zone!r} again", "remove it")
     if not (isinstance(module.source, str) and module.source.strip()):
-        yield Problem("source", "where the figures come from", repr(module.source), "name a data sheet, or say a guess")
+        yield _Problem(
+            "source", "where the figures come from", repr(module.source), "name a data sheet, or say a guess"
+        )
 
 
-def _name_problems(module: Module) -> Iterator[Problem]:
+def _name_problems(module: Module) -> Iterator[_Problem]:
     if not (isinstance(module.name, str) and _NAME.fullmatch(module.name)):
-        yield Problem("name", "letters, digits, '_', '-' and '.'", repr(module.name), "such as front_8mp_30")
+        yield _Problem("name", "letters, digits, '_', '-' and '.'", repr(module.name), "such as front_8mp_30")
 
 
-def _size_problems(module: Module) -> Iterator[Problem]:
+def _size_problems(module: Module) -> Iterator[_Problem]:
     are_sizes = True
     sizes = {"sensor_px": module.sensor_px, "network_px": module.network_px}
     if module.network_px == module.sensor_px:  # as where it is not given
@@ -234,32 +236,32 @@ def _size_problems(module: Module) -> Iterator[Problem]:
         if not (len(size) == 2 and all(_is_size(pixels) for pixels in size)):
             are_sizes = False
             expected = f"columns and rows from {MIN_IMAGE_PX} to {MAX_IMAGE_PX} px"
-            yield Problem(name, expected, f"{list(size)}", "write whole pixels, such as [1920, 1080]")
+            yield _Problem(name, expected, f"{list(size)}", "write whole pixels, such as [1920, 1080]")
     if module.network_by not in list(Fitting):
         hint = _suggestion(module.network_by, list(Fitting))
-        yield Problem("network_by", f"one of {', '.join(Fitting)}", repr(module.network_by), hint)
+        yield _Problem("network_by", f"one of {', '.join(Fitting)}", repr(module.network_by), hint)
         return
     is_crop = are_sizes and module.network_by == Fitting.CROP
     if is_crop and any(new > old for new, old in zip(module.network_px, module.sensor_px, strict=True)):
         expected = "a crop of at most {} x {} px, the sensor".format(*module.sensor_px)
         got = "{} x {} px".format(*module.network_px)
-        yield Problem("network_px", expected, got, "crop less, or write network_by: scaling")
+        yield _Problem("network_px", expected, got, "crop less, or write network_by: scaling")
 
 
-def _lens_problems(module: Module) -> Iterator[Problem]:
+def _lens_problems(module: Module) -> Iterator[_Problem]:
     if module.lens not in list(Lens):
-        yield Problem("lens", f"one of {', '.join(Lens)}", repr(module.lens), _suggestion(module.lens, list(Lens)))
+        yield _Problem("lens", f"one of {', '.join(Lens)}", repr(module.lens), _suggestion(module.lens, list(Lens)))
         return
     lens = Lens(module.lens)
     counts = COEFFICIENT_COUNTS[lens]
     if len(module.distortion) not in counts:
         expected = f"{' or '.join(map(str, counts))} coefficients of a {lens} lens"
-        yield Problem("distortion", expected, f"{len(module.distortion)}", "see the lenses of CameraModel")
+        yield _Problem("distortion", expected, f"{len(module.distortion)}", "see the lenses of CameraModel")
         return
     try:
         CameraModel(lens=lens, fov_rad=1e-3, distortion=module.distortion)
     except ValueError as error:
-        yield Problem("distortion", "coefficients of a lens", f"{list(module.distortion)}", f"{error}")
+        yield _Problem("distortion", "coefficients of a lens", f"{list(module.distortion)}", f"{error}")
         return
     shape = LensShape(lens, tuple(map(float, module.distortion)))
     for name, angle_rad in (("fov_rad", module.fov_rad), ("vertical_fov_rad", module.vertical_fov_rad)):
@@ -270,32 +272,34 @@ def _lens_problems(module: Module) -> Iterator[Problem]:
         if not (is_all_round or (_is_number(angle_rad) and 0.0 < math.degrees(angle_rad or 0.0) < widest_deg)):
             up_to = "up to" if shape.is_panorama and name == "fov_rad" else "below"
             remedy = "write that of the whole sensor" if widest_deg > 180.0 else "a fisheye sees more"
-            yield Problem(name, f"more than 0 and {up_to} {widest_deg:g} degrees ({lens})", _degrees(angle_rad), remedy)
+            yield _Problem(
+                name, f"more than 0 and {up_to} {widest_deg:g} degrees ({lens})", _degrees(angle_rad), remedy
+            )
             return
     bends = lens is Lens.BROWN_CONRADY or shape.is_by_angle
     if bends and 0.5 * module.fov_rad > shape.limit_rad:
         expected = f"at most {math.degrees(2.0 * shape.limit_rad):.1f} degrees, where these coefficients fold back"
-        yield Problem("fov_rad", expected, _degrees(module.fov_rad), "correct one of the two")
+        yield _Problem("fov_rad", expected, _degrees(module.fov_rad), "correct one of the two")
 
 
-def _image_problems(module: Module) -> Iterator[Problem]:
+def _image_problems(module: Module) -> Iterator[_Problem]:
     """What contradicts itself in lens and sensor together."""
     sensor = CameraModel(*module.sensor_px, module.fov_rad, lens=module.lens, distortion=tuple(module.distortion))
     blind = _blind_place(sensor)
     if blind:
         if sensor.shape.is_panorama:
             got = f"rows beyond them at the {blind}"
-            yield Problem("sensor_px", "rows between the poles", got, "take fewer rows, or a narrower field")
+            yield _Problem("sensor_px", "rows between the poles", got, "take fewer rows, or a narrower field")
         else:
             expected = "coefficients under which the image grows up to its border"
             remedy = "correct them, the field of view or the sensor"
-            yield Problem("distortion", expected, f"a fold-back before the {blind}", remedy)
+            yield _Problem("distortion", expected, f"a fold-back before the {blind}", remedy)
     elif module.vertical_fov_rad is not None:
         found_deg = math.degrees(vertical_angle_rad(sensor))
         if abs(found_deg - math.degrees(module.vertical_fov_rad)) > _VERTICAL_TOLERANCE_DEG:
             expected = f"{found_deg:.1f} degrees, as horizontal field, lens and sensor give"
             remedy = "correct one of them, or leave it out"
-            yield Problem("vertical_fov_rad", expected, _degrees(module.vertical_fov_rad), remedy)
+            yield _Problem("vertical_fov_rad", expected, _degrees(module.vertical_fov_rad), remedy)
 
 
 def _blind_place(model: CameraModel) -> str | None:
@@ -319,18 +323,18 @@ def _blind_place(model: CameraModel) -> str | None:
     return next((name for name, each in zip(place_px, ray, strict=True) if not np.isfinite(each).all()), None)
 
 
-def _housing_problems(housing: Housing) -> Iterator[Problem]:
+def _housing_problems(housing: Housing) -> Iterator[_Problem]:
     for name, values in (("size_m", housing.size_m), ("offset_m", housing.offset_m)):
         if not (len(values) == 3 and all(_is_number(value) for value in values)):
             got = f"{list(values)}"
-            yield Problem(f"housing.{name}", "three finite numbers of metres", got, "write x right, y down, z forward")
+            yield _Problem(f"housing.{name}", "three finite numbers of metres", got, "write x right, y down, z forward")
             return
     if not all(0.0 < value <= MAX_HOUSING_M for value in housing.size_m):
         expected = f"positive metres up to {MAX_HOUSING_M:g}"
-        yield Problem("housing.size_m", expected, f"{list(housing.size_m)}", "write metres: 0.03 for 30 mm")
+        yield _Problem("housing.size_m", expected, f"{list(housing.size_m)}", "write metres: 0.03 for 30 mm")
     elif any(abs(at) > 0.5 * size for at, size in zip(housing.offset_m, housing.size_m, strict=True)):
         expected = "an offset of at most half the size: the box holds the optical centre"
-        yield Problem("housing.offset_m", expected, f"{list(housing.offset_m)}", "write metres to the box's middle")
+        yield _Problem("housing.offset_m", expected, f"{list(housing.offset_m)}", "write metres to the box's middle")
 
 
 def _is_number(value: object, least: float = -math.inf) -> bool:

@@ -17,7 +17,7 @@ from warpav.runs.config import Config, option_values
 from warpav.runs.networks import model_path
 from warpav.runs.placement import Placement
 
-MAY_CHANGE = (
+_MAY_CHANGE = (
     "run.iterations",
     "run.checkpoint_every",
     "run.pictures",
@@ -54,12 +54,12 @@ def check_options(before: Config, after: Config) -> None:
         name
         for name, value in given.items()
         if value != known[name]
-        and not any(name == each or name.startswith(f"{each}.") for each in (*MAY_CHANGE, *_FILES))
+        and not any(name == each or name.startswith(f"{each}.") for each in (*_MAY_CHANGE, *_FILES))
     ]
     if differ:
         raise InputError(
             f"command line ({', '.join(differ)}): expected the values of the run, as others change what has been "
-            f"computed; may change: {', '.join(MAY_CHANGE)}, and where files lie"
+            f"computed; may change: {', '.join(_MAY_CHANGE)}, and where files lie"
         )
 
 

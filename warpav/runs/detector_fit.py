@@ -47,10 +47,10 @@ if TYPE_CHECKING:
     from warpav.raster.mesh import Mesh
 
 # Embedded scenes for this purpose alone: no experiment takes these seeds, and the shipped detector has not seen them.
-TOWN_SEEDS = tuple(range(500_000, 500_050))
-TOWN_HELD_OUT = tuple(range(500_050, 500_080))
+_TOWN_SEEDS = tuple(range(500_000, 500_050))
+_TOWN_HELD_OUT = tuple(range(500_050, 500_080))
 _NOT_FITTED = ("level", "vehicles", "vehicles_share")  # what curves know nothing of
-MIN_FIT_SCENES = 20
+_MIN_FIT_SCENES = 20
 """Training scenes of the user's own with which a model can be fitted and evaluated."""
 
 _FITS: weakref.WeakKeyDictionary[Any, dict[str, DetectionProbability]] = weakref.WeakKeyDictionary()
@@ -70,7 +70,7 @@ class FitSeeds:
 def chosen_seeds(config: Config, fit: tuple[int, ...] | None, held_out: tuple[int, ...] | None) -> FitSeeds:
     """The scenes to use: the given ones, else embedded ones of their own, else three to two of the training scenes."""
     if config.scenes.source == "town":
-        usual = FitSeeds(TOWN_SEEDS, TOWN_HELD_OUT)
+        usual = FitSeeds(_TOWN_SEEDS, _TOWN_HELD_OUT)
     else:
         train = config.scenes.train_seeds
         usual = FitSeeds(
@@ -168,9 +168,9 @@ def fit_config(config: Config, progress: Progress) -> Config:
     count = len(config.scenes.train_seeds)
     if config.losses.probability != "fitted" or config.scenes.source == "town":
         return config
-    if count < MIN_FIT_SCENES:
+    if count < _MIN_FIT_SCENES:
         progress.say(
-            f"detection probability is that of the embedded scenes: to fit it on others takes {MIN_FIT_SCENES}, "
+            f"detection probability is that of the embedded scenes: to fit it on others takes {_MIN_FIT_SCENES}, "
             f"scenes.train_seeds has {count}"
         )
         return town_config(config)

@@ -22,7 +22,7 @@ from warpav.runs.terminal import TextTable
 
 SCHEMA = 1
 
-FittedOn = Literal["town", "own"]
+_FittedOn = Literal["town", "own"]
 
 _RESAMPLES = 999
 
@@ -31,7 +31,7 @@ _HEADS = (*_HEADS, "of the fit's own scenes: AUC, error")
 
 
 @dataclass(frozen=True, eq=False)
-class FitScores:
+class _FitScores:
     """The detection probability of a detector against what the detector finds."""
 
     name: str  # the detector's name
@@ -71,11 +71,11 @@ def score_detectors(
     config: Config,
     *,
     panel: Path | None,
-    fitted_on: FittedOn,
+    fitted_on: _FittedOn,
     seeds: tuple[int, ...] | None,
     out: Path | None,
     progress: Progress,
-) -> list[FitScores]:
+) -> list[_FitScores]:
     """Score the fits of the configured detector, or of all networks of a folder; show the scores and write them.
 
     What has no stored fit is fitted first, as a run would.
@@ -97,7 +97,7 @@ def score_detectors(
     return found
 
 
-def _score(name: str, config: Config, fitted_on: FittedOn, seeds: tuple[int, ...], progress: Progress) -> FitScores:
+def _score(name: str, config: Config, fitted_on: _FittedOn, seeds: tuple[int, ...], progress: Progress) -> _FitScores:
     fit_config = town_config(config) if fitted_on == "town" else config
     model = ensure_fit(fit_config, progress=progress)
     known = model.record.get("fit", {}).get("seeds", [])
@@ -114,7 +114,7 @@ def _score(name: str, config: Config, fitted_on: FittedOn, seeds: tuple[int, ...
         raise ArgumentError("scenes", f"{error}; give more `scenes`", place=name) from None
     held_out = model.record.get("held_out", {})
     intervals = _intervals(probability, samples)
-    return FitScores(
+    return _FitScores(
         name,
         config.camera.width_px,
         config.camera.height_px,
@@ -151,7 +151,9 @@ def _intervals(probability: np.ndarray, samples: DetectionSamples) -> dict[str, 
     return {name: (float(low[k]), float(high[k])) for k, name in enumerate(names)}
 
 
-def _write(found: Sequence[FitScores], config: Config, fitted_on: FittedOn, seeds: tuple[int, ...], out: Path) -> None:
+def _write(
+    found: Sequence[_FitScores], config: Config, fitted_on: _FittedOn, seeds: tuple[int, ...], out: Path
+) -> None:
     from warpav.view.figures.statistics import reliability_diagram
 
     with writing(out):
@@ -172,7 +174,7 @@ def _write(found: Sequence[FitScores], config: Config, fitted_on: FittedOn, seed
         )
 
 
-def _table(found: Sequence[FitScores]) -> TextTable:
+def _table(found: Sequence[_FitScores]) -> TextTable:
     return TextTable(
         "Detection probability against what detectors find",
         _HEADS,

@@ -19,7 +19,7 @@ from warpav.core.warp_setup import load_warp
 from warpav.runs.environment import package_versions, required_packages
 
 Status = Literal["ok", "warning", "failed"]
-OPENGL_TIMEOUT_S = 120
+_OPENGL_TIMEOUT_S = 120
 _SELF_TEST_MIN_COSINE = 0.99
 _SELF_TEST_STEP_M = 0.02
 _SELF_TEST_SUPERSAMPLING = 4  # long straight edges alias at 1
@@ -153,10 +153,10 @@ def check_opengl() -> Finding:
     """Whether images can be drawn; in a process of its own, because a broken OpenGL ends the process."""
     try:
         done = subprocess.run(
-            [sys.executable, "-c", _DRAW], capture_output=True, text=True, timeout=OPENGL_TIMEOUT_S, check=False
+            [sys.executable, "-c", _DRAW], capture_output=True, text=True, timeout=_OPENGL_TIMEOUT_S, check=False
         )
     except subprocess.TimeoutExpired:
-        return Finding("opengl", "warning", f"no image within {OPENGL_TIMEOUT_S} s; warpav inspect will not work")
+        return Finding("opengl", "warning", f"no image within {_OPENGL_TIMEOUT_S} s; warpav inspect will not work")
     window = done.stdout.strip().splitlines()[-1] if done.stdout.strip() else ""
     if done.returncode == 0 and window:
         return Finding("opengl", "ok", f"drew an image with {window}", {"window": window})

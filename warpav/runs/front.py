@@ -31,14 +31,14 @@ from warpav.runs.progress import shown_progress
 from warpav.scene.scene import Scene
 from warpav.view import Canvas, draws, plot
 
-MOST_BUDGETS = 8
+_MOST_BUDGETS = 8
 """Budgets of a front by cost, at most: evenly spread from the cheapest rig to the dearest."""
 FRONT_FILE, FRONT_FIGURE = "front.json", "front.png"
 """What `Front.save` writes beside the rigs."""
 
 
 @dataclass(frozen=True, eq=False)
-class FrontPoint:
+class _FrontPoint:
     """The best rig of a number of cameras, or within a budget."""
 
     name: str
@@ -77,7 +77,7 @@ class FrontPoint:
 class Front:
     """Rigs of rising number or cost, the best of each."""
 
-    points: tuple[FrontPoint, ...]
+    points: tuple[_FrontPoint, ...]
     by: str
     scenes: tuple[str, ...] = ()
     evaluation: RigEvaluation | None = field(repr=False, default=None)
@@ -230,7 +230,7 @@ def _by_cost(placement: Placement) -> list[_Step]:
     low, high = limits.cost_range()
     if not high > low:
         raise OptionError("rig.modules", f"expected modules to choose from, got one rig alone, of cost {low:g}")
-    budgets = np.linspace(low, high, MOST_BUDGETS)
+    budgets = np.linspace(low, high, _MOST_BUDGETS)
     return [
         (
             f"cost_{budget:.4g}",
@@ -243,9 +243,9 @@ def _by_cost(placement: Placement) -> list[_Step]:
 
 def _searched(
     placement: Placement, steps: Sequence[_Step], progress: Progress, executor: Executor | None
-) -> list[FrontPoint]:
+) -> list[_FrontPoint]:
     """The best rig of every step."""
-    points: list[FrontPoint] = []
+    points: list[_FrontPoint] = []
     pool: CameraPool | None = None
     before: PoolRun | None = None
     settings = pool_search_settings(placement.config)
@@ -262,7 +262,7 @@ def _searched(
         cost = 0.0 if limits is None else limits.cost([camera.module for camera in rig.cameras])
         selections = [each for each in records if each.stage == "selection"]
         bound = max((each.bound for each in selections[-1:] if each.bound is not None), default=0.0)
-        points.append(FrontPoint(name, rig, cost, found.training_objective, bound, search.found.pool_cameras))
+        points.append(_FrontPoint(name, rig, cost, found.training_objective, bound, search.found.pool_cameras))
         progress.say(f"{name.replace('_', ' ')}: expected misses {100.0 * found.training_objective:.2f} per 100")
     return points
 
@@ -318,10 +318,10 @@ def _larger(before: PoolRun, count: int, limits: RigLimits | None) -> np.ndarray
     return rig if limits is None or limits.holds(mount.module_of(rig)) else None
 
 
-def _without_dominated(points: Sequence[FrontPoint]) -> tuple[FrontPoint, ...]:
+def _without_dominated(points: Sequence[_FrontPoint]) -> tuple[_FrontPoint, ...]:
     """The points, those marked that another one beats in all: cameras, cost, and misses in the search."""
 
-    def beats(one: FrontPoint, other: FrontPoint) -> bool:
+    def beats(one: _FrontPoint, other: _FrontPoint) -> bool:
         pair = [(len(each.rig.cameras), each.cost, each.objective) for each in (one, other)]
         return pair[0] != pair[1] and all(a <= b for a, b in zip(*pair, strict=True))
 

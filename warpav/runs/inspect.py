@@ -39,7 +39,7 @@ traffic by what becomes of it; what every camera sees; what one more camera woul
 body; the zones of the body; or, instead, a page to print."""
 
 
-PAGE_SCENES = 3
+_PAGE_SCENES = 3
 """Scenes that a page holds at most; each takes a megabyte."""
 
 
@@ -235,7 +235,7 @@ def write_inspector_page(
     out: Path,
     *,
     scene: Path | None = None,
-    scene_count: int = PAGE_SCENES,
+    scene_count: int = _PAGE_SCENES,
 ) -> Path:
     """Write a page that stands alone: a rig in some scenes, what its cameras see of the ground, switches for all."""
     from warpav.scene.device_scene import DeviceScene

@@ -203,7 +203,7 @@ _IMAGE_SIZE = ("width_px", "height_px")
 
 
 @dataclass(frozen=True)
-class PanelNetwork:
+class _PanelNetwork:
     """A network of a panel."""
 
     name: str  # the name of its file in lower-case letters, digits and underscores
@@ -227,7 +227,7 @@ class PanelNetwork:
         return load_config(config, self.overrides)
 
 
-def networks_in(folder: Path, config: Config) -> list[PanelNetwork]:
+def networks_in(folder: Path, config: Config) -> list[_PanelNetwork]:
     """The ONNX files of a folder, by name, each tried on an image.
 
     A file that fixes its input gets images that fill it, in the proportions of the configured camera; one that takes
@@ -255,7 +255,7 @@ def networks_in(folder: Path, config: Config) -> list[PanelNetwork]:
     for name, file in named.items():
         described, size_px = _description(file.with_suffix(".yaml"))
         detector = load_detector(load_config(config, (*_network_overrides(file), *described)))
-        found.append(PanelNetwork(name, file, *(size_px or _image_size_px(detector, config)), described))
+        found.append(_PanelNetwork(name, file, *(size_px or _image_size_px(detector, config)), described))
     return found
 
 

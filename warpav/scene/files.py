@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 MAX_SEED = 2**31 - 1
 SCHEMA = "warpav-collection/1"
-INDEX = "collection.json"
+_INDEX = "collection.json"
 
 
 def town(
@@ -339,7 +339,7 @@ def _is_ready(task: SceneTask, made_with: str) -> bool:
 
 def _note(task: SceneTask, made_with: str) -> None:
     """Enter a file into its folder's index."""
-    file = task.file.parent / INDEX
+    file = task.file.parent / _INDEX
     entries = _index(task.file.parent)
     entries[task.file.name] = {"seed": task.seed, "recipe": made_with, "sha256": _sha256(task.file)}
     entries = dict(sorted(entries.items(), key=lambda item: item[1].get("seed", 0)))
@@ -350,7 +350,7 @@ def _note(task: SceneTask, made_with: str) -> None:
 def _index(folder: Path) -> dict[str, Any]:
     """The entries of a folder's index; empty if it is missing or invalid, so that the files are made again."""
     try:
-        content = json.loads((folder / INDEX).read_text(encoding="utf-8"))
+        content = json.loads((folder / _INDEX).read_text(encoding="utf-8"))
         entries = content["scenes"]
         return entries if content["schema"] == SCHEMA and all(isinstance(one, dict) for one in entries.values()) else {}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):

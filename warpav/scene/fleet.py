@@ -43,7 +43,7 @@ CATEGORIES = tuple(VEHICLE_SPECS)
 """Vehicles in whose places others can stand."""
 USUAL_SHARE = 0.5
 """Of the vehicles in whose places others could stand, those that others do stand in."""
-STRETCH = (0.8, 1.25)
+_STRETCH = (0.8, 1.25)
 """How much more or less than a vehicle as a whole its length, width or height may grow."""
 TRIANGLES_MAX = (4_300, 1_200)
 """Triangles of a mesh near the ego vehicle, and of one that stands for a coarse mesh: no more than the town's own."""
@@ -125,9 +125,9 @@ class _Body:
     content: str  # hash of all this
 
     def fits(self, size_m: np.ndarray) -> bool:
-        """Whether it can be stretched to a size, [3], within `STRETCH`."""
+        """Whether it can be stretched to a size, [3], within `_STRETCH`."""
         factor = np.asarray(size_m) / self.size_m
-        return bool(factor.max() / factor.min() <= STRETCH[1] / STRETCH[0])
+        return bool(factor.max() / factor.min() <= _STRETCH[1] / _STRETCH[0])
 
     def mesh(self, size_m: np.ndarray, paint: np.ndarray, *, coarse: bool) -> Mesh:
         """Its mesh in the vehicle frame, of a size [m], [3], in a paint, linear albedo [3]."""
@@ -211,7 +211,7 @@ class _Stated(Record):
 
     category: (
         Annotated[
-            list[Literal[*CATEGORIES]],
+            list[Literal[*CATEGORIES]],  # pyright: ignore[reportInvalidTypeForm]
             Field(min_length=1),
             BeforeValidator(lambda one: one if isinstance(one, list) else [one]),
         ]

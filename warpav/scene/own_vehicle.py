@@ -470,7 +470,7 @@ def is_plausible(size_m: np.ndarray) -> bool:
     return all(low <= value <= high for value, (low, high) in zip(size_m, ranges, strict=True))
 
 
-def scale_of(size: np.ndarray) -> tuple[str, float]:
+def _scale_of(size: np.ndarray) -> tuple[str, float]:
     """Which vehicle, or which unit, makes a size plausible, and the metres of one.
 
     The unit that makes length, width and height plausible together, one that makes the length a car's first. Without
@@ -507,7 +507,7 @@ def _unit_findings(
     minimum_m, maximum_m = _POSSIBLE_LENGTH_M
     if is_plausible(size_m) or not size_m.min() > 0.0:
         return [], []
-    name, factor = scale_of(size_m)
+    name, factor = _scale_of(size_m)
     is_unit = name in dict(_UNITS)
     scale = reading.scale * factor
     with_scale = " with this `scale`" if is_stated else ""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     Server = Any
 
-HOST = "127.0.0.1"
+_HOST = "127.0.0.1"
 """The one address that is listened to."""
 
 DEFAULT_PORT = 8765
@@ -60,7 +60,7 @@ class BrowserInspector:
     @property
     def url(self) -> str:
         """The address to open."""
-        return f"http://{HOST}:{self.port}/index.html?secret={self.token}"
+        return f"http://{_HOST}:{self.port}/index.html?secret={self.token}"
 
     def serve(self, *, port: int = DEFAULT_PORT, ready: Callable[[str, int], None] | None = None) -> None:
         """Answer browsers until this is interrupted."""
@@ -85,7 +85,7 @@ class BrowserInspector:
             logging.getLogger(name).setLevel(logging.CRITICAL)  # a tab that is closed is no error
         await self._server.start(
             port=port,
-            host=HOST,
+            host=_HOST,
             open_browser=False,
             show_connection_info=False,
             disable_logging=True,

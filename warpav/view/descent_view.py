@@ -15,13 +15,9 @@ from warpav.view.palette import DESCENT_RGB, further_map
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from warpav.optimisation.further_camera import FurtherCameras
     from warpav.rig.mount_surface import MountSurface
     from warpav.rig.rig import Rig
-
-    Plotter = Any
-    PolyData = Any
-if TYPE_CHECKING:
-    from warpav.optimisation.further_camera import FurtherCameras
 
     Plotter = Any
     PolyData = Any
@@ -139,7 +135,7 @@ TITLE = "one more camera: further objects found of 100"
 _DOT_RADIUS_M = 0.022
 
 
-def further_to_pyvista(further: FurtherCameras) -> PolyData:
+def _further_to_pyvista(further: FurtherCameras) -> PolyData:
     """Arrows of the best cameras of all places, dots of the others, as ``pyvista.PolyData``.
 
     Point data: ``gain_of_100``, further objects found of 100.
@@ -176,7 +172,7 @@ def add_further_cameras(
     if further is None or not len(further):
         return
     plotter.add_mesh(
-        further_to_pyvista(further),
+        _further_to_pyvista(further),
         scalars="gain_of_100",
         cmap=further_map(),
         clim=(0.0, max(100.0 * float(further.gain.max()), 1e-9)),

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 NEAR_M = 20.0
 """Ground of which the lines say how much several cameras see is this near to the vehicle's centre [m]."""
 
-KEPT_SCENES = 4
+_KEPT_SCENES = 4
 """Scenes that are held in memory; others are built again when they are shown."""
 
 
@@ -74,7 +74,7 @@ class InspectedRig:
         self._constraints, self._height_offset_m = constraints, height_offset_m
         self._observer_of, self._device = observer_of, device
         self._last_coverage: dict[tuple[float, ...], tuple[tuple[RigCamera, ...], Coverage]] = {}
-        kept = lru_cache(KEPT_SCENES)
+        kept = lru_cache(_KEPT_SCENES)
         self._scene_of = kept(scene_of)
         self._packed_of = kept(lambda index: DeviceScene.pack(self._scene_of(index), device=device))
         self._ground_of = kept(lambda index: Ground.around(self._packed_of(index)))

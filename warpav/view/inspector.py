@@ -84,10 +84,10 @@ SHOWN_HEIGHTS_M = (*HEIGHTS_M, PATCH_M)
 _BOTTOM = 0.1  # above the lines of help
 
 TURN_RAD = math.radians(2.0)
-MESSAGE_CHARACTERS = 80
+_MESSAGE_CHARACTERS = 80
 """Longest line of a message in the window."""
 
-DRAGGED_RAYS_PX = 97
+_DRAGGED_RAYS_PX = 97
 """Rays along each side of the view of a camera while it is dragged."""
 
 _BALL_RADIUS_M = 0.11
@@ -302,7 +302,7 @@ class Inspector:
             self._draw_further()
             self._draw_gain()
         if self.shows_visibility:
-            self._draw_visibility_of(camera, rays=DRAGGED_RAYS_PX)
+            self._draw_visibility_of(camera, rays=_DRAGGED_RAYS_PX)
         self._redraw(detector=False)
 
     def _dragged(self, ball: Any, camera: int) -> None:  # noqa: ANN401 (a vtkSphereWidget)
@@ -329,7 +329,7 @@ class Inspector:
             action()
         except InputError as error:
             with self._one_render():
-                self._say(textwrap.fill(str(error), MESSAGE_CHARACTERS))
+                self._say(textwrap.fill(str(error), _MESSAGE_CHARACTERS))
 
     @contextmanager
     def _one_render(self) -> Iterator[None]:
@@ -539,7 +539,7 @@ class Inspector:
             self.plotter.remove_actor("view")
             self._view = None
             return
-        self._view = image_actor(self.view_rgb())
+        self._view = _image_actor(self.view_rgb())
         self._put_view()
         self.plotter.add_actor(self._view, name="view")
 
@@ -553,7 +553,7 @@ class Inspector:
         """The image of the chosen camera: green boxes are found, orange ones missed, red ones false; uint8."""
         assert self.chosen is not None
         observed = self.state.observation.cameras[self.chosen]
-        return framed_view(
+        return _framed_view(
             observed, scale=VIEW_PX / max(observed.image_rgb.shape[:2]), border_rgb=camera_rgb(self.chosen)
         )
 
@@ -565,7 +565,7 @@ def _label_m(camera: RigCamera) -> tuple[float, float, float]:
     return float(x), float(y), float(corner[:, 2].max()) + 0.12
 
 
-def framed_view(observed: CameraObservation, *, scale: float, border_rgb: tuple[int, int, int]) -> np.ndarray:
+def _framed_view(observed: CameraObservation, *, scale: float, border_rgb: tuple[int, int, int]) -> np.ndarray:
     """A camera's image with boxes and a coloured border.
 
     Returns:
@@ -588,7 +588,7 @@ def framed_view(observed: CameraObservation, *, scale: float, border_rgb: tuple[
     return cv2.copyMakeBorder(enlarged, 4, 4, 4, 4, cv2.BORDER_CONSTANT, value=border_rgb)
 
 
-def image_actor(image_rgb: np.ndarray) -> Any:  # noqa: ANN401 (a vtkActor2D)
+def _image_actor(image_rgb: np.ndarray) -> Any:  # noqa: ANN401 (a vtkActor2D)
     """An image in the plane of the window, with its lower left corner in that of the window."""
     from vtkmodules.vtkRenderingCore import vtkActor2D, vtkImageMapper
 

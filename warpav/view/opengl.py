@@ -13,8 +13,8 @@ from warpav.core.errors import InputError, install_text
 if TYPE_CHECKING:
     from types import ModuleType
 
-EGL_LIBRARY = "libEGL.so.1"
-OSMESA_LIBRARIES = ("libOSMesa.so.8", "libOSMesa.so")
+_EGL_LIBRARY = "libEGL.so.1"
+_OSMESA_LIBRARIES = ("libOSMesa.so.8", "libOSMesa.so")
 
 _EGL_DEVICE_PLATFORM = 0x313F
 
@@ -42,8 +42,8 @@ def opengl_problem() -> str | None:
     if has_display() or _egl_draws() or _draws_in_memory():
         return None
     return (
-        f"images need OpenGL: there is no display ({display_text()}), and neither {EGL_LIBRARY} with a driver nor "
-        f"{OSMESA_LIBRARIES[0]} was found; install them with `apt install libegl1 libgl1-mesa-dri` (Debian, Ubuntu)"
+        f"images need OpenGL: there is no display ({display_text()}), and neither {_EGL_LIBRARY} with a driver nor "
+        f"{_OSMESA_LIBRARIES[0]} was found; install them with `apt install libegl1 libgl1-mesa-dri` (Debian, Ubuntu)"
     )
 
 
@@ -105,7 +105,7 @@ def _x_server_answers(name: str) -> bool:
 @cache
 def _egl_draws() -> bool:
     """Whether EGL has a device that can be used; the library is often there without any driver."""
-    egl = _loaded(EGL_LIBRARY)
+    egl = _loaded(_EGL_LIBRARY)
     if egl is None:
         return False
     egl.eglGetProcAddress.restype = ctypes.c_void_p
@@ -127,7 +127,7 @@ def _egl_draws() -> bool:
 
 @cache
 def _draws_in_memory() -> bool:
-    return any(_loaded(library) for library in OSMESA_LIBRARIES)
+    return any(_loaded(library) for library in _OSMESA_LIBRARIES)
 
 
 def optional_module(name: str, *, purpose: str, extra: str) -> ModuleType:

@@ -44,7 +44,7 @@ COVERAGE_RGB: tuple[Rgb, ...] = ((226, 74, 66), (190, 218, 242), (104, 166, 222)
 """Of ground that no, one, two, or more cameras see."""
 
 
-ZONE_RGB: tuple[Rgb, ...] = (
+_ZONE_RGB: tuple[Rgb, ...] = (
     (86, 180, 233),
     (230, 159, 0),
     (0, 158, 115),
@@ -69,7 +69,7 @@ def further_map() -> Any:  # noqa: ANN401 (matplotlib)
 
 def zone_rgb(index: int) -> Rgb:
     """Colour of the zone with this index, from 0; the colours repeat after the eighth."""
-    return ZONE_RGB[index % len(ZONE_RGB)]
+    return _ZONE_RGB[index % len(_ZONE_RGB)]
 
 
 def camera_rgb(index: int) -> Rgb:

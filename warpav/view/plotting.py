@@ -100,7 +100,7 @@ def kinds_of(cls: type) -> dict[str, Kind]:
     return found
 
 
-def checked_kind(cls: type, kind: str | None) -> Kind:
+def _checked_kind(cls: type, kind: str | None) -> Kind:
     """A kind of a class by its name; None: the usual one."""
     kinds = kinds_of(cls)
     if not kinds:
@@ -116,7 +116,7 @@ def checked_kind(cls: type, kind: str | None) -> Kind:
 
 def drawing_of(obj: object, canvas: Canvas, *, kind: str | None = None, **options: Any) -> Drawing:  # noqa: ANN401
     """What `plot` shows or saves of an object, to be added to or saved in other ways."""
-    return checked_kind(type(obj), kind).draw(obj, canvas, **options)
+    return _checked_kind(type(obj), kind).draw(obj, canvas, **options)
 
 
 def plot(
@@ -210,7 +210,7 @@ def plot(
     if options.pop("sheet", False):
         warnings.warn('sheet=True: is kind="sheet" now; the old name goes in the next version', FutureWarning, 2)
         kind = "sheet"
-    chosen = checked_kind(type(obj), kind)
+    chosen = _checked_kind(type(obj), kind)
     canvas = Canvas(None if out is None else Path(out), title, window_size, zoom, off_screen)
     if canvas.out is not None:
         if chosen.is_figure:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from warpav.rig.rig import Rig
     from warpav.scene.scene import Scene
 
-SUFFIX = ".rrd"
+_SUFFIX = ".rrd"
 FRUSTUM_DEPTH_M = 1.0
 """How far frustums reach [m]."""
 
@@ -129,7 +129,7 @@ def _log_camera(rerun: Any, recording: Any, camera: RigCamera, index: int, *, st
 
 
 ZOOM = 1.6
-MAX_FRAMES = 60
+_MAX_FRAMES = 60
 """Of a longer run every n-th iteration is shown, and always the last one."""
 
 
@@ -195,7 +195,7 @@ def _images(
         plotter.close()
 
 
-def shown_iterations(count: int, *, most: int = MAX_FRAMES) -> list[int]:
+def shown_iterations(count: int, *, most: int = _MAX_FRAMES) -> list[int]:
     """Which of so many iterations are shown: the first, the last, and evenly spread ones between them."""
     return sorted({round(float(k)) for k in np.linspace(0, count - 1, min(count, most))})
 

@@ -37,27 +37,27 @@ WIDE_ZOOM = 0.62
 """Of images that show what a rig sees."""
 
 FRUSTUM_DEPTH_M = 1.25
-SECTOR_RADIUS_M = 9.0
-HAZE_START_M = 20.0
-HAZE_END_M = 50.0
+_SECTOR_RADIUS_M = 9.0
+_HAZE_START_M = 20.0
+_HAZE_END_M = 50.0
 VIEW_AZIMUTH_RAD = math.radians(38.0)
-VIEW_ELEVATION_RAD = math.radians(33.0)
+_VIEW_ELEVATION_RAD = math.radians(33.0)
 BODY_ZOOM, BODY_ELEVATION_RAD, BODY_FRUSTUM_DEPTH_M = 1.9, math.radians(52.0), 0.4
 """Of images that show what stands on the vehicle."""
 
-SCALE_AT = (0.62, 0.025)
+_SCALE_AT = (0.62, 0.025)
 """Lower left corner of the scale of what one more camera would bring, as shares of the image."""
 
-GROUND_CUT_M = 0.6
+_GROUND_CUT_M = 0.6
 """What of the environment lies lower is ground; what rises above it counts as building."""
 
-AXIS_RGB: dict[str, Rgb] = {"x forward": (214, 58, 58), "y left": (38, 148, 68), "z up": (36, 92, 214)}
+_AXIS_RGB: dict[str, Rgb] = {"x forward": (214, 58, 58), "y left": (38, 148, 68), "z up": (36, 92, 214)}
 """Of the ego frame."""
 
-RING_HEIGHT_M = 0.18
+_RING_HEIGHT_M = 0.18
 """Of range rings: above kerbs, which would hide them."""
 
-GRADE_MAX = 0.08
+_GRADE_MAX = 0.08
 """Streets may rise by so much for each metre away from the vehicle and still be ground."""
 
 
@@ -112,7 +112,7 @@ def rig_plotter(
         plotter,
         bounds_m,
         azimuth_rad=clear_azimuth_rad(scene) if scene else VIEW_AZIMUTH_RAD,
-        elevation_rad=BODY_ELEVATION_RAD if shows_body else VIEW_ELEVATION_RAD,
+        elevation_rad=BODY_ELEVATION_RAD if shows_body else _VIEW_ELEVATION_RAD,
         zoom=zoom,
     )
     if ego is None:
@@ -132,7 +132,7 @@ def rig_plotter(
         # last, as most of it is hidden: what is drawn behind others costs little
         add_ground(plotter, bounds_m, height_m=_lowest_m(scene), shadow=False, rings=False)
     if mount_surface is not None and further is None:
-        add_mount_surface(plotter, mount_surface)
+        _add_mount_surface(plotter, mount_surface)
     if rig is not None:
         taken_px = _taken_px(plotter, title, has_scale=further is not None)
         add_rig(plotter, rig, frustum_depth_m=frustum_depth_m, sectors=sectors, labels=labels, taken_px=taken_px)
@@ -156,9 +156,9 @@ def rig_plotter(
         from warpav.view.descent_view import add_further_cameras
 
         if mount_surface is None:
-            add_further_cameras(plotter, further, scale_at=SCALE_AT)
+            add_further_cameras(plotter, further, scale_at=_SCALE_AT)
         else:
-            add_gain(plotter, mount_surface, further, scale_at=SCALE_AT)
+            add_gain(plotter, mount_surface, further, scale_at=_SCALE_AT)
     if title:
         plotter.add_text(
             title, position=(0.02, 0.945), viewport=True, font_size=11, color=hex_colour(INK_RGB), name="title"
@@ -173,7 +173,7 @@ def _taken_px(plotter: Plotter, title: str | None, *, has_scale: bool) -> np.nda
     if title:
         boxes.append([0.0, 0.0, 0.02 * width + 0.022 * height * len(title), 0.07 * height])
     if has_scale:
-        boxes.append([(SCALE_AT[0] - 0.01) * width, (1.0 - SCALE_AT[1] - 0.13) * height, width, height])
+        boxes.append([(_SCALE_AT[0] - 0.01) * width, (1.0 - _SCALE_AT[1] - 0.13) * height, width, height])
     return np.reshape(np.array(boxes, np.float64), (-1, 4))
 
 
@@ -192,7 +192,7 @@ def look_at_ego(
     bounds_m: np.ndarray,
     *,
     azimuth_rad: float = VIEW_AZIMUTH_RAD,
-    elevation_rad: float = VIEW_ELEVATION_RAD,
+    elevation_rad: float = _VIEW_ELEVATION_RAD,
     zoom: float = 1.0,
 ) -> None:
     """Point the plotter's camera at the ego vehicle, by default from the front left.
@@ -277,7 +277,7 @@ def add_ground(
     middle = (low[:2] + high[:2]) / 2
     turn = np.linspace(0.0, 2.0 * math.pi, 181)
     fine = 100 if shadow else 24  # rings that carry the fade and the shadow
-    disc = _polar_grid(middle, np.linspace(0.0, HAZE_END_M, fine), turn, height_m=height_m - 0.03)
+    disc = _polar_grid(middle, np.linspace(0.0, _HAZE_END_M, fine), turn, height_m=height_m - 0.03)
     colour = np.tile(np.asarray(GROUND_RGB, dtype=np.float64), (disc.n_points, 1))
     if shadow:
         outside = np.maximum(np.abs(disc.points[:, :2] - middle) - (high[:2] - low[:2]) / 2 + 0.35, 0.0)
@@ -320,7 +320,7 @@ def add_range_rings(
             lighting=False,
             name=f"{name}/{radius:g} m",
         )
-    at_m = [[middle_m[0] + radius, middle_m[1], RING_HEIGHT_M] for radius in radius_m]
+    at_m = [[middle_m[0] + radius, middle_m[1], _RING_HEIGHT_M] for radius in radius_m]
     plotter.add_point_labels(
         np.array(at_m),
         [f"{radius:g} m" for radius in radius_m],
@@ -339,7 +339,7 @@ def add_axes(
     """Add the axes of the ego frame at its origin, with their names."""
     pyvista = load_pyvista()
     tips = []
-    for axis, (label, colour) in enumerate(AXIS_RGB.items()):
+    for axis, (label, colour) in enumerate(_AXIS_RGB.items()):
         direction = np.eye(3)[axis]
         length = max(float(length_m[axis]), 0.5)
         lift = np.array([0.0, 0.0, 0.02 if axis < 2 else 0.0])
@@ -356,7 +356,7 @@ def add_axes(
     plotter.add_mesh(pyvista.Sphere(radius=0.07), color=INK_RGB, ambient=0.5, name="origin")
     plotter.add_point_labels(
         np.array([*tips]),
-        list(AXIS_RGB),
+        list(_AXIS_RGB),
         text_color=hex_colour(INK_RGB),
         font_size=15,
         shape=None,
@@ -376,7 +376,7 @@ def add_scene(plotter: Plotter, scene: Scene, *, name: str = "scene", softness: 
     low, high = scene.ego.bounds_m().astype(np.float64)
     middle = (low[:2] + high[:2]) / 2
     traffic = (*scene.vehicles, *scene.others)
-    near = [user.mesh for user in traffic if _distance_m(user.mesh, middle) < HAZE_END_M]
+    near = [user.mesh for user in traffic if _distance_m(user.mesh, middle) < _HAZE_END_M]
     if near:
         surface = mesh_to_pyvista(merge(near))
         distance = np.repeat([_distance_m(mesh, middle) for mesh in near], [len(mesh.vertex_m) for mesh in near])
@@ -389,7 +389,7 @@ def add_scene(plotter: Plotter, scene: Scene, *, name: str = "scene", softness: 
         plotter.add_mesh(ground, scalars="RGB", rgb=True, name=f"{name}/ground", **_BAKED)
 
 
-def add_mount_surface(plotter: Plotter, mount_surface: MountSurface, *, name: str = "mount_surface") -> None:
+def _add_mount_surface(plotter: Plotter, mount_surface: MountSurface, *, name: str = "mount_surface") -> None:
     """Add the surface on which cameras may sit, coloured by height from dark (low) to light (high), or by zone."""
     if mount_surface.zones:
         from warpav.view.body_view import add_zones
@@ -455,7 +455,7 @@ def add_trajectory(plotter: Plotter, trajectory_m: np.ndarray, *, name: str = "t
         trajectory_m: Camera positions [m], shape [iteration, camera, 3], at least one iteration.
     """
     pyvista = load_pyvista()
-    path = checked_trajectory(trajectory_m)
+    path = _checked_trajectory(trajectory_m)
     for index in range(path.shape[1]):
         point = path[:, index] + np.array([0.0, 0.0, 0.012])
         moved = np.r_[True, np.linalg.norm(np.diff(point, axis=0), axis=1) > 1e-4]
@@ -470,7 +470,7 @@ def add_trajectory(plotter: Plotter, trajectory_m: np.ndarray, *, name: str = "t
             plotter.add_mesh(tube, color=colour, name=f"{name}/{index}/path", ambient=0.5, smooth_shading=True)
 
 
-def checked_trajectory(trajectory_m: object) -> np.ndarray:
+def _checked_trajectory(trajectory_m: object) -> np.ndarray:
     """The trajectory as float64, shape [iteration, camera, 3]."""
     from warpav.core.errors import InputError
 
@@ -533,10 +533,10 @@ def _add_sector(plotter: Plotter, camera: RigCamera, colour: Rgb, *, name: str) 
     right_rad, left_rad = bearing_sector_rad(camera)
     bearing = np.linspace(right_rad, left_rad, 2 + math.ceil((left_rad - right_rad) / math.radians(2.0)))
     centre = np.asarray(camera.position_m, dtype=np.float64)[:2]
-    radius = np.linspace(0.3, SECTOR_RADIUS_M, 40)
+    radius = np.linspace(0.3, _SECTOR_RADIUS_M, 40)
     wedge = _polar_grid(centre, radius, bearing, height_m=0.16)
     distance = np.linalg.norm(wedge.points[:, :2] - centre, axis=1)
-    alpha = 105.0 * np.clip(1.0 - distance / SECTOR_RADIUS_M, 0.0, 1.0) ** 0.8
+    alpha = 105.0 * np.clip(1.0 - distance / _SECTOR_RADIUS_M, 0.0, 1.0) ** 0.8
     wedge.point_data["RGBA"] = np.column_stack([np.tile(colour, (len(alpha), 1)), alpha]).astype(np.uint8)
     plotter.add_mesh(wedge, scalars="RGBA", rgb=True, lighting=False, name=f"{name}/sector")
 
@@ -629,9 +629,9 @@ def _ground_of(environment: Mesh, middle_m: np.ndarray) -> PolyData | None:
     corner = environment.vertex_m[environment.triangle]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     top_m = corner[:, :, 2].max(axis=1)
-    grade_m = GRADE_MAX * np.linalg.norm(corner[:, :, :2].mean(axis=1) - middle_m, axis=1)
+    grade_m = _GRADE_MAX * np.linalg.norm(corner[:, :, :2].mean(axis=1) - middle_m, axis=1)
     is_flat = normal[:, 2] > 0.9 * np.linalg.norm(normal, axis=1)
-    low = environment.triangle[(normal[:, 2] > -1e-6) & (top_m < GROUND_CUT_M + np.where(is_flat, grade_m, 0.0))]
+    low = environment.triangle[(normal[:, 2] > -1e-6) & (top_m < _GROUND_CUT_M + np.where(is_flat, grade_m, 0.0))]
     if len(low) == 0:
         return None
     from warpav.raster.mesh import Mesh
@@ -641,7 +641,7 @@ def _ground_of(environment: Mesh, middle_m: np.ndarray) -> PolyData | None:
     for axis in (0, 1):
         normal = np.eye(3)[axis]
         for sign in (-1.0, 1.0):
-            origin = (middle_m[axis] + sign * HAZE_END_M) * normal
+            origin = (middle_m[axis] + sign * _HAZE_END_M) * normal
             surface = surface.clip(normal, origin=origin, invert=sign > 0)
             if surface.n_cells == 0:
                 return None
@@ -659,7 +659,7 @@ def _bounds_without_ego_m(cameras: Sequence[RigCamera]) -> np.ndarray:
 def _lowest_m(scene: Scene) -> float:
     """Height of the lowest ground within the haze [m], at most 0: a street may run downhill."""
     low, high = scene.ego.bounds_m().astype(np.float64)
-    near = np.linalg.norm(scene.environment.vertex_m[:, :2] - (low[:2] + high[:2]) / 2, axis=1) < HAZE_END_M
+    near = np.linalg.norm(scene.environment.vertex_m[:, :2] - (low[:2] + high[:2]) / 2, axis=1) < _HAZE_END_M
     return float(scene.environment.vertex_m[near, 2].min(initial=0.0))
 
 
@@ -669,7 +669,7 @@ def _distance_m(mesh: Mesh, middle_m: np.ndarray) -> float:
 
 
 def _haze(distance_m: np.ndarray) -> np.ndarray:
-    t = np.clip((distance_m - HAZE_START_M) / (HAZE_END_M - HAZE_START_M), 0.0, 1.0)
+    t = np.clip((distance_m - _HAZE_START_M) / (_HAZE_END_M - _HAZE_START_M), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     Plotter = Any
 
 VEHICLE_PX = (1280, 720)
-ZONES_VIEW_PX = (880, 720)
+_ZONES_VIEW_PX = (880, 720)
 """Of each of the two views of zones."""
 
 
@@ -58,7 +58,7 @@ def vehicle_plotter(
         add_ego(plotter, vehicle)
     add_ground(plotter, bounds_m, rings=False, shadow=vehicle is not None)
     if surface is not None:
-        add_mountable_zone(plotter, surface)
+        _add_mountable_zone(plotter, surface)
     low, high = bounds_m
     thick = float(high[0] - low[0]) / 4.5  # what is drawn of a bus is seen from farther away
     add_axes(plotter, length_m=high + thick * np.array([0.9, 0.9, 0.7]), thick=thick)  # long enough to leave it
@@ -88,7 +88,7 @@ def zones_image_rgb(vehicle: Mesh, surface: MountSurface, *, title: str) -> np.n
             vehicle,
             surface=surface,
             title=words,
-            window_size=ZONES_VIEW_PX,
+            window_size=_ZONES_VIEW_PX,
             zoom=1.15,
             off_screen=True,
             azimuth_rad=azimuth_rad,
@@ -109,7 +109,7 @@ def _bounds_of_zone_m(surface: MountSurface | None) -> np.ndarray:
     return np.array([[*low, 0.0], [*high, np.nanmax(surface.height_m)]], np.float64)
 
 
-def add_mountable_zone(plotter: Plotter, surface: MountSurface, *, name: str = "mountable_zone") -> None:
+def _add_mountable_zone(plotter: Plotter, surface: MountSurface, *, name: str = "mountable_zone") -> None:
     """Add the cells that can carry a camera: coloured by height with a scale, or zones in colours of their own."""
     if surface.zones:
         add_zones(plotter, surface, name=name)

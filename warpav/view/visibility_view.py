@@ -32,7 +32,7 @@ FARTHEST_M = 15.0
 RAYS_PX = 257
 """Rays along each side of an image that find where the view ends."""
 
-TOP_M = 2.2
+_TOP_M = 2.2
 """Images leave buildings out, so what is seen of them would hang in the air [m]."""
 
 # Neighbouring rays see one surface where their inverse reaches differ by less than this share, or as those beside them.
@@ -105,7 +105,7 @@ def add_visibility(
     scene: DeviceScene,
     *,
     farthest_m: float = FARTHEST_M,
-    top_m: float = TOP_M,
+    top_m: float = _TOP_M,
     name: str = "visibility",
 ) -> None:
     """Paint what every camera of a rig sees in the camera's colour, with the sides of its view up to there."""
@@ -120,7 +120,7 @@ def add_camera_visibility(
     scene: DeviceScene,
     *,
     farthest_m: float = FARTHEST_M,
-    top_m: float = TOP_M,
+    top_m: float = _TOP_M,
     rays: int = RAYS_PX,
     name: str = "visibility",
 ) -> None:

@@ -5,7 +5,7 @@ import warp as wp
 from warpav_kernels.placement.mount_pose import camera_from_ego_rotation
 
 ROTATION_COUNT = wp.constant(4)
-QUARTER_TURN_RAD = wp.constant(0.5 * wp.PI)
+_QUARTER_TURN_RAD = wp.constant(0.5 * wp.PI)
 
 
 @wp.kernel
@@ -28,7 +28,7 @@ def place_level_cameras_kernel(
     v = camera * ROTATION_COUNT + rotation
     at = pose[camera]
     position_ego_m[v] = wp.vec3(at[1], at[0], height_m[camera])
-    camera_from_ego[v] = camera_from_ego_rotation(at[2] + float(rotation) * QUARTER_TURN_RAD, 0.0, 0.0)
+    camera_from_ego[v] = camera_from_ego_rotation(at[2] + float(rotation) * _QUARTER_TURN_RAD, 0.0, 0.0)
 
 
 @wp.kernel

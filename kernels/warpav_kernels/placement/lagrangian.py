@@ -37,7 +37,7 @@ def lagrangian_kernel(
 
 
 @wp.func
-def damped_violation(excess: float, multiplier: float, damping: float) -> float:
+def _damped_violation(excess: float, multiplier: float, damping: float) -> float:
     """What an inequality counts: all of an excess, and as much of the room to spare as its multiplier has to lose."""
     if damping > 0.0:
         return wp.max(excess, -multiplier / damping)
@@ -68,6 +68,6 @@ def damped_lagrangian_kernel(
     for j in range(objective_loss.shape[0]):
         whole += objective_scale[j] * objective_loss[j]
     for i in range(excess.shape[0]):
-        violation = damped_violation(excess[i], multiplier[i], damping)
+        violation = _damped_violation(excess[i], multiplier[i], damping)
         whole += multiplier[i] * violation + 0.5 * damping * violation * violation
     total[0] = whole

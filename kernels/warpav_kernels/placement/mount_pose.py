@@ -107,7 +107,7 @@ def place_on_surface_kernel(
 
 
 @wp.func
-def angle_at_edge(lens: Lens, radius: float) -> float:
+def _angle_at_edge(lens: Lens, radius: float) -> float:
     """Angle from the optical axis to the edge of an image [rad] that is a radius [focal lengths] away.
 
     Differentiable to the radius, by the lens's growth: the inverse of a lens is found by steps that have no adjoint.
@@ -119,9 +119,9 @@ def angle_at_edge(lens: Lens, radius: float) -> float:
     return wp.atan(radius)
 
 
-@wp.func_grad(angle_at_edge)
-def adj_angle_at_edge(lens: Lens, radius: float, adj_angle: float):
-    """The adjoint of `angle_at_edge`: 1 over the growth of the radius."""
+@wp.func_grad(_angle_at_edge)
+def _adj_angle_at_edge(lens: Lens, radius: float, adj_angle: float):
+    """The adjoint of `_angle_at_edge`: 1 over the growth of the radius."""
     slope = 1.0 / (1.0 + radius * radius)
     if lens.kind == FISHEYE:
         slope = 1.0 / radius_and_growth(lens, angle_at(lens, wp.min(radius, lens.edge)))[1]
@@ -164,9 +164,9 @@ def place_windows_kernel(
         half_width_rad = half_field[0] * shrink
         half_height_rad = half_field[1] * shrink
         if lens.kind != PANORAMA:
-            half_width_rad = angle_at_edge(lens, half_field[0] * shrink)
+            half_width_rad = _angle_at_edge(lens, half_field[0] * shrink)
         if lens.kind != PANORAMA or lens.formula != SPHERE:
-            half_height_rad = angle_at_edge(lens, half_field[1] * shrink)
+            half_height_rad = _angle_at_edge(lens, half_field[1] * shrink)
         window_rad[v] = wp.vec4(
             wp.atan2(-axis[0], axis[2]),
             wp.atan2(-axis[1], level),

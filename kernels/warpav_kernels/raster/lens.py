@@ -49,7 +49,7 @@ class Lens:
 
 
 @wp.struct
-class Factor:
+class _Factor:
     """By how much a Brown-Conrady lens moves places along the radius."""
 
     value: float  # new radius over old
@@ -57,14 +57,14 @@ class Factor:
 
 
 @wp.func
-def radial_factor(lens: Lens, squared: float) -> Factor:
+def radial_factor(lens: Lens, squared: float) -> _Factor:
     """The factor of a Brown-Conrady lens at a squared radius."""
     k = lens.distortion
     above = 1.0 + squared * (k[0] + squared * (k[1] + squared * k[4]))
     below = 1.0 + squared * (k[5] + squared * (k[6] + squared * k[7]))
     above_slope = k[0] + squared * (2.0 * k[1] + squared * 3.0 * k[4])
     below_slope = k[5] + squared * (2.0 * k[6] + squared * 3.0 * k[7])
-    factor = Factor()
+    factor = _Factor()
     factor.value = above / below
     factor.slope = (above_slope - factor.value * below_slope) / below
     return factor

@@ -4,14 +4,14 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-MAX_SURFACES = wp.constant(64)  # one above the other
+_MAX_SURFACES = wp.constant(64)  # one above the other
 STEP_M = wp.constant(1.0e-3)  # from a surface to beyond it
-ABOVE_GROUND_M = wp.constant(0.05)  # where looking up from the ground begins
+_ABOVE_GROUND_M = wp.constant(0.05)  # where looking up from the ground begins
 FARTHEST_M = wp.constant(1.0e4)
 
 
 @wp.func
-def is_seen_from_inside(normal: wp.vec3, direction: wp.vec3) -> bool:
+def _is_seen_from_inside(normal: wp.vec3, direction: wp.vec3) -> bool:
     """Whether a ray comes upon a surface from behind."""
     return wp.dot(normal, direction) > 0.0
 
@@ -46,24 +46,24 @@ def ground_kernel(
     root = wp.mesh_get_group_root(mesh, environment)
     found_m = float(wp.nan)
     z_m = lowest_m
-    for _ in range(MAX_SURFACES):
+    for _ in range(_MAX_SURFACES):
         query = wp.mesh_query_ray(mesh, wp.vec3(place[0], place[1], z_m), up, FARTHEST_M, root)
         if not query.result:
             break
         z_m += query.t
         if z_m > top_m:
             break
-        if is_seen_from_inside(query.normal, up):
+        if _is_seen_from_inside(query.normal, up):
             found_m = z_m
             top_m = wp.min(top_m, z_m + step_m)
         z_m += STEP_M
     room_m = float(0.0)
     if wp.isfinite(found_m):
-        above = wp.mesh_query_ray(mesh, wp.vec3(place[0], place[1], found_m + ABOVE_GROUND_M), up, FARTHEST_M)
+        above = wp.mesh_query_ray(mesh, wp.vec3(place[0], place[1], found_m + _ABOVE_GROUND_M), up, FARTHEST_M)
         if not above.result:
             room_m = wp.inf
-        elif not is_seen_from_inside(above.normal, up):
-            room_m = above.t + ABOVE_GROUND_M
+        elif not _is_seen_from_inside(above.normal, up):
+            room_m = above.t + _ABOVE_GROUND_M
     ground_m[p] = found_m
     headroom_m[p] = room_m
 

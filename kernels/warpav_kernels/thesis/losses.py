@@ -9,7 +9,7 @@ import warp as wp
 from warpav_kernels.placement.mount_pose import X_M, Y_M, YAW_RAD
 from warpav_kernels.raster.measure import AMODAL_AREA, BOX_AREA, LEFT, RIGHT, VISIBLE_AREA
 
-ALIGNED_RAD = wp.constant(1.0e-6)  # ranges whose ends are this close touch: neither overlap nor gap, no gradient
+_ALIGNED_RAD = wp.constant(1.0e-6)  # ranges whose ends are this close touch: neither overlap nor gap, no gradient
 
 # what is known of a vehicle's bearing
 NEVER_SEEN = wp.constant(0)
@@ -303,7 +303,7 @@ def surface_blockage_loss_kernel(
 
 
 @wp.func
-def turn_count(yaw_rad: float) -> int:
+def _turn_count(yaw_rad: float) -> int:
     """Whole turns below a yaw."""
     return int(wp.floor(yaw_rad / (2.0 * wp.pi)))
 
@@ -325,13 +325,13 @@ def find_next_cameras_kernel(
     """
     camera = wp.tid()
     yaw_rad = mount_pose[camera, YAW_RAD]
-    own = yaw_rad - float(turn_count(yaw_rad)) * 2.0 * wp.pi
+    own = yaw_rad - float(_turn_count(yaw_rad)) * 2.0 * wp.pi
     nearest = float(1.0e9)
     found = int(camera)
     turns = int(0)
     for other in range(mount_pose.shape[0]):
         other_yaw_rad = mount_pose[other, YAW_RAD]
-        place = other_yaw_rad - float(turn_count(other_yaw_rad)) * 2.0 * wp.pi
+        place = other_yaw_rad - float(_turn_count(other_yaw_rad)) * 2.0 * wp.pi
         further = int(0)
         if place < own or (place == own and other <= camera):
             place += 2.0 * wp.pi
@@ -339,7 +339,7 @@ def find_next_cameras_kernel(
         if place < nearest:
             nearest = place
             found = other
-            turns = turn_count(yaw_rad) - turn_count(other_yaw_rad) + further
+            turns = _turn_count(yaw_rad) - _turn_count(other_yaw_rad) + further
     next_camera[camera] = found
     next_turns[camera] = turns
 
@@ -350,7 +350,7 @@ def covered_rad(gap_rad: float, fov_rad: float) -> float:
 
     Equation: 21, 22 (same value: all ranges are equally wide, so each covers up to its end or to the next one's start)
     """
-    if gap_rad < fov_rad - ALIGNED_RAD:
+    if gap_rad < fov_rad - _ALIGNED_RAD:
         return gap_rad
     return fov_rad
 
@@ -378,7 +378,7 @@ def angular_coverage_loss_kernel(
     most_rad = wp.min(float(camera_count) * fov_rad, 2.0 * wp.pi)  # Eq. 20
     spare_rad = most_rad - fov_rad
     total = float(0.0)
-    if spare_rad > ALIGNED_RAD:
+    if spare_rad > _ALIGNED_RAD:
         for camera in range(camera_count):
             further_rad = float(next_turns[camera]) * 2.0 * wp.pi
             gap_rad = mount_pose[next_camera[camera], YAW_RAD] - mount_pose[camera, YAW_RAD] + further_rad
@@ -408,8 +408,8 @@ def mean_vehicle_loss_kernel(
 
 
 # the thesis's losses, in the order of their array
-OUT_OF_BOUNDS = wp.constant(0)
-CAMERA_SPACING = wp.constant(1)
+_OUT_OF_BOUNDS = wp.constant(0)
+_CAMERA_SPACING = wp.constant(1)
 
 
 @wp.func
@@ -444,7 +444,7 @@ def out_of_bounds_loss_kernel(
         along_x = bound_violation(low_m[0] - x_m) + bound_violation(x_m - high_m[0])
         along_y = bound_violation(low_m[1] - y_m) + bound_violation(y_m - high_m[1])
         total += along_x + along_y
-    loss[OUT_OF_BOUNDS] = total  # Eq. 6
+    loss[_OUT_OF_BOUNDS] = total  # Eq. 6
 
 
 @wp.func
@@ -483,7 +483,7 @@ def camera_spacing_loss_kernel(
             between_m = position_ego_m[i * view_stride] - position_ego_m[j * view_stride]
             distance_m = wp.length(between_m)  # Eq. 7
             total += spacing_violation(distance_m, min_spacing_m) / pair_count
-    loss[CAMERA_SPACING] = total  # Eq. 9
+    loss[_CAMERA_SPACING] = total  # Eq. 9
 
 
 @wp.kernel

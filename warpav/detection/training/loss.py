@@ -40,7 +40,7 @@ class TargetBoxes:
 
 
 @dataclass(frozen=True)
-class Assignment:
+class _Assignment:
     """What every cell should answer."""
 
     object_index: Tensor  # the object it answers for, 0 where none, int64, shape [image, cell]
@@ -76,7 +76,7 @@ def _area(size: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def assign_cells(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: TargetBoxes) -> Assignment:
+def assign_cells(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: TargetBoxes) -> _Assignment:
     """Choose the cells that answer for each object.
 
     Args:
@@ -107,7 +107,7 @@ def assign_cells(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: 
     best_iou = (iou * owned).amax(dim=2, keepdim=True)
     target = (alignment / best_alignment * best_iou).amax(dim=1)
     in_ignored = (inside & (exists & truth.ignored)[..., None]).any(dim=1)
-    return Assignment(object_index, target, (target > 0.0) | ~in_ignored)
+    return _Assignment(object_index, target, (target > 0.0) | ~in_ignored)
 
 
 def detection_loss(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: TargetBoxes) -> tuple[Tensor, Tensor]:

@@ -12,7 +12,7 @@ from typing import IO
 
 import numpy as np
 
-BLOCK_BYTES = 1 << 22
+_BLOCK_BYTES = 1 << 22
 
 
 class ArrayFile:
@@ -54,5 +54,5 @@ class ArrayFile:
                 part.seek(0)
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                     np.lib.format.write_array_header_1_0(member, header)
-                    shutil.copyfileobj(part, member, BLOCK_BYTES)
+                    shutil.copyfileobj(part, member, _BLOCK_BYTES)
         os.replace(self._whole, self.file)

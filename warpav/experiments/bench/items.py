@@ -26,8 +26,8 @@ from warpav.raster.scene import Scene
 from warpav_kernels.experiments import benchmark
 from warpav_kernels.raster import linearise
 
-MAX_SILHOUETTE_SAMPLES = 1 << 26  # of the images of silhouettes that are measured together
-SCORED_AT_ONCE = 4  # poses
+_MAX_SILHOUETTE_SAMPLES = 1 << 26  # of the images of silhouettes that are measured together
+_SCORED_AT_ONCE = 4  # poses
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Bench:
         gradient = {name: np.zeros(pose.shape) for name in WEIGHT_NAMES}
         loss = {name: np.zeros(len(pose)) for name in WEIGHT_NAMES}
         weight = {n: wp.array(w, dtype=float, device=self.device) for n, w in self.workload.weight.items()}
-        at_once = min(self._cameras_at_once(supersampling), SCORED_AT_ONCE)
+        at_once = min(self._cameras_at_once(supersampling), _SCORED_AT_ONCE)
         silhouettes = _Silhouettes(self, at_once, supersampling)
         for first in range(0, len(pose), at_once):
             chosen = np.arange(first, min(first + at_once, len(pose)))
@@ -132,7 +132,7 @@ class Bench:
         """Most memory so far [MiB]: of the process on the CPU, of Warp's memory pool on a GPU."""
         if self.device.is_cuda:
             return wp.get_mempool_used_mem_high(self.device) / 2**20
-        return peak_process_mib()
+        return _peak_process_mib()
 
     def _models(self) -> list[CameraModel]:
         return self.workload.models(range(len(self.workload.pose)))
@@ -142,7 +142,7 @@ class Bench:
         workload = self.workload
         pose = wp.array(workload.pose.astype(np.float32), dtype=wp.vec3, device=self.device)
         height_m = wp.array(workload.height_m.astype(np.float32), dtype=float, device=self.device)
-        return place_cameras(pose, height_m)
+        return _place_cameras(pose, height_m)
 
     def _rendered(self, renderer: Renderer | None = None) -> Iterator[tuple[slice, Frame]]:
         """All views at one sample per pixel, some at a time."""
@@ -176,7 +176,7 @@ class Bench:
             view_count = chunk_view_count(self._models()[0], supersampling=supersampling)
         else:  # no keys: the silhouettes alone, which fill a small part of the images
             samples = (self.workload.size_px * supersampling) ** 2
-            view_count = min(MAX_CHUNK_VIEWS, MAX_SILHOUETTE_SAMPLES // samples)
+            view_count = min(MAX_CHUNK_VIEWS, _MAX_SILHOUETTE_SAMPLES // samples)
         return max(1, view_count // ROTATION_COUNT)
 
     def _load_kernels(self) -> float:
@@ -247,7 +247,7 @@ class _Silhouettes:
         self._gradient.zero_()
         tape = wp.Tape()
         with tape:
-            views = place_cameras(self._pose, self._height_m)
+            views = _place_cameras(self._pose, self._height_m)
         frame = self.renderer.render(
             self._scene, *views, content=Content.ALL if self._workload.is_visible else Content.OBJECTS
         )
@@ -270,7 +270,7 @@ class _Silhouettes:
         return loss[:camera_count], self._gradient.numpy()[:camera_count].astype(np.float64)
 
 
-def place_cameras(pose: wp.array, height_m: wp.array) -> tuple[wp.array, wp.array]:
+def _place_cameras(pose: wp.array, height_m: wp.array) -> tuple[wp.array, wp.array]:
     """Views of level cameras; recorded on the active tape.
 
     Args:
@@ -297,7 +297,7 @@ def object_type(object_count: int) -> np.dtype:
     return np.dtype(next(t for t in (np.int8, np.int16, np.int32) if object_count <= np.iinfo(t).max))
 
 
-def peak_process_mib() -> float | None:
+def _peak_process_mib() -> float | None:
     """Peak resident memory of this process [MiB]; None if the system does not report it."""
     status = Path("/proc/self/status")
     if status.is_file():  # getrusage includes the parent process there

@@ -37,11 +37,11 @@ if TYPE_CHECKING:
     from warpav.experiments.bench.items import Bench, Timing
 
 SCHEMA = "warpav-bench-1"
-ITEMS = ("w1", "w2", "w3")
-SWEEP = (1, 2, 4, 8)
+_ITEMS = ("w1", "w2", "w3")
+_SWEEP = (1, 2, 4, 8)
 # Above these sizes, embree's minutes are not worth the comparison.
 MAX_EMBREE_RAYS, MAX_EMBREE_TRIANGLES = 1 << 24, 1_000_000
-MAX_EMBREE_REPEAT = 5
+_MAX_EMBREE_REPEAT = 5
 
 
 def run_bench(
@@ -144,7 +144,7 @@ def run_bench(
                     target.append("rgb", rgb)
         if with_sweep:
             content["sweep"] = []
-            for level in SWEEP:
+            for level in _SWEEP:
                 progress.stage(f"W1, supersampling x{level}")
                 entry, level_scores = _measure_silhouettes(bench, truth, level, repeat=repeat, pack_ms=pack_ms)
                 del entry["grad"], entry["value"]
@@ -204,7 +204,7 @@ def _collect_images(bench: Bench, truth: Truth | None, target: ArrayFile | None)
 def _measure_embree(workload: Workload, wanted: set[str], found: Mapping[str, Any], repeat: int) -> dict[str, Any]:
     from warpav.experiments.bench.reference import time_embree
 
-    times_ms = time_embree(workload, repeat=min(repeat, MAX_EMBREE_REPEAT))
+    times_ms = time_embree(workload, repeat=min(repeat, _MAX_EMBREE_REPEAT))
     result: dict[str, Any] = {"version": metadata.version("embreex"), "threads": 1}
     for name in sorted(wanted & set(times_ms)):
         median_ms = statistics.median(times_ms[name])
@@ -249,9 +249,9 @@ def _processor_name() -> str:
 
 def _checked_items(items: str) -> set[str]:
     names = [name.strip() for name in items.split(",")]
-    unknown = [name for name in names if name not in ITEMS]
+    unknown = [name for name in names if name not in _ITEMS]
     if unknown:
-        raise ArgumentError("items", f"expected some of {','.join(ITEMS)}, got {unknown[0]!r}")
+        raise ArgumentError("items", f"expected some of {','.join(_ITEMS)}, got {unknown[0]!r}")
     return set(names)
 
 

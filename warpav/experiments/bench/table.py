@@ -11,9 +11,9 @@ from warpav.experiments.bench.scores import gradient_scores
 from warpav.experiments.bench.workload import Truth
 from warpav.runs.terminal import TerminalTable
 
-TITLES = {"w1": "W1 gradient", "w2": "W2 depth, object", "w3": "W3 colour"}
-ERROR_HEADING = "error of x, z, yaw"
-SMALL_ERROR_HEADING = "of x, z"
+_TITLES = {"w1": "W1 gradient", "w2": "W2 depth, object", "w3": "W3 colour"}
+_ERROR_HEADING = "error of x, z, yaw"
+_SMALL_ERROR_HEADING = "of x, z"
 ELSEWHERE = "measured elsewhere"
 
 
@@ -31,8 +31,8 @@ def bench_table(content: Mapping[str, Any], *, with_peers: bool) -> TerminalTabl
         ("median ms", "right"),
         ("threads", "right"),
         ("peak MiB", "right"),
-        (ERROR_HEADING, "right"),
-        (SMALL_ERROR_HEADING, "right"),
+        (_ERROR_HEADING, "right"),
+        (_SMALL_ERROR_HEADING, "right"),
     )
     for heading, justify in columns:
         table.add_column(heading, justify=justify)
@@ -45,7 +45,7 @@ def bench_table(content: Mapping[str, Any], *, with_peers: bool) -> TerminalTabl
         if item == "w2" and scores:
             large = _image_errors(scores)
         table.add_row(
-            TITLES[item],
+            _TITLES[item],
             name,
             f"this run, {device['kind']}",
             _milliseconds(entry["median_ms"]),
@@ -89,7 +89,7 @@ def peer_note() -> str:
 def sweep_table(content: Mapping[str, Any], truth: Truth | None) -> TerminalTable:
     """Time and accuracy of W1 for every supersampling."""
     table = TerminalTable("W1 by supersampling")
-    for heading in ("supersampling", "median ms", "min ms", "peak MiB", ERROR_HEADING, SMALL_ERROR_HEADING):
+    for heading in ("supersampling", "median ms", "min ms", "peak MiB", _ERROR_HEADING, _SMALL_ERROR_HEADING):
         table.add_column(heading, justify="right")
     for row in content["sweep"]:
         errors = _gradient_errors(row["scores"].get("w1"))

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 FORMAT = 1
 ROTATION_COUNT = 4
 WEIGHT_NAMES = ("white", "smooth", "ones")
-MIN_SIZE_PX = 8  # of a camera model
-MAX_SIZE_PX = 1 << 14
+_MIN_SIZE_PX = 8  # of a camera model
+_MAX_SIZE_PX = 1 << 14
 
 
 LENSES: dict[str, tuple[float | None, tuple[float, ...]]] = {
@@ -154,7 +154,7 @@ def read_workload(file: Path) -> Workload:
     fields = _Fields(file)
     if int(fields.integers("format", ())) != FORMAT:
         raise fields.error("format", f"expected {FORMAT}", fields.raw("format"))
-    size_px = int(fields.integers("res", (), lambda v: (v >= MIN_SIZE_PX) & (v <= MAX_SIZE_PX), "8 to 16384 pixels"))
+    size_px = int(fields.integers("res", (), lambda v: (v >= _MIN_SIZE_PX) & (v <= _MAX_SIZE_PX), "8 to 16384 pixels"))
     triangle_count = fields.integers("face_counts", (None,), lambda v: v >= 0, "counts of at least 0")
     object_count = len(triangle_count)
     vehicle_count = int(

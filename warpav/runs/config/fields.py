@@ -37,7 +37,7 @@ AUTO = "auto"
 """Requirements that are the near field, as a term of the objective alone, where the search knows requirements."""
 
 MAX_SEED = 2**31 - 1
-MAX_SEED_COUNT = 100_000
+_MAX_SEED_COUNT = 100_000
 MOST_CAMERAS = 16
 
 
@@ -64,8 +64,8 @@ def _read_seeds(value: object) -> tuple[int, ...]:
             first, last = ends
             if last < first:
                 mistake(f"expected a range whose end is not below its start, got {item!r}; write {last}..{first}")
-            if last > MAX_SEED or len(seeds) + last - first >= MAX_SEED_COUNT:
-                mistake(f"expected at most {MAX_SEED_COUNT} seeds up to {MAX_SEED}, got {item!r}")
+            if last > MAX_SEED or len(seeds) + last - first >= _MAX_SEED_COUNT:
+                mistake(f"expected at most {_MAX_SEED_COUNT} seeds up to {MAX_SEED}, got {item!r}")
             seeds.extend(range(first, last + 1))
         elif isinstance(item, int) and not isinstance(item, bool):
             if not 0 <= item <= MAX_SEED:

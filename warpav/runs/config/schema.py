@@ -243,7 +243,7 @@ class SceneConfig(Section):
         return self
 
 
-class FreeConfig(Section):
+class _FreeConfig(Section):
     """What the optimiser moves besides x, y and yaw, each within two bounds; null leaves it as configured."""
 
     pitch_deg: PitchRange = Field(
@@ -278,7 +278,7 @@ class RigConfig(Section):
         default=0.25, ge=0.0, le=2.0, description="height of the cameras above the mount surface"
     )
     min_spacing_m: Metres = Field(default=0.2, gt=0.0, le=5.0, description="minimum distance between two cameras")
-    free: FreeConfig = Field(default=FreeConfig(), description="what is optimised besides x, y and yaw")
+    free: _FreeConfig = Field(default=_FreeConfig(), description="what is optimised besides x, y and yaw")
     fewest_cameras: int | None = Field(
         default=None,
         ge=1,
@@ -328,7 +328,7 @@ class RigConfig(Section):
         return self.cameras if self.fewest_cameras is None else self.fewest_cameras, self.cameras
 
 
-class CaptureConfig(Section):
+class _CaptureConfig(Section):
     """The images that source: captured and warpav scenes capture take of a situation."""
 
     width_px: int = Field(default=640, ge=32, le=4096, description="image width")
@@ -344,7 +344,7 @@ class CaptureConfig(Section):
     )
 
 
-class ReconstructionConfig(Section):
+class _ReconstructionConfig(Section):
     """How source: captured and warpav scenes reconstruct make meshes from images."""
 
     method: Literal["poisson", "signed_distance", "nksr"] = Field(
@@ -365,7 +365,7 @@ class ReconstructionConfig(Section):
     )
 
 
-class CameraConfig(Section):
+class _CameraConfig(Section):
     """The camera model that all cameras share."""
 
     fov_deg: Degrees = Field(
@@ -385,7 +385,7 @@ class CameraConfig(Section):
     )
 
     @model_validator(mode="after")
-    def _check(self) -> CameraConfig:
+    def _check(self) -> _CameraConfig:
         lens = Lens(self.lens)
         try:
             checked_distortion(lens, self.distortion)
@@ -410,7 +410,7 @@ class CameraConfig(Section):
         return widest_deg
 
 
-class MountConfig(Section):
+class _MountConfig(Section):
     """The height map on which cameras may sit."""
 
     cell_m: Metres = Field(default=0.02, ge=0.002, le=0.5, description="cell size of the height map")
@@ -442,7 +442,7 @@ class MountConfig(Section):
     )
 
 
-class ClassesConfig(Section):
+class _ClassesConfig(Section):
     """Which labels of the detector count as which kind of road user; null takes the usual names."""
 
     vehicle: Labels | None = Field(default=None, description="labels of motor vehicles, such as [car, bus]")
@@ -476,12 +476,12 @@ class DetectorConfig(Section):
         default=None,
         description="labels in the order of the network's classes; null takes those in the file, or else COCO's",
     )
-    classes: ClassesConfig = Field(default=ClassesConfig(), description="which labels count as which road user")
+    classes: _ClassesConfig = Field(default=_ClassesConfig(), description="which labels count as which road user")
     input_px: int | None = Field(default=None, ge=32, le=4096, description="input size; null takes the model's own")
     provider: Literal["cpu", "cuda", "tensorrt"] = Field(default="cpu", description="what the network runs on")
 
 
-class BaselineConfig(Section):
+class _BaselineConfig(Section):
     """The rigs that the result is compared with."""
 
     random_samples: int = Field(default=20, ge=1, le=1_000_000, description="random rigs of which the best is taken")
@@ -499,7 +499,7 @@ class BaselineConfig(Section):
     )
 
 
-class ExecutorConfig(Section):
+class _ExecutorConfig(Section):
     """Where the tasks of an experiment run."""
 
     name: Literal["serial", "process", "ray", "slurm"] = Field(
@@ -554,11 +554,11 @@ class ConfigTree(Section):
         "expected to miss, cameras on roof and bonnet alone",
     )
     scenes: SceneConfig = Field(default=SceneConfig(), description="traffic scenes")
-    capture: CaptureConfig = Field(default=CaptureConfig(), description="images of scenes")
-    reconstruction: ReconstructionConfig = Field(default=ReconstructionConfig(), description="scenes from images")
+    capture: _CaptureConfig = Field(default=_CaptureConfig(), description="images of scenes")
+    reconstruction: _ReconstructionConfig = Field(default=_ReconstructionConfig(), description="scenes from images")
     rig: RigConfig = Field(default=RigConfig(), description="the cameras together")
-    camera: CameraConfig = Field(default=CameraConfig(), description="each camera")
-    mount: MountConfig = Field(default=MountConfig(), description="where cameras may sit")
+    camera: _CameraConfig = Field(default=_CameraConfig(), description="each camera")
+    mount: _MountConfig = Field(default=_MountConfig(), description="where cameras may sit")
     detector: DetectorConfig = Field(default=DetectorConfig(), description="the object detector")
     thesis: ThesisSettings = Field(default=ThesisSettings(), description="which camera is assigned which vehicle")
     losses: LossSettings = Field(
@@ -576,8 +576,8 @@ class ConfigTree(Section):
     )
     visibility: VisibilitySettings = Field(default=VisibilitySettings(), description="what hides a vehicle")
     optimiser: OptimiserSettings = Field(default=OptimiserSettings(), description="steps and multipliers")
-    baselines: BaselineConfig = Field(default=BaselineConfig(), description="rigs to compare with")
-    executor: ExecutorConfig = Field(default=ExecutorConfig(), description="where the tasks of an experiment run")
+    baselines: _BaselineConfig = Field(default=_BaselineConfig(), description="rigs to compare with")
+    executor: _ExecutorConfig = Field(default=_ExecutorConfig(), description="where the tasks of an experiment run")
 
     @model_validator(mode="before")
     @classmethod

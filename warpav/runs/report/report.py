@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 MAX_BYTES = 5_000_000
 """No report is larger."""
 
-IMAGE_BYTES = 3_200_000
+_IMAGE_BYTES = 3_200_000
 """All images together, before they are written as text."""
 
 SIZES: Sequence[tuple[int, int]] = ((1280, 84), (960, 80), (640, 75), (480, 65), (320, 50), (200, 35))
@@ -52,7 +52,7 @@ _MOST_ROWS = 1000
 _FURTHER_SHOWN = 5
 """Places of a further camera that are listed, as many as carry ranks in the figure."""
 
-FIGURES = {
+_FIGURES = {
     "rig": "The rig at the start and the one that was found, in a test scene",
     "plan": "How far each camera's image of a car is large enough, and the ground that the own body hides",
     "range": "Up to which distance road users of each class are detected, by direction",
@@ -133,10 +133,10 @@ def _template() -> Template:
 
 def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
     evaluation = run.evaluation
-    images = {file.stem: (file, FIGURES.get(file.stem, file.stem)) for file in folder.figures()}
+    images = {file.stem: (file, _FIGURES.get(file.stem, file.stem)) for file in folder.figures()}
     if run.views:
         images.pop("detections", None)
-    order = list(FIGURES)
+    order = list(_FIGURES)
     named = sorted(images, key=lambda name: (order.index(name) if name in order else len(order), name))
     files = [*(images[name][0] for name in named), *(folder.view_path(view.image) for view in run.views)]
     encoded = iter(_images(files))
@@ -324,7 +324,7 @@ def _convergence(run: RunContent) -> list[_PageImage]:
     records = [event.model_dump() for event in run.events]
     search = search_panel(records)
     if search is not None:
-        return [_plot("search", FIGURES["search"], svg_text(search, 3.4))]
+        return [_plot("search", _FIGURES["search"], svg_text(search, 3.4))]
     if not records or not all({"terms", "multipliers"} <= event.model_fields_set for event in run.events):
         return []
     records = [{**record, "loss": math.nan if record["loss"] is None else record["loss"]} for record in records]
@@ -370,7 +370,7 @@ def _images(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
             image.thumbnail((side_px, side_px))
             image.save(encoded, "WEBP", quality=quality, method=2)  # the default takes twice as long, for 3 %
             found.append((encoded.getvalue(), image.size))
-        if sum(len(encoded) for encoded, _ in found) <= IMAGE_BYTES:
+        if sum(len(encoded) for encoded, _ in found) <= _IMAGE_BYTES:
             break
     return [("data:image/webp;base64," + base64.b64encode(encoded).decode(), size) for encoded, size in found]
 

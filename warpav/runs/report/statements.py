@@ -20,7 +20,7 @@ _Tone = Literal["good", "bad", "open"]
 
 MINUS, NONE, SPACE = "\N{MINUS SIGN}", "\N{EN DASH}", "\N{NO-BREAK SPACE}"
 
-MIN_SCENES = 6
+_MIN_SCENES = 6
 """With fewer, no difference can have a p-value below 0.05: all scenes agree by chance in 2^(1 - scenes) of cases."""
 
 _FEW_SCENES = 30
@@ -72,7 +72,7 @@ def interval(difference: Difference, factor: float = 1.0, digits: int = 3) -> st
 def tone_of(difference: Difference, *, lower_is_better: bool = False) -> _Tone:
     """In whose favour a difference is, where it is significant: its interval excludes 0, and the scenes are enough."""
     low, high = difference.low, difference.high
-    if low is None or high is None or difference.scenes < MIN_SCENES or low <= 0.0 <= high:
+    if low is None or high is None or difference.scenes < _MIN_SCENES or low <= 0.0 <= high:
         return "open"
     return "good" if (high < 0.0) == lower_is_better else "bad"
 
@@ -144,7 +144,7 @@ def headline(run: RunContent) -> Statement:
         parts.append(f"cannot be distinguished from {alternatives} by what it detects")
     tone: _Tone = "bad" if named["bad"] else "good" if named["good"] else "open"
     text = f"The {evaluation.first} rig {_listed(parts)}."
-    if counted < MIN_SCENES:
+    if counted < _MIN_SCENES:
         text = f"{_few(counted)} too few to show a difference"
         found = _detected(run, evaluation)
         text += f"; there the {found}." if found else "."
@@ -625,8 +625,8 @@ def _caution(evaluation: Evaluation) -> Statement | None:
     if count >= _FEW_SCENES:
         return None
     text = f"{_few(count)} few"
-    if count < MIN_SCENES:
-        text += f": with fewer than {MIN_SCENES}, no difference can be significant at 5 %"
+    if count < _MIN_SCENES:
+        text += f": with fewer than {_MIN_SCENES}, no difference can be significant at 5 %"
     else:
         text += ", and the intervals of so few tend to be too short"
     return Statement("Caution", f"{text}. For more scenes: scenes.test_seeds=5000..5049.")

@@ -21,7 +21,7 @@ from warpav.scene.reconstruction.settings import MeshSettings, ReconstructionSet
 from warpav.scene.reconstruction.surface import SURFACE_METHODS, cleaned, decimated, oriented_normals, thin_out, trimmed
 from warpav.scene.scene import BLACK_SKY, Box, Scene, Sky, Vehicle
 
-MIN_POINTS = 200
+_MIN_POINTS = 200
 """A vehicle of fewer points is no vehicle."""
 _MOST_RAYS = 40_000
 """Of more rays to where an object has surface without points, a part is enough."""
@@ -44,12 +44,12 @@ def reconstruct(
     threads = min(settings.thread_count, available_cores())
     clouds = fuse(capture, images, settings.cloud, thread_count=threads)
     for vehicle, one in zip(capture.vehicles, clouds.vehicles, strict=True):
-        if len(one.cloud) < MIN_POINTS:
+        if len(one.cloud) < _MIN_POINTS:
             raise InputError(
-                f"{capture.name}: vehicle {vehicle.instance_id}: expected at least {MIN_POINTS} points in its 3D "
+                f"{capture.name}: vehicle {vehicle.instance_id}: expected at least {_MIN_POINTS} points in its 3D "
                 f"box, got {len(one.cloud)}; record it from nearer or remove it"
             )
-    if len(clouds.environment.point_m) < MIN_POINTS or len(clouds.ego.cloud) < MIN_POINTS:
+    if len(clouds.environment.point_m) < _MIN_POINTS or len(clouds.ego.cloud) < _MIN_POINTS:
         raise InputError(f"{capture.name}: expected images of the environment and of the ego vehicle, got none of one")
     below = _rays_below([capture.ego_box, *(vehicle.box for vehicle in capture.vehicles)])
     jobs: list[tuple[str, ObjectCloud, int, MeshSettings]] = [

@@ -151,7 +151,9 @@ def oriented_normals(
     return normal.numpy().astype(np.float64)
 
 
-def signed_distance_surface(point_m: np.ndarray, normal: np.ndarray, *, cell_m: float) -> tuple[np.ndarray, np.ndarray]:
+def _signed_distance_surface(
+    point_m: np.ndarray, normal: np.ndarray, *, cell_m: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Surface as the zero level of the distances to the planes of nearby points, by VTK.
 
     Open where points end, with sheets of nothing at the far side of the band of known distances: trim it.
@@ -394,7 +396,7 @@ def _poisson(
 def _signed_distance(
     point_m: np.ndarray, normal: np.ndarray, sensor_m: np.ndarray, cell_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    return signed_distance_surface(point_m, normal, cell_m=cell_m)
+    return _signed_distance_surface(point_m, normal, cell_m=cell_m)
 
 
 def _nksr(

@@ -313,7 +313,7 @@ _GRADE_SHARE, _GRADE = 0.4, (0.02, 0.06)
 
 _KINDS = {"hatchback": 0.25, "saloon": 0.18, "estate": 0.14, "suv": 0.18, "van": 0.12, "lorry": 0.07, "bus": 0.06}
 _HIDING_KINDS = {"hatchback": 0.2, "saloon": 0.14, "estate": 0.1, "suv": 0.16, "van": 0.15, "lorry": 0.13, "bus": 0.12}
-TRAFFIC = {
+_TRAFFIC = {
     "urban": Traffic(
         gap_m=(4.0, 18.0),
         queue=2.5,
@@ -345,7 +345,7 @@ TRAFFIC = {
 
 def street_world(level: str, rng: np.random.Generator, world: LevelWorld) -> None:
     """Build a street of a level and its traffic into a world."""
-    traffic = TRAFFIC[level]
+    traffic = _TRAFFIC[level]
     plan = _street_plan(traffic, rng)
     ahead, behind = rng.uniform(*_GRADE, 2) * rng.choice([-1.0, 1.0], 2)
     is_level = rng.random() >= _GRADE_SHARE

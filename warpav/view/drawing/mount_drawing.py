@@ -83,7 +83,7 @@ _NOTE_HOUSINGS = " Dashed boxes: housings."
 
 
 @dataclass(eq=False, kw_only=True)
-class MountDrawing(Sheet):
+class _MountDrawing(Sheet):
     """A composed drawing, with what its table and its model are made of."""
 
     title: str
@@ -111,7 +111,7 @@ class MountDrawing(Sheet):
                     arrow |= {"shrinkA": 0.0, "shrinkB": 0.0}
                     axis.annotate("", mark.tip_mm, xytext=mark.place_mm, arrowprops=arrow, zorder=6)
                 axis.plot(*_circle_mm(mark.place_mm).T, color=colour, linewidth=0.8, zorder=7)
-                for cross_mm in mark_cross_mm(mark):
+                for cross_mm in _mark_cross_mm(mark):
                     axis.plot(*cross_mm.T, color=colour, linewidth=0.5, zorder=7)
             for note in self.notes:
                 colour = hex_colour(INK_RGB if note.camera is None else camera_rgb(note.camera))
@@ -160,7 +160,7 @@ def mount_drawing(
     title: str = "rig",
     vehicle: str = "-",
     modules: Mapping[str, Module] | None = None,
-) -> MountDrawing:
+) -> _MountDrawing:
     """Compose the drawing by which a workshop mounts a rig.
 
     Three views in first-angle projection, seen from the left, the front and the top, with the outline of the vehicle,
@@ -177,7 +177,7 @@ def mount_drawing(
     table_mm = row_mm * (len(rig.cameras) + 1) + 4.0
     scale, views = _views(low_m, high_m, foot_mm=max(table_mm, _TITLE_MM[1]) + 15.5)
     catalogue = builtin_modules() if modules is None else modules
-    drawing = MountDrawing(scale=scale, views=views, mounts=found, title=title, ego=ego, modules=catalogue)
+    drawing = _MountDrawing(scale=scale, views=views, mounts=found, title=title, ego=ego, modules=catalogue)
     _add_bodies(drawing)
     _add_datums(drawing, low_m, high_m)
     _add_cameras(drawing)
@@ -213,7 +213,7 @@ def _views(low_m: np.ndarray, high_m: np.ndarray, *, foot_mm: float) -> tuple[fl
     )
 
 
-def _add_bodies(drawing: MountDrawing) -> None:
+def _add_bodies(drawing: _MountDrawing) -> None:
     """The outline of the vehicle, and housings of modules, in every view."""
     import cv2
 
@@ -230,7 +230,7 @@ def _add_bodies(drawing: MountDrawing) -> None:
                 drawing.strokes.append(Stroke("HOUSINGS", hull_mm, is_closed=True, camera=index))
 
 
-def _add_datums(drawing: MountDrawing, low_m: np.ndarray, high_m: np.ndarray) -> None:
+def _add_datums(drawing: _MountDrawing, low_m: np.ndarray, high_m: np.ndarray) -> None:
     """The ground, the rear axle and the plane of symmetry, as far as they are lines in a view."""
     axis = np.eye(3)
     lines = {"left": (("A", 0), ("B", 2)), "front": (("A", 1), ("C", 2)), "top": (("C", 0), ("B", 1))}
@@ -246,7 +246,7 @@ def _add_datums(drawing: MountDrawing, low_m: np.ndarray, high_m: np.ndarray) ->
             drawing.notes.append(Note("DATUMS", (float(middle_mm[0]), float(middle_mm[1])), name, 2.5, "middle"))
 
 
-def _add_cameras(drawing: MountDrawing) -> None:
+def _add_cameras(drawing: _MountDrawing) -> None:
     """The place and the optical axis of every camera in every view."""
     for view in drawing.views:
         for index, mount in enumerate(drawing.mounts):
@@ -257,7 +257,7 @@ def _add_cameras(drawing: MountDrawing) -> None:
             drawing.marks.append(Mark(view, index, place_mm, place_mm + arrow_mm))
 
 
-def _add_ordinates(drawing: MountDrawing) -> None:
+def _add_ordinates(drawing: _MountDrawing) -> None:
     """X above the view from the left, z at its left, y at the left of the view from the top; each value once."""
     side, _, top = drawing.views
     edge_mm = _FRAME_MM[0] + _LABEL_MM - 9.0
@@ -302,7 +302,7 @@ def _spread(wanted_mm: np.ndarray, least_mm: float) -> np.ndarray:
     return placed_mm
 
 
-def _add_table(drawing: MountDrawing, row_mm: float) -> None:
+def _add_table(drawing: _MountDrawing, row_mm: float) -> None:
     """All numbers of the cameras, at the foot of the page."""
     left_mm, bottom_mm = _FRAME_MM[0] + 3.0, _FRAME_MM[1] + 2.0
     height_mm = min(TEXT_MM, 0.55 * row_mm)
@@ -373,7 +373,7 @@ def _date_text() -> str:
         raise InputError(f"SOURCE_DATE_EPOCH: expected seconds since 1970, got {seconds!r}") from None
 
 
-def _add_title_block(drawing: MountDrawing, vehicle: str, fingerprint: str) -> None:
+def _add_title_block(drawing: _MountDrawing, vehicle: str, fingerprint: str) -> None:
     """The frame of the page, the block with title and scale, the sign of the projection, and the notes."""
     left_mm, bottom_mm, right_mm, top_mm = _FRAME_MM
 
@@ -415,11 +415,11 @@ def _add_title_block(drawing: MountDrawing, vehicle: str, fingerprint: str) -> N
         drawing.notes.append(Note("FRAME", place_mm, text, 1.9))
 
 
-def _table_top_mm(drawing: MountDrawing) -> float:
+def _table_top_mm(drawing: _MountDrawing) -> float:
     return max(note.place_mm[1] for note in drawing.notes if note.layer == "TABLE")
 
 
-def mark_cross_mm(mark: Mark) -> np.ndarray:
+def _mark_cross_mm(mark: Mark) -> np.ndarray:
     """The two lines through the place of a camera, [2, 2, 2]."""
     reach = 1.6 * MARK_MM * np.eye(2)
     return np.stack([mark.place_mm - reach, mark.place_mm + reach], axis=1)

@@ -72,7 +72,7 @@ def mount_glb(mounts: Sequence[Mount], ego: Mesh | None, modules: Mapping[str, M
     return data
 
 
-NUMBER_MM = 2.5
+_NUMBER_MM = 2.5
 """Height of the digits."""
 
 _CLEAR_MM = 0.6
@@ -97,14 +97,14 @@ def add_numbers(sheet: Sheet) -> None:
     for view in sheet.views:
         for group in _groups([mark for mark in sheet.marks if mark.view is view]):
             text = ", ".join(str(mark.camera + 1) for mark in group)
-            size_mm = np.array([text_width_mm(text, NUMBER_MM, is_bold=True), NUMBER_MM])
+            size_mm = np.array([text_width_mm(text, _NUMBER_MM, is_bold=True), _NUMBER_MM])
             place_mm = np.mean([mark.place_mm for mark in group], axis=0)
             ahead_mm = np.mean([mark.tip_mm for mark in group], axis=0) - place_mm
             middle_mm = _free_place_mm(place_mm, ahead_mm, size_mm, symbol_mm, line_mm)
             leader_mm = _leader_mm(place_mm, middle_mm, size_mm)
             across_mm, up_mm = middle_mm.tolist()
             camera = group[0].camera
-            sheet.notes.append(Note("CAMERAS", (across_mm, up_mm), text, NUMBER_MM, "middle", camera))
+            sheet.notes.append(Note("CAMERAS", (across_mm, up_mm), text, _NUMBER_MM, "middle", camera))
             sheet.strokes.append(Stroke("CAMERAS", leader_mm, camera=camera))
             box_mm = middle_mm + 0.5 * size_mm * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
             symbol_mm = np.concatenate([symbol_mm, _points_mm(box_mm, is_closed=True), _points_mm(leader_mm)])

@@ -141,7 +141,7 @@ def sphere(capture: Capture, path: Path | str, *, settings: CloudSettings | None
 
 
 @dataclass(frozen=True, eq=False)
-class WindowClouds:
+class _WindowClouds:
     """What the rule of the 3D boxes does to points that were seen through window panes."""
 
     shown: tuple[PointCloud, ...]
@@ -153,7 +153,7 @@ class WindowClouds:
     environment: PointCloud
 
 
-def window_clouds(capture: Capture, settings: CloudSettings) -> WindowClouds:
+def window_clouds(capture: Capture, settings: CloudSettings) -> _WindowClouds:
     """The points of a capture before and after the rule of the 3D boxes."""
     images = list(capture.images)
     boxes = {EGO_INSTANCE: capture.ego_box, **{one.instance_id: one.box for one in capture.vehicles}}
@@ -173,7 +173,7 @@ def window_clouds(capture: Capture, settings: CloudSettings) -> WindowClouds:
     whole = [joined(shown[one.instance_id]) for one in capture.vehicles]
     around = joined(thinned)
     clouds = fuse(capture, images, settings)
-    return WindowClouds(
+    return _WindowClouds(
         tuple(whole),
         tuple(
             cloud.chosen(one.box.contains(cloud.point_m, margin_m=settings.box_margin_m))

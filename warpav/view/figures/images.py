@@ -313,7 +313,7 @@ def _turn_from_left_rad(camera: RigCamera) -> float:
     return (0.75 * math.pi - math.atan2(forward[1], forward[0])) % (2.0 * math.pi)
 
 
-LONG_TITLE = 14
+_LONG_TITLE = 14
 """Titles of more letters stand in a line of their own."""
 
 
@@ -345,7 +345,7 @@ def detections_sheet(rows: Mapping[str, Sequence[DetectionPanel]], path: Path | 
         raise InputError(f"{path}: there is no image to draw")
     sample = next(panels[0].image_rgb for panels in rows.values() if panels)
     edge_inch = min((WIDTH_INCH - 0.3) / column_count, 4.0)
-    is_long = any(len(panel.title) > LONG_TITLE for panels in rows.values() for panel in panels)
+    is_long = any(len(panel.title) > _LONG_TITLE for panels in rows.values() for panel in panels)
     row_inch = edge_inch * sample.shape[0] / sample.shape[1] + (0.5 if is_long else 0.3)
     with figure_style():
         figure = new_figure(edge_inch * column_count + 0.3, row_inch * len(rows) + 0.4)
@@ -394,7 +394,7 @@ def draw_detections(axis: Any, panel: DetectionPanel) -> None:  # noqa: ANN401 (
     axis.set_xlim(0, width)
     axis.set_ylim(height, 0)
     found = f"{len(found_index)} of {int(present.sum())} found"
-    is_long = len(panel.title) > LONG_TITLE
+    is_long = len(panel.title) > _LONG_TITLE
     axis.set_title(
         f"{panel.title}\n{found}" if is_long else f"{panel.title}: {found}", fontsize=9.5, fontweight="normal", pad=4
     )

@@ -207,7 +207,7 @@ def _outlines_m(centre_m: np.ndarray, azimuth_rad: np.ndarray, range_m: np.ndarr
     return [np.vstack([far[run], near[run][::-1], far[run[:1]]]) for run in runs if has_any[run[0]]]
 
 
-KEY_LINE_INCH = 0.185
+_KEY_LINE_INCH = 0.185
 """Height of a line of a key [inch]."""
 
 RINGS = "Rings: distance from the middle of the vehicle."
@@ -288,7 +288,7 @@ def panels_with_key(
 ) -> tuple[Any, list[Any], Any]:
     """A figure with rows of square panels above a key."""
     rows = -(-count // columns)
-    key_inch = KEY_LINE_INCH * key_lines + 0.05
+    key_inch = _KEY_LINE_INCH * key_lines + 0.05
     figure = new_figure(WIDTH_INCH, panel_inch * rows + key_inch + 0.3)
     grid = figure.add_gridspec(rows + 1, columns, height_ratios=[*[panel_inch] * rows, key_inch])
     panels = [figure.add_subplot(grid[k // columns, k % columns], projection=projection) for k in range(count)]

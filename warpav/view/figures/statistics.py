@@ -118,7 +118,7 @@ class MetricDifference:
     high: float
 
 
-class ObjectGroup(Protocol):
+class _ObjectGroup(Protocol):
     """Objects of about one distance, sector or kind."""
 
     @property
@@ -156,7 +156,7 @@ def differences(rows: Sequence[MetricDifference], first: str) -> str:
     return svg_text(draw, 0.9 + 0.42 * len(rows))
 
 
-def recall_by_group(tables: Mapping[str, Mapping[str, ObjectGroup]], title: str, *, unit: str = "") -> str | None:
+def recall_by_group(tables: Mapping[str, Mapping[str, _ObjectGroup]], title: str, *, unit: str = "") -> str | None:
     """Recall by group, a dot for every rig and the first one's 95 % interval, as SVG; None without objects."""
     groups = _groups(tables)
     if not groups:
@@ -170,7 +170,7 @@ def recall_by_group(tables: Mapping[str, Mapping[str, ObjectGroup]], title: str,
     return svg_text(draw, 1.45 + 0.3 * len(groups))
 
 
-def recall_figure(groupings: Mapping[str, Mapping[str, Mapping[str, ObjectGroup]]], *, title: str) -> Any:  # noqa: ANN401
+def recall_figure(groupings: Mapping[str, Mapping[str, Mapping[str, _ObjectGroup]]], *, title: str) -> Any:  # noqa: ANN401
     """Recall of rigs by groups of objects, a panel for every grouping, as a ``matplotlib.figure.Figure``."""
     shown = {heading: tables for heading, tables in groupings.items() if _groups(tables)}
     lines = max(len(_groups(tables)) for tables in shown.values())
@@ -185,14 +185,14 @@ def recall_figure(groupings: Mapping[str, Mapping[str, Mapping[str, ObjectGroup]
     return figure
 
 
-def _groups(tables: Mapping[str, Mapping[str, ObjectGroup]]) -> list[str]:
+def _groups(tables: Mapping[str, Mapping[str, _ObjectGroup]]) -> list[str]:
     """The names of the groups that hold objects."""
     return [name for name, group in next(iter(tables.values())).items() if group.objects]
 
 
 def _draw_recall(
     axis: Any,  # noqa: ANN401 (matplotlib)
-    tables: Mapping[str, Mapping[str, ObjectGroup]],
+    tables: Mapping[str, Mapping[str, _ObjectGroup]],
     title: str,
     *,
     unit: str = "",
@@ -227,7 +227,7 @@ def _draw_recall(
     return handles, names
 
 
-def _wilson_interval(group: ObjectGroup) -> tuple[float, float]:
+def _wilson_interval(group: _ObjectGroup) -> tuple[float, float]:
     """Wilson's 95 % interval of a share, as if every object were found or not by itself."""
     n, share, z = group.objects, group.detected / group.objects, _LEVEL_95
     middle = (share + z * z / (2 * n)) / (1 + z * z / n)

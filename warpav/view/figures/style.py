@@ -27,7 +27,7 @@ _METADATA: dict[str, Any] = {
 
 FIGURE_SUFFIXES = tuple(_METADATA)
 
-STYLE: Any = {
+_STYLE: Any = {
     "font.size": 10.0,
     "text.parse_math": False,  # names may hold dollars
     "axes.titlesize": 11.0,
@@ -57,7 +57,7 @@ def figure_style() -> Any:  # noqa: ANN401 (a context manager of matplotlib)
     """A context in which figures have this module's fonts, lines and colours."""
     import matplotlib
 
-    return matplotlib.rc_context(STYLE)
+    return matplotlib.rc_context(_STYLE)
 
 
 def new_figure(width_inch: float, height_inch: float) -> Any:  # noqa: ANN401 (matplotlib)

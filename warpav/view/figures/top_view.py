@@ -257,7 +257,7 @@ def draw_vehicle(
     from matplotlib.collections import PolyCollection
 
     if is_outline:
-        draw_outline(axis, silhouette_m(ego, np.eye(3)[0], np.eye(3)[2 if from_side else 1]))
+        _draw_outline(axis, silhouette_m(ego, np.eye(3)[0], np.eye(3)[2 if from_side else 1]))
         axis.autoscale_view()
         return
     corner_m = np.asarray(ego.vertex_m)[np.asarray(ego.triangle)][:, :, [0, 2] if from_side else [0, 1]]
@@ -266,7 +266,7 @@ def draw_vehicle(
     axis.autoscale_view()
 
 
-def draw_outline(axis: Any, lines: Sequence[np.ndarray]) -> None:  # noqa: ANN401 (matplotlib)
+def _draw_outline(axis: Any, lines: Sequence[np.ndarray]) -> None:  # noqa: ANN401 (matplotlib)
     """Fill closed lines, and their holes not, in the flat colour of vehicles with a border."""
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path as Outline
