@@ -14,7 +14,8 @@ ELSEWHERE = ("pip ", "python3 ", "warpav doctor", "warpav optimise rig.")
 
 LEFT_OUT = re.compile(
     r"(?:scenes|scenes seen by the start|scenes seen by the pool): \d+/|iteration |[│├┃┡└┏]|recall of the rig|"
-    r"optimised without one camera"
+    r"optimised without one camera|"
+    r"(?:Traffic|Expected misses|What moved|Not detected|Seen near the vehicle|Blind ground|Limits|Why it ended): "
 )
 """Lines that the tutorial says it leaves out, or some of."""
 
@@ -45,11 +46,11 @@ def test_the_tutorial_shows_what_its_commands_print(tmp_path):
         words = [sys.executable, "-m", "warpav.cli.app", *command.split()[1:]]
         done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)
         printed = [line for line in done.stdout.splitlines() if line.strip()]
-        rest = iter([without_numbers(line) for line in lines if line.strip()])
-        expected = next(rest, None)
+        text, at = " ".join(map(without_numbers, printed)), 0
+        for line in lines:
+            for piece in without_numbers(line).split("[...]"):  # in order; long sentences are wrapped on the page
+                assert piece.strip() in text[at:], f"{command}: not printed: {line}"
+                at = text.index(piece.strip(), at)
+        told = " ".join(map(without_numbers, lines))
         for line in printed:
-            if without_numbers(line) == expected:
-                expected = next(rest, None)
-            else:
-                assert LEFT_OUT.match(line), f"{command}: the tutorial lacks: {line}"
-        assert expected is None, f"{command}: not printed: {expected}"
+            assert LEFT_OUT.match(line) or without_numbers(line)[:30] in told, f"{command}: the tutorial lacks: {line}"
