@@ -49,7 +49,7 @@ def made_files(
 ) -> Iterator[tuple[Item, Path]]:
     """Items with their files, in this order, each once the processes that make what is missing are done with it.
 
-    Where few are missing, or one could not be made, the file is not there: whoever reads it makes it.
+    Where few are missing, or one could not be made, the file is not there: its reader makes it.
 
     Args:
         worker_count: Processes; None: one for each core.

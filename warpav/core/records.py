@@ -40,7 +40,7 @@ _EXPECTED = {
 
 
 class Record(BaseModel):
-    """An object in a file; nothing is converted, and keys that nobody knows are passed over."""
+    """An object in a file; nothing is converted, and unknown keys are passed over."""
 
     model_config = ConfigDict(strict=True, frozen=True, populate_by_name=True)
 

@@ -347,7 +347,7 @@ def _check_answers(address: str) -> None:
 
 
 def _why_closed(address: str) -> str | None:
-    """Why nobody opens at ``host:port``; None where somebody does."""
+    """Why ``host:port`` refuses a connection; None where it accepts one."""
     host, _, port = address.rpartition(":")
     try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=_CONNECT_S).close()

@@ -22,7 +22,7 @@ from warpav.evaluation.statistics import RESAMPLES, paired_difference
 from warpav.experiments.gradient_magnitude import LOSS_OF
 from warpav.experiments.result_folder import objective_of_tests, objective_on_tests
 from warpav.runs.terminal import TextTable
-from warpav.thesis.tables import thesis_table
+from warpav.thesis.tables import WARNING, thesis_table
 
 Row = dict[str, str]
 
@@ -287,8 +287,7 @@ def _thesis(rows: Sequence[Row], number: str, study: str, judge: str = OWN_JUDGE
         lines.append([f"`{arm}`", str(len(runs)), *(_spread(runs, _THESIS_COLUMNS[key][1]) for key in columns)])
         if row:
             lines.append(["thesis", "", *(_printed(row.get(key)) for key in columns)])
-    note = "The thesis used other scenes, another vehicle and another detector: compare the order of its rows."
-    return TextTable("", ["arm", "runs", *(_THESIS_COLUMNS[key][0] for key in columns)], lines, note)
+    return TextTable("", ["arm", "runs", *(_THESIS_COLUMNS[key][0] for key in columns)], lines, WARNING)
 
 
 def _arm_name(method: str, loss: str) -> str:

@@ -431,7 +431,7 @@ def check_new_run(config: Config) -> None:
 
 @contextlib.contextmanager
 def new_run_folder(config: Config) -> Iterator[None]:
-    """Make and hold ``run.out``, before anything takes long; where the block makes no run of it, it goes again."""
+    """Make and hold ``run.out``, before anything takes long; removed where the block makes no run of it."""
     out = config.run.out
     check_new_run(config)
     if out is None:  # it is numbered later, so that nobody else has it

@@ -90,7 +90,7 @@ VIEWS_AT_ONCE = 8
 
 
 def ghost_scenes(ghosts: Ghosts, ego: Mesh, *, device: str = "cpu") -> GhostScenes:
-    """Ghosts on a device, as `ghost_visibility` draws them; whoever asks often keeps them."""
+    """Ghosts on a device, as `ghost_visibility` draws them; callers that ask often keep them."""
     chunks = np.array_split(np.arange(len(ghosts)), -(-len(ghosts) // _GHOSTS_AT_ONCE))
     return [(which, Scene({str(g): ghosts.mesh(g) for g in which}, foreground=ego, device=device)) for which in chunks]
 

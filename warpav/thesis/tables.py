@@ -8,7 +8,7 @@ from importlib import resources
 from typing import Any
 
 TABLES = ("I", "II", "III", "IV", "V")
-_WARNING = (
+WARNING = (
     "The thesis used other scenes, another vehicle and another detector: compare the trends of the two rows, not the "
     "values."
 )

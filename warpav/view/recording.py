@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from warpav.rig.rig import Rig
     from warpav.scene.scene import Scene
 
-_SUFFIX = ".rrd"
 FRUSTUM_DEPTH_M = 1.0
 """How far frustums reach [m]."""
 

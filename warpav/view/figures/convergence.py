@@ -240,9 +240,3 @@ def _smallest_distance_m(position_m: object) -> float:
 
 _STEPS = {1.5: (1, 1.5, 2, 3, 4, 5, 7), 4.5: (1, 2, 5), math.inf: (1,)}
 """What is labelled within a decade of an axis of fewer decades than the key, far enough apart."""
-
-
-def _last_at(grid: np.ndarray, pairs: Sequence[tuple[int, float]]) -> np.ndarray:
-    """The last value at or before every place of a grid, none of which lies before the first, [place]."""
-    at, value = (np.array(each) for each in zip(*pairs, strict=True))
-    return value[np.searchsorted(at, grid, side="right") - 1]
