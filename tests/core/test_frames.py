@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from warpav.core.frames import (
     EGO_FROM_CARLA,
+    EGO_FROM_THESIS,
     FLU_FROM_RDF,
     carla_from_ego_pose,
     ego_from_carla_pose,
@@ -61,6 +62,10 @@ def test_optical_axes_of_the_known_pose():
     np.testing.assert_allclose(ego_from_camera, rotation_from_quaternion(*QUATERNION_WXYZ), atol=3e-6)
     camera_from_ego = np.c_[ego_from_camera.T, -ego_from_camera.T @ POSITION_M]
     np.testing.assert_allclose(camera_from_ego, CAMERA_FROM_EGO, atol=1e-6)
+
+
+def test_the_thesis_has_x_to_the_left_y_up_and_z_ahead():
+    np.testing.assert_array_equal(EGO_FROM_THESIS @ [1.0, 2.0, 3.0], [3.0, 1.0, 2.0])
 
 
 def test_carla_numbers_of_the_known_pose():

@@ -9,7 +9,7 @@ import pytest
 from tests.driving_scene import flat_surface, roof
 from tests.thesis.test_descent import MODEL
 from warpav.core.errors import InputError
-from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
+from warpav.optimisation.baselines import edge_mount_pose, highest_mount_pose, random_mount_pose
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
 from warpav.thesis.constraints import BoundsAndSpacing
 
@@ -44,6 +44,16 @@ def test_highest_cameras_at_the_edge_are_pushed_in():
     pose = highest_mount_pose(BoundsAndSpacing(slope), 4)
     assert BoundsAndSpacing(slope).violation_m(mount_on(slope).rig(pose.astype(np.float32))) == 0.0
     assert pose[:, X_M].min() > 1.5
+
+
+@pytest.mark.parametrize("camera_count", [1, 4])
+def test_cameras_at_the_edge_face_outwards_from_it(camera_count):
+    surface = flat_surface([-1.0, -0.5], [1.0, 0.5])
+    pose = edge_mount_pose(BoundsAndSpacing(surface), camera_count)
+    yaw = 2 * math.pi * np.arange(camera_count) / camera_count
+    np.testing.assert_allclose(pose[:, YAW_RAD], yaw)
+    edge = np.array([[1.0, 0.0], [0.0, 0.5], [-1.0, 0.0], [0.0, -0.5]])[:camera_count]
+    np.testing.assert_allclose(pose[:, [X_M, Y_M]], edge, atol=surface.cell_m)
 
 
 def test_cameras_that_do_not_fit_are_refused(rng):

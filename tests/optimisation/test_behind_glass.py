@@ -61,6 +61,17 @@ def inside(pose):
     return chart().zone_at(pose[:, [X_M, Y_M]]) == 1
 
 
+@pytest.mark.parametrize("origin_m", [(0.0, 0.0, 0.0), (2.2, 0.3, 1.2)])
+def test_a_pane_lies_in_its_zone_wherever_its_origin_is(origin_m):
+    outline_m = np.array([[2.2, -0.6, 1.0], [2.2, 0.6, 1.0], [2.2, 0.6, 1.4], [2.2, -0.6, 1.4]])
+    zone = replace(WINDSCREEN, origin_m=origin_m, outline_m=outline_m)
+    pane = chart_of((ROOF, zone), street().ego, cell_m=0.05).panes[1]
+    low_m, high_m = np.min(pane.outline_m, axis=0), np.max(pane.outline_m, axis=0)
+    np.testing.assert_allclose([low_m[1:], high_m[1:]], [[-0.6, 1.0], [0.6, 1.4]], atol=0.03)
+    assert low_m[0] == pytest.approx(high_m[0], abs=1e-5)
+    assert 1.9 < low_m[0] < 2.5
+
+
 @functools.cache
 def opened(device="cpu", seed=0):
     """The street around a body that has no pane for anybody."""

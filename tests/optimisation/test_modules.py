@@ -102,6 +102,15 @@ def test_modules_stand_in_the_zones_that_they_fit_and_in_equal_numbers():
         assert len(names) > 1
 
 
+def test_bounds_of_a_module_hold_its_zones_and_no_more():
+    surface = chart()
+    place_m = surface.origin_m + surface.cell_m * np.argwhere(surface.is_mountable)
+    for number in range(3):
+        own_m = place_m[surface.module_at(place_m) == number]
+        np.testing.assert_allclose(surface.bounds_of(number), [own_m.min(axis=0), own_m.max(axis=0)])
+    assert np.ptp(surface.bounds_of(0), axis=0).prod() < np.ptp(surface.bounds_m, axis=0).prod()
+
+
 def test_each_camera_detects_what_a_mount_of_its_module_alone_says():
     """Bit for bit, in whatever order they stand."""
     pose = np.random.default_rng(3).permutation(spread())

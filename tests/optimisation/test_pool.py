@@ -3,6 +3,7 @@
 import functools
 import importlib.util
 import math
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -308,6 +309,14 @@ def test_a_pool_that_the_cache_holds_says_so(tmp_path):
     assert any(text.endswith(": all from the cache") for text in again.text)
     assert (found[1].drawn_count, found[1].cached_count) == (0, 24)
     np.testing.assert_array_equal(*(each.detection_probability for each in found))
+
+
+def test_files_that_are_read_again_count_as_used(tmp_path):
+    drawn(8, cache=tmp_path)
+    for name in files(tmp_path):
+        os.utime(tmp_path / name, (0, 0))
+    drawn(8, cache=tmp_path)
+    assert all((tmp_path / name).stat().st_mtime > 0 for name in files(tmp_path))
 
 
 def test_damaged_files_are_drawn_again(tmp_path):

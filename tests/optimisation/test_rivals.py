@@ -168,6 +168,22 @@ def test_values_that_are_not_finite_are_never_best(method):
     assert result.camera_renders == 1200
 
 
+@needs_cma
+def test_cma_starts_again_with_twice_as_many():
+    counts = []
+
+    def values(rigs):
+        counts.append(len(rigs))
+        return [1.0] * len(rigs)  # nothing to find: every start ends early
+
+    budget = BudgetedValue(values, space_of(2), scene_count=1, camera_renders_max=2 * 2500)
+    run_search(cma_es, budget, np.random.default_rng(0))
+    population = sorted(set(counts[:-1]))
+    assert population[0] == 4 + int(3 * math.log(budget.space.size))
+    assert len(population) >= 2
+    assert population == [population[0] * 2**k for k in range(len(population))]
+
+
 # the space
 
 

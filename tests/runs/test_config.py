@@ -121,6 +121,20 @@ def test_thesis_configuration_holds_the_appendix():
 
 
 @pytest.mark.parametrize(
+    ("are_inequalities", "given", "step", "damping"),
+    [
+        (True, {}, 1.0, 10.0),
+        (False, {}, 0.25, 0.0),
+        (True, {"multiplier_learning_rate": 0.5, "multiplier_damping": 2.0}, 0.5, 2.0),
+    ],
+)
+def test_multipliers_step_as_their_constraints_ask(are_inequalities, given, step, damping):
+    optimiser = load_config(None, [f"optimiser.{key}={value}" for key, value in given.items()]).optimiser
+    assert optimiser.multiplier_step(are_inequalities=are_inequalities) == step
+    assert optimiser.damping(are_inequalities=are_inequalities) == damping
+
+
+@pytest.mark.parametrize(
     ("text", "metres"),
     [("0.3", 0.3), ("20 cm", 0.2), ("20cm", 0.2), ("250 mm", 0.25), ("10 in", 0.254), ("1 ft", 0.3048), ("1e-1", 0.1)],
 )

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import time
 
 import numpy as np
 import pytest
@@ -96,6 +97,14 @@ def test_training_objective_falls_and_result_is_feasible(finished):
     # what is claimed is what the objective says of that rig
     again = descent.objective.evaluate(result.mount_pose, descent.scenes).objective
     assert again == pytest.approx(result.training_objective, rel=1e-6)
+
+
+def test_stages_of_an_evaluation_take_less_time_than_all_of_it():
+    began = time.perf_counter()
+    seconds = street_objective().evaluate(START, street_scenes()).seconds
+    assert 0.0 < seconds["render"] + seconds["detect"] + seconds["backward"] <= seconds["total"]
+    assert seconds["total"] <= time.perf_counter() - began
+    assert min(seconds.values()) >= 0.0
 
 
 def test_records_hold_what_happened(finished):
