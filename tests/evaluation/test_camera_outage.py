@@ -162,7 +162,7 @@ def evaluation_of(weighted=False):
     )
     numbers = {each.name: 0.25 for each in dataclasses.fields(ArmMetrics)}
     numbers |= {"recall_by": {}, "per_scene": {}} | ({} if weighted else dict.fromkeys(OPTIONAL_METRICS))
-    return RigEvaluation({"a": rig_of()}, {"a": ArmMetrics(**numbers)}, ("one",), (), {"a": outages})
+    return RigEvaluation.of({"a": rig_of()}, {"a": ArmMetrics(**numbers)}, ("one",), (), camera_outage={"a": outages})
 
 
 def test_outages_are_a_table_and_part_of_the_file():
@@ -188,7 +188,7 @@ def test_outages_are_a_table_and_part_of_the_file():
     assert "weighted" not in json.dumps(found.to_json())
     with pytest.raises(InputError, match="name: expected one of a, got 'b'"):
         found.outage_table("b")
-    unknown = dataclasses.replace(found, camera_outage={"a": None})
+    unknown = found.model_copy(update={"camera_outage": {"a": None}})
     assert unknown.to_json()["camera_outage"] == {"a": None}
     with pytest.raises(InputError, match="name: expected a rig whose detection probabilities are known"):
         unknown.outage_table()

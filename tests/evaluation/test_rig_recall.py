@@ -82,8 +82,8 @@ def test_recall_is_the_visible_share_times_the_recall_of_the_visible():
     blind = measured(rig, scenes, *[NOTHING] * 4)
     difference = paired_differences(metrics, blind)
     assert difference["rig_recall"] == difference["tp_detection_rate"]
-    assert (difference["rig_recall"]["mean"], difference["rig_recall"]["scenes"]) == (pytest.approx(1 / 6), 3)
-    assert (difference["rig_recall_visible"]["mean"], difference["rig_recall_visible"]["scenes"]) == (0.5, 2)
+    assert (difference["rig_recall"].mean, difference["rig_recall"].scenes) == (pytest.approx(1 / 6), 3)
+    assert (difference["rig_recall_visible"].mean, difference["rig_recall_visible"].scenes) == (0.5, 2)
 
 
 @pytest.fixture(scope="module")

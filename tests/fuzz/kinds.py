@@ -30,7 +30,7 @@ from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
 from warpav.rig.zone import read_zones
 from warpav.runs.config import load_config
 from warpav.runs.networks import _description
-from warpav.runs.report.evaluation import read_run
+from warpav.runs.report.content import read_content
 from warpav.runs.run_folder import RunFolder
 from warpav.scene.capture.folder import read_capture, record_capture
 from warpav.scene.fleet import _stated
@@ -329,7 +329,7 @@ LARGE = [
     Kind("CommonRoad", _text("street.xml", scenario("2020a")), read_recording),
     Kind("log", lambda folder: write_log(folder / "log"), read_recording),
     Kind("network", _network, OnnxDetector, 3),
-    Kind("run", _run, lambda path: read_run(RunFolder.open(path)), 4),
+    Kind("run", _run, lambda path: read_content(RunFolder.open(path)), 4),
     Kind("workload", _workload, read_workload, inner=(_stored, _archived)),
     Kind("truth", _truth, lambda path: read_truth(path / "truth.npz", read_workload(path / "workload.npz")), 2),
 ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property, partial
 from typing import Any
@@ -93,10 +93,14 @@ class GroupRecall:
         """From flags of the objects, bool [object]."""
         return cls(len(visible), int(visible.sum()), int(detected.sum()), _mean(detected), _mean(detected[visible]))
 
+    def __post_init__(self) -> None:
+        if self.objects and self.recall is None:
+            raise ValueError("a group with objects has a recall")
+
 
 @dataclass(frozen=True)
 class ArmMetrics:
-    """Metrics of one rig on the test scenes; None where a metric is not defined. Fields as in ``evaluation.json``.
+    """Metrics of one rig on the test scenes; None where a metric is not defined, or an older file has none.
 
     The objects are the targeted road users of the scenes (``scenes.targets``), each counted once. With several kinds of
     road users, average precisions are means over the kinds, like COCO's over classes; a detection only matches objects
@@ -107,42 +111,48 @@ class ArmMetrics:
         constraint_violation: Distance outside the mount zone plus missing camera spacing [m].
     """
 
-    map50_average: float | None
-    map50_min_camera: float | None
-    map50_max_camera: float | None
-    ap50_pooled: float | None
-    ap50_95_pooled: float | None
-    ap50_small: float | None
-    ap50_medium: float | None
-    ap50_large: float | None
-    ap50_95_small: float | None
-    ap50_95_medium: float | None
-    ap50_95_large: float | None
-    tp_detection_rate: float | None
-    tp_in_frame_rate: float | None
-    rig_recall: float | None
-    rig_recall_visible: float | None
-    misses_per_100: float | None
-    recall_at_equal_false_alarms: float | None
-    confidence_at_equal_false_alarms: float
-    visible_rate: float | None
-    detection_confidence: float | None
-    false_alarms_per_frame: float | None
-    objective: float | None
-    constraint_violation: float
-    min_camera_distance_m: float | None
-    body_share: dict[str, float]
-    body_share_max: float | None
-    objects: int
-    frames: int
-    recall_by: dict[str, dict[str, GroupRecall]]
-    per_scene: dict[str, list[float | None]]
+    map50_average: float | None = None
+    map50_min_camera: float | None = None
+    map50_max_camera: float | None = None
+    ap50_pooled: float | None = None
+    ap50_95_pooled: float | None = None
+    ap50_small: float | None = None
+    ap50_medium: float | None = None
+    ap50_large: float | None = None
+    ap50_95_small: float | None = None
+    ap50_95_medium: float | None = None
+    ap50_95_large: float | None = None
+    tp_detection_rate: float | None = None
+    tp_in_frame_rate: float | None = None
+    rig_recall: float | None = None
+    rig_recall_visible: float | None = None
+    misses_per_100: float | None = None
+    recall_at_equal_false_alarms: float | None = None
+    confidence_at_equal_false_alarms: float | None = None
+    visible_rate: float | None = None
+    detection_confidence: float | None = None
+    false_alarms_per_frame: float | None = None
+    objective: float | None = None
+    constraint_violation: float | None = None
+    min_camera_distance_m: float | None = None
+    body_share: dict[str, float] = field(default_factory=dict)
+    body_share_max: float | None = None
+    objects: int | None = None
+    frames: int | None = None
+    recall_by: dict[str, dict[str, GroupRecall]] = field(default_factory=dict)
+    per_scene: dict[str, list[float | None]] = field(default_factory=dict)
     weighted_recall: float | None = None
     weighted_misses_per_100: float | None = None
     attainable_rate: float | None = None
     attainable_recall: float | None = None
     attainable_misses_per_100: float | None = None
     redundant_rate: float | None = None
+
+    @property
+    def detected(self) -> int | None:
+        """How many objects some camera detects; None where that is not known."""
+        known = self.objects is not None and self.tp_detection_rate is not None
+        return round(self.tp_detection_rate * self.objects) if known else None
 
     def to_json(self) -> dict[str, Any]:
         """As ``evaluation.json`` has them; of `OPTIONAL_METRICS` those that are known."""
@@ -236,6 +246,11 @@ class RigObservation:
         box_px = np.concatenate([each.truth_box_px for each in self.observations])
         sees = np.asarray(np.isfinite(box_px).all(axis=2))
         return sees[np.argsort(self.camera)]
+
+    @property
+    def detected_by_camera(self) -> np.ndarray:
+        """Which camera of the rig detects which object, bool [camera, object]."""
+        return np.concatenate([each.match for each in self.observations])[np.argsort(self.camera)] >= 0
 
     @property
     def visible(self) -> np.ndarray:

@@ -78,8 +78,15 @@ class CameraOutages:
     """A rig without each of its cameras in turn."""
 
     expected_misses_per_100: float
-    weighted_expected_misses_per_100: float | None
-    cameras: tuple[CameraOutage, ...]
+    weighted_expected_misses_per_100: float | None = None
+    cameras: tuple[CameraOutage, ...] = ()
+
+    def __post_init__(self) -> None:
+        weighted = [self.weighted_expected_misses_per_100]
+        for each in self.cameras:
+            weighted += [each.weighted_expected_misses_per_100, each.weighted_difference_per_100]
+        if not self.cameras or len({number is None for number in weighted}) > 1:
+            raise ValueError("weighted numbers must be there for all cameras or for none")
 
     @classmethod
     def of(
@@ -109,6 +116,23 @@ class CameraOutages:
     def worst(self) -> CameraOutage:
         """The outage with most expected misses, by their weights where these are set; of equal ones the first."""
         return max(self.cameras, key=_expected_misses)
+
+    def table(self, name: str) -> Table:
+        """What a rig of this name is expected to miss, whole and without each camera."""
+        names = ["expected_misses_per_100", "difference_per_100"]
+        columns = ["expected misses per 100", "difference"]
+        if self.weighted_expected_misses_per_100 is not None:
+            names += [f"weighted_{name}" for name in names]
+            columns += [f"weighted {column}" for column in columns]
+        whole = ("no camera", *("" if "difference" in name else f"{getattr(self, name):.2f}" for name in names))
+        rows = [
+            (
+                each.camera + (" (worst)" if each.camera == self.worst.camera else ""),
+                *(f"{getattr(each, name):{'+' if 'difference' in name else ''}z.2f}" for name in names),
+            )
+            for each in self.cameras
+        ]
+        return Table((f"{name} without", *columns), (whole, *rows))
 
     def to_json(self) -> dict[str, Any]:
         """As ``evaluation.json`` has it; without weights their numbers are left out."""
@@ -146,6 +170,10 @@ class MountEffect:
     def worst(self) -> float:
         """The greater of both changes."""
         return max(self.below, self.above)
+
+    def to_json(self) -> dict[str, Any]:
+        """As ``evaluation.json`` has it."""
+        return {**asdict(self), "worst": self.worst}
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +216,7 @@ class MountTolerance:
                 "expected_misses_per_100": float(self.samples.mean()),
                 "quantile_95": float(np.quantile(self.samples, 0.95)),
             },
-            "effects": [{**asdict(effect), "worst": effect.worst} for effect in self.effects],
+            "effects": [effect.to_json() for effect in self.effects],
             "worst": {"camera": self.worst.camera, "degree": self.worst.degree, "change_per_100": self.worst.worst},
         }
 

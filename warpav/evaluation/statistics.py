@@ -7,12 +7,11 @@ well. All bootstrap intervals are bias-corrected and accelerated (BCa).
 
 from __future__ import annotations
 
-import itertools
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -45,8 +44,12 @@ class Difference:
     mean: float | None
     low: float | None
     high: float | None
-    p_value: float | None
+    p_value: float | None = field(default=None, kw_only=True)
     scenes: int
+
+    def to_json(self) -> dict[str, float | int | None]:
+        """As ``evaluation.json`` has it."""
+        return {"mean": self.mean, "low": self.low, "high": self.high, "scenes": self.scenes}
 
 
 def paired_difference(
@@ -79,7 +82,7 @@ def paired_difference(
     weights = weights[kept]
     count = len(weights)
     if not count:
-        return Difference(None, None, None, None, count)
+        return Difference(None, None, None, count)
 
     noise = _NOISE * max(float(np.abs(table).max()) for table in (first, second))
 
@@ -99,22 +102,17 @@ def paired_difference(
     units = [np.arange(count), *(np.arange(len(table)) for table in (first, second) if len(table) > 1)]
     mean = float(combined(*units))
     if count < 2:
-        return Difference(mean, None, None, None, count)
+        return Difference(mean, None, None, count)
     interval_at = _interval_at(units, combined, seed=seed, resamples=resamples)
     p_value = _p_value(interval_at, max(1.0 / (resamples + 1), 2.0 ** (1 - count)))
-    return Difference(mean, *interval_at(LEVEL), p_value, count)
+    return Difference(mean, *interval_at(LEVEL), count, p_value=p_value)
 
 
-def paired_differences(
-    optimised: ArmMetrics, other: ArmMetrics, *, seed: int = 0
-) -> dict[str, dict[str, float | int | None]]:
+def paired_differences(optimised: ArmMetrics, other: ArmMetrics, *, seed: int = 0) -> dict[str, Difference]:
     """`paired_difference` of the metrics of two rigs on the same scenes, all scenes alike."""
-    result: dict[str, dict[str, Any]] = {}
-    has_both = [name in optimised.per_scene and name in other.per_scene for name in OPTIONAL_METRICS]
-    for name in (*PAIRED_METRICS, *itertools.compress(OPTIONAL_METRICS, has_both)):
-        found = asdict(paired_difference(optimised.per_scene[name], other.per_scene[name], seed=seed))
-        result[name] = {key: found[key] for key in ("mean", "low", "high", "scenes")}
-    return result
+    one, two = optimised.per_scene, other.per_scene
+    names = (*PAIRED_METRICS, *(name for name in OPTIONAL_METRICS if name in one and name in two))
+    return {name: paired_difference(one[name], two[name], seed=seed) for name in names}
 
 
 def rank_correlation(

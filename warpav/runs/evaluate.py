@@ -103,16 +103,16 @@ def evaluate_on(
     }
     packed = [assigned.scene for assigned in scenes]
     attainable = attainable_objects(placement.objective, scenes)
-    return RigEvaluation(
-        dict(rigs),
+    return RigEvaluation.of(
+        rigs,
         {
             name: metrics_of(observed, placement.objective, attainable=attainable)
             for name, observed in observations.items()
         },
-        tuple(scene.name for scene in packed),
+        [scene.name for scene in packed],
         seen_objects(observations, packed, rigs),
-        {name: _outages_of(observed, placement) for name, observed in observations.items()},
-        requirements_of(rigs, placement),
+        camera_outage={name: _outages_of(observed, placement) for name, observed in observations.items()},
+        requirements=requirements_of(rigs, placement),
     )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,7 +24,7 @@ from warpav.runs.mounts import preset_for
 from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
-from warpav.runs.report.evaluation import Evaluation, RunContent, read_run
+from warpav.runs.report.content import RunContent, read_content
 from warpav.runs.result import Result, StageTimer, write_verdict
 from warpav.runs.rig_source import arm_names, find_rig, is_run_folder, is_shipped
 from warpav.runs.robustness import load_states_of, soiling_of
@@ -93,7 +92,7 @@ def resume_rig(folder: RunFolder, config: Config, *, progress: Progress) -> tupl
         is_over = optimisation.descent.stop_reason is not None or done >= config.run.iterations
         if is_over and evaluation is not None and (folder.path / "report.html").is_file():
             progress.say(f"{folder.path} has ended: {optimisation.descent.stop_reason or f'{done} iterations'}")
-            return optimisation.result(), read_run(folder)
+            return optimisation.result(), read_content(folder)
         # from here on the folder is written to
         folder.replace_events(events)
         folder.remove_verdict()
@@ -230,21 +229,17 @@ def measure_rig(
     rigs = {name: rig, **{other: _rig_to_measure(names[other], placement, progress) for other in others}}
     pairing_rig = {other: _pairing_rig(each, rigs[other], placement) for other, each in names.items()}
     found = evaluate_on(rigs, placement.test, placement, pairing_rig=pairing_rig, progress=progress)
-    margins = placement.objective.constraints.margins(rig)
-    evaluation = {
-        "schema": EVALUATION_SCHEMA,
-        **found.to_json(),
-        "constraints": {name: [asdict(each) for each in margins]},
-    }
+    measured: dict[str, Any] = {"constraints": {name: placement.objective.constraints.margins(rig)}}
     scenes = list(load_scenes(config, config.scenes.test_seeds)) if soiled or loads else []
     if soiled is not None:
-        evaluation["soiling"] = soiling_of(rig, scenes, placement, soiled, progress=progress).to_json()
+        measured["soiling"] = soiling_of(rig, scenes, placement, soiled, progress=progress)
     if loads:
-        evaluation["load_states"] = load_states_of(rig, scenes, placement, loads, progress=progress).to_json()
+        measured["load_states"] = load_states_of(rig, scenes, placement, loads, progress=progress)
+    evaluation = found.compared().model_copy(update=measured)
     if json_file is not None:
-        write_json(json_file, evaluation)
+        write_json(json_file, {"schema": EVALUATION_SCHEMA, **evaluation.to_json()})
         progress.say(f"wrote {json_file}")
-    return RunContent(evaluation=Evaluation.model_validate(json_ready(evaluation)), config=config)
+    return RunContent(evaluation=evaluation.model_copy(update={"outcomes": None}), config=config)
 
 
 def _rig_to_measure(source: str, placement: Placement, progress: Progress) -> Rig:

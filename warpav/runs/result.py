@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from warpav.core.errors import ArgumentError
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import device_name
+from warpav.evaluation.rig_evaluation import GroundTable, Robust, SearchEnd, StartAndEnd, ToleranceTable
 from warpav.optimisation.budget import BudgetedValue, run_search
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.optimisation.pool_run import PoolRun
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from warpav.optimisation.losses.scene_on_tape import AssignedScene
-    from warpav.runs.report.evaluation import RunContent
+    from warpav.runs.report.content import RunContent
     from warpav.sight.check import RequirementResult
     from warpav.thesis.descent import Descent
 
@@ -323,7 +324,7 @@ def write_verdict(
     progress: Progress,
 ) -> RunContent:
     """Complete a run folder that has its iterations: rigs, evaluation, figures, report."""
-    from warpav.runs.report.evaluation import read_run
+    from warpav.runs.report.content import read_content
     from warpav.runs.report.report import write_report
     from warpav.runs.run_figures import GROUND_SCENES, RunPictures
     from warpav.sight.ground import BlindGround
@@ -345,36 +346,42 @@ def write_verdict(
     tolerance = _tolerance(result, test)
     timer.end("errors of mounting")
     constraints = placement.objective.constraints
-    evaluation = {
-        **compared.to_json(),
+    measured = {
         "mount_tolerance": tolerance,
         "rig_of_run": START if result.is_worse_than_start else OPTIMISED,
-        "training_objective": {START: result.start_objective, OPTIMISED: result.found_objective},
-        "descent": {
-            "iterations": descent.iteration,
-            "planned": placement.config.run.iterations,
-            "ended": result.ended,
-            "kept": result._kept.iteration,
-        },
+        "training_objective": StartAndEnd(
+            start=_finite(result.start_objective), optimised=_finite(result.found_objective)
+        ),
+        "descent": SearchEnd(
+            iterations=descent.iteration,
+            planned=placement.config.run.iterations,
+            ended=result.ended,
+            kept=result._kept.iteration,
+        ),
         "certificate": None if result.certificate is None else result.certificate.to_json(),
-        **({} if result.robust is None else {"robust": result.robust}),
-        "constraints": {name: [asdict(margin) for margin in constraints.margins(rig)] for name, rig in rigs.items()},
-        "outcomes": compared.outcomes(),
-        "ground": ground.table(),
+        **({} if result.robust is None else {"robust": Robust(**result.robust)}),
+        "constraints": {name: constraints.margins(rig) for name, rig in rigs.items()},
+        "ground": GroundTable(**ground.table()),
     }
+    evaluation = compared.compared().model_copy(update=measured)
     pictures = placement.config.run.pictures
     if pictures != "none":
         progress.stage("pictures and report")
         drawn = RunPictures(folder, placement, result.start, result.found, test, first, evaluation)
         drawn.draw(progress, full=pictures == "all")
     timer.end("figures")
-    folder.write_evaluation({**evaluation, "seconds": timer.seconds})
-    run = read_run(folder)
+    evaluation = evaluation.model_copy(update={"seconds": timer.seconds})
+    folder.write_evaluation(evaluation.to_json(with_objects=True))
+    run = read_content(folder)
     progress.say(f"report: {write_report(folder, run)}   took {timer.total_s():.0f} s")
     return run
 
 
-def _tolerance(result: Result, test: Sequence[AssignedScene]) -> dict[str, Any] | None:
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _tolerance(result: Result, test: Sequence[AssignedScene]) -> ToleranceTable | None:
     """What errors of mounting cost the rig that was found; None where that is not known."""
     scenes = [each for each in test if each.scene.vehicle_count][:_TOLERANCE_SCENES]
     if not scenes:
@@ -388,7 +395,7 @@ def _tolerance(result: Result, test: Sequence[AssignedScene]) -> dict[str, Any] 
         angle_rad=_TOLERANCE_RAD if errors.mount_error_deg is None else math.radians(errors.mount_error_deg),
         sample_count=_TOLERANCE_DRAWS,
     )
-    return None if found is None else {**found.to_json(), "scenes": len(scenes)}
+    return None if found is None else ToleranceTable(**found.to_json(), scenes=len(scenes))
 
 
 def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[str, Rig | None]]:

@@ -20,12 +20,15 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import check_folder
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import checked_device
+from warpav.evaluation.metrics import ObjectOutcome
+from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.raster.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
 from warpav.runs.config import Config
 from warpav.runs.evaluate import requirements_of
 from warpav.runs.events import trajectory
 from warpav.runs.placement import Placement
+from warpav.runs.report.content import read_evaluation
 from warpav.runs.rig_source import find_rig
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scene
@@ -33,7 +36,6 @@ from warpav.runs.scene_set import load_scene
 if TYPE_CHECKING:
     from warpav.detection.images import CameraImage
     from warpav.detection.probability import DetectionProbability
-    from warpav.evaluation.perturbations import CameraOutages, MountTolerance
     from warpav.optimisation.losses.scene_on_tape import AssignedScene
     from warpav.optimisation.objective import RigObjective
     from warpav.raster.camera import CameraModel
@@ -90,12 +92,12 @@ class RunPictures:
     found: Rig
     test: Sequence[AssignedScene]
     scene: Scene
-    evaluation: Mapping[str, Any]
+    evaluation: RigEvaluation
 
     @classmethod
     def of_folder(cls, folder: RunFolder, progress: Progress) -> RunPictures:
         """Those of a run that has ended: its scenes and its detector are loaded again."""
-        evaluation = folder.evaluation()
+        evaluation = read_evaluation(folder)
         if evaluation is None:
             raise InputError(
                 f"{folder.path}: run folder: expected an evaluation, got none; warpav optimise --resume {folder.path} "
@@ -128,11 +130,11 @@ class RunPictures:
 
         events, min_spacing_m = self.folder.events(), self.placement.objective.constraints.min_spacing_m
         search = search_figure(events)
-        tolerance, outages = _tolerance_of(self.evaluation), _outages_of(self.evaluation)
+        tolerance, outages = self.evaluation.mount_tolerance, self.evaluation.camera_outage.get("optimised")
         figures = {
             "search": search,
             "loss_curves": loss_figure(events, min_distance_m=min_spacing_m) if search is None else None,
-            "sensitivity": None if tolerance is None else sensitivity_figure(tolerance, outages),
+            "sensitivity": None if tolerance is None else sensitivity_figure(tolerance.tolerance(), outages),
         }
         self._save(figures)
         for kind in ("plan", "near_field"):
@@ -222,39 +224,9 @@ class RunPictures:
         return [*same, *alike][0]
 
 
-def _tolerance_of(evaluation: Mapping[str, Any]) -> MountTolerance | None:
-    """What errors of mounting cost, as ``evaluation.json`` has it: of the draws only their mean."""
-    from warpav.evaluation.perturbations import MountEffect, MountTolerance
-
-    found = evaluation.get("mount_tolerance")
-    if not found:
-        return None
-    effects = [{name: value for name, value in each.items() if name != "worst"} for each in found["effects"]]
-    return MountTolerance(
-        found["position_m"],
-        found["angle_rad"],
-        found["expected_misses_per_100"],
-        np.full(found["draws"]["count"], found["draws"]["expected_misses_per_100"]),
-        tuple(MountEffect(**each) for each in effects),
-    )
-
-
-def _outages_of(evaluation: Mapping[str, Any]) -> CameraOutages | None:
-    from warpav.evaluation.perturbations import CameraOutage, CameraOutages
-
-    found = evaluation.get("camera_outage", {}).get("optimised")
-    if not found:
-        return None
-    return CameraOutages(
-        found["expected_misses_per_100"],
-        found.get("weighted_expected_misses_per_100"),
-        tuple(CameraOutage(**each) for each in found["cameras"]),
-    )
-
-
-def _shown_scenes(scenes: Sequence[AssignedScene], evaluation: Mapping[str, Any]) -> list[AssignedScene]:
+def _shown_scenes(scenes: Sequence[AssignedScene], evaluation: RigEvaluation) -> list[AssignedScene]:
     """The first scene, and of the others that in which the result leaves most objects undetected, if it leaves any."""
-    left = Counter(each["scene"] for each in evaluation["outcomes"] if each["outcome"]["optimised"] != "detected")
+    left = Counter(each.scene for each in evaluation.objects if each.outcome["optimised"] != ObjectOutcome.DETECTED)
     others = [each for each in scenes[1:] if left[each.scene.name]]
     return [scenes[0], *sorted(others, key=lambda each: -left[each.scene.name])[:1]]
 

@@ -26,11 +26,11 @@ from tests.runs.report.run_parts import (
 )
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.evaluation.rig_evaluation import TABLE_ROWS
+from warpav.evaluation.rig_evaluation import TABLE_ROWS, RigEvaluation
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.config import load_config
 from warpav.runs.events import Bound, Certificate
-from warpav.runs.report.evaluation import Evaluation, RunContent, read_run
+from warpav.runs.report.content import RunContent, read_content
 from warpav.runs.report.report import write_report
 from warpav.runs.report.statements import headline, summary
 from warpav.runs.report.tables import show_run
@@ -170,7 +170,7 @@ def test_what_is_missed_without_each_camera_is_told(folder, page):
     weighted["weighted_expected_misses_per_100"] = 9.0
     folder.write_evaluation(evaluation(camera_outage={"optimised": weighted}))
     rows = page_of(folder).table(*heading, "weighted expected misses per 100", "weighted difference")
-    assert rows[1] == ["front", "20.25", "+7.75", "10.00", "+0.00"]
+    assert rows[1] == ["front (worst)", "20.25", "+7.75", "10.00", "+0.00"]
     del weighted["cameras"][1]["weighted_difference_per_100"]
     folder.write_evaluation(evaluation(camera_outage={"optimised": weighted}))
     with pytest.raises(InputError, match="weighted numbers must be there for all cameras or for none"):
@@ -180,7 +180,9 @@ def test_what_is_missed_without_each_camera_is_told(folder, page):
 def test_the_most_sensitive_camera_is_named(folder, page):
     assert "If a camera is off" not in page.text  # an older run does not know
     worst = {"camera": "<rear>", "degree": "yaw", "change_per_100": 0.254}
-    tolerance = {"position_m": 0.02, "angle_rad": 0.017453292519943295, "scenes": 10, "worst": worst}
+    draws = {"count": 8, "expected_misses_per_100": 13.0, "quantile_95": 14.0}
+    tolerance = {"position_m": 0.02, "angle_rad": 0.017453292519943295, "scenes": 10, "worst": worst, "draws": draws}
+    tolerance |= {"expected_misses_per_100": 12.5, "effects": []}
     both = {"mount_tolerance": tolerance, "camera_outage": {"optimised": OUTAGE}}
     folder.write_evaluation(evaluation(**both))
     told = " ".join(page_of(folder).text)
@@ -264,7 +266,7 @@ def test_the_page_is_whole_by_itself(finished, page):
 
 def words_of(folder, **changed):
     folder.write_evaluation(evaluation(**changed))
-    run = read_run(folder)
+    run = read_content(folder)
     told = [headline(run).text, *(statement.text for statement in summary(run))]
     return "\n".join(told).replace("\N{NO-BREAK SPACE}", " ")
 
@@ -345,7 +347,7 @@ def test_the_headline_of_a_search_says_what_is_expected_first(folder):
         name: arm(0.5, objective=value) for name, value in (("optimised", 0.06), ("start", 0.12), ("highest", 0.07))
     }
     folder.write_evaluation(evaluation(arms=arms, paired=paired))
-    run = read_run(folder)
+    run = read_content(folder)
     assert not headline(run).text.startswith("In")  # a descent may lower something else
     search = dataclasses.replace(run, certificate=Certificate(0.06, (Bound(0.06, 100, 5000),)))
     told = headline(search)
@@ -358,11 +360,11 @@ def test_the_headline_of_a_search_says_what_is_expected_first(folder):
     for found in paired.values():
         found["tp_detection_rate"] = difference(0.1, 0.05, 0.2)
     folder.write_evaluation(evaluation(arms=arms, paired=paired))
-    proven = headline(dataclasses.replace(read_run(folder), certificate=search.certificate)).text
+    proven = headline(dataclasses.replace(read_content(folder), certificate=search.certificate)).text
     assert proven.endswith("than the start (12.0). It detects more than the start and the highest rig.")
     paired["highest"]["tp_detection_rate"] = difference(-0.1, -0.2, -0.05)
     folder.write_evaluation(evaluation(arms=arms, paired=paired))
-    worse = dataclasses.replace(read_run(folder), certificate=search.certificate)
+    worse = dataclasses.replace(read_content(folder), certificate=search.certificate)
     assert headline(worse).text.startswith(
         "The optimised rig detects more than the start and detects fewer than the highest"
     )
@@ -584,14 +586,14 @@ def test_a_broken_folder_is_one_line_with_status_2(folder, capsys, damage, told)
 def printed(width=300, **changed):
     """What the terminal shows of an evaluation."""
     stream = io.StringIO()
-    run = RunContent(evaluation=Evaluation.model_validate(evaluation(**changed)))
+    run = RunContent(evaluation=RigEvaluation.model_validate(evaluation(**changed)))
     show_run(Terminal(file=stream, width=width), run)
     return stream.getvalue()
 
 
 def test_the_terminal_says_what_the_page_says(finished):
     stream = io.StringIO()
-    run = read_run(finished[0])
+    run = read_content(finished[0])
     show_run(Terminal(file=stream, width=3000), run)
     words = stream.getvalue()
     for statement in (headline(run), *summary(run)):
@@ -611,7 +613,7 @@ def test_rigs_that_do_not_fit_side_by_side_come_in_parts_beside_the_first():
 REQUIREMENT = {
     **{"name": "near", "hard": True, "weight": None, "points": 4, "met": 2, "share": 0.5, "is_met": False},
     "need": {"object": "child", "visible_share": 0.5, "pixels": 1.0, "cameras": 1, "share": 0.99},
-    "worst": [{"position_m": [1.0, -2.0], "camera": None, "visible_share": 0.0, "pixels": 0.0}],
+    "worst": [{"position_m": [1.0, -2.0], "camera": None, "cameras": 0, "visible_share": 0.0, "pixels": 0.0}],
     "gap": {"area_m2": 1.2345, "sector": "rear left"},
 }
 WARNINGS = {

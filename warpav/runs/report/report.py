@@ -17,12 +17,11 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.core.table import Table
 from warpav.evaluation.metrics import ObjectOutcome
-from warpav.evaluation.rig_evaluation import TABLE_ROWS
+from warpav.evaluation.rig_evaluation import RECALL_GROUPS, TABLE_ROWS, RigEvaluation
 from warpav.runs.config import config_names, load_config, overrides_from
 from warpav.runs.mounts import free_ranges, has_zones
 from warpav.runs.report import statements as words
-from warpav.runs.report.evaluation import Evaluation, RunContent, View, read_run
-from warpav.runs.report.tables import RECALL_GROUPS, metric_table, outage_table, recall_table, requirement_table
+from warpav.runs.report.content import RunContent, View, read_content
 from warpav.runs.run_folder import RunFolder
 from warpav.sight.requirement import SECTORS, sectors_of
 from warpav.view.figures.convergence import convergence_panels, search_panel
@@ -100,7 +99,7 @@ class _ImageBox:
 
 def write_report(folder: RunFolder, run: RunContent | None = None) -> Path:
     """Write ``report.html`` of a run, from what its folder holds so far; nothing is rendered."""
-    run = read_run(folder) if run is None else run
+    run = read_content(folder) if run is None else run
     page = _template().render(_content(folder, run))
     page = page.encode("utf-8", "backslashreplace").decode()  # of paths that are not UTF-8
     if len(page.encode()) > MAX_BYTES:
@@ -133,6 +132,7 @@ def _template() -> Template:
 
 def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
     evaluation = run.evaluation
+    outages = evaluation and evaluation.camera_outage.get(evaluation.first)
     images = {file.stem: (file, _FIGURES.get(file.stem, file.stem)) for file in folder.figures()}
     if run.views:
         images.pop("detections", None)
@@ -149,7 +149,7 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "statements": words.summary(run),
         "cards": _cards(run),
         "objects": words.objects_name(run),
-        "metrics": _typeset(evaluation and metric_table(evaluation)),
+        "metrics": _typeset(evaluation and evaluation.metric_table()),
         "paired": _paired(evaluation) if evaluation else [],
         "plots": _plots(run, images),
         "draws_nothing": _draws_nothing(run),
@@ -165,11 +165,11 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "is_weighted": run.config is not None and run.config.importance.is_set,
         "sensitivity": words.sensitivity(run),
         "sensitivity_map": [image for image in shown if image.name == "sensitivity"],
-        "near": _typeset(evaluation and requirement_table(evaluation)),
+        "near": _typeset(evaluation and evaluation.requirement_table()),
         "near_maps": [image for image in shown if image.name in _NEAR],
-        "outage": _typeset(evaluation and outage_table(evaluation)),
+        "outage": _typeset(outages and outages.table(evaluation.first)),
         "views": _views(run.views, [next(encoded) for _ in run.views], words.objects_name(run)),
-        "recall": _typeset(evaluation and recall_table(evaluation)),
+        "recall": _typeset(evaluation and evaluation.recall_table()),
         "ground": _ground(evaluation) if evaluation and evaluation.ground else [],
         "left": _left(evaluation) if evaluation and evaluation.outcomes is not None else None,
         "rows_shown": _ROWS_SHOWN,
@@ -208,13 +208,13 @@ def _cards(run: RunContent) -> list[words.Statement]:
     if evaluation is None:
         return [words.Statement("last loss", words.number(run.events[-1].loss, 4))]
     first, arm = evaluation.first, evaluation.best
-    before = evaluation.arms["start"].recall if "start" in evaluation.arms else None
+    before = evaluation.arms["start"].tp_detection_rate if "start" in evaluation.arms else None
     cards = [
         words.Statement(
             f"recall of the rig, {first}" + ("" if before is None else f" (start {words.number(before)})"),
-            words.number(arm.recall),
+            words.number(arm.tp_detection_rate),
         ),
-        words.Statement(f"AP50 of all images, {first}", words.number(arm.numbers["ap50_pooled"])),
+        words.Statement(f"AP50 of all images, {first}", words.number(arm.ap50_pooled)),
     ]
     training = evaluation.training_objective
     if training is not None and training.start and training.optimised is not None:
@@ -225,10 +225,10 @@ def _cards(run: RunContent) -> list[words.Statement]:
     if evaluation.ground is not None:
         text = f"of the ground is blind for {evaluation.ground.heights_m[0]:g} m (a child)"
         cards.append(words.Statement(text, words.percent(evaluation.ground.share(first, 0))))
-    for each in evaluation.requirements.get(first, []):
+    for each in evaluation.met.get(first, []):
         text = f"of the points of {each.name} are met" + ("" if each.is_met else ", too few")
         cards.append(words.Statement(text, words.percent(each.share), "good" if each.is_met else "bad"))
-    violation_m = arm.numbers["constraint_violation"]
+    violation_m = arm.constraint_violation
     if violation_m is not None:
         is_kept = violation_m == 0.0
         cards.append(
@@ -250,7 +250,7 @@ def _typeset(table: Table | None) -> Table | None:
     return Table(table.columns, tuple(rows))
 
 
-def _paired(evaluation: Evaluation) -> list[tuple[str, list[tuple[str, str]]]]:
+def _paired(evaluation: RigEvaluation) -> list[tuple[str, list[tuple[str, str]]]]:
     """Rows of differences with intervals: a metric, and for every other arm the text and its tone."""
     lower = {
         "misses_per_100",
@@ -332,7 +332,7 @@ def _convergence(run: RunContent) -> list[_PageImage]:
     return [_plot(name, f"{name} over the iterations", svg_text(draw, 2.9)) for name, draw in panels.items()]
 
 
-def _differences(evaluation: Evaluation, metrics: Mapping[str, str]) -> list[MetricDifference]:
+def _differences(evaluation: RigEvaluation, metrics: Mapping[str, str]) -> list[MetricDifference]:
     """Differences with an interval, of metrics by their names and what they are called."""
     rows = []
     for metric, heading in metrics.items():
@@ -493,7 +493,7 @@ def _box(kind: str, box_px: Sequence[float]) -> _ImageBox:
     return _ImageBox(kind, x0, y0, round(x1 - x0, 1), round(y1 - y0, 1))
 
 
-def _ground(evaluation: Evaluation) -> list[dict[str, Any]]:
+def _ground(evaluation: RigEvaluation) -> list[dict[str, Any]]:
     """For every height the share of the ground that no camera sees, by sector and band, and the start's."""
     ground = evaluation.ground
     assert ground is not None
@@ -521,7 +521,7 @@ def _ground(evaluation: Evaluation) -> list[dict[str, Any]]:
     ]
 
 
-def _left(evaluation: Evaluation) -> list[dict[str, Any]]:
+def _left(evaluation: RigEvaluation) -> list[dict[str, Any]]:
     """The objects that the first arm does not detect, the nearest first."""
     left = [seen for seen in evaluation.outcomes or () if seen.outcome[evaluation.first] != ObjectOutcome.DETECTED]
     rows = []

@@ -12,9 +12,12 @@ import numpy as np
 
 from warpav.core.frames import wrap_angle_rad
 from warpav.evaluation.metrics import ObjectOutcome
+from warpav.evaluation.rig_evaluation import RigEvaluation, Robust
+from warpav.evaluation.statistics import Difference
+from warpav.optimisation.constraints import Margin
 from warpav.optimisation.mount_errors import ANGLES
 from warpav.rig.rig import Rig
-from warpav.runs.report.evaluation import Difference, Evaluation, Margin, Robust, RunContent
+from warpav.runs.report.content import RunContent
 
 _Tone = Literal["good", "bad", "open"]
 
@@ -77,14 +80,14 @@ def tone_of(difference: Difference, *, lower_is_better: bool = False) -> _Tone:
     return "good" if (high < 0.0) == lower_is_better else "bad"
 
 
-def warnings(evaluation: Evaluation) -> list[Statement]:
+def warnings(evaluation: RigEvaluation) -> list[Statement]:
     """What is wrong with the rig that was found: worse than its start, requirements not met, the own body in the way.
 
     Its objective is higher on the scenes where rigs are compared: then the rig of the run is the start. Or its recall
     on the test scenes is significantly lower: these choose no rig, so it stays the rig of the run.
     """
     found = [Statement("WORSE THAN ITS START", text, "bad") for text in worse_than_start(evaluation)]
-    for each in evaluation.requirements.get(evaluation.first, []):
+    for each in evaluation.met.get(evaluation.first, []):
         if each.is_met:
             continue
         text = f"{each.name} at {percent(each.share)} of {each.points} points"
@@ -96,14 +99,14 @@ def warnings(evaluation: Evaluation) -> list[Statement]:
             text += f"; largest gap: {each.gap.area_m2:.2f} m², {each.gap.sector}"
         found.append(Statement("REQUIREMENT NOT MET", text, "bad"))
     for name, arm in evaluation.arms.items():
-        share = arm.numbers["body_share_max"] or 0.0
-        if arm.recall == 0.0 and share >= _HIDING_BODY:
+        share = arm.body_share_max or 0.0
+        if arm.tp_detection_rate == 0.0 and share >= _HIDING_BODY:
             text = f"the vehicle's own body covers up to {share:.0%} of an image"
             found.append(Statement(f"{name} detects nothing", text, "bad"))
     return found
 
 
-def worse_than_start(evaluation: Evaluation) -> list[str]:
+def worse_than_start(evaluation: RigEvaluation) -> list[str]:
     """In what the rig that a run has found is worse than its start, a sentence each."""
     found = []
     training = evaluation.training_objective
@@ -115,7 +118,10 @@ def worse_than_start(evaluation: Evaluation) -> list[str]:
         )
     recall = evaluation.paired.get("start", {}).get("tp_detection_rate")
     if recall is not None and recall.high is not None and recall.high < 0.0 and "start" in evaluation.arms:
-        before, after = number(evaluation.arms["start"].recall, 4), number(evaluation.best.recall, 4)
+        before, after = (
+            number(evaluation.arms["start"].tp_detection_rate, 4),
+            number(evaluation.best.tp_detection_rate, 4),
+        )
         found.append(f"the {evaluation.first} rig has recall {after} on the test scenes, its start {before}")
     return found
 
@@ -131,7 +137,7 @@ def headline(run: RunContent) -> Statement:
         if "tp_detection_rate" in found
     }
     if not compared:
-        return Statement("", f"Recall of the rig on the test scenes: {number(evaluation.best.recall)}.")
+        return Statement("", f"Recall of the rig on the test scenes: {number(evaluation.best.tp_detection_rate)}.")
     counted = max(evaluation.paired[name]["tp_detection_rate"].scenes for name in compared)
     named = {tone: [_arm(name) for name in compared if compared[name] == tone] for tone in ("good", "bad", "open")}
     parts = []
@@ -160,9 +166,9 @@ def headline(run: RunContent) -> Statement:
     return Statement("", text, tone)
 
 
-def _expected(run: RunContent, evaluation: Evaluation) -> Statement | None:
+def _expected(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
     """What is expected to be missed on the test scenes, where that is the objective; it varies less than recall."""
-    first = evaluation.best.numbers["objective"]
+    first = evaluation.best.objective
     if run.certificate is None or evaluation.robust is not None or first is None:
         return None
     compared = {name: found["objective"] for name, found in evaluation.paired.items() if "objective" in found}
@@ -172,9 +178,9 @@ def _expected(run: RunContent, evaluation: Evaluation) -> Statement | None:
     rest = [
         f"{_arm(name)} ({number(100.0 * value, 1)})"
         for name in better
-        if (value := evaluation.arms[name].numbers["objective"]) is not None
+        if (value := evaluation.arms[name].objective) is not None
     ]
-    scenes = _counted(evaluation.scenes["test"], "scene")
+    scenes = _counted(evaluation.scene_count, "scene")
     return Statement(
         "",
         f"In {scenes} that no search has seen, the {evaluation.first} rig is expected to miss "
@@ -183,7 +189,7 @@ def _expected(run: RunContent, evaluation: Evaluation) -> Statement | None:
     )
 
 
-def _is_worse_than_start(evaluation: Evaluation) -> bool:
+def _is_worse_than_start(evaluation: RigEvaluation) -> bool:
     """Whether the objective of the rig that was found is higher than that of its start, or no number."""
     training = evaluation.training_objective
     if training is None or training.start is None:
@@ -228,12 +234,12 @@ def objects_name(run: RunContent, count: int = 2) -> str:
     return ("vehicle" if is_vehicles else "road user") + ("" if count == 1 else "s")
 
 
-def _traffic(run: RunContent, evaluation: Evaluation) -> Statement | None:
+def _traffic(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
     found = _detected(run, evaluation)
     if not found:
         return None
     first = evaluation.first
-    text = f"In {_counted(evaluation.scenes['test'], 'scene')} that no search has seen, the {found}."
+    text = f"In {_counted(evaluation.scene_count, 'scene')} that no search has seen, the {found}."
     if evaluation.outcomes is not None and "start" in evaluation.arms:
         pairs = Counter(
             (seen.outcome["start"] == ObjectOutcome.DETECTED, seen.outcome[first] == ObjectOutcome.DETECTED)
@@ -244,23 +250,24 @@ def _traffic(run: RunContent, evaluation: Evaluation) -> Statement | None:
     return Statement("Traffic", text)
 
 
-def _detected(run: RunContent, evaluation: Evaluation) -> str:
+def _detected(run: RunContent, evaluation: RigEvaluation) -> str:
     """How many objects every rig detects; empty where that is not known."""
     first, *others = evaluation.arms
     arm = evaluation.arms[first]
-    if arm.objects is None or arm.detected is None:
+    if arm.detected is None:
         return ""
-    text = f"{first} rig detects {arm.detected} of {arm.objects} {objects_name(run)} (recall {number(arm.recall)})"
+    recall = number(arm.tp_detection_rate)
+    text = f"{first} rig detects {arm.detected} of {arm.objects} {objects_name(run)} (recall {recall})"
     rest = [f"{_arm(other)} {evaluation.arms[other].detected}" for other in others]
     return f"{text}; {_listed(rest)}" if rest else text
 
 
-def _misses(run: RunContent, evaluation: Evaluation) -> Statement | None:
+def _misses(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
     """What every rig is expected to miss beside what the detector misses, where both are known."""
     pairs = {
-        name: (outage.expected_misses_per_100, 100.0 * (1.0 - arm.recall))
+        name: (outage.expected_misses_per_100, 100.0 * (1.0 - arm.tp_detection_rate))
         for name, arm in evaluation.arms.items()
-        if (outage := evaluation.camera_outage.get(name)) is not None and arm.recall is not None
+        if (outage := evaluation.camera_outage.get(name)) is not None and arm.tp_detection_rate is not None
     }
     first = evaluation.first
     if first not in pairs:
@@ -278,7 +285,7 @@ def _misses(run: RunContent, evaluation: Evaluation) -> Statement | None:
     return Statement("Expected misses", text, "bad")
 
 
-def _differences(run: RunContent, evaluation: Evaluation) -> Statement | None:
+def _differences(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
     """Differences of recall and of expected misses, and whether they are significant; of others those that are."""
     recall, tones = _differences_of(evaluation, "tp_detection_rate")
     if not recall:
@@ -301,7 +308,7 @@ def _differences(run: RunContent, evaluation: Evaluation) -> Statement | None:
 
 
 def _differences_of(
-    evaluation: Evaluation, metric: str, *, factor: float = 1.0, digits: int = 3, lower_is_better: bool = False
+    evaluation: RigEvaluation, metric: str, *, factor: float = 1.0, digits: int = 3, lower_is_better: bool = False
 ) -> tuple[str, list[_Tone]]:
     """Differences of a metric to the other arms in words, and in whose favour they are."""
     sentences, tones = [], list[_Tone]()
@@ -333,12 +340,12 @@ def search_scenes(run: RunContent) -> str:
     return "validation" if validation else "training"
 
 
-def _objective(run: RunContent, evaluation: Evaluation) -> Statement | None:
+def _objective(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
     training = evaluation.training_objective
     if training is None or training.optimised is None:
         return None
     if training.start is None:
-        outcomes = evaluation.requirements.get("start", [])
+        outcomes = evaluation.met.get("start", [])
         unmet = [each.name for each in outcomes if each.hard and not each.is_met]
         reason = f", as it does not meet {_listed(unmet)}" if unmet else ""
         return Statement("Objective", f"{number(training.optimised, 4)} at the end; the start is not allowed{reason}.")
@@ -348,8 +355,8 @@ def _objective(run: RunContent, evaluation: Evaluation) -> Statement | None:
         return Statement("Objective", f"{text}: {robust_text(evaluation.robust)}.")
     if _counts_points(run):
         text += ", expected misses and points of the requirements that are not met together"
-    before = evaluation.arms["start"].numbers["objective"] if "start" in evaluation.arms else None
-    after = evaluation.best.numbers["objective"]
+    before = evaluation.arms["start"].objective if "start" in evaluation.arms else None
+    after = evaluation.best.objective
     if before is None or after is None:
         return Statement("Objective", f"{text}.")
     what = "what is expected to be missed" if _counts_points(run) else "it"
@@ -439,7 +446,7 @@ def _bound(run: RunContent) -> Statement | None:
             f"{percent(before[0].bound, 2)} to {percent(found.bound, 2)}, in the last round by "
             f"{number(100.0 * abs(found.bound - before[-1].bound), 2)} points."
         )
-    unseen = None if evaluation is None else evaluation.best.numbers["objective"]
+    unseen = None if evaluation is None else evaluation.best.objective
     if unseen is not None:
         covers += f" On the test scenes the rig is expected to miss {percent(unseen, 2)}."
     return Statement("Bound", f"{text}{covers}")
@@ -461,7 +468,7 @@ def _moves(run: RunContent) -> Statement | None:
     return Statement("What moved", text)
 
 
-def _left(run: RunContent, evaluation: Evaluation) -> Statement | None:
+def _left(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
     if evaluation.outcomes is None:
         return None
     count = Counter(seen.outcome[evaluation.first] for seen in evaluation.outcomes)
@@ -488,9 +495,9 @@ def _left(run: RunContent, evaluation: Evaluation) -> Statement | None:
     return Statement("Not detected", text)
 
 
-def _requirements(evaluation: Evaluation) -> Statement | None:
+def _requirements(evaluation: RigEvaluation) -> Statement | None:
     """Which requirements the rig that was found meets, and where not."""
-    outcomes = evaluation.requirements.get(evaluation.first)
+    outcomes = evaluation.met.get(evaluation.first)
     if not outcomes:
         return None
     parts = []
@@ -510,7 +517,7 @@ def _requirements(evaluation: Evaluation) -> Statement | None:
     return Statement("Seen near the vehicle", f"{lead}{_listed(parts)}.", "good" if is_met else "bad")
 
 
-def _ground(evaluation: Evaluation) -> Statement | None:
+def _ground(evaluation: RigEvaluation) -> Statement | None:
     ground = evaluation.ground
     if ground is None:
         return None
@@ -523,7 +530,7 @@ def _ground(evaluation: Evaluation) -> Statement | None:
     text = f"Within {ground.radius_m:g} m no camera sees {_listed(parts)}."
     before, after = ground.share("start", 0) if "start" in ground.blind else None, ground.share(first, 0)
     if before is not None and after is not None and after > before + 0.005:
-        what = "points of the requirements, not all the ground" if evaluation.requirements else "traffic, not ground"
+        what = "points of the requirements, not all the ground" if evaluation.met else "traffic, not ground"
         text += f" That is more than at the start: the objective counts {what}."
     near = [
         (ground.share(first, 0, sector, band) or 0.0, -band, ground.sectors[sector], ground.bands_m[band])
@@ -537,8 +544,8 @@ def _ground(evaluation: Evaluation) -> Statement | None:
     return Statement("Blind ground", text, "bad" if share > 0.5 else "open")
 
 
-def _constraints(evaluation: Evaluation) -> Statement | None:
-    violation_m = evaluation.best.numbers["constraint_violation"]
+def _constraints(evaluation: RigEvaluation) -> Statement | None:
+    violation_m = evaluation.best.constraint_violation
     margins = None if evaluation.constraints is None else evaluation.constraints[evaluation.first]
     if not margins:
         if violation_m is None:
@@ -615,13 +622,13 @@ def sensitivity(run: RunContent) -> str:
     outage = evaluation.camera_outage.get(evaluation.first)
     if outage is None:
         return f"{text}."
-    lost = next(each for each in outage.cameras if each.camera == outage.worst)
+    lost = outage.worst
     more = lost.difference_per_100 if lost.weighted_difference_per_100 is None else lost.weighted_difference_per_100
     return f"{text}; in traffic the loss of {lost.camera} costs most, {number(more, 1)} more misses of 100."
 
 
-def _caution(evaluation: Evaluation) -> Statement | None:
-    count = evaluation.scenes["test"]
+def _caution(evaluation: RigEvaluation) -> Statement | None:
+    count = evaluation.scene_count
     if count >= _FEW_SCENES:
         return None
     text = f"{_few(count)} few"

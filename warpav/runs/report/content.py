@@ -1,0 +1,175 @@
+"""What a run folder holds, checked: what report and terminal show has the form that a run writes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
+
+from warpav.core.errors import InputError
+from warpav.core.yaml_file import read_yaml
+from warpav.evaluation.rig_evaluation import RigEvaluation
+from warpav.optimisation.further_camera import FurtherCameras
+from warpav.rig.rig import Rig
+from warpav.rig.zone import Zone, read_zones
+from warpav.runs.config import Config
+from warpav.runs.events import Certificate, Event
+from warpav.runs.run_folder import RunFolder
+
+_BoxPx = tuple[float, float, float, float]
+Content = TypeVar("Content")
+
+
+class View(BaseModel):
+    """What a camera sees of a scene, with boxes [px]; see `warpav.view.figures.images.DetectionPanel`."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+    scene: str
+    scene_number: int = 0
+    rig: str
+    camera: str
+    image: Annotated[str, Field(pattern=r"^[^/\\]+$")]
+    size_px: tuple[int, int]
+    truth_box_px: list[_BoxPx | None]
+    detection_box_px: list[_BoxPx]
+    detection_of_truth: list[int]
+
+    @field_validator("size_px")
+    @classmethod
+    def _is_a_size(cls, size_px: tuple[int, int]) -> tuple[int, int]:
+        if min(size_px) < 1:
+            raise ValueError("an image has at least one pixel")
+        return size_px
+
+
+@dataclass(frozen=True)
+class _GroundMap:
+    """Cells of the ground, see `warpav.sight.ground.BlindGround`.
+
+    Attributes:
+        blind_share: Share of the scenes in which no camera sees somebody on a cell, of those in which he can stand
+            there, by arm, float64 [height, row, column]; NaN where he never can.
+        ego_bounds_m: Lowest and highest corner of the vehicle in its frame [m], [2, 3].
+    """
+
+    blind_share: dict[str, np.ndarray]
+    heights_m: list[float]
+    cell_m: float
+    ego_bounds_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class RunContent:
+    """Everything of a run that is shown; what a run that was stopped does not have is None or empty."""
+
+    name: str = ""
+    options: dict[str, Any] = field(default_factory=dict)
+    config: Config | None = None
+    config_mistake: str = ""
+    environment: dict[str, Any] = field(default_factory=dict)
+    events: list[Event] = field(default_factory=list)
+    evaluation: RigEvaluation | None = None
+    start: Rig | None = None
+    result: Rig | None = None
+    views: list[View] = field(default_factory=list)
+    ground: _GroundMap | None = None
+    certificate: Certificate | None = None
+    further: FurtherCameras | None = None
+    zones: tuple[Zone, ...] = ()
+
+
+def read_content(folder: RunFolder) -> RunContent:
+    """Everything in a run folder that is shown.
+
+    Raises:
+        InputError: A file is not what a run writes; or there is nothing to show.
+    """
+    options = read_yaml(folder.path / "config.yaml")[0]
+    if not isinstance(options, dict):
+        raise InputError(f"{folder.path / 'config.yaml'}: expected sections of options, got {options!r:.40}")
+    try:
+        config, config_mistake = folder.config(), ""
+    except InputError as error:  # another version's options, or a file that is gone
+        config, config_mistake = None, str(error).splitlines()[0].removeprefix(f"{folder.path}/")
+    events = [Event.model_validate(each) for each in folder.events()]
+    evaluation = read_evaluation(folder)
+    if not events and evaluation is None:
+        raise InputError(f"{folder.path}: run folder: expected at least one iteration to report on, got none")
+    scenes = None if config is None else config.scenes.search_scene_count
+    return RunContent(
+        name=folder.path.resolve().name,
+        options=options,
+        config=config,
+        config_mistake=config_mistake,
+        environment=_checked(dict[str, Any], folder.environment(), folder, "env.json"),
+        events=events,
+        evaluation=evaluation,
+        start=folder.rig("initial") if (folder.path / "rig_initial.yaml").is_file() else None,
+        result=_result(folder, config),
+        views=_checked(list[View], folder.views() or [], folder, "figures/views.json"),
+        ground=_ground(folder, evaluation),
+        certificate=Certificate.of([event.model_dump() for event in events], scenes=scenes),
+        further=folder.further_cameras(),
+        zones=() if config is None or config.mount.zones is None else read_zones(config.mount.zones),
+    )
+
+
+def read_evaluation(folder: RunFolder) -> RigEvaluation | None:
+    """What ``evaluation.json`` holds; None where the run has not come that far."""
+    content = folder.evaluation()
+    return None if content is None else _checked(RigEvaluation, content, folder, "evaluation.json")
+
+
+def _checked(form: type[Content], data: object, folder: RunFolder, name: str) -> Content:
+    try:
+        return TypeAdapter(form).validate_python(data)
+    except ValidationError as error:
+        mistake = error.errors()[0]
+        place = ".".join(str(part) for part in mistake["loc"])
+        place = f"{place}: " if place else ""
+        text = mistake["msg"].removeprefix("Value error, ")
+        raise InputError(
+            f"{folder.path / name}: {place}expected what warpav optimise writes, got {mistake['input']!r:.40} "
+            f"({text[0].lower() + text[1:]}); was the file changed?"
+        ) from None
+
+
+def _result(folder: RunFolder, config: Config | None) -> Rig | None:
+    roles: Sequence[Literal["best", "final"]] = ("best", "final")
+    if config is not None and config.optimiser.keep != "best":
+        roles = ("final", "best")
+    for role in roles:
+        if (folder.path / f"rig_{role}.yaml").is_file():
+            return folder.rig(role)
+    return None
+
+
+def _ground(folder: RunFolder, evaluation: RigEvaluation | None) -> _GroundMap | None:
+    arrays = folder.ground()
+    if arrays is None or evaluation is None:
+        return None
+    file = folder.path / "figures" / "ground.npz"
+    wanted: Mapping[str, int] = {
+        "open_count": 3,
+        "heights_m": 1,
+        "cell_m": 0,
+        "ego_bounds_m": 2,
+        **{f"blind_count_{arm}": 3 for arm in ("start", evaluation.first)},
+    }
+    for name, dimensions in wanted.items():
+        if name not in arrays or arrays[name].ndim != dimensions or arrays[name].dtype.kind not in "iuf":
+            raise InputError(
+                f"{file}: expected numbers {name} with {dimensions} dimensions, got none; was the file changed?"
+            )
+    opened = arrays["open_count"].astype(np.float64)
+    shares = {}
+    for arm in ("start", evaluation.first):
+        blind = arrays[f"blind_count_{arm}"].astype(np.float64)
+        if blind.shape != opened.shape or len(blind) != len(arrays["heights_m"]):
+            raise InputError(f"{file}: expected counts of one shape, got {blind.shape} and {opened.shape}")
+        shares[arm] = np.divide(blind, opened, out=np.full(opened.shape, np.nan), where=opened > 0)
+    return _GroundMap(shares, arrays["heights_m"].tolist(), float(arrays["cell_m"]), arrays["ego_bounds_m"])
