@@ -26,7 +26,7 @@ print(sum(handle.startswith("socket:") for handle in handles))
 
 WORKER = """
 import os
-from warpav.core.workers import Processes
+from warpav.core.executor import Processes
 
 if __name__ == "__main__":
     pool = Processes(os.getenv, 1)

@@ -19,8 +19,8 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from warpav.core import cores, workers
-from warpav.core import executor as executor_module
+from warpav.core import cores
+from warpav.core import executor as workers
 from warpav.core.cores import available_cores, gpu_share
 from warpav.core.errors import InputError, OptionError
 from warpav.core.executor import Executor, Outcome
@@ -278,7 +278,7 @@ class DeadlyProcesses:
 
 
 def test_what_was_killed_is_tried_again_by_a_quarter_as_many_and_so_on(monkeypatch):
-    monkeypatch.setattr(executor_module, "Processes", DeadlyProcesses)
+    monkeypatch.setattr(workers, "Processes", DeadlyProcesses)
     monkeypatch.setattr(DeadlyProcesses, "counts", [])
     outcomes = list(run_tasks(abs, list(range(40)), executor="process", worker_count=33))
     assert DeadlyProcesses.counts == [33, 8, 2, 1]
@@ -355,7 +355,7 @@ def test_a_ray_address_where_nobody_listens_is_refused_at_once(scheme, no_ray_he
 
 @needs_ray
 def test_a_host_that_listens_but_does_not_answer_is_refused_in_seconds(no_ray_here, monkeypatch):
-    monkeypatch.setattr("warpav.core.workers.ANSWER_S", 3.0)
+    monkeypatch.setattr("warpav.core.executor.ANSWER_S", 3.0)
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"127.0.0.1:{server.getsockname()[1]}"
         began = time.perf_counter()
@@ -417,7 +417,7 @@ def runs(where, **options):
 def test_processes_end_with_the_one_that_started_them():
     """One that is killed cannot end them; they had stayed for ever, each with its memory."""
     program = (
-        "import time; from warpav.core.workers import Processes\n"
+        "import time; from warpav.core.executor import Processes\n"
         "pool = Processes(eval, 1)\n"
         "print(pool.outcome(pool.start(['__import__(\"os\").getpid()'])[0]).result, flush=True)\n"
         "time.sleep(60)\n"

@@ -81,6 +81,22 @@ def mistakes(of, data):
     return [f"{error.json_path}: {error.message}" for error in checker(of).iter_errors(data)]
 
 
+def schema_of(of):
+    schema = file_schema(of)
+    return inlined(schema, schema)
+
+
+def inlined(schema, root):
+    """The schema with what ``$ref`` leads to in its place."""
+    if isinstance(schema, list):
+        return [inlined(each, root) for each in schema]
+    if not isinstance(schema, dict):
+        return schema
+    if "$ref" in schema:
+        return inlined(root["$defs"][schema["$ref"].rpartition("/")[2]], root)
+    return {name: inlined(each, root) for name, each in schema.items() if name != "$defs"}
+
+
 def mappings(data, schema):
     """All mappings of the data whose keys are fixed: where the schema has properties."""
     found = []
@@ -127,16 +143,16 @@ def test_readers_and_schemas_know_the_same_keys(of, tmp_path):
     (tmp_path / "file.yaml").write_text(EVERY_KEY[of])
     READERS[of](tmp_path / "file.yaml")  # so the reader knows all of these
     assert mistakes(of, data) == []
-    used = {key for each in mappings(data, file_schema(of)) for key in each}
-    assert keys_of(file_schema(of)) - used <= UNUSED
-    for one in mappings(data, file_schema(of)):  # and the schema all that the reader does
+    used = {key for each in mappings(data, schema_of(of)) for key in each}
+    assert keys_of(schema_of(of)) - used <= UNUSED
+    for one in mappings(data, schema_of(of)):  # and the schema all that the reader does
         one["unheard_of"] = 1
         (tmp_path / "file.yaml").write_text(yaml.safe_dump(data, sort_keys=False))
         with pytest.raises(InputError) as error:
             READERS[of](tmp_path / "file.yaml")
         del one["unheard_of"]
         known = re.search(r"expected (?:one of |the key )([\w, ]+?)(?: alone)?, got ", str(error.value))
-        assert set(known[1].split(", ")) <= keys_of(file_schema(of)) | {of}  # by name
+        assert set(known[1].split(", ")) <= keys_of(schema_of(of)) | {of}  # by name
 
 
 @pytest.mark.parametrize("of", EVERY_KEY)
@@ -144,11 +160,11 @@ def test_readers_and_schemas_know_the_same_keys(of, tmp_path):
 @given(draw=st.data())
 def test_a_changed_key_is_refused_by_both(of, draw, tmp_path_factory):
     data = copy.deepcopy(read_yaml(EVERY_KEY[of])[0])
-    some = draw.draw(st.sampled_from([each for each in mappings(data, file_schema(of)) if each]))
+    some = draw.draw(st.sampled_from([each for each in mappings(data, schema_of(of)) if each]))
     key = draw.draw(st.sampled_from(sorted(some)))
     place = draw.draw(st.integers(0, len(key)))
     other = key[:place] + draw.draw(st.sampled_from("xq_zj")) + key[place + draw.draw(st.integers(0, 1)) :]
-    if other in keys_of(file_schema(of)):
+    if other in keys_of(schema_of(of)):
         return
     some[other] = some.pop(key)
     file = tmp_path_factory.mktemp("mutated") / "file.yaml"

@@ -64,21 +64,21 @@ def test_every_template_is_read_and_says_what_it_is():
     ("line", "text"),
     [
         (f"a: {{{POST}, visible_shar: 0.5}}", "mine.yaml:2: .*visible_shar: .*did you mean visible_share"),
-        (f"a: {{{POST}, visible_share: 1.5}}", "a.visible_share: expected a share above 0 and up to 1, got 1.5"),
-        (f"a: {{{POST}, cameras: 0}}", "a.cameras: expected at least 1 camera, got 0"),
-        (f"a: {{{POST}, cameras: 1.5}}", "a.cameras: expected a whole number, got 1.5"),
+        (f"a: {{{POST}, visible_share: 1.5}}", "a.visible_share: expected a share above 0 and up to 1.*, got 1.5"),
+        (f"a: {{{POST}, cameras: 0}}", "a.cameras: expected at least 1 camera.*, got 0"),
+        (f"a: {{{POST}, cameras: 1.5}}", "a.cameras: .* a whole number.*, got 1.5"),
         (f"a: {{{POST}, pixels: -1}}", "a.pixels: expected an area of 0 px"),
         (f"a: {{{POST}, hard: true, weight: 1}}", "a.weight: expected no weight of a hard requirement"),
         (f"a: {{{POST}, hard: false}}", "a.hard: expected a weight beside it"),
         (f"a: {{{POST}, weight: 1, share: 1.5}}", "a.share: expected a share of the points above 0 and up to 1"),
         (f"a: {{{POST}, share: 0.9}}", "a.share: expected none of a hard requirement"),
-        (f"a: {{{POST}, hard: maybe}}", "a.hard: expected true or false, got 'maybe'"),
-        (f"a: {{{POST}, weight: 0}}", "a.weight: expected a positive number, got 0"),
+        (f"a: {{{POST}, hard: maybe}}", "a.hard: expected true or false.*, got 'maybe'"),
+        (f"a: {{{POST}, weight: 0}}", "a.weight: expected a positive number.*, got 0"),
         (f"a: {{{POST}, sector: raer}}", "a.sector: expected one of front, .*got 'raer'; did you mean rear"),
         (f"a: {{{POST}, sector: [90, -90]}}", "a.sector: expected two yaws in degrees, counter-clockwise"),
         ("a: {area: {around_m: [0, 5]}, grid_m: 0, object: post}", "a.grid_m: expected a positive number"),
-        ("a: {area: {around_m: [0, 5]}, object: post}", "a.grid_m: expected a finite number, got nothing"),
-        ("a: {area: {around_m: [0, 5]}, grid_m: 1, object: poste}", "a.object: .*; did you mean post"),
+        ("a: {area: {around_m: [0, 5]}, object: post}", "a.grid_m: expected a positive number.*, got nothing; add"),
+        ("a: {area: {around_m: [0, 5]}, grid_m: 1, object: poste}", "a.object.kind: .*; did you mean post"),
         ("a: {area: {around_m: [0, 5]}, grid_m: 1, object: {height_m: 1}}", "expected one of kind and mesh, got none"),
         ("a: {area: {around_m: [0, 5]}, grid_m: 1, object: {kind: post, heght_m: 1}}", "did you mean height_m"),
         ("a: {area: {around_m: [0, 5]}, grid_m: 1, object: {mesh: none.stl}}", "a.object.mesh: .*expected a mesh file"),
@@ -91,7 +91,7 @@ def test_every_template_is_read_and_says_what_it_is():
         ("a: {area: {box_m: [[1, 0], [0, 1]]}, grid_m: 1, object: post}", "box_m: expected a box: its lowest corner"),
         ("a: {area: {polygon_m: [[0, 0], [1, 1]]}, grid_m: 1, object: post}", "expected at least three corners"),
         ("a: {area: {strip: {side: back, distance_m: [0, 1]}}, grid_m: 1, object: post}", "side: expected one of"),
-        ("a: 3", "requirements.a: expected a requirement: a mapping with area"),
+        ("a: 3", "requirements.a: expected a mapping with area"),
     ],
 )  # fmt: skip
 def test_mistakes_are_named_with_their_line(tmp_path, line, text):
@@ -110,7 +110,7 @@ def test_files_that_hold_no_requirements_are_rejected(tmp_path):
     with pytest.raises(InputError, match=r"mine.yaml:1: .*did you mean requirements\?"):
         read_requirements(tmp_path / "mine.yaml")
     (tmp_path / "mine.yaml").write_text("requirements: {}\n", encoding="utf-8")
-    with pytest.raises(InputError, match="expected at least one requirement"):
+    with pytest.raises(InputError, match="at least one requirement"):
         read_requirements(tmp_path / "mine.yaml")
     with pytest.raises(InputError, match="expected every key once"):
         read_requirements(written(tmp_path, f"a: {{{POST}}}", f"a: {{{POST}}}"))

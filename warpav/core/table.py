@@ -1,9 +1,14 @@
-"""Tables that print as text and show themselves in a notebook."""
+"""Tables: that print as text and show themselves in a notebook, and of pandas."""
 
 from __future__ import annotations
 
 import html
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas  # pyright: ignore[reportMissingImports]
 
 
 @dataclass(frozen=True)
@@ -40,3 +45,12 @@ class Table:
         )
         caption = f"<caption style='caption-side:bottom'>{html.escape(self.caption)}</caption>" if self.caption else ""
         return f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def data_frame(rows: Mapping[Any, Mapping[str, Any]]) -> pandas.DataFrame:
+    """A table of pandas: a row for each key, which is its index, with columns by name."""
+    try:
+        import pandas  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise ImportError("to_pandas needs pandas; run: pip install pandas") from None
+    return pandas.DataFrame.from_dict(dict(rows), orient="index")

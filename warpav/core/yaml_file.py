@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -154,6 +154,37 @@ def yaml_name(name: str) -> str:
     """A name as YAML, in quotes unless it is plainly text; ``no``, ``1e3``, ``2026-01-01`` and ``a: b`` are not."""
     is_plain = _PLAIN.fullmatch(name) and name.casefold() not in _WORDS and read_yaml(name)[0] == name
     return name if is_plain else yaml.safe_dump(name, default_style='"', width=math.inf).rstrip()
+
+
+def yaml_lines(value: Mapping[str, Any] | Sequence[Any], indent: str = "") -> Iterator[str]:
+    """Lines of nested mappings and lists whose leaves are YAML already, such as ``[1.0, 2.0]``; None is left out."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            if isinstance(inner, (Mapping, list)):
+                yield f"{indent}{key}:"
+                yield from yaml_lines(inner, f"{indent}  ")
+            elif inner is not None:
+                yield f"{indent}{key}: {inner}"
+        return
+    for item in value:
+        first, *others = [f"{indent}  {item}"] if isinstance(item, str) else yaml_lines(item, f"{indent}  ")
+        yield f"{indent}- {first.lstrip()}"
+        yield from others
+
+
+def yaml_number(value: float, decimals: int | None = None) -> str:
+    """A number as every YAML reader wants it, a point before any exponent: in full, or rounded in its shortest form."""
+    if decimals is None:
+        text = repr(float(value))
+        return text if "." in text else text.replace("e", ".0e")
+    text = f"{value:.{decimals}f}".rstrip("0")
+    text += "0" if text.endswith(".") else ""
+    return "0.0" if text == "-0.0" else text
+
+
+def yaml_row(values: Iterable[float], decimals: int | None = None) -> str:
+    """Numbers as a list of YAML on one line."""
+    return f"[{', '.join(yaml_number(value, decimals) for value in values)}]"
 
 
 _PLAIN = re.compile(r"[^\W\d_][\w.-]*( [\w.-]+)*")

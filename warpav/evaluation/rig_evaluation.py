@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PrivateAttr, model_validator
 
-from warpav.core.data_frame import data_frame
 from warpav.core.errors import ArgumentError
-from warpav.core.table import Table
+from warpav.core.table import Table, data_frame
 from warpav.evaluation.metrics import (
     EQUAL_FALSE_ALARMS_PER_FRAME,
     OPTIONAL_METRICS,

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Literal
 
-from warpav.core.errors import InputError
-from warpav.core.json_schema import NAME, NUMBER, TEXT, Schema, described, document, items, mapping
-from warpav.core.yaml_file import Location, read_yaml
-from warpav.raster.camera import MAX_IMAGE_PX
+from pydantic import Field
+
+from warpav.core.records import Form, Number, Point3, read_form
 from warpav.raster.lens import Lens
-from warpav.rig.formats.record import Mistakes, is_number
-from warpav.rig.module import MAX_HOUSING_M, MIN_IMAGE_PX, Fitting, Housing, Module, ModuleError, Price
+from warpav.rig.module import Fitting, Housing, Module, ModuleError, Price
 
 BUILTIN = "builtin"
 """What a catalogue writes after ``extends:`` to hold the shipped modules as well."""
@@ -32,32 +29,6 @@ def builtin_modules() -> dict[str, Module]:
 @cache
 def _builtin() -> Mapping[str, Module]:
     return MappingProxyType(read_modules(_FILE))
-
-
-def read_modules(source: str | Path = BUILTIN) -> dict[str, Module]:
-    """Read a catalogue of camera modules, strictly.
-
-    Args:
-        source: ``builtin`` for the generic modules that ship with warpav, or a YAML file: ``modules``, a list of
-            mappings with the fields of `Module`, angles in degrees as ``fov_deg`` and ``vertical_fov_deg``; and, to
-            hold the shipped modules as well, ``extends: builtin``.
-
-    Returns:
-        The modules by name, in the order of the file, behind those that it extends.
-
-    Raises:
-        InputError: The file cannot be read or breaks the format; one line per mistake, each with file and line, field,
-            what was expected, what came and how to put it right.
-    """
-    if source == BUILTIN:
-        return builtin_modules()
-    file = Path(source).expanduser()
-    data, line_of = read_yaml(file)
-    reader = _CatalogueReader(str(file), line_of)
-    modules = reader.modules(data)
-    if reader.mistakes:
-        raise InputError(*reader.mistakes)
-    return modules
 
 
 def module_table(modules: Mapping[str, Module]) -> str:
@@ -105,156 +76,86 @@ def _row(module: Module) -> tuple[str, ...]:
     )
 
 
-@dataclass(frozen=True)
-class _Form:
-    """What a value of the file looks like: words, whether it is that, its schema; numbers are judged by `Module`."""
-
-    text: str
-    fits: Callable[[Any], bool]
-    schema: Schema
+class _HousingForm(Form):
+    size_m: Point3 = Field(description="width, height and depth [m], such as [0.03, 0.03, 0.04]")
+    offset_m: Point3 = Field([0.0, 0.0, 0.0], description="three numbers [m]: right, down, forward")
 
 
-def _is_list(count: int | None, fits: Callable[[Any], bool]) -> Callable[[Any], bool]:
-    return lambda value: (
-        isinstance(value, list) and len(value) == (len(value) if count is None else count) and all(map(fits, value))
-    )
+class _PriceForm(Form):
+    value: Number = Field(description="a number, such as 1.5")
+    unit: str = Field(description="a unit, such as EUR or relative")
 
 
-def _is_whole(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
+_Pixels = Annotated[list[int], Field(min_length=2, max_length=2)]
+_PIXELS_TEXT = "columns and rows as two whole numbers [px], such as [1920, 1080]"
 
 
-def _is_text(value: object) -> bool:
-    return isinstance(value, str)
+class _ModuleForm(Form):
+    """A module in a file; whether its numbers fit is for `Module` to say."""
+
+    name: str = Field(description="a name, such as front_8mp_30")
+    sensor_px: _Pixels = Field(description=_PIXELS_TEXT)
+    network_px: _Pixels = Field(None, description=_PIXELS_TEXT)
+    network_by: Fitting = Field(Fitting.SCALING, strict=False)
+    lens: Lens = Field(Lens.PINHOLE, strict=False)
+    fov_deg: Number = Field(description="the horizontal field of view of the whole sensor in degrees, such as 100.0")
+    vertical_fov_deg: Number = Field(None, description="a number of degrees, such as 60.0")
+    distortion: list[Number] = Field([], description="a list of finite numbers in OpenCV's order")
+    housing: _HousingForm
+    price: _PriceForm
+    power_w: Number | None = Field(description="watts, or null where it is unknown")
+    zones: list[str] = Field([], description="a list of names, such as [windscreen]; [] for all zones")
+    source: str = Field(description="where the figures come from, as text")
+
+    def module(self) -> Module:
+        """The module of these figures."""
+        given = {name: value for name, value in self if name in self.model_fields_set}
+        given = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+        for name in {"fov_deg", "vertical_fov_deg"} & given.keys():
+            given[name.replace("_deg", "_rad")] = math.radians(given.pop(name))
+        (width, height, depth), (right, down, forward) = self.housing.size_m, self.housing.offset_m
+        given["housing"] = Housing((width, height, depth), (right, down, forward))
+        given["price"] = Price(self.price.value, self.price.unit)
+        return Module(**given)
 
 
-_COUNT = {"type": "integer", "minimum": MIN_IMAGE_PX, "maximum": MAX_IMAGE_PX}
-_PIXELS = _Form(
-    "columns and rows as two whole numbers [px], such as [1920, 1080]", _is_list(2, _is_whole), items(_COUNT, 2)
-)
-_FORMS = {
-    "name": _Form("a name, such as front_8mp_30", _is_text, NAME),
-    "sensor_px": _PIXELS,
-    "network_px": _PIXELS,
-    "network_by": _Form(f"one of {', '.join(Fitting)}", _is_text, {"enum": [str(each) for each in Fitting]}),
-    "lens": _Form("the name of a lens, such as pinhole or fisheye", _is_text, {"enum": [str(each) for each in Lens]}),
-    "fov_deg": _Form(
-        "the horizontal field of view of the whole sensor in degrees, such as 100.0",
-        is_number,
-        {"type": "number", "exclusiveMinimum": 0, "maximum": 360},
-    ),
-    "vertical_fov_deg": _Form(
-        "a number of degrees, such as 60.0", is_number, {"type": "number", "exclusiveMinimum": 0, "maximum": 360}
-    ),
-    "distortion": _Form("a list of finite numbers in OpenCV's order", _is_list(None, is_number), items(NUMBER)),
-    "housing": _Form(
-        "a mapping with size_m and maybe offset_m", lambda value: isinstance(value, dict), {"type": "object"}
-    ),
-    "price": _Form("a mapping with value and unit", lambda value: isinstance(value, dict), {"type": "object"}),
-    "power_w": _Form(
-        "watts, or null where it is unknown",
-        lambda value: value is None or is_number(value),
-        {"type": ["number", "null"], "minimum": 0},
-    ),
-    "zones": _Form("a list of names, such as [windscreen]; [] for all zones", _is_list(None, _is_text), items(NAME)),
-    "source": _Form("where the figures come from, as text", _is_text, TEXT),
-    "housing.size_m": _Form(
-        "width, height and depth [m], such as [0.03, 0.03, 0.04]",
-        _is_list(3, is_number),
-        items({"type": "number", "exclusiveMinimum": 0, "maximum": MAX_HOUSING_M}, 3),
-    ),
-    "housing.offset_m": _Form("three numbers [m]: right, down, forward", _is_list(3, is_number), items(NUMBER, 3)),
-    "price.value": _Form("a number, such as 1.5", is_number, {"type": "number", "minimum": 0}),
-    "price.unit": _Form("a unit, such as EUR or relative", _is_text, TEXT),
-}
-_OPTIONAL = {"network_px", "network_by", "lens", "vertical_fov_deg", "distortion", "zones", "housing.offset_m"}
-_AS_WRITTEN = ("name", "lens", "network_by", "power_w", "source")
-_TUPLES = ("sensor_px", "network_px", "distortion", "zones")
-_FIELD_IN_FILE = {"fov_rad": "fov_deg", "vertical_fov_rad": "vertical_fov_deg"}
+class ModulesForm(Form):
+    """A catalogue of modules."""
+
+    extends: Literal["builtin"] = Field(None, description=f"{BUILTIN}, to hold the shipped modules as well")
+    modules: list[_ModuleForm] = Field(description="a list of at least one module", min_length=1)
 
 
-def modules_schema() -> Schema:
-    """The JSON Schema of a catalogue, of the forms by which `read_modules` reads it."""
+def read_modules(source: str | Path = BUILTIN) -> dict[str, Module]:
+    """Read a catalogue of camera modules, strictly.
 
-    def part(prefix: str) -> Schema:
-        fields = [name.removeprefix(prefix) for name in _FORMS if name.startswith(prefix)]
-        fields = [name for name in fields if "." not in name]
-        inner = {name: part(f"{prefix}{name}.") for name in ("housing", "price") if not prefix}
-        properties = {
-            name: described(inner.get(name) or _FORMS[prefix + name].schema, _FORMS[prefix + name].text)
-            for name in fields
-        }
-        return mapping(properties, [name for name in fields if prefix + name not in _OPTIONAL])
+    Args:
+        source: ``builtin`` for the generic modules that ship with warpav, or a YAML file: ``modules``, a list of
+            mappings with the fields of `Module`, angles in degrees as ``fov_deg`` and ``vertical_fov_deg``; and, to
+            hold the shipped modules as well, ``extends: builtin``.
 
-    extends = described({"const": BUILTIN}, "to hold the shipped modules as well")
-    root = {"extends": extends, "modules": items(part(""), least=1)}
-    return document("modules", "catalogue of camera modules", mapping(root, ["modules"]))
+    Returns:
+        The modules by name, in the order of the file, behind those that it extends.
 
-
-class _CatalogueReader(Mistakes):
-    """Validates a catalogue's data and collects every mistake with its location."""
-
-    def modules(self, data: object) -> dict[str, Module]:
-        """The modules of the file, and those that it extends."""
-        if not isinstance(data, dict) or "modules" not in data:
-            remedy = "write modules: and below it a list of modules"
-            self.report((), "a mapping with modules, and maybe extends", data, remedy)
-            return {}
-        root = self.mapping(data, (), {"extends": BUILTIN, "modules": "a list of modules"}, ("extends",))
-        found: dict[str, Module] = {}
-        if "extends" in root:
-            if root["extends"] == BUILTIN:
-                found |= _builtin()
-            else:
-                self.report(("extends",), BUILTIN, root["extends"], f"write extends: {BUILTIN}, or remove it")
-        items = root["modules"]
-        if not isinstance(items, list) or not items:
-            self.report(("modules",), "a list of at least one module", items, "add a module")
-            return found
-        first_of: dict[str, str] = dict.fromkeys((name.casefold() for name in found), "the shipped catalogue")
-        for i, item in enumerate(items):
-            location = ("modules", str(i))
-            module = self.module(item, location)
-            name = item.get("name") if isinstance(item, dict) else None
-            if isinstance(name, str):
-                first = first_of.setdefault(name.casefold(), f"modules[{i}]")
-                if first != f"modules[{i}]":
-                    place = (*location, "name")
-                    self.report(place, "every name once", name, f"give it another name than that of {first}")
-            if module is not None:
-                found[module.name] = module
-        return found
-
-    def module(self, data: object, location: Location) -> Module | None:
-        """A module; None where something is wrong with it."""
-        known_count = len(self.mistakes)
-        item = self.part(data, location, "")
-        parts = [name for name in ("housing", "price") if isinstance(item.get(name), dict)]
-        inner = {name: self.part(item[name], (*location, name), f"{name}.") for name in parts}
-        if len(self.mistakes) > known_count:
-            return None
-        given: dict[str, Any] = {name: item[name] for name in _AS_WRITTEN if name in item}
-        given |= {name: tuple(item[name]) for name in _TUPLES if name in item}
-        given |= {name: math.radians(item[angle]) for name, angle in _FIELD_IN_FILE.items() if angle in item}
-        given["housing"] = Housing(**{name: tuple(value) for name, value in inner["housing"].items()})
-        given["price"] = Price(**inner["price"])
+    Raises:
+        InputError: The file cannot be read or breaks the format; one line per mistake, each with file and line, field,
+            what was expected, what came and how to put it right.
+    """
+    if source == BUILTIN:
+        return builtin_modules()
+    form, mistakes = read_form(ModulesForm, Path(source).expanduser())
+    found = builtin_modules() if form.extends else {}
+    first_of = dict.fromkeys((name.casefold() for name in found), "the shipped catalogue")
+    for i, each in enumerate(form.modules):
+        first = first_of.setdefault(each.name.casefold(), f"modules[{i}]")
+        if first != f"modules[{i}]":
+            remedy = f"give it another name than that of {first}"
+            mistakes.note(f"expected every name once, got {each.name!r}; {remedy}", "modules", i, "name")
         try:
-            return Module(**given)
+            found[each.name] = each.module()
         except ModuleError as error:
             for problem in error.problems:
-                field = _FIELD_IN_FILE.get(problem.field, problem.field)
-                place = (*location, *field.replace("[", ".").replace("]", "").split("."))
-                self.tell(place, str(problem))
-            return None
-
-    def part(self, data: object, location: Location, prefix: str) -> dict[str, Any]:
-        """The fields of a mapping that are what they should be; all else is a mistake."""
-        names = [name for name in _FORMS if name.startswith(prefix) and "." not in name.removeprefix(prefix)]
-        texts = {name.removeprefix(prefix): _FORMS[name].text for name in names}
-        optional = {name.removeprefix(prefix) for name in names if name in _OPTIONAL}
-        item = self.mapping(data, location, texts, optional)
-        for name, value in item.items():
-            form = _FORMS[prefix + name]
-            if not form.fits(value):
-                self.report((*location, name), form.text, value, "correct it" if value is not None else "write it")
-        return item
+                field = problem.field.replace("fov_rad", "fov_deg").replace("[", ".").replace("]", "").split(".")
+                mistakes.note(str(problem), "modules", i, *field)
+    mistakes.refuse()
+    return found

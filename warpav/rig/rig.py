@@ -7,22 +7,24 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field, model_validator
 
-from warpav.core.data_frame import data_frame
 from warpav.core.errors import InputError
-from warpav.core.files import atomic_write, writing
+from warpav.core.files import write_text
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, yaw_pitch_roll_from_rotation
-from warpav.core.json_schema import NAME, NUMBER, TEXT, Schema, described, document, items, mapping
-from warpav.core.yaml_file import Location, read_yaml, yaml_name
+from warpav.core.records import Form, Name, Number, Point2, Point3, Positive, nearest, read_form
+from warpav.core.section import mistake, shown
+from warpav.core.table import data_frame
+from warpav.core.yaml_file import read_yaml, yaml_lines, yaml_name, yaml_number, yaml_row
 from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import Lens, LensShape
 from warpav.raster.pane import Pane
 from warpav.rig.catalogue import builtin_modules, read_modules
-from warpav.rig.formats.record import Mistakes, is_number, nearest, yaml_number
 
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingImports]
@@ -248,65 +250,108 @@ def _table_row(camera: RigCamera, columns: Sequence[str]) -> list[str]:
     return row[: len(columns)]
 
 
-_OTHER_TOOLS_TEXT = "files of other tools are read by warpav rig import FILE --format NAME"
 _POSITION_TEXT = "three finite numbers in metres [x forward, y left, z up], such as [1.2, 0.0, 1.7]"
 _ANGLE_TEXT = "a finite number in degrees, such as 90.0"
 _FOV_TEXT = "a number of degrees between 0 and 180, up to 360 for a fisheye or a panorama, such as 90.0"
 _SIZE_TEXT = f"a whole number of pixels from 8 to {MAX_IMAGE_PX}, such as 256"
-_EXPECTED = {
-    "name": _NAME_TEXT,
-    "position_m": _POSITION_TEXT,
-    "yaw_deg": _ANGLE_TEXT + ", left positive",
-    "pitch_deg": _ANGLE_TEXT + ", nose down positive",
-    "roll_deg": _ANGLE_TEXT + ", right side down positive",
-    "fov_deg": _FOV_TEXT,
-    "width_px": _SIZE_TEXT,
-    "height_px": _SIZE_TEXT,
-    "lens": f"one of {', '.join(Lens)}",
-    "focal_px": "two positive numbers of pixels [fx, fy], such as [640.0, 640.0]",
-    "centre_px": "two finite numbers of pixels [cx, cy] from the image's upper left corner, such as [320.0, 240.0]",
-    "distortion": "a list of finite numbers in OpenCV's order, such as [-0.31, 0.11, 0.0, 0.0]",
-    "module": "the name of a camera module, such as side_2mp_100",
-    "behind_glass": "the name of one of the file's panes, such as windscreen",
-}
-_OPTIONAL = ("lens", "focal_px", "centre_px", "distortion", "module", "behind_glass")
-_OF_MODEL = ("lens", "focal_px", "centre_px", "distortion")
-_OF_MODULE = ("fov_deg", "width_px", "height_px")
+_IMAGE = ("fov_deg", "width_px", "height_px")
 """What a camera need not say that is a module of the catalogue."""
 
-_PANE = ("normal", "outline_m", "reach_m")
-_ROOT = {field: f"the field {field}" for field in ("frame", "cameras", "modules", "panes")}
+_Size = Annotated[int, Field(ge=8, le=MAX_IMAGE_PX, description=_SIZE_TEXT)]
 
 
-def rig_schema() -> Schema:
-    """The JSON Schema of a rig's YAML file, of the fields by which `read_rig` reads it."""
-    size = {"type": "integer", "minimum": 8, "maximum": MAX_IMAGE_PX}
-    forms: dict[str, Schema] = dict.fromkeys(_EXPECTED, NUMBER)
-    forms |= dict.fromkeys(("name", "module", "behind_glass"), NAME) | dict.fromkeys(("width_px", "height_px"), size)
-    forms |= {"position_m": items(NUMBER, 3), "centre_px": items(NUMBER, 2), "distortion": items(NUMBER)}
-    forms |= {"lens": {"enum": [str(lens) for lens in Lens]}}
-    forms |= {"fov_deg": {"type": "number", "exclusiveMinimum": 0, "maximum": 360}}
-    forms |= {"focal_px": items({"type": "number", "exclusiveMinimum": 0}, 2)}
-    pose = [field for field in _EXPECTED if field not in (*_OPTIONAL, *_OF_MODULE)]
-    image = [
-        {"required": ["module"], "properties": dict.fromkeys((*_OF_MODULE, "focal_px"), False)},
-        {"required": [*_OF_MODULE]},
+def _any_of_images(schema: dict[str, Any]) -> None:
+    schema["anyOf"] = [
+        {"required": ["module"], "properties": dict.fromkeys((*_IMAGE, "focal_px"), False)},
+        {"required": list(_IMAGE)},
         {"required": ["focal_px", "width_px", "height_px"]},
     ]
-    camera = mapping({field: described(forms[field], text) for field, text in _EXPECTED.items()}, pose, anyOf=image)
-    outline_m = items(items(NUMBER, 3), least=3)
-    pane = mapping(dict(zip(_PANE, (items(NUMBER, 3), outline_m, items(NUMBER, 2)), strict=True)), _PANE)
-    root = {
-        "frame": described({"const": "ego"}, "x forward, y left, z up"),
-        "cameras": items(camera, least=1),
-        "modules": described(TEXT, "path of a catalogue of modules"),
-        "panes": {"type": "object", "description": "what cameras look through, by name", "additionalProperties": pane},
-    }
-    return document("rig", "rig of cameras", mapping(root, ["frame", "cameras"]))
+
+
+class _CameraForm(Form, json_schema_extra=_any_of_images):
+    """A camera in a file."""
+
+    name: Name = Field(description=_NAME_TEXT)
+    position_m: Point3 = Field(description=_POSITION_TEXT)
+    yaw_deg: Number = Field(description=f"{_ANGLE_TEXT}, left positive")
+    pitch_deg: Number = Field(description=f"{_ANGLE_TEXT}, nose down positive")
+    roll_deg: Number = Field(description=f"{_ANGLE_TEXT}, right side down positive")
+    fov_deg: Annotated[float, Field(gt=0.0, le=360.0)] = Field(None, description=_FOV_TEXT)
+    width_px: _Size = None  # pyright: ignore[reportAssignmentType]
+    height_px: _Size = None  # pyright: ignore[reportAssignmentType]
+    lens: Lens = Field(Lens.PINHOLE, strict=False)
+    focal_px: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
+        None, description="two positive numbers of pixels [fx, fy], such as [640.0, 640.0]"
+    )
+    centre_px: Point2 = Field(
+        None,
+        description="two finite numbers of pixels [cx, cy] from the image's upper left corner, such as [320.0, 240.0]",
+    )
+    distortion: list[Number] = Field(
+        [], description="a list of finite numbers in OpenCV's order, such as [-0.31, 0.11, 0.0, 0.0]"
+    )
+    module: Name = Field(None, description="the name of a camera module, such as side_2mp_100")
+    behind_glass: Name = Field(None, description="the name of one of the file's panes, such as windscreen")
+
+    @model_validator(mode="after")
+    def _has_an_image(self) -> _CameraForm:
+        given = self.model_fields_set
+        if "module" not in given or given & {*_IMAGE, "focal_px"}:
+            for name in _IMAGE:
+                if name not in given and not (name == "fov_deg" and "focal_px" in given):
+                    mistake(f"expected {type(self).model_fields[name].description}, got nothing; add {name}", name)
+        if "fov_deg" in given and self.fov_deg >= 180.0 and not LensShape(self.lens).has_unit_rays:
+            mistake(f"expected {_FOV_TEXT}, got {self.fov_deg:g}", "fov_deg")
+        return self
+
+    def camera(self, modules: Mapping[str, Module], panes: Mapping[str, Pane]) -> RigCamera:
+        """The camera."""
+        if self.behind_glass is not None and self.behind_glass not in panes:
+            expected = f"one of panes, {', '.join(panes)}" if panes else "panes beside frame, with this name"
+            hint = nearest(self.behind_glass, panes)
+            mistake(f"expected {expected}, got {self.behind_glass!r}{hint}", "behind_glass")
+        if "width_px" in self.model_fields_set:
+            angle = {} if self.fov_deg is None else {"fov_rad": math.radians(self.fov_deg)}
+            given = self.model_dump(include={"lens", "focal_px", "centre_px", "distortion"}, exclude_unset=True)
+            try:
+                model = CameraModel(self.width_px, self.height_px, **angle, **given)
+            except ValueError as error:
+                raise ValueError(f"expected valid camera parameters, got: {error}") from None
+        elif self.module in modules:
+            model = modules[self.module].camera_model()
+        else:
+            names, hint = ", ".join(modules), nearest(self.module, modules)
+            mistake(f"expected a module of the catalogue, {names}, got {self.module!r}{hint}", "module")
+        angles_rad = map(math.radians, (self.yaw_deg, self.pitch_deg, self.roll_deg))
+        pane = None if self.behind_glass is None else panes[self.behind_glass]
+        return RigCamera(self.name, np.array(self.position_m), *angles_rad, model, self.module, pane)
+
+
+class _PaneForm(Form):
+    """A pane in a file."""
+
+    normal: Point3 = Field(description="3 finite numbers, outwards")
+    outline_m: list[Point3] = Field(description="a list of corners, each [x, y, z] in metres")
+    reach_m: Point2 = Field(description="2 finite numbers in metres, the lower one first")
+
+    def pane(self, name: str) -> Pane:
+        """The pane."""
+        outline_m = tuple((x, y, z) for x, y, z in self.outline_m)
+        return Pane(name, tuple(self.normal), outline_m, tuple(self.reach_m))  # pyright: ignore[reportArgumentType]
+
+
+class RigForm(Form):
+    """A file of a rig."""
+
+    frame: Literal["ego"] = Field(description="ego (x forward, y left, z up)")
+    panes: dict[str, _PaneForm] = Field({}, description="a mapping from names to panes, what cameras look through")
+    modules: str = Field(None, description="the path of a catalogue of modules")
+    cameras: list[_CameraForm] = Field(description="a list of at least one camera", min_length=1)
 
 
 def rig_text(rig: Rig) -> str:
     """A rig as YAML, as `write_rig` writes it."""
+    row, number = partial(yaml_row, decimals=_DECIMALS), partial(yaml_number, decimals=_DECIMALS)
     lines = [
         "# Cameras in the vehicle's frame (ISO 8855): x forward, y left, z up, metres, origin on the ground below the",
         "# centre of the rear axle. Yaw is positive to the left, pitch nose down, roll right side down; fov_deg is the",
@@ -320,30 +365,38 @@ def rig_text(rig: Rig) -> str:
             "# What of the own body is clear for the cameras that name it in behind_glass: triangles under the",
             "# outline, seen along the normal, from the least to the greatest reach_m along it from the outline's",
             "# middle.",
-            "panes:",
         ]
-    for pane in rig.panes.values():
-        lines += [
-            f"  {yaml_name(pane.name)}:",
-            f"    normal: {_numbers(pane.normal)}",
-            "    outline_m:",
-            *(f"      - {_numbers(corner)}" for corner in pane.outline_m),
-            f"    reach_m: {_numbers(pane.reach_m)}",
-        ]
-    lines.append("cameras:")
-    for camera in rig.cameras:
-        position = ", ".join(_number(value) for value in camera.position_m)
-        lines += [
-            f"  - name: {yaml_name(camera.name)}",
-            f"    position_m: [{position}]",
-            f"    yaw_deg: {_angle(camera.yaw_rad)}",
-            f"    pitch_deg: {_angle(camera.pitch_rad)}",
-            f"    roll_deg: {_angle(camera.roll_rad)}",
-            *([] if camera.module is None else [f"    module: {yaml_name(camera.module)}"]),
-            *([] if camera.behind_glass is None else [f"    behind_glass: {yaml_name(camera.behind_glass.name)}"]),
-            *_model_lines(camera.model),
-        ]
-    return "\n".join(lines) + "\n"
+    panes = {
+        yaml_name(pane.name): {
+            "normal": row(pane.normal),
+            "outline_m": list(map(row, pane.outline_m)),
+            "reach_m": row(pane.reach_m),
+        }
+        for pane in rig.panes.values()
+    }
+
+    def written(camera: RigCamera) -> dict[str, Any]:
+        model = camera.model
+        is_by_angle = model.focal_px is None or model.centre_px is None
+        return {
+            "name": yaml_name(camera.name),
+            "position_m": row(camera.position_m),
+            "yaw_deg": _angle(camera.yaw_rad),
+            "pitch_deg": _angle(camera.pitch_rad),
+            "roll_deg": _angle(camera.roll_rad),
+            "module": None if camera.module is None else yaml_name(camera.module),
+            "behind_glass": None if camera.behind_glass is None else yaml_name(camera.behind_glass.name),
+            "lens": None if model.lens is Lens.PINHOLE else str(model.lens),
+            "fov_deg": number(math.degrees(model.fov_rad)) if is_by_angle else None,
+            "focal_px": None if is_by_angle else row(model.focal_px or ()),
+            "centre_px": None if is_by_angle else row(model.centre_px or ()),
+            "distortion": yaml_row(model.distortion) if model.distortion else None,
+            "width_px": model.width_px,
+            "height_px": model.height_px,
+        }
+
+    content = {"panes": panes or None, "cameras": list(map(written, rig.cameras))}
+    return "\n".join([*lines, *yaml_lines(content)]) + "\n"
 
 
 def write_rig(rig: Rig, path: str | Path) -> None:
@@ -359,9 +412,7 @@ def write_rig(rig: Rig, path: str | Path) -> None:
     Raises:
         InputError: The folder does not exist or cannot be written to.
     """
-    file = Path(path)
-    with writing(file), atomic_write(file) as draft:
-        draft.write_text(rig_text(rig), encoding="utf-8")
+    write_text(Path(path), rig_text(rig))
 
 
 def read_rig(path: str | Path) -> Rig:
@@ -384,175 +435,32 @@ def read_rig(path: str | Path) -> Rig:
             what was expected and what came.
     """
     file = Path(path).expanduser()
-    data, line_of = read_yaml(file)
-    reader = _RigReader(str(file), line_of)
-    items = reader.cameras(data)
-    cameras = [reader.camera(item, ("cameras", str(i))) for i, item in enumerate(items)]
-    if reader.mistakes:
-        raise InputError(*reader.mistakes)
+    data, _ = read_yaml(file)
+    if not isinstance(data, dict) or not {"frame", "cameras"} & data.keys():
+        is_config = isinstance(data, dict) and "rig" in data
+        tools = "files of other tools are read by warpav rig import FILE --format NAME"
+        hint = "this is a configuration: of a run, give the folder instead" if is_config else tools
+        where = file if data is None else f"{file}:1"
+        got = "nothing" if data is None else shown(data)
+        raise InputError(f"{where}: expected a mapping with frame, cameras, got {got}; {hint}")
+    form, mistakes = read_form(RigForm, file)
+    modules = builtin_modules() if form.modules is None else read_modules(file.parent / Path(form.modules).expanduser())
+    panes: dict[str, Pane] = {}
+    for name, each in form.panes.items():
+        with mistakes.noting("panes", name):
+            panes[name] = each.pane(name)
+    cameras = []
+    for i, each in enumerate(form.cameras):
+        with mistakes.noting("cameras", i):
+            cameras.append(each.camera(modules, panes))
+    mistakes.refuse()
     try:
-        return Rig(camera for camera in cameras if camera)
+        return Rig(cameras)
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
 
 
-def _number(value: float) -> str:
-    """The number rounded to the file's decimals, in its shortest form, without exponent or negative zero."""
-    text = f"{value:.{_DECIMALS}f}".rstrip("0")
-    text += "0" if text.endswith(".") else ""
-    return "0.0" if text == "-0.0" else text
-
-
-def _numbers(values: Iterable[float]) -> str:
-    return f"[{', '.join(_number(value) for value in values)}]"
-
-
 def _angle(angle_rad: float) -> str:
     """The angle [deg] in (-180, 180], after rounding."""
-    text = _number(math.remainder(math.degrees(angle_rad), 360.0))
+    text = yaml_number(math.remainder(math.degrees(angle_rad), 360.0), _DECIMALS)
     return "180.0" if text == "-180.0" else text
-
-
-def _model_lines(model: CameraModel) -> list[str]:
-    lines = [] if model.lens is Lens.PINHOLE else [f"    lens: {model.lens}"]
-    if model.focal_px is None or model.centre_px is None:
-        lines.append(f"    fov_deg: {_number(math.degrees(model.fov_rad))}")
-    else:
-        lines.append(f"    focal_px: [{', '.join(_number(value) for value in model.focal_px)}]")
-        lines.append(f"    centre_px: [{', '.join(_number(value) for value in model.centre_px)}]")
-    if model.distortion:
-        lines.append(f"    distortion: [{', '.join(yaml_number(value) for value in model.distortion)}]")
-    return [*lines, f"    width_px: {model.width_px}", f"    height_px: {model.height_px}"]
-
-
-class _RigReader(Mistakes):
-    """Validates a rig's data and collects every mistake with its location."""
-
-    def __init__(self, location: str, line_of: Mapping[Location, int]) -> None:
-        super().__init__(location, line_of)
-        self.modules = builtin_modules()
-        self.panes: dict[str, Pane] = {}
-
-    def cameras(self, data: object) -> list[Any]:
-        """What the file says of each camera."""
-        if not isinstance(data, dict) or not {"frame", "cameras"} & data.keys():
-            is_config = isinstance(data, dict) and "rig" in data
-            hint = "this is a configuration: of a run, give the folder instead" if is_config else _OTHER_TOOLS_TEXT
-            self.report((), "a mapping with frame, cameras", data, hint)
-            raise InputError(self.mistakes[0])
-        root = self.mapping(data, (), _ROOT, ("modules", "panes"), {"frame": "write frame: ego"})
-        panes = root.get("panes", {})
-        if not isinstance(panes, dict):
-            self.report(("panes",), "a mapping from names to panes", panes)
-            panes = {}
-        self.panes = {str(name): pane for name, each in panes.items() if (pane := self._pane(str(name), each))}
-        if "modules" in root:
-            self.modules = self._catalogue(root["modules"])
-        if "frame" in root and root["frame"] != "ego":
-            self.report(("frame",), "ego (x forward, y left, z up)", root["frame"])
-        cameras = root.get("cameras", [None])
-        if not isinstance(cameras, list) or not cameras:
-            self.report(("cameras",), "a list of at least one camera", cameras)
-            cameras = []
-        return cameras if "cameras" in root else []
-
-    def camera(self, data: object, location: Location) -> RigCamera | None:
-        known_count = len(self.mistakes)
-        is_calibrated = isinstance(data, dict) and "focal_px" in data
-        is_module = isinstance(data, dict) and "module" in data and not {*_OF_MODULE, "focal_px"} & data.keys()
-        optional = (*_OPTIONAL, *(_OF_MODULE if is_module else ("fov_deg",) if is_calibrated else ()))
-        item = self.mapping(data, location, _EXPECTED, optional)
-        for field, value in item.items():
-            if not _is_fit(field, value, item.get("lens", Lens.PINHOLE)):
-                self.report(
-                    (*location, field), _EXPECTED[field], value, nearest(value, Lens) if field == "lens" else ""
-                )
-        glass = item.get("behind_glass")
-        if _is_fit("behind_glass", glass, None) and glass not in self.panes:
-            expected = f"one of panes, {', '.join(self.panes)}" if self.panes else "panes beside frame, with this name"
-            self.report((*location, "behind_glass"), expected, glass, nearest(glass, self.panes))
-        model = self.model(item, location) if len(self.mistakes) == known_count else None
-        if model is None:
-            return None
-        return RigCamera(
-            item["name"],
-            item["position_m"],
-            math.radians(item["yaw_deg"]),
-            math.radians(item["pitch_deg"]),
-            math.radians(item["roll_deg"]),
-            model,
-            item.get("module"),
-            self.panes[item["behind_glass"]] if "behind_glass" in item else None,
-        )
-
-    def _pane(self, name: str, data: object) -> Pane | None:
-        """A pane; None where it is a mistake."""
-        location = ("panes", name)
-        known_count = len(self.mistakes)
-        item = self.mapping(data, location, {field: f"the field {field}" for field in _PANE})
-        for field, count in (("normal", 3), ("reach_m", 2)):
-            if field in item and not _are_numbers(item[field], count):
-                self.report((*location, field), f"{count} finite numbers", item[field])
-        corners = item.get("outline_m", [])
-        if not isinstance(corners, list) or not all(_are_numbers(corner, 3) for corner in corners):
-            self.report((*location, "outline_m"), "a list of corners, each [x, y, z] in metres", corners)
-        if len(self.mistakes) > known_count:
-            return None
-        try:
-            outline_m = tuple((float(x), float(y), float(z)) for x, y, z in corners)
-            (x, y, z), (low_m, high_m) = item["normal"], item["reach_m"]
-            return Pane(name, (float(x), float(y), float(z)), outline_m, (float(low_m), float(high_m)))
-        except ValueError as error:
-            self.tell(location, str(error))
-            return None
-
-    def _catalogue(self, path: object) -> dict[str, Module]:
-        """The modules of a file beside the rig's, or the shipped ones where it cannot be read."""
-        if not isinstance(path, str):
-            self.report(("modules",), "the path of a catalogue of modules", path)
-            return builtin_modules()
-        return read_modules(Path(self.file).parent / Path(path).expanduser())
-
-    def model(self, item: Mapping[str, Any], location: Location) -> CameraModel | None:
-        """The camera model of a mapping whose fields are fit one by one; a mistake where they contradict each other."""
-        if "width_px" not in item:
-            name = item["module"]
-            if name in self.modules:
-                return self.modules[name].camera_model()
-            expected = f"a module of the catalogue, {', '.join(self.modules)}"
-            self.report((*location, "module"), expected, name, nearest(name, self.modules))
-            return None
-        angle = {"fov_rad": math.radians(item["fov_deg"])} if "fov_deg" in item else {}
-        given = {field: item[field] for field in _OF_MODEL if field in item}
-        try:
-            return CameraModel(item["width_px"], item["height_px"], **angle, **given)
-        except ValueError as error:
-            self.tell(location, f"expected valid camera parameters, got: {error}")
-            return None
-
-
-def _are_numbers(value: object, count: int | None = None) -> bool:
-    return isinstance(value, list) and len(value) == (count or len(value)) and all(map(is_number, value))
-
-
-def _is_fit(field: str, value: Any, lens: object) -> bool:  # noqa: ANN401
-    match field:
-        case "name" | "module" | "behind_glass":
-            return isinstance(value, str) and _NAME.fullmatch(value) is not None
-        case "position_m":
-            return _are_numbers(value, 3)
-        case "lens":
-            return value in list(Lens)
-        case "focal_px":
-            return _are_numbers(value, 2) and min(value) > 0.0
-        case "centre_px":
-            return _are_numbers(value, 2)
-        case "distortion":
-            return _are_numbers(value)
-        case "fov_deg":
-            is_wide = lens in list(Lens) and LensShape(Lens(lens)).has_unit_rays
-            return is_number(value) and (0.0 < value < 180.0 or (is_wide and 180.0 <= value <= 360.0))
-        case "width_px" | "height_px":
-            return isinstance(value, int) and not isinstance(value, bool) and 8 <= value <= MAX_IMAGE_PX
-        case _:
-            return is_number(value)

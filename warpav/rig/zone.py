@@ -4,27 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import AfterValidator, Field
 
-from warpav.core.errors import InputError
-from warpav.core.files import atomic_write, writing
-from warpav.core.json_schema import (
-    FLAG,
-    NUMBER,
-    TEXT,
-    Schema,
-    described,
-    document,
-    either,
-    items,
-    mapping,
-    named,
-)
-from warpav.core.yaml_file import yaml_name
-from warpav.rig.formats.record import Record, read_yaml_record
+from warpav.core.files import write_text
+from warpav.core.records import Form, Number, Point2, Point3, read_form
+from warpav.core.section import mistake, shown
+from warpav.core.yaml_file import yaml_lines, yaml_name, yaml_row
 
 NORMALS = {
     "up": (0.0, 0.0, 1.0),
@@ -43,35 +34,6 @@ _OUTWARD_RAD = math.radians(85.0)
 
 BEHIND_GLASS_M = (0.03, 0.15)
 """Stand-off of a zone behind glass that says none, inwards."""
-
-_RANGE = either(NUMBER, items(NUMBER, 2), {"type": "null"})
-_POINT = items(NUMBER, 3)
-_BOX = either(items(_POINT, 2), items(NUMBER, 6))
-_FORMS: dict[str, Schema] = {
-    "normal": described(either({"enum": list(NORMALS)}, _POINT), "which way is outwards"),
-    "kind": described(either(TEXT, items(TEXT), {"type": "null"}), "what kind of place it is, as modules name them"),
-    "centred": described(FLAG, "cameras stand alone in the middle, with y = 0"),
-    "behind_glass": described(FLAG, "cameras stand inside and look through the body"),
-    "origin_m": described(_POINT, "a point of the zone's plane"),
-    "box_m": described(either(_BOX, {"type": "null"}), "lowest and highest corner of what belongs to the zone"),
-    "outline_m": described(items(_POINT, least=3), "corners of a convex polygon, in order along its border"),
-    "keep_out_m": described(items(_BOX), "boxes that carry no camera"),
-    "stand_off_m": described(_RANGE, "how far a camera's centre stands off the skin: a number, or [least, greatest]"),
-    "recess_m": described(
-        either({"type": "number", "minimum": 0}, {"type": "null"}), "how deep a housing may go into the body"
-    ),
-    "yaw_deg": described(_RANGE, "left positive: a number, or [least, greatest]"),
-    "pitch_deg": described(_RANGE, "nose down positive: a number, or [least, greatest]"),
-    "roll_deg": described(_RANGE, "right side down positive: a number, or [least, greatest]"),
-    "mirror": described(FLAG, "whether its mirror image on the other side is a zone as well"),
-}
-"""Every key of a zone in a file, and its schema."""
-
-
-def zones_schema() -> Schema:
-    """The JSON Schema of a file of zones, of the keys by which `read_zones` reads it."""
-    zones = named(mapping(_FORMS, ["normal"]), about="zones by name")
-    return document("zones", "zones of a vehicle's body that may carry cameras", mapping({"zones": zones}, ["zones"]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +139,93 @@ class Zone:
         return inside
 
 
+def _corners(box: list[Any]) -> np.ndarray:
+    corners = np.reshape(box, (2, 3))
+    if not (corners[0] < corners[1]).all():
+        mistake(f"expected a box: its lowest corner, then its highest, got {shown(corners.tolist())}")
+    return corners
+
+
+def _ends(value: float | list[float] | None) -> tuple[float, float] | None:
+    low, high = value if isinstance(value, list) else (value, value)
+    if low is None or high is None:
+        return None
+    return (low, high) if low <= high else mistake(f"expected a range, the lower end first, got {shown(value)}")
+
+
+_Box = Annotated[
+    Annotated[list[Point3], Field(min_length=2, max_length=2)]
+    | Annotated[list[Number], Field(min_length=6, max_length=6)],
+    AfterValidator(_corners),
+]
+_Ends = Annotated[Number | Point2 | None, AfterValidator(_ends)]
+_RANGE_TEXT = "a number, or [least, greatest]"
+
+
+class _ZoneForm(Form):
+    """A zone in a file."""
+
+    normal: Literal["up", "left", "right", "front", "rear"] | Point3 = Field(
+        description=f"one of {', '.join(NORMALS)}, or three numbers: which way is outwards"
+    )
+    kind: str | list[str] | None = Field(
+        None, description="a kind of place as modules name them, or a list of them, such as [b_pillar, mirror]"
+    )
+    centred: bool | None = Field(None, description="true or false: cameras stand alone in the middle, with y = 0")
+    behind_glass: bool | None = Field(None, description="true or false: cameras stand inside and look through the body")
+    origin_m: Point3 = Field([0.0, 0.0, 0.0], description="three numbers [m]: a point of the zone's plane")
+    box_m: Annotated[_Box | None, Field(description="lowest and highest corner [m] of what belongs to the zone")] = None
+    outline_m: list[Point3] = Field(
+        [], description="corners [x, y, z] of a convex polygon [m], in order along its border"
+    )
+    keep_out_m: list[_Box] = Field([], description="a list of boxes that carry no camera")
+    stand_off_m: _Ends = Field(None, description=f"{_RANGE_TEXT} [m]: how far a camera's centre stands off the skin")
+    recess_m: Number | None = Field(None, description="a number [m]: how deep a housing may go into the body")
+    yaw_deg: _Ends = Field(None, description=f"{_RANGE_TEXT} [deg], left positive")
+    pitch_deg: _Ends = Field(None, description=f"{_RANGE_TEXT} [deg], nose down positive")
+    roll_deg: _Ends = Field(None, description=f"{_RANGE_TEXT} [deg], right side down positive")
+    mirror: bool | None = Field(
+        None, description="true or false: whether its mirror image on the other side is a zone as well"
+    )
+
+    def zones(self, name: str) -> list[Zone]:
+        """The zone, and its mirror image where that is wanted."""
+        if isinstance(self.normal, str):
+            normal = NORMALS[self.normal]
+        else:
+            x, y, z = self.normal
+            length = math.hypot(x, y, z)
+            if length < 1e-6:
+                raise ValueError("normal: expected a direction, got one of length 0")
+            normal = x / length, y / length, z / length
+        if self.mirror and self.centred:
+            raise ValueError("mirror: expected false, as a centred zone is its own mirror image, got true")
+        x, y, z = self.origin_m
+        kinds = [self.kind] if isinstance(self.kind, str) else self.kind or []
+        angles_deg = {"yaw_rad": self.yaw_deg, "pitch_rad": self.pitch_deg, "roll_rad": self.roll_deg}
+        zone = Zone(
+            name,
+            normal,
+            origin_m=(x, y, z),
+            box_m=self.box_m,  # pyright: ignore[reportArgumentType]
+            keep_out_m=tuple(self.keep_out_m),  # pyright: ignore[reportArgumentType]
+            stand_off_m=self.stand_off_m or (BEHIND_GLASS_M if self.behind_glass else _FLUSH_M),  # pyright: ignore[reportArgumentType]
+            kinds=tuple(kinds),
+            is_centred=bool(self.centred),
+            is_behind_glass=bool(self.behind_glass),
+            recess_m=self.recess_m,
+            outline_m=np.array(self.outline_m) if "outline_m" in self.model_fields_set else None,
+            **{key: pair and tuple(map(math.radians, pair)) for key, pair in angles_deg.items()},  # pyright: ignore
+        )
+        return [zone, mirrored(zone)] if self.mirror else [zone]
+
+
+class ZonesForm(Form):
+    """A file of zones."""
+
+    zones: dict[str, _ZoneForm] = Field(description="a mapping from names to at least one zone", min_length=1)
+
+
 def read_zones(path: Path | str) -> tuple[Zone, ...]:
     """Read a file of zones: ``zones``, a mapping from names to what they are.
 
@@ -187,68 +236,13 @@ def read_zones(path: Path | str) -> tuple[Zone, ...]:
     ``roll_deg`` (a number, or [least, greatest]); see `Zone`. Beside it, ``mirror: true`` adds its mirror image on the
     other side of the vehicle, called ``<name>_mirrored``.
     """
-    file = Path(path).expanduser()
-    record = read_yaml_record(file)
-    record.fields(("zones",), "a mapping with zones")
+    form, mistakes = read_form(ZonesForm, Path(path).expanduser())
     zones: list[Zone] = []
-    for name, each in record.at("zones").mapping("a mapping from names to zones").items():
-        zone = _zone(name, each)
-        zones.append(zone)
-        if each.at("mirror").value is True:
-            zones.append(mirrored(zone))
-    if not zones:
-        raise record.at("zones").error("at least one zone")
+    for name, each in form.zones.items():
+        with mistakes.noting("zones", name):
+            zones += each.zones(name)
+    mistakes.refuse()
     return tuple(zones)
-
-
-def _zone(name: str, record: Record) -> Zone:
-    fields = record.fields(_FORMS, "a zone: a mapping with normal")
-    if record.at("mirror").flag() and record.at("centred").flag():
-        raise record.at("mirror").error("false, as a centred zone is its own mirror image", "true")
-    box = record.at("box_m")
-    try:
-        return Zone(
-            name=name,
-            normal=_normal(record.at("normal")),
-            origin_m=tuple(record.at("origin_m").numbers(3)) if "origin_m" in fields else (0.0, 0.0, 0.0),  # pyright: ignore[reportArgumentType]
-            box_m=None if box.value is None else _box(box),
-            keep_out_m=tuple(_box(each) for each in record.at("keep_out_m").items("a list of boxes"))
-            if "keep_out_m" in fields
-            else (),
-            stand_off_m=_range(record.at("stand_off_m"))
-            or (BEHIND_GLASS_M if record.at("behind_glass").flag() else _FLUSH_M),
-            yaw_rad=_radians(record.at("yaw_deg")),
-            pitch_rad=_radians(record.at("pitch_deg")),
-            roll_rad=_radians(record.at("roll_deg")),
-            kinds=_kinds(record.at("kind")),
-            is_centred=bool(record.at("centred").flag()),
-            is_behind_glass=bool(record.at("behind_glass").flag()),
-            recess_m=None if record.at("recess_m").value is None else record.at("recess_m").number(),
-            outline_m=np.array([each.numbers(3) for each in record.at("outline_m").items("a list of corners")])
-            if "outline_m" in fields
-            else None,
-        )
-    except ValueError as error:
-        raise InputError(str(error) if isinstance(error, InputError) else f"{record.location}: {error}") from None
-
-
-def _normal(record: Record) -> tuple[float, float, float]:
-    if isinstance(record.value, str):
-        return NORMALS[record.one_of(NORMALS, ", or three numbers")]
-    numbers = np.array(record.numbers(3))
-    length = float(np.linalg.norm(numbers))
-    if length < 1e-6:
-        raise record.error("a direction", "one of length 0")
-    x, y, z = (numbers / length).tolist()
-    return x, y, z
-
-
-def _kinds(record: Record) -> tuple[str, ...]:
-    given = record.value if isinstance(record.value, list) else [] if record.value is None else [record.value]
-    for each in given:
-        if not isinstance(each, str):
-            raise record.error("a kind of place, or a list of them, such as [b_pillar, mirror]", f"{each!r}")
-    return tuple(given)
 
 
 def _is_convex(corner: np.ndarray) -> bool:
@@ -264,97 +258,55 @@ def _is_convex(corner: np.ndarray) -> bool:
     return is_one_way and abs(abs(turned_rad) - 2.0 * math.pi) < 1e-6
 
 
-def _box(record: Record) -> np.ndarray:
-    corners = np.array(record.matrix(2, 3))
-    if not (corners[0] < corners[1]).all():
-        raise record.error("a box: its lowest corner, then its highest", f"{corners.tolist()}")
-    return corners
-
-
-def _range(record: Record) -> tuple[float, float] | None:
-    if record.value is None:
-        return None
-    if isinstance(record.value, list):
-        low, high = record.numbers(2)
-    else:
-        low = high = record.number()
-    if low > high:
-        raise record.error("a range, the lower end first")
-    return low, high
-
-
-def _radians(record: Record) -> tuple[float, float] | None:
-    pair = _range(record)
-    return None if pair is None else (math.radians(pair[0]), math.radians(pair[1]))
-
-
 def mirrored(zone: Zone) -> Zone:
     """The mirror image of a zone on the other side of the vehicle, called ``<name>_mirrored``."""
+    other_side = np.array([1.0, -1.0, 1.0])
 
     def box(corners: np.ndarray) -> np.ndarray:
-        low_m, high_m = corners
-        return np.array([[low_m[0], -high_m[1], low_m[2]], [high_m[0], -low_m[1], high_m[2]]])
-
-    x, y, z = zone.normal
-    origin = zone.origin_m
+        return np.sort(corners * other_side, axis=0)
 
     def turned(pair: tuple[float, float] | None) -> tuple[float, float] | None:
         return None if pair is None else (-pair[1], -pair[0])
 
-    return Zone(
+    (x, y, z), (x_m, y_m, z_m) = zone.normal, zone.origin_m
+    return replace(
+        zone,
         name=f"{zone.name}_mirrored",
         normal=(x, -y, z),
-        origin_m=(origin[0], -origin[1], origin[2]),
+        origin_m=(x_m, -y_m, z_m),
         box_m=None if zone.box_m is None else box(zone.box_m),
         keep_out_m=tuple(box(each) for each in zone.keep_out_m),
-        stand_off_m=zone.stand_off_m,
-        pitch_rad=zone.pitch_rad,
-        kinds=zone.kinds,
-        is_behind_glass=zone.is_behind_glass,
-        recess_m=zone.recess_m,
-        outline_m=None if zone.outline_m is None else np.asarray(zone.outline_m)[::-1] * [1.0, -1.0, 1.0],
+        outline_m=None if zone.outline_m is None else np.asarray(zone.outline_m)[::-1] * other_side,
         yaw_rad=turned(zone.yaw_rad),
         roll_rad=turned(zone.roll_rad),
+        is_centred=False,
     )
 
 
 def write_zones(zones: Sequence[Zone], path: Path | str) -> None:
     """Write zones into a YAML file that `read_zones` reads, for a person to edit."""
     names = {normal: name for name, normal in NORMALS.items()}
-
-    def numbers(values: Sequence[float] | np.ndarray) -> str:
-        return "[" + ", ".join(f"{float(value) + 0.0:.3f}".rstrip("0").rstrip(".") or "0" for value in values) + "]"
+    row = partial(yaml_row, decimals=3)
 
     def box(corners: np.ndarray) -> str:
-        return f"[{numbers(corners[0])}, {numbers(corners[1])}]"
+        return f"[{row(corners[0])}, {row(corners[1])}]"
 
-    lines = [
-        "# Where on the body cameras may stand; metres and degrees in the ego frame (x forward, y left, z up).",
-        "zones:",
-    ]
-    for zone in zones:
-        normal = names.get(tuple(float(each) for each in zone.normal))  # pyright: ignore[reportArgumentType]
-        lines += [f"  {yaml_name(zone.name)}:", f"    normal: {normal or numbers(zone.normal)}"]
-        if zone.is_centred:
-            lines.append("    centred: true")
-        if zone.is_behind_glass:
-            lines.append("    behind_glass: true")
-        if zone.kinds:
-            lines.append(f"    kind: [{', '.join(zone.kinds)}]")
-        if any(zone.origin_m):
-            lines.append(f"    origin_m: {numbers(zone.origin_m)}")
-        if zone.box_m is not None:
-            lines.append(f"    box_m: {box(zone.box_m)}")
-        if zone.outline_m is not None:
-            lines += ["    outline_m:", *(f"      - {numbers(corner)}" for corner in zone.outline_m)]
-        if zone.keep_out_m:
-            lines += ["    keep_out_m:", *(f"      - {box(each)}" for each in zone.keep_out_m)]
-        lines.append(f"    stand_off_m: {numbers(zone.stand_off_m)}")
-        if zone.recess_m is not None:
-            lines.append(f"    recess_m: {zone.recess_m:g}")
-        for name, pair in (("yaw", zone.yaw_rad), ("pitch", zone.pitch_rad), ("roll", zone.roll_rad)):
-            if pair is not None:
-                lines.append(f"    {name}_deg: {numbers(np.degrees(pair))}")
-    file = Path(path).expanduser()
-    with writing(file), atomic_write(file) as draft:
-        draft.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    def form(zone: Zone) -> dict[str, Any]:
+        angles = (("yaw", zone.yaw_rad), ("pitch", zone.pitch_rad), ("roll", zone.roll_rad))
+        return {
+            "normal": names.get(tuple(map(float, zone.normal))) or row(zone.normal),
+            "centred": "true" if zone.is_centred else None,
+            "behind_glass": "true" if zone.is_behind_glass else None,
+            "kind": f"[{', '.join(zone.kinds)}]" if zone.kinds else None,
+            "origin_m": row(zone.origin_m) if any(zone.origin_m) else None,
+            "box_m": None if zone.box_m is None else box(zone.box_m),
+            "outline_m": None if zone.outline_m is None else list(map(row, zone.outline_m)),
+            "keep_out_m": list(map(box, zone.keep_out_m)) or None,
+            "stand_off_m": row(zone.stand_off_m),
+            "recess_m": None if zone.recess_m is None else f"{zone.recess_m:g}",
+            **{f"{name}_deg": None if pair is None else row(np.degrees(pair)) for name, pair in angles},
+        }
+
+    head = "# Where on the body cameras may stand; metres and degrees in the ego frame (x forward, y left, z up)."
+    lines = yaml_lines({"zones": {yaml_name(zone.name): form(zone) for zone in zones}})
+    write_text(Path(path).expanduser(), "\n".join((head, *lines)) + "\n")

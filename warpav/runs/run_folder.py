@@ -27,7 +27,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from warpav.core.bounded_files import DATA_SET_NODES_MAX, read_arrays, read_json, read_text
 from warpav.core.cache import digest
-from warpav.core.data_frame import data_frame
 from warpav.core.errors import ArgumentError, InputError, OptionError
 from warpav.core.files import (
     DRAFT,
@@ -40,6 +39,7 @@ from warpav.core.files import (
     write_text,
     writing,
 )
+from warpav.core.table import data_frame
 from warpav.rig.presets import preset_names
 from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.zone import read_zones, write_zones

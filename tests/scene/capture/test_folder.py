@@ -141,7 +141,7 @@ WRONG = [
     ),
     (
         _edit(images__0__intrinsics=[[9, 0, 1e300], [0, 9, 5], [0, 0, 1]]),
-        r"images\[0\]\.intrinsics: expected those of a camera, got: centre_px",
+        r"images\[0\]\.intrinsics",
     ),
     (_edit(vehicles__0__box_size_m=[4.0, -1.0, 1.0]), r"vehicles\[0\]\.box_size_m\[1\]: expected more than 0, got -1"),
     (_edit(vehicles__1__instance_id=1), "vehicles: instance_id: expected each once, got 1 2 times"),

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from warpav.core.frames import quaternion_from_rotation
+from warpav.core.yaml_file import yaml_number
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens, LensShape
 from warpav.rig.formats.format import (
@@ -32,7 +33,7 @@ from warpav.rig.formats.format import (
     file_in,
     optics_of_matrix,
 )
-from warpav.rig.formats.record import Record, read_yaml_record, rigid_transform, yaml_number
+from warpav.rig.formats.record import Record, read_yaml_record, rigid_transform
 
 READ_PX, WRITE_PX = 0.25, 0.01
 """How far a lens that is read, or written, by a fit may be off anywhere in the image [px]."""

@@ -10,9 +10,10 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
+from warpav.core.yaml_file import yaml_number
 from warpav.rig.formats.camera_info import FOLDER, camera_info_files
 from warpav.rig.formats.format import Found, FoundCamera, Losses, PlacedCamera, RigFormat, link_of_transform
-from warpav.rig.formats.record import Record, read_yaml_record, yaml_number
+from warpav.rig.formats.record import Record, read_yaml_record
 
 _SENSORS, _KIT = "sensors_calibration.yaml", "sensor_kit_calibration.yaml"
 _BASE_LINK, _KIT_LINK = "base_link", "sensor_kit_base_link"

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from warpav.core.errors import InputError
+from warpav.core.yaml_file import yaml_number
 from warpav.raster.lens import Lens
 from warpav.rig.formats.format import (
     Losses,
@@ -19,7 +20,7 @@ from warpav.rig.formats.format import (
     file_for_each,
     optics_of_matrix,
 )
-from warpav.rig.formats.record import Record, read_yaml_record, yaml_number
+from warpav.rig.formats.record import Record, read_yaml_record
 
 FOLDER = "camera_info"
 """Folder of these files in exports and imports."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -13,6 +12,7 @@ import numpy as np
 from warpav.core.bounded_files import NODES_MAX, read_json
 from warpav.core.errors import InputError
 from warpav.core.frames import rotation_from_quaternion
+from warpav.core.records import nearest
 from warpav.core.yaml_file import Location, dotted, read_yaml
 
 _ROTATION_TOLERANCE = 1e-3  # files round to four decimals
@@ -83,27 +83,13 @@ class Record:
             raise self.error("a text")
         return self.value.strip()
 
-    def one_of(self, words: Iterable[str], more: str = "") -> str:
-        """One of some words; ``more`` says what else is expected."""
+    def one_of(self, words: Iterable[str]) -> str:
+        """One of some words."""
         known = list(words)
         if not isinstance(self.value, str) or self.value not in known:
-            got = f"{self.value!r}{did_you_mean(self.value, known)}" if isinstance(self.value, str) else None
-            raise self.error(f"one of {', '.join(known)}{more}", got)
+            got = f"{self.value!r}{nearest(self.value, known)}" if isinstance(self.value, str) else None
+            raise self.error(f"one of {', '.join(known)}", got)
         return self.value
-
-    def fields(self, known: Iterable[str], expected: str) -> dict[str, Record]:
-        """The records of a mapping that has no keys but known ones."""
-        names, found = list(known), self.mapping(expected)
-        for key, record in found.items():
-            if key not in names:
-                raise record.error(f"one of {', '.join(names)}", f"the key {key!r}{did_you_mean(key, names)}")
-        return found
-
-    def flag(self) -> bool | None:
-        """True or false, or None where there is nothing."""
-        if self.value not in (None, True, False):
-            raise self.error("true or false")
-        return None if self.value is None else bool(self.value)
 
     def number(self, default: float | None = None) -> float:
         """A finite number."""
@@ -155,69 +141,6 @@ class Record:
         return rotation_from_quaternion(np.array(quaternion))
 
 
-def nearest(word: object, known: Iterable[str]) -> str:
-    """A question for the nearest of some words; empty where none is near."""
-    near = difflib.get_close_matches(str(word), list(known), 1, 0.5)
-    return f"did you mean {near[0]}?" if near else ""
-
-
-def did_you_mean(word: object, known: Iterable[str]) -> str:
-    """`nearest` as the end of a message."""
-    hint = nearest(word, known)
-    return f"; {hint}" if hint else ""
-
-
-class Mistakes:
-    """All mistakes of a file, with their places, for readers that do not end at the first."""
-
-    def __init__(self, file: str, line_of: Mapping[Location, int]) -> None:
-        self.file = file
-        self.line_of = line_of
-        self.mistakes: list[str] = []
-
-    def report(self, location: Location, expected: str, value: object, remedy: str = "") -> None:
-        """Note a mistake: where, which field, what was expected, what came, and how to put it right."""
-        text = "nothing" if value is None else repr(value) if len(repr(value)) <= 60 else f"{value!r:.60}..."
-        self.tell(location, f"expected {expected}, got {text}" + (f"; {remedy}" if remedy else ""))
-
-    def tell(self, location: Location, text: str) -> None:
-        """Note a mistake in words, with the line at which the value stands or should stand."""
-        field = f"{dotted(location)}: " if location else ""
-        outwards = (location[:n] for n in range(len(location), -1, -1))
-        line = next((self.line_of[part] for part in outwards if part in self.line_of), None)
-        self.mistakes.append(f"{self.file if line is None else f'{self.file}:{line}'}: {field}{text}")
-
-    def mapping(
-        self,
-        data: object,
-        location: Location,
-        forms: Mapping[str, str],
-        optional: Collection[str] = (),
-        remedies: Mapping[str, str] | None = None,
-    ) -> dict[str, Any]:
-        """The known fields of a mapping; unknown ones, and missing ones that are not optional, are mistakes.
-
-        ``forms`` says what each field expects, ``remedies`` what to do where one is missing (else: add it).
-        """
-        if not isinstance(data, dict):
-            self.report(location, f"a mapping with {', '.join(forms)}", data, "write one line a field")
-            return {}
-        missing = [field for field in forms if field not in data and field not in optional]
-        meant: set[str] = set()
-        for field in data:
-            if field not in forms:
-                unused = [each for each in forms if each not in data]
-                near = [
-                    each for names in (missing, unused) for each in difflib.get_close_matches(str(field), names, 1, 0.5)
-                ]
-                meant.update(near[:1])
-                remedy = f"did you mean {near[0]}?" if near else "remove it"
-                self.report((*location, field), f"one of {', '.join(forms)}", field, remedy)
-        for field in (each for each in missing if each not in meant):
-            self.report((*location, field), forms[field], None, (remedies or {}).get(field, f"add {field}"))
-        return {field: data[field] for field in forms if field in data}
-
-
 def is_number(value: object) -> TypeGuard[int | float]:
     """Whether it is a finite number of a size that can mean something."""
     return isinstance(value, int | float) and not isinstance(value, bool) and -1e9 < value < 1e9
@@ -252,9 +175,3 @@ def read_yaml_record(file: Path) -> Record:
     """The data of a YAML file, with lines."""
     data, line_of = read_yaml(file)
     return Record(file, data, (), line_of)
-
-
-def yaml_number(value: float) -> str:
-    """The number in full, with a point before any exponent, as every YAML reader wants it."""
-    text = repr(float(value))
-    return text if "." in text else text.replace("e", ".0e")
