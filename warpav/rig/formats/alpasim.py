@@ -15,11 +15,12 @@ import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from warpav.core.frames import quaternion_from_rotation
-from warpav.core.yaml_file import yaml_number
+from warpav.core.yaml_file import yaml_lines, yaml_number, yaml_row
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens, LensShape
 from warpav.rig.formats.format import (
@@ -28,17 +29,16 @@ from warpav.rig.formats.format import (
     Losses,
     Optics,
     PlacedCamera,
+    Record,
     RigFormat,
-    file_at,
-    file_in,
-    optics_of_matrix,
+    optics_of,
+    read_yaml_record,
+    rigid_transform,
 )
-from warpav.rig.formats.record import Record, read_yaml_record, rigid_transform
 
 READ_PX, WRITE_PX = 0.25, 0.01
 """How far a lens that is read, or written, by a fit may be off anywhere in the image [px]."""
 
-_FILE = "alpasim.yaml"
 _SHUTTERS = (
     "GLOBAL",
     "ROLLING_TOP_TO_BOTTOM",
@@ -58,10 +58,9 @@ _SAME_ANGLE_RAD = 1e-4
 _POWERS = np.array([1, 3, 5, 7, 9])
 
 
-def read(path: Path, part: str | None) -> Found:
+def _read(path: Path) -> Found:
     """The cameras of ``extra_cameras``, at the top of the file or under ``runtime``."""
-    del part
-    record = read_yaml_record(file_in(path, _FILE))
+    record = read_yaml_record(path)
     record.mapping("AlpaSim's configuration with extra_cameras")
     nested = record.at("runtime").at("extra_cameras")
     entries = nested if nested.value is not None else record.at("extra_cameras")
@@ -142,8 +141,7 @@ def _ftheta(values: Record, size: _Size, name: str, notes: list[str]) -> Optics:
     if not 0.01 < c < 100.0:
         raise linear.at("linear_c").error("the proportions of a pixel, near 1")
     cx, cy = values.at("principal_point").numbers(2)
-    matrix = Record(values.location, [c, 0.0, cx, 0.0, 1.0, cy, 0.0, 0.0, 1.0])
-    unit = optics_of_matrix(matrix, lens=Lens.FISHEYE, width_px=size[0], height_px=size[1])
+    unit = optics_of(values, c, 1.0, cx, cy, lens=Lens.FISHEYE, width_px=size[0], height_px=size[1])
     angle, radius_px, odd = _ftheta_curve(values, _farthest(unit))
     off_px = 0.0
     if odd is None:
@@ -259,38 +257,40 @@ def _grown_fisheye(odd: np.ndarray, angle: float) -> LensShape | None:
     return shape if shape.limit >= angle else None
 
 
-def write(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
-    """One file for a folder of AlpaSim's configurations: the cameras, and that they are rendered."""
-    lines = ["# @package _global_", "runtime:", "  simulation_config:", "    cameras:"]
+def _write(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
+    """The cameras, and that they are rendered."""
+    rendered, extra = [], []
     for camera in cameras:
-        size = f"height: {camera.model.height_px}, width: {camera.model.width_px}"
-        lines.append(f"    - {{logical_id: {json.dumps(camera.name)}, {size}}}")
-    lines.append("  extra_cameras:")
-    for camera in cameras:
-        x, y, z = (camera.file_from_camera[:3, 3] + 0.0).tolist()
+        name, model = json.dumps(camera.name), camera.model
+        rendered.append(f"{{logical_id: {name}, height: {model.height_px}, width: {model.width_px}}}")
         qw, qx, qy, qz = (quaternion_from_rotation(camera.file_from_camera[:3, :3]) + 0.0).tolist()
-        lines += [
-            f"  - logical_id: {json.dumps(camera.name)}",
-            "    rig_to_camera:",
-            f"      translation_m: {_row(x, y, z)}",
-            f"      rotation_xyzw: {_row(qx, qy, qz, qw)}",
-            f"    resolution_hw: [{camera.model.height_px}, {camera.model.width_px}]",
-            "    shutter_type: GLOBAL",
-            *_intrinsics(camera, losses),
-        ]
+        pose = {
+            "translation_m": yaml_row(camera.file_from_camera[:3, 3] + 0.0),
+            "rotation_xyzw": yaml_row((qx, qy, qz, qw)),
+        }
+        extra.append(
+            {
+                "logical_id": name,
+                "rig_to_camera": pose,
+                "resolution_hw": f"[{model.height_px}, {model.width_px}]",
+                "shutter_type": "GLOBAL",
+                "intrinsics": _intrinsics(camera, losses),
+            }
+        )
     others = [camera.name for camera in cameras if camera.name not in _CAMERAS]
     if others:
         losses.notes.append(
             f"AlpaSim replaces cameras of a scene by name and rejects other names, such as {others[0]!r}; NVIDIA's "
             f"scenes have {', '.join(_CAMERAS)}"
         )
-    return {file_at(target, (".yaml", ".yml"), _FILE): ("\n".join(lines) + "\n").encode()}
+    content = {"runtime": {"simulation_config": {"cameras": rendered}, "extra_cameras": extra}}
+    return {target: "\n".join(("# @package _global_", *yaml_lines(content), "")).encode()}
 
 
-def _intrinsics(camera: PlacedCamera, losses: Losses) -> list[str]:
+def _intrinsics(camera: PlacedCamera, losses: Losses) -> dict[str, Any]:
     model = camera.model
     (fx, _, cx), (_, fy, cy), _ = model.intrinsics.tolist()
-    end = []
+    end = {}
     if model.lens in (Lens.PINHOLE, Lens.BROWN_CONRADY):
         _note_empty_parts(camera, losses)
         k1, k2, p1, p2, k3, k4, k5, k6 = model.shape.coefficients.tolist()
@@ -301,17 +301,11 @@ def _intrinsics(camera: PlacedCamera, losses: Losses) -> list[str]:
         growth, shape, max_angle_rad = _as_fisheye(camera, losses)
         fx, fy = fx * growth, fy * growth
         own = {"radial": tuple(shape.coefficients[:4].tolist())}
-        end = [f"        max_angle: {yaml_number(max_angle_rad)}"]
+        end = {"max_angle": yaml_number(max_angle_rad)}
     else:
         raise losses.unsupported(camera.name, f"the {model.lens} lens")
     numbers = {"focal_length": (fx, fy), "principal_point": (cx, cy), **own}
-    return [
-        "    intrinsics:",
-        f"      model: {kind}",
-        f"      {kind}:",
-        *(f"        {key}: {_row(*values)}" for key, values in numbers.items()),
-        *end,
-    ]
+    return {"model": kind, kind: {**{key: yaml_row(values) for key, values in numbers.items()}, **end}}
 
 
 def _as_fisheye(camera: PlacedCamera, losses: Losses) -> tuple[float, LensShape, float]:
@@ -351,16 +345,16 @@ def _note_empty_parts(camera: PlacedCamera, losses: Losses) -> None:
         )
 
 
-def _row(*values: float) -> str:
-    return f"[{', '.join(map(yaml_number, values))}]"
-
-
-FORMAT = RigFormat(
-    "alpasim",
-    frame="camera to rig (AlpaSim calls it rig_to_camera), rig x forward, y left, z up, right-handed, metres; "
-    "quaternions x y z w; cameras x right, y down, z forward",
-    origin="on the ground below the centre of the rear axle, as warpav's",
-    is_ego_origin=True,
-    read=read,
-    write=write,
+FORMATS = (
+    RigFormat(
+        "alpasim",
+        frame="camera to rig (AlpaSim calls it rig_to_camera), rig x forward, y left, z up, right-handed, metres; "
+        "quaternions x y z w; cameras x right, y down, z forward",
+        origin="on the ground below the centre of the rear axle, as warpav's",
+        is_ego_origin=True,
+        files=("alpasim.yaml",),
+        suffixes=(".yaml", ".yml"),
+        read=_read,
+        write=_write,
+    ),
 )

@@ -25,25 +25,22 @@ from warpav.rig.formats.format import (
     Losses,
     Optics,
     PlacedCamera,
+    Record,
     RigFormat,
-    file_at,
-    file_in,
     link_of_transform,
     pinhole_of,
+    read_json_record,
     transform_of_link,
 )
-from warpav.rig.formats.record import Record, read_json_record
 
 _CAMERA = "sensor.camera.rgb"
 _ANY_CAMERA = "sensor.camera."
 _ORIGIN = "the vehicle actor's, which CARLA puts near the centre of the vehicle"
-_OBJECTS, _SENSORS = "objects.json", "sensors.json"
 _DEFAULTS = (800, 600, 90.0)  # of the blueprint sensor.camera.rgb
 
 
 def _read_bridge(path: Path, part: str | None) -> Found:
     """The cameras of the only vehicle that has some, or of the one whose id is ``part``."""
-    path = file_in(path, _OBJECTS)
     objects = read_json_record(path, "the ros-bridge's objects.json").at("objects")
     with_cameras: dict[str, list[Record]] = {}
     for item in objects.items("the ros-bridge's list of objects; carla-python reads a plain list of sensors"):
@@ -66,10 +63,8 @@ def _bridge_camera(sensor: Record) -> tuple[np.ndarray, Optics, bool]:
     return transform, *_optics(sensor, "image_size_x", "image_size_y")
 
 
-def _read_python(path: Path, part: str | None) -> Found:
+def _read_python(path: Path) -> Found:
     """The cameras of a list of sensors: JSON, or the list as Python writes it."""
-    del part
-    path = file_in(path, _SENSORS)
     data = Record(path, _literal(path))
     if isinstance(data.value, dict) and "objects" in data.value:
         raise data.error(
@@ -149,27 +144,19 @@ def _written(value: float) -> float:
 
 
 def _write_bridge(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
-    """``objects.json`` with one vehicle that carries the cameras."""
+    """One vehicle that carries the cameras."""
     sensors = []
     for camera in cameras:
         model = pinhole_of(camera, losses, is_centred=True)
         position_m, angle = link_of_transform(camera.file_from_camera)
-        x, y, z = map(_written, position_m)
-        roll, pitch, yaw = (_written(math.degrees(angle[key])) for key in ("roll_rad", "pitch_rad", "yaw_rad"))
-        sensors.append(
-            {
-                "type": _CAMERA,
-                "id": camera.name,
-                "spawn_point": {"x": x, "y": y, "z": z, "roll": roll, "pitch": pitch, "yaw": yaw},
-                "image_size_x": model.width_px,
-                "image_size_y": model.height_px,
-                "fov": _written(math.degrees(model.fov_rad)),
-            }
-        )
+        numbers = *position_m, *(math.degrees(angle[key]) for key in ("roll_rad", "pitch_rad", "yaw_rad"))
+        spawn_point = dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), map(_written, numbers), strict=True))
+        sensors.append({"type": _CAMERA, "id": camera.name, "spawn_point": spawn_point})
+        sensors[-1] |= {"image_size_x": model.width_px, "image_size_y": model.height_px}
+        sensors[-1] |= {"fov": _written(math.degrees(model.fov_rad))}
     vehicle = {"type": "vehicle.tesla.model3", "id": "ego_vehicle", "sensors": sensors}
     losses.notes.append("the vehicle is called vehicle.tesla.model3; put in the one that you drive")
-    text = json.dumps({"objects": [vehicle]}, indent=2) + "\n"
-    return {file_at(target, (".json",), _OBJECTS): text.encode()}
+    return {target: (json.dumps({"objects": [vehicle]}, indent=2) + "\n").encode()}
 
 
 def _write_python(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
@@ -178,44 +165,37 @@ def _write_python(cameras: Sequence[PlacedCamera], target: Path, losses: Losses)
     for camera in cameras:
         model = pinhole_of(camera, losses, is_centred=True)
         position_m, angle = link_of_transform(camera.file_from_camera)
-        location_m, *angles_deg = carla_from_ego_pose(np.array(position_m), **angle)
-        x, y, z, pitch, yaw, roll = map(_written, (*location_m, *angles_deg))
-        sensors.append(
-            {
-                "type": _CAMERA,
-                "id": camera.name,
-                "x": x,
-                "y": y,
-                "z": z,
-                "roll": roll,
-                "pitch": pitch,
-                "yaw": yaw,
-                "width": model.width_px,
-                "height": model.height_px,
-                "fov": _written(math.degrees(model.fov_rad)),
-            }
-        )
-    text = json.dumps(sensors, indent=2) + "\n"
-    return {file_at(target, (".json", ".py", ".txt"), _SENSORS): text.encode()}
+        location_m, pitch, yaw, roll = carla_from_ego_pose(np.array(position_m), **angle)
+        numbers = dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), (*location_m, roll, pitch, yaw), strict=True))
+        sensors.append({"type": _CAMERA, "id": camera.name, **{key: _written(each) for key, each in numbers.items()}})
+        sensors[-1] |= {"width": model.width_px, "height": model.height_px}
+        sensors[-1] |= {"fov": _written(math.degrees(model.fov_rad))}
+    return {target: (json.dumps(sensors, indent=2) + "\n").encode()}
 
 
-ROS_BRIDGE = RigFormat(
-    "carla-ros-bridge",
-    frame="camera link to vehicle, x forward, y left, z up, right-handed, metres, degrees, pitch nose down",
-    origin=_ORIGIN,
-    is_ego_origin=False,
-    read=_read_bridge,
-    write=_write_bridge,
-    parts="a vehicle's id, such as ego_vehicle",
-    mirrored_hint="is the file CARLA's own left-handed dialect (`format_name` carla-python)?",
-)
-
-PYTHON = RigFormat(
-    "carla-python",
-    frame="camera to vehicle, x forward, y right, z up, left-handed, metres, degrees, yaw to the right, pitch nose up",
-    origin=_ORIGIN,
-    is_ego_origin=False,
-    read=_read_python,
-    write=_write_python,
-    mirrored_hint="is the file right-handed, with y to the left (`format_name` carla-ros-bridge)?",
+FORMATS = (
+    RigFormat(
+        "carla-ros-bridge",
+        frame="camera link to vehicle, x forward, y left, z up, right-handed, metres, degrees, pitch nose down",
+        origin=_ORIGIN,
+        is_ego_origin=False,
+        files=("objects.json",),
+        suffixes=(".json",),
+        read=_read_bridge,
+        write=_write_bridge,
+        parts="a vehicle's id, such as ego_vehicle",
+        mirrored_hint="is the file CARLA's own left-handed dialect (`format_name` carla-python)?",
+    ),
+    RigFormat(
+        "carla-python",
+        frame="camera to vehicle, x forward, y right, z up, left-handed, metres, degrees, yaw to the right, pitch nose "
+        "up",
+        origin=_ORIGIN,
+        is_ego_origin=False,
+        files=("sensors.json",),
+        suffixes=(".json", ".py", ".txt"),
+        read=_read_python,
+        write=_write_python,
+        mirrored_hint="is the file right-handed, with y to the left (`format_name` carla-ros-bridge)?",
+    ),
 )

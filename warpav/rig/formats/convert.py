@@ -21,25 +21,25 @@ from warpav.core.files import atomic_write, writing
 from warpav.core.frames import rotation_from_yaw_pitch_roll
 from warpav.raster.camera import CameraModel
 from warpav.rig.check import FAR_M, mirrored_cameras
-from warpav.rig.formats.camera_info import FOLDER, read_camera_infos
 from warpav.rig.formats.format import FoundCamera, Losses, Optics, PlacedCamera, RigFormat
+from warpav.rig.formats.ros import FOLDER, read_camera_infos
 from warpav.rig.rig import Rig, RigCamera
 
-_PLACES = {
-    "nuscenes": ("nuscenes", "FORMAT"),
-    "argoverse2": ("argoverse2", "FORMAT"),
-    "urdf": ("urdf", "FORMAT"),
-    "camera-info": ("camera_info", "FORMAT"),
-    "autoware": ("autoware", "FORMAT"),
-    "carla-ros-bridge": ("carla", "ROS_BRIDGE"),
-    "carla-python": ("carla", "PYTHON"),
-    "kitti": ("kitti", "FORMAT"),
-    "opencv": ("opencv", "FORMAT"),
-    "alpasim": ("alpasim", "FORMAT"),
-    "kalibr": ("kalibr", "FORMAT"),
+_MODULES = {
+    "nuscenes": "data_sets",
+    "argoverse2": "data_sets",
+    "urdf": "ros",
+    "camera-info": "ros",
+    "autoware": "ros",
+    "carla-ros-bridge": "carla",
+    "carla-python": "carla",
+    "kitti": "data_sets",
+    "opencv": "calibration",
+    "alpasim": "alpasim",
+    "kalibr": "calibration",
 }
-FORMAT_NAMES = tuple(_PLACES)
-"""Names of all formats."""
+"""Where the formats are, by name; each module has its `RigFormat` rows in ``FORMATS``."""
+FORMAT_NAMES = tuple(_MODULES)
 
 _OTHER_NAMES = {
     "av2": "argoverse2",
@@ -75,12 +75,12 @@ def find_format(name: str) -> RigFormat:
             "expected carla-ros-bridge (objects.json: y left, pitch nose down) or "
             "carla-python (sensors of an agent: left-handed, y right, pitch nose up), got carla, which may be either",
         )
-    if plain not in _PLACES:
-        near = difflib.get_close_matches(plain, [*_PLACES, *_OTHER_NAMES], 1, 0.5)
+    if plain not in _MODULES:
+        near = difflib.get_close_matches(plain, [*_MODULES, *_OTHER_NAMES], 1, 0.5)
         hint = f"; did you mean {_OTHER_NAMES.get(near[0], near[0])}?" if near else ""
         raise ArgumentError("format_name", f"expected one of {', '.join(FORMAT_NAMES)}, got {name!r}{hint}")
-    module, attribute = _PLACES[plain]
-    return getattr(importlib.import_module(f"warpav.rig.formats.{module}"), attribute)
+    module = importlib.import_module(f"warpav.rig.formats.{_MODULES[plain]}")
+    return next(form for form in module.FORMATS if form.name == plain)
 
 
 def import_rig(
@@ -143,7 +143,7 @@ def import_rig_with_notes(
     if options.part is not None and form.parts is None:
         raise ArgumentError("part", f"{form.name} files hold one rig, got {options.part!r}; leave it out")
     ego_from_file = placement(options.origin_m, options.origin_rpy_deg)
-    found = form.read(file, options.part)
+    found = form.found(file, options.part)
     lenses = _lenses(file, options)
     models = [_model(camera, lenses, options, file) for camera in found.cameras]
     try:
@@ -256,7 +256,7 @@ def _content_of(
         raise ArgumentError("format_name", f"expected one of {names}; {form.name} is for import only")
     file_from_ego = np.linalg.inv(placement(origin_m, origin_rpy_deg))
     placed = [PlacedCamera(camera.name, file_from_ego @ camera.ego_from_camera, camera.model) for camera in rig.cameras]
-    return form.write(placed, target, losses)
+    return form.written(placed, target, losses)
 
 
 def formats_for(rig: Rig) -> tuple[list[str], dict[str, str]]:

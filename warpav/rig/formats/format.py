@@ -1,4 +1,4 @@
-"""What every format of rig files is made of: what its reader finds, what its writer gets, and words about its frame.
+"""What every format of rig files is made of: values with their places, what a reader finds, what a writer gets.
 
 Principal points in other tools' files count from the centre of the upper left pixel, as OpenCV does; warpav counts from
 the image's corner. `_PIXEL_CENTRE_PX` is the difference, and is added and taken away here only.
@@ -7,20 +7,182 @@ the image's corner. `_PIXEL_CENTRE_PX` is the difference, and is added and taken
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, TypeGuard
 
 import numpy as np
 
+from warpav.core.bounded_files import NODES_MAX, read_json
 from warpav.core.errors import InputError
-from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, yaw_pitch_roll_from_rotation
+from warpav.core.frames import (
+    FLU_FROM_RDF,
+    rotation_from_quaternion,
+    rotation_from_yaw_pitch_roll,
+    yaw_pitch_roll_from_rotation,
+)
+from warpav.core.records import nearest, place_of
+from warpav.core.yaml_file import Location, read_yaml
 from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import Lens
 
-if TYPE_CHECKING:
-    from warpav.rig.formats.record import Record
+_ROTATION_TOLERANCE = 1e-3  # files round to four decimals
+
+
+class Record:
+    """A value, and where it stands."""
+
+    def __init__(
+        self,
+        file: Path | str,
+        value: Any,  # noqa: ANN401
+        location: Location = (),
+        line_of: Mapping[Location, int] | None = None,
+    ) -> None:
+        """The value at ``location`` of a file; ``line_of`` knows the lines of values, as `read_yaml` gives them."""
+        self.value = value
+        self._file = file
+        self._location = location
+        self._line_of = line_of or {}
+
+    @property
+    def location(self) -> str:
+        """File, line where it is known, and field."""
+        return place_of(str(self._file), self._location, self._line_of if self._location else None)
+
+    def error(self, expected: str, got: str | None = None) -> InputError:
+        """The error that states what was expected here and what was given."""
+        text = repr(self.value)
+        shown = got or ("nothing" if self.value is None else text if len(text) <= 60 else f"{text:.60}...")
+        return InputError(f"{self.location}: expected {expected}, got {shown}")
+
+    def at(self, key: str | int) -> Record:
+        """The value of a key or index; of None where there is none."""
+        value = None
+        if isinstance(self.value, dict):
+            value = self.value.get(key)
+        elif isinstance(self.value, list) and isinstance(key, int) and key < len(self.value):
+            value = self.value[key]
+        return Record(self._file, value, (*self._location, str(key)), self._line_of)
+
+    def first_of(self, *keys: str) -> Record:
+        """The value of the first key that is there; of None, by the first key, where none is."""
+        return self.at(next((key for key in keys if self.at(key).value is not None), keys[0]))
+
+    def mapping(self, expected: str = "a mapping") -> dict[str, Record]:
+        """The records of a mapping, in the file's order."""
+        if not isinstance(self.value, dict):
+            raise self.error(expected)
+        return {key: self.at(key) for key in self.value}
+
+    def items(self, expected: str = "a list") -> list[Record]:
+        """The records of a list."""
+        if not isinstance(self.value, list):
+            raise self.error(expected)
+        return [self.at(i) for i in range(len(self.value))]
+
+    def text(self, default: str | None = None) -> str:
+        """A text that is not empty."""
+        if self.value is None and default is not None:
+            return default
+        if not isinstance(self.value, str) or not self.value.strip():
+            raise self.error("a text")
+        return self.value.strip()
+
+    def one_of(self, words: Iterable[str]) -> str:
+        """One of some words."""
+        known = list(words)
+        if not isinstance(self.value, str) or self.value not in known:
+            got = f"{self.value!r}{nearest(self.value, known)}" if isinstance(self.value, str) else None
+            raise self.error(f"one of {', '.join(known)}", got)
+        return self.value
+
+    def number(self, default: float | None = None) -> float:
+        """A finite number."""
+        if self.value is None and default is not None:
+            return default
+        if not is_number(self.value):
+            raise self.error("a finite number")
+        return float(self.value)
+
+    def whole(self, default: int | None = None) -> int:
+        """A whole number, also where it is written with a point."""
+        value = self.value
+        if value is None and default is not None:
+            return default
+        if not is_number(value) or float(value) != int(value):
+            raise self.error("a whole number")
+        return int(value)
+
+    def numbers(self, *counts: int) -> list[float]:
+        """A list of finite numbers, as many as one of ``counts`` says (any, if none is given)."""
+        value = self.value
+        is_fit = isinstance(value, list) and all(map(is_number, value)) and (not counts or len(value) in counts)
+        if not is_fit:
+            wanted = f"{' or '.join(map(str, counts))} " if counts else ""
+            raise self.error(f"a list of {wanted}finite numbers")
+        return [float(number) for number in value]
+
+    def matrix(self, rows: int, columns: int) -> list[list[float]]:
+        """A matrix of finite numbers: a list of rows, or of all numbers row by row."""
+        value = self.value
+        if isinstance(value, list) and len(value) == rows and all(isinstance(row, list) for row in value):
+            value = [number for row in value for number in row] if {len(row) for row in value} == {columns} else None
+        if not isinstance(value, list) or len(value) != rows * columns or not all(map(is_number, value)):
+            raise self.error(f"a {rows} x {columns} matrix of finite numbers")
+        return [[float(number) for number in value[i : i + columns]] for i in range(0, rows * columns, columns)]
+
+    def transform(self, rows: int = 4) -> np.ndarray:
+        """A rigid transform that the file writes as 3 x 4 or 4 x 4 matrix, [4, 4]."""
+        matrix = np.array(self.matrix(rows, 4))
+        if rows == 4 and not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-6):
+            raise self.error("a transform whose last row is 0, 0, 0, 1", f"{matrix[3].tolist()}")
+        return rigid_transform(matrix[:3, :3], matrix[:3, 3], self)
+
+    def unit_quaternion(self, quaternion: Sequence[float]) -> np.ndarray:
+        """The rotation of a quaternion ``w, x, y, z`` that the file holds here, [3, 3]."""
+        length = math.hypot(*quaternion)
+        if abs(length - 1.0) > _ROTATION_TOLERANCE:
+            raise self.error("a quaternion of length 1", f"{list(quaternion)} of length {length:.6g}")
+        return rotation_from_quaternion(np.array(quaternion))
+
+
+def is_number(value: object) -> TypeGuard[int | float]:
+    """Whether it is a finite number of a size that can mean something."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and -1e9 < value < 1e9
+
+
+def rigid_transform(rotation: np.ndarray, position_m: np.ndarray | Sequence[float], record: Record) -> np.ndarray:
+    """The transform of a rotation and a position, [4, 4].
+
+    Args:
+        rotation: Shape [3, 3]; what rounding has left of it, it is made orthonormal.
+        position_m: Shape [3].
+    """
+    rotation = np.asarray(rotation, dtype=np.float64)
+    error = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+    if error > _ROTATION_TOLERANCE:
+        raise record.error("a rotation, whose columns are orthonormal", f"one that is off by {error:.2g}")
+    if np.linalg.det(rotation) < 0.0:
+        raise record.error("a rotation", "one with a mirror; is the file left-handed?")
+    left, _, right = np.linalg.svd(rotation)
+    transform = np.eye(4)
+    transform[:3, :3] = rotation if error < 1e-12 else left @ right
+    transform[:3, 3] = position_m
+    return transform
+
+
+def read_json_record(file: Path, kind: str, *, nodes_max: int = NODES_MAX) -> Record:
+    """The data of a JSON file."""
+    return Record(file, read_json(file, kind, nodes_max=nodes_max))
+
+
+def read_yaml_record(file: Path) -> Record:
+    """The data of a YAML file, with lines."""
+    data, line_of = read_yaml(file)
+    return Record(file, data, (), line_of)
+
 
 _PIXEL_CENTRE_PX = 0.5
 _SAME_PX = 1e-5  # rig files keep six decimals
@@ -122,25 +284,54 @@ class Losses:
         return InputError(f"camera {camera_name!r}: {self.format_name} cannot represent {thing}; choose another format")
 
 
-_Reader = Callable[[Path, str | None], Found]
-"""Reads a file or folder; the text picks a part of it (`RigFormat.parts`)."""
-
-_Writer = Callable[[Sequence[PlacedCamera], Path, Losses], dict[Path, bytes]]
-"""Returns the files and their content for the target; writes nothing itself."""
-
-
 @dataclass(frozen=True)
 class RigFormat:
-    """A format of rig files."""
+    """A format of rig files.
+
+    Attributes:
+        files: Names of the files of a folder: one stands for the folder, and may be called otherwise; of several the
+            folder is read and written as a whole. None where every camera has a file of its own.
+        suffixes: How names of files end; the first one is written.
+        read: Of a path, and of a part of it where ``parts`` says what that is.
+        write: Of cameras, a path and `Losses`; of one camera and these losses where every camera has a file of its own.
+            Returns what is to be written.
+    """
 
     name: str
     frame: str
     origin: str
     is_ego_origin: bool
-    read: _Reader | None
-    write: _Writer | None
+    files: tuple[str, ...]
+    suffixes: tuple[str, ...]
+    read: Callable[..., Found] | None
+    write: Callable[..., Any] | None
     parts: str | None = None
     mirrored_hint: str = "is the file left-handed?"
+    note: str = ""
+
+    def found(self, path: Path, part: str | None) -> Found:
+        """What is in a file or folder."""
+        assert self.read is not None
+        path = path / self.files[0] if len(self.files) == 1 and path.is_dir() else path
+        return self.read(path) if self.parts is None else self.read(path, part)
+
+    def written(self, cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
+        """The files of cameras for a target, and what is to be in them."""
+        assert self.write is not None
+        losses.notes += [self.note] if self.note else []
+        is_file = target.suffix.lower() in self.suffixes and not target.is_dir()
+        if not self.files:
+            if is_file and len(cameras) > 1:
+                count = len(cameras)
+                raise InputError(f"{target}: expected a folder for the files of {count} cameras, got a file's name")
+            return {
+                target if is_file else target / f"{camera.name}{self.suffixes[0]}": self.write(camera, losses)
+                for camera in cameras
+            }
+        if len(self.files) > 1 and is_file:
+            names = " and ".join(self.files)
+            raise InputError(f"{target}: {self.name}: expected a folder for {names}, got a file's name")
+        return self.write(cameras, target if is_file or len(self.files) > 1 else target / self.files[0], losses)
 
 
 def transform_of_link(
@@ -162,25 +353,6 @@ def link_of_transform(file_from_camera: np.ndarray) -> tuple[list[float], dict[s
     }
 
 
-def file_at(target: Path, suffixes: Sequence[str], name: str) -> Path:
-    """The one file to write: the target itself where it ends in one of the suffixes, else ``name`` in that folder."""
-    return target if target.suffix.lower() in suffixes and not target.is_dir() else target / name
-
-
-def file_in(path: Path, name: str) -> Path:
-    """The one file to read: the path itself, or ``name`` in it where it is a folder."""
-    return path / name if path.is_dir() else path
-
-
-def file_for_each(cameras: Sequence[PlacedCamera], target: Path, suffixes: Sequence[str]) -> list[Path]:
-    """The file of every camera: in the folder ``target``, or ``target`` itself if there is only one camera."""
-    if target.suffix.lower() in suffixes and not target.is_dir():
-        if len(cameras) > 1:
-            raise InputError(f"{target}: expected a folder for the files of {len(cameras)} cameras, got a file's name")
-        return [target]
-    return [target / f"{camera.name}{suffixes[0]}" for camera in cameras]
-
-
 def is_plain(model: CameraModel, *, within: float = _SAME_PX) -> bool:
     """Whether pixels are square and the principal point is the image's middle, within so many pixels."""
     (fx, _, cx), (_, fy, cy), _ = model.intrinsics.tolist()
@@ -194,28 +366,29 @@ def camera_matrix(model: CameraModel) -> list[list[float]]:
     return matrix.tolist()
 
 
-def optics_of_matrix(
-    matrix: Record,
-    *,
+def optics_of_matrix(matrix: Record, **others: Any) -> Optics:  # noqa: ANN401
+    """The optics of a 3 x 3 camera matrix as other tools write it; ``others`` as of `optics_of`."""
+    (fx, skew, cx), (zero, fy, cy), last = matrix.matrix(3, 3)
+    if abs(skew) > 1e-6 * abs(fx) or zero != 0.0 or last != [0.0, 0.0, 1.0]:
+        raise matrix.error("a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] without skew")
+    return optics_of(matrix, fx, fy, cx, cy, **others)
+
+
+def optics_of(
+    at: Record,
+    *intrinsics_px: float,
     lens: Lens = Lens.PINHOLE,
     distortion: Sequence[float] = (),
     width_px: int | None = None,
     height_px: int | None = None,
 ) -> Optics:
-    """The optics of a 3 x 3 camera matrix as other tools write it."""
-    (fx, skew, cx), (zero, fy, cy), last = matrix.matrix(3, 3)
-    if abs(skew) > 1e-6 * abs(fx) or zero != 0.0 or last != [0.0, 0.0, 1.0]:
-        raise matrix.error("a camera matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] without skew")
+    """The optics of focal lengths ``fx, fy`` and a principal point ``cx, cy`` as other tools count it."""
+    fx, fy, cx, cy = intrinsics_px
     if min(fx, fy) <= 0.0:
-        raise matrix.error("positive focal lengths fx and fy")
-    return Optics(
-        width_px,
-        height_px,
-        focal_px=(fx, fy),
-        centre_px=(cx + _PIXEL_CENTRE_PX, cy + _PIXEL_CENTRE_PX),
-        lens=lens,
-        distortion=tuple(distortion),
-    )
+        raise at.error("positive focal lengths fx and fy")
+    centre_px = (cx + _PIXEL_CENTRE_PX, cy + _PIXEL_CENTRE_PX)
+    size = (width_px, height_px)
+    return Optics(*size, focal_px=(fx, fy), centre_px=centre_px, lens=lens, distortion=tuple(distortion))
 
 
 def pinhole_of(camera: PlacedCamera, losses: Losses, *, is_centred: bool = False) -> CameraModel:
