@@ -13,6 +13,7 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -63,6 +64,16 @@ class ImportOptions:
     intrinsics: Path | None = None
     part: str | None = None
     accept_mirrored: bool = False
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Where the file's origin lies, and what may be lost; see `export_rig`."""
+
+    origin_m: tuple[float, float, float] | None = None
+    origin_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    approximate: bool = False
+    overwrite: bool = False
 
 
 def find_format(name: str) -> RigFormat:
@@ -198,36 +209,29 @@ def export_rig(
     Raises:
         InputError: The format cannot represent the rig, a file exists already, or cannot be written.
     """
-    return export_rig_with_notes(
-        rig,
-        format_name,
-        target,
-        origin_m=origin_m,
-        origin_rpy_deg=origin_rpy_deg,
-        approximate=approximate,
-        overwrite=overwrite,
-    )[0]
+    place = {"origin_m": origin_m, "origin_rpy_deg": origin_rpy_deg}
+    return export_rig_with_notes(rig, format_name, target, **place, approximate=approximate, overwrite=overwrite)[0]
 
 
 def export_rig_with_notes(
     rig: Rig,
     format_name: str,
     target: str | Path,
-    *,
-    origin_m: tuple[float, float, float] | None = None,
-    origin_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    approximate: bool = False,
-    overwrite: bool = False,
+    **keywords: Any,  # noqa: ANN401
 ) -> tuple[list[Path], list[str]]:
-    """Write a rig for another tool."""
+    """Write a rig for another tool; ``keywords`` are those of `export_rig`."""
+    options = ExportOptions(**keywords)
     form = find_format(format_name)
-    losses = Losses(form.name, approximate)
-    files = _content_of(rig, form, Path(target).expanduser(), losses, origin_m=origin_m, origin_rpy_deg=origin_rpy_deg)
+    losses = Losses(form.name, options.approximate)
+    files = _content_of(rig, form, Path(target).expanduser(), losses, options)
     for file in files:
-        check_target(file, overwrite=overwrite)
+        check_target(file, overwrite=options.overwrite)
     for file, content in files.items():
-        _write(file, content)
-    return list(files), [f"frame: {form.frame}", *losses.notes, *_origin_notes(form, origin_m)]
+        with writing(file):
+            file.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_write(file) as draft:
+                draft.write_bytes(content)
+    return list(files), [f"frame: {form.frame}", *losses.notes, *_origin_notes(form, options.origin_m)]
 
 
 def check_target(file: Path, *, overwrite: bool) -> None:
@@ -241,20 +245,12 @@ def check_target(file: Path, *, overwrite: bool) -> None:
             raise InputError(f"{folder}: expected a folder to write to, got a file; choose another path")
 
 
-def _content_of(
-    rig: Rig,
-    form: RigFormat,
-    target: Path,
-    losses: Losses,
-    *,
-    origin_m: tuple[float, float, float] | None = None,
-    origin_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> dict[Path, bytes]:
+def _content_of(rig: Rig, form: RigFormat, target: Path, losses: Losses, options: ExportOptions) -> dict[Path, bytes]:
     """The files that hold a rig, unwritten."""
     if form.write is None:
         names = ", ".join(name for name in FORMAT_NAMES if find_format(name).write is not None)
         raise ArgumentError("format_name", f"expected one of {names}; {form.name} is for import only")
-    file_from_ego = np.linalg.inv(placement(origin_m, origin_rpy_deg))
+    file_from_ego = np.linalg.inv(placement(options.origin_m, options.origin_rpy_deg))
     placed = [PlacedCamera(camera.name, file_from_ego @ camera.ego_from_camera, camera.model) for camera in rig.cameras]
     return form.written(placed, target, losses)
 
@@ -267,7 +263,7 @@ def formats_for(rig: Rig) -> tuple[list[str], dict[str, str]]:
         if form.write is None:
             continue
         try:
-            _content_of(rig, form, Path("rig"), Losses(name))
+            _content_of(rig, form, Path("rig"), Losses(name), ExportOptions())
             fit.append(name)
         except InputError as error:
             unfit[name] = str(error).removeprefix(f"{name}: ")
@@ -341,10 +337,3 @@ def _fit_name(name: str) -> str:
     """The name with every character that rig files do not allow replaced by ``_``."""
     fit = _UNFIT.sub("_", name).strip("_") or "camera"
     return fit if fit[0].isalnum() else f"_{fit}"
-
-
-def _write(file: Path, content: bytes) -> None:
-    with writing(file):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(file) as draft:
-            draft.write_bytes(content)

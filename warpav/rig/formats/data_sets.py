@@ -368,7 +368,7 @@ FORMATS = (
         origin="the centre of the rear axle itself, a wheel's radius above the ground (0.33 m on the Ford Fusion)",
         is_ego_origin=False,
         files=(_POSES, _INTRINSICS),
-        suffixes=(".feather",),
+        suffixes=(".feather", ".yaml", ".yml", ".json", ".txt"),
         read=_read_argoverse2,
         write=_write_argoverse2,
     ),
