@@ -47,12 +47,9 @@ def made_files(
     *,
     worker_count: int | None = None,
 ) -> Iterator[tuple[Item, Path]]:
-    """Items with their files, in this order, each once the processes that make what is missing are done with it.
+    """Items with their files, in order, each once the processes that make what is missing are done with it.
 
     Where few are missing, or one could not be made, the file is not there: its reader makes it.
-
-    Args:
-        worker_count: Processes; None: one for each core.
     """
     from warpav.core.executor import Executor
 
@@ -73,11 +70,10 @@ def made_files(
 
 
 def remove_oldest(folder: Path, pattern: str, *, capacity_bytes: int) -> None:
-    """Remove files of a pattern that were not used for the longest time, until the others fit into the capacity.
+    """Remove files not used for the longest time, and what killed writers left, until the others fit the capacity.
 
-    What was used within the last hour goes only where the disk is nearly full: runs side by side would take away each
-    other's files and make them again and again. What `atomic_write` left behind because its process was killed goes as
-    well.
+    What was used within the last hour stays unless the disk is nearly full: runs side by side would undo each other's
+    work.
     """
     with contextlib.suppress(OSError):  # another process removes as well
         now = time.time()

@@ -195,10 +195,7 @@ def _end_with_parent() -> None:
 
 @contextlib.contextmanager
 def _main_module_hidden() -> Iterator[None]:
-    """Processes that start now do not import the program that started them once more.
-
-    They would run a script from its first line on where it does not ask for ``__name__ == "__main__"``.
-    """
+    """Processes that start now do not run the program that started them once more."""
     main = vars(sys.modules["__main__"])
     hidden = {name: main.pop(name) for name in ("__spec__", "__file__") if name in main}
     main["__spec__"] = None
@@ -422,11 +419,7 @@ class Executor:
     gpu_count: int = 1
 
     def map(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Outcome[Task, Result]]:
-        """Call a function with every task; one that fails does not keep the others from running.
-
-        Every executor calls the function once per task and adds nothing up, so the results are those of ``serial``, bit
-        for bit where the function's own do not depend on the machine or on its number of threads.
-        """
+        """Call a function with every task; one that fails keeps no other from running. All executors agree."""
         if self.gpu_count > 1 and self.name != "process":
             raise OptionError(
                 "executor.gpus", f"expected 1 with executor.name={self.name}, got {self.gpu_count}; take process"

@@ -34,10 +34,9 @@ def sync(path: Path) -> None:
 
 @contextlib.contextmanager
 def atomic_write(file: Path, *, is_durable: bool = False) -> Iterator[Path]:
-    """A path of its own to write to; the file takes its place in one step when the block ends well, else it is removed.
+    """A path to write to; the file takes its place in one step when the block ends well, else it is removed.
 
-    A device or a pipe, such as ``/dev/null``, stays what it is and is given the content. A durable file is on the disk
-    when this returns, whatever happens to the machine afterwards. Raises OSError.
+    A device or a pipe stays what it is and is given the content. A durable file is on the disk when this returns.
     """
     name = f"{DRAFT}{secrets.token_hex(4)}-{file.name}"
     if file.exists() and not (file.is_file() or file.is_dir()):
@@ -80,10 +79,7 @@ def write_json(file: Path, data: object) -> None:
 
 
 def append_line(file: Path, line: str) -> None:
-    """Add a line to a file, whole or not at all, as far as a process that goes on can see to it.
-
-    Raises `WriteError`.
-    """
+    """Add a line to a file, whole or not at all, as far as a process that goes on can see to it."""
     with writing(file), file.open("ab", buffering=0) as stream:
         before, left = stream.tell(), line.encode()
         try:
@@ -118,11 +114,7 @@ def json_ready(value: object) -> Any:  # noqa: ANN401
 
 @contextlib.contextmanager
 def held_folder(folder: Path) -> Iterator[bool]:
-    """Hold a folder that exists while the block runs; whether nobody else did.
-
-    The system lets go when the process ends, however it ends: nothing is written, and nothing is left behind. Where a
-    file system cannot hold folders, such as NFS, everybody may.
-    """
+    """Hold a folder that exists while the block runs; whether nobody else did (on NFS everybody may)."""
     try:
         import fcntl
     except ImportError:  # no such thing on Windows

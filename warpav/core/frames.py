@@ -50,10 +50,7 @@ def rotation_from_yaw_pitch_roll(yaw_rad: float, pitch_rad: float, roll_rad: flo
 
 
 def yaw_pitch_roll_from_rotation(ego_from_link: np.ndarray) -> tuple[float, float, float]:
-    """The angles of ``ego_from_link`` [3, 3]: yaw and roll in (-pi, pi], pitch in [-pi/2, pi/2].
-
-    Looking straight up or down, yaw and roll turn about the same axis; roll is then 0.
-    """
+    """The angles of ``ego_from_link`` [3, 3], pitch in [-pi/2, pi/2]; looking straight up or down roll is 0."""
     rotation = np.asarray(ego_from_link, dtype=np.float64)
     level = math.hypot(rotation[0, 0], rotation[1, 0])
     pitch_rad = math.atan2(-rotation[2, 0], level)
@@ -97,10 +94,7 @@ def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:
 def ego_from_carla_pose(
     location_m: np.ndarray, *, pitch_deg: float, yaw_deg: float, roll_deg: float
 ) -> tuple[np.ndarray, float, float, float]:
-    """Position [m], [3], yaw, pitch and roll [rad] in the ego frame from the numbers of CARLA's ``Transform``.
-
-    The mirror of y turns yaw and pitch around; roll is seen along the mirrored plane and keeps its sign.
-    """
+    """Position [m], [3], yaw, pitch and roll [rad] in the ego frame from CARLA's ``Transform`` (a mirror of y)."""
     position_m = EGO_FROM_CARLA @ np.asarray(location_m, dtype=np.float64)
     yaw_rad, pitch_rad, roll_rad = (math.radians(angle) for angle in (-yaw_deg, -pitch_deg, roll_deg))
     return position_m, wrap_angle_rad(yaw_rad), pitch_rad, wrap_angle_rad(roll_rad)

@@ -20,10 +20,7 @@ KERNELS = "warpav_kernels"
 
 @cache
 def load_warp() -> Any:  # noqa: ANN401 (the module)
-    """The module ``warp``, initialised without its start-up messages.
-
-    Whoever wants messages raises ``warp.config.log_level`` after the first call.
-    """
+    """The module ``warp``, initialised without its start-up messages."""
     import warp
 
     warp.config.log_level = warp.LOG_ERROR
@@ -43,11 +40,7 @@ def load_warp() -> Any:  # noqa: ANN401 (the module)
 
 @contextlib.contextmanager
 def compiling(device: str, *, but: Sequence[str] = ()) -> Iterator[None]:
-    """Compile and load the kernels imported so far while the block does something else; they are ready when it ends.
-
-    Warp compiles a module when one of its kernels is launched first, one module after the other, for seconds each. The
-    block must not launch these kernels: it would compile them too.
-    """
+    """Compile the kernels imported so far while the block does something else; it must not launch them."""
     warp = load_warp()
     own, left_out = f"{KERNELS}.", tuple(f"{KERNELS}.{name}" for name in but)
     names = [name for name in sys.modules if name.startswith(own) and not name.startswith(left_out)]

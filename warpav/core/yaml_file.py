@@ -77,10 +77,7 @@ _Yaml12Loader.add_constructor("tag:yaml.org,2002:int", _Yaml12Loader.construct_d
 
 
 def read_yaml(source: Path | str, place: str | None = None) -> tuple[Any, dict[Location, int]]:
-    """The data in a YAML file or a YAML text, and the line (from 1) of every value.
-
-    Numbers follow YAML 1.2 (``1e-3`` is a number, ``no`` and ``1:30`` are text); keys are always text.
-    """
+    """The data in a YAML 1.2 file or text, keys always text, and the line (from 1) of every value."""
     line_of: dict[Location, int] = {}
     has_lines = isinstance(source, Path)
     if place is None:

@@ -93,10 +93,9 @@ def score_images(
 ) -> Scores:
     """Match the detections of images to their objects, as COCO does.
 
-    From the most confident on, each detection of an image takes the free object of highest IoU, and an ignored one only
-    where no counted object is left for it. A detection that takes an ignored object counts neither for nor against the
-    detector. In a size range, objects whose box has another area are ignored, and so are detections that have another
-    area and find nothing.
+    From the most confident on, each detection takes the free object of highest IoU, an ignored one only where no
+    counted one is left; one that takes an ignored object does not count. In a size range objects of another area are
+    ignored, and detections of another area that find nothing.
     """
     held = [_Image.of(image, detection_max) for image in images]
     image = np.repeat(np.arange(len(held)), [len(each.confidence) for each in held])
@@ -130,11 +129,7 @@ def average_precision(scores: Iterable[ImageScore]) -> float:
 
 
 def mean_image_average_precision(scores: Iterable[ImageScore]) -> float:
-    """The thesis's mAP of one camera: the mean over those of its images that hold both objects and detections.
-
-    It leaves out images in which everything was missed, and images with nothing but false alarms (thesis, section IV);
-    `average_precision` over all images is the stricter figure.
-    """
+    """The thesis's mAP of one camera (section IV): the mean over images that hold both objects and detections."""
     each = [average_precision([score]) for score in scores if score.object_count and len(score.confidence)]
     return float(np.mean(each)) if each else float("nan")
 

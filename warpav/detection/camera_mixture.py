@@ -65,10 +65,9 @@ class Window:
 
 
 def windows_of(detector: ScalingDetector) -> tuple[Window, ...]:
-    """The images that a detector is tried on: small ones, that its network receives pixel by pixel.
+    """The images that a detector is tried on, small ones that its network receives pixel by pixel.
 
-    A network that takes any size gets windows of several sizes, cut out of images of up to `_WIDEST_IMAGE_PX`; one that
-    scales all images to a size of its own gets whole images as wide as that size.
+    Windows of images up to `_WIDEST_IMAGE_PX` for networks of any size; else whole images as wide as the network's own.
     """
     if all(detector.network_scale(height, width) == (1.0, 1.0) for width, height, _ in WINDOWS_PX):
         return tuple(Window(*window, is_cut=True) for window in WINDOWS_PX)
@@ -87,14 +86,10 @@ def mixed_camera(
     near_m: float,
     name: str = "camera",
 ) -> RigCamera:
-    """A camera of any lens, field of view and image size, anywhere on a vehicle, seen through a window of its image.
+    """A camera of any lens, field of view and size, anywhere on a vehicle, seen through a window of its image.
 
-    Half of them are on roof and bonnet, up to 2 m above, as on vans and buses; half on the flanks, front and rear. A
-    window that is cut out shows an object, if the camera sees any.
-
-    Args:
-        ego_bounds_m: Lowest and highest corner of the vehicle [m], [2, 3].
-        object_ego_m: Middles of the objects [m], [object, 3].
+    Half of them are on roof and bonnet, up to 2 m above, half on the flanks, front and rear. A window that is cut out
+    shows an object, if the camera sees any.
     """
     for tries_left in range(_TRIES, -1, -1):
         model = _any_model(rng, window, near_m)

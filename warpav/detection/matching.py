@@ -13,14 +13,9 @@ _FIRST_VEHICLE_INDEX = 2
 
 
 def largest_component_box(silhouette: np.ndarray, *, min_area_px: int = 16) -> np.ndarray | None:
-    """The box around the largest 8-connected component of a silhouette.
+    """Edges ``x0, y0, x1, y1`` [px] around the largest 8-connected part of a silhouette; None where it is too small.
 
-    Args:
-        silhouette: True where the object is seen, bool, shape [row, column].
-
-    Returns:
-        Edges ``x0, y0, x1, y1`` [px], float32, shape [4]: pixel (row 0, column 0) alone gives ``0, 0, 1, 1``. None
-        where the component is too small. Of components of one size the uppermost wins.
+    Pixel (row 0, column 0) alone gives ``0, 0, 1, 1``; of parts of one size the uppermost wins.
     """
     import cv2
 
@@ -35,14 +30,7 @@ def largest_component_box(silhouette: np.ndarray, *, min_area_px: int = 16) -> n
 
 
 def visible_boxes(object_index: np.ndarray, vehicle_count: int, *, min_area_px: int = 16) -> np.ndarray:
-    """The ground-truth box of every vehicle of a scene in one image.
-
-    Args:
-        object_index: What each pixel sees, as `warpav.detection.images` writes it, int, shape [row, column].
-
-    Returns:
-        Edges ``x0, y0, x1, y1`` [px], float32, shape [vehicle, 4]; NaN where a vehicle has no box.
-    """
+    """Ground-truth boxes in an image of object indices [row, column], float32 [vehicle, 4] [px]; NaN where none."""
     from scipy.ndimage import find_objects
 
     box_px = np.full((vehicle_count, 4), np.nan, np.float32)
@@ -74,30 +62,14 @@ def _overlap(first_box_px: np.ndarray, second_box_px: np.ndarray) -> tuple[np.nd
 
 
 def iou_matrix(first_box_px: np.ndarray, second_box_px: np.ndarray) -> np.ndarray:
-    """Intersection over union of every pair of boxes.
-
-    Args:
-        first_box_px: Edges ``x0, y0, x1, y1``, shape [first, 4].
-        second_box_px: Edges, shape [second, 4].
-
-    Returns:
-        IoU in 0..1, float64, shape [first, second]; 0 where a box is NaN or both are empty.
-    """
+    """IoU of every pair of boxes, float64 [first, second]; 0 where a box is NaN or both are empty."""
     intersection, first_area, second_area = _overlap(first_box_px, second_box_px)
     union = first_area + second_area - intersection
     return np.divide(intersection, union, out=np.zeros_like(intersection), where=(union > 0.0) & (intersection > 0.0))
 
 
 def covered_fraction(box_px: np.ndarray, region_px: np.ndarray) -> np.ndarray:
-    """Share of each box that lies in each region.
-
-    Args:
-        box_px: Edges ``x0, y0, x1, y1``, shape [box, 4].
-        region_px: Edges, shape [region, 4].
-
-    Returns:
-        Fraction in 0..1, float64, shape [box, region]; 0 for an empty box.
-    """
+    """Share of each box that lies in each region, float64 [box, region]; 0 for an empty box."""
     intersection, area, _ = _overlap(box_px, region_px)
     return np.divide(intersection, area, out=np.zeros_like(intersection), where=(area > 0.0) & (intersection > 0.0))
 
@@ -111,21 +83,10 @@ def match_detections(
     iou_min: float = 0.5,
     seen_inside: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Match ground-truth boxes and detections one to one, the pair of highest IoU first.
+    """The detection of every object, matched one to one from the highest IoU on, -1 where none, int64 [object].
 
-    A pair may match if the detection's confidence is at least `confidence_min`, their IoU at least `iou_min`, and part
-    of the object is seen inside the detection. Among pairs of one IoU the higher confidence wins, then the earlier
-    object, then the earlier detection.
-
-    Args:
-        truth_box_px: Ground-truth boxes, NaN where an object has none, shape [object, 4].
-        detection_box_px: Boxes of the detector, shape [detection, 4].
-        confidence: Their confidence, shape [detection].
-        seen_inside: Whether part of an object is seen in a detection, bool, shape [object, detection]; None leaves the
-            third condition out.
-
-    Returns:
-        The detection of every object, -1 where it has none, int64, shape [object].
+    A pair may match from `confidence_min` and `iou_min` on where part of the object is seen inside the detection, bool
+    [object, detection]. At one IoU the higher confidence wins, then the earlier object, then the earlier detection.
     """
     confidence = np.asarray(confidence, np.float64).reshape(-1)
     iou = iou_matrix(truth_box_px, detection_box_px)

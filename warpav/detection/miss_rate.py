@@ -18,10 +18,7 @@ def expected_miss_rate(detection_probability: np.ndarray, weight: np.ndarray | N
 def expected_miss_slope(
     detection_probability: np.ndarray, jacobian: np.ndarray, weight: np.ndarray | None = None
 ) -> np.ndarray:
-    """Derivatives of `expected_miss_rate` to the mount poses, float64 [camera, 7].
-
-    ``jacobian`` float [camera, object, 7].
-    """
+    """Derivatives of `expected_miss_rate` to mount poses, [camera, 7], of those of p, [camera, object, 7]."""
     missed = 1.0 - np.minimum(np.asarray(detection_probability, np.float64), SUREST)
     others = np.stack([np.prod(np.delete(missed, camera, axis=0), axis=0) for camera in range(len(missed))])
     share = np.full(missed.shape[1], 1.0 / max(missed.shape[1], 1)) if weight is None else weight

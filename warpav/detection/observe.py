@@ -76,13 +76,9 @@ class Observation:
         return match >= 0
 
     def detected_up_to(self, iou_min: float) -> np.ndarray:
-        """Highest minimum confidence at which a detection still matches a vehicle, -inf without one.
+        """Highest minimum confidence at which a vehicle still has a match, -inf: none; float64 [camera, vehicle].
 
-        Objects are matched again at every threshold. A higher one only takes detections away, which never gives an
-        object one that it did not have: what is found at a threshold is found at all lower ones.
-
-        Returns:
-            float64 [camera, vehicle].
+        Objects are matched again at every threshold; what is found at one is found at all lower ones.
         """
         up_to = np.full(self.truth_box_px.shape[:2], -np.inf)
         for camera, (found, may) in enumerate(zip(self.detections, self.may_match, strict=True)):
@@ -143,11 +139,7 @@ def _matched(
 
 
 def matched_boxes_px(match: np.ndarray, detections: Sequence[Detections]) -> np.ndarray:
-    """Box of the detection matched to every vehicle [px], 0 where none is, float32 [camera, vehicle, 4].
-
-    Args:
-        match: Detection of every vehicle, -1 for none, int [camera, vehicle].
-    """
+    """Box of the detection matched to every vehicle [px], 0 where none is, float32 [camera, vehicle, 4]."""
     box = np.zeros((*match.shape, 4), np.float32)
     for camera, found in enumerate(detections):
         is_matched = match[camera] >= 0
@@ -156,14 +148,7 @@ def matched_boxes_px(match: np.ndarray, detections: Sequence[Detections]) -> np.
 
 
 def network_input_of(images: Sequence[wp.array], detector: Detector) -> wp.array | np.ndarray:
-    """Rendered images in the detector's input format, without a copy to the host where possible.
-
-    Args:
-        images: Colours 0..1, vec3 [image, row, column] each, of one size; at least one.
-
-    Returns:
-        For `detections_in`: float [image, 3, row, column] on the device, or uint8 [image, row, column, 3].
-    """
+    """Rendered images of one size, 0..1, vec3 [image, row, column], as the detector takes them; for `detections_in`."""
     _, height_px, width_px = images[0].shape
     if not (isinstance(detector, TensorDetector) and detector.takes_tensor(height_px, width_px)):
         return np.concatenate([(image.numpy() * 255.0 + 0.5).astype(np.uint8) for image in images])
@@ -223,12 +208,9 @@ def observe(
     iou_min: float,
     min_area_px: int = 16,
 ) -> Observation:
-    """Run the detector on a render, and match its boxes to the ground truth.
+    """Run the detector on a render, and match its boxes to the ground truth of the same kind of road user.
 
-    A detection only matches a vehicle of its own kind of road user.
-
-    Args:
-        image: Rendered forward views, 0..1, vec3 [camera, row, column]; None: they are rendered here.
+    ``image``: rendered forward views, 0..1, vec3 [camera, row, column]; None: they are rendered here.
     """
     if image is None:
         image = frame.colours(views=forward_view)
@@ -250,10 +232,9 @@ class RenderedImage:
 
 
 class DetectorInLoop:
-    """Runs a detector on images in its own thread and caches the last detections of every scene and camera.
+    """Runs a detector in its own thread, and keeps the last detections of every scene and camera.
 
-    onnxruntime releases the GIL, so the caller can continue rendering. Which images share a batch of the network
-    depends only on the calls, not on timing.
+    Which images share a batch depends only on the calls, not on timing.
     """
 
     def __init__(self, detector: Detector) -> None:

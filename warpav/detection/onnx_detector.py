@@ -53,11 +53,9 @@ _NUMBER_TYPES = {"float": "float32", "double": "float64"}
 def suppress(
     box_px: np.ndarray, confidence: np.ndarray, *, iou_max: float, class_index: np.ndarray | None = None
 ) -> np.ndarray:
-    """Non-maximum suppression: keep the most confident box, drop what overlaps it, repeat.
+    """Non-maximum suppression of boxes [box, 4]: keep the surest, drop what overlaps it, repeat; returns the kept.
 
-    Args:
-        box_px: Edges ``x0, y0, x1, y1``, shape [box, 4].
-        class_index: Given, boxes of the same class leave each other alone; None: whatever the class, shape [box].
+    With ``class_index`` [box] boxes of the same class leave each other alone.
     """
     order = np.argsort(-confidence, kind="stable")[:_CANDIDATE_MAX]
     box = np.asarray(box_px, np.float64)[order].reshape(-1, 4)
@@ -181,11 +179,7 @@ class OnnxDetector:
         return Letterbox.fit(height_px, width_px, *self.input_size_px(height_px, width_px), self.family.placement)
 
     def detect(self, images_rgb: np.ndarray | Sequence[np.ndarray]) -> list[Detections]:
-        """Find the road users in every image.
-
-        Args:
-            images_rgb: Images of one size, uint8, shape [image, row, column, 3].
-        """
+        """Find the road users in every image, uint8 [image, row, column, 3], all of one size."""
         if len(images_rgb) == 0:
             return []
         images_rgb = np.asarray(images_rgb)
@@ -206,12 +200,7 @@ class OnnxDetector:
     def detect_tensor(self, network_input: Any) -> list[Detections]:  # noqa: ANN401 (a DLPack capsule has no type)
         """Find the road users in images that are laid out for the network, without a copy where that can be.
 
-        What lies on the CPU is read where it lies by the CPU's provider, what lies on a GPU by the GPU's; otherwise it
-        is copied to the host first.
-
-        Args:
-            network_input: Anything with the DLPack protocol: RGB in 0..1, float32 [image, 3, row, column], of a size
-                that `takes_tensor`.
+        Anything with the DLPack protocol: RGB in 0..1, float32 [image, 3, row, column], of a size that `takes_tensor`.
         """
         import warp as wp
 

@@ -107,10 +107,7 @@ class DetectorUse:
 
     @cached_property
     def identity(self) -> str:
-        """SHA-256 of the file, the settings and the features; equal means that a fit can be used again.
-
-        Of a feature name and unit count: who changes what it is, and not only its words, raises `SCHEMA`.
-        """
+        """SHA-256 of file, settings, features and `SCHEMA`; equal means that a fit can be used again."""
         content = {
             "schema": SCHEMA,
             "model": self.model_sha256,
@@ -196,12 +193,9 @@ class DetectionProbability:
         camera_from_ego: wp.array,
         log_zoom: wp.array | None = None,
     ) -> Seen:
-        """Probabilities as a function of the views, recorded on the active tape.
+        """Probabilities as a function of the views, on the active tape; colours are held fixed.
 
-        Gradients flow through areas, extents, solid angles and boxes; colours are held fixed.
-
-        Args:
-            log_zoom: Logarithm of each view's focal length over its lens's, float [view]; None: as rendered.
+        ``log_zoom``: logarithm of each view's focal length over its lens's, float [view]; None: as rendered.
         """
         measure = appearance.measures.on_tape(position_ego_m, camera_from_ego, log_zoom)
         in_frame_sr = appearance.in_frame.on_tape(position_ego_m, camera_from_ego, log_zoom)
@@ -399,11 +393,7 @@ def whole_solid_angle(position_ego_m: wp.array, box: UprightBoxes, *, vehicle_co
 
 
 def spline_basis(value: np.ndarray, start: float, step: float, knot_count: int) -> np.ndarray:
-    """What every coefficient of a curve weighs at given values: the curve is ``basis @ coefficient``.
-
-    Returns:
-        float64 [value, knot].
-    """
+    """What every coefficient of a curve weighs at given values: the curve is ``basis @ coefficient``; [value, knot]."""
     u = (np.asarray(value, np.float64).reshape(-1) - start) / step
     inside = np.clip(u, 0.0, knot_count - 1.0)
     cell = np.minimum(inside.astype(np.int64), knot_count - 2)

@@ -84,13 +84,7 @@ def random_cameras(
     height_m: tuple[float, float] | None = None,
     fov_rad: tuple[float, float] | None = None,
 ) -> list[RigCamera]:
-    """Cameras anywhere on a mount surface, turned anywhere: where an optimisation may lead them.
-
-    Args:
-        pitch_rad: Range of their pitches [rad]; None: level.
-        height_m: Range of their heights above the surface [m]; None: ``height_offset_m``.
-        fov_rad: Range of their fields of view [rad], uniform in the logarithm of the focal length; None: the model's.
-    """
+    """Cameras anywhere on a mount surface, turned anywhere: where an optimisation may lead them."""
     position_m = rng.uniform(*surface.bounds_m, size=(count, 2))
     yaw_rad = rng.uniform(-math.pi, math.pi, count)
     pitches_rad = np.zeros(count) if pitch_rad is None else rng.uniform(*pitch_rad, count)

@@ -49,11 +49,7 @@ def chart_of(
     pair_spacing_m: float | None = None,
     pitch_rad: tuple[float, float] = (0.0, 0.0),
 ) -> MountSurface:
-    """All zones of a vehicle in one chart, once for every module that they carry.
-
-    Args:
-        mesh: The vehicle in the ego frame [m].
-    """
+    """All zones of a vehicle in one chart, once for every module that they carry."""
     names = [zone.name for zone in zones]
     if not names or len(set(names)) != len(names):
         raise InputError(f"zones: expected at least one, and names that differ, got {names}")
@@ -104,11 +100,8 @@ def chart_of(
 def _pane_under(zone: Zone, surface: MountSurface, mesh: Mesh) -> Pane:
     """What of the body the cameras of a zone behind glass look through.
 
-    Its outline is that of the zone, or else the convex hull of the cells that carry a camera, `_PANE_MARGIN_M` wider.
-    It reaches so much beyond the skin to either side, so a second sheet of glass is clear as well.
-
-    Args:
-        mesh: The vehicle in the ego frame [m].
+    Its outline is the zone's, or else the convex hull of the cells that carry a camera, `_PANE_MARGIN_M` wider; it
+    reaches so much beyond the skin to either side, so a second sheet of glass is clear as well.
     """
     from scipy.spatial import ConvexHull
 
@@ -155,10 +148,7 @@ def _sheets(
     is_symmetric: bool,
     pitch_rad: tuple[float, float],
 ) -> tuple[list[tuple[Zone, MountSurface]], list[str], np.ndarray, tuple[bool, ...], tuple[str, ...]]:
-    """The zones once for each module that they carry: they, the modules' names, which each carries, which are pairs.
-
-    Last what has to be said: which zones do not carry a module that fits them.
-    """
+    """The zones once for each module that they carry: they, names, which each carries, which are pairs; and notes."""
     sheets, names, carried, pairs, notes = [], [], [], [], []
     for module in modules:
         fitting, left_out = _roomy(module, _fitting(module, zones), surface_of, pitch_rad)
@@ -229,11 +219,7 @@ def _fitting(module: Module, zones: Sequence[Zone]) -> list[Zone]:
 def zone_surface(
     zone: Zone, mesh: Mesh, *, cell_m: float, min_upward_normal: float, min_zone_normal: float
 ) -> MountSurface:
-    """The height field of a zone over its own plane; u and v take the places of x and y.
-
-    Args:
-        mesh: The vehicle in the ego frame [m].
-    """
+    """The height field of a zone over its own plane; u and v take the places of x and y."""
     vertex_m = (mesh.vertex_m.astype(np.float64) - zone.origin_m) @ zone.axes.T
     turned = Mesh.create(vertex_m.astype(np.float32), mesh.triangle, [128, 128, 128])
     try:
@@ -297,16 +283,11 @@ def _words(normal: np.ndarray) -> str:
 
 
 def propose_zones(mesh: Mesh, is_glass: np.ndarray | None = None) -> tuple[Zone, ...]:
-    """Zones of a vehicle for a person to edit: roof and bonnet, both sides, front and rear, windscreen, rear window.
+    """Zones of a vehicle for a person to edit: roof and bonnet, sides, front and rear, windscreen, rear window.
 
     The roof is what faces upwards in the upper third, the bonnet what does ahead of and below it. Sides keep out of the
-    lowest third, where wheels and sills are; front and rear out of what bumpers touch. A zone of which the body has
-    nothing is left out.
-
-    Cameras stand behind windscreen and rear window, see `propose_panes`.
-
-    Args:
-        mesh: The vehicle in the ego frame [m].
+    lowest third (wheels, sills), front and rear out of what bumpers touch. A zone of which the body has nothing is left
+    out.
     """
     low_m, high_m = mesh.bounds_m().astype(np.float64)
     length, _, height = high_m - low_m
@@ -345,10 +326,7 @@ def propose_zones(mesh: Mesh, is_glass: np.ndarray | None = None) -> tuple[Zone,
 
 
 def with_middles(zones: Sequence[Zone]) -> tuple[Zone, ...]:
-    """Zones, and of each that lies across the middle of a vehicle and looks forwards or back a centred one of its own.
-
-    So a symmetric rig may have single cameras there, such as one behind the windscreen or above the rear plate.
-    """
+    """Zones, and of each that lies across the middle and looks forwards or back a centred one, for single cameras."""
     across = [
         zone
         for zone in zones

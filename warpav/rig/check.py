@@ -35,10 +35,7 @@ def _side_of_name(name: str) -> str | None:
 
 
 def mirrored_cameras(cameras: Iterable[RigCamera]) -> Iterator[str]:
-    """One message per camera whose name contradicts its side or direction.
-
-    Reading a left-handed file as right-handed gives such a rig.
-    """
+    """One message per camera whose name contradicts its side, as of a left-handed file read as right-handed."""
     for camera in cameras:
         side = _side_of_name(camera.name)
         if side is None:

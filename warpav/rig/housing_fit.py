@@ -22,14 +22,11 @@ _ROUNDING_M = 1e-3
 def with_room(
     module: Module, zone: Zone, surface: MountSurface, *, pitch_rad: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[Zone, MountSurface] | float:
-    """A zone as a module may stand in it whichever way it points within the zone's ranges.
+    """A zone and its surface as a module may stand there; or the stand-off that it would need, beyond the greatest [m].
 
-    The least stand-off is raised until the housing has room in half of the zone; where it has none then, because the
-    body bulges, the zone carries no camera. A zone outside of the body that sets no ``recess_m`` stays as it is:
-    its housings may be let into the body. Behind glass none reaches the pane.
-
-    Returns:
-        The zone and its surface; or the stand-off that would be needed, where that is beyond the zone's greatest [m].
+    The least stand-off is raised until the housing has room in half of the zone, whichever way it points; where it has
+    none then, as the body bulges, the zone carries no camera. A zone outside that sets no ``recess_m`` stays: its
+    housings may be let in.
     """
     if not zone.is_behind_glass and zone.recess_m is None:
         return zone, surface
@@ -52,14 +49,7 @@ def with_room(
 def _housing_reach_m(
     housing: Housing, zone: Zone, direction: np.ndarray, *, pitch_rad: tuple[float, float]
 ) -> tuple[float, float]:
-    """How far a housing reaches from the camera's centre at most, whichever way the camera points within a zone.
-
-    Args:
-        direction: Unit vector in the ego frame, [3].
-
-    Returns:
-        Along the direction, and across it [m].
-    """
+    """How far a housing reaches along a unit vector [3] and across it at most, however it points in a zone [m]."""
     half_m = 0.5 * np.asarray(housing.size_m)
     corner_m = np.array([np.multiply(signs, half_m) for signs in itertools.product((-1.0, 1.0), repeat=3)])
     corner_m = (corner_m + housing.offset_m) @ FLU_FROM_RDF.T

@@ -303,11 +303,7 @@ def _image_problems(module: Module) -> Iterator[_Problem]:
 
 
 def _blind_place(model: CameraModel) -> str | None:
-    """The part of an image's border in which the lens sees nothing; None: it sees all of it.
-
-    A lens by the angle may leave the corners dark, as the image circle of a fisheye does: there the middles of the
-    edges count alone.
-    """
+    """The part of an image's border in which the lens sees nothing (of an angle lens, of edges); None: none."""
     width, height = model.width_px, model.height_px
     place_px = {
         "left edge": (0.5, 0.5 * height),

@@ -88,10 +88,7 @@ class MountSurface:
         return [self.panes[zone] for zone in self.zone_at(position_m)]
 
     def carriers_of(self, cameras: Sequence[RigCamera]) -> np.ndarray | None:
-        """Which modules' zones a rig's cameras may stand in: those of their names, bool [camera, module].
-
-        Cameras of none of the modules may stand in all. None without modules.
-        """
+        """Modules whose zones a rig's cameras may stand in (all, where none is theirs), bool [camera, module]."""
         if not self.modules:
             return None
         same = np.array([[camera.module == name for name in self.modules] for camera in cameras])
@@ -116,13 +113,10 @@ class MountSurface:
         return self.plane_m[zone] + np.einsum("...i,...ij->...j", local_m, self.axes[zone])
 
     def place_of(self, point_m: np.ndarray, carriers: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """The place of the chart that a camera at a point stands at, and its height over the surface there.
+        """Place in the chart [m], [..., 2], and height over the surface [m], [...], of a camera at a point.
 
-        With zones it is that of the zone whose surface and stand-off are nearest, and of several in which the place
-        lies farthest from the border; for a point that is above none of them, the nearest cell's.
-
-        Returns:
-            Places [m], float64 [..., 2], and heights over the surface [m], float64 [...].
+        Of zones the one whose surface and stand-off are nearest, of several the one in which the place lies deepest;
+        above none of them the nearest cell's.
         """
         point_m = np.asarray(point_m, np.float64)
         if not self.zones:
@@ -222,22 +216,14 @@ class MountSurface:
         return np.stack([self.origin_m, self.origin_m + last * self.cell_m])
 
     def height_at_m(self, position_m: np.ndarray) -> np.ndarray:
-        """Height of the surface, bilinear between cell centres, that of the nearest border point outside.
-
-        Args:
-            position_m: x and y [m], shape [..., 2].
-
-        Returns:
-            Height above the ground [m], float64, shape [...].
-        """
+        """Height of the surface at x and y [..., 2] [m], bilinear, outside that of the nearest border point."""
         return self._bilinear(self.height_m, position_m)
 
     @cached_property
     def border_distance_m(self) -> np.ndarray:
-        """Distance from every cell's centre to the nearest border of the mountable zone [m], float32 [row, column].
+        """Distance from every cell's centre to the border of the mountable zone [m], positive inside, [row, column].
 
-        Positive inside. Borders run along the edges between cells that can and cells that cannot carry a camera, and
-        along the rectangle `bounds_m`: no part of the zone lies beyond it.
+        Borders run along the edges between cells that can and cells that cannot carry a camera, and along `bounds_m`.
         """
         is_inside = np.ones(self.height_m.shape, bool) if self.is_mountable is None else self.is_mountable
         to_edge = _cells_to_edge(is_inside)
@@ -246,16 +232,7 @@ class MountSurface:
         return np.ascontiguousarray(self.cell_m * np.minimum(to_edge, to_rectangle), np.float32)
 
     def zone_distance_m(self, position_m: np.ndarray) -> np.ndarray:
-        """Distance to the border of the mountable zone, positive inside.
-
-        Bilinear between cell centres; beyond the rectangle that of its nearest point, less the distance to it.
-
-        Args:
-            position_m: x and y [m], shape [..., 2].
-
-        Returns:
-            Signed distance [m], float64, shape [...].
-        """
+        """Distance of x and y [..., 2] to the border of the mountable zone [m], positive inside; float64 [...]."""
         low_m, high_m = self.bounds_m
         position_m = np.asarray(position_m, np.float64)
         beyond_m = np.linalg.norm(position_m - np.clip(position_m, low_m, high_m), axis=-1)
@@ -273,12 +250,7 @@ class MountSurface:
         return near * (1.0 - u) + far * u
 
     def highest_point_m(self, module: int = -1) -> np.ndarray:
-        """The highest cell centre: its place in the chart and its height there [m], shape [3].
-
-        On a flat top it is the one nearest the centre of the top. Of a module it is that of its zones; -1: of all.
-
-        Cells within 1 mm of the maximum count as the top, which absorbs rounding noise.
-        """
+        """The highest cell, on a flat top (within 1 mm) the one nearest its middle: x, y, height [m], [3]."""
         height_m = self.height_m
         if self.zones:
             row, column = np.indices(height_m.shape)
@@ -303,17 +275,12 @@ def mount_surface_from_mesh(
     smoothing_tolerance_m: float = 1e-4,
     keeps: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> MountSurface:
-    """The surface that faces upwards and is seen from straight above: roof and bonnet (thesis, 3D Surface Positioning).
+    """What faces upwards and is seen from straight above: roof and bonnet (thesis, 3D Surface Positioning).
 
-    Points are the first hits of vertical rays from above, kept where the face points upwards. Each
-    cell of the raster takes the height of its highest point. Cells without points, such as those over the glass, are
-    filled from the cells around them and smoothed until nothing moves by more than the tolerance.
-
-    Cells with points can carry a camera if their faces also point upwards by ``min_zone_normal``. Gaps of up to two
-    cells, such as a crease of the roof, are no border.
-
-    Args:
-        mesh: The vehicle in the ego frame [m]; faces may have either orientation; the surface seen from above counts.
+    Points are the first hits of vertical rays, where the face points upwards; a cell takes the highest. Cells without
+    points, as over glass, are filled from those around and smoothed until none moves by more than the tolerance. Those
+    with points carry a camera if their faces point upwards by ``min_zone_normal``; gaps of up to two cells are no
+    border.
     """
     if not smoothing_tolerance_m > 0.0:
         raise ValueError(f"smoothing_tolerance_m must be positive, got {smoothing_tolerance_m}")
@@ -334,11 +301,7 @@ def mount_surface_from_mesh(
 def measured_surface(
     mesh: Mesh, *, cell_m: float = 0.02, min_upward_normal: float = 0.9, min_height_m: float = 0.0
 ) -> MountSurface:
-    """The same as `mount_surface_from_mesh` before its holes are filled: NaN where nothing was measured.
-
-    Args:
-        mesh: The vehicle in the ego frame [m].
-    """
+    """As `mount_surface_from_mesh` before holes are filled: NaN where nothing was measured."""
     measured_m, _, origin_m = _measured(mesh, cell_m, min_upward_normal, min_height_m)
     return MountSurface(np.ascontiguousarray(measured_m, np.float32), origin_m, float(cell_m))
 
@@ -350,12 +313,7 @@ def _measured(
     min_height_m: float,
     keeps: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What vertical lines meet from above, cell by cell.
-
-    Returns:
-        Heights [m], float64 [row, column], NaN where there is none; z of the unit normal of the flattest face,
-        likewise, -inf where there is none; centre of cell (0, 0) [m], shape [2].
-    """
+    """Heights [m] (NaN: none) and z of the flattest face's normal, [row, column]; centre of cell (0, 0) [m]."""
     if not cell_m > 0.0:
         raise ValueError(f"cell_m must be positive, got {cell_m}")
     if not 0.0 < min_upward_normal <= 1.0:
@@ -406,14 +364,9 @@ def _used_range(is_measured: np.ndarray, axis: int) -> slice:
 def _first_upward_height(
     mesh: Mesh, corner_m: np.ndarray, size: np.ndarray, step_m: float, min_upward_normal: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """First hits of vertical rays from above, and the upward component of the face normal there.
+    """Height of the first hits of vertical rays and absolute z of the normal there, -inf where none faces up.
 
-    Args:
-        corner_m: Low corner of the first sample's square [m], shape [2]; a line runs through the centre of each square.
-
-    Returns:
-        Height [m], -inf where a ray misses or the face points sideways; absolute z of the face's unit normal, -inf
-        likewise; both float64 [row, column].
+    A ray runs through the centre of each square of side ``step_m``; ``corner_m`` is the low corner of the first.
     """
     corner = mesh.vertex_m.astype(np.float64)[mesh.triangle]  # [triangle, corner, xyz]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -488,8 +441,7 @@ def _without_gaps(is_inside: np.ndarray) -> np.ndarray:
 def _cells_to_edge(is_inside: np.ndarray) -> np.ndarray:
     """Distance from every cell's centre to the nearest edge between inside and outside, in cells, positive inside.
 
-    Seen from a centre, the nearest point of an edge is its middle or one of its ends, so the nearest of these points
-    is the nearest of all. Beyond the raster is outside.
+    The nearest point of an edge is its middle or one of its ends. Beyond the raster is outside.
     """
     from scipy import ndimage
 
@@ -514,12 +466,7 @@ def _between(is_inside: np.ndarray, of_both: np.ufunc, axis: int) -> np.ndarray:
 
 
 def _filled(height_m: np.ndarray, is_known: np.ndarray, tolerance_m: float) -> np.ndarray:
-    """The raster with unknown cells smoothed until none moves by more than the tolerance in one step.
-
-    An unknown cell starts at the nearest known cell's height; each step moves it towards the mean of its four
-    neighbours, and beyond it (successive over-relaxation), which needs a hundredth of the steps of plain averaging.
-    Beyond the border the raster repeats its edge.
-    """
+    """The raster with unknown cells smoothed, by over-relaxation, until none moves by more than a tolerance."""
     from scipy import ndimage
 
     distance = np.zeros(is_known.shape)

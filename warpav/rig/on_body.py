@@ -64,16 +64,7 @@ class Body:
         return cls((rear_m, -0.5 * width_m, 0.0), (rear_m + length_m, 0.5 * width_m, height_m))
 
     def carried_to(self, other: Body, position_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where places of this body are on another one.
-
-        Shares of length, width and height stay; what stands out of the box keeps its distance from it.
-
-        Args:
-            position_m: Places, float [place, 3].
-
-        Returns:
-            The places there [m], float64 [place, 3], and how far they stand out [m], float64 [place].
-        """
+        """Where places [place, 3] are on another body, shares of its box kept; and how far they stand out of it [m]."""
         low_m, high_m, other_low_m, other_high_m = map(np.asarray, (self.low_m, self.high_m, other.low_m, other.high_m))
         inside_m = np.clip(position_m, low_m, high_m)
         share = (inside_m - low_m) / (high_m - low_m)
@@ -84,10 +75,9 @@ class Body:
 def put_on_body(rig: Rig, vehicle: Mesh, *, made_for: Body | None = None) -> MovedRig:
     """Put every camera of a rig on the skin of a vehicle, where it is on the body that it was made for.
 
-    A camera goes to its place on the vehicle (`Body.carried_to`), and from there to the nearest place off the skin, the
-    roof's, a side's or an end's: as far off as it stood out of its own vehicle's box, at least `LEAST_STAND_OFF_M`. Of
-    the places up to `REACH_M` farther it takes the one whose view the vehicle hides least, and of these the nearest.
-    Directions stay, and so do lenses and images. Cameras are placed in the order of the rig, `_APART_M` apart.
+    From its place there (`Body.carried_to`) to the nearest off the skin, as far off as it stood out of its own
+    vehicle's box, at least `LEAST_STAND_OFF_M`; of the places up to `REACH_M` farther the one whose view the vehicle
+    hides least. Directions, lenses and images stay. Cameras are placed in the rig's order, `_APART_M` apart.
     """
     caster = ray_caster(vehicle)
     skin_m, outward = _skin(vehicle)
@@ -119,11 +109,7 @@ def ray_caster(vehicle: Mesh) -> EmbreeScene:
 
 
 def blocked_shares(caster: EmbreeScene, camera: RigCamera, place_m: np.ndarray) -> np.ndarray:
-    """Share of the rays of a camera's middle row that meet the vehicle, from every place, float64 [place].
-
-    Args:
-        place_m: Where it might stand [m], [place, 3].
-    """
+    """Share of the rays of a camera's middle row that meet the vehicle, from places [place, 3]; [place]."""
     model = camera.model
     column_px = (np.arange(_FAN_RAYS) + 0.5) / _FAN_RAYS * model.width_px
     ray = model.rays(np.c_[column_px, np.full(_FAN_RAYS, 0.5 * model.height_px)])
@@ -158,11 +144,7 @@ def _are_hit(caster: EmbreeScene, origin_m: np.ndarray, direction: np.ndarray) -
 
 
 def _skin(vehicle: Mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Points spread evenly over a mesh and unit normals there, float64 [point, 3] each.
-
-    Every point is there with the normal to either side, as files do not always wind their triangles the same way; those
-    that look down are left out.
-    """
+    """Points spread evenly over a mesh, [point, 3], with unit normals to either side but those that look down."""
     rng = np.random.default_rng(0)
     corner = vehicle.vertex_m.astype(np.float64)[vehicle.triangle]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])

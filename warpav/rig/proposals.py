@@ -33,12 +33,9 @@ _CELL_M = 0.03
 def propose_panes(mesh: Mesh, is_glass: np.ndarray | None = None) -> tuple[Zone, ...]:
     """Windscreen and rear window of a vehicle as zones behind glass, as far as they are found.
 
-    The windscreen is the widest flat part of the front half, above the middle of its height, that faces forwards
-    and upwards more steeply than roof and bonnet; where parts are dark beside lighter ones, of the dark parts. The
-    rear window is found likewise, but by its colour or name alone: many a rear is a plain wall.
-
-    Args:
-        mesh: The vehicle in the ego frame [m].
+    The windscreen is the widest flat part of the front half, above the middle of its height, that faces forwards and
+    upwards more steeply than roof and bonnet; of the dark parts, where there are lighter ones beside them. The rear
+    window is found by colour or name alone: many a rear is a plain wall.
     """
     corner_m = mesh.vertex_m[mesh.triangle].astype(np.float64)
     doubled = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
@@ -186,16 +183,10 @@ def _kind_of(name: str) -> str:
 
 
 def propose_keep_out(mesh: Mesh, kind: np.ndarray | None = None) -> list[tuple[str, np.ndarray]]:
-    """Boxes of what carries no camera, and what each is.
+    """Boxes of what carries no camera, each with its kind, out of `MARGIN_M`; in the ego frame [m], float64 [2, 3].
 
     Wheels are round parts of their own on the ground. What a file names is taken from there; without names whatever has
     another colour than the paint, which is the most frequent one.
-
-    Args:
-        mesh: The vehicle in the ego frame [m].
-
-    Returns:
-        Of each part its kind, out of `MARGIN_M`, and its box in the ego frame [m], float64 [2, 3].
     """
     corner_m = mesh.vertex_m[mesh.triangle].astype(np.float64)
     kind = np.full(len(corner_m), "", object) if kind is None else kind.copy()

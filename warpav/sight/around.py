@@ -45,11 +45,7 @@ _TURN_RAD = 1e-4
 
 
 def _level_ground(ego: Mesh, *, device: str = "cpu") -> DeviceScene:
-    """The vehicle with nothing around it, in which points from the height of the ground upwards are free.
-
-    Args:
-        ego: The vehicle in the ego frame [m].
-    """
+    """The vehicle with nothing around it, in which points from the height of the ground upwards are free."""
     side_m, below_m = 1e3, -_BELOW_M
     corner_m = [[side_m * x, side_m * y, below_m] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     ground = Mesh.create(corner_m, [[0, 1, 2], [0, 2, 3]], (128, 128, 128))
@@ -60,12 +56,7 @@ def _level_ground(ego: Mesh, *, device: str = "cpu") -> DeviceScene:
 
 
 def upright_px(camera: RigCamera, foot_m: np.ndarray, height_m: float) -> np.ndarray:
-    """Height of the image of something upright on level ground, through the lens; nothing stands in the way.
-
-    Returns:
-        Distance of the images of foot and top, also where these leave the image [px], float64 [...]; inf where the lens
-        sees its middle, but one of them not at all; 0 where its middle is outside the image.
-    """
+    """Height of the image of something upright on level ground [px]; inf where an end is beyond the lens, 0 outside."""
 
     def at(z_m: float) -> np.ndarray:
         return np.concatenate([foot_m, np.full((*foot_m.shape[:-1], 1), z_m)], axis=-1)
@@ -79,14 +70,9 @@ def upright_px(camera: RigCamera, foot_m: np.ndarray, height_m: float) -> np.nda
 def size_ranges_m(
     camera: RigCamera, azimuth_rad: np.ndarray, *, pixels: Sequence[float] = PIXELS, height_m: float = CAR_HEIGHT_M
 ) -> np.ndarray:
-    """From where to where something upright is so high in a camera's image, by direction.
+    """Nearest and farthest distance at which something upright is ``pixels`` high, by direction; NaN: none up to 1 km.
 
-    Args:
-        pixels: Least heights of its image [px].
-
-    Returns:
-        The nearest and the farthest distance from the camera over the ground at which the middle is in the image and
-        `upright_px` is at least so much [m], float64 [pixels, direction, 2]; NaN where there is none up to 1 km.
+    From the camera over the ground [m], where its middle is in the image, float64 [pixels, direction, 2].
     """
     across = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
     foot_m = np.asarray(camera.position_m, np.float64)[:2]
@@ -106,11 +92,7 @@ def size_ranges_m(
 
 
 def px_per_degree(camera: RigCamera, direction: np.ndarray) -> np.ndarray:
-    """Pixels that a camera has for a degree: the square root of its pixels per square degree.
-
-    Along the optical axis of a pinhole it is ``f pi / 180`` with the focal length f [px]. The derivative of
-    `CameraModel.project` is taken over 1e-4 rad. Nothing stands in the way.
-    """
+    """Square root of a camera's pixels per square degree along directions; ``f pi / 180`` on a pinhole's axis."""
     level = np.stack([-direction[..., 1], direction[..., 0], 0.0 * direction[..., 0]], axis=-1)
     level /= np.linalg.norm(level, axis=-1, keepdims=True)
     turn = camera.ego_from_camera[:3, :3]
@@ -155,13 +137,7 @@ class NearField:
         direction_count: int = 240,
         device: str = "cpu",
     ) -> NearField:
-        """Look along every direction in steps of 5 cm, and between two of them by bisection.
-
-        A point is seen where it is in an image and the straight line to it is free of the body.
-
-        Args:
-            ego: The vehicle in the ego frame [m].
-        """
+        """Look along every direction in steps of 5 cm, then by bisection; lines of sight end at the body."""
         scene = _level_ground(ego, device=device)
         azimuth_rad = np.arange(direction_count) * 2.0 * math.pi / direction_count
         border_m = Body.of(ego).border_m(azimuth_rad)
@@ -209,11 +185,7 @@ class VisibleGround:
 
     @classmethod
     def of(cls, rig: Rig, ego: Mesh, *, margin_m: float, cell_m: float = 0.1, device: str = "cpu") -> VisibleGround:
-        """Of the ground up to a distance from the bounds of the vehicle.
-
-        Args:
-            ego: The vehicle in the ego frame [m].
-        """
+        """Of the ground up to a distance from the bounds of the vehicle."""
         scene = _level_ground(ego, device=device)
         low_m, high_m = np.asarray(ego.bounds_m(), np.float64)[:, :2]
         x_m, y_m = (
@@ -271,13 +243,10 @@ class SectorCounts:
         least_px: float = PIXELS[-1],
         device: str = "cpu",
     ) -> SectorCounts:
-        """Ask every camera about a road user in the middle of every cell.
+        """Ask every camera about a road user in the middle of every cell; the first sector is centred ahead.
 
-        A camera sees it where the point at half the height of a car (0.75 m) is in its image, nothing of the own body
-        stands before that point, and the car is at least so high in the image. The first sector is centred ahead.
-
-        Args:
-            ego: The vehicle in the ego frame [m].
+        It sees one where the point at half the height of a car is in its image, free of the own body, and the car large
+        enough.
         """
         scene, body = _level_ground(ego, device=device), Body.of(ego)
         azimuth_rad = np.arange(sector_count) * 2.0 * math.pi / sector_count
@@ -336,12 +305,7 @@ def _edge(holds: Callable[[np.ndarray], np.ndarray], inside: np.ndarray, outside
 
 
 def body_shares(rig: Rig, scene: DeviceScene) -> dict[str, float]:
-    """Share of the image of every camera that the body of the own vehicle covers.
-
-    The vehicle is drawn alone, so nothing of the scene counts but its ego vehicle. Pixels whose centres show it are
-    counted over all pixels of the image, those included in which the lens sees nothing. Surfaces nearer than a camera's
-    ``near_m`` are cut away, as in every render, and so is a pane that a camera stands behind.
-    """
+    """Share of the image of every camera that the body of the own vehicle covers; nothing else of the scene counts."""
     share: dict[str, float] = {}
     kinds = [(camera.model.width_px, camera.model.height_px, camera.behind_glass) for camera in rig.cameras]
     for kind in dict.fromkeys(kinds):

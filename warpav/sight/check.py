@@ -60,12 +60,7 @@ class Gap:
 
     @classmethod
     def largest(cls, point_m: np.ndarray, spacing_m: float, middle_m: np.ndarray) -> Gap | None:
-        """The largest one; None without points.
-
-        Args:
-            point_m: The points of a grid that are not met [m], [point, 2].
-            middle_m: That of the vehicle [m], [2].
-        """
+        """The largest of unmet points of a grid [point, 2], by sector around a middle [m]; None without points."""
         from scipy import ndimage
 
         if not len(point_m):

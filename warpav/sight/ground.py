@@ -129,15 +129,7 @@ class Ground:
         return np.isfinite(self.ground_m) & (self.headroom_m >= height_m)
 
     def coverage(self, cameras: Sequence[RigCamera], *, heights_m: Sequence[float] = HEIGHTS_M) -> Coverage:
-        """Compute which cameras see a person in each cell.
-
-        Args:
-            cameras: The cameras, of any lens.
-            heights_m: Heights above the ground [m], at least one, positive.
-
-        Raises:
-            ValueError: There is no height, or one is not positive.
-        """
+        """Which cameras see a person of each height in each cell."""
         if not heights_m or not all(height_m > 0.0 for height_m in heights_m):
             raise ValueError(f"heights_m must be positive, got {tuple(heights_m)}")
         is_open = np.stack([self.is_open(height_m) for height_m in heights_m])
@@ -149,14 +141,7 @@ class Ground:
     def points_m(
         self, is_open: np.ndarray, heights_m: Sequence[float]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Head positions of all persons that can stand in the cells.
-
-        Args:
-            is_open: Where a person of a height can stand, bool [height, row, column].
-
-        Returns:
-            Index of the height, row and column, int64 [point] each, and the points in the ego frame [m], [point, 3].
-        """
+        """Heads of all who can stand in open cells [height, row, column]: these indices, and points [m]."""
         height, row, column = np.nonzero(is_open)
         top_m = self.ground_m[row, column] + np.asarray(heights_m)[height]
         return height, row, column, np.stack([self.x_m[row], self.y_m[column], top_m], axis=-1)
@@ -276,11 +261,7 @@ class BlindGround:
         return np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1)
 
     def table(self) -> dict[str, Any]:
-        """The counts by sector and band, for ``evaluation.json``.
-
-        ``cells`` and each of ``blind`` count cells, once per scene, by height, sector and band; the other keys
-        describe these axes.
-        """
+        """The counts by height, sector and band, once per scene, for ``evaluation.json``."""
         sector = sectors_of(self.from_ego_m)
         band = np.searchsorted(DISTANCE_EDGES_M[1:-1], np.linalg.norm(self.from_ego_m, axis=-1), side="right")
 

@@ -76,11 +76,7 @@ class Body:
         return self.centre_m + distance_m[:, None] * across
 
     def ring_m(self, distance_m: float, *, direction_count: int = 720) -> np.ndarray:
-        """The closed line at a distance from the border, by the direction of its outward normal.
-
-        Returns:
-            x and y [m], float64 [direction, 2]; the first is ahead, the others follow to the left.
-        """
+        """The closed line at a distance from the border, by its normal from ahead to the left [m], [direction, 2]."""
         turn_rad = np.arange(direction_count) * 2.0 * math.pi / direction_count
         normal = np.stack([np.cos(turn_rad), np.sin(turn_rad)], axis=-1)
         return self.outline_m[(normal @ self.outline_m.T).argmax(axis=1)] + distance_m * normal

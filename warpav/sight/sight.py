@@ -86,12 +86,7 @@ def free_shares(
     near_m: float = 0.0,
     behind_glass: Pane | None = None,
 ) -> np.ndarray:
-    """Share of the line of sight from one point to others that is free of occluders.
-
-    Args:
-        start_m: Start point in the ego frame [m], [3].
-        end_m: End points in the ego frame [m], [point, 3].
-    """
+    """Share of the line of sight from a point [3] to others [point, 3] that is free of occluders, float32 [point]."""
     raster = scene.raster.through(behind_glass)  # held while kernels read it
     device, count = raster.device, len(end_m)
     if count == 0:
@@ -132,11 +127,7 @@ class Redundancy:
 
 
 def probability_of_at_least(cameras: int, probability: np.ndarray) -> np.ndarray:
-    """Probability that at least so many cameras detect each object, each independently of the others.
-
-    Args:
-        probability: Of each camera, 0..1; flags will do; [camera, object].
-    """
+    """Probability that so many cameras or more, each by itself, detect each object, of [camera, object]."""
     probability = np.asarray(probability, np.float64)
     # of exactly 0, 1, ... cameras so far
     exactly = np.zeros((cameras + 1, probability.shape[1]))
@@ -152,12 +143,7 @@ def probability_of_at_least(cameras: int, probability: np.ndarray) -> np.ndarray
 def redundancy(
     sees: Sequence[np.ndarray], scenes: Sequence[DeviceScene], *, radius_m: float, cameras: int
 ) -> Redundancy:
-    """Share of the road users within a radius that enough cameras see, over some scenes.
-
-    Args:
-        sees: Of every scene which camera sees which road user, as flags (`RigObservation.visible_to_camera`), or how
-            likely each is to detect it (`RigObservation.detection_probability`), [camera, object].
-    """
+    """Share of the road users within a radius that enough cameras see, by flags or probabilities [camera, object]."""
     if not radius_m > 0.0 or cameras < 1:
         raise ValueError(f"radius_m must be positive and cameras at least 1, got {radius_m} and {cameras}")
     found = [np.zeros(0)]

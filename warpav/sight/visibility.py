@@ -107,11 +107,7 @@ def ghost_visibility(
     scenes: GhostScenes | None = None,
     renderers: KeptRenderers | None = None,
 ) -> Visibility:
-    """What cameras see of ghosts; no gradient.
-
-    Args:
-        ego_from_camera: Poses, float [camera, 4, 4].
-    """
+    """What cameras see of ghosts; no gradient."""
     share = np.zeros((len(models), len(ghosts)))
     pixels = np.zeros_like(share)
     if scenes is None:
@@ -174,13 +170,10 @@ def ghost_jacobians(
 
 
 def whole_solid_angle_sr(centre_m: np.ndarray, ghosts: Ghosts, which: np.ndarray) -> np.ndarray:
-    """Solid angle of the convex hulls of whole ghosts, each as seen from a point [sr], float64 [pair].
+    """Solid angle of the convex hulls of whole ghosts, each from a point [pair, 3]; float64 [pair].
 
-    The triangles' solid angles (Van Oosterom and Strackee 1983) add up to twice that of a convex body, since every ray
-    that hits it goes in and out.
-
-    Args:
-        centre_m: Points in the ego frame, [pair, 3].
+    The triangles' solid angles (Van Oosterom and Strackee 1983) add up to twice that of a convex body: rays go in and
+    out.
     """
     whole = np.zeros(len(which))
     of_pair = ghosts.requirement[which]
@@ -267,8 +260,7 @@ def _whole_sr(
 ) -> np.ndarray:
     """Solid angle of whole ghosts [sr], [camera, ghost]; 0 where nothing of one is in the image.
 
-    That of a ghost that is in the image with all its corners is ``alone_sr``, which the image measures: so nothing that
-    is seen whole counts as less for its pixels.
+    That of one which is in the image with all corners is ``alone_sr``, so nothing that is seen whole counts as less.
     """
     whole = alone_sr.copy()
     cut: list[tuple[np.ndarray, np.ndarray]] = []

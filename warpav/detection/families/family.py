@@ -178,11 +178,7 @@ class Letterbox:
         )
 
     def canvas(self, images_rgb: np.ndarray) -> np.ndarray:
-        """The images at their position in the input, uint8, shape [image, row, column, 3].
-
-        Args:
-            images_rgb: Images, uint8, shape [image, row, column, 3].
-        """
+        """The images at their position in the input, uint8, shape [image, row, column, 3]."""
         if images_rgb.shape[1:3] == (self.input_height_px, self.input_width_px):
             return images_rgb
         import cv2
@@ -268,11 +264,7 @@ class Family(ABC):
         return self.takes_unit_rgb and len(self.file.inputs) == 1 and self.batch is None
 
     def input_size_px(self, height_px: int, width_px: int, input_px: int | None) -> tuple[int, int]:
-        """Rows and columns of the network's input for an image.
-
-        Args:
-            input_px: The wanted longer side of the image in it; None: as it is.
-        """
+        """Rows and columns of the network's input for an image; ``input_px``: its longer side there, None: as it is."""
         if self.file.size_px is not None:
             return self.file.size_px
         if self.square_px is not None:
@@ -285,11 +277,7 @@ class Family(ABC):
         return (fixed[0] or rows, fixed[1] or columns)
 
     def pack(self, images_rgb: np.ndarray, letterbox: Letterbox) -> np.ndarray:
-        """Images as the network wants them, float32 [image, 3, row, column].
-
-        Args:
-            images_rgb: Images, uint8 [image, row, column, 3].
-        """
+        """Images, uint8 [image, row, column, 3], as the network wants them, float32 [image, 3, row, column]."""
         canvas = letterbox.canvas(images_rgb).transpose(0, 3, 1, 2)
         network_input = np.empty(canvas.shape, np.float32)
         scale = np.float32(self.white / 255.0)

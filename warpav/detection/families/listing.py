@@ -93,11 +93,7 @@ class Torchvision(_ListingFamily):
 
 
 class Rtdetr(_ListingFamily):
-    """RT-DETR, RT-DETRv2, D-FINE and their like with ``orig_target_sizes`` as second input.
-
-    That input is the size of the boxes' frame. It is given the size of the network's input, for from there boxes go
-    back to the image like those of every other family.
-    """
+    """RT-DETR, RT-DETRv2, D-FINE with ``orig_target_sizes`` as second input, which gets the network input's size."""
 
     name = "rtdetr"
     layout = "inputs images and orig_target_sizes, outputs labels [batch, n], boxes [batch, n, 4], scores [batch, n]"

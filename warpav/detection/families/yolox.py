@@ -82,10 +82,7 @@ class YoloxDecoded(Yolox):
 
 @functools.lru_cache(maxsize=16)
 def _grid(rows_px: int, columns_px: int, count: int) -> tuple[np.ndarray, np.ndarray] | None:
-    """Column and row of every cell of YOLOX's grids, float32 [cell, 2], and their strides [px], float32 [cell].
-
-    None where neither the grids of 8, 16 and 32 px nor those and one of 64 px have so many cells together.
-    """
+    """Column and row of every cell of YOLOX's grids [cell, 2] and their strides [px]; None: not so many cells."""
     for strides in ((8, 16, 32), (8, 16, 32, 64)):
         shapes = [(rows_px // stride, columns_px // stride) for stride in strides]
         if sum(rows * columns for rows, columns in shapes) == count:
@@ -96,10 +93,7 @@ def _grid(rows_px: int, columns_px: int, count: int) -> tuple[np.ndarray, np.nda
 
 
 def _gives_pixels(file: NetworkFile) -> bool | None:
-    """Whether a YOLOX file's box centres follow its cells on a grey image, or are offsets.
-
-    None where its boxes are not as many as its cells.
-    """
+    """Whether box centres follow the cells on a grey image, or are offsets; None: not as many boxes as cells."""
     assert file.image is not None
     size_px = file.size_px or (256, 256)
     grey = np.full((file.image.shape[0] or 1, 3, *size_px), GREY, file.image.dtype)

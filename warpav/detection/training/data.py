@@ -145,13 +145,8 @@ def sample_cameras(
 ) -> list[RigCamera]:
     """Random cameras on and around the ego vehicle.
 
-    Three of five stand 5 to 50 cm above roof or bonnet, one of four beside the body, 2 to 30 cm off it and 0.3 to 2 m
-    high, the others above the body, up to 3 m high. They look anywhere around, pitched and rolled by some degrees. One
-    of eight is a fisheye of 130 to 190 degrees, half of the others have the thesis's 90 degrees, and the rest 25 to
-    120.
-
-    Args:
-        ego_bounds_m: Least and greatest corner of the ego vehicle [m], shape [2, 3].
+    Three of five stand 5 to 50 cm above roof or bonnet, one of four beside the body, the others up to 3 m high. One of
+    eight is a fisheye of 130 to 190 degrees, half of the others have the thesis's 90 degrees, the rest 25 to 120.
     """
     cameras = []
     low_xy_m, high_xy_m = surface.bounds_m
@@ -229,8 +224,7 @@ def render_scene(
 def reconstructed_scene(seed: int) -> Scene:
     """A town scene that was recorded by cameras and made of their images again.
 
-    Nobody asks a capture for its people, so that they end up in the environment, as shapes that are hard to recognise.
-    Here they are cut out of it by the boxes in which they stood.
+    People end up in its environment; here they are cut out of it by the boxes in which they stood.
     """
     from warpav.scene.capture.capture import PlanSettings, record
     from warpav.scene.capture.town_simulator import TownSimulator
@@ -315,11 +309,7 @@ def _write_scene(job: _Job) -> dict[int, Labels]:
 
 
 def write_images(subset: Subset, folder: Path, *, processes: int) -> None:
-    """Render scenes and save their images: ``images_<side>.npy`` and ``labels_<side>.npz``.
-
-    Nothing is done where they are there already, made of the same scenes by the same code. The CPU draws them, since
-    processes that share a GPU wait for one another.
-    """
+    """Render scenes into ``images_<side>.npy`` and ``labels_<side>.npz``, unless the same are there already."""
     made_with = fingerprint(subset, CLASS_NAMES, code=(__name__,))
     note = folder / "made_with.txt"
     if note.is_file():

@@ -49,8 +49,7 @@ class _Scored:
     def ap50(self, chosen: np.ndarray | None = None, *, low_px: float = 0.0, high_px: float = np.inf) -> float | None:
         """Average precision of the chosen objects (None: all), bool [image, object], with boxes so high.
 
-        Other objects need not be found. Detections that find nothing count against it unless their own height is out
-        of the range.
+        Detections that find nothing count against it unless their own height is out of the range.
         """
         counted = self.exists & (self.height_px >= low_px) & (self.height_px < high_px)
         if chosen is not None:

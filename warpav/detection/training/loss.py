@@ -77,13 +77,7 @@ def _area(size: Tensor) -> Tensor:
 
 @torch.no_grad()
 def assign_cells(score_logit: Tensor, box_px: Tensor, center_px: Tensor, truth: TargetBoxes) -> _Assignment:
-    """Choose the cells that answer for each object.
-
-    Args:
-        score_logit: Scores before the sigmoid, shape [image, cell, class].
-        box_px: Predicted boxes, shape [image, cell, 4].
-        center_px: Centres of the cells, shape [cell, 2].
-    """
+    """Choose the cells that answer for each object, of logits [image, cell, class] and boxes [image, cell, 4]."""
     exists = truth.class_index != _NO_OBJECT
     wanted = exists & ~truth.ignored
     middle_px = 0.5 * (truth.box_px[..., :2] + truth.box_px[..., 2:])
@@ -137,14 +131,7 @@ MIN_SIDE_PX = 4.0
 
 
 def augment(images_rgb: Tensor, truth: TargetBoxes, generator: torch.Generator) -> tuple[Tensor, TargetBoxes]:
-    """A random view of every image.
-
-    Args:
-        images_rgb: uint8, shape [image, row, column, 3].
-
-    Returns:
-        The network's input, RGB in 0..1, float32, shape [image, 3, row, column], and the objects in it.
-    """
+    """A random view of every image: the network's input, 0..1, [image, 3, row, column], and the objects in it."""
     count, rows, columns = images_rgb.shape[:3]
     device = images_rgb.device
 

@@ -131,15 +131,7 @@ class TownNetwork(nn.Module):
         )
 
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Run the network.
-
-        Args:
-            images: RGB in 0..1, shape [image, 3, row, column], rows and columns multiples of 32.
-
-        Returns:
-            Scores before the sigmoid, shape [image, cell, class]; box edges ``x0, y0, x1, y1`` [px], shape
-            [image, cell, 4]; cell centres x, y [px], shape [cell, 2]; the cells' strides [px], shape [cell].
-        """
+        """Score logits [image, cell, class], box edges [px], cell centres [px], strides [px] of images in 0..1."""
         feature = self.stem(images)
         features = []
         for down, stage in zip(self.down, self.stages, strict=True):

@@ -218,10 +218,7 @@ def _optics_of(model: CameraModel) -> Optics:
 
 
 def _max_angle(optics: Optics) -> float:
-    """Angle from the axis at the image's farthest corner, or where the lens ends before it.
-
-    Radians, but of Brown-Conrady lenses the tangent.
-    """
+    """Angle from the axis at the image's farthest corner or the lens's end [rad]; of Brown-Conrady its tangent."""
     return float(LensShape(optics.lens, optics.distortion).angle(np.array(_farthest(optics))))
 
 
@@ -236,12 +233,7 @@ def _farthest(optics: Optics) -> float:
 
 
 def _fitted_fisheye(angle: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, float]:
-    """The fisheye that is nearest to a radial lens.
-
-    Args:
-        angle: Angles from the optical axis [rad], increasing from 0, shape [sample].
-        radius: Radii of the image there, shape [sample].
-    """
+    """The odd powers nearest to a radial lens, of angles [rad] and radii [sample], and how far they are off."""
     share = angle / angle[-1]
     basis = share[:, None] ** _POWERS
     weight = (1.0 + 1e-3 - share**2) ** -0.25  # Chebyshev's: errors at the end of the range weigh more

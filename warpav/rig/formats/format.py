@@ -154,12 +154,7 @@ def is_number(value: object) -> TypeGuard[int | float]:
 
 
 def rigid_transform(rotation: np.ndarray, position_m: np.ndarray | Sequence[float], record: Record) -> np.ndarray:
-    """The transform of a rotation and a position, [4, 4].
-
-    Args:
-        rotation: Shape [3, 3]; what rounding has left of it, it is made orthonormal.
-        position_m: Shape [3].
-    """
+    """The transform of a rotation [3, 3], made orthonormal of what rounding left, and a position [m]; [4, 4]."""
     rotation = np.asarray(rotation, dtype=np.float64)
     error = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
     if error > _ROTATION_TOLERANCE:
@@ -202,10 +197,7 @@ class Optics:
     distortion: tuple[float, ...] = ()
 
     def model(self, location: str) -> CameraModel:
-        """The camera model; the size and the lens must be there.
-
-        A lens with square pixels around the middle is given by its field of view, which is how people write it.
-        """
+        """The camera model; square pixels around the middle are given by the field of view, as people write it."""
         assert self.width_px is not None
         assert self.height_px is not None
         for name, size in (("width_px", self.width_px), ("height_px", self.height_px)):
@@ -234,12 +226,7 @@ class Optics:
 
 @dataclass(frozen=True)
 class FoundCamera:
-    """A camera in a file.
-
-    Attributes:
-        file_from_camera: From camera coordinates (x right, y down, z forward) to the file's frame, made right-handed
-            with x forward, y left, z up [m], shape [4, 4].
-    """
+    """A camera in a file; ``file_from_camera`` [4, 4]: its frame made right-handed, x forward, y left, z up [m]."""
 
     name: str
     file_from_camera: np.ndarray

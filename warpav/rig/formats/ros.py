@@ -207,10 +207,7 @@ def _above(links: Iterable[str], joint_of: Mapping[str, _Joint]) -> set[str]:
 
 
 class _Tree:
-    """Where links are from the base; each is worked out once, so that chains of thousands of links take no time.
-
-    Both may hang below a third link. A joint that moves matters to the links beyond it alone.
-    """
+    """Where links are from the base, each worked out once; a joint that moves matters to the links beyond it alone."""
 
     def __init__(self, base: str, joint_of: Mapping[str, _Joint], path: Path) -> None:
         self._base, self._joint_of, self._path = base, joint_of, path
