@@ -111,6 +111,20 @@ def test_every_step_is_no_worse_and_within_the_constraints(free):
     assert not steps[-1].mount_pose[:, fixed].any()
 
 
+def test_renders_are_counted_as_they_are_made():
+    mount = mount_of(free=None, model=WHOLE)
+    cameras, made = cameras_of(mount=mount), []
+
+    def detect(pose):
+        made.append(len(pose) * len(streets()))
+        return cameras.with_jacobian(pose, streets())
+
+    options = {"mount": mount, "constraints": zone_of(mount), "scene_count": len(streets())}
+    *_, last = polish(poses_of(3, mount), detect, **options)
+    assert len(made) > 1
+    assert last.camera_renders == sum(made)
+
+
 def test_the_first_step_comes_near_what_was_promised():
     """The model is exact to first order: within a small radius, what it promises comes true."""
     mount = mount_of(free=None, model=CameraModel(256, 256, math.pi / 2))
