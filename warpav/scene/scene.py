@@ -34,6 +34,25 @@ def road_user_of(category: str) -> str:
     return _ROAD_USER_OF_CATEGORY.get(category.lower(), "vehicle")
 
 
+def yaw_rotation(yaw_rad: float) -> np.ndarray:
+    """Rotation about z, shape [3, 3]."""
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def rectangle_m(low_m: np.ndarray, high_m: np.ndarray) -> np.ndarray:
+    """Corners of the rectangle between two points, round it [m], shape [4, 2]."""
+    return np.array([[low_m[0], low_m[1]], [low_m[0], high_m[1]], [high_m[0], high_m[1]], [high_m[0], low_m[1]]])
+
+
+def outline_gap_m(one_m: np.ndarray, other_m: np.ndarray) -> float:
+    """By how much an edge of either of two rectangles, [4, 2] each, parts them [m]; negative: how deep they overlap."""
+    edge = np.concatenate([one_m[1:3] - one_m[:2], other_m[1:3] - other_m[:2]])
+    axis = edge / np.hypot(*edge.T)[:, None]
+    one, other = one_m @ axis.T, other_m @ axis.T
+    return float(np.maximum(other.min(axis=0) - one.max(axis=0), one.min(axis=0) - other.max(axis=0)).max())
+
+
 @dataclass(frozen=True)
 class Box:
     """An upright 3D bounding box in the ego frame.
@@ -53,8 +72,7 @@ class Box:
     @property
     def ego_from_box(self) -> np.ndarray:
         """Rotation from the box's axes (along its length, to its left, up) to the ego frame, shape [3, 3]."""
-        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
-        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return yaw_rotation(self.yaw_rad)
 
     def mirrored(self) -> Box:
         """The box with left and right exchanged."""
@@ -65,15 +83,10 @@ class Box:
         side = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
         return self.center_m + side * self.size_m @ self.ego_from_box.T
 
-    def meets_m(self, low_m: np.ndarray, high_m: np.ndarray) -> bool:
-        """Whether its outline on the ground meets the rectangle between two corners, x and y [m], [2] each."""
-        corner = self.corners_m()[:, :2]
-        rectangle = np.array([[x, y] for x in (low_m[0], high_m[0]) for y in (low_m[1], high_m[1])])
-        for axis in (*np.eye(2), *self.ego_from_box[:2, :2].T):
-            one, other = corner @ axis, rectangle @ axis
-            if one.max() <= other.min() or other.max() <= one.min():
-                return False
-        return True
+    @property
+    def outline_m(self) -> np.ndarray:
+        """Its corners seen from above, round it [m], shape [4, 2]."""
+        return self.corners_m()[[0, 2, 6, 4], :2]
 
     def time_to_meet_s(self, low_m: np.ndarray, high_m: np.ndarray, velocity_m_s: np.ndarray) -> float:
         """Time until its outline on the ground meets a rectangle that stands still, as it moves without turning.
@@ -84,8 +97,7 @@ class Box:
         Shapes: ``low_m`` [2], ``high_m`` [2], ``velocity_m_s`` [2].
         """
         axis = np.concatenate([np.eye(2), self.ego_from_box[:2, :2].T])
-        corner = self.corners_m()[:, :2] @ axis.T
-        rectangle = np.array([[x, y] for x in (low_m[0], high_m[0]) for y in (low_m[1], high_m[1])]) @ axis.T
+        corner, rectangle = self.outline_m @ axis.T, rectangle_m(low_m, high_m) @ axis.T
         way_m = np.stack([rectangle.min(axis=0) - corner.max(axis=0), rectangle.max(axis=0) - corner.min(axis=0)])
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # still along an axis: at once, or never
             first_s, last_s = np.sort(way_m / (axis @ velocity_m_s), axis=0)
@@ -199,9 +211,9 @@ class Scene:
 
     def around(self, ego: Mesh) -> Scene:
         """The scene with another ego vehicle; road users that overlap with it are removed."""
-        low_m, high_m = ego.bounds_m()[:, :2]
+        place_m = rectangle_m(*ego.bounds_m()[:, :2].astype(np.float64))
         vehicles, others = (
-            tuple(user for user in users if not user.box.meets_m(low_m, high_m))
+            tuple(user for user in users if outline_gap_m(user.box.outline_m, place_m) >= 0.0)
             for users in (self.vehicles, self.others)
         )
         return replace(self, ego=ego, vehicles=vehicles, others=others)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests.scene.town.test_town import _rectangle, _rectangles_overlap
-from warpav.scene.town.lanes import HEADWAY_S, STREET_KM_H, RoadUser, velocities_m_s
-from warpav.scene.town.street_life import Footprint
+from warpav.scene.town.lanes import HEADWAY_S, STREET_KM_H, stop_lines, velocities_m_s
+from warpav.scene.town.street_life import RoadUser
 from warpav.scene.town.town import town_scene
-from warpav.scene.town.town_layout import Layout, Slot
+from warpav.scene.town.town_layout import Footprint, Layout, Slot
 
 STREET = Layout("avenue", ((-64.0, -7.0, 64.0, 7.0),), (), (), (), Slot(0.0, -2.0, 0.0, 5.0, parked=False))
 JUNCTION = Layout(
@@ -20,11 +20,12 @@ FREE_M_S = np.array(STREET_KM_H) / 3.6
 
 
 def car(x_m, y_m, heading_rad=0.0, category="saloon", *, parked=False):
-    return RoadUser(category, Footprint(x_m, y_m, heading_rad, 4.0, 2.0), None if parked else heading_rad)
+    place = Footprint(x_m, y_m, heading_rad, 4.0, 2.0)
+    return RoadUser(category=category, footprint=place, heading_rad=None if parked else heading_rad)
 
 
 def speeds(users, layout=STREET, obstacles=(), seed=0):
-    return velocities_m_s(users, obstacles, layout, np.random.default_rng(seed))
+    return velocities_m_s(users, [*obstacles, *stop_lines(layout)], np.random.default_rng(seed))
 
 
 def test_a_free_driver_follows_its_lane_at_the_speed_of_a_street():

@@ -7,7 +7,8 @@ import pytest
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from warpav.scene.town.town import EYE_HEIGHT_M, ego_vehicle, town_scene, visible_shares
+from warpav.scene.town.placed_vehicle import Sight
+from warpav.scene.town.town import EYE_HEIGHT_M, ego_vehicle, town_scene
 
 SEEDS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 1000, 1001)
 
@@ -55,7 +56,7 @@ def _rectangles_overlap(one, other):
 def test_five_to_fifteen_vehicles_are_visible_from_the_roof(scenes):
     for scene in scenes:
         eye = np.array([scene.ego.bounds_m()[:, 0].mean(), 0.0, EYE_HEIGHT_M])
-        share = visible_shares(eye, [scene.surroundings(), scene.ego], [vehicle.mesh for vehicle in scene.vehicles])
+        share = Sight([scene.surroundings(), scene.ego], [vehicle.mesh for vehicle in scene.vehicles]).shares(eye)
         assert 5 <= np.count_nonzero(share > 0.0) <= 15, scene.name
         assert share.min() > 0.0, scene.name  # hidden vehicles are left out
 

@@ -13,9 +13,10 @@ from tests.scene.traffic.recordings import recording_of, street, track, write
 from warpav.raster.mesh import Mesh
 from warpav.scene.cache import built_scenes
 from warpav.scene.files import read_scenes
+from warpav.scene.scene import outline_gap_m, rectangle_m
 from warpav.scene.town.houses import KERB_HEIGHT_M
-from warpav.scene.town.street_life import Footprint
 from warpav.scene.town.town import ego_vehicle
+from warpav.scene.town.town_layout import Footprint
 from warpav.scene.traffic.files import read_recording, shipped_recordings
 from warpav.scene.traffic.moments import REACH_M, Moment, moment_of, moments_of
 from warpav.scene.traffic.traffic_scene import TrafficSource, traffic_scene
@@ -87,7 +88,7 @@ def test_a_longer_ego_vehicle_pushes_nobody_aside():
     scene, left_out = traffic_scene(recording, Moment(Path("street"), 0, "a"), 0, ego=long)
     assert left_out == 2  # car b, 18 m ahead, and the cyclist, 20 m behind
     low, high = long.bounds_m()[:, :2]
-    assert not any(user.box.meets_m(low, high) for user in scene.road_users)
+    assert not any(outline_gap_m(user.box.outline_m, rectangle_m(low, high)) < 0.0 for user in scene.road_users)
     assert scene.road_users[0].category == "lorry"
     # centre on centre
     assert scene.road_users[0].box.center_m[:2] - 0.5 * (low + high) == pytest.approx([70.0, 3.5], abs=2e-3)
@@ -114,7 +115,7 @@ def check_scene(scene, recording, moment):
         # shadows and markings lie up to 2 cm above the ground
         if user.category != "pedestrian":
             assert np.all((away > 0.02) & (away < 0.06)), (user, away)
-        assert not user.box.meets_m(low, high)
+        assert not outline_gap_m(user.box.outline_m, rectangle_m(low, high)) < 0.0
     # everything of the environment that is high is clear of lanes and of road users
     corner = scene.environment.vertex_m[scene.environment.triangle]
     tall = corner[(corner[..., 2] > 0.3).any(axis=1) & (corner[..., 2] < 2.5).any(axis=1)]

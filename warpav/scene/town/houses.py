@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from warpav.raster.mesh import Mesh
 from warpav.scene.town.surface_builder import StreetGround
-from warpav.scene.town.town_layout import Block, Marking, Rectangle
+from warpav.scene.town.town_layout import Block, Footprint, Layout, Marking, Rectangle
 
 KERB_HEIGHT_M = 0.13
 KERB_WIDTH_M = 0.16
 MARKING_HEIGHT_M = 0.004
 _SHADOW_HEIGHT_M = 0.008
-_SHADOW_SEGMENTS = 24
+SHADOW_SEGMENTS = 24
+MIRRORS_M = 0.25  # by which they make the outline of a vehicle wider
 _FOOT_SHADOW = 0.5  # strength of a person's shadow
 PAVEMENT_FADE = 0.14  # light that the houses take from the pavement in front of them
 _FOOT_HEIGHT_M = 0.3  # what is lower belongs to the ground, or to the foot of a wall that stands on it
@@ -118,9 +121,18 @@ class SceneryBuilder:
         self.add_quads(corner[quad], shade * colour)
         self._house_x_m = np.nan
 
+    def add_plan(self, layout: Layout, markings: Iterable[Marking]) -> None:
+        """Add roads, markings, more of these, and blocks of a plan."""
+        for rectangle in layout.asphalt_m:
+            self.add_asphalt(rectangle)
+        for marking in (*layout.markings, *markings):
+            self.add_marking(marking)
+        for block in layout.blocks:
+            self.add_block(block)
+
     def add_asphalt(self, rectangle_m: Rectangle, cell_m: float = _GROUND_CELL_M) -> None:
         """Add road surface."""
-        self.add_ground(rectangle_m, 0.0, self.asphalt_grey * np.array([1.0, 1.0, 1.015]), 0.006, cell_m)
+        self.add_ground(rectangle_m, 0.0, self.asphalt_rgb, 0.006, cell_m)
 
     def add_marking(self, marking: Marking) -> None:
         """Add a painted rectangle."""
@@ -130,76 +142,57 @@ class SceneryBuilder:
         point = np.stack([x, y, np.full_like(x, MARKING_HEIGHT_M)], axis=-1)
         self._add_sheet(point, np.full(3, marking.brightness))
 
-    def add_contact_shadow(
+    @property
+    def asphalt_rgb(self) -> np.ndarray:
+        """Colour of roads, sRGB 0..1, shape [3]."""
+        return self.asphalt_grey * np.array([1.0, 1.0, 1.015])
+
+    @property
+    def pavement_rgb(self) -> np.ndarray:
+        """Colour of pavements, sRGB 0..1, shape [3]."""
+        return self._pavement_grey * np.array([1.02, 1.0, 0.97])
+
+    def add_shadow(
         self,
-        center_m: np.ndarray,
-        yaw_rad: float,
-        length_m: float,
-        width_m: float,
+        place: Footprint,
         index: int,
+        pavement_share: float | None = None,
         *,
+        mirrors_m: float = MIRRORS_M,
         height_m: float = 0.0,
-        segments: int = _SHADOW_SEGMENTS,
+        segments: int = SHADOW_SEGMENTS,
     ) -> None:
-        """Add the shadow below a vehicle: dark in the centre, fading into the asphalt; `index` keeps shadows apart."""
-        grey = self.asphalt_grey * np.array([1.0, 1.0, 1.015])
+        """Add the shadow below a vehicle: dark in the centre, fading into the asphalt; ``index`` keeps shadows apart.
+
+        With the share of a pavement, below 0 on the road, that of a person; weak shadows are narrow, too.
+        """
+        strength, grey, width_m = 1.0, self.asphalt_rgb, place.width_m - mirrors_m
+        if pavement_share is not None:
+            strength, width_m = _FOOT_SHADOW, place.width_m
+            if pavement_share >= 0.0:
+                height_m, grey = KERB_HEIGHT_M, self.pavement_rgb * (1.0 - PAVEMENT_FADE * pavement_share)
         height_m += _SHADOW_HEIGHT_M + 0.0004 * index
-        self._add_shadow(center_m, yaw_rad, (length_m, width_m), height_m, grey, 1.0, segments)
-
-    def add_foot_shadow(
-        self,
-        center_m: np.ndarray,
-        yaw_rad: float,
-        size_m: tuple[float, float],
-        index: int,
-        pavement_share: float,
-        *,
-        segments: int = _SHADOW_SEGMENTS,
-    ) -> None:
-        """Add the small shadow below a person."""
-        if pavement_share < 0.0:
-            height, grey = 0.0, self.asphalt_grey * np.array([1.0, 1.0, 1.015])
-        else:
-            height, grey = KERB_HEIGHT_M, self.pavement_rgb() * (1.0 - PAVEMENT_FADE * pavement_share)
-        self._add_shadow(center_m, yaw_rad, size_m, height + _SHADOW_HEIGHT_M + 0.0004 * index, grey, _FOOT_SHADOW,
-                         segments)  # fmt: skip
-
-    def _add_shadow(
-        self,
-        center_m: np.ndarray,
-        yaw_rad: float,
-        size_m: tuple[float, float],
-        height_m: float,
-        grey: np.ndarray,
-        strength: float,
-        segments: int,
-    ) -> None:
-        """Rings around the outline of something; weak shadows are narrow, too."""
         angle = np.linspace(0.0, 2.0 * np.pi, segments + 1)
         cosine, sine = np.cos(angle), np.sin(angle)
         # A superellipse: a rectangle with rounded corners.
         unit = np.stack([np.sign(cosine) * np.abs(cosine) ** 0.35, np.sign(sine) * np.abs(sine) ** 0.35], axis=-1)
-        half = 0.5 * np.array(size_m)
+        half = 0.5 * np.array([place.length_m, width_m])
         rings = [unit * np.maximum(half + strength * grow, 0.02) for grow, _ in _SHADOW_RINGS]
         local = np.stack([0.0 * unit, *rings])
         light = np.array([_SHADOW_RINGS[0][1], *(light for _, light in _SHADOW_RINGS)])
-        c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-        x = center_m[0] + c * local[..., 0] - s * local[..., 1]
-        y = center_m[1] + s * local[..., 0] + c * local[..., 1]
+        c, s = np.cos(place.yaw_rad), np.sin(place.yaw_rad)
+        x = place.x_m + c * local[..., 0] - s * local[..., 1]
+        y = place.y_m + s * local[..., 0] + c * local[..., 1]
         point = np.stack([x, y, np.full_like(x, height_m + self._ground.bulge_m(x.min(), x.max()))], axis=-1)
         shade = (1.0 - strength * (1.0 - light))[:, None, None] * grey
         self._add_sheet(point, np.broadcast_to(shade, point.shape))
-
-    def pavement_rgb(self) -> np.ndarray:
-        """Colour of pavements, sRGB 0..1, shape [3]."""
-        return self._pavement_grey * np.array([1.02, 1.0, 0.97])
 
     def add_block(self, block: Block) -> None:
         """Add kerb, pavement and the houses of a block."""
         rng = self._rng
         x_low, y_low, x_high, y_high = block.rectangle_m
         kerb_colour = np.full(3, self._pavement_grey + 0.09)
-        pavement = self.pavement_rgb()
+        pavement = self.pavement_rgb
         knots = self._ground.knots_m(x_low, x_high)
         outer, edge, inner = (_rounded_loop(block, inset, knots) for inset in (0.0, KERB_WIDTH_M, block.pavement_m))
         low, high = np.zeros(len(outer)), np.full(len(outer), KERB_HEIGHT_M)
@@ -262,7 +255,8 @@ class SceneryBuilder:
             if self._detailed_within_m is None or is_end:
                 self._add_front(corner, facing, HOUSE_DEPTH_M, height, wall * 0.95)
             else:
-                self._add_plain_wall(corner, facing, HOUSE_DEPTH_M, height, wall * 0.9)
+                ends_m = np.stack([corner, corner + HOUSE_DEPTH_M * facing])[[0, 1, 1, 0]]
+                self.add_quads(np.c_[ends_m, [0.0, 0.0, height, height]][None], wall * 0.9)
         if is_free_standing:
             self._add_front(right + depth, -direction, width, height, wall * 0.95)
         corner = np.stack([left, right, right + depth, left + depth])
@@ -330,13 +324,6 @@ class SceneryBuilder:
         centre = u.mean(axis=1, keepdims=True) + np.array([-0.035, 0.035])
         if has_frames:
             rectangles(centre, z, 0.05, trim * 0.92, trim * 0.98)
-
-    def _add_plain_wall(
-        self, left: np.ndarray, direction: np.ndarray, width: float, height: float, wall: np.ndarray
-    ) -> None:
-        right = left + width * direction
-        corner = np.array([[*left, 0.0], [*right, 0.0], [*right, height], [*left, height]])
-        self.add_quads(corner[None], wall)
 
     def finish(self) -> Mesh:
         """All quads as one mesh; degenerate triangles are left out."""

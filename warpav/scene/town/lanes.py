@@ -3,46 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from warpav.scene.town.placed_vehicle import DrawnVehicle
-from warpav.scene.town.street_life import Footprint
-from warpav.scene.town.town_layout import Layout
+from warpav.scene.town.street_life import RoadUser
+from warpav.scene.town.town_layout import Footprint, Lane, Layout
 
 _QUEUE_GAP_M = (1.2, 3.0)
 _LINE_GAP_M = (0.4, 1.4)
 _LATERAL_JITTER_M, _YAW_JITTER_RAD = 0.18, 0.012
-
-
-@dataclass(frozen=True)
-class Lane:
-    """A straight lane from where it starts to where it ends, as it is driven."""
-
-    start_m: tuple[float, float]  # where its middle starts in the town frame, x and y [m]
-    yaw_rad: float  # direction in which it is driven
-    length_m: float  # its length [m]
-    # Free traffic: smallest gap between two vehicles, and what is added to it on average [m].
-    gap_m: tuple[float, float]
-    kind_shares: dict[str, float]  # what drives in it; the shares add up to 1
-    queue: float = 0.0  # how many wait at a line on average
-    lines_m: tuple[float, ...] = ()  # where drivers wait now, such as at a red light, from its start [m]
-    # Stretches in which nobody stands, such as a junction that others cross now, from its start [m].
-    closed_m: tuple[tuple[float, float], ...] = ()
-    # Lowest and highest speed where it is free [m/s]; None: that of a street.
-    free_m_s: tuple[float, float] | None = None
-
-    def at(self, along_m: float, left_m: float = 0.0) -> np.ndarray:
-        """A point so far along the lane and left of its middle, in the town frame [m], shape [2]."""
-        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
-        return np.array(self.start_m) + along_m * np.array([c, s]) + left_m * np.array([-s, c])
-
-    def lines(self, half_width_m: float = 1.3) -> Iterator[Footprint]:
-        """The lines as thin rectangles across the lane: what slows drivers down."""
-        for along_m in self.lines_m:
-            x, y = self.at(along_m + 0.2)
-            yield Footprint(float(x), float(y), self.yaw_rad, 0.4, 2.0 * half_width_m)
 
 
 def lane_positions(
@@ -88,9 +58,7 @@ def lane_vehicles(
     for middle_m, length_m in lane_positions(lane, length_of, rng):
         left_m = float(rng.uniform(-_LATERAL_JITTER_M, _LATERAL_JITTER_M))
         yaw = lane.yaw_rad + float(rng.uniform(-_YAW_JITTER_RAD, _YAW_JITTER_RAD))
-        x, y = lane.at(middle_m, left_m)
-        width_m = float(drawn[-1].size_m[1])
-        yield drawn[-1], Footprint(float(x), float(y), float(np.arctan2(np.sin(yaw), np.cos(yaw))), length_m, width_m)
+        yield drawn[-1], Footprint.at(lane.at(middle_m, left_m), yaw, (length_m, drawn[-1].size_m[1]))
 
 
 HEADWAY_S = 1.5
@@ -103,25 +71,14 @@ _M_S_PER_KM_H = 1.0 / 3.6
 _STOP_LINE_M = 1.1  # from the edge of the street with priority
 
 
-@dataclass(frozen=True)
-class RoadUser:
-    """Somebody who may move."""
-
-    category: str  # as `warpav.scene.scene.Vehicle` has it
-    footprint: Footprint  # where, in the town frame
-    heading_rad: float | None  # direction of the lane, or of somebody on foot; None: parked
-    # Lowest and highest speed where nothing is in the way [m/s]; None: that of the category and the street.
-    free_m_s: tuple[float, float] | None = None
-
-
 def velocities_m_s(
-    users: Sequence[RoadUser], obstacles: Sequence[Footprint], layout: Layout, rng: np.random.Generator
+    users: Sequence[RoadUser], obstacles: Sequence[Footprint], rng: np.random.Generator, *, in_car_park: bool = False
 ) -> np.ndarray:
     """Random velocities over ground in the town frame [m/s], float64 [user, 2]."""
-    limit_m_s = np.multiply(_CAR_PARK_KM_H if layout.template == "car_park" else STREET_KM_H, _M_S_PER_KM_H)
-    things = [*(user.footprint for user in users), *obstacles, *_stop_lines(layout)]
+    limit_m_s = np.multiply(_CAR_PARK_KM_H if in_car_park else STREET_KM_H, _M_S_PER_KM_H)
+    things = [*(user.footprint for user in users), *obstacles]
     centre_m = np.array([(thing.x_m, thing.y_m) for thing in things])
-    radius_m = np.array([0.5 * np.hypot(thing.length_m, thing.width_m) for thing in things])
+    radius_m = np.array([thing.radius_m for thing in things])
     velocity = np.zeros((len(users), 2))
     for k, user in enumerate(users):
         usual = {"pedestrian": _PEDESTRIAN_M_S, "cyclist": _CYCLIST_M_S}.get(user.category, limit_m_s)
@@ -152,7 +109,7 @@ def _way_m(one: Footprint, heading_rad: float, others: Iterable[Footprint]) -> f
     return way_m
 
 
-def _stop_lines(layout: Layout) -> list[Footprint]:
+def stop_lines(layout: Layout) -> list[Footprint]:
     """Where side streets end at the main street."""
     (_, low, _, high), *sides = layout.asphalt_m
     return [

@@ -8,17 +8,17 @@ import numpy as np
 
 from warpav.raster.mesh import Mesh, merge
 from warpav.scene.scene import Scene, Vehicle
-from warpav.scene.town.houses import SceneryBuilder
-from warpav.scene.town.lanes import RoadUser, velocities_m_s
+from warpav.scene.town.houses import SHADOW_SEGMENTS, SceneryBuilder
+from warpav.scene.town.lanes import velocities_m_s
 from warpav.scene.town.people import person_mesh
 from warpav.scene.town.placed_vehicle import LONG_KINDS, DrawnVehicle, Exchange, PlacedVehicle, Sight
-from warpav.scene.town.street_life import Crowd, Footprint, Occupied, Person, upright_box
+from warpav.scene.town.street_life import Crowd, Person, RoadUser, upright_box
 from warpav.scene.town.surface_builder import StreetGround
 from warpav.scene.town.town import drawn_sky, ego_vehicle
-from warpav.scene.town.town_layout import Layout, Slot
+from warpav.scene.town.town_layout import Footprint, Occupied, Slot
 
-COARSE_FROM_M, LONG_COARSE_FROM_M = 28.0, 60.0
-"""Road users farther from the ego vehicle have coarse meshes, the second those of lorries and buses [m]."""
+# Road users farther from the ego vehicle have coarse meshes, the second those of lorries and buses.
+_COARSE_FROM_M, _LONG_COARSE_FROM_M = 28.0, 60.0
 _PERSON_M = 0.45  # room that is looked for before a person is drawn
 _SHADOW_LAYERS = 10
 _FAR_SHADOW_SEGMENTS = 10
@@ -46,15 +46,12 @@ class LevelWorld:
     ) -> None:
         """Set everything up that stands."""
         low, high = self._ego.bounds_m().astype(np.float64)
-        self._scenery, self._ground, self._pieces, self._ego_free_m_s = scenery, ground, list(pieces), free_m_s
+        self._scenery, self._ground, self._pieces, self._obstacles = scenery, ground, list(pieces), list(taken)
         self._origin_m = np.array([ego.x_m - 0.5 * (low[0] + high[0]), ego.y_m, 0.0])
-        self._centre_m = np.array([ego.x_m, ego.y_m])
-        self._ego_footprint = Footprint(
-            ego.x_m, ego.y_m, 0.0, float(high[0] - low[0]), float(high[1] - low[1])
-        )  # fmt: skip
-        self._obstacles = list(taken)
-        self._occupied = Occupied((self._ego_footprint, *taken))
-        self._crowd = Crowd(ground, self._occupied, self._centre_m, clear_m=0.0)
+        place = Footprint.at(np.array([ego.x_m, ego.y_m]), 0.0, high - low)
+        self._own = RoadUser(category="ego", footprint=place, heading_rad=0.0, free_m_s=free_m_s)
+        self._occupied = Occupied((place, *taken))
+        self._crowd = Crowd(ground, self._occupied, place.centre_m, clear_m=0.0)
 
     def put_vehicle(
         self,
@@ -69,11 +66,16 @@ class LevelWorld:
         if not self._occupied.is_free(footprint, gap_m):
             return None
         self._occupied.add(footprint)
-        coarse_from_m = LONG_COARSE_FROM_M if drawn.kind in LONG_KINDS else COARSE_FROM_M
-        mesh = drawn.mesh(coarse=self._is_far(footprint, coarse_from_m))
+        coarse_from_m = _LONG_COARSE_FROM_M if drawn.kind in LONG_KINDS else _COARSE_FROM_M
         vehicle = PlacedVehicle(
-            drawn.kind, drawn.variant, mesh, drawn.size_m, footprint, lane_yaw_rad, free_m_s
-        )  # fmt: skip
+            category=drawn.kind,
+            footprint=footprint,
+            heading_rad=lane_yaw_rad,
+            free_m_s=free_m_s,
+            variant=drawn.variant,
+            mesh=drawn.mesh(coarse=self._is_far(footprint, coarse_from_m)),
+            size_m=drawn.size_m,
+        )
         self._vehicles.append(vehicle)
         return vehicle
 
@@ -94,61 +96,41 @@ class LevelWorld:
     def finish(self, name: str, source: str, exchange: Exchange | None = None) -> Scene:
         """The scene in the ego frame, without those whom nobody on the ego vehicle could see."""
         to_ego = -self._origin_m
-        persons = self._crowd.persons
-        meshes = [*(one.standing(self._ground) for one in self._vehicles), *(one.mesh for one in persons)]
-        velocity = self._velocities_m_s()
+        users = [*self._vehicles, *self._crowd.persons]
+        meshes = [one.standing(self._ground) if isinstance(one, PlacedVehicle) else one.mesh for one in users]
+        velocity = velocities_m_s([self._own, *users], [*self._obstacles, *self._lines], self._rng)
         pieces = merge([self._scenery.finish(), *self._pieces])
         seen = self._seen([pieces, self._ego.transformed(np.eye(3), self._origin_m)], meshes)
-        users, categories = [*self._vehicles, *persons], self._categories()
         found: list[Vehicle] = []
-        for k in np.flatnonzero(seen):
-            if exchange is not None and k < len(self._vehicles):
-                meshes[k] = self._vehicles[k].exchanged(exchange, len(found) + 1).standing(self._ground)
+        for k in seen:
+            one = users[k]
+            if exchange is not None and isinstance(one, PlacedVehicle):
+                meshes[k] = one.exchanged(exchange, len(found) + 1).standing(self._ground)
             mesh = meshes[k].transformed(np.eye(3), to_ego)
-            box = upright_box(mesh, users[k].footprint.yaw_rad)
-            found.append(Vehicle(len(found) + 1, categories[k], mesh, box, velocity[1 + k] - velocity[0]))
-        self._add_shadows([one for one, is_seen in zip(users, seen, strict=True) if is_seen])
+            box = upright_box(mesh, one.footprint.yaw_rad)
+            found.append(Vehicle(len(found) + 1, one.category, mesh, box, velocity[1 + k] - velocity[0]))
+        for index, one in enumerate((self._own, *(users[k] for k in seen))):
+            segments = _FAR_SHADOW_SEGMENTS if self._is_far(one.footprint) else SHADOW_SEGMENTS
+            share = one.pavement_share if isinstance(one, Person) else None
+            self._scenery.add_shadow(one.footprint, index % _SHADOW_LAYERS, share, segments=segments)
         environment = merge([self._scenery.finish(), *self._pieces]).transformed(np.eye(3), to_ego)
         scene = Scene(name, environment, self._ego, tuple(found), drawn_sky(self._rng), source)
         return scene.targeting(("vehicle",))
 
-    def _categories(self) -> list[str]:
-        return [*(one.kind for one in self._vehicles), *(one.category for one in self._crowd.persons)]
-
-    def _velocities_m_s(self) -> np.ndarray:
-        """Over ground in the town frame, the ego vehicle's first [m/s], shape [1 + road user, 2]."""
-        persons = (RoadUser(one.category, one.footprint, one.footprint.yaw_rad) for one in self._crowd.persons)
-        moving = [
-            RoadUser("ego", self._ego_footprint, 0.0, self._ego_free_m_s),
-            *(RoadUser(one.kind, one.footprint, one.lane_yaw_rad, one.free_m_s) for one in self._vehicles),
-            *persons,
-        ]
-        street = Layout("street", ((0.0, 0.0, 0.0, 0.0),), (), (), (), Slot(0.0, 0.0, 0.0, 0.0, parked=False))
-        return velocities_m_s(moving, [*self._obstacles, *self._lines], street, self._rng)
-
-    def _seen(self, blockers: Sequence[Mesh], users: Sequence[Mesh]) -> np.ndarray:
-        """Who can be seen from anywhere around the body, bool [road user]."""
-        sight = Sight(blockers, users)
+    def _seen(self, blockers: Sequence[Mesh], users: Sequence[Mesh]) -> list[int]:
+        """Who can be seen from anywhere around the body."""
+        sight = Sight(blockers, users, _SAMPLES)
         low, high = self._ego.bounds_m().astype(np.float64) + self._origin_m
         low, high = low - 0.1, high + 0.1
         middle = 0.5 * (low + high)
         eyes = [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (0.6, 1.2)]
         eyes += [(middle[0], y, 1.2) for y in (low[1], high[1])]
         eyes += [(x, middle[1], 1.8) for x in (low[0], middle[0], high[0])]
-        return sight.seen_from_any(np.array(eyes), _SAMPLES)
+        is_seen = np.zeros(len(users), bool)
+        for eye in np.array(eyes):
+            waiting = np.flatnonzero(~is_seen)
+            is_seen[waiting] = sight.shares(eye, waiting) > 0.0
+        return np.flatnonzero(is_seen).tolist()
 
-    def _add_shadows(self, users: Sequence[PlacedVehicle | Person]) -> None:
-        for index, one in enumerate((self._ego_footprint, *users)):
-            place = one if isinstance(one, Footprint) else one.footprint
-            layer = index % _SHADOW_LAYERS
-            centre = np.array([place.x_m, place.y_m])
-            segments = {"segments": _FAR_SHADOW_SEGMENTS} if self._is_far(place) else {}
-            if isinstance(one, Person):
-                size = (place.length_m, place.width_m)
-                self._scenery.add_foot_shadow(centre, place.yaw_rad, size, layer, one.pavement_share, **segments)
-            else:
-                width = place.width_m - 0.25  # without mirrors
-                self._scenery.add_contact_shadow(centre, place.yaw_rad, place.length_m, width, layer, **segments)
-
-    def _is_far(self, footprint: Footprint, from_m: float = COARSE_FROM_M) -> bool:
-        return bool(np.hypot(footprint.x_m - self._centre_m[0], footprint.y_m - self._centre_m[1]) > from_m)
+    def _is_far(self, footprint: Footprint, from_m: float = _COARSE_FROM_M) -> bool:
+        return bool(np.hypot(*(footprint.centre_m - self._own.footprint.centre_m)) > from_m)

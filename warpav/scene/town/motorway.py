@@ -13,14 +13,14 @@ from functools import partial
 import numpy as np
 
 from warpav.raster.mesh import Mesh
+from warpav.scene.scene import yaw_rotation
 from warpav.scene.town.furniture import furniture_mesh
 from warpav.scene.town.houses import SceneryBuilder, cells_of
-from warpav.scene.town.lanes import Lane, lane_vehicles
+from warpav.scene.town.lanes import lane_vehicles
 from warpav.scene.town.level_world import LevelWorld
 from warpav.scene.town.placed_vehicle import LONG_KINDS, drawn_vehicle
-from warpav.scene.town.street_life import Footprint
 from warpav.scene.town.surface_builder import StreetGround
-from warpav.scene.town.town_layout import Marking, Slot
+from warpav.scene.town.town_layout import Footprint, Lane, Marking, Slot
 
 _MOTORWAY_REACH_M = 232.0
 USERS_REACH_M = 200.0
@@ -98,7 +98,7 @@ def motorway_world(rng: np.random.Generator, world: LevelWorld) -> None:
     own = int(rng.choice(section.lanes))
     (slow, fast), _ = _lane_kind(own, section.lanes)
     pieces, taken = _signs(section, side, ground, rng)
-    ego = Slot(0.0, side * section.lane_y_m(own), 0.0, 5.0, parked=False)
+    ego = Slot(0.0, side * section.lane_y_m(own), 0.0, 5.0)
     world.begin(scenery, ground, ego, pieces, taken, (slow, fast))
     _drive(section, side, ego, world, rng)
 
@@ -122,7 +122,6 @@ def _drive(section: _Section, side: float, ego: Slot, world: LevelWorld, rng: np
                 2.0 * USERS_REACH_M,
                 (_HEADWAY_S * free_m_s[0], added_m),
                 kind_shares,
-                free_m_s=free_m_s,
             )
             for drawn, footprint in lane_vehicles(lane, draw, rng):
                 limits = (free_m_s[0], min(free_m_s[1], free_m_s[0] + 2.5)) if drawn.kind in LONG_KINDS else free_m_s
@@ -135,7 +134,7 @@ def _drive(section: _Section, side: float, ego: Slot, world: LevelWorld, rng: np
         drawn = drawn_vehicle(_MIDDLE[1], rng)
         y = side * (section.last_m + 0.5 * section.shoulder_m)
         x = float(rng.uniform(15.0, 120.0) * rng.choice([-1.0, 1.0]))
-        footprint = Footprint(x, y, 0.0, *map(float, drawn.size_m[:2]))
+        footprint = Footprint.at(np.array([x, y]), 0.0, drawn.size_m)
         world.put_vehicle(drawn, footprint, None, gap_m=_CLEARANCE_M)
 
 
@@ -148,9 +147,8 @@ def _signs(
     for x in rng.uniform(-180.0, 180.0, int(rng.integers(2, 6))):
         y = side * (section.edge_m + 1.6) * (1.0 if rng.random() < 0.7 else -1.0)
         yaw = -0.5 * np.pi if y * side > 0.0 else 0.5 * np.pi  # a sign faces -y of its own frame
-        c, s = np.cos(yaw), np.sin(yaw)
-        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        pieces.append(furniture_mesh("sign", rng).transformed(turn, np.array([x, y, float(ground.height_m(x))])))
+        place = np.array([x, y, float(ground.height_m(x))])
+        pieces.append(furniture_mesh("sign", rng).transformed(yaw_rotation(yaw), place))
         taken.append(Footprint(float(x), y, yaw, 0.7, 0.3))
     return pieces, taken
 

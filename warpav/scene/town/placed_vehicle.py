@@ -9,7 +9,7 @@ import numpy as np
 
 from warpav.raster.mesh import Mesh, merge
 from warpav.scene.town.paint import drawn_paint
-from warpav.scene.town.street_life import Footprint
+from warpav.scene.town.street_life import RoadUser
 from warpav.scene.town.surface_builder import StreetGround
 from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, body_width_m, vehicle_mesh, vehicle_size_m
 
@@ -51,26 +51,22 @@ def drawn_vehicle(kind_shares: Mapping[str, float], rng: np.random.Generator) ->
     return DrawnVehicle(kind, int(rng.integers(VARIANT_COUNT)), paint, scale)
 
 
-@dataclass(frozen=True, eq=False)
-class PlacedVehicle:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PlacedVehicle(RoadUser):
     """A vehicle in the town frame: its mesh in the vehicle frame, and where it stands."""
 
-    kind: str  # as `vehicle_mesh` takes it
     variant: int  # as `vehicle_mesh` takes it
     mesh: Mesh  # in the vehicle frame
     size_m: np.ndarray  # length, width with mirrors, height [m], shape [3]
-    footprint: Footprint  # where
-    lane_yaw_rad: float | None  # direction of its lane; None: parked
-    # Lowest and highest speed where nothing is in the way [m/s]; None: that of the street.
-    free_m_s: tuple[float, float] | None = None
 
     def exchanged(self, exchange: Exchange | None, number: int) -> PlacedVehicle:
         """The vehicle with the mesh that an exchange gives it, as the vehicle of this number; None: its own."""
         if exchange is None:
             return self
-        width_m = self.size_m[1] * body_width_m(self.kind, self.variant) / vehicle_size_m(self.kind, self.variant)[1]
+        kind, variant = self.category, self.variant
+        width_m = self.size_m[1] * body_width_m(kind, variant) / vehicle_size_m(kind, variant)[1]
         low_m, high_m = self.mesh.bounds_m().astype(np.float64)  # a coarse mesh is a little shorter
-        found = exchange(number, self.kind, self.mesh, np.array([high_m[0] - low_m[0], width_m, high_m[2]]))
+        found = exchange(number, kind, self.mesh, np.array([high_m[0] - low_m[0], width_m, high_m[2]]))
         if found is self.mesh:
             return self
         middle_m = np.array([0.5 * (low_m[0] + high_m[0]), 0.0, 0.0])
@@ -88,8 +84,8 @@ _SAMPLES = 200  # rays to a mesh
 class Sight:
     """Everything that can hide something, ready for rays."""
 
-    def __init__(self, blockers: Sequence[Mesh], targets: Sequence[Mesh]) -> None:
-        """Everything, in one frame."""
+    def __init__(self, blockers: Sequence[Mesh], targets: Sequence[Mesh], samples: int = _SAMPLES) -> None:
+        """Everything, in one frame; so many rays go to each target."""
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
@@ -97,43 +93,26 @@ class Sight:
         whole = merge(meshes)
         self._owner = np.repeat(np.arange(len(meshes)), [len(mesh.triangle) for mesh in meshes])
         self._first = len(blockers)
-        self._targets = targets
+        # Centres of triangles: a ray to a vertex may miss the surface by a rounding error.
+        self._point_m = [
+            mesh.vertex_m[mesh.triangle[:: max(1, len(mesh.triangle) // samples)]].mean(axis=1) for mesh in targets
+        ]
         self._caster = EmbreeScene()
         TriangleMesh(self._caster, whole.vertex_m, whole.triangle)
 
-    def shares(self, eye_m: np.ndarray, samples: int = _SAMPLES) -> np.ndarray:
-        """Share of each target's triangles whose middle can be seen from a point, 0..1, shape [target].
+    def shares(self, eye_m: np.ndarray, some: np.ndarray | None = None) -> np.ndarray:
+        """Share of each target's triangles whose middle can be seen from a point, [3], 0..1, shape [target].
 
-        Shapes: ``eye_m`` [3].
+        Of ``some`` targets, by their numbers, if not of all.
         """
-        return self._shares(eye_m, [self._points(mesh, samples) for mesh in self._targets], range(len(self._targets)))
-
-    def seen_from_any(self, eye_m: np.ndarray, samples: int) -> np.ndarray:
-        """Which targets have a triangle that can be seen from any of some points [m], [eye, 3]; bool [target]."""
-        point = [self._points(mesh, samples) for mesh in self._targets]
-        is_seen = np.zeros(len(point), bool)
-        for each in eye_m:
-            waiting = np.flatnonzero(~is_seen)
-            is_seen[waiting] = self._shares(each, [point[k] for k in waiting], waiting) > 0.0
-        return is_seen
-
-    @staticmethod
-    def _points(mesh: Mesh, samples: int) -> np.ndarray:
-        # Centres of triangles: a ray to a vertex may miss the surface by a rounding error.
-        return mesh.vertex_m[mesh.triangle[:: max(1, len(mesh.triangle) // samples)]].mean(axis=1)
-
-    def _shares(self, eye_m: np.ndarray, point: list[np.ndarray], target: Sequence[int] | np.ndarray) -> np.ndarray:
-        if not point:
+        some = np.arange(len(self._point_m)) if some is None else some
+        if not len(some):
             return np.zeros(0)
+        point = [self._point_m[k] for k in some]
         count = np.array([len(each) for each in point])
         direction = np.ascontiguousarray((np.concatenate(point) - eye_m).astype(np.float32))
         origin = np.ascontiguousarray(np.broadcast_to(eye_m.astype(np.float32), direction.shape))
         hit = self._caster.run(origin, direction, query="INTERSECT")
         row = np.repeat(np.arange(len(count)), count)
-        is_seen = (hit >= 0) & (self._owner[np.maximum(hit, 0)] == self._first + np.asarray(target)[row])
+        is_seen = (hit >= 0) & (self._owner[np.maximum(hit, 0)] == self._first + some[row])
         return np.bincount(row, is_seen, minlength=len(count)) / count
-
-
-def visible_shares(eye_m: np.ndarray, blockers: Sequence[Mesh], vehicles: Sequence[Mesh]) -> np.ndarray:
-    """Share of each vehicle's triangles that can be seen from a point, 0..1, shape [vehicle]; ``eye_m`` [3]."""
-    return Sight(blockers, vehicles).shares(eye_m)

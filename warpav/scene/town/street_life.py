@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from warpav.raster.mesh import Mesh
-from warpav.scene.scene import Box, Vehicle
+from warpav.scene.scene import Box, yaw_rotation
 from warpav.scene.town.furniture import FOOTPRINT_M, furniture_mesh
 from warpav.scene.town.houses import KERB_HEIGHT_M
 from warpav.scene.town.people import person_mesh
 from warpav.scene.town.surface_builder import StreetGround
-from warpav.scene.town.town_layout import Layout, Marking, Slot
+from warpav.scene.town.town_layout import Footprint, Layout, Marking, Occupied
 
 _REACH_M = 40.0  # furniture stands no farther from the ego vehicle
 _CORNER_CLEAR_M = 3.2  # of a pavement's ends, in which nobody stands
@@ -28,99 +28,28 @@ _CYCLIST_COUNTS, _CYCLIST_SHARES = (0, 1, 2), (0.45, 0.38, 0.17)
 _TRIES = 12
 
 
-@dataclass(frozen=True)
-class Footprint:
-    """A rectangle on the ground, in the town frame."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RoadUser:
+    """Somebody who may move."""
 
-    x_m: float  # its centre [m]
-    y_m: float  # its centre [m]
-    yaw_rad: float  # direction of its length
-    length_m: float  # length [m]
-    width_m: float  # width [m]
-
-    def corners_m(self) -> np.ndarray:
-        """Its corners in the town frame [m], float64 [4, 2]."""
-        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
-        half = 0.5 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [self.length_m, self.width_m]
-        return np.array([self.x_m, self.y_m]) + half @ np.array([[c, s], [-s, c]])
-
-    def nearer(self, other: Footprint, gap_m: float) -> bool:
-        """Whether two rectangles come nearer than a gap: no axis of either separates them by it."""
-        sizes_m = self.length_m + self.width_m + other.length_m + other.width_m
-        if abs(other.x_m - self.x_m) + abs(other.y_m - self.y_m) > sizes_m + 2.0 * gap_m:
-            return False
-        offset = np.array([other.x_m - self.x_m, other.y_m - self.y_m])
-        for yaw in (self.yaw_rad, other.yaw_rad):
-            for axis in (np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])):
-                reach = sum(
-                    0.5 * abs(axis @ direction) * extent
-                    for rectangle in (self, other)
-                    for direction, extent in (
-                        (np.array([np.cos(rectangle.yaw_rad), np.sin(rectangle.yaw_rad)]), rectangle.length_m),
-                        (np.array([-np.sin(rectangle.yaw_rad), np.cos(rectangle.yaw_rad)]), rectangle.width_m),
-                    )
-                )
-                if abs(axis @ offset) > reach + gap_m:
-                    return False
-        return True
+    category: str  # as `warpav.scene.scene.Vehicle` has it
+    footprint: Footprint  # where, in the town frame
+    heading_rad: float | None  # direction of the lane, or of somebody on foot; None: parked
+    # Lowest and highest speed where nothing is in the way [m/s]; None: that of the category and the street.
+    free_m_s: tuple[float, float] | None = None
 
 
-class Occupied:
-    """What is taken already: quickly asked whether a rectangle comes near any of it."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Person(RoadUser):
+    """A pedestrian or cyclist in the town frame."""
 
-    def __init__(self, footprints: Iterable[Footprint] = ()) -> None:
-        """These are taken."""
-        self._footprints = list(footprints)
-        self._circle = [_circle_of(each) for each in self._footprints]
-
-    def add(self, footprint: Footprint) -> None:
-        """Take a rectangle."""
-        self._footprints.append(footprint)
-        self._circle.append(_circle_of(footprint))
-
-    def is_free(self, footprint: Footprint, gap_m: float) -> bool:
-        """Whether nothing is nearer to it than a gap."""
-        if not self._footprints:
-            return True
-        x, y, radius = _circle_of(footprint)
-        centre_x, centre_y, reach = np.array(self._circle).T
-        near = np.flatnonzero(np.hypot(centre_x - x, centre_y - y) <= reach + radius + 1.5 * gap_m)  # at corners
-        return not any(footprint.nearer(self._footprints[k], gap_m) for k in near)
-
-
-def _circle_of(footprint: Footprint) -> tuple[float, float, float]:
-    """Centre and radius of a circle around a rectangle [m]."""
-    return footprint.x_m, footprint.y_m, 0.5 * float(np.hypot(footprint.length_m, footprint.width_m)) + 1e-6
-
-
-@dataclass(frozen=True)
-class _Furnishing:
-    """What was set up in a town."""
-
-    meshes: tuple[Mesh, ...]  # the pieces, in the town frame
-    footprints: tuple[Footprint, ...]  # where they stand; of road works the whole closed area
-    markings: tuple[Marking, ...]  # dug-up ground
-
-
-@dataclass(frozen=True)
-class Person:
-    """A person in the town frame."""
-
-    category: str  # ``pedestrian`` or ``cyclist``
     mesh: Mesh  # town frame
-    footprint: Footprint  # where the person is
     pavement_share: float  # how far from the kerb to the houses, 0..1; below 0 on the road
-
-    def road_user(self, instance_id: int, origin_m: np.ndarray) -> Vehicle:
-        """The person in the ego frame, whose origin in the town frame [m] is given, shape [3]."""
-        mesh = self.mesh.transformed(np.eye(3), -origin_m)
-        return Vehicle(instance_id, self.category, mesh, upright_box(mesh, self.footprint.yaw_rad))
 
 
 def upright_box(mesh: Mesh, yaw_rad: float) -> Box:
     """The smallest upright box of a heading that contains a mesh."""
-    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    turn = yaw_rotation(-yaw_rad)
     local = mesh.vertex_m.astype(np.float64) @ turn.T
     low, high = local.min(axis=0), local.max(axis=0)
     return Box(turn.T @ (0.5 * (low + high)), high - low, yaw_rad)
@@ -178,87 +107,74 @@ def strips(layout: Layout) -> list[Strip]:
     return found
 
 
-def _turned(mesh: Mesh, yaw_rad: float, place_m: np.ndarray) -> Mesh:
-    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    return mesh.transformed(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), place_m)
-
-
-class _Furnisher:
-    """Collects pieces that do not stand in each other."""
+class Furnishing:
+    """What was set up in a town: pieces that do not stand in each other."""
 
     def __init__(self, rng: np.random.Generator, ground: StreetGround) -> None:
-        self.meshes: list[Mesh] = []
-        self.footprints: list[Footprint] = []
+        self.meshes: list[Mesh] = []  # in the town frame
+        self.footprints: list[Footprint] = []  # where they stand; of road works the whole closed area
+        self.markings: list[Marking] = []  # dug-up ground
         self._rng = rng
         self._ground = ground
 
     def put(self, kind: str, place: np.ndarray, yaw_rad: float, height_m: float, *, alone: bool = True) -> None:
         """Add a piece; where something stands already, nothing happens unless it need not stand alone."""
-        length, width = FOOTPRINT_M[kind]
-        footprint = Footprint(float(place[0]), float(place[1]), yaw_rad, length, width)
+        footprint = Footprint(float(place[0]), float(place[1]), yaw_rad, *FOOTPRINT_M[kind])
         mesh = furniture_mesh(kind, self._rng)
         if alone:
             if any(footprint.nearer(other, 0.3) for other in self.footprints):
                 return
             self.footprints.append(footprint)
         z = height_m + float(self._ground.height_m(place[0]))
-        self.meshes.append(_turned(mesh, yaw_rad, np.array([place[0], place[1], z])))
+        self.meshes.append(mesh.transformed(yaw_rotation(yaw_rad), np.array([place[0], place[1], z])))
 
 
-def furnish(
-    layout: Layout, rng: np.random.Generator, ground: StreetGround, *, reach_m: float = _REACH_M
-) -> _Furnishing:
+def furnish(layout: Layout, rng: np.random.Generator, ground: StreetGround, *, reach_m: float = _REACH_M) -> Furnishing:
     """Random furniture on the pavements near the ego vehicle, and in some scenes road works in a lane."""
-    furnisher = _Furnisher(rng, ground)
-    markings: list[Marking] = []
-    ego = np.array([layout.ego.x_m, layout.ego.y_m])
+    found = Furnishing(rng, ground)
     if rng.random() < _WORKS_SHARE:
-        markings += _put_works(furnisher, layout, rng)
+        _put_works(found, layout, rng)
     junctions_m = np.array([0.5 * (r[0] + r[2]) for r in layout.asphalt_m[1:]])
     for x_low, y_low, x_high, y_high in layout.crossings_m:
         nearest_m = junctions_m[np.abs(junctions_m - x_low).argmin()]
         x = x_high + 0.7 if x_low > nearest_m else x_low - 0.7
         for y, yaw in ((y_low - 0.6, np.pi), (y_high + 0.6, 0.0)):
-            furnisher.put("traffic_light", np.array([x, y]), yaw, KERB_HEIGHT_M)
+            found.put("traffic_light", np.array([x, y]), yaw, KERB_HEIGHT_M)
     for strip in strips(layout):
-        span = strip.span_m(ego, reach_m)
+        span = strip.span_m(layout.ego_m, reach_m)
         if span is None or strip.depth_m < 2.0:
             continue
+
+        def put(kind: str, along: float, inset: float, strip: Strip = strip) -> None:
+            found.put(kind, strip.at(along, inset), strip.yaw_rad, KERB_HEIGHT_M)
+
         low, high = span
         for along in np.arange(low + rng.uniform(0.0, _LAMP_SPACING_M), high, _LAMP_SPACING_M):
-            furnisher.put("lamp_post", strip.at(along, _KERB_CLEAR_M), strip.yaw_rad, KERB_HEIGHT_M)
+            put("lamp_post", along, _KERB_CLEAR_M)
         large = rng.random()
         along = rng.uniform(low, high)
         if large < 0.28 and strip.depth_m > 2.5:
-            furnisher.put("bus_shelter", strip.at(along, _KERB_CLEAR_M + 0.9), strip.yaw_rad, KERB_HEIGHT_M)
-            furnisher.put("sign", strip.at(along + 2.6, _KERB_CLEAR_M), strip.yaw_rad, KERB_HEIGHT_M)
+            put("bus_shelter", along, _KERB_CLEAR_M + 0.9)
+            put("sign", along + 2.6, _KERB_CLEAR_M)
         elif large < 0.5 and strip.depth_m > 3.3:
-            furnisher.put("kiosk", strip.at(along, strip.depth_m - 1.4), strip.yaw_rad, KERB_HEIGHT_M)
-        for kind, mean, inset in (
-            ("bench", 1.2, strip.depth_m - 0.6),
-            ("bin", 1.5, _KERB_CLEAR_M),
-            ("sign", 1.5, _KERB_CLEAR_M),
-        ):
+            put("kiosk", along, strip.depth_m - 1.4)
+        for kind, mean, inset in (("bench", 1.2, strip.depth_m - 0.6), ("bin", 1.5, _KERB_CLEAR_M),
+                                  ("sign", 1.5, _KERB_CLEAR_M)):  # fmt: skip
             for along in rng.uniform(low, high, rng.poisson(mean)):
-                furnisher.put(kind, strip.at(along, inset), strip.yaw_rad, KERB_HEIGHT_M)
+                put(kind, along, inset)
         if rng.random() < 0.3:
             first = rng.uniform(low, high)
             for along in np.arange(first, min(first + 12.0, high), 1.7):
-                furnisher.put("bollard", strip.at(along, _KERB_CLEAR_M - 0.1), strip.yaw_rad, KERB_HEIGHT_M)
-    return _Furnishing(tuple(furnisher.meshes), tuple(furnisher.footprints), tuple(markings))
+                put("bollard", along, _KERB_CLEAR_M - 0.1)
+    return found
 
 
-def _put_works(furnisher: _Furnisher, layout: Layout, rng: np.random.Generator) -> list[Marking]:
+def _put_works(found: Furnishing, layout: Layout, rng: np.random.Generator) -> None:
     """Close part of a lane off: barriers at both ends, cones along the side, a patch without asphalt inside."""
-    ego = np.array([layout.ego.x_m, layout.ego.y_m])
-    lanes = [
-        slot
-        for slot in layout.slots
-        if not slot.parked and abs(np.sin(slot.yaw_rad)) < 0.1
-        and _WORKS_CLEAR_M < np.hypot(slot.x_m - ego[0], slot.y_m - ego[1]) < 24.0
-    ]  # fmt: skip
+    lanes = [slot for slot in layout.slots if not slot.parked and abs(np.sin(slot.yaw_rad)) < 0.1
+             and _WORKS_CLEAR_M < np.hypot(slot.x_m - layout.ego.x_m, slot.y_m - layout.ego.y_m) < 24.0]  # fmt: skip
     if not lanes:
-        return []
+        return
     slot = lanes[int(rng.integers(len(lanes)))]
     half_length, half_width = rng.uniform(2.4, 3.6), 1.15
     area = Footprint(slot.x_m, slot.y_m, 0.0, 2.0 * half_length + 1.2, 2.0 * half_width + 0.3)
@@ -266,11 +182,14 @@ def _put_works(furnisher: _Furnisher, layout: Layout, rng: np.random.Generator) 
         area.nearer(Footprint(0.5 * (r[0] + r[2]), 0.5 * (r[1] + r[3]), 0.0, r[2] - r[0], r[3] - r[1]), 0.5)
         for r in layout.crossings_m
     )
-    if crossing or _in_junction(layout, area):
-        return []
+    # in front of a side street
+    west, east = area.x_m - 0.5 * area.length_m, area.x_m + 0.5 * area.length_m
+    sides = [r for r in layout.asphalt_m[1:] if abs(r[2] - r[0]) < abs(r[3] - r[1])]
+    if crossing or any(east > r[0] - 1.0 and west < r[2] + 1.0 for r in sides):
+        return
 
     def put(kind: str, x: float, y: float, yaw: float) -> None:
-        furnisher.put(kind, np.array([slot.x_m + x, slot.y_m + y]), yaw, 0.0, alone=False)
+        found.put(kind, np.array([slot.x_m + x, slot.y_m + y]), yaw, 0.0, alone=False)
 
     for end in (-1.0, 1.0):
         put("barrier", end * half_length, 0.0, 0.5 * np.pi * end)
@@ -284,22 +203,14 @@ def _put_works(furnisher: _Furnisher, layout: Layout, rng: np.random.Generator) 
         put("sand_heap", inner - 0.4, -side * 0.1, rng.uniform(0.0, np.pi))
     if rng.random() < 0.6:
         put("pallet", -inner + 0.2, -side * 0.3, rng.uniform(-0.2, 0.2))
-    furnisher.footprints.append(area)
+    found.footprints.append(area)
     patch = (slot.x_m - inner, slot.y_m - 0.75, slot.x_m + inner, slot.y_m + 0.75)
-    return [Marking(patch, _PATCH_BRIGHTNESS)]
-
-
-def _in_junction(layout: Layout, area: Footprint) -> bool:
-    """Whether an area of the main street lies in front of a side street."""
-    side_streets = [r for r in layout.asphalt_m[1:] if abs(r[2] - r[0]) < abs(r[3] - r[1])]
-    return any(area.x_m + 0.5 * area.length_m > r[0] - 1.0 and area.x_m - 0.5 * area.length_m < r[2] + 1.0
-               for r in side_streets)  # fmt: skip
+    found.markings.append(Marking(patch, _PATCH_BRIGHTNESS))
 
 
 def _pavement_places(layout: Layout, rng: np.random.Generator) -> Iterator[tuple[np.ndarray, float, float]]:
     """Place, heading and share of the pavement of somebody who walks along it; without end."""
-    ego = np.array([layout.ego.x_m, layout.ego.y_m])
-    near = [(strip, span) for strip in strips(layout) if (span := strip.span_m(ego, _PEOPLE_REACH_M))]
+    near = [(strip, span) for strip in strips(layout) if (span := strip.span_m(layout.ego_m, _PEOPLE_REACH_M))]
     if not near:
         return
     weight = np.array([high - low for _, (low, high) in near])
@@ -312,7 +223,7 @@ def _pavement_places(layout: Layout, rng: np.random.Generator) -> Iterator[tuple
 
 def _road_places(layout: Layout, rng: np.random.Generator) -> Iterator[tuple[np.ndarray, float, float]]:
     """The same of somebody who crosses the road: on a crossing, or anywhere in a car park; ends where nobody does."""
-    ego = np.array([layout.ego.x_m, layout.ego.y_m])
+    ego = layout.ego_m
     near = [r for r in layout.crossings_m if abs(0.5 * (r[0] + r[2]) - ego[0]) < _PEOPLE_REACH_M]
     while near:
         x_low, y_low, x_high, y_high = near[int(rng.integers(len(near)))]
@@ -337,38 +248,34 @@ class Crowd:
         """Put somebody at a place, below 0 of the pavement on the road; False where there is no room."""
         low, high = mesh.bounds_m().astype(np.float64)
         c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-        centre = 0.5 * (low + high)
-        footprint = Footprint(
-            float(place_m[0] + c * centre[0] - s * centre[1]),
-            float(place_m[1] + s * centre[0] + c * centre[1]),
-            float(np.arctan2(s, c)),
-            float(high[0] - low[0]),
-            float(high[1] - low[1]),
-        )
+        x, y = 0.5 * (low + high)[:2]
+        centre = (place_m[0] + c * x - s * y, place_m[1] + s * x + c * y)
+        footprint = Footprint.at(np.array(centre), yaw_rad, high - low)
         near = np.hypot(*(place_m - self._ego_m)) < self._clear_m
         if near or not self._taken.is_free(footprint, _GAP_M):
             return False
         self._taken.add(footprint)
-        kerb = KERB_HEIGHT_M if pavement_share >= 0.0 else 0.0
         if category == "cyclist":
-            rotation, foot = self._ground.stand(float(place_m[0]), float(place_m[1]), yaw_rad, high - low)
-            standing = mesh.transformed(rotation, foot)
+            turn, foot = self._ground.stand(float(place_m[0]), float(place_m[1]), yaw_rad, high - low)
         else:
-            z = kerb + float(self._ground.height_m(place_m[0]))
-            standing = _turned(mesh, yaw_rad, np.array([place_m[0], place_m[1], z]))
-        self.persons.append(Person(category, standing, footprint, pavement_share))
+            kerb = KERB_HEIGHT_M if pavement_share >= 0.0 else 0.0
+            turn = yaw_rotation(yaw_rad)
+            foot = np.array([place_m[0], place_m[1], kerb + float(self._ground.height_m(place_m[0]))])
+        self.persons.append(
+            Person(
+                category=category,
+                footprint=footprint,
+                heading_rad=footprint.yaw_rad,
+                mesh=mesh.transformed(turn, foot),
+                pavement_share=pavement_share,
+            )
+        )
         return True
 
 
-def people(
-    layout: Layout,
-    rng: np.random.Generator,
-    ground: StreetGround,
-    taken: Sequence[Footprint],
-    free_slots: Sequence[Slot],
-) -> list[Person]:
+def people(layout: Layout, rng: np.random.Generator, ground: StreetGround, taken: Sequence[Footprint]) -> list[Person]:
     """A handful of people near the ego vehicle: on pavements and crossings, and on bicycles in lanes."""
-    crowd = Crowd(ground, Occupied(taken), np.array([layout.ego.x_m, layout.ego.y_m]), clear_m=_PEOPLE_CLEAR_M)
+    crowd = Crowd(ground, Occupied(taken), layout.ego_m, clear_m=_PEOPLE_CLEAR_M)
     for places, count in (
         (_pavement_places(layout, rng), int(rng.integers(2, 7))),
         (_road_places(layout, rng), int(rng.integers(0, 4))),
@@ -378,7 +285,7 @@ def people(
             if left > 0 and crowd.add("pedestrian", person_mesh("pedestrian", rng), place, yaw, share):
                 left -= 1
     side = 1.0 if layout.ego.y_m > 0.0 else -1.0  # traffic keeps to the right, or to the left
-    lanes = [slot for slot in free_slots if not slot.parked]
+    lanes = [slot for slot in layout.slots if not slot.parked]
     wanted = int(rng.choice(_CYCLIST_COUNTS, p=_CYCLIST_SHARES))
     for index in rng.permutation(len(lanes))[:_TRIES]:
         slot = lanes[index]

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warpav.scene.scene import yaw_rotation
+
 _WELD_GRID_M = 1e-5  # vertices nearer than this are one vertex
 _CREASE_COSINE = float(np.cos(np.radians(42.0)))  # flatter edges are shaded smoothly
 NORMAL_STEPS = 64  # normals are compared on this grid when vertices are shared
@@ -257,9 +259,9 @@ class StreetGround:
 
     def stand(self, x_m: float, y_m: float, yaw_rad: float, size_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How a vehicle stands: the plane through the ground below its wheels; ``size_m`` [3], returns [3, 3]."""
-        c, s = np.cos(yaw_rad), np.sin(yaw_rad)
         if self.is_level:
-            return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array([x_m, y_m, 0.0])
+            return yaw_rotation(yaw_rad), np.array([x_m, y_m, 0.0])
+        c, s = np.cos(yaw_rad), np.sin(yaw_rad)
         wheel_x, wheel_y = 0.3 * size_m[0], 0.4 * size_m[1]
         front, rear = self.height_m(x_m + wheel_x * c), self.height_m(x_m - wheel_x * c)
         left, right = self.height_m(x_m - wheel_y * s), self.height_m(x_m + wheel_y * s)

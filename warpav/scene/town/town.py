@@ -8,21 +8,21 @@ into vertex colours. The same seed gives the same bytes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from warpav.raster.mesh import Mesh, merge
 from warpav.scene.scene import Scene, Sky, Vehicle
 from warpav.scene.town.houses import SceneryBuilder
-from warpav.scene.town.lanes import RoadUser, velocities_m_s
-from warpav.scene.town.placed_vehicle import LONG_KINDS, Exchange, PlacedVehicle, drawn_vehicle, visible_shares
-from warpav.scene.town.street_life import Footprint, furnish, people, upright_box
+from warpav.scene.town.lanes import stop_lines, velocities_m_s
+from warpav.scene.town.placed_vehicle import LONG_KINDS, Exchange, PlacedVehicle, Sight, drawn_vehicle
+from warpav.scene.town.street_life import Person, RoadUser, furnish, people, upright_box
 from warpav.scene.town.surface_builder import StreetGround
-from warpav.scene.town.town_layout import SPAWN_REACH_M, Layout, Slot, town_layout
+from warpav.scene.town.town_layout import SPAWN_REACH_M, Footprint, Layout, Slot, town_layout
 from warpav.scene.town.vehicle_shapes import ego_glass, ego_mesh, vehicle_glass
 
-VISIBLE_COUNT_MIN, VISIBLE_COUNT_MAX = 5, 15
+_VISIBLE_COUNT_MIN, _VISIBLE_COUNT_MAX = 5, 15
 EYE_HEIGHT_M = 1.8  # traffic must be visible from here, above the centre of the ego vehicle
 _TARGET_COUNT = (8, 12)  # vehicles per scene, upper end excluded
 _CLEARANCE_M = 0.35  # between any two vehicles
@@ -66,16 +66,11 @@ def ego_vehicle() -> Mesh:
 
 def town_scene(seed: int, exchange: Exchange | None = None) -> Scene:
     """A street scene around the ego vehicle with 5 to 15 visible vehicles."""
-    return _world(seed, exchange).scene
+    return town_world(seed, exchange).scene
 
 
-def town_world(seed: int) -> TownWorld:
-    """The scene of `town_scene` with what only a simulator knows; the same errors."""
-    return _world(seed, None)
-
-
-def _world(seed: int, exchange: Exchange | None) -> TownWorld:
-    """The world, in which `TownWorld.vehicle_glass` knows nothing of an exchange."""
+def town_world(seed: int, exchange: Exchange | None = None) -> TownWorld:
+    """The scene of `town_scene` with what only a simulator knows: `TownWorld.vehicle_glass` without an exchange."""
     if seed < 0:
         raise ValueError(f"seed must be 0 or more, got {seed}")
     for attempt in range(16):
@@ -94,22 +89,17 @@ def _try_world(seed: int, attempt: int, exchange: Exchange | None) -> TownWorld 
     low, high = ego.bounds_m().astype(np.float64)
     # The ego vehicle's centre stands on its slot, on level ground; the ego frame's origin is its rear axle.
     origin = np.array([layout.ego.x_m - 0.5 * (low[0] + high[0]), layout.ego.y_m, 0.0])
-    ego_footprint = Footprint(layout.ego.x_m, layout.ego.y_m, 0.0, high[0] - low[0], high[1] - low[1])
+    ego_place = Footprint.at(layout.ego_m, 0.0, high - low)
 
     furnishing = furnish(layout, life_rng, ground)
     scenery = SceneryBuilder(rng, ground)
-    for rectangle in layout.asphalt_m:
-        scenery.add_asphalt(rectangle)
-    for marking in (*layout.markings, *furnishing.markings):
-        scenery.add_marking(marking)
-    for block in layout.blocks:
-        scenery.add_block(block)
+    scenery.add_plan(layout, furnishing.markings)
     surroundings = [scenery.finish(), *furnishing.meshes, ego.transformed(np.eye(3), origin)]
-    eye = np.array([layout.ego.x_m, layout.ego.y_m, EYE_HEIGHT_M])
+    eye = np.array([*layout.ego_m, EYE_HEIGHT_M])
 
     target = int(rng.integers(*_TARGET_COUNT))
     waiting = _ordered_slots(layout, rng)
-    taken = (ego_footprint, *furnishing.footprints)
+    taken = (ego_place, *furnishing.footprints)
     placed: list[PlacedVehicle] = []
     share = np.zeros(0)
     for _ in range(_FILL_ROUNDS):
@@ -118,52 +108,44 @@ def _try_world(seed: int, attempt: int, exchange: Exchange | None) -> TownWorld 
             occupied = (*taken, *(one.footprint for one in placed))
             if not candidate or any(candidate.footprint.nearer(other, _CLEARANCE_M) for other in occupied):
                 continue
-            beside_m = _BESIDE_LONG_M if candidate.kind in LONG_KINDS else _BESIDE_M
-            if not candidate.footprint.nearer(ego_footprint, beside_m) or rng.random() < _BESIDE_SHARE:
+            beside_m = _BESIDE_LONG_M if candidate.category in LONG_KINDS else _BESIDE_M
+            if not candidate.footprint.nearer(ego_place, beside_m) or rng.random() < _BESIDE_SHARE:
                 placed.append(candidate)
         count = len(placed)
-        share = visible_shares(eye, surroundings, [one.standing(ground) for one in placed])
+        share = Sight(surroundings, [one.standing(ground) for one in placed]).shares(eye)
         placed = [one for one, seen in zip(placed, share, strict=True) if seen >= _VISIBLE_SHARE_MIN]
         share = share[share >= _VISIBLE_SHARE_MIN]
         if len(placed) == count and (len(placed) == target or not waiting):
             break
-    if not VISIBLE_COUNT_MIN <= len(placed) <= VISIBLE_COUNT_MAX:
+    if not _VISIBLE_COUNT_MIN <= len(placed) <= _VISIBLE_COUNT_MAX:
         return None
 
     placed = [one.exchanged(exchange, number) for number, one in enumerate(placed, start=1)]
-    meshes = [one.standing(ground) for one in placed]
-    persons = people(layout, life_rng, ground, (*taken, *(one.footprint for one in placed)), layout.slots)
+    persons = people(layout, life_rng, ground, (*taken, *(one.footprint for one in placed)))
     barely_seen = [one.footprint for one, seen in zip(placed, share, strict=True) if seen < _BARELY_SEEN_SHARE]
     persons = [person for person in persons if not any(_hides(eye, person.footprint, one) for one in barely_seen)]
-    for index, one in enumerate((ego_footprint, *(one.footprint for one in placed))):
-        width = one.width_m - 0.25  # without mirrors
-        scenery.add_contact_shadow(np.array([one.x_m, one.y_m]), one.yaw_rad, one.length_m, width, index)
-    for index, person in enumerate(persons, start=len(placed) + 1):
-        place = person.footprint
-        size = (place.length_m, place.width_m)
-        scenery.add_foot_shadow(np.array([place.x_m, place.y_m]), place.yaw_rad, size, index, person.pavement_share)
-    vehicles = []
-    for number, (one, mesh) in enumerate(zip(placed, meshes, strict=True), start=1):
-        in_ego_frame = mesh.transformed(np.eye(3), -origin)
-        vehicles.append(Vehicle(number, one.kind, in_ego_frame, upright_box(in_ego_frame, one.footprint.yaw_rad)))
-    others = [person.road_user(number, origin) for number, person in enumerate(persons, start=len(placed) + 1)]
-    motion_rng = np.random.default_rng([_TOWN_STREAM, seed, attempt, 2])
-    moving = [
-        RoadUser("ego", ego_footprint, layout.ego.yaw_rad),
-        *(RoadUser(one.kind, one.footprint, one.lane_yaw_rad) for one in placed),
-        *(RoadUser(person.category, person.footprint, person.footprint.yaw_rad) for person in persons),
-    ]
-    velocity = velocities_m_s(moving, furnishing.footprints, layout, motion_rng)
-    users = tuple(
-        replace(user, velocity_ego_m_s=each)
-        for user, each in zip([*vehicles, *others], velocity[1:] - velocity[0], strict=True)
+    ego_user = RoadUser(category="ego", footprint=ego_place, heading_rad=layout.ego.yaw_rad)
+    moving = [ego_user, *placed, *persons]
+    for index, one in enumerate(moving):
+        scenery.add_shadow(one.footprint, index, one.pavement_share if isinstance(one, Person) else None)
+    velocity = velocities_m_s(
+        moving,
+        [*furnishing.footprints, *stop_lines(layout)],
+        np.random.default_rng([_TOWN_STREAM, seed, attempt, 2]),
+        in_car_park=layout.template == "car_park",
     )
+    users = []
+    for number, one in enumerate(moving[1:], start=1):
+        mesh = (one.standing(ground) if isinstance(one, PlacedVehicle) else one.mesh).transformed(np.eye(3), -origin)
+        box = upright_box(mesh, one.footprint.yaw_rad)
+        users.append(Vehicle(number, one.category, mesh, box, velocity[number] - velocity[0]))
     environment = merge([scenery.finish(), *furnishing.meshes]).transformed(np.eye(3), -origin)
     name, source = f"town_{seed:04d}", f"town seed {seed}"
+    vehicles, others = tuple(users[: len(placed)]), tuple(users[len(placed) :])
     return TownWorld(
-        Scene(name, environment, ego, users[: len(vehicles)], drawn_sky(rng), source, users[len(vehicles) :]),
+        Scene(name, environment, ego, vehicles, drawn_sky(rng), source, others),
         ego_glass(),
-        tuple(vehicle_glass(one.kind, one.variant) for one in placed),
+        tuple(vehicle_glass(one.category, one.variant) for one in placed),
     )
 
 
@@ -177,7 +159,7 @@ def _ground(layout: Layout, rng: np.random.Generator) -> StreetGround:
 
 def _hides(eye_m: np.ndarray, one: Footprint, other: Footprint) -> bool:
     """Whether something on the ground may hide part of something else, seen from a point."""
-    offset = [np.array([footprint.x_m - eye_m[0], footprint.y_m - eye_m[1]]) for footprint in (one, other)]
+    offset = [footprint.centre_m - eye_m[:2] for footprint in (one, other)]
     distance = [float(np.hypot(*each)) for each in offset]
     bearing = np.arctan2(offset[0][0] * offset[1][1] - offset[0][1] * offset[1][0], offset[0] @ offset[1])
     reach = sum(
@@ -214,10 +196,15 @@ def _park(slot: Slot, rng: np.random.Generator) -> PlacedVehicle | None:
     size = bounds[1] - bounds[0]
     if size[0] > slot.room_m or (slot.parked and drawn.kind in LONG_KINDS):
         return None
-    x, y = slot.x_m - np.sin(yaw) * across, slot.y_m + np.cos(yaw) * across
-    yaw = float(np.arctan2(np.sin(yaw), np.cos(yaw)))
-    footprint = Footprint(float(x), float(y), yaw, float(size[0]), float(size[1]))
-    return PlacedVehicle(drawn.kind, drawn.variant, mesh, size, footprint, None if slot.parked else slot.yaw_rad)
+    centre = np.array([slot.x_m - np.sin(yaw) * across, slot.y_m + np.cos(yaw) * across])
+    return PlacedVehicle(
+        category=drawn.kind,
+        footprint=Footprint.at(centre, yaw, size),
+        heading_rad=None if slot.parked else slot.yaw_rad,
+        variant=drawn.variant,
+        mesh=mesh,
+        size_m=size,
+    )
 
 
 def drawn_sky(rng: np.random.Generator) -> Sky:

@@ -26,7 +26,7 @@ from warpav.scene.town.houses import (
     PAVEMENT_FADE,
     SceneryBuilder,
 )
-from warpav.scene.town.street_life import Footprint
+from warpav.scene.town.town_layout import Footprint
 from warpav.scene.traffic.recording import Lanelet
 from warpav.scene.traffic.road_users import body_mesh, drawn_kind
 
@@ -119,8 +119,8 @@ class Road:
         point_m, triangle = self._triangulated(contours, rng)
         middle = self.distance_m(point_m[triangle].mean(axis=1))
         zone = np.digitize(middle, levels)
-        asphalt = builder.asphalt_grey * np.array([1.0, 1.0, 1.015])
-        pavement = builder.pavement_rgb()
+        asphalt = builder.asphalt_rgb
+        pavement = builder.pavement_rgb
         land = _GRASS_RGB * rng.uniform(0.85, 1.1) if rng.random() < _GRASS_SHARE else 0.8 * pavement
         kerb = np.full(3, pavement[1] + 0.09)
         mottle = 0.006 * rng.standard_normal(len(point_m))[:, None]
@@ -455,7 +455,7 @@ class Roadside:
 
     def _pave(self, builder: SceneryBuilder, plot: Footprint) -> None:
         corner = np.c_[plot.corners_m(), np.full(4, KERB_HEIGHT_M + MARKING_HEIGHT_M)]
-        builder.add_quads(corner[None], builder.asphalt_grey * np.array([1.0, 1.0, 1.015]))
+        builder.add_quads(corner[None], builder.asphalt_rgb)
 
     def _park(self, start: np.ndarray, along: np.ndarray, count: int) -> None:
         inward = np.array([-along[1], along[0]])

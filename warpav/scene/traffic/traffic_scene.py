@@ -16,12 +16,13 @@ import numpy as np
 from warpav.core.cache import fingerprint
 from warpav.raster.mesh import Mesh, merge
 from warpav.scene.scene import Scene, Vehicle
-from warpav.scene.town.houses import KERB_HEIGHT_M, SceneryBuilder
+from warpav.scene.town.houses import KERB_HEIGHT_M, MIRRORS_M, SceneryBuilder
 from warpav.scene.town.levels import FLEET_CODE
 from warpav.scene.town.placed_vehicle import Exchange
-from warpav.scene.town.street_life import Footprint, upright_box
+from warpav.scene.town.street_life import upright_box
 from warpav.scene.town.surface_builder import StreetGround
 from warpav.scene.town.town import drawn_sky, ego_vehicle
+from warpav.scene.town.town_layout import Footprint
 from warpav.scene.traffic.files import content_digest, read_recording
 from warpav.scene.traffic.moments import REACH_M, Moment
 from warpav.scene.traffic.recording import Lanelet, RecordedState, Recording
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
 _ROOM_M = 0.45  # of road around whoever stands on it outside the lanes
 _LANE_STEP_M = 2.0
 _SHADOW_LAYERS = 16  # shadows that lie over each other get heights of their own
-_MIRRORS_M = 0.25
 _STREAM = 0x7AF1D
 _FLEET_KEY = 0x7AF  # as no level of the town has
 _RIDDEN = ("cyclist", "motorcycle")
@@ -196,14 +196,11 @@ def _standing(body: _Body, road: Road) -> Mesh:
 
 
 def _add_shadow(builder: SceneryBuilder, road: Road, place: Footprint, kind: str, number: int) -> None:
-    centre = np.array([place.x_m, place.y_m])
-    distance = float(road.distance_m(centre))
+    distance = float(road.distance_m(place.centre_m))
     layer = number % _SHADOW_LAYERS
     if kind in _ON_FOOT:
         if distance < road.pavement_m:  # beyond there may be grass
-            share = distance / road.pavement_m if distance > 0.0 else -1.0
-            builder.add_foot_shadow(centre, place.yaw_rad, (place.length_m, place.width_m), layer, share)
+            builder.add_shadow(place, layer, distance / road.pavement_m if distance > 0.0 else -1.0)
         return
     height = KERB_HEIGHT_M if distance > 0.0 else 0.0
-    width = place.width_m - (_MIRRORS_M if kind == "ego" else 0.0)
-    builder.add_contact_shadow(centre, place.yaw_rad, place.length_m, width, layer, height_m=height)
+    builder.add_shadow(place, layer, mirrors_m=MIRRORS_M if kind == "ego" else 0.0, height_m=height)
