@@ -48,12 +48,12 @@ def _post(builder: SurfaceBuilder, x: float, y: float, height: float, radius: fl
 def _disc(builder: SurfaceBuilder, centre: tuple[float, float, float], radius: float, y: float, material: int) -> None:
     """A thin disc that faces along y, up to ``y`` in front of its centre."""
     path = np.array([(centre[0], centre[1] + y, centre[2]), (centre[0], centre[1] + 0.01, centre[2])])
-    builder.add_tube(path, np.full((2, 2), radius), material, sides=12, cap=0.0)
+    builder.add_tube(path, radius, material, sides=12, cap=0.0)
 
 
 def _lamp_post(builder: SurfaceBuilder) -> None:
     _post(builder, 0.0, 0.0, 6.4, 0.075, Material.METAL)
-    builder.add_tube(np.array([(0.0, 0.0, 0.0), (0.0, 0.0, 0.9)]), np.full((2, 2), 0.11), Material.METAL, sides=6)
+    builder.add_tube([(0.0, 0.0, 0.0), (0.0, 0.0, 0.9)], 0.11, Material.METAL, sides=6)
     builder.add_box((-0.04, -1.5, 6.30), (0.04, 0.04, 6.38), Material.METAL)
     builder.add_box((-0.14, -1.75, 6.24), (0.14, -1.05, 6.36), Material.METAL)
     builder.add_box((-0.11, -1.70, 6.21), (0.11, -1.10, 6.25), Material.PLATE)
@@ -61,7 +61,7 @@ def _lamp_post(builder: SurfaceBuilder) -> None:
 
 def _bollard(builder: SurfaceBuilder) -> None:
     _post(builder, 0.0, 0.0, 0.95, 0.075, Material.DARK)
-    builder.add_tube(np.array([(0.0, 0.0, 0.74), (0.0, 0.0, 0.84)]), np.full((2, 2), 0.078), Material.PLATE, sides=8,
+    builder.add_tube([(0.0, 0.0, 0.74), (0.0, 0.0, 0.84)], 0.078, Material.PLATE, sides=8,
                      cap=0.0)  # fmt: skip
 
 
@@ -86,7 +86,7 @@ def _traffic_light(builder: SurfaceBuilder) -> None:
         builder.add_box((x - 0.10, -0.16, 2.35), (x + 0.10, 0.16, 3.30), Material.BLACK_PLASTIC)
         for z, material in ((3.12, Material.TAIL_LAMP), (2.83, Material.INDICATOR), (2.54, Material.GO)):
             path = np.array([(x, 0.0, z), (x + 0.135 * front, 0.0, z)])
-            builder.add_tube(path, np.full((2, 2), 0.10), material, sides=10, cap=0.0)
+            builder.add_tube(path, 0.10, material, sides=10, cap=0.0)
             builder.add_box((min(x, x + 0.2 * front), -0.11, z + 0.10), (max(x, x + 0.2 * front), 0.11, z + 0.125),
                             Material.BLACK_PLASTIC)  # fmt: skip
 
@@ -162,7 +162,7 @@ def _barrier(builder: SurfaceBuilder) -> None:
         for field in range(8):
             material = Material.REFLECTOR if field % 2 == 0 else Material.PLATE
             builder.add_box((-1.0 + 0.25 * field, -0.04, z), (-0.75 + 0.25 * field, -0.005, z + 0.22), material)
-    builder.add_tube(np.array([(0.82, 0.0, 1.10), (0.82, 0.0, 1.30)]), np.full((2, 2), 0.085), Material.INDICATOR,
+    builder.add_tube([(0.82, 0.0, 1.10), (0.82, 0.0, 1.30)], 0.085, Material.INDICATOR,
                      sides=8)  # fmt: skip
 
 

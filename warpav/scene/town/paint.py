@@ -16,80 +16,58 @@ from warpav.scene.town.surface_builder import Surface
 
 
 class Material(enum.IntEnum):
-    """What a part is made of; ``PAINT`` and people's clothes take the colours of the individual."""
+    """What a part is made of: its number, linear albedo (red, green, blue) and mirror strength.
 
-    PAINT = 0
-    GLASS = 1
-    BLACK_PLASTIC = 2
-    TYRE = 3
-    RIM = 4
-    HEADLAMP = 5
-    TAIL_LAMP = 6
-    PLATE = 7
-    REAR_PLATE = 8
-    DARK = 9
-    CHROME = 10
-    SEAM = 11
-    UNDERBODY = 12
-    CARGO = 13
-    CARGO_FRAME = 14
-    INDICATOR = 15
-    MARKER_YELLOW = 16
-    REFLECTOR = 17
-    LIFT = 18
-    SKIN = 19
-    HAIR = 20
-    TOP = 21
-    LEGWEAR = 22
-    SHOE = 23
-    BAG = 24
-    HELMET = 25
-    METAL = 26
-    WOOD = 27
-    PANE = 28
-    CONE = 29
-    SAND = 30
-    STONE = 31
-    GO = 32
+    ``PAINT`` and people's clothes take the colours of the individual.
+    """
+
+    albedo: tuple[float, float, float]
+    mirror: float
+
+    def __new__(cls, number: int, red: float, green: float, blue: float, mirror: float) -> Material:
+        """A number with what it looks like."""
+        one = int.__new__(cls, number)
+        one._value_ = number
+        one.albedo, one.mirror = (red, green, blue), mirror
+        return one
+
+    PAINT = 0, 0.5, 0.5, 0.5, 0.13
+    GLASS = 1, 0.012, 0.014, 0.016, 0.12
+    BLACK_PLASTIC = 2, 0.026, 0.026, 0.028, 0.03
+    TYRE = 3, 0.05, 0.05, 0.052, 0.0
+    RIM = 4, 0.45, 0.46, 0.48, 0.1
+    HEADLAMP = 5, 0.8, 0.82, 0.85, 0.25
+    TAIL_LAMP = 6, 0.5, 0.01, 0.008, 0.07
+    PLATE = 7, 0.85, 0.85, 0.83, 0.02
+    REAR_PLATE = 8, 0.8, 0.62, 0.08, 0.02
+    DARK = 9, 0.006, 0.006, 0.006, 0.0
+    CHROME = 10, 0.58, 0.58, 0.6, 0.45
+    SEAM = 11, 0.028, 0.028, 0.028, 0.0
+    UNDERBODY = 12, 0.012, 0.012, 0.012, 0.0
+    CARGO = 13, 0.9, 0.9, 0.88, 0.03
+    CARGO_FRAME = 14, 0.3, 0.31, 0.32, 0.06
+    INDICATOR = 15, 0.75, 0.28, 0.02, 0.08
+    MARKER_YELLOW = 16, 0.8, 0.58, 0.04, 0.03
+    REFLECTOR = 17, 0.62, 0.03, 0.02, 0.02
+    LIFT = 18, 0.16, 0.17, 0.18, 0.05
+    SKIN = 19, 0.5, 0.3, 0.2, 0.02
+    HAIR = 20, 0.03, 0.02, 0.015, 0.02
+    TOP = 21, 0.3, 0.3, 0.3, 0.0
+    LEGWEAR = 22, 0.05, 0.05, 0.06, 0.0
+    SHOE = 23, 0.03, 0.028, 0.026, 0.03
+    BAG = 24, 0.1, 0.08, 0.06, 0.02
+    HELMET = 25, 0.6, 0.6, 0.6, 0.08
+    METAL = 26, 0.22, 0.23, 0.24, 0.08
+    WOOD = 27, 0.2, 0.11, 0.055, 0.0
+    PANE = 28, 0.1, 0.125, 0.13, 0.2
+    CONE = 29, 0.7, 0.13, 0.01, 0.02
+    SAND = 30, 0.42, 0.31, 0.17, 0.0
+    STONE = 31, 0.3, 0.29, 0.27, 0.0
+    GO = 32, 0.02, 0.22, 0.1, 0.08
 
 
-# Linear albedo (red, green, blue) and mirror strength of each material.
-_OPTICS = {
-    Material.PAINT: (0.5, 0.5, 0.5, 0.13),
-    Material.GLASS: (0.012, 0.014, 0.016, 0.12),
-    Material.BLACK_PLASTIC: (0.026, 0.026, 0.028, 0.03),
-    Material.TYRE: (0.05, 0.05, 0.052, 0.0),
-    Material.RIM: (0.45, 0.46, 0.48, 0.1),
-    Material.HEADLAMP: (0.8, 0.82, 0.85, 0.25),
-    Material.TAIL_LAMP: (0.5, 0.01, 0.008, 0.07),
-    Material.PLATE: (0.85, 0.85, 0.83, 0.02),
-    Material.REAR_PLATE: (0.8, 0.62, 0.08, 0.02),
-    Material.DARK: (0.006, 0.006, 0.006, 0.0),
-    Material.CHROME: (0.58, 0.58, 0.6, 0.45),
-    Material.SEAM: (0.028, 0.028, 0.028, 0.0),
-    Material.UNDERBODY: (0.012, 0.012, 0.012, 0.0),
-    Material.CARGO: (0.9, 0.9, 0.88, 0.03),
-    Material.CARGO_FRAME: (0.3, 0.31, 0.32, 0.06),
-    Material.INDICATOR: (0.75, 0.28, 0.02, 0.08),
-    Material.MARKER_YELLOW: (0.8, 0.58, 0.04, 0.03),
-    Material.REFLECTOR: (0.62, 0.03, 0.02, 0.02),
-    Material.LIFT: (0.16, 0.17, 0.18, 0.05),
-    Material.SKIN: (0.5, 0.3, 0.2, 0.02),
-    Material.HAIR: (0.03, 0.02, 0.015, 0.02),
-    Material.TOP: (0.3, 0.3, 0.3, 0.0),
-    Material.LEGWEAR: (0.05, 0.05, 0.06, 0.0),
-    Material.SHOE: (0.03, 0.028, 0.026, 0.03),
-    Material.BAG: (0.1, 0.08, 0.06, 0.02),
-    Material.HELMET: (0.6, 0.6, 0.6, 0.08),
-    Material.METAL: (0.22, 0.23, 0.24, 0.08),
-    Material.WOOD: (0.2, 0.11, 0.055, 0.0),
-    Material.PANE: (0.1, 0.125, 0.13, 0.2),
-    Material.CONE: (0.7, 0.13, 0.01, 0.02),
-    Material.SAND: (0.42, 0.31, 0.17, 0.0),
-    Material.STONE: (0.3, 0.29, 0.27, 0.0),
-    Material.GO: (0.02, 0.22, 0.1, 0.08),
-}
-_ALBEDO, _MIRROR = np.split(np.array([_OPTICS[material] for material in Material]), [3], axis=1)
+_ALBEDO = np.array([material.albedo for material in Material])
+_MIRROR = np.array([material.mirror for material in Material])
 PAINT_COLOURS = np.array(
     [
         (0.70, 0.70, 0.70),
@@ -120,7 +98,7 @@ _BUS_COLOURS = np.array(
 )
 _PAINT_SHARES = np.array([20, 8, 14, 10, 9, 7, 11, 6, 5, 5, 2, 2, 3, 1]) / 103.0
 
-SKY_LIGHT, SUN_LIGHT, BOUNCE_LIGHT = 0.62, 0.34, 0.04
+_SKY_LIGHT, _SUN_LIGHT, _BOUNCE_LIGHT = 0.62, 0.34, 0.04
 _GROUND_ALBEDO = 0.18  # an occlusion ray that ends on the road still brings this share of the light
 _OCCLUSION_RAYS = 64
 _OCCLUSION_STEPS = 64  # occlusion is kept on this grid, so that the last bit of a ray caster does not matter
@@ -138,21 +116,15 @@ def drawn_paint(kind: str, rng: np.random.Generator) -> np.ndarray:
     return _BUS_COLOURS[int(rng.integers(len(_BUS_COLOURS)))] if kind == "bus" else paint
 
 
-def _linear_to_srgb(linear: np.ndarray) -> np.ndarray:
-    """Colours 0..255 (uint8) of linear light 0..1 (clipped)."""
-    return np.round(255.0 * np.clip(linear, 0.0, 1.0) ** (1.0 / _GAMMA)).astype(np.uint8)
-
-
 def sky_share(surface: Surface) -> np.ndarray:
-    """Share of the sky's light that reaches each vertex, 0..1, shape [vertex].
-
-    Cosine weighted; the surface itself and the ground (z = 0) take light away. This is ambient occlusion.
-    """
+    """Share of the sky's light that reaches each vertex, see `sky_share_at`, shape [vertex]."""
     return sky_share_at(surface.vertex_m[surface.triangle], surface.vertex_m, surface.normal)
 
 
 def sky_share_at(corner_m: np.ndarray, point_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """The same at points of any surface, shape [point].
+    """Share of the sky's light that reaches points of a surface, 0..1, shape [point].
+
+    Cosine weighted; the surface itself and the ground (z = 0) take light away. This is ambient occlusion.
 
     Shapes: ``corner_m`` [triangle, 3, 3], ``point_m`` [point, 3], ``normal`` [point, 3].
     """
@@ -180,20 +152,20 @@ def painted_mesh(surface: Surface, sky: np.ndarray, own_albedo: Mapping[Material
     albedo = _ALBEDO.copy()
     for material, colour in own_albedo.items():
         albedo[material] = colour
-    rgb = lit_rgb(surface.normal, sky, albedo[surface.material], _MIRROR[surface.material][:, 0])
+    rgb = lit_rgb(surface.normal, sky, albedo[surface.material], _MIRROR[surface.material])
     return Mesh(surface.vertex_m.astype(np.float32), surface.triangle, rgb)
 
 
 def lit_rgb(normal: np.ndarray, sky: np.ndarray, albedo: np.ndarray, mirror: np.ndarray) -> np.ndarray:
     """Colours of a surface in the light of the town, uint8 [vertex, 3]; ``sky`` [vertex], ``mirror`` [vertex]."""
     up = normal[:, 2]
-    irradiance = SKY_LIGHT * sky + SUN_LIGHT * np.maximum(up, 0.0) * np.minimum(2.0 * sky, 1.0) + BOUNCE_LIGHT
+    irradiance = _SKY_LIGHT * sky + _SUN_LIGHT * np.maximum(up, 0.0) * np.minimum(2.0 * sky, 1.0) + _BOUNCE_LIGHT
     # A level line of sight that meets a surface tilted up by phi leaves it at an elevation of 2 phi.
     mirrored = np.where(up > 0.7, 1.0, 2.0 * up * np.sqrt(np.maximum(1.0 - up * up, 0.0)))
     reflected = np.interp(mirrored, _ENVIRONMENT_ELEVATION, _ENVIRONMENT_LIGHT) * np.minimum(0.35 + sky, 1.0)
     linear = albedo * irradiance[:, None]
     linear += mirror[:, None] * reflected[:, None] * _REFLECTED_TINT
-    return _linear_to_srgb(linear)
+    return np.round(255.0 * np.clip(linear, 0.0, 1.0) ** (1.0 / _GAMMA)).astype(np.uint8)
 
 
 @cache

@@ -13,14 +13,7 @@ import numpy as np
 
 from warpav.raster.mesh import Mesh
 from warpav.scene.town.paint import Material, painted_mesh, sky_share
-from warpav.scene.town.surface_builder import Surface, SurfaceBuilder
-
-_PEDESTRIAN_VARIANTS = 6
-"""Poses and clothes: two steps, standing, a coat, a rucksack, a hand bag."""
-_CYCLIST_VARIANTS = 2
-"""Upright with a helmet, and leaning forward."""
-_MOTORCYCLIST_VARIANTS = 2
-"""On a motorcycle, and on a scooter."""
+from warpav.scene.town.surface_builder import Point, Surface, SurfaceBuilder
 
 _THIGH_M, _SHIN_M = 0.435, 0.425
 _UPPER_ARM_M, _FOREARM_M = 0.29, 0.26
@@ -28,17 +21,9 @@ _WHEEL_RADIUS_M, _WHEEL_SEGMENTS = 0.335, 13
 _REAR_HUB, _FRONT_HUB = (-0.53, 0.0, _WHEEL_RADIUS_M), (0.53, 0.0, _WHEEL_RADIUS_M)
 _CRANK, _SADDLE, _HEAD_TUBE = (-0.09, 0.0, 0.30), (-0.25, 0.0, 0.90), (0.38, 0.0, 0.84)
 
-Point = tuple[float, float, float]
-
-
-def _add_limb(
-    builder: SurfaceBuilder, points: tuple[Point, ...], radii: tuple[float, ...], material: np.ndarray | int
-) -> None:
-    builder.add_tube(np.array(points), np.array(radii)[:, None] * np.ones(2), material, sides=6)
-
 
 def _add_rod(builder: SurfaceBuilder, start: Point, end: Point, radius: float, material: int) -> None:
-    builder.add_tube(np.array([start, end]), np.full((2, 2), radius), material, sides=4, cap=0.0)
+    builder.add_tube([start, end], radius, material, sides=4, cap=0.0)
 
 
 def _add_ball(builder: SurfaceBuilder, centre: Point, radii: Point, material: int, *, sides: int = 7) -> None:
@@ -62,7 +47,7 @@ def _knee(hip: Point, ankle: Point) -> Point:
 
 
 def _add_leg(builder: SurfaceBuilder, hip: Point, ankle: Point, foot_pitch_rad: float) -> None:
-    _add_limb(builder, (hip, _knee(hip, ankle), ankle), (0.088, 0.062, 0.046), Material.LEGWEAR)
+    builder.add_tube((hip, _knee(hip, ankle), ankle), (0.088, 0.062, 0.046), Material.LEGWEAR, sides=6)
     along = np.array([np.cos(foot_pitch_rad), 0.0, -np.sin(foot_pitch_rad)])
     down = np.array([np.sin(foot_pitch_rad), 0.0, np.cos(foot_pitch_rad)])
     sole = np.array(ankle) - 0.045 * down
@@ -72,7 +57,7 @@ def _add_leg(builder: SurfaceBuilder, hip: Point, ankle: Point, foot_pitch_rad: 
 
 
 def _add_arm(builder: SurfaceBuilder, shoulder: Point, elbow: Point, wrist: Point) -> None:
-    _add_limb(builder, (shoulder, elbow, wrist), (0.058, 0.046, 0.036), Material.TOP)
+    builder.add_tube((shoulder, elbow, wrist), (0.058, 0.046, 0.036), Material.TOP, sides=6)
     reach = np.array(wrist) - np.array(elbow)
     reach /= np.linalg.norm(reach)
     hand = np.array(wrist) + np.array([0.01, 0.06, 0.10])[:, None] * reach
@@ -132,17 +117,20 @@ def _pedestrian_surface(builder: SurfaceBuilder, variant: int) -> Surface:
     return builder.finish()
 
 
-def _add_bicycle(builder: SurfaceBuilder, bar: Point) -> None:
-    frame = Material.PAINT
+def _tyre(hub: Point, wheel_radius: float, tyre_radius: float) -> np.ndarray:
+    """A ring about a y axis, as a grid of points."""
     around = np.linspace(0.0, 2.0 * np.pi, _WHEEL_SEGMENTS + 1)[:, None]
     around[-1] = 0.0
     section = np.linspace(0.0, 2.0 * np.pi, 4)[None, :]
     section[0, -1] = 0.0
+    radius = wheel_radius - tyre_radius + tyre_radius * np.cos(section)
+    y = tyre_radius * np.sin(section) + 0.0 * around
+    return np.stack([hub[0] + radius * np.cos(around), y, hub[2] + radius * np.sin(around)], axis=-1)
+
+
+def _add_bicycle(builder: SurfaceBuilder, bar: Point) -> None:
     for hub in (_REAR_HUB, _FRONT_HUB):
-        radius = _WHEEL_RADIUS_M - 0.024 + 0.024 * np.cos(section)
-        y = 0.024 * np.sin(section) + 0.0 * around
-        tyre = np.stack([hub[0] + radius * np.cos(around), y, hub[2] + radius * np.sin(around)], axis=-1)
-        builder.add_grid(tyre, Material.TYRE)
+        builder.add_grid(_tyre(hub, _WHEEL_RADIUS_M, 0.024), Material.TYRE)
     for start, end, radius in (
         (_CRANK, _SADDLE, 0.020),
         (_CRANK, _HEAD_TUBE, 0.024),
@@ -150,7 +138,7 @@ def _add_bicycle(builder: SurfaceBuilder, bar: Point) -> None:
         (_CRANK, _REAR_HUB, 0.015),
         (bar, _FRONT_HUB, 0.019),
     ):
-        _add_rod(builder, start, end, radius, frame)
+        _add_rod(builder, start, end, radius, Material.PAINT)
     x, _, z = bar
     _add_rod(builder, (x, -0.28, z), (x, 0.28, z), 0.016, Material.DARK)
     builder.add_box((_SADDLE[0] - 0.14, -0.07, _SADDLE[2]), (_SADDLE[0] + 0.12, 0.07, _SADDLE[2] + 0.05), Material.DARK)
@@ -182,25 +170,13 @@ def _cyclist_surface(builder: SurfaceBuilder, variant: int) -> Surface:
     return builder.finish()
 
 
-def _add_tyre(builder: SurfaceBuilder, hub: Point, wheel_radius: float, tyre_radius: float) -> None:
-    """A ring about a y axis."""
-    around = np.linspace(0.0, 2.0 * np.pi, _WHEEL_SEGMENTS + 1)[:, None]
-    around[-1] = 0.0
-    section = np.linspace(0.0, 2.0 * np.pi, 4)[None, :]
-    section[0, -1] = 0.0
-    radius = wheel_radius - tyre_radius + tyre_radius * np.cos(section)
-    y = tyre_radius * np.sin(section) + 0.0 * around
-    tyre = np.stack([hub[0] + radius * np.cos(around), y, hub[2] + radius * np.sin(around)], axis=-1)
-    builder.add_grid(tyre[::-1], Material.TYRE)
-
-
 def _add_motorcycle(builder: SurfaceBuilder, bar: Point, *, scooter: bool) -> None:
     radius, tyre = (0.25, 0.055) if scooter else (0.30, 0.06)
     rear, front = (-0.62, 0.0, radius), (0.70, 0.0, radius)
     for hub in (rear, front):
-        _add_tyre(builder, hub, radius, tyre)
+        builder.add_grid(_tyre(hub, radius, tyre)[::-1], Material.TYRE)
         x, _, z = hub
-        builder.add_tube(np.array([(x, -0.07, z), (x, 0.07, z)]), np.full((2, 2), 0.6 * radius), Material.RIM, sides=10)
+        builder.add_tube([(x, -0.07, z), (x, 0.07, z)], 0.6 * radius, Material.RIM, sides=10)
     crown = (bar[0] + 0.08, 0.0, bar[2] - 0.06)
     for side in (-0.075, 0.075):
         _add_rod(builder, (crown[0], side, crown[2]), (front[0], side, front[2]), 0.026, Material.METAL)
@@ -210,9 +186,7 @@ def _add_motorcycle(builder: SurfaceBuilder, bar: Point, *, scooter: bool) -> No
     for side in (-1.0, 1.0):
         _add_rod(builder, (x, 0.30 * side, z), (x + 0.11, 0.34 * side, z + 0.11), 0.010, Material.DARK)
     lamp = (crown[0] + 0.06, 0.0, crown[2] - 0.04)
-    builder.add_tube(
-        np.array([lamp, (lamp[0] + 0.09, 0.0, lamp[2])]), np.full((2, 2), 0.085), Material.HEADLAMP, sides=8
-    )
+    builder.add_tube([lamp, (lamp[0] + 0.09, 0.0, lamp[2])], 0.085, Material.HEADLAMP, sides=8)
     builder.add_box((-0.68, -0.13, 0.70), (0.02, 0.13, 0.79), Material.DARK)  # the seat
     builder.add_box((-0.98, -0.09, 0.50), (-0.94, 0.09, 0.62), Material.REAR_PLATE)
     builder.add_box((-0.97, -0.11, 0.64), (-0.92, 0.11, 0.71), Material.TAIL_LAMP)
@@ -222,7 +196,7 @@ def _add_motorcycle(builder: SurfaceBuilder, bar: Point, *, scooter: bool) -> No
         builder.add_box((-0.25, -0.20, 0.24), (0.42, 0.20, 0.32), Material.PAINT)
         shield = np.array([(0.44, 0.0, 0.26), (0.47, 0.0, 0.60), (crown[0] - 0.02, 0.0, crown[2])])
         builder.add_tube(shield, np.array([[0.06, 0.21], [0.07, 0.23], [0.07, 0.14]]), Material.PAINT, sides=8, cap=0.2)
-        builder.add_tube(np.array([(-0.62, -0.13, 0.32), (-0.62, 0.13, 0.32)]), np.full((2, 2), 0.20), Material.DARK,
+        builder.add_tube([(-0.62, -0.13, 0.32), (-0.62, 0.13, 0.32)], 0.20, Material.DARK,
                          sides=8)  # fmt: skip
         return
     tank = np.array([(-0.12, 0.0, 0.78), (0.10, 0.0, 0.82), (0.34, 0.0, 0.84), (0.46, 0.0, 0.80)])
@@ -263,9 +237,9 @@ def _motorcyclist_surface(builder: SurfaceBuilder, variant: int) -> Surface:
 
 
 _SURFACES = {
-    "pedestrian": (_pedestrian_surface, _PEDESTRIAN_VARIANTS),
-    "cyclist": (_cyclist_surface, _CYCLIST_VARIANTS),
-    "motorcyclist": (_motorcyclist_surface, _MOTORCYCLIST_VARIANTS),
+    "pedestrian": (_pedestrian_surface, 6),  # two steps, standing, a coat, a rucksack, a hand bag
+    "cyclist": (_cyclist_surface, 2),  # upright with a helmet, and leaning forward
+    "motorcyclist": (_motorcyclist_surface, 2),  # on a motorcycle, and on a scooter
 }
 
 

@@ -10,11 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from warpav.scene.scene import yaw_rotation
 
 _WELD_GRID_M = 1e-5  # vertices nearer than this are one vertex
 _CREASE_COSINE = float(np.cos(np.radians(42.0)))  # flatter edges are shaded smoothly
+Point = tuple[float, float, float]
 NORMAL_STEPS = 64  # normals are compared on this grid when vertices are shared
 
 
@@ -43,14 +45,13 @@ class SurfaceBuilder:
         Shapes: ``point_m`` [a, b, 3].
         """
         rows, columns = point_m.shape[:2]
-        first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+        first = self._vertex_count + (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
         quad = np.stack([first, first + columns, first + columns + 1, first + 1], axis=1)
         quad_material = np.broadcast_to(np.asarray(material, np.uint8), (rows - 1, columns - 1)).ravel()
-        self._add(
-            point_m.reshape(-1, 3),
-            np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]]),
-            np.concatenate([quad_material, quad_material]),
-        )
+        self._vertex.append(point_m.reshape(-1, 3))
+        self._triangle.append(np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]]))
+        self._material.append(np.concatenate([quad_material, quad_material]))
+        self._vertex_count += rows * columns
 
     def add_mirrored_grid(self, point_m: np.ndarray, material: np.ndarray | int) -> None:
         """Add a sheet of quads as `add_grid` does, and its mirror image across the plane y = 0."""
@@ -69,20 +70,18 @@ class SurfaceBuilder:
         self.add_grid(_cap(ring_m[-1], crown_m, lateral_count)[::-1], top)
         self.add_grid(_cap(ring_m[0], 0.0, 2), bottom)
 
-    def add_box(self, low_m: tuple[float, float, float], high_m: tuple[float, float, float], material: int) -> None:
+    def add_box(self, low_m: Point, high_m: Point, material: int) -> None:
         """Add an axis-aligned box between two corners [m]."""
         corner = np.array([[(low_m, high_m)[bit >> axis & 1][axis] for axis in range(3)] for bit in range(8)])
         for quad in ((0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)):
             self.add_grid(corner[np.array(quad)[[[0, 3], [1, 2]]]], material)
 
-    def add_box_pair(
-        self, low_m: tuple[float, float, float], high_m: tuple[float, float, float], material: int
-    ) -> None:
+    def add_box_pair(self, low_m: Point, high_m: Point, material: int) -> None:
         """Add a box and its mirror image across y = 0."""
         self.add_box(low_m, high_m, material)
         self.add_box((low_m[0], -high_m[1], low_m[2]), (high_m[0], -low_m[1], high_m[2]), material)
 
-    def add_lathe_pair(self, center_m: tuple[float, float, float], profile_m: np.ndarray, material: np.ndarray) -> None:
+    def add_lathe_pair(self, center_m: Point, profile_m: np.ndarray, material: np.ndarray) -> None:
         """Add a solid of revolution about a y axis through `center_m`, and its mirror image across y = 0.
 
         Shapes: ``profile_m`` [point, 2].
@@ -99,9 +98,7 @@ class SurfaceBuilder:
         )
         self.add_mirrored_grid(point[:, ::-1], material[:, ::-1])
 
-    def add_ellipsoid_pair(
-        self, center_m: tuple[float, float, float], radius_m: tuple[float, float, float], material: int
-    ) -> None:
+    def add_ellipsoid_pair(self, center_m: Point, radius_m: Point, material: int) -> None:
         """Add an ellipsoid with axes along x, y, z, and its mirror image across y = 0."""
         polar = np.linspace(0.0, np.pi, 6)[:, None]
         around = np.linspace(0.0, 2.0 * np.pi, 9)
@@ -112,15 +109,17 @@ class SurfaceBuilder:
 
     def add_tube(
         self,
-        centre_m: np.ndarray,
-        radius_m: np.ndarray,
+        centre_m: ArrayLike,
+        radius_m: ArrayLike,
         material: np.ndarray | int,
         *,
         sides: int,
         cap: float = 0.45,
     ) -> None:
-        """Add a closed tube along a path; ``centre_m`` [ring, 3], ``radius_m`` [ring, 2]."""
-        step = np.diff(centre_m, axis=0)
+        """Add a closed tube along a path; ``centre_m`` [ring, 3], ``radius_m`` [ring, 2], [ring] or one for all."""
+        centre, radius = np.asarray(centre_m, np.float64), np.asarray(radius_m, np.float64)
+        radius = np.broadcast_to(radius[:, None] if radius.ndim == 1 else radius, (len(centre), 2))
+        step = np.diff(centre, axis=0)
         step /= np.linalg.norm(step, axis=1, keepdims=True)
         along = np.concatenate([step[:1], step[:-1] + step[1:], step[-1:]])
         along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -130,8 +129,8 @@ class SurfaceBuilder:
         second = np.cross(along, first)
         angle = np.linspace(0.0, 2.0 * np.pi, sides + 1)[:, None, None]
         angle[-1] = 0.0  # the seam closes exactly
-        ring = centre_m + np.cos(angle) * radius_m[:, :1] * first + np.sin(angle) * radius_m[:, 1:] * second
-        ends = [centre_m[0] - cap * radius_m[0].mean() * along[0], centre_m[-1] + cap * radius_m[-1].mean() * along[-1]]
+        ring = centre + np.cos(angle) * radius[:, :1] * first + np.sin(angle) * radius[:, 1:] * second
+        ends = [centre[0] - cap * radius[0].mean() * along[0], centre[-1] + cap * radius[-1].mean() * along[-1]]
         poles = [np.broadcast_to(end, (sides + 1, 1, 3)) for end in ends]
         cells = np.asarray(material)
         self.add_grid(np.concatenate([poles[0], ring, poles[1]], axis=1), cells[None] if cells.ndim else cells)
@@ -161,12 +160,6 @@ class SurfaceBuilder:
             np.repeat(material, 3)[first].astype(np.uint8),
             rank[index].reshape(-1, 3).astype(np.int32),
         )
-
-    def _add(self, vertex: np.ndarray, triangle: np.ndarray, material: np.ndarray) -> None:
-        self._vertex.append(vertex)
-        self._triangle.append(triangle + self._vertex_count)
-        self._material.append(material)
-        self._vertex_count += len(vertex)
 
 
 def _cap(rim_m: np.ndarray, crown_m: float, lateral_count: int) -> np.ndarray:
@@ -209,8 +202,7 @@ def corner_normals(position_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
     return total.reshape(-1, 3, 3)
 
 
-_KNOT_SPACING_M = 2.0
-"""The surface is made of planes between multiples of this x; whatever is split there lies on it exactly."""
+_KNOT_SPACING_M = 2.0  # planes lie between multiples of this x; whatever is split there lies on them exactly
 _LEVEL_REACH_M = 4.5  # the ego vehicle stands on level ground
 _CURVE_LENGTH_M = 20.0  # in which the road bends from level to its grade
 _REACH_M = 96.0
