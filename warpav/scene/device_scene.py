@@ -33,10 +33,7 @@ _SEEN = (
 
 
 def object_index_of(object_id: np.ndarray) -> np.ndarray:
-    """The rasteriser's ids of a `DeviceScene` as indices of a traffic scene, int32 of the same shape.
-
-    Nothing is -1, the environment 0, the ego vehicle 1, and vehicle k of the scene 2 + k.
-    """
+    """The rasteriser's ids as indices: nothing -1, the environment 0, the ego vehicle 1, vehicle k 2 + k; int32."""
     nothing_or_vehicle = np.where(object_id < 0, -1, object_id + FIRST_VEHICLE)
     return np.where(object_id < -1, -2 - object_id, nothing_or_vehicle).astype(np.int32)
 

@@ -222,10 +222,7 @@ def captures_in(path: Path) -> dict[int, Path]:
 
 
 def make_scenes(tasks: Sequence[SceneTask], executor: Executor | None = None) -> Iterator[Outcome[SceneTask, bool]]:
-    """Make scene files that are not there yet, and note them in their folder's index.
-
-    Outcomes tell whether the file was made. Raises `InputError` where a folder cannot be written to.
-    """
+    """Make scene files that are not there yet and note them in their folder's index; outcomes tell which were made."""
     _make_folders(task.file for task in tasks)
     fingerprints: dict[SceneTask, str] = {}  # of the missing ones, as they are before the work starts
     for task in tasks:
@@ -243,10 +240,7 @@ def make_scenes(tasks: Sequence[SceneTask], executor: Executor | None = None) ->
 def capture_scenes(
     tasks: Sequence[CaptureTask], executor: Executor | None = None
 ) -> Iterator[Outcome[CaptureTask, bool]]:
-    """Record situations of the embedded town that are not recorded yet; interrupted ones go on.
-
-    Outcomes tell whether images were recorded. Raises `InputError` where a folder cannot be written to.
-    """
+    """Record situations of the town that are not recorded yet; outcomes tell where images were taken."""
     _make_folders(task.folder for task in tasks)
     for outcome in (executor or Executor()).map(_capture_scene, tasks):
         yield _named(outcome, outcome.task.folder)

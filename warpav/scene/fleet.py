@@ -279,12 +279,7 @@ def _look(mesh: Mesh) -> _Look:
 
 
 def _sky(point_m: np.ndarray, normal: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Share of the sky's light at vertices, the mean of their triangles', float64 [vertex].
-
-    Files of others have parts that stick in each other: rays begin inside the triangles, a little off the corners.
-
-    Shapes: ``point_m`` [triangle, 3, 3], ``normal`` [triangle, 3, 3], ``index`` [triangle, 3].
-    """
+    """Share of the sky's light at vertices; rays begin inside their triangles, as parts of meshes stick together."""
     inside_m = point_m + _INWARDS * (point_m.mean(axis=1, keepdims=True) - point_m)
     light = sky_share_at(point_m, inside_m.reshape(-1, 3), normal.reshape(-1, 3))
     across = np.cross(point_m[:, 1] - point_m[:, 0], point_m[:, 2] - point_m[:, 0])
@@ -293,10 +288,7 @@ def _sky(point_m: np.ndarray, normal: np.ndarray, index: np.ndarray) -> np.ndarr
 
 
 def _is_inside_out(place_m: np.ndarray, corner: np.ndarray) -> np.ndarray:
-    """Triangles whose back sees more of the sky than their front, bool [triangle].
-
-    Both in the middle and all in all: a lamp may stick to the middle of a door, a corner may stick out of the body.
-    """
+    """Triangles whose back sees more of the sky than their front, in the middle and all in all, bool [triangle]."""
     point_m = place_m[corner]
     across = np.cross(point_m[:, 1] - point_m[:, 0], point_m[:, 2] - point_m[:, 0])
     normal = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-15)

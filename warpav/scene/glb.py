@@ -44,10 +44,7 @@ GLTF_FROM_EGO = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0
 
 
 def write_scene(scene: Scene, path: str | Path) -> None:
-    """Write a scene; the same scene gives the same bytes.
-
-    The file appears only once it is complete.
-    """
+    """Write a scene; the same scene gives the same bytes, and the file appears only once it is complete."""
     import trimesh
 
     path = Path(path)

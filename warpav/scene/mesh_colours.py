@@ -116,10 +116,7 @@ class FileFinder:
 
 
 def corner_rgb(uv: np.ndarray, image: Image) -> np.ndarray:
-    """Colours of a texture at positions, of the nearest texel, the texture repeated beyond its borders.
-
-    Shapes: ``uv`` [corner, 2], returns [corner, 3].
-    """
+    """Colours of a texture at positions, [corner, 2], of the nearest texel, the texture repeated beyond its borders."""
     texel_rgb = np.asarray(image.convert("RGB"), np.uint8)
     size = np.array([texel_rgb.shape[1], texel_rgb.shape[0]])
     uv = np.asarray(uv, np.float64)[:, :2]

@@ -403,12 +403,7 @@ def _shape_of(point_m: np.ndarray) -> Shape:
 
 
 def _mirrors_ahead(point_m: np.ndarray) -> float | None:
-    """How far mirrors are ahead of the centre, relative to the length; None where there are none.
-
-    Mirrors are the widest parts above the wheels, small, left and right, at one distance from the front.
-
-    Shapes: ``point_m`` [point, 3].
-    """
+    """How far mirrors (the widest parts above the wheels) are ahead of the centre, relative to the length; None without."""
     low, high = point_m.min(axis=0), point_m.max(axis=0)
     size = np.maximum(high - low, 1e-12)
     share = (point_m - 0.5 * (low + high)) / size
@@ -437,10 +432,7 @@ def body_width_m(point_m: np.ndarray) -> float:
 
 
 def wheels_of(point_m: np.ndarray) -> Wheels | None:
-    """Where a vehicle in the ego frame's axes touches the ground, from points on its surface [point, 3].
-
-    Its lowest 2 % must lie left and right of the centre line, on two or more axles that are far apart.
-    """
+    """Where a vehicle in the ego frame's axes touches the ground, by points on it [point, 3]; None if nowhere."""
     low, high = point_m.min(axis=0), point_m.max(axis=0)
     size = high - low
     touching = point_m[point_m[:, 2] < low[2] + 0.02 * size[2]]

@@ -270,10 +270,7 @@ class Scene:
         return plot(self, out=out, **options)
 
     def to_pyvista(self) -> MultiBlock:
-        """The scene as ``pyvista.MultiBlock``: ``environment``, ``ego``, ``vehicle_<instance id>`` of all road users.
-
-        See `warpav.view.blocks.scene_to_pyvista`; ``blocks.warpav.as_scene()`` is the inverse.
-        """
+        """The scene as ``pyvista.MultiBlock``, see `warpav.view.blocks.scene_to_pyvista`."""
         from warpav.view.blocks import scene_to_pyvista
 
         return scene_to_pyvista(self)

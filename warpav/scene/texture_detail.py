@@ -73,10 +73,7 @@ def follow_textures(
 
 
 def _colour_errors(mesh: TexturedMesh, textures: Sequence[Texture], index: np.ndarray) -> np.ndarray:
-    """Rms difference of colour and texture over triangles, of 255, float64 [triangle]; 0 for those without a texture.
-
-    A lattice of points is compared, the finer the more texels a triangle covers.
-    """
+    """Rms difference of colour and texture on a lattice in triangles, of 255, [triangle]; 0 without a texture."""
     size_px = np.array([texture.size_px for texture in textures], np.float64).reshape(-1, 2)
     error = np.zeros(len(index))
     longest = _edge_texels(mesh, size_px, index).max(axis=1, initial=0.0)

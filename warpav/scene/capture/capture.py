@@ -163,10 +163,7 @@ class PlanSettings:
 
 
 def capture_plan(ego_box: Box, vehicles: Sequence[CapturedVehicle], settings: PlanSettings) -> list[CaptureView]:
-    """The views of a situation: 1 + 2 for each vehicle + heights + rotations, in the order of the thesis's figure 14.
-
-    Then come the sides of the ego vehicle, which the thesis's images do not show: cameras on it look along them.
-    """
+    """The views in the order of the thesis's figure 14, then the sides of the ego vehicle."""
     eye_m = eye_position_m(ego_box, settings)
     views = [_top(settings, "ego_top", ViewKind.EGO_TOP, ego_box)]
     views += [

@@ -48,10 +48,7 @@ def import_carla() -> ModuleType:
 
 
 def unreachable(host: str, port: int) -> str | None:
-    """Why no CARLA server is there, or None.
-
-    It is queried for its version with the client's own request: any other service would crash the client's process.
-    """
+    """Why no CARLA server is there, by a request for its version, as others crash the client; None: one is there."""
     deadline_s = time.monotonic() + REACH_S
     fault = "no address"
     try:
@@ -118,10 +115,7 @@ _SKY_M = 0.999 * _DEPTH_RANGE_M  # the sky's dome is drawn somewhere beyond the 
 
 
 def depth_from_bgra(bgra: np.ndarray) -> np.ndarray:
-    """Metres from what CARLA's depth camera sends: 24 bits, red the lowest, over the range of 1 km.
-
-    Shapes: ``bgra`` [row, column, 4], returns [row, column].
-    """
+    """Metres from what CARLA's depth camera sends, [row, column, 4]: 24 bits, red lowest, over the range of 1 km."""
     blue, green, red = (bgra[..., channel].astype(np.int64) for channel in range(3))
     depth_m = (red + 256 * green + 65536 * blue) * (_DEPTH_RANGE_M / (2**24 - 1))
     return np.where(depth_m < _SKY_M, depth_m, np.inf).astype(np.float32)
@@ -198,10 +192,7 @@ def place_of(transform: Remote) -> tuple[float, float, float, float]:
 
 
 def ego_pose_of_wheels(wheel_m: np.ndarray, radius_m: np.ndarray) -> np.ndarray | None:
-    """The ego frame defined by the wheels' ground contacts, its origin below the centre of the rear axle.
-
-    Shapes: ``wheel_m`` [wheel, 3], ``radius_m`` [wheel], returns [4, 4].
-    """
+    """The ego frame [4, 4] by the ground contacts of wheels, [wheel, 3], below the rear axle; None if unlikely."""
     if len(wheel_m) < 4:
         return None
     order = np.argsort(wheel_m[:, 0], kind="stable")

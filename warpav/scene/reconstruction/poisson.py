@@ -35,12 +35,7 @@ def poisson_surface(
     margin_m: float | None = None,
     device: str = "cpu",
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Closed surface through oriented points; where there are none it is guessed, so trim it afterwards.
-
-    The same input gives the same bits.
-
-    Shapes: ``point_m`` [point, 3], ``normal`` [point, 3], returns [vertex, 3].
-    """
+    """Closed surface through oriented points, [point, 3], the same bits each time; guessed between: trim it."""
     point_m, normal = checked_points(point_m, normal)
     if not (np.isfinite(cell_m) and cell_m > 0.0):
         raise ValueError(f"cell_m must be positive, got {cell_m}")
@@ -226,10 +221,7 @@ class _Splat:
 
 
 def _state_equation(grids: list[_Grid], place: np.ndarray, normal: np.ndarray, screening: float) -> None:
-    """Source and screen of the finest grid; ``place`` is in its cells.
-
-    A point goes to the finest of the first grids on which it has company; between two of them it is shared.
-    """
+    """Source and screen of the finest grid; points at ``place``, in its cells, go to the finest that is dense enough."""
     left, used = np.ones(len(place)), 0
     while used < _SPARSE_LEVELS and left.any():
         grid = grids[used]

@@ -34,10 +34,7 @@ _MIN_DENSITY = 0.15  # points per area of a piece, of those of the whole surface
 
 
 def thin_out(point_m: np.ndarray, count: int, *, seed: int) -> np.ndarray:
-    """Choose about ``count`` points evenly: Poisson disks, no two nearer than a spacing that the function finds.
-
-    Shapes: ``point_m`` [point, 3].
-    """
+    """Choose about ``count`` points, [point, 3], evenly: Poisson disks, none nearer than a spacing that is found."""
     point_m = np.asarray(point_m, np.float64)
     if point_m.ndim != 2 or point_m.shape[1] != 3 or not np.isfinite(point_m).all():
         raise ValueError(f"point_m: expected finite numbers of shape [point, 3], got {list(point_m.shape)}")
@@ -70,11 +67,7 @@ def thin_out(point_m: np.ndarray, count: int, *, seed: int) -> np.ndarray:
 
 
 def _guessed_spacing_m(point_m: np.ndarray, count: int) -> tuple[float, float]:
-    """A spacing that leaves nearly ``count`` points, and by which power of it their number falls.
-
-    Disks of a spacing leave as many points as there are points in cells of 1.55 times that length (1.35 to 1.65 for
-    clouds of vehicles and streets); cells are counted faster.
-    """
+    """A spacing that leaves nearly ``count`` points, by counts of longer cells, and by which power of it they fall."""
     from_corner_m = point_m - point_m.min(axis=0)
 
     def occupied(cell_m: float) -> int:
@@ -126,10 +119,7 @@ def _vtk_cloud(point_m: np.ndarray, arrays: dict[str, np.ndarray]) -> vtkPolyDat
 def oriented_normals(
     point_m: np.ndarray, sensor_m: np.ndarray, *, neighbour_count: int = 16, device: str = "cpu"
 ) -> np.ndarray:
-    """Normals of the planes through each point's neighbours, turned towards the sensor that recorded the point.
-
-    Shapes: ``point_m`` [point, 3], ``sensor_m`` [point, 3], returns [point, 3].
-    """
+    """Normals of the planes through each point's neighbours, [point, 3], towards the sensor that recorded it."""
     point_m, sensor_m = checked_points(point_m, sensor_m, "sensor_m")
     if neighbour_count < 3:
         raise ValueError(f"neighbour_count must be at least 3, got {neighbour_count}")
@@ -154,12 +144,7 @@ def oriented_normals(
 def _signed_distance_surface(
     point_m: np.ndarray, normal: np.ndarray, *, cell_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Surface as the zero level of the distances to the planes of nearby points, by VTK.
-
-    Open where points end, with sheets of nothing at the far side of the band of known distances: trim it.
-
-    Shapes: ``point_m`` [point, 3], ``normal`` [point, 3], returns [vertex, 3].
-    """
+    """Zero level of the distances to the planes of nearby points, by VTK: open where points end; trim it."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkFiltersPoints import vtkExtractSurface, vtkSignedDistance
 

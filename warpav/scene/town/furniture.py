@@ -61,8 +61,7 @@ def _lamp_post(builder: SurfaceBuilder) -> None:
 
 def _bollard(builder: SurfaceBuilder) -> None:
     _post(builder, 0.0, 0.0, 0.95, 0.075, Material.DARK)
-    builder.add_tube([(0.0, 0.0, 0.74), (0.0, 0.0, 0.84)], 0.078, Material.PLATE, sides=8,
-                     cap=0.0)  # fmt: skip
+    builder.add_tube([(0.0, 0.0, 0.74), (0.0, 0.0, 0.84)], 0.078, Material.PLATE, sides=8, cap=0.0)
 
 
 def _bin(builder: SurfaceBuilder) -> None:
@@ -162,8 +161,7 @@ def _barrier(builder: SurfaceBuilder) -> None:
         for field in range(8):
             material = Material.REFLECTOR if field % 2 == 0 else Material.PLATE
             builder.add_box((-1.0 + 0.25 * field, -0.04, z), (-0.75 + 0.25 * field, -0.005, z + 0.22), material)
-    builder.add_tube([(0.82, 0.0, 1.10), (0.82, 0.0, 1.30)], 0.085, Material.INDICATOR,
-                     sides=8)  # fmt: skip
+    builder.add_tube([(0.82, 0.0, 1.10), (0.82, 0.0, 1.30)], 0.085, Material.INDICATOR, sides=8)
 
 
 def _cone(builder: SurfaceBuilder) -> None:

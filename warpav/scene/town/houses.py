@@ -95,10 +95,7 @@ class SceneryBuilder:
         *,
         steps: int = 1,
     ) -> None:
-        """Add a box without a bottom that follows the ground; x is cut into steps, and where the ground bends.
-
-        Shapes: ``colour`` [3].
-        """
+        """Add a box without a bottom that follows the ground; x is cut into steps, and where the ground bends."""
         (x_low, y_low, z_low), (x_high, y_high, z_high) = low_m, high_m
         x = self._columns(x_low, x_high, steps)
         yz = [(y_low, z_low), (y_high, z_low), (y_high, z_high), (y_low, z_high)]
@@ -162,10 +159,7 @@ class SceneryBuilder:
         height_m: float = 0.0,
         segments: int = SHADOW_SEGMENTS,
     ) -> None:
-        """Add the shadow below a vehicle: dark in the centre, fading into the asphalt; ``index`` keeps shadows apart.
-
-        With the share of a pavement, below 0 on the road, that of a person; weak shadows are narrow, too.
-        """
+        """Add the shadow of a vehicle or, with a share of a pavement (below 0 on the road), of a person."""
         strength, grey, width_m = 1.0, self.asphalt_rgb, place.width_m - mirrors_m
         if pavement_share is not None:
             strength, width_m = _FOOT_SHADOW, place.width_m
@@ -349,10 +343,7 @@ def cells_of(grid: np.ndarray) -> np.ndarray:
 
 
 def _rounded_loop(block: Block, inset_m: float, knots_m: np.ndarray) -> np.ndarray:
-    """Outline of a block, counter-clockwise, closed, moved inwards by `inset_m`; always the same number of points.
-
-    Sides along x have a point wherever the ground bends; near the corners several may fall together.
-    """
+    """Closed outline of a block, counter-clockwise, moved inwards; points where the ground bends, always as many."""
     x_low, y_low, x_high, y_high = block.rectangle_m
     radius = max(block.corner_m - inset_m, 0.0)
     points = []

@@ -16,10 +16,7 @@ from warpav.scene.town.surface_builder import Surface
 
 
 class Material(enum.IntEnum):
-    """What a part is made of: its number, linear albedo (red, green, blue) and mirror strength.
-
-    ``PAINT`` and people's clothes take the colours of the individual.
-    """
+    """What a part is made of: number, linear albedo, mirror strength; of paint and clothes defaults."""
 
     albedo: tuple[float, float, float]
     mirror: float

@@ -196,8 +196,7 @@ def _add_motorcycle(builder: SurfaceBuilder, bar: Point, *, scooter: bool) -> No
         builder.add_box((-0.25, -0.20, 0.24), (0.42, 0.20, 0.32), Material.PAINT)
         shield = np.array([(0.44, 0.0, 0.26), (0.47, 0.0, 0.60), (crown[0] - 0.02, 0.0, crown[2])])
         builder.add_tube(shield, np.array([[0.06, 0.21], [0.07, 0.23], [0.07, 0.14]]), Material.PAINT, sides=8, cap=0.2)
-        builder.add_tube([(-0.62, -0.13, 0.32), (-0.62, 0.13, 0.32)], 0.20, Material.DARK,
-                         sides=8)  # fmt: skip
+        builder.add_tube([(-0.62, -0.13, 0.32), (-0.62, 0.13, 0.32)], 0.20, Material.DARK, sides=8)
         return
     tank = np.array([(-0.12, 0.0, 0.78), (0.10, 0.0, 0.82), (0.34, 0.0, 0.84), (0.46, 0.0, 0.80)])
     builder.add_tube(tank, np.array([[0.06, 0.09], [0.13, 0.16], [0.12, 0.15], [0.05, 0.07]]), Material.PAINT, sides=8)

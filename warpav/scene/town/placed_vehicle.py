@@ -101,10 +101,7 @@ class Sight:
         TriangleMesh(self._caster, whole.vertex_m, whole.triangle)
 
     def shares(self, eye_m: np.ndarray, some: np.ndarray | None = None) -> np.ndarray:
-        """Share of each target's triangles whose middle can be seen from a point, [3], 0..1, shape [target].
-
-        Of ``some`` targets, by their numbers, if not of all.
-        """
+        """Share of triangles whose middle can be seen from a point, [3], of each target or of some by number."""
         some = np.arange(len(self._point_m)) if some is None else some
         if not len(some):
             return np.zeros(0)

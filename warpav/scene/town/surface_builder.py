@@ -40,10 +40,7 @@ class SurfaceBuilder:
         self._vertex_count = 0
 
     def add_grid(self, point_m: np.ndarray, material: np.ndarray | int) -> None:
-        """Add a sheet of quads; its outside is where ``d/d(first index) x d/d(second index)`` points.
-
-        Shapes: ``point_m`` [a, b, 3].
-        """
+        """Add a sheet of quads, [a, b, 3]; its outside is where ``d/d(first index) x d/d(second index)`` points."""
         rows, columns = point_m.shape[:2]
         first = self._vertex_count + (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
         quad = np.stack([first, first + columns, first + columns + 1, first + 1], axis=1)
@@ -62,10 +59,7 @@ class SurfaceBuilder:
     def add_loft(
         self, ring_m: np.ndarray, material: np.ndarray, *, crown_m: float, lateral_count: int, top: int, bottom: int
     ) -> None:
-        """Add a closed body from stacked half outlines, mirrored across y = 0 and capped above and below.
-
-        Shapes: ``ring_m`` [row, column, 3].
-        """
+        """Add a closed body from stacked half outlines, [row, column, 3], mirrored across y = 0, and capped."""
         self.add_mirrored_grid(ring_m.transpose(1, 0, 2), material.T)
         self.add_grid(_cap(ring_m[-1], crown_m, lateral_count)[::-1], top)
         self.add_grid(_cap(ring_m[0], 0.0, 2), bottom)
@@ -82,10 +76,7 @@ class SurfaceBuilder:
         self.add_box((low_m[0], -high_m[1], low_m[2]), (high_m[0], -low_m[1], high_m[2]), material)
 
     def add_lathe_pair(self, center_m: Point, profile_m: np.ndarray, material: np.ndarray) -> None:
-        """Add a solid of revolution about a y axis through `center_m`, and its mirror image across y = 0.
-
-        Shapes: ``profile_m`` [point, 2].
-        """
+        """Add a solid of revolution about a y axis, of a profile [point, 2], and its mirror image across y = 0."""
         angle = np.linspace(0.0, 2.0 * np.pi, material.shape[1] + 1) - 0.5 * np.pi  # a vertex at the very bottom
         radius, offset = profile_m[:, :1], profile_m[:, 1:]
         point = np.stack(

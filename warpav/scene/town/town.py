@@ -57,10 +57,7 @@ class TownWorld:
 
 
 def ego_vehicle() -> Mesh:
-    """The vehicle that carries the cameras, the same in every scene.
-
-    Ego frame: x forward, y left, z up, metres; origin on the ground below the centre of the rear axle.
-    """
+    """The vehicle that carries the cameras, in its own frame, the same in every scene."""
     return ego_mesh()
 
 

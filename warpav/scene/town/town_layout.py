@@ -225,10 +225,7 @@ def stripes(x: float, half: float, width: float) -> list[Marking]:
 def side_street_markings(
     centre: float, side: float, dash_m: tuple[float, float], stop_m: tuple[float, float], lane: float
 ) -> list[Marking]:
-    """The broken line of a side street between two distances from the middle of the main street, and its stop line.
-
-    Whoever comes towards the junction waits at a line on its own half of the street, which is a lane wide.
-    """
+    """Broken and stop line of a side street, between distances from the middle of the main street."""
     found = []
     for y in np.arange(*dash_m, 6.0):
         low, high = sorted((side * y, side * (y + 3.0)))

@@ -113,10 +113,7 @@ class _Body:
 
 
 def _half_outline(parameter, front, rear, half_width):  # noqa: ANN001, ANN202
-    """Left half of a plan outline with bowed ends and elliptic corners; x and y, broadcast.
-
-    ``front`` and ``rear`` hold: x of the centre, bow, the corner's radius along x, its radius along y.
-    """
+    """Left half of a plan outline, x and y; ends are x of the centre, bow, corner radii along x and y."""
     part = np.minimum(parameter.astype(int), 4)
     along = parameter - part
     angle = 0.5 * np.pi * along
@@ -499,12 +496,7 @@ def _baked(kind: str, variant: int, coarse: bool) -> tuple[Surface, np.ndarray]:
 def vehicle_mesh(
     kind: str, paint: np.ndarray, *, variant: int = 0, scale: ArrayLike = (1.0, 1.0, 1.0), coarse: bool = False
 ) -> Mesh:
-    """One vehicle with its light baked in.
-
-    Shape and occlusion are computed once per kind and variant and kept; paint and scale are cheap.
-
-    Shapes: ``paint`` [3].
-    """
+    """One vehicle with its light baked in; shapes are computed once and kept, paint, [3], and scale are cheap."""
     if kind not in VEHICLE_SPECS or not 0 <= variant < VARIANT_COUNT:
         raise ValueError(f"no vehicle {kind!r} variant {variant}; kinds: {', '.join(VEHICLE_SPECS)}; variants 0..1")
     surface, sky = _baked(kind, variant, coarse)

@@ -159,10 +159,7 @@ class Road:
     def _triangulated(
         self, contours: list[list[np.ndarray]], rng: np.random.Generator
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Points [m], [point, 2], and triangles that hold every segment of the contours, anticlockwise.
-
-        Segments that the Delaunay triangulation lacks are halved until it has them.
-        """
+        """Points [m], [point, 2], and anticlockwise triangles with all contours in them, halved as often as needed."""
         from scipy.spatial import Delaunay
 
         corner, segment = [np.zeros((0, 2))], [np.zeros((0, 2), np.int64)]

@@ -101,10 +101,7 @@ def _rigid_m(mesh: Mesh, kind: str) -> list[tuple[float, float]]:
 
 
 def stretched(x_m: np.ndarray, rigid_m: Sequence[tuple[float, float]], length_m: float, rate: float) -> np.ndarray:
-    """X of a body of another length: rigid stretches grow by a rate, as its height does, the others by what is left.
-
-    Where too little would be left, all grow alike.
-    """
+    """X of a body of another length: rigid stretches grow by a rate, others by what is left, or all alike."""
     low, high = float(x_m.min()), float(x_m.max())
     knot = np.array([low, *(end for span in rigid_m for end in span), high])
     knot = np.maximum.accumulate(np.clip(knot, low, high))

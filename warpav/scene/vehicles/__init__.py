@@ -36,10 +36,7 @@ def vehicle_file(name: str | Path) -> Path | None:
 
 
 def file_of(path: str | Path) -> Path:
-    """The mesh file that a user means: that of the shipped vehicle of this name, else the file of this path.
-
-    A file of the same name in the working directory is ``./bus``.
-    """
+    """The mesh file that a user means: of the shipped vehicle of this name, else of this path, such as ``./bus``."""
     return vehicle_file(path) or Path(path).expanduser()
 
 
@@ -49,10 +46,7 @@ def nearest_name(name: str) -> str | None:
 
 
 def vehicle_about(name: str) -> VehicleAbout:
-    """What is known of a shipped vehicle; ``name`` is one of `vehicle_names`.
-
-    The table of ``README.md`` has a row for each.
-    """
+    """What the row of a shipped vehicle in ``README.md`` says; ``name`` is one of `vehicle_names`."""
     for line in (_FOLDER / "README.md").read_text(encoding="utf-8").splitlines():
         cell = [each.strip().replace("`", "") for each in line.strip().strip("|").split("|")]
         if cell[0] == name:
