@@ -233,7 +233,17 @@ def make_scenes(tasks: Sequence[SceneTask], executor: Executor | None = None) ->
             fingerprints[task] = made_with
     for outcome in (executor or Executor()).map(_make_scene, list(fingerprints)):
         if outcome.error is None:
-            _note(outcome.task, fingerprints[outcome.task])
+            # enter the file into its folder's index
+            file = outcome.task.file.parent / _INDEX
+            entries = _index(outcome.task.file.parent)
+            entries[outcome.task.file.name] = {
+                "seed": outcome.task.seed,
+                "recipe": fingerprints[outcome.task],
+                "sha256": _sha256(outcome.task.file),
+            }
+            entries = dict(sorted(entries.items(), key=lambda item: item[1].get("seed", 0)))
+            with atomic_write(file) as draft:
+                draft.write_text(json.dumps({"schema": SCHEMA, "scenes": entries}, indent=1) + "\n", encoding="utf-8")
         yield _named(outcome, outcome.task.capture or outcome.task.file)
 
 
@@ -329,16 +339,6 @@ def _is_ready(task: SceneTask, made_with: str) -> bool:
     if entry is None or not task.file.is_file() or entry.get("recipe") != made_with:
         return False
     return entry.get("sha256") == _sha256(task.file)
-
-
-def _note(task: SceneTask, made_with: str) -> None:
-    """Enter a file into its folder's index."""
-    file = task.file.parent / _INDEX
-    entries = _index(task.file.parent)
-    entries[task.file.name] = {"seed": task.seed, "recipe": made_with, "sha256": _sha256(task.file)}
-    entries = dict(sorted(entries.items(), key=lambda item: item[1].get("seed", 0)))
-    with atomic_write(file) as draft:
-        draft.write_text(json.dumps({"schema": SCHEMA, "scenes": entries}, indent=1) + "\n", encoding="utf-8")
 
 
 def _index(folder: Path) -> dict[str, Any]:

@@ -177,7 +177,9 @@ def _mesh_files(path: Path | str) -> list[Path]:
 
 @lru_cache(maxsize=256)
 def _body(path: Path, _stamp: tuple[int, int] | None, _stated_stamp: tuple[int, int] | None) -> _Body:
-    stated = _stated(path)
+    place = path.with_suffix(".yaml")
+    data, line_of = read_yaml(place) if place.is_file() else ({}, {})
+    stated = read_record(_Stated, data, str(place), line_of=line_of)
     file = read_vehicle_file(path, vertices_max=_VERTICES_MAX)
     axes = stated.model_dump(include={"up", "forward", "scale"}, exclude_none=True)
     try:
@@ -220,12 +222,6 @@ class _Stated(Record):
     up: Literal[*AXES] | None = None  # type: ignore[valid-type]
     forward: Literal[*AXES] | None = None  # type: ignore[valid-type]
     scale: float | None = Field(None, gt=0.0, allow_inf_nan=False)
-
-
-def _stated(path: Path) -> _Stated:
-    place = path.with_suffix(".yaml")
-    data, line_of = read_yaml(place) if place.is_file() else ({}, {})
-    return read_record(_Stated, data, str(place), line_of=line_of)
 
 
 def _categories_of(path: Path, size_m: np.ndarray) -> tuple[str, ...]:

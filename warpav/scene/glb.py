@@ -235,7 +235,13 @@ def bounded_mesh(file: Path, suffix: str, place: str) -> bytes:
     content = read_bytes(file, kind, bytes_max=DATA_SET_BYTES_MAX)
     try:
         if suffix in _TEXT_FORMATS or content.startswith(b"solid") or b"format ascii" in content[:1000]:
-            _check_text(content, has_short_lines=suffix in ("obj", "off", "ply"))
+            if len(content) > BYTES_MAX:
+                raise InputError(f"more than {BYTES_MAX // 1_000_000} MB of text")
+            lines = content.split(b"\n")
+            if len(lines) > _LINES_MAX:
+                raise InputError(f"more than {_LINES_MAX:,} lines")
+            if (suffix in ("obj", "off", "ply")) and max(map(len, lines)) > _LINE_BYTES_MAX:
+                raise InputError(f"a line of more than {_LINE_BYTES_MAX:,} characters")
         if suffix == "dae":
             parse_xml(content, "", "COLLADA", nodes_max=DATA_SET_NODES_MAX)
         elif suffix == "gltf":
@@ -245,16 +251,6 @@ def bounded_mesh(file: Path, suffix: str, place: str) -> bytes:
     except InputError as error:
         raise InputError(f"{place}: expected {kind}, got: {error}; export it again") from None
     return content
-
-
-def _check_text(content: bytes, *, has_short_lines: bool) -> None:
-    if len(content) > BYTES_MAX:
-        raise InputError(f"more than {BYTES_MAX // 1_000_000} MB of text")
-    lines = content.split(b"\n")
-    if len(lines) > _LINES_MAX:
-        raise InputError(f"more than {_LINES_MAX:,} lines")
-    if has_short_lines and max(map(len, lines)) > _LINE_BYTES_MAX:
-        raise InputError(f"a line of more than {_LINE_BYTES_MAX:,} characters")
 
 
 def _check_document(content: bytes) -> None:

@@ -403,7 +403,7 @@ def _shape_of(point_m: np.ndarray) -> Shape:
 
 
 def _mirrors_ahead(point_m: np.ndarray) -> float | None:
-    """How far mirrors (the widest parts above the wheels) are ahead of the centre, relative to the length; None without."""
+    """How far mirrors, the widest parts above the wheels, are ahead of the centre, over the length; None without."""
     low, high = point_m.min(axis=0), point_m.max(axis=0)
     size = np.maximum(high - low, 1e-12)
     share = (point_m - 0.5 * (low + high)) / size

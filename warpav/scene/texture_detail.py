@@ -81,7 +81,10 @@ def _colour_errors(mesh: TexturedMesh, textures: Sequence[Texture], index: np.nd
     for number, texture in enumerate(textures):
         for step, lattice in enumerate(_LATTICES):
             some = np.flatnonzero((mesh.texture_of[index] == number) & (level == step))
-            share = _lattice(lattice)
+            first, second = np.meshgrid(np.arange(lattice), np.arange(lattice), indexing="ij")
+            inside = first + second < lattice
+            pair = (np.stack([first[inside], second[inside]], axis=1) + 1.0 / 3.0) / lattice
+            share = np.concatenate([pair, 1.0 - pair.sum(axis=1, keepdims=True)], axis=1)
             for part in np.array_split(some, max(len(some) * len(share) // 500_000, 1)):
                 corner = mesh.triangle[index[part]]
                 uv = np.einsum("sc,tcx->tsx", share, mesh.uv[corner])
@@ -159,11 +162,3 @@ def _edge_texels(mesh: TexturedMesh, size_px: np.ndarray, index: np.ndarray | No
 def _areas(mesh: TexturedMesh) -> np.ndarray:
     corner = mesh.vertex[mesh.triangle]
     return 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-
-
-def _lattice(count: int) -> np.ndarray:
-    """Shares of the corners at the middles of the upright ones of ``count``² equal triangles, float64 [point, 3]."""
-    first, second = np.meshgrid(np.arange(count), np.arange(count), indexing="ij")
-    inside = first + second < count
-    pair = (np.stack([first[inside], second[inside]], axis=1) + 1.0 / 3.0) / count
-    return np.concatenate([pair, 1.0 - pair.sum(axis=1, keepdims=True)], axis=1)

@@ -224,7 +224,9 @@ def spawn_visible_traffic(simulator: Simulator, ego_box: Box, settings: PlanSett
     for point in simulator.spawn_points(settings.radius_m):
         if len(visible) == settings.vehicle_count:
             break
-        view = _look_at_spawn(eye_m, point)
+        target_m = point.position_m + np.array([0.0, 0.0, 0.8])
+        model = CameraModel(*_VISIBILITY_SIZE_PX, _TOP_FOV_RAD)
+        view = CaptureView("visibility", ViewKind.OTHER, _pose(eye_m, _facing(target_m - eye_m)), model)
         before = np.unique(simulator.capture(view).instance)
         vehicle = simulator.spawn(point)
         if vehicle is None:
@@ -234,12 +236,6 @@ def spawn_visible_traffic(simulator: Simulator, ego_box: Box, settings: PlanSett
         else:
             simulator.remove(vehicle)
     return tuple(sorted(visible, key=lambda vehicle: vehicle.instance_id))
-
-
-def _look_at_spawn(eye_m: np.ndarray, point: SpawnPoint) -> CaptureView:
-    target_m = point.position_m + np.array([0.0, 0.0, 0.8])
-    model = CameraModel(*_VISIBILITY_SIZE_PX, _TOP_FOV_RAD)
-    return CaptureView("visibility", ViewKind.OTHER, _pose(eye_m, _facing(target_m - eye_m)), model)
 
 
 def _top(settings: PlanSettings, name: str, kind: ViewKind, box: Box) -> CaptureView:

@@ -201,7 +201,11 @@ def check_capture(folder: Path) -> Iterator[str]:
             box = box_of.get(int(instance_id))
             if box is not None:
                 pixels[int(instance_id)] += int(count)
-                inside[int(instance_id)] += _count_inside(image, int(instance_id), box)
+                row, column = np.nonzero((image.instance == int(instance_id)) & np.isfinite(image.depth_m))
+                ray = image.view.model.rays(np.stack([column + 0.5, row + 0.5], axis=-1)).reshape(-1, 3)
+                pose = image.view.ego_from_camera
+                point_m = (ray * image.depth_m[row, column, None]) @ pose[:3, :3].T + pose[:3, 3]
+                inside[int(instance_id)] += int(np.count_nonzero(box.contains(point_m)))
     for instance_id, count in pixels.items():
         if inside[instance_id] > 0:
             continue
@@ -214,15 +218,6 @@ def check_capture(folder: Path) -> Iterator[str]:
                 f"{folder / DESCRIPTION}: {place}: expected its pixels to lie in its 3D box, got none of {count}; are "
                 "boxes and poses in the ego frame, and depths along the optical axis, in metres?"
             )
-
-
-def _count_inside(image: CapturedImage, instance_id: int, box: Box) -> int:
-    """How many pixels of an instance show something in a box."""
-    row, column = np.nonzero((image.instance == instance_id) & np.isfinite(image.depth_m))
-    ray = image.view.model.rays(np.stack([column + 0.5, row + 0.5], axis=-1)).reshape(-1, 3)
-    pose = image.view.ego_from_camera
-    point_m = (ray * image.depth_m[row, column, None]) @ pose[:3, :3].T + pose[:3, 3]
-    return int(np.count_nonzero(box.contains(point_m)))
 
 
 def record_capture(
@@ -298,7 +293,9 @@ class _Images(Sequence[CapturedImage]):
                 f"{one.width_px} x {one.height_px}"
             )
         try:
-            view = _view_of(one)
+            (fx, _, cx), (_, fy, cy), _ = one.intrinsics
+            model = CameraModel(one.width_px, one.height_px, focal_px=(fx, fy), centre_px=(cx, cy))
+            view = CaptureView(one.name, one.kind, np.array(one.ego_from_camera), model)
         except ValueError as error:
             place = f"{self._folder / DESCRIPTION}: images[{index}].intrinsics"
             raise InputError(f"{place}: expected those of a camera, got: {error}") from None
@@ -352,12 +349,6 @@ class _Images(Sequence[CapturedImage]):
         if not (depth_m >= 0.0).all():
             raise InputError(f"{file}: expected depths of at least 0 m, inf where nothing is, got negative ones or NaN")
         return depth_m.astype(np.float32)
-
-
-def _view_of(one: _ImageRecord) -> CaptureView:
-    (fx, _, cx), (_, fy, cy), _ = one.intrinsics
-    model = CameraModel(one.width_px, one.height_px, focal_px=(fx, fy), centre_px=(cx, cy))
-    return CaptureView(one.name, one.kind, np.array(one.ego_from_camera), model)
 
 
 def _record_of(

@@ -19,7 +19,7 @@ from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, Cap
 from warpav.scene.reconstruction.point_cloud import ObjectCloud, PointCloud, fuse, seen_rgb, vertex_normals
 from warpav.scene.reconstruction.settings import MeshSettings, ReconstructionSettings
 from warpav.scene.reconstruction.surface import SURFACE_METHODS, cleaned, decimated, oriented_normals, thin_out, trimmed
-from warpav.scene.scene import BLACK_SKY, Box, Scene, Sky, Vehicle
+from warpav.scene.scene import BLACK_SKY, Scene, Sky, Vehicle
 
 _MIN_POINTS = 200
 """A vehicle of fewer points is no vehicle."""
@@ -51,7 +51,16 @@ def reconstruct(
             )
     if len(clouds.environment.point_m) < _MIN_POINTS or len(clouds.ego.cloud) < _MIN_POINTS:
         raise InputError(f"{capture.name}: expected images of the environment and of the ego vehicle, got none of one")
-    below = _rays_below([capture.ego_box, *(vehicle.box for vehicle in capture.vehicles)])
+    # from the centres of vehicles down to the ground below them
+    origin = []
+    for box in [capture.ego_box, *(vehicle.box for vehicle in capture.vehicles)]:
+        count = np.ceil(np.asarray(box.size_m[:2]) / _BELOW_SPACING_M).astype(int) + 1
+        share = [np.linspace(-0.5, 0.5, n) for n in count]
+        x, y = (axis.ravel() for axis in np.meshgrid(*share))
+        local_m = np.stack([x, y, np.zeros(len(x))], axis=1) * box.size_m
+        origin.append(box.center_m + local_m @ box.ego_from_box.T)
+    origin_m = np.concatenate(origin)
+    below = (origin_m, np.broadcast_to(np.array([0.0, 0.0, -1.0]), origin_m.shape))
     jobs: list[tuple[str, ObjectCloud, int, MeshSettings]] = [
         ("environment", ObjectCloud(clouds.environment, *below), ENVIRONMENT_INSTANCE, settings.environment),
         ("ego", clouds.ego, EGO_INSTANCE, settings.ego),
@@ -103,19 +112,6 @@ def object_mesh(
         return Mesh(vertex_m, triangle, np.zeros((len(vertex_m), 3), np.uint8))
     rgb = seen_rgb(vertex_m, vertex_normals(vertex_m, triangle), images, instance_id, tolerance_m=how.cell_m)
     return decimated(cleaned(Mesh(vertex_m, triangle, rgb)), how.triangle_count)
-
-
-def _rays_below(boxes: Sequence[Box]) -> tuple[np.ndarray, np.ndarray]:
-    """Origins [m] and directions of rays from the centres of vehicles down to the ground below them."""
-    origin = []
-    for box in boxes:
-        count = np.ceil(np.asarray(box.size_m[:2]) / _BELOW_SPACING_M).astype(int) + 1
-        share = [np.linspace(-0.5, 0.5, n) for n in count]
-        x, y = (axis.ravel() for axis in np.meshgrid(*share))
-        local_m = np.stack([x, y, np.zeros(len(x))], axis=1) * box.size_m
-        origin.append(box.center_m + local_m @ box.ego_from_box.T)
-    origin_m = np.concatenate(origin)
-    return origin_m, np.broadcast_to(np.array([0.0, 0.0, -1.0]), origin_m.shape)
 
 
 def _unseen_points(vertex_m: np.ndarray, triangle: np.ndarray, one: ObjectCloud) -> np.ndarray:

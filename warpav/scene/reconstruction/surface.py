@@ -247,7 +247,12 @@ def decimated(mesh: Mesh, triangle_count: int) -> Mesh:
         return mesh
     area_m2 = 0.5 * _double_area_m2(mesh.vertex_m, mesh.triangle).sum()
     step_m = _COLOUR_STEP * float(np.sqrt(area_m2 / triangle_count))
-    vertex_m, triangle, rgb = _welded(mesh)
+    place_m, merged, count = np.unique(
+        mesh.vertex_m.astype(np.float64), axis=0, return_inverse=True, return_counts=True
+    )
+    merged = merged.reshape(-1)
+    rgb = np.stack([np.bincount(merged, channel) for channel in mesh.vertex_rgb.T.astype(np.float64)], axis=1)
+    vertex_m, triangle, rgb = (place_m, merged[mesh.triangle].astype(np.int32), rgb / count[:, None])
     if len(triangle) > _LIFTED_SHARE * triangle_count:
         vertex_m, triangle, rgb = _collapsed_lifted(vertex_m, triangle, rgb, _LIFTED_SHARE * triangle_count, step_m)
     vertex_m, triangle = _collapsed_coloured(vertex_m, triangle, rgb, triangle_count, step_m)
@@ -257,16 +262,6 @@ def decimated(mesh: Mesh, triangle_count: int) -> Mesh:
 def _double_area_m2(vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
     corner_m = vertex_m.astype(np.float64)[triangle]
     return np.linalg.norm(np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0]), axis=1)
-
-
-def _welded(mesh: Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Coincident vertices merged, float64; triangles; mean colours, float64."""
-    place_m, merged, count = np.unique(
-        mesh.vertex_m.astype(np.float64), axis=0, return_inverse=True, return_counts=True
-    )
-    merged = merged.reshape(-1)
-    rgb = np.stack([np.bincount(merged, channel) for channel in mesh.vertex_rgb.T.astype(np.float64)], axis=1)
-    return place_m, merged[mesh.triangle].astype(np.int32), rgb / count[:, None]
 
 
 def _collapsed_lifted(

@@ -181,19 +181,14 @@ def _works_sign(builder: SurfaceBuilder) -> None:
     for size, depth, material in ((0.52, 0.030, Material.REFLECTOR), (0.36, 0.042, Material.PLATE)):
         low = 1.02 - 0.577 * size
         corner = np.array([(-size, low), (0.0, low + 1.732 * size), (size, low)])
-        _add_plate(builder, corner, depth, material)
+        loop = np.concatenate([corner, corner[:1]])
+        front, back = (np.stack([loop[:, 0], np.full(len(loop), y), loop[:, 1]], axis=1) for y in (-depth, 0.01))
+        centre = corner.mean(axis=0)
+        caps = [np.broadcast_to([centre[0], y, centre[1]], (len(loop), 1, 3)) for y in (-depth, 0.01)]
+        grid = np.concatenate([caps[0], front[:, None], back[:, None], caps[1]], axis=1)
+        builder.add_grid(grid, material)
     builder.add_box((-0.10, -0.052, 0.86), (0.10, -0.02, 0.94), Material.DARK)
     builder.add_box((-0.03, -0.052, 0.90), (0.03, -0.02, 1.12), Material.DARK)
-
-
-def _add_plate(builder: SurfaceBuilder, corner_xz: np.ndarray, depth: float, material: int) -> None:
-    """A flat solid that faces -y, with a convex outline of (x, z) corners, clockwise seen from the front."""
-    loop = np.concatenate([corner_xz, corner_xz[:1]])
-    front, back = (np.stack([loop[:, 0], np.full(len(loop), y), loop[:, 1]], axis=1) for y in (-depth, 0.01))
-    centre = corner_xz.mean(axis=0)
-    caps = [np.broadcast_to([centre[0], y, centre[1]], (len(loop), 1, 3)) for y in (-depth, 0.01)]
-    grid = np.concatenate([caps[0], front[:, None], back[:, None], caps[1]], axis=1)
-    builder.add_grid(grid, material)
 
 
 def _sand_heap(builder: SurfaceBuilder) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -90,23 +90,20 @@ def velocities_m_s(
             # what it reaches later than that does not slow it down
             far_m = np.hypot(*(centre_m - centre_m[k]).T) - radius_m - radius_m[k]
             near = np.flatnonzero(far_m <= HEADWAY_S * speed_m_s)
-            way_m = _way_m(user.footprint, user.heading_rad, (things[j] for j in near if j != k))
+            # free way ahead of the rectangle as it moves in a direction
+            c, s = np.cos(user.heading_rad), np.sin(user.heading_rad)
+            way_m = np.inf
+            for other in (things[j] for j in near if j != k):
+                corner_m = other.corners_m() - [user.footprint.x_m, user.footprint.y_m]
+                along_m, across_m = corner_m @ [c, s], corner_m @ [-s, c]
+                is_beside = (
+                    across_m.min() > 0.5 * user.footprint.width_m or across_m.max() < -0.5 * user.footprint.width_m
+                )
+                if not is_beside and along_m.mean() > 0.0:
+                    way_m = min(way_m, max(along_m.min() - 0.5 * user.footprint.length_m, 0.0))
             speed_m_s = min(speed_m_s, way_m / HEADWAY_S)
         velocity[k] = speed_m_s * np.array([np.cos(user.heading_rad), np.sin(user.heading_rad)])
     return velocity
-
-
-def _way_m(one: Footprint, heading_rad: float, others: Iterable[Footprint]) -> float:
-    """Free way ahead of a rectangle as it moves in a direction [m], inf if nothing is in its way."""
-    c, s = np.cos(heading_rad), np.sin(heading_rad)
-    way_m = np.inf
-    for other in others:
-        corner_m = other.corners_m() - [one.x_m, one.y_m]
-        along_m, across_m = corner_m @ [c, s], corner_m @ [-s, c]
-        is_beside = across_m.min() > 0.5 * one.width_m or across_m.max() < -0.5 * one.width_m
-        if not is_beside and along_m.mean() > 0.0:
-            way_m = min(way_m, max(along_m.min() - 0.5 * one.length_m, 0.0))
-    return way_m
 
 
 def stop_lines(layout: Layout) -> list[Footprint]:

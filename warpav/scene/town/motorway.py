@@ -6,7 +6,6 @@ mirrored, and traffic keeps to the left.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -97,7 +96,15 @@ def motorway_world(rng: np.random.Generator, world: LevelWorld) -> None:
     _Builder(section, side, scenery, ground, rng).build()
     own = int(rng.choice(section.lanes))
     (slow, fast), _ = _lane_kind(own, section.lanes)
-    pieces, taken = _signs(section, side, ground, rng)
+    # round signs on posts, back to back at both edges
+    pieces: list[Mesh] = []
+    taken: list[Footprint] = []
+    for x in rng.uniform(-180.0, 180.0, int(rng.integers(2, 6))):
+        y = side * (section.edge_m + 1.6) * (1.0 if rng.random() < 0.7 else -1.0)
+        yaw = -0.5 * np.pi if y * side > 0.0 else 0.5 * np.pi  # a sign faces -y of its own frame
+        place = np.array([x, y, float(ground.height_m(x))])
+        pieces.append(furniture_mesh("sign", rng).transformed(yaw_rotation(yaw), place))
+        taken.append(Footprint(float(x), y, yaw, 0.7, 0.3))
     ego = Slot(0.0, side * section.lane_y_m(own), 0.0, 5.0)
     world.begin(scenery, ground, ego, pieces, taken, (slow, fast))
     _drive(section, side, ego, world, rng)
@@ -138,21 +145,6 @@ def _drive(section: _Section, side: float, ego: Slot, world: LevelWorld, rng: np
         world.put_vehicle(drawn, footprint, None, gap_m=_CLEARANCE_M)
 
 
-def _signs(
-    section: _Section, side: float, ground: StreetGround, rng: np.random.Generator
-) -> tuple[Sequence[Mesh], Sequence[Footprint]]:
-    """Round signs on posts, back to back at both edges; meshes and footprints."""
-    pieces: list[Mesh] = []
-    taken: list[Footprint] = []
-    for x in rng.uniform(-180.0, 180.0, int(rng.integers(2, 6))):
-        y = side * (section.edge_m + 1.6) * (1.0 if rng.random() < 0.7 else -1.0)
-        yaw = -0.5 * np.pi if y * side > 0.0 else 0.5 * np.pi  # a sign faces -y of its own frame
-        place = np.array([x, y, float(ground.height_m(x))])
-        pieces.append(furniture_mesh("sign", rng).transformed(yaw_rotation(yaw), place))
-        taken.append(Footprint(float(x), y, yaw, 0.7, 0.3))
-    return pieces, taken
-
-
 class _Builder:
     """Builds everything that stands, from the middle of the road to the horizon."""
 
@@ -171,7 +163,11 @@ class _Builder:
             low, high = sorted((sign * section.edge_m, sign * _FIELD_M))
             scenery.add_ground((-reach, low, reach, high), 0.0, _GRASS, 0.022, _GRASS_CELL_M)
             self._add_lines(sign)
-            self._add_posts(sign)
+            # delineators every 50 m
+            y = sign * (self._section.edge_m + 0.4)
+            for x in np.arange(-200.0 + self._rng.uniform(0.0, 50.0), 200.0, 50.0):
+                self._scenery.add_box((x, y - 0.06, 0.0), (x + 0.1, y + 0.06, 1.0), np.full(3, 0.9))
+                self._scenery.add_box((x - 0.005, y - 0.065, 0.68), (x + 0.105, y + 0.065, 0.88), np.full(3, 0.12))
             self._add_rail(sign * (section.edge_m + 0.9), sign)
             if self._rng.random() < 0.45:
                 self._add_noise_barrier(sign)
@@ -209,13 +205,6 @@ class _Builder:
             for x in np.arange(low, high, spacing):
                 y_low, y_high = sorted((y_m + 0.05 * faces, y_m + 0.17 * faces))
                 self._scenery.add_box((x, y_low, 0.0), (x + 0.1, y_high, 0.72), _STEEL * 0.7)
-
-    def _add_posts(self, sign: float) -> None:
-        """Delineators every 50 m."""
-        y = sign * (self._section.edge_m + 0.4)
-        for x in np.arange(-200.0 + self._rng.uniform(0.0, 50.0), 200.0, 50.0):
-            self._scenery.add_box((x, y - 0.06, 0.0), (x + 0.1, y + 0.06, 1.0), np.full(3, 0.9))
-            self._scenery.add_box((x - 0.005, y - 0.065, 0.68), (x + 0.105, y + 0.065, 0.88), np.full(3, 0.12))
 
     def _add_noise_barrier(self, sign: float) -> None:
         rng = self._rng

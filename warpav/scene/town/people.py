@@ -64,14 +64,6 @@ def _add_arm(builder: SurfaceBuilder, shoulder: Point, elbow: Point, wrist: Poin
     builder.add_tube(hand, np.array([[0.030, 0.026], [0.042, 0.028], [0.026, 0.020]]), Material.SKIN, sides=4)
 
 
-def _add_swinging_arm(builder: SurfaceBuilder, shoulder: Point, side: float, swing_rad: float) -> None:
-    """An arm that hangs down, swung forwards by an angle; the forearm bends further."""
-    elbow = np.array(shoulder) + _UPPER_ARM_M * np.array([np.sin(swing_rad), 0.14 * side, -np.cos(swing_rad)])
-    bend = swing_rad + 0.35
-    wrist = elbow + _FOREARM_M * np.array([np.sin(bend), -0.02 * side, -np.cos(bend)])
-    _add_arm(builder, shoulder, tuple(elbow.tolist()), tuple(wrist.tolist()))
-
-
 def _add_head(builder: SurfaceBuilder, centre: Point, *, helmet: bool) -> None:
     x, y, z = centre
     _add_rod(builder, (x - 0.03, y, z - 0.20), (x - 0.01, y, z - 0.06), 0.052, Material.SKIN)
@@ -94,7 +86,11 @@ def _pedestrian_surface(builder: SurfaceBuilder, variant: int) -> Surface:
         else:
             _add_leg(builder, hip, (-stride, 0.085 * side, 0.155), 0.55)
         swing = 0.02 if stands else (-0.42 if leads else 0.36)
-        _add_swinging_arm(builder, (0.0, 0.172 * side, 1.395), side, swing)
+        shoulder = (0.0, 0.172 * side, 1.395)
+        elbow = np.array(shoulder) + _UPPER_ARM_M * np.array([np.sin(swing), 0.14 * side, -np.cos(swing)])
+        bend = swing + 0.35
+        wrist = elbow + _FOREARM_M * np.array([np.sin(bend), -0.02 * side, -np.cos(bend)])
+        _add_arm(builder, shoulder, tuple(elbow.tolist()), tuple(wrist.tolist()))
     # Height, depth, half width: from the hem (of a coat, or of a jacket) to the neck.
     hem = ((0.60, 0.165, 0.205), (0.78, 0.150, 0.185)) if coat else ((0.79, 0.075, 0.110), (0.85, 0.118, 0.155))
     rows = np.array(

@@ -89,7 +89,9 @@ def _users(
         extent = np.median(size[row], axis=0)
         ridden = _RIDDEN.get(category)
         if ridden is not None:
-            below = _ridden_rows(boxes, row, sweep, pose, ridden)
+            # boxes of two-wheelers below the rider at the first moment
+            same = np.flatnonzero((sweep == sweep[row[0]]) & (boxes["category"] == ridden))
+            below = same[np.linalg.norm(pose[same, :2] - pose[row[0], :2], axis=1) < _RIDDEN_REACH_M]
             extent = np.maximum(extent, np.median(size[below], axis=0)) if len(below) else extent
         number = step[sweep[row]]
         users.append(
@@ -99,14 +101,6 @@ def _users(
             )
         )  # fmt: skip
     return users
-
-
-def _ridden_rows(
-    boxes: Mapping[str, np.ndarray], row: np.ndarray, sweep: np.ndarray, pose: np.ndarray, category: str
-) -> np.ndarray:
-    """Boxes of two-wheelers below a rider at the first moment."""
-    same = np.flatnonzero((sweep == sweep[row[0]]) & (boxes["category"] == category))
-    return same[np.linalg.norm(pose[same, :2] - pose[row[0], :2], axis=1) < _RIDDEN_REACH_M]
 
 
 def _lanelets(folder: Path, shift_m: np.ndarray) -> tuple[Lanelet, ...]:

@@ -120,7 +120,11 @@ class Recording:
         if user.speed_m_s is not None:
             velocity = float(user.speed_m_s[k]) * np.array([math.cos(yaw), math.sin(yaw)])
         else:
-            velocity = _velocity_by_positions(user, k, self.step_s)
+            # nothing is known of who has a single sample, so it stands
+            span = max(1, round(0.5 * _SPAN_S / self.step_s))
+            first, last = max(k - span, 0), min(k + span, len(user.step) - 1)
+            elapsed_s = (user.step[last] - user.step[first]) * self.step_s
+            velocity = (user.pose[last, :2] - user.pose[first, :2]) / elapsed_s if elapsed_s > 0.0 else np.zeros(2)
         return RecordedState(user, np.array([x, y]), yaw, velocity)
 
 
@@ -159,14 +163,6 @@ def deepest_overlap(states: list[RecordedState]) -> tuple[float, tuple[str, str]
         if depth > deepest:
             deepest, pair = depth, (states[i].user.user_id, states[j].user.user_id)
     return deepest, pair
-
-
-def _velocity_by_positions(user: RecordedUser, k: int, step_s: float) -> np.ndarray:
-    """From the samples around one; nothing is known of who has a single sample, so it stands."""
-    span = max(1, round(0.5 * _SPAN_S / step_s))
-    first, last = max(k - span, 0), min(k + span, len(user.step) - 1)
-    elapsed_s = (user.step[last] - user.step[first]) * step_s
-    return (user.pose[last, :2] - user.pose[first, :2]) / elapsed_s if elapsed_s > 0.0 else np.zeros(2)
 
 
 def _check(recording: Recording) -> None:

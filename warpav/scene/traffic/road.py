@@ -223,7 +223,8 @@ class Road:
                     self._add_lines(builder, number, line, side)
 
     def _add_lines(self, builder: SceneryBuilder, number: int, line_m: np.ndarray, side: float) -> None:
-        point = _resampled(line_m, _LINE_STEP_M)
+        length = float(np.linalg.norm(np.diff(line_m, axis=0), axis=1).sum())
+        point = _at_shares(line_m, np.linspace(0.0, 1.0, max(1, round(length / _LINE_STEP_M)) + 1))
         if len(point) < 3:
             return
         along = np.gradient(point, axis=0)
@@ -349,11 +350,6 @@ def _at_shares(line_m: np.ndarray, share: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(where, along, line_m[:, axis]) for axis in range(2)], axis=-1)
 
 
-def _resampled(line_m: np.ndarray, step_m: float) -> np.ndarray:
-    length = float(np.linalg.norm(np.diff(line_m, axis=0), axis=1).sum())
-    return _at_shares(line_m, np.linspace(0.0, 1.0, max(1, round(length / step_m)) + 1))
-
-
 def subdivided(line_m: np.ndarray, step_m: float) -> np.ndarray:
     """The line with no segment longer than a step."""
     parts = []
@@ -436,12 +432,19 @@ class Roadside:
                 if chord < 0.9 * extent:
                     continue
                 along = (end - start) / chord
-                plot = _behind(start, along, chord, _BAY_DEPTH_M if is_yard else HOUSE_DEPTH_M)
+                # a hand narrower than the front, so that rows of houses touch
+                depth_m = _BAY_DEPTH_M if is_yard else HOUSE_DEPTH_M
+                inward = np.array([-along[1], along[0]])
+                centre = start + 0.5 * chord * along + 0.5 * depth_m * inward
+                plot = Footprint(
+                    float(centre[0]), float(centre[1]), math.atan2(along[1], along[0]), chord - 0.1, depth_m - 0.1
+                )
                 if not self._is_free(plot, distance_m - _INTO_PAVEMENT_M):
                     continue
                 self._taken.append(plot)
                 if is_yard:
-                    self._pave(builder, plot)
+                    corner = np.c_[plot.corners_m(), np.full(4, KERB_HEIGHT_M + MARKING_HEIGHT_M)]
+                    builder.add_quads(corner[None], builder.asphalt_rgb)
                     self._park(start, along, count)
                 else:
                     builder.add_house(start, along, chord, is_free_standing=True)
@@ -449,10 +452,6 @@ class Roadside:
                 break
             else:
                 at += _HOUSE_STEP_M
-
-    def _pave(self, builder: SceneryBuilder, plot: Footprint) -> None:
-        corner = np.c_[plot.corners_m(), np.full(4, KERB_HEIGHT_M + MARKING_HEIGHT_M)]
-        builder.add_quads(corner[None], builder.asphalt_rgb)
 
     def _park(self, start: np.ndarray, along: np.ndarray, count: int) -> None:
         inward = np.array([-along[1], along[0]])
@@ -504,13 +503,6 @@ def turned(mesh: Mesh, yaw_rad: float, place_m: np.ndarray) -> Mesh:
     """A mesh turned about z and moved to a place [m], [3]."""
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     return mesh.transformed(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), place_m)
-
-
-def _behind(start: np.ndarray, along: np.ndarray, width_m: float, depth_m: float) -> Footprint:
-    """The rectangle to the left of a front, a hand narrower so that rows of houses touch."""
-    inward = np.array([-along[1], along[0]])
-    centre = start + 0.5 * width_m * along + 0.5 * depth_m * inward
-    return Footprint(float(centre[0]), float(centre[1]), math.atan2(along[1], along[0]), width_m - 0.1, depth_m - 0.1)
 
 
 def _is_plot(footprint: Footprint) -> bool:
