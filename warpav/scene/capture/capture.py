@@ -26,20 +26,13 @@ ENVIRONMENT_INSTANCE, EGO_INSTANCE = 0, 65535
 class ViewKind(enum.StrEnum):
     """Why an image was taken (thesis, appendix VIII)."""
 
-    EGO_TOP = "ego_top"
-    """Top-down over the ego vehicle."""
-    EGO_SIDE = "ego_side"
-    """From outside towards a corner of the ego vehicle; beyond the thesis, for the sides that it leaves open."""
-    TOWARDS_VEHICLE = "towards_vehicle"
-    """From the ego vehicle towards another one."""
-    VEHICLE_TOP = "vehicle_top"
-    """Top-down over another vehicle."""
-    SCENE_TOP = "scene_top"
-    """Top-down above the ego vehicle, from some height."""
-    ROTATION = "rotation"
-    """From the ego vehicle's position, rotated about the vertical."""
-    OTHER = "other"
-    """Anything else; recordings of one's own."""
+    EGO_TOP = "ego_top"  # top-down over the ego vehicle
+    EGO_SIDE = "ego_side"  # from outside towards its corners; beyond the thesis, for the sides that it leaves open
+    TOWARDS_VEHICLE = "towards_vehicle"  # from the ego vehicle towards another one
+    VEHICLE_TOP = "vehicle_top"  # top-down over another vehicle
+    SCENE_TOP = "scene_top"  # top-down above the ego vehicle, from some height
+    ROTATION = "rotation"  # from the ego vehicle's position, rotated about the vertical
+    OTHER = "other"  # anything else; recordings of one's own
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,38 +158,26 @@ class PlanSettings:
 def capture_plan(ego_box: Box, vehicles: Sequence[CapturedVehicle], settings: PlanSettings) -> list[CaptureView]:
     """The views in the order of the thesis's figure 14, then the sides of the ego vehicle."""
     eye_m = eye_position_m(ego_box, settings)
+    named = [(f"{vehicle.instance_id:03d}", vehicle.box) for vehicle in vehicles]
     views = [_top(settings, "ego_top", ViewKind.EGO_TOP, ego_box)]
-    views += [
-        _towards(settings, f"towards_vehicle_{vehicle.instance_id:03d}", ViewKind.TOWARDS_VEHICLE, eye_m, vehicle.box)
-        for vehicle in vehicles
-    ]
-    views += [
-        _top(settings, f"vehicle_top_{vehicle.instance_id:03d}", ViewKind.VEHICLE_TOP, vehicle.box)
-        for vehicle in vehicles
-    ]
+    views += [_towards(settings, f"towards_vehicle_{n}", ViewKind.TOWARDS_VEHICLE, eye_m, box) for n, box in named]
+    views += [_top(settings, f"vehicle_top_{n}", ViewKind.VEHICLE_TOP, box) for n, box in named]
     for index, height_m in enumerate(settings.scene_heights_m):
-        position_m = np.array([*ego_box.center_m[:2], height_m])
-        views.append(
-            _view(settings, f"scene_top_{index}", ViewKind.SCENE_TOP, position_m, _down(ego_box.yaw_rad), _TOP_FOV_RAD)
-        )
+        pose = _pose(np.array([*ego_box.center_m[:2], height_m]), _down(ego_box.yaw_rad))
+        views.append(_view(settings, f"scene_top_{index}", ViewKind.SCENE_TOP, pose, _TOP_FOV_RAD))
     step_rad = 2.0 * math.pi / max(settings.rotation_count, 1)
     for index in range(settings.rotation_count):
         yaw_rad = ego_box.yaw_rad + index * step_rad
+        pose = _pose(eye_m, _facing(np.array([math.cos(yaw_rad), math.sin(yaw_rad), 0.0])))
         fov_rad = min(step_rad + math.radians(10.0), _WIDEST_RAD)
-        forward = np.array([math.cos(yaw_rad), math.sin(yaw_rad), 0.0])
-        views.append(_view(settings, f"rotation_{index}", ViewKind.ROTATION, eye_m, _facing(forward), fov_rad))
-    return views + _ego_sides(settings, ego_box, [vehicle.box for vehicle in vehicles])
-
-
-def _ego_sides(settings: PlanSettings, ego_box: Box, others: Sequence[Box]) -> list[CaptureView]:
-    """From the height of the ego vehicle's roof, or from above an occupying vehicle."""
-    views = []
+        views.append(_view(settings, f"rotation_{index}", ViewKind.ROTATION, pose, fov_rad))
+    # the sides, from the height of the ego vehicle's roof, or from above a vehicle that stands there
     for index in range(settings.ego_side_count):
         angle_rad = (index + 0.5) * 2.0 * math.pi / settings.ego_side_count
         towards = np.array([math.cos(angle_rad), math.sin(angle_rad), 0.0])
         edge_m = 0.5 * np.asarray(ego_box.size_m) * (towards / np.abs(towards).max() + [0.0, 0.0, 1.0])
         position_m = ego_box.center_m + ego_box.ego_from_box @ (edge_m + settings.ego_side_m * towards)
-        for box in others:
+        for _, box in named:
             at_its_height_m = np.array([[*position_m[:2], box.center_m[2]]])
             if box.contains(at_its_height_m, margin_m=_SIDE_CLEAR_M).all():
                 position_m[2] = max(position_m[2], box.center_m[2] + 0.5 * box.size_m[2] + _SIDE_CLEAR_M)
@@ -247,8 +228,8 @@ def _top(settings: PlanSettings, name: str, kind: ViewKind, box: Box) -> Capture
     if fov_rad > _WIDEST_RAD:  # long vehicles from higher up
         fov_rad = _WIDEST_RAD
         above_m = 0.5 * box.size_m[2] + half_width_m / math.tan(0.5 * fov_rad)
-    position_m = box.center_m + np.array([0.0, 0.0, above_m])
-    return _view(settings, name, kind, position_m, _down(box.yaw_rad + 0.5 * math.pi), fov_rad)
+    pose = _pose(box.center_m + np.array([0.0, 0.0, above_m]), _down(box.yaw_rad + 0.5 * math.pi))
+    return _view(settings, name, kind, pose, fov_rad)
 
 
 def _towards(settings: PlanSettings, name: str, kind: ViewKind, eye_m: np.ndarray, box: Box) -> CaptureView:
@@ -259,14 +240,11 @@ def _towards(settings: PlanSettings, name: str, kind: ViewKind, eye_m: np.ndarra
     tangent = np.abs(seen[:, :2] / seen[:, 2:]).max(axis=0)
     half = max(tangent[0], tangent[1] * settings.width_px / settings.height_px)
     fov_rad = float(np.clip(2.0 * math.atan(_MARGIN * half), _NARROWEST_RAD, _WIDEST_RAD))
-    return _view(settings, name, kind, eye_m, camera_from_ego.T, fov_rad)
+    return _view(settings, name, kind, _pose(eye_m, camera_from_ego.T), fov_rad)
 
 
-def _view(
-    settings: PlanSettings, name: str, kind: ViewKind, position_m: np.ndarray, rotation: np.ndarray, fov_rad: float
-) -> CaptureView:
-    model = CameraModel(settings.width_px, settings.height_px, fov_rad)
-    return CaptureView(name, kind, _pose(position_m, rotation), model)
+def _view(settings: PlanSettings, name: str, kind: ViewKind, pose: np.ndarray, fov_rad: float) -> CaptureView:
+    return CaptureView(name, kind, pose, CameraModel(settings.width_px, settings.height_px, fov_rad))
 
 
 def _pose(position_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:

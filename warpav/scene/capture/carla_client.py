@@ -26,14 +26,12 @@ from warpav.core.frames import (
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
 from warpav.scene.capture.capture import CaptureView
-from warpav.scene.scene import Box
+from warpav.scene.scene import Box, outline_gap_m
 
 Remote: TypeAlias = Any
 """Something that the optional package ``carla`` defines; its types cannot be named here."""
 
-REACH_S = 2.5
-"""Time within which a server answers [s]."""
-
+REACH_S = 2.5  # time within which a server answers
 _VERSION_REQUEST = b"\x94\x00\x01\xa7version\x91\x91\xc2"  # MessagePack: [request, number 1, "version", [[false]]]
 _ANSWER_BEGINS = b"\x94\x01\x01"  # [answer, number 1,
 _CATEGORY_OF_BASE_TYPE = {"car": "car", "van": "van", "truck": "lorry", "bus": "bus"}
@@ -109,8 +107,7 @@ def category_of(blueprint: Remote) -> str | None:
     return "car" if wheels >= 4 else None
 
 
-_DEPTH_RANGE_M = 1000.0
-"""Where the depth camera's 24 bits end [m]."""
+_DEPTH_RANGE_M = 1000.0  # where the depth camera's 24 bits end
 _SKY_M = 0.999 * _DEPTH_RANGE_M  # the sky's dome is drawn somewhere beyond the range, so its depth is cut there
 
 
@@ -219,17 +216,14 @@ def ego_rays(view: CaptureView, row: np.ndarray, column: np.ndarray) -> np.ndarr
 
 def is_inside(box: Box, point_m: np.ndarray) -> np.ndarray:
     """Which points lie in a box, its lowest part left out: there the road is as near as the vehicle."""
-    ego_from_box = rotation_from_yaw_pitch_roll(box.yaw_rad, 0.0, 0.0)
-    along_m = (point_m - box.center_m) @ ego_from_box
-    half_m = 0.5 * box.size_m
+    along_m, half_m = box.local_m(point_m), 0.5 * box.size_m
     is_within = np.all(np.abs(along_m) <= half_m + 0.1, axis=-1)
     return is_within & (along_m[:, 2] > -half_m[2] + 0.2 * box.size_m[2])
 
 
 def meets_box(box: Box, origin_m: np.ndarray, ray: np.ndarray, *, margin_m: float) -> np.ndarray:
     """Which rays from a point meet a box that is larger by a margin on each side."""
-    ego_from_box = rotation_from_yaw_pitch_roll(box.yaw_rad, 0.0, 0.0)
-    start_m, along = (origin_m - box.center_m) @ ego_from_box, ray @ ego_from_box
+    start_m, along = box.local_m(origin_m), ray @ box.ego_from_box
     along = np.where(np.abs(along) < 1e-12, 1e-12, along)
     half_m = 0.5 * box.size_m + margin_m
     ends = np.sort(np.stack([(-half_m - start_m) / along, (half_m - start_m) / along]), axis=0)
@@ -238,17 +232,8 @@ def meets_box(box: Box, origin_m: np.ndarray, ray: np.ndarray, *, margin_m: floa
 
 def boxes_overlap(first: Box, second: Box) -> bool:
     """Whether two upright boxes overlap; frozen vehicles do not collide, so CARLA may not report it."""
-    apart_m = second.center_m - first.center_m
-    if abs(apart_m[2]) >= 0.5 * (first.size_m[2] + second.size_m[2]):
-        return False
-    edges = [rotation_from_yaw_pitch_roll(box.yaw_rad, 0.0, 0.0)[:, :2] for box in (first, second)]
-    for axis in np.concatenate(edges, axis=1).T:
-        reach_m = sum(
-            0.5 * float(np.abs(axis @ edge) @ box.size_m[:2]) for box, edge in zip((first, second), edges, strict=True)
-        )
-        if abs(float(axis @ apart_m)) >= reach_m:
-            return False
-    return True
+    is_level = abs(second.center_m[2] - first.center_m[2]) < 0.5 * (first.size_m[2] + second.size_m[2])
+    return bool(is_level) and outline_gap_m(first.outline_m, second.outline_m) < 0.0
 
 
 def lane_places(carla_map: Remote, *, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:

@@ -153,8 +153,6 @@ class CarlaSimulator:
         self._made: dict[int, Remote] = {}
         self._situation: _Situation | None = None
 
-    # --------------------------------------------------------------------------------------------- entering and leaving
-
     def __enter__(self) -> Self:
         """Connect, take hold of the server, and prepare the world."""
         if self._undo:
@@ -255,12 +253,14 @@ class CarlaSimulator:
             return self._client.get_world()
         names = sorted({path.rsplit("/", 1)[-1] for path in self._client.get_available_maps()})
         if self._map_name.rsplit("/", 1)[-1] not in names:
-            close = difflib.get_close_matches(self._map_name, names, 3)
-            raise InputError(
-                f"CARLA: expected a map of the server at {self._host}:{self._port}, got {self._map_name!r}; "
-                f"{'did you mean' if close else 'it has'} {', '.join(close or names)}"
-            )
+            raise self._unknown(f"a map of the server at {self._host}:{self._port}", self._map_name, names)
         return self._client.load_world(self._map_name)
+
+    @staticmethod
+    def _unknown(expected: str, name: str, known: Sequence[str]) -> InputError:
+        close = difflib.get_close_matches(name, known, 3)
+        hint = f"{'did you mean' if close else 'it has'} {', '.join(close or known)}"
+        return InputError(f"CARLA: expected {expected}, got {name!r}; {hint}")
 
     def _change(self, what: str, undo: Callable[[], object], change: Callable[[], object]) -> None:
         self._undo.append((what, undo))  # first: a change that times out may have happened all the same
@@ -313,8 +313,6 @@ class CarlaSimulator:
         except BaseException:  # Ctrl-C is no sign of a server error
             return True
         return True
-
-    # ---------------------------------------------------------------------------------------------------- the situation
 
     def begin(self, seed: int) -> Box:
         """As in `Simulator`; the seed chooses the ego vehicle's spawn point."""
@@ -429,17 +427,11 @@ class CarlaSimulator:
             raise RuntimeError("begin(seed) comes first")
         return self._situation
 
-    # --------------------------------------------------------------------------------------------------------- vehicles
-
     def _find_ego(self) -> Remote:
         known = sorted(blueprint.id for blueprint in self._blueprints.filter("vehicle.*"))
         if self._ego_blueprint is not None:
             if self._ego_blueprint not in known:
-                close = difflib.get_close_matches(self._ego_blueprint, known, 3)
-                raise InputError(
-                    f"CARLA: expected the ego vehicle to be one of the server's, got {self._ego_blueprint!r}; "
-                    f"{'did you mean' if close else 'it has'} {', '.join(close or known)}"
-                )
+                raise self._unknown("the ego vehicle to be one of the server's", self._ego_blueprint, known)
             return self._blueprints.find(self._ego_blueprint)
         cars = [name for name in known if category_of(self._blueprints.find(name)) == "car"]
         for name in (*_EGO_BLUEPRINTS, *cars):
@@ -535,8 +527,6 @@ class CarlaSimulator:
             if codes:
                 return [] if taken & set(codes) else codes
         return []
-
-    # ---------------------------------------------------------------------------------------------- actors and images
 
     def _tick(self) -> int:
         return self._world.tick(self._timeout_s)

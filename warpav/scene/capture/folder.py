@@ -114,8 +114,6 @@ class _Described(Record):
 
 
 class _BoxRecord(_Described):
-    """A 3D box."""
-
     box_center_m: Point3
     box_size_m: _Sizes
     box_yaw_deg: float
@@ -127,8 +125,6 @@ class _BoxRecord(_Described):
 
 
 class _VehicleRecord(_BoxRecord):
-    """A vehicle."""
-
     instance_id: int = Field(gt=ENVIRONMENT_INSTANCE, lt=EGO_INSTANCE)
     category: str = Field(alias="class", min_length=1)
     spawn_m: Point3 | None = None
@@ -138,8 +134,6 @@ class _VehicleRecord(_BoxRecord):
 
 
 class _ImageRecord(_Described):
-    """A view and its files."""
-
     name: _Name
     kind: ViewKind = ViewKind.OTHER
     width_px: int = Field(ge=8, le=16384)
@@ -251,7 +245,17 @@ def record_capture(
     ego_box = simulator.begin(seed)
     vehicles = spawn_visible_traffic(simulator, ego_box, settings)
     views = capture_plan(ego_box, vehicles, settings)
-    record = _record_of(simulator, made_with, ego_box, vehicles, views)
+    record = _CaptureRecord.model_validate(
+        {
+            "schema": SCHEMA,
+            "name": simulator.name,
+            "source": simulator.source,
+            "recipe": made_with,
+            "ego": _box_fields(ego_box),
+            "vehicles": [_vehicle_fields(one) for one in vehicles],
+            "images": [_image_fields(view) for view in views],
+        }
+    )
     planned = record.model_dump_json(by_alias=True, indent=1)
     if _text(folder / DESCRIPTION) == planned:  # it was complete, but files are missing or truncated
         os.replace(folder / DESCRIPTION, folder / UNFINISHED)
@@ -351,53 +355,33 @@ class _Images(Sequence[CapturedImage]):
         return depth_m.astype(np.float32)
 
 
-def _record_of(
-    simulator: Simulator,
-    made_with: str,
-    ego_box: Box,
-    vehicles: Sequence[CapturedVehicle],
-    views: Sequence[CaptureView],
-) -> _CaptureRecord:
-    def box(one: Box) -> dict[str, Any]:
-        return {
-            "box_center_m": one.center_m.tolist(),
-            "box_size_m": one.size_m.tolist(),
-            "box_yaw_deg": math.degrees(one.yaw_rad),
-        }
+def _box_fields(box: Box) -> dict[str, Any]:
+    center_m, size_m = (np.asarray(each, float).tolist() for each in (box.center_m, box.size_m))
+    return {"box_center_m": center_m, "box_size_m": size_m, "box_yaw_deg": math.degrees(box.yaw_rad)}
 
-    return _CaptureRecord.model_validate(
-        {
-            "schema": SCHEMA,
-            "name": simulator.name,
-            "source": simulator.source,
-            "recipe": made_with,
-            "ego": box(ego_box),
-            "vehicles": [
-                {
-                    "instance_id": one.instance_id,
-                    "class": one.category,
-                    **box(one.box),
-                    "spawn_m": np.asarray(one.spawn_m, float).tolist(),
-                    "spawn_yaw_deg": math.degrees(one.spawn_yaw_rad),
-                    "instance_rgb": np.asarray(one.instance_rgb).tolist(),
-                    "velocity_ego_m_s": None if one.velocity_ego_m_s is None else one.velocity_ego_m_s.tolist(),
-                }
-                for one in vehicles
-            ],
-            "images": [
-                {
-                    "name": view.name,
-                    "kind": view.kind,
-                    "width_px": view.model.width_px,
-                    "height_px": view.model.height_px,
-                    "intrinsics": view.model.intrinsics.tolist(),
-                    "ego_from_camera": view.ego_from_camera.tolist(),
-                    **{kind: f"images/{view.name}_{kind}.png" for kind in ("rgb", "depth", "instance")},
-                }
-                for view in views
-            ],
-        }
-    )
+
+def _vehicle_fields(one: CapturedVehicle) -> dict[str, Any]:
+    return {
+        "instance_id": one.instance_id,
+        "class": one.category,
+        **_box_fields(one.box),
+        "spawn_m": np.asarray(one.spawn_m, float).tolist(),
+        "spawn_yaw_deg": math.degrees(one.spawn_yaw_rad),
+        "instance_rgb": np.asarray(one.instance_rgb).tolist(),
+        "velocity_ego_m_s": None if one.velocity_ego_m_s is None else one.velocity_ego_m_s.tolist(),
+    }
+
+
+def _image_fields(view: CaptureView) -> dict[str, Any]:
+    return {
+        "name": view.name,
+        "kind": view.kind,
+        "width_px": view.model.width_px,
+        "height_px": view.model.height_px,
+        "intrinsics": view.model.intrinsics.tolist(),
+        "ego_from_camera": view.ego_from_camera.tolist(),
+        **{kind: f"images/{view.name}_{kind}.png" for kind in ("rgb", "depth", "instance")},
+    }
 
 
 def _read_record(file: Path) -> _CaptureRecord:
@@ -434,12 +418,8 @@ def _png(image: np.ndarray) -> bytes:
 def _has_files(folder: Path, one: _ImageRecord) -> bool:
     """Whether a view's files are there and end as they should."""
     files = [folder / name for name in (one.rgb, one.depth, one.instance)]
-    return all(file.is_file() and _is_whole(file.read_bytes()) for file in files)
-
-
-def _is_whole(data: bytes) -> bool:
-    """Whether a file's content is more than the beginning of one, as far as that shows without decoding it."""
-    return len(data) > 0 and (not data.startswith(PNG_SIGNATURE) or is_whole_png(data))
+    contents = (file.read_bytes() if file.is_file() else b"" for file in files)
+    return all(data and (not data.startswith(PNG_SIGNATURE) or is_whole_png(data)) for data in contents)
 
 
 def _write(file: Path, data: bytes) -> None:
