@@ -27,7 +27,7 @@ from warpav.scene.glb import (
     vertex_coloured,
     write_whole,
 )
-from warpav.scene.mesh_colours import FileFinder, SimulatorModel, Texture, simulator_model, texture_of, vertex_rgb
+from warpav.scene.mesh_colours import FileFinder, Texture, simulator_model, texture_of, vertex_rgb
 from warpav.scene.texture_detail import VERTICES_MAX, TexturedMesh, follow_textures
 from warpav.scene.vehicles import file_of, nearest_name, vehicle_names
 
@@ -42,11 +42,9 @@ _USUAL_LENGTH_M = (3.0, 7.0)
 _POSSIBLE_LENGTH_M = (2.0, 20.0)
 _UNITS = (("metres", 1.0), ("centimetres", 0.01), ("millimetres", 0.001), ("inches", 0.0254), ("feet", 0.3048))
 
-_POSSIBLE_WIDTH_M = (1.0, 3.5)
-_POSSIBLE_HEIGHT_M = (1.1, 4.6)
-"""Least and greatest extents across and upwards; mirrors and aerials count. A sports car is 1.1 m high."""
-
-_TYPICAL_SIZE_M = {
+# least and greatest extents across and upwards; mirrors and aerials count, and a sports car is 1.1 m high
+_POSSIBLE_WIDTH_M, _POSSIBLE_HEIGHT_M = (1.0, 3.5), (1.1, 4.6)
+_TYPICAL_SIZE_M = {  # length, width with mirrors, and height of usual vehicles
     "a car": (4.5, 2.0, 1.5),
     "an SUV": (4.8, 2.15, 1.8),
     "a pickup": (5.6, 2.3, 1.9),
@@ -54,31 +52,18 @@ _TYPICAL_SIZE_M = {
     "a lorry": (8.0, 2.6, 3.3),
     "a bus": (12.0, 2.8, 3.3),
 }
-"""Length, width with mirrors, and height of usual vehicles."""
-
 _GROUND_TOLERANCE_M = 0.05
 _AXLE_TOLERANCE_M = 0.1
 _MANY_TRIANGLES = 300_000
 
-_SAMPLE_COUNT = 200_000
-_SYMMETRY_COUNT = 20_000
-_ALIKE = 0.004
-"""Maximum mean distance between shape and mirror image, relative to the length, of symmetric sides."""
-
-_UNLIKE = 0.001
-"""Minimum of the same distance for front and rear to differ: a box has .0002 by chance, a bus .0016, a car .008."""
-
-_CABIN_BEHIND = 0.04
-"""Minimum offset of the upper quarter behind the vehicle's centre, relative to the length; buses have none."""
-
-_MIRROR_SHARE = (0.0002, 0.006)
-"""Share of the surface that the widest parts above the wheels take up, if these are mirrors: .0006 to .002."""
-
-_MIRROR_SPREAD = 0.05
-"""Maximum standard deviation of their positions along the vehicle, relative to its length: mirrors have .00 to .01."""
-
-_MIRROR_AHEAD = 0.08
-"""Minimum distance of mirrors from the vehicle's centre, relative to its length: cars .12 to .18, buses .49."""
+_SAMPLE_COUNT, _SYMMETRY_COUNT = 200_000, 20_000
+# Mean distances between shape and mirror image over the length: at most of symmetric sides, and at least between front
+# and rear that differ: a box has .0002 by chance, a bus .0016, a car .008.
+_ALIKE, _UNLIKE = 0.004, 0.001
+_CABIN_BEHIND = 0.04  # least offset of the upper quarter behind the centre, over the length; buses have none
+# Mirrors are the widest parts above the wheels: their share of the surface (.0006 to .002), how far they spread along
+# the vehicle at most (.00 to .01 of the length), and how far they are from its centre at least (cars .12, buses .49).
+_MIRROR_SHARE, _MIRROR_SPREAD, _MIRROR_AHEAD = (0.0002, 0.006), 0.05, 0.08
 
 
 @dataclass(frozen=True)
@@ -277,7 +262,8 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
     model = None if is_scene or is_own else simulator_model(path)
     if model is not None:
         usual = usual.changed(forward=model.forward, scale=usual.scale * model.scale)
-        notes.append(_model_note(model))
+        turned = f" and that {model.forward} points forward" if model.forward is not None else ""
+        notes.append(f"{model.path.name} beside it states a scale of {model.scale:g}{turned}")
     whole, textures = _joined(parts)
     if vertices_max is not None:
         whole = follow_textures(whole, textures, vertices_max=vertices_max)
@@ -291,11 +277,6 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
         "ego vehicle of a scene" if is_scene else f"{len(parts)} part{'s' if len(parts) > 1 else ''}",
         tuple(notes),
     )
-
-
-def _model_note(model: SimulatorModel) -> str:
-    turned = f" and that {model.forward} points forward" if model.forward is not None else ""
-    return f"{model.path.name} beside it states a scale of {model.scale:g}{turned}"
 
 
 def write_vehicle(mesh: Mesh, path: str | Path, *, source: str = "") -> None:
@@ -331,34 +312,27 @@ def examine(
     """Compare the reading of a file with the shape of the vehicle."""
     mesh = file.in_ego_frame(reading)
     point_m = points_on(mesh)
-    problems: list[VehicleProblem] = []
-    hints = list(file.notes)
     size_m = np.ptp(mesh.bounds_m().astype(np.float64), axis=0)
     shape = _shape_of(point_m)
-    wrong_size, size_hints = _unit_findings(_ordered(size_m, shape), reading, file.is_declared, "scale" in stated)
-    problems += wrong_size
-    hints += size_hints
-    wrong_axes, axis_hints = _axis_findings(shape, reading, size_m, file.is_declared, stated)
-    problems += wrong_axes
-    hints += axis_hints
+    found = _Findings(reading, stated, file.is_declared, [], list(file.notes))
+    found.look_at_unit(_ordered(size_m, shape))
+    found.look_at_axes(shape, size_m)
     wheels = None
     shift_m = np.zeros(3)
-    if not problems:  # further checks need correct axes and units
+    if not found.problems:  # further checks need correct axes and units
         wheels = wheels_of(point_m)
-        shift_m, found, more_hints = _place_findings(mesh, wheels, file.is_declared, rear_axle_m)
-        problems += found
-        hints += more_hints
+        shift_m = found.look_at_place(mesh, wheels, rear_axle_m)
     open_edges, flat = _open_edge_count(mesh), int(np.count_nonzero(_is_flat(mesh)))
     if open_edges:
-        hints.append(f"not watertight ({open_edges} open edges): usable, but cameras may see through gaps")
+        found.hints.append(f"not watertight ({open_edges} open edges): usable, but cameras may see through gaps")
     if flat:
-        hints.append(f"{flat} of {len(mesh.triangle)} triangles have no area; `out` removes them")
+        found.hints.append(f"{flat} of {len(mesh.triangle)} triangles have no area; `out` removes them")
     if len(mesh.triangle) > _MANY_TRIANGLES:
-        hints.append(
+        found.hints.append(
             f"{len(mesh.triangle)} triangles slow every render, and about 10 000 are sufficient; decimate the mesh, "
             "for example in Blender or MeshLab"
         )
-    return Examination(mesh, shift_m, shape, wheels, tuple(problems), tuple(hints), open_edges, flat)
+    return Examination(mesh, shift_m, shape, wheels, tuple(found.problems), tuple(found.hints), open_edges, flat)
 
 
 def _shape_of(point_m: np.ndarray) -> Shape:
@@ -447,15 +421,6 @@ def wheels_of(point_m: np.ndarray) -> Wheels | None:
     return Wheels(axle_m, 0.5 * float(touching[:, 1].min() + touching[:, 1].max()))
 
 
-def unit_of(length: float) -> tuple[str, float] | None:
-    """The unit, and its length in metres, in which a number is a plausible vehicle length; None without one."""
-    for minimum_m, maximum_m in (_USUAL_LENGTH_M, _POSSIBLE_LENGTH_M):
-        for name, metres in _UNITS:
-            if minimum_m <= length * metres <= maximum_m:
-                return name, metres
-    return None
-
-
 def is_plausible(size_m: np.ndarray) -> bool:
     """Whether a vehicle may have this length, width and height [m], [3]."""
     ranges = (_POSSIBLE_LENGTH_M, _POSSIBLE_WIDTH_M, _POSSIBLE_HEIGHT_M)
@@ -463,14 +428,11 @@ def is_plausible(size_m: np.ndarray) -> bool:
 
 
 def _scale_of(size: np.ndarray) -> tuple[str, float]:
-    """Which vehicle, or which unit, makes a size plausible, and the metres of one.
+    """Which vehicle, or which unit, makes a size, [3], plausible, and the metres of one.
 
-    The unit that makes length, width and height plausible together, one that makes the length a car's first. Without
-    one the usual vehicle that has most nearly these proportions; its length determines the scale, as widths may
-    include mirrors and heights aerials. Scales that people choose are round, so the nearest one of a single digit is
-    taken if it changes the length by less than 8 %.
-
-    Shapes: ``size`` [3].
+    Without a unit that makes the whole size plausible the usual vehicle of most nearly these proportions; its length
+    determines the scale, as widths may include mirrors and heights aerials. People choose round scales: the nearest one
+    of a single digit is taken if it changes the length by less than 8 %.
     """
     for minimum_m, maximum_m in (_USUAL_LENGTH_M, _POSSIBLE_LENGTH_M):
         for name, metres in _UNITS:
@@ -492,134 +454,129 @@ def _ordered(size_m: np.ndarray, shape: Shape) -> np.ndarray:
     return np.array([high, middle, low] if is_plausible(np.array([high, middle, low])) else [high, low, middle])
 
 
-def _unit_findings(
-    size_m: np.ndarray, reading: Reading, is_declared: bool, is_stated: bool
-) -> tuple[list[VehicleProblem], list[str]]:
-    """Whether a vehicle may have a size, its length, width and height [m], [3]."""
-    minimum_m, maximum_m = _POSSIBLE_LENGTH_M
-    if is_plausible(size_m) or not size_m.min() > 0.0:
-        return [], []
-    name, factor = _scale_of(size_m)
-    is_unit = name in dict(_UNITS)
-    scale = reading.scale * factor
-    with_scale = " with this `scale`" if is_stated else ""
-    better = _size_text(size_m * factor)
-    if minimum_m <= size_m[0] <= maximum_m:
-        text = f"units: a vehicle {_size_text(size_m)}{with_scale} is doubtful, "
-        text += f"expected a width of {_POSSIBLE_WIDTH_M[0]:g} to {_POSSIBLE_WIDTH_M[1]:g} m and a height of "
-        text += f"{_POSSIBLE_HEIGHT_M[0]:g} to {_POSSIBLE_HEIGHT_M[1]:g} m"
-        if is_stated or is_declared or not is_plausible(size_m * factor):
-            return [], [f"{text}; accepted as stated" if is_stated or is_declared else f"{text}; `scale` changes it"]
-        return [
-            VehicleProblem(f"{text}; with `scale` {scale:g} it is {better}, as {name}", {"scale": f"{scale:g}"})
-        ], []
-    text = f"units: expected a vehicle of {minimum_m:g} to {maximum_m:g} m, got {size_m[0]:.4g} m"
-    if is_unit:
-        return [VehicleProblem(f"{text}{with_scale}, which is right in {name}", {"scale": f"{scale:g}"})], []
-    text += f", implausible in any common unit; with `scale` {scale:.4g} it is {better}, as {name}"
-    return [VehicleProblem(text, {"scale": f"{scale:.4g}"})], []
-
-
 def _size_text(size_m: np.ndarray) -> str:
     length, width, height = (f"{value:.2f}" for value in size_m)
     return f"{length} m long, {width} m wide and {height} m high"
 
 
-def _axis_findings(
-    shape: Shape, reading: Reading, size_m: np.ndarray, is_declared: bool, stated: frozenset[str]
-) -> tuple[list[VehicleProblem], list[str]]:
-    """Whether the shape has the axes of the ego frame under this reading."""
-    if shape.up is None or shape.forward is None:
-        if shape.asymmetry > _ALIKE:
-            return [], ["no axis of symmetry found; check the axes in a figure (`image`)"]
-        return [], ["its shape is ambiguous; check the axes in a figure (`image`)"]
-    has_axes = shape.up[-1] == "z" and shape.forward[-1] == "x"
-    is_upside_down = shape.is_up_sure and shape.up == "-z"
-    is_backwards = shape.is_forward_sure and shape.forward == "-x"
-    up, forward = (_in_file(axis, reading) for axis in (shape.up, shape.forward))
-    if has_axes and not is_upside_down:
-        if is_backwards and not is_declared and "forward" not in stated:
-            if shape.has_mirrors:
-                text = "the mirrors are nearer to the assumed rear, as in vehicles that face backwards: if the image "
-                return [], [f"{text}shows one, add `forward` {forward}"]
-            return [], [
-                "the cabin is nearer to the assumed front, as in pickups and lorries, or in vehicles that "
-                f"face backwards: if the image shows one of these, add `forward` {forward}"
-            ]
-        return [], []
-    if not shape.is_up_sure and shape.up[-1] == "z":
-        up = reading.up
-    if shape.forward[-1] == "x" and not shape.is_forward_sure:
-        forward = reading.forward
-    remedy = {name: value for name, value in (("up", up), ("forward", forward)) if value != getattr(reading, name)}
-    length, width, height = (f"{value:.4g}" for value in size_m)
-    what = "is upside down" if has_axes else f"is {length} long, {width} wide and {height} high"
-    text = f"axes: expected wheels below and lateral symmetry; read with {reading.up} up and {reading.forward} "
-    text += f"forward it {what}"
-    if is_declared or {"up", "forward"} <= stated:
-        return [], [f"{text}; accepted as stated"]
-    if "forward" in remedy and not shape.is_forward_sure:
-        other = forward.removeprefix("-") if forward.startswith("-") else f"-{forward}"
-        alike = f"front and rear look alike: if the image shows it backwards, give `forward` {other} instead"
-        return [VehicleProblem(text, remedy)], [alike]
-    return [VehicleProblem(text, remedy)], []
+@dataclass(frozen=True, eq=False)
+class _Findings:
+    """What is found about a vehicle under a reading, as far as it is known which of its axes and scale are stated."""
 
+    reading: Reading
+    stated: frozenset[str]
+    is_declared: bool
+    problems: list[VehicleProblem]
+    hints: list[str]
 
-def _place_findings(
-    mesh: Mesh, wheels: Wheels | None, is_declared: bool, rear_axle_m: float | None
-) -> tuple[np.ndarray, list[VehicleProblem], list[str]]:
-    """Translation of the vehicle [m], [3], the problems that require it, and hints."""
-    low, high = mesh.bounds_m().astype(np.float64)
-    shift_m = np.zeros(3)
-    problems: list[VehicleProblem] = []
-    hints: list[str] = []
-    if abs(low[2]) > _GROUND_TOLERANCE_M:
-        shift_m[2] = -low[2]
-        problems.append(VehicleProblem(f"ground: expected its lowest point at z = 0, got {low[2]:+.3f} m", {}))
-    if rear_axle_m is not None:
-        if not 0.0 <= rear_axle_m <= high[0] - low[0]:
-            length = f"{high[0] - low[0]:.2f} m"
-            raise ArgumentError(
-                "rear_axle", f"expected a distance from the rear end of up to {length}, got {rear_axle_m:g}"
-            )
-        centre_y_m = 0.5 * float(low[1] + high[1]) if wheels is None else wheels.centre_y_m
-        target_m = np.array([low[0] + rear_axle_m, centre_y_m])
-        if np.abs(target_m).max() > 1e-6:
-            shift_m[:2] = -target_m
-            problems.append(VehicleProblem("origin: expected below the rear axle as stated by `rear_axle`", {}))
-        return shift_m, problems, hints
-    is_inside = bool((low[:2] <= 0.0).all() and (high[:2] >= 0.0).all())
-    if is_declared and is_inside:
-        return shift_m, problems, hints
-    if wheels is None:
-        if is_inside:
-            hints.append(
-                "no wheels found, so the origin below the rear axle cannot be verified; "
-                "`rear_axle` 0.9 would put it 0.9 m before the rear end"
-            )
-        else:
-            problems.append(
-                VehicleProblem(
-                    "origin: expected it below the vehicle, got "
-                    f"x {low[0]:.2f} to {high[0]:.2f} m, y {low[1]:.2f} to {high[1]:.2f} m, and no wheels found; "
-                    "`rear_axle` gives the distance of the rear axle from the rear end",
-                    {"rear-axle": f"{0.2 * (high[0] - low[0]):.2f}"},
-                )
-            )
-        return shift_m, problems, hints
-    offset_m = np.array([wheels.axle_m[0], wheels.centre_y_m])
-    if abs(offset_m[0]) > _AXLE_TOLERANCE_M or abs(offset_m[1]) > _GROUND_TOLERANCE_M:
-        shift_m[:2] = -offset_m
-        problems.append(
-            VehicleProblem(
-                "origin: expected below the centre of the rear axle, got that at "
-                f"x {offset_m[0]:+.2f} m, y {offset_m[1]:+.2f} m",
-                {},
-            )
-        )
-    if len(wheels.axle_m) > 2:
-        hints.append(f"{len(wheels.axle_m)} axles: the rearmost one counts as the rear axle; `rear_axle` overrides it")
-    return shift_m, problems, hints
+    def _problem(self, text: str, remedy: dict[str, str]) -> None:
+        self.problems.append(VehicleProblem(text, remedy))
+
+    def look_at_unit(self, size_m: np.ndarray) -> None:
+        """Whether a vehicle may have a size, its length, width and height [m], [3]."""
+        minimum_m, maximum_m = _POSSIBLE_LENGTH_M
+        if is_plausible(size_m) or not size_m.min() > 0.0:
+            return
+        is_stated = "scale" in self.stated
+        name, factor = _scale_of(size_m)
+        scale = self.reading.scale * factor
+        with_scale = " with this `scale`" if is_stated else ""
+        better = _size_text(size_m * factor)
+        if minimum_m <= size_m[0] <= maximum_m:
+            text = f"units: a vehicle {_size_text(size_m)}{with_scale} is doubtful, "
+            text += f"expected a width of {_POSSIBLE_WIDTH_M[0]:g} to {_POSSIBLE_WIDTH_M[1]:g} m and a height of "
+            text += f"{_POSSIBLE_HEIGHT_M[0]:g} to {_POSSIBLE_HEIGHT_M[1]:g} m"
+            if is_stated or self.is_declared:
+                self.hints.append(f"{text}; accepted as stated")
+            elif not is_plausible(size_m * factor):
+                self.hints.append(f"{text}; `scale` changes it")
+            else:
+                self._problem(f"{text}; with `scale` {scale:g} it is {better}, as {name}", {"scale": f"{scale:g}"})
+            return
+        text = f"units: expected a vehicle of {minimum_m:g} to {maximum_m:g} m, got {size_m[0]:.4g} m"
+        if name in dict(_UNITS):
+            self._problem(f"{text}{with_scale}, which is right in {name}", {"scale": f"{scale:g}"})
+            return
+        text += f", implausible in any common unit; with `scale` {scale:.4g} it is {better}, as {name}"
+        self._problem(text, {"scale": f"{scale:.4g}"})
+
+    def look_at_axes(self, shape: Shape, size_m: np.ndarray) -> None:
+        """Whether the shape has the axes of the ego frame under this reading."""
+        if shape.up is None or shape.forward is None:
+            what = "no axis of symmetry found" if shape.asymmetry > _ALIKE else "its shape is ambiguous"
+            self.hints.append(f"{what}; check the axes in a figure (`image`)")
+            return
+        has_axes = shape.up[-1] == "z" and shape.forward[-1] == "x"
+        up, forward = (_in_file(axis, self.reading) for axis in (shape.up, shape.forward))
+        if has_axes and not (shape.is_up_sure and shape.up == "-z"):
+            is_backwards = shape.is_forward_sure and shape.forward == "-x"
+            if is_backwards and not self.is_declared and "forward" not in self.stated:
+                text = "the cabin is nearer to the assumed front, as in pickups and lorries, or in vehicles that face "
+                text += "backwards: if the image shows one of these"
+                if shape.has_mirrors:
+                    text = "the mirrors are nearer to the assumed rear, as in vehicles that face backwards: if the "
+                    text += "image shows one"
+                self.hints.append(f"{text}, add `forward` {forward}")
+            return
+        if not shape.is_up_sure and shape.up[-1] == "z":
+            up = self.reading.up
+        if shape.forward[-1] == "x" and not shape.is_forward_sure:
+            forward = self.reading.forward
+        axes = (("up", up), ("forward", forward))
+        remedy = {name: value for name, value in axes if value != getattr(self.reading, name)}
+        length, width, height = (f"{value:.4g}" for value in size_m)
+        what = "is upside down" if has_axes else f"is {length} long, {width} wide and {height} high"
+        text = f"axes: expected wheels below and lateral symmetry; read with {self.reading.up} up and "
+        text += f"{self.reading.forward} forward it {what}"
+        if self.is_declared or {"up", "forward"} <= self.stated:
+            self.hints.append(f"{text}; accepted as stated")
+            return
+        self._problem(text, remedy)
+        if "forward" in remedy and not shape.is_forward_sure:
+            other = forward.removeprefix("-") if forward.startswith("-") else f"-{forward}"
+            text = "front and rear look alike: if the image shows it backwards, give `forward`"
+            self.hints.append(f"{text} {other} instead")
+
+    def look_at_place(self, mesh: Mesh, wheels: Wheels | None, rear_axle_m: float | None) -> np.ndarray:
+        """Translation of the vehicle onto the ground and its rear axle [m], [3]."""
+        low, high = mesh.bounds_m().astype(np.float64)
+        length_m = high[0] - low[0]
+        shift_m = np.zeros(3)
+        if abs(low[2]) > _GROUND_TOLERANCE_M:
+            shift_m[2] = -low[2]
+            self._problem(f"ground: expected its lowest point at z = 0, got {low[2]:+.3f} m", {})
+        if rear_axle_m is not None:
+            if not 0.0 <= rear_axle_m <= length_m:
+                expected = f"expected a distance from the rear end of up to {length_m:.2f} m"
+                raise ArgumentError("rear_axle", f"{expected}, got {rear_axle_m:g}")
+            centre_y_m = 0.5 * float(low[1] + high[1]) if wheels is None else wheels.centre_y_m
+            target_m = np.array([low[0] + rear_axle_m, centre_y_m])
+            if np.abs(target_m).max() > 1e-6:
+                shift_m[:2] = -target_m
+                self._problem("origin: expected below the rear axle as stated by `rear_axle`", {})
+            return shift_m
+        is_inside = bool((low[:2] <= 0.0).all() and (high[:2] >= 0.0).all())
+        if self.is_declared and is_inside:
+            return shift_m
+        if wheels is None:
+            if is_inside:
+                text = "no wheels found, so the origin below the rear axle cannot be verified; "
+                self.hints.append(f"{text}`rear_axle` 0.9 would put it 0.9 m before the rear end")
+                return shift_m
+            text = "origin: expected it below the vehicle, got "
+            text += f"x {low[0]:.2f} to {high[0]:.2f} m, y {low[1]:.2f} to {high[1]:.2f} m, and no wheels found; "
+            text += "`rear_axle` gives the distance of the rear axle from the rear end"
+            self._problem(text, {"rear-axle": f"{0.2 * length_m:.2f}"})
+            return shift_m
+        x, y = wheels.axle_m[0], wheels.centre_y_m
+        if abs(x) > _AXLE_TOLERANCE_M or abs(y) > _GROUND_TOLERANCE_M:
+            shift_m[:2] = -x, -y
+            text = "origin: expected below the centre of the rear axle, got that at"
+            self._problem(f"{text} x {x:+.2f} m, y {y:+.2f} m", {})
+        count = len(wheels.axle_m)
+        if count > 2:
+            self.hints.append(f"{count} axles: the rearmost one counts as the rear axle; `rear_axle` overrides it")
+        return shift_m
 
 
 def _collada_frame(path: Path) -> tuple[str, float]:
@@ -651,19 +608,8 @@ def _collada_frame(path: Path) -> tuple[str, float]:
     return {"X_UP": "x", "Z_UP": "z"}.get(up, "y"), metres if metres > 0.0 else 1.0
 
 
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """Vertices in the file's frame, triangles, colours, positions in the texture, and the texture of a node."""
-
-    vertex: np.ndarray
-    triangle: np.ndarray
-    rgb: np.ndarray
-    uv: np.ndarray
-    texture: Texture | None
-
-
-def _part(file: trimesh.Scene, name: str, finder: FileFinder) -> _Part | None:
-    """A node of a file; None where it has no triangles."""
+def _part(file: trimesh.Scene, name: str, finder: FileFinder) -> tuple[TexturedMesh, Texture | None] | None:
+    """A node of a file, in the file's frame, and its texture; None where it has no triangles."""
     matrix, geometry_name = file.graph.get(name)
     geometry: Any = file.geometry[geometry_name]
     if not hasattr(geometry, "faces") or len(geometry.faces) == 0:
@@ -679,27 +625,23 @@ def _part(file: trimesh.Scene, name: str, finder: FileFinder) -> _Part | None:
         triangle = triangle[:, ::-1]
     texture = texture_of(geometry, is_plain=finder.lacks_materials)
     uv = np.zeros((len(vertex), 2)) if texture is None else np.asarray(geometry.visual.uv, np.float64)
-    return _Part(vertex, triangle, vertex_rgb(geometry, is_plain=finder.lacks_materials), uv, texture)
+    rgb = vertex_rgb(geometry, is_plain=finder.lacks_materials).astype(np.float64)
+    return TexturedMesh(vertex, triangle, rgb, uv, np.full(len(triangle), -1 if texture is None else 0)), texture
 
 
-def _joined(parts: list[_Part]) -> tuple[TexturedMesh, list[Texture]]:
+def _joined(parts: list[tuple[TexturedMesh, Texture | None]]) -> tuple[TexturedMesh, list[Texture]]:
     """Parts in one mesh, and their textures."""
-    first = np.cumsum([0, *(len(part.vertex) for part in parts)])
-    textures = [part.texture for part in parts if part.texture is not None]
-    number = np.cumsum([part.texture is not None for part in parts]) - 1
-    mesh = TexturedMesh(
-        np.concatenate([part.vertex for part in parts]),
-        np.concatenate([part.triangle + start for part, start in zip(parts, first, strict=False)]),
-        np.concatenate([part.rgb for part in parts]).astype(np.float64),
-        np.concatenate([part.uv for part in parts]),
-        np.concatenate(
-            [
-                np.full(len(part.triangle), -1 if part.texture is None else k)
-                for part, k in zip(parts, number, strict=True)
-            ]
-        ),
+    meshes, textures = [mesh for mesh, _ in parts], [texture for _, texture in parts]
+    first = np.cumsum([0, *(len(mesh.vertex) for mesh in meshes)])
+    number = np.cumsum([texture is not None for texture in textures]) - 1
+    whole = TexturedMesh(
+        np.concatenate([mesh.vertex for mesh in meshes]),
+        np.concatenate([mesh.triangle + start for mesh, start in zip(meshes, first, strict=False)]),
+        np.concatenate([mesh.rgb for mesh in meshes]),
+        np.concatenate([mesh.uv for mesh in meshes]),
+        np.concatenate([np.where(mesh.texture_of < 0, -1, k) for mesh, k in zip(meshes, number, strict=True)]),
     )
-    return mesh, textures
+    return whole, [texture for texture in textures if texture is not None]
 
 
 def points_on(mesh: Mesh, count: int = _SAMPLE_COUNT) -> np.ndarray:
