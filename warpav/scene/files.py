@@ -24,7 +24,7 @@ from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.scene import Scene
 from warpav.scene.town.levels import TownSource, checked_level
 from warpav.scene.town.town import ego_vehicle
-from warpav.scene.traffic.files import is_recording, recordings_in
+from warpav.scene.traffic.files import is_recording, natural_order, recordings_in
 from warpav.scene.traffic.moments import Moment, moments_of
 from warpav.scene.traffic.traffic_scene import TrafficSource
 
@@ -143,17 +143,12 @@ def _files_of(source: str | Path) -> list[Path]:
     if path.is_file() or is_recording(path):
         return [path]
     pattern = str(path / "*.glb") if path.is_dir() else str(path)
-    matches = sorted(map(Path, glob.glob(pattern)), key=_natural_order)
+    matches = sorted(map(Path, glob.glob(pattern)), key=natural_order)
     if not matches and path.is_dir() and any(is_recording(each) for each in path.rglob("*")):
         return recordings_in([path])
     if not matches:
         raise InputError(f"{source}: scenes: expected GLB files, got none; warpav scenes make writes some")
     return matches
-
-
-def _natural_order(path: Path) -> list[tuple[str, int]]:
-    """Sort key of a path in which numbers count by their value."""
-    return [(text, int(digits or -1)) for text, digits in re.findall(r"(\D*)(\d*)", str(path))]
 
 
 @dataclass(frozen=True)
@@ -233,17 +228,7 @@ def make_scenes(tasks: Sequence[SceneTask], executor: Executor | None = None) ->
             fingerprints[task] = made_with
     for outcome in (executor or Executor()).map(_make_scene, list(fingerprints)):
         if outcome.error is None:
-            # enter the file into its folder's index
-            file = outcome.task.file.parent / _INDEX
-            entries = _index(outcome.task.file.parent)
-            entries[outcome.task.file.name] = {
-                "seed": outcome.task.seed,
-                "recipe": fingerprints[outcome.task],
-                "sha256": _sha256(outcome.task.file),
-            }
-            entries = dict(sorted(entries.items(), key=lambda item: item[1].get("seed", 0)))
-            with atomic_write(file) as draft:
-                draft.write_text(json.dumps({"schema": SCHEMA, "scenes": entries}, indent=1) + "\n", encoding="utf-8")
+            _note(outcome.task, fingerprints[outcome.task])
         yield _named(outcome, outcome.task.capture or outcome.task.file)
 
 
@@ -339,6 +324,15 @@ def _is_ready(task: SceneTask, made_with: str) -> bool:
     if entry is None or not task.file.is_file() or entry.get("recipe") != made_with:
         return False
     return entry.get("sha256") == _sha256(task.file)
+
+
+def _note(task: SceneTask, made_with: str) -> None:
+    """Enter a file into its folder's index."""
+    entries = _index(task.file.parent)
+    entries[task.file.name] = {"seed": task.seed, "recipe": made_with, "sha256": _sha256(task.file)}
+    entries = dict(sorted(entries.items(), key=lambda item: item[1].get("seed", 0)))
+    with atomic_write(task.file.parent / _INDEX) as draft:
+        draft.write_text(json.dumps({"schema": SCHEMA, "scenes": entries}, indent=1) + "\n", encoding="utf-8")
 
 
 def _index(folder: Path) -> dict[str, Any]:

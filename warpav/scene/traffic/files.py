@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -50,7 +50,7 @@ def recordings_in(paths: Iterable[Path]) -> list[Path]:
             text = "a folder without any" if path.is_dir() else "no such file"
             raise InputError(f"{path}: expected recorded traffic ({', '.join(SUFFIXES)}, Argoverse 2 logs), got {text}")
         found.update(dict.fromkeys(each.absolute() for each in inside))
-    return sorted(found, key=_natural_order)
+    return sorted(found, key=natural_order)
 
 
 def shipped_recordings() -> list[Path]:
@@ -60,14 +60,21 @@ def shipped_recordings() -> list[Path]:
 
 def content_digest(path: Path) -> str:
     """Hash of what a recording is made of."""
-    files = [path] if path.is_file() else sorted(each for each in path.rglob("*") if _is_read(each))
+    files = [path]
+    if path.is_dir():  # of a log's folder what is looked at: sensors are not
+        inside = (each for each in path.rglob("*") if each.name.endswith((".feather", ".json")))
+        files = sorted(each for each in inside if "sensors" not in each.parts)
     return _digest_of(tuple((file, _stamp(file)) for file in files))
+
+
+@lru_cache(maxsize=1024)
+def _digest_of(files: tuple[tuple[Path, tuple[int, int]], ...]) -> str:
+    return digest(*(file.read_bytes() for file, _ in files))
 
 
 def read_recording(path: Path) -> Recording:
     """The recording of a file or a log's folder, checked; kept while the file stays as it is."""
-    stamp = _stamp(path)
-    return _read(path, stamp)
+    return _read(path, _stamp(path))
 
 
 @lru_cache(maxsize=256)
@@ -82,16 +89,6 @@ def _read(path: Path, stamp: tuple[int, int]) -> Recording:
         raise InputError(*(line if line.startswith(str(path)) else f"{path}: {line}" for line in error.args)) from None
 
 
-@lru_cache(maxsize=1024)
-def _digest_of(files: tuple[tuple[Path, tuple[int, int]], ...]) -> str:
-    return digest(*(file.read_bytes() for file, _ in files))
-
-
-def _is_read(file: Path) -> bool:
-    """Whether a file of a log's folder is looked at: sensors are not."""
-    return file.name.endswith((".feather", ".json")) and "sensors" not in file.parts
-
-
 def _stamp(path: Path) -> tuple[int, int]:
     try:
         about = path.stat()
@@ -100,7 +97,8 @@ def _stamp(path: Path) -> tuple[int, int]:
     return about.st_mtime_ns, about.st_size
 
 
-def _natural_order(path: Path) -> list[tuple[str, int]]:
+def natural_order(path: Path) -> list[tuple[str, int]]:
+    """Sort key of a path in which numbers count by their value."""
     return [(text, int(digits or -1)) for text, digits in re.findall(r"(\D*)(\d*)", str(path))]
 
 
@@ -194,9 +192,14 @@ def _read_xml(content: bytes) -> Recording:
     version = root.get("commonRoadVersion", "")
     if version not in _VERSIONS:
         raise InputError(f"commonRoadVersion: expected {' or '.join(_VERSIONS)}, got {version!r}")
-    users = [user for element in _obstacles(root) if (user := _obstacle(element)) is not None]
+    obstacles = [each for tag in ("obstacle", "dynamicObstacle", "staticObstacle") for each in root.findall(tag)]
+    users = [user for element in obstacles if (user := _obstacle(element)) is not None]
     last = max((int(user.step[-1]) for user in users), default=0)
-    static_ids = _static_ids(root)
+    static_ids = {
+        each.get("id", "")
+        for each in obstacles
+        if each.tag == "staticObstacle" or (each.tag == "obstacle" and each.findtext("role", "").strip() == "static")
+    }
     if last * len(static_ids) > DATA_SET_NODES_MAX:
         raise InputError(f"expected at most {DATA_SET_NODES_MAX:,} samples of static obstacles, got {last:,} steps")
     standing = [
@@ -215,16 +218,6 @@ def _read_xml(content: bytes) -> Recording:
         tuple(_lanelet(element) for element in root.iter("lanelet") if element.find("leftBound") is not None),
         tuple(standing),
     )
-
-
-def _obstacles(root: ElementTree.Element) -> Iterator[ElementTree.Element]:
-    for tag in ("obstacle", "dynamicObstacle", "staticObstacle"):
-        yield from root.findall(tag)
-
-
-def _static_ids(root: ElementTree.Element) -> set[str]:
-    of_role = {each.get("id", "") for each in root.findall("obstacle") if each.findtext("role", "").strip() == "static"}
-    return of_role | {each.get("id", "") for each in root.findall("staticObstacle")}
 
 
 def _obstacle(element: ElementTree.Element) -> RecordedUser | None:

@@ -16,18 +16,12 @@ from warpav.core.errors import InputError
 from warpav.scene.traffic.files import content_digest, read_recording, recordings_in, shipped_recordings
 from warpav.scene.traffic.recording import RecordedState, Recording, deepest_overlap
 
-REACH_M = 100.0
-"""Who is farther from the ego vehicle is left out."""
-SPACING_S = 1.0
-"""Time between two moments of a recording, at least."""
-OVERLAP_MAX_M = 0.3
-"""Boxes of a moment may overlap so far: drones and cameras err."""
+REACH_M = 100.0  # who is farther from the ego vehicle is left out
+SPACING_S = 1.0  # time between two moments of a recording, at least
+OVERLAP_MAX_M = 0.3  # boxes of a moment may overlap so far: drones and cameras err
+# length and width of the ego vehicle over those of the road user that it replaces: what is shorter fits as well
 LENGTH_RATIO, WIDTH_RATIO = (0.6, 1.2), (0.8, 1.15)
-"""Length and width of the ego vehicle over those of the road user that it replaces: what is shorter fits as well."""
-
-MOVED_M = 1.0
-"""Way of a road user between two moments in which it is the ego vehicle: who waits counts once."""
-
+MOVED_M = 1.0  # way of a road user between two moments in which it is the ego vehicle: who waits counts once
 _COMPANY_M, _COMPANY_MIN = 60.0, 2  # other road users near the ego vehicle, one of them no pedestrian
 _MIRRORS_M = 0.22  # by which mirrors make a vehicle wider than its box
 _SEARCH_SHARE = 2.0 / 3.0
@@ -124,7 +118,9 @@ def _candidates(file: Path, content: str, length_m: float, width_m: float) -> tu
             is_sized = True
             before_m = last_m.get(state.user.user_id)
             has_moved = before_m is None or np.linalg.norm(state.centre_m - before_m) >= MOVED_M
-            if has_moved and _has_company(state, states):
+            others = (each for each in states if each is not state)
+            near = [each for each in others if np.linalg.norm(each.centre_m - state.centre_m) <= _COMPANY_M]
+            if has_moved and len(near) >= _COMPANY_MIN and any(each.user.category != "pedestrian" for each in near):
                 last_m[state.user.user_id] = state.centre_m
                 found.append((step, state.user.user_id))
     if found:
@@ -160,12 +156,3 @@ def _may_be_ego(recording: Recording, state: RecordedState, length_m: float, wid
     long, wide = length_m / user.size_m[0], width_m / user.size_m[1]
     without_mirrors = (width_m - _MIRRORS_M) / user.size_m[1]
     return LENGTH_RATIO[0] <= long <= LENGTH_RATIO[1] and WIDTH_RATIO[0] <= wide and without_mirrors <= WIDTH_RATIO[1]
-
-
-def _has_company(ego: RecordedState, states: Sequence[RecordedState]) -> bool:
-    near = [
-        state.user.category
-        for state in states
-        if state is not ego and np.linalg.norm(state.centre_m - ego.centre_m) <= _COMPANY_M
-    ]
-    return len(near) >= _COMPANY_MIN and any(category != "pedestrian" for category in near)

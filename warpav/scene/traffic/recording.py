@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from warpav.core.errors import InputError
+from warpav.scene.scene import outline_gap_m
+from warpav.scene.town.town_layout import Footprint
 
 CLASSES = ("car", "truck", "bus", "motorcycle", "bicycle", "pedestrian")
 """What road users can be. Two-wheelers have their riders on them."""
@@ -26,13 +28,9 @@ _POSSIBLE_SIZE_M = {
 }
 """Least and greatest length, width and height by class. Recorded cars may be long vehicles of any kind."""
 
-_STEP_MAX = 1_000_000
-"""The last step that a recording may have, 27 hours at 10 Hz: beyond there are timestamps."""
-
+_STEP_MAX = 1_000_000  # the last step that a recording may have, 27 hours at 10 Hz: beyond there are timestamps
 _POSSIBLE_SPEED_M_S = 90.0
-_SPEED_RATIO = (0.6, 1.7)
-"""Recorded speeds over those by positions, median of a recording: what lies outside contradicts the positions."""
-
+_SPEED_RATIO = (0.6, 1.7)  # recorded speeds over those by positions, in the median: others contradict the positions
 _MOVING_M_S = 1.5
 _MOVING_SHARE_MIN = 20  # samples of moving road users that such a judgement takes
 _SPAN_S = 0.5  # over which positions give a speed
@@ -82,9 +80,7 @@ class RecordedState:
 
     def corners_m(self) -> np.ndarray:
         """Corners of its outline on the ground [m], float64 [4, 2]."""
-        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
-        half = 0.5 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * self.user.size_m[:2]
-        return self.centre_m + half @ np.array([[c, s], [-s, c]])
+        return Footprint.at(self.centre_m, self.yaw_rad, self.user.size_m).corners_m()
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +93,9 @@ class Recording:
     lanelets: tuple[Lanelet, ...]  # lanes and crossings
     users: tuple[RecordedUser, ...]  # everybody
     ego_id: str | None = None  # who carried the sensors, where somebody did; nobody else becomes the ego vehicle
-    _index: dict[str, RecordedUser] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         _check(self)
-        self._index.update({user.user_id: user for user in self.users})
 
     @property
     def last_step(self) -> int:
@@ -136,19 +130,6 @@ def check_step(value: float, place: str) -> None:
         raise InputError(f"{place}: expected steps from 0 to {_STEP_MAX}, in units of dt_s, got {value:.15g}")
 
 
-def _overlap_m(one: RecordedState, other: RecordedState) -> float:
-    """How far two boxes would have to move apart at least [m]; 0 where they do not overlap."""
-    corner = one.corners_m(), other.corners_m()
-    depth = math.inf
-    for yaw in (one.yaw_rad, other.yaw_rad):
-        for axis in ((math.cos(yaw), math.sin(yaw)), (-math.sin(yaw), math.cos(yaw))):
-            first, second = corner[0] @ axis, corner[1] @ axis
-            depth = min(depth, first.max() - second.min(), second.max() - first.min())
-            if depth <= 0.0:
-                return 0.0
-    return float(depth)
-
-
 def deepest_overlap(states: list[RecordedState]) -> tuple[float, tuple[str, str]]:
     """The deepest overlap of any two [m], and who they are; 0 where nobody overlaps."""
     deepest, pair = 0.0, ("", "")
@@ -159,7 +140,7 @@ def deepest_overlap(states: list[RecordedState]) -> tuple[float, tuple[str, str]
     away = np.linalg.norm(centre[:, None] - centre, axis=2)
     near = np.argwhere(np.triu(away < reach[:, None] + reach, 1))
     for i, j in near.tolist():
-        depth = _overlap_m(states[i], states[j])
+        depth = -outline_gap_m(states[i].corners_m(), states[j].corners_m())
         if depth > deepest:
             deepest, pair = depth, (states[i].user.user_id, states[j].user.user_id)
     return deepest, pair

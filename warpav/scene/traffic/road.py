@@ -392,12 +392,13 @@ _CLEAR_M = 0.35
 
 
 @dataclass(frozen=True, eq=False)
-class _ParkedCar:
-    """A car on a plot."""
+class Body:
+    """A road user in the ego frame."""
 
     kind: str  # category
     mesh: Mesh  # in its own frame
-    footprint: Footprint  # where it stands, in the ego frame
+    footprint: Footprint  # where it is
+    velocity_m_s: np.ndarray  # how fast over ground, in the recording's frame [m/s], shape [2]
 
 
 class Roadside:
@@ -408,7 +409,7 @@ class Roadside:
         self._road = road
         self._rng = rng
         self._taken = list(taken)
-        self.parked: list[_ParkedCar] = []
+        self.parked: list[Body] = []
         self.furniture: list[Mesh] = []
 
     def build(self, builder: SceneryBuilder) -> None:
@@ -463,9 +464,10 @@ class Roadside:
             kind = drawn_kind("car", size, self._rng)
             mesh = body_mesh(kind, size, self._rng)
             yaw = math.atan2(inward[1], inward[0]) + (math.pi if self._rng.random() < 0.4 else 0.0)
-            x, y = start + (bay + 0.5) * _BAY_M * along + (0.5 * size[0] + 0.25) * inward
+            centre = start + (bay + 0.5) * _BAY_M * along + (0.5 * size[0] + 0.25) * inward
             yaw = math.atan2(math.sin(yaw), math.cos(yaw))
-            self.parked.append(_ParkedCar(kind, mesh, Footprint(float(x), float(y), yaw, size[0], size[1])))
+            footprint = Footprint(float(centre[0]), float(centre[1]), yaw, size[0], size[1])
+            self.parked.append(Body(kind, mesh, footprint, np.zeros(2)))
 
     def _furnish(self, line_m: np.ndarray) -> None:
         length = _length_m(line_m)

@@ -18,7 +18,6 @@ from warpav.raster.mesh import Mesh, merge
 from warpav.scene.scene import Scene, Vehicle
 from warpav.scene.town.houses import KERB_HEIGHT_M, MIRRORS_M, SceneryBuilder
 from warpav.scene.town.levels import FLEET_CODE
-from warpav.scene.town.placed_vehicle import Exchange
 from warpav.scene.town.street_life import upright_box
 from warpav.scene.town.surface_builder import StreetGround
 from warpav.scene.town.town import drawn_sky, ego_vehicle
@@ -26,7 +25,7 @@ from warpav.scene.town.town_layout import Footprint
 from warpav.scene.traffic.files import content_digest, read_recording
 from warpav.scene.traffic.moments import REACH_M, Moment
 from warpav.scene.traffic.recording import Lanelet, RecordedState, Recording
-from warpav.scene.traffic.road import Road, Roadside, pavement_width_m, road_of, subdivided, turned
+from warpav.scene.traffic.road import Body, Road, Roadside, pavement_width_m, road_of, subdivided, turned
 from warpav.scene.traffic.road_users import body_mesh, drawn_kind
 
 if TYPE_CHECKING:
@@ -67,16 +66,6 @@ class TrafficSource:
         return fingerprint(*made_of, self.fleet.share, self.fleet.content, code=(__name__, *FLEET_CODE))
 
 
-@dataclass(frozen=True, eq=False)
-class _Body:
-    """A road user in the ego frame: what it is, its mesh in its own frame, where it is, how fast [m/s], [2]."""
-
-    kind: str
-    mesh: Mesh
-    footprint: Footprint
-    velocity_m_s: np.ndarray
-
-
 def traffic_scene(
     recording: Recording, moment: Moment, seed: int, *, ego: Mesh | None = None, fleet: Fleet | None = None
 ) -> tuple[Scene, int]:
@@ -91,36 +80,44 @@ def traffic_scene(
     ego = ego_vehicle() if ego is None else ego
     low_m, high_m = ego.bounds_m().astype(np.float64)
     frame = _EgoFrame(own, 0.5 * (low_m + high_m)[:2])
-    others = [state for state in states if state is not own and _away_m(state, own) <= REACH_M]
-    recorded = [_body(state, frame, rng) for state in others]
+    recorded = []
+    for state in states:
+        if state is own or np.linalg.norm(state.centre_m - own.centre_m) > REACH_M:
+            continue
+        size = state.user.size_m
+        kind = drawn_kind(state.user.category, size, rng)
+        x, y = frame.point_in_ego(state.centre_m).tolist()
+        footprint = Footprint(x, y, frame.yaw_in_ego(state.yaw_rad), size[0], size[1])
+        recorded.append(Body(kind, body_mesh(kind, size, rng), footprint, state.velocity_m_s))
     (x, y), (length, width) = frame.centre_ego_m.tolist(), (high_m - low_m)[:2].tolist()
-    place = Footprint(x, y, 0.0, length, width)
+    ego_place = Footprint(x, y, 0.0, length, width)
 
-    road = _road(recording, recorded, place, frame, pavement_width_m(rng))
+    road = _road(recording, recorded, ego_place, frame, pavement_width_m(rng))
     builder = SceneryBuilder(rng, StreetGround())
-    roadside = Roadside(road, [place, *(each.footprint for each in recorded)], rng)
+    roadside = Roadside(road, [ego_place, *(each.footprint for each in recorded)], rng)
     ground = road.ground(builder, rng)
     road.add_markings(builder)
     roadside.build(builder)
-    parked = [_Body(each.kind, each.mesh, each.footprint, np.zeros(2)) for each in roadside.parked]
-    bodies = [*recorded, *parked]
+    bodies = [*recorded, *roadside.parked]
     exchange = None if fleet is None else fleet.exchange(_FLEET_KEY, seed)
     users = []
     for number, body in enumerate(bodies, start=1):
-        mesh = _standing(_exchanged(body, number, exchange), road)
-        box = upright_box(mesh, body.footprint.yaw_rad)
+        place, mesh = body.footprint, body.mesh
+        if exchange is not None:
+            size_m = np.array([place.length_m, place.width_m, float(mesh.vertex_m[:, 2].max())])
+            mesh = exchange(number, body.kind, mesh, size_m)
+        mesh = turned(mesh, place.yaw_rad, np.append(place.centre_m, road.height_m(place.centre_m)))
+        box = upright_box(mesh, place.yaw_rad)
         velocity = frame.direction_in_ego(body.velocity_m_s - own.velocity_m_s)
         users.append(Vehicle(number, body.kind, mesh, box, velocity))
-    _add_shadow(builder, road, place, "ego", 0)
+    _add_shadow(builder, road, ego_place, "ego", 0)
     for number, body in enumerate(bodies, start=1):
         _add_shadow(builder, road, body.footprint, body.kind, number)
     environment = merge([ground, builder.finish(), *roadside.furniture])
     name = f"traffic_{seed:04d}"
     source = f"{recording.recording_id} step {moment.step} ego {moment.ego_id} seed {seed}"
-    vehicles = tuple(user for user in users if user.road_user == "vehicle")
-    others_ = tuple(user for user in users if user.road_user != "vehicle")
-    scene = Scene(name, environment, ego, vehicles, drawn_sky(rng), source, others_)
-    around = scene.around(ego)
+    scene = Scene(name, environment, ego, tuple(users), drawn_sky(rng), source)
+    around = scene.targeting(("vehicle",)).around(ego)
     return around, len(users) - len(around.road_users)
 
 
@@ -147,20 +144,8 @@ class _EgoFrame:
         return math.atan2(math.sin(turned_rad), math.cos(turned_rad))
 
 
-def _away_m(state: RecordedState, own: RecordedState) -> float:
-    return float(np.linalg.norm(state.centre_m - own.centre_m))
-
-
-def _body(state: RecordedState, frame: _EgoFrame, rng: np.random.Generator) -> _Body:
-    size = state.user.size_m
-    kind = drawn_kind(state.user.category, size, rng)
-    x, y = frame.point_in_ego(state.centre_m).tolist()
-    footprint = Footprint(x, y, frame.yaw_in_ego(state.yaw_rad), size[0], size[1])
-    return _Body(kind, body_mesh(kind, size, rng), footprint, state.velocity_m_s)
-
-
 def _road(
-    recording: Recording, recorded: Sequence[_Body], place: Footprint, frame: _EgoFrame, pavement_m: float
+    recording: Recording, recorded: Sequence[Body], place: Footprint, frame: _EgoFrame, pavement_m: float
 ) -> Road:
     lanelets = []
     for lanelet in recording.lanelets:
@@ -179,20 +164,6 @@ def _road(
 
 def _grown(footprint: Footprint, room_m: float) -> Footprint:
     return replace(footprint, length_m=footprint.length_m + 2.0 * room_m, width_m=footprint.width_m + 2.0 * room_m)
-
-
-def _exchanged(body: _Body, number: int, exchange: Exchange | None) -> _Body:
-    """The body with the mesh that an exchange gives it, as the road user of this number."""
-    if exchange is None:
-        return body
-    size_m = np.array([body.footprint.length_m, body.footprint.width_m, float(body.mesh.vertex_m[:, 2].max())])
-    return replace(body, mesh=exchange(number, body.kind, body.mesh, size_m))
-
-
-def _standing(body: _Body, road: Road) -> Mesh:
-    """The body in the ego frame, on the ground below its centre."""
-    place = np.array([body.footprint.x_m, body.footprint.y_m])
-    return turned(body.mesh, body.footprint.yaw_rad, np.append(place, road.height_m(place)))
 
 
 def _add_shadow(builder: SceneryBuilder, road: Road, place: Footprint, kind: str, number: int) -> None:
