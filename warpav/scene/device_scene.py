@@ -19,17 +19,9 @@ from warpav.scene.scene import ROAD_USERS, Scene
 EGO = 1
 FIRST_VEHICLE = 2
 
-_SEEN = (
-    "vertex_world_m",
-    "triangle",
-    "triangle_body",
-    "vertex_rgb",
-    "background_rgb",
-    "occluder_count",
-    "has_foreground",
-    "layer_body",
-)
-"""Arrays of which the others follow."""
+# arrays of which the others follow
+_SEEN = ("vertex_world_m", "triangle", "triangle_body", "vertex_rgb", "background_rgb", "occluder_count",
+         "has_foreground", "layer_body")  # fmt: skip
 
 
 def object_index_of(object_id: np.ndarray) -> np.ndarray:
@@ -138,13 +130,14 @@ class DeviceScene:
     @classmethod
     def pack(cls, scene: Scene, *, device: str = "cpu") -> DeviceScene:
         """The scene on ``device``."""
-        for other in scene.others:
-            other.mesh.check(f"{scene.name}: {other.category} {other.instance_id}")
         environment = scene.surroundings()
-        environment.check(f"{scene.name}: environment")
-        scene.ego.check(f"{scene.name}: ego")
-        for vehicle in scene.vehicles:
-            vehicle.mesh.check(f"{scene.name}: vehicle {vehicle.instance_id}")
+        for name, mesh in (
+            *((f"{other.category} {other.instance_id}", other.mesh) for other in scene.others),
+            ("environment", environment),
+            ("ego", scene.ego),
+            *((f"vehicle {vehicle.instance_id}", vehicle.mesh) for vehicle in scene.vehicles),
+        ):
+            mesh.check(f"{scene.name}: {name}")
         low_m, high_m = scene.ego.bounds_m()[:, :2].astype(np.float64)
         return cls(
             name=scene.name,

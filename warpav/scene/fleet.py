@@ -177,6 +177,8 @@ def _mesh_files(path: Path | str) -> list[Path]:
 
 @lru_cache(maxsize=256)
 def _body(path: Path, _stamp: tuple[int, int] | None, _stated_stamp: tuple[int, int] | None) -> _Body:
+    from warpav.scene.reconstruction.surface import decimated
+
     place = path.with_suffix(".yaml")
     data, line_of = read_yaml(place) if place.is_file() else ({}, {})
     stated = read_record(_Stated, data, str(place), line_of=line_of)
@@ -199,7 +201,7 @@ def _body(path: Path, _stamp: tuple[int, int] | None, _stated_stamp: tuple[int, 
     point_m = points_on(mesh)
     size_m = np.array([high[0] - low[0], body_width_m(point_m), high[2] - low[2]])
     categories = tuple(dict.fromkeys(stated.category or _categories_of(path, size_m)))
-    fine, coarse = (_decimated(mesh, count) for count in TRIANGLES_MAX)
+    fine, coarse = (decimated(mesh, count) for count in TRIANGLES_MAX)
     look = _look(fine)
     arrays = [array.tobytes() for array in (mesh.vertex_m, mesh.triangle, mesh.vertex_rgb)]
     looks = (look, look if coarse is fine else _look(coarse))
@@ -241,12 +243,6 @@ def _categories_of(path: Path, size_m: np.ndarray) -> tuple[str, ...]:
             f"{path.with_suffix('.yaml').name} beside it"
         )
     return found
-
-
-def _decimated(mesh: Mesh, triangle_count: int) -> Mesh:
-    from warpav.scene.reconstruction.surface import decimated
-
-    return decimated(mesh, triangle_count)
 
 
 def _look(mesh: Mesh) -> _Look:

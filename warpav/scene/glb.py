@@ -96,7 +96,8 @@ def read_scene(path: str | Path) -> Scene:
     try:
         file = trimesh.load_scene(trimesh.util.wrap_as_stream(data), file_type="glb", process=False)
     except Exception as error:
-        raise InputError(f"{path}: the GLB file is damaged: {_one_line(error)}; write it again") from error
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: the GLB file is damaged: {reason}; write it again") from error
 
     nodes = _mesh_nodes(file, path)
     for name in (ENVIRONMENT_NODE, EGO_NODE):
@@ -106,11 +107,14 @@ def read_scene(path: str | Path) -> Scene:
     count = sum(len(getattr(file.geometry[file.graph.get(name)[1]], "faces", ())) for name in nodes)
     if count > TRIANGLES_MAX:
         raise InputError(f"{path}: expected at most {TRIANGLES_MAX:,} triangles in all nodes, got {count:,}")
-    users = tuple(
-        _read_vehicle(file, name, extras, f"{path}: node '{name}'")
-        for name, extras in nodes.items()
-        if name.startswith((_VEHICLE_PREFIX, _OTHER_PREFIX))
-    )
+    users = []
+    for name, extras in nodes.items():
+        if name.startswith((_VEHICLE_PREFIX, _OTHER_PREFIX)):
+            where = f"{path}: node '{name}'"
+            one = read_record(_Extras, extras, f"{where}: extras")
+            box = Box(np.array(one.box_center_m), np.array(one.box_size_m), float(np.radians(one.box_yaw_deg)))
+            velocity = None if one.velocity_ego_m_s is None else np.array(one.velocity_ego_m_s)
+            users.append(Vehicle(one.instance_id, one.category, _read_mesh(file, name, where), box, velocity))
     ids = [user.instance_id for user in users]
     instance_id, count = max(Counter(ids).items(), key=lambda each: each[1], default=(0, 0))
     if count > 1:
@@ -120,7 +124,7 @@ def read_scene(path: str | Path) -> Scene:
         path.stem if about.name is None else about.name,
         _read_mesh(file, ENVIRONMENT_NODE, f"{path}: node '{ENVIRONMENT_NODE}'"),
         _read_mesh(file, EGO_NODE, f"{path}: node '{EGO_NODE}'"),
-        users,
+        tuple(users),
         Sky(np.array(about.sky_horizon_rgb).astype(np.uint8), np.array(about.sky_zenith_rgb).astype(np.uint8)),
         about.source,
     )
@@ -208,17 +212,6 @@ class _SceneExtras(Record):
     source: Word = ""
     sky_horizon_rgb: _Colour = BLACK_SKY.horizon_rgb.tolist()
     sky_zenith_rgb: _Colour = BLACK_SKY.zenith_rgb.tolist()
-
-
-def _read_vehicle(file: trimesh.Scene, name: str, extras: dict[str, Any], where: str) -> Vehicle:
-    found = read_record(_Extras, extras, f"{where}: extras")
-    box = Box(np.array(found.box_center_m), np.array(found.box_size_m), float(np.radians(found.box_yaw_deg)))
-    velocity = None if found.velocity_ego_m_s is None else np.array(found.velocity_ego_m_s)
-    return Vehicle(found.instance_id, found.category, _read_mesh(file, name, where), box, velocity)
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 TRIANGLES_MAX = 5_000_000

@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import math
 import re
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
@@ -24,8 +23,7 @@ from warpav.core.errors import InputError
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-GREY_RGB = np.array([150, 152, 156], np.uint8)
-"""Colour of what has none."""
+GREY_RGB = np.array([150, 152, 156], np.uint8)  # of what has no colour
 
 _MATERIAL_SUFFIX = ".mtl"
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tga", ".bmp", ".tif", ".tiff", ".webp", ".gif", ".dds")
@@ -145,7 +143,13 @@ class Texture:
     def rgb(self, uv: np.ndarray) -> np.ndarray:
         """Colours at positions, see `corner_rgb`, uint8 [corner, 3]."""
         found = corner_rgb(uv, self.image)
-        return found if self.linear_factor is None else _encoded(_decoded(found) * self.linear_factor)
+        if self.linear_factor is None:
+            return found
+        value = found.astype(np.float64) / 255.0
+        light = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4) * self.linear_factor
+        value = np.clip(light, 0.0, 1.0)
+        value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1.0 / 2.4) - 0.055)
+        return np.round(255.0 * value).astype(np.uint8)
 
 
 def texture_of(geometry: Any, *, is_plain: bool = False) -> Texture | None:  # noqa: ANN401 (trimesh has few type hints)
@@ -157,7 +161,10 @@ def texture_of(geometry: Any, *, is_plain: bool = False) -> Texture | None:  # n
         material = visual.material
         if hasattr(material, "baseColorFactor"):
             # glTF: the factor of a texture multiplies its linear light
-            image, factor = material.baseColorTexture, _linear_factor(material.baseColorFactor)
+            image, factor = material.baseColorTexture, np.ones(3)
+            if material.baseColorFactor is not None:
+                stated = np.asarray(material.baseColorFactor)
+                factor = (stated.astype(np.float64) / (255.0 if stated.dtype == np.uint8 else 1.0))[:3]
         else:
             image, factor = getattr(material, "image", None), None  # Kd is .588 where exporters mean the texture alone
         return None if image is None else Texture(image.convert("RGB"), factor)
@@ -189,27 +196,6 @@ def _per_vertex(colour: object, count: int) -> np.ndarray:
     if array.shape in ((3,), (4,)):
         return np.tile(array[:3].astype(np.uint8), (count, 1))
     return np.tile(GREY_RGB, (count, 1))
-
-
-def _linear_factor(factor: object) -> np.ndarray:
-    if factor is None:
-        return np.ones(3)
-    array = np.asarray(factor)
-    is_byte = array.dtype == np.uint8
-    return (array.astype(np.float64) / (255.0 if is_byte else 1.0))[:3]
-
-
-def _decoded(rgb: np.ndarray) -> np.ndarray:
-    """Linear light of sRGB colours."""
-    value = rgb.astype(np.float64) / 255.0
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-
-
-def _encoded(light: np.ndarray) -> np.ndarray:
-    """SRGB colours of linear light, uint8."""
-    value = np.clip(light, 0.0, 1.0)
-    value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1.0 / 2.4) - 0.055)
-    return np.round(255.0 * value).astype(np.uint8)
 
 
 def _plain(name: str) -> str:
@@ -264,25 +250,16 @@ def simulator_model(mesh: Path) -> SimulatorModel | None:
             if shape is None or PurePosixPath(shape.findtext("uri", "").strip()).name != mesh.name:
                 continue
             try:
-                return SimulatorModel(path, _scale(shape), _forward(visual))
+                scale = [float(each) for each in shape.findtext("scale", "1 1 1").split()]
+                pose = [float(each) for each in visual.findtext("pose", "0 0 0 0 0 0").split()]
             except ValueError:
                 continue
+            if len(scale) != 3 or not 0.0 < scale[0] < math.inf or max(scale) - min(scale) > 1e-9 * scale[0]:
+                continue  # other along one axis than along another
+            forward = None
+            if len(pose) == 6 and max(abs(pose[3]), abs(pose[4])) <= _ANGLE_TOLERANCE_RAD and math.isfinite(pose[5]):
+                quarter = round(pose[5] / (0.5 * math.pi))
+                if abs(pose[5] - quarter * 0.5 * math.pi) <= _ANGLE_TOLERANCE_RAD:
+                    forward = (None, "-y", "-x", "y")[quarter % 4]
+            return SimulatorModel(path, scale[0], forward)
     return None
-
-
-def _scale(shape: ET.Element) -> float:
-    """The scale, the same along all axes."""
-    value = [float(each) for each in shape.findtext("scale", "1 1 1").split()]
-    if len(value) != 3 or not 0.0 < value[0] < math.inf or max(value) - min(value) > 1e-9 * value[0]:
-        raise ValueError(value)
-    return value[0]
-
-
-def _forward(visual: ET.Element) -> str | None:
-    pose = [float(each) for each in visual.findtext("pose", "0 0 0 0 0 0").split()]
-    if len(pose) != 6 or max(abs(pose[3]), abs(pose[4])) > _ANGLE_TOLERANCE_RAD:
-        return None
-    quarter = round(pose[5] / (0.5 * math.pi))
-    if abs(pose[5] - quarter * 0.5 * math.pi) > _ANGLE_TOLERANCE_RAD:
-        return None
-    return (None, "-y", "-x", "y")[quarter % 4]

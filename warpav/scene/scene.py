@@ -234,15 +234,14 @@ class Scene:
 
     def __repr__(self) -> str:
         """Name and counts; the meshes have thousands of numbers."""
-        counts = ", ".join(f"{count} {category}" for category, count in self._counts().items())
+        counts = self._counts()
         others = f", {len(self.others)} not targeted" if self.others else ""
         return f"<Scene {self.name}: {len(self.vehicles)} targets{others} ({counts or 'no road user'})>"
 
     def _repr_html_(self) -> str:
         """What Jupyter shows: road users by category, the nearest and the farthest of them, triangles, source."""
         users = sorted(self.road_users, key=_distance_m)
-        counts = ", ".join(f"{count} {category}" for category, count in self._counts().items())
-        rows = {"road users": counts or "none"}
+        rows = {"road users": self._counts() or "none"}
         if self.others:
             rows["not targeted"] = str(len(self.others))
         for name, user in zip(("nearest", "farthest"), users[:1] + users[-1:], strict=False):
@@ -259,9 +258,10 @@ class Scene:
         )
         return f"<table><caption>Scene {html.escape(self.name)}</caption><tbody>{body}</tbody></table>"
 
-    def _counts(self) -> dict[str, int]:
+    def _counts(self) -> str:
         """Number of road users by category, the most frequent first."""
-        return dict(Counter(user.category for user in self.road_users).most_common())
+        counts = Counter(user.category for user in self.road_users).most_common()
+        return ", ".join(f"{count} {category}" for category, count in counts)
 
     def plot(self, out: str | Path | None = None, **options: Any) -> Any:  # noqa: ANN401
         """Show the scene in a window or a notebook, or write its image to a file; see `warpav.view.plot`."""
