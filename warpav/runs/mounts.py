@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpav.core.cache import digest
 from warpav.core.errors import InputError, OptionError
 from warpav.core.warp_setup import checked_device
 from warpav.raster.camera import CameraModel
@@ -143,8 +144,21 @@ def free_ranges(config: Config) -> FreeRanges:
 
 def mount_surface(config: Config, ego: Mesh) -> MountSurface:
     """Where cameras may stand on the ego vehicle: in the zones of ``mount.zones``, or on roof and bonnet."""
-    if not has_zones(config):
-        return roof_surface(config, ego)
+    files = [None if path is None else path.read_bytes() for path in (config.mount.zones, config.rig.catalogue)]
+    settings = [section.model_dump_json() for section in (config.mount, config.rig)]
+    made_of = digest(ego.vertex_m.tobytes(), ego.triangle.tobytes(), *files, *settings)
+    if made_of not in _SURFACES:
+        surface = _zones_chart(config, ego) if has_zones(config) else roof_surface(config, ego)
+        _SURFACES.clear()
+        _SURFACES[made_of] = surface
+    return _SURFACES[made_of]
+
+
+_SURFACES: dict[str, MountSurface] = {}
+"""The last one, by what it follows from: a run looks for mistakes in it before it makes scenes, and takes it then."""
+
+
+def _zones_chart(config: Config, ego: Mesh) -> MountSurface:
     path = config.mount.zones
     zones = propose_zones(ego) if path is None else read_zones(path)
     if config.rig.symmetric and not any(zone.is_centred for zone in zones):

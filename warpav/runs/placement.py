@@ -6,12 +6,13 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cache, cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 import numpy as np
 
@@ -80,35 +81,39 @@ class Stream(IntEnum):
     STARTS = 4
 
 
+class PlacementOptions(TypedDict, total=False):
+    """Further arguments of `Placement`, which says what they mean."""
+
+    fov_deg: float | None
+    ego: str | Path | Mesh | trimesh.Trimesh | tuple[Any, Any] | None
+    zones: str | Path | None
+    modules: Mapping[str, int | str | tuple[int, int]] | None
+    freeze: str | Sequence[str]
+    rig: RigConfig | Mapping[str, Any] | None
+    losses: Mapping[str, float] | Sequence[tuple[float, Loss | LossFunction]] | None
+    importance: ImportanceSettings | Mapping[str, Any] | None
+    requirements: str | Path | Sequence[Requirement] | None
+    robust: RobustSettings | Mapping[str, Any] | None
+    probability: DetectionProbability | None
+
+
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """What a placement is made of, as far as it is known without work.
+    """What a placement was given as objects; None: as its configuration says."""
 
-    Attributes:
-        start: The rig that the optimiser starts from, as it was given; None: as ``config.rig.start`` says, ``random``
-            or ``highest``.
-        networks: The detector; None: that of ``config``.
-        probability: The model of detection probability, or one for each module; None:
-            `warpav.runs.detector_fit.ensure_fit` gives it.
-        losses: Every loss with its weight; None: those of ``config``.
-        requirements: What has to be seen near the vehicle; None: as ``config.requirements`` says.
-    """
-
-    config: Config
-    start: Rig | None = None
+    start: Rig | None = None  # the rig that the optimiser starts from, as it was given
     freeze: tuple[str, ...] = ()
+    scenes: tuple[list[Scene], list[Scene]] | None = None  # of training and of validation
     ego: Mesh | None = None
-    networks: Networks | None = None
-    probability: _DetectionProbabilities | None = None
+    detector: Detector | None = None
+    probability: _DetectionProbabilities | None = None  # one, or one for each module; None: that of `ensure_fit`
     losses: tuple[tuple[float, Loss], ...] | None = None
     requirements: tuple[Requirement, ...] | None = None
-    has_own_detector: bool = False
-    has_own_scenes: bool = False
 
     @property
-    def whole_start(self) -> Rig | None:
-        """``start`` with the cameras that it lacks (`with_added_cameras`)."""
-        return self.start and with_added_cameras(self.start, self.config, self.freeze)
+    def has_own_scenes(self) -> bool:
+        """Whether no configuration can name its scenes."""
+        return self.scenes is not None and (self.ego is not None or not all(map(_are_town, self.scenes)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,8 +137,7 @@ class Placement:
 
     Attributes:
         config: All numbers, as a configuration; scenes, detectors and vehicles that are objects have no place there.
-        start_rig: The rig that the optimiser starts from; None: ``random`` or ``highest``, as ``config.rig.start``
-            says.
+        parts: Scenes, detectors and vehicles that are objects.
     """
 
     def __init__(
@@ -142,21 +146,11 @@ class Placement:
         *,
         validation: Sequence[Scene] = (),
         cameras: int | str | None = None,
-        fov_deg: float | None = None,
         detector: str | Path | Detector | None = None,
-        ego: str | Path | Mesh | trimesh.Trimesh | tuple[Any, Any] | None = None,
-        zones: str | Path | None = None,
-        modules: Mapping[str, int | str | tuple[int, int]] | None = None,
         device: str | None = None,
         start: str | Path | Rig | None = None,
-        freeze: str | Sequence[str] = (),
-        rig: RigConfig | Mapping[str, Any] | None = None,
-        losses: Mapping[str, float] | Sequence[tuple[float, Loss | LossFunction]] | None = None,
-        importance: ImportanceSettings | Mapping[str, Any] | None = None,
-        requirements: str | Path | Sequence[Requirement] | None = None,
-        robust: RobustSettings | Mapping[str, Any] | None = None,
-        probability: DetectionProbability | None = None,
         config: Config | None = None,
+        **options: Unpack[PlacementOptions],
     ) -> None:
         """A placement from objects.
 
@@ -165,99 +159,95 @@ class Placement:
             validation: Scenes on which rigs are compared; none: the training scenes.
             cameras: Number of cameras, 1 to 16, of modules also a range such as ``"2..8"``; None: those of ``start``,
                 else as many as ``modules`` allow, else ``config.rig.cameras``.
-            fov_deg: Horizontal field of view of every camera [deg].
             detector: Path of an ONNX file, ``"builtin"``, or an object with the `Detector` protocol.
-            ego: The vehicle that carries the cameras, in the ego frame [m]: path of a mesh file, name of a
-                vehicle that ships with warpav such as ``"bus"``, `Mesh`, trimesh, or
-                ``(vertices [n, 3], faces [m, 3])``. None: the scenes' own.
-            zones: YAML file of zones anywhere on the body, see `warpav.rig.zone.read_zones`; None: roof and bonnet, of
-                modules those that the body suggests.
-            modules: Camera modules of the shipped catalogue, or of ``rig={"catalogue": path}``, each with its number or
-                a range of it, such as ``{"front_8mp_30": 1, "fisheye_3mp_190": "0..4"}``; None: equal cameras.
             device: Warp device such as ``"cuda:0"``.
             start: The rig to start from: a `Rig`, a path, a preset, ``"random"`` or ``"highest"``.
-            freeze: Names of cameras of ``start`` that stay as they are. With them, ``start`` may have fewer cameras
-                than ``cameras`` says; the others are added.
-            rig: Other settings of the section ``rig``, such as ``{"min_spacing_m": 0.3}``.
-            losses: Weights by name, such as ``{"expected_miss_rate": 1.0}``, or a list of weights and losses, of
-                `warpav.losses` or of one's own (see `LossFunction`); they replace those of the method.
-            importance: Weights of road users, as in the section ``importance``: ``{"category": {"pedestrian": 2.0}}``.
-            requirements: What has to be seen near the vehicle: a YAML file, the name of a template such as
-                ``"near_field"``, or what `warpav.read_requirements` gives; ``()``: nothing; None: as ``config`` says.
-            robust: Whether the loss of a camera or errors of mounting count, as in the section ``robust``:
-                ``{"camera_loss": "worst"}``, ``{"mount_error_m": 0.02, "mount_error_deg": 1.0}``.
-            probability: The detector's model of detection probability, as `warpav.runs.detector_fit.fit` gives it;
-                None: the stored one, which is fitted first if there is none.
             config: What the arguments leave out; None: the shipped configuration ``quick``.
+            **options: ``fov_deg``: horizontal field of view of every camera [deg].
+
+                ``ego``: the vehicle that carries the cameras, in the ego frame [m]: path of a mesh file, name of a
+                vehicle that ships with warpav such as ``"bus"``, `Mesh`, trimesh, or ``(vertices [n, 3], faces
+                [m, 3])``; None: the scenes' own.
+
+                ``zones``: YAML file of zones anywhere on the body, see `warpav.rig.zone.read_zones`; None: roof and
+                bonnet, of modules those that the body suggests.
+
+                ``modules``: camera modules of the shipped catalogue, or of ``rig={"catalogue": path}``, each with its
+                number or a range of it, such as ``{"front_8mp_30": 1, "fisheye_3mp_190": "0..4"}``; None: equal
+                cameras.
+
+                ``freeze``: names of cameras of ``start`` that stay as they are. With them, ``start`` may have fewer
+                cameras than ``cameras`` says; the others are added.
+
+                ``rig``: other settings of the section ``rig``, such as ``{"min_spacing_m": 0.3}``.
+
+                ``losses``: weights by name, such as ``{"expected_miss_rate": 1.0}``, or a list of weights and losses,
+                of `warpav.losses` or of one's own (see `LossFunction`); they replace those of the method.
+
+                ``importance``: weights of road users, as in the section ``importance``:
+                ``{"category": {"pedestrian": 2.0}}``.
+
+                ``requirements``: what has to be seen near the vehicle: a YAML file, the name of a template such as
+                ``"near_field"``, or what `warpav.read_requirements` gives; ``()``: nothing; None: as ``config`` says.
+
+                ``robust``: whether the loss of a camera or errors of mounting count, as in the section ``robust``:
+                ``{"camera_loss": "worst"}``, ``{"mount_error_m": 0.02, "mount_error_deg": 1.0}``.
+
+                ``probability``: the detector's model of detection probability, as `warpav.runs.detector_fit.fit` gives
+                it; None: the stored one, which is fitted first if there is none.
 
         Raises:
             InputError: An argument cannot be used; the text names it.
-            TypeError: An argument is of another type.
+            TypeError: An argument is of another type, or there is none of that name.
         """
-        train, validation = _checked_scenes("train", train), _checked_scenes("validation", validation, least=0)
-        start_rig = start if isinstance(start, Rig) else None
+        known = PlacementOptions.__annotations__
+        for name in options.keys() - known.keys():
+            near = difflib.get_close_matches(name, known, 1)
+            raise TypeError(f"{name}: expected one of {', '.join(known)}" + (f"; did you mean {near[0]}?" * bool(near)))
+        scenes = _checked_scenes("train", train), _checked_scenes("validation", validation, least=0)
         own_detector = None if detector is None or isinstance(detector, (str, Path)) else detector
         if own_detector is not None and not callable(getattr(own_detector, "detect", None)):
             raise TypeError(
                 "detector: expected the path of an ONNX file, 'builtin' or an object with detect(images_rgb) and "
                 f"names, got {type(own_detector).__name__}"
             )
-        ego_is_file = isinstance(ego, (str, Path))
-        mesh = None if ego is None or ego_is_file else checked_vehicle(ego)
-        if cameras is None and start_rig is not None and modules is None:
+        ego, losses, requirements = (options.get(name) for name in ("ego", "losses", "requirements"))
+        start_rig = start if isinstance(start, Rig) else None
+        if cameras is None and start_rig is not None and options.get("modules") is None:
             cameras = len(start_rig.cameras)
         base = Config() if config is None else config
-        options: dict[str, object] = {
-            "rig.modules": None if modules is None else dict(modules),
+        given: dict[str, object] = {
+            "rig.modules": None if options.get("modules") is None else dict(options["modules"] or {}),
             "rig.cameras": cameras,
-            "camera.fov_deg": fov_deg,
+            "camera.fov_deg": options.get("fov_deg"),
             "device": device,
-            "detector.model": None if own_detector is not None or detector is None else str(detector),
-            "scenes.ego": str(ego) if ego_is_file else None,
-            "mount.zones": None if zones is None else str(zones),
-            "rig.start": "random" if start_rig is not None else None if start is None else str(start),
+            "detector.model": _named(detector),
+            "scenes.ego": _named(ego),
+            "mount.zones": _named(options.get("zones")),
+            "rig.start": "random" if start_rig is not None else _named(start),
             "rig.freeze": None if start is None else [],
             "losses": {**dict.fromkeys(LOSSES, 0.0), **losses} if isinstance(losses, Mapping) else None,
-            "importance": None if importance is None else _section(importance),
-            "requirements": str(requirements) if isinstance(requirements, (str, Path)) else None,
-            "robust": None if robust is None else _section(robust),
-            **({} if rig is None else {f"rig.{name}": value for name, value in _section(rig).items()}),
+            "importance": _section(options.get("importance")),
+            "requirements": _named(requirements),
+            "robust": _section(options.get("robust")),
+            **{f"rig.{name}": value for name, value in (_section(options.get("rig")) or {}).items()},
         }
-        given = {name: value for name, value in options.items() if value is not None}
-        found = base.replace({**given, **_scene_options(train, validation, base)})
+        given = {name: value for name, value in given.items() if value is not None}
+        self.config = base.replace({**given, **_scene_options(*scenes, base)})
+        freeze = options.get("freeze", ())
         names = (freeze,) if isinstance(freeze, str) else tuple(freeze)
-        if start_rig is None:
-            start_rig = read_start(found, names)
-        else:
-            count = len(with_added_cameras(start_rig, found, names).cameras)
-            if not found.rig.camera_range[0] <= count <= found.rig.cameras:
-                may_add = count < found.rig.cameras and found.rig.modules is None
-                hint = "; name in `freeze` those that stay, and others are added" if may_add else ""
-                raise ArgumentError(
-                    "start", f"expected a rig of {found.rig.cameras} cameras, as `cameras` says, got {count}{hint}"
-                )
-        if names and start_rig is None:
-            raise ArgumentError("freeze", f"expected a rig as `start` that has the cameras, got {', '.join(names)}")
-        if start_rig is not None and names:
-            if len(names) >= found.rig.cameras:
-                raise ArgumentError("freeze", f"expected fewer than all {found.rig.cameras} cameras")
-            checked_frozen(found, start_rig, names)
-        self._parts = Parts(
-            found,
-            start_rig,
-            names or found.rig.freeze,
-            mesh,
-            networks=None if own_detector is None else Networks(own_detector, None),
-            probability=probability,
+        self.parts = Parts(
+            _checked_start(self.config, start_rig, names),
+            names or self.config.rig.freeze,
+            scenes,
+            ego=None if ego is None or isinstance(ego, (str, Path)) else checked_vehicle(ego),
+            detector=own_detector,
+            probability=options.get("probability"),
             losses=None if losses is None or isinstance(losses, Mapping) else _checked_losses(losses),
             requirements=None
             if requirements is None or isinstance(requirements, (str, Path))
-            else _checked_requirements(requirements, found),
-            has_own_detector=own_detector is not None,
-            has_own_scenes=mesh is not None or not _are_town(train) or not _are_town(validation),
+            else _checked_requirements(requirements, self.config),
         )
-        self._own: tuple[list[Scene], list[Scene]] | None = (train, validation)
-        self._load = _packer(train, validation, self._parts)
         self._prepared: _Prepared | None = None
 
     @classmethod
@@ -279,57 +269,39 @@ class Placement:
         check_zones(config)
         if config.scenes.source == "town":  # others may have categories of their own
             check_categories(config.importance)
-        parts = Parts(config, read_start(config) if start is None else start, config.rig.freeze)
-        return cls.of(parts, lambda progress: load_scene_set(config, progress))
+        return cls._of(config, Parts(read_start(config) if start is None else start, config.rig.freeze))
 
     @classmethod
-    def of(cls, parts: Parts, load: Callable[[Progress], SceneSet]) -> Placement:
-        """A placement from its parts, whose scenes are loaded when they are first needed."""
+    def _of(cls, config: Config, parts: Parts) -> Placement:
         placement = cls.__new__(cls)
-        placement._parts, placement._load = parts, load
-        placement._own = placement._prepared = None
+        placement.config, placement.parts, placement._prepared = config, parts, None
         return placement
-
-    @property
-    def config(self) -> Config:
-        """All numbers of the placement."""
-        return self._parts.config
-
-    @property
-    def parts(self) -> Parts:
-        """What it is made of."""
-        return self._parts
 
     @property
     def own_detector(self) -> str | None:
         """Class of the detector where that is an object; None where a configuration describes it."""
-        networks = self._parts.networks
-        return type(networks.detector).__name__ if self._parts.has_own_detector and networks else None
-
-    @property
-    def own_scenes(self) -> tuple[list[Scene], list[Scene]] | None:
-        """Scenes of training and of validation that were given as objects; None where a configuration gives them."""
-        return self._own
+        return None if self.parts.detector is None else type(self.parts.detector).__name__
 
     def as_seen(self, scenes: Sequence[Scene]) -> Iterator[Scene]:
         """Scenes around the vehicle of the placement, with its targets."""
-        return _as_seen(scenes, self._parts)
+        ego = self.parts.ego if self.parts.ego is not None else own_vehicle(self.config)
+        for scene in scenes:
+            around = scene if ego is None else scene.around(ego)
+            yield around.targeting(self.config.scenes.targets)
 
     @property
     def start_rig(self) -> Rig | None:
-        """The rig that the optimiser starts from, if it is a certain one."""
-        return self._parts.whole_start
+        """The rig that the optimiser starts from, with the cameras that it lacks, if it is a certain one."""
+        start = self.parts.start
+        return start and with_added_cameras(start, self.config, self.parts.freeze)
 
     def with_config(self, config: Config) -> Placement:
         """The same placement with other numbers; scenes, detector and fit are taken along as they are."""
-        parts = replace(self._parts, config=config)
-        placement = Placement.of(parts, self._load)
-        placement._own = self._own
-        if self._prepared is not None and _have_one_objective(config, self.config):
-            placement._prepared = self._prepared
-        elif self._prepared is not None:
-            done = self._prepared
-            placement._prepared = _assembled(parts, done.scenes, done.networks, done.probability)
+        placement = Placement._of(config, self.parts)
+        done = self._prepared
+        if done is not None and not _have_one_objective(config, self.config):
+            done = _assembled(placement, done.scenes, done.networks, done.probability)
+        placement._prepared = done
         return placement
 
     def prepare(self, progress: Progress | None = None) -> Placement:
@@ -343,15 +315,22 @@ class Placement:
         """
         if self._prepared is None:
             progress = progress or NullProgress()
-            parts = self._parts
-            networks = parts.networks or load_networks(parts.config)
-            scenes = self._load(progress)
+            parts = self.parts
+            networks = load_networks(self.config) if parts.detector is None else Networks(parts.detector, None)
+            scenes = self._loaded_scenes(progress)
             probability = parts.probability
-            if probability is None and _needs_fit(parts):
-                own = networks.detector if parts.has_own_detector else None
-                probability = _fitted(parts.config, progress, detector=own, ego=parts.ego)
-            self._prepared = _assembled(parts, scenes, networks, probability)
+            if probability is None and _needs_fit(self.config, parts.losses):
+                probability = _fitted(self.config, progress, detector=parts.detector, ego=parts.ego)
+            self._prepared = _assembled(self, scenes, networks, probability)
         return self
+
+    def _loaded_scenes(self, progress: Progress) -> SceneSet:
+        if self.parts.scenes is None:
+            return load_scene_set(self.config, progress)
+        train, validation = self.parts.scenes
+        scenes = [*train, *validation]
+        steps = progress.steps("scenes", self.as_seen(scenes), count=len(scenes))
+        return pack_scenes(steps, (len(train), len(validation)), self.config, progress)
 
     @property
     def _ready(self) -> _Prepared:
@@ -429,12 +408,12 @@ class Placement:
     @cached_property
     def requirements(self) -> tuple[Requirement, ...]:
         """What has to be seen near the vehicle; empty: nothing."""
-        if self._parts.requirements is not None:
-            return self._parts.requirements
+        if self.parts.requirements is not None:
+            return self.parts.requirements
         source = self.config.requirements
         if source == AUTO:
             is_robust = self.config.robust.asked_for is not None
-            if self._parts.losses is not None or is_robust or not self.config.knows_requirements:
+            if self.parts.losses is not None or is_robust or not self.config.knows_requirements:
                 return ()
             return tuple(replace(each, share=None) for each in read_requirements("near_field"))
         return () if source is None else read_requirements(source)
@@ -449,7 +428,7 @@ class Placement:
     @property
     def frozen_rig(self) -> Rig | None:
         """The rig of which some cameras are frozen: all rigs have their cameras in its order. None: none is."""
-        return self.start_rig if self._parts.freeze else None
+        return self.start_rig if self.parts.freeze else None
 
     @cached_property
     def yaw_rad(self) -> np.ndarray:
@@ -470,7 +449,7 @@ class Placement:
 
     def random_numbers(self, stream: Stream) -> np.random.Generator:
         """Random numbers for one purpose, from ``run.seed``."""
-        return _random_numbers(self.config, stream)
+        return np.random.default_rng([self.config.run.seed, int(stream)])
 
     def assigned(self, scenes: list[AssignedScene], rig: Rig | None) -> list[AssignedScene]:
         """The scenes with vehicles assigned to the cameras of a rig."""
@@ -487,7 +466,7 @@ class Placement:
         self.prepare(progress)
         known = self._ready.scenes
         packed = []
-        for scene in progress.steps("scenes", _as_seen(scenes, self._parts), count=len(scenes)):
+        for scene in progress.steps("scenes", self.as_seen(scenes), count=len(scenes)):
             known.check_vehicle(scene)
             packed.append(DeviceScene.pack(scene, device=self.mount.device))
         areas = known.areas_of(packed, self.config.thesis.rotations)
@@ -568,13 +547,13 @@ class Placement:
 
         Where it needs none, or does not follow from single cameras, nothing happens.
         """
-        objective, parts = self.objective, self._parts
+        objective, parts = self.objective, self.parts
         if not objective.is_by_single_cameras or parts.probability is not None:
             return
-        detector, progress = self.detector if parts.has_own_detector else None, progress or NullProgress()
+        progress = progress or NullProgress()
         for model in dict.fromkeys(camera.model for camera in rig.cameras):
             if objective.probability_of(model) is None:
-                fit = ensure_fit(self.config, detector=detector, ego=parts.ego, camera=model, progress=progress)
+                fit = ensure_fit(self.config, detector=parts.detector, ego=parts.ego, camera=model, progress=progress)
                 probability = CameraProbability.of(self.config.losses, fit)
                 assert probability is not None
                 objective.add_camera_model(model, probability)
@@ -582,16 +561,13 @@ class Placement:
     def _scenes_for(self, rig: Rig, scenes: Sequence[Scene] | None) -> list[AssignedScene]:
         return self.assigned(self.train if scenes is None else self.observed(scenes), rig)
 
-    def __repr__(self) -> str:
-        return f"Placement({self._description()})"
-
     def _repr_html_(self) -> str:
-        return f"<b>Placement</b>: {self._description()}"
+        return f"<b>Placement</b>: {repr(self).removeprefix('Placement(').removesuffix(')')}"
 
-    def _description(self) -> str:
+    def __repr__(self) -> str:
         config = self.config
-        scenes = "own" if self._parts.has_own_scenes else config.scenes.source
-        detector = "own" if self._parts.has_own_detector else config.detector.model
+        scenes = "own" if self.parts.has_own_scenes else config.scenes.source
+        detector = config.detector.model if self.parts.detector is None else "own"
         cameras = (
             f"{config.rig.cameras} cameras of {config.camera.fov_deg:g} deg, {config.camera.width_px} x "
             f"{config.camera.height_px} px"
@@ -599,23 +575,21 @@ class Placement:
         if config.rig.modules is not None:
             each = (f"{range_text(pair)} {name}" for name, pair in config.rig.modules.items())
             cameras = f"{range_text(config.rig.camera_range)} cameras ({', '.join(each)})"
-        return f"{cameras}, {scenes} scenes, detector {detector}, {config.device}"
+        return f"Placement({cameras}, {scenes} scenes, detector {detector}, {config.device})"
 
 
 def placement_on(
     scenes: SceneSet, config: Config, networks: Networks, probability: _DetectionProbabilities | None
 ) -> Placement:
     """A placement on scenes that are on the device already."""
-    start = read_start(config)
-    parts = Parts(config, start, config.rig.freeze, networks=networks, probability=probability)
-    placement = Placement.of(parts, lambda _: scenes)
-    placement._prepared = _assembled(parts, scenes, networks, probability)
+    placement = Placement._of(config, Parts(read_start(config), config.rig.freeze, probability=probability))
+    placement._prepared = _assembled(placement, scenes, networks, probability)
     return placement
 
 
 def needed_fit(config: Config, progress: Progress) -> _DetectionProbabilities | None:
     """What `ensure_fit` gives, where the losses of a configuration need it; else None."""
-    return _fitted(config, progress) if _needs_fit(Parts(config)) else None
+    return _fitted(config, progress) if _needs_fit(config) else None
 
 
 def _fitted(
@@ -631,11 +605,32 @@ def _fitted(
     )
 
 
-def _needs_fit(parts: Parts) -> bool:
+def _needs_fit(config: Config, losses: Sequence[tuple[float, Loss]] | None = None) -> bool:
     """Whether a loss needs the model of detection probability."""
-    if parts.losses is None:
-        return parts.config.losses.weights["expected_miss_rate"] > 0.0
-    return any(loss.needs(LossSchedule()).detection_probability for _, loss in parts.losses)
+    if losses is None:
+        return config.losses.weights["expected_miss_rate"] > 0.0
+    return any(loss.needs(LossSchedule()).detection_probability for _, loss in losses)
+
+
+def _checked_start(config: Config, start: Rig | None, freeze: tuple[str, ...]) -> Rig | None:
+    """The rig to start from, that of an argument or of the configuration, whose cameras ``freeze`` names."""
+    if start is None:
+        start = read_start(config, freeze)
+    else:
+        count = len(with_added_cameras(start, config, freeze).cameras)
+        if not config.rig.camera_range[0] <= count <= config.rig.cameras:
+            may_add = count < config.rig.cameras and config.rig.modules is None
+            hint = "; name in `freeze` those that stay, and others are added" if may_add else ""
+            raise ArgumentError(
+                "start", f"expected a rig of {config.rig.cameras} cameras, as `cameras` says, got {count}{hint}"
+            )
+    if freeze and start is None:
+        raise ArgumentError("freeze", f"expected a rig as `start` that has the cameras, got {', '.join(freeze)}")
+    if start is not None and freeze:
+        if len(freeze) >= config.rig.cameras:
+            raise ArgumentError("freeze", f"expected fewer than all {config.rig.cameras} cameras")
+        checked_frozen(config, start, freeze)
+    return start
 
 
 def _checked_requirements(requirements: Sequence[Requirement], config: Config) -> tuple[Requirement, ...]:
@@ -657,16 +652,16 @@ def _have_one_objective(one: Config, other: Config) -> bool:
 
 
 def _assembled(
-    parts: Parts, scenes: SceneSet, networks: Networks, probability: _DetectionProbabilities | None
+    placement: Placement, scenes: SceneSet, networks: Networks, probability: _DetectionProbabilities | None
 ) -> _Prepared:
     """The objective, and the vehicles of all scenes assigned to orientations, which happens where somebody asks."""
-    config = parts.config
+    config, parts, start = placement.config, placement.parts, placement.start_rig
     rotation_count, train_count = config.thesis.rotations, len(scenes.train)
 
     @cache
     def segregation() -> Segregation:
         looked_at = scenes.train[:: -(-train_count // _ORIENTATION_SCENES)]
-        rng = _random_numbers(config, Stream.SEGREGATION)
+        rng = placement.random_numbers(Stream.SEGREGATION)
         from warpav.thesis.segregation import choose_orientations
 
         return choose_orientations(scenes.areas(looked_at, rotation_count), camera_count, rotation_count, rng)
@@ -678,8 +673,8 @@ def _assembled(
 
     assigned = [AssignedScene(scene, partial(assigned_camera, scene)) for scene in scenes.scenes]
     mount = scenes.mount
-    if parts.whole_start is not None and parts.freeze:
-        mount = mount.freezing(checked_frozen(config, parts.whole_start, parts.freeze), parts.freeze)
+    if start is not None and parts.freeze:
+        mount = mount.freezing(checked_frozen(config, start, parts.freeze), parts.freeze)
     constraints = constraints_of(config, mount.surface, mount.frozen)
     camera_count = config.rig.cameras if constraints.module is None else len(constraints.module)
     importance = Importance.of(config.importance)
@@ -727,10 +722,6 @@ def _camera_probabilities(
         return found[0]
     of_module = dict(zip(config.rig.modules, found * (len(config.rig.modules) // len(found)), strict=True))
     return [each for name in modules if (each := of_module[name]) is not None]
-
-
-def _random_numbers(config: Config, stream: Stream) -> np.random.Generator:
-    return np.random.default_rng([config.run.seed, int(stream)])
 
 
 def _checked_scenes(name: str, scenes: Sequence[Scene], *, least: int = 1) -> list[Scene]:
@@ -789,27 +780,13 @@ def _scene_options(train: Sequence[Scene], validation: Sequence[Scene], base: Co
     }
 
 
-def _as_seen(scenes: Sequence[Scene], parts: Parts) -> Iterator[Scene]:
-    """Scenes around the vehicle of a placement, with its targets."""
-    ego = parts.ego if parts.ego is not None else own_vehicle(parts.config)
-    for scene in scenes:
-        around = scene if ego is None else scene.around(ego)
-        yield around.targeting(parts.config.scenes.targets)
+def _named(source: object) -> str | None:
+    """A path or a name as files have it; None for an object."""
+    return str(source) if isinstance(source, (str, Path)) else None
 
 
-def _packer(train: Sequence[Scene], validation: Sequence[Scene], parts: Parts) -> Callable[[Progress], SceneSet]:
-    """Packs scenes that are there."""
-
-    def pack(progress: Progress) -> SceneSet:
-        scenes = [*train, *validation]
-        steps = progress.steps("scenes", _as_seen(scenes, parts), count=len(scenes))
-        return pack_scenes(steps, (len(train), len(validation)), parts.config, progress)
-
-    return pack
-
-
-def _section(settings: Section | Mapping[str, Any]) -> dict[str, Any]:
+def _section(settings: Section | Mapping[str, Any] | None) -> dict[str, Any] | None:
     """The settings of a section that are given, as they are written in files."""
     if isinstance(settings, Section):
         return settings.model_dump(mode="json", exclude_unset=True)
-    return dict(settings)
+    return None if settings is None else dict(settings)

@@ -430,7 +430,7 @@ def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[
 
 def _with_scenes(config: Config, placement: Placement, test: Sequence[Scene], folder: RunFolder) -> Config:
     """The configuration of a run whose scenes are objects, and are written into its folder."""
-    own = placement.own_scenes
+    own = placement.parts.scenes
     scenes = folder.path.absolute() / "scenes"
     scenes.mkdir()
     parts = (*(own or ((), ())), test)
