@@ -11,7 +11,7 @@ from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.rig.rig import Rig
 from warpav.runs.asked_plots import AskedPlots
-from warpav.runs.fitting_plots import COMPARED_KINDS, FITTING_KINDS, FittedRigs
+from warpav.runs.drawn_run import COMPARED_KINDS, FITTING_KINDS, FittedRigs
 from warpav.runs.run_folder import RunFolder
 from warpav.scene.town.town import town_scene
 from warpav.view import Canvas, drawing_of, kinds_of
@@ -69,7 +69,7 @@ def test_a_run_compares_its_start_with_its_result(run_folder):
     scene = town_scene(3)
     assert set(FITTING_KINDS) < set(kinds_of(RunFolder)) & set(kinds_of(Rig))
     assert tuple(kinds_of(dict)) == COMPARED_KINDS
-    fitted = run_folder.fitted(scene)
+    fitted = run_folder.drawn(scene=scene).fitted
     assert list(fitted.rigs) == ["start", "optimised"]
     assert fitted.scene is scene
     figure = drawing_of(run_folder, Canvas(), kind="redundancy", scene=scene)

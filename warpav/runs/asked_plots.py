@@ -6,13 +6,13 @@ import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import check_folder
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config
-from warpav.runs.fitting_plots import FittedRigs
+from warpav.runs.drawn_run import FittedRigs
 from warpav.runs.rig_source import arm_names, find_rig, is_run_folder
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scenes
@@ -79,8 +79,9 @@ class AskedPlots:
         for kind, file in self.files.items():
             try:
                 if is_run_folder(self.source) and not self.beside:
-                    options: dict[str, Any] = {} if kind == "search" else {"scene": scene}
-                    plot(RunFolder.open(self.source), kind=kind, out=file, title=heading, progress=progress, **options)
+                    plot(
+                        RunFolder.open(self.source), kind=kind, out=file, title=heading, progress=progress, scene=scene
+                    )
                 elif kind == "view":
                     plot(rigs[next(iter(names))], out=file, title=heading, scene=scene, progress=progress)
                 else:

@@ -10,8 +10,7 @@ from warpav.core.errors import ArgumentError
 from warpav.core.warp_setup import checked_device
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config
-from warpav.runs.drawn_run import nearest_iteration, rigs_of_events
-from warpav.runs.events import of_modules, trajectory
+from warpav.runs.events import trajectory
 from warpav.runs.mounts import camera_mount, constraints_of, mount_surface, rig_modules
 from warpav.runs.networks import load_detector
 from warpav.runs.rig_source import find_rig, is_run_folder
@@ -173,14 +172,13 @@ def inspector(
     frames, descents, trajectory_m, save_to = [rig], [None], None, Path("rig.yaml")
     if is_run_folder(source):
         folder = RunFolder.open(source)
-        events = folder.events()
-        events = of_modules(events, [camera.module for camera in rig.cameras])
-        frames = [*rigs_of_events(events, rig, place=folder.path), rig]
-        trajectory_m = trajectory(events)
-        descents = [*map(Steepest.of_event, events), None]
-        if events:  # as in images, the result has the arrows of the iteration nearest to it
-            descents[-1] = descents[nearest_iteration(events, rig)]
-        further = folder.further_cameras()
+        run = folder.drawn(config, scene=first)
+        frames = [*run.frames, rig]
+        trajectory_m = trajectory(run.events)
+        descents = [*map(Steepest.of_event, run.events), None]
+        if run.events:  # as in images, the result has the arrows of the iteration nearest to it
+            descents[-1] = descents[run.nearest_iteration()]
+        further = run.further
         save_to = folder.path / "rig_inspected.yaml"
     mount = camera_mount(config, first.ego)
     detector = load_detector(config)

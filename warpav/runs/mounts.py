@@ -144,7 +144,8 @@ def free_ranges(config: Config) -> FreeRanges:
 
 def mount_surface(config: Config, ego: Mesh) -> MountSurface:
     """Where cameras may stand on the ego vehicle: in the zones of ``mount.zones``, or on roof and bonnet."""
-    files = [None if path is None else path.read_bytes() for path in (config.mount.zones, config.rig.catalogue)]
+    paths = [path for path in (config.mount.zones, config.rig.catalogue) if path is not None and path.is_file()]
+    files = [(str(path), path.stat().st_mtime_ns) for path in paths]
     settings = [section.model_dump_json() for section in (config.mount, config.rig)]
     made_of = digest(ego.vertex_m.tobytes(), ego.triangle.tobytes(), *files, *settings)
     if made_of not in _SURFACES:

@@ -26,9 +26,9 @@ from warpav.rig.rig import Rig, write_rig
 from warpav.runs.baseline_rigs import highest_rig
 from warpav.runs.checkpoint import identity_of
 from warpav.runs.config import Config
+from warpav.runs.drawn_run import DrawnRun, draws_runs
 from warpav.runs.evaluate import evaluate_on, requirements_of
-from warpav.runs.events import Certificate, of_modules
-from warpav.runs.fitting_plots import FITTING_KINDS, FittedRigs, fitting_drawing
+from warpav.runs.events import Certificate
 from warpav.runs.mounts import preset_for
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress
@@ -39,7 +39,7 @@ from warpav.runs.scene_set import load_scenes
 from warpav.scene.files import scene_path
 from warpav.scene.glb import write_scene
 from warpav.scene.scene import Scene
-from warpav.view import Canvas, draws, plot
+from warpav.view import plot
 
 if TYPE_CHECKING:
     import numpy as np
@@ -244,11 +244,19 @@ class Result:
             write_verdict(written, self, scenes, first, timer=timer, progress=shown)
         return written.path
 
-    def fitted(self, scene: Scene | None = None) -> FittedRigs:
-        """The rigs of this result on their vehicle, for plots; ``scene`` by default the first test scene."""
+    def drawn(self, *, scene: Scene | None = None) -> DrawnRun:
+        """The result as its plots show it; ``scene`` by default the first test scene."""
         placement = self.placement
-        shown = placement.shown if scene is None else next(placement.as_seen([scene]))
-        return FittedRigs({"start": self.start, "optimised": self.rig}, shown, placement.config)
+        return DrawnRun(
+            "result",
+            placement.config,
+            self.start,
+            self.rig,
+            [asdict(record) for record in self.records],
+            lambda: placement.shown if scene is None else next(placement.as_seen([scene])),
+            lambda _: placement.mount.surface,
+            lambda: self.further_cameras,
+        )
 
     def plot(self, out: str | Path | None = None, **options: Any) -> Any:  # noqa: ANN401
         """Show the result in a window or a notebook, or write its image to a file; see `warpav.view.plot`."""
@@ -267,28 +275,7 @@ class Result:
         return f"{text}, worse than its start, so the rig is the start" if self.is_worse_than_start else text
 
 
-@draws(Result, "view")
-def _drawing(
-    result: Result,
-    canvas: Canvas,
-    *,
-    iteration: int | None = None,
-    scene: Scene | None = None,
-    arrows: bool = True,
-    visibility: bool = False,
-) -> Any:  # noqa: ANN401 (see warpav.view.plotting.Kind)
-    from warpav.runs.drawn_run import DrawnRun, rigs_of_events
-
-    modules = [camera.module for camera in result.rig.cameras]
-    placement, events = result.placement, of_modules([asdict(record) for record in result.records], modules)
-    frames = rigs_of_events(events, result.rig, place="result")
-    scene = placement.shown if scene is None else next(placement.as_seen([scene]))
-    run = DrawnRun("result", events, result.rig, frames, scene, lambda: placement.mount.surface)
-    return run.drawing(canvas, iteration=iteration, arrows=arrows, visibility=visibility)
-
-
-for _kind in FITTING_KINDS:
-    draws(Result, _kind, is_figure=True)(fitting_drawing(_kind))
+draws_runs(Result)
 
 
 class StageTimer:

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from warpav.core.bounded_files import DATA_SET_NODES_MAX, read_arrays, read_json, read_text
 from warpav.core.cache import digest
-from warpav.core.errors import ArgumentError, InputError, OptionError
+from warpav.core.errors import InputError, OptionError
 from warpav.core.files import (
     DRAFT,
     append_line,
@@ -44,18 +44,17 @@ from warpav.rig.presets import preset_names
 from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.zone import read_zones, write_zones
 from warpav.runs.config import KEPT_FILES, Config, dump_config, load_config, with_absolute_paths
+from warpav.runs.drawn_run import DrawnRun, draws_runs
 from warpav.runs.environment import command_line, environment
-from warpav.runs.events import Certificate, flat_numbers, of_modules, read_events, trajectory
-from warpav.runs.fitting_plots import FITTING_KINDS, FittedRigs, fitting_drawing
+from warpav.runs.events import Certificate, flat_numbers, read_events
 from warpav.sight.read import copy_requirements
-from warpav.view import Canvas, drawing_of, draws, plot
+from warpav.view import plot
 
 if TYPE_CHECKING:
     import numpy as np
     import pandas  # pyright: ignore[reportMissingImports]
 
     from warpav.optimisation.further_camera import FurtherCameras
-    from warpav.runs.drawn_run import DrawnRun
     from warpav.scene.scene import Scene
 
     MultiBlock = Any
@@ -263,17 +262,6 @@ class RunFolder:
         yaw_rad, pitch_rad, fov_rad = np.radians(table[:, 4:]).T
         return FurtherCameras(table[:, 1:4], yaw_rad, pitch_rad, fov_rad, table[:, 0])
 
-    def checked_further_cameras(self, kind: str) -> FurtherCameras:
-        """As `further_cameras`, for a kind of plot that needs them."""
-        found = self.further_cameras()
-        if found is None or not len(found):
-            raise ArgumentError(
-                "kind",
-                f"expected the folder of a run with optimiser.search=pool that has drawn its pool for {kind!r}, got "
-                f"{str(self.path)!r}",
-            )
-        return found
-
     def certificate(self) -> Certificate | None:
         """What a search by a pool has proven so far; None for a descent, and where the run is older than that."""
         events = self.events()
@@ -330,27 +318,27 @@ class RunFolder:
         )
 
     def drawn(self, config: Config | None = None, *, scene: Scene | None = None) -> DrawnRun:
-        """The run as its images show it."""
-        from warpav.runs.drawn_run import DrawnRun, rigs_of_events
+        """The run as its plots show it; ``scene`` by default the first test scene."""
         from warpav.runs.mounts import mount_surface, with_shared_model
         from warpav.runs.scene_set import load_scenes
 
-        config = self.config() if config is None else config
-        shown = next(load_scenes(config, config.scenes.test_seeds[:1])) if scene is None else scene
-        events, rig = self.events(), with_shared_model(self.rig(), config)
-        events = of_modules(events, [camera.module for camera in rig.cameras])
-        frames = rigs_of_events(events, rig, place=self.path)
-        return DrawnRun(str(self.path), events, rig, frames, shown, lambda: mount_surface(config, shown.ego))
+        known = self.config() if config is None else config
 
-    def fitted(self, scene: Scene | None = None) -> FittedRigs:
-        """The rigs of this run on their vehicle, for plots; ``scene`` by default the first test scene."""
-        from warpav.runs.mounts import with_shared_model
-        from warpav.runs.scene_set import load_scenes
+        def shown() -> Scene:
+            return next(load_scenes(known, known.scenes.test_seeds[:1])) if scene is None else scene
 
-        config = self.config()
-        shown = next(load_scenes(config, config.scenes.test_seeds[:1])) if scene is None else scene
-        rigs = {"start": self.rig("initial"), "optimised": self.rig()}
-        return FittedRigs({name: with_shared_model(rig, config) for name, rig in rigs.items()}, shown, config)
+        has_start = self.rig_path("initial").is_file()
+        start, rig = (with_shared_model(self.rig(role), known) for role in ("initial" if has_start else None, None))
+        return DrawnRun(
+            str(self.path),
+            known,
+            start,
+            rig,
+            self.events(),
+            shown,
+            lambda scene: mount_surface(known, scene.ego),
+            self.further_cameras,
+        )
 
     def plot(self, out: Path | str | None = None, **options: Any) -> Any:  # noqa: ANN401
         """Show the run in a window or a notebook, or write its image to a file; see `warpav.view.plot`.
@@ -525,71 +513,4 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-@draws(RunFolder, "view")
-def _drawing(
-    run: RunFolder,
-    canvas: Canvas,
-    *,
-    iteration: int | None = None,
-    scene: Scene | None = None,
-    arrows: bool = True,
-    visibility: bool = False,
-) -> Any:  # noqa: ANN401 (see warpav.view.plotting.Kind)
-    return run.drawn(scene=scene).drawing(canvas, iteration=iteration, arrows=arrows, visibility=visibility)
-
-
-for _kind in FITTING_KINDS:
-    draws(RunFolder, _kind, is_figure=True)(fitting_drawing(_kind))
-
-
-@draws(RunFolder, "top_view", is_figure=True)
-def _top_view(run: RunFolder, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
-    """Where the cameras started, how they moved, and where they ended, from above."""
-    from warpav.view.figures.top_view import top_view_figure
-
-    drawn = run.drawn(scene=scene)
-    return top_view_figure(
-        rig=drawn.rig,
-        ego=drawn.scene.ego,
-        mount_surface=drawn.surface.over_ground,
-        rig_initial=run.rig("initial"),
-        trajectory_m=trajectory(drawn.events),
-        heading=canvas.title,
-    )
-
-
-@draws(RunFolder, "search", is_figure=True)
-def _search(run: RunFolder, canvas: Canvas) -> Any:  # noqa: ANN401
-    """Best rig and bound of a search by a pool over its renders; of a descent its losses over its iterations."""
-    from warpav.view.figures.convergence import loss_figure, search_figure
-
-    del canvas
-    events = run.events()
-    found = search_figure(events)
-    return loss_figure(events, min_distance_m=run.config().rig.min_spacing_m) if found is None else found
-
-
-@draws(RunFolder, "further", is_figure=True)
-def _further(run: RunFolder, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
-    """From above, what each camera of the pool would add to the rig that was found."""
-    from warpav.view.figures.top_view import further_figure
-
-    del canvas
-    further = run.checked_further_cameras("further")
-    drawn = run.drawn(scene=scene)
-    targets = run.config().scenes.targets
-    return further_figure(
-        further=further,
-        rig=drawn.rig,
-        ego=drawn.scene.ego,
-        mount_surface=drawn.surface.over_ground,
-        objects="vehicles" if targets == ("vehicle",) else "road users",
-    )
-
-
-@draws(RunFolder, "gain")
-def _gain(run: RunFolder, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
-    """The body of the vehicle painted by what one more camera would bring there, in its zones."""
-    further = run.checked_further_cameras("gain")
-    drawn = run.drawn(scene=scene)
-    return drawing_of(drawn.rig, canvas, kind="view", scene=drawn.scene, mount_surface=drawn.surface, further=further)
+draws_runs(RunFolder)
