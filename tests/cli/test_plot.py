@@ -10,8 +10,8 @@ from tests.cli.small_run import complaint
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.rig.rig import Rig
-from warpav.runs.asked_plots import AskedPlots
 from warpav.runs.drawn_run import COMPARED_KINDS, FITTING_KINDS, FittedRigs
+from warpav.runs.inspect import AskedPlots
 from warpav.runs.run_folder import RunFolder
 from warpav.scene.town.town import town_scene
 from warpav.view import Canvas, drawing_of, kinds_of
@@ -60,7 +60,7 @@ def test_all_kinds_of_a_run_are_plotted_into_a_folder(run_folder, capsys):
     ],
 )
 def test_what_cannot_be_is_said_before_anything_is_loaded(capsys, monkeypatch, argv, words):
-    monkeypatch.setattr("warpav.runs.asked_plots.load_scenes", lambda *_a, **_k: pytest.fail("loaded"))
+    monkeypatch.setattr("warpav.runs.inspect.first_scene", lambda *_a, **_k: pytest.fail("loaded"))
     assert words in complaint(capsys, "plot", *argv)
     assert os.listdir() == []
 

@@ -14,8 +14,7 @@ from warpav.core.yaml_file import read_yaml
 from warpav.rig.catalogue import read_modules
 from warpav.rig.rig import read_rig
 from warpav.rig.zone import read_zones
-from warpav.runs.config import load_config
-from warpav.runs.file_schemas import file_schema
+from warpav.runs.config import file_schema, load_config
 from warpav.sight.read import read_requirements
 
 jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed")

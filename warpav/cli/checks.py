@@ -52,7 +52,7 @@ def config_schema(
     """Print the JSON Schema with which editors complete and check configurations, or other files that people write."""
     import json
 
-    from warpav.runs.file_schemas import file_schema
+    from warpav.runs.config import file_schema
 
     say(*json.dumps(file_schema(of), indent=1).splitlines())
 

@@ -168,7 +168,7 @@ def render(
     config: RigConfig = None,
 ) -> None:
     """Render what every camera of a rig sees: colours, objects, depth, cameras."""
-    from warpav.runs.run_figures import render_rig
+    from warpav.runs.inspect import render_rig
 
     with of_rig(rig, config, overrides) as settings:
         folder = render_rig(scene, rig, settings, out, overrides)
@@ -284,7 +284,7 @@ def plot(
     config: RigConfig = None,
 ) -> None:
     """Draw a plot of a rig or a run to scale, for an engineer who fits it to a vehicle."""
-    from warpav.runs.asked_plots import AskedPlots
+    from warpav.runs.inspect import AskedPlots
     from warpav.runs.progress import RunDisplay
 
     asked = AskedPlots.of(rig_or_run, kind=kind, out=out, beside=beside or ())

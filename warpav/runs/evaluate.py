@@ -23,7 +23,7 @@ from warpav.runs.config import Config
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
 from warpav.runs.rig_source import check_rig_source, find_rig
-from warpav.runs.scene_set import load_scenes
+from warpav.runs.scene_set import first_scene
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.sight.check import RequirementResult, check_requirements, check_rigs
@@ -155,7 +155,7 @@ def check_rig(
         checked_png(image)
     wanted = read_requirements(requirements)
     check_rig_source(source)
-    ego = next(load_scenes(config, config.scenes.test_seeds[:1])).ego
+    ego = first_scene(config).ego
     rig = find_rig(source, config, ego)
     result = check_requirements(
         rig, ego, wanted, supersampling=config.camera.supersampling, device=checked_device(config.device)

@@ -1,28 +1,41 @@
-"""Images, animations and the interactive inspector of rigs and runs."""
+"""Commands that look: the inspector, images, plots, drawings for a workshop, rendered images of a rig."""
 
 from __future__ import annotations
 
+import dataclasses
+import difflib
+import json
 import math
+import os
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from warpav.core.errors import ArgumentError
+import numpy as np
+
+from warpav.core.errors import ArgumentError, InputError
+from warpav.core.files import check_folder
 from warpav.core.warp_setup import checked_device
-from warpav.rig.rig import Rig
+from warpav.raster.lens import Lens
+from warpav.rig.rig import Rig, RigCamera
 from warpav.runs.config import Config
+from warpav.runs.drawn_run import FittedRigs
 from warpav.runs.events import trajectory
 from warpav.runs.mounts import camera_mount, constraints_of, mount_surface, rig_modules
 from warpav.runs.networks import load_detector
-from warpav.runs.rig_source import find_rig, is_run_folder
+from warpav.runs.rig_source import arm_names, find_rig, is_run_folder
 from warpav.runs.run_folder import RunFolder
-from warpav.runs.scene_set import load_scenes
+from warpav.runs.scene_set import first_scene, load_scene, load_scenes
 from warpav.scene.glb import read_scene
+from warpav.view import kinds_of, plot
+from warpav.view.figures.style import checked_figure
+from warpav.view.output import check_suffix
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from warpav.core.progress import Progress
     from warpav.detection.detector import Detector
+    from warpav.detection.images import CameraImage
     from warpav.evaluation.metrics import ObjectOutcome, RigObserver
     from warpav.optimisation.further_camera import FurtherCameras
     from warpav.raster.mesh import Mesh
@@ -52,9 +65,7 @@ def inspect_rig(
     progress: Progress | None = None,
 ) -> Path | None:
     """Show a rig on its vehicle in traffic: in the interactive inspector if there is a display, else in a file."""
-    from warpav.view import plot
     from warpav.view.opengl import has_display
-    from warpav.view.output import check_suffix
 
     if requirements is not None and shown != "rig":
         raise ArgumentError(
@@ -75,7 +86,7 @@ def inspect_rig(
     out = out or (Path(source) / "inspect.png" if is_run else Path("rig.png"))
     if is_run and shown == "rig" and requirements is None:
         return plot(RunFolder.open(source).drawn(config), out=out, progress=progress)
-    scene = next(load_scenes(config, config.scenes.test_seeds[:1]))
+    scene = first_scene(config)
     rig = find_rig(source, config, scene.ego)
     on_body = shown in ("further", "zones", "gain")
     return plot(
@@ -95,10 +106,8 @@ def inspect_rig(
 
 def _write_sheet(source: str, config: Config, out: Path | None) -> Path:
     """Write a page to print, of which the title is the source."""
-    from warpav.view import plot
-
     out = out or (Path(source) / "sheet.pdf" if is_run_folder(source) else Path("sheet.pdf"))
-    ego = next(load_scenes(config, config.scenes.test_seeds[:1])).ego
+    ego = first_scene(config).ego
     return plot(find_rig(source, config, ego), kind="sheet", ego=ego, title=Path(source).name, out=out)
 
 
@@ -112,7 +121,7 @@ def _write_recording(source: str, config: Config, out: Path, shown: Shown, requi
     load_rerun(out)
     device = checked_device(config.device)
     if not is_run_folder(source):
-        scene = next(load_scenes(config, config.scenes.test_seeds[:1]))
+        scene = first_scene(config)
         return write_recording(out, find_rig(source, config, scene.ego), scene, device=device)
     run = RunFolder.open(source).drawn(config)
     loss = [math.nan if event.get("loss") is None else float(event["loss"]) for event in run.events]
@@ -125,7 +134,7 @@ def write_mount_drawing(source: str, config: Config, out: Path) -> list[Path]:
     from warpav.view.drawing.mount_drawing import check_out, mount_drawing
 
     check_out(out)
-    ego = next(load_scenes(config, config.scenes.test_seeds[:1])).ego
+    ego = first_scene(config).ego
     rig = find_rig(source, config, ego)
     modules = read_modules(config.rig.catalogue or BUILTIN)
     vehicle = _vehicle_name(config)
@@ -161,7 +170,7 @@ def inspector(
     check = None if requirements is None else _check(requirements, config)
     further = _further(source, begin_with) if begin_with in ("further", "gain") else None
     seeds, device = config.scenes.test_seeds, checked_device(config.device)
-    first = next(load_scenes(config, seeds[:1])) if scenes is None else scenes[0]
+    first = first_scene(config) if scenes is None else scenes[0]
 
     def scene_of(index: int) -> Scene:
         if scenes is not None:
@@ -332,3 +341,167 @@ def _observer(rig: Rig, detector: Detector, config: Config, device: str) -> RigO
         supersampling=config.camera.supersampling,
         device=device,
     )
+
+
+# ---------------------------------------------------------------------------------------------------- plots
+
+_KINDS_OF = {"run": RunFolder, "rig": Rig, "comparison": dict}
+
+
+@dataclasses.dataclass(frozen=True)
+class AskedPlots:
+    """What ``warpav plot`` was asked for, found possible before anything is loaded."""
+
+    source: str
+    beside: tuple[str, ...]
+    files: Mapping[str, Path]
+    is_all: bool
+
+    @classmethod
+    def of(cls, source: str, *, kind: str, out: Path | None = None, beside: Sequence[str] = ()) -> AskedPlots:
+        """Check what was asked for.
+
+        Args:
+            out: File; of ``all`` the folder for the files. None: the kind's name in this folder, or this folder.
+        """
+        arm_names(source, beside)
+        is_run = is_run_folder(source)
+        kinds = kinds_of(dict if beside else RunFolder if is_run else Rig)
+        figures = [name for name, each in kinds.items() if each.is_figure]
+        if kind == "all":
+            folder = Path() if out is None else out
+            if folder.suffix:
+                raise ArgumentError("out", "expected a folder for kind all, got a file", place=folder)
+            check_folder(folder, "out")
+            return cls(source, tuple(beside), {name: folder / f"{name}.png" for name in figures}, is_all=True)
+        if kind not in kinds:
+            what = "comparison" if beside else "run" if is_run else "rig"
+            of_others = [name for name, each in _KINDS_OF.items() if kind in kinds_of(each)]
+            near = difflib.get_close_matches(kind, kinds, 1, 0.5)
+            hint = (
+                f"; {kind} is a plot of a {of_others[0]}" if of_others else f"; did you mean {near[0]}?" if near else ""
+            )
+            raise ArgumentError("kind", f"expected all, or a plot of a {what} ({', '.join(kinds)}), got {kind!r}{hint}")
+        file = Path(f"{kind}.png") if out is None else out
+        if kind in figures:
+            checked_figure(file)
+        else:
+            check_suffix(file)
+        return cls(source, tuple(beside), {kind: file}, is_all=False)
+
+    def draw(self, config: Config, *, progress: Progress | None = None) -> tuple[list[Path], dict[str, str]]:
+        """Draw them all."""
+        scene = first_scene(config)
+        heading = Path(self.source).name if is_run_folder(self.source) else Path(self.source).stem
+        written, left_out = [], {}
+        names = arm_names(self.source, self.beside)
+        rigs = {name: find_rig(each, config, scene.ego) for name, each in names.items()}
+        fitted = FittedRigs(rigs, scene, config)
+        for kind, file in self.files.items():
+            try:
+                if is_run_folder(self.source) and not self.beside:
+                    plot(
+                        RunFolder.open(self.source), kind=kind, out=file, title=heading, progress=progress, scene=scene
+                    )
+                elif kind == "view":
+                    plot(rigs[next(iter(names))], out=file, title=heading, scene=scene, progress=progress)
+                else:
+                    plot(fitted, kind=kind, out=file, title=None if self.beside else heading, progress=progress)
+            except InputError as error:
+                if not self.is_all:
+                    raise
+                left_out[kind] = str(error)
+            else:
+                written.append(file)
+        return written, left_out
+
+
+# ------------------------------------------------------------------------------------------------- rendering
+
+_BACKGROUND, _EGO = 0, 65535
+"""Values of object images; vehicles are their instance ids."""
+
+
+def render_rig(source: str, rig_source: str, config: Config, out: Path, overrides: Sequence[str] = ()) -> Path:
+    """Render a scene through every camera of a rig into files.
+
+    Writes per camera ``<camera>_rgb.png``, ``<camera>_object.png`` (16 bit: 0 background and environment, 65535 ego,
+    else the instance id) and ``<camera>_depth_m.npy`` (float32, inf where nothing; the distance for a fisheye or a
+    panorama, else along the optical axis), and ``views.json``. The files appear once all images are rendered.
+    """
+    from warpav.detection.images import render_images
+
+    check_folder(out, "out")
+    scene = load_scene(source, config)
+    device = checked_device(config.device)
+    cameras = [_overridden(camera, config, overrides) for camera in find_rig(rig_source, config, scene.ego).cameras]
+    images = render_images(scene, cameras, supersampling=config.camera.supersampling, device=device)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=out, prefix=".draft-") as draft:
+            for camera, image in zip(cameras, images, strict=True):
+                _write_image(Path(draft), camera, image, scene)
+            views = json.dumps([_view(camera) for camera in cameras], indent=2)
+            (Path(draft) / "views.json").write_text(views + "\n", encoding="utf-8")
+            for file in sorted(Path(draft).iterdir()):
+                os.replace(file, out / file.name)
+    except OSError as error:
+        raise ArgumentError("out", f"expected a folder to write to, got: {error.strerror}", place=out) from None
+    return out
+
+
+def _overridden(camera: RigCamera, config: Config, overrides: Sequence[str]) -> RigCamera:
+    """The camera with the image size and lens that the user asked for on the command line.
+
+    A calibrated camera keeps its focal lengths and principal point unless its field of view or lens is given.
+    """
+    given = {override.partition("=")[0].strip() for override in overrides}
+    wanted, model = config.camera, camera.model
+    model = model.resized(
+        wanted.width_px if "camera.width_px" in given else model.width_px,
+        wanted.height_px if "camera.height_px" in given else model.height_px,
+    )
+    if given & {"camera.fov_deg", "camera.lens", "camera.distortion"}:
+        keeps_lens = "camera.lens" not in given
+        keeps_distortion = keeps_lens and "camera.distortion" not in given
+        try:
+            model = dataclasses.replace(
+                model,
+                fov_rad=math.radians(wanted.fov_deg) if "camera.fov_deg" in given else model.fov_rad,
+                lens=model.lens if keeps_lens else Lens(wanted.lens),
+                focal_px=None,
+                centre_px=None,
+                distortion=model.distortion if keeps_distortion else wanted.distortion,
+            )
+        except ValueError as error:
+            raise InputError(f"camera: expected numbers that camera {camera.name!r} can have, got: {error}") from None
+    return dataclasses.replace(camera, model=model)
+
+
+def _write_image(folder: Path, camera: RigCamera, image: CameraImage, scene: Scene) -> None:
+    import cv2
+
+    from warpav.scene.device_scene import EGO, FIRST_VEHICLE
+
+    value_of_object = np.full(FIRST_VEHICLE + len(scene.vehicles) + 1, _BACKGROUND, np.uint16)  # last: nothing
+    value_of_object[EGO] = _EGO
+    value_of_object[FIRST_VEHICLE:-1] = [vehicle.instance_id for vehicle in scene.vehicles]
+    files = {
+        f"{camera.name}_rgb.png": np.ascontiguousarray(image.rgb[:, :, ::-1]),
+        f"{camera.name}_object.png": value_of_object[image.object_index],
+    }
+    for name, pixels in files.items():
+        (folder / name).write_bytes(cv2.imencode(".png", pixels)[1].tobytes())  # imwrite crashes at paths not in UTF-8
+    np.save(folder / f"{camera.name}_depth_m.npy", image.depth_m.astype(np.float32))
+
+
+def _view(camera: RigCamera) -> dict[str, Any]:
+    return {
+        "name": camera.name,
+        "width_px": camera.model.width_px,
+        "height_px": camera.model.height_px,
+        "lens": camera.model.lens,
+        "intrinsics": camera.model.intrinsics.tolist(),
+        "distortion": list(camera.model.distortion),
+        "ego_from_camera": camera.ego_from_camera.tolist(),
+    }

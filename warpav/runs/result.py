@@ -23,7 +23,6 @@ from warpav.optimisation.rivals import random_search
 from warpav.optimisation.settings import LATER_ROBUST_OPTIONS
 from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig, write_rig
-from warpav.runs.baseline_rigs import highest_rig
 from warpav.runs.checkpoint import identity_of
 from warpav.runs.config import Config
 from warpav.runs.drawn_run import DrawnRun, draws_runs
@@ -32,7 +31,7 @@ from warpav.runs.events import Certificate
 from warpav.runs.mounts import preset_for
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress
-from warpav.runs.rig_source import read_baselines
+from warpav.runs.rig_source import highest_rig, read_baselines
 from warpav.runs.robustness import tolerance_on
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scenes

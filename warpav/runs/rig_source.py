@@ -1,4 +1,4 @@
-"""Rigs by what a user writes: a rig YAML, a preset, a run folder, or ``highest``."""
+"""Rigs by what a user writes: a rig YAML, a preset, a run folder, or ``highest``; and rigs that need no search."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError, OptionError
+from warpav.optimisation.baselines import highest_mount_pose
+from warpav.optimisation.space import SearchSpace
 from warpav.rig.check import off_vehicle
 from warpav.rig.presets import HIGHEST, find_rig_file, is_preset, preset_names
 from warpav.rig.rig import Rig, RigCamera, read_rig
@@ -24,6 +26,7 @@ from warpav.runs.run_folder import RunFolder
 if TYPE_CHECKING:
     from warpav.raster.camera import CameraModel
     from warpav.raster.mesh import Mesh
+    from warpav.runs.placement import Placement
 
 _logger = logging.getLogger(__name__)
 
@@ -54,8 +57,6 @@ def is_shipped(source: str) -> bool:
 def find_rig(source: str, config: Config, ego: Mesh, *, say: Callable[[str], object] = _logger.warning) -> Rig:
     """The rig that ``source`` means: a rig YAML, a preset, a run folder, or ``highest``."""
     if source == HIGHEST:
-        from warpav.optimisation.baselines import highest_mount_pose
-
         mount = camera_mount(config, ego)
         pose = highest_mount_pose(constraints_of(config, mount.surface), config.rig.cameras)
         return mount.rig(mount.clipped(mount.off_the_skin(pose)))
@@ -197,3 +198,38 @@ def start_changes(start: Rig, begun: Rig) -> str:
 
 def _model_words(model: CameraModel) -> str:
     return f"{model.lens} {math.degrees(model.fov_rad):.0f} deg {model.width_px} x {model.height_px} px"
+
+
+def highest_rig(placement: Placement) -> Rig:
+    """The cameras of a placement around the highest point of its mount surface, evenly turned, the first forward.
+
+    On zones they stand as far off the skin as their zone lets them.
+
+    Args:
+        placement: Gives number and model of the cameras, the vehicle and the constraints; frozen cameras stay.
+
+    Raises:
+        InputError: The cameras do not fit.
+    """
+    mount = placement.mount
+    pose = highest_mount_pose(placement.objective.constraints, placement.objective.camera_count)
+    return mount.rig(mount.within(mount.off_the_skin(pose)))
+
+
+def random_rig(placement: Placement, seed: int = 0) -> Rig:
+    """The cameras of a placement at random positions that satisfy the constraints, in random directions.
+
+    Where zones limit directions, a direction beyond its limits is moved to the nearest one within.
+
+    Args:
+        placement: As of `highest_rig`.
+        seed: The same seed gives the same rig, at least 0.
+
+    Raises:
+        InputError: The cameras do not fit.
+    """
+    space = SearchSpace.over(
+        placement.mount, placement.objective.camera_count, constraints=placement.objective.constraints
+    )
+    pose = space.random(np.random.default_rng(seed)).astype(np.float32)
+    return placement.mount.rig(placement.mount.within(pose))

@@ -2,39 +2,26 @@
 
 from __future__ import annotations
 
-import dataclasses
 import io
-import json
-import math
-import os
-import tempfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.errors import ArgumentError, InputError
-from warpav.core.files import check_folder
+from warpav.core.errors import InputError
 from warpav.core.progress import Progress
-from warpav.core.warp_setup import checked_device
 from warpav.evaluation.metrics import ObjectOutcome
 from warpav.evaluation.rig_evaluation import RigEvaluation
-from warpav.raster.lens import Lens
-from warpav.rig.rig import Rig, RigCamera
-from warpav.runs.config import Config
+from warpav.rig.rig import Rig
 from warpav.runs.evaluate import requirements_of
 from warpav.runs.events import trajectory
 from warpav.runs.placement import Placement
 from warpav.runs.report.content import read_evaluation
-from warpav.runs.rig_source import find_rig
 from warpav.runs.run_folder import RunFolder
-from warpav.runs.scene_set import load_scene
 
 if TYPE_CHECKING:
-    from warpav.detection.images import CameraImage
     from warpav.detection.probability import DetectionProbability
     from warpav.optimisation.losses.scene_on_tape import AssignedScene
     from warpav.optimisation.objective import RigObjective
@@ -49,37 +36,6 @@ GROUND_SCENES = 10
 """Test scenes at most on which the ground that no camera sees is measured."""
 
 _RIG_PX = (900, 750)
-
-OBJECT_BACKGROUND, OBJECT_EGO = 0, 65535
-"""Values of object images; vehicles are their instance ids."""
-
-
-def render_rig(source: str, rig_source: str, config: Config, out: Path, overrides: Sequence[str] = ()) -> Path:
-    """Render a scene through every camera of a rig into files.
-
-    Writes per camera ``<camera>_rgb.png``, ``<camera>_object.png`` (16 bit: 0 background and environment, 65535 ego,
-    else the instance id) and ``<camera>_depth_m.npy`` (float32, inf where nothing; the distance for a fisheye or a
-    panorama, else along the optical axis), and ``views.json``. The files appear once all images are rendered.
-    """
-    from warpav.detection.images import render_images
-
-    check_folder(out, "out")
-    scene = load_scene(source, config)
-    device = checked_device(config.device)
-    cameras = [_overridden(camera, config, overrides) for camera in find_rig(rig_source, config, scene.ego).cameras]
-    images = render_images(scene, cameras, supersampling=config.camera.supersampling, device=device)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=out, prefix=".draft-") as draft:
-            for camera, image in zip(cameras, images, strict=True):
-                _write_image(Path(draft), camera, image, scene)
-            views = json.dumps([_view(camera) for camera in cameras], indent=2)
-            (Path(draft) / "views.json").write_text(views + "\n", encoding="utf-8")
-            for file in sorted(Path(draft).iterdir()):
-                os.replace(file, out / file.name)
-    except OSError as error:
-        raise ArgumentError("out", f"expected a folder to write to, got: {error.strerror}", place=out) from None
-    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,60 +234,3 @@ def _panels(rig: Rig, objective: RigObjective, assigned: AssignedScene) -> list[
         )
         for camera, of_camera in zip(rig.cameras, seen.cameras, strict=True)
     ]
-
-
-def _overridden(camera: RigCamera, config: Config, overrides: Sequence[str]) -> RigCamera:
-    """The camera with the image size and lens that the user asked for on the command line.
-
-    A calibrated camera keeps its focal lengths and principal point unless its field of view or lens is given.
-    """
-    given = {override.partition("=")[0].strip() for override in overrides}
-    wanted, model = config.camera, camera.model
-    model = model.resized(
-        wanted.width_px if "camera.width_px" in given else model.width_px,
-        wanted.height_px if "camera.height_px" in given else model.height_px,
-    )
-    if given & {"camera.fov_deg", "camera.lens", "camera.distortion"}:
-        keeps_lens = "camera.lens" not in given
-        keeps_distortion = keeps_lens and "camera.distortion" not in given
-        try:
-            model = dataclasses.replace(
-                model,
-                fov_rad=math.radians(wanted.fov_deg) if "camera.fov_deg" in given else model.fov_rad,
-                lens=model.lens if keeps_lens else Lens(wanted.lens),
-                focal_px=None,
-                centre_px=None,
-                distortion=model.distortion if keeps_distortion else wanted.distortion,
-            )
-        except ValueError as error:
-            raise InputError(f"camera: expected numbers that camera {camera.name!r} can have, got: {error}") from None
-    return dataclasses.replace(camera, model=model)
-
-
-def _write_image(folder: Path, camera: RigCamera, image: CameraImage, scene: Scene) -> None:
-    import cv2
-
-    from warpav.scene.device_scene import EGO, FIRST_VEHICLE
-
-    value_of_object = np.full(FIRST_VEHICLE + len(scene.vehicles) + 1, OBJECT_BACKGROUND, np.uint16)  # last: nothing
-    value_of_object[EGO] = OBJECT_EGO
-    value_of_object[FIRST_VEHICLE:-1] = [vehicle.instance_id for vehicle in scene.vehicles]
-    files = {
-        f"{camera.name}_rgb.png": np.ascontiguousarray(image.rgb[:, :, ::-1]),
-        f"{camera.name}_object.png": value_of_object[image.object_index],
-    }
-    for name, pixels in files.items():
-        (folder / name).write_bytes(cv2.imencode(".png", pixels)[1].tobytes())  # imwrite crashes at paths not in UTF-8
-    np.save(folder / f"{camera.name}_depth_m.npy", image.depth_m.astype(np.float32))
-
-
-def _view(camera: RigCamera) -> dict[str, Any]:
-    return {
-        "name": camera.name,
-        "width_px": camera.model.width_px,
-        "height_px": camera.model.height_px,
-        "lens": camera.model.lens,
-        "intrinsics": camera.model.intrinsics.tolist(),
-        "distortion": list(camera.model.distortion),
-        "ego_from_camera": camera.ego_from_camera.tolist(),
-    }

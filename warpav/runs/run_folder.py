@@ -320,12 +320,12 @@ class RunFolder:
     def drawn(self, config: Config | None = None, *, scene: Scene | None = None) -> DrawnRun:
         """The run as its plots show it; ``scene`` by default the first test scene."""
         from warpav.runs.mounts import mount_surface, with_shared_model
-        from warpav.runs.scene_set import load_scenes
+        from warpav.runs.scene_set import first_scene
 
         known = self.config() if config is None else config
 
         def shown() -> Scene:
-            return next(load_scenes(known, known.scenes.test_seeds[:1])) if scene is None else scene
+            return first_scene(known) if scene is None else scene
 
         has_start = self.rig_path("initial").is_file()
         start, rig = (with_shared_model(self.rig(role), known) for role in ("initial" if has_start else None, None))

@@ -239,6 +239,11 @@ def load_scenes(
         yield scene
 
 
+def first_scene(config: Config) -> Scene:
+    """The first test scene, which figures show."""
+    return next(load_scenes(config, config.scenes.test_seeds[:1]))
+
+
 def load_scene(source: str, config: Config | None = None, *, fleet: Fleet | None = None) -> Scene:
     """The scene that ``source`` means: a GLB file, or the embedded scene of a seed."""
     ego = None if config is None else own_vehicle(config)

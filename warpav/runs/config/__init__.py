@@ -13,6 +13,7 @@ from warpav.runs.config.fields import AUTO, NAMED_STARTS, START_TEXT, read_seeds
 from warpav.runs.config.load import (
     Config,
     dump_config,
+    file_schema,
     flow_text,
     load_config,
     overridden_option,
@@ -49,6 +50,7 @@ __all__ = [
     "config_names",
     "described_options",
     "dump_config",
+    "file_schema",
     "find_config",
     "flow_text",
     "load_config",

@@ -15,16 +15,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import yaml
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from warpav.core.errors import InputError, OptionError
+from warpav.core.records import schema_of
 from warpav.core.section import move_option, renamed_options, shown, warn_renamed
 from warpav.core.yaml_file import Location, read_yaml
+from warpav.rig.catalogue import ModulesForm
 from warpav.rig.presets import is_preset
+from warpav.rig.rig import RigForm
+from warpav.rig.zone import ZonesForm
 from warpav.runs.config.explain import COMMAND_LINE, explain, option_locations, option_values, place_of, placed
 from warpav.runs.config.fields import NAMED_STARTS
 from warpav.runs.config.schema import EXTENDS, KEPT_FILES, ConfigTree, find_config, merged
 from warpav.scene.vehicles import vehicle_file
+from warpav.sight.read import RequirementsForm
 
 if TYPE_CHECKING:
     from warpav import Placement
@@ -305,3 +310,16 @@ def _put(data: dict[str, Any], location: Location, value: object, place: str) ->
             outer = ".".join(location[:depth])
             raise InputError(placed(place, f"{outer}: expected a section, got {shown(data)} in the file"))
     data[location[-1]] = value
+
+
+def file_schema(of: str) -> dict[str, Any]:
+    """The JSON Schema of a kind of file that people write, by which editors complete and check it, draft 2020-12."""
+    schemas: dict[str, tuple[type[BaseModel], str]] = {
+        "config": (Config, "configuration of a run"),
+        "rig": (RigForm, "rig of cameras"),
+        "modules": (ModulesForm, "catalogue of camera modules"),
+        "zones": (ZonesForm, "zones of a vehicle's body that may carry cameras"),
+        "requirements": (RequirementsForm, "requirements on the ground around a vehicle"),
+    }
+    form, title = schemas[of]
+    return schema_of(form, of, title)
