@@ -11,8 +11,9 @@ from tests.optimisation.test_modules import cameras_of as mixed_cameras
 from tests.optimisation.test_modules import columns, spread, symmetric_cameras
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from warpav.core.errors import InputError
-from warpav.evaluation.perturbations import COLUMNS, CameraOutages, MountTolerance
+from warpav.evaluation.perturbations import COLUMNS, CameraOutages, MountTolerance, PosedRig
 from warpav.optimisation.mount import HEIGHT_DELTA_M
+from warpav.optimisation.mount_errors import MountErrors
 from warpav.raster.camera import CameraModel
 from warpav.view.figures.statistics import sensitivity_figure
 
@@ -23,12 +24,10 @@ POSE = poses_of(3, CAMERAS.mount)
 WEIGHT = np.linspace(0.5, 2.0, 10)
 
 
-def tolerance_of(position_m=0.05, angle_rad=0.03, sample_count=4, scenes=None, cameras=CAMERAS, **options):
+def tolerance_of(position_m=0.05, angle_rad=0.03, sample_count=4, scenes=None, cameras=CAMERAS, weight=None, **options):
     scenes = streets() if scenes is None else scenes
-    return MountTolerance.of(
-        NAMES, POSE, cameras, scenes, position_m=position_m, angle_rad=angle_rad, sample_count=sample_count, seed=0,
-        **options,
-    )  # fmt: skip
+    rig, errors = PosedRig(NAMES, POSE, cameras, weight), MountErrors(position_m, angle_rad)
+    return MountTolerance.of(rig, scenes, errors, sample_count=sample_count, seed=0, **options)
 
 
 def misses(pose, weight=None):
@@ -125,9 +124,8 @@ def test_errors_inwards_end_at_the_skin():
     cameras, pose = mixed_cameras(), spread()[[0, 20, 40]].copy()
     pose[:, HEIGHT_DELTA_M] = 0.0, 0.03, 0.005
     scenes = streets()
-    found = MountTolerance.of(
-        NAMES, pose, cameras, scenes, position_m=0.02, angle_rad=0.01, sample_count=16, seed=0
-    )  # fmt: skip
+    errors = MountErrors(0.02, 0.01)
+    found = MountTolerance.of(PosedRig(NAMES, pose, cameras), scenes, errors, sample_count=16, seed=0)
     below = {effect.camera: effect.below for effect in found.effects if effect.degree == "z"}
 
     def missed(camera, height_m):
@@ -158,9 +156,9 @@ def test_cameras_of_pairs_are_off_one_by_one():
     rig = cameras.mount.rig(pose)
     names = [f"c{k}" for k in range(len(rig.cameras))]
     plain = mixed_cameras()
-    options = {"position_m": 0.05, "angle_rad": 0.03, "sample_count": 2, "seed": 0}
-    found = MountTolerance.of(names, pose, cameras, streets(), **options)
-    expected = MountTolerance.of(names, plain.mount.mount_pose_of_rig(rig), plain, streets(), **options)
+    options = {"errors": MountErrors(0.05, 0.03), "sample_count": 2, "seed": 0}
+    found = MountTolerance.of(PosedRig(names, pose, cameras), streets(), **options)
+    expected = MountTolerance.of(PosedRig(names, plain.mount.mount_pose_of_rig(rig), plain), streets(), **options)
     assert len(rig.cameras) == 5
     assert found.nominal == pytest.approx(expected.nominal, abs=1e-3)
     for one, other in zip(found.effects, expected.effects, strict=True):

@@ -12,6 +12,7 @@ from tests.optimisation.test_modules import columns, models, probabilities, symm
 from warpav.core.errors import InputError
 from warpav.evaluation.perturbations import (
     LoadState,
+    PosedRig,
     SoiledPart,
     Soiling,
     loaded_scene,
@@ -126,7 +127,7 @@ def test_of_a_symmetric_rig_each_camera_of_a_pair_is_soiled_by_itself():
         return 100.0 * np.prod(1.0 - together, axis=0).mean()
 
     names = [camera.name for camera in rig.cameras]
-    found = Soiling.of(names, pose, cameras, scenes, part)
+    found = Soiling.of(PosedRig(names, pose, cameras), scenes, part)
     assert [each.camera for each in found.cameras] == names
     assert found.expected_misses_per_100 == pytest.approx(misses(), abs=0.1)
     for k, each in enumerate(found.cameras):

@@ -59,6 +59,16 @@ def _detected(cameras: SingleCameras, pose: np.ndarray, side: np.ndarray, scene:
     return found
 
 
+@dataclass(frozen=True, eq=False)
+class PosedRig:
+    """A rig whose cameras are rendered one by one."""
+
+    names: Sequence[str]  # of its cameras
+    mount_pose: np.ndarray  # float [camera, 7]
+    cameras: SingleCameras
+    weight: np.ndarray | None = None  # of the objects, scene by scene
+
+
 # ---------------------------------------------------------------------------------------------------- lost cameras
 
 
@@ -223,31 +233,24 @@ class MountTolerance:
     @classmethod
     def of(
         cls,
-        camera: Sequence[str],
-        mount_pose: np.ndarray,
-        cameras: SingleCameras,
+        rig: PosedRig,
         scenes: Sequence[DeviceScene],
+        errors: MountErrors,
         *,
-        position_m: float,
-        angle_rad: float,
         sample_count: int,
         seed: int,
-        weight: np.ndarray | None = None,
         progress: Progress | None = None,
     ) -> MountTolerance:
-        """Render a rig's cameras with errors of mounting; inwards they end at the surface that the cameras stand on.
-
-        Args:
-            mount_pose: The rig, float [camera, 7].
-        """
-        for name, value in (("position_m", position_m), ("angle_rad", angle_rad), ("sample_count", sample_count)):
+        """Render a rig's cameras with errors of mounting; inwards they end at the surface that the cameras stand on."""
+        cameras, given = rig.cameras, {**vars(errors), "sample_count": sample_count}
+        for name, value in given.items():
             if not value > 0.0:
                 raise ArgumentError(name, f"expected a positive number, got {value!r}")
         if not any(scene.vehicle_count for scene in scenes):
             raise ArgumentError("scenes", "expected at least one object, got none")
-        pose, side = cameras.apart(np.asarray(mount_pose, np.float64))
+        pose, side = cameras.apart(np.asarray(rig.mount_pose, np.float64))
         count, columns = len(pose), list(COLUMNS.values())
-        tolerance = MountErrors(position_m, angle_rad).tolerance
+        tolerance = errors.tolerance
         rng = np.random.default_rng(seed)
         drawn = np.tile(pose, (sample_count, 1, 1))
         drawn[..., columns] += tolerance * rng.uniform(-1.0, 1.0, (sample_count, count, len(columns)))
@@ -260,18 +263,18 @@ class MountTolerance:
         progress = progress or NullProgress()
         steps = progress.steps("mount errors", scenes, count=len(scenes))
         found = np.concatenate([_detected(cameras, every, side, scene) for scene in steps], axis=-1)
-        share = shares_of(weight)
+        share = shares_of(rig.weight)
         plain, single, together = found[0], found[1 : 1 + 2 * len(columns)], found[1 + 2 * len(columns) :]
         nominal = perturb(plain, share=share)
         single = single.reshape(2, len(columns), count, -1)
         slope = _slopes(cameras, pose.astype(np.float32), side, scenes, share)
         effects = []
-        for c, name in enumerate(camera):
+        for c, name in enumerate(rig.names):
             for k, degree in enumerate(COLUMNS):
                 below, above = (perturb(plain, {c: ends[k, c]}, share) - nominal for ends in single)
                 effects.append(MountEffect(name, degree, float(slope[c, columns[k]]), below, above))
         samples = np.array([perturb(each, share=share) for each in together])
-        return cls(position_m, angle_rad, nominal, samples, tuple(effects))
+        return cls(errors.position_m, errors.angle_rad, nominal, samples, tuple(effects))
 
 
 def _slopes(
@@ -426,29 +429,18 @@ class Soiling:
 
     @classmethod
     def of(
-        cls,
-        camera: Sequence[str],
-        mount_pose: np.ndarray,
-        cameras: SingleCameras,
-        scenes: Sequence[Scene],
-        part: SoiledPart,
-        *,
-        weight: np.ndarray | None = None,
-        progress: Progress | None = None,
+        cls, rig: PosedRig, scenes: Sequence[Scene], part: SoiledPart, *, progress: Progress | None = None
     ) -> Soiling:
-        """Render a rig's cameras clean and soiled.
-
-        Args:
-            mount_pose: The rig, float [camera, 7].
-        """
+        """Render a rig's cameras clean and soiled."""
+        cameras = rig.cameras
         if cameras.occlusion is not Occlusion.EXACT:
             raise InputError(
                 f"visibility.occlusion: expected exact for dirt to hide something, got {cameras.occlusion.value}"
             )
         _check_objects(scenes)
-        standing = cameras.mount.rig(np.asarray(mount_pose, np.float32)).cameras
-        pose, side = cameras.apart(np.asarray(mount_pose, np.float32))
-        share = shares_of(weight)
+        standing = cameras.mount.rig(np.asarray(rig.mount_pose, np.float32)).cameras
+        pose, side = cameras.apart(np.asarray(rig.mount_pose, np.float32))
+        share = shares_of(rig.weight)
 
         def detected(camera: int, scene: Scene) -> np.ndarray:
             single = cameras.sides[side[camera]]
@@ -461,7 +453,7 @@ class Soiling:
         plain, dirty = np.concatenate(clean, axis=1), np.concatenate(soiled, axis=1)
         nominal = perturb(plain, share=share)
         found = []
-        for k, (name, each) in enumerate(zip(camera, standing, strict=True)):
+        for k, (name, each) in enumerate(zip(rig.names, standing, strict=True)):
             missed = perturb(plain, {k: dirty[k]}, share)
             found.append(_SoiledCamera(name, part.covered_share(each.model), missed, missed - nominal))
         return cls(part, nominal, tuple(found))
@@ -565,24 +557,18 @@ class LoadStates:
     @classmethod
     def of(
         cls,
-        mount_pose: np.ndarray,
-        cameras: SingleCameras,
+        rig: PosedRig,
         scenes: Sequence[Scene],
         states: Mapping[str, LoadState],
         *,
-        weight: np.ndarray | None = None,
         progress: Progress | None = None,
     ) -> LoadStates:
-        """Render a rig's cameras without a load and under each.
-
-        Args:
-            mount_pose: The rig, float [camera, 7].
-        """
+        """Render a rig's cameras without a load and under each."""
         if not states:
             raise ArgumentError("states", "expected at least one load, got none")
         _check_objects(scenes)
-        share = shares_of(weight)
-        pose = np.asarray(mount_pose, np.float32)
+        cameras, share = rig.cameras, shares_of(rig.weight)
+        pose = np.asarray(rig.mount_pose, np.float32)
         found: list[list[np.ndarray]] = [[] for _ in range(1 + len(states))]
         for scene in (progress or NullProgress()).steps("loads", scenes, count=len(scenes)):
             for rows, changed in zip(

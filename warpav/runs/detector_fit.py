@@ -214,8 +214,7 @@ def _ensure_for_any_camera(config: Config, progress: Progress) -> DetectionProba
     if stored_file(use) is None:
         seeds = chosen_seeds(config, None, None)
         _announce(seeds, "detector", "stored for later runs, with any camera", progress)
-        words = ("warpav", "detector", "fit", "--any-camera")
-        found = fit(config, seeds, any_camera=True, words=words, use=use, progress=progress)
+        found = fit(config, seeds, any_camera=True, use=use, progress=progress)
         _write(found.model, use, None)
         _show(found.model.record, progress)
     return DetectionProbability.find(use, unseen=_unseen(config))
@@ -264,8 +263,9 @@ def fit_detector(
             progress.say(f"{stored} fits this {of} and source of scenes already and is used as it is")
             _show(model.record, progress)
             return stored
-    found = fit(config, seeds, any_camera=any_camera, words=words, use=use, progress=progress)
-    file = _write(found.model, use, out)
+    found = fit(config, seeds, any_camera=any_camera, use=use, progress=progress)
+    model = replace(found.model, record={**found.model.record, "command": shlex.join(words)})
+    file = _write(model, use, out)
     scores = found.scores
     reliability_diagram(
         scores.bins,
@@ -274,8 +274,8 @@ def fit_detector(
         file.with_name(f"{file.stem}_reliability.png"),
         title=f"AUC {scores.auc:.3f}, Brier {scores.brier:.3f}, calibration error {scores.calibration_error:.3f}",
     )
-    detection_curves(found.model, found.known.feature, file.with_name(f"{file.stem}_curves.png"))
-    _show(found.model.record, progress)
+    detection_curves(model, found.known.feature, file.with_name(f"{file.stem}_curves.png"))
+    _show(model.record, progress)
     return file
 
 
@@ -287,11 +287,10 @@ def fit(
     ego: Mesh | None = None,
     camera: CameraModel | None = None,
     any_camera: bool = False,
-    words: Sequence[str] = ("warpav", "detector", "fit"),
     use: DetectorUse | None = None,
     progress: Progress,
 ) -> Fit:
-    """Fit the detection probability of a detector; no model is written."""
+    """Fit the detection probability of a detector; no model is written, samples are kept for its ``use``."""
     began = time.perf_counter()
     name = config.detector.model if detector is None else type(detector).__name__
     used = load_detector(config) if detector is None else detector
@@ -320,7 +319,7 @@ def fit(
     except ValueError as error:
         raise ArgumentError("held_out", f"{error}; give more scenes as `held_out`", place=name) from None
     record = {
-        "command": shlex.join(words),
+        "command": "warpav detector fit" + " --any-camera" * any_camera,
         "seconds": round(time.perf_counter() - began, 1),
         "fit": {
             "seeds": list(seeds.fit),

@@ -17,6 +17,7 @@ from warpav.core.warp_setup import device_name
 from warpav.evaluation.rig_evaluation import GroundTable, Robust, SearchEnd, StartAndEnd, ToleranceTable
 from warpav.optimisation.budget import BudgetedValue, run_search
 from warpav.optimisation.further_camera import FurtherCameras
+from warpav.optimisation.mount_errors import MountErrors
 from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.records import Candidate, IterationRecord
 from warpav.optimisation.rivals import random_search
@@ -372,15 +373,10 @@ def _tolerance(result: Result, test: Sequence[AssignedScene]) -> ToleranceTable 
     scenes = [each for each in test if each.scene.vehicle_count][:_TOLERANCE_SCENES]
     if not scenes:
         return None
-    errors = result.placement.config.robust
-    found = tolerance_on(
-        result.found,
-        scenes,
-        result.placement,
-        position_m=errors.mount_error_m or _TOLERANCE_M,
-        angle_rad=_TOLERANCE_RAD if errors.mount_error_deg is None else math.radians(errors.mount_error_deg),
-        sample_count=_TOLERANCE_DRAWS,
-    )
+    given = result.placement.config.robust
+    angle_rad = _TOLERANCE_RAD if given.mount_error_deg is None else math.radians(given.mount_error_deg)
+    errors = MountErrors(given.mount_error_m or _TOLERANCE_M, angle_rad)
+    found = tolerance_on(result.found, scenes, result.placement, errors, sample_count=_TOLERANCE_DRAWS)
     return None if found is None else ToleranceTable(**found.to_json(), scenes=len(scenes))
 
 

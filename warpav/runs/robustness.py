@@ -6,8 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from warpav.core.errors import InputError
 from warpav.core.progress import Progress
 from warpav.evaluation.perturbations import (
@@ -15,13 +13,14 @@ from warpav.evaluation.perturbations import (
     LoadState,
     LoadStates,
     MountTolerance,
+    PosedRig,
     SoiledPart,
     Soiling,
     SoilShape,
 )
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
+from warpav.optimisation.mount_errors import MountErrors
 from warpav.optimisation.objective import single_cameras_of
-from warpav.optimisation.single_cameras import SingleCameras
 from warpav.rig.rig import Rig
 from warpav.runs.evaluate import weights_on
 from warpav.runs.placement import Placement
@@ -47,17 +46,10 @@ def mount_tolerance(
     progress: bool | Progress | None = None,
 ) -> MountTolerance:
     """What errors of mounting cost a rig, by rendering its cameras where they are off. Nothing is written."""
+    errors = MountErrors(position_m, math.radians(angle_deg))
     with shown_progress(progress) as shown:
-        found = tolerance_on(
-            rig,
-            placement.observed(scenes, progress=shown),
-            placement,
-            position_m=position_m,
-            angle_rad=math.radians(angle_deg),
-            sample_count=sample_count,
-            seed=seed,
-            progress=shown,
-        )
+        observed = placement.observed(scenes, progress=shown)
+        found = tolerance_on(rig, observed, placement, errors, sample_count=sample_count, seed=seed, progress=shown)
     if found is None:
         raise _unknown_probability(placement, "what mount errors cost")
     return found
@@ -67,30 +59,16 @@ def tolerance_on(
     rig: Rig,
     scenes: Sequence[AssignedScene],
     placement: Placement,
+    errors: MountErrors,
     *,
-    position_m: float,
-    angle_rad: float,
     sample_count: int,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> MountTolerance | None:
     """What errors of mounting cost a rig on scenes that are on the device, see `mount_tolerance`."""
-    cameras = single_cameras_of(placement.objective)
-    if cameras is None:
-        return None
+    posed = _posed(rig, scenes, placement)
     packed = [each.scene for each in scenes]
-    return MountTolerance.of(
-        [camera.name for camera in rig.cameras],
-        placement.mount_pose_of(rig),
-        cameras,
-        packed,
-        position_m=position_m,
-        angle_rad=angle_rad,
-        sample_count=sample_count,
-        seed=seed,
-        weight=weights_on(packed, placement),
-        progress=progress,
-    )
+    return posed and MountTolerance.of(posed, packed, errors, sample_count=sample_count, seed=seed, progress=progress)
 
 
 def soiling(
@@ -119,9 +97,8 @@ def soiling_of(
     rig: Rig, scenes: Sequence[Scene], placement: Placement, part: SoiledPart, *, progress: Progress
 ) -> Soiling:
     """`soiling` with a part of an image."""
-    pose, cameras, seen, weight = _posed(rig, scenes, placement, "what dirt costs", progress)
-    names = [camera.name for camera in rig.cameras]
-    return Soiling.of(names, pose, cameras, seen, part, weight=weight, progress=progress)
+    posed = _known_rig(rig, scenes, placement, "what dirt costs", progress)
+    return Soiling.of(posed, list(placement.as_seen(scenes)), part, progress=progress)
 
 
 def load_states(
@@ -149,20 +126,24 @@ def load_states_of(
     rig: Rig, scenes: Sequence[Scene], placement: Placement, loads: Mapping[str, LoadState], *, progress: Progress
 ) -> LoadStates:
     """`load_states` with loads by name."""
-    pose, cameras, seen, weight = _posed(rig, scenes, placement, "what loads cost", progress)
-    return LoadStates.of(pose, cameras, seen, loads, weight=weight, progress=progress)
+    posed = _known_rig(rig, scenes, placement, "what loads cost", progress)
+    return LoadStates.of(posed, list(placement.as_seen(scenes)), loads, progress=progress)
 
 
-def _posed(
-    rig: Rig, scenes: Sequence[Scene], placement: Placement, what: str, progress: Progress
-) -> tuple[np.ndarray, SingleCameras, list[Scene], np.ndarray | None]:
-    """A rig's mount pose, its cameras, scenes as the placement sees them, and the weights of their objects."""
-    observed = placement.observed(scenes, progress=progress)
+def _known_rig(rig: Rig, scenes: Sequence[Scene], placement: Placement, what: str, progress: Progress) -> PosedRig:
+    posed = _posed(rig, placement.observed(scenes, progress=progress), placement)
+    if posed is None:
+        raise _unknown_probability(placement, what)
+    return posed
+
+
+def _posed(rig: Rig, scenes: Sequence[AssignedScene], placement: Placement) -> PosedRig | None:
+    """A rig whose cameras are rendered one by one; None where the objective does not follow from single cameras."""
     cameras = single_cameras_of(placement.objective)
     if cameras is None:
-        raise _unknown_probability(placement, what)
-    weight = weights_on([each.scene for each in observed], placement)
-    return placement.mount_pose_of(rig), cameras, list(placement.as_seen(scenes)), weight
+        return None
+    weight = weights_on([each.scene for each in scenes], placement)
+    return PosedRig([camera.name for camera in rig.cameras], placement.mount_pose_of(rig), cameras, weight)
 
 
 def _unknown_probability(placement: Placement, what: str) -> InputError:
