@@ -77,7 +77,7 @@ def test_draws_stay_within_the_tolerance_and_repeat():
     ("options", "words"),
     [
         ({"position_m": 0.0}, "position_m: expected a positive number, got 0.0"),
-        ({"angle_rad": math.nan}, "angle_rad: expected a positive number, got nan"),
+        ({"angle_rad": math.nan}, "angle_rad: expected a finite number of at least 0, got nan"),
         ({"sample_count": 0}, "sample_count: expected a positive number, got 0"),
         ({"scenes": streets()[1:2]}, "scenes: expected at least one object, got none"),
     ],
