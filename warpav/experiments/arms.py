@@ -34,6 +34,7 @@ from warpav.optimisation.budget import (
 )
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.polish import PolishSteps, PolishTask, polish
+from warpav.optimisation.pool import Drawing
 from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.rivals import (
     Draw,
@@ -328,7 +329,7 @@ def _pooled(placement: Placement, camera_renders_max: int | None, *, only: bool 
         most = _budget(placement, camera_renders_max)
         every = most // len(placement.train)
         settings = replace(settings, pool_cameras=every, camera_renders_max=most, rounds=0, polishes=False)
-    begun = Optimisation.begin(placement, pool=settings, keeps_pool=False)
+    begun = Optimisation.begin(placement, pool=settings, drawing=Drawing())
     descent, began = begun.descent, time.perf_counter()
     assert isinstance(descent, PoolRun)
     columns = ("camera_renders", "seconds", "best_value", "stage", "round", "bound")

@@ -16,16 +16,15 @@ from warpav.core.progress import Progress
 from warpav.core.table import Table
 from warpav.detection.miss_rate import further_gain, missed_probability
 from warpav.evaluation.rig_evaluation import RigEvaluation
-from warpav.optimisation.pool import CameraPool
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_run import PoolRun
-from warpav.optimisation.pool_search import PoolSearchSettings, too_near
+from warpav.optimisation.pool_search import too_near
 from warpav.optimisation.rig_limits import RigLimits, range_text
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.config import AUTO
 from warpav.runs.evaluate import evaluate_on
 from warpav.runs.mounts import check_one_unit, rig_modules
-from warpav.runs.optimise import Optimisation, pool_search_settings, searches_by_pool
+from warpav.runs.optimise import Optimisation, kept_drawing, pool_search_settings, searches_by_pool
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
 from warpav.scene.scene import Scene
@@ -59,18 +58,9 @@ class _FrontPoint:
 
     def to_json(self) -> dict[str, Any]:
         """As the front's file has it."""
-        return {
-            "name": self.name,
-            "cameras": len(self.rig.cameras),
-            "modules": self.modules,
-            "cost": self.cost,
-            "objective": self.objective,
-            "bound": self.bound,
-            "pool_cameras": self.pool_cameras,
-            "misses_per_100": self.misses_per_100,
-            "expected_misses_per_100": self.expected_misses_per_100,
-            "is_dominated": self.is_dominated,
-        }
+        rig = {"cameras": len(self.rig.cameras), "modules": self.modules}
+        numbers = {name: value for name, value in vars(self).items() if name not in ("name", "rig")}
+        return {"name": self.name, **rig, **numbers}
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,48 +236,34 @@ def _searched(
 ) -> list[_FrontPoint]:
     """The best rig of every step."""
     points: list[_FrontPoint] = []
-    pool: CameraPool | None = None
-    before: PoolRun | None = None
-    settings = pool_search_settings(placement.config)
+    search: PoolRun | None = None
     for name, count, limits in progress.steps("rigs", steps, count=len(steps)):
-        start = None if before is None else _larger(before, count, limits)
-        search = _search(placement, count, limits, start, pool, settings, executor, progress)
+        start = None if search is None else _larger(search, count, limits)
+        numbers = limits.count if limits is not None else (count, count)
+        options: dict[str, object] = {"rig.cameras": numbers[0] if numbers[0] == numbers[1] else range_text(numbers)}
+        if limits is not None and limits.cost_max is not None:
+            options["rig.max_cost"] = limits.cost_max
+        begun = Optimisation.begin(
+            placement.with_config(placement.config.replace(options)),
+            start=start,
+            drawing=kept_drawing(executor),
+            pool=pool_search_settings(placement.config),
+            known_pool=None if search is None or search.found is None else search.found.pool,
+            progress=progress,
+        )
+        search = begun.descent
+        assert isinstance(search, PoolRun)
         records = []
         while search.stop_reason is None:
             records.append(search.step())
         found = search.finish()
         assert search.found is not None
-        pool, before = search.found.pool, search
         rig = placement.mount.rig(found.mount_pose)
         cost = 0.0 if limits is None else limits.cost([camera.module for camera in rig.cameras])
-        selections = [each for each in records if each.stage == "selection"]
-        bound = max((each.bound for each in selections[-1:] if each.bound is not None), default=0.0)
-        points.append(_FrontPoint(name, rig, cost, found.training_objective, bound, search.found.pool_cameras))
+        bounds = [each.bound or 0.0 for each in records if each.stage == "selection"] or [0.0]
+        points.append(_FrontPoint(name, rig, cost, found.training_objective, bounds[-1], search.found.pool_cameras))
         progress.say(f"{name.replace('_', ' ')}: expected misses {100.0 * found.training_objective:.2f} per 100")
     return points
-
-
-def _search(
-    placement: Placement,
-    count: int,
-    limits: RigLimits | None,
-    start: np.ndarray | None,
-    pool: CameraPool | None,
-    settings: PoolSearchSettings,
-    executor: Executor | None,
-    progress: Progress,
-) -> PoolRun:
-    """The search of a step."""
-    numbers = limits.count if limits is not None else (count, count)
-    options: dict[str, object] = {"rig.cameras": numbers[0] if numbers[0] == numbers[1] else range_text(numbers)}
-    if limits is not None and limits.cost_max is not None:
-        options["rig.max_cost"] = limits.cost_max
-    smaller = placement.with_config(placement.config.replace(options))
-    begun = Optimisation.begin(
-        smaller, start=start, executor=executor, pool=settings, known_pool=pool, progress=progress
-    )
-    assert isinstance(begun.descent, PoolRun)
-    return begun.descent
 
 
 def _larger(before: PoolRun, count: int, limits: RigLimits | None) -> np.ndarray | None:

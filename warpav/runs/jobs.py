@@ -13,7 +13,7 @@ from warpav.core.files import json_ready, write_json
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import device_name
 from warpav.evaluation.perturbations import LoadState, SoiledPart
-from warpav.optimisation.pool import pool_cache_folder
+from warpav.optimisation.pool import Drawing, pool_cache_folder
 from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.records import IterationRecord
 from warpav.rig.rig import Rig, write_rig
@@ -21,7 +21,7 @@ from warpav.runs.checkpoint import check_options
 from warpav.runs.config import Config, flow_text, placed_config
 from warpav.runs.evaluate import evaluate_on
 from warpav.runs.mounts import preset_for
-from warpav.runs.optimise import Optimisation
+from warpav.runs.optimise import Optimisation, kept_drawing
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
 from warpav.runs.report.content import RunContent, read_content
@@ -44,7 +44,7 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
         held.enter_context(new_run_folder(config))
         placement = Placement.from_config(config).prepare(progress)
         timer.end("scenes and detector")
-        optimisation = Optimisation.begin(placement, executor=_pool_executor(config), progress=progress)
+        optimisation = Optimisation.begin(placement, drawing=_drawing(config), progress=progress)
         timer.end("searching for a start")
         folder = RunFolder.create(
             config,
@@ -80,13 +80,13 @@ def resume_rig(folder: RunFolder, config: Config, *, progress: Progress) -> tupl
         folder.remove_drafts()
         placement = Placement.from_config(config).prepare(progress)
         timer.end("scenes and detector")
-        executor = _pool_executor(config)
+        drawing = _drawing(config)
         events = folder.first_events(done)
         if state is None:
-            optimisation = Optimisation.begin(placement, executor=executor, progress=progress)
+            optimisation = Optimisation.begin(placement, drawing=drawing, progress=progress)
         else:
             progress.stage(f"going on after {done} iterations")
-            optimisation = Optimisation.resumed(placement, state, events, executor=executor, progress=progress)
+            optimisation = Optimisation.resumed(placement, state, events, drawing=drawing, progress=progress)
         timer.end("searching for a start")
         evaluation = folder.evaluation()
         is_over = optimisation.descent.stop_reason is not None or done >= config.run.iterations
@@ -157,11 +157,11 @@ def _kept_when_stopped(folder: RunFolder, optimisation: Optimisation, progress: 
         raise
 
 
-def _pool_executor(config: Config) -> Executor:
+def _drawing(config: Config) -> Drawing:
     """Where pools are drawn; what Slurm needs lies beside them, as all machines must see both."""
     of = config.executor
     jobs = pool_cache_folder() / "slurm_jobs"
-    return Executor(of.name, of.workers, of.address, of.options, jobs, config.shared_gpu_count)
+    return kept_drawing(Executor(of.name, of.workers, of.address, of.options, jobs, config.shared_gpu_count))
 
 
 def _record_step(folder: RunFolder, optimisation: Optimisation, record: IterationRecord) -> None:

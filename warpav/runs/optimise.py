@@ -91,6 +91,11 @@ def pool_search_settings(config: Config) -> PoolSearchSettings:
     )
 
 
+def kept_drawing(executor: Executor | None = None) -> Drawing:
+    """Pools drawn by an executor, or here, and kept in the user's cache."""
+    return Drawing(executor, pool_cache_folder())
+
+
 class Optimisation:
     """One run of the optimiser, step by step."""
 
@@ -116,13 +121,12 @@ class Optimisation:
         start: np.ndarray | None = None,
         further_starts: Sequence[np.ndarray] = (),
         pairing_rig: Rig | None = None,
-        executor: Executor | None = None,
+        drawing: Drawing | None = None,
         pool: PoolSearchSettings | None = None,
-        keeps_pool: bool = True,
         known_pool: CameraPool | None = None,
         progress: Progress | None = None,
     ) -> Optimisation:
-        """Find the rig to start from."""
+        """Find the rig to start from; ``drawing`` says where a pool is drawn and kept, by default here."""
         config, mount, objective = placement.config, placement.mount, placement.objective
         by_pool = searches_by_pool(placement)
         further = list(further_starts)
@@ -167,7 +171,7 @@ class Optimisation:
                 task,
                 pool_search_settings(config) if pool is None else pool,
                 seed=config.run.seed,
-                drawing=Drawing(executor, pool_cache_folder() if keeps_pool else None),
+                drawing=kept_drawing() if drawing is None else drawing,
                 progress=progress,
                 pool=known_pool,
             )
@@ -194,7 +198,7 @@ class Optimisation:
         state: Mapping[str, np.ndarray],
         events: Sequence[Mapping[str, Any]],
         *,
-        executor: Executor | None = None,
+        drawing: Drawing | None = None,
         progress: Progress | None = None,
     ) -> Optimisation:
         """A run that goes on from where another of the same placement was when it gave `state`."""
@@ -204,14 +208,8 @@ class Optimisation:
         check_identity(json.loads(str(state["identity"])), identity_of(placement))
         start, *further = (np.array(each, np.float32) for each in starts)
         pairing_rig = placement.frozen_rig if placement.has_ordered_start else placement.mount.rig(start)
-        run = cls.begin(
-            placement,
-            start=start,
-            further_starts=further,
-            pairing_rig=pairing_rig,
-            executor=executor,
-            progress=progress,
-        )
+        starts = {"start": start, "further_starts": further, "pairing_rig": pairing_rig}
+        run = cls.begin(placement, **starts, drawing=drawing, progress=progress)
         run.descent.restore(part_of(state, "search"))
         run.records = [IterationRecord(**event) for event in events]
         return run
