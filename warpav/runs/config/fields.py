@@ -40,10 +40,31 @@ MAX_SEED = 2**31 - 1
 _MAX_SEED_COUNT = 100_000
 MOST_CAMERAS = 16
 
+_TEXT_OR_TEXTS = {"anyOf": [{"type": "array", "items": {"type": "string"}}, {"type": "string"}]}
+
+
+def _option(
+    expected: str,
+    read: Callable[[Any], object],
+    write: Callable[[Any], object] | None = None,
+    schema: Mapping[str, Any] | None = None,
+) -> tuple[object, ...]:
+    """What makes a type an option: how it is read and written, and what messages and editors know of it."""
+    parts: list[object] = [BeforeValidator(read), Expectation(expected)]
+    parts += [] if write is None else [PlainSerializer(write)]
+    return (*parts, *([] if schema is None else [WithJsonSchema(dict(schema))]))
+
 
 def _hint(value: object, words: Sequence[str], otherwise: str = "", cutoff: float = 0.6) -> str:
     near = difflib.get_close_matches(str(value), words, 1, cutoff)
     return f"; did you mean {near[0]}?" if near else otherwise
+
+
+def _check_words(values: Sequence[object], known: Sequence[str], expected: str, cutoff: float = 0.6) -> None:
+    """Reject words out of no list."""
+    for value in values:
+        if value not in known:
+            mistake(f"expected {expected}, got {shown(value)}{_hint(value, known, cutoff=cutoff)}")
 
 
 # seeds
@@ -75,10 +96,15 @@ def _read_seeds(value: object) -> tuple[int, ...]:
             mistake(f"expected {_SEEDS_TEXT}, got {shown(value)}")
     if not seeds:
         mistake(f"expected {_SEEDS_TEXT}, got none; at least one scene is needed")
-    twice = [seed for seed, count in Counter(seeds).items() if count > 1]
-    if twice:
-        mistake(f"expected every seed once, got {min(twice)} twice")
+    _check_once(seeds, "seed")
     return tuple(seeds)
+
+
+def _check_once(values: Sequence[object], noun: str) -> None:
+    twice = [value for value, count in Counter(values).items() if count > 1]
+    if twice:
+        text = shown(str(twice[0])) if isinstance(twice[0], (str, Path)) else min(twice)
+        mistake(f"expected every {noun} once, got {text} twice")
 
 
 def read_seeds(text: str, place: str) -> tuple[int, ...]:
@@ -96,13 +122,8 @@ def _shown_seeds(seeds: tuple[int, ...]) -> str | list[int]:
     return list(seeds)
 
 
-Seeds = Annotated[
-    tuple[int, ...],
-    BeforeValidator(_read_seeds),
-    PlainSerializer(_shown_seeds),
-    Expectation(_SEEDS_TEXT),
-    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "integer"}, {"type": "array"}]}),
-]
+_SEEDS_SCHEMA = {"anyOf": [{"type": "string"}, {"type": "integer"}, {"type": "array"}]}
+Seeds = Annotated[tuple[int, ...], *_option(_SEEDS_TEXT, _read_seeds, _shown_seeds, _SEEDS_SCHEMA)]
 
 # files and folders
 
@@ -121,15 +142,26 @@ def _check_file(value: str, expected: str, words: Sequence[str] = ()) -> None:
         mistake(f"expected {expected}, got {value!r}{_hint(value, words, '; no such file')}")
 
 
-def _file(what: str, or_what: str) -> tuple[object, ...]:
+def _file(what: str) -> tuple[object, ...]:
     """What makes a field the path of a file that exists."""
 
     def read(value: object) -> object:
         if isinstance(value, str):
-            _check_file(value, f"{what}, {or_what}")
+            _check_file(value, f"{what}, or null")
         return _read_path(value)
 
-    return BeforeValidator(read), PlainSerializer(str), Expectation(what)
+    return _option(what, read, str)
+
+
+def _word_or_file(what: str, words: Callable[[], Sequence[str]]) -> tuple[object, ...]:
+    """What makes a field a word or the path of a file that exists."""
+
+    def read(value: object) -> object:
+        if isinstance(value, str) and value not in words():
+            _check_file(value, what, words())
+        return value
+
+    return _option(what, read)
 
 
 _MESH_FILE = "the path of a mesh file"
@@ -143,14 +175,22 @@ def _read_mesh_file(value: object) -> object:
     return _read_path(value)
 
 
-Folder = Annotated[Path, BeforeValidator(_read_path), PlainSerializer(str), Expectation("a folder")]
-MeshFile = Annotated[Path, BeforeValidator(_read_mesh_file), PlainSerializer(str), Expectation(_MESH_FILE)]
-ZonesFile = Annotated[Path, *_file("the path of a YAML file of zones", "or null")]
-CatalogueFile = Annotated[Path, *_file("the path of a catalogue of modules", "or null")]
+Folder = Annotated[Path, *_option("a folder", _read_path, str)]
+MeshFile = Annotated[Path, *_option(_MESH_FILE, _read_mesh_file, str)]
+ZonesFile = Annotated[Path, *_file("the path of a YAML file of zones")]
+CatalogueFile = Annotated[Path, *_file("the path of a catalogue of modules")]
+DetectorModel = Annotated[str, *_word_or_file("builtin or the path of an ONNX file", lambda: ["builtin"])]
+Requirements = Annotated[
+    str,
+    *_word_or_file(
+        "auto, the name of a template, such as near_field, or the path of a YAML file",
+        lambda: [AUTO, *template_names()],
+    ),
+]
 
 
-def _several(expected: str, read_one: Callable[[object], object], hint: Callable[[str], str]) -> tuple[object, ...]:
-    """What makes a field one path or several, all of which exist but for words that ``hint`` knows no remedy for."""
+def _paths(expected: str, word: str | None = None) -> tuple[object, ...]:
+    """What makes a field one path or several, all of which exist but for a word."""
 
     def read(value: object) -> object:
         paths = [value] if isinstance(value, str) else value
@@ -159,116 +199,51 @@ def _several(expected: str, read_one: Callable[[object], object], hint: Callable
         if not paths:
             mistake(f"expected {expected}, got none")
         for path in paths:
-            if isinstance(path, str) and (remedy := hint(path)) and not Path(path).expanduser().exists():
-                mistake(f"expected {expected}, got {path!r}; {remedy}")
-        return tuple(read_one(path) for path in paths)
+            if isinstance(path, str) and path != word and not Path(path).expanduser().exists():
+                hint = _hint(path, [word or ""], "; no such file or folder")
+                mistake(f"expected {expected}, got {path!r}{hint}")
+        found = [path if path == word else _read_path(path) for path in paths]
+        if word is not None:
+            _check_once([path for path in found if isinstance(path, (str, Path))], "path")
+        return tuple(found)
 
-    return (
-        BeforeValidator(read),
-        PlainSerializer(lambda value: [str(path) for path in value]),
-        Expectation(expected),
-        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}),
-    )
-
-
-def _not_there(path: str) -> str:
-    del path
-    return "no such file or folder"
+    return _option(expected, read, lambda value: [str(path) for path in value], _TEXT_OR_TEXTS)
 
 
-Recordings = Annotated[
-    tuple[Path, ...],
-    *_several("paths of recorded traffic, such as [log.xml, recordings]", _read_path, _not_there),
-]
-RigFiles = Annotated[
-    tuple[Path, ...],
-    *_several("rig files or run folders, such as [present.yaml, first_rig]", _read_path, _not_there),
-]
-
-
-def _once(paths: object) -> object:
-    twice = [path for path, count in Counter(paths if isinstance(paths, tuple) else ()).items() if count > 1]
-    if twice:
-        mistake(f"expected every path once, got {shown(str(twice[0]))} twice")
-    return paths
-
-
-def _no_vehicles(path: str) -> str:
-    near = difflib.get_close_matches(path, [SHIPPED], 1, 0.6)
-    return "" if path == SHIPPED else f"did you mean {near[0]}?" if near else _not_there(path)
-
-
+Recordings = Annotated[tuple[Path, ...], *_paths("paths of recorded traffic, such as [log.xml, recordings]")]
+RigFiles = Annotated[tuple[Path, ...], *_paths("rig files or run folders, such as [present.yaml, first_rig]")]
 Vehicles = Annotated[
     tuple[Literal["shipped"] | Path, ...],
-    BeforeValidator(_once),
-    *_several(
-        f"{SHIPPED}, or paths of mesh files or of folders of these, such as [{SHIPPED}, my_vehicles]",
-        lambda path: path if path == SHIPPED else _read_path(path),
-        _no_vehicles,
-    ),
+    *_paths(f"{SHIPPED}, or paths of mesh files or of folders of these, such as [{SHIPPED}, my_vehicles]", SHIPPED),
 ]
 
-# words out of lists
-
-
-def _words(expected: str, known: Callable[[], Sequence[str]], cutoff: float = 0.6) -> Callable[[object], None]:
-    def check(value: object) -> None:
-        if value not in known():
-            mistake(f"expected {expected}, got {shown(value)}{_hint(value, known(), cutoff=cutoff)}")
-
-    return check
-
+# words
 
 _TARGETS_TEXT = f"a list out of {', '.join(ROAD_USERS)}"
 
 
 def _read_targets(value: object) -> tuple[str, ...]:
     targets = list(value) if isinstance(value, (list, tuple)) else [value]
-    check = _words(_TARGETS_TEXT, lambda: ROAD_USERS)
-    for target in targets:
-        check(target)
+    _check_words(targets, ROAD_USERS, _TARGETS_TEXT)
     if not targets:
         mistake(f"expected {_TARGETS_TEXT}, got none; targets must not be empty")
     return tuple(each for each in ROAD_USERS if each in targets)
 
 
-Targets = Annotated[
-    tuple[str, ...],
-    BeforeValidator(_read_targets),
-    PlainSerializer(list),
-    Expectation(_TARGETS_TEXT),
-    WithJsonSchema({"type": "array", "items": {"enum": list(ROAD_USERS)}, "minItems": 1}),
-]
+_TARGETS_SCHEMA = {"type": "array", "items": {"enum": list(ROAD_USERS)}, "minItems": 1}
+Targets = Annotated[tuple[str, ...], *_option(_TARGETS_TEXT, _read_targets, list, _TARGETS_SCHEMA)]
 
 
 def _read_presets(value: object) -> object:
     if not isinstance(value, (list, tuple)):
         return value
-    check = _words(f"presets out of {', '.join(preset_names())}", preset_names, 0.5)
-    for name in value:
-        check(name)
+    _check_words(value, preset_names(), f"presets out of {', '.join(preset_names())}", 0.5)
     return tuple(value)
 
 
-PresetNames = Annotated[
-    tuple[str, ...], BeforeValidator(_read_presets), Expectation("a list of presets, such as [nuscenes, argoverse2]")
-]
+PresetNames = Annotated[tuple[str, ...], *_option("a list of presets, such as [nuscenes, argoverse2]", _read_presets)]
 PresetImages = Annotated[
     Literal["same_pixels", "same_width", "sensor"], Expectation("same_pixels, same_width or sensor")
-]
-
-
-def _read_requirements(value: object) -> object:
-    named = [AUTO, *template_names()]
-    if isinstance(value, str) and value not in named:
-        _check_file(value, f"one of {', '.join(named)}, or a YAML file", named)
-    return value
-
-
-Requirements = Annotated[
-    str,
-    BeforeValidator(_read_requirements),
-    Expectation("auto, the name of a template, such as near_field, or the path of a YAML file"),
 ]
 
 
@@ -279,49 +254,7 @@ def _read_device(value: object) -> object:
     return value
 
 
-Device = Annotated[str, BeforeValidator(_read_device), Expectation("cpu or a GPU such as cuda:0")]
-
-
-def _read_model(value: object) -> object:
-    if isinstance(value, str) and value != "builtin":
-        _check_file(value, "builtin or the path of an ONNX file", ["builtin"])
-    return value
-
-
-DetectorModel = Annotated[str, BeforeValidator(_read_model), Expectation("builtin or the path of an ONNX file")]
-
-# lists
-
-
-def _as_list(expected: str) -> tuple[object, ...]:
-    """What makes a tuple of a list, and a list of a tuple where it is written."""
-    return (
-        BeforeValidator(lambda value: tuple(value) if isinstance(value, list) else value),
-        PlainSerializer(list),
-        Expectation(expected),
-    )
-
-
-Heights = Annotated[tuple[float, ...], *_as_list("a list of heights in metres, such as [14, 28, 45]")]
-Distortion = Annotated[tuple[float, ...], *_as_list("a list of numbers, such as [-0.31, 0.11, 0.0, 0.0]")]
-Labels = Annotated[tuple[str, ...], *_as_list("a list of labels of the detector, such as [car, bus]")]
-
-_LABELS_TEXT = "a list of labels, such as [car, bus], or the path of a file with one a line"
-
-
-def _read_labels(value: object) -> object:
-    if isinstance(value, str):
-        _check_file(value, _LABELS_TEXT)
-        return value
-    return tuple(value) if isinstance(value, list) else value
-
-
-LabelsOrFile = Annotated[
-    tuple[str, ...] | str | None,
-    BeforeValidator(_read_labels),
-    PlainSerializer(lambda value: list(value) if isinstance(value, tuple) else value),
-    Expectation(_LABELS_TEXT),
-]
+Device = Annotated[str, *_option("cpu or a GPU such as cuda:0", _read_device)]
 
 _NAMES_TEXT = "a list of names of cameras of rig.start, such as [front, rear]"
 
@@ -331,17 +264,39 @@ def _read_names(value: object) -> tuple[Any, ...]:
     for name in names:
         if not isinstance(name, str) or not name:
             mistake(f"expected {_NAMES_TEXT}, got {shown(value)}")
-        if names.count(name) > 1:
-            mistake(f"expected every name once, got {name!r} {names.count(name)} times")
+    _check_once(names, "name")
     return names
 
 
-CameraNames = Annotated[
-    tuple[str, ...],
-    BeforeValidator(_read_names),
-    PlainSerializer(list),
-    Expectation(_NAMES_TEXT),
-    WithJsonSchema({"anyOf": [{"type": "array", "items": {"type": "string"}}, {"type": "string"}]}),
+CameraNames = Annotated[tuple[str, ...], *_option(_NAMES_TEXT, _read_names, list, _TEXT_OR_TEXTS)]
+
+# lists
+
+
+def _as_tuple(value: object) -> object:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _list_of(expected: str) -> tuple[object, ...]:
+    return _option(expected, _as_tuple, list)
+
+
+Heights = Annotated[tuple[float, ...], *_list_of("a list of heights in metres, such as [14, 28, 45]")]
+Distortion = Annotated[tuple[float, ...], *_list_of("a list of numbers, such as [-0.31, 0.11, 0.0, 0.0]")]
+Labels = Annotated[tuple[str, ...], *_list_of("a list of labels of the detector, such as [car, bus]")]
+
+_LABELS_TEXT = "a list of labels, such as [car, bus], or the path of a file with one a line"
+
+
+def _read_labels(value: object) -> object:
+    if isinstance(value, str):
+        _check_file(value, _LABELS_TEXT)
+    return _as_tuple(value)
+
+
+LabelsOrFile = Annotated[
+    tuple[str, ...] | str | None,
+    *_option(_LABELS_TEXT, _read_labels, lambda value: list(value) if isinstance(value, tuple) else value),
 ]
 
 # ranges and counts
@@ -397,10 +352,7 @@ def _shown_counts(counts: Mapping[str, tuple[int, int]]) -> dict[str, int | str]
     return {name: low if low == high else f"{low}..{high}" for name, (low, high) in counts.items()}
 
 
+_COUNTS_SCHEMA = {"type": "object", "additionalProperties": {"type": ["integer", "string"]}}
 ModuleCounts = Annotated[
-    Mapping[str, tuple[int, int]],
-    BeforeValidator(_read_counts),
-    PlainSerializer(_shown_counts),
-    Expectation(COUNTS_TEXT),
-    WithJsonSchema({"type": "object", "additionalProperties": {"type": ["integer", "string"]}}),
+    Mapping[str, tuple[int, int]], *_option(COUNTS_TEXT, _read_counts, _shown_counts, _COUNTS_SCHEMA)
 ]
