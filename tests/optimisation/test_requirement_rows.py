@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.optimisation.calls import select
 from warpav.core.errors import InputError
-from warpav.optimisation.required_points import require_meetable, requirement_rows, unmeetable_requirements
+from warpav.optimisation.required_points import require_meetable, requirement_rows
 from warpav.sight.requirement import SIZES_M, Band, Ghosts, Requirement, TestObject
 from warpav.sight.visibility import Visibility
 
@@ -37,25 +37,24 @@ def test_a_rig_satisfies_the_rows_where_it_meets_every_hard_point(data):
     ghosts = ghosts_of([each[0] for each in needs], [each[1] for each in needs], points)
     flags = data.draw(st.lists(st.integers(0, 2**count - 1), min_size=len(points), max_size=len(points)))
     meets = np.array([[bool(flag >> c & 1) for flag in flags] for c in range(count)])
-    found = requirement_rows(meets, ghosts)
+    rows, points_of_rows = requirement_rows(meets, ghosts)
     hard = np.flatnonzero(ghosts.is_hard)
     for size in range(count + 1):
         for rig in itertools.combinations(range(count), size):
             chosen = np.isin(np.arange(count), rig)
             expected = (meets[chosen][:, hard].sum(axis=0) >= ghosts.of_each("cameras")[hard]).all()
-            assert all(row.coefficient @ chosen >= row.low for row in found.rows) == expected
+            assert all(row.coefficient @ chosen >= row.low for row in rows) == expected
     # none of them follows from another by itself
-    for one, other in itertools.permutations(found.rows, 2):
+    for one, other in itertools.permutations(rows, 2):
         assert not ((other.coefficient <= one.coefficient).all() and other.low >= one.low)
-    np.testing.assert_array_equal(ghosts.requirement[found.ghost], found.requirement)
-    for row, ghost in zip(found.rows, found.ghost, strict=True):
+    for row, ghost in zip(rows, points_of_rows, strict=True):
         np.testing.assert_array_equal(row.coefficient, meets[:, ghost])
         assert f"r{ghosts.requirement[ghost]} at ({ghost:.2f}, 0.00) m" in row.name
 
 
 def test_the_selection_takes_the_rows(rng):
     meets = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1]], bool)
-    rows = requirement_rows(meets, ghosts_of([1], [None], [0, 0, 0])).rows
+    rows = requirement_rows(meets, ghosts_of([1], [None], [0, 0, 0]))[0]
     probability = np.zeros((5, 4))
     probability[[0, 1, 2]] = [0.9, 0.8, 0.7, 0.9]  # what meets least sees most
     probability[[3, 4]] = 0.1
@@ -74,28 +73,22 @@ def test_what_no_camera_meets_is_named_with_the_nearest():
     )
     pixels = np.array([[500.0, 400, 500, 500, 0, 500], [500, 300, 500, 500, 0, 0], [0, 20, 500, 0, 0, 0]])
     visibility = Visibility(share, pixels)
-    found = unmeetable_requirements(visibility, ghosts)
-    assert [each.requirement for each in found] == ["r0", "r1", "r3"]
-    first, second, third = found
-    # 45 of 50 % comes closer than 20 of 100 px
-    assert (first.points, first.position_m, first.nearest, first.visible_share, first.pixels) == (
-        1,
-        (1, 0),
-        1,
-        0.45,
-        300,
-    )
-    assert (second.position_m, second.cameras_needed, second.cameras_found, second.nearest) == ((3, 0), 2, 1, 1)
-    assert (third.cameras_found, third.nearest) == (1, None)
     with pytest.raises(InputError) as caught:
-        require_meetable(visibility, ghosts, count=1)
-    lines = str(caught.value).splitlines()
-    assert lines[0].startswith("requirement r1: cameras: expected at most 1, the cameras of the rig, got 2")
-    assert lines[2] == (
+        require_meetable(visibility, ghosts, 1)
+    assert str(caught.value).splitlines() == [
+        *(
+            f"requirement {name}: cameras: expected at most 1, the cameras of the rig, got 2; lower it or allow more "
+            "cameras"
+            for name in ("r1", "r3")
+        ),
+        # 45 of 50 % comes closer than 20 of 100 px
         "requirement r0: 1 point that the pool cannot meet, such as (1.00, 0.00) m, which needs 1 camera and has 0; "
-        "camera 1 comes closest with 45% and 300 px"
-    )
-    assert lines[4].endswith("which needs 2 cameras and has 1; no other camera sees anything there")
+        "camera 1 comes closest with 45% and 300 px",
+        "requirement r1: 1 point that the pool cannot meet, such as (3.00, 0.00) m, which needs 2 cameras and has 1; "
+        "camera 1 comes closest with 20% and 500 px",
+        "requirement r3: 1 point that the pool cannot meet, such as (5.00, 0.00) m, which needs 2 cameras and has 1; "
+        "no other camera sees anything there",
+    ]
     kept = [0, 2, 4]
     easy = Ghosts(ghosts.requirements, ghosts.position_m[kept], ghosts.requirement[kept])
-    require_meetable(Visibility(share[:, kept], pixels[:, kept]), easy)
+    require_meetable(Visibility(share[:, kept], pixels[:, kept]), easy, 2)

@@ -24,7 +24,7 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError
 from warpav.detection.miss_rate import SUREST
-from warpav.optimisation.selection.problem import Row, SelectionProblem, fits, random_rig
+from warpav.optimisation.selection.problem import Row, SelectionProblem, exchange, random_rig
 from warpav.optimisation.selection.relaxation import Price
 from warpav.optimisation.selection.select import STARTS, TOLERANCE, Ended, Selection, select
 
@@ -150,7 +150,7 @@ def select_robust(
         kept = [np.delete(whole.cameras, k) for k in range(count)]
         rows = _without_one(problem.rows, required, problem.camera_count)
         fewer = select(
-            problem.of_fewer(count - 1, rows),
+            problem.under(rows, count=count - 1, required=required[:0]),
             start=min(kept, key=problem.miss_rate),
             time_limit_s=0.5 * time_limit_s,
             gap=gap,
@@ -215,29 +215,18 @@ def _apart(rigs: np.ndarray) -> tuple[np.ndarray, ...]:
 def exchange_robust(
     problem: SelectionProblem, rigs: np.ndarray, objective: RobustObjective, size: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As `exchange`, under a robust objective.
+    """As `exchange`, under a robust objective. ``rigs`` int [rig, camera]; ``size`` int [camera]."""
 
-    Returns the rigs, likewise, the best first, and their objectives, float64 [rig]. ``rigs`` int [rig, camera];
-    ``size`` int [camera].
-    """
-    rigs = np.array(rigs)
-    every = np.arange(len(rigs))
-    first = len(problem.required)
-    slot, unchanged = first, 0
-    while unchanged < problem.count - first:
-        others = np.delete(rigs, slot, axis=1)
-        value = objective.of_completed(problem.missed, problem.weight, others, size)
-        before = value[rigs[:, slot], every]
-        value[~fits(problem, others)] = np.inf
-        best = np.argmin(value, axis=0)
-        is_better = value[best, every] < before * (1.0 - 1e-9)
-        rigs[is_better, slot] = best[is_better]
-        unchanged = 0 if is_better.any() else unchanged + 1
-        slot = slot + 1 if slot + 1 < problem.count else first
-    found = [objective.value_and_slope(problem.missed[:, rig].T, problem.weight, size[rig])[0] for rig in rigs]
-    value = problem.unseen + np.array(found)
-    order = np.argsort(value, kind="stable")
-    return rigs[order], value[order]
+    def value_of(rig: np.ndarray) -> float:
+        seen = problem.missed[:, rig].T
+        return problem.unseen + objective.value_and_slope(seen, problem.weight, size[rig])[0]
+
+    return exchange(
+        problem,
+        rigs,
+        completed=lambda others: objective.of_completed(problem.missed, problem.weight, others, size),
+        value_of=value_of,
+    )
 
 
 def _without_one(rows: Sequence[Row], required: np.ndarray, cameras: int) -> list[Row]:

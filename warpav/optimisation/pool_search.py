@@ -507,8 +507,10 @@ class PoolSearch:
     def _rows_for(self, mount_pose: np.ndarray, absent: int = 0) -> tuple[list[Row], np.ndarray]:
         """Limits and hard requirements for cameras of the pool, and the points that the latter are, int [row]."""
         rows = self._limit_rows(mount_pose, absent)
-        asked = None if self.points is None else self.points.rows(self._points_of(mount_pose, absent))
-        return (rows, np.zeros(0, int)) if asked is None else ([*rows, *asked.rows], asked.ghost)
+        if self.points is None:
+            return rows, np.zeros(0, int)
+        asked, point = self.points.rows(self._points_of(mount_pose, absent))
+        return [*rows, *asked], point
 
     def _coefficients_for(self, mount_pose: np.ndarray) -> np.ndarray | None:
         """Coefficients of cameras of the pool in the rows of the last selection, float [camera, row]; None: no rows."""

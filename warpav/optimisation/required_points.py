@@ -34,46 +34,11 @@ from warpav.sight.visibility import (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class _RequirementRows:
-    """The rows that a rig must satisfy."""
-
-    rows: tuple[Row, ...]  # for `warpav.optimisation.selection.select`, named after requirement and point
-    ghost: np.ndarray  # the point that each comes from, int [row]
-    requirement: np.ndarray  # its requirement, int [row]
-
-
-@dataclass(frozen=True)
-class _Unmeetable:
-    """A requirement with points that the cameras of a pool cannot meet."""
-
-    requirement: str  # its name
-    points: int  # number of such points
-    position_m: tuple[float, float]  # the one furthest from being met, in the ego frame [m]
-    cameras_needed: int  # cameras that have to see the test object there
-    cameras_found: int  # cameras of the pool that do
-    nearest: int | None  # the camera of the pool that comes closest without meeting it
-    visible_share: float  # what that camera sees of it, 0..1
-    pixels: float  # likewise [px^2]
-
-    def __str__(self) -> str:
-        """One line: what cannot be met, where, and what comes closest."""
-        x, y = self.position_m
-        text = (
-            f"requirement {self.requirement}: {self.points} point{'s' if self.points > 1 else ''} that the pool cannot "
-            f"meet, such as ({x:.2f}, {y:.2f}) m, which needs {self.cameras_needed} camera"
-            f"{'s' if self.cameras_needed > 1 else ''} and has {self.cameras_found}"
-        )
-        if self.nearest is None:
-            return f"{text}; no other camera sees anything there"
-        return f"{text}; camera {self.nearest} comes closest with {self.visible_share:.0%} and {self.pixels:.0f} px"
-
-
-def requirement_rows(meets: np.ndarray, ghosts: Ghosts) -> _RequirementRows:
-    """The hard requirements as rows ``sum of meets over a rig's cameras >= cameras``. ``meets`` bool [camera, ghost].
+def requirement_rows(meets: np.ndarray, ghosts: Ghosts) -> tuple[list[Row], np.ndarray]:
+    """The hard requirements as rows ``sum of meets over a rig's cameras >= cameras``, and the point of each, int [row].
 
     A row that follows from another is left out: one that the same cameras, or more of them, satisfy, with as few or
-    fewer cameras needed.
+    fewer cameras needed. ``meets`` bool [camera, ghost].
     """
     ghost = np.flatnonzero(ghosts.is_hard)
     needed = ghosts.of_each("cameras")[ghost]
@@ -81,66 +46,50 @@ def requirement_rows(meets: np.ndarray, ghosts: Ghosts) -> _RequirementRows:
     order = np.argsort(first)
     ghost, pattern, needed = ghost[first[order]], pattern[order][:, :-1].astype(np.float32), pattern[order][:, -1]
     common = pattern @ pattern.T  # exact: counts of cameras
-    own = common.diagonal()
     # [i, j]: row j has no camera that row i lacks, and asks for as many at least, so i follows from j
-    follows = (common == own[None, :]) & (needed[None, :] >= needed[:, None])
+    follows = (common == common.diagonal()[None, :]) & (needed[None, :] >= needed[:, None])
     np.fill_diagonal(follows, False)
-    kept = ~follows.any(axis=1)
-    ghost, pattern, needed = ghost[kept], pattern[kept], needed[kept]
-    rows = tuple(
-        Row(_row_name(ghosts, g), coefficient.astype(np.float64), low=float(low))
-        for g, coefficient, low in zip(ghost, pattern, needed, strict=True)
-    )
-    return _RequirementRows(rows, ghost, ghosts.requirement[ghost])
+    kept = np.flatnonzero(~follows.any(axis=1))
+    rows = []
+    for k in kept:
+        (x, y), of = ghosts.position_m[ghost[k]], ghosts.requirements[ghosts.requirement[ghost[k]]]
+        rows.append(
+            Row(f"requirement {of.name} at ({x:.2f}, {y:.2f}) m", pattern[k].astype(np.float64), low=float(needed[k]))
+        )
+    return rows, ghost[kept]
 
 
-def unmeetable_requirements(visibility: Visibility, ghosts: Ghosts) -> list[_Unmeetable]:
-    """The hard requirements that a pool cannot meet, each with the camera that comes closest.
+def require_meetable(visibility: Visibility, ghosts: Ghosts, count: int) -> None:
+    """Make sure that a pool can meet every point of the hard requirements, each with the camera that comes closest.
 
     Only single points are looked at: that a rig of few cameras meets all of them at once is for the selection to find.
     """
-    meets = visibility.meets(ghosts)
-    found, needed = meets.sum(axis=0), ghosts.of_each("cameras")
-    is_short = ghosts.is_hard & (found < needed)
-    closeness = np.where(meets, 0.0, visibility.closeness(ghosts))
-    result = []
-    for r in np.unique(ghosts.requirement[is_short]):
-        points = np.flatnonzero(is_short & (ghosts.requirement == r))
-        worst = points[np.lexsort((closeness[:, points].max(axis=0), (found / needed)[points]))[0]]
-        nearest = int(np.argmax(closeness[:, worst]))
-        is_other = bool(visibility.visible_share[nearest, worst] > 0.0) and not meets[nearest, worst]
-        x, y = ghosts.position_m[worst].tolist()
-        result.append(
-            _Unmeetable(
-                ghosts.requirements[r].name,
-                len(points),
-                (x, y),
-                int(needed[worst]),
-                int(found[worst]),
-                nearest if is_other else None,
-                float(visibility.visible_share[nearest, worst]) if is_other else 0.0,
-                float(visibility.pixels[nearest, worst]) if is_other else 0.0,
-            )
-        )
-    return result
-
-
-def require_meetable(visibility: Visibility, ghosts: Ghosts, *, count: int | None = None) -> None:
-    """Make sure that a pool can meet every point of the hard requirements."""
     lines = [
         f"requirement {each.name}: cameras: expected at most {count}, the cameras of the rig, got {each.cameras}; "
         "lower it or allow more cameras"
         for each in ghosts.requirements
-        if count is not None and each.is_hard and each.cameras > count
+        if each.is_hard and each.cameras > count
     ]
-    lines += map(str, unmeetable_requirements(visibility, ghosts))
+    meets = visibility.meets(ghosts)
+    found, needed = meets.sum(axis=0), ghosts.of_each("cameras")
+    is_short = ghosts.is_hard & (found < needed)
+    closeness = np.where(meets, 0.0, visibility.closeness(ghosts))
+    for r in np.unique(ghosts.requirement[is_short]):
+        points = np.flatnonzero(is_short & (ghosts.requirement == r))
+        worst = points[np.lexsort((closeness[:, points].max(axis=0), (found / needed)[points]))[0]]
+        nearest = int(np.argmax(closeness[:, worst]))
+        share, pixels = visibility.visible_share[nearest, worst], visibility.pixels[nearest, worst]
+        x, y = ghosts.position_m[worst]
+        closest = "no other camera sees anything there"
+        if share > 0.0 and not meets[nearest, worst]:
+            closest = f"camera {nearest} comes closest with {share:.0%} and {pixels:.0f} px"
+        lines.append(
+            f"requirement {ghosts.requirements[r].name}: {len(points)} point{'s' if len(points) > 1 else ''} that the pool "
+            f"cannot meet, such as ({x:.2f}, {y:.2f}) m, which needs {needed[worst]} camera"
+            f"{'s' if needed[worst] > 1 else ''} and has {found[worst]}; {closest}"
+        )
     if lines:
         raise InputError(*lines)
-
-
-def _row_name(ghosts: Ghosts, ghost: int) -> str:
-    x, y = ghosts.position_m[ghost]
-    return f"requirement {ghosts.requirements[ghosts.requirement[ghost]].name} at ({x:.2f}, {y:.2f}) m"
 
 
 MET = 0.999
@@ -165,10 +114,7 @@ class _Seen:
 
 
 class RequiredPoints:
-    """The test objects of some requirements around a vehicle; it stands where a scene stands in a pool.
-
-    ``ego``: the vehicle, which hides them. ``name``: what messages call it.
-    """
+    """The test objects of some requirements around a vehicle; it stands where a scene stands in a pool."""
 
     name = "requirements"
 
@@ -217,10 +163,7 @@ class RequiredPoints:
 
     @cached_property
     def weight(self) -> np.ndarray:
-        """What missing every point costs, where missing all the traffic costs 1, float64 [point].
-
-        The points of a requirement share its weight alike; that of a hard one is `HARD_WEIGHT`.
-        """
+        """What missing each point costs, where missing all the traffic costs 1: an even share, float64 [point]."""
         of_each = np.array([HARD_WEIGHT if each.weight is None else each.weight for each in self.requirements])
         counts = np.bincount(self.ghosts.requirement, minlength=len(of_each))
         return (of_each / np.maximum(counts, 1))[self.ghosts.requirement]
@@ -232,10 +175,7 @@ class RequiredPoints:
         return np.concatenate([share, self.weight])
 
     def probability(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> np.ndarray:
-        """How surely each camera sees each point, 0..1, float32 [camera, point].
-
-        ``ego_from_camera`` float [camera, 4, 4].
-        """
+        """How surely cameras at ``ego_from_camera`` [camera, 4, 4] see each point, 0..1, float32 [camera, point]."""
         return self._probability(self.visibility(ego_from_camera, models))[0].astype(np.float32)
 
     def with_jacobian(
@@ -254,12 +194,10 @@ class RequiredPoints:
         return probability, jacobian
 
     def margins(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> tuple[np.ndarray, np.ndarray]:
-        """What cameras see of the hard points over what is asked of one camera; 1 and more where one meets a point.
+        """The lesser of share and pixels at the hard points, over what is asked of one camera: 1 where one meets it.
 
-        Returns float64 [camera, hard point], and the derivatives as of `with_jacobian`, float64 [camera, hard point,
-        7]; 0 where a camera sees the whole object or nothing of it, and from `NEAR_EDGE` on.
-
-        The lesser of share and pixels counts. Arguments as of `with_jacobian`, which shares the renders.
+        Returns float64 [camera, hard point], and the derivatives as of `with_jacobian`; these are 0 where a camera sees
+        the whole object or nothing of it, and from `NEAR_EDGE` on.
         """
         seen = self._differentiated(ego_from_camera, models)
         share, pixels = self._over_needs(seen.visibility)
@@ -321,12 +259,11 @@ class RequiredPoints:
         found = self.meets(probability).sum(axis=0)
         return bool((found >= self.ghosts.of_each("cameras"))[self.is_hard].all())
 
-    def rows(self, probability: np.ndarray) -> _RequirementRows | None:
-        """The hard requirements as rows of a selection from cameras that see the points so surely, [camera, point].
-
-        None where there is none.
-        """
-        return requirement_rows(self.meets(probability), self.ghosts) if self.is_hard.any() else None
+    def rows(self, probability: np.ndarray) -> tuple[list[Row], np.ndarray]:
+        """`requirement_rows` of cameras that see the points so surely, [camera, point]."""
+        if not self.is_hard.any():
+            return [], np.zeros(0, int)
+        return requirement_rows(self.meets(probability), self.ghosts)
 
     @staticmethod
     def meets(probability: np.ndarray) -> np.ndarray:
@@ -347,11 +284,9 @@ class RequiredPoints:
 
     def check(self, probability: np.ndarray, seen: Callable[[], Visibility], count: int) -> None:
         """Make sure that a pool of cameras can meet every hard point. ``probability`` [camera, point]."""
-        found = self.meets(probability).sum(axis=0)
         needed = self.ghosts.of_each("cameras")
-        if not (self.is_hard & ((found < needed) | (needed > count))).any():
-            return
-        require_meetable(seen(), self.ghosts, count=count)
+        if not self.is_kept(probability) or (self.is_hard & (needed > count)).any():
+            require_meetable(seen(), self.ghosts, count)
 
 
 def _needed_px(ghosts: Ghosts) -> np.ndarray:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -85,7 +85,6 @@ class SelectionProblem:
             raise ArgumentError("required", f"expected at most `count` = {count} cameras, got {len(fixed)}")
         share = _checked_weight(weight, objects)
         is_seen = probability.any(axis=0)
-        coefficient, low, high, scale = _checked_rows(rows, cameras)
         return cls(
             missed=np.ascontiguousarray(1.0 - probability[:, is_seen].T),
             weight=share[is_seen],
@@ -95,31 +94,12 @@ class SelectionProblem:
             count=int(count),
             required=fixed,
             conflict=_checked_conflict(conflict, cameras),
-            coefficient=coefficient,
-            low=low,
-            high=high,
-            row_scale=scale,
-            rows=tuple(rows),
+            **_checked_rows(rows, cameras),
         )
 
-    @property
-    def row_name(self) -> tuple[str, ...]:
-        """Names of the rows."""
-        return tuple(row.name for row in self.rows)
-
-    def of_fewer(self, count: int, rows: Sequence[Row]) -> SelectionProblem:
-        """The same for rigs of so many cameras under other rows, of which no camera is required."""
-        coefficient, low, high, scale = _checked_rows(rows, self.camera_count)
-        return replace(
-            self,
-            count=count,
-            required=self.required[:0],
-            coefficient=coefficient,
-            low=low,
-            high=high,
-            row_scale=scale,
-            rows=tuple(rows),
-        )
+    def under(self, rows: Sequence[Row], **others: Any) -> SelectionProblem:  # noqa: ANN401
+        """The same under other rows, and with other attributes."""
+        return replace(self, **_checked_rows(rows, self.camera_count), **others)
 
     @property
     def camera_count(self) -> int:
@@ -201,8 +181,8 @@ def _checked_conflict(conflict: np.ndarray | sparse.sparray | sparse.spmatrix | 
     return pairs
 
 
-def _checked_rows(rows: Sequence[Row], cameras: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Coefficients, bounds and scales."""
+def _checked_rows(rows: Sequence[Row], cameras: int) -> dict[str, Any]:
+    """The attributes of a problem that rows make."""
     coefficient = np.zeros((len(rows), cameras))
     for k, row in enumerate(rows):
         values = np.asarray(row.coefficient, np.float64)
@@ -214,7 +194,8 @@ def _checked_rows(rows: Sequence[Row], cameras: int) -> tuple[np.ndarray, np.nda
     scale = np.abs(coefficient).max(axis=1, initial=0.0)
     scale[scale == 0.0] = 1.0
     low, high = (np.array([getattr(row, name) for row in rows], float) / scale for name in ("low", "high"))
-    return coefficient / scale[:, None], low, high, scale
+    coefficient /= scale[:, None]
+    return {"coefficient": coefficient, "low": low, "high": high, "row_scale": scale, "rows": tuple(rows)}
 
 
 _INFEASIBLE = 2
@@ -267,32 +248,22 @@ def raise_conflict(problem: SelectionProblem, *, time_limit_s: float) -> None:
     kept = [
         *(["required"] if len(problem.required) else []),
         *(["conflict"] if problem.conflict.nnz else []),
-        *problem.row_name,
+        *(row.name for row in problem.rows),
     ]
     for name in list(kept):
         fewer = [each for each in kept if each != name]
+        loosened = problem.under(
+            [row for row in problem.rows if row.name in fewer],
+            required=problem.required if "required" in fewer else problem.required[:0],
+            conflict=problem.conflict if "conflict" in fewer else sparse.csr_array(problem.conflict.shape, dtype=bool),
+        )
         try:
-            if feasible_rig(_with(problem, fewer), time_limit_s=time_limit_s) is None:
+            if feasible_rig(loosened, time_limit_s=time_limit_s) is None:
                 kept = fewer
         except TimeoutError:
             continue  # it stays: not known to be dispensable
     names = " and ".join([f"count = {problem.count}", *kept])
     raise InputError(f"no rig of the pool satisfies {names}; loosen one of them, or add cameras to the pool")
-
-
-def _with(problem: SelectionProblem, names: list[str]) -> SelectionProblem:
-    """The pool with these constraints alone."""
-    is_kept = np.array([name in names for name in problem.row_name], bool)
-    return dataclasses.replace(
-        problem,
-        required=problem.required if "required" in names else problem.required[:0],
-        conflict=problem.conflict if "conflict" in names else sparse.csr_array(problem.conflict.shape, dtype=bool),
-        coefficient=problem.coefficient[is_kept],
-        low=problem.low[is_kept],
-        high=problem.high[is_kept],
-        row_scale=problem.row_scale[is_kept],
-        rows=tuple(row for row in problem.rows if row.name in names),
-    )
 
 
 def random_rig(
@@ -325,34 +296,44 @@ def random_rig(
     return np.array(rig) if problem.is_feasible(np.array(rig)) else None
 
 
-def exchange(problem: SelectionProblem, rigs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def exchange(
+    problem: SelectionProblem,
+    rigs: np.ndarray,
+    *,
+    completed: Callable[[np.ndarray], np.ndarray] | None = None,
+    value_of: Callable[[np.ndarray], float] | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
     """Exchange one camera of each rig after the other for the best of the pool, until nothing helps any of them.
 
     Returns the rigs, likewise, the best first, and their expected miss rates, float64 [rig]. ``rigs`` int [rig,
-    camera].
+    camera]. Of another value ``value_of`` is that of a rig, ``completed`` those of the rigs, [camera, rig], that each
+    camera of the pool makes of others, int [rig, camera].
     """
+
+    def miss_rates(others: np.ndarray) -> np.ndarray:
+        return problem.missed.T @ (np.prod(problem.missed[:, others], axis=2) * problem.weight[:, None])
+
     rigs = np.array(rigs)
     every = np.arange(len(rigs))
     first = len(problem.required)
     slot, unchanged = first, 0
     while unchanged < problem.count - first:
         others = np.delete(rigs, slot, axis=1)
-        left = np.prod(problem.missed[:, others], axis=2) * problem.weight[:, None]
-        value = problem.missed.T @ left
+        value = (completed or miss_rates)(others)
         before = value[rigs[:, slot], every]
-        value[~fits(problem, others)] = np.inf
+        value[~_fits(problem, others)] = np.inf
         best = np.argmin(value, axis=0)
         # what only rounding tells apart would be exchanged for ever
         is_better = value[best, every] < before * (1.0 - 1e-9)
         rigs[is_better, slot] = best[is_better]
         unchanged = 0 if is_better.any() else unchanged + 1
         slot = slot + 1 if slot + 1 < problem.count else first
-    value = np.array([problem.miss_rate(rig) for rig in rigs])
+    value = np.array([(value_of or problem.miss_rate)(rig) for rig in rigs])
     order = np.argsort(value, kind="stable")
     return rigs[order], value[order]
 
 
-def fits(problem: SelectionProblem, others: np.ndarray) -> np.ndarray:
+def _fits(problem: SelectionProblem, others: np.ndarray) -> np.ndarray:
     """Which cameras complete the rigs of which others, bool [camera, rig]; others are int [rig, camera]."""
     chosen = np.zeros((problem.camera_count, len(others)), bool)
     chosen[others.T, np.arange(len(others))] = True

@@ -6,7 +6,7 @@ import heapq
 import itertools
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -37,15 +37,12 @@ _ROUNDED_RIGS = 16
 _ROUNDING_EVERY = 8
 """Nodes from one such draw to the next."""
 
+STARTS, _DRAWS = 64, 256
+"""Random rigs that are exchanged first, and draws for them: with tight constraints most get stuck."""
 
-@dataclass(frozen=True)
-class _Improvement:
-    """A better rig or a better bound."""
-
-    cameras: np.ndarray  # the best rig so far, ascending, int [camera]
-    objective: float  # its expected miss rate, 0..1
-    bound: float  # no rig of the pool is below it
-    seconds: float  # wall time so far [s]
+_FEWEST_STARTS, _FURTHER_STARTS_TIME = 8, 0.1
+"""Rigs that an integer programme finds where too few random ones satisfy the constraints, and the share of the time
+left that it may take for each but the first."""
 
 
 class BranchAndBound:
@@ -56,33 +53,24 @@ class BranchAndBound:
     least k + 1. Groups are the clusters of a tree over the detection probabilities, single cameras its leaves: to
     forbid one camera hardly matters as long as there are others like it, to forbid a whole sector does. Trial
     relaxations of few iterations choose the group.
-
-    ``rig``: the best rig, int [camera]. ``objective``: its expected miss rate.
     """
 
     def __init__(
-        self,
-        problem: SelectionProblem,
-        rigs: np.ndarray,
-        *,
-        gap: float,
-        deadline_s: float,
-        rng: np.random.Generator,
-        on_improvement: Callable[[_Improvement], None] | None,
+        self, problem: SelectionProblem, rigs: np.ndarray, *, gap: float, deadline_s: float, rng: np.random.Generator
     ) -> None:
         """Begin with rigs that satisfy the constraints, the required cameras first, int [rig, camera]."""
-        self.rig, self.objective = np.sort(rigs[0]), problem.miss_rate(rigs[0])
-        self.bound = _each_object_alone(problem)  # no rig of the pool is below it
+        self.rig, self.objective = np.sort(rigs[0]), problem.miss_rate(rigs[0])  # the best rig, its miss rate
+        best = np.partition(problem.missed, problem.count - 1, axis=1)[:, : problem.count]  # of every object its own
+        # no rig of the pool is below it
+        self.bound = problem.unseen + float(problem.weight @ np.prod(best, axis=1)) * (1.0 - 1e-12)
         self.price: Price | None = None  # duals of the root's bound; None before there is one
         self.nodes = 0  # number of nodes relaxed
         self._problem, self._kept = problem, np.arange(problem.camera_count)
         self._starts = rigs
         self._gap, self._deadline_s, self._rng = max(gap, TOLERANCE), deadline_s, rng
-        self._on_improvement, self._began_s = on_improvement, time.perf_counter()
 
     def run(self) -> None:
         """Search until the gap is closed or the time is over; the attributes are valid at any time."""
-        self._report()
         relaxation, root = self._root()
         if self._is_over:
             return
@@ -97,7 +85,8 @@ class BranchAndBound:
             closed = min(closed, left)
             for child in children:
                 heapq.heappush(open_nodes, (child.bound, next(ties), child))
-            self._raise_bound(min(closed, self.objective, open_nodes[0][0] if open_nodes else math.inf))
+            lowest = min(closed, self.objective, open_nodes[0][0] if open_nodes else math.inf)
+            self.bound = max(self.bound, lowest)
 
     @property
     def _is_over(self) -> bool:
@@ -120,7 +109,7 @@ class BranchAndBound:
             return relaxation, root
         self._round(relaxed.fraction)
         root, kept = _without_useless(root, relaxed, self.objective)
-        self._raise_bound(min(relaxed.bound, self.objective))
+        self.bound = max(self.bound, min(relaxed.bound, self.objective))
         if self._is_over:
             return relaxation, root
         camera = np.flatnonzero(kept)
@@ -156,7 +145,7 @@ class BranchAndBound:
         if node.is_empty(problem.count):
             return [], closed
         branches = tree.branches(node, relaxed.fraction, relaxation, enough)
-        return [_child(node, branch, tree, self._problem.count) for branch in branches], closed
+        return [tree.child(node, branch, problem.count) for branch in branches], closed
 
     def _round(self, fraction: np.ndarray) -> None:
         drawn = [random_rig(self._problem, self._rng, fraction) for _ in range(_ROUNDED_RIGS)]
@@ -170,17 +159,6 @@ class BranchAndBound:
         value = self._problem.miss_rate(rig)
         if value < self.objective and self._problem.is_feasible(rig):
             self.rig, self.objective = np.sort(self._kept[rig]), value
-            self._report()
-
-    def _raise_bound(self, bound: float) -> None:
-        if bound > self.bound:
-            self.bound = bound
-            self._report()
-
-    def _report(self) -> None:
-        if self._on_improvement is not None:
-            seconds = time.perf_counter() - self._began_s
-            self._on_improvement(_Improvement(self.rig, self.objective, self.bound, seconds))
 
 
 class _GroupTree:
@@ -205,9 +183,16 @@ class _GroupTree:
         self._row: dict[int, int] = {}
         self._group: dict[int, int] = {}
 
-    def members_of_row(self, row: int) -> np.ndarray:
-        """Cameras of the group whose row of the relaxation this is, bool [camera]."""
-        return self.member[self._group[row]]
+    def child(self, node: Node, branch: dict[int, tuple[float, float]], count: int) -> Node:
+        """The part of a node that is in a branch, of rigs of so many cameras."""
+        ((row, (low, high)),) = branch.items()
+        member = self.member[self._group[row]]
+        allowed, required = node.allowed, node.required
+        if high <= 0.0:
+            allowed = allowed & ~member
+        if low >= min(np.count_nonzero(member & allowed), count):
+            required = required | (member & allowed)
+        return Node(allowed, required, {**node.branch, **branch}, node.bound)
 
     def branches(
         self, node: Node, fraction: np.ndarray, relaxation: Relaxation, enough: float
@@ -244,41 +229,11 @@ class _GroupTree:
         return [{row: (low, float(split))}, {row: (split + 1.0, high)}]
 
 
-def _child(node: Node, branch: dict[int, tuple[float, float]], tree: _GroupTree, count: int) -> Node:
-    ((row, (low, high)),) = branch.items()
-    member = tree.members_of_row(row)
-    allowed, required = node.allowed, node.required
-    if high <= 0.0:
-        allowed = allowed & ~member
-    if low >= min(np.count_nonzero(member & allowed), count):
-        required = required | (member & allowed)
-    return Node(allowed, required, {**node.branch, **branch}, node.bound)
-
-
 def _without_useless(node: Node, relaxed: Relaxed, objective: float) -> tuple[Node, np.ndarray]:
     """A node of the cameras that a rig better than the objective may have; those that it must have are required."""
     allowed = node.allowed & ((relaxed.bound + relaxed.rise_in < objective) | node.required)
     required = node.required | (allowed & (relaxed.bound + relaxed.rise_out >= objective))
     return Node(allowed, required, node.branch, relaxed.bound), allowed
-
-
-def _each_object_alone(problem: SelectionProblem) -> float:
-    """The bound where every object has the cameras that see it best."""
-    best = np.partition(problem.missed, problem.count - 1, axis=1)[:, : problem.count]
-    return problem.unseen + float(problem.weight @ np.prod(best, axis=1)) * (1.0 - 1e-12)
-
-
-STARTS = 64
-"""Random rigs that are exchanged first."""
-
-_DRAWS = 4 * STARTS
-"""Draws that may be made for them: with tight constraints most get stuck."""
-
-_FEWEST_STARTS = 8
-"""Rigs that an integer programme looks for where random ones do not satisfy the constraints."""
-
-_FURTHER_STARTS_TIME = 0.1
-"""Share of the time left that it may take for each but the first."""
 
 
 Ended = Literal["optimal", "gap", "time", "interrupted", "exchange"]
@@ -300,7 +255,7 @@ class Selection:
 
     @property
     def gap(self) -> float:
-        """Objective less bound: by how much another rig of the pool could be better at most, >= 0."""
+        """By how much another rig of the pool could be better at most, >= 0."""
         return self.objective - self.bound
 
 
@@ -311,7 +266,6 @@ def select(
     gap: float = 1e-3,
     time_limit_s: float = 60.0,
     seed: int = 0,
-    on_improvement: Callable[[_Improvement], None] | None = None,
 ) -> Selection:
     """Choose the rig of the lowest expected miss rate, the weighted mean over objects of the product of 1 - p.
 
@@ -326,7 +280,7 @@ def select(
     rng = np.random.default_rng(seed)
     deadline_s = began_s + time_limit_s
     rigs = _first_rigs(problem, start, rng, deadline_s)
-    search = BranchAndBound(problem, rigs, gap=gap, deadline_s=deadline_s, rng=rng, on_improvement=on_improvement)
+    search = BranchAndBound(problem, rigs, gap=gap, deadline_s=deadline_s, rng=rng)
     ended = "time"
     try:
         search.run()
