@@ -10,7 +10,8 @@ from warpav.optimisation.selection.select import select as selected
 
 
 def draw(mount_pose, *, executor=None, cache=None, chunk_cameras=512, **options):
-    return CameraPool.draw(mount_pose, drawing=Drawing(executor, cache, chunk_cameras), **options)
+    empty = CameraPool.empty(options.pop("scenes"), options.pop("cameras"), Drawing(executor, cache, chunk_cameras))
+    return empty.extended(mount_pose, **options)
 
 
 def pool_search(

@@ -219,8 +219,8 @@ def test_a_state_of_another_search_is_refused(whole):
     with np.load(io.BytesIO(states[-1]), allow_pickle=False) as state:
         known = dict(state)
     with pytest.raises(InputError, match="checkpoint: expected the state of a search by a pool, got no words"):
-        begun().restore({name: value for name, value in known.items() if name != "search_words"})
+        begun().restore({name: value for name, value in known.items() if name != "words"})
     with pytest.raises(InputError, match="got arrays that do not fit together"):
-        begun().restore({**known, "search_pool_indptr": known["search_pool_indptr"][:-1]})
+        begun().restore({**known, "pool_indptr": known["pool_indptr"][:-1]})
     with pytest.raises(InputError, match="got more states than it comes to"):
         begun(REFINED).restore({**known, "iteration": np.array(1000)})

@@ -25,12 +25,7 @@ from warpav.core.executor import Executor
 from warpav.core.progress import NullProgress, Progress
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.pool_cache import (
-    SCENES,
-    PoolCache,
-    pose_keys,
-    rows_of,
-)
+from warpav.optimisation.pool_cache import SCENES, PoolCache, pose_keys, rows_of
 from warpav.optimisation.required_points import RequiredPoints
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.scene.device_scene import DeviceScene
@@ -116,22 +111,13 @@ class CameraPool:
     _source: _Source
 
     @classmethod
-    def draw(
-        cls,
-        mount_pose: np.ndarray,
-        *,
-        scenes: Sequence[DeviceScene | RequiredPoints],
-        cameras: SingleCameras,
-        drawing: Drawing | None = None,
-        progress: Progress | None = None,
-        name: str = _POOL_NAME,
-        may_see_nothing: bool = False,
+    def empty(
+        cls, scenes: Sequence[DeviceScene | RequiredPoints], cameras: SingleCameras, drawing: Drawing | None = None
     ) -> CameraPool:
-        """Draw every camera in every scene; ``drawing`` changes no bit of the result."""
+        """No cameras yet in some scenes; ``drawing`` changes no bit of what joins them."""
         source = _Source(tuple(scenes), cameras, drawing or Drawing())
         none = np.zeros((0, MOUNT_POSE_SIZE), np.float32), np.zeros((0, len(source.scene_index)), np.float32)
-        pool = cls(*none, source.scene_index, 0, 0, np.zeros(0, bool), source)
-        return pool.extended(mount_pose, progress=progress, name=name, may_see_nothing=may_see_nothing)
+        return cls(*none, source.scene_index, 0, 0, np.zeros(0, bool), source)
 
     def extended(
         self,
@@ -192,7 +178,7 @@ class CameraPool:
 
     @property
     def cameras(self) -> SingleCameras:
-        """What drew it; a search that goes on with the pool asks it again, with the renderers and recordings it has."""
+        """What drew it, with its renderers and recordings."""
         return self._source.cameras
 
     def state(self) -> dict[str, np.ndarray]:
@@ -206,21 +192,11 @@ class CameraPool:
             **{name: getattr(bits, name) for name in ("data", "indices", "indptr")},
         }
 
-    @classmethod
-    def restored(
-        cls,
-        state: Mapping[str, np.ndarray],
-        *,
-        scenes: Sequence[DeviceScene | RequiredPoints],
-        cameras: SingleCameras,
-        drawing: Drawing | None = None,
-        progress: Progress | None = None,
-    ) -> CameraPool:
-        """The pool that gave `state`, for the same scenes and cameras."""
+    def restored(self, state: Mapping[str, np.ndarray], progress: Progress | None = None) -> CameraPool:
+        """The pool that gave `state`, for the same scenes and cameras as this empty one."""
         drawn_count, cached_count, size = (int(each) for each in state["counts"])
         pose, is_drawn = np.asarray(state["mount_pose"], np.float32), np.asarray(state["is_drawn"], bool)
-        options = {"scenes": scenes, "cameras": cameras, "drawing": drawing, "progress": progress}
-        pool = cls.draw(pose[is_drawn], may_see_nothing=True, **options)
+        pool = self.extended(pose[is_drawn], progress=progress, may_see_nothing=True)
         shape = int((~is_drawn).sum()), len(pool.scene_index)
         bits = sparse.csr_array((state["data"], state["indices"], state["indptr"]), shape=shape)
         found = np.empty((len(pose), shape[1]), f"f{size}")
@@ -236,18 +212,17 @@ class CameraPool:
 
 
 _Place = DeviceScene | RequiredPoints | Path
-"""A scene, requirements, or the file that a scene lies in."""
 
 
 @dataclass(frozen=True)
 class _Chunk:
-    """A task: some cameras in one scene."""
+    """A task: some cameras in one scene, or in the files that these lie in."""
 
-    cameras: SingleCameras | Path  # what they are, or the file that they lie in
-    scene: _Place  # the scene, or the file that it lies in
+    cameras: SingleCameras | Path
+    scene: _Place
     scene_number: int  # its place among the scenes
     row: np.ndarray  # the cameras' places among those to be drawn
-    mount_pose: np.ndarray  # they themselves, float32 [camera, 7]
+    mount_pose: np.ndarray  # float32 [camera, 7]
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +241,7 @@ class _Source:
         supersampling = self.cameras.supersampling
         if supersampling < 1:
             raise ArgumentError("cameras", f"expected supersampling of at least 1, got {supersampling}")
-        if self.cache is None and self.executor.name in ("ray", "slurm"):
+        if self.drawing.cache is None and self.executor.name in ("ray", "slurm"):
             raise ArgumentError(
                 "cache", f"expected a folder that all machines see, with executor {self.executor.name}, got none"
             )
@@ -281,13 +256,9 @@ class _Source:
     def executor(self) -> Executor:
         return self.drawing.executor or Executor()
 
-    @property
-    def cache(self) -> Path | None:
-        return self.drawing.cache
-
     @cached_property
     def _kept(self) -> PoolCache | None:
-        return None if self.cache is None else PoolCache(self.cache, self.cameras.identity)
+        return None if self.drawing.cache is None else PoolCache(self.drawing.cache, self.cameras.identity)
 
     def probabilities(self, mount_pose: np.ndarray, progress: Progress, name: str) -> tuple[np.ndarray, int, int]:
         """Detection probabilities of some cameras, float32 [camera, object]; how many renders were drawn and cached."""
@@ -333,7 +304,8 @@ class _Source:
         is_alone = self.executor.name in ("process", "ray")
         cameras = replace(self.cameras, thread_count=1) if is_alone else self.cameras
         in_files = {number for number in numbers if isinstance(self.scenes[number], DeviceScene)}
-        beside = None if self.executor.name == "process" else self.cache  # the cache is seen by all machines
+        # the cache is seen by all machines
+        beside = None if self.executor.name == "process" else self.drawing.cache
         try:
             if beside is not None:
                 beside.mkdir(parents=True, exist_ok=True)

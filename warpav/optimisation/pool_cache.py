@@ -135,8 +135,9 @@ def rows_of(wanted: np.ndarray, there: np.ndarray) -> np.ndarray:
 
 
 def pose_keys(mount_pose: np.ndarray) -> np.ndarray:
-    """The bytes of every pose, which can be sorted and compared, [camera]."""
-    return np.ascontiguousarray(mount_pose, np.float32).view(f"S{4 * MOUNT_POSE_SIZE}").reshape(-1)
+    """The bytes of every pose, which can be sorted and compared, [camera]; no zero is negative."""
+    pose = np.ascontiguousarray(mount_pose, np.float32) + np.float32(0.0)
+    return pose.view(f"S{4 * MOUNT_POSE_SIZE}").reshape(-1)
 
 
 def write_arrays(file: Path, identity: _Identity, **arrays: np.ndarray) -> None:

@@ -21,10 +21,13 @@ from warpav.optimisation.pool import CameraPool, Drawing
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import Found, PoolSearch, PoolSearchSettings, PoolTask
 from warpav.optimisation.records import Candidate, IterationRecord, named_part, part_of, rig_fields
+from warpav.optimisation.selection.relaxation import Price
+
+_WORDS = ("todo", "objective", "bound", "round", "rng", "iteration", "proven", "start_value")
 
 
-class PoolRun:
-    """A `PoolSearch` with its records; call `step` while `stop_reason` is None, then `finish`."""
+class PoolRun(PoolSearch):
+    """A search from a start, with its records; call `step` while `stop_reason` is None, then `finish`."""
 
     def __init__(
         self,
@@ -36,9 +39,7 @@ class PoolRun:
         progress: Progress | None = None,
         pool: CameraPool | None = None,
     ) -> None:
-        """A run of a task that has a start; the others as of `PoolSearch`."""
         assert task.start is not None
-        self.task = task  # what is searched for
         # mount poses that the rig begins with, float32 [camera, 7]
         self.start = task.cameras.mount.within(np.asarray(task.start, np.float32))
         self.candidates: list[Candidate] = []  # the rigs that were found, each better than those before
@@ -46,9 +47,8 @@ class PoolRun:
         self.found: Found | None = None  # the last state; None before the first step
         self.start_value: RobustValue | None = None  # what the objective of the start is made of
         self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
-        self._search = PoolSearch(task, settings, seed=seed, drawing=drawing, progress=progress, pool=pool)
-        self._at_boundary = self._summary()
         self._final_states = 0
+        super().__init__(task, settings, seed=seed, drawing=drawing, progress=progress, pool=pool)
 
     @property
     def mount_pose(self) -> np.ndarray:
@@ -63,16 +63,14 @@ class PoolRun:
     @property
     def stop_reason(self) -> str | None:
         """Why the search has stopped; None while it goes on."""
-        if self.found is None or not self._search.is_over:
+        if self.found is None or self._todo or self.settings != self._under:
             return None
         return f"the search has converged, after {self.found.camera_renders} camera renders"
 
     def step(self) -> IterationRecord:
         """Go on until the search comes to another state."""
-        began, before, passed = time.perf_counter(), self._summary(), self._search.passed
-        self.found = found = next(self._search)
-        if self._search.passed != passed:
-            self._at_boundary = before
+        began = time.perf_counter()
+        self.found = found = next(self)
         if not self.candidates and found.stage != "start":  # it breaks a hard requirement
             self.candidates.append(Candidate(self.start, math.inf, self.iteration, 0))
         if self.start_value is None:
@@ -96,7 +94,7 @@ class PoolRun:
         if self.found is None or len(self.found.pool.mount_pose) == len(self.found.mount_pose):
             return None
         pool, task = self.found.pool, self.task
-        rig = rows_of(self.found.mount_pose + np.float32(0.0), pool.mount_pose)
+        rig = rows_of(self.found.mount_pose, pool.mount_pose)
         assert (rig >= 0).all(), "whatever was rendered is in the pool"
         return further_cameras(
             pool.mount_pose,
@@ -114,24 +112,45 @@ class PoolRun:
         """
         assert self.found is not None
         pool, task = self.found.pool, self.task
-        row = rows_of(mount_pose + np.float32(0.0), pool.mount_pose)
+        row = rows_of(mount_pose, pool.mount_pose)
         if (row < 0).any():
             return None
-        designed = [self._search.designed.detection_probability(mount_pose, scene) for scene in task.scenes]
+        designed = [self.designed.detection_probability(mount_pose, scene) for scene in task.scenes]
         share = shares_of(task.object_weight)
         return {
             "expected_miss_rate": expected_miss_rate(pool.detection_probability[row, : task.object_count], share),
             "as_designed": expected_miss_rate(np.concatenate(designed, axis=1), share),
         }
 
+    def position(self) -> dict[str, Any]:
+        """All that the search knows between two stages, and the run."""
+        start_value = self.start_value and asdict(self.start_value)
+        of_run = {"iteration": self.iteration, "proven": self._proven, "start_value": start_value}
+        return super().position() | of_run | {"candidates": list(self.candidates)}
+
     def state(self) -> dict[str, np.ndarray]:
-        """Everything that `restore` needs; ``iteration`` counts the states that the search comes to again."""
-        summary = json.dumps(self._at_boundary)
-        return {
-            "iteration": np.array(self._final_states),
-            "summary": np.array(summary),
-            **named_part("search", self._search.state()),
+        """Everything that `restore` needs: where the present stage began; drawn cameras are in the cache.
+
+        ``iteration`` counts the states that the search comes to again.
+        """
+        known = self._boundary
+        words = {name: known[name] for name in _WORDS}
+        words |= {
+            "settings": asdict(self.settings),
+            "under": None if known["_under"] is None else asdict(known["_under"]),
+            "candidates": [
+                (each.mount_pose.tolist(), each.training_objective, each.iteration) for each in known["candidates"]
+            ],
         }
+        state = {"iteration": np.array(self._final_states), "words": np.array(json.dumps(words))}
+        state["row_points"] = known["_row_points"]
+        if known["places"]:
+            state["places"] = np.concatenate(known["places"])
+        if known["rig"] is not None:
+            state["rig"] = known["rig"]
+        if known["price"] is not None:
+            state |= named_part("price", {name: np.asarray(value) for name, value in vars(known["price"]).items()})
+        return state | (named_part("pool", known["pool"].state()) if len(known["pool"].mount_pose) else {})
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
         """Go on from where another run of the same task was when it gave `state`; this one has taken no step.
@@ -139,17 +158,10 @@ class PoolRun:
         The stage that the other was in is taken again. The settings may be others that do not change how a pool begins:
         rounds, refinements, gap, time.
         """
-        what = "more states than it comes to"
+        what, own = "more states than it comes to", self.settings
         try:
-            summary, count = json.loads(str(state["summary"])), int(state["iteration"])
-            settings = self._search.restore(part_of(state, "search"))
-            self.iteration = self._final_states = summary["iteration"]
-            self._proven = None if summary["proven"] is None else tuple(summary["proven"])
-            self.start_value = summary["start_value"] and RobustValue(**summary["start_value"])
-            self.candidates = [
-                Candidate(np.array(pose, np.float32), objective, iteration, 0)
-                for pose, objective, iteration in summary["candidates"]
-            ]
+            count = int(state["iteration"])
+            self._return_to(state)
         except KeyError as error:
             what = f"no {error.args[0]}"
         except (ValueError, IndexError, TypeError):
@@ -158,20 +170,33 @@ class PoolRun:
             with contextlib.suppress(StopIteration):
                 while self.iteration < count:
                     self.step()
-                self._search.settings = settings
+                self.settings = own
                 return
         raise InputError(f"checkpoint: expected the state of a search by a pool, got {what}")
 
-    def _summary(self) -> dict[str, Any]:
-        """What a run knows besides its search, as JSON has it."""
-        return {
-            "iteration": self.iteration,
-            "proven": self._proven,
-            "start_value": self.start_value and asdict(self.start_value),
-            "candidates": [
-                (each.mount_pose.tolist(), each.training_objective, each.iteration) for each in self.candidates
-            ],
-        }
+    def _return_to(self, state: Mapping[str, np.ndarray]) -> None:
+        """Be where a `state` was taken, under its settings."""
+        words = json.loads(str(state["words"]))
+        self.settings = PoolSearchSettings(**words["settings"])
+        self._under = None if words["under"] is None else PoolSearchSettings(**words["under"])
+        self._todo = [tuple(each) for each in words["todo"]]
+        self.objective, self.bound, self.round = (words[name] for name in ("objective", "bound", "round"))
+        self._rng.bit_generator.state = words["rng"]
+        self.iteration = self._final_states = words["iteration"]
+        self._proven = None if words["proven"] is None else tuple(words["proven"])
+        self.start_value = words["start_value"] and RobustValue(**words["start_value"])
+        self.candidates = [
+            Candidate(np.array(pose, np.float32), objective, iteration, 0)
+            for pose, objective, iteration in words["candidates"]
+        ]
+        self._row_points = np.array(state["row_points"], int)
+        self._places = [each[None] for each in state["places"]] if "places" in state else []
+        self.rig = np.array(state["rig"], np.float32) if "rig" in state else None
+        price: dict[str, Any] = dict(part_of(state, "price"))
+        price = {name: each if each.ndim else each.item() for name, each in price.items()}
+        self.price = Price(**price) if price else None
+        if pool := part_of(state, "pool"):
+            self.pool = self.pool.restored(pool, self._progress)
 
     def _terms(self, found: Found) -> dict[str, float]:
         """The expected miss rate, and what else there is: the share of the requirements' points that is missed."""
@@ -179,7 +204,7 @@ class PoolRun:
         without = {} if robust is None else {"expected_miss_rate_without_camera": robust.without_camera}
         if points is None:
             return {"expected_miss_rate": found.objective if robust is None else robust.expected_miss_rate, **without}
-        row = rows_of(found.mount_pose + np.float32(0.0), found.pool.mount_pose)
+        row = rows_of(found.mount_pose, found.pool.mount_pose)
         probability, count = found.pool.detection_probability[row], points.vehicle_count
         return {
             "expected_miss_rate": expected_miss_rate(probability[:, :-count], shares_of(self.task.object_weight)),

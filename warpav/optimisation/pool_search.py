@@ -11,10 +11,9 @@ from other places, and the pool is refined around the rig, as the objective is r
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Generator, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
 
@@ -33,7 +32,6 @@ from warpav.optimisation.objective import RigObjective, single_cameras_of
 from warpav.optimisation.polish import Detected, PolishSteps, PolishTask, nearest_rig, polish, step_unit
 from warpav.optimisation.pool import CameraPool, Drawing, spread_mount_poses
 from warpav.optimisation.pool_cache import rows_of
-from warpav.optimisation.records import named_part, part_of
 from warpav.optimisation.replacements import Replacements, within_half_a_turn
 from warpav.optimisation.required_points import RequiredPoints
 from warpav.optimisation.rig_limits import RigLimits
@@ -62,7 +60,8 @@ _REFINED_FROM, REFINED_TO = 0.4, 0.01
 """Radii of these, in units of the polish: halved whenever nothing better is found."""
 _SAME = 1e-6  # the polish and the pool round differently
 _OTHER_MODULE = 1e6  # farther than any camera of the same module
-_KEPT = ("best", "objective", "bound", "price", "round", "_under", "_row_points")
+_KEPT = ("pool", "rig", "objective", "bound", "price", "round", "_under", "_row_points")
+"""What a search knows between two stages, besides these, places and random numbers."""
 
 
 @dataclass(frozen=True)
@@ -161,10 +160,8 @@ class PoolSearch:
     among all that is known.
 
     A search is a list of short stages (``_todo``), each of which may put others in front. Between two stages all that
-    it knows is the pool and a few numbers: that is its `state`. Within a stage nothing is random, so that a search that
-    is stopped goes on from the stage's beginning to the same rigs, to the bit.
-
-    ``task``: what it looks for. ``settings``: how much it looks at from now on.
+    it knows is the pool and a few numbers (`position`). Within a stage nothing is random, so that a search that is
+    stopped goes on from the stage's beginning to the same rigs, to the bit.
     """
 
     def __init__(
@@ -192,21 +189,21 @@ class PoolSearch:
         self.points, self.camera_count, self.limits = task.requirements, task.camera_count, task.limits
         self.object_weight, self.robust = task.whole_weight, task.robust
         self.assembly = _Assembly(self.cameras.mount)
-        self.pool: CameraPool  # the cameras that it knows
-        self.best: np.ndarray | None = None
+        # the cameras that it knows
+        self.pool = CameraPool.empty(self.scenes, self.cameras, drawing) if pool is None else pool
+        self.rig: np.ndarray | None = None
         self.objective = np.inf
         self.bound: float | None = None
         self.price: Price | None = None
         self.round = 0
-        self._given, self._drawing, self._progress = pool, drawing or Drawing(), progress
+        self._progress = progress
         self._row_points = np.zeros(0, int)
         self._began = time.perf_counter()
         self._under: PoolSearchSettings | None = None  # those under which pricing brought nothing more
         self._rng, self._places = np.random.default_rng([seed, 1]), list[np.ndarray]()
         self._todo: list[tuple[Any, ...]] = [("begin",)]
-        self.boundary: dict[str, Any] = {}
-        self.passed = 0
         self._states = self._run()
+        self._boundary: dict[str, Any] = {}  # where the present stage began
 
     def __iter__(self) -> PoolSearch:
         return self
@@ -217,64 +214,20 @@ class PoolSearch:
 
     def _run(self) -> Iterator[Found]:
         while self._todo:
-            names = (*_KEPT, *(["pool"] if hasattr(self, "pool") else []))
-            self.boundary = {name: getattr(self, name) for name in names}
-            self.boundary |= {"_todo": list(self._todo), "_places": list(self._places)}
-            self.boundary["_rng"] = self._rng.bit_generator.state
-            self.passed += 1
+            self._boundary = self.position()
             stage, *given = self._todo.pop(0)
-            yield from getattr(self, f"_{stage}")(*given)
+            yield from getattr(self, f"_{stage}")(*given) or ()
 
-    @property
-    def is_over(self) -> bool:
-        """Whether nothing is left to do under the present settings."""
-        return not self._todo and self.settings == self._under
-
-    def state(self) -> dict[str, np.ndarray]:
-        """What `restore` needs: the search at the beginning of the present stage; drawn cameras are in the cache."""
-        known = self.boundary
-        words = {
-            "todo": known["_todo"],
-            "settings": asdict(self.settings),
-            "under": None if known["_under"] is None else asdict(known["_under"]),
-            "numbers": [known["objective"], known["bound"], known["round"]],
-            "rng": known["_rng"],
-        }
-        state = {"words": np.array(json.dumps(words)), "row_points": known["_row_points"]}
-        if known["_places"]:
-            state["places"] = np.concatenate(known["_places"])
-        if known["best"] is not None:
-            state["best"] = known["best"]
-        if known["price"] is not None:
-            state |= named_part("price", {name: np.asarray(value) for name, value in vars(known["price"]).items()})
-        return state | (named_part("pool", known["pool"].state()) if "pool" in known else {})
-
-    def restore(self, state: Mapping[str, np.ndarray]) -> PoolSearchSettings:
-        """Be where another search of the same task was, under its settings; returns the own ones."""
-        words = json.loads(str(state["words"]))
-        own, self.settings = self.settings, PoolSearchSettings(**words["settings"])
-        self._todo = [tuple(each) for each in words["todo"]]
-        self._under = None if words["under"] is None else PoolSearchSettings(**words["under"])
-        self.objective, self.bound, self.round = words["numbers"]
-        self._rng.bit_generator.state = words["rng"]
-        self._row_points = np.array(state["row_points"], int)
-        self._places = [each[None] for each in state["places"]] if "places" in state else []
-        self.best = np.array(state["best"], np.float32) if "best" in state else None
-        price: dict[str, Any] = dict(part_of(state, "price"))
-        price = {name: each if each.ndim else each.item() for name, each in price.items()}
-        self.price = Price(**price) if price else None
-        pool = part_of(state, "pool")
-        if pool:
-            self.pool = CameraPool.restored(
-                pool, scenes=self.scenes, cameras=self.cameras, drawing=self._drawing, progress=self._progress
-            )
-        return own
+    def position(self) -> dict[str, Any]:
+        """All that it knows between two stages."""
+        known: dict[str, Any] = {name: getattr(self, name) for name in _KEPT}
+        return known | {"todo": list(self._todo), "places": list(self._places), "rng": self._rng.bit_generator.state}
 
     def _found(self, stage: _Stage, *, is_final: bool = True) -> Found:
         """The state of the search."""
-        assert self.best is not None
+        assert self.rig is not None
         return Found(
-            self.best,
+            self.rig,
             self.objective,
             self.bound or 0.0,
             stage,
@@ -300,12 +253,7 @@ class PoolSearch:
 
     def _begin(self) -> Iterator[Found]:
         """Draw the start and the first pool."""
-        mount, spread_count, start, pool = (
-            self.cameras.mount,
-            self.settings.pool_cameras,
-            self.task.start,
-            self._given,
-        )
+        mount, spread_count, start = self.cameras.mount, self.settings.pool_cameras, self.task.start
         first = self.assembly.frozen
         if start is not None:
             start = nearest_rig(start, mount, self.constraints)
@@ -317,30 +265,25 @@ class PoolSearch:
         if len(first) + spread_count < self.camera_count:
             expected = f"expected enough for a pool of {self.camera_count} cameras in {len(self.scenes)} scenes"
             raise ArgumentError("camera_renders_max", f"{expected}, got {limit}")
-        spread = np.zeros((0, MOUNT_POSE_SIZE), np.float32)
-        if spread_count > 0 and pool is None:
-            spread = spread_mount_poses(mount, self.constraints, spread_count, seed=self.seed)
-        draw = partial(
-            CameraPool.draw,
-            scenes=self.scenes,
-            cameras=self.cameras,
-            drawing=self._drawing,
-            progress=self._progress,
-        )
-        if pool is not None:
-            new = first[rows_of(first + np.float32(0.0), pool.mount_pose) < 0]
+        spread, pool = np.zeros((0, MOUNT_POSE_SIZE), np.float32), self.pool
+        if len(pool.mount_pose):
+            new = first[rows_of(first, pool.mount_pose) < 0]
             self.pool = pool.extended(new, progress=self._progress) if len(new) else pool
-        elif start is None:
-            self.pool = draw(np.concatenate([first, spread]))
         else:
-            self.pool = draw(first, name=_START_NAME, may_see_nothing=len(spread) > 0)
+            if spread_count > 0:
+                spread = spread_mount_poses(mount, self.constraints, spread_count, seed=self.seed)
+            if start is None:
+                self.pool = pool.extended(np.concatenate([first, spread]), progress=self._progress)
+            else:
+                told = {"progress": self._progress, "name": _START_NAME}
+                self.pool = pool.extended(first, may_see_nothing=len(spread) > 0, **told)
         if start is not None:
-            row = rows_of(first + np.float32(0.0), self.pool.mount_pose)
+            row = rows_of(first, self.pool.mount_pose)
             of_start = self.pool.detection_probability[row]
             robust = self._robust_value(row)
             value = robust.objective if robust else expected_miss_rate(of_start, shares_of(self.object_weight))
             self._is_better(start, value, of_start)
-            if self.best is not None:
+            if self.rig is not None:
                 yield self._found("start")
             if len(spread):
                 self.pool = self.pool.extended(spread, progress=self._progress)
@@ -364,48 +307,39 @@ class PoolSearch:
         rest = limit - of_a_round * len(self.scenes)
         return int(_POOL_SHARE * limit) if self.settings.refinements else max(int(_POOL_SHARE * limit), rest)
 
-    def _improve(self) -> Iterator[Found]:
+    def _improve(self) -> None:
         """Improve the best rig, and prove how good it is."""
-        stages: list[tuple[Any, ...]] = []
+        self._todo = [("note",), ("select",), ("settle",)]
         if self.settings.polishes:
             first = [] if self.bound is not None else [("select_and_polish", *FIRST_POLISH)]
-            stages = [*first, ("priced",), ("note",), ("select_and_polish", *LAST_POLISH), ("refine",)]
-        self._todo = [*(stages or [("note",)]), ("select_last",), ("settle",)]
-        yield from ()
+            self._todo[:1] = [*first, ("priced",), ("note",), ("select_and_polish", *LAST_POLISH), ("refined", 0, -1)]
 
-    def _note(self) -> Iterator[Found]:
+    def _note(self) -> None:
         """The settings under which pricing has come to its end."""
         self._under = self.settings
-        yield from ()
 
     def _settle(self) -> Iterator[Found]:
         yield self._found("settled")
         if self.settings != self._under:
             self._todo = [("improve",)]
 
-    def _select_last(self) -> Iterator[Found]:
-        yield from self._select(self.settings.gap)
-
-    def _priced(self, before: float = np.inf) -> Iterator[Found]:
+    def _priced(self, before: float = np.inf) -> None:
         """Price, select and polish until a round brings nothing; ``before`` is the objective before the last."""
         is_first, can_pay = before == np.inf, self._affordable(_PRICED_STEPS) == _PRICED_STEPS
         if (is_first or self.objective <= before - _SAME) and self.round < self.settings.rounds and can_pay:
             self.round += 1
             self._todo[:0] = [("price",), ("select_and_polish", *FURTHER_POLISH), ("priced", self.objective)]
-        yield from ()
 
-    def _refine(self) -> Iterator[Found]:
-        """What steps along gradients have missed: other places for single cameras, and places near the rig's."""
-        self._rng, self._places = np.random.default_rng([self.seed, 1]), []
-        self._todo.insert(0, ("refined", 0, -1))
-        yield from ()
+    def _refined(self, times: int, spent: int) -> None:
+        """Look for what steps along gradients have missed: other places for single cameras, and near the rig's.
 
-    def _refined(self, times: int, spent: int) -> Iterator[Found]:
-        """One refinement after the other, while they look at something new; ``spent`` are renders before the last."""
+        One time after the other, while they look at something new; ``spent`` are renders before the last.
+        """
+        if not times:
+            self._rng, self._places = np.random.default_rng([self.seed, 1]), []
         if times < self.settings.refinements and self.camera_renders != spent:
             further = ("refined", times + 1, self.camera_renders)
             self._todo[:0] = [("replaced", -1, np.inf), ("nearby", 2.0 * _REFINED_FROM, 0.0), further]
-        yield from ()
 
     def _replaced(self, vain: int, before: float) -> Iterator[Found]:
         """Replace single cameras until that was in vain too often."""
@@ -418,9 +352,9 @@ class PoolSearch:
 
     def _nearby(self, radius: float, before: float) -> Iterator[Found]:
         """Look around the best rig's cameras, ever nearer when nothing better is found."""
-        assert self.best is not None
+        assert self.rig is not None
         radius = radius * 0.5 if self.objective > before - _SAME else radius
-        count = NEAR_CAMERAS * (len(self.best) - len(self.assembly.frozen))
+        count = NEAR_CAMERAS * (len(self.rig) - len(self.assembly.frozen))
         if radius > REFINED_TO and self._affordable(count) == count:
             before = self.objective
             yield from self._look_nearby(radius)
@@ -448,24 +382,25 @@ class PoolSearch:
         """
         if self.points is not None:
             if probability is None:
-                row = rows_of(rig + np.float32(0.0), self.pool.mount_pose)
+                row = rows_of(rig, self.pool.mount_pose)
                 probability = self.pool.detection_probability[row]
             if not self._meets_requirements(probability):
                 return False
-        if objective < self.objective - (_SAME if self.best is not None else 0.0):
-            self.best, self.objective = rig, objective
+        if objective < self.objective - (_SAME if self.rig is not None else 0.0):
+            self.rig, self.objective = rig, objective
             return True
         return False
 
-    def _select(self, gap: float) -> Generator[Found, None, tuple[np.ndarray, bool]]:
+    def _select(self, least_gap: float = 0.0) -> Generator[Found, None, tuple[np.ndarray, bool]]:
         """The best rig of the pool, and whether it is better than what was known."""
+        gap = max(self.settings.gap, least_gap)
         cameras = len(self.pool.mount_pose)
         absent = 0 if self.limits is None else self.limits.absent
         rows, self._row_points = self._rows_for(self.pool.mount_pose, absent)
         selection = self._selection(gap, rows, absent)
         self.bound, self.price, self._others = selection.bound, selection.price, selection.others
         chosen = selection.cameras[selection.cameras < cameras]
-        chosen = self.assembly.rig(self.pool.mount_pose[chosen], like=self.best)
+        chosen = self.assembly.rig(self.pool.mount_pose[chosen], like=self.rig)
         is_better = self._is_better(chosen, selection.objective)
         is_interrupted = selection.ended == "interrupted"
         yield self._found("selection", is_final=not is_interrupted)
@@ -476,8 +411,8 @@ class PoolSearch:
     def _selection(self, gap: float, rows: list[Row], absent: int) -> Selection:
         """Choose the best rig of the pool."""
         pool, known = self.pool, None
-        if self.best is not None:
-            missing = np.arange(self.camera_count - len(self.best))
+        if self.rig is not None:
+            missing = np.arange(self.camera_count - len(self.rig))
             known = np.concatenate([self._rows_of_best(), len(pool.mount_pose) + missing])
         problem = SelectionProblem.create(
             _with_absent(np.minimum(pool.detection_probability, SUREST), absent),
@@ -501,7 +436,7 @@ class PoolSearch:
     def _points_of(self, mount_pose: np.ndarray, absent: int = 0) -> np.ndarray:
         """How surely cameras of the pool see the requirements' points, [camera, point]; see `_limit_rows`."""
         assert self.points is not None
-        found = self.pool.detection_probability[rows_of(mount_pose + np.float32(0.0), self.pool.mount_pose)]
+        found = self.pool.detection_probability[rows_of(mount_pose, self.pool.mount_pose)]
         return _with_absent(found[:, -self.points.vehicle_count :], absent)
 
     def _rows_for(self, mount_pose: np.ndarray, absent: int = 0) -> tuple[list[Row], np.ndarray]:
@@ -521,7 +456,7 @@ class PoolSearch:
 
     def _select_and_polish(self, step_count: int, radius: float) -> Iterator[Found]:
         is_first = self.bound is None
-        chosen, is_better = yield from self._select(max(self.settings.gap, _GAP_ON_THE_WAY))
+        chosen, is_better = yield from self._select(_GAP_ON_THE_WAY)
         rigs = [chosen] if is_better or is_first else []
         if is_first:
             cameras = len(self.pool.mount_pose)
@@ -610,8 +545,8 @@ class PoolSearch:
 
     def _rows_of_best(self) -> np.ndarray:
         """The cameras of the best rig in the pool, the frozen ones first, int [camera]."""
-        assert self.best is not None
-        return rows_of(self.assembly.in_order(self.best) + np.float32(0.0), self.pool.mount_pose)
+        assert self.rig is not None
+        return rows_of(self.assembly.in_order(self.rig), self.pool.mount_pose)
 
     def _replace(self) -> Iterator[Found]:
         """Polish single cameras from other places than were tried, each with the rest of the rig as it is."""
@@ -650,7 +585,7 @@ class PoolSearch:
             rigs, value = exchange(problem, first)
         else:
             rigs, value = exchange_robust(problem, first, self.robust, self._sizes(pool.mount_pose[around]))
-        self._is_better(self.assembly.rig(pool.mount_pose[around[rigs[0]]], like=self.best), float(value[0]))
+        self._is_better(self.assembly.rig(pool.mount_pose[around[rigs[0]]], like=self.rig), float(value[0]))
         yield self._found("polish")
 
 

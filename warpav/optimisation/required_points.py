@@ -84,8 +84,8 @@ def require_meetable(visibility: Visibility, ghosts: Ghosts, count: int) -> None
         if share > 0.0 and not meets[nearest, worst]:
             closest = f"camera {nearest} comes closest with {share:.0%} and {pixels:.0f} px"
         lines.append(
-            f"requirement {ghosts.requirements[r].name}: {len(points)} point{'s' if len(points) > 1 else ''} that the pool "
-            f"cannot meet, such as ({x:.2f}, {y:.2f}) m, which needs {needed[worst]} camera"
+            f"requirement {ghosts.requirements[r].name}: {len(points)} point{'s' if len(points) > 1 else ''} that the "
+            f"pool cannot meet, such as ({x:.2f}, {y:.2f}) m, which needs {needed[worst]} camera"
             f"{'s' if needed[worst] > 1 else ''} and has {found[worst]}; {closest}"
         )
     if lines:

@@ -279,7 +279,7 @@ def _larger(before: PoolRun, count: int, limits: RigLimits | None) -> np.ndarray
 
     while size(rig) < (count if limits is None else limits.count[0]):
         gain = further_gain(
-            missed_probability(pool.detection_probability[rows_of(rig + np.float32(0.0), pool.mount_pose)]),
+            missed_probability(pool.detection_probability[rows_of(rig, pool.mount_pose)]),
             pool.detection_probability,
             before.task.whole_weight,
         )
