@@ -93,10 +93,7 @@ class Constraints(ABC):
 
     @abstractmethod
     def losses_of(self, views: PlacedViews, rotation_count: int) -> wp.array:
-        """The losses, recorded on the active tape. Returns float [constraint] in the order of `names`.
-
-        Gradients flow to the mount pose.
-        """
+        """The losses in the order of `names`, float [constraint], on the active tape, from the mount pose."""
 
     @abstractmethod
     def contains(self, place_m: np.ndarray) -> np.ndarray:
@@ -107,10 +104,7 @@ class Constraints(ABC):
         """The error for more cameras than there is room for."""
 
     def violation_m(self, rig: Rig) -> float:
-        """By how much a rig breaks the constraints [m]: all excess over the borders plus all missing spacing.
-
-        Exactly 0 if it breaks none. The rig may have any number of cameras. Frozen cameras break none by themselves.
-        """
+        """All excess over the borders plus all missing spacing [m]; frozen cameras break none by themselves."""
         position_m = np.array([camera.position_m for camera in rig.cameras])
         place_m, _ = self.surface.place_of(self.surface.left_of(position_m), self.surface.carriers_of(rig.cameras))
         is_frozen = self._stands_frozen(position_m)
@@ -123,11 +117,7 @@ class Constraints(ABC):
         return violation if violation > _ROUNDING_M else 0.0
 
     def slack_m(self, place_m: np.ndarray, height_delta_m: np.ndarray) -> np.ndarray:
-        """By how much cameras keep more than they must, each from the border and each pair from each other [m].
-
-        Returns borders, then pairs; negative where a constraint is broken. Frozen cameras have none of their own.
-        float64.
-        """
+        """By how much cameras keep more than they must [m]: borders, then pairs, without those of frozen ones alone."""
         place, height_delta = np.array(place_m, np.float64), np.array(height_delta_m, np.float64)
         is_frozen = self._put_frozen(place, height_delta)
         point_m = self._point_m(place, height_delta)
@@ -138,10 +128,7 @@ class Constraints(ABC):
         return np.concatenate([border_m - self.margin_m, apart_m - self.min_spacing_m])
 
     def slack_slope(self, place_m: np.ndarray, height_delta_m: np.ndarray) -> np.ndarray:
-        """The slope of `slack_m` to x, y and the height of every camera [m/m], float64 [constraint, camera, 3].
-
-        Borders and heights of the surface by differences, as they come from rasters; 0 for what is frozen.
-        """
+        """The slope of `slack_m` to x, y and height, float64 [constraint, camera, 3]; of rasters by differences."""
         place, height_delta = np.array(place_m, np.float64), np.array(height_delta_m, np.float64)
         is_frozen = self._put_frozen(place, height_delta)
         count = len(place)
@@ -175,10 +162,7 @@ class Constraints(ABC):
         return slope
 
     def margins(self, rig: Rig) -> list[Margin]:
-        """How far a rig is from breaking every single constraint: those of the borders, then those of pairs.
-
-        The rig may have any number of cameras. Frozen cameras have none of their own.
-        """
+        """How far a rig is from breaking each constraint: borders, then pairs, without those of frozen ones alone."""
         position_m = np.array([camera.position_m for camera in rig.cameras])
         is_frozen = self._stands_frozen(position_m)
         place_m, _ = self.surface.place_of(self.surface.left_of(position_m), self.surface.carriers_of(rig.cameras))
@@ -196,11 +180,9 @@ class Constraints(ABC):
         return free + pairs
 
     def project(self, place_m: np.ndarray, height_delta_m: np.ndarray | None = None) -> np.ndarray:
-        """Near places that satisfy the constraints: into the borders, then pairs pushed apart, in turns.
+        """Near places that satisfy the constraints, float64 [camera, 2]: into the borders and apart, in turns.
 
-        Returns float64 [camera, 2]; equal to the input where it satisfies the constraints already. What is kept is the
-        distance in the plane, which is never more than the distance in space. Cameras that are held stand where they
-        are frozen.
+        Places that satisfy them are returned as they are; frozen cameras stand where they are frozen.
         """
         place = np.array(place_m, np.float64)
         height_delta = np.zeros(len(place)) if height_delta_m is None else np.array(height_delta_m, np.float64)
@@ -225,10 +207,7 @@ class Constraints(ABC):
                     self._part_zones(place, i, j, points, is_frozen)
                     moved = True
                     continue
-                between = place[j] - place[i]
-                distance = float(np.linalg.norm(between))
-                # two cameras at one point part along x
-                direction = between / distance if distance > 1e-9 else np.array([1.0, 0.0])
+                distance, direction = _length_and_direction(place[j] - place[i])
                 push = (wanted_m - distance) * direction
                 # a frozen one stays, and the other one goes the whole way
                 place[i] -= (0.0 if is_frozen[i] else 1.0 if is_frozen[j] else 0.5) * push
@@ -249,9 +228,7 @@ class Constraints(ABC):
         for k, sign in ((i, -1.0), (j, 1.0)):
             if not is_frozen[k]:
                 along = (self.surface.axes[self.surface.zone_at(place[k])] @ between)[:2]
-                length = float(np.linalg.norm(along))
-                direction = along / length if length > 1e-9 else np.array([1.0, 0.0])
-                place[k] += sign * missing_m * direction
+                place[k] += sign * missing_m * _length_and_direction(along)[1]
 
     def nearest_place(self, place_m: np.ndarray) -> np.ndarray:
         """The nearest places [camera, 2] [m] where cameras that are alone may stand, float64."""
@@ -299,10 +276,7 @@ class Constraints(ABC):
 
     @abstractmethod
     def _brought_in(self, place: np.ndarray, module: np.ndarray | None = None) -> np.ndarray:
-        """The nearest places within the borders, with room for the rounding to float32. ``place`` float64 [camera, 2].
-
-        ``module`` int [camera].
-        """
+        """The nearest places within the borders, float64 [camera, 2], with room for the rounding to float32."""
 
     @abstractmethod
     def _drawn(self, camera_count: int, rng: np.random.Generator) -> np.ndarray:
@@ -310,10 +284,7 @@ class Constraints(ABC):
 
 
 class ZoneAndSpacing(Constraints):
-    """The default method's: inside the mountable zone, and apart; one inequality for every camera and every pair.
-
-    The zone has the shape of what can carry a camera, such as roof and bonnet; it need not be in one piece.
-    """
+    """The default method's: inside the mountable zone, and apart; one inequality for every camera and every pair."""
 
     are_inequalities = True
 
@@ -344,7 +315,7 @@ class ZoneAndSpacing(Constraints):
                 f"expected less than {widest_m:.3g} m, the largest distance to the border of the mountable zone, "
                 f"got {margin_m:g}",
             )
-        self._arrays: dict[tuple[str, str], wp.array] = {}
+        self._arrays: dict[str, tuple[wp.array, wp.array]] = {}
         self._borders: dict[int, tuple[np.ndarray, KDTree]] = {}
 
     @property
@@ -366,14 +337,12 @@ class ZoneAndSpacing(Constraints):
         pairs = np.array(list(itertools.combinations(range(self.camera_count), 2)), int).reshape(-1, 2)
         return np.flatnonzero(~np.concatenate([is_frozen, is_frozen[pairs].all(axis=1)])).astype(np.int32)
 
-    def _on_device(self, name: str, device: Any) -> wp.array:  # noqa: ANN401 (Warp's)
-        """``raster``, the distances to the border, or ``kept``, the losses that count; copied to a device once."""
-        key = (name, str(device))
-        if key not in self._arrays:
+    def _on_device(self, device: Any) -> tuple[wp.array, wp.array]:  # noqa: ANN401 (Warp's)
+        """The distances to the border, and the losses that count; copied to a device once."""
+        if (key := str(device)) not in self._arrays:
             self._arrays[key] = (
-                wp.array(self.surface.border_distance_m, dtype=float, device=device)
-                if name == "raster"
-                else wp.array(self._kept, dtype=wp.int32, device=device)
+                wp.array(self.surface.border_distance_m, dtype=float, device=device),
+                wp.array(self._kept, dtype=wp.int32, device=device),
             )
         return self._arrays[key]
 
@@ -382,6 +351,7 @@ class ZoneAndSpacing(Constraints):
         if views.mount_pose.shape[0] != self.camera_count:
             raise ValueError(f"expected {self.camera_count} cameras, got {views.mount_pose.shape[0]}")
         device = views.mount_pose.device
+        border_distance_m, kept = self._on_device(device)
         count = self.camera_count * (self.camera_count + 1) // 2
         excess_m = wp.zeros(count, dtype=float, device=device, requires_grad=True)
         wp.launch(
@@ -389,7 +359,7 @@ class ZoneAndSpacing(Constraints):
             dim=self.camera_count,
             inputs=[
                 views.mount_pose,
-                self._on_device("raster", device),
+                border_distance_m,
                 wp.vec2(*self.surface.origin_m),
                 self.surface.cell_m,
                 self.margin_m,
@@ -410,7 +380,7 @@ class ZoneAndSpacing(Constraints):
         wp.launch(
             constraint_losses.keep_excess_kernel,
             dim=len(kept_m),
-            inputs=[excess_m, self._on_device("kept", device)],
+            inputs=[excess_m, kept],
             outputs=[kept_m],
             device=device,
         )
@@ -483,10 +453,7 @@ class ZoneAndSpacing(Constraints):
         return np.where(is_inside[..., None], met, np.inf)
 
     def _border(self, module: int) -> tuple[np.ndarray, KDTree]:
-        """Places all along the border of a module's zones, -1: of all, just inside [m], [place, 2]; and their tree.
-
-        They are a quarter of a cell apart.
-        """
+        """Places all along the border of a module's zones (-1: of all), just inside [m], [place, 2]; and their tree."""
         from scipy.spatial import KDTree
 
         if module not in self._borders:
@@ -527,6 +494,12 @@ class ZoneAndSpacing(Constraints):
 def min_camera_distance_m(position_m: np.ndarray) -> float:
     """Smallest distance between two of the points [camera, 3] [m]; inf for a single camera."""
     return min((math.dist(a, b) for a, b in itertools.combinations(position_m, 2)), default=math.inf)
+
+
+def _length_and_direction(along_m: np.ndarray) -> tuple[float, np.ndarray]:
+    """Of a vector; what stands at one point parts along x."""
+    length_m = float(np.linalg.norm(along_m))
+    return length_m, along_m / length_m if length_m > 1e-9 else np.array([1.0, 0.0])
 
 
 def _do_not_fit(where: str, min_spacing_m: float, camera_count: int) -> OptionError:

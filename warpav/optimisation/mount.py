@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from warpav.core.errors import InputError
+from warpav.core.frames import rotation_from_yaw_pitch_roll
 from warpav.raster.buffers import lens_of
 from warpav.raster.camera import CameraModel, rotational_additions
 from warpav.raster.pane import Pane
@@ -86,8 +87,7 @@ class FrozenCameras:
     @property
     def position_m(self) -> np.ndarray:
         """Centres of those that stay [m], float64 [frozen, 3]."""
-        places = [camera.position_m for camera, frozen in zip(self.camera, self.is_frozen, strict=True) if frozen]
-        return np.array(places, np.float64).reshape(-1, 3)
+        return np.array([self.camera[k].position_m for k in np.flatnonzero(self.is_frozen)], np.float64).reshape(-1, 3)
 
 
 class CameraMount:
@@ -110,17 +110,14 @@ class CameraMount:
         """Mount for cameras of one model, or of the models of several modules."""
         self.surface = surface
         self.cameras = (camera,) if isinstance(camera, CameraModel) else tuple(camera)
-        if len(self.cameras) != max(len(surface.modules), 1):
-            raise ValueError(
-                f"camera must be one model for each of {max(len(surface.modules), 1)}, got {len(self.cameras)}"
-            )
+        if len(self.cameras) != (count := max(len(surface.modules), 1)):
+            raise ValueError(f"camera must be one model for each of {count}, got {len(self.cameras)}")
         self.height_offset_m = height_offset_m
         self.device = device
         self.free = free = free or FreeRanges()
-        narrowest_rad = min(each.fov_rad for each in self.cameras) if free.fov_rad is None else free.fov_rad[0]
         self.frozen: FrozenCameras | None = None
-        self._narrowest_rad = narrowest_rad
-        self.rotation_count, self.rotation_step_rad = rotational_additions(narrowest_rad)
+        self._narrowest_rad = free.fov_rad[0] if free.fov_rad else min(each.fov_rad for each in self.cameras)
+        self.rotation_count, self.rotation_step_rad = rotational_additions(self._narrowest_rad)
         of_zone = surface.module_of_zone if surface.modules else np.zeros(max(len(surface.zones), 1), int)
         zones = zip(surface.zones or (None,), of_zone, strict=True)
         ends = [self._ends(number, zone, self.cameras[module]) for number, (zone, module) in enumerate(zones)]
@@ -141,7 +138,7 @@ class CameraMount:
         return bool(self.surface.modules)
 
     def module_of(self, mount_pose: np.ndarray) -> np.ndarray:
-        """Which of `cameras` the cameras at ``mount_pose`` [camera, 7] are: the zone says it, int [camera]."""
+        """Which of `cameras` the cameras at ``mount_pose`` [camera, 7] are by their zones, int [camera]."""
         return self.surface.module_at(mount_pose[:, [X_M, Y_M]])
 
     def panes_of(self, mount_pose: np.ndarray) -> list[Pane | None]:
@@ -150,7 +147,7 @@ class CameraMount:
 
     @property
     def sees_apart(self) -> bool:
-        """Whether one render cannot show what all cameras see: they differ in image, or look through the body."""
+        """Whether cameras differ in image or look through the body, so that one render cannot show what all see."""
         return self.is_mixed or any(pane is not None for pane in self.surface.panes)
 
     @property
@@ -166,15 +163,12 @@ class CameraMount:
     @cached_property
     def mirrored(self) -> CameraMount:
         """The mount on the other side: there the mirror images of pairs stand, at `MIRROR` times their poses."""
-        mount = copy.copy(self)
-        plane_m, axes = np.array(self.surface.plane_m), np.array(self.surface.axes)
-        plane_m[:, 1] *= -1.0
-        axes[..., 1] *= -1.0
-        if self.surface.panes:
-            mirrored = tuple(pane and pane.mirrored() for pane in self.surface.panes)
-            mount.surface = dataclasses.replace(self.surface, panes=mirrored)
-        mount._plane_m = wp.array(plane_m, dtype=wp.vec3, device=self.device)
-        mount._axes = wp.array(axes, dtype=wp.mat33, device=self.device)
+        mount, surface, across = copy.copy(self), self.surface, np.array([1.0, -1.0, 1.0])
+        if surface.panes:
+            mirrored = tuple(pane and pane.mirrored() for pane in surface.panes)
+            mount.surface = dataclasses.replace(surface, panes=mirrored)
+        mount._plane_m = wp.array(surface.plane_m * across, dtype=wp.vec3, device=self.device)
+        mount._axes = wp.array(surface.axes * across, dtype=wp.mat33, device=self.device)
         return mount
 
     @property
@@ -203,20 +197,17 @@ class CameraMount:
             ranges[HEIGHT_DELTA_M] = (free.height_m[0] - self.height_offset_m, free.height_m[1] - self.height_offset_m)
         if free.fov_rad is not None:
             ranges[LOG_ZOOM] = (camera.log_zoom_to(free.fov_rad[1]), camera.log_zoom_to(free.fov_rad[0]))
-        for least, greatest in ranges.values():
-            if least > _ROUNDING or greatest < -_ROUNDING:
-                raise ValueError(f"the free ranges must hold what is configured, got {free}")
+        if any(least > _ROUNDING or greatest < -_ROUNDING for least, greatest in ranges.values()):
+            raise ValueError(f"the free ranges must hold what is configured, got {free}")
         if zone is not None:
             low_m, high_m = zone.rise_m
             ranges[HEIGHT_DELTA_M] = (low_m - self.height_offset_m, high_m - self.height_offset_m)
             # what a zone does not say is fixed there, as others may leave it free
-            level = (0.0, 0.0) if free.pitch_rad is None else None
-            of_zone = {
-                YAW_RAD: zone.yaw_range_rad,
-                PITCH_RAD: zone.pitch_rad or level,
-                ROLL_RAD: zone.roll_rad or (0.0, 0.0),
-            }
-            ranges |= {column: pair for column, pair in of_zone.items() if pair is not None}
+            ranges[ROLL_RAD] = zone.roll_rad or (0.0, 0.0)
+            if zone.yaw_range_rad is not None:
+                ranges[YAW_RAD] = zone.yaw_range_rad
+            if zone.pitch_rad or free.pitch_rad is None:
+                ranges[PITCH_RAD] = zone.pitch_rad or (0.0, 0.0)
             if zone.is_centred:
                 # y = 0 of the ego frame along the axis of the chart that runs across the vehicle
                 across = int(np.abs(zone.axes[:2, 1]).argmax())
@@ -236,8 +227,7 @@ class CameraMount:
     @property
     def is_free(self) -> np.ndarray:
         """Which numbers of a mount pose have a free range, bool [7]; x, y and yaw are always free, and not counted."""
-        is_free = np.any(np.isfinite(self._zone_low) & (self._zone_high > self._zone_low), axis=0)
-        is_free = np.asarray(is_free, bool)
+        is_free = (np.isfinite(self._zone_low) & (self._zone_high > self._zone_low)).any(axis=0)
         is_free[YAW_RAD] = False
         return is_free
 
@@ -253,14 +243,15 @@ class CameraMount:
                     f"camera {camera.name!r} must differ from the mount's in zoom alone, got {camera.model}"
                 )
         mount_pose = self.mount_pose_of_rig(rig)
-        for camera, place_m in zip(rig.cameras, self.position_m(mount_pose), strict=True):
-            if camera.name in names and math.dist(camera.position_m, place_m) > _FROZEN_OFF_M:
+        place_m, panes = self.position_m(mount_pose), self.panes_of(mount_pose)
+        for k in np.flatnonzero(is_frozen):
+            camera, pane = rig.cameras[k], panes[k]
+            if math.dist(camera.position_m, place_m[k]) > _FROZEN_OFF_M:
                 raise InputError(
                     f"camera {camera.name!r}: expected one above a zone of mount.zones, as it is to stay, got one at "
                     f"{', '.join(f'{each:g}' for each in camera.position_m)} m; let a zone reach there"
                 )
-        for camera, pane in zip(rig.cameras, self.panes_of(mount_pose), strict=True):
-            if camera.name in names and camera.behind_glass != pane:
+            if camera.behind_glass != pane:
                 there, given = (each.name if each else "none" for each in (pane, camera.behind_glass))
                 raise InputError(
                     f"camera {camera.name!r}: behind_glass: expected that of its place in mount.zones, {there}, as it "
@@ -293,10 +284,7 @@ class CameraMount:
         return pose
 
     def off_the_skin(self, mount_pose: np.ndarray) -> np.ndarray:
-        """Mount poses [camera, 7] as far off the skin as zones let them stand, of the same type; without zones as is.
-
-        A camera on the skin itself sees body from the horizon downwards: who mounts one by hand uses the bracket.
-        """
+        """Mount poses [camera, 7] as far off the skin as zones allow, of the same type; without zones as they are."""
         pose = np.array(mount_pose)
         if self.surface.zones:
             pose[:, HEIGHT_DELTA_M] = self.ends_of(pose[:, [X_M, Y_M]])[1][:, HEIGHT_DELTA_M]
@@ -356,12 +344,9 @@ class CameraMount:
         return bool(self.is_free[[PITCH_RAD, LOG_ZOOM]].any())
 
     def windows(self, views: PlacedViews, *, requires_grad: bool = True) -> wp.array:
-        """The field of view of each camera as a window of each view of its panorama, for `Frame.window_area`.
+        """The field of view of each camera as a window of each view of its panorama, for `Frame.window_area`, vec4.
 
-        Returns vec4 [view].
-
-        A field of view becomes a rectangle of azimuth and elevation around the optical axis. Recorded on the active
-        tape; gradients flow to the views' rotations and zooms.
+        Recorded on the active tape; gradients flow to the views' rotations and zooms.
         """
         view_count, camera_count = len(views.position_ego_m), views.mount_pose.shape[0]
         window_rad = wp.zeros(view_count, dtype=wp.vec4, device=self.device, requires_grad=requires_grad)
@@ -414,7 +399,8 @@ class CameraMount:
                 module=modules[module[i]] if modules else None,
                 behind_glass=panes[i],
             )
-            cameras += _both(camera) if is_pair else [camera]
+            sides = ((camera, "left"), (_mirror_image(camera), "right")) if is_pair else ()
+            cameras += [dataclasses.replace(each, name=f"{camera.name}_{side}") for each, side in sides] or [camera]
         return Rig(cameras)
 
     def rows_of_cameras(self, mount_pose: np.ndarray) -> np.ndarray:
@@ -424,8 +410,7 @@ class CameraMount:
     def mount_pose_of_rig(self, rig: Rig, *, as_configured: bool = False) -> np.ndarray:
         """The mount poses of a rig's cameras wherever they stand, float32 [camera, 7]; the inverse of `rig`.
 
-        Cameras of another model than the mount's give the zoom at which the mount's has their focal length; those of a
-        mount of modules must be these.
+        Cameras of another model give the zoom at which the mount's has their focal length; modules must be its own.
         """
         rows = []
         carriers = self.surface.carriers_of(rig.cameras)
@@ -485,22 +470,9 @@ def _mirror_image(camera: RigCamera) -> RigCamera:
     )
 
 
-def _both(camera: RigCamera) -> list[RigCamera]:
-    """A camera and its mirror image, named by their sides."""
-    other = _mirror_image(camera)
-    return [
-        dataclasses.replace(each, name=f"{camera.name}_{side}") for each, side in ((camera, "left"), (other, "right"))
-    ]
-
-
 def _numbered(names: Sequence[str]) -> list[str]:
     """The names with a number from 1 where there are several of one."""
-    count = dict.fromkeys(names, 0)
-    numbered = []
-    for name in names:
-        count[name] += 1
-        numbered.append(f"{name}_{count[name]}" if names.count(name) > 1 else name)
-    return numbered
+    return [f"{name}_{names[: k + 1].count(name)}" if names.count(name) > 1 else name for k, name in enumerate(names)]
 
 
 def views_of_rig(
@@ -516,8 +488,7 @@ def views_of_rig(
     for camera in rig.cameras:
         transform = camera.ego_from_camera
         for a in range(rotation_count):
-            cosine, sine = np.cos(a * rotation_step_rad), np.sin(a * rotation_step_rad)
-            turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+            turn = rotation_from_yaw_pitch_roll(a * rotation_step_rad, 0.0, 0.0)
             position.append(transform[:3, 3])
             rotation.append((turn @ transform[:3, :3]).T)
     if mount is not None:
