@@ -94,7 +94,7 @@ def test_runs_differ_and_repeat(device):
 
 def test_the_thesis_measured_ten_runs_of_a_hundred_iterations():
     assert (THESIS_RUNS, THESIS_ITERATIONS, THESIS_BATCH_SIZE) == (10, 100, 1)
-    assert THESIS_SETTINGS.learning_rate_position_m == THESIS_SETTINGS.learning_rate_yaw_rad == 0.25
+    assert THESIS_SETTINGS.learning_rate_position_m == math.radians(THESIS_SETTINGS.learning_rate_yaw_deg) == 0.25
 
 
 def test_the_packaged_tables_are_whole():

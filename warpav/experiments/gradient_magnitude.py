@@ -98,7 +98,7 @@ def measure_gradient_magnitudes(
         pose = AdamW(start, weight_decay=settings.weight_decay)
         rate = np.zeros(start.shape)
         rate[:, [X_M, Y_M]] = settings.learning_rate_position_m
-        rate[:, YAW_RAD] = settings.learning_rate_yaw_rad
+        rate[:, YAW_RAD] = math.radians(settings.learning_rate_yaw_deg)
         batches = BatchChooser(scenes, len(start), rng)
         for _ in range(iterations):
             batch = [scenes[k] for k in batches.choose(batch_size)]

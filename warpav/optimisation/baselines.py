@@ -19,12 +19,9 @@ _TOP_M = 0.25
 
 
 def highest_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarray:
-    """Cameras around the highest point of the mount surface, evenly turned, the first facing forward.
+    """Cameras around the highest point (of their zones), evenly turned, the first forward, float64 [camera, 7].
 
-    Returns mount poses, float64 [camera, 7].
-
-    They stand on the smallest circle that keeps neighbours apart, each on the side that it faces. Modules stand so
-    around the highest point of their zones.
+    They stand on the smallest circle that keeps neighbours apart, each on the side that it faces.
     """
     pose = np.zeros((camera_count, MOUNT_POSE_SIZE))
     pose[:, YAW_RAD] = 2.0 * math.pi * np.arange(camera_count) / camera_count
@@ -38,12 +35,9 @@ def highest_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarra
 
 
 def edge_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarray:
-    """Cameras at the edge of the top of the mount surface, evenly turned, each where the top ends in front of it.
+    """Cameras at the edge of the top, evenly turned, the first forward, each where it ends, float64 [camera, 7].
 
-    Returns mount poses, float64 [camera, 7].
-
-    A flush camera in the middle of a roof sees little but the roof; at the edge it sees the ground below. The top is
-    what is at most `_TOP_M` below the highest point, in the same zone. The first camera faces forward.
+    The top is what is at most `_TOP_M` below the highest point, in the same zone.
     """
     surface = constraints.surface
     pose = np.zeros((camera_count, MOUNT_POSE_SIZE))
@@ -64,10 +58,7 @@ def edge_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarray:
 
 
 def random_mount_pose(constraints: Constraints, yaw_rad: np.ndarray, *, rng: np.random.Generator) -> np.ndarray:
-    """Cameras at random places that satisfy the constraints, each turned as the segregation says.
-
-    Returns mount poses, float64 [camera, 7]. ``yaw_rad`` [camera].
-    """
+    """Cameras at random places that satisfy the constraints, turned as the segregation says, float64 [camera, 7]."""
     pose = np.zeros((len(yaw_rad), MOUNT_POSE_SIZE))
     pose[:, YAW_RAD] = (np.asarray(yaw_rad) + math.pi) % (2.0 * math.pi) - math.pi
     pose[:, [X_M, Y_M]] = constraints.random_place(len(yaw_rad), rng)
@@ -81,16 +72,19 @@ PLACE_STEP_M = 0.05
 def move_to_vehicle(
     rig: Rig, mount: CameraMount, ego: Mesh, *, constraints: Constraints, image: CameraModel | None = None
 ) -> MovedRig:
-    """Put every camera of a rig on the nearest place of a vehicle's mount surface that keeps its direction free.
+    """Put every camera of a rig, one after the other, on the nearest place on a vehicle that keeps its direction free.
 
-    Both vehicles' frames are laid over each other: origins below the centre of the rear axle, nothing is scaled. A
-    direction is free if the middle row of the image does not meet the vehicle, over the whole field of view. Cameras
-    are placed in the order of the rig, each apart from those before it.
-
-    Where the view is hidden from everywhere, the place with the least hidden view is taken.
+    Both vehicles' frames are laid over each other. A direction is free if the middle row of the image does not meet
+    the vehicle; where that is so nowhere, the place with the least hidden view is taken.
     """
     caster = ray_caster(ego)
-    place_m = _places(mount, constraints)
+    # camera centres all over where they may stand [m], float64 [place, 3]
+    low_m, high_m = mount.surface.bounds_m
+    count = np.maximum(np.ceil((high_m - low_m) / PLACE_STEP_M).astype(int) + 1, 2)
+    x_m, y_m = (np.linspace(low, high, n) for low, high, n in zip(low_m, high_m, count, strict=True))
+    plane_m = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1).reshape(-1, 2)
+    plane_m = plane_m[constraints.contains(plane_m)]
+    place_m = mount.surface.point_m(plane_m, mount.surface.height_at_m(plane_m) + mount.height_offset_m)
     is_taken = np.zeros(len(place_m), bool)
     cameras, moved_m, blocked_share = [], [], []
     for camera in rig.cameras:
@@ -109,13 +103,3 @@ def move_to_vehicle(
         blocked_share.append(share[best])
         is_taken |= np.linalg.norm(place_m - place_m[best], axis=1) < constraints.min_spacing_m
     return MovedRig(Rig(cameras), np.array(moved_m), np.array(blocked_share))
-
-
-def _places(mount: CameraMount, constraints: Constraints) -> np.ndarray:
-    """Camera centres all over where they may stand [m], float64 [place, 3]."""
-    low_m, high_m = mount.surface.bounds_m
-    count = np.maximum(np.ceil((high_m - low_m) / PLACE_STEP_M).astype(int) + 1, 2)
-    x_m, y_m = (np.linspace(low, high, n) for low, high, n in zip(low_m, high_m, count, strict=True))
-    plane_m = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1).reshape(-1, 2)
-    plane_m = plane_m[constraints.contains(plane_m)]
-    return mount.surface.point_m(plane_m, mount.surface.height_at_m(plane_m) + mount.height_offset_m)

@@ -33,11 +33,7 @@ def rig_values_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> _
 class SingleCameraValues:
     """Expected miss rates of rigs by what their cameras detect by themselves, all rigs of a call rendered together.
 
-    They are those of the objective to 1e-6.
-
-    ``cameras``: what the cameras are, and how likely one is to detect. ``scenes``: the scenes. ``weight``: of the
-    expected miss rate in the value. ``object_weight``: of each object of the scenes in the expected miss rate, float64
-    [object]; None: all alike.
+    They are those of the objective to 1e-6. ``weight`` is that of the expected miss rate in the value.
     """
 
     def __init__(
@@ -48,7 +44,6 @@ class SingleCameraValues:
         weight: float = 1.0,
         object_weight: np.ndarray | None = None,
     ) -> None:
-        """Values on some scenes, which are on the device of the mount."""
         self.cameras, self.scenes, self.weight, self.object_weight = cameras, tuple(scenes), weight, object_weight
         self._looked: list[tuple[np.ndarray, np.ndarray]] = []
 
@@ -101,17 +96,14 @@ class SearchResult:
 class BudgetedValue:
     """The value of a rig, lower is better, at a price: it counts camera renders and remembers the best rig.
 
-    A camera render is one scene drawn once by one camera, with or without a gradient; a rig of N cameras on S scenes
-    costs N S of them. Rigs are made feasible before they are looked at.
+    A rig of N cameras on S scenes costs N S of them. Rigs are made feasible before they are looked at.
     """
 
     def __init__(
         self, rig_values: _RigValues, space: SearchSpace, *, scene_count: int, camera_renders_max: int
     ) -> None:
-        self.space = space  # the rigs that may be tried
-        self.scene_count = scene_count  # camera renders that a look at one camera costs
-        self.camera_renders_max = camera_renders_max  # camera renders that all looks together may cost
-        self.camera_renders = 0  # camera renders so far
+        self.space, self.scene_count, self.camera_renders_max = space, scene_count, camera_renders_max
+        self.camera_renders = 0  # so far
         self.history: list[SearchRecord] = []  # one entry for each rig that was looked at
         self._rig_values = rig_values
         self._best_pose: np.ndarray | None = None
@@ -157,10 +149,7 @@ class BudgetedValue:
         return float(self.of_rigs([mount_pose])[0])
 
     def of_rigs(self, mount_poses: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
-        """Values of rigs that do not depend on one another, as by one call after another, but rendered together.
-
-        Returns their values, inf where they are not finite, float64 [rig]. ``mount_poses`` float [rig, camera, 7].
-        """
+        """Values of rigs [rig, camera, 7] that do not depend on one another, rendered together; inf: not finite."""
         affordable = min(len(mount_poses), self.rigs_left)
         rigs = np.array([self.space.feasible(pose) for pose in mount_poses[:affordable]], np.float32)
         values, found = iter(self._rig_values(rigs.copy())), []
@@ -198,10 +187,7 @@ Search = Callable[[BudgetedValue, np.random.Generator], None]
 
 
 def run_search(search: Search, value: BudgetedValue, rng: np.random.Generator) -> SearchResult:
-    """Search until the budget is spent.
-
-    A search that fails keeps what it found before; the result says why it ended.
-    """
+    """Search until the budget is spent; one that fails keeps what it found before, and says why it ended."""
     error = None
     try:
         search(value, rng)

@@ -57,7 +57,6 @@ class RobustObjective:
     weight: float = 0.5  # of that loss, in (0, 1]; the whole rig has the rest
 
     def __post_init__(self) -> None:
-        """Make sure that both are usable."""
         if self.camera_loss not in ("mean", "worst"):
             raise ArgumentError("camera_loss", f"expected mean or worst, got {self.camera_loss!r}")
         if not 0.0 < self.weight <= 1.0:
@@ -78,10 +77,7 @@ class RobustObjective:
     def value_and_slope(
         self, missed: np.ndarray, share: np.ndarray, size: np.ndarray | None = None, *, softness: float = 0.0
     ) -> tuple[float, np.ndarray]:
-        """The objective of a rig and its derivatives to what each camera misses, float64 [camera, object].
-
-        ``missed`` float64 [camera, object]; ``share`` float [object]; ``size`` int [camera].
-        """
+        """The objective of a rig and its derivatives to what each camera misses, both [camera, object]."""
         whole = missed.prod(axis=0)
         without = (whole / missed) @ share
         of_camera = self._of_cameras(without, size, softness)
@@ -94,9 +90,9 @@ class RobustObjective:
         return value, share * whole / missed * by_product
 
     def of_completed(self, missed: np.ndarray, weight: np.ndarray, others: np.ndarray, size: np.ndarray) -> np.ndarray:
-        """The objective of rigs that each camera of a pool would complete, float64 [camera, rig].
+        """The objective, [camera, rig], of rigs of others, int [rig, other], that each camera would complete.
 
-        ``missed`` float64 [object, camera]; ``others`` int [rig, other]; ``size`` int [camera].
+        ``missed`` float64 [object, camera].
         """
         left = np.prod(missed[:, others], axis=2) * weight[:, None]
         nominal, lost_itself = missed.T @ left, left.sum(axis=0)[None]
@@ -134,14 +130,9 @@ def select_robust(
 ) -> Selection:
     """A rig of a low robust objective, and a bound that no rig of the pool is below; options as of `select`.
 
-    Returns its objective and bound are robust ones, its price the weighted sum of the prices of both selections, and it
-    has ``ended`` by exchange unless the bound was reached.
-
-    The rig comes from exchanges of single cameras under the robust objective, over the whole pool, from the best rig of
-    the expected miss rate alone, the start, and random ones; it is not proven to be the best. The bound comes from two
-    selections of the expected miss rate, with all cameras and with one less, which share the time. One of the required
-    cameras may be the one that is lost. Probabilities are at most `SUREST`; ``size`` says how many cameras each row
-    stands for, int [camera].
+    The rig comes from exchanges of single cameras under the robust objective, from the best rig of the expected miss
+    rate alone, the start, and random ones; it is not proven to be the best. The bound, and the price, come from two
+    selections of the expected miss rate, with all cameras and with one less, which share the time.
     """
     count, required = problem.count, problem.required
     whole = select(problem, start=start, time_limit_s=0.5 * time_limit_s, gap=gap, seed=seed)

@@ -103,10 +103,7 @@ def further_cameras(
     constraints: Constraints,
     weight: np.ndarray | None = None,
 ) -> FurtherCameras:
-    """What each camera of a pool would add to a rig; those that stand too near to one of its cameras are left out.
-
-    ``rig`` int [camera of the rig].
-    """
+    """What each camera of a pool would add to a rig of it, but for those too near to one of its cameras."""
     gain = further_gain(missed_probability(detection_probability[rig]), detection_probability, weight)
     position_m = mount.position_m(mount_pose)
     apart_m = np.linalg.norm(position_m[:, None] - position_m[rig], axis=2).min(axis=1)

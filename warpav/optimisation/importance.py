@@ -55,10 +55,7 @@ class Importance:
         centre_ego_m: np.ndarray,
         time_to_collision_s: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Weight of road users, at least 0, float64 [object]. ``centre_ego_m`` float [object, 2].
-
-        ``time_to_collision_s`` float [object].
-        """
+        """Weight of road users whose boxes are at ``centre_ego_m`` [object, 2], at least 0, float64 [object]."""
         place_m = np.asarray(centre_ego_m, np.float64).reshape(-1, 2)
         settings, of_category = self.settings, self.settings.category
         weight = np.array([of_category.get(name.lower(), of_category.get(of_kind, 1.0))

@@ -1,17 +1,12 @@
-"""Errors of mounting: how far cameras may be off, and the few errors that a mean over them is taken of.
+"""Errors of mounting: how far cameras may be off, and the twelve errors that a mean over them is taken of.
 
-The mean is over twelve fixed errors, the same for every camera: the rule of degree 3 that is exact for every cubic
-polynomial of the six degrees of freedom, each even within its tolerance.
-
+The rule of degree 3 is exact for every cubic polynomial of the six degrees of freedom, each even within its tolerance.
 Source: Stroud 1957, Remarks on the disposition of points in numerical integration formulas; the rule C_n 3-1 of
 Stroud 1971, Approximate calculation of multiple integrals.
 
-Cameras that stand and look a little off: what each detects in the mean over errors of its mounting.
-
-The errors of different cameras are independent of each other, and cameras err independently. So the expected share of
-objects that a rig misses, the mean over the errors of all its cameras, is a product of means that know of one camera
-each: ``E[prod_i (1 - p_i(e_i))] = prod_i (1 - E[p_i(e_i)])``. A camera that detects with its mean probability is all
-that a pool, a selection, a polish or a price needs to know; what these prove holds of the expectation.
+Errors of different cameras are independent, and cameras err independently. So the expected share of objects that a rig
+misses is a product of means that know of one camera each: ``E[prod_i (1 - p_i(e_i))] = prod_i (1 - E[p_i(e_i)])``. A
+camera that detects with its mean probability is all that pool, selection, polish and price need to know.
 """
 
 from __future__ import annotations
@@ -72,9 +67,7 @@ class MountErrors:
 
 
 def outside_skin(misplaced: np.ndarray, mount_pose: np.ndarray, mount: CameraMount) -> np.ndarray:
-    """Cameras with errors of mounting, those that would be below the surface that they stand on at that surface.
-
-    Returns mount poses, float32 [..., camera, 7]. ``misplaced`` float [..., camera, 7].
+    """Cameras with errors [..., camera, 7], float32; those below the surface that they stand on are on it.
 
     A camera that is flush with the skin cannot be off inwards: there it would see the body's inside alone.
     """

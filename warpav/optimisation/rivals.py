@@ -1,7 +1,7 @@
 """Rival searches: they need nothing of an objective but its value, and all get the same budget of camera renders.
 
-Each is a `Search`: it evaluates rigs through a `BudgetedValue` until the budget is spent, those that do not depend on
-one another together. Those that take options are bound with `functools.partial`.
+Each is a `Search`, which evaluates rigs through a `BudgetedValue` until the budget is spent; `functools.partial` binds
+what options it takes.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 
 from warpav.core.errors import OptionError, install_text
 from warpav.detection.miss_rate import SUREST
-from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.budget import BudgetedValue, SingleCameraValues
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
@@ -31,14 +30,6 @@ _FIRST_STEP = 0.2
 
 _SEEN_SHARE = 0.9
 """Assumed probability that a camera detects an object that the detector once found in its image."""
-
-
-def highest(value: BudgetedValue, rng: np.random.Generator) -> None:
-    """The cameras around the highest point; costs one evaluation, whatever the budget."""
-    del rng
-    space = value.space
-    pose = highest_mount_pose(space.constraints, space.camera_count)
-    value(space.in_order(pose))
 
 
 Draw = Callable[[SearchSpace, int, np.random.Generator], np.ndarray]
@@ -80,10 +71,7 @@ def selected_search(
     seed: int = 0,
     on_selection: Callable[[Selection], None] | None = None,
 ) -> None:
-    """The best rig that can be made of the cameras of as many drawn rigs as the budget allows.
-
-    Their cameras are the pool of `select`, as in the search by a pool; what it selects costs no render.
-    """
+    """The best rig of the cameras of as many drawn rigs as the budget allows, chosen by `select` without a render."""
     space = value.space
     value.of_rigs(draw(space, value.rigs_left, rng))
     pose, found = single.looked_at
@@ -153,15 +141,12 @@ class _Stopped(Exception):  # noqa: N818 (it ends a loop of SciPy's and is no er
     """The evaluation of a rig raised; what it raised is kept aside."""
 
 
-def cma_es(value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray | None = None) -> None:
+def cma_es(value: BudgetedValue, rng: np.random.Generator) -> None:
     """CMA-ES with restarts, each with twice the population of the one before, until the budget is spent.
 
-    ``start`` float [camera, 7].
-
-    Constraints are kept by projection: a sample has the value of the nearest feasible rig. What CMA-ES learns from has
-    a penalty on top, so that the samples do not drift away from the rigs: the spread of the generation's values (its
-    interquartile range), times the squared distance that the projection moved the sample, in standard deviations, mean
-    over the numbers. Yaws without ends just go round.
+    A sample has the value of the nearest feasible rig. What CMA-ES learns from has a penalty on top, so that samples do
+    not drift away from the rigs: the spread of the generation's values (its interquartile range), times the squared
+    distance that the projection moved the sample, in standard deviations, mean over the numbers.
     """
     try:
         import cma
@@ -172,9 +157,8 @@ def cma_es(value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray 
         raise ValueError(f"CMA-ES needs at least 2 free numbers, got {space.size}")
     population = 4 + int(3.0 * math.log(space.size))
     while value.rigs_left:
-        if start is None:
-            start = _best_of(population, value, rng)
-        first, start = space.unit_of(start), None
+        poses = random_rigs(space, population, rng)
+        first = space.unit_of(poses[int(np.argmin(value.of_rigs(poses)))])
         options = {
             "popsize": population,
             "seed": math.nan,  # leaves NumPy's global numbers alone
@@ -196,12 +180,6 @@ def cma_es(value: BudgetedValue, rng: np.random.Generator, *, start: np.ndarray 
         population *= 2
 
 
-def _best_of(count: int, value: BudgetedValue, rng: np.random.Generator) -> np.ndarray:
-    """The best of some random rigs, float64 [camera, 7]."""
-    poses = random_rigs(value.space, count, rng)
-    return poses[int(np.argmin(value.of_rigs(poses)))]
-
-
 def _with_penalty(value: np.ndarray, squared_distance: np.ndarray) -> np.ndarray:
     """The values of a generation with what their samples pay for lying beyond the constraints."""
     is_finite = np.isfinite(value)
@@ -217,10 +195,7 @@ _Detections = Callable[[np.ndarray], np.ndarray]
 
 
 def detections_of(objective: RigObjective, scenes: Sequence[AssignedScene]) -> _Detections:
-    """What single cameras detect: by the model of an objective that is made of it, else by the detector itself.
-
-    A camera in whose image the detector finds an object is taken to detect it with a probability of `_SEEN_SHARE`.
-    """
+    """What single cameras detect: by the model of an objective that is made of it, else by the detector itself."""
     cameras = single_cameras_of(objective)
     if cameras is not None:
         return SingleCameraValues(cameras, [each.scene for each in scenes]).detection_probability
@@ -248,10 +223,9 @@ def greedy_cover(
 ) -> None:
     """Greedy set cover on a discretised mount surface.
 
-    Single cameras on a grid of places, looking in ``yaw_count`` directions, are asked what they detect. Then one camera
-    after the other is chosen, the one that lowers the expected number of missed objects most. A place may be chosen
-    several times: in the end the rig is moved to the nearest feasible one and evaluated. The grid is as fine as the
-    budget allows; the last evaluation is paid from it as well.
+    Single cameras on a grid of places, as fine as the budget allows, looking in ``yaw_count`` directions, are asked
+    what they detect. Then one after the other is chosen, the one that lowers the expected number of missed objects
+    most; the nearest feasible rig is evaluated.
     """
     space = value.space
     round_the_circle = space.high[:, YAW_RAD] - space.low[:, YAW_RAD]
@@ -261,7 +235,10 @@ def greedy_cover(
     if candidate_count < yaw_count:
         least = (yaw_count + space.camera_count) * value.scene_count
         raise ValueError(f"greedy_cover needs at least {least} camera renders, got {value.camera_renders_left}")
-    candidate = _candidates(value, candidate_count // yaw_count, yaw_count)
+    place_m = _grid(space.constraints, candidate_count // yaw_count)
+    candidate = np.tile(0.5 * (space.low + space.high)[0], (len(place_m) * yaw_count, 1))
+    candidate[:, [X_M, Y_M]] = np.repeat(place_m, yaw_count, axis=0)
+    candidate[:, YAW_RAD] = np.tile(2.0 * math.pi * np.arange(yaw_count) / yaw_count, len(place_m))
     value.spend(len(candidate) * value.scene_count)
     detected = np.asarray(detections(candidate), np.float64)
     missed = np.ones(detected.shape[1]) if object_weight is None else object_weight / np.mean(object_weight)
@@ -273,18 +250,6 @@ def greedy_cover(
         chosen.append(best)
         missed *= 1.0 - detected[best]
     value(space.in_order(candidate[chosen]))
-
-
-def _candidates(value: BudgetedValue, place_count: int, yaw_count: int) -> np.ndarray:
-    """Single cameras on a grid of nearly square cells, in every direction, float64 [candidate, 5]."""
-    space = value.space
-    place_m = _grid(space.constraints, place_count)
-    yaw_rad = 2.0 * math.pi * np.arange(yaw_count) / yaw_count
-    middle = 0.5 * (space.low + space.high)[0]
-    candidate = np.tile(middle, (len(place_m) * yaw_count, 1))
-    candidate[:, [X_M, Y_M]] = np.repeat(place_m, yaw_count, axis=0)
-    candidate[:, YAW_RAD] = np.tile(yaw_rad, len(place_m))
-    return candidate
 
 
 def _grid(constraints: Constraints, place_count: int) -> np.ndarray:

@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -122,17 +123,11 @@ class LossSettings(LossWeights):
 
 @dataclass(frozen=True)
 class _Sector:
-    """A range of azimuths with a weight.
+    """A range of azimuths with a weight; 0 is straight ahead, left positive [deg]."""
 
-    Attributes:
-        from_deg: Its right edge, which belongs to it; 0 is straight ahead, left positive [deg].
-        to_deg: Its left edge, above ``from_deg`` by at most 360, which does not [deg].
-        weight: Of what is in it, at least 0.
-    """
-
-    from_deg: float
-    to_deg: float
-    weight: float
+    from_deg: float  # its right edge, which belongs to it [deg]
+    to_deg: float  # its left edge, above the other by at most 360, which does not [deg]
+    weight: float  # of what is in it, at least 0
 
     @property
     def width_deg(self) -> float:
@@ -153,6 +148,7 @@ _CATEGORY_TEXT = "a table of categories and weights, such as {pedestrian: 2.0}"
 _DISTANCE_TEXT = "a table of rising distances from 0 m on and weights, such as {0: 2.0, 20: 1.0, 50: 0.5}"
 _TIME_TEXT = "a table of rising times from 0 s on and weights, such as {0: 3.0, 2: 2.0, 4: 1.0}"
 _SECTOR_TEXT = "a list of sectors, such as [{from: -30, to: 30, weight: 2.0}]"
+_TABLE_SCHEMA = {"type": "object", "additionalProperties": {"type": "number", "minimum": 0}}
 
 
 def _weight(value: object, of: str) -> float:
@@ -169,8 +165,26 @@ def _read_categories(value: object) -> dict[str, float]:
     return {name.lower(): _weight(weight, name) for name, weight in value.items()}
 
 
-def _read_steps(value: object, *, quantity: str, expected: str, unit_factor: Mapping[str, float]) -> dict[float, float]:
-    """A table of steps: each weight holds from its key, in the first of the units, up to the next."""
+def _steps(quantity: str, expected: str, unit_factor: Mapping[str, float]) -> Any:  # noqa: ANN401 (an annotation)
+    """A table of steps: each weight holds from its key, in the first of the units, up to the next.
+
+    As files have it its names are text, so they carry the unit.
+    """
+    unit = next(iter(unit_factor))
+
+    def written(weights: dict[float, float]) -> dict[str, float]:
+        return {f"{int(each) if each.is_integer() else each} {unit}": weight for each, weight in weights.items()}
+
+    return Annotated[
+        dict[float, float],
+        BeforeValidator(partial(_read_steps, quantity=quantity, expected=expected, unit_factor=unit_factor)),
+        PlainSerializer(written),
+        Expectation(expected),
+        WithJsonSchema(_TABLE_SCHEMA),
+    ]
+
+
+def _read_steps(value: object, quantity: str, expected: str, unit_factor: Mapping[str, float]) -> dict[float, float]:
     if not isinstance(value, dict):
         mistake(f"expected {expected}, got {shown(value)}")
     unit, weights = next(iter(unit_factor)), dict[float, float]()
@@ -187,14 +201,6 @@ def _read_steps(value: object, *, quantity: str, expected: str, unit_factor: Map
     if weights and not any(weights.values()):
         mistake(f"expected a weight above 0 at some {quantity}, got only zeros")
     return weights
-
-
-def _read_distances(value: object) -> dict[float, float]:
-    return _read_steps(value, quantity="distance", expected=_DISTANCE_TEXT, unit_factor=METRES_PER_UNIT)
-
-
-def _read_times(value: object) -> dict[float, float]:
-    return _read_steps(value, quantity="time", expected=_TIME_TEXT, unit_factor=SECONDS_PER_UNIT)
 
 
 def _read_sectors(value: object) -> tuple[_Sector, ...]:
@@ -220,11 +226,6 @@ def _read_sectors(value: object) -> tuple[_Sector, ...]:
     return tuple(sectors)
 
 
-def _written_steps(weights: dict[float, float], unit: str) -> dict[str, float]:
-    """As files have it: names of a table are text, so distances and times carry their unit."""
-    return {f"{int(each) if each.is_integer() else each} {unit}": weight for each, weight in weights.items()}
-
-
 def _written_sector(sector: _Sector) -> dict[str, float]:
     return {"from": sector.from_deg, "to": sector.to_deg, "weight": sector.weight}
 
@@ -236,30 +237,18 @@ class ImportanceSettings(Section):
         dict[str, float],
         BeforeValidator(_read_categories),
         Expectation(_CATEGORY_TEXT),
-        WithJsonSchema({"type": "object", "additionalProperties": {"type": "number", "minimum": 0}}),
+        WithJsonSchema(_TABLE_SCHEMA),
     ] = Field(
         default={},
         description="by category, such as lorry, or by kind: vehicle, pedestrian, cyclist; of both the category "
         "counts; 1 for others",
     )
-    distance_m: Annotated[
-        dict[float, float],
-        BeforeValidator(_read_distances),
-        PlainSerializer(lambda weights: _written_steps(weights, "m")),
-        Expectation(_DISTANCE_TEXT),
-        WithJsonSchema({"type": "object", "additionalProperties": {"type": "number", "minimum": 0}}),
-    ] = Field(
+    distance_m: _steps("distance", _DISTANCE_TEXT, METRES_PER_UNIT) = Field(  # pyright: ignore[reportInvalidTypeForm]
         default={},
         description="by horizontal distance of the box's centre from the ego frame's origin, in steps: each weight "
         "holds from its distance up to the next",
     )
-    time_to_collision_s: Annotated[
-        dict[float, float],
-        BeforeValidator(_read_times),
-        PlainSerializer(lambda weights: _written_steps(weights, "s")),
-        Expectation(_TIME_TEXT),
-        WithJsonSchema({"type": "object", "additionalProperties": {"type": "number", "minimum": 0}}),
-    ] = Field(
+    time_to_collision_s: _steps("time", _TIME_TEXT, SECONDS_PER_UNIT) = Field(  # pyright: ignore[reportInvalidTypeForm]
         default={},
         description="by the time until the box meets the ego vehicle's at constant velocities, in steps as distances "
         "are; 1 where they never meet, or where the velocity is unknown",
@@ -280,10 +269,6 @@ class ImportanceSettings(Section):
     def is_set(self) -> bool:
         """Whether anything is."""
         return bool(self.category or self.distance_m or self.time_to_collision_s or self.sector_deg)
-
-
-LATER_ROBUST_OPTIONS = ("mount_error_m", "mount_error_deg")
-"""Options of the section ``robust`` that files leave out where they are not set."""
 
 
 class RobustSettings(Section):
@@ -439,24 +424,12 @@ class OptimiserSettings(Section):
             mistake(f"expected 1 with optimiser.keep={self.keep}, got {self.descents}", "descents", "keep")
         return self
 
-    @property
-    def learning_rate_yaw_rad(self) -> float:
-        """Step of a yaw angle [rad]."""
-        return math.radians(self.learning_rate_yaw_deg)
-
-    @property
-    def learning_rate_pitch_rad(self) -> float:
-        """Step of a pitch [rad]."""
-        return math.radians(self.learning_rate_pitch_deg)
-
     def multiplier_step(self, *, are_inequalities: bool) -> float:
         """Step of a multiplier; where none is given, the one of inequalities or of the thesis's penalties."""
-        if self.multiplier_learning_rate is not None:
-            return self.multiplier_learning_rate
-        return 1.0 if are_inequalities else 0.25
+        usual = 1.0 if are_inequalities else 0.25
+        return usual if self.multiplier_learning_rate is None else self.multiplier_learning_rate
 
     def damping(self, *, are_inequalities: bool) -> float:
         """Damping of the multipliers; where none is given, the one of inequalities or of the thesis's penalties."""
-        if self.multiplier_damping is not None:
-            return self.multiplier_damping
-        return 10.0 if are_inequalities else 0.0
+        usual = 10.0 if are_inequalities else 0.0
+        return usual if self.multiplier_damping is None else self.multiplier_damping

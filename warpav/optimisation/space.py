@@ -15,10 +15,7 @@ from warpav.optimisation.mount import HEIGHT_DELTA_M, MOUNT_POSE_SIZE, X_M, Y_M,
 
 @dataclass(frozen=True, eq=False)
 class SearchSpace:
-    """All rigs that a search may try.
-
-    Searches without gradients work in the unit cube of the numbers that are free, those with ``low < high``.
-    """
+    """All rigs that a search may try, as the unit cube of the numbers that are free: those with ``low < high``."""
 
     mount: CameraMount  # where the cameras may stand
     constraints: Constraints  # what the rigs must satisfy
@@ -101,10 +98,7 @@ class SearchSpace:
         return np.where(self.goes_round, np.mod(unit, 1.0), unit)
 
     def feasible(self, mount_pose: np.ndarray) -> np.ndarray:
-        """The nearest rig that satisfies all constraints, float32 [camera, 7], the precision that objectives keep.
-
-        Yaws are brought to -pi..pi.
-        """
+        """The nearest rig that satisfies all constraints, its yaws in -pi..pi, float32 [camera, 7]."""
         pose = np.array(mount_pose, np.float64)
         height_delta_m = self.mount.within(pose.astype(np.float32))[:, HEIGHT_DELTA_M]
         pose[:, [X_M, Y_M]] = self.constraints.project(pose[:, [X_M, Y_M]], height_delta_m)
@@ -119,20 +113,17 @@ class SearchSpace:
         """A feasible rig, uniform among them, float64 [camera, 7]; places as `random_mount_pose` draws them."""
         middle_rad = 0.5 * (self.low + self.high)[:, YAW_RAD]
         pose = random_mount_pose(self.constraints, middle_rad, rng=rng)
-        others = self.free.copy()
+        others, fixed = self.free.copy(), ~self.free
         others[:, [X_M, Y_M]] = False
+        fixed[:, [X_M, Y_M, YAW_RAD]] = False
         pose[others] = rng.uniform(self.low[others], self.high[others])
-        kept = np.ones(MOUNT_POSE_SIZE, bool)
-        kept[[X_M, Y_M, YAW_RAD]] = False
-        fixed = ~self.free & kept
         pose[fixed] = self.low[fixed]
         return pose
 
     def in_order(self, mount_pose: np.ndarray) -> np.ndarray:
-        """The same rig with its cameras in the order of the ranges of yaw; frozen ones keep their places.
+        """The same rig with its cameras in the order of the ranges of yaw, as they answer for vehicles there.
 
-        Cameras that were chosen one by one, or come from elsewhere, may be asked to answer for the vehicles in certain
-        directions. The sum of the squared angles to the middles of the ranges is smallest.
+        Frozen ones keep their places. The sum of the squared angles to the middles of the ranges is smallest.
         """
         from scipy.optimize import linear_sum_assignment
 

@@ -21,7 +21,6 @@ from warpav.optimisation.mount_errors import MountErrors
 from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.records import Candidate, IterationRecord
 from warpav.optimisation.rivals import random_search
-from warpav.optimisation.settings import LATER_ROBUST_OPTIONS
 from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.checkpoint import identity_of
@@ -163,7 +162,7 @@ class Result:
         parts = {name: {} if value is None else asdict(value) for name, value in values.items()}
         options = {} if descent.task.robust is None else asdict(descent.task.robust)
         if descent.task.mount_errors is not None:
-            options |= {name: getattr(settings, name) for name in LATER_ROBUST_OPTIONS}
+            options |= {name: getattr(settings, name) for name in ("mount_error_m", "mount_error_deg")}
             rigs = {START: descent.candidates[0].mount_pose, OPTIMISED: descent.mount_pose}
             parts = {name: (descent.misplaced_miss_rates(rigs[name]) or {}) | part for name, part in parts.items()}
         return {**options, **{name: part or None for name, part in parts.items()}}

@@ -163,9 +163,9 @@ class Descent:
         """First step of every number, float32 [camera, 7]; 0 for what does not move."""
         rate = np.zeros_like(self.start, dtype=np.float32)
         rate[:, [X_M, Y_M]] = self.settings.learning_rate_position_m
-        rate[:, YAW_RAD] = self.settings.learning_rate_yaw_rad
+        rate[:, YAW_RAD] = math.radians(self.settings.learning_rate_yaw_deg)
         # the others stay where they are: the thesis moves cameras in the plane and turns them about the vertical
-        rate[:, PITCH_RAD] = self.settings.learning_rate_pitch_rad
+        rate[:, PITCH_RAD] = math.radians(self.settings.learning_rate_pitch_deg)
         rate[:, HEIGHT_DELTA_M] = self.settings.learning_rate_height_m
         rate[:, LOG_ZOOM] = self.settings.learning_rate_zoom
         is_moved = self._mount.is_free.copy()

@@ -119,10 +119,7 @@ class SelectionProblem:
         return excluded
 
     def whole_clique(self, clique: Sequence[int] | np.ndarray, allowed: np.ndarray) -> np.ndarray:
-        """A clique of conflicting cameras with all that fit into it one after the other, bool [camera].
-
-        ``allowed`` bool [camera].
-        """
+        """A clique of conflicting cameras with all allowed ones that fit into it one after the other, bool [camera]."""
         member = np.zeros(self.camera_count, bool)
         member[clique] = True
         common = allowed & (np.asarray(self.conflict[clique].sum(axis=0)).ravel() == len(clique))
@@ -198,17 +195,13 @@ def _checked_rows(rows: Sequence[Row], cameras: int) -> dict[str, Any]:
     return {"coefficient": coefficient, "low": low, "high": high, "row_scale": scale, "rows": tuple(rows)}
 
 
-_INFEASIBLE = 2
-"""Status of `scipy.optimize.milp`."""
+_INFEASIBLE = 2  # status of `scipy.optimize.milp`
 
 
 def feasible_rig(
     problem: SelectionProblem, *, time_limit_s: float, cost: np.ndarray | None = None
 ) -> np.ndarray | None:
-    """A rig that satisfies all constraints, its required cameras first, int [camera]; None where there is none.
-
-    ``cost`` float64 [camera].
-    """
+    """A rig that satisfies all constraints, its required cameras first, int [camera]; None where there is none."""
     cameras = problem.camera_count
     deadline_s = time.perf_counter() + time_limit_s
     everything = np.ones(cameras, bool)
@@ -240,10 +233,10 @@ def feasible_rig(
 
 
 def raise_conflict(problem: SelectionProblem, *, time_limit_s: float) -> None:
-    """Name constraints that exclude each other, of which each is needed for that: leave one out, and there is a rig.
+    """Name constraints that exclude each other, of which each is needed for that, `count` always among them.
 
     They are found by deletion: what can go while there still is no rig, goes (Chinneck and Dravnieks 1991, Locating
-    minimal infeasible constraint sets in linear programs). ``count`` is among them always.
+    minimal infeasible constraint sets in linear programs).
     """
     kept = [
         *(["required"] if len(problem.required) else []),
@@ -269,10 +262,7 @@ def raise_conflict(problem: SelectionProblem, *, time_limit_s: float) -> None:
 def random_rig(
     problem: SelectionProblem, rng: np.random.Generator, fraction: np.ndarray | None = None
 ) -> np.ndarray | None:
-    """A rig that satisfies the constraints, its required cameras first, int [camera]; None where the draw got stuck.
-
-    ``fraction`` float64 [camera].
-    """
+    """A rig that satisfies the constraints, its required cameras first, int [camera]; None where the draw got stuck."""
     rig = list(problem.required)
     favour = np.ones(problem.camera_count) if fraction is None else fraction + 1e-6
     can_be = np.ones(problem.camera_count, bool)

@@ -62,8 +62,6 @@ def cut_slope(missed: np.ndarray, level: np.ndarray) -> np.ndarray:
 def cut_level(fraction: np.ndarray, log_missed: np.ndarray) -> np.ndarray:
     """The level of the cut that a fractional choice violates most, for every object, 0..30, float64 [object].
 
-    ``fraction`` float64 [camera]; ``log_missed`` float64 [camera, object].
-
     The derivative of the right side by z is ``exp(-z) (sum of x min(L, z) - z)``. Its bracket is concave in z and 0 at
     z = 0, so it is positive up to one root and negative beyond, or nowhere positive. Newton's steps from the right
     reach that root.
@@ -95,10 +93,8 @@ class Price:
     def reduced_cost(self, detection_probability: np.ndarray, coefficient: np.ndarray | None = None) -> np.ndarray:
         """How much lower the bound would be with one more camera in the pool, if negative; float64 [camera].
 
-        ``coefficient`` float [camera, row].
-
-        No rig of the pool and one such camera is below ``bound + min(0, reduced cost)``; the most negative promises
-        most. Where conflicts hold the bound up, the new camera is taken to be free of them.
+        No rig of the pool and one such camera is below ``bound + min(0, reduced cost)``; the camera is taken to be free
+        of conflicts.
         """
         missed = self._missed(detection_probability)
         with np.errstate(divide="ignore"):
@@ -127,13 +123,10 @@ class Price:
 
 ROUNDING = 1e-11
 """What bounds are lowered by: more than some thousand sums of numbers up to 1 lose in double precision."""
-
 _NEAR = 0.15
 """Part of what a node's bound lacks to the best rig that further rounds are not worth."""
-
 _MOST_NEW_CAMERAS = 60
 """Cameras that enter the model in a round, those of the lowest reduced cost."""
-
 _SOLVER_OPTIONS = {
     "threads": 1,
     "presolve": "off",
@@ -143,7 +136,6 @@ _SOLVER_OPTIONS = {
     "dual_feasibility_tolerance": 1e-9,
 }
 """Of HiGHS."""
-
 _TROUBLED_OPTIONS = {
     **_SOLVER_OPTIONS,
     "presolve": "on",
@@ -152,13 +144,10 @@ _TROUBLED_OPTIONS = {
     "dual_feasibility_tolerance": 1e-7,
 }
 """Of HiGHS, where these fail: bounds do not rest on its tolerances."""
-
 _LEAST_VIOLATION = 1e-8
 """By how much a cut must be violated to be added: more than the solver allows itself."""
-
 _MOST_IDLE_ROUNDS = 8
 """Rounds after which a cut without a dual leaves the model."""
-
 _STRONG_ITERATIONS = 60
 """Simplex iterations that a trial of a branch may take."""
 
@@ -198,8 +187,7 @@ class Relaxation:
 
     Bounds are not the solver's. For any duals >= 0 of the cuts, of which an object's sum to its weight at most, and any
     duals of the rows, the Lagrangian is a lower bound on every rig, and its minimum over choices of ``count`` cameras
-    is a sort. So tolerances of the solver cost tightness and not validity. That a node has no rig at all is the
-    solver's word.
+    is a sort. So tolerances of the solver cost tightness and not validity.
     """
 
     def __init__(self, problem: SelectionProblem, deadline_s: float) -> None:
@@ -222,7 +210,7 @@ class Relaxation:
         objects = problem.object_count
         self._model.addVars(objects, np.zeros(objects), np.full(objects, math.inf))
         self._model.changeColsCost(objects, np.arange(objects, dtype=np.int32), problem.weight)
-        self._camera = np.zeros(0, np.int64)  # of the model's columns behind those of the objects
+        self.cameras = np.zeros(0, np.int64)  # of the model's columns behind those of the objects
         self._row = np.vstack([np.ones(problem.camera_count), problem.coefficient])  # the first is the count
         self._low = np.concatenate([[problem.count], problem.low])
         self._high = np.concatenate([[problem.count], problem.high])
@@ -243,22 +231,17 @@ class Relaxation:
         start, index, value = _sparse(coefficient.T, np.arange(len(coefficient)))
         zeros = np.zeros(len(camera))
         self._model.addCols(len(camera), zeros, zeros, zeros + 1.0, len(value), start, index, value)
-        self._camera = np.concatenate([self._camera, camera])
+        self.cameras = np.concatenate([self.cameras, camera])
 
     def add_cuts(self, cut_object: np.ndarray, level: np.ndarray) -> None:
         """Add cuts of objects, int [added], at their levels, float64 [added]."""
-        columns = np.concatenate([[0], self.problem.object_count + np.arange(len(self._camera))])
-        coefficient = np.hstack([np.ones((len(level), 1)), self._coefficient(cut_object, self._camera, level)])
+        columns = np.concatenate([[0], self.problem.object_count + np.arange(len(self.cameras))])
+        coefficient = np.hstack([np.ones((len(level), 1)), self._coefficient(cut_object, self.cameras, level)])
         start, index, value = _sparse(coefficient, columns)
         index[start] = cut_object
         high = np.full(len(level), math.inf)
         self._model.addRows(len(level), cut_constant(level), high, len(value), start, index, value)
         self._note_rows(cut_object, level, np.full(len(level), -1))
-
-    def add_first_cuts(self, fraction: np.ndarray) -> None:
-        """Add the cut of every object that a choice violates most, float64 [camera]."""
-        level, _ = self._most_violated(fraction, np.flatnonzero(fraction))
-        self.add_cuts(np.arange(self.problem.object_count), level)
 
     def add_row(self, coefficient: np.ndarray, low: float = -math.inf, high: float = math.inf) -> int:
         """Add a linear row over all cameras, [camera]; returns the index that branches know it by."""
@@ -272,11 +255,6 @@ class Relaxation:
         is_kept = (self._cut_object >= 0) & (self._idle < 2)
         return self._cut_object[is_kept], self._cut_level[is_kept]
 
-    @property
-    def cameras(self) -> np.ndarray:
-        """Cameras of the model, int [column]."""
-        return self._camera
-
     def relax(self, node: Node, enough: float) -> Relaxed:
         """The bound of a node."""
         if node.is_empty(self.problem.count):  # the model may lack the cameras that would show it
@@ -286,7 +264,7 @@ class Relaxation:
         best = Relaxed(node.bound)
         in_model = np.zeros(self.problem.camera_count, bool)
         while True:
-            in_model[self._camera] = True
+            in_model[self.cameras] = True
             status = self._solve()
             if status == self._status.kInfeasible:
                 missing = np.flatnonzero(node.allowed & ~in_model)
@@ -303,9 +281,9 @@ class Relaxation:
             dual, value = np.array(solution.row_dual), np.array(solution.col_value)
             self._idle = np.where(np.abs(dual) > 1e-12, 0, self._idle + 1)
             fraction = np.zeros(self.problem.camera_count)
-            fraction[self._camera] = np.clip(value[self.problem.object_count :], 0.0, 1.0)
+            fraction[self.cameras] = np.clip(value[self.problem.object_count :], 0.0, 1.0)
             support = np.flatnonzero(fraction > 1e-9)
-            level, missed = self._most_violated(fraction, support)
+            level, missed = self.most_violated(fraction, support)
             relaxed, cost = self._bound(node, dual, fraction, self.problem.unseen + float(self.problem.weight @ missed))
             if relaxed.bound >= best.bound or best.price is None:
                 best = relaxed
@@ -328,10 +306,7 @@ class Relaxation:
             self._place_rows([self.add_row(clique, high=1.0) for clique in cliques])
 
     def try_branches(self, node: Node, branches: Iterable[Mapping[int, tuple[float, float]]]) -> list[float]:
-        """About the relaxed objective of a node with one more branch each; inf where the model has no choice left.
-
-        No bounds: they know the cameras and cuts of the model alone, and end after a few iterations.
-        """
+        """About the relaxed objective of a node with one more branch each, after a few iterations; inf: no choice."""
         branches = list(branches)
         self._place_rows({k for branch in branches for k in branch} - set(self._row_index))
         self._enter(node)
@@ -374,7 +349,7 @@ class Relaxation:
         part = np.ix_(cut_object, camera)
         return cut_coefficient(self.problem.missed[part], self._log_missed[part], level[:, None])
 
-    def _most_violated(self, fraction: np.ndarray, support: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def most_violated(self, fraction: np.ndarray, support: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Levels of the most violated cuts, and what they ask of u, float64 [object] each."""
         log_missed, missed = self._log_missed[:, support].T, self.problem.missed[:, support].T
         level = cut_level(fraction[support], log_missed)
@@ -421,10 +396,7 @@ class Relaxation:
         return Relaxed(max(bound, node.bound), value, fraction, rise_in, rise_out, price), cost
 
     def _violated_cliques(self, fraction: np.ndarray, support: np.ndarray, node: Node) -> list[np.ndarray]:
-        """Sets of cameras that exclude each other and of which the choice has more than one, bool [camera] each.
-
-        They are grown greedily from every camera of the choice, and then by all cameras that the node allows.
-        """
+        """Sets of cameras that exclude each other and of which the choice has more than one, grown greedily."""
         if not self.problem.conflict.nnz:
             return []
         order = support[np.argsort(-fraction[support])]
@@ -440,8 +412,8 @@ class Relaxation:
         return [self.problem.whole_clique(order[list(clique)], node.allowed) for clique in sorted(found)]
 
     def _enter(self, node: Node) -> None:
-        columns = (self.problem.object_count + np.arange(len(self._camera))).astype(np.int32)
-        low, high = node.required[self._camera].astype(float), node.allowed[self._camera].astype(float)
+        columns = (self.problem.object_count + np.arange(len(self.cameras))).astype(np.int32)
+        low, high = node.required[self.cameras].astype(float), node.allowed[self.cameras].astype(float)
         self._model.changeColsBounds(len(columns), columns, low, high)
         self._set_branches(node.branch)
 
@@ -463,8 +435,8 @@ class Relaxation:
 
     def _place_rows(self, rows: Iterable[int]) -> None:
         for k in rows:
-            columns = self.problem.object_count + np.arange(len(self._camera))
-            _, index, value = _sparse(self._row[k, self._camera][None], columns)
+            columns = self.problem.object_count + np.arange(len(self.cameras))
+            _, index, value = _sparse(self._row[k, self.cameras][None], columns)
             self._model.addRow(self._low[k], self._high[k], len(value), index, value)
             self._note_rows(np.array([-1]), np.zeros(1), np.array([k]))
 

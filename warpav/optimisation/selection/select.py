@@ -27,16 +27,10 @@ TOLERANCE = 1e-9
 
 _TRIALS = 8
 """Groups that are tried before one is branched on."""
-
 _LEAST_FRACTION = 0.02
 """How far the cameras that the relaxation takes from a group must be from a whole number, for it to be tried."""
-
-_ROUNDED_RIGS = 16
-"""Rigs that are drawn from a fractional choice and exchanged."""
-
-_ROUNDING_EVERY = 8
-"""Nodes from one such draw to the next."""
-
+_ROUNDED_RIGS, _ROUNDING_EVERY = 16, 8
+"""Rigs that are drawn from a fractional choice and exchanged, and nodes from one such draw to the next."""
 STARTS, _DRAWS = 64, 256
 """Random rigs that are exchanged first, and draws for them: with tight constraints most get stuck."""
 
@@ -46,7 +40,7 @@ left that it may take for each but the first."""
 
 
 class BranchAndBound:
-    """The state of a search: the best rig, the bound, and the nodes that are open.
+    """The state of a search: the best rig, and the bound.
 
     At the root the relaxation holds all cameras; those whose choice would raise its bound above the best rig go out for
     good. Then the node of the lowest bound is relaxed and split: of some group of cameras a rig has at most k, or at
@@ -102,7 +96,9 @@ class BranchAndBound:
         relaxation = Relaxation(problem, self._deadline_s)
         starts = self._starts[:_ROUNDED_RIGS]
         relaxation.add_cameras(np.unique(starts))
-        relaxation.add_first_cuts(np.bincount(starts.ravel(), minlength=problem.camera_count) / len(starts))
+        fraction = np.bincount(starts.ravel(), minlength=problem.camera_count) / len(starts)
+        level, _ = relaxation.most_violated(fraction, np.flatnonzero(fraction))
+        relaxation.add_cuts(np.arange(problem.object_count), level)
         relaxed = relaxation.relax(root, self.objective)
         self.price = relaxed.price
         if relaxed.price is None:
@@ -299,10 +295,7 @@ def select(
 def _first_rigs(
     problem: SelectionProblem, start: Sequence[int] | np.ndarray | None, rng: np.random.Generator, deadline_s: float
 ) -> np.ndarray:
-    """Rigs that no exchange of a single camera makes better, the best first, int [rig, camera].
-
-    They come from random ones; where the constraints are so tight that those break them, from an integer programme.
-    """
+    """Rigs that no exchange of a single camera makes better, from random ones or a programme, the best first."""
     rigs = [] if start is None else [_checked_start(problem, start)]
     drawn = (random_rig(problem, rng) for _ in range(_DRAWS))
     rigs += itertools.islice((rig for rig in drawn if rig is not None), STARTS)
