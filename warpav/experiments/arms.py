@@ -26,7 +26,6 @@ from warpav.optimisation.baselines import edge_mount_pose, highest_mount_pose, m
 from warpav.optimisation.budget import (
     BudgetedValue,
     Search,
-    SearchRecord,
     SearchResult,
     SingleCameraValues,
     rig_values_of,
@@ -51,6 +50,7 @@ from warpav.optimisation.rivals import (
 from warpav.optimisation.selection.select import Selection
 from warpav.optimisation.space import SearchSpace
 from warpav.raster.camera import CameraModel
+from warpav.rig.on_body import MovedRig
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, load_config, option_values
@@ -63,32 +63,26 @@ from warpav.thesis.segregation import BatchChooser
 
 _AS_BUILT = "_as_built"
 """Ending of the arms of presets that stand where their makers put them, with images in their own proportions."""
-
 PIXELS = 256 * 256
 """Pixels of an image of the configuration ``default``, which presets as they are built have as well."""
-
 _GREEDY_DIRECTIONS = 8
 """Directions that greedy cover evaluates at each position."""
 
 
 @dataclass(frozen=True)
 class FoundRig:
-    """A rig that an arm found.
-
-    Attributes:
-        mount_pose: Its mount poses, float32 [camera, 7]; None for cameras that are not level.
-    """
+    """A rig that an arm found."""
 
     rig: Rig
     pairing_rig: Rig | None
-    camera_renders: int
-    history: dict[str, list[Any]]
+    camera_renders: int = 0
+    history: dict[str, list[Any]] = field(default_factory=dict)
     training_objective: float | None = None
-    mount_pose: np.ndarray | None = None
+    mount_pose: np.ndarray | None = None  # its mount poses, float32 [camera, 7]; None for cameras that are not level
     notes: dict[str, Any] = field(default_factory=dict)
 
 
-_Finder = Callable[[Placement, int | None], FoundRig]
+_Finder = Callable[..., FoundRig]
 """Finds a rig on a placement; its random numbers come from ``run.seed``, its budget [camera renders] may be None."""
 
 
@@ -171,9 +165,11 @@ class Arm:
 
 def find_rig_of(arm: Arm, placement: Placement, camera_renders_max: int | None) -> FoundRig:
     """The rig that an arm finds."""
+    if arm.method in METHODS and arm.method not in _UNSEARCHED:
+        return METHODS[arm.method](placement, camera_renders_max)
     name = arm.method.removesuffix(_AS_BUILT)
     preset = partial(_preset if name == arm.method else _preset_as_built, name=name)
-    return METHODS.get(arm.method, preset)(placement, camera_renders_max)
+    return METHODS.get(arm.method, preset)(placement)
 
 
 def resized(rig: Rig, config: Config) -> Rig:
@@ -199,25 +195,23 @@ def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
 def common_arms() -> dict[str, Arm]:
     """Arms by name that fit every experiment, under the losses of its configuration: one of each method and preset.
 
-    ``default`` is the search by a pool, ``descent`` the many starts and the descent from the best of them.
     ``thesis_as_printed`` is the search of the shipped configuration ``thesis`` with its own number of steps,
-    ``thesis_gradient`` a hybrid of it and the descent (`_thesis_method`); they are evaluated like all others.
+    ``thesis_gradient`` a hybrid of it and the descent; they are evaluated like all others.
     """
     own = [
         Arm("default", "optimiser", search_overrides=("optimiser.search=pool",)),
         Arm("descent", "optimiser", search_overrides=("optimiser.search=descent",)),
-        Arm("thesis_gradient", "optimiser", search_overrides=_thesis_method()),
-        Arm("thesis_as_printed", "as_configured", search_overrides=thesis_as_printed()),
+        # batch size, start, iterations and the detector's thresholds stay those of the configuration
+        Arm(
+            "thesis_gradient",
+            "optimiser",
+            search_overrides=_thesis_options("method", "losses", "visibility", "optimiser", "rig.free"),
+        ),
+        Arm("thesis_as_printed", "as_configured", search_overrides=_thesis_as_printed()),
     ]
     presets = [f"{name}{ending}" for ending in ("", _AS_BUILT) for name in preset_names()]
     others = [Arm(name, name) for name in (*METHODS, *presets) if name not in _NEEDS_OPTIONS]
     return {arm.name: arm for arm in (*own, *others)}
-
-
-def _common_fov_deg(preset: str) -> float:
-    """The horizontal field of view that most cameras of a preset have, to a tenth of a degree."""
-    angles = [_fov_deg(camera.model) for camera in preset_rig(preset).cameras]
-    return Counter(angles).most_common(1)[0][0]
 
 
 def _fov_deg(model: CameraModel) -> float:
@@ -225,12 +219,9 @@ def _fov_deg(model: CameraModel) -> float:
 
 
 def _default_like(preset: str, *, pixels: int | None = None) -> Arm:
-    """The default method with as many cameras as a preset and its most frequent field of view.
-
-    All cameras of an objective share one model, so a preset's odd fields of view have no counterpart; `odd_fields` says
-    which.
-    """
-    cameras, common = preset_rig(preset).cameras, _common_fov_deg(preset)
+    """The default method with as many cameras as a preset and its most frequent field of view, as all share one."""
+    cameras = preset_rig(preset).cameras
+    common = Counter(_fov_deg(camera.model) for camera in cameras).most_common(1)[0][0]
     overrides = (f"rig.cameras={len(cameras)}", f"camera.fov_deg={common}")
     name = f"default_as_{preset}"
     if pixels is not None:
@@ -240,19 +231,8 @@ def _default_like(preset: str, *, pixels: int | None = None) -> Arm:
     return Arm(name, "optimiser", overrides, common_arms()["default"].search_overrides)
 
 
-def _thesis_method() -> tuple[str, ...]:
-    """Overrides for a search with the thesis's losses, occlusion, optimiser and bounding rectangle.
-
-    A hybrid: batch size, start, iterations and the detector's thresholds stay those of the configuration.
-    """
-    return _thesis_options("method", "losses", "visibility", "optimiser", "rig.free")
-
-
-def thesis_as_printed() -> tuple[str, ...]:
-    """Overrides for a search by the whole shipped configuration ``thesis``.
-
-    The task stays that of the configuration: scenes, number and model of the cameras, detection network.
-    """
+def _thesis_as_printed() -> tuple[str, ...]:
+    """Overrides for a search by the whole shipped configuration ``thesis``, on the task of the configuration."""
     whole = _thesis_options(
         *("method", "run.iterations", "run.batch_size", "rig", "mount", "detector", "thesis", "losses"),
         *("visibility", "optimiser"),
@@ -332,23 +312,18 @@ def _pooled(placement: Placement, camera_renders_max: int | None, *, only: bool 
     begun = Optimisation.begin(placement, pool=settings, drawing=Drawing())
     descent, began = begun.descent, time.perf_counter()
     assert isinstance(descent, PoolRun)
-    columns = ("camera_renders", "seconds", "best_value", "stage", "round", "bound")
-    history: dict[str, list[Any]] = {name: [] for name in columns}
-    while descent.stop_reason is None:
+    rows, best = [], None
+    while best is None or descent.stop_reason is None:
         descent.step()
-        found = descent.found
-        assert found is not None
-        row = (found.camera_renders, time.perf_counter() - began, found.objective)
-        for column, entry in zip(history.values(), (*row, found.stage, found.round, found.bound or None), strict=True):
-            column.append(entry)
-    best = descent.found
-    assert best is not None
-    mount = placement.objective.mount
+        best = descent.found
+        assert best is not None
+        row = _row(best.camera_renders, began, best.objective)
+        rows.append(row | {"stage": best.stage, "round": best.round, "bound": best.bound or None})
     return FoundRig(
-        mount.rig(best.mount_pose),
+        placement.objective.mount.rig(best.mount_pose),
         begun.pairing_rig,
         best.camera_renders,
-        history,
+        _columns(rows),
         training_objective=best.objective,
         mount_pose=best.mount_pose,
         notes={"bound": best.bound, "gap": best.gap, "pool_cameras": best.pool_cameras},
@@ -358,29 +333,24 @@ def _pooled(placement: Placement, camera_renders_max: int | None, *, only: bool 
 def _descended(placement: Placement, descent: Descent, pairing_rig: Rig | None, *, start_count: int = 0) -> FoundRig:
     """The rig at the end of a descent, preceded by the given number of evaluations on all validation scenes."""
     config = placement.config
-    history: dict[str, list[Any]] = {name: [] for name in ("camera_renders", "seconds", "best_value", "loss")}
-    began = time.perf_counter()
+    rows, began = [], time.perf_counter()
 
     def camera_renders() -> int:
         looks = start_count + len(descent.candidates)
         return config.rig.cameras * (descent.iteration * config.run.batch_size + looks * len(placement.validation))
 
-    def add(best_value: float | None, loss: float | None) -> None:
-        row = (camera_renders(), time.perf_counter() - began, best_value, loss)
-        for column, number in zip(history.values(), row, strict=True):
-            column.append(number)
-
     while descent.iteration < config.run.iterations and descent.stop_reason is None:
         record = descent.step()
-        add(record.best_training_objective, record.loss)
+        rows.append(_row(camera_renders(), began, record.best_training_objective) | {"loss": record.loss})
     unprojected = descent.mount_pose
     result = descent.finish()
-    add(min(each.training_objective for each in descent.candidates), None)
+    best = min(each.training_objective for each in descent.candidates)
+    rows.append(_row(camera_renders(), began, best) | {"loss": None})
     return FoundRig(
         placement.objective.mount.rig(result.mount_pose),
         pairing_rig,
         camera_renders(),
-        history,
+        _columns(rows),
         training_objective=result.training_objective,
         mount_pose=result.mount_pose,
         notes={"unprojected_constraint_loss": constraint_loss(placement, unprojected), "stopped": descent.stop_reason},
@@ -398,18 +368,15 @@ def _descent_only(placement: Placement, camera_renders_max: int | None) -> Found
         task,
         PolishSteps(camera_renders_max=_budget(placement, camera_renders_max)),
     )
-    began, step = time.perf_counter(), None
-    history: dict[str, list[Any]] = {name: [] for name in ("camera_renders", "seconds", "best_value")}
+    rows, began, step = [], time.perf_counter(), None
     for step in steps:
-        row = (step.camera_renders, time.perf_counter() - began, values.weight * step.objective)
-        for column, number in zip(history.values(), row, strict=True):
-            column.append(number)
+        rows.append(_row(step.camera_renders, began, values.weight * step.objective))
     assert step is not None
     return FoundRig(
         mount.rig(step.mount_pose),
         begun.pairing_rig,
         step.camera_renders,
-        history,
+        _columns(rows),
         training_objective=values.weight * step.objective,
         mount_pose=step.mount_pose,
     )
@@ -427,73 +394,56 @@ def _single_values(placement: Placement) -> SingleCameraValues:
     return values
 
 
-def _start(placement: Placement, camera_renders_max: int | None) -> FoundRig:
+def _start(placement: Placement) -> FoundRig:
     """The rig that the configuration's search starts from, without trying others."""
-    del camera_renders_max
     begun = Optimisation.begin(_from_one_start(placement, takes_batches=False))
-    return FoundRig(begun.start, begun.pairing_rig, 0, {}, mount_pose=begun.descent.start)
+    return FoundRig(begun.start, begun.pairing_rig, mount_pose=begun.descent.start)
 
 
-def _random_rig(placement: Placement, camera_renders_max: int | None) -> FoundRig:
+def _random_rig(placement: Placement) -> FoundRig:
     """A random feasible rig with random directions, without evaluation."""
-    del camera_renders_max
     space = SearchSpace.over(
         placement.objective.mount, placement.config.rig.cameras, constraints=placement.objective.constraints
     )
     pose = space.random(placement.random_numbers(Stream.SEARCH)).astype(np.float32)
-    return FoundRig(placement.objective.mount.rig(pose), placement.frozen_rig, 0, {}, mount_pose=pose)
+    return FoundRig(placement.objective.mount.rig(pose), placement.frozen_rig, mount_pose=pose)
 
 
-def _highest(placement: Placement, camera_renders_max: int | None) -> FoundRig:
-    """Cameras around the highest point."""
-    del camera_renders_max
-    return _practice(placement, highest_mount_pose)
-
-
-def _roof_edge(placement: Placement, camera_renders_max: int | None) -> FoundRig:
-    """Cameras at the edge of the roof, each on the side that it faces."""
-    del camera_renders_max
-    return _practice(placement, edge_mount_pose)
-
-
-def _practice(placement: Placement, pose_of: Callable[[Constraints, int], np.ndarray]) -> FoundRig:
+def _practice(placement: Placement, *, pose_of: Callable[[Constraints, int], np.ndarray]) -> FoundRig:
     """A rig that needs no search."""
     mount = placement.objective.mount
     pose = pose_of(placement.objective.constraints, placement.config.rig.cameras).astype(np.float32)
     pose = mount.within(mount.off_the_skin(pose))
     found = mount.rig(pose)
-    return FoundRig(found, found, 0, {}, mount_pose=pose)
+    return FoundRig(found, found, mount_pose=pose)
 
 
-def _highest_raised(placement: Placement, camera_renders_max: int | None) -> FoundRig:
+def _highest_raised(placement: Placement) -> FoundRig:
     """Cameras around the highest point, on a rack that is ``rig.height_offset_m`` high, whatever zones there are."""
-    del camera_renders_max
     config = load_config(placement.config, ["mount.zones=null"])
     mount = camera_mount(config, placement.ego)
     pose = highest_mount_pose(constraints_of(config, mount.surface), config.rig.cameras).astype(np.float32)
     shared = placement.objective.mount.camera  # whose near plane may be another
     found = Rig([replace(each, model=shared) for each in mount.rig(mount.within(pose)).cameras])
-    return FoundRig(found, found, 0, {})
+    return FoundRig(found, found)
 
 
-def _preset(placement: Placement, camera_renders_max: int | None, *, name: str) -> FoundRig:
+def _preset(placement: Placement, *, name: str) -> FoundRig:
     """A known rig, moved to the roof of the vehicle, with images of the size of all others."""
-    del camera_renders_max
-    mount = placement.objective.mount
-    moved = move_to_vehicle(
-        preset_rig(name), mount, placement.ego, constraints=placement.objective.constraints, image=mount.camera
-    )
-    notes = {"moved_m": moved.moved_m, "blocked_share": moved.blocked_share}
-    return FoundRig(moved.rig, moved.rig, 0, {}, notes=notes)
+    mount, constraints = placement.objective.mount, placement.objective.constraints
+    return _moved(move_to_vehicle(preset_rig(name), mount, placement.ego, constraints=constraints, image=mount.camera))
 
 
-def _preset_as_built(placement: Placement, camera_renders_max: int | None, *, name: str) -> FoundRig:
+def _preset_as_built(placement: Placement, *, name: str) -> FoundRig:
     """A known rig on the body of the vehicle, with images in its own proportions."""
-    del camera_renders_max
     moved = preset_for(name, placement.config, placement.ego)
     placement.add_camera_models(moved.rig)
+    return _moved(moved)
+
+
+def _moved(moved: MovedRig) -> FoundRig:
     notes = {"moved_m": moved.moved_m, "blocked_share": moved.blocked_share}
-    return FoundRig(moved.rig, moved.rig, 0, {}, notes=notes)
+    return FoundRig(moved.rig, moved.rig, notes=notes)
 
 
 def _random_batches(placement: Placement, camera_renders_max: int | None) -> FoundRig:
@@ -507,34 +457,25 @@ def _random_batches(placement: Placement, camera_renders_max: int | None) -> Fou
     per_rig = config.rig.cameras * config.run.batch_size
     count = config.run.iterations if camera_renders_max is None else camera_renders_max // per_rig
     best_value, best_pose = math.inf, None
-    history: list[SearchRecord] = []
-    began = time.perf_counter()
+    rows, began = [], time.perf_counter()
     for number in range(1, count + 1):
         pose = random_mount_pose(objective.constraints, placement.segregation.yaw_rad, rng=rng).astype(np.float32)
         value = objective.evaluate(pose, [placement.train[k] for k in batches.choose(config.run.batch_size)]).objective
         if value < best_value:
             best_value, best_pose = value, pose
-        history.append(SearchRecord(number * per_rig, best_value, time.perf_counter() - began))
+        rows.append(_row(number * per_rig, began, best_value if best_pose is not None else None))
     if best_pose is None:
         raise ValueError(f"none of {count} random rigs had a finite value")
-    return FoundRig(objective.mount.rig(best_pose), None, count * per_rig, _columns(history), mount_pose=best_pose)
+    return FoundRig(objective.mount.rig(best_pose), None, count * per_rig, _columns(rows), mount_pose=best_pose)
 
 
 def _searched(
-    placement: Placement,
-    camera_renders_max: int | None,
-    *,
-    search: Callable[[Placement], Search],
-    free_yaw: bool,
+    placement: Placement, camera_renders_max: int | None, *, search: Callable[[Placement], Search], free_yaw: bool
 ) -> FoundRig:
     """A baseline search on all training scenes."""
-    rng = placement.random_numbers(Stream.SEARCH)
-    value = BudgetedValue.of(
-        placement.objective,
-        placement.train,
-        _space(placement, free_yaw=free_yaw),
-        camera_renders_max=_budget(placement, camera_renders_max),
-    )
+    rng, space = placement.random_numbers(Stream.SEARCH), _space(placement, free_yaw=free_yaw)
+    most = _budget(placement, camera_renders_max)
+    value = BudgetedValue.of(placement.objective, placement.train, space, camera_renders_max=most)
     return _found(placement, run_search(search(placement), value, rng))
 
 
@@ -596,18 +537,22 @@ def _found(placement: Placement, result: SearchResult) -> FoundRig:
         placement.objective.mount.rig(result.mount_pose),
         placement.frozen_rig,
         result.camera_renders,
-        _columns(result.history),
+        {
+            "camera_renders": [each.camera_renders for each in result.history],
+            "seconds": [each.seconds for each in result.history],
+            "best_value": [each.best_value if math.isfinite(each.best_value) else None for each in result.history],
+        },
         training_objective=result.value,
         mount_pose=result.mount_pose,
     )
 
 
-def _columns(history: Sequence[SearchRecord]) -> dict[str, list[Any]]:
-    return {
-        "camera_renders": [each.camera_renders for each in history],
-        "seconds": [each.seconds for each in history],
-        "best_value": [each.best_value if math.isfinite(each.best_value) else None for each in history],
-    }
+def _row(camera_renders: int, began_s: float, best_value: float | None) -> dict[str, Any]:
+    return {"camera_renders": camera_renders, "seconds": time.perf_counter() - began_s, "best_value": best_value}
+
+
+def _columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    return {name: [row[name] for row in rows] for name in rows[0]} if rows else {}
 
 
 def _greedy(placement: Placement) -> Search:
@@ -623,9 +568,9 @@ METHODS: dict[str, _Finder] = {
     "descent_only": _descent_only,
     "start": _start,
     "random_rig": _random_rig,
-    "highest": _highest,
+    "highest": partial(_practice, pose_of=highest_mount_pose),
     "highest_raised": _highest_raised,
-    "roof_edge": _roof_edge,
+    "roof_edge": partial(_practice, pose_of=edge_mount_pose),
     "random_batches": _random_batches,
     # random directions would only weaken the baselines: these two keep those of the segregation
     "random": partial(_searched, search=lambda *_: random_search, free_yaw=False),
@@ -640,6 +585,8 @@ METHODS: dict[str, _Finder] = {
 """How a rig can be found, by name; the presets' names are methods as well."""
 
 _SEEDLESS = ("highest", "highest_raised", "roof_edge")
+_UNSEARCHED = (*_SEEDLESS, "start", "random_rig")
+"""Ways that look at nothing, and so have no budget."""
 _STARTING = ("optimiser", "as_configured", "pool_only", "descent_only", "start")
 """Ways that begin with the configuration's start."""
 

@@ -20,7 +20,7 @@ def relaxed(rng, allowed, required, in_model):
     problem = SelectionProblem.create(probability, 2, conflict=None, required=(), rows=(), weight=None)
     relaxation = Relaxation(problem, time.perf_counter() + 60.0)
     relaxation.add_cameras(np.array(in_model))
-    relaxation.add_first_cuts(np.full(8, 0.25))
+    relaxation.add_cuts(np.arange(20), relaxation.most_violated(np.full(8, 0.25), np.arange(8))[0])
     node = Node(np.isin(EVERY, allowed), np.isin(EVERY, required), {}, 0.0)
     kept = np.where(np.isin(EVERY, allowed)[:, None], probability, 0.0)
     return relaxation.relax(node, 1.0), best_by_brute_force(kept, 2, required=required)
