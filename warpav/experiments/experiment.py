@@ -9,7 +9,7 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -323,14 +323,13 @@ def _gradients(task: _ArmTask) -> dict[str, Any]:
         placement.objective,
         placement.train,
         placement.segregation.yaw_rad,
-        runs=1,
         settings=config.optimiser,
         iterations=config.run.iterations,
         batch_size=config.run.batch_size,
         seed=config.run.seed,
     )
     return {
-        "gradients": {name: asdict(magnitude) for name, magnitude in magnitudes.items()},
+        "gradients": magnitudes,
         "camera_renders": config.rig.cameras * config.run.iterations * config.run.batch_size,
         "seconds": {"load": loaded - began, "search": time.perf_counter() - loaded},
     }

@@ -11,8 +11,8 @@ import pytest
 from tests.architecture.test_startup import HEAVY, modules_after
 from tests.experiments.bench.small_workload import SIZE, VEHICLES, small_truth, small_workload
 from warpav.cli.app import main
-from warpav.experiments.bench.array_file import ArrayFile
 from warpav.experiments.bench.items import Bench
+from warpav.experiments.bench.run import array_file
 from warpav.experiments.bench.scores import ImageScores, gradient_scores
 from warpav.experiments.bench.workload import WEIGHT_NAMES, Truth
 
@@ -248,22 +248,22 @@ def test_image_scores_compare_the_known_views():
 def test_arrays_are_written_row_by_row(tmp_path, rng):
     wide, narrow = rng.normal(size=(7, 3, 2)).astype(np.float32), rng.integers(0, 9, 5).astype(np.int16)
     shapes = {"wide": (wide.shape, wide.dtype), "narrow": (narrow.shape, narrow.dtype)}
-    with ArrayFile(tmp_path / "some.npz", shapes) as file:
-        file.append("wide", wide[:2])
-        file.append("narrow", narrow)
-        file.append("wide", wide[2:])
+    with array_file(tmp_path / "some.npz", shapes) as append:
+        append("wide", wide[:2])
+        append("narrow", narrow)
+        append("wide", wide[2:])
         assert list(tmp_path.iterdir()) == []
-        file.finish()
     with np.load(tmp_path / "some.npz") as found:
         np.testing.assert_array_equal(found["wide"], wide)
         np.testing.assert_array_equal(found["narrow"], narrow)
 
 
 def test_an_array_that_lacks_rows_is_not_written(tmp_path):
-    with ArrayFile(tmp_path / "some.npz", {"wide": ((2, 2), np.dtype(np.float32))}) as file:
-        file.append("wide", np.zeros((1, 2), np.float32))
-        with pytest.raises(AssertionError):
-            file.finish()
+    with (
+        pytest.raises(AssertionError),
+        array_file(tmp_path / "some.npz", {"wide": ((2, 2), np.dtype(np.float32))}) as append,
+    ):
+        append("wide", np.zeros((1, 2), np.float32))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -6,9 +6,12 @@ import contextlib
 import dataclasses
 import os
 import platform
+import shutil
 import statistics
+import tempfile
 import time
-from collections.abc import Mapping
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,10 +19,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import ArgumentError
-from warpav.core.files import write_json
+from warpav.core.files import atomic_write, write_json
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import checked_device, load_warp
-from warpav.experiments.bench.array_file import ArrayFile
 from warpav.experiments.bench.scores import ImageScores, gradient_scores
 from warpav.experiments.bench.table import bench_table, peer_note, sweep_table
 from warpav.experiments.bench.workload import (
@@ -81,7 +83,7 @@ def run_bench(
     else:
         truth = embedded_truth(workload) if workload_file is None else None
 
-    from warpav.experiments.bench.items import Bench
+    from warpav.experiments.bench.items import Bench, object_type
 
     progress.stage(f"packing {workload.name}: {len(workload.triangle)} triangles, {workload.view_count} views")
     began = time.perf_counter()
@@ -109,39 +111,32 @@ def run_bench(
         "scores": {},
     }
     found, scores = content["items"], content["scores"]
-    with contextlib.ExitStack() as stack:
-        files: list[ArrayFile] = []
+    image = (workload.view_count, workload.size_px, workload.size_px)
+    with contextlib.ExitStack() as stack:  # the files appear when everything is measured
+
+        def written(item: str, arrays: Mapping[str, tuple[tuple[int, ...], np.dtype]]) -> Callable[..., None] | None:
+            if json_file is None:
+                return None
+            file = json_file.with_name(f"{json_file.name.removesuffix('.json')}.{item}.npz")
+            found[item]["arrays"] = file.name
+            return stack.enter_context(array_file(file, arrays))
+
         if "w1" in wanted:
             progress.stage(f"W1, supersampling x{supersampling}")
-            entry, scores_of_w1 = _measure_silhouettes(bench, truth, supersampling, repeat=repeat, pack_ms=pack_ms)
-            found["w1"] = entry
-            scores.update(scores_of_w1)
-        image = (workload.view_count, workload.size_px, workload.size_px)
+            found["w1"], of_w1 = _measure_silhouettes(bench, truth, supersampling, repeat=repeat, pack_ms=pack_ms)
+            scores.update(of_w1)
         if "w2" in wanted:
             progress.stage("W2")
             found["w2"] = _entry(bench.time_depth_and_object(repeat=repeat), bench, pack_ms)
-            target = None
-            if json_file is not None:
-                from warpav.experiments.bench.items import object_type
-
-                arrays = {
-                    "ids": (image, object_type(len(workload.triangle_count))),
-                    "depth": (image, np.dtype(np.float32)),
-                }
-                target = stack.enter_context(ArrayFile(_beside(json_file, "w2"), arrays))
-                files.append(target)
-                found["w2"]["arrays"] = target.file.name
-            scores.update(_collect_images(bench, truth, target))
+            number = object_type(len(workload.triangle_count))
+            append = written("w2", {"ids": (image, number), "depth": (image, np.dtype(np.float32))})
+            scores.update(_collect_images(bench, truth, append))
         if "w3" in wanted:
             progress.stage("W3")
             found["w3"] = _entry(bench.time_rgb(repeat=repeat), bench, pack_ms)
-            if json_file is not None:
-                arrays = {"rgb": ((*image, 3), np.dtype(np.float32))}
-                target = stack.enter_context(ArrayFile(_beside(json_file, "w3"), arrays))
-                files.append(target)
-                found["w3"]["arrays"] = target.file.name
-                for _, rgb in bench.rgb():
-                    target.append("rgb", rgb)
+            append = written("w3", {"rgb": ((*image, 3), np.dtype(np.float32))})
+            for _, rgb in bench.rgb() if append else ():
+                append("rgb", rgb)
         if with_sweep:
             content["sweep"] = []
             for level in _SWEEP:
@@ -158,10 +153,8 @@ def run_bench(
         if with_embree and {"w2", "w3"} & wanted:
             progress.stage("embree")
             content["reference"] = {"embreex": _measure_embree(workload, wanted, found, repeat)}
-        if json_file is not None:
-            for file in files:
-                file.finish()
-            write_json(json_file, content)
+    if json_file is not None:
+        write_json(json_file, content)
 
     is_embedded = workload.is_same_work(embedded_workload())
     progress.show(bench_table(content, with_peers=is_embedded))
@@ -187,15 +180,13 @@ def _measure_silhouettes(
     return entry, {"w1": gradient_scores(gradient, truth.gradient)} if truth is not None and truth.gradient else {}
 
 
-def _collect_images(bench: Bench, truth: Truth | None, target: ArrayFile | None) -> dict[str, Any]:
+def _collect_images(bench: Bench, truth: Truth | None, append: Callable[..., None] | None) -> dict[str, Any]:
     """Write W2's arrays, and return its scores."""
-    if truth is None and target is None:
-        return {}
     image_scores = ImageScores(truth) if truth is not None else None
-    for first, index, depth_m in bench.depth_and_object():
-        if target is not None:
-            target.append("ids", index)
-            target.append("depth", depth_m)
+    for first, index, depth_m in bench.depth_and_object() if truth or append else ():
+        if append is not None:
+            append("ids", index)
+            append("depth", depth_m)
         if image_scores is not None:
             image_scores.add(first, index, depth_m)
     return {"w2": image_scores.result()} if image_scores is not None else {}
@@ -255,20 +246,38 @@ def _checked_items(items: str) -> set[str]:
     return set(names)
 
 
-def _beside(json_file: Path, item: str) -> Path:
-    """``OUT.w2.npz`` for ``OUT.json``."""
-    return json_file.with_name(f"{json_file.name.removesuffix('.json')}.{item}.npz")
+@contextlib.contextmanager
+def array_file(
+    file: Path, arrays: Mapping[str, tuple[tuple[int, ...], np.dtype]]
+) -> Iterator[Callable[[str, np.ndarray], None]]:
+    """Appends rows to arrays of an ``.npz`` file, which need not fit into memory; it appears whole at the end."""
+    with contextlib.ExitStack() as stack:
+        parts = {name: stack.enter_context(tempfile.TemporaryFile(dir=file.absolute().parent)) for name in arrays}
+        size = dict.fromkeys(arrays, 0)
+
+        def append(name: str, rows: np.ndarray) -> None:
+            assert (rows.dtype, rows.shape[1:]) == (arrays[name][1], arrays[name][0][1:]), name
+            parts[name].write(np.ascontiguousarray(rows).data)
+            size[name] += rows.nbytes
+
+        yield append
+        with atomic_write(file) as draft, zipfile.ZipFile(draft, "w", zipfile.ZIP_STORED) as archive:
+            for name, (shape, dtype) in arrays.items():
+                assert size[name] == np.prod(shape, dtype=np.int64) * dtype.itemsize, name
+                header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
+                parts[name].seek(0)
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    np.lib.format.write_array_header_1_0(member, header)
+                    shutil.copyfileobj(parts[name], member, 1 << 22)
 
 
 def _check_target(json_file: Path) -> None:
-    folder = json_file.absolute().parent
+    folder, text = json_file.absolute().parent, ""
     if not folder.is_dir():
-        raise ArgumentError(
-            place=json_file, option="json", text=f"expected an existing folder to write to, got {str(folder)!r}"
-        )
-    if json_file.is_dir():
-        raise ArgumentError(place=json_file, option="json", text="expected a file to write, got a folder")
-    if not os.access(folder, os.W_OK):
-        raise ArgumentError(
-            place=json_file, option="json", text=f"expected a folder that can be written, got {str(folder)!r}"
-        )
+        text = f"expected an existing folder to write to, got {str(folder)!r}"
+    elif json_file.is_dir():
+        text = "expected a file to write, got a folder"
+    elif not os.access(folder, os.W_OK):
+        text = f"expected a folder that can be written, got {str(folder)!r}"
+    if text:
+        raise ArgumentError(place=json_file, option="json", text=text)
