@@ -82,7 +82,7 @@ class FoundRig:
     notes: dict[str, Any] = field(default_factory=dict)
 
 
-_Finder = Callable[..., FoundRig]
+_Finder = Callable[[Placement, int | None], FoundRig]
 """Finds a rig on a placement; its random numbers come from ``run.seed``, its budget [camera renders] may be None."""
 
 
@@ -165,11 +165,10 @@ class Arm:
 
 def find_rig_of(arm: Arm, placement: Placement, camera_renders_max: int | None) -> FoundRig:
     """The rig that an arm finds."""
-    if arm.method in METHODS and arm.method not in _UNSEARCHED:
+    if arm.method in METHODS:
         return METHODS[arm.method](placement, camera_renders_max)
     name = arm.method.removesuffix(_AS_BUILT)
-    preset = partial(_preset if name == arm.method else _preset_as_built, name=name)
-    return METHODS.get(arm.method, preset)(placement)
+    return (_preset if name == arm.method else _preset_as_built)(placement, name=name)
 
 
 def resized(rig: Rig, config: Config) -> Rig:
@@ -409,7 +408,7 @@ def _random_rig(placement: Placement) -> FoundRig:
     return FoundRig(placement.objective.mount.rig(pose), placement.frozen_rig, mount_pose=pose)
 
 
-def _practice(placement: Placement, *, pose_of: Callable[[Constraints, int], np.ndarray]) -> FoundRig:
+def _practice(placement: Placement, pose_of: Callable[[Constraints, int], np.ndarray]) -> FoundRig:
     """A rig that needs no search."""
     mount = placement.objective.mount
     pose = pose_of(placement.objective.constraints, placement.config.rig.cameras).astype(np.float32)
@@ -566,11 +565,11 @@ METHODS: dict[str, _Finder] = {
     "as_configured": lambda placement, _: _optimised(placement, None),  # with its own number of steps
     "pool_only": partial(_pooled, only=True),
     "descent_only": _descent_only,
-    "start": _start,
-    "random_rig": _random_rig,
-    "highest": partial(_practice, pose_of=highest_mount_pose),
-    "highest_raised": _highest_raised,
-    "roof_edge": partial(_practice, pose_of=edge_mount_pose),
+    "start": lambda placement, _: _start(placement),
+    "random_rig": lambda placement, _: _random_rig(placement),
+    "highest": lambda placement, _: _practice(placement, highest_mount_pose),
+    "highest_raised": lambda placement, _: _highest_raised(placement),
+    "roof_edge": lambda placement, _: _practice(placement, edge_mount_pose),
     "random_batches": _random_batches,
     # random directions would only weaken the baselines: these two keep those of the segregation
     "random": partial(_searched, search=lambda *_: random_search, free_yaw=False),
@@ -585,8 +584,6 @@ METHODS: dict[str, _Finder] = {
 """How a rig can be found, by name; the presets' names are methods as well."""
 
 _SEEDLESS = ("highest", "highest_raised", "roof_edge")
-_UNSEARCHED = (*_SEEDLESS, "start", "random_rig")
-"""Ways that look at nothing, and so have no budget."""
 _STARTING = ("optimiser", "as_configured", "pool_only", "descent_only", "start")
 """Ways that begin with the configuration's start."""
 

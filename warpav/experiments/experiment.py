@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -43,12 +43,7 @@ from warpav.optimisation.budget import SingleCameraValues, rig_values_of
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import write_rig
-from warpav.runs.config import (
-    AUTO,
-    Config,
-    load_config,
-    with_absolute_paths,
-)
+from warpav.runs.config import AUTO, Config, load_config, with_absolute_paths
 from warpav.runs.environment import git_commit
 from warpav.runs.mounts import camera_mount, constraints_of
 from warpav.runs.networks import load_networks
@@ -76,19 +71,9 @@ class _ArmTask:
     arm: Arm
     config: Config
     camera_renders_max: int | None
-    folder: Path
+    file: Path  # of the result
     made_with: str
     judge: Judge = "detector"
-
-    @property
-    def name(self) -> str:
-        """Name of its files."""
-        return f"{self.arm.name}_{self.config.run.seed}"
-
-    @property
-    def file(self) -> Path:
-        """The result."""
-        return self.folder / f"{self.name}.json"
 
 
 @dataclass(frozen=True)
@@ -110,14 +95,8 @@ class _TrafficOfProcess:
         self._traffic: SceneSet | None = None
 
     def __call__(self, config: Config, progress: Progress) -> SceneSet:
-        key, made_of = (
-            scene_part(config),
-            (
-                own_vehicle_digest(config),
-                recordings_digest(config),
-                traffic_fleet_digest(config),
-            ),
-        )
+        key = scene_part(config)
+        made_of = own_vehicle_digest(config), recordings_digest(config), traffic_fleet_digest(config)
         is_same = self._key is not None and same_scenes(key, self._key) and made_of == self._made_of
         if self._traffic is None or not is_same:
             self._traffic = None  # two of them may not fit into memory
@@ -130,21 +109,16 @@ class _TrafficOfProcess:
 traffic_of_process = _TrafficOfProcess()
 
 
-class _AttainableOfProcess:
-    """What could be found in the test scenes that were asked for last in this process; it does not hang on the rig."""
-
-    def __init__(self) -> None:
-        self._key: str | None = None
-        self._found: list[np.ndarray] | None = None
-
-    def __call__(self, placement: Placement) -> list[np.ndarray] | None:
-        key = unseeded(placement.config)
-        if key != self._key:
-            self._found, self._key = attainable_objects(placement.objective, placement.test), key
-        return self._found
+_attainable: dict[str, list[np.ndarray] | None] = {}
 
 
-_attainable_of_process = _AttainableOfProcess()
+def _attainable_objects(placement: Placement) -> list[np.ndarray] | None:
+    """What could be found in the test scenes, which does not hang on the rig; the last answer is kept."""
+    key = unseeded(placement.config)
+    if key not in _attainable:
+        _attainable.clear()
+        _attainable[key] = attainable_objects(placement.objective, placement.test)
+    return _attainable[key]
 
 
 def run_study(
@@ -190,7 +164,7 @@ def run_study(
         for outcome in progress.steps("runs", done, count=len(waiting)) if waiting else ():
             progress.say(_line(outcome))
             if outcome.error is not None:
-                failed.append(f"{outcome.task.name}: {outcome.error}")
+                failed.append(f"{outcome.task.file.stem}: {outcome.error}")
     except KeyboardInterrupt:
         progress.say(f"stopped; what is finished is in {folder}, and the same command goes on from there")
         raise
@@ -251,7 +225,7 @@ def _rig(task: _ArmTask) -> dict[str, Any]:
     searched = time.perf_counter()
     scenes = evaluation.assigned(evaluation.test, found.pairing_rig)
     if task.judge != "objective":
-        attainable = _attainable_of_process(evaluation) if task.judge == "attainable" else None
+        attainable = _attainable_objects(evaluation) if task.judge == "attainable" else None
         seen = observe_scenes(found.rig, scenes, evaluation.objective)
         tested: dict[str, Any] = {
             "metrics": metrics_of(seen, evaluation.objective, attainable=attainable).to_json(),
@@ -356,26 +330,36 @@ def _tasks(
         )
         for k in range(runs_of[arm.name] if arm.is_seeded else 1):
             seeded = load_config(config, [f"run.seed={config.run.seed + k}"])
-            tasks.append(_ArmTask(arm, seeded, camera_renders_max, folder, made_with, study.judge))
+            file = folder / f"{arm.name}_{seeded.run.seed}.json"
+            tasks.append(_ArmTask(arm, seeded, camera_renders_max, file, made_with, study.judge))
     return tasks
 
 
 def _try_networks(arms: Sequence[Arm], config: Config, progress: Progress) -> None:
     """Let what is wrong with a detector show before the tasks begin; what several would fit, fit once."""
-    tried = []
+    for each in _distinct(
+        arms,
+        config,
+        lambda each: (
+            each.detector,
+            each.camera,
+            each.losses.weights["expected_miss_rate"] > 0.0,
+            each.losses.weights["detector_gradient"] > 0.0,
+        ),
+    ):
+        load_networks(each)
+        needed_fit(each, progress)
+
+
+def _distinct(arms: Iterable[Arm], config: Config, needs_of: Callable[[Config], Any]) -> Iterator[Config]:
+    """The configurations of arms that differ in what they need."""
+    tried: list[Any] = []
     for arm in arms:
         for each in (arm.evaluation_config(config), arm.search_config(config)):
-            losses = each.losses
-            needs = (
-                each.detector,
-                each.camera,
-                losses.weights["expected_miss_rate"] > 0.0,
-                losses.weights["detector_gradient"] > 0.0,
-            )
+            needs = needs_of(each)
             if needs not in tried:
-                load_networks(each)
-                needed_fit(each, progress)
                 tried.append(needs)
+                yield each
 
 
 def make_scenes_ready(config: Config, progress: Progress) -> Mesh:
@@ -393,14 +377,9 @@ def make_scenes_ready(config: Config, progress: Progress) -> Mesh:
 
 def _check_places(arms: Sequence[Arm], config: Config, ego: Mesh) -> None:
     """See that the cameras of every arm fit on the mount surface."""
-    tried = []
-    for arm in arms:
-        for each in (arm.evaluation_config(config), arm.search_config(config)):
-            needs = (each.rig, each.mount, each.camera, each.method)
-            if arm.is_preset or needs in tried:
-                continue
-            highest_mount_pose(constraints_of(each, camera_mount(each, ego).surface), each.rig.cameras)
-            tried.append(needs)
+    placed = (arm for arm in arms if not arm.is_preset)
+    for each in _distinct(placed, config, lambda each: (each.rig, each.mount, each.camera, each.method)):
+        highest_mount_pose(constraints_of(each, camera_mount(each, ego).surface), each.rig.cameras)
 
 
 def outcomes(

@@ -67,6 +67,13 @@ class _RescoreTask:
         """The new result."""
         return self.folder / RESULTS / f"{self.name}.json"
 
+    def is_done(self) -> bool:
+        """Whether the rig has been rescored with the same options; other results are replaced."""
+        result = read_json(self.file) if self.file.is_file() else None
+        if not isinstance(result, dict) or result.get("made_with") != self.made_with:
+            return False
+        return ATTAINABLE in result or not self.knows_attainable
+
 
 def config_file(folder: Path) -> Path:
     """The configuration of an experiment."""
@@ -106,21 +113,6 @@ def folder_name(name: str | None, overrides: Sequence[str]) -> str:
     return made
 
 
-def _light_overrides(config: Config) -> tuple[str, ...]:
-    """Overrides that disable what rescoring does not need: training, validation, losses that need a fit."""
-    return (
-        f"scenes.train_seeds=[{_unused_seed(config)}]",
-        "scenes.validation_seeds=null",
-        "scenes.mirror=false",
-        "run.batch_size=1",
-        *(f"losses.{name}={float(name == 'angular_coverage')}" for name in LOSSES),
-    )
-
-
-def _unused_seed(config: Config) -> int:
-    return next(seed for seed in config.scenes.train_seeds if seed not in config.scenes.test_seeds)
-
-
 @dataclass(frozen=True)
 class Rescoring:
     """All rigs of an experiment, to be rescored by one evaluation."""
@@ -135,7 +127,7 @@ class Rescoring:
     @property
     def waiting(self) -> list[_RescoreTask]:
         """The tasks that have no result yet."""
-        return [task for task in self.tasks if not _is_there(task)]
+        return [task for task in self.tasks if not task.is_done()]
 
 
 def plan_rescore(folder: Path, config: Config, *, name: str, judge: str | None = None) -> Rescoring:
@@ -143,9 +135,24 @@ def plan_rescore(folder: Path, config: Config, *, name: str, judge: str | None =
     described = read_description(folder)
     before = _read_rigs(folder)
     is_same = _same_test_scenes(described["options"], config)
-    config = with_absolute_paths(load_config(config, _light_overrides(config)))
+    unused = next(seed for seed in config.scenes.train_seeds if seed not in config.scenes.test_seeds)
+    without_training = (
+        f"scenes.train_seeds=[{unused}]",
+        "scenes.validation_seeds=null",
+        "scenes.mirror=false",
+        "run.batch_size=1",
+        *(f"losses.{name}={float(name == 'angular_coverage')}" for name in LOSSES),  # which needs no fit
+    )
+    config = with_absolute_paths(load_config(config, without_training))
     out = (folder / f"rescored_{name}").absolute()
-    tasks = [_task(run, config, folder, out, is_same and ATTAINABLE in run) for runs in before.values() for run in runs]
+    # a file may be another network by now
+    network = () if config.detector.model == "builtin" else (digest(Path(config.detector.model).read_bytes()),)
+    tasks = []
+    for run in (run for runs in before.values() for run in runs):
+        made_with = digest(SCHEMA, run["made_with"], json.dumps(run["rig"]), unseeded(config), *network)
+        knows_attainable = is_same and ATTAINABLE in run
+        named = f"{run['arm']}_{run['seed']}"
+        tasks.append(_RescoreTask(named, config, folder.absolute(), out, made_with, knows_attainable))
     return Rescoring(described, before, judge or name, config, out, tasks)
 
 
@@ -177,7 +184,7 @@ def run_rescores(planned: Sequence[Rescoring], *, progress: Progress) -> list[Fi
     for each in planned:
         results: dict[str, list[dict[str, Any]]] = {arm: [] for arm in each.before}
         for task in each.tasks:
-            if _is_there(task):  # results of other evaluation options do not count
+            if task.is_done():  # results of other evaluation options do not count
                 result = read_json(task.file)
                 results[result["arm"]].append(result)
         wrong = failed[each.out]
@@ -240,30 +247,9 @@ def _rescore_rig(task: _RescoreTask) -> dict[str, Any]:
     return result
 
 
-def _name(run: Mapping[str, Any]) -> str:
-    return f"{run['arm']}_{run['seed']}"
-
-
 def _same_test_scenes(options: Mapping[str, Any], config: Config) -> bool:
     """Whether rigs are judged on the very test scenes of their experiment, of which it says what can be found."""
     now = json.loads(unseeded(config))
     names = {name for name in (*options, *now) if name.startswith(("scenes.", "capture.", "reconstruction."))}
     names -= {"scenes.train_seeds", "scenes.validation_seeds", "scenes.mirror"}
     return all(options.get(name) == now.get(name) for name in names)
-
-
-def _task(run: Mapping[str, Any], config: Config, folder: Path, out: Path, knows_attainable: bool) -> _RescoreTask:
-    # a file may be another network by now
-    network = () if config.detector.model == "builtin" else (digest(Path(config.detector.model).read_bytes()),)
-    made_with = digest(SCHEMA, run["made_with"], json.dumps(run["rig"]), unseeded(config), *network)
-    return _RescoreTask(_name(run), config, folder.absolute(), out, made_with, knows_attainable)
-
-
-def _is_there(task: _RescoreTask) -> bool:
-    """Whether a rig has been rescored with the same options; other results are replaced."""
-    if not task.file.is_file():
-        return False
-    result = read_json(task.file)
-    if not isinstance(result, dict) or result.get("made_with") != task.made_with:
-        return False
-    return ATTAINABLE in result or not task.knows_attainable

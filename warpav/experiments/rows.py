@@ -164,11 +164,7 @@ def write_rows(rows: Sequence[Row], path: Path) -> None:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """The rows of a CSV file of studies.
-
-    Raises:
-        InputError: It cannot be read, or lacks a column.
-    """
+    """The rows of a CSV file of studies."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
@@ -280,7 +276,7 @@ def _thesis(rows: Sequence[Row], number: str, study: str, judge: str = OWN_JUDGE
     columns = [key for key in _THESIS_COLUMNS if any(key in row for row in printed)]
     arms = list(_runs(rows, study, judge).items())
     columns = [key for key in columns if any(_values(runs, _THESIS_COLUMNS[key][1]) for _, runs in arms)]
-    rows_of_thesis = {_arm_name(row["method"], row["loss"]): row for row in printed}
+    rows_of_thesis = {arm_name(row["method"], row["loss"]): row for row in printed}
     lines = []
     for arm, runs in arms:
         row = rows_of_thesis.get(arm, {})
@@ -290,7 +286,8 @@ def _thesis(rows: Sequence[Row], number: str, study: str, judge: str = OWN_JUDGE
     return TextTable("", ["arm", "runs", *(_THESIS_COLUMNS[key][0] for key in columns)], lines, WARNING)
 
 
-def _arm_name(method: str, loss: str) -> str:
+def arm_name(method: str, loss: str) -> str:
+    """The name of the arm that is a row of a table of the thesis."""
     return re.sub(r"[^a-z0-9]+", "_", f"{method} {loss}".lower().replace("*", ""))
 
 

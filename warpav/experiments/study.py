@@ -7,7 +7,6 @@ of the rigs: the objective of the search on unseen scenes, or the detector.
 from __future__ import annotations
 
 import itertools
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -20,6 +19,7 @@ from pydantic import BaseModel, ConfigDict
 from warpav.core.errors import ArgumentError, InputError, OptionError
 from warpav.experiments.arms import Arm, find_arm
 from warpav.experiments.gradient_magnitude import LOSS_OF
+from warpav.experiments.rows import arm_name
 from warpav.optimisation.losses.registry import LOSSES
 from warpav.runs.config import Config, overridden_option
 from warpav.thesis.tables import thesis_table
@@ -112,12 +112,7 @@ class _StudyFile(_Part):
 
 @dataclass(frozen=True)
 class Study:
-    """What is compared.
-
-    Attributes:
-        references: The arm that each arm is compared with, if it has one.
-        needs: Option without which it cannot run.
-    """
+    """What is compared."""
 
     name: str
     config: str
@@ -125,11 +120,11 @@ class Study:
     runs: int
     options: tuple[str, ...] = ()
     runs_of: Mapping[str, int] = field(default_factory=dict)
-    references: Mapping[str, str] = field(default_factory=dict)
+    references: Mapping[str, str] = field(default_factory=dict)  # the arm that each arm is compared with, if any
     camera_renders_max: int | None = None
     judge: Judge = "detector"
     table: str = "arms"
-    needs: str | None = None
+    needs: str | None = None  # option without which it cannot run
 
     def overrides(self, given: Sequence[str], arms: Sequence[Arm] | None = None) -> list[str]:
         """All overrides of its configuration: its own, and the user's, which leave alone what arms set."""
@@ -166,19 +161,10 @@ class Study:
                 )
 
 
-def study_names() -> list[str]:
-    """The names of the studies that ship, and ``table3``, which shows the runs of table 2."""
-    return sorted([*(file.stem for file in _FILES.glob("*.yaml")), "table3"])
-
-
 def find_study(
     name: str, *, setting: str | None = None, vary: Sequence[str] | None = None, quick: bool = False
 ) -> Study:
-    """A study by its name.
-
-    Raises:
-        ArgumentError: There is no such setting or circumstance.
-    """
+    """A study by its name."""
     file = _read("table2" if name == "table3" else name)
     if setting is not None and not file.settings:
         raise ArgumentError("setting", f"expected nothing, as it is an option of rivals, got it with {name}")
@@ -190,7 +176,8 @@ def find_study(
     names: list[str | _ArmFile] = [*file.arms, *(arm for part in parts for arm in part.arms if arm not in dropped)]
     arms = [_arm(each) for each in names]
     if file.thesis is not None:
-        arms = [_row_arm(*row) for row in thesis_rows(file.thesis)]
+        rows = thesis_rows(file.thesis)
+        arms = [Arm(arm_name(way, loss), _METHOD_OF[way], loss_overrides(loss)) for way, loss in rows]
     if file.gradients is not None:
         arms = [Arm(GRADIENTS, GRADIENTS, loss_overrides(file.gradients))]
     others = [arm.name for arm in arms if arm.name != file.reference]
@@ -244,11 +231,6 @@ def _arm(each: str | _ArmFile) -> Arm:
     if isinstance(each, str):
         return find_arm(each, {})
     return Arm(each.name, each.method, each.options, each.search)
-
-
-def _row_arm(method: str, loss: str) -> Arm:
-    name = re.sub(r"[^a-z0-9]+", "_", f"{method} {loss}".lower().replace("*", ""))
-    return Arm(name, _METHOD_OF[method], loss_overrides(loss))
 
 
 def _parts(file: _StudyFile, setting: str | None) -> tuple[list[_Setting], bool]:

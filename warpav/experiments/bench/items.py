@@ -50,7 +50,6 @@ class Bench:
     """A workload on a device, ready to be measured."""
 
     def __init__(self, workload: Workload, scene: Scene, *, device: str = "cpu") -> None:
-        """Nothing is rendered yet."""
         self.workload = workload
         self.scene = scene
         self.device = wp.get_device(device)
@@ -76,11 +75,7 @@ class Bench:
         return self._time(run, repeat, silhouettes.renderer, began, compile_ms, is_capturable=len(firsts) == 1)
 
     def score_silhouettes(self, supersampling: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """Loss and gradient of W1 at every scored pose, each pose alone, for every weight.
-
-        Returns:
-            Gradient to x, z [per m] and yaw [per rad], float64 [pose, 3], and loss, float64 [pose], by weight.
-        """
+        """Gradient of W1 to x, z [per m] and yaw [per rad], float64 [pose, 3], and loss, by weight, pose by pose."""
         pose, camera_count = self.workload.scored_pose, len(self.workload.pose)
         gradient = {name: np.zeros(pose.shape) for name in WEIGHT_NAMES}
         loss = {name: np.zeros(len(pose)) for name in WEIGHT_NAMES}
@@ -103,11 +98,7 @@ class Bench:
         return self._time_images(lambda frame, into: frame.colours(into=into), repeat)
 
     def depth_and_object(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-        """W2 in the workload's terms, some views at a time.
-
-        Yields:
-            First view; object, integers [view, row, column], -1: none; depth [m], float32, -1 where nothing is.
-        """
+        """W2 some views at a time: the first view; objects [view, row, column], -1: none; depths [m], -1: nothing."""
         integer = object_type(len(self.workload.triangle_count))
         images = None
         for chunk, frame in self._rendered():
@@ -118,11 +109,7 @@ class Bench:
             yield chunk.start, index, np.where(index >= 0, depth, np.float32(-1.0))
 
     def rgb(self) -> Iterator[tuple[int, np.ndarray]]:
-        """W3, some views at a time.
-
-        Yields:
-            First view; colour 0..1, float32 [view, row, column, 3], 0 where nothing is.
-        """
+        """W3 some views at a time: the first view, and colours 0..1, float32 [view, row, column, 3], 0: nothing."""
         image = None
         for chunk, frame in self._rendered():
             image = frame.colours(into=image)
@@ -218,7 +205,6 @@ class _Silhouettes:
     """W1 for a fixed number of cameras: what stays on the device from run to run, from poses to a gradient."""
 
     def __init__(self, bench: Bench, camera_count: int, supersampling: int) -> None:
-        """Room for ``camera_count`` cameras, without poses yet."""
         workload, device = bench.workload, bench.device
         self._workload, self._scene, self._device = workload, bench.scene, device
         self._camera_count = camera_count
@@ -233,10 +219,7 @@ class _Silhouettes:
         self._loss = wp.zeros(ROTATION_COUNT * camera_count, dtype=float, device=device, requires_grad=True)
 
     def put(self, pose: np.ndarray, camera: np.ndarray) -> None:
-        """Set poses [camera, 3], and heights, lenses and near planes, those of the workload's cameras ``camera``.
-
-        Where there is room for more, the last pose is repeated.
-        """
+        """Set poses [camera, 3], and the rest of the workload's cameras; the last pose fills what is left."""
         chosen = np.minimum(np.arange(self._camera_count), len(pose) - 1)
         self._pose.assign(pose[chosen].astype(np.float32))
         self._height_m.assign(self._workload.height_m[camera[chosen]].astype(np.float32))

@@ -15,11 +15,7 @@ PARTS = {"xz": [0, 1], "xzyaw": [0, 1, 2]}
 def gradient_scores(
     gradient: Mapping[str, np.ndarray], truth: Mapping[str, np.ndarray]
 ) -> dict[str, dict[str, dict[str, float | None]]]:
-    """Angle and relative error of gradients, by weight and part.
-
-    Args:
-        gradient: To x, z, yaw at every pose, [pose, 3], by weight.
-    """
+    """Angle and relative error of gradients to x, z, yaw at every pose, [pose, 3], by weight and part."""
     result: dict[str, dict[str, dict[str, float | None]]] = {}
     for name in WEIGHT_NAMES:
         result[name] = {}
@@ -46,19 +42,13 @@ class ImageScores:
     """Compares objects and depths with the truth, some views at a time."""
 
     def __init__(self, truth: Truth) -> None:
-        """Nothing has been compared yet."""
         self._truth = truth
         self._same = 0
         self._pixel_count = 0
         self._depth_error_m: list[np.ndarray] = []
 
     def add(self, first_view: int, object_index: np.ndarray, depth_m: np.ndarray) -> None:
-        """Compare consecutive views.
-
-        Args:
-            object_index: Objects, -1 where none is, integers [view, row, column].
-            depth_m: Depths [m], [view, row, column].
-        """
+        """Compare consecutive views by objects (-1: none) and depths [m], both [view, row, column]."""
         for row, view in enumerate(self._truth.object_view):
             i = int(view) - first_view
             if not 0 <= i < len(object_index):

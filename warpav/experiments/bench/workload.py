@@ -48,34 +48,24 @@ LENSES: dict[str, tuple[float | None, tuple[float, ...]]] = {
 
 @dataclass(frozen=True)
 class Workload:
-    """A workload of format 1.
-
-    Attributes:
-        vertex_m: Vertices of all objects in the workload's world [m], float32 [vertex, 3].
-        triangle: Vertex indices of all objects, one behind the other, int32 [triangle, 3].
-        vertex_rgb: Colour of every vertex, 0..1, float32 [vertex, 3].
-        pose: x, z [m], yaw [rad] of every camera, float64 [camera, 3].
-        weight: Weight of every pixel, float32 [row, column], by the names in `WEIGHT_NAMES`.
-        scored_pose: Poses at which the gradient is scored, float64 [pose, 3]; pose i takes the height, lens and near
-            plane of camera i mod C.
-    """
+    """A workload of format 1."""
 
     name: str
-    vertex_m: np.ndarray
-    triangle: np.ndarray
-    vertex_rgb: np.ndarray
+    vertex_m: np.ndarray  # vertices of all objects in the workload's world [m], float32 [vertex, 3]
+    triangle: np.ndarray  # vertex indices of all objects, one behind the other, int32 [triangle, 3]
+    vertex_rgb: np.ndarray  # colour of every vertex, 0..1, float32 [vertex, 3]
     triangle_count: np.ndarray
     vertex_end: np.ndarray
     vehicle_count: int
     vehicle_weight: np.ndarray
-    pose: np.ndarray
+    pose: np.ndarray  # x, z [m], yaw [rad] of every camera, float64 [camera, 3]
     height_m: np.ndarray
     fov_deg: np.ndarray
     near_m: np.ndarray
     size_px: int
     is_visible: bool
-    weight: dict[str, np.ndarray]
-    scored_pose: np.ndarray
+    weight: dict[str, np.ndarray]  # of every pixel, float32 [row, column], by `WEIGHT_NAMES`
+    scored_pose: np.ndarray  # where gradients are scored, [pose, 3]; pose i takes the rest of camera i mod C
     seed: int
     lens: str = "pinhole"
 
@@ -107,34 +97,23 @@ class Workload:
 
     def is_same_work(self, other: Workload) -> bool:
         """Whether all numbers are those of another workload; the names may differ."""
-        for field in dataclasses.fields(self):
-            one, two = getattr(self, field.name), getattr(other, field.name)
-            if field.name == "weight":
-                equal = all(np.array_equal(one[name], two[name]) for name in WEIGHT_NAMES)
-            else:
-                equal = field.name == "name" or np.array_equal(one, two)
-            if not equal:
-                return False
-        return True
+        one, two = vars(self), vars(other)
+        return all(np.array_equal(one["weight"][name], two["weight"][name]) for name in WEIGHT_NAMES) and all(
+            np.array_equal(one[name], two[name]) for name in one if name not in ("name", "weight")
+        )
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What a workload's results should be.
-
-    Attributes:
-        gradient: Of the loss at every scored pose to x, z [per m], yaw [per rad], float64 [pose, 3], by weight; empty
-            where it is not known.
-        object_index: Object at every pixel's centre, -1 where none is, integers [n, row, column].
-        depth_m: Depth there, as the lens has it, float32 [n, row, column].
-    """
+    """What a workload's results should be."""
 
     name: str
+    # of the loss at every scored pose to x, z [per m], yaw [per rad], float64 [pose, 3], by weight; empty: not known
     gradient: dict[str, np.ndarray]
     check_gradient: dict[str, np.ndarray]
     object_view: np.ndarray
-    object_index: np.ndarray
-    depth_m: np.ndarray
+    object_index: np.ndarray  # object at every pixel's centre, -1: none, integers [n, row, column]
+    depth_m: np.ndarray  # depth there, as the lens has it, float32 [n, row, column]
 
 
 def embedded_workload() -> Workload:
@@ -237,10 +216,7 @@ def read_truth(file: Path, workload: Workload) -> Truth:
 
 
 def pack_workload(workload: Workload, *, device: str = "cpu") -> Scene:
-    """The scene of a workload on a device, in the ego frame, with colours as exact as the file's.
-
-    Its vehicles are the objects, its others the occluders; see `workload_objects`.
-    """
+    """The scene of a workload on a device, in the ego frame: its vehicles are the objects, its others the occluders."""
     import warp as wp
 
     from warpav.raster.scene import Scene
@@ -269,6 +245,9 @@ def workload_objects(object_id: np.ndarray, vehicle_count: int) -> np.ndarray:
     return np.where(object_id < -1, vehicle_count - 2 - object_id, object_id)
 
 
+_Shape = tuple[int | None, ...]
+
+
 class _Fields:
     """The arrays of an npz file; every complaint names the file and the array."""
 
@@ -279,7 +258,6 @@ class _Fields:
         self.arrays = read_arrays(file, "a benchmark file (.npz)")
 
     def error(self, name: str, expected: str, got: object) -> InputError:
-        """What is wrong with an array."""
         return InputError(f"{self._file}: {name}: {expected}, got {' '.join(str(got).split())}")
 
     def raw(self, name: str) -> np.ndarray:
@@ -289,11 +267,7 @@ class _Fields:
         return self.arrays[name]
 
     def integers(
-        self,
-        name: str,
-        shape: tuple[int | None, ...],
-        is_good: Callable[[np.ndarray], np.ndarray] | None = None,
-        expected: str = "",
+        self, name: str, shape: _Shape, is_good: Callable[[np.ndarray], np.ndarray] = np.isfinite, expected: str = ""
     ) -> np.ndarray:
         """An array of integers, int64."""
         value = self.raw(name)
@@ -304,8 +278,8 @@ class _Fields:
     def floats(
         self,
         name: str,
-        shape: tuple[int | None, ...],
-        is_good: Callable[[np.ndarray], np.ndarray] | None = None,
+        shape: _Shape,
+        is_good: Callable[[np.ndarray], np.ndarray] = np.isfinite,
         expected: str = "",
         *,
         keep_type: bool = False,
@@ -319,12 +293,7 @@ class _Fields:
         return self._checked(name, value, shape, is_good, expected)
 
     def _checked(
-        self,
-        name: str,
-        value: np.ndarray,
-        shape: tuple[int | None, ...],
-        is_good: Callable[[np.ndarray], np.ndarray] | None,
-        expected: str,
+        self, name: str, value: np.ndarray, shape: _Shape, is_good: Callable[[np.ndarray], np.ndarray], expected: str
     ) -> np.ndarray:
         fits = value.ndim == len(shape) and all(
             want is None or have == want for have, want in zip(value.shape, shape, strict=True)
@@ -332,7 +301,7 @@ class _Fields:
         if not fits:
             wanted = ", ".join("n" if want is None else str(want) for want in shape)
             raise self.error(name, f"expected the shape [{wanted}]", list(value.shape))
-        bad = np.argwhere(~is_good(value)) if is_good is not None else np.zeros((0, value.ndim))
+        bad = np.argwhere(~is_good(value))
         if len(bad):
             at = [int(i) for i in bad[0]]
             where = f" at {at}" if at else ""
