@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from queue import SimpleQueue
 from weakref import WeakKeyDictionary, ref
 
 import numpy as np
@@ -24,7 +22,7 @@ from warpav.optimisation.recording import Recording
 from warpav.raster.areas import MEASURE_COUNT, Measures, WindowMeasures
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.chunks import ViewsAtOnce, equal_chunks
+from warpav.raster.chunks import ViewsAtOnce, beside_each_other, equal_chunks
 from warpav.raster.pane import Pane
 from warpav.raster.renderer import Renderer
 from warpav.scene.device_scene import DeviceScene, UprightBoxes
@@ -69,17 +67,14 @@ class CameraJacobians:
             parts.append(views.shown(pose[filled], peopled).first(len(chunk)))
             position_m.append(views.placed.position_ego_m.numpy()[: len(chunk)].copy())
         # the last chunk is filled up with copies
-        shown = _Shown.of_all_cameras(parts).first(len(pose))
+        shown = _Shown.joined(parts, axis=0).first(len(pose))
         return self._differentiated(shown, np.concatenate(position_m)[: len(pose)], slope)
 
     def _views_of(self, count: int) -> _Views:
-        """Views of at least so many cameras.
-
-        A GPU keeps them, for what it has recorded; to record less it has views for 1, 2, 4, 8 ... cameras, as
-        recording a scene takes longer than rendering views that nobody asked for.
-        """
+        """Views of at least so many cameras; a GPU keeps them, for what it has recorded."""
         if not wp.get_device(self.mount.device).is_cuda:
             return _Views(self.mount, self._renderers_for(count), self._pane)
+        # recording a scene takes longer than rendering views that nobody asked for
         count = 1 << (count - 1).bit_length()
         if count not in self._views:
             self._views[count] = _Views(self.mount, self._renderers_for(count), self._pane)
@@ -141,23 +136,13 @@ class _Views:
         self._mount.place(self._pose, 1, into=self.placed)
         if self._renderers[0].device.is_cuda:
             return self._replayed(scenes)
-        free: SimpleQueue[Renderer] = SimpleQueue()
-        for renderer in self._renderers:
-            free.put(renderer)
 
-        def drawn(scene: DeviceScene) -> _Shown:
-            renderer = free.get()
-            try:
-                room = _Room(renderer, scene)
-                _draw(renderer, scene, room, self.placed, self._pane)
-                return room.shown()
-            finally:
-                free.put(renderer)
+        def drawn(scene: DeviceScene, renderer: Renderer) -> _Shown:
+            room = _Room(renderer, scene)
+            _draw(renderer, scene, room, self.placed, self._pane)
+            return room.shown()
 
-        if len(self._renderers) == 1:
-            return _Shown.together([drawn(scene) for scene in scenes])
-        with ThreadPoolExecutor(len(self._renderers)) as threads:
-            return _Shown.together(list(threads.map(drawn, scenes)))
+        return _Shown.joined(beside_each_other(drawn, scenes, self._renderers), axis=1)
 
     def _replayed(self, scenes: Sequence[DeviceScene]) -> _Shown:
         """The same from recorded launches; the streams, each with a renderer of its own, share the scenes."""
@@ -174,7 +159,7 @@ class _Views:
             # recorded launches cannot make room for more samples than there were before
             grown = [renderer.grew() for renderer in self._renderers]
             todo = [scene for scene in todo if grown[self._recorded[scene].stream]]
-        return _Shown.together([self._recorded[scene].room.shown() for scene in scenes])
+        return _Shown.joined([self._recorded[scene].room.shown() for scene in scenes], axis=1)
 
     def _recording(self, scene: DeviceScene, stream: int) -> _Recorded:
         """`_draw` of a scene; it holds the scene weakly, so that what is recorded goes with it, and these views not."""
@@ -315,27 +300,14 @@ class _Shown:
     box: tuple[np.ndarray, np.ndarray, np.ndarray]  # centre, half size [m] and direction of every object's upright box
 
     @classmethod
-    def of_all_cameras(cls, shown: Sequence[_Shown]) -> _Shown:
-        """What chunks of cameras are shown in the same scenes."""
+    def joined(cls, shown: Sequence[_Shown], *, axis: int) -> _Shown:
+        """What chunks of cameras are shown in the same scenes (axis 0), or the same cameras in several scenes (1)."""
+        boxes = zip(*(each.box for each in shown), strict=True)
         return cls(
-            {name: np.concatenate([each.measures[name] for each in shown]) for name in _MEASURED},
-            {name: np.concatenate([each.in_frame[name] for each in shown]) for name in _MEASURED},
-            np.concatenate([each.contrast for each in shown]),
-            shown[0].box,
-        )
-
-    @classmethod
-    def together(cls, shown: Sequence[_Shown]) -> _Shown:
-        """Those of several scenes, the objects scene by scene."""
-        return cls(
-            {name: np.concatenate([each.measures[name] for each in shown], axis=1) for name in _MEASURED},
-            {name: np.concatenate([each.in_frame[name] for each in shown], axis=1) for name in _MEASURED},
-            np.concatenate([each.contrast for each in shown], axis=1),
-            (
-                np.concatenate([each.box[0] for each in shown]),
-                np.concatenate([each.box[1] for each in shown]),
-                np.concatenate([each.box[2] for each in shown]),
-            ),
+            {name: np.concatenate([each.measures[name] for each in shown], axis) for name in _MEASURED},
+            {name: np.concatenate([each.in_frame[name] for each in shown], axis) for name in _MEASURED},
+            np.concatenate([each.contrast for each in shown], axis),
+            shown[0].box if axis == 0 else tuple(map(np.concatenate, boxes)),  # pyright: ignore[reportArgumentType]
         )
 
     def first(self, count: int) -> _Shown:
@@ -351,9 +323,7 @@ class _Shown:
 def _whole_and_slope(
     position_ego_m: np.ndarray, box: tuple[np.ndarray, np.ndarray, np.ndarray], device: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Solid angle of every object's box [sr], and how it changes with a camera's centre [sr/m].
-
-    Returns float32 [camera, object] and float64 [camera, object, 3].
+    """Solid angle of every object's box [sr], [camera, object], and its slope to a camera's centre [sr/m], [..., 3].
 
     It depends on centre less place alone, so its gradient to the centre is that to the place with the other sign; and a
     centre has a gradient of its own for every object.

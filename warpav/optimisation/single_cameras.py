@@ -7,11 +7,9 @@ taken, so no outline is measured, and only pixels that a probability depends on 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from importlib.metadata import version
-from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -32,6 +30,7 @@ from warpav.raster.chunks import (
     MAX_CHUNK_VIEWS,
     KeptRenderers,
     ViewsAtOnce,
+    beside_each_other,
     chunk_view_count,
     equal_chunks,
     gpu_view_count,
@@ -94,10 +93,7 @@ class SingleCameras:
 
     @property
     def identity(self) -> dict[str, str]:
-        """Hashes of all that the probabilities depend on, but for scenes and poses, by what it is.
-
-        Of the vehicle the mount surface; its body is part of the scenes.
-        """
+        """Hashes of all that the probabilities depend on but scenes (with the body) and poses, by what it is."""
         mount, surface = self.mount, self.mount.surface
         cameras = mount.cameras if mount.is_mixed else (mount.camera,)
         detectors: list[object] = []
@@ -172,10 +168,7 @@ class SingleCameras:
         return replace(self, is_mirrored=True), self._mirrored
 
     def apart(self, mount_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The cameras of a rig one by one, those of pairs too, in the order of `CameraMount.rig`.
-
-        Returns mount poses, float [camera, 7], each as that of `sides` counts it to which it belongs, int [camera].
-        """
+        """The cameras of a rig one by one: mount poses [camera, 7], and the one of `sides` that each belongs to."""
         row = self.mount.rows_of_cameras(mount_pose)
         side = np.append(False, row[1:] == row[:-1]).astype(int)
         return np.where(side[:, None] == 1, mount_pose[row] * MIRROR, mount_pose[row]), side
@@ -214,25 +207,14 @@ class SingleCameras:
         module, pane = kind
         found = np.zeros((len(pose), scene.vehicle_count), np.float32)
         chunks = equal_chunks(len(pose), most)
-        free: SimpleQueue[Renderer] = SimpleQueue()
-        for renderer in self._maker(module).kept(self._renderers, len(chunks[0])):
-            free.put(renderer)
+        renderers = self._maker(module).kept(self._renderers, len(chunks[0]))
         scene.upright_box  # noqa: B018 (found once, before threads ask for it)
         raster = scene.raster.through(pane)  # held, and made once
 
-        def draw(chunk: np.ndarray) -> None:
-            renderer = free.get()
-            try:
-                found[chunk] = self._drawn(module, pose[chunk], scene, raster, renderer)
-            finally:
-                free.put(renderer)
+        def draw(chunk: np.ndarray, renderer: Renderer) -> None:
+            found[chunk] = self._drawn(module, pose[chunk], scene, raster, renderer)
 
-        if free.qsize() == 1 or len(chunks) == 1:
-            for chunk in chunks:
-                draw(chunk)
-            return found
-        with ThreadPoolExecutor(free.qsize()) as threads:
-            list(threads.map(draw, chunks))
+        beside_each_other(draw, chunks, renderers)
         return found
 
     def _drawn(
@@ -263,10 +245,7 @@ class SingleCameras:
     def with_jacobian(
         self, mount_pose: np.ndarray, scenes: Sequence[DeviceScene | RequiredPoints]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """What each camera detects in some scenes, and how that changes as it moves.
-
-        Returns the probabilities, float64 [camera, object], the objects scene by scene; their Jacobian to the mount
-        poses, float64 [camera, object, 7].
+        """Probabilities, float64 [camera, object], and their Jacobian to the mount poses [camera, object, 7].
 
         Colours and occlusion by more than outlines are held fixed, as in the loss; so the mean product of misses has
         the gradient that `ExpectedMissRate` gives on the tape.
@@ -294,13 +273,17 @@ class SingleCameras:
             probability[row], jacobian[row] = self._jacobians(kind).of(pose[row], traffic)
         for ghosts in scenes[len(traffic) :]:
             assert isinstance(ghosts, RequiredPoints), "requirements stand behind all scenes"
-            seen, by_view = np.zeros((len(pose), len(ghosts.ghosts))), np.zeros((len(pose), len(ghosts.ghosts), 7))
-            for pane, row in self._by_pane(pose):
-                seen[row], by_view[row] = ghosts.through(pane).with_jacobian(*self.in_ego(pose[row]))
-            by_pose = placing_slope(self.mount, pose).chained(by_view)
+            seen, by_pose = self.differentiated(ghosts, pose, RequiredPoints.with_jacobian)
             probability = np.concatenate([probability, seen], axis=1)
             jacobian = np.concatenate([jacobian, by_pose], axis=1)
         return probability, jacobian
+
+    def differentiated(self, ghosts: RequiredPoints, pose: np.ndarray, seen: Callable[..., Margins]) -> Margins:
+        """What cameras see of requirements, [camera, point], by a method of these, and its Jacobian to the poses."""
+        parts = [(row, *seen(ghosts.through(pane), *self.in_ego(pose[row]))) for pane, row in self._by_pane(pose)]
+        row, value, by_view = (np.concatenate(each) for each in zip(*parts, strict=True))
+        order = np.argsort(row)
+        return value[order], placing_slope(self.mount, pose).chained(by_view[order])
 
     def _jacobians(self, kind: _Kind) -> CameraJacobians:
         """Probabilities and Jacobians of cameras of one kind; kept for the next call."""
@@ -384,33 +367,20 @@ def hard_points(cameras: SingleCameras, ghosts: RequiredPoints) -> HardPoints | 
 
 
 def camera_margins(cameras: SingleCameras, ghosts: RequiredPoints, mount_pose: np.ndarray) -> Margins:
-    """Margins at the hard points, as `RequiredPoints.margins`; of a pair that of the camera that has the greater one.
-
-    Returns float64 [camera, hard point], and the Jacobian to the mount poses, float64 [camera, hard point, 7].
+    """`RequiredPoints.margins` with the Jacobian to the mount poses; of a pair the greater of its two cameras'.
 
     What `SingleCameras.with_jacobian` has just rendered of the same cameras is not rendered again.
     """
     pose = np.ascontiguousarray(mount_pose, np.float32)
     own, *mirrored = cameras.sides
-    value, jacobian = _of_side(own, ghosts, pose)
+    value, jacobian = own.differentiated(ghosts, pose, RequiredPoints.margins)
     pair = np.flatnonzero(cameras.mount.is_pair(pose))
     for side in mirrored if len(pair) else ():
-        image, slope = _of_side(side, ghosts, pose[pair] * MIRROR)
+        image, slope = side.differentiated(ghosts, pose[pair] * MIRROR, RequiredPoints.margins)
         is_greater = image > value[pair]
         value[pair] = np.where(is_greater, image, value[pair])
         jacobian[pair] = np.where(is_greater[..., None], slope * MIRROR, jacobian[pair])
     return value, jacobian
-
-
-def _of_side(cameras: SingleCameras, ghosts: RequiredPoints, pose: np.ndarray) -> Margins:
-    """`camera_margins` of cameras of one of `SingleCameras.sides`."""
-    count = int(ghosts.is_hard.sum())
-    value, by_view = np.zeros((len(pose), count)), np.zeros((len(pose), count, 7))
-    panes = cameras.mount.panes_of(pose)
-    for pane in dict.fromkeys(panes):
-        row = np.array([k for k, each in enumerate(panes) if each == pane])
-        value[row], by_view[row] = ghosts.through(pane).margins(*cameras.in_ego(pose[row]))
-    return value, placing_slope(cameras.mount, pose).chained(by_view)
 
 
 @dataclass(frozen=True, eq=False)

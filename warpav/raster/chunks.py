@@ -5,7 +5,9 @@ from __future__ import annotations
 import gc
 import logging
 from collections.abc import Callable, Hashable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from queue import SimpleQueue
 from typing import TypeVar
 
 import numpy as np
@@ -25,7 +27,7 @@ MAX_CHUNK_VIEWS = 64
 _GPU_ROOM = 4
 """What a view takes on a GPU over its keys: silhouettes, images and what is measured of them as well."""
 
-_Result = TypeVar("_Result")
+_Item, _Result = TypeVar("_Item"), TypeVar("_Result")
 _logger = logging.getLogger(__name__)
 
 
@@ -65,6 +67,27 @@ def equal_chunks(count: int, most: int) -> list[np.ndarray]:
     """
     size = -(-count // -(-count // most)) if count else 1
     return [np.minimum(np.arange(first, first + size), count - 1) for first in range(0, count, size)]
+
+
+def beside_each_other(
+    work: Callable[[_Item, Renderer], _Result], items: Sequence[_Item], renderers: Sequence[Renderer]
+) -> list[_Result]:
+    """What is made of each item with a renderer that is free, in a thread for each renderer."""
+    free: SimpleQueue[Renderer] = SimpleQueue()
+    for renderer in renderers:
+        free.put(renderer)
+
+    def done(item: _Item) -> _Result:
+        renderer = free.get()
+        try:
+            return work(item, renderer)
+        finally:
+            free.put(renderer)
+
+    if len(renderers) == 1 or len(items) == 1:
+        return [done(item) for item in items]
+    with ThreadPoolExecutor(len(renderers)) as threads:
+        return list(threads.map(done, items))
 
 
 class ViewsAtOnce:
