@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.optimisation.calls import pool_search
-from tests.optimisation.known_optimum import behind_a_wall, bump, exhaustive, square
+from tests.optimisation.known_optimum import behind_a_wall, bump, square
 from warpav.optimisation.budget import SingleCameraValues, run_search
 from warpav.optimisation.objective import single_cameras_of
 from warpav.optimisation.pool_search import PoolSearchSettings
@@ -27,29 +27,7 @@ def regret(world, method, renders, seed=0):
     assert result.error is None
     assert result.camera_renders <= renders * world.camera_count
     assert world.space.violation_m(result.mount_pose) == 0.0
-    return world.optimum.regret(result.value)
-
-
-@pytest.mark.parametrize(("make", "value"), [(behind_a_wall, 0.1896), (bump, 0.4124), (square, 0.1983)])
-def test_optimum_is_feasible_and_far_better_than_the_middle(make, value):
-    world = make()
-    assert world.space.violation_m(world.optimum.mount_pose) == 0.0
-    assert world.optimum.value == pytest.approx(value, abs=0.002)
-    middle = world.space.feasible(0.5 * (world.space.low + world.space.high) + 0.0)
-    assert world.optimum.regret(world.value(middle)) > 0.02
-    assert world.optimum.regret(world.optimum.value) == 0.0
-    assert world.optimum.regret(1.0) == 1.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("make", WORLDS)
-def test_no_rig_of_all_that_were_tried_is_better(make):
-    world = make()
-    counts = (13, 7, 16) if world.camera_count == 1 else (9, 9, 16)
-    found = exhaustive(world.value, world.space, world.rig_of, counts=counts)
-    assert found.worst == 1.0
-    assert abs(world.optimum.regret(found.value)) <= 0.002
-    assert found.regret(world.optimum.value) <= 0.002
+    return world.regret(result.value)
 
 
 @pytest.mark.slow
@@ -82,7 +60,7 @@ def test_no_rig_of_all_that_were_tried_is_expected_to_miss_less(make):
                 point, lowest = near[near_values.argmin()], near_values.min()
         found = min(found, lowest)
     assert coarse.max() > 0.99
-    assert world.expected_optimum.regret(found) >= -0.0005
+    assert world.regret(found) >= -0.0005
 
 
 def descent_regret(world, seed, *, starts, descents, iterations):
@@ -108,7 +86,7 @@ def descent_regret(world, seed, *, starts, descents, iterations):
         descent.step()
     result = descent.finish()
     assert space.violation_m(result.mount_pose) == 0.0
-    return world.expected_optimum.regret(result.training_objective)
+    return world.regret(result.training_objective)
 
 
 def test_regret_of_the_descent_is_small_on_a_bump():
@@ -138,8 +116,8 @@ def pool_regret(world, seed, *, camera_renders):
     )
     assert last.camera_renders <= camera_renders
     assert world.space.violation_m(last.mount_pose) == 0.0
-    assert world.expected_missed(last.mount_pose) == pytest.approx(last.objective, abs=1e-6)
-    return world.expected_optimum.regret(last.objective)
+    assert world.value(last.mount_pose) == pytest.approx(last.objective, abs=1e-6)
+    return world.regret(last.objective)
 
 
 def test_regret_of_the_pool_search_is_small_on_a_bump():
@@ -159,4 +137,4 @@ def test_regret_of_the_pool_search(make, camera_renders, most):
 
 @needs_cma
 def test_cma_finds_the_optimum_behind_the_wall():
-    assert -0.005 <= regret(behind_a_wall(), cma_es, 150) <= 0.05
+    assert -0.005 <= regret(behind_a_wall(), cma_es, 300) <= 0.05
