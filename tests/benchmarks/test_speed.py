@@ -29,7 +29,7 @@ from warpav.runs.detector_fit import ensure_fit
 from warpav.scene.device_scene import DeviceScene
 from warpav.sight.read import read_requirements
 from warpav.sight.requirement import Ghosts
-from warpav.sight.visibility import ghost_jacobians, ghost_visibility, poses_of
+from warpav.sight.visibility import GhostWorld, poses_of
 from warpav.thesis.descent import AdamW
 
 CAMERA = CameraModel(256, 256, math.radians(90.0))
@@ -148,7 +148,7 @@ def test_requirements(benchmark, ego, template, count):
 def test_jacobians_of_requirements(benchmark, ego):
     points = Ghosts.of(read_requirements("r158_like"), ego)
     pose, models = poses_of(wa.Rig(wa.preset("edgar").cameras[-4:]))
-    benchmark.pedantic(lambda: ghost_jacobians(pose, models, points, ego), rounds=3, warmup_rounds=1)
+    benchmark.pedantic(lambda: GhostWorld(points, ego).jacobians(pose, models), rounds=3, warmup_rounds=1)
 
 
 def test_requirements_of_a_pool(benchmark, ego):
@@ -156,7 +156,7 @@ def test_requirements_of_a_pool(benchmark, ego):
     cameras, mount_pose, _ = town_cameras(256, camera=model)
     pose = np.stack([each.ego_from_camera for each in cameras.mount.rig(mount_pose).cameras])
     points = Ghosts.of(read_requirements("near_field"), ego)
-    benchmark.pedantic(lambda: ghost_visibility(pose, [model] * len(pose), points, ego), rounds=3, warmup_rounds=1)
+    benchmark.pedantic(lambda: GhostWorld(points, ego).visibility(pose, [model] * len(pose)), rounds=3, warmup_rounds=1)
     benchmark.extra_info["ms_per_camera"] = 1e3 * benchmark.stats.stats.min / len(pose)
 
 

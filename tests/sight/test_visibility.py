@@ -15,7 +15,7 @@ from warpav.rig.rig import RigCamera
 from warpav.scene.town.town import town_scene
 from warpav.sight.read import read_requirements
 from warpav.sight.requirement import SIZES_M, Ghosts, Polygon, Requirement, TestObject
-from warpav.sight.visibility import ghost_jacobians, ghost_visibility, whole_solid_angle_sr
+from warpav.sight.visibility import GhostWorld, whole_solid_angle_sr
 
 MODEL = CameraModel(640, 480, math.radians(90.0))
 FISHEYE = CameraModel(640, 480, math.radians(180.0), lens=Lens.FISHEYE, distortion=(0.0, 0.0, 0.0, 0.0))
@@ -45,7 +45,7 @@ def subset(ghosts, which):
 def test_a_slab_in_front_of_a_pinhole_has_the_area_of_its_face(device):
     # at the height of its middle the camera sees its front alone, which is 4 m away
     slab = ghosts_at(TestObject("lying", (0.2, 1.5, 0.8)), (4.1, 0.0))
-    seen = ghost_visibility(pose([0.0, 0.0, 0.4])[None], [MODEL], slab, FAR_AWAY, device=device)
+    seen = GhostWorld(slab, FAR_AWAY, device=device).visibility(pose([0.0, 0.0, 0.4])[None], [MODEL])
     focal_px = 320.0
     assert seen.pixels[0, 0] == pytest.approx(focal_px**2 * 1.5 * 0.8 / 16.0, rel=1e-3)
     assert seen.visible_share[0, 0] == 1.0
@@ -59,8 +59,8 @@ def test_the_shadow_of_a_box_is_as_long_as_similar_triangles_say(device, setback
     x = -1.0 - length_m + np.array([-0.05, 0.05])
     plates = ghosts_at(TestObject("lying", (0.02, 0.02, 0.002)), *((each, 0.0) for each in x))
     camera = pose([-1.0 + setback_m, 0.0, 2.0], yaw_deg=180.0, pitch_deg=35.0)
-    seen = ghost_visibility(
-        camera[None], [CameraModel(640, 480, math.radians(60.0))], plates, ego, supersampling=4, device=device
+    seen = GhostWorld(plates, ego, supersampling=4, device=device).visibility(
+        camera[None], [CameraModel(640, 480, math.radians(60.0))]
     )
     np.testing.assert_array_equal(seen.visible_share[0], [1.0, 0.0])
 
@@ -99,7 +99,9 @@ def test_visible_shares_are_embrees(device, rng, car, k):
     camera, model = RANDOM_RIG[k]
     ghosts = Ghosts.of(read_requirements("near_field"), car)
     ghosts = subset(ghosts, rng.choice(len(ghosts), 200, replace=False))
-    seen = ghost_visibility(camera[None], [model], ghosts, car, render_width_px=640, supersampling=2, device=device)
+    seen = GhostWorld(ghosts, car, render_width_px=640, supersampling=2, device=device).visibility(
+        camera[None], [model]
+    )
     centre = camera[:3, 3]
     body = trimesh.Trimesh(car.vertex_m, car.triangle, process=False).ray
     expected = np.zeros(len(ghosts))
@@ -145,8 +147,8 @@ def test_jacobians_are_finite_differences():
     ghosts = ghosts_at(TestObject("post", SIZES_M["post"]), (4.4, 0.6), (5.0, -2.8), (6.0, 4.6), (9.0, 1.0))
     model = CameraModel(640, 480, math.radians(80.0))
     camera, options = pose([1.2, 0.1, 1.62], 3.0, 8.0, 1.0), {"supersampling": 3}
-    found = ghost_jacobians(camera[None], [model], ghosts, car, **options)
-    still = ghost_visibility(camera[None], [model], ghosts, car, **options)
+    found = GhostWorld(ghosts, car, **options).jacobians(camera[None], [model])
+    still = GhostWorld(ghosts, car, **options).visibility(camera[None], [model])
     np.testing.assert_allclose(found.visible_share, still.visible_share, rtol=1e-5)
     np.testing.assert_allclose(found.pixels, still.pixels, rtol=1e-5)
     assert ((still.visible_share > 0.1) & (still.visible_share < 0.95)).sum() >= 2
@@ -162,7 +164,7 @@ def test_jacobians_are_finite_differences():
                 moved[:3, :3] = (turn @ camera[:3, :3].T).T
             else:
                 zoom = sign * step
-            ends.append(ghost_visibility(moved[None], [model.zoomed(zoom)], ghosts, car, **options))
+            ends.append(GhostWorld(ghosts, car, **options).visibility(moved[None], [model.zoomed(zoom)]))
         for name, least in (("visible_share", 0.12), ("pixels", 150.0)):
             difference = (getattr(ends[0], name) - getattr(ends[1], name))[0] / (2.0 * step)
             jacobian = getattr(found, f"jac_{name}")[0, :, k]
@@ -175,7 +177,7 @@ def test_more_ghosts_than_one_scene_holds_and_images_of_several_sizes(device, ca
     assert len(ghosts) > 128
     wide, small = CameraModel(2000, 1000, math.radians(120.0)), CameraModel(100, 80, math.radians(100.0))
     poses = np.stack([pose([-0.95, 0.0, 1.0], 180.0, 30.0)] * 3)
-    seen = ghost_visibility(poses, [wide, small, wide], ghosts, car, device=device)
+    seen = GhostWorld(ghosts, car, device=device).visibility(poses, [wide, small, wide])
     np.testing.assert_array_equal(seen.pixels[0], seen.pixels[2])
     assert (seen.pixels[0] > 3.0 * seen.pixels[1]).mean() > 0.5
     assert seen.meets(ghosts)[0].sum() > 100

@@ -10,6 +10,7 @@ import difflib
 import html
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,7 @@ from warpav.core.errors import InputError, OptionError
 from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.external_data import check_external_data
 from warpav.detection.families import recognise
-from warpav.detection.families.family import Letterbox, NetworkFile, Tensor, metadata_labels
+from warpav.detection.families.family import Asked, Letterbox, NetworkFile, Tensor, metadata_labels
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -77,16 +78,14 @@ def suppress(
     return order[kept]
 
 
-class OnnxDetector:
-    """Road users in images, by an ONNX network.
+@dataclass(frozen=True)
+class DetectorOptions:
+    """How a network is read.
 
-    Each kind of road user is detected as if it were the only one: a candidate counts with the best score among the
-    labels of that kind, and suppression never crosses kinds. A network that suppresses by itself is trusted within a
-    label; only boxes of different labels of one kind, as car and truck, still give way to each other.
-
-    Args:
+    Attributes:
         labels: Labels in the order of the network's classes, or a file with one a line; None: the file's metadata, else
             COCO's if implied by the number of classes or by the family.
+        classes: Labels that count as a kind of road user, in place of the usual ones.
         targets: Kinds of road users to detect, out of `ROAD_USERS`; None: vehicles, and all others that
             it has labels for.
         input_px: Images are scaled so that their longer side has this many pixels, and padded to multiples of 32; a
@@ -94,28 +93,34 @@ class OnnxDetector:
             its input size takes none.
     """
 
-    def __init__(
-        self,
-        model: str | Path,
-        *,
-        confidence_min: float = 0.1,
-        nms_iou_max: float = 0.65,
-        family: str = "auto",
-        labels: Sequence[str] | Path | str | None = None,
-        classes: Mapping[str, Sequence[str] | None] | None = None,
-        targets: Sequence[str] | None = ("vehicle",),
-        input_px: int | None = None,
-        threads: int | None = None,
-        provider: str = "cpu",
-    ) -> None:
+    confidence_min: float = 0.1
+    nms_iou_max: float = 0.65
+    family: str = "auto"
+    labels: Sequence[str] | Path | str | None = None
+    classes: Mapping[str, Sequence[str] | None] | None = None
+    targets: Sequence[str] | None = ("vehicle",)
+    input_px: int | None = None
+    threads: int | None = None
+    provider: str = "cpu"
+
+
+class OnnxDetector:
+    """Road users in images, by an ONNX network.
+
+    Each kind of road user is detected as if it were the only one: a candidate counts with the best score among the
+    labels of that kind, and suppression never crosses kinds. A network that suppresses by itself is trusted within a
+    label; only boxes of different labels of one kind, as car and truck, still give way to each other.
+    """
+
+    def __init__(self, model: str | Path, **options: Any) -> None:  # noqa: ANN401
+        """The detector in a file, or ``builtin``; ``options`` are the fields of `DetectorOptions`."""
+        self._options = given = DetectorOptions(**options)
+        targets, input_px = given.targets, given.input_px
         if targets is not None and (not targets or not set(targets) <= set(ROAD_USERS)):
             raise ValueError(f"targets must be some of {ROAD_USERS}, got {targets}")
         self._path = BUILTIN_MODEL_PATH if str(model) == "builtin" else Path(model).expanduser()
-        self._confidence_min = confidence_min
-        self._nms_iou_max = nms_iou_max
-        self._session = _open_session(self._path, threads, provider)
-        self._provider = provider
-        self.family, self.reason = recognise(self._read_file(labels), family)
+        self._session = _open_session(self._path, given.threads, given.provider)
+        self.family, self.reason = recognise(self._read_file(given.labels), given.family)
         self.file = self.family.file
         size_px = self.file.size_px
         if input_px is not None and size_px not in (None, (input_px, input_px)):
@@ -124,8 +129,7 @@ class OnnxDetector:
                 f"{self._path}: the file fixes its input at {rows} x {columns} pixels, so leave detector.input_px out, "
                 f"got {input_px}; or export the network with dynamic size"
             )
-        self._input_px = input_px
-        self._classes = self._sort_labels(classes or {}, targets)
+        self._classes = self._sort_labels(given.classes or {}, targets)
 
     def __repr__(self) -> str:
         return f"OnnxDetector({self._path.name}, {self.family.name}, {', '.join(self.road_users)})"
@@ -136,7 +140,7 @@ class OnnxDetector:
             "file": self._path.name,
             "layout": self.family.name,
             **{user: ", ".join(labels) for user, labels in self.road_users.items()},
-            "least confidence": f"{self._confidence_min:g}",
+            "least confidence": f"{self._options.confidence_min:g}",
             "runs on": ", ".join(self.providers_used),
         }
         cells = "".join(
@@ -161,7 +165,7 @@ class OnnxDetector:
 
     def input_size_px(self, height_px: int, width_px: int) -> tuple[int, int]:
         """Rows and columns of the network's input for an image of this size."""
-        return self.family.input_size_px(height_px, width_px, self._input_px)
+        return self.family.input_size_px(height_px, width_px, self._options.input_px)
 
     @property
     def takes_any_size(self) -> bool:
@@ -214,7 +218,7 @@ class OnnxDetector:
             raise ValueError(f"the network takes no images of {width_px} x {height_px} pixels as they are")
         if image_count == 0:
             return []
-        if array.device.is_cuda and self._provider != "cpu" and self.family.takes_device_tensor:
+        if array.device.is_cuda and self._options.provider != "cpu" and self.family.takes_device_tensor:
             outputs = self._run_on_device(array)
         else:
             outputs = self._run(array.numpy())  # on the CPU a view, not a copy
@@ -277,11 +281,11 @@ class OnnxDetector:
         size_px = (letterbox.input_height_px, letterbox.input_width_px)
         parts = []
         for user, classes in self._classes.items():
-            found = self.family.decode(outputs, size_px, classes, self._confidence_min)
+            found = self.family.decode(outputs, Asked(size_px, classes, self._options.confidence_min))
             kept = suppress(
                 found.box_input_px,
                 found.confidence,
-                iou_max=self._nms_iou_max,
+                iou_max=self._options.nms_iou_max,
                 class_index=found.class_index if self.family.suppresses else None,
             )
             box_px = letterbox.unpack(found.box_input_px[kept], height_px, width_px)

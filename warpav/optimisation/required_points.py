@@ -20,17 +20,14 @@ from warpav.core.errors import InputError
 from warpav.detection.miss_rate import shares_of
 from warpav.optimisation.selection.problem import Row
 from warpav.raster.camera import CameraModel
+from warpav.raster.chunks import KeptRenderers
 from warpav.raster.mesh import Mesh
 from warpav.raster.pane import Pane
 from warpav.sight.requirement import Ghosts, Requirement
 from warpav.sight.visibility import (
-    GhostScenes,
-    KeptRenderers,
+    GhostWorld,
     Visibility,
     VisibilityJacobian,
-    ghost_jacobians,
-    ghost_scenes,
-    ghost_visibility,
 )
 
 
@@ -122,13 +119,13 @@ class RequiredPoints:
         self.requirements, self.ego, self.device = tuple(requirements), ego, device
         self.ghosts = Ghosts.of(self.requirements, ego)  # the test objects
         self._opened: dict[Pane, RequiredPoints] = {}
-        self._renderers: KeptRenderers = {}
+        self._renderers = KeptRenderers()
         self._seen: dict[tuple[bytes, tuple[CameraModel, ...]], _Seen] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         """As it travels and is copied: without what is on a device."""
         kept = {name: value for name, value in self.__dict__.items() if name != "_drawn"}
-        return {**kept, "_opened": {}, "_renderers": {}, "_seen": {}}
+        return {**kept, "_opened": {}, "_renderers": KeptRenderers(), "_seen": {}}
 
     def through(self, pane: Pane | None) -> RequiredPoints:
         """The same as cameras behind a pane of the vehicle see it; None: behind none."""
@@ -140,9 +137,9 @@ class RequiredPoints:
         return self._opened[pane]
 
     @cached_property
-    def _drawn(self) -> GhostScenes:
+    def _drawn(self) -> GhostWorld:
         """The points on the device."""
-        return ghost_scenes(self.ghosts, self.ego, device=self.device)
+        return GhostWorld(self.ghosts, self.ego, device=self.device, renderers=self._renderers)
 
     @property
     def vehicle_count(self) -> int:
@@ -226,9 +223,8 @@ class RequiredPoints:
             found = None
             if len(which):
                 ghosts = self.ghosts.at(which)
-                found = ghost_jacobians(
-                    ego_from_camera, models, ghosts, self.ego, device=self.device, renderers=self._renderers
-                )
+                world = GhostWorld(ghosts, self.ego, device=self.device, renderers=self._renderers)
+                found = world.jacobians(ego_from_camera, models)
             while len(self._seen) >= _SEEN_KEPT:
                 del self._seen[next(iter(self._seen))]
             self._seen[key] = _Seen(seen, which, found)
@@ -272,15 +268,7 @@ class RequiredPoints:
 
     def visibility(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> Visibility:
         """What each camera sees of each point; arguments as of `probability`."""
-        return ghost_visibility(
-            ego_from_camera,
-            models,
-            self.ghosts,
-            self.ego,
-            device=self.device,
-            scenes=self._drawn,
-            renderers=self._renderers,
-        )
+        return self._drawn.visibility(ego_from_camera, models)
 
     def check(self, probability: np.ndarray, seen: Callable[[], Visibility], count: int) -> None:
         """Make sure that a pool of cameras can meet every hard point. ``probability`` [camera, point]."""

@@ -16,15 +16,7 @@ from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig
 from warpav.sight.read import read_requirements
 from warpav.sight.requirement import SECTORS, Body, Ghosts, Requirement
-from warpav.sight.visibility import (
-    RENDER_WIDTH_PX,
-    GhostScenes,
-    KeptRenderers,
-    Visibility,
-    ghost_scenes,
-    ghost_visibility,
-    poses_of,
-)
+from warpav.sight.visibility import RENDER_WIDTH_PX, GhostWorld, Visibility, poses_of
 
 if TYPE_CHECKING:
     from warpav.raster.pane import Pane
@@ -117,16 +109,7 @@ class RequirementOutcome:
             "share": self.share,
             "is_met": self.is_met,
             "gap": None if self.gap is None else asdict(self.gap),
-            "worst": [
-                {
-                    "position_m": list(point.position_m),
-                    "cameras": point.cameras,
-                    "visible_share": point.visible_share,
-                    "pixels": point.pixels,
-                    "camera": point.camera,
-                }
-                for point in self.worst
-            ],
+            "worst": [{**asdict(point), "position_m": list(point.position_m)} for point in self.worst],
         }
 
 
@@ -311,29 +294,18 @@ def check_rigs(
 ) -> dict[str, RequirementResult]:
     """As `check_requirements` for several rigs, by name: the test objects are made once."""
     ghosts, body = Ghosts.of(requirements, ego), Body.of(ego)
-    kept: dict[Pane | None, tuple[Mesh, GhostScenes, KeptRenderers]] = {}
+    worlds: dict[Pane | None, GhostWorld] = {}
+    options = {"render_width_px": render_width_px, "supersampling": supersampling, "device": device}
     results = {}
     for name, rig in rigs.items():
         pose, models = poses_of(rig)
         panes = [camera.behind_glass for camera in rig.cameras]
-        share, pixels = np.zeros((len(panes), len(ghosts))), np.zeros((len(panes), len(ghosts)))
+        share, pixels = np.zeros((2, len(panes), len(ghosts)))
         for pane in dict.fromkeys(panes):
-            if pane not in kept:
-                opened = ego if pane is None else pane.opened(ego)
-                kept[pane] = opened, ghost_scenes(ghosts, opened, device=device), {}
-            opened, scenes, renderers = kept[pane]
+            if pane not in worlds:
+                worlds[pane] = GhostWorld(ghosts, ego if pane is None else pane.opened(ego), **options)
             group = [k for k, each in enumerate(panes) if each == pane]
-            seen = ghost_visibility(
-                pose[group],
-                [models[k] for k in group],
-                ghosts,
-                opened,
-                render_width_px=render_width_px,
-                supersampling=supersampling,
-                device=device,
-                scenes=scenes,
-                renderers=renderers,
-            )
+            seen = worlds[pane].visibility(pose[group], [models[k] for k in group])
             share[group], pixels[group] = seen.visible_share, seen.pixels
         names = tuple(camera.name for camera in rig.cameras)
         results[name] = RequirementResult(names, ghosts, body, Visibility(share, pixels))

@@ -6,7 +6,8 @@ The ground is flat and below everything, so it hides nothing that stands on it a
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 
 import numpy as np
 import warp as wp
@@ -15,7 +16,7 @@ from warpav.core.errors import InputError
 from warpav.raster.areas import VISIBLE_AREA
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.chunks import KEPT_BYTES, chunk_view_count
+from warpav.raster.chunks import KeptRenderers, chunk_view_count
 from warpav.raster.decide import Occlusion
 from warpav.raster.frame import Frame
 from warpav.raster.mesh import Mesh
@@ -76,97 +77,149 @@ class VisibilityJacobian:
 
 
 def poses_of(rig: Rig) -> tuple[np.ndarray, list[CameraModel]]:
-    """Poses [camera, 4, 4] and models of a rig's cameras, as `ghost_visibility` takes them."""
+    """Poses [camera, 4, 4] and models of a rig's cameras, as `GhostWorld` takes them."""
     return np.stack([each.ego_from_camera for each in rig.cameras]), [each.model for each in rig.cameras]
 
 
-GhostScenes = Sequence[tuple[np.ndarray, Scene]]
-"""Which ghosts, and what is drawn of them."""
-
-KeptRenderers = dict[tuple[int, int, int], Renderer]
-"""By width, height and number of views; all together hold at most `KEPT_BYTES` when the next is added."""
 VIEWS_AT_ONCE = 8
 """With as many ghosts as one scene holds a view of 640 x 480 pixels takes up to 50 MB."""
 
 
-def ghost_scenes(ghosts: Ghosts, ego: Mesh, *, device: str = "cpu") -> GhostScenes:
-    """Ghosts on a device, as `ghost_visibility` draws them; callers that ask often keep them."""
-    chunks = np.array_split(np.arange(len(ghosts)), -(-len(ghosts) // _GHOSTS_AT_ONCE))
-    return [(which, Scene({str(g): ghosts.mesh(g) for g in which}, foreground=ego, device=device)) for which in chunks]
+@dataclass(eq=False)
+class GhostWorld:
+    """Ghosts around a vehicle on a device; what is drawn of them is kept, so who asks often keeps this."""
 
+    ghosts: Ghosts
+    ego: Mesh
+    render_width_px: int = RENDER_WIDTH_PX
+    supersampling: int = 1
+    device: str = "cpu"
+    renderers: KeptRenderers = field(default_factory=KeptRenderers)
 
-def ghost_visibility(
-    ego_from_camera: np.ndarray,
-    models: Sequence[CameraModel],
-    ghosts: Ghosts,
-    ego: Mesh,
-    *,
-    render_width_px: int = RENDER_WIDTH_PX,
-    supersampling: int = 1,
-    device: str = "cpu",
-    scenes: GhostScenes | None = None,
-    renderers: KeptRenderers | None = None,
-) -> Visibility:
-    """What cameras see of ghosts; no gradient."""
-    share = np.zeros((len(models), len(ghosts)))
-    pixels = np.zeros_like(share)
-    if scenes is None:
-        scenes = ghost_scenes(ghosts, ego, device=device)
-    for cameras, which, frame in _frames(
-        ego_from_camera, models, scenes, Content.COVERAGE, render_width_px, supersampling, device, renderers
-    ):
-        found = frame.coverage()
-        count = len(cameras)
-        value = found.value.numpy()[:count].astype(np.float64)
-        alone_sr = found.solid_angle_sr.numpy()[:count, :, 0].astype(np.float64)
-        seen_sr = found.visible_sr.numpy()[:count, :, 0].astype(np.float64)
-        at = np.ix_(cameras, which)
-        pixels[at] = value[:, :, VISIBLE_AREA] * _px2_per_px2(models, cameras, frame)[:, None]
-        whole_sr = _whole_sr(ego_from_camera, models, ghosts, cameras, which, alone_sr)
-        share[at] = np.divide(seen_sr, whole_sr, out=np.zeros_like(seen_sr), where=whole_sr > 0.0)
-    return Visibility(share, pixels)
+    @cached_property
+    def scenes(self) -> Sequence[tuple[np.ndarray, Scene]]:
+        """Which ghosts, and what is drawn of them."""
+        count = len(self.ghosts)
+        chunks = np.array_split(np.arange(count), -(-count // _GHOSTS_AT_ONCE))
+        meshes = [{str(g): self.ghosts.mesh(g) for g in which} for which in chunks]
+        scenes = [Scene(each, foreground=self.ego, device=self.device) for each in meshes]
+        return list(zip(chunks, scenes, strict=True))
 
+    def visibility(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> Visibility:
+        """What cameras at poses [camera, 4, 4] see; no gradient."""
+        share = np.zeros((len(models), len(self.ghosts)))
+        pixels = np.zeros_like(share)
+        for cameras, which, frame in self._frames(ego_from_camera, models, Content.COVERAGE):
+            found = frame.coverage()
+            count = len(cameras)
+            value = found.value.numpy()[:count].astype(np.float64)
+            alone_sr = found.solid_angle_sr.numpy()[:count, :, 0].astype(np.float64)
+            seen_sr = found.visible_sr.numpy()[:count, :, 0].astype(np.float64)
+            at = np.ix_(cameras, which)
+            pixels[at] = value[:, :, VISIBLE_AREA] * _px2_per_px2(models, cameras, frame)[:, None]
+            whole_sr = self._whole_sr(ego_from_camera, models, cameras, which, alone_sr)
+            share[at] = np.divide(seen_sr, whole_sr, out=np.zeros_like(seen_sr), where=whole_sr > 0.0)
+        return Visibility(share, pixels)
 
-def ghost_jacobians(
-    ego_from_camera: np.ndarray,
-    models: Sequence[CameraModel],
-    ghosts: Ghosts,
-    ego: Mesh,
-    *,
-    render_width_px: int = RENDER_WIDTH_PX,
-    supersampling: int = 1,
-    device: str = "cpu",
-    renderers: KeptRenderers | None = None,
-) -> VisibilityJacobian:
-    """What cameras see of ghosts, with Jacobians; arguments and errors as of `ghost_visibility`."""
-    share = np.zeros((len(models), len(ghosts)))
-    pixels = np.zeros_like(share)
-    jac_share, jac_pixels = np.zeros((*share.shape, 7)), np.zeros((*share.shape, 7))
-    scenes = ghost_scenes(ghosts, ego, device=device)
-    for cameras, which, frame in _frames(
-        ego_from_camera, models, scenes, Content.MEASURES, render_width_px, supersampling, device, renderers
-    ):
-        count, at = len(cameras), np.ix_(cameras, which)
-        areas = frame.areas()
-        scale = _px2_per_px2(models, cameras, frame)
-        pixels[at] = areas.visible.numpy()[:count] * scale[:, None]
-        jac_pixels[at] = areas.jacobian.numpy()[:count] * scale[:, None, None]
-        seen, alone = (frame.window_area(visible=visible) for visible in (True, False))
-        seen_sr, alone_sr = (each.value.numpy()[:count, :, 0].astype(np.float64) for each in (seen, alone))
-        jac_seen, jac_whole = (each.jacobian.numpy()[:count, :, 0].astype(np.float64) for each in (seen, alone))
-        whole_sr = _whole_sr(ego_from_camera, models, ghosts, cameras, which, alone_sr)
-        # what is partly outside of the image has the Jacobian of the closed form, to the centre alone
-        camera, ghost = np.nonzero((alone_sr > 0.0) & (whole_sr != alone_sr))
-        jac_whole[camera, ghost] = 0.0
-        centre_m = np.asarray(ego_from_camera)[np.asarray(cameras)[camera], :3, 3]
-        for axis in range(3):
-            step = 1e-4 * np.eye(3)[axis]
-            ends = [whole_solid_angle_sr(centre_m + sign * step, ghosts, which[ghost]) for sign in (1.0, -1.0)]
-            jac_whole[camera, ghost, axis] = (ends[0] - ends[1]) / 2e-4
-        inverse = np.divide(1.0, whole_sr, out=np.zeros_like(whole_sr), where=whole_sr > 0.0)
-        share[at] = seen_sr * inverse
-        jac_share[at] = inverse[..., None] * (jac_seen - (seen_sr * inverse)[..., None] * jac_whole)
-    return VisibilityJacobian(share, pixels, jac_share, jac_pixels)
+    def jacobians(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> VisibilityJacobian:
+        """As `visibility`, with Jacobians."""
+        share = np.zeros((len(models), len(self.ghosts)))
+        pixels = np.zeros_like(share)
+        jac_share, jac_pixels = np.zeros((*share.shape, 7)), np.zeros((*share.shape, 7))
+        for cameras, which, frame in self._frames(ego_from_camera, models, Content.MEASURES):
+            count, at = len(cameras), np.ix_(cameras, which)
+            areas = frame.areas()
+            scale = _px2_per_px2(models, cameras, frame)
+            pixels[at] = areas.visible.numpy()[:count] * scale[:, None]
+            jac_pixels[at] = areas.jacobian.numpy()[:count] * scale[:, None, None]
+            seen, alone = (frame.window_area(visible=visible) for visible in (True, False))
+            seen_sr, alone_sr = (each.value.numpy()[:count, :, 0].astype(np.float64) for each in (seen, alone))
+            jac_seen, jac_whole = (each.jacobian.numpy()[:count, :, 0].astype(np.float64) for each in (seen, alone))
+            whole_sr = self._whole_sr(ego_from_camera, models, cameras, which, alone_sr)
+            # what is partly outside of the image has the Jacobian of the closed form, to the centre alone
+            camera, ghost = np.nonzero((alone_sr > 0.0) & (whole_sr != alone_sr))
+            jac_whole[camera, ghost] = 0.0
+            centre_m = np.asarray(ego_from_camera)[np.asarray(cameras)[camera], :3, 3]
+            for axis in range(3):
+                step = 1e-4 * np.eye(3)[axis]
+                ends = [whole_solid_angle_sr(centre_m + sign * step, self.ghosts, which[ghost]) for sign in (1.0, -1.0)]
+                jac_whole[camera, ghost, axis] = (ends[0] - ends[1]) / 2e-4
+            inverse = np.divide(1.0, whole_sr, out=np.zeros_like(whole_sr), where=whole_sr > 0.0)
+            share[at] = seen_sr * inverse
+            jac_share[at] = inverse[..., None] * (jac_seen - (seen_sr * inverse)[..., None] * jac_whole)
+        return VisibilityJacobian(share, pixels, jac_share, jac_pixels)
+
+    def _frames(
+        self, ego_from_camera: np.ndarray, models: Sequence[CameraModel], content: Content
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, Frame]]:
+        """Renders of chunks of cameras and ghosts: which cameras, which ghosts, the frame (its first views)."""
+        pose = np.asarray(ego_from_camera, np.float64).reshape(-1, 4, 4)
+        if len(pose) != len(models):
+            raise InputError(f"ego_from_camera: expected one pose for each of {len(models)} models, got {len(pose)}")
+        drawn = [_drawn(model, self.render_width_px) for model in models]
+        position = pose[:, :3, 3].astype(np.float32)
+        rotation = pose[:, :3, :3].transpose(0, 2, 1).astype(np.float32)
+        for size in dict.fromkeys((model.width_px, model.height_px) for model in drawn):
+            group = np.flatnonzero([(model.width_px, model.height_px) == size for model in drawn])
+            most = min(chunk_view_count(drawn[group[0]], supersampling=self.supersampling), VIEWS_AT_ONCE, len(group))
+            for first in range(0, len(group), most):
+                cameras = group[first : first + most]
+                # a last chunk that is not full is filled up with its last camera
+                views = cameras[np.minimum(np.arange(most), len(cameras) - 1)]
+                lenses = [drawn[v] for v in views]
+                (renderer,) = self.renderers.of(("ghosts", *size, most), partial(self._renderer, lenses))
+                renderer.set_lenses(lenses)
+                for which, scene in self.scenes:
+                    yield (
+                        cameras,
+                        which,
+                        renderer.render(
+                            scene,
+                            wp.array(position[views], dtype=wp.vec3, device=self.device),
+                            wp.array(rotation[views], dtype=wp.mat33, device=self.device),
+                            content=content,
+                        ),
+                    )
+
+    def _renderer(self, lenses: Sequence[CameraModel]) -> list[Renderer]:
+        options = {"supersampling": self.supersampling, "device": self.device}
+        return [Renderer(lenses, occlusion=Occlusion.OCCLUDERS, **options)]
+
+    def _whole_sr(
+        self,
+        ego_from_camera: np.ndarray,
+        models: Sequence[CameraModel],
+        cameras: np.ndarray,
+        which: np.ndarray,
+        alone_sr: np.ndarray,
+    ) -> np.ndarray:
+        """Solid angle of whole ghosts [sr], [camera, ghost]; 0 where nothing of one is in the image.
+
+        That of one which is in the image with all corners is ``alone_sr``, so nothing seen whole counts as less.
+        """
+        whole = alone_sr.copy()
+        cut: list[tuple[np.ndarray, np.ndarray]] = []
+        for k, c in enumerate(cameras):
+            asked = np.flatnonzero(alone_sr[k] > 0.0)
+            pose = np.asarray(ego_from_camera[c], np.float64)
+            is_inside = np.zeros(len(asked), bool)
+            for r in np.unique(self.ghosts.requirement[which[asked]]):
+                of_r = np.flatnonzero(self.ghosts.requirement[which[asked]] == r)
+                corner_m = np.unique(self.ghosts.requirements[r].test_object.hull_m.reshape(-1, 3), axis=0)
+                foot_m = np.pad(self.ghosts.position_m[which[asked[of_r]]], ((0, 0), (0, 1)))
+                in_camera = (foot_m[:, None] + corner_m - pose[:3, 3]) @ pose[:3, :3]
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    place = models[c].project(in_camera)
+                    inside = ((place >= 0.0) & (place <= [models[c].width_px, models[c].height_px])).all(axis=-1)
+                depth = np.linalg.norm(in_camera, axis=-1) if models[c].shape.has_unit_rays else in_camera[..., 2]
+                is_inside[of_r] = (inside & (depth > models[c].near_m)).all(axis=-1)
+            cut.append((np.full(int((~is_inside).sum()), k), asked[~is_inside]))
+        camera, ghost = (np.concatenate(each) for each in zip(*cut, strict=True))
+        centre_m = np.asarray(ego_from_camera, np.float64)[cameras[camera], :3, 3]
+        exact = whole_solid_angle_sr(centre_m, self.ghosts, which[ghost])
+        # pixels may cover a little more than there is
+        whole[camera, ghost] = np.maximum(exact, np.nextafter(alone_sr[camera, ghost], np.inf))
+        return whole
 
 
 def whole_solid_angle_sr(centre_m: np.ndarray, ghosts: Ghosts, which: np.ndarray) -> np.ndarray:
@@ -190,53 +243,6 @@ def whole_solid_angle_sr(centre_m: np.ndarray, ghosts: Ghosts, which: np.ndarray
     return whole
 
 
-def _frames(
-    ego_from_camera: np.ndarray,
-    models: Sequence[CameraModel],
-    scenes: GhostScenes,
-    content: Content,
-    render_width_px: int,
-    supersampling: int,
-    device: str,
-    renderers: KeptRenderers | None,
-) -> Iterator[tuple[np.ndarray, np.ndarray, Frame]]:
-    """Renders of chunks of cameras and ghosts: which cameras, which ghosts, the frame, whose first views they are."""
-    pose = np.asarray(ego_from_camera, np.float64).reshape(-1, 4, 4)
-    if len(pose) != len(models):
-        raise InputError(f"ego_from_camera: expected one pose for each of {len(models)} models, got {len(pose)}")
-    drawn = [_drawn(model, render_width_px) for model in models]
-    position = pose[:, :3, 3].astype(np.float32)
-    rotation = pose[:, :3, :3].transpose(0, 2, 1).astype(np.float32)
-    for size in dict.fromkeys((model.width_px, model.height_px) for model in drawn):
-        group = np.flatnonzero([(model.width_px, model.height_px) == size for model in drawn])
-        most = min(chunk_view_count(drawn[group[0]], supersampling=supersampling), VIEWS_AT_ONCE, len(group))
-        kept = {} if renderers is None else renderers
-        for first in range(0, len(group), most):
-            cameras = group[first : first + most]
-            # a last chunk that is not full is filled up with its last camera
-            views = cameras[np.minimum(np.arange(most), len(cameras) - 1)]
-            lenses = [drawn[v] for v in views]
-            renderer = kept.get((*size, most))
-            if renderer is None:
-                while kept and sum(each.held_bytes for each in kept.values()) > KEPT_BYTES:
-                    del kept[next(iter(kept))]
-                renderer = Renderer(lenses, supersampling=supersampling, occlusion=Occlusion.OCCLUDERS, device=device)
-                kept[*size, most] = renderer
-            else:
-                renderer.set_lenses(lenses)
-            for which, scene in scenes:
-                yield (
-                    cameras,
-                    which,
-                    renderer.render(
-                        scene,
-                        wp.array(position[views], dtype=wp.vec3, device=device),
-                        wp.array(rotation[views], dtype=wp.mat33, device=device),
-                        content=content,
-                    ),
-                )
-
-
 def _drawn(model: CameraModel, width_px: int) -> CameraModel:
     """The camera with the image that is drawn of it."""
     if model.width_px <= width_px:
@@ -248,40 +254,3 @@ def _px2_per_px2(models: Sequence[CameraModel], cameras: np.ndarray, frame: Fram
     """Pixels of the cameras' own images for each that is drawn, [camera of the chunk]."""
     drawn = frame.width_px * frame.height_px
     return np.array([models[c].width_px * models[c].height_px / drawn for c in cameras])
-
-
-def _whole_sr(
-    ego_from_camera: np.ndarray,
-    models: Sequence[CameraModel],
-    ghosts: Ghosts,
-    cameras: np.ndarray,
-    which: np.ndarray,
-    alone_sr: np.ndarray,
-) -> np.ndarray:
-    """Solid angle of whole ghosts [sr], [camera, ghost]; 0 where nothing of one is in the image.
-
-    That of one which is in the image with all corners is ``alone_sr``, so nothing that is seen whole counts as less.
-    """
-    whole = alone_sr.copy()
-    cut: list[tuple[np.ndarray, np.ndarray]] = []
-    for k, c in enumerate(cameras):
-        asked = np.flatnonzero(alone_sr[k] > 0.0)
-        pose = np.asarray(ego_from_camera[c], np.float64)
-        is_inside = np.zeros(len(asked), bool)
-        for r in np.unique(ghosts.requirement[which[asked]]):
-            of_r = np.flatnonzero(ghosts.requirement[which[asked]] == r)
-            corner_m = np.unique(ghosts.requirements[r].test_object.hull_m.reshape(-1, 3), axis=0)
-            foot_m = np.pad(ghosts.position_m[which[asked[of_r]]], ((0, 0), (0, 1)))
-            in_camera = (foot_m[:, None] + corner_m - pose[:3, 3]) @ pose[:3, :3]
-            with np.errstate(invalid="ignore", divide="ignore"):
-                place = models[c].project(in_camera)
-                inside = ((place >= 0.0) & (place <= [models[c].width_px, models[c].height_px])).all(axis=-1)
-            depth = np.linalg.norm(in_camera, axis=-1) if models[c].shape.has_unit_rays else in_camera[..., 2]
-            is_inside[of_r] = (inside & (depth > models[c].near_m)).all(axis=-1)
-        cut.append((np.full(int((~is_inside).sum()), k), asked[~is_inside]))
-    camera, ghost = (np.concatenate(each) for each in zip(*cut, strict=True))
-    centre_m = np.asarray(ego_from_camera, np.float64)[cameras[camera], :3, 3]
-    exact = whole_solid_angle_sr(centre_m, ghosts, which[ghost])
-    # pixels may cover a little more than there is
-    whole[camera, ghost] = np.maximum(exact, np.nextafter(alone_sr[camera, ghost], np.inf))
-    return whole

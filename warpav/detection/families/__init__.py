@@ -22,7 +22,7 @@ RT-DETR and D-FINE are trained, evaluated and deployed on images that are stretc
 shape, and so is ultralytics' RT-DETR; none of them is letterboxed here. torchvision pads its own batches at the right
 and the bottom with what is the mean colour, a grey, after its normalisation.
 
-A new family is one class in a file of this folder and its row in `FAMILIES`.
+A new family is one class in `layouts` and its row in `FAMILIES`.
 """
 
 from __future__ import annotations
@@ -31,9 +31,16 @@ from dataclasses import replace
 
 from warpav.core.errors import InputError, OptionError
 from warpav.detection.families.family import BACKGROUND, COCO_80, COCO_91, Family, NetworkFile
-from warpav.detection.families.listing import Rtdetr, RtdetrSingle, Torchvision
-from warpav.detection.families.ultralytics import Ultralytics, UltralyticsEndToEnd, UltralyticsRtdetr
-from warpav.detection.families.yolox import Yolox, YoloxDecoded
+from warpav.detection.families.layouts import (
+    Rtdetr,
+    RtdetrSingle,
+    Torchvision,
+    Ultralytics,
+    UltralyticsEndToEnd,
+    UltralyticsRtdetr,
+    Yolox,
+    YoloxDecoded,
+)
 
 FAMILIES: tuple[type[Family], ...] = (
     Ultralytics,

@@ -201,6 +201,15 @@ class Letterbox:
 
 
 @dataclass(frozen=True)
+class Asked:
+    """What is wanted of an image's outputs."""
+
+    size_px: tuple[int, int]  # rows and columns of the network's input
+    classes: np.ndarray  # of the network, int32
+    confidence_min: float
+
+
+@dataclass(frozen=True)
 class Candidates:
     """Boxes that a network proposes for one image."""
 
@@ -300,9 +309,7 @@ class Family(ABC):
         return [tuple(array[k] for array in outputs) for k in range(image_count)]
 
     @abstractmethod
-    def decode(
-        self, outputs: tuple[np.ndarray, ...], size_px: tuple[int, int], classes: np.ndarray, confidence_min: float
-    ) -> Candidates:
+    def decode(self, outputs: tuple[np.ndarray, ...], asked: Asked) -> Candidates:
         """Boxes of one image."""
 
     def _came(self, output: int, array: np.ndarray, expected: str) -> InputError:
@@ -320,11 +327,11 @@ class ScoredFamily(Family):
     assumed_labels = None
 
     @staticmethod
-    def _best(score: np.ndarray, classes: np.ndarray, confidence_min: float) -> tuple[np.ndarray, ...]:
+    def _best(score: np.ndarray, asked: Asked) -> tuple[np.ndarray, ...]:
         """Candidates of enough confidence, that confidence and their class, of scores [class, candidate]."""
         confidence = score.max(axis=0)
-        candidate = np.nonzero(confidence >= confidence_min)[0]
-        return candidate, confidence[candidate], classes[score[:, candidate].argmax(axis=0)]
+        candidate = np.nonzero(confidence >= asked.confidence_min)[0]
+        return candidate, confidence[candidate], asked.classes[score[:, candidate].argmax(axis=0)]
 
 
 def edges_of(centre_and_size: np.ndarray) -> np.ndarray:
@@ -346,11 +353,10 @@ def listed_candidates(
     box_input_px: np.ndarray,
     confidence: np.ndarray,
     class_index: np.ndarray,
-    classes: np.ndarray,
-    confidence_min: float,
+    asked: Asked,
 ) -> Candidates:
     """Those boxes of a list that are of the wanted classes and of enough confidence."""
-    sure = confidence >= confidence_min
+    sure = confidence >= asked.confidence_min
     box_input_px, confidence, class_index = box_input_px[sure], confidence[sure], np.rint(class_index[sure])
     label_count = len(file.labels or ())
     if len(class_index) and not 0 <= class_index.min() <= class_index.max() < label_count:
@@ -358,5 +364,5 @@ def listed_candidates(
             f"{file.path}: gives class {class_index.max():.0f}, expected 0 to {label_count - 1}, for it has "
             f"{label_count} labels; set detector.labels to all of its labels, or name another detector.format"
         )
-    wanted = np.isin(class_index, classes)
+    wanted = np.isin(class_index, asked.classes)
     return Candidates(box_input_px[wanted], confidence[wanted], class_index[wanted].astype(np.int32))
