@@ -272,11 +272,11 @@ def test_a_notebook_shows_the_cameras_as_a_table():
     page = Rig([camera(), left])._repr_html_()
     assert "Rig of 2 cameras" in page
     rows = [
-        re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", page.partition("tbody")[2])
+        re.findall(r"<t[dh][^>]*>(.*?)</t[dh]>", row)
+        for row in re.findall(r"<tr>(.*?)</tr>", page.partition("tbody")[2])
     ]
     assert rows[1] == ["left", "0.500", "0.910", "1.234", "90.0", "-5.0", "0.0", "90.0", "640 x 480", "pinhole"]
     assert [row[0] for row in rows] == ["front", "left"]
-    assert page.count("<th>") == len(rows[0])
 
 
 def test_the_rig_files_of_the_reference_can_be_read(tmp_path):

@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingImports]
+
+
+def aligned(rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> list[str]:
+    """Rows as lines of text in columns; some are aligned on the left, the others on the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.ljust(width) if k in left else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
 
 
 @dataclass(frozen=True)
@@ -20,17 +32,8 @@ class Table:
     caption: str = ""
 
     def __str__(self) -> str:
-        every = [self.columns, *self.rows]
-        widths = [max(len(row[k]) for row in every) for k in range(len(self.columns))]
-        lines = [
-            "  ".join(
-                cell.ljust(width) if k == 0 else cell.rjust(width)
-                for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-            )
-            for row in every
-        ]
-        lines = [lines[0], "-" * len(lines[0]), *lines[1:]]
-        return "\n".join([*lines, self.caption] if self.caption else lines)
+        head, *lines = aligned([self.columns, *self.rows])
+        return "\n".join([head, "-" * len(head), *lines, *([self.caption] if self.caption else [])])
 
     def __repr__(self) -> str:
         return str(self)

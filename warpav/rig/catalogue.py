@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from warpav.core.records import Form, Number, Point3, read_form
+from warpav.core.table import aligned
 from warpav.raster.lens import Lens
 from warpav.rig.module import Fitting, Housing, Module, ModuleError, Price
 
@@ -33,29 +34,11 @@ def _builtin() -> Mapping[str, Module]:
 
 def module_table(modules: Mapping[str, Module]) -> str:
     """The modules as a table of plain text."""
-    rows = [_HEADINGS, *(_row(module) for module in modules.values())]
-    width = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join(
-        "  ".join(
-            text.ljust(width[k]) if k in _LEFT_COLUMNS else text.rjust(width[k]) for k, text in enumerate(row)
-        ).rstrip()
-        for row in rows
-    )
+    return "\n".join(aligned([_HEADINGS, *map(_row, modules.values())], left=(0, 3, 8, 9)))
 
 
-_HEADINGS = (
-    "module",
-    "sensor [px]",
-    "network [px]",
-    "lens",
-    "field of view [°]",
-    "px/° in the middle",
-    "price",
-    "power [W]",
-    "zones",
-    "source",
-)
-_LEFT_COLUMNS = (0, 3, 8, 9)
+_HEADINGS = ("module", "sensor [px]", "network [px]", "lens", "field of view [°]", "px/° in the middle", "price")
+_HEADINGS += ("power [W]", "zones", "source")
 
 
 def _row(module: Module) -> tuple[str, ...]:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import html
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,7 +18,7 @@ from warpav.core.files import write_text
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, yaw_pitch_roll_from_rotation
 from warpav.core.records import Form, Name, Number, Point2, Point3, Positive, nearest, read_form
 from warpav.core.section import mistake, shown
-from warpav.core.table import data_frame
+from warpav.core.table import Table, aligned, data_frame
 from warpav.core.yaml_file import read_yaml, yaml_lines, yaml_name, yaml_number, yaml_row
 from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import Lens, LensShape
@@ -157,33 +156,21 @@ class Rig:
     def __repr__(self) -> str:
         return f"Rig({', '.join(camera.name for camera in self.cameras)})"
 
+    @property
+    def _table(self) -> Table:
+        """The cameras as a table, with the module where some camera is one."""
+        columns = ("camera", *_TABLE_COLUMNS, *(("module",) if any(each.module for each in self.cameras) else ()))
+        rows = tuple((camera.name, *_table_row(camera))[: len(columns)] for camera in self.cameras)
+        count = f"{len(self.cameras)} camera{'' if len(self.cameras) == 1 else 's'}"
+        return Table(columns, rows, f"Rig of {count}, ego frame: x forward, y left, z up")
+
     def __str__(self) -> str:
         """The cameras as a table of plain text."""
-        columns = self._columns
-        rows = [["camera", *columns], *([camera.name, *_table_row(camera, columns)] for camera in self.cameras)]
-        width = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = ["  ".join(text.rjust(width[k]) for k, text in enumerate(row) if k) for row in rows]
-        return "\n".join(f"{row[0].ljust(width[0])}  {line}" for row, line in zip(rows, lines, strict=True))
-
-    @property
-    def _columns(self) -> tuple[str, ...]:
-        """Columns of a table; the module where some camera is one."""
-        return (*_TABLE_COLUMNS, *(("module",) if any(camera.module for camera in self.cameras) else ()))
+        return "\n".join(aligned([self._table.columns, *self._table.rows]))
 
     def _repr_html_(self) -> str:
         """What Jupyter shows: the cameras as a table."""
-        rows = "".join(
-            f"<tr><td style='text-align:left'>{html.escape(camera.name)}</td>"
-            + "".join(f"<td>{html.escape(text)}</td>" for text in _table_row(camera, self._columns))
-            + "</tr>"
-            for camera in self.cameras
-        )
-        count = f"{len(self.cameras)} camera{'' if len(self.cameras) == 1 else 's'}"
-        head = "".join(f"<th>{html.escape(text)}</th>" for text in ("camera", *self._columns))
-        return (
-            f"<table><caption>Rig of {count}, ego frame: x forward, y left, z up</caption>"
-            f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
-        )
+        return self._table._repr_html_()
 
     def plot(self, out: str | Path | None = None, **options: Any) -> Any:  # noqa: ANN401
         """Show the rig in a window or a notebook, or write its image to a file; see `warpav.view.plot`."""
@@ -227,27 +214,17 @@ class Rig:
         return data_frame(rows)
 
 
-_TABLE_COLUMNS = (
-    "x [m]",
-    "y [m]",
-    "z [m]",
-    "yaw [°]",
-    "pitch [°]",
-    "roll [°]",
-    "field of view [°]",
-    "image [px]",
-    "lens",
-)
+_TABLE_COLUMNS = ("x [m]", "y [m]", "z [m]", "yaw [°]", "pitch [°]", "roll [°]")
+_TABLE_COLUMNS += ("field of view [°]", "image [px]", "lens")
 
 
-def _table_row(camera: RigCamera, columns: Sequence[str]) -> list[str]:
-    """What a table says of a camera in its columns."""
+def _table_row(camera: RigCamera) -> list[str]:
+    """What a table says of a camera in `_TABLE_COLUMNS`, and its module."""
     model = camera.model
     position = [f"{value:.3f}" for value in camera.position_m]
     angles = [f"{math.degrees(angle):.1f}" for angle in (camera.yaw_rad, camera.pitch_rad, camera.roll_rad)]
     size = f"{model.width_px} x {model.height_px}"
-    row = [*position, *angles, f"{math.degrees(model.fov_rad):.1f}", size, str(model.lens), camera.module or "-"]
-    return row[: len(columns)]
+    return [*position, *angles, f"{math.degrees(model.fov_rad):.1f}", size, str(model.lens), camera.module or "-"]
 
 
 _POSITION_TEXT = "three finite numbers in metres [x forward, y left, z up], such as [1.2, 0.0, 1.7]"

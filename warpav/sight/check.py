@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import one_line
+from warpav.core.table import aligned
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig
 from warpav.sight.read import read_requirements
@@ -208,13 +209,7 @@ class RequirementResult:
                     _worst_text(each.worst),
                 )
             )
-        width = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        return "\n".join(
-            "  ".join(
-                text.rjust(width[k]) if k in (2, 3) else text.ljust(width[k]) for k, text in enumerate(row)
-            ).rstrip()
-            for row in rows
-        )
+        return "\n".join(aligned(rows, left=(0, 1, 4, 5)))
 
     def to_json(self) -> dict[str, Any]:
         """As a JSON file has it: outcomes, and for every point its position and how many cameras see it."""
