@@ -205,17 +205,6 @@ _RIM_WEIGHT = 0.02  # of pixels at the rim of an object, where colours mix
 _FAR_TOLERANCE = 0.01  # of the depth
 
 
-def vertex_normals(vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
-    """Unit normals of vertices, the mean of their triangles' by area, [vertex, 3]; 0 where there is none."""
-    corner = vertex_m[triangle].astype(np.float64)
-    area_normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    total = np.stack(
-        [np.bincount(triangle.ravel(), np.repeat(area_normal[:, k], 3), minlength=len(vertex_m)) for k in range(3)],
-        axis=1,
-    )
-    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
-
-
 def seen_rgb(
     vertex_m: np.ndarray,
     normal: np.ndarray,

@@ -7,6 +7,7 @@ points (screening). Its zero level is the surface. Where points are sparse they 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -15,8 +16,7 @@ import warp as wp
 
 from warpav_kernels.reconstruction import poisson
 
-_MAX_NODE_COUNT = 20_000_000
-"""Largest grid; a node takes about 40 bytes."""
+_MAX_NODE_COUNT = 20_000_000  # of a grid; a node takes about 40 bytes
 _SPARSE_LEVELS = 3  # grids on which points are splat: cells of 1, 2 and 4 times the length
 _MIN_PER_FACE = 1.5  # points per face of a cell below which the next coarser grid is taken
 _COARSEST_CELLS = 8  # along the shortest side
@@ -70,7 +70,14 @@ def checked_points(point_m: np.ndarray, normal: np.ndarray, name: str = "normal"
     return point_m, normal
 
 
-class _Grid:
+class _OnDevice:
+    device: str
+
+    def launch(self, kernel: Callable, dim: int | tuple[int, ...], *, inputs: list, outputs: list) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, outputs=outputs, device=self.device, record_tape=False)
+
+
+class _Grid(_OnDevice):
     """One level of the equation ``screen x - laplacian x = source``, its arrays on a device."""
 
     def __init__(self, shape: tuple[int, int, int], cell: float, device: str) -> None:
@@ -87,47 +94,29 @@ class _Grid:
     def relax(self, steps: int) -> None:
         """Bring the field nearer to the solution."""
         for step in range(2 * steps):
-            wp.launch(
+            self.launch(
                 poisson.relax_field_kernel,
-                dim=self.columns,
+                self.columns,
                 inputs=[self.source, self.screen, self.cell, step % 2, self.lanes],
                 outputs=[self.field],
-                device=self.device,
-                record_tape=False,
             )
 
     def find_residual(self) -> None:
         """Compute what the field leaves of the source."""
-        wp.launch(
+        self.launch(
             poisson.find_residual_kernel,
-            dim=self.columns,
+            self.columns,
             inputs=[self.source, self.screen, self.field, self.cell, self.lanes],
             outputs=[self.residual],
-            device=self.device,
-            record_tape=False,
         )
 
     def restrict(self, fine: wp.array, coarse: wp.array, factor: float = 1.0) -> None:
         """Write a field of the next finer grid into one of this grid, times a factor."""
-        wp.launch(
-            poisson.restrict_field_kernel,
-            dim=self.columns,
-            inputs=[fine, factor, self.lanes],
-            outputs=[coarse],
-            device=self.device,
-            record_tape=False,
-        )
+        self.launch(poisson.restrict_field_kernel, self.columns, inputs=[fine, factor, self.lanes], outputs=[coarse])
 
     def add_prolonged(self, coarse: wp.array, fine: wp.array) -> None:
         """Add a field of the next coarser grid to one of this grid."""
-        wp.launch(
-            poisson.add_prolonged_kernel,
-            dim=self.columns,
-            inputs=[coarse, self.lanes],
-            outputs=[fine],
-            device=self.device,
-            record_tape=False,
-        )
+        self.launch(poisson.add_prolonged_kernel, self.columns, inputs=[coarse, self.lanes], outputs=[fine])
 
 
 def _grids_around(point_m: np.ndarray, cell_m: float, margin_m: float, device: str) -> tuple[list[_Grid], np.ndarray]:
@@ -151,7 +140,7 @@ def _grids_around(point_m: np.ndarray, cell_m: float, margin_m: float, device: s
 
 
 @dataclass
-class _Splat:
+class _Splat(_OnDevice):
     """Points sorted into groups of one nearest node, and groups into 27 colours that can be written at once."""
 
     order: np.ndarray
@@ -183,22 +172,18 @@ class _Splat:
         """Points of the surface around every point, per area of a cell's face, in the order that was given."""
         density = wp.zeros(shape, dtype=float, device=self.device)
         for first, last in pairwise(self.colour_start):
-            wp.launch(
+            self.launch(
                 poisson.splat_density_kernel,
-                dim=int(last - first),
+                int(last - first),
                 inputs=[self.place, self.nearest_node, self.group_start, int(first)],
                 outputs=[density],
-                device=self.device,
-                record_tape=False,
             )
         sorted_count = wp.zeros(len(self.order), dtype=float, device=self.device)
-        wp.launch(
+        self.launch(
             poisson.read_density_kernel,
-            dim=len(self.order),
+            len(self.order),
             inputs=[self.place, self.nearest_node, density],
             outputs=[sorted_count],
-            device=self.device,
-            record_tape=False,
         )
         count = np.empty(len(self.order))
         count[self.order] = sorted_count.numpy()
@@ -210,21 +195,17 @@ class _Splat:
         area, height = (wp.zeros(grid.shape, dtype=float, device=self.device) for _ in range(2))
         sorted_normal = wp.array(area_normal[self.order].astype(np.float32), dtype=wp.vec3, device=self.device)
         for first, last in pairwise(self.colour_start):
-            wp.launch(
+            self.launch(
                 poisson.splat_normals_kernel,
-                dim=int(last - first),
+                int(last - first),
                 inputs=[self.place, self.nearest_node, sorted_normal, self.group_start, int(first)],
                 outputs=[flux, area, height],
-                device=self.device,
-                record_tape=False,
             )
-        wp.launch(
+        self.launch(
             poisson.state_equation_kernel,
-            dim=grid.columns,
+            grid.columns,
             inputs=[flux, area, height, screening, grid.cell**-2, grid.lanes],
             outputs=[grid.source, grid.screen],
-            device=self.device,
-            record_tape=False,
         )
 
 

@@ -16,9 +16,17 @@ from warpav.core.cores import available_cores
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh, merge
 from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture, CapturedImage
-from warpav.scene.reconstruction.point_cloud import ObjectCloud, PointCloud, fuse, seen_rgb, vertex_normals
+from warpav.scene.reconstruction.point_cloud import ObjectCloud, PointCloud, fuse, seen_rgb
 from warpav.scene.reconstruction.settings import MeshSettings, ReconstructionSettings
-from warpav.scene.reconstruction.surface import SURFACE_METHODS, cleaned, decimated, oriented_normals, thin_out, trimmed
+from warpav.scene.reconstruction.surface import (
+    SURFACE_METHODS,
+    cleaned,
+    decimated,
+    oriented_normals,
+    thin_out,
+    trimmed,
+    vertex_normals,
+)
 from warpav.scene.scene import BLACK_SKY, Scene, Sky, Vehicle
 
 _MIN_POINTS = 200

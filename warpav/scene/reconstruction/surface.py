@@ -141,9 +141,7 @@ def oriented_normals(
     return normal.numpy().astype(np.float64)
 
 
-def _signed_distance_surface(
-    point_m: np.ndarray, normal: np.ndarray, *, cell_m: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _signed_distance_surface(point_m: np.ndarray, normal: np.ndarray, cell_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Zero level of the distances to the planes of nearby points, by VTK: open where points end; trim it."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkFiltersPoints import vtkExtractSurface, vtkSignedDistance
@@ -171,6 +169,17 @@ def _signed_distance_surface(
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32)
     vertex_m = (vtk_to_numpy(mesh.GetPoints().GetData()) + centre_m).astype(np.float32)
     return vertex_m, np.array(vtk_to_numpy(mesh.GetPolys().GetConnectivityArray()), np.int32).reshape(-1, 3)
+
+
+def vertex_normals(vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+    """Unit normals of vertices, the mean of their triangles' by area, [vertex, 3]; 0 where there is none."""
+    corner = vertex_m[triangle].astype(np.float64)
+    area_normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    total = np.stack(
+        [np.bincount(triangle.ravel(), np.repeat(area_normal[:, k], 3), minlength=len(vertex_m)) for k in range(3)],
+        axis=1,
+    )
+    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
 
 
 def trimmed(
@@ -203,10 +212,8 @@ def trimmed(
 
 def _referenced(vertex_m: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Only the vertices that triangles use."""
-    used = np.zeros(len(vertex_m), bool)
-    used[triangle] = True
-    renumbered = np.cumsum(used) - 1
-    return vertex_m[used].astype(np.float32), renumbered[triangle].astype(np.int32)
+    used, index = np.unique(triangle, return_inverse=True)
+    return vertex_m[used].astype(np.float32), index.reshape(-1, 3).astype(np.int32)
 
 
 def cleaned(mesh: Mesh) -> Mesh:
@@ -227,11 +234,9 @@ def cleaned(mesh: Mesh) -> Mesh:
     begun_at_least = np.take_along_axis(triangle, (turn + np.arange(3)) % 3, axis=1)
     _, kept = np.unique(begun_at_least, axis=0, return_index=True)
     triangle = triangle[np.sort(kept)]
-    used = np.zeros(len(first), bool)
-    used[triangle] = True
-    renumbered = np.cumsum(used) - 1
+    used, index = np.unique(triangle, return_inverse=True)
     vertex = first[used]
-    return Mesh(mesh.vertex_m[vertex], renumbered[triangle].astype(np.int32).reshape(-1, 3), mesh.vertex_rgb[vertex])
+    return Mesh(mesh.vertex_m[vertex], index.reshape(-1, 3).astype(np.int32), mesh.vertex_rgb[vertex])
 
 
 def decimated(mesh: Mesh, triangle_count: int) -> Mesh:
@@ -270,13 +275,7 @@ def _collapsed_lifted(
     """About ``count`` triangles: collapsed with white lifted by ``step_m`` along the normals, then lowered again."""
     import fast_simplification
 
-    corner_m = vertex_m[triangle]
-    face_normal = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
-    normal = np.stack(
-        [np.bincount(triangle.ravel(), np.repeat(axis, 3), len(vertex_m)) for axis in face_normal.T], axis=1
-    )
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
-    lift_m = normal * (step_m / 255.0 * (rgb @ _BRIGHTNESS))[:, None]
+    lift_m = vertex_normals(vertex_m, triangle) * (step_m / 255.0 * (rgb @ _BRIGHTNESS))[:, None]
     lifted_m = vertex_m + lift_m
     with _SIMPLIFYING:
         kept_m, kept = fast_simplification.simplify(lifted_m, triangle, target_count=count)[:2]
@@ -362,23 +361,6 @@ def _split_by_colour(vertex: np.ndarray, corner_rgb: np.ndarray, weight: np.ndar
     return np.unique(np.where(moves, vertex + count, vertex), return_inverse=True)[1]
 
 
-_SurfaceMethod = Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]
-"""From points [m], unit normals, sensor positions [m] (each [point, 3]) and the length of a cell [m] to vertices [m]
-and triangles."""
-
-
-def _poisson(
-    point_m: np.ndarray, normal: np.ndarray, sensor_m: np.ndarray, cell_m: float
-) -> tuple[np.ndarray, np.ndarray]:
-    return poisson_surface(point_m, normal, cell_m=cell_m)
-
-
-def _signed_distance(
-    point_m: np.ndarray, normal: np.ndarray, sensor_m: np.ndarray, cell_m: float
-) -> tuple[np.ndarray, np.ndarray]:
-    return _signed_distance_surface(point_m, normal, cell_m=cell_m)
-
-
 def _nksr(
     point_m: np.ndarray, normal: np.ndarray, sensor_m: np.ndarray, cell_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -400,9 +382,10 @@ def _nksr(
     return mesh.v.cpu().numpy().astype(np.float32), mesh.f.cpu().numpy().astype(np.int32)
 
 
-SURFACE_METHODS: dict[str, _SurfaceMethod] = {
-    "poisson": _poisson,
-    "signed_distance": _signed_distance,
+SURFACE_METHODS: dict[str, Callable[[np.ndarray, np.ndarray, np.ndarray, float], tuple[np.ndarray, np.ndarray]]] = {
+    "poisson": lambda point_m, normal, sensor_m, cell_m: poisson_surface(point_m, normal, cell_m=cell_m),
+    "signed_distance": lambda point_m, normal, sensor_m, cell_m: _signed_distance_surface(point_m, normal, cell_m),
     "nksr": _nksr,
 }
-"""Ways from oriented points to a surface, by the name that configurations use."""
+"""Ways from points [m], unit normals, sensor positions [m], [point, 3] each, and the length of a cell [m] to a surface,
+vertices [m] and triangles, by the name that configurations use."""
