@@ -18,11 +18,9 @@ from warpav.scene.scene import Box, Scene, Sky, Vehicle
 from warpav.scene.town.levels import TownSource
 from warpav.scene.traffic.traffic_scene import TrafficSource
 
-CAPACITY_BYTES = 512 * 2**20
-"""What the cache holds at most: about 300 scenes of 1.8 MB."""
+CAPACITY_BYTES = 512 * 2**20  # what the cache holds at most: about 300 scenes of 1.8 MB
 _FORMAT = 2
 UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
-
 BuiltSource = TownSource | TrafficSource
 """What a scene can be built of: a seed and a level of the town, or a moment of a recording."""
 

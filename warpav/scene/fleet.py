@@ -39,12 +39,9 @@ from warpav.scene.town.vehicle_specs import VEHICLE_SPECS
 from warpav.scene.traffic.road_users import stretched
 from warpav.scene.vehicles import SHIPPED, vehicle_folder
 
-CATEGORIES = tuple(VEHICLE_SPECS)
-"""Vehicles in whose places others can stand."""
-USUAL_SHARE = 0.5
-"""Of the vehicles in whose places others could stand, those that others do stand in."""
-_STRETCH = (0.8, 1.25)
-"""How much more or less than a vehicle as a whole its length, width or height may grow."""
+CATEGORIES = tuple(VEHICLE_SPECS)  # vehicles in whose places others can stand
+USUAL_SHARE = 0.5  # of the vehicles in whose places others could stand, those that others do stand in
+_STRETCH = (0.8, 1.25)  # how much more or less than a vehicle as a whole its length, width or height may grow
 TRIANGLES_MAX = (4_300, 1_200)
 """Triangles of a mesh near the ego vehicle, and of one that stands for a coarse mesh: no more than the town's own."""
 

@@ -214,8 +214,7 @@ class _SceneExtras(Record):
     sky_zenith_rgb: _Colour = BLACK_SKY.zenith_rgb.tolist()
 
 
-TRIANGLES_MAX = 5_000_000
-"""Triangles of a file, counted at every node that shows them."""
+TRIANGLES_MAX = 5_000_000  # triangles of a file, counted at every node that shows them
 _LINES_MAX, _LINE_BYTES_MAX = 2_000_000, 1_000_000
 _TEXT_FORMATS = ("obj", "off", "dae", "gltf")
 _COMPONENT_COUNT = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}

@@ -24,10 +24,8 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 GREY_RGB = np.array([150, 152, 156], np.uint8)  # of what has no colour
-
 _MATERIAL_SUFFIX = ".mtl"
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tga", ".bmp", ".tif", ".tiff", ".webp", ".gif", ".dds")
-
 _TEXTURE_FOLDERS = (".", "textures", "images", "../textures", "../materials/textures", "../materials", "../images")
 _SCHEMES = ("model://", "package://", "file://")
 _ANCESTOR_COUNT = 5
@@ -219,7 +217,6 @@ def _on_disk(path: Path) -> Path | None:
 
 
 _MODEL_FILE = "model.sdf"
-
 _ANGLE_TOLERANCE_RAD = 1e-3
 
 

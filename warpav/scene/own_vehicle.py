@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 SCHEMA = "warpav-vehicle/1"
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 FORMATS = ("glb", "gltf", "obj", "dae", "ply", "stl", "off")
-
 _USUAL_LENGTH_M = (3.0, 7.0)
 _POSSIBLE_LENGTH_M = (2.0, 20.0)
 _UNITS = (("metres", 1.0), ("centimetres", 0.01), ("millimetres", 0.001), ("inches", 0.0254), ("feet", 0.3048))
@@ -55,7 +54,6 @@ _TYPICAL_SIZE_M = {  # length, width with mirrors, and height of usual vehicles
 _GROUND_TOLERANCE_M = 0.05
 _AXLE_TOLERANCE_M = 0.1
 _MANY_TRIANGLES = 300_000
-
 _SAMPLE_COUNT, _SYMMETRY_COUNT = 200_000, 20_000
 # Mean distances between shape and mirror image over the length: at most of symmetric sides, and at least between front
 # and rear that differ: a box has .0002 by chance, a bus .0016, a car .008.

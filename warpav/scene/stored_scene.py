@@ -36,10 +36,8 @@ from warpav.scene.traffic.traffic_scene import TrafficSource
 
 CAPACITY_BYTES = 4 * 2**30
 """What the cache holds at most: about 750 scenes of 5.5 MB. What a run uses stays until another run needs the room."""
-HELD_BYTES = 2**29
-"""Meshes that a process holds on to, of all its stored scenes together."""
-_RECENT_COUNT = 8
-"""Further scenes, those that were used last, whose meshes it has not let go of yet."""
+HELD_BYTES = 2**29  # meshes that a process holds on to, of all its stored scenes together
+_RECENT_COUNT = 8  # further scenes, those that were used last, whose meshes it has not let go of yet
 _FORMAT = 1
 _CHECKED_FROM = 8  # the checksum itself comes first
 

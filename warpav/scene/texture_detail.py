@@ -14,12 +14,8 @@ import numpy as np
 
 from warpav.scene.mesh_colours import Texture
 
-VERTICES_MAX = 20_000
-"""Vertices of a vehicle up to which triangles are split."""
-
-TOLERANCE = 6.0
-"""Rms difference of colour and texture over a triangle, of 255, up to which it stays whole."""
-
+VERTICES_MAX = 20_000  # vertices of a vehicle up to which triangles are split
+TOLERANCE = 6.0  # rms difference of colour and texture over a triangle, of 255, up to which it stays whole
 _LEAST_TEXELS = 1.0
 _ROUNDS_MAX = 200
 _LATTICES = (4, 8, 16, 32)

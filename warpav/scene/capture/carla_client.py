@@ -28,9 +28,7 @@ from warpav.raster.lens import Lens
 from warpav.scene.capture.capture import CaptureView
 from warpav.scene.scene import Box, outline_gap_m
 
-Remote: TypeAlias = Any
-"""Something that the optional package ``carla`` defines; its types cannot be named here."""
-
+Remote: TypeAlias = Any  # something that the optional package ``carla`` defines; its types cannot be named here
 REACH_S = 2.5  # time within which a server answers
 _VERSION_REQUEST = b"\x94\x00\x01\xa7version\x91\x91\xc2"  # MessagePack: [request, number 1, "version", [[false]]]
 _ANSWER_BEGINS = b"\x94\x01\x01"  # [answer, number 1,

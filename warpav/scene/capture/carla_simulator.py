@@ -58,16 +58,13 @@ _ANSWER_S = 2.0  # with `REACH_S` below the 5 s within which a missing server is
 _STEP_S = 0.05
 _EGO_BLUEPRINTS = ("vehicle.lincoln.mkz_2020", "vehicle.lincoln.mkz_2017", "vehicle.tesla.model3")
 _ROLE, _EGO_ROLE = "warpav", "hero"  # large maps stream their tiles around the actor whose role is "hero"
-
 _DROP_M = 0.4  # vehicles are spawned that far above the road: touching it counts as a collision
 _MIN_REST_TICKS, _MAX_REST_TICKS, _REST_SPEED_MPS = 5, 80, 0.05
 _MAX_DRIFT_M, _MIN_UPRIGHT = 1.5, math.cos(math.radians(20.0))
 _MAX_EGO_PLACES = 20
-
 _LOOK_FROM = ((0.0, 90.0), (0.0, 40.0), (90.0, 40.0), (180.0, 40.0), (270.0, 40.0))  # yaw and nose-down pitch [deg]
 _IDENTIFY_SIDE_PX, _MIN_INSIDE_PX = 128, 20
 _INSTANCE_MARGIN_M = 0.5  # CARLA's boxes come from collision shapes: mirrors and aerials may exceed them
-
 _CAMERAS = {"rgb": "sensor.camera.rgb", "depth": "sensor.camera.depth", "code": "sensor.camera.instance_segmentation"}
 _PLAIN_IMAGE = {
     "lens_flare_intensity": "0.0",

@@ -64,10 +64,8 @@ from warpav.scene.scene import Box
 
 SCHEMA = "warpav-capture/1"
 DESCRIPTION = "capture.json"
-_DEPTH_STEP_M = 0.002
-"""Metres per unit of the depth images that are written here: 131 m fit into 16 bits."""
-UNFINISHED = "capture.part.json"
-"""What an unfinished capture is going to hold."""
+_DEPTH_STEP_M = 0.002  # metres per unit of the depth images that are written here: 131 m fit into 16 bits
+UNFINISHED = "capture.part.json"  # what an unfinished capture is going to hold
 _MAX_ROTATION_ERROR = 1e-3
 _PIXELS_MAX = 1 << 26  # of a view: with its depths and instances half a gigabyte
 

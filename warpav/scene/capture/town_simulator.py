@@ -24,10 +24,8 @@ from warpav.scene.town.town import TownWorld, town_world
 if TYPE_CHECKING:
     from embreex.rtcore_scene import EmbreeScene
 
-PANE_OPACITY = 0.6
-"""Share of a pixel's colour that a window pane gives; the rest is what lies behind it."""
-_INSIDE_SHADE = 0.3
-"""Surfaces seen from inside a vehicle are this bright."""
+PANE_OPACITY = 0.6  # share of a pixel's colour that a window pane gives; the rest is what lies behind it
+_INSIDE_SHADE = 0.3  # surfaces seen from inside a vehicle are this bright
 _MAX_PANES = 8
 _PAST_PANE_M = 1e-4
 _VEHICLE_TAG = 14  # CARLA's semantic tag of cars; the other two channels hold the instance id

@@ -29,10 +29,8 @@ from warpav.scene.reconstruction.surface import (
 )
 from warpav.scene.scene import BLACK_SKY, Scene, Sky, Vehicle
 
-_MIN_POINTS = 200
-"""A vehicle of fewer points is no vehicle."""
-_MOST_RAYS = 40_000
-"""Of more rays to where an object has surface without points, a part is enough."""
+_MIN_POINTS = 200  # a vehicle of fewer points is no vehicle
+_MOST_RAYS = 40_000  # of more rays to where an object has surface without points, a part is enough
 _BELOW_SPACING_M = 0.25  # of the ground points below a vehicle
 _SKY_STEP = 7  # stride of the pixels that determine the sky's colour
 

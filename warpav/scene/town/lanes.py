@@ -61,8 +61,7 @@ def lane_vehicles(
         yield drawn[-1], Footprint.at(lane.at(middle_m, left_m), yaw, (length_m, drawn[-1].size_m[1]))
 
 
-HEADWAY_S = 1.5
-"""Time in which a driver reaches what is ahead in its lane now, at least."""
+HEADWAY_S = 1.5  # time in which a driver reaches what is ahead in its lane now, at least
 STREET_KM_H = (30.0, 50.0)
 _CAR_PARK_KM_H = (5.0, 15.0)
 _CYCLIST_M_S = (4.0, 6.0)

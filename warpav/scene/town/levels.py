@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from warpav.scene.fleet import Fleet
 
 Level = Literal["easy", "urban", "dense", "motorway"]
-LEVELS: tuple[Level, ...] = ("easy", "urban", "dense", "motorway")
-"""Names of the levels, the easiest first."""
+LEVELS: tuple[Level, ...] = ("easy", "urban", "dense", "motorway")  # names of the levels, the easiest first
 _CODE = {"easy": "town", "urban": "streets", "dense": "streets", "motorway": "motorway"}
 FLEET_CODE = ("warpav.scene.fleet", "warpav.scene.reconstruction.surface")
 """Modules that make vehicles of other makers what they are in scenes."""

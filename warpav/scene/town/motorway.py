@@ -22,8 +22,7 @@ from warpav.scene.town.surface_builder import StreetGround
 from warpav.scene.town.town_layout import Footprint, Lane, Marking, Slot
 
 _MOTORWAY_REACH_M = 232.0
-USERS_REACH_M = 200.0
-"""Road users are no farther from the ego vehicle."""
+USERS_REACH_M = 200.0  # road users are no farther from the ego vehicle
 _FIELD_M = 130.0  # from the middle to the edge of the ground
 _INNER_SHOULDER_M, _VERGE_M = 0.8, 7.0
 _CURVE_M = 90.0  # in which the road bends from level to its grade
@@ -33,7 +32,6 @@ _LINE_HALF_M = 0.08
 _BRIDGE_CLEARANCE_M = 5.0
 _CLEARANCE_M, _EGO_LENGTH_M = 0.3, 4.7
 _STANDING_SHARE = 0.12  # of the scenes have somebody on the hard shoulder
-
 _GRASS, _LEAVES = np.array([0.36, 0.43, 0.24]), np.array([0.24, 0.33, 0.19])
 _BARK = np.array([0.25, 0.2, 0.15])
 _STEEL, _CONCRETE, _SIGN_BLUE = np.array([0.62, 0.64, 0.66]), np.array([0.66, 0.65, 0.62]), np.array([0.08, 0.22, 0.55])

@@ -94,7 +94,6 @@ _BUS_COLOURS = np.array(
     ]
 )
 _PAINT_SHARES = np.array([20, 8, 14, 10, 9, 7, 11, 6, 5, 5, 2, 2, 3, 1]) / 103.0
-
 _SKY_LIGHT, _SUN_LIGHT, _BOUNCE_LIGHT = 0.62, 0.34, 0.04
 _GROUND_ALBEDO = 0.18  # an occlusion ray that ends on the road still brings this share of the light
 _OCCLUSION_RAYS = 64

@@ -15,7 +15,6 @@ from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, body_width_m, vehicl
 
 LONG_KINDS = ("lorry", "bus")
 _SCALE_SPREAD = 0.03
-
 Exchange = Callable[[int, str, Mesh, np.ndarray], Mesh]
 """What may put another mesh in the place of a vehicle's own.
 

@@ -251,8 +251,7 @@ class _Plan:
             self._blocks.append(Block((low, -end, high, end), 2.5, (front,)))
 
 
-USERS_REACH_M = 80.0
-"""Road users are no farther from the ego vehicle."""
+USERS_REACH_M = 80.0  # road users are no farther from the ego vehicle
 _FURNITURE_REACH_M, _FRAMES_WITHIN_M = 90.0, 45.0
 _CLEARANCE_M, _AHEAD_M = 0.30, 1.2
 _STEP_OUT_GAP_M = 0.75  # between parked cars, for somebody to step out
@@ -261,7 +260,6 @@ _TRIES = 10
 _CORNER_M = 3.0
 _KERB_CLEAR_M = 0.5  # people on the road step no nearer to the kerb
 _GRADE_SHARE, _GRADE = 0.4, (0.02, 0.06)
-
 _KINDS = {"hatchback": 0.25, "saloon": 0.18, "estate": 0.14, "suv": 0.18, "van": 0.12, "lorry": 0.07, "bus": 0.06}
 _HIDING_KINDS = {"hatchback": 0.2, "saloon": 0.14, "estate": 0.1, "suv": 0.16, "van": 0.15, "lorry": 0.13, "bus": 0.12}
 _TRAFFIC = {

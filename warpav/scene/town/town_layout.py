@@ -17,7 +17,6 @@ LINE_HALF_WIDTH_M = 0.06
 _BLOCK_DEPTH_M = 20.0
 _CROSSING_WIDTH_M = 2.6
 _WHITE = 0.82
-
 Rectangle = tuple[float, float, float, float]  # x low, y low, x high, y high [m]
 
 

@@ -20,8 +20,7 @@ from warpav.scene.traffic.recording import Lanelet, RecordedUser, Recording
 
 ANNOTATIONS, POSES = "annotations.feather", "city_SE3_egovehicle.feather"
 EGO = "ego"
-EGO_SIZE_M = (4.87, 1.85, 1.48)
-"""The Ford Fusion that carries the sensors."""
+EGO_SIZE_M = (4.87, 1.85, 1.48)  # the Ford Fusion that carries the sensors
 EGO_CENTRE_M = 1.42
 """How far its centre lies ahead of the origin of its frame, which is the middle of its rear axle [m]."""
 

@@ -22,8 +22,7 @@ from warpav.scene.traffic.argoverse2 import ANNOTATIONS, read_log
 from warpav.scene.traffic.recording import Lanelet, RecordedUser, Recording, check_step
 
 SUFFIXES = (".json", ".json.gz", ".xml", ".xml.gz")
-SHIPPED = Path(__file__).parent / "sind"
-"""SinD, CC0; its README says more."""
+SHIPPED = Path(__file__).parent / "sind"  # SinD, CC0; its README says more
 
 
 def is_recording(path: Path) -> bool:

@@ -34,9 +34,7 @@ if TYPE_CHECKING:
     from contourpy import ContourGenerator
 
 CELL_M = 0.1
-_ROAD_REACH_M = 85.0
-"""Roads end at this distance from the ego vehicle in x and y, in front of a house."""
-
+_ROAD_REACH_M = 85.0  # roads end at this distance from the ego vehicle in x and y, in front of a house
 _LAND_M = 26.0  # around the roads
 _CLOSED_GAP_M = 1.5  # between lanes
 _ISLAND_MIN_M2 = 6.0  # of land inside the road

@@ -18,11 +18,8 @@ from warpav.scene.town.people import person_mesh
 from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, body_width_m, vehicle_mesh
 from warpav.scene.town.vehicle_specs import CARGO, VEHICLE_SPECS
 
-_LORRY_FROM_M = 6.3
-"""A recorded car that is longer is a lorry, as in data sets that know cars alone."""
-_MOTORCYCLE_TO_M = 1.3
-"""A recorded car that is narrower is a motorcycle, likewise."""
-
+_LORRY_FROM_M = 6.3  # a recorded car that is longer is a lorry, as in data sets that know cars alone
+_MOTORCYCLE_TO_M = 1.3  # a recorded car that is narrower is a motorcycle, likewise
 _CAR_SHARES = {"hatchback": 0.29, "saloon": 0.22, "estate": 0.16, "suv": 0.20, "van": 0.13}
 _USUAL_STRETCH = 0.10  # of a kind's own length, within which it is drawn
 _HEIGHT_SPREAD = 0.03

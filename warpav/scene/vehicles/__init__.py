@@ -6,8 +6,7 @@ import difflib
 from dataclasses import dataclass
 from pathlib import Path
 
-SHIPPED = "shipped"
-"""What stands for all of them in traffic."""
+SHIPPED = "shipped"  # what stands for all of them in traffic
 _FOLDER = Path(__file__).parent
 
 
