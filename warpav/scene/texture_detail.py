@@ -53,7 +53,11 @@ def follow_textures(
         if left < 1 or not len(worst):
             break
         worst = worst[: max(left // 8, 1)]  # a part of them at a time, so that the rest goes where it does most
-        edge = _edges_in_space(mesh)
+        # a number for every edge, the same wherever two places are joined
+        _, place = np.unique(mesh.vertex + 0.0, axis=0, return_inverse=True)
+        place = place.reshape(-1)[mesh.triangle]
+        ends = np.sort(np.stack([place, np.roll(place, -1, axis=1)], axis=-1), axis=-1)
+        edge = ends[..., 0] * len(mesh.vertex) + ends[..., 1]
         wanted = edge[worst][texels[worst] > 0.5 * longest[worst][:, None]]
         split = _split(mesh, textures, np.isin(edge, wanted))
         if len(split.mesh.vertex) > vertices_max:
@@ -133,14 +137,6 @@ def _split(mesh: TexturedMesh, textures: Sequence[Texture], is_halved: np.ndarra
         np.concatenate([mesh.texture_of[kept], new_texture]),
     )
     return _Split(split, kept, len(kept) + np.arange(len(new)))
-
-
-def _edges_in_space(mesh: TexturedMesh) -> np.ndarray:
-    """A number for every edge, the same wherever two places are joined, int64 [triangle, 3]."""
-    _, place = np.unique(mesh.vertex + 0.0, axis=0, return_inverse=True)
-    place = place.reshape(-1)[mesh.triangle]
-    ends = np.sort(np.stack([place, np.roll(place, -1, axis=1)], axis=-1), axis=-1)
-    return ends[..., 0] * len(mesh.vertex) + ends[..., 1]
 
 
 def _edge_texels(mesh: TexturedMesh, size_px: np.ndarray, index: np.ndarray | None = None) -> np.ndarray:

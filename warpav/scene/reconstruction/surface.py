@@ -314,7 +314,11 @@ def _collapsed_coloured(
 
 def _coloured_corners(vertex_m: np.ndarray, triangle: np.ndarray, dense: Mesh) -> Mesh:
     """A mesh with the colours of a dense one: linear within each triangle, fitted to the nearest dense triangles."""
-    share = _places_in_triangle(_COLOUR_SAMPLES)
+    # Barycentric coordinates of the centroids of the squared parts of a triangle.
+    upright = [(i + 1 / 3, j + 1 / 3) for i in range(_COLOUR_SAMPLES) for j in range(_COLOUR_SAMPLES - i)]
+    inverted = [(i + 2 / 3, j + 2 / 3) for i in range(_COLOUR_SAMPLES - 1) for j in range(_COLOUR_SAMPLES - 1 - i)]
+    centroid = np.array(upright + inverted) / _COLOUR_SAMPLES
+    share = np.column_stack([centroid, 1.0 - centroid.sum(axis=1)])
     place_m = np.einsum("sc,tcx->tsx", share, vertex_m.astype(np.float64)[triangle])
     centre_m = dense.vertex_m.astype(np.float64)[dense.triangle].mean(axis=1)
     nearest = KDTree(centre_m).query(place_m.reshape(-1, 3), workers=-1)[1]
@@ -332,14 +336,6 @@ def _coloured_corners(vertex_m: np.ndarray, triangle: np.ndarray, dense: Mesh) -
     place = np.empty(count, np.int64)
     place[vertex] = triangle.reshape(-1)
     return Mesh(vertex_m[place].astype(np.float32), vertex.reshape(-1, 3).astype(np.int32), rgb)
-
-
-def _places_in_triangle(rows: int) -> np.ndarray:
-    """Barycentric coordinates of the centroids of the ``rows`` squared parts of a triangle [sample, 3]."""
-    upright = [(i + 1 / 3, j + 1 / 3) for i in range(rows) for j in range(rows - i)]
-    inverted = [(i + 2 / 3, j + 2 / 3) for i in range(rows - 1) for j in range(rows - 1 - i)]
-    place = np.array(upright + inverted) / rows
-    return np.column_stack([place, 1.0 - place.sum(axis=1)])
 
 
 def _split_by_colour(vertex: np.ndarray, corner_rgb: np.ndarray, weight: np.ndarray) -> np.ndarray:

@@ -169,7 +169,13 @@ class Road:
             segment.append(first + np.stack([k, (k + 1) % count], axis=1))
             first += count
         edge = np.concatenate(segment)
-        point = np.concatenate([*corner, self._rim(), self._scattered(contours, rng)])
+        # points along the border of the area
+        (x_low, y_low), (x_high, y_high) = self.low_m, self.high_m
+        counts = [max(2, int(extent / _LAND_STEP_M)) for extent in self.high_m - self.low_m]
+        x, y = np.linspace(x_low, x_high, counts[0]), np.linspace(y_low, y_high, counts[1])
+        sides = [np.c_[x, np.full_like(x, y_low)], np.c_[x, np.full_like(x, y_high)],
+                 np.c_[np.full_like(y, x_low), y][1:-1], np.c_[np.full_like(y, x_high), y][1:-1]]  # fmt: skip
+        point = np.concatenate([*corner, np.concatenate(sides), self._scattered(contours, rng)])
         triangle = np.zeros((0, 3), np.int32)
         for _ in range(_SPLIT_ROUNDS):
             triangle = Delaunay(point).simplices
@@ -189,15 +195,6 @@ class Road:
         turned = np.cross(np.c_[b - a, np.zeros(len(a))], np.c_[c - a, np.zeros(len(a))])[:, 2]
         triangle = np.where((turned < 0.0)[:, None], triangle[:, ::-1], triangle)
         return point, triangle[np.abs(turned) > 1e-9]
-
-    def _rim(self) -> np.ndarray:
-        """Points along the border of the area."""
-        (x_low, y_low), (x_high, y_high) = self.low_m, self.high_m
-        count = [max(2, int(extent / _LAND_STEP_M)) for extent in self.high_m - self.low_m]
-        x, y = np.linspace(x_low, x_high, count[0]), np.linspace(y_low, y_high, count[1])
-        sides = [np.c_[x, np.full_like(x, y_low)], np.c_[x, np.full_like(x, y_high)],
-                 np.c_[np.full_like(y, x_low), y][1:-1], np.c_[np.full_like(y, x_high), y][1:-1]]  # fmt: skip
-        return np.concatenate(sides)
 
     def _scattered(self, contours: list[list[np.ndarray]], rng: np.random.Generator) -> np.ndarray:
         """Points inside road and land, not near contours."""
