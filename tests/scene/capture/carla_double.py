@@ -14,6 +14,7 @@ import functools
 import math
 import sys
 import threading
+from dataclasses import dataclass
 from types import ModuleType, SimpleNamespace
 
 import numpy as np
@@ -22,18 +23,22 @@ GROUND = (1, 77)  # semantic tag and number
 VEGETATION_TAG, BUILDING_TAG, CAR_TAG = 9, 3, 14
 
 
+@dataclass
 class Vector3D:
-    def __init__(self, x=0.0, y=0.0, z=0.0):
-        self.x, self.y, self.z = float(x), float(y), float(z)
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
 
 
 class Location(Vector3D):
     pass
 
 
+@dataclass
 class Rotation:
-    def __init__(self, pitch=0.0, yaw=0.0, roll=0.0):
-        self.pitch, self.yaw, self.roll = float(pitch), float(yaw), float(roll)
+    pitch: float = 0.0
+    yaw: float = 0.0
+    roll: float = 0.0
 
 
 class Transform:
@@ -65,31 +70,28 @@ class WeatherParameters:
         self._values = {"sun_altitude_angle": 0.0, "rayleigh_scattering_scale": 0.0331} | values
 
 
+@dataclass
 class WorldSettings:
-    def __init__(self):
-        self.synchronous_mode, self.no_rendering_mode, self.fixed_delta_seconds = False, True, None
-        self.substepping, self.max_substep_delta_time, self.max_substeps = True, 0.02, 8
+    synchronous_mode: bool = False
+    no_rendering_mode: bool = True
+    fixed_delta_seconds: float | None = None
+    substepping: bool = True
+    max_substep_delta_time: float = 0.02
+    max_substeps: int = 8
 
 
+@dataclass
 class VehicleControl:
-    def __init__(self, throttle=0.0, steer=0.0, brake=0.0, hand_brake=False):
-        self.throttle, self.steer, self.brake, self.hand_brake = throttle, steer, brake, hand_brake
+    throttle: float = 0.0
+    steer: float = 0.0
+    brake: float = 0.0
+    hand_brake: bool = False
 
 
-class MapLayer:
-    Foliage = "foliage"
-
-
-class CityObjectLabel:
-    Vegetation = "vegetation"
-
-
-class LightGroup:
-    NONE = "all"
-
-
-class VehicleLightState:
-    NONE = 0
+MapLayer = type("MapLayer", (), {"Foliage": "foliage"})
+CityObjectLabel = type("CityObjectLabel", (), {"Vegetation": "vegetation"})
+LightGroup = type("LightGroup", (), {"NONE": "all"})
+VehicleLightState = type("VehicleLightState", (), {"NONE": 0})
 
 
 class ActorAttribute:
@@ -150,6 +152,25 @@ def rpc(method):
     return called
 
 
+def gets(name, attribute):
+    """A call of this name that returns a copy of something of the server's."""
+    return rpc(name_it(lambda self: copy.deepcopy(getattr(self._server, attribute)), name))
+
+
+def sets(name, attribute, where="_server"):
+    """A call of this name that sets something of the server's, or of the actor's."""
+
+    def method(self, value):
+        setattr(self._server if where == "_server" else self, attribute, copy.deepcopy(value))
+
+    return rpc(name_it(method, name))
+
+
+def name_it(method, name):
+    method.__name__ = name
+    return method
+
+
 class Actor:
     def __init__(self, server, number, blueprint, transform):
         self._server, self.id, self.type_id = server, number, blueprint.id
@@ -180,13 +201,8 @@ class Vehicle(Actor):
     def apply_control(self, control):
         self._braked = control.hand_brake
 
-    @rpc
-    def set_light_state(self, state):
-        self._lamps = state
-
-    @rpc
-    def set_simulate_physics(self, enabled):
-        self._physics = enabled
+    set_light_state = sets("set_light_state", "_lamps", "actor")
+    set_simulate_physics = sets("set_simulate_physics", "_physics", "actor")
 
     @rpc
     def get_physics_control(self):
@@ -299,21 +315,12 @@ class World:
     def __init__(self, server):
         self._server = server
 
-    @rpc
-    def get_settings(self):
-        return copy.deepcopy(self._server.settings)
-
-    @rpc
-    def apply_settings(self, settings):
-        self._server.settings = copy.deepcopy(settings)
-
-    @rpc
-    def get_weather(self):
-        return copy.deepcopy(self._server.weather)
-
-    @rpc
-    def set_weather(self, weather):
-        self._server.weather = copy.deepcopy(weather)
+    get_settings = gets("get_settings", "settings")
+    apply_settings = sets("apply_settings", "settings")
+    get_weather = gets("get_weather", "weather")
+    set_weather = sets("set_weather", "weather")
+    freeze_all_traffic_lights = sets("freeze_all_traffic_lights", "frozen")
+    set_annotations_traverse_translucency = sets("set_annotations_traverse_translucency", "sees_through_glass")
 
     @rpc
     def get_actors(self):
@@ -327,10 +334,6 @@ class World:
     @rpc
     def get_map(self):
         return Map(self._server)
-
-    @rpc
-    def freeze_all_traffic_lights(self, frozen):
-        self._server.frozen = frozen
 
     @rpc
     def load_map_layer(self, layer):
@@ -349,10 +352,6 @@ class World:
     def enable_environment_objects(self, ids, enable):
         for one in ids:
             self._server.plants[one] = enable
-
-    @rpc
-    def set_annotations_traverse_translucency(self, enable):
-        self._server.sees_through_glass = enable
 
     @rpc
     def try_spawn_actor(self, blueprint, transform):
@@ -411,17 +410,10 @@ class Client:
 
 
 class Server:
-    """What runs behind the client.
+    """What runs behind the client: the ground climbs by a slope along CARLA's x, the street turns towards its y [deg].
 
-    Args:
-        map_name: As the client's maps call it.
-        slope: Metres that the ground climbs along CARLA's x.
-        turn: Direction of the street from CARLA's x towards its y [deg].
-        seed: Of the order in which waypoints are listed.
-
-    Attributes:
-        calls: Names of all calls so far.
-        failures: Call number to the error it raises and whether that is before it takes effect.
+    ``calls`` are the names of all calls so far, ``failures`` map the number of a call to the error that it raises, and
+    to whether that is before it takes effect; ``seed`` orders the waypoints.
     """
 
     def __init__(self, *, map_name="Carla/Maps/Town10HD_Opt", slope=0.0, turn=0.0, seed=0):
@@ -445,8 +437,6 @@ class Server:
         self._put(ActorBlueprint("traffic.traffic_light", {}), Transform(), TrafficLight)
         self.listed = set(self.actors)
 
-    # -- what tests use
-
     def module(self):
         """The package, as it is imported."""
         package = ModuleType("carla")
@@ -460,17 +450,9 @@ class Server:
 
     def state(self):
         """All that somebody could find changed afterwards."""
-        return copy.deepcopy(
-            {
-                "settings": vars(self.settings),
-                "weather": self.weather._values,
-                "traffic lights": self.frozen,
-                "layers": self.layers,
-                "plants": self.plants,
-                "lights": self.lights_on,
-                "actors": sorted(self.actors),
-            }
-        )
+        state = {"settings": vars(self.settings), "weather": self.weather._values, "traffic lights": self.frozen}
+        state |= {"layers": self.layers, "plants": self.plants, "lights": self.lights_on, "actors": sorted(self.actors)}
+        return copy.deepcopy(state)
 
     def made(self, kind):
         return [actor for actor in self.actors.values() if fnmatch.fnmatch(actor.type_id, kind)]
@@ -478,8 +460,6 @@ class Server:
     def code(self, actor):
         """Tag and number in instance images: not the actor's id."""
         return CAR_TAG, (actor.id * 7919 + 1234) % 65536
-
-    # -- what the client uses
 
     def call(self, name, effect):
         index = len(self.calls)
@@ -572,8 +552,6 @@ class Server:
                     else:
                         sensor._callback(image)
         return self.frame
-
-    # -- the toy world
 
     def height(self, x):
         return 3.0 + self.slope * x
