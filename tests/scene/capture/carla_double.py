@@ -395,15 +395,6 @@ class Client:
         return World(self._server)
 
     @rpc
-    def get_available_maps(self):
-        return ["/Game/Carla/Maps/Town10HD_Opt", "/Game/Carla/Maps/Town04"]
-
-    @rpc
-    def load_world(self, name):
-        self._server.load(name)
-        return World(self._server)
-
-    @rpc
     def apply_batch_sync(self, commands, do_tick):
         assert not do_tick
         return [self._server.destroy(command.actor_id) for command in commands]
@@ -501,11 +492,6 @@ class Server:
                 *(camera(name) for name in ("rgb", "depth", "instance_segmentation")),
             ]
         )
-
-    def load(self, name):
-        self.map_name = name
-        self.actors = {number: one for number, one in self.actors.items() if isinstance(one, TrafficLight)}
-        self.listed, self.settings = set(self.actors), WorldSettings()
 
     def spawn(self, blueprint, transform):
         kind = Vehicle if blueprint.id.startswith("vehicle.") else Sensor

@@ -67,7 +67,7 @@ class TestSituation:
     @pytest.mark.parametrize("turn", [0.0, 35.0, -120.0])
     def test_spawned_where_and_as_the_point_says(self, monkeypatch, turn):
         install(monkeypatch, Server(turn=turn))
-        with CarlaSimulator(ego_blueprint="vehicle.audi.tt") as simulator:
+        with CarlaSimulator() as simulator:
             for seed in range(3):
                 simulator.begin(seed)
                 for point in simulator.spawn_points(60.0):  # in the ego vehicle's lane, in the other, or in the bay

@@ -8,7 +8,6 @@ of rotations; only what is handed to the client, and what comes from it, is left
 from __future__ import annotations
 
 import contextlib
-import difflib
 import math
 import queue
 import re
@@ -54,6 +53,7 @@ from warpav.scene.capture.carla_client import (
 )
 from warpav.scene.scene import Box
 
+_WAYPOINT_SPACING_M = 10.0
 _ANSWER_S = 2.0  # with `REACH_S` below the 5 s within which a missing server is reported
 _STEP_S = 0.05
 _EGO_BLUEPRINTS = ("vehicle.lincoln.mkz_2020", "vehicle.lincoln.mkz_2017", "vehicle.tesla.model3")
@@ -101,44 +101,27 @@ class CarlaSimulator:
     """A CARLA server as a `warpav.scene.capture.capture.Simulator`.
 
     Use it in a ``with`` statement: entering connects, makes the server synchronous and prepares the world; leaving, for
-    whatever reason, destroys every actor that was made and restores weather, vegetation, lights and settings. A map
-    that was loaded stays loaded.
+    whatever reason, destroys every actor that was made and restores weather, vegetation, lights and settings.
 
     A vehicle settles under physics and is then frozen. Its instance colours are those that fill its 3D box in images
     taken right after spawning.
     """
 
     def __init__(
-        self,
-        *,
-        host: str = "127.0.0.1",
-        port: int = 2000,
-        map_name: str | None = None,
-        ego_blueprint: str | None = None,
-        rear_axle_m: Sequence[float] | None = None,
-        waypoint_spacing_m: float = 10.0,
-        warm_up_ticks: int = 4,
-        exposure: float | None = None,
-        timeout_s: float = 60.0,
+        self, *, host: str = "127.0.0.1", port: int = 2000, warm_up_ticks: int = 4, timeout_s: float = 60.0
     ) -> None:
-        """Nothing is connected yet; ``rear_axle_m`` [3]."""
+        """Nothing is connected yet; ``warm_up_ticks`` steps pass before an image."""
         if not 0 < port < 65535:
             raise ValueError(f"port must lie between 1 and 65534, got {port}")
-        if rear_axle_m is not None and (len(rear_axle_m) != 3 or not all(map(math.isfinite, rear_axle_m))):
-            raise ValueError(f"rear_axle_m must be three finite numbers, got {rear_axle_m!r}")
-        positive = {"waypoint_spacing_m": waypoint_spacing_m, "exposure": exposure, "timeout_s": timeout_s}
-        for name, value in positive.items():
-            if value is not None and not 0.0 < value < math.inf:
-                raise ValueError(f"{name} must be positive, got {value}")
+        if not 0.0 < timeout_s < math.inf:
+            raise ValueError(f"timeout_s must be positive, got {timeout_s}")
         if warm_up_ticks < 0:
             raise ValueError(f"warm_up_ticks must not be negative, got {warm_up_ticks}")
         self.name, self.source = "", ""
-        self.world = f"carla {map_name} {ego_blueprint} {rear_axle_m} {waypoint_spacing_m} {warm_up_ticks} {exposure}"
+        # as captures that are there already were made with: map, vehicle, axle and exposure are the server's
+        self.world = f"carla None None None {_WAYPOINT_SPACING_M} {warm_up_ticks} None"
         self._host, self._port = host, port
-        self._map_name, self._ego_blueprint = map_name, ego_blueprint
-        self._rear_axle_m = None if rear_axle_m is None else np.array(rear_axle_m, np.float64)
-        self._waypoint_spacing_m, self._warm_up_ticks = waypoint_spacing_m, warm_up_ticks
-        self._exposure, self._timeout_s = exposure, timeout_s
+        self._warm_up_ticks, self._timeout_s = warm_up_ticks, timeout_s
         self._carla: Remote = None
         self._client: Remote = None
         self._world: Remote = None
@@ -195,7 +178,7 @@ class CarlaSimulator:
 
     def _prepare(self) -> None:
         """Make the server synchronous and the world clear; each change has its undoing noted before it is made."""
-        self._world = self._open_world()
+        self._world = self._client.get_world()
         carla, world = self._carla, self._world
         lights = world.get_lightmanager().get_turned_on_lights(carla.LightGroup.NONE)
         settings, synchronous = world.get_settings(), world.get_settings()
@@ -210,12 +193,12 @@ class CarlaSimulator:
         if strangers:
             raise InputError(
                 f"CARLA: expected a world without vehicles and walkers at {self._host}:{self._port}, got "
-                f"{len(strangers)} of them; end the programs that spawned them, or name a map, which is then reloaded"
+                f"{len(strangers)} of them; end the programs that spawned them, or start the server again"
             )
         self._blueprints = world.get_blueprint_library()
         carla_map = world.get_map()
         self._map_title = re.sub(r"[^A-Za-z0-9_-]", "_", carla_map.name.rsplit("/", 1)[-1])
-        self._place_m, self._place_yaw_rad = lane_places(carla_map, spacing_m=self._waypoint_spacing_m)
+        self._place_m, self._place_yaw_rad = lane_places(carla_map, spacing_m=_WAYPOINT_SPACING_M)
 
         if lights:  # those of the map: CARLA does not list lamps of vehicles here
             manager = world.get_lightmanager()
@@ -244,20 +227,6 @@ class CarlaSimulator:
         self._undo.append(("actors that an interruption hid", self._sweep))
         self._undo.append(("actors", lambda: self._destroy(list(self._made))))
         self._tick()
-
-    def _open_world(self) -> Remote:
-        if self._map_name is None:
-            return self._client.get_world()
-        names = sorted({path.rsplit("/", 1)[-1] for path in self._client.get_available_maps()})
-        if self._map_name.rsplit("/", 1)[-1] not in names:
-            raise self._unknown(f"a map of the server at {self._host}:{self._port}", self._map_name, names)
-        return self._client.load_world(self._map_name)
-
-    @staticmethod
-    def _unknown(expected: str, name: str, known: Sequence[str]) -> InputError:
-        close = difflib.get_close_matches(name, known, 3)
-        hint = f"{'did you mean' if close else 'it has'} {', '.join(close or known)}"
-        return InputError(f"CARLA: expected {expected}, got {name!r}; {hint}")
 
     def _change(self, what: str, undo: Callable[[], object], change: Callable[[], object]) -> None:
         self._undo.append((what, undo))  # first: a change that times out may have happened all the same
@@ -339,7 +308,7 @@ class CarlaSimulator:
             self._take(actor)
         raise InputError(
             f"CARLA: expected a free spawn point for {blueprint.id} on the map {self._map_title}, got {len(order)} "
-            f"of which the first {min(len(order), _MAX_EGO_PLACES)} are blocked; choose another map or seed"
+            f"of which the first {min(len(order), _MAX_EGO_PLACES)} are blocked; choose another seed"
         )
 
     def spawn_points(self, radius_m: float) -> Sequence[SpawnPoint]:
@@ -426,10 +395,6 @@ class CarlaSimulator:
 
     def _find_ego(self) -> Remote:
         known = sorted(blueprint.id for blueprint in self._blueprints.filter("vehicle.*"))
-        if self._ego_blueprint is not None:
-            if self._ego_blueprint not in known:
-                raise self._unknown("the ego vehicle to be one of the server's", self._ego_blueprint, known)
-            return self._blueprints.find(self._ego_blueprint)
         cars = [name for name in known if category_of(self._blueprints.find(name)) == "car"]
         for name in (*_EGO_BLUEPRINTS, *cars):
             if name in known:
@@ -462,20 +427,14 @@ class CarlaSimulator:
     def _ego_frame(self, actor: Remote) -> np.ndarray:
         """World_from_ego of a vehicle that has come to rest; freezes it."""
         before = pose_of(actor.get_transform())
-        actor_from_ego = None
-        if self._rear_axle_m is not None:
-            actor_from_ego = rigid_pose(np.eye(3), self._rear_axle_m)
-        else:
-            wheels = actor.get_physics_control().wheels  # before physics are off: then wheels are no more
-            wheel_cm = np.array([point_of(wheel.position) for wheel in wheels]).reshape(-1, 3)
-            world_m = wheel_cm / 100.0
-            centre_m = (world_m - before[:3, 3]) @ before[:3, :3]
-            radius_m = np.array([wheel.radius for wheel in wheels]) / 100.0
-            actor_from_ego = ego_pose_of_wheels(centre_m, radius_m)
+        wheels = actor.get_physics_control().wheels  # before physics are off: then wheels are no more
+        wheel_m = np.array([point_of(wheel.position) for wheel in wheels]).reshape(-1, 3) / 100.0
+        radius_m = np.array([wheel.radius for wheel in wheels]) / 100.0
+        actor_from_ego = ego_pose_of_wheels((wheel_m - before[:3, 3]) @ before[:3, :3], radius_m)
         if actor_from_ego is None:
             raise InputError(
                 f"CARLA: ego vehicle {actor.type_id}: expected the positions of its wheels, got none that are "
-                "plausible; state rear_axle_m, the ground below the rear axle as seen from the vehicle's origin"
+                "plausible; use a server with the vehicles that come with CARLA"
             )
         self._freeze(actor)
         return pose_of(actor.get_transform()) @ actor_from_ego
@@ -620,9 +579,7 @@ class CarlaSimulator:
 
     def _plain_image(self, blueprint: Remote) -> dict[str, str]:
         """Attributes for colour images that are consistent between views: no lens effects, fixed exposure."""
-        exposure = self._exposure
-        if exposure is None:
-            ends = [blueprint.get_attribute(f"exposure_{end}_bright") for end in ("min", "max")]
-            exposure = 0.5 * sum(end.as_float() for end in ends)
+        ends = [blueprint.get_attribute(f"exposure_{end}_bright") for end in ("min", "max")]
+        exposure = 0.5 * sum(end.as_float() for end in ends)
         held = {"exposure_min_bright": repr(exposure), "exposure_max_bright": repr(exposure)}
         return _PLAIN_IMAGE | {"exposure_mode": "histogram"} | held
