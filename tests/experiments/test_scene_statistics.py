@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from tests.scene.town.test_levels import level_scene
 from warpav.experiments.scene_statistics import scene_statistics, visible_shares_of
 from warpav.raster.mesh import Mesh
 from warpav.scene.scene import Box, Scene, Vehicle
+from warpav.scene.town.levels import level_scene
 from warpav.scene.town.town import ego_vehicle
 
 

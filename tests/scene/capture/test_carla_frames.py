@@ -1,4 +1,4 @@
-"""Places and geometry of CARLA's world; the client's own types are tested with the simulator."""
+"""Places and geometry of CARLA's world, and what its cameras send."""
 
 import math
 
@@ -8,7 +8,14 @@ import pytest
 from tests.scene.capture import carla_double
 from tests.scene.capture.carla_double import Server
 from warpav.core.frames import rotation_from_yaw_pitch_roll
-from warpav.scene.capture.carla_client import boxes_overlap, ego_pose_of_wheels, lane_places, meets_box
+from warpav.scene.capture.carla_client import (
+    boxes_overlap,
+    code_from_bgra,
+    depth_from_bgra,
+    ego_pose_of_wheels,
+    lane_places,
+    meets_box,
+)
 from warpav.scene.scene import Box
 
 
@@ -67,3 +74,15 @@ def test_overlap_of_turned_boxes():
     assert not boxes_overlap(first, Box(np.array([0.0, 0.0, 1.6]), np.array([4.0, 2.0, 1.5]), 0.0))  # on a bridge
     corner = Box(np.array([3.0, 2.0, 0.0]), np.array([2.0, 2.0, 1.5]), math.pi / 4)
     assert not boxes_overlap(first, corner)
+
+
+def test_depth_counts_red_lowest_over_one_kilometre():
+    bgra = np.array([[[0, 0, 0, 255], [0, 1, 2, 255], [6, 0, 0, 255], [255, 255, 255, 255]]], np.uint8)
+    expected_m = np.array([0.0, (2 + 256) * 1000 / (2**24 - 1), 6 * 65536 * 1000 / (2**24 - 1), np.inf])
+    np.testing.assert_allclose(depth_from_bgra(bgra)[0], expected_m, rtol=1e-7)
+    assert depth_from_bgra(bgra).dtype == np.float32
+
+
+def test_code_keeps_tag_and_both_bytes():
+    bgra = np.array([[[3, 2, 14, 255], [0, 0, 0, 255]]], np.uint8)
+    assert code_from_bgra(bgra).tolist() == [[14 + 2 * 256 + 3 * 65536, 0]]

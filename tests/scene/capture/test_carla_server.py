@@ -10,8 +10,7 @@ import time
 import pytest
 
 from tests.scene.capture import carla_double
-from tests.scene.capture.carla_double import Server, install
-from tests.scene.capture.carla_situation import first_vehicle, view_above
+from tests.scene.capture.carla_double import Server, first_vehicle, install, view_above
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
 from warpav.scene.capture.capture import PlanSettings

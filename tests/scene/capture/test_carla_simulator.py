@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tests.scene.capture import carla_double
-from tests.scene.capture.carla_double import Server, install
-from tests.scene.capture.carla_situation import first_vehicle, view_above, view_from
+from tests.scene.capture.carla_double import Server, first_vehicle, install, view_above, view_from
 from warpav.core.frames import rotation_from_yaw_pitch_roll
 from warpav.scene.capture.capture import EGO_INSTANCE, SpawnPoint
 from warpav.scene.capture.carla_simulator import CarlaSimulator
