@@ -62,6 +62,17 @@ TABLE_ROWS = {
 }
 """Metrics that every table shows, and their headings; those of `OPTIONAL_METRICS` where they are known."""
 
+LOWER_IS_BETTER = frozenset(
+    (
+        "misses_per_100",
+        "weighted_misses_per_100",
+        "attainable_misses_per_100",
+        "false_alarms_per_frame",
+        "objective",
+    )
+)
+"""Metrics of which less is better."""
+
 _CAPTION = "Recalls pool the objects of all scenes; difference() is a mean over scenes, each counting alike."
 
 RECALL_GROUPS = {"road_user": "", "distance_m": " m", "sector": "", "category": ""}

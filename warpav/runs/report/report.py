@@ -7,17 +7,17 @@ import io
 import math
 import shlex
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.table import Table
 from warpav.evaluation.metrics import ObjectOutcome
-from warpav.evaluation.rig_evaluation import RECALL_GROUPS, TABLE_ROWS, RigEvaluation
+from warpav.evaluation.rig_evaluation import LOWER_IS_BETTER, RECALL_GROUPS, TABLE_ROWS, RigEvaluation
+from warpav.evaluation.statistics import Difference
 from warpav.runs.config import config_names, load_config, overrides_from
 from warpav.runs.mounts import free_ranges, has_zones
 from warpav.runs.report import statements as words
@@ -69,32 +69,16 @@ _FIGURES = {
 }
 """Figures of a run in the order of the report; others follow by name."""
 
-_NEAR = ("requirements_start", "requirements_optimised")
 _FITTING = ("plan", "range", "near_field", "redundancy")
-_CURVES = ("search", "loss_curves")
-_ELSEWHERE = ("rig", "detections", *_FITTING, *_CURVES, "further_cameras", "sensitivity", *_NEAR)
+_ELSEWHERE = (*_FITTING, *(name for name in _FIGURES if name not in (*_FITTING, "rig_top_view")))
 """Figures that have places of their own."""
 
 
-@dataclass(frozen=True)
-class _PageImage:
-    """An image of the page."""
-
+class _PageImage(NamedTuple):
     name: str
     caption: str
     address: str
     size_px: tuple[int, int]
-
-
-@dataclass(frozen=True)
-class _ImageBox:
-    """A box on an image: corner and size [px], and what it says."""
-
-    kind: str
-    x: float
-    y: float
-    width: float
-    height: float
 
 
 def write_report(folder: RunFolder, run: RunContent | None = None) -> Path:
@@ -140,35 +124,31 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
     named = sorted(images, key=lambda name: (order.index(name) if name in order else len(order), name))
     files = [*(images[name][0] for name in named), *(folder.view_path(view.image) for view in run.views)]
     encoded = iter(_images(files))
-    shown = [_PageImage(name, images[name][1], *next(encoded)) for name in named]
+    shown = {name: _PageImage(name, images[name][1], *next(encoded)) for name in named}
+    objects = words.objects_name(run)
     return {
         "run": run,
         "evaluation": evaluation,
+        "pictures": lambda *names: [shown[name] for name in names if name in shown],
+        "fitting": [shown[name] for name in _FITTING if name in shown],
+        "images": [image for name, image in shown.items() if name not in _ELSEWHERE],
+        "draws_nothing": _draws_nothing(run),
+        "plots": _plots(run, images),
+        "views": _views(run.views, [next(encoded) for _ in run.views], objects),
         "lead": _lead(run),
         "headline": words.headline(run),
         "statements": words.summary(run),
+        "sensitivity": words.sensitivity(run),
+        "free": _free(run),
         "cards": _cards(run),
-        "objects": words.objects_name(run),
+        "objects": objects,
+        "is_weighted": run.config is not None and run.config.importance.is_set,
         "metrics": _typeset(evaluation and evaluation.metric_table()),
         "paired": _paired(evaluation) if evaluation else [],
-        "plots": _plots(run, images),
-        "draws_nothing": _draws_nothing(run),
-        "rig": [image for image in shown if image.name == "rig"],
-        "images": [image for image in shown if image.name not in _ELSEWHERE],
-        "fitting": [image for image in shown if image.name in _FITTING],
-        "curves": [image for image in shown if image.name in _CURVES],
-        "detections": [image for image in shown if image.name == "detections"],
-        "further": _further(run),
-        "further_map": [image for image in shown if image.name == "further_cameras"],
         "cameras": _cameras(run),
-        "free": _free(run),
-        "is_weighted": run.config is not None and run.config.importance.is_set,
-        "sensitivity": words.sensitivity(run),
-        "sensitivity_map": [image for image in shown if image.name == "sensitivity"],
-        "near": _typeset(evaluation and evaluation.requirement_table()),
-        "near_maps": [image for image in shown if image.name in _NEAR],
         "outage": _typeset(outages and outages.table(evaluation.first)),
-        "views": _views(run.views, [next(encoded) for _ in run.views], words.objects_name(run)),
+        "further": _further(run, objects),
+        "near": _typeset(evaluation and evaluation.requirement_table()),
         "recall": _typeset(evaluation and evaluation.recall_table()),
         "ground": _ground(evaluation) if evaluation and evaluation.ground else [],
         "left": _left(evaluation) if evaluation and evaluation.outcomes is not None else None,
@@ -252,26 +232,19 @@ def _typeset(table: Table | None) -> Table | None:
 
 def _paired(evaluation: RigEvaluation) -> list[tuple[str, list[tuple[str, str]]]]:
     """Rows of differences with intervals: a metric, and for every other arm the text and its tone."""
-    lower = {
-        "misses_per_100",
-        "weighted_misses_per_100",
-        "attainable_misses_per_100",
-        "false_alarms_per_frame",
-        "objective",
-    }
-    found = evaluation.paired
+
+    def cell(found: Mapping[str, Difference], name: str) -> tuple[str, str]:
+        if name not in found:
+            return words.NONE, "open"
+        return words.interval(found[name]), words.tone_of(found[name], lower_is_better=name in LOWER_IS_BETTER)
+
     return [
         (
-            heading + (" (lower is better)" if name in lower else ""),
-            [
-                (words.interval(each[name]), words.tone_of(each[name], lower_is_better=name in lower))
-                if name in each
-                else (words.NONE, "open")
-                for each in found.values()
-            ],
+            heading + (" (lower is better)" if name in LOWER_IS_BETTER else ""),
+            [cell(found, name) for found in evaluation.paired.values()],
         )
         for name, heading in TABLE_ROWS.items()
-        if any(name in each for each in found.values())
+        if any(name in found for found in evaluation.paired.values())
     ]
 
 
@@ -375,48 +348,43 @@ def _images(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
     return [("data:image/webp;base64," + base64.b64encode(encoded).decode(), size) for encoded, size in found]
 
 
-def _further(run: RunContent) -> list[list[str]]:
-    """Rows of the best places of a further camera: rank, gain, place and direction."""
+def _further(run: RunContent, objects: str) -> Table | None:
+    """The best places of a further camera: rank, gain, place and direction."""
     if run.further is None:
-        return []
-    best = run.further[run.further.best_places()[:_FURTHER_SHOWN]]
-    return [
-        [str(rank), *(words.number(value, 1 if "[deg]" in name else 2) for name, value in row.items())]
-        for rank, row in enumerate(best.rows(), 1)
+        return None
+    best = run.further[run.further.best_places()[:_FURTHER_SHOWN]].rows()
+    rows = [
+        (str(rank), *(words.number(value, 1 if "[deg]" in name else 2) for name, value in row.items()))
+        for rank, row in enumerate(best, 1)
     ]
+    weighted = ", weighted" if run.config is not None and run.config.importance.is_set else ""
+    places = ("x [m]", "y [m]", "z [m]", "yaw [deg]", "pitch [deg]", "fov [deg]")
+    return Table(("place", f"further {objects} of 100{weighted}", *places), tuple(rows)) if rows else None
 
 
-def _cameras(run: RunContent) -> list[dict[str, Any]]:
-    """Rows of the camera table, start and end of every camera."""
+def _cameras(run: RunContent) -> Table | None:
+    """Start and end of every camera, and how far it has moved."""
     if run.result is None:
-        return []
-    has_both = run.start is not None and len(run.start.cameras) == len(run.result.cameras)
-    moves = words.moves(run.start, run.result) if has_both and run.start else []
+        return None
+    start = run.start if run.start and len(run.start.cameras) == len(run.result.cameras) else None
+    moved = words.moves(start, run.result) if start else []
     rows = []
     for k, camera in enumerate(run.result.cameras):
-        stages = {"start": run.start.cameras[k]} if has_both and run.start else {}
-        stages["end"] = camera
-        rows.append(
-            {
-                "name": camera.name,
-                "moved_m": moves[k][1] if moves else None,
-                "turn_deg": moves[k][2] if moves else None,
-                "stages": [
-                    (
-                        stage,
-                        [
-                            *(words.number(float(value)) for value in each.position_m),
-                            words.number(math.degrees(each.yaw_rad), 1),
-                            words.number(math.degrees(each.pitch_rad), 1),
-                            words.number(math.degrees(each.roll_rad), 1),
-                            words.number(math.degrees(each.model.fov_rad), 1),
-                        ],
-                    )
-                    for stage, each in stages.items()
-                ],
-            }
-        )
-    return rows
+        for stage, each in {"start": start.cameras[k], "end": camera}.items() if start else [("end", camera)]:
+            angles = (each.yaw_rad, each.pitch_rad, each.roll_rad, each.model.fov_rad)
+            rows.append(
+                (
+                    "" if start and stage == "end" else camera.name,
+                    stage,
+                    *(words.number(float(value)) for value in each.position_m),
+                    *(words.number(math.degrees(value), 1) for value in angles),
+                )
+            )
+            if start:
+                text = f"{words.number(moved[k][1])} m, {words.signed(moved[k][2], 1)} deg"
+                rows[-1] += (text if stage == "end" else "",)
+    places = ("x [m]", "y [m]", "z [m]", "yaw [deg]", "pitch [deg]", "roll [deg]", "fov [deg]")
+    return Table(("camera", "", *places, *(["moved"] if start else [])), tuple(rows))
 
 
 def _free(run: RunContent) -> str:
@@ -459,7 +427,7 @@ def _views(
     scenes: dict[tuple[int, str], dict[str, Any]] = {}
     for view, (address, _) in zip(views, encoded, strict=True):
         boxes = list(_boxes(view))
-        kinds = [box.kind for box in boxes]
+        kinds = [kind for kind, _ in boxes]
         found, missed, false = (kinds.count(kind) for kind in ("found", "missed", "false"))
         stage = {"start": "before", "optimised": "after"}.get(view.rig)
         caption = view.rig if stage is None else f"{stage} ({view.rig})"
@@ -472,25 +440,25 @@ def _views(
     return [(name, cameras) for (_, name), cameras in scenes.items()]
 
 
-def _boxes(view: View) -> Iterable[_ImageBox]:
-    """The boxes of a view, in the order in which they are drawn."""
+def _boxes(view: View) -> Iterable[tuple[str, list[float]]]:
+    """Kind, corner and size [px] of the boxes of a view, in the order in which they are drawn."""
+
+    def box(kind: str, box_px: Sequence[float]) -> tuple[str, list[float]]:
+        x0, y0, x1, y1 = (round(value, 1) for value in box_px)
+        return kind, [x0, y0, round(x1 - x0, 1), round(y1 - y0, 1)]
+
     found = {match for truth, match in zip(view.truth_box_px, view.detection_of_truth, strict=False) if truth}
-    for index, box in enumerate(view.detection_box_px):
+    for index, each in enumerate(view.detection_box_px):
         if index not in found:
-            yield _box("false", box)
+            yield box("false", each)
     for truth, match in zip(view.truth_box_px, view.detection_of_truth, strict=False):
         if truth is None:
             continue
         if 0 <= match < len(view.detection_box_px):
-            yield _box("truth", truth)
-            yield _box("found", view.detection_box_px[match])
+            yield box("truth", truth)
+            yield box("found", view.detection_box_px[match])
         else:
-            yield _box("missed", truth)
-
-
-def _box(kind: str, box_px: Sequence[float]) -> _ImageBox:
-    x0, y0, x1, y1 = (round(value, 1) for value in box_px)
-    return _ImageBox(kind, x0, y0, round(x1 - x0, 1), round(y1 - y0, 1))
+            yield box("missed", truth)
 
 
 def _ground(evaluation: RigEvaluation) -> list[dict[str, Any]]:
@@ -541,7 +509,7 @@ def _left(evaluation: RigEvaluation) -> list[dict[str, Any]]:
     return rows
 
 
-def _seconds(run: RunContent) -> list[tuple[str, float]]:
+def _seconds(run: RunContent) -> Table | None:
     """Wall time of the stages, and of the parts of an iteration."""
     stages = list((run.evaluation.seconds if run.evaluation else {}).items())
     parts = [name for name in (run.events[0].seconds if run.events else {}) if name != "total"]
@@ -550,7 +518,8 @@ def _seconds(run: RunContent) -> list[tuple[str, float]]:
         for name in (*parts, "total")
         if run.events and name in run.events[0].seconds
     ]
-    return stages + means
+    rows = tuple((stage, words.number(value, 3 if value < 1.0 else 1)) for stage, value in stages + means)
+    return Table(("stage", "seconds"), rows) if rows else None
 
 
 def _versions(environment: Mapping[str, Any]) -> list[tuple[str, str]]:
