@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from operator import attrgetter
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -125,7 +126,9 @@ class CameraOutages:
     @property
     def worst(self) -> CameraOutage:
         """The outage with most expected misses, by their weights where these are set; of equal ones the first."""
-        return max(self.cameras, key=_expected_misses)
+        is_weighted = self.weighted_expected_misses_per_100 is not None
+        name = "weighted_expected_misses_per_100" if is_weighted else "expected_misses_per_100"
+        return max(self.cameras, key=attrgetter(name))
 
     def table(self, name: str) -> Table:
         """What a rig of this name is expected to miss, whole and without each camera."""
@@ -152,11 +155,6 @@ class CameraOutages:
             for name in [name for name, value in each.items() if value is None]:
                 del each[name]
         return found
-
-
-def _expected_misses(outage: CameraOutage) -> float:
-    weighted = outage.weighted_expected_misses_per_100
-    return outage.expected_misses_per_100 if weighted is None else weighted
 
 
 # -------------------------------------------------------------------------------------------------- errors of mounting

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import version
-from pathlib import Path
 
 import numpy as np
 import warp as wp
@@ -80,7 +79,7 @@ def identity_of(placement: Placement) -> dict[str, str]:
             single_identity.get("vehicle"),
         ),
         "cameras": digest(*mount.cameras, frozen, single_identity.get("camera")),
-        "detector": digest(own or _file_digest(model_path(config)), single_identity.get("detector")),
+        "detector": digest(own or digest(model_path(config).read_bytes()), single_identity.get("detector")),
         "version": _version(wp.get_device(mount.device).is_cuda),
     }
 
@@ -90,10 +89,6 @@ def check_identity(found: Mapping[str, str], expected: Mapping[str, str]) -> Non
     for name, text in _MEANING.items():
         if found.get(name) != expected[name]:
             raise InputError(f"checkpoint: {name}: expected {text}; put back what it was, or begin another run")
-
-
-def _file_digest(file: Path) -> str:
-    return digest(file.read_bytes())
 
 
 @cache

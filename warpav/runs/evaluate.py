@@ -13,7 +13,7 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import atomic_write, writing
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import checked_device
-from warpav.evaluation.metrics import SceneObservations, metrics_of, observe_scenes
+from warpav.evaluation.metrics import metrics_of, observe_scenes
 from warpav.evaluation.perturbations import CameraOutages
 from warpav.evaluation.rig_evaluation import RigEvaluation, seen_objects
 from warpav.optimisation.attainable import attainable_objects
@@ -102,6 +102,9 @@ def evaluate_on(
         for name, rig in progress.steps("comparing", rigs.items(), count=len(rigs))
     }
     packed = [assigned.scene for assigned in scenes]
+    names = {name: [camera.name for camera in rig.cameras] for name, rig in rigs.items()}
+    weight = weights_on(packed, placement)
+    found = {name: observed.detection_probability for name, observed in observations.items()}
     attainable = attainable_objects(placement.objective, scenes)
     return RigEvaluation.of(
         rigs,
@@ -111,7 +114,9 @@ def evaluate_on(
         },
         [scene.name for scene in packed],
         seen_objects(observations, packed, rigs),
-        camera_outage={name: _outages_of(observed, placement) for name, observed in observations.items()},
+        camera_outage={
+            name: None if each is None else CameraOutages.of(names[name], each, weight) for name, each in found.items()
+        },
         requirements=requirements_of(rigs, placement),
     )
 
@@ -121,15 +126,6 @@ def requirements_of(rigs: Mapping[str, Rig], placement: Placement) -> dict[str, 
     if not placement.requirements:
         return {}
     return check_rigs(rigs, placement.ego, placement.requirements, device=str(placement.mount.device))
-
-
-def _outages_of(observed: SceneObservations, placement: Placement) -> CameraOutages | None:
-    """A rig without each of its cameras; None where it is not known what they detect."""
-    found = observed.detection_probability
-    if found is None:
-        return None
-    names = [camera.name for camera in observed.rig.cameras]
-    return CameraOutages.of(names, found, weights_on(observed.scenes, placement))
 
 
 def weights_on(scenes: Sequence[DeviceScene], placement: Placement) -> np.ndarray | None:

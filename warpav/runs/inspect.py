@@ -36,13 +36,12 @@ if TYPE_CHECKING:
     from warpav.core.progress import Progress
     from warpav.detection.detector import Detector
     from warpav.detection.images import CameraImage
-    from warpav.evaluation.metrics import ObjectOutcome, RigObserver
+    from warpav.evaluation.metrics import RigObserver
     from warpav.optimisation.further_camera import FurtherCameras
     from warpav.raster.mesh import Mesh
     from warpav.rig.module import Module
     from warpav.scene.scene import Scene
     from warpav.sight.check import RequirementResult
-    from warpav.sight.ground import Coverage
     from warpav.view.inspector import BEGINNINGS, Inspector
 
 Shown = Literal["rig", "coverage", "redundancy", "outcomes", "visibility", "further", "zones", "gain", "sheet"]
@@ -65,14 +64,19 @@ def inspect_rig(
     progress: Progress | None = None,
 ) -> Path | None:
     """Show a rig on its vehicle in traffic: in the interactive inspector if there is a display, else in a file."""
+    from warpav.scene.device_scene import DeviceScene
+    from warpav.sight.ground import HEIGHTS_M, PATCH_M, Ground
     from warpav.view.opengl import has_display
 
     if requirements is not None and shown != "rig":
         raise ArgumentError(
             "requirements", f"expected none beside {shown!r}, got {requirements!r}; leave one of them out"
         )
+    is_run = is_run_folder(source)
     if shown == "sheet":
-        return _write_sheet(source, config, out)
+        out = out or (Path(source) / "sheet.pdf" if is_run else Path("sheet.pdf"))
+        ego = first_scene(config).ego
+        return plot(find_rig(source, config, ego), kind="sheet", ego=ego, title=Path(source).name, out=out)
     if out is not None and out.suffix.lower() == ".rrd":
         return _write_recording(source, config, out, shown, requirements)
     if out is not None:
@@ -81,7 +85,6 @@ def inspect_rig(
         first = "requirements" if requirements is not None else "coverage" if shown == "rig" else shown
         inspector(source, config, begin_with=first, requirements=requirements).plotter.show()
         return None
-    is_run = is_run_folder(source)
     further = _further(source, shown) if shown in ("further", "gain") else None
     out = out or (Path(source) / "inspect.png" if is_run else Path("rig.png"))
     if is_run and shown == "rig" and requirements is None:
@@ -89,6 +92,15 @@ def inspect_rig(
     scene = first_scene(config)
     rig = find_rig(source, config, scene.ego)
     on_body = shown in ("further", "zones", "gain")
+    outcomes = coverage = None
+    if shown in ("coverage", "redundancy", "outcomes"):
+        device = checked_device(config.device)
+        packed = DeviceScene.pack(scene, device=device)
+        if shown == "outcomes":
+            outcomes = _observer(rig, load_detector(config), config, device).observe(packed).outcomes
+        else:
+            heights_m = HEIGHTS_M if shown == "coverage" else (PATCH_M,)
+            coverage = Ground.around(packed).coverage(rig.cameras, heights_m=heights_m)
     return plot(
         rig,
         out=out,
@@ -96,19 +108,12 @@ def inspect_rig(
         scene=scene,
         trajectory_m=trajectory(RunFolder.open(source).events()) if is_run and not on_body else None,
         mount_surface=mount_surface(config, scene.ego) if shown in ("zones", "gain") else None,
-        outcomes=_outcomes(rig, scene, config) if shown == "outcomes" else None,
-        coverage=_coverage(rig, scene, config, shown) if shown in ("coverage", "redundancy") else None,
+        outcomes=outcomes,
+        coverage=coverage,
         visibility=shown == "visibility",
         further=further,
         requirements=None if requirements is None else _check(requirements, config)(rig, scene.ego),
     )
-
-
-def _write_sheet(source: str, config: Config, out: Path | None) -> Path:
-    """Write a page to print, of which the title is the source."""
-    out = out or (Path(source) / "sheet.pdf" if is_run_folder(source) else Path("sheet.pdf"))
-    ego = first_scene(config).ego
-    return plot(find_rig(source, config, ego), kind="sheet", ego=ego, title=Path(source).name, out=out)
 
 
 def _write_recording(source: str, config: Config, out: Path, shown: Shown, requirements: str | None) -> Path:
@@ -137,15 +142,9 @@ def write_mount_drawing(source: str, config: Config, out: Path) -> list[Path]:
     ego = first_scene(config).ego
     rig = find_rig(source, config, ego)
     modules = read_modules(config.rig.catalogue or BUILTIN)
-    vehicle = _vehicle_name(config)
+    vehicle = f"of scene_{config.scenes.test_seeds[0]}.glb" if config.scenes.source == "folder" else "embedded car"
+    vehicle = vehicle if config.scenes.ego is None else config.scenes.ego.name
     return mount_drawing(rig, ego=ego, title=Path(source).name, vehicle=vehicle, modules=modules).save(out)
-
-
-def _vehicle_name(config: Config) -> str:
-    """What a drawing calls the vehicle of the first test scene."""
-    if config.scenes.ego is not None:
-        return config.scenes.ego.name
-    return f"of scene_{config.scenes.test_seeds[0]}.glb" if config.scenes.source == "folder" else "embedded car"
 
 
 def inspector(
@@ -307,25 +306,6 @@ def _further(source: str, shown: str) -> FurtherCameras:
             f"{source!r}",
         )
     return found
-
-
-def _coverage(rig: Rig, scene: Scene, config: Config, shown: Shown) -> Coverage:
-    """Which cameras see whom where, or the ground itself."""
-    from warpav.scene.device_scene import DeviceScene
-    from warpav.sight.ground import HEIGHTS_M, PATCH_M, Ground
-
-    packed = DeviceScene.pack(scene, device=checked_device(config.device))
-    heights_m = HEIGHTS_M if shown == "coverage" else (PATCH_M,)
-    return Ground.around(packed).coverage(rig.cameras, heights_m=heights_m)
-
-
-def _outcomes(rig: Rig, scene: Scene, config: Config) -> list[ObjectOutcome]:
-    """What the configuration's detector makes of every vehicle."""
-    from warpav.scene.device_scene import DeviceScene
-
-    device = checked_device(config.device)
-    observer = _observer(rig, load_detector(config), config, device)
-    return observer.observe(DeviceScene.pack(scene, device=device)).outcomes
 
 
 def _observer(rig: Rig, detector: Detector, config: Config, device: str) -> RigObserver:

@@ -227,7 +227,10 @@ def measure_rig(
         _check_posed(rig, placement, "load" if soiled is None else "soiling")  # before anything takes long
     name, *others = names
     rigs = {name: rig, **{other: _rig_to_measure(names[other], placement, progress) for other in others}}
-    pairing_rig = {other: _pairing_rig(each, rigs[other], placement) for other, each in names.items()}
+    pairing_rig: dict[str, Rig | None] = dict(rigs)  # that of a run is the rig its search began with
+    for other in (other for other, each in names.items() if is_run_folder(each)):
+        is_ordered = placement.has_ordered_start
+        pairing_rig[other] = placement.frozen_rig if is_ordered else RunFolder.open(names[other]).rig("initial")
     found = evaluate_on(rigs, placement.test, placement, pairing_rig=pairing_rig, progress=progress)
     measured: dict[str, Any] = {"constraints": {name: placement.objective.constraints.margins(rig)}}
     scenes = list(load_scenes(config, config.scenes.test_seeds)) if soiled or loads else []
@@ -257,13 +260,6 @@ def _rig_to_measure(source: str, placement: Placement, progress: Progress) -> Ri
         f"{moved.moved_m.max():.2f} m off"
     )
     return moved.rig
-
-
-def _pairing_rig(source: str, rig: Rig, placement: Placement) -> Rig | None:
-    """The rig that the search of a run began with, see `Placement.assigned`; any other rig is its own."""
-    if not is_run_folder(source):
-        return rig
-    return placement.frozen_rig if placement.has_ordered_start else RunFolder.open(source).rig("initial")
 
 
 def _check_posed(rig: Rig, placement: Placement, option: str) -> None:

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from warpav.core.bounded_files import DATA_SET_NODES_MAX, read_arrays, read_json, read_text
 from warpav.core.cache import digest
-from warpav.core.errors import InputError, OptionError
+from warpav.core.errors import InputError, OptionError, one_line
 from warpav.core.files import (
     DRAFT,
     append_line,
@@ -256,7 +256,7 @@ class RunFolder:
             raise
         except (ValueError, csv.Error) as error:
             raise InputError(
-                f"{file}: expected rows of {', '.join(_FURTHER_COLUMNS)}, got: {_one_line(error)}; "
+                f"{file}: expected rows of {', '.join(_FURTHER_COLUMNS)}, got: {one_line(str(error))}; "
                 "was the file changed?"
             ) from None
         yaw_rad, pitch_rad, fov_rad = np.radians(table[:, 4:]).T
@@ -507,10 +507,6 @@ def _iterations_of(evaluation: object) -> int:
     descent = evaluation.get("descent") if isinstance(evaluation, dict) else None
     count = descent.get("iterations") if isinstance(descent, dict) else None
     return count if isinstance(count, int) else 0
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
 
 
 draws_runs(RunFolder)

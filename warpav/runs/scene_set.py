@@ -69,7 +69,7 @@ class SceneSet:
 
     def check_vehicle(self, scene: Scene) -> None:
         """Make sure that a scene is around the same ego vehicle."""
-        if not _is_same_vehicle(scene.ego, self.ego):
+        if not _is_same_size(scene.ego.bounds_m(), self.ego.bounds_m()):
             raise InputError(f"{scene.name}: ego: expected the vehicle of the placement, got another")
 
     def with_cameras(self, config: Config) -> SceneSet:
@@ -468,15 +468,8 @@ def _check_targets(targets: Sequence[str], scenes: Sequence[DeviceScene], progre
     progress.say(f"scenes.targets: {text}, so nothing is optimised or evaluated for them{hint}")
 
 
-def _is_same_vehicle(one: Mesh, other: Mesh) -> bool:
-    """Whether two meshes may show the same vehicle; how low they reach is left out.
-
-    How much of its sides images show above the ground differs from scene to scene, by half a metre and more.
-    """
-    return _is_same_size(one.bounds_m(), other.bounds_m())
-
-
 def _is_same_size(one_bounds_m: np.ndarray, other_bounds_m: np.ndarray) -> bool:
+    """Whether bounds may be those of one vehicle; how low images show its sides differs by half a metre and more."""
     difference_m = np.abs(one_bounds_m - other_bounds_m)
     difference_m[0, 2] = 0.0
     return bool(difference_m.max() <= _EGO_TOLERANCE_M)

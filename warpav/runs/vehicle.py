@@ -30,6 +30,7 @@ from warpav.scene.own_vehicle import (
     write_vehicle,
 )
 from warpav.scene.vehicles import file_of
+from warpav.view import plot
 
 _BONNET_BELOW = 0.07
 _BONNET_BELOW_M = 0.15
@@ -120,7 +121,10 @@ def check_vehicle(
     needs_writing = not is_as_read or bool(found.problems)
     is_fixable = all(problem.remedy == {} for problem in problems)
     if image is not None:
-        lines.append(f"wrote {_draw(_with_colours(shown, path, shown_by), surface, image, path.name)}")
+        drawn = _with_colours(shown, path, shown_by)
+        axle_m = [x + drawn.shift_m[0] for x in (drawn.wheels.axle_m if drawn.wheels else ())]
+        plot(drawn.corrected, mount_surface=surface, axle_m=axle_m, title=path.name, out=image)
+        lines.append(f"wrote {image}")
     if out is not None and is_fixable:
         write_vehicle(_with_colours(found, path, reading).corrected, out, source=path.name)
         lines.append(f"wrote {out}; use it with scenes.ego={out}")
@@ -279,14 +283,6 @@ def _normal_without_windscreen(parts: Sequence[_ZonePart], vehicle: Mesh, config
     return None
 
 
-def _draw(found: Examination, surface: MountSurface | None, image: Path, title: str) -> Path:
-    from warpav.view import plot
-
-    axles: Sequence[float] = found.wheels.axle_m if found.wheels else ()
-    axle_m = [x + found.shift_m[0] for x in axles]
-    return plot(found.corrected, mount_surface=surface, axle_m=axle_m, title=title, out=image)
-
-
 def _row(name: str, text: str) -> str:
     return f"  {name:9} {text}"
 
@@ -300,7 +296,6 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
     from PIL import Image
 
     from warpav.view.output import check_suffix, write_whole
-    from warpav.view.plotting import plot
     from warpav.view.vehicle_view import zones_image_rgb
 
     if image is not None:
@@ -311,9 +306,14 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
     is_glass = None if kind is None or not (kind == "glass").any() else kind == "glass"
     boxes = propose_keep_out(mesh, kind)
     proposed = propose_zones(mesh, is_glass)
-    panes = [(zone.name, _box_of_pane(zone.outline_m)) for zone in proposed if zone.outline_m is not None]
-    boxes_of = {False: boxes, True: [*boxes, *panes]}
-    zones = tuple(each for zone in proposed if (each := _kept_clear(zone, mesh, boxes_of[_holds_panes(zone)])))
+    corners_m = {zone.name: zone.outline_m for zone in proposed if zone.outline_m is not None}
+    bulge_m = np.array([_PANE_BULGE_M, 0.0, 0.0])
+    panes = [(name, np.round([m.min(axis=0) - bulge_m, m.max(axis=0) + bulge_m], 3)) for name, m in corners_m.items()]
+    kept = []
+    for zone in proposed:
+        holds_panes = not zone.is_behind_glass and abs(zone.axes[2][0]) > 0.7  # faces as windscreens do, outside
+        kept.append(_kept_clear(zone, mesh, [*boxes, *panes] if holds_panes else boxes))
+    zones = tuple(each for each in kept if each is not None)
     if not zones:
         raise InputError(f"{path}: expected a body that faces upwards, sideways, forwards or backwards, got none")
     mount = config.mount
@@ -326,7 +326,7 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
     )
     write_zones(zones, out)
     counts = Counter(
-        name for name, box in boxes_of[True] if any((box == each).all() for zone in zones for each in zone.keep_out_m)
+        name for name, box in (*boxes, *panes) if any((box == each).all() for zone in zones for each in zone.keep_out_m)
     )
     if counts:
         yield "  kept out: " + ", ".join(f"{count} x {name}" for name, count in counts.items())
@@ -343,18 +343,6 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
         else:
             plot(mesh, mount_surface=chart, title=title, out=image)
         yield f"wrote {image}"
-
-
-def _box_of_pane(outline_m: np.ndarray) -> np.ndarray:
-    """A box around a pane whose corners are known [m], [corner, 3]; panes bulge."""
-    low_m, high_m = outline_m.min(axis=0), outline_m.max(axis=0)
-    bulge_m = _PANE_BULGE_M * np.array([1.0, 0.0, 0.0])
-    return np.round([low_m - bulge_m, high_m + bulge_m], 3)
-
-
-def _holds_panes(zone: Zone) -> bool:
-    """Whether a zone faces as windscreen and rear window do, and is on the outside."""
-    return not zone.is_behind_glass and abs(zone.axes[2][0]) > 0.7
 
 
 def _kept_clear(zone: Zone, mesh: Mesh, boxes: Sequence[tuple[str, np.ndarray]]) -> Zone | None:

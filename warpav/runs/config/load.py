@@ -166,32 +166,22 @@ def with_absolute_paths(config: Config) -> Config:
             return [whole(each) for each in value]
         return str(value.expanduser().absolute()) if isinstance(value, Path) else value
 
-    values = {".".join(location): _value_at(config, location) for location in option_locations(Config)}
+    def has_path(value: object) -> bool:
+        return any(isinstance(each, Path) for each in (value if isinstance(value, tuple) else (value,)))
+
+    values = {".".join(at): functools.reduce(getattr, at, config) for at in option_locations(Config)}
+    start = Path(config.rig.start).expanduser()
     texts = {  # options that may be a path, or else a word
         "detector.model": config.detector.model != "builtin",
         "detector.labels": isinstance(config.detector.labels, str),
-        "rig.start": _is_path(config.rig.start),
+        "rig.start": config.rig.start not in NAMED_STARTS and (start.is_file() or (start / "config.yaml").is_file()),
         "requirements": config.requirements_file is not None,
     }
     values |= {name: Path(str(values[name])) for name, is_path in texts.items() if is_path}
     del values["run.out"]
     if vehicle_file(config.scenes.ego or ""):
         del values["scenes.ego"]
-    changed = {name: whole(value) for name, value in values.items() if _has_path(value)}
-    return config.replace(changed)
-
-
-def _value_at(config: Config, location: Location) -> object:
-    return functools.reduce(getattr, location, config)
-
-
-def _has_path(value: object) -> bool:
-    return isinstance(value, Path) or (isinstance(value, tuple) and any(isinstance(each, Path) for each in value))
-
-
-def _is_path(start: str) -> bool:
-    path = Path(start).expanduser()
-    return start not in NAMED_STARTS and (path.is_file() or (path / "config.yaml").is_file())
+    return config.replace({name: whole(value) for name, value in values.items() if has_path(value)})
 
 
 def overridden_option(override: str) -> str:
@@ -260,19 +250,16 @@ def _read_file(file: Path, above: tuple[Path, ...] = ()) -> tuple[dict[str, Any]
         raise InputError(f"{place}: {EXTENDS}: expected a YAML file or a shipped name such as quick, got {shown(base)}")
     if len(base) > _PATH_MAX or "\0" in base:
         raise InputError(f"{place}: {EXTENDS}: expected a YAML file or a shipped name, got a name that no file has")
-    beside = file.parent / Path(base).expanduser()
-    found = beside if beside.is_file() else _extended(base, place)
+    found = file.parent / Path(base).expanduser()
+    if not found.is_file():
+        try:
+            found = find_config(base)
+        except InputError as error:
+            raise InputError(f"{place}: {EXTENDS}: {error}") from None
     if found.resolve() in (*above, file.resolve()):
         raise InputError(f"{place}: {EXTENDS}: expected a file that does not extend this one, got {base}")
     below, below_at = _read_file(found, (*above, file.resolve()))
     return merged(below, data), {**below_at, **written_at}
-
-
-def _extended(name: str, place: str) -> Path:
-    try:
-        return find_config(name)
-    except InputError as error:
-        raise InputError(f"{place}: {EXTENDS}: {error}") from None
 
 
 class _FlowListDumper(yaml.SafeDumper):
