@@ -7,7 +7,7 @@ import pytest
 from warpav.cli.app import main
 from warpav.core.progress import NullProgress
 from warpav.detection.probability_fit import score
-from warpav.runs import detector_fit, detector_samples, detector_scores
+from warpav.runs import detector_fit, detector_samples
 from warpav.runs.config import load_config
 
 SMALL = ("camera.width_px=192", "camera.height_px=192")
@@ -17,7 +17,7 @@ SMALL = ("camera.width_px=192", "camera.height_px=192")
 def few_views(monkeypatch):
     """A quarter of the views, and few resamples, for time."""
     monkeypatch.setattr(detector_samples, "VIEWS_PER_SCENE", 6)
-    monkeypatch.setattr(detector_scores, "_RESAMPLES", 49)
+    monkeypatch.setattr(detector_fit, "_RESAMPLES", 49)
 
 
 def test_scores_are_those_of_the_fit_on_the_scenes_asked_for(tmp_path, capsys):

@@ -93,7 +93,7 @@ def detector_score(
 ) -> None:
     """Measure how well the fitted detection probability holds on other scenes, of any level or source."""
     from warpav.runs.config import read_seeds
-    from warpav.runs.detector_scores import score_detectors
+    from warpav.runs.detector_fit import score_detectors
     from warpav.runs.networks import check_panel_options
     from warpav.runs.progress import RunDisplay
 

@@ -1,8 +1,8 @@
-"""Fit the detection probability model of a configuration; keep it, its scores and its figures."""
+"""Fit the detection probability model of a configuration, keep it, and score it on any scenes."""
 
 from __future__ import annotations
 
-import logging
+import contextlib
 import shlex
 import shutil
 import time
@@ -10,11 +10,12 @@ import weakref
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from warpav.core.errors import ArgumentError
+from warpav.core.files import check_folder, write_json, write_text, writing
 from warpav.core.progress import NullProgress, Progress
 from warpav.detection.camera_mixture import ScalingDetector, windows_of
 from warpav.detection.probability import DetectionProbability, DetectorUse, stored_file
@@ -27,18 +28,28 @@ from warpav.detection.probability_fit import (
     fit_probability,
     score,
 )
+from warpav.evaluation.statistics import LEVEL, Estimate
 from warpav.raster.camera import CameraModel
 from warpav.runs.config import Config
 from warpav.runs.detector_samples import (
     FOLDS,
     Source,
     network_scale_of,
+    sample_camera,
     sample_scenes,
     samples_folder,
     say_or_warn,
 )
 from warpav.runs.mounts import camera_model, camera_models
-from warpav.runs.networks import any_camera_config, any_camera_use, detector_use, load_detector, opened_detector
+from warpav.runs.networks import (
+    any_camera_config,
+    any_camera_use,
+    detector_use,
+    load_detector,
+    networks_in,
+    opened_detector,
+)
+from warpav.runs.terminal import TextTable
 from warpav.scene.traffic.files import content_digest
 from warpav.scene.traffic.moments import search_and_test
 
@@ -55,8 +66,6 @@ _MIN_FIT_SCENES = 20
 
 _FITS: weakref.WeakKeyDictionary[Any, dict[str, DetectionProbability]] = weakref.WeakKeyDictionary()
 """What was fitted for detectors that are objects, by what it was fitted for."""
-
-_logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -241,7 +250,7 @@ def fit_detector(
     progress: Progress,
 ) -> Path:
     """Fit the detection probability of a detector, or take the stored fit, and show how good it is."""
-    from warpav.view.figures.statistics import detection_curves, reliability_diagram
+    from warpav.view.figures.statistics import detection_curves
 
     if any_camera:
         config = any_camera_config(config)
@@ -266,14 +275,7 @@ def fit_detector(
     found = fit(config, seeds, any_camera=any_camera, use=use, progress=progress)
     model = replace(found.model, record={**found.model.record, "command": shlex.join(words)})
     file = _write(model, use, out)
-    scores = found.scores
-    reliability_diagram(
-        scores.bins,
-        found.probability,
-        found.unseen.is_detected,
-        file.with_name(f"{file.stem}_reliability.png"),
-        title=f"AUC {scores.auc:.3f}, Brier {scores.brier:.3f}, calibration error {scores.calibration_error:.3f}",
-    )
+    _draw_reliability(found.scores, found.probability, found.unseen.is_detected, file.with_name(file.stem))
     detection_curves(model, found.known.feature, file.with_name(f"{file.stem}_curves.png"))
     _show(model.record, progress)
     return file
@@ -381,3 +383,147 @@ def _show(record: Any, progress: Progress) -> None:  # noqa: ANN401 (JSON)
         f"{held_out['brier_base_rate']:.4f}), "
         f"expected calibration error {held_out['calibration_error']:.4f} ({BIN_COUNT} bins of equal number)"
     )
+
+
+# -------------------------------------------------------------------------------------- scores on other scenes
+
+_SCORES_SCHEMA = 1
+_RESAMPLES = 999
+_HEADS = ("detector", "image px", "objects", "detected", "predicted", "AUC", "Brier (base rate)", "calibration error")
+_HEADS = (*_HEADS, "of the fit's own scenes: AUC, error")
+
+
+@dataclass(frozen=True, eq=False)
+class _FitScores:
+    """The detection probability of a detector against what the detector finds."""
+
+    data: dict[str, Any]  # for the file
+    scores: ProbabilityScores
+    probability: np.ndarray  # what the fit says, float64 [object]
+    is_detected: np.ndarray  # bool [object]
+
+
+def score_detectors(
+    config: Config,
+    *,
+    panel: Path | None,
+    fitted_on: Literal["town", "own"],
+    seeds: tuple[int, ...] | None,
+    out: Path | None,
+    progress: Progress,
+) -> None:
+    """Score the fits of the configured detector, or of all networks of a folder; show the scores and write them.
+
+    What has no stored fit is fitted first, as a run would.
+    """
+    if out is not None:
+        check_folder(out, "out")
+    seeds = config.scenes.test_seeds if seeds is None else seeds
+    configs = {Path(config.detector.model).stem: config}
+    if panel is not None:
+        configs = {network.name: network.config(config) for network in networks_in(panel, config)}
+    found = []
+    for name, each in configs.items():
+        progress.say(f"{name}: {len(seeds)} scenes")
+        found.append(_scores_of(name, each, town_config(each) if fitted_on == "town" else each, seeds, progress))
+    table = TextTable(
+        "Detection probability against what detectors find",
+        _HEADS,
+        [_cells(each) for each in found],
+        "Objects of which a view shows some pixel; detected: their share; predicted: their mean probability. 95 % "
+        f"intervals resample scenes. Calibration error: {BIN_COUNT} bins of equal number.",
+    )
+    progress.show(table.terminal())
+    if out is None:
+        return
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+    source = {"source": config.scenes.source, "level": config.scenes.level, "seeds": list(seeds)}
+    detectors = [each.data for each in found]
+    content = {"schema": _SCORES_SCHEMA, "scenes": source, "fitted_on": fitted_on, "detectors": detectors}
+    write_json(out / "scores.json", content)
+    write_text(out / "scores.md", table.markdown())
+    for each in found:
+        _draw_reliability(each.scores, each.probability, each.is_detected, out / each.data["name"], each.data["name"])
+    progress.say(f"wrote {out}")
+
+
+def _scores_of(name: str, config: Config, fit_config: Config, seeds: tuple[int, ...], progress: Progress) -> _FitScores:
+    model = ensure_fit(fit_config, progress=progress)
+    shared = sorted(set(model.record.get("fit", {}).get("seeds", [])) & set(seeds))
+    if shared and fit_config.scenes.source == config.scenes.source:
+        raise ArgumentError(
+            "scenes", f"expected scenes that {name} was not fitted on, got {len(shared)} of them, such as {shared[0]}"
+        )
+    samples = sample_camera(config, seeds, model, progress=progress)
+    probability = model.of_features(samples.feature)
+    try:
+        scores = score(probability, samples.is_detected)
+    except ValueError as error:
+        raise ArgumentError("scenes", f"{error}; give more `scenes`", place=name) from None
+    held_out = model.record.get("held_out", {})
+    kept = ("auc", "brier", "brier_base_rate", "calibration_error")
+    data = {
+        "name": name,
+        "width_px": config.camera.width_px,
+        "height_px": config.camera.height_px,
+        "objects": len(samples),
+        "detected": int(samples.is_detected.sum()),
+        "predicted": float(probability.mean()),
+        **_estimates(scores, probability, samples, len(seeds)),
+        "scores": scores,
+        "of_fit": {key: held_out[key] for key in kept if key in held_out},  # empty where the fit does not tell
+    }
+    return _FitScores(data, scores, probability, samples.is_detected)
+
+
+def _estimates(
+    scores: ProbabilityScores, probability: np.ndarray, samples: DetectionSamples, count: int
+) -> dict[str, Estimate]:
+    """AUC and calibration error with percentile intervals over resampled scenes; noise makes an error larger than 0."""
+    members = [np.flatnonzero(samples.seed == seed) for seed in np.unique(samples.seed)]
+    names = ("auc", "calibration_error")
+    rng = np.random.default_rng(0)
+    drawn = []
+    for _ in range(_RESAMPLES if len(members) > 1 else 0):
+        chosen = np.concatenate([members[k] for k in rng.integers(0, len(members), len(members))])
+        with contextlib.suppress(ValueError):  # all of them were detected, or none
+            again = score(probability[chosen], samples.is_detected[chosen])
+            drawn.append([getattr(again, name) for name in names])
+    ends: Any = [(None, None)] * 2
+    if drawn:
+        ends = np.quantile(np.array(drawn), [0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0], axis=0).T.tolist()
+    return {name: Estimate(getattr(scores, name), *ends[k], count) for k, name in enumerate(names)}
+
+
+def _cells(found: _FitScores) -> list[str]:
+    """Its line of the table."""
+
+    def text(number: Estimate) -> str:
+        interval = "" if number.low is None else f" [{number.low:.3f}, {number.high:.3f}]"
+        return f"{number.value:.3f}{interval}"
+
+    data, of_fit = found.data, found.data["of_fit"]
+    return [
+        data["name"],
+        f"{data['width_px']} x {data['height_px']}",
+        str(data["objects"]),
+        f"{data['detected'] / data['objects']:.3f}",
+        f"{data['predicted']:.3f}",
+        text(data["auc"]),
+        f"{found.scores.brier:.4f} ({found.scores.brier_base_rate:.4f})",
+        text(data["calibration_error"]),
+        f"{of_fit['auc']:.3f}, {of_fit['calibration_error']:.3f}" if of_fit else "-",
+    ]
+
+
+def _draw_reliability(
+    scores: ProbabilityScores, probability: np.ndarray, is_detected: np.ndarray, stem: Path, name: str = ""
+) -> None:
+    """Draw a reliability diagram to a file whose name begins so."""
+    from warpav.view.figures.statistics import reliability_diagram
+
+    text = f"AUC {scores.auc:.3f}, Brier {scores.brier:.3f}, calibration error {scores.calibration_error:.3f}"
+    file = stem.with_name(f"{stem.name}_reliability.png")
+    title = f"{name}: {text}" if name else text
+    reliability_diagram(scores.bins, probability, is_detected, file, title=title)
