@@ -302,7 +302,7 @@ def test_what_is_written_is_found_again(tmp_path, rng):
 
 
 def test_another_network_or_camera_needs_another_fit(tmp_path, rng, monkeypatch):
-    monkeypatch.setattr(module, "cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr(module, "user_cache_folder", lambda _: tmp_path / "cache")
     written(tmp_path, rng, use_of(tmp_path))
     for other in (use_of(tmp_path, {"camera": {"width_px": 640}}), use_of(tmp_path, content=b"another network")):
         assert stored_file(other) is None

@@ -24,7 +24,7 @@ from warpav.scene.traffic.moments import search_and_test
 
 @pytest.fixture(autouse=True)
 def own_cache(tmp_path, monkeypatch):
-    monkeypatch.setattr(probability, "cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr(probability, "user_cache_folder", lambda _: tmp_path / "cache")
     return tmp_path / "cache"
 
 

@@ -111,18 +111,28 @@ SECONDS_PER_UNIT = {"s": 1.0, "ms": 1e-3}
 DEGREES_PER_UNIT = {"deg": 1.0, "rad": 180.0 / math.pi}
 
 
+_QUANTITY = re.compile(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([^\s0-9.]*)\s*")
+
+
+def number_in(value: object, unit_factor: Mapping[str, float]) -> float | None:
+    """A number, or a text with its unit, in the base unit; None where it is neither."""
+    match = _QUANTITY.fullmatch(value) if isinstance(value, str) else None
+    if match and match[2] in unit_factor:
+        with contextlib.suppress(ValueError):
+            return float(match[1]) * unit_factor[match[2]]
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+
 def _quantity_reader(quantity: str, unit_factor: Mapping[str, float], example: str) -> BeforeValidator:
     def read(value: object) -> object:
         if not isinstance(value, str):
             return value
-        match = re.fullmatch(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([^\s0-9.]*)\s*", value)
-        unit = match[2] if match else ""
-        if match and unit in unit_factor:
-            try:
-                return float(match[1]) * unit_factor[unit]
-            except ValueError:
-                match = None
-        problem = f"; {unit!r} is no unit of {quantity}, use {', '.join(unit_factor)}" if match and unit else ""
+        number = number_in(value, unit_factor)
+        if number is not None:
+            return number
+        match = _QUANTITY.fullmatch(value)
+        is_unknown = match and match[2] and match[2] not in unit_factor
+        problem = f"; {match[2]!r} is no unit of {quantity}, use {', '.join(unit_factor)}" if is_unknown else ""
         mistake(f"expected {example}, got {value!r}{problem}")
 
     return BeforeValidator(read)
@@ -144,15 +154,6 @@ Degrees = Annotated[
     Expectation(_ANGLE_TEXT, " deg"),
     WithJsonSchema(NUMBER_OR_TEXT),
 ]
-
-
-def number_in(value: object, unit_factor: Mapping[str, float]) -> float | None:
-    """A number, or a text with its unit, in the base unit; None where it is neither."""
-    match = re.fullmatch(r"\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([^\s0-9.]+)\s*", str(value))
-    if isinstance(value, str) and match and match[2] in unit_factor:
-        with contextlib.suppress(ValueError):
-            return float(match[1]) * unit_factor[match[2]]
-    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
 
 
 def range_reader(unit_factor: Mapping[str, float], expected: str, *, low: float, high: float) -> BeforeValidator:

@@ -6,7 +6,6 @@ was trained and its accuracy: see ``models/MODEL_CARD.md``.
 
 from __future__ import annotations
 
-import difflib
 import html
 import os
 from collections.abc import Mapping, Sequence
@@ -19,6 +18,7 @@ import numpy as np
 from warpav.core.bounded_files import read_text
 from warpav.core.cores import available_cores
 from warpav.core.errors import InputError, OptionError
+from warpav.core.records import nearest
 from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.external_data import check_external_data
 from warpav.detection.families import recognise
@@ -330,12 +330,9 @@ class OnnxDetector:
         for user, labels in classes.items():
             for label in (label.lower() for label in labels or ()):
                 if label not in index:
-                    near = difflib.get_close_matches(label, index, 1, 0.6)
-                    raise OptionError(
-                        f"detector.classes.{user}",
-                        f"expected labels of {self._path} ({_listed(self.names)}), got "
-                        f"{label!r}" + (f"; did you mean {near[0]}?" if near else ""),
-                    )
+                    expected = f"labels of {self._path} ({_listed(self.names)})"
+                    hint = nearest(label, index)
+                    raise OptionError(f"detector.classes.{user}", f"expected {expected}, got {label!r}{hint}")
                 if named.setdefault(label, user) != user:
                     raise OptionError(
                         "detector.classes",

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import platformdirs
 import warp as wp
 
 from warpav.core.bounded_files import DATA_SET_NODES_MAX, read_json
+from warpav.core.cache import user_cache_folder
 from warpav.core.errors import InputError
 from warpav.core.files import atomic_write
 from warpav.raster.areas import Measures
@@ -124,12 +124,7 @@ class DetectorUse:
     def folders(self) -> Iterator[Path]:
         """Where that file may lie: beside the ONNX file, and in the user's cache."""
         yield self.model.resolve().parent
-        yield cache_folder()
-
-
-def cache_folder() -> Path:
-    """Where models of detection probability are kept that cannot lie beside their detector."""
-    return Path(platformdirs.user_cache_dir("warpav", appauthor=False)) / "detection_probability"
+        yield user_cache_folder("detection_probability")
 
 
 @dataclass(frozen=True)

@@ -42,8 +42,7 @@ def edge_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarray:
     surface = constraints.surface
     pose = np.zeros((camera_count, MOUNT_POSE_SIZE))
     pose[:, YAW_RAD] = 2.0 * math.pi * np.arange(camera_count) / camera_count
-    is_mountable = np.ones(surface.height_m.shape, bool) if surface.is_mountable is None else surface.is_mountable
-    place = surface.origin_m + surface.cell_m * np.argwhere(is_mountable)
+    place = surface.place_m[surface.inside]
     if surface.zones:
         place = place[surface.zone_at(place) == surface.zone_at(surface.highest_point_m()[None, :2])]
     point = surface.point_m(place, surface.height_at_m(place))

@@ -6,6 +6,7 @@ camera anywhere on the body is still two numbers, and one raster is all that a k
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from warpav.core.errors import InputError
+from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
 from warpav.raster.mesh import Mesh
 from warpav.raster.pane import Pane
-from warpav.rig.housing_fit import with_room
-from warpav.rig.module import Module
+from warpav.rig.module import Housing, Module
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.proposals import propose_panes, simplified
 from warpav.rig.zone import NORMALS, Zone
@@ -37,6 +38,11 @@ _SKIRT_CELLS = 3
 _SIMPLER_M = 0.003
 _BIG_M = 1e6
 
+_STEP_RAD = math.radians(5.0)
+"""Between the directions in which a housing is tried; between them it reaches .1 % farther at most."""
+
+_ROUNDING_M = 1e-3
+
 
 def chart_of(
     zones: Sequence[Zone],
@@ -54,7 +60,7 @@ def chart_of(
     if not names or len(set(names)) != len(names):
         raise InputError(f"zones: expected at least one, and names that differ, got {names}")
     options = {"cell_m": cell_m, "min_upward_normal": min_upward_normal, "min_zone_normal": min_zone_normal}
-    field_of = {zone.name: zone_surface(zone, mesh, **options) for zone in zones}
+    field_of = {zone.name: _zone_surface(zone, mesh, **options) for zone in zones}
     pane_of = {zone.name: _pane_under(zone, field_of[zone.name], mesh) for zone in zones if zone.is_behind_glass}
     surface_of = {name: _with_skirt(surface) for name, surface in field_of.items()}
     names, module_of_zone, pairs, notes = [module.name for module in modules], np.zeros(0, np.int64), (), ()
@@ -77,8 +83,7 @@ def chart_of(
         rows, columns = surface.height_m.shape
         part = np.s_[row : row + rows, column : column + columns]
         height_m[part], zone_of[part] = surface.height_m, number
-        assert surface.is_mountable is not None
-        is_mountable[part] = surface.is_mountable
+        is_mountable[part] = surface.inside
         shift_m = origin_m + np.multiply((row, column), cell_m) - surface.origin_m
         plane_origin_m.append(np.asarray(zone.origin_m) - shift_m @ zone.axes[:2])
     return MountSurface(
@@ -105,10 +110,8 @@ def _pane_under(zone: Zone, surface: MountSurface, mesh: Mesh) -> Pane:
     """
     from scipy.spatial import ConvexHull
 
-    assert surface.is_mountable is not None
-    cell = np.argwhere(surface.is_mountable)
-    place_m = surface.origin_m + surface.cell_m * cell
-    height_m = surface.height_m[surface.is_mountable].astype(np.float64)
+    place_m = surface.place_m[surface.inside]
+    height_m = surface.height_m[surface.inside].astype(np.float64)
     middle_m = float(height_m.mean())
     if zone.outline_m is not None:
         corner_m = (np.asarray(zone.outline_m) - zone.origin_m) @ zone.axes[:2].T
@@ -131,7 +134,7 @@ def _pane_under(zone: Zone, surface: MountSurface, mesh: Mesh) -> Pane:
         ),
     )
     clear_m2 = pane.clear_area_m2(mesh)
-    zone_m2 = len(cell) * surface.cell_m**2
+    zone_m2 = len(place_m) * surface.cell_m**2
     if clear_m2 < _MIN_CLEAR * zone_m2:
         raise InputError(
             f"zone {zone.name!r}: behind_glass: expected triangles that lie under the zone, got {clear_m2:.2f} of "
@@ -167,7 +170,7 @@ def _roomy(
     module: Module, zones: Sequence[Zone], surface_of: dict[str, MountSurface], pitch_rad: tuple[float, float]
 ) -> tuple[list[tuple[Zone, MountSurface]], list[str]]:
     """Those of a module's zones in which its housing has room, as they are then, with their surfaces; and a note."""
-    found = {zone.name: with_room(module, zone, surface_of[zone.name], pitch_rad=pitch_rad) for zone in zones}
+    found = {zone.name: _with_room(module, zone, surface_of[zone.name], pitch_rad=pitch_rad) for zone in zones}
     roomy = [each for each in found.values() if isinstance(each, tuple)]
     needed = [
         f"{zone.name} needs {1e3 * each:.0f} mm and allows {1e3 * zone.stand_off_m[1]:.0f}"
@@ -184,6 +187,70 @@ def _roomy(
     ] if needed else []
 
 
+def _with_room(
+    module: Module, zone: Zone, surface: MountSurface, *, pitch_rad: tuple[float, float] = (0.0, 0.0)
+) -> tuple[Zone, MountSurface] | float:
+    """A zone and its surface as a module may stand there; or the stand-off that it would need, beyond the greatest [m].
+
+    The least stand-off is raised until the housing has room in half of the zone, whichever way it points; where it has
+    none then, as the body bulges, the zone carries no camera. A zone outside that sets no ``recess_m`` stays: its
+    housings may be let in.
+    """
+    if not zone.is_behind_glass and zone.recess_m is None:
+        return zone, surface
+    outwards = 1.0 if zone.is_behind_glass else -1.0
+    depth_m, reach_m = _housing_reach_m(module.housing, zone, outwards * zone.axes[2], pitch_rad=pitch_rad)
+    # how far the skin comes nearer within reach of the housing
+    height_m = -outwards * surface.height_m.astype(np.float64)
+    needed_m = depth_m + _highest_within(height_m, reach_m / surface.cell_m) - height_m
+    needed_m -= 0.0 if zone.is_behind_glass else zone.recess_m or 0.0
+    low_m, high_m = zone.stand_off_m
+    inside = surface.inside
+    if not (needed_m[inside] <= high_m).any():
+        return float(needed_m[inside].min())
+    least_m = float(np.clip(np.median(needed_m[inside]), low_m, high_m))
+    kept = inside & (needed_m <= least_m + _ROUNDING_M)
+    return replace(zone, stand_off_m=(least_m, high_m)), replace(surface, is_mountable=kept)
+
+
+def _housing_reach_m(
+    housing: Housing, zone: Zone, direction: np.ndarray, *, pitch_rad: tuple[float, float]
+) -> tuple[float, float]:
+    """How far a housing reaches along a unit vector [3] and across it at most, however it points in a zone [m]."""
+    half_m = 0.5 * np.asarray(housing.size_m)
+    corner_m = np.array([np.multiply(signs, half_m) for signs in itertools.product((-1.0, 1.0), repeat=3)])
+    corner_m = (corner_m + housing.offset_m) @ FLU_FROM_RDF.T
+    yaws, pitches, rolls = (
+        _steps(pair)
+        for pair in (
+            zone.yaw_range_rad or (-math.pi, math.pi),
+            zone.pitch_rad or pitch_rad,
+            zone.roll_rad or (0.0, 0.0),
+        )
+    )
+    along, across = [], []
+    for angles in itertools.product(yaws, pitches, rolls):
+        turned_m = corner_m @ rotation_from_yaw_pitch_roll(*angles).T
+        there = turned_m @ direction
+        along.append(there.max())
+        across.append(np.linalg.norm(turned_m - there[:, None] * direction, axis=1).max())
+    return float(max(along)), float(max(across))
+
+
+def _steps(pair: tuple[float, float]) -> np.ndarray:
+    return np.linspace(*pair, 1 + math.ceil((pair[1] - pair[0]) / _STEP_RAD))
+
+
+def _highest_within(height_m: np.ndarray, cells: float) -> np.ndarray:
+    """The greatest height of the cells of which some part is within so many cells of each, [row, column]."""
+    from scipy import ndimage
+
+    cells += math.sqrt(0.5)
+    reach = math.ceil(cells)
+    i, j = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    return ndimage.maximum_filter(height_m, footprint=np.hypot(i, j) <= cells + 1e-9, mode="nearest")
+
+
 def _left_halves(
     zones: Sequence[Zone], surface_of: dict[str, MountSurface], pair_spacing_m: float
 ) -> dict[str, MountSurface]:
@@ -191,14 +258,11 @@ def _left_halves(
     result = {}
     for zone in zones:
         surface = surface_of[zone.name]
-        assert surface.is_mountable is not None
-        row, column = np.indices(surface.height_m.shape)
-        place_m = surface.origin_m + surface.cell_m * np.stack([row, column], axis=-1)
-        local_m = np.concatenate([place_m, surface.height_m[..., None]], axis=-1)
+        local_m = np.concatenate([surface.place_m, surface.height_m[..., None]], axis=-1)
         y_m = (local_m @ zone.axes)[..., 1] + zone.origin_m[1]
         is_kept = np.abs(y_m) <= _CENTRE_M if zone.is_centred else y_m >= 0.5 * pair_spacing_m
-        if (surface.is_mountable & is_kept).any():
-            result[zone.name] = replace(surface, is_mountable=surface.is_mountable & is_kept)
+        if (surface.inside & is_kept).any():
+            result[zone.name] = replace(surface, is_mountable=surface.inside & is_kept)
     if not result:
         raise InputError("zones: expected one on the left or in the middle for a symmetric rig, got none")
     return result
@@ -216,7 +280,7 @@ def _fitting(module: Module, zones: Sequence[Zone]) -> list[Zone]:
     return found
 
 
-def zone_surface(
+def _zone_surface(
     zone: Zone, mesh: Mesh, *, cell_m: float, min_upward_normal: float, min_zone_normal: float
 ) -> MountSurface:
     """The height field of a zone over its own plane; u and v take the places of x and y."""
@@ -243,12 +307,11 @@ def zone_surface(
 
 def _with_skirt(surface: MountSurface) -> MountSurface:
     """A surface that goes on at its height for some cells beyond its rectangle, where no camera may stand."""
-    assert surface.is_mountable is not None
     return MountSurface(
         np.pad(surface.height_m, _SKIRT_CELLS, mode="edge"),
         surface.origin_m - _SKIRT_CELLS * surface.cell_m,
         surface.cell_m,
-        np.pad(surface.is_mountable, _SKIRT_CELLS),
+        np.pad(surface.inside, _SKIRT_CELLS),
     )
 
 

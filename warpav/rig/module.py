@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 import re
 from collections.abc import Iterator
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from warpav.core.errors import InputError
+from warpav.core.records import nearest
 from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import COEFFICIENT_COUNTS, Lens, LensShape
 
@@ -350,5 +350,4 @@ def _degrees(angle_rad: float | None) -> str:
 
 
 def _suggestion(value: object, known: list[Any]) -> str:
-    near = difflib.get_close_matches(str(value), [str(each) for each in known], 1, 0.5)
-    return f"did you mean {near[0]}?" if near else "choose one of them"
+    return nearest(value, map(str, known)).removeprefix("; ") or "choose one of them"

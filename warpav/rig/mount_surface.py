@@ -62,6 +62,16 @@ class MountSurface:
     panes: tuple[Pane | None, ...] = ()
     notes: tuple[str, ...] = ()
 
+    @property
+    def inside(self) -> np.ndarray:
+        """Cells that can carry a camera, bool [row, column]."""
+        return np.ones(self.height_m.shape, bool) if self.is_mountable is None else self.is_mountable
+
+    @property
+    def place_m(self) -> np.ndarray:
+        """Centres of the cells in the chart [m], float64 [row, column, 2]."""
+        return self.origin_m + self.cell_m * np.moveaxis(np.indices(self.height_m.shape), 0, -1)
+
     @cached_property
     def axes(self) -> np.ndarray:
         """U, V and N of every zone, rows, float64 [zone, 3, 3]; the ego frame's without zones."""
@@ -178,8 +188,7 @@ class MountSurface:
 
         kept: dict[int, tuple[np.ndarray, np.ndarray, KDTree]] = self.__dict__.setdefault("_kept_cells", {})
         if module not in kept:
-            inside = np.ones(self.height_m.shape, bool) if self.is_mountable is None else self.is_mountable
-            place_m = self.origin_m + self.cell_m * np.argwhere(inside)
+            place_m = self.place_m[self.inside]
             place_m = place_m if module < 0 else place_m[self.module_at(place_m) == module]
             point_m = self.point_m(place_m, self.height_at_m(place_m))
             kept[module] = place_m, point_m, KDTree(point_m)
@@ -190,10 +199,7 @@ class MountSurface:
         """The same seen from above, over the ground plane: NaN where there is nothing of it. Itself without zones."""
         if not self.zones:
             return self
-        row, column = np.indices(self.height_m.shape)
-        place_m = self.origin_m + self.cell_m * np.stack([row, column], axis=-1)
-        inside = np.ones(row.shape, bool) if self.is_mountable is None else self.is_mountable
-        point_m = self.point_m(place_m[inside], self.height_m[inside])
+        point_m = self.point_m(self.place_m[self.inside], self.height_m[self.inside])
         first = np.floor(point_m[:, :2].min(axis=0) / self.cell_m) - 1
         cell = np.rint(point_m[:, :2] / self.cell_m - first).astype(int)
         size = cell.max(axis=0) + 2
@@ -225,9 +231,8 @@ class MountSurface:
 
         Borders run along the edges between cells that can and cells that cannot carry a camera, and along `bounds_m`.
         """
-        is_inside = np.ones(self.height_m.shape, bool) if self.is_mountable is None else self.is_mountable
-        to_edge = _cells_to_edge(is_inside)
-        rows, columns = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in is_inside.shape)
+        to_edge = _cells_to_edge(self.inside)
+        rows, columns = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in self.height_m.shape)
         to_rectangle = np.minimum(rows[:, None], columns[None, :])
         return np.ascontiguousarray(self.cell_m * np.minimum(to_edge, to_rectangle), np.float32)
 
@@ -253,9 +258,7 @@ class MountSurface:
         """The highest cell, on a flat top (within 1 mm) the one nearest its middle: x, y, height [m], [3]."""
         height_m = self.height_m
         if self.zones:
-            row, column = np.indices(height_m.shape)
-            place_m = self.origin_m + self.cell_m * np.stack([row, column], axis=-1)
-            inside = np.ones(row.shape, bool) if self.is_mountable is None else self.is_mountable
+            place_m, inside = self.place_m, self.inside
             if module >= 0:
                 inside = inside & (self.module_at(place_m) == module)
             height_m = np.where(inside, self.point_m(place_m, height_m)[..., 2], -np.inf)

@@ -154,7 +154,7 @@ def _zone_parts(surface: MountSurface, vehicle: Mesh) -> list[_ZonePart]:
     """
     from scipy import ndimage
 
-    is_mountable = np.ones(surface.height_m.shape, bool) if surface.is_mountable is None else surface.is_mountable
+    is_mountable = surface.inside
     label = np.zeros(surface.height_m.shape, np.int32)
     ndimage.label(is_mountable, structure=np.ones((3, 3)), output=label)
     low, high = vehicle.bounds_m().astype(np.float64)
@@ -331,7 +331,7 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
     if counts:
         yield "  kept out: " + ", ".join(f"{count} x {name}" for name, count in counts.items())
     for number, zone in enumerate(zones):
-        inside = (chart.zone_of_cell == number) & np.asarray(chart.is_mountable)
+        inside = (chart.zone_of_cell == number) & chart.inside
         yield f"  {zone.name:11} {np.count_nonzero(inside) * chart.cell_m**2:.2f} m²"
     yield f"wrote {out}; edit it, and use it with mount.zones={out}"
     if image is not None:
@@ -350,8 +350,7 @@ def _kept_clear(zone: Zone, mesh: Mesh, boxes: Sequence[tuple[str, np.ndarray]])
     if zone.is_behind_glass:
         return zone
     chart = chart_of([zone], mesh, cell_m=0.04)
-    assert chart.is_mountable is not None
-    place_m = chart.origin_m + chart.cell_m * np.argwhere(chart.is_mountable)
+    place_m = chart.place_m[chart.inside]
     point_m = chart.point_m(place_m, chart.height_at_m(place_m))
     inside = [box for _, box in boxes if ((point_m >= box[0]) & (point_m <= box[1])).all(axis=1).any()]
     clear = replace(zone, keep_out_m=(*zone.keep_out_m, *inside))

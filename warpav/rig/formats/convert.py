@@ -7,7 +7,6 @@ centre of the rear axle) and the rotation of its axes. Imports and exports of al
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import importlib
 import math
 import re
@@ -20,6 +19,7 @@ import numpy as np
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import atomic_write, writing
 from warpav.core.frames import rotation_from_yaw_pitch_roll
+from warpav.core.records import nearest
 from warpav.raster.camera import CameraModel
 from warpav.rig.check import FAR_M, mirrored_cameras
 from warpav.rig.formats.format import FoundCamera, Losses, Optics, PlacedCamera, RigFormat
@@ -87,8 +87,7 @@ def find_format(name: str) -> RigFormat:
             "carla-python (sensors of an agent: left-handed, y right, pitch nose up), got carla, which may be either",
         )
     if plain not in _MODULES:
-        near = difflib.get_close_matches(plain, [*_MODULES, *_OTHER_NAMES], 1, 0.5)
-        hint = f"; did you mean {_OTHER_NAMES.get(near[0], near[0])}?" if near else ""
+        hint = nearest(plain, [*_MODULES, *_OTHER_NAMES])
         raise ArgumentError("format_name", f"expected one of {', '.join(FORMAT_NAMES)}, got {name!r}{hint}")
     module = importlib.import_module(f"warpav.rig.formats.{_MODULES[plain]}")
     return next(form for form in module.FORMATS if form.name == plain)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass
 from pathlib import Path
 
 from warpav.core.errors import InputError
+from warpav.core.records import nearest
 from warpav.raster.mesh import Mesh
 from warpav.rig.on_body import Body, MovedRig, put_on_body
 from warpav.rig.rig import Rig, read_rig
@@ -54,9 +54,7 @@ def _preset_file(name: str) -> Path:
     """The file of the shipped rig of this name."""
     names = preset_names()
     if name not in names:
-        near = difflib.get_close_matches(name, names, 1, 0.5)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise InputError(f"rig preset: expected one of {', '.join(names)}, got {name!r}{hint}")
+        raise InputError(f"rig preset: expected one of {', '.join(names)}, got {name!r}{nearest(name, names)}")
     return _FOLDER / f"{name}.yaml"
 
 
@@ -97,9 +95,7 @@ def find_rig_file(source: str) -> Path:
     names = preset_names()
     if source in names:
         return _preset_file(source)
-    near = difflib.get_close_matches(source, [*names, HIGHEST], 1, 0.6)
-    hint = f"; did you mean {near[0]}?" if near else ""
     raise InputError(
         f"{source}: rig: expected a rig YAML, a run folder, a preset ({', '.join(names)}) or {HIGHEST}, "
-        f"got no file of that name{hint}"
+        f"got no file of that name{nearest(source, [*names, HIGHEST])}"
     )
