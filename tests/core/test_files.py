@@ -78,19 +78,7 @@ def test_a_name_cannot_begin_a_line_of_its_own():
 
 PLAIN = ["front", "front_left.2-b", "left pillar", "Haube ä"]
 QUOTED = ["no", "1e3", "2026-01-01", "", " a"]
-QUOTED += [
-    "no",
-    "1e3",
-    "2026-01-01",
-    "",
-    " a",
-    "a: b",
-    "a #b",
-    "- a",
-    "é\x1b[31m\n[/]\"'\\",
-    "\x7f\x85\u2028\ufeff",
-    "😀",
-]
+QUOTED += ["a: b", "a #b", "- a", "é\x1b[31m\n[/]\"'\\", "\x7f\x85\u2028\ufeff", "😀"]
 
 
 @pytest.mark.parametrize("name", PLAIN + QUOTED)

@@ -98,28 +98,6 @@ def test_a_file_that_is_not_onnx_is_refused_in_one_line(tmp_path):
     assert "\n" not in str(error.value)
 
 
-def test_an_unknown_layout_is_described(tmp_path):
-    onnx = pytest.importorskip("onnx")
-    from onnx import TensorProto, helper
-
-    shape = [1, 300, 6]
-    graph = helper.make_graph(
-        [
-            helper.make_node("ReduceMean", ["images"], ["mean"], keepdims=0),
-            helper.make_node("ConstantOfShape", ["shape"], ["output0"]),
-            helper.make_node("ConstantOfShape", ["shape"], ["labels"]),
-        ],
-        "end_to_end",
-        [helper.make_tensor_value_info("images", TensorProto.FLOAT, [1, 3, 64, 64])],
-        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name in ("output0", "labels")],
-        [helper.make_tensor("shape", TensorProto.INT64, [3], shape)],
-    )
-    path = tmp_path / "two.onnx"
-    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), str(path))
-    with pytest.raises(InputError, match=r"unknown layout.*output0 \[1, 300, 6\].*labels \[1, 300, 6\]"):
-        OnnxDetector(path)
-
-
 def test_labels_that_do_not_fit_the_output_are_refused(cell_network):
     path = cell_network(("car", "bus"), metadata={"names": "{0: 'car'}"})
     with pytest.raises(InputError, match=r"unknown layout.*output0 \[\?, 6, \?\] float32, 1 label; expected one of"):

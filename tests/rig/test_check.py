@@ -6,19 +6,10 @@ import numpy as np
 import pytest
 
 import warpav as wa
-from warpav.raster.mesh import Mesh
+from tests.raster.bodies import cuboid
 from warpav.rig.check import oddities, off_vehicle
 from warpav.rig.rig import Rig
 from warpav.scene.town.town import ego_vehicle
-
-
-def box(low_m, high_m):
-    """A body of twelve large triangles."""
-    corner_m = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
-    triangle = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
-    triangle += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
-    low_m, high_m = np.array(low_m, float), np.array(high_m, float)
-    return Mesh(low_m + corner_m * (high_m - low_m), np.array(triangle, np.int32), (90, 90, 90))
 
 
 def at(*position_m):
@@ -36,7 +27,7 @@ def at(*position_m):
     ],
 )
 def test_cameras_far_from_the_surface_are_told(position_m, away):
-    bus = box([-1.0, -1.2, 0.3], [11.0, 1.2, 3.0])
+    bus = cuboid((12.0, 2.4, 2.7), (5.0, 0.0, 1.65))
     text = off_vehicle(at(*position_m), bus)
     assert away in text
     assert bool(text) == bool(away)

@@ -160,36 +160,22 @@ def test_writing_replaces_the_file_in_one_step(tmp_path, monkeypatch):
         ("frame: ego", "frame: vehicle", r"rig.yaml:1: frame: expected ego .*, got 'vehicle'"),
         ("yaw_deg: 45", "yaw: 45", r":5: cameras\[0\]\.yaw: expected one of .*, got 'yaw'; did you mean yaw_deg\?"),
         ("roll_deg: 2", "roll_deg: two", r":7: cameras\[0\]\.roll_deg: expected a finite number .*, got 'two'"),
-        ("roll_deg: 2", "roll_deg: .nan", r":7: cameras\[0\]\.roll_deg: expected a finite number .*, got nan"),
         ("roll_deg: 2", "roll_deg: true", r"roll_deg: expected a finite number .*, got True"),
-        (
-            "roll_deg: 2",
-            "roll_deg: 1" + "0" * 400,
-            "roll_deg: expected numbers of at most 300 digits",
-        ),
         ("    roll_deg: 2\n", "", r":3: cameras\[0\]\.roll_deg: expected a finite number .*, got nothing"),
         ("[1.7, 0.5, 1.6]", "[1.7, 0.5]", r":4: cameras\[0\]\.position_m: expected three .*, got \[1\.7, 0\.5\]"),
-        ("[1.7, 0.5, 1.6]", "[1.7, .inf, 0]", r"position_m: expected three finite numbers in metres"),
         ("fov_deg: 90", "fov_deg: 180", r":8: cameras\[0\]\.fov_deg: expected .* between 0 and 180.*, got 180"),
         ("width_px: 640", "width_px: 640.5", r"width_px: expected a whole number of pixels from 8 .*, got 640\.5"),
         ("fov_deg: 90", "fov_deg: 361\n    lens: panorama", r":8: .*fov_deg: .* up to 360 .*, got 361"),
         (
             "fov_deg: 90",
             "fov_deg: 90\n    lens: fish_eye",
-            r":9: cameras\[0\]\.lens: expected one of pinhole, brown_conrady, fisheye, eucm, double_sphere, panorama, "
-            r"equirectangular, got 'fish_eye'; "
-            r"did you mean fisheye\?",
+            r":9: cameras\[0\]\.lens: expected one of pinhole, .*, got \'fish_eye\'; did you mean fisheye\?",
         ),
         ("fov_deg: 90", "fov_deg: 90\n    lens:", r":9: cameras\[0\]\.lens: expected one of pinhole, .*, got nothing"),
         (
             "fov_deg: 90",
             "focal_px: [400, -1]",
             r":8: cameras\[0\]\.focal_px: expected two positive .*, got \[400, -1\]",
-        ),
-        (
-            "fov_deg: 90",
-            "focal_px: [400, 400]\n    centre_px: 320",
-            r":9: .*centre_px: expected two finite .*, got 320",
         ),
         ("fov_deg: 90", "fov_deg: 90\n    distortion: [.nan]", r":9: .*distortion: expected a list .*, got \[\.nan\]"),
         (
@@ -198,14 +184,7 @@ def test_writing_replaces_the_file_in_one_step(tmp_path, monkeypatch):
             r":3: cameras\[0\]: expected valid camera parameters, got: a fisheye lens has 0 or 4 .*, got 2",
         ),
         ("fov_deg: 90", "fov_deg: 90\n    focal_px: [400, 400]", r":3: cameras\[0\]: .* got: fov_rad .* contradicts"),
-        ("fov_deg: 90", "fov_deg: 90\n    centre_px: [3, 4]", r":3: cameras\[0\]: .* got: centre_px needs focal_px"),
-        ("height_px: 480", "height_px: 4", r"height_px: expected a whole number of pixels from 8 .*, got 4"),
         ("name: front", "name: ../front", r":3: cameras\[0\]\.name: expected a name of letters.*, got '\.\./front'"),
-        (
-            "frame: ego",
-            "frame: ego\n" + PANE.format("3", "[0, 1]"),
-            r":3: panes\.screen\.outline_m: .* corners, .*, got 3",
-        ),
         (
             "frame: ego",
             "frame: ego\n" + PANE.format("[[0, 1]]", "[0, 1]"),
@@ -218,9 +197,7 @@ def test_writing_replaces_the_file_in_one_step(tmp_path, monkeypatch):
         ),
         ("cameras:\n", "cameras: []\nrest:\n", r"cameras: expected a list of at least one camera, got \[\]"),
         ("frame: ego", "frame: ego\nframe: ego", r"rig.yaml:2: frame: expected every key once"),
-        ("frame: ego", "frame: [ego", r"rig.yaml:\d+: expected valid YAML, got a syntax error"),
         ("frame: ego\n", "", r"rig.yaml:1: frame: expected ego .*, got nothing; add frame$"),
-        (GOOD, "", r"rig.yaml: expected a mapping with frame, cameras, got nothing"),
         (
             GOOD,
             "- 1\n",

@@ -4,22 +4,19 @@ import math
 
 import numpy as np
 import pytest
-import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.path import Path
 
+from tests.raster.bodies import cuboid
 from warpav.core.errors import InputError
-from warpav.raster.mesh import Mesh
 from warpav.sight.requirement import SIZES_M, Band, Body, Ghosts, Polygon, Requirement, Strip, TestObject, grid_m
 
 POST = TestObject("post", SIZES_M["post"])
 
 
 def box(size_m=(4.0, 2.0, 1.5), centre_m=(1.0, 0.0, 0.75)):
-    mesh = trimesh.creation.box(extents=size_m)
-    mesh.apply_translation(centre_m)
-    return Mesh.create(mesh.vertices, mesh.faces, [90, 90, 90])
+    return cuboid(size_m, centre_m)
 
 
 @given(st.floats(-6.0, 8.0), st.floats(-6.0, 6.0))

@@ -4,14 +4,12 @@ import math
 
 import numpy as np
 import pytest
-import trimesh
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from tests.driving_scene import SKY, block, ego_mesh, ground, street
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
-from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
@@ -21,12 +19,6 @@ from warpav.sight.around import body_shares
 def scene_around(ego, environment=None):
     rng = np.random.default_rng(0)
     return DeviceScene.pack(Scene("alone", environment or ground(rng), ego, (), SKY))
-
-
-def box(size_m, centre_m):
-    mesh = trimesh.creation.box(extents=size_m)
-    mesh.apply_translation(centre_m)
-    return Mesh.create(mesh.vertices, mesh.faces, [90, 90, 90])
 
 
 def camera(name, position_m, model, yaw_deg=0.0, pitch_deg=0.0, roll_deg=0.0):

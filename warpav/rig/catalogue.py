@@ -84,8 +84,8 @@ class _ModuleForm(Form):
     fov_deg: Number = Field(description="the horizontal field of view of the whole sensor in degrees, such as 100.0")
     vertical_fov_deg: Number = Field(None, description="a number of degrees, such as 60.0")
     distortion: list[Number] = Field([], description="a list of finite numbers in OpenCV's order")
-    housing: _HousingForm
-    price: _PriceForm
+    housing: _HousingForm = Field(description="a mapping with size_m and maybe offset_m")
+    price: _PriceForm = Field(description="a mapping with value and unit")
     power_w: Number | None = Field(description="watts, or null where it is unknown")
     zones: list[str] = Field([], description="a list of names, such as [windscreen]; [] for all zones")
     source: str = Field(description="where the figures come from, as text")

@@ -14,32 +14,13 @@ from warpav.rig.formats.convert import ImportOptions, export_rig_with_notes, imp
 from warpav.rig.rig import Rig, RigCamera
 
 PINHOLE = CameraModel(640, 480, focal_px=(500.0, 501.0), centre_px=(310.0, 240.0))
+BROWN = {"lens": "brown_conrady", "focal_px": (1300.0, 1310.0), "centre_px": (810.0, 441.0)}
+FISHEYE = {"lens": "fisheye", "focal_px": (400.0, 401.0), "centre_px": (645.0, 470.0)}
 EXACT = {
     "pinhole": PINHOLE,
-    "brown_conrady_5": CameraModel(
-        1600,
-        900,
-        lens="brown_conrady",
-        focal_px=(1300.0, 1310.0),
-        centre_px=(810.0, 441.0),
-        distortion=(-0.2, 0.05, 1e-3, -2e-3, 0.01),
-    ),
-    "brown_conrady_8": CameraModel(
-        1600,
-        900,
-        lens="brown_conrady",
-        focal_px=(1300.0, 1310.0),
-        centre_px=(810.0, 441.0),
-        distortion=(-0.1, 0.05, 1e-3, -2e-3, 0.01, 0.02, 0.03, 0.004),
-    ),
-    "fisheye": CameraModel(
-        1280,
-        960,
-        lens="fisheye",
-        focal_px=(400.0, 401.0),
-        centre_px=(645.0, 470.0),
-        distortion=(0.02, -0.01, 0.002, -0.0003),
-    ),
+    "brown_conrady_5": CameraModel(1600, 900, **BROWN, distortion=(-0.2, 0.05, 1e-3, -2e-3, 0.01)),
+    "brown_conrady_8": CameraModel(1600, 900, **BROWN, distortion=(-0.1, 0.05, 1e-3, -2e-3, 0.01, 0.02, 0.03, 0.004)),
+    "fisheye": CameraModel(1280, 960, **FISHEYE, distortion=(0.02, -0.01, 0.002, -0.0003)),
     "equidistant": CameraModel(1280, 960, math.radians(190.0), lens="fisheye"),
     "zoomed": CameraModel(1280, 960, math.radians(90.0)).zoomed(0.3),
 }
@@ -277,32 +258,19 @@ def test_f_theta_with_odd_powers_is_a_fisheye(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (
-            "reference_poly: angle_to_pixel",
-            "reference_poly: forward",
-            "reference_poly: expected one of angle_to_pixel,",
-        ),
+        ("reference_poly: angle_to_pixel", "reference_poly: x", "reference_poly: expected one of angle_to_pixel,"),
         ("angle_to_pixeldist: [0.0,", "angle_to_pixeldist: [0.1,", "begins with 0; any other tears the image's middle"),
-        (
-            "angle_to_pixeldist: [0.0, 473",
-            "angle_to_pixeldist: [0.0, -473",
-            "that grows from the image's middle to its",
-        ),
-        ("angle_to_pixeldist: [0.0, 473", "angle_to_pixeldist: [0.0, 13", "that grows from the image's middle to its"),
+        ("[0.0, 473", "[0.0, -473", "that grows from the image's middle to its"),
+        ("[0.0, 473", "[0.0, 13", "that grows from the image's middle to its"),
         (
             "-9.587550163269043",
             "-99.5",
             "fisheye with four coefficients comes within 0.25 px of, got one that it is off",
         ),
         ("linear_d: 6.27807603450492e-05", "linear_d: 0.01", "comes within 0.25 px of, got one that it is off by 6"),
-        (
-            "linear_c: 0.9997570514678955",
-            "linear_c: 0.0",
-            "linear_cde.linear_c: expected the proportions of a pixel, near 1",
-        ),
+        ("linear_c: 0.9997570514678955", "linear_c: 0.0", "linear_cde.linear_c: expected the proportions of a pixel"),
         ("    resolution_hw: [768, 960]\n", "", "ftheta: expected resolution_hw beside intrinsics, because f-theta is"),
         ("max_angle: 1.3461724520632263", "max_angle: -1", "ftheta.max_angle: expected a positive angle, got -1"),
-        ("principal_point: [477.8616638183594, ", "principal_point: [", "principal_point: expected a list of 2 finite"),
         (
             "angle_to_pixeldist: [0.0,",
             "angle_to: [0.0,",

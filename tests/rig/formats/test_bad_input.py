@@ -46,23 +46,14 @@ def spoilt(name, folder, old, new):
 
 CORRUPT = {
     "nuscenes": [
-        (
-            '"translation": [1.7',
-            '"translation": [true',
-            "[1].translation: expected a list of 3 finite numbers, got",
-        ),
+        ('"translation": [1.7', '"translation": [true', "[1].translation: expected a list of 3 finite numbers, got"),
         ('"rotation": [0.62', '"rotation": [1.62', "[1].rotation: expected a quaternion of length 1, got [1.62"),
         ("[[320.0, 0.0,", "[[320.0, 2.0,", "[1].camera_intrinsic: expected a camera matrix [[fx, 0, cx]"),
-        ("[[320.0, 0.0,", "[[", "[1].camera_intrinsic: expected a 3 x 3 matrix"),
         ('"token": "lidar0", ', '"token": "lidar0", "', "calibrated_sensor.json:1: expected valid JSON"),
     ],
     "urdf": [
         ("<robot", "<robt", "syntax error"),
-        (
-            'xyz="0.7 0.5 0.1"',
-            'xyz="0.7 0.5"',
-            "'camera_joint': xyz: expected three finite numbers, got '0.7 0.5'",
-        ),
+        ('xyz="0.7 0.5 0.1"', 'xyz="0.7 0.5"', "'camera_joint': xyz: expected three finite numbers, got '0.7 0.5'"),
         ('rpy="0.0', 'rpy="nan', "joint 'camera_joint': rpy: expected three finite numbers, got 'nan"),
         ('name="camera_joint" type="fixed"', 'name="camera_joint" type="revolute"', "expected a fixed joint"),
         ('<parent link="roof"/><child link="front', '<child link="front', "joint 'camera_joint': expected <parent"),
@@ -70,17 +61,8 @@ CORRUPT = {
         ("camera_optical_link", "lens", "xx"),
     ],
     "autoware": [
-        (
-            "    pitch: ",
-            "    pitched: ",
-            "sensor_kit_base_link.front_left/camera_link.pitch: expected a finite",
-        ),
+        ("    pitch: ", "    pitched: ", "kit_base_link.front_left/camera_link.pitch: expected a finite"),
         ("base_link:\n", "bass_link:\n", "expected a mapping"),
-        (
-            "distortion_model: plumb_bob",
-            "distortion_model: plum",
-            "distortion_model: expected one of plumb_bob, ratio",
-        ),
         ("data: [320.,", "data: [-320.,", "camera_matrix.data: expected positive focal lengths"),
         ("image_width: 640", "image_width: 3", "width_px: expected from 8 to 16384 pixels, got 3"),
     ],
@@ -96,51 +78,27 @@ CORRUPT = {
         ("'fov': 90", "'fov': 90, 'lens_circle_multiplier': 3", "lens_circle_multiplier: expected 0"),
     ],
     "kitti": [
-        (
-            "R0_rect: 1 0 0",
-            "R0_rect: 1.1 0 0",
-            "R0_rect: expected a rotation, whose columns are ortho",
-        ),
+        ("R0_rect: 1 0 0", "R0_rect: 1.1 0 0", "R0_rect: expected a rotation, whose columns are ortho"),
         ("R0_rect: 1 0 0", "R0_rect: -1 0 0", "R0_rect: expected a rotation, got one with a mirror"),
         ("Tr_velo_to_cam", "Tr", "R0"),
-        ("P2: 320 0", "P2: 320 o", "P2: expected a 3 x 4 matrix of finite numbers"),
         ("P0: ", "P0 ", "000000.txt:1: expected KEY: NUMBERS, got 'P0 320"),
     ],
     "opencv": [
         ("R: ", "Q: ", "camera_from_ego: expected the camera's pose: camera_from_ego (4 x 4), or R and T"),
-        ("camera_matrix", "matrix", "camera_matrix: expected a 3 x 3 matrix of finite numbers, got nothing"),
         ("rows: 5", "rows: 7", "distortion_coefficients: expected a list of 4 or 5 or 8 or 12 or 14 finite"),
         ("data: [ 320., ", "data: [ 320.; ", "camera_matrix: expected a 3 x 3 matrix of finite numbers, got {}"),
     ],
     "alpasim": [
-        (
-            "extra_cameras:",
-            "extra_camera:",
-            "yaml:2: extra_cameras: expected AlpaSim's list of cameras, got nothing",
-        ),
-        (
-            "- logical_id: front_left\n    rig",
-            "- logical: a\n    rig",
-            "extra_cameras[0].logical_id: expected a text, got",
-        ),
+        ("extra_cameras:", "extra_camera:", "yaml:2: extra_cameras: expected AlpaSim's list of cameras, got nothing"),
         ("rig_to_camera:", "camera_to_rig:", "rig_to_camera: expected translation_m and rotation_xyzw; without them"),
         ("rotation_xyzw: [-0.6", "rotation_xyzw: [-1.6", "rotation_xyzw: expected a quaternion of length 1, got [0.62"),
-        ("translation_m: [1.7, ", "translation_m: [", "rig_to_camera.translation_m: expected a list of 3 finite numb"),
-        (
-            "model: opencv_pinhole",
-            "model: omni",
-            "intrinsics.model: expected one of opencv_pinhole, opencv_fisheye, fth",
-        ),
         (
             "      opencv_pinhole:",
             "      pinhole:",
             "intrinsics.opencv_pinhole: expected the parameters of opencv_pinh",
         ),
-        ("focal_length: [320.0, 320.0]", "focal_length: [320.0]", "opencv_pinhole.focal_length: expected a list of 2"),
         ("focal_length: [320.0", "focal_length: [-320.0", "focal_length: expected two positive focal lengths, got [-3"),
-        ("radial: [0.0, ", "radial: [", "opencv_pinhole.radial: expected a list of 6 finite numbers, got"),
         ("thin_prism: [0.0", "thin_prism: [0.1", "thin_prism: expected four zeros; warpav has no thin prism, got [0.1"),
-        ("resolution_hw: [480, 640]", "resolution_hw: [480]", "resolution_hw: expected a list of 2 finite numbers"),
         ("resolution_hw: [480, ", "resolution_hw: [480.5, ", "resolution_hw[0]: expected a whole number, got 480.5"),
         ("ROLLING_TOP_TO_BOTTOM", "ROLLING", "shutter_type: expected one of GLOBAL, ROLLING_TOP_TO_BOTTOM, ROLL"),
     ],
@@ -148,19 +106,10 @@ CORRUPT = {
         (
             "camera_model: pinhole",
             "camera_model: omni",
-            "yaml:8: cam0.camera_model: expected one of pinhole, eucm, ds, got 'omni'",
-        ),
-        (
-            "distortion_model: radtan",
-            "distortion_model: fov",
-            "cam0.distortion_model: expected one of none, radtan",
+            "yaml:8: cam0.camera_model: expected one of pinhole, eucm,",
         ),
         ("cam1:", "cam2:", "expected cam0, cam1, ... without gaps, got cam0, cam2"),
-        (
-            "  - [0.0, 0.0, 0.0, 1.0]\n  camera_model",
-            "  - [0.0, 0.0, 1.0, 1.0]\n  camera_model",
-            "last row is 0, 0, 0, 1",
-        ),
+        ("  - [0.0, 0.0, 0.0, 1.0]\n  cam", "  - [0.0, 0.0, 1.0, 1.0]\n  cam", "last row is 0, 0, 0, 1"),
         ("resolution: [640, 480]", "resolution: 640", "cam0.resolution: expected [width, height], got 640"),
         ("T_cn_cnm1:", "T_cn:", "cam1.T_cn_cnm1: expected a 4 x 4 matrix of finite numbers, got nothing"),
     ],
@@ -334,15 +283,8 @@ def test_exports_replace_nothing_unless_told(tmp_path):
 
 def test_the_command_replaces_no_rig_unless_told(tmp_path, capsys):
     out = tmp_path / "rig.yaml"
-    words = [
-        "rig",
-        "import",
-        str(write_sample("carla-python", tmp_path)),
-        "--format",
-        "carla-python",
-        "--out",
-        str(out),
-    ]
+    sample = str(write_sample("carla-python", tmp_path))
+    words = ["rig", "import", sample, "--format", "carla-python", "--out", str(out)]
     out.write_text("mine")
     assert main(words) == 2
     assert "rig.yaml: expected a file that does not exist yet" in capsys.readouterr().err
