@@ -12,8 +12,8 @@ from warpav.core.errors import InputError
 from warpav.experiments import arms as module
 from warpav.experiments.arms import METHODS, Arm, common_arms, find_arm, find_rig_of
 from warpav.optimisation.budget import BudgetedValue, SingleCameraValues
-from warpav.optimisation.losses.registry import LOSSES
 from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.settings import LOSSES
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.rig.rig import write_rig
 from warpav.runs.config import load_config, option_values

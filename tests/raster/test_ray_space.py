@@ -9,9 +9,9 @@ import warp as wp
 
 from tests.driving_scene import camera_pose, on_device
 from tests.raster.test_lenses import MODELS
-from warpav.optimisation import recording
-from warpav.optimisation.recording import Recording
+from warpav.raster import chunks
 from warpav.raster.camera import CameraModel
+from warpav.raster.chunks import Recording
 from warpav.raster.frame import Frame
 from warpav.raster.lens import TABLE_ENTRIES, Lens, image_table
 from warpav.raster.mesh import Mesh
@@ -165,7 +165,7 @@ def test_recorded_launches_follow_the_zoom(device, lens, monkeypatch):
     found, poses = {}, on_device([POSE], device)
     for name, is_recorded in (("recorded", True), ("launched", False), ("no room", True)):
         if name == "no room":
-            monkeypatch.setattr(recording, "_has_room", lambda device: False)
+            monkeypatch.setattr(chunks, "_has_room", lambda device: False)
         renderer = Renderer([model], device=device, thread_count=1)
         depth_m = []
         draw = Recording(

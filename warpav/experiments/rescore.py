@@ -34,7 +34,7 @@ from warpav.experiments.result_folder import (
     unseeded,
 )
 from warpav.experiments.rows import ROWS, read_rows
-from warpav.optimisation.losses.registry import LOSSES
+from warpav.optimisation.settings import LOSSES
 from warpav.rig.rig import read_rig
 from warpav.runs.config import Config, load_config, overridden_option, with_absolute_paths
 from warpav.runs.environment import environment, git_commit

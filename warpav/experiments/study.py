@@ -20,7 +20,7 @@ from warpav.core.errors import ArgumentError, InputError, OptionError
 from warpav.experiments.arms import Arm, find_arm
 from warpav.experiments.gradient_magnitude import LOSS_OF
 from warpav.experiments.rows import arm_name
-from warpav.optimisation.losses.registry import LOSSES
+from warpav.optimisation.settings import LOSSES
 from warpav.runs.config import Config, overridden_option
 from warpav.thesis.tables import thesis_table
 

@@ -18,11 +18,10 @@ import warp as wp
 from warpav.detection.probability import whole_solid_angle
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, PlacedViews
-from warpav.optimisation.recording import Recording
 from warpav.raster.areas import MEASURE_COUNT, Measures, WindowMeasures
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.chunks import ViewsAtOnce, beside_each_other, equal_chunks
+from warpav.raster.chunks import Recording, ViewsAtOnce, beside_each_other, equal_chunks
 from warpav.raster.pane import Pane
 from warpav.raster.renderer import Renderer
 from warpav.scene.device_scene import DeviceScene, UprightBoxes

@@ -330,19 +330,15 @@ class ZoneAndSpacing(Constraints):
     def _is_held(self) -> np.ndarray:
         return np.zeros(self.camera_count, bool) if self.frozen is None else self.frozen.is_frozen
 
-    @property
-    def _kept(self) -> np.ndarray:
-        """Which of the losses of all cameras and pairs count, int32 [constraint]."""
-        is_frozen = self._is_held
-        pairs = np.array(list(itertools.combinations(range(self.camera_count), 2)), int).reshape(-1, 2)
-        return np.flatnonzero(~np.concatenate([is_frozen, is_frozen[pairs].all(axis=1)])).astype(np.int32)
-
     def _on_device(self, device: Any) -> tuple[wp.array, wp.array]:  # noqa: ANN401 (Warp's)
         """The distances to the border, and the losses that count; copied to a device once."""
         if (key := str(device)) not in self._arrays:
+            is_frozen = self._is_held
+            pairs = np.array(list(itertools.combinations(range(self.camera_count), 2)), int).reshape(-1, 2)
+            kept = np.flatnonzero(~np.concatenate([is_frozen, is_frozen[pairs].all(axis=1)]))
             self._arrays[key] = (
                 wp.array(self.surface.border_distance_m, dtype=float, device=device),
-                wp.array(self._kept, dtype=wp.int32, device=device),
+                wp.array(kept, dtype=wp.int32, device=device),
             )
         return self._arrays[key]
 

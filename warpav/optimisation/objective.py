@@ -177,18 +177,12 @@ class RigObjective:
         return found[mount.cameras.index(model)] if mount.is_mixed else found[0]
 
     def add_camera_model(self, model: CameraModel, probability: CameraProbability) -> None:
-        """From now on say of cameras of another model than the mount's how likely they are to detect.
-
-        With it rigs of such cameras have a value, where `is_by_single_cameras`; the mount's cameras stay the same.
-        """
+        """From now on say of cameras of another model than the mount's how likely they are to detect."""
         self._others[model] = probability
 
     @property
     def is_by_single_cameras(self) -> bool:
-        """Whether a rig's value follows from what each camera detects by itself.
-
-        That is so of the expected miss rate alone, with ``combine=any`` and without the detector's own word.
-        """
+        """Whether a rig's value follows from what each camera detects by itself: the expected miss rate alone."""
         losses = [loss for _, loss in self.losses]
         loss = losses[0]
         if len(losses) > 1 or not isinstance(loss, ExpectedMissRate) or not self._probabilities:
@@ -196,10 +190,7 @@ class RigObjective:
         return loss.combine == "any" and not loss.detector_share > 0.0
 
     def value_of(self, detection_probability: np.ndarray, scene: AssignedScene) -> float:
-        """The objective of a rig on one scene by what its cameras detect, float [camera, object].
-
-        Only where `is_by_single_cameras`; a scene without objects has 0.
-        """
+        """The objective on one scene by what single cameras detect, float [camera, object]; 0 without objects."""
         [(weight, _)] = self.losses
         object_weight = self.object_weight([scene])
         if not detection_probability.shape[1] or (object_weight is not None and not object_weight.any()):
@@ -249,8 +240,6 @@ class RigObjective:
         with_constraints: bool = True,
     ) -> Evaluation:
         """Losses of cameras on the mount surface on some scenes; scenes are summed in the order given.
-
-        ``multiplier`` float [constraint].
 
         Everything goes to the device in one copy and comes back in one, unless the detector or a loss of the host takes
         part.
@@ -304,6 +293,8 @@ class RigObjective:
         pose_gradient = fetched.pose_gradient
         if self.mount.frozen is not None:
             pose_gradient[self.mount.frozen.is_frozen] = 0.0
+        asked = losses if detection_probability else []
+        found = [each.detection_probability.numpy() for each in asked if each.detection_probability is not None]
         seconds["total"] = time.perf_counter() - started
         return Evaluation(
             total=fetched.total + of_host if with_constraints else objective,
@@ -312,7 +303,7 @@ class RigObjective:
             gradient=pose_gradient if gradient else None,
             multiplier_gradient=fetched.multiplier_gradient if gradient else None,
             seconds=seconds,
-            detection_probability=_side_by_side(losses) if detection_probability else None,
+            detection_probability=np.concatenate(found, axis=1) if found else None,
         )
 
     def _evaluate_single_cameras(
@@ -346,10 +337,7 @@ class RigObjective:
         )
 
     def gradients(self, mount_pose: np.ndarray, scenes: Sequence[AssignedScene]) -> dict[str, np.ndarray]:
-        """Gradient of every loss by itself, without its weight, to the mount poses; float32 [camera, 7] by name.
-
-        Of the losses those of the device, each the mean over the scenes; then the constraints.
-        """
+        """Gradient of every loss of the device and of the constraints by itself, unweighted, [camera, 7] by name."""
         pose, exchange, schedule = np.asarray(mount_pose, np.float32), self._exchange, self.final_schedule
         views = self._views_for(schedule)
         device = self._objective.device
@@ -402,6 +390,10 @@ class RigObjective:
         """The views that the losses need: of every camera all rotational additions, or the one ahead."""
         rotation_count = self.mount.rotation_count if self._needs(schedule).panorama else 1
         if rotation_count not in self._views:
+            camera, samples = self.mount.camera, self.options.supersampling**2
+            samples *= self.camera_count * rotation_count * camera.width_px * camera.height_px
+            # while the detector works on some scenes, the next are rendered; a GPU takes less time than that would save
+            is_alone = wp.get_device(self.device).is_cuda or samples > _HELD_SAMPLES_MAX
             renderers = [
                 Renderer(
                     [self.mount.camera] * (self.camera_count * rotation_count),
@@ -410,21 +402,10 @@ class RigObjective:
                     device=self.device,
                     foreground_layer=self._needs(schedule).unblocked_area,
                 )
-                for _ in range(self._renderer_count(rotation_count))
+                for _ in range(1 if is_alone else 2 * _SCENES_PER_QUESTION)
             ]
             self._views[rotation_count] = RigViews(self.mount, self._exchange.pose, rotation_count, renderers)
         return self._views[rotation_count]
-
-    def _renderer_count(self, rotation_count: int) -> int:
-        """Scenes whose renders are held at once.
-
-        While the detector works on some, the next are rendered. On a GPU rendering takes less time than it would save.
-        """
-        camera = self.mount.camera
-        pixels = self.camera_count * rotation_count * camera.width_px * camera.height_px
-        if wp.get_device(self.device).is_cuda or pixels * self.options.supersampling**2 > _HELD_SAMPLES_MAX:
-            return 1
-        return 2 * _SCENES_PER_QUESTION
 
     def _losses(
         self,
@@ -436,11 +417,7 @@ class RigObjective:
         *,
         gradient: bool,
     ) -> list[SceneLosses]:
-        """Losses of every scene.
-
-        The detector works on the images of some scenes while the next scenes are rendered; scenes are finished, and
-        their gradients added, in the order given.
-        """
+        """Losses of every scene; the detector works on images of some while the next are rendered."""
         slots = len(views.renderers)
         per_question = max(1, slots // 2)
         asked: deque[tuple[list[_Observed], Callable[[], list[Detections]]]] = deque()
@@ -525,10 +502,9 @@ class RigObjective:
         observed.step.set_detected(match >= 0)
 
     def observe_rig(self, rig: Rig, assigned: AssignedScene) -> tuple[Observation, Measures, float, np.ndarray | None]:
-        """What a rig that stands anywhere sees of one scene. Returns the detections; the measures of all views.
+        """What a rig that stands anywhere sees of one scene: detections, measures, the objective of this scene alone.
 
-        The objective of this scene alone; and the probability that each camera detects each object, by the model alone,
-        float [camera, object], None where no loss needs it.
+        And the probability that each camera detects each object, [camera, object]; None where no loss needs it.
         """
         at = self._views_for(self.final_schedule)
         views = views_of_rig(
@@ -575,22 +551,11 @@ class RigObjective:
                 assert isinstance(loss, HostLoss)
                 found, _ = loss.on_host(seen, None, None)
             value += weight * (1.0 / self._count(loss, [assigned])) * found
-        return observation, measures, value, _probability_of(seen)
-
-
-def _probability_of(seen: SceneOnTape) -> np.ndarray | None:
-    """Probability that each camera detects each object of a scene, float [camera, object]; None without a model."""
-    if seen.camera_probability is None:
-        return None
-    if seen.scene.vehicle_count == 0:
-        return np.zeros((seen.camera_count, 0), np.float32)
-    return seen.detection_probability.numpy()
-
-
-def _side_by_side(losses: Sequence[SceneLosses]) -> np.ndarray | None:
-    """Detection probabilities of all scenes, float [camera, object]; None where no loss knows them."""
-    found = [each.detection_probability.numpy() for each in losses if each.detection_probability is not None]
-    return np.concatenate(found, axis=1) if found else None
+        probability = None
+        if seen.camera_probability is not None:
+            is_peopled = scene.vehicle_count > 0
+            probability = seen.detection_probability.numpy() if is_peopled else np.zeros((len(at.ahead), 0), np.float32)
+        return observation, measures, value, probability
 
 
 def single_cameras_of(objective: RigObjective) -> SingleCameras | None:

@@ -288,14 +288,10 @@ class PoolSearch:
             if len(spread):
                 self.pool = self.pool.extended(spread, progress=self._progress)
         if self.points is not None:
-            self._check_requirements()
+            found = self.pool.detection_probability[:, -self.points.vehicle_count :]
+            seen = partial(self.cameras.visibility, self.pool.mount_pose, self.points)
+            self.points.check(found, seen, self.camera_count)
         self._todo = [("improve",)]
-
-    def _check_requirements(self) -> None:
-        """Reject a pool that cannot meet the hard requirements, with the names of those."""
-        assert self.points is not None
-        found = self.pool.detection_probability[:, -self.points.vehicle_count :]
-        self.points.check(found, partial(self.cameras.visibility, self.pool.mount_pose, self.points), self.camera_count)
 
     def _first_share(self, limit: int) -> int:
         """Camera renders that the first pool may take of so many."""
@@ -376,10 +372,7 @@ class PoolSearch:
         return camera_count if self._left is None else min(camera_count, self._left // len(self.scenes))
 
     def _is_better(self, rig: np.ndarray, objective: float, probability: np.ndarray | None = None) -> bool:
-        """Whether a rig is better than the best so far, which it then is; not if it breaks a hard requirement.
-
-        ``rig`` float32 [camera, 7]; ``probability`` [camera, object].
-        """
+        """Whether a rig is better than the best so far, which it then is; not if it breaks a hard requirement."""
         if self.points is not None:
             if probability is None:
                 row = rows_of(rig, self.pool.mount_pose)
@@ -613,9 +606,9 @@ class _Assembly:
             from scipy.optimize import linear_sum_assignment
 
             module, other = (self.mount.module_of(each) for each in (like[~is_held], free))
-            _, order = linear_sum_assignment(
-                _distance(like[~is_held], free) + _OTHER_MODULE * (module[:, None] != other)
-            )
+            difference = within_half_a_turn(like[~is_held][:, None].astype(np.float64) - free[None])
+            far = np.linalg.norm(difference[..., [X_M, Y_M, YAW_RAD]], axis=-1)  # in place [m] and direction [rad]
+            _, order = linear_sum_assignment(far + _OTHER_MODULE * (module[:, None] != other))
             free = free[order]
         elif self.mount.is_mixed:
             free = free[np.argsort(self.mount.module_of(free), kind="stable")]
@@ -624,12 +617,6 @@ class _Assembly:
 
     def _is_held(self, count: int) -> np.ndarray:
         return self.is_frozen if len(self.is_frozen) else np.zeros(count, bool)
-
-
-def _distance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """How far cameras [camera, 7] are from each other in place [m] and direction [rad], [one, other]."""
-    difference = within_half_a_turn(one[:, None].astype(np.float64) - other[None])
-    return np.linalg.norm(difference[..., [X_M, Y_M, YAW_RAD]], axis=-1)
 
 
 def _apart(mount_pose: np.ndarray, count: int, unit: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from warpav.optimisation.importance import Importance
 from warpav.optimisation.losses.loss import DeviceLoss, HostLoss, LossSchedule
 from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability, SceneOnTape
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, PlacedViews
-from warpav.optimisation.recording import Recording
+from warpav.raster.chunks import Recording
 from warpav.raster.renderer import Renderer
 from warpav.scene.device_scene import DeviceScene
 from warpav_kernels.placement import exchange
@@ -298,7 +298,10 @@ class SceneStep:
                 value, of_arrays = loss.on_host(scene, weight if gradient else None, tape)
                 host_value.append(value)
                 for array, part in of_arrays.items():
-                    gradients[array] = part if array not in gradients else _sum(gradients[array], part)
+                    if array in gradients:  # the sum of two, made on the host as they were
+                        both = gradients[array].numpy() + part.numpy()
+                        part = wp.array(both, dtype=part.dtype, device=part.device)  # noqa: PLW2901
+                    gradients[array] = part
         if tape is not None:
             tape.backward(grads={**dict(zip(losses, exchange.weights, strict=True)), **gradients})
         for k, loss in enumerate(losses):
@@ -307,8 +310,3 @@ class SceneStep:
         if self.losses.detection_probability is not None:
             wp.copy(self.losses.detection_probability, scene.detection_probability)
         self.losses = self.losses._replace(host_value=tuple(host_value))
-
-
-def _sum(one: wp.array, other: wp.array) -> wp.array:
-    """The sum of two gradients to one array, made on the host as they were."""
-    return wp.array(one.numpy() + other.numpy(), dtype=one.dtype, device=one.device)

@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema, create_model, model_validator
@@ -25,7 +25,44 @@ from warpav.core.section import (
     number_in,
     shown,
 )
-from warpav.optimisation.losses.registry import LOSSES
+
+
+class _Registered(NamedTuple):
+    """A loss that has a name."""
+
+    where: str  # its class, as ``module:class``
+    description: str  # what its weight weighs, for the configuration
+    one_field: bool = False  # whether it takes one field of view for all cameras
+
+
+LOSSES = {
+    "expected_miss_rate": _Registered(
+        "warpav.optimisation.losses.expected_miss_rate:ExpectedMissRate",
+        "the share of road users that no camera is expected to detect",
+    ),
+    "in_frame_rotation": _Registered(
+        "warpav.thesis.losses:InFrameRotation", "the in-frame rotation loss", one_field=True
+    ),
+    "detected_area": _Registered("warpav.thesis.losses:DetectedArea", "the detected object area loss", one_field=True),
+    "surface_blockage": _Registered(
+        "warpav.thesis.losses:SurfaceBlockage", "the surface blockage loss: what the ego vehicle hides", one_field=True
+    ),
+    "object_visibility": _Registered(
+        "warpav.thesis.losses:ObjectVisibility",
+        "the object visibility loss: detected_area without a detector",
+        one_field=True,
+    ),
+    "angular_coverage": _Registered(
+        "warpav.thesis.losses:AngularCoverage",
+        "the angular coverage loss: directions in no camera's view",
+        one_field=True,
+    ),
+    "detector_gradient": _Registered(
+        "warpav.thesis.detector_gradient:DetectorGradient",
+        "the detection network's own loss, differentiated through it; needs warpav[torch]",
+    ),
+}
+"""By name, in the order in which they are added up."""
 
 METHOD_LOSSES: dict[str, dict[str, Any]] = {
     "thesis": {"in_frame_rotation": 1.0, "detected_area": 10.0},

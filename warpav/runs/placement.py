@@ -22,14 +22,13 @@ from warpav.core.section import Section
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.importance import Importance, check_categories
 from warpav.optimisation.losses.loss import Loss, LossOptions, LossSchedule, Reference, losses_of
-from warpav.optimisation.losses.registry import LOSSES
 from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
 from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import ObjectiveOptions, RigObjective
 from warpav.optimisation.required_points import RequiredPoints
 from warpav.optimisation.rig_limits import RigLimits, range_text
-from warpav.optimisation.settings import ImportanceSettings, RobustSettings
+from warpav.optimisation.settings import LOSSES, ImportanceSettings, RobustSettings
 from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import warp as wp
 
 from warpav.core.errors import InputError
-from warpav.optimisation.losses.registry import LOSSES
-from warpav.optimisation.settings import LossSettings
+from warpav.optimisation.settings import LOSSES, LossSettings
 from warpav.raster.areas import AMODAL_AREA, VISIBLE_AREA
 
 if TYPE_CHECKING:

@@ -368,7 +368,9 @@ class Relaxation:
 
         is_row = self._row_index > 0  # the count is kept exactly, below
         row, row_dual = self._row_index[is_row], dual[is_row]
-        low, high = self._bounds(node)
+        low, high = self._low.copy(), self._high.copy()
+        for k, (least, most) in node.branch.items():
+            low[k], high[k] = least, most
         limit = np.where(row_dual > 0.0, low[row], high[row])
         row, row_dual, limit = (each[np.isfinite(limit)] for each in (row, row_dual, limit))
 
@@ -426,12 +428,6 @@ class Relaxation:
                 low, high = branch.get(k, (self._low[k], self._high[k]))
                 self._model.changeRowBounds(int(place[0]), float(low), float(high))
         self._in_force = set(branch)
-
-    def _bounds(self, node: Node) -> tuple[np.ndarray, np.ndarray]:
-        low, high = self._low.copy(), self._high.copy()
-        for k, (least, most) in node.branch.items():
-            low[k], high[k] = least, most
-        return low, high
 
     def _place_rows(self, rows: Iterable[int]) -> None:
         for k in rows:
