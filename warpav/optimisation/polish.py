@@ -10,7 +10,7 @@ images of some hundred pixels the objective is rough at the length of a step: a 
 as trust regions do, ends on the first bump, far above what can be had.
 
 Source: the model is a composite one, exact to first order, as in Gauss-Newton methods (Nocedal and Wright 2006, chapter
-10); `tests/benchmarks/test_polish.py` measures it against Adam and L-BFGS-B.
+10); docs/decisions/search.md has it beside Adam and L-BFGS-B.
 """
 
 from __future__ import annotations
