@@ -105,15 +105,7 @@ class Constraints(ABC):
 
     def violation_m(self, rig: Rig) -> float:
         """All excess over the borders plus all missing spacing [m]; frozen cameras break none by themselves."""
-        position_m = np.array([camera.position_m for camera in rig.cameras])
-        place_m, _ = self.surface.place_of(self.surface.left_of(position_m), self.surface.carriers_of(rig.cameras))
-        is_frozen = self._stands_frozen(position_m)
-        missing = sum(
-            max(self.min_spacing_m - math.dist(position_m[i], position_m[j]), 0.0)
-            for i, j in itertools.combinations(range(len(position_m)), 2)
-            if not (is_frozen[i] and is_frozen[j])
-        )
-        violation = float(self._excess_m(place_m[~is_frozen]).sum() + missing)
+        violation = sum(max(-each.slack_m, 0.0) for each in self.margins(rig))
         return violation if violation > _ROUNDING_M else 0.0
 
     def slack_m(self, place_m: np.ndarray, height_delta_m: np.ndarray) -> np.ndarray:
@@ -237,14 +229,9 @@ class Constraints(ABC):
     def random_place(self, camera_count: int, rng: np.random.Generator) -> np.ndarray:
         """Places that satisfy the constraints, uniform among all that do. Returns x and y [m], float64 [camera, 2]."""
         for _ in range(_RANDOM_TRIES):
-            place, height_delta = self._drawn(camera_count, rng), np.zeros(camera_count)
-            is_frozen = self._put_frozen(place, height_delta)
-            point_m = self._point_m(place, height_delta)
-            if all(
-                math.dist(point_m[i], point_m[j]) >= self.min_spacing_m
-                for i, j in itertools.combinations(range(camera_count), 2)
-                if not (is_frozen[i] and is_frozen[j])
-            ):
+            place = self._drawn(camera_count, rng)
+            self._put_frozen(place, np.zeros(camera_count))
+            if (self.slack_m(place, np.zeros(camera_count)) >= 0.0).all():
                 return place
         raise self.do_not_fit(camera_count)
 
@@ -269,10 +256,6 @@ class Constraints(ABC):
     @abstractmethod
     def _border_distance_m(self, place: np.ndarray) -> np.ndarray:
         """Distance of places [camera, 2] to the border of where a camera may stand [m], [camera]; negative outside."""
-
-    @abstractmethod
-    def _excess_m(self, place: np.ndarray) -> np.ndarray:
-        """By how much places [camera, 2] lie beyond the borders [m], of any shape."""
 
     @abstractmethod
     def _brought_in(self, place: np.ndarray, module: np.ndarray | None = None) -> np.ndarray:
@@ -398,9 +381,6 @@ class ZoneAndSpacing(Constraints):
 
     def _border_distance_m(self, place: np.ndarray) -> np.ndarray:
         return self.surface.zone_distance_m(place)
-
-    def _excess_m(self, place: np.ndarray) -> np.ndarray:
-        return np.maximum(self.margin_m - self.surface.zone_distance_m(place), 0.0)
 
     def _brought_in(self, place: np.ndarray, module: np.ndarray | None = None) -> np.ndarray:
         place = place.copy()

@@ -22,8 +22,8 @@ def range_text(pair: tuple[int, int]) -> str:
 class RigLimits:
     """How many cameras of each module a rig may have.
 
-    A rig is chosen out of columns: single cameras, and of a symmetric rig pairs of a camera and its mirror image, which
-    are two cameras. A column has a kind: a module, and whether it is a pair.
+    A rig is chosen out of columns: single cameras, or pairs of a symmetric rig. A column's kind is its module, and
+    whether it is a pair.
     """
 
     count: tuple[int, int]  # cameras of a rig, least and greatest, at least 1
@@ -73,11 +73,8 @@ class RigLimits:
 
     def first_kinds(self) -> np.ndarray:
         """Kinds of the columns of a rig to start from, int [column]: the least of each module, then the cheapest."""
-        counts = {name: low for name, (low, _) in self.of_module.items()}
-        for name in sorted(counts, key=lambda each: self.price.get(each, 0.0)):
-            counts[name] += min(self.of_module[name][1] - counts[name], max(self.count[0] - sum(counts.values()), 0))
         columns: list[int] = []
-        for name, count in counts.items():
+        for name, count in self._filled(self.count[0]).items():
             left = count
             for number, (module, size) in sorted(enumerate(self.kinds), key=lambda each: -each[1][1]):
                 taken = left // size if module == name else 0
@@ -97,13 +94,18 @@ class RigLimits:
 
     def cost_range(self) -> tuple[float, float]:
         """What the cheapest and the dearest rig cost, the latter at most `cost_max`."""
-        found = []
-        for is_dearest, wanted in ((False, self.count[0]), (True, self.count[1])):
-            counts = {name: low for name, (low, _) in self.of_module.items()}
-            for name in sorted(counts, key=lambda each: self.price.get(each, 0.0), reverse=is_dearest):
-                counts[name] += min(self.of_module[name][1] - counts[name], max(wanted - sum(counts.values()), 0))
-            found.append(sum(count * self.price.get(name, 0.0) for name, count in counts.items()))
-        return found[0], found[1] if self.cost_max is None else min(found[1], self.cost_max)
+        cheapest, dearest = (
+            sum(count * self.price.get(name, 0.0) for name, count in counts.items())
+            for counts in (self._filled(self.count[0]), self._filled(self.count[1], is_dearest=True))
+        )
+        return cheapest, dearest if self.cost_max is None else min(dearest, self.cost_max)
+
+    def _filled(self, wanted: int, *, is_dearest: bool = False) -> dict[str, int]:
+        """The least of each module, then of the cheapest or the dearest until there are as many as wanted."""
+        counts = {name: low for name, (low, _) in self.of_module.items()}
+        for name in sorted(counts, key=lambda each: self.price.get(each, 0.0), reverse=is_dearest):
+            counts[name] += min(self.of_module[name][1] - counts[name], max(wanted - sum(counts.values()), 0))
+        return counts
 
     def size(self, kind: np.ndarray) -> int:
         """Cameras that columns of some kinds stand for."""

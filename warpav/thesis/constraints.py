@@ -60,11 +60,9 @@ class BoundsAndSpacing(Constraints):
 
     def _border_distance_m(self, place: np.ndarray) -> np.ndarray:
         low_m, high_m = self.surface.bounds_m
-        return np.minimum(place - low_m, high_m - place).min(axis=-1)
-
-    def _excess_m(self, place: np.ndarray) -> np.ndarray:
-        low_m, high_m = self.surface.bounds_m
-        return np.maximum(low_m - place, 0.0) + np.maximum(place - high_m, 0.0)
+        inside_m = np.minimum(place - low_m, high_m - place)
+        beyond_m = np.minimum(inside_m, 0.0).sum(axis=-1)  # of both axes together
+        return np.where(beyond_m < 0.0, beyond_m, inside_m.min(axis=-1))
 
     def _brought_in(self, place: np.ndarray, module: np.ndarray | None = None) -> np.ndarray:
         low_m, high_m = self.surface.bounds_m
