@@ -197,9 +197,9 @@ def run_rescores(planned: Sequence[Rescoring], *, progress: Progress) -> list[Fi
 def plan_panel(folder: Path, config: Config, panel: Path, *, name: str, progress: Progress) -> list[Rescoring]:
     """What there is to do to let every network of a folder judge the rigs of a study, at its own image size."""
     planned = []
-    for network in networks_in(panel, config):
-        progress.say(f"{network.name} judges images of {network.width_px} x {network.height_px} px")
-        planned.append(plan_rescore(folder, network.config(config), name=f"{name}_{network.name}", judge=network.name))
+    for network, judged in networks_in(panel, config).items():
+        progress.say(f"{network} judges images of {judged.camera.width_px} x {judged.camera.height_px} px")
+        planned.append(plan_rescore(folder, judged, name=f"{name}_{network}", judge=network))
     return planned
 
 

@@ -421,7 +421,7 @@ def score_detectors(
     seeds = config.scenes.test_seeds if seeds is None else seeds
     configs = {Path(config.detector.model).stem: config}
     if panel is not None:
-        configs = {network.name: network.config(config) for network in networks_in(panel, config)}
+        configs = networks_in(panel, config)
     found = []
     for name, each in configs.items():
         progress.say(f"{name}: {len(seeds)} scenes")

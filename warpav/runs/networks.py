@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Sequence
@@ -11,12 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import Field
 
 from warpav.core.cache import digest
 from warpav.core.errors import InputError, OptionError, install_text
+from warpav.core.records import Form, read_form
 from warpav.core.warp_setup import checked_device
-from warpav.core.yaml_file import read_yaml
-from warpav.runs.config import Config, flow_text, load_config, with_absolute_paths
+from warpav.runs.config import Config, with_absolute_paths
 from warpav.runs.mounts import camera_model
 from warpav.runs.scene_set import own_vehicle_digest, recordings_digest
 
@@ -195,45 +195,25 @@ def load_networks(config: Config) -> Networks:
 _NETWORK_OPTIONS = ("detector.model", "detector.format", "detector.labels", "detector.classes", "detector.input_px")
 """Options that say what a network is: a panel asks the files."""
 
-_DESCRIBED = ("format", "labels", "classes", "input_px", "confidence_min", "nms_iou_max")
-"""Options of the section ``detector`` that the description of a network may set."""
 
-_IMAGE_SIZE = ("width_px", "height_px")
-"""Size of the images that a network judges, in its description."""
+class _NetworkForm(Form):
+    """What a file beside a network says of it: options of the section ``detector``, and the size of its images."""
 
-
-@dataclass(frozen=True)
-class _PanelNetwork:
-    """A network of a panel."""
-
-    name: str  # the name of its file in lower-case letters, digits and underscores
-    file: Path  # its ONNX file, absolute
-    width_px: int  # width of the images that it judges
-    height_px: int  # their height
-    described: tuple[str, ...] = ()  # options that its description sets, as overrides
-
-    @property
-    def overrides(self) -> tuple[str, ...]:
-        """What makes a configuration that of this network."""
-        return (
-            *_network_overrides(self.file),
-            *self.described,
-            f"camera.width_px={self.width_px}",
-            f"camera.height_px={self.height_px}",
-        )
-
-    def config(self, config: Config) -> Config:
-        """The configuration with this network as its detector."""
-        return load_config(config, self.overrides)
+    format: Any = None
+    labels: Any = None
+    classes: Any = None
+    input_px: Any = None
+    confidence_min: Any = None
+    nms_iou_max: Any = None
+    width_px: int | None = Field(None, ge=1, description="a whole number above 0, beside height_px")
+    height_px: int | None = Field(None, ge=1, description="a whole number above 0, beside width_px")
 
 
-def networks_in(folder: Path, config: Config) -> list[_PanelNetwork]:
-    """The ONNX files of a folder, by name, each tried on an image.
+def networks_in(folder: Path, config: Config) -> dict[str, Config]:
+    """The configurations that have the ONNX files of a folder as their detectors, by name, each tried on an image.
 
     A file that fixes its input gets images that fill it, in the proportions of the configured camera; one that takes
-    any size gets images of the configured size. Beside ``name.onnx`` may lie ``name.yaml``, its description: options
-    of the section ``detector`` (`_DESCRIBED`) that the file itself does not tell, and the size of its images
-    (`_IMAGE_SIZE`).
+    any size gets images of the configured size. ``name.yaml`` beside ``name.onnx`` describes it, see `_NetworkForm`.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of ONNX files, got {'a file' if folder.exists() else 'none'}")
@@ -251,36 +231,35 @@ def networks_in(folder: Path, config: Config) -> list[_PanelNetwork]:
                 "rename one of them"
             )
         named[name] = file.absolute()
-    found = []
-    for name, file in named.items():
-        described, size_px = _description(file.with_suffix(".yaml"))
-        detector = load_detector(load_config(config, (*_network_overrides(file), *described)))
-        found.append(_PanelNetwork(name, file, *(size_px or _image_size_px(detector, config)), described))
-    return found
+    return {name: _panel_config(file, config) for name, file in named.items()}
 
 
-def _description(file: Path) -> tuple[tuple[str, ...], tuple[int, int] | None]:
-    """What the description of a network says, if there is one: overrides, and the size of its images."""
+def _panel_config(file: Path, config: Config) -> Config:
+    asked = {"format": "auto", "labels": None, "classes": {}, "input_px": None}
+    described = _description(file.with_suffix(".yaml"))
+    asked_of_file = {f"detector.{name}": value for name, value in asked.items()}
+    found = config.replace({"detector.model": str(file), **asked_of_file, **described})
+    detector = load_detector(found)
+    if detector.takes_any_size or "camera.width_px" in described:
+        return found
+    width_px, height_px = config.camera.width_px, config.camera.height_px
+    rows, columns = detector.input_size_px(height_px, width_px)
+    scale = min(columns / width_px, rows / height_px)
+    size_px = (max(1, round(width_px * scale)), max(1, round(height_px * scale)))
+    return found.replace({"camera.width_px": size_px[0], "camera.height_px": size_px[1]})
+
+
+def _description(file: Path) -> dict[str, object]:
+    """The options that the description of a network sets, if there is one."""
     if not file.is_file():
-        return (), None
-    data, line_of = read_yaml(file)
-    known = (*_DESCRIBED, *_IMAGE_SIZE)
-    if not isinstance(data, dict):
-        raise InputError(f"{file}: expected options of a network such as input_px: 640, got {type(data).__name__}")
-    for name in data:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise InputError(f"{file}:{line_of[(name,)]}: expected one of {', '.join(known)}, got {name!r}{hint}")
-    overrides = tuple(f"detector.{name}={flow_text(data[name])}" for name in _DESCRIBED if name in data)
-    width_px, height_px = (data.get(name) for name in _IMAGE_SIZE)
-    if width_px is None and height_px is None:
-        return overrides, None
-    if type(width_px) is not int or type(height_px) is not int or min(width_px, height_px) < 1:
-        raise InputError(
-            f"{file}: width_px and height_px: expected two whole numbers above 0, got {width_px} and {height_px}"
-        )
-    return overrides, (width_px, height_px)
+        return {}
+    form, mistakes = read_form(_NetworkForm, file)
+    if (form.width_px is None) != (form.height_px is None):
+        mistakes.note("expected width_px and height_px, got one of them", "width_px")
+        mistakes.refuse()
+    size_px = {"width_px", "height_px"}
+    given = form.model_dump(exclude_unset=True)
+    return {f"{'camera' if name in size_px else 'detector'}.{name}": value for name, value in given.items()}
 
 
 def check_panel_options(option_names: Sequence[str]) -> None:
@@ -291,23 +270,3 @@ def check_panel_options(option_names: Sequence[str]) -> None:
                 f"command line ({option}): expected an option that all networks of a panel share, got one that each "
                 "file answers; leave it out"
             )
-
-
-def _network_overrides(file: Path) -> tuple[str, ...]:
-    return (
-        f"detector.model={flow_text(str(file.absolute()))}",
-        "detector.format=auto",
-        "detector.labels=null",
-        "detector.classes={}",
-        "detector.input_px=null",
-    )
-
-
-def _image_size_px(detector: OnnxDetector, config: Config) -> tuple[int, int]:
-    """Width and height of the images that a network judges."""
-    width_px, height_px = config.camera.width_px, config.camera.height_px
-    if detector.takes_any_size:
-        return width_px, height_px
-    rows, columns = detector.input_size_px(height_px, width_px)
-    scale = min(columns / width_px, rows / height_px)
-    return max(1, round(width_px * scale)), max(1, round(height_px * scale))
