@@ -228,6 +228,7 @@ def _top_view(run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any: 
         mount_surface=drawn.surface.over_ground,
         rig_initial=drawn.start,
         trajectory_m=trajectory(drawn.events),
+        shows_zone=drawn.config.method != "thesis",
         heading=canvas.title,
     )
 

@@ -6,6 +6,7 @@ import io
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,11 +16,13 @@ from warpav.core.progress import Progress
 from warpav.evaluation.metrics import ObjectOutcome
 from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.rig.rig import Rig
+from warpav.runs.drawn_run import DrawnRun
 from warpav.runs.evaluate import requirements_of
 from warpav.runs.events import trajectory
 from warpav.runs.placement import Placement
 from warpav.runs.report.content import read_evaluation
 from warpav.runs.run_folder import RunFolder
+from warpav.view import Canvas, drawing_of, plot
 
 if TYPE_CHECKING:
     from warpav.detection.probability import DetectionProbability
@@ -79,53 +82,30 @@ class RunPictures:
 
     def _draw_few(self) -> None:
         """The pictures of the first page, but for the rig."""
-        from warpav.view import plot
-        from warpav.view.figures.convergence import loss_figure, search_figure
         from warpav.view.figures.images import detections_sheet
-        from warpav.view.figures.statistics import sensitivity_figure
 
-        events, min_spacing_m = self.folder.events(), self.placement.objective.constraints.min_spacing_m
-        search = search_figure(events)
-        tolerance, outages = self.evaluation.mount_tolerance, self.evaluation.camera_outage.get("optimised")
-        figures = {
-            "search": search,
-            "loss_curves": loss_figure(events, min_distance_m=min_spacing_m) if search is None else None,
-            "sensitivity": None if tolerance is None else sensitivity_figure(tolerance.tolerance(), outages),
-        }
-        self._save(figures)
+        drawn = self._drawn
+        has_search = any(event.get("stage") == "selection" for event in drawn.all_events)
+        self._plot(drawn, "search", "search" if has_search else "loss_curves")
+        if self.evaluation.mount_tolerance is not None:
+            outages = self.evaluation.camera_outage.get("optimised")
+            self._plot(self.evaluation.mount_tolerance.tolerance(), "tolerance", "sensitivity", outages=outages)
         for kind in ("plan", "near_field"):
-            plot(self.rigs, kind=kind, ego=self.scene.ego, out=self.folder.figure_path(kind))
+            self._plot(drawn, kind)
         detections_sheet(self._panels(self.test[0]), self.folder.figure_path("detections"))
 
     def _draw_further(self) -> None:
         """All other pictures, and what the report's maps of the ground are drawn from."""
         from warpav.sight.ground import BlindGround
-        from warpav.view import plot
         from warpav.view.figures.near_field import requirement_map
-        from warpav.view.figures.top_view import further_figure, top_view_figure
 
-        placement, ego = self.placement, self.scene.ego
-        constraints, surface = placement.objective.constraints, placement.mount.surface.over_ground
-        further = self.folder.further_cameras()
-        figures = {
-            "rig_top_view": top_view_figure(
-                rig=self.found,
-                ego=ego,
-                mount_surface=surface,
-                rig_initial=self.start,
-                trajectory_m=trajectory(self.folder.events()),
-                shows_zone=constraints.are_inequalities,
-            )
-        }
-        if further is not None:
-            objects = "vehicles" if placement.config.scenes.targets == ("vehicle",) else "road users"
-            figures["further_cameras"] = further_figure(
-                further=further, rig=self.found, ego=ego, mount_surface=surface, objects=objects
-            )
-        self._save(figures)
-        plot(self.rigs, kind="redundancy", ego=ego, out=self.folder.figure_path("redundancy"))
+        placement, drawn = self.placement, self._drawn
+        self._plot(drawn, "top_view", "rig_top_view")
+        if drawn.further is not None and len(drawn.further):
+            self._plot(drawn, "further", "further_cameras")
+        self._plot(drawn, "redundancy")
         if placement.fitted_probabilities:
-            plot(self.rigs, kind="range", ego=ego, probability=self._probability, out=self.folder.figure_path("range"))
+            self._plot(self.rigs, "range", ego=self.scene.ego, probability=self._probability)
         for name, met in requirements_of(self.rigs, placement).items():
             file = self.folder.figure_path(f"requirements_{name}")
             requirement_map(file, result=met, rig=self.rigs[name], ego=placement.ego)
@@ -133,6 +113,22 @@ class RunPictures:
         self.folder.write_ground(BlindGround.of(self.rigs, scenes).arrays(placement.ego.bounds_m()))
         shown = _shown_scenes(self.test, self.evaluation)
         _keep_views(self.folder, [(each.scene.name, self._panels(each)) for each in shown])
+
+    @cached_property
+    def _drawn(self) -> DrawnRun:
+        return DrawnRun(
+            str(self.folder.path),
+            self.placement.config,
+            self.start,
+            self.found,
+            self.folder.events(),
+            lambda: self.scene,
+            lambda _: self.placement.mount.surface,
+            self.folder.further_cameras,
+        )
+
+    def _plot(self, shown: object, kind: str, name: str | None = None, **options: Any) -> None:  # noqa: ANN401
+        plot(shown, kind=kind, out=self.folder.figure_path(name or kind), **options)
 
     def _draw_rig(self) -> str | None:
         """Start and result on the vehicle in the first test scene, side by side."""
@@ -143,7 +139,6 @@ class RunPictures:
             return problem
         from PIL import Image
 
-        from warpav.view import Canvas, drawing_of
         from warpav.view.output import render_rgb, write_whole
 
         path_m = {"optimised": trajectory(self.folder.events())}
@@ -159,13 +154,6 @@ class RunPictures:
         Image.fromarray(np.hstack(images)).save(encoded, format="PNG", compress_level=4)
         write_whole(self.folder.figure_path("rig"), encoded.getvalue())
         return None
-
-    def _save(self, figures: Mapping[str, Any]) -> None:
-        from warpav.view.figures.style import save_figure
-
-        for name, figure in figures.items():
-            if figure is not None:
-                save_figure(figure, self.folder.figure_path(name))
 
     def _panels(self, assigned: AssignedScene) -> dict[str, list[DetectionPanel]]:
         """What the cameras of both rigs see of a scene."""
