@@ -2,7 +2,6 @@
 
 import pytest
 
-from tests.cli.small_run import complaint
 from tests.rig.test_catalogue import ONE
 from warpav.cli.app import main
 from warpav.rig.catalogue import builtin_modules
@@ -41,7 +40,3 @@ def test_every_problem_is_a_line_and_the_status_2(working_directory, capsys, com
         "that of the whole sensor\n"
         "mine.yaml:12: modules[0].power_w: expected watts from 0 on, got -1; write null where it is unknown\n"
     )
-
-
-def test_a_file_that_is_not_there_is_named(capsys):
-    assert "none.yaml: expected a readable YAML file" in complaint(capsys, "modules", "check", "none.yaml")

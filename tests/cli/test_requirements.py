@@ -2,7 +2,6 @@
 
 import json
 
-import pytest
 from PIL import Image
 
 from warpav.cli.app import main
@@ -33,14 +32,6 @@ def test_what_is_met_is_said(working_directory, capsys):
     assert lines[2] == "all requirements are met"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (["edgar", "--requirements", "nearfield"], "did you mean near_field?"),
-        (["edgr"], "did you mean edgar"),
-        (["edgar", "--image", "out.jpg"], "expected a name that ends in .png"),
-    ],
-)
-def test_bad_input_is_status_2(working_directory, capsys, arguments, text):
-    assert main(["rig", "requirements", *arguments]) == 2
-    assert text in capsys.readouterr().err
+def test_a_picture_that_is_none_is_status_2(working_directory, capsys):
+    assert main(["rig", "requirements", "edgar", "--image", "out.jpg"]) == 2
+    assert "expected a name that ends in .png" in capsys.readouterr().err

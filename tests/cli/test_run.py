@@ -46,18 +46,6 @@ def test_the_run_folder_is_complete(run_folder):
     assert run_folder.path.joinpath("report.html").read_text(encoding="utf-8").count("<img") <= 6
 
 
-def test_the_events_have_the_documented_fields(run_folder):
-    events = run_folder.events()
-    assert [event["iteration"] for event in events] == [0, 1, 2]
-    for event in events:
-        assert set(event["gradient_norm"]) == {"position", "rotation"}
-        assert set(event["seconds"]) == {"render", "detect", "backward", "total"}
-        assert np.shape(event["positions_m"]) == (2, 3)
-        assert np.shape(event["yaw_deg"]) == (2,)
-        assert event["terms"]
-        assert event["multipliers"]
-
-
 def test_the_evaluation_has_the_documented_fields(run_folder):
     evaluation = run_folder.evaluation()
     assert (evaluation["schema"], evaluation["scenes"]) == (1, {"test": 2})
