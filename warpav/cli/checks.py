@@ -134,20 +134,9 @@ def bench(
     sweep: Annotated[bool, Parameter(help="Measure W1 with supersampling x1, x2, x4 and x8 as well.")] = False,
 ) -> None:
     """Measure the renderer on a benchmark, score its gradient, and set it beside other renderers."""
-    from warpav.experiments.bench.run import run_bench
+    from warpav.experiments.bench.run import BenchOptions, run_bench
     from warpav.runs.progress import RunDisplay
 
     with RunDisplay() as display:
-        run_bench(
-            workload,
-            truth,
-            lens=lens,
-            device=device,
-            items=items,
-            supersampling=supersample,
-            repeat=repeat,
-            json_file=json,
-            with_embree=embree,
-            with_sweep=sweep,
-            progress=display,
-        )
+        options = BenchOptions(device, lens, items, supersample, repeat, embree, sweep)
+        run_bench(workload, truth, options, json_file=json, progress=display)

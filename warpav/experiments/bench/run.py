@@ -12,6 +12,8 @@ import tempfile
 import time
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,50 +48,81 @@ MAX_EMBREE_RAYS, MAX_EMBREE_TRIANGLES = 1 << 24, 1_000_000
 _MAX_EMBREE_REPEAT = 5
 
 
+@dataclass(frozen=True)
+class BenchOptions:
+    """What is measured, and how."""
+
+    device: str = "cpu"
+    lens: str = "pinhole"
+    items: str = "w1,w2,w3"
+    supersampling: int = 1  # of W1, samples per pixel along each axis
+    repeat: int = 7
+    with_embree: bool | None = None  # None: where its minutes are worth the comparison
+    with_sweep: bool = False  # W1 with every supersampling as well
+
+
 def run_bench(
     workload_file: Path | None,
     truth_file: Path | None,
+    options: BenchOptions,
     *,
-    lens: str = "pinhole",
-    device: str,
-    items: str,
-    supersampling: int,
-    repeat: int,
     json_file: Path | None,
-    with_embree: bool | None,
-    with_sweep: bool,
     progress: Progress,
 ) -> dict[str, Any]:
     """Measure, print the tables, write the files, and return what the JSON file holds."""
-    wanted = _checked_items(items)
-    if repeat < 1:
-        raise ArgumentError("repeat", f"expected at least 1, got {repeat}")
+    wanted = [name.strip() for name in options.items.split(",")]
+    unknown = [name for name in wanted if name not in _ITEMS]
+    if unknown:
+        raise ArgumentError("items", f"expected some of {','.join(_ITEMS)}, got {unknown[0]!r}")
+    if options.repeat < 1:
+        raise ArgumentError("repeat", f"expected at least 1, got {options.repeat}")
     if json_file is not None:
         _check_target(json_file)
     load_warp()
-    device = checked_device(device)
+    device = checked_device(options.device)
+    workload, truth = _read_work(workload_file, truth_file, options.lens)
+
+    from warpav.experiments.bench.items import Bench
+
+    progress.stage(f"packing {workload.name}: {len(workload.triangle)} triangles, {workload.view_count} views")
+    began = time.perf_counter()
+    bench = Bench(workload, pack_workload(workload, device=device), device=device)
+    pack_ms = 1000.0 * (time.perf_counter() - began)
+    content = _described(bench, options)
+    with contextlib.ExitStack() as files:  # they appear when everything is measured
+        _measure(bench, truth, options, content, pack_ms, partial(_written, content, json_file, files), progress)
+    if json_file is not None:
+        write_json(json_file, content)
+    is_embedded = workload.is_same_work(embedded_workload())
+    progress.show(bench_table(content, with_peers=is_embedded))
+    for line in peer_note().splitlines() if is_embedded else ():
+        progress.say(line)
+    if options.with_sweep:
+        progress.show(sweep_table(content, truth if truth is not None and truth.gradient else None))
+    return content
+
+
+def _read_work(workload_file: Path | None, truth_file: Path | None, lens: str) -> tuple[Workload, Truth | None]:
+    """The workload through a lens, and its truth where that is known."""
     workload = embedded_workload() if workload_file is None else read_workload(workload_file)
     if lens not in LENSES:
         raise ArgumentError("lens", f"expected one of {', '.join(LENSES)}, got {lens!r}")
     if lens != "pinhole":
         if truth_file is not None:
             raise ArgumentError("truth", f"expected none with the lens {lens}, as truths are those of pinholes")
-        workload = dataclasses.replace(workload, lens=lens)
         from warpav.experiments.bench.reference import embree_truth
 
-        truth = embree_truth(workload)
-    elif truth_file is not None:
-        truth = read_truth(truth_file, workload)
-    else:
-        truth = embedded_truth(workload) if workload_file is None else None
+        workload = dataclasses.replace(workload, lens=lens)
+        return workload, embree_truth(workload)
+    if truth_file is not None:
+        return workload, read_truth(truth_file, workload)
+    return workload, embedded_truth(workload) if workload_file is None else None
 
-    from warpav.experiments.bench.items import Bench, object_type
 
-    progress.stage(f"packing {workload.name}: {len(workload.triangle)} triangles, {workload.view_count} views")
-    began = time.perf_counter()
-    bench = Bench(workload, pack_workload(workload, device=device), device=device)
-    pack_ms = 1000.0 * (time.perf_counter() - began)
-    content: dict[str, Any] = {
+def _described(bench: Bench, options: BenchOptions) -> dict[str, Any]:
+    """What the JSON file says of a run before anything is measured."""
+    workload = bench.workload
+    return {
         "schema": SCHEMA,
         "versions": {
             "warpav": metadata.version("warpav"),
@@ -106,64 +139,71 @@ def run_bench(
             "res": workload.size_px,
             "visible": int(workload.is_visible),
         },
-        "options": {"supersample": supersampling, "w2_w3_supersample": 1, "lens": lens},
+        "options": {"supersample": options.supersampling, "w2_w3_supersample": 1, "lens": options.lens},
         "items": {},
         "scores": {},
     }
-    found, scores = content["items"], content["scores"]
+
+
+_Arrays = Mapping[str, tuple[tuple[int, ...], np.dtype]]
+
+
+def _written(
+    content: dict[str, Any], json_file: Path | None, files: contextlib.ExitStack, item: str, arrays: _Arrays
+) -> Callable[..., None] | None:
+    """Appends to the arrays of an item beside the JSON file; None where there is none."""
+    if json_file is None:
+        return None
+    file = json_file.with_name(f"{json_file.name.removesuffix('.json')}.{item}.npz")
+    content["items"][item]["arrays"] = file.name
+    return files.enter_context(array_file(file, arrays))
+
+
+def _measure(
+    bench: Bench,
+    truth: Truth | None,
+    options: BenchOptions,
+    content: dict[str, Any],
+    pack_ms: float,
+    written: Callable[[str, _Arrays], Callable[..., None] | None],
+    progress: Progress,
+) -> None:
+    """Measure what is asked for into the content of the JSON file."""
+    from warpav.experiments.bench.items import object_type
+
+    workload, repeat, found, scores = bench.workload, options.repeat, content["items"], content["scores"]
     image = (workload.view_count, workload.size_px, workload.size_px)
-    with contextlib.ExitStack() as stack:  # the files appear when everything is measured
 
-        def written(item: str, arrays: Mapping[str, tuple[tuple[int, ...], np.dtype]]) -> Callable[..., None] | None:
-            if json_file is None:
-                return None
-            file = json_file.with_name(f"{json_file.name.removesuffix('.json')}.{item}.npz")
-            found[item]["arrays"] = file.name
-            return stack.enter_context(array_file(file, arrays))
+    def silhouettes(supersampling: int) -> tuple[dict[str, Any], dict[str, Any]]:
+        progress.stage(f"W1, supersampling x{supersampling}")
+        return _measure_silhouettes(bench, truth, supersampling, repeat=repeat, pack_ms=pack_ms)
 
-        if "w1" in wanted:
-            progress.stage(f"W1, supersampling x{supersampling}")
-            found["w1"], of_w1 = _measure_silhouettes(bench, truth, supersampling, repeat=repeat, pack_ms=pack_ms)
-            scores.update(of_w1)
-        if "w2" in wanted:
-            progress.stage("W2")
-            found["w2"] = _entry(bench.time_depth_and_object(repeat=repeat), bench, pack_ms)
-            number = object_type(len(workload.triangle_count))
-            append = written("w2", {"ids": (image, number), "depth": (image, np.dtype(np.float32))})
-            scores.update(_collect_images(bench, truth, append))
-        if "w3" in wanted:
-            progress.stage("W3")
-            found["w3"] = _entry(bench.time_rgb(repeat=repeat), bench, pack_ms)
-            append = written("w3", {"rgb": ((*image, 3), np.dtype(np.float32))})
-            for _, rgb in bench.rgb() if append else ():
-                append("rgb", rgb)
-        if with_sweep:
-            content["sweep"] = []
-            for level in _SWEEP:
-                progress.stage(f"W1, supersampling x{level}")
-                entry, level_scores = _measure_silhouettes(bench, truth, level, repeat=repeat, pack_ms=pack_ms)
-                del entry["grad"], entry["value"]
-                content["sweep"].append({"supersample": level, **entry, "scores": level_scores})
-        if with_embree is None:
-            with_embree = (
-                bench.device.is_cpu
-                and workload.view_count * workload.size_px**2 <= MAX_EMBREE_RAYS
-                and len(workload.triangle) <= MAX_EMBREE_TRIANGLES
-            )
-        if with_embree and {"w2", "w3"} & wanted:
-            progress.stage("embree")
-            content["reference"] = {"embreex": _measure_embree(workload, wanted, found, repeat)}
-    if json_file is not None:
-        write_json(json_file, content)
-
-    is_embedded = workload.is_same_work(embedded_workload())
-    progress.show(bench_table(content, with_peers=is_embedded))
-    if is_embedded:
-        for line in peer_note().splitlines():
-            progress.say(line)
-    if with_sweep:
-        progress.show(sweep_table(content, truth if truth is not None and truth.gradient else None))
-    return content
+    if "w1" in options.items:
+        found["w1"], of_w1 = silhouettes(options.supersampling)
+        scores.update(of_w1)
+    if "w2" in options.items:
+        progress.stage("W2")
+        found["w2"] = _entry(bench.time_depth_and_object(repeat=repeat), bench, pack_ms)
+        number = object_type(len(workload.triangle_count))
+        append = written("w2", {"ids": (image, number), "depth": (image, np.dtype(np.float32))})
+        scores.update(_collect_images(bench, truth, append))
+    if "w3" in options.items:
+        progress.stage("W3")
+        found["w3"] = _entry(bench.time_rgb(repeat=repeat), bench, pack_ms)
+        append = written("w3", {"rgb": ((*image, 3), np.dtype(np.float32))})
+        for _, rgb in bench.rgb() if append else ():
+            append("rgb", rgb)
+    if options.with_sweep:
+        content["sweep"] = []
+        for level in _SWEEP:
+            entry, level_scores = silhouettes(level)
+            del entry["grad"], entry["value"]
+            content["sweep"].append({"supersample": level, **entry, "scores": level_scores})
+    is_small = workload.view_count * workload.size_px**2 <= MAX_EMBREE_RAYS
+    is_worth_it = bench.device.is_cpu and is_small and len(workload.triangle) <= MAX_EMBREE_TRIANGLES
+    if {"w2", "w3"} & found.keys() and (is_worth_it if options.with_embree is None else options.with_embree):
+        progress.stage("embree")
+        content["reference"] = {"embreex": _measure_embree(workload, found, repeat)}
 
 
 def _measure_silhouettes(
@@ -192,12 +232,12 @@ def _collect_images(bench: Bench, truth: Truth | None, append: Callable[..., Non
     return {"w2": image_scores.result()} if image_scores is not None else {}
 
 
-def _measure_embree(workload: Workload, wanted: set[str], found: Mapping[str, Any], repeat: int) -> dict[str, Any]:
+def _measure_embree(workload: Workload, found: Mapping[str, Any], repeat: int) -> dict[str, Any]:
     from warpav.experiments.bench.reference import time_embree
 
     times_ms = time_embree(workload, repeat=min(repeat, _MAX_EMBREE_REPEAT))
     result: dict[str, Any] = {"version": metadata.version("embreex"), "threads": 1}
-    for name in sorted(wanted & set(times_ms)):
+    for name in sorted(found.keys() & times_ms.keys()):
         median_ms = statistics.median(times_ms[name])
         result[name] = {**_spread(times_ms[name]), "ratio": found[name]["median_ms"] / median_ms}
     return result
@@ -225,31 +265,16 @@ def _spread(times_ms: list[float]) -> dict[str, float | int]:
 def _device(bench: Bench) -> dict[str, Any]:
     if bench.device.is_cuda:
         return {"kind": "cuda", "name": bench.device.name}
-    has_affinity = hasattr(os, "sched_getaffinity")
-    cores = len(os.sched_getaffinity(0)) if has_affinity else os.cpu_count() or 1
-    return {"kind": "cpu", "name": _processor_name(), "cores": cores}
-
-
-def _processor_name() -> str:
-    with contextlib.suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
-
-
-def _checked_items(items: str) -> set[str]:
-    names = [name.strip() for name in items.split(",")]
-    unknown = [name for name in names if name not in _ITEMS]
-    if unknown:
-        raise ArgumentError("items", f"expected some of {','.join(_ITEMS)}, got {unknown[0]!r}")
-    return set(names)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    name = platform.processor() or platform.machine()
+    with contextlib.suppress(OSError, StopIteration):
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        name = next(line for line in lines if line.startswith("model name")).partition(":")[2].strip()
+    return {"kind": "cpu", "name": name, "cores": cores}
 
 
 @contextlib.contextmanager
-def array_file(
-    file: Path, arrays: Mapping[str, tuple[tuple[int, ...], np.dtype]]
-) -> Iterator[Callable[[str, np.ndarray], None]]:
+def array_file(file: Path, arrays: _Arrays) -> Iterator[Callable[[str, np.ndarray], None]]:
     """Appends rows to arrays of an ``.npz`` file, which need not fit into memory; it appears whole at the end."""
     with contextlib.ExitStack() as stack:
         parts = {name: stack.enter_context(tempfile.TemporaryFile(dir=file.absolute().parent)) for name in arrays}
