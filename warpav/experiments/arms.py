@@ -26,7 +26,6 @@ from warpav.optimisation.baselines import edge_mount_pose, highest_mount_pose, m
 from warpav.optimisation.budget import (
     BudgetedValue,
     Search,
-    SearchResult,
     SingleCameraValues,
     rig_values_of,
     run_search,
@@ -528,8 +527,9 @@ def _space(placement: Placement, *, free_yaw: bool) -> SearchSpace:
     )
 
 
-def _found(placement: Placement, result: SearchResult) -> FoundRig:
+def _found(placement: Placement, result: BudgetedValue) -> FoundRig:
     """What a search found."""
+    assert result.mount_pose is not None
     if result.error is not None:
         raise RuntimeError(f"the search ended early: {result.error}")
     return FoundRig(

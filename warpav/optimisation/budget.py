@@ -82,17 +82,6 @@ class SearchRecord:
     seconds: float = field(compare=False)  # wall time so far [s]
 
 
-@dataclass(frozen=True, eq=False)
-class SearchResult:
-    """What a search found."""
-
-    mount_pose: np.ndarray  # the best rig, which satisfies all constraints, float32 [camera, 7]
-    value: float  # its value
-    camera_renders: int  # camera renders that were spent, never more than the budget
-    history: tuple[SearchRecord, ...]  # one entry for each rig that was looked at
-    error: str | None = None  # what ended the search early; None if nothing did
-
-
 class BudgetedValue:
     """The value of a rig, lower is better, at a price: it counts camera renders and remembers the best rig.
 
@@ -105,10 +94,10 @@ class BudgetedValue:
         self.space, self.scene_count, self.camera_renders_max = space, scene_count, camera_renders_max
         self.camera_renders = 0  # so far
         self.history: list[SearchRecord] = []  # one entry for each rig that was looked at
-        self._rig_values = rig_values
-        self._best_pose: np.ndarray | None = None
-        self._best_value = math.inf
-        self._began = time.perf_counter()
+        self.mount_pose: np.ndarray | None = None  # the best rig so far, float32 [camera, 7], which is feasible
+        self.value = math.inf  # its value
+        self.error: str | None = None  # what ended a search early
+        self._rig_values, self._began = rig_values, time.perf_counter()
         if scene_count < 1 or self.camera_renders_per_rig > camera_renders_max:
             raise ValueError(
                 f"camera_renders_max must be at least one rig's {max(self.camera_renders_per_rig, 1)} camera renders, "
@@ -139,11 +128,6 @@ class BudgetedValue:
         """How many rigs can still be looked at."""
         return self.camera_renders_left // self.camera_renders_per_rig
 
-    @property
-    def best_mount_pose(self) -> np.ndarray | None:
-        """The best rig so far, float32 [camera, 7]; None before the first finite value."""
-        return None if self._best_pose is None else self._best_pose.copy()
-
     def __call__(self, mount_pose: np.ndarray) -> float:
         """Value of the feasible rig nearest to a mount pose; inf where it is not finite."""
         return float(self.of_rigs([mount_pose])[0])
@@ -169,32 +153,27 @@ class BudgetedValue:
 
     def record(self, mount_pose: np.ndarray, value: float) -> None:
         """Remember a rig whose camera renders have been counted."""
-        if math.isfinite(value) and value < self._best_value:
+        if math.isfinite(value) and value < self.value:
             if self.space.violation_m(mount_pose) > 0.0:
                 raise ValueError("only rigs that satisfy the constraints can be the best")
-            self._best_pose, self._best_value = np.array(mount_pose, np.float32), value
-        self.history.append(SearchRecord(self.camera_renders, self._best_value, time.perf_counter() - self._began))
-
-    def result(self, error: str | None = None) -> SearchResult:
-        """What was found so far."""
-        if self._best_pose is None:
-            raise ValueError(f"none of {len(self.history)} rigs had a finite value" + (f"; {error}" if error else ""))
-        return SearchResult(self._best_pose, self._best_value, self.camera_renders, tuple(self.history), error)
+            self.mount_pose, self.value = np.array(mount_pose, np.float32), value
+        self.history.append(SearchRecord(self.camera_renders, self.value, time.perf_counter() - self._began))
 
 
 Search = Callable[[BudgetedValue, np.random.Generator], None]
 """Looks at rigs until it is content or the budget is spent; deterministic in the generator."""
 
 
-def run_search(search: Search, value: BudgetedValue, rng: np.random.Generator) -> SearchResult:
+def run_search(search: Search, value: BudgetedValue, rng: np.random.Generator) -> BudgetedValue:
     """Search until the budget is spent; one that fails keeps what it found before, and says why it ended."""
-    error = None
     try:
         search(value, rng)
     except _BudgetSpentError:
         pass
     except Exception as failure:
-        if value.best_mount_pose is None:
+        if value.mount_pose is None:
             raise
-        error = f"{type(failure).__name__}: {failure}"
-    return value.result(error)
+        value.error = f"{type(failure).__name__}: {failure}"
+    if value.mount_pose is None:
+        raise ValueError(f"none of {len(value.history)} rigs had a finite value")
+    return value

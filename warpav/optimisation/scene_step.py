@@ -38,10 +38,7 @@ class _Fetched:
 class Exchange:
     """Arrays that recorded launches read and write, always at the same place: slices of one that is sent.
 
-    ``pose``: mount poses, float [camera, 7], with a gradient. ``multiplier``: lagrange multipliers, float [constraint],
-    with a gradient. ``panorama_share``: see `LossSchedule`, float [1]. ``detector_share``: likewise, float [1].
-    ``weight``: of each loss of a scene in the gradient, float [loss]. ``count``: what each loss is a mean over in the
-    batch, float [loss].
+    ``weight`` [loss] is that of each loss of a scene in the gradient, ``count`` [loss] what it is a mean over.
     """
 
     def __init__(self, camera_count: int, constraint_count: int, loss_count: int, *, device: str) -> None:
@@ -201,14 +198,12 @@ class SceneStep:
     """Observes a scene from the present views, then adds up what its losses are there.
 
     `observe` decides what every view sees. The caller may `draw` what the cameras see ahead, run a detector on its
-    ``image`` and hand the boxes over with `set_boxes`. `loss_and_grad` measures, adds the losses to those of the batch,
-    and adds the gradient of their weighted sum to the views' gradients; `loss` does so without the gradient. What they
-    find stands in ``losses``. Nothing in between waits for the device, unless a loss is computed on the host.
+    ``image`` and hand the boxes over with `set_boxes`. `loss_and_grad` adds the losses to those of the batch, and the
+    gradient of their weighted sum to that of the views; `loss` does so without the gradient. What they find stands in
+    ``losses``. Nothing in between waits for the device, unless a loss is computed on the host.
 
     What a recorded launch allocates and does not free belongs to its recording, at least 32 MiB of CUDA's memory, so
     everything that outlives a call is an array from before the first one.
-
-    ``scene``: the scene. ``frame``: the render of the last `observe`; stale after the renderer's next.
     """
 
     def __init__(

@@ -189,14 +189,7 @@ class WindowMeasures(Measures):
 
 @dataclass(frozen=True)
 class Coverage:
-    """What every object covers in every view, without Jacobians, on the device.
-
-    Attributes:
-        value: As `Measures.value` of `Frame.measure`, float [view, object, measure]; BOX_AREA is 0.
-        solid_angle_sr: Solid angle of every object alone inside the image [sr], as `Frame.window_area` gives it for all
-            directions, float [view, object, 1].
-        visible_sr: That of what nothing hides of it, same shape.
-    """
+    """What every object covers in every view, without Jacobians, on the device."""
 
     value: wp.array
     solid_angle_sr: wp.array

@@ -86,40 +86,7 @@ def _threads(count: int) -> ThreadPoolExecutor:
 
 
 class Buffers:
-    """The buffers of a fixed number of views of equal size.
-
-    Attributes:
-        device: Where they are.
-        view_count: Number of views.
-        width_px: Width of the images.
-        height_px: Height of the images.
-        supersampling: Samples per pixel along each axis.
-        width: Samples of a row of the grid, with its guard band.
-        height: Rows of samples of the grid.
-        thread_count: Threads over views on the CPU.
-        has_foreground: Whether the foreground's silhouette is wanted even where the occlusion does without.
-        view: The views of the last render, as the kernels take them.
-        position_world_m: Their centres, vec3 [view].
-        camera_from_world: Their rotations, mat33 [view].
-        log_focal: Logarithms of their focal lengths over the lenses', float [view].
-        scissor: Which part of every view's grid is rendered: first column, first row, and those after the last, vec4i
-            [view].
-        key: Nearest surface of every sample, int64 [view, row, column]; empty until a render asks for images.
-        layers: The atlas (struct of the kernels).
-        hiding: What hides the objects (struct of the kernels).
-        foreground_hiding: What the foreground's silhouette alone hides.
-        strip: Queue of the large triangles' parts; empty on the CPU.
-        strip_count: Their number, int32 [1].
-        ones: A weight image of ones, float [1, row, column].
-        all_directions: Windows that hold every direction, vec4 [view].
-        bent: Numbers of the views whose lenses are no pinholes.
-        bent_view: The same on the device.
-        rays: Their rays (struct of the kernels).
-        is_recordable: Whether the last render can be recorded: on the CPU the host looks at zooms of bent lenses.
-        needed_samples: How many samples the renders since the last `grew` have needed at most, int64 [1].
-        generation: Grows when arrays that recorded launches refer to have moved.
-        state: What the last render has left; None before the first.
-    """
+    """The buffers of a fixed number of views of equal size."""
 
     def __init__(
         self,
@@ -139,6 +106,7 @@ class Buffers:
         self.view_count = len(models)
         self.width_px, self.height_px = models[0].width_px, models[0].height_px
         self.supersampling = int(supersampling)
+        # samples of a row of the grid, with its guard band, and rows
         self.width = self.width_px * self.supersampling + 2 * GUARD
         self.height = self.height_px * self.supersampling + 2 * GUARD
         if self.width * self.height > MAX_VIEW_SAMPLES:
@@ -146,7 +114,7 @@ class Buffers:
                 f"{self.width_px} x {self.height_px} pixels with supersampling {supersampling} are more than "
                 f"{MAX_VIEW_SAMPLES} samples; lower the size or the supersampling"
             )
-        self.has_foreground = has_foreground
+        self.has_foreground = has_foreground  # whether its silhouette is wanted even where the occlusion does without
         self.ones = wp.full((1, self.height_px, self.width_px), 1.0, dtype=float, device=self.device)
         self.all_directions = wp.full(
             self.view_count, wp.vec4(0.0, 0.0, _WIDE_RAD, _WIDE_RAD), dtype=wp.vec4, device=self.device
@@ -157,26 +125,29 @@ class Buffers:
         self._models: list[CameraModel] = []
         self._kept: dict[tuple[str, tuple[int, ...]], wp.array] = {}
         self._shown: dict[tuple[int, ...], wp.array] = {}
-        self.bent: list[int] = []
+        self.bent: list[int] = []  # the views whose lenses are no pinholes
         self.rays = ray_kernels.Rays()
         self.rays.ray = self.zeros((0, 3, self.height, self.width), float)
         self.rays.set_of_view = self._no_set = wp.full(self.view_count, -1, dtype=wp.int32, device=self.device)
         self._rays_of: list[tuple[int, CameraModel, float]] = []
         self._view_of_set = self._no_set
         self._are_rays_placed = True
-        self.is_recordable = True
-        self.generation = 0
+        self.is_recordable = True  # the last render: on the CPU the host looks at zooms of bent lenses
+        self.generation = 0  # grows when arrays that recorded launches refer to have moved
         self.set_lenses(models)
-        self.view = self.zeros(self.view_count, view.View)
+        self.view = self.zeros(self.view_count, view.View)  # of the last render, as the following
         self.position_world_m = self.zeros(self.view_count, wp.vec3)
         self.camera_from_world = self.zeros(self.view_count, wp.mat33)
         self.log_focal = self.zeros(self.view_count, float)
+        # which part of every view's grid is rendered: first column, first row, and those after the last
         self.scissor = self.zeros(self.view_count, wp.vec4i)
+        # nearest surface of every sample, [view, row, column]; empty until a render asks for images
         self.key = self.zeros((0, 0, 0), wp.int64)
         self._sample_count = self.zeros(1, wp.int64)
-        self.needed_samples = self.zeros(1, wp.int64)
+        self.needed_samples = self.zeros(1, wp.int64)  # at most, of the renders since the last `grew`
         least, most = _CUDA_STRIPS
         strips = min(max(self.view_count * self.height * self.width // _CUDA_STRIP_SAMPLES, least), most)
+        # queue of the large triangles' parts; empty on the CPU
         self.strip = self.zeros(0 if self.device.is_cpu else strips, wp.vec4i)
         self.strip_count = self.zeros(1, wp.int32)
         self.layers = layers.Layers()
@@ -433,11 +404,7 @@ class Buffers:
 
     @property
     def state(self) -> RenderState | None:
-        """What the last render has left in the buffers; None before the first.
-
-        A replay of recorded launches sets again what was held when they were recorded, and frames of then are not
-        stale any more.
-        """
+        """What the last render has left, None before the first; a replay of recorded launches sets it again."""
         return self._state
 
     @state.setter

@@ -92,11 +92,7 @@ def beside_each_other(
 
 
 class ViewsAtOnce:
-    """How many views are rendered at once: half as many from the first time on that a device's memory is too small.
-
-    Attributes:
-        most: As many at most, at least 1.
-    """
+    """How many views are rendered at once: half as many from the first time on that a device's memory is too small."""
 
     def __init__(self, most: int) -> None:
         self.most = most
@@ -126,13 +122,7 @@ def render_in_chunks(
 ) -> Iterator[tuple[slice, Frame]]:
     """Render views chunk by chunk, as many at once as the renderer has views (None: a new one); no gradient.
 
-    Args:
-        position_world_m: Camera centres [m], [view, 3].
-        camera_from_world: Rotations from world to camera axes, [view, 3, 3].
-
-    Yields:
-        The views of the chunk, and their frame. A last chunk that is not full is filled up with copies
-        of the last view: the frame's first views are the chunk's.
+    Yields the views of the chunk and their frame, whose first views they are: copies of the last view fill it up.
     """
     view_count, device = len(models), scene.device
     if renderer is None:
@@ -203,15 +193,12 @@ def record_graph(function: Callable[[], None], device: wp.Device) -> wp.Graph:
 class Recording:
     """A function that only launches kernels on fixed arrays; its second call is recorded, later ones replay.
 
-    A recording holds memory of a GPU as long as it lives: half of what was free there before the first is left to other
-    programs, and what has no room in the rest is launched again every time.
-
-    The first call runs as it is: it compiles modules and lets the renderer's buffers grow. Whenever the renderer has
-    moved its buffers, this starts again. After every call the renderer knows what it holds, as if it had been launched.
+    It holds memory of a GPU as long as it lives: half of what was free before the first is left to other programs, and
+    what has no room in the rest is launched again every time. The first call compiles modules and lets the
+    renderer's buffers grow; whenever these have moved, this starts again.
     """
 
     def __init__(self, function: Callable[[], None], renderer: Renderer, *, enabled: bool | None = None) -> None:
-        """Record ``function``, which may use ``renderer``."""
         self._function = function
         self._renderer = renderer
         self._enabled = (renderer.device.is_cuda or renderer.thread_count == 1) if enabled is None else enabled

@@ -307,12 +307,9 @@ def _polynomial(coefficient: Sequence[float] | np.ndarray) -> np.polynomial.Poly
 def image_table(shape: LensShape, reach_rad: float = math.pi) -> np.ndarray:
     """Where the image of a direction lies, roughly, and how a radial lens bends great circles, over the whole sphere.
 
-    Beyond the lens's limit the radius goes on growing as it did there, so that directions keep their order.
-
-    Returns:
-        Radius over the sine of the angle t from the axis [focal lengths], and the greatest curvature of the image of a
-        great circle that comes within `_NEARBY_RAD` [focal lengths/rad^2], float32 [entry, 2]; the entries lie evenly
-        over ``(1 - cos t) / 2``, from 0 to 1. Of a panorama zeros.
+    The radius over the sine of the angle t from the axis [focal lengths], and the greatest curvature of the image of a
+    great circle within `_NEARBY_RAD` [focal lengths/rad^2], float32 [entry, 2], evenly over ``(1 - cos t) / 2``. Beyond
+    the lens's limit the radius goes on growing as it did there. Of a panorama zeros.
     """
     if not shape.is_radial:
         return np.zeros((TABLE_ENTRIES, 2), np.float32)

@@ -29,12 +29,7 @@ def view_poses(
     *,
     log_focal: wp.array | np.ndarray | None = None,
 ) -> ViewPoses:
-    """Poses from matrices; recorded on the active tape, if there is one.
-
-    Args:
-        camera_from_world: Rigid transformations, [view, 4, 4]: a Warp array of floats or of mat44, a NumPy array, or
-            anything with DLPack. Gradients flow to Warp arrays only.
-    """
+    """Poses from matrices [view, 4, 4]; on the active tape, if there is one. Gradients flow to Warp arrays only."""
     if isinstance(camera_from_world, ViewPoses):
         if log_focal is None:
             return camera_from_world

@@ -56,13 +56,7 @@ class Renderer(Buffers):
         log_focal: wp.array | None = None,
         content: Content = Content.ALL,
     ) -> Frame:
-        """Decide which surface every sample sees, and what every object covers alone. Nothing is taped.
-
-        Args:
-            position_world_m: Camera centres [m], vec3 [view].
-            camera_from_world: Rotations from world to camera axes, mat33 [view].
-            log_focal: Logarithm of each view's focal length over its lens's, float [view]; None: 0.
-        """
+        """Decide which surface every sample sees, and what every object covers alone. Nothing is taped."""
         if not isinstance(scene, Scene):
             raise TypeError(f"scene: expected a raster.Scene, got {type(scene).__name__}")
         if scene.device != self.device:

@@ -209,15 +209,7 @@ class Scene:
     def of_arrays(
         cls, arrays: Mapping[str, np.ndarray] | np.ndarray, *, device: str | wp.Device | None = "cpu"
     ) -> Scene:
-        """The scene that `arrays` told of; nothing is sorted again, and on the CPU nothing is copied.
-
-        Args:
-            arrays: Of a scene, maybe on another device or in another process; by name, or one structured element.
-            device: Warp device.
-
-        Raises:
-            KeyError: One is missing.
-        """
+        """The scene that `arrays` told of, maybe in another process; on the CPU nothing is copied."""
         load_warp()
         scene = cls.__new__(cls)
         names = tuple(str(name) for name in arrays["object_names"])
@@ -309,16 +301,9 @@ class Scene:
         self.source_triangle, self.source_vertex = arrays["source_triangle"], arrays["source_vertex"]
 
     def through(self, pane: Pane | None) -> Scene:
-        """The scene for views that look through a pane: without what of the foreground is clear.
+        """The scene for views that look through a pane: without what of the foreground is clear; kept for the next.
 
-        It shares its vertices with this one, which keeps it, so that the same pane gives the same scene. Surfaces that
-        have lost triangles are open: from the inside their backs are seen.
-
-        Args:
-            pane: In the world frame; None: the scene itself is returned.
-
-        Raises:
-            ValueError: There is no foreground.
+        Surfaces that have lost triangles are open: from the inside their backs are seen.
         """
         if pane is None:
             return self

@@ -254,14 +254,7 @@ class _Silhouettes:
 
 
 def _place_cameras(pose: wp.array, height_m: wp.array) -> tuple[wp.array, wp.array]:
-    """Views of level cameras; recorded on the active tape.
-
-    Args:
-        pose: x, z [m], yaw [rad] of every camera in the workload's world, vec3 [camera].
-
-    Returns:
-        Centres in the ego frame [m], vec3 [view], and rotations from ego to camera axes, mat33 [view].
-    """
+    """Views of level cameras at x, z [m], yaw [rad] of the workload's world: centres and rotations, on the tape."""
     view_count, device = ROTATION_COUNT * len(pose), pose.device
     position_ego_m = wp.zeros(view_count, dtype=wp.vec3, device=device, requires_grad=True)
     camera_from_ego = wp.zeros(view_count, dtype=wp.mat33, device=device, requires_grad=True)

@@ -142,25 +142,15 @@ class Reference(Enum):
 
 
 class LossOptions(NamedTuple):
-    """What losses are made from.
+    """What losses are made from."""
 
-    Attributes:
-        settings: Their parameters.
-        reference: What the detected area is compared with.
-        differentiable_detector: The network of the loss ``detector_gradient``.
-    """
-
-    settings: LossSettings
-    reference: Reference
-    differentiable_detector: DifferentiableDetector | None = None
+    settings: LossSettings  # their parameters
+    reference: Reference  # what the detected area is compared with
+    differentiable_detector: DifferentiableDetector | None = None  # the network of the loss ``detector_gradient``
 
 
 def losses_of(options: LossOptions) -> list[tuple[float, Loss]]:
-    """The objective of a configuration: every loss of weight above 0, with its weight.
-
-    Raises:
-        InputError: A loss needs something that is not there.
-    """
+    """The objective of a configuration: every loss of weight above 0, with its weight."""
     found: list[tuple[float, Loss]] = []
     for name, weight in options.settings.weights.items():
         if weight == 0.0:
