@@ -82,14 +82,6 @@ def test_the_gradient_arm_is_the_method_of_the_main_job(finished, scenes):
     assert result["camera_renders"] == 2 * (2 * 2 + 2 * 2)  # two cameras: two batches of two, two looks at two scenes
 
 
-def test_scenes_are_loaded_once(tmp_path, scenes, monkeypatch):
-    loaded, real = [], module.load_scene_set
-    monkeypatch.setattr(module, "load_scene_set", lambda *given: loaded.append(1) or real(*given))
-    module.traffic_of_process.__init__()
-    assert run(tmp_path / "run", scenes, arms=[Arm("highest", "highest"), Arm("start", "start")]).done == 3
-    assert len(loaded) == 1
-
-
 def test_other_cameras_share_the_scenes(tmp_path, scenes, monkeypatch):
     loaded, real = [], module.load_scene_set
     monkeypatch.setattr(module, "load_scene_set", lambda *given: loaded.append(1) or real(*given))

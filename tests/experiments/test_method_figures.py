@@ -1,6 +1,5 @@
 """Figures of rigs: what they tell against the rigs and scenes that they show, and their words on the command line."""
 
-import dataclasses
 import math
 import re
 
@@ -13,7 +12,6 @@ from tests.view.stand_ins import rig
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.evaluation.metrics import evaluate_rig
-from warpav.experiments import method_figures
 from warpav.experiments.method_figures import draw_method_figure
 from warpav.rig.rig import Rig
 from warpav.runs.placement import Placement
@@ -106,24 +104,6 @@ def test_the_way_with_constraints_is_that_of_the_run(run, tmp_path, drawn):
         assert lines(drawn[0].axes[0], index)[0][0] == pytest.approx(np.array(expected[0]), abs=1e-5)
 
 
-@pytest.mark.parametrize("number", [10, 11])
-def test_figures_begin_with_the_rig_of_a_file(run, folder, tmp_path, monkeypatch, number):
-    started = []
-
-    def begin(placement, *, real=method_figures.Optimisation.begin, **given):
-        optimisation = real(placement, **given)
-        started.append(placement.objective.mount.rig(optimisation.descent.start))
-        return optimisation
-
-    monkeypatch.setattr(method_figures.Optimisation, "begin", begin)
-    config = small_experiment.config(
-        folder, "run.iterations=1", f"rig.start={run.path / 'rig_initial.yaml'}", "run.seed=5"
-    )
-    draw(number, tmp_path / "figure.png", config)
-    for found, expected in zip(started[0].cameras, run.rig("initial").cameras, strict=True):
-        assert found.position_m == pytest.approx(expected.position_m, abs=1e-5)
-
-
 def test_a_run_of_one_step_shows_no_way(run, tmp_path):
     short = tmp_path / "short"
     short.mkdir()
@@ -179,26 +159,6 @@ def test_the_highest_rig_covers_all_round_and_finds_what_the_evaluation_counts(f
     (legend,) = drawn[0].legends
     assert "cover 360 of 360 degrees" in legend.get_title().get_text()
     assert count(image, TRUE_POSITIVE_RGB, 30.0) > 50
-
-
-def test_cameras_of_several_models_keep_their_places(folder):
-    config = small_experiment.config(folder, *SEEN)
-    scene = next(load_scenes(config, (2,)))
-    plain = find_rig("highest", config, scene.ego).cameras
-    wide = dataclasses.replace(plain[0].model, fov_rad=2.0)
-    both = Rig([plain[0], *(dataclasses.replace(plain[0], name=f"wide_{k}", model=wide) for k in (0, 1)), plain[1]])
-    with RunDisplay() as display:
-        observer = method_figures._Observer(config, display)
-        (mixed,), (alone,) = (
-            observer.observe(both, [scene], "mixed"),
-            observer.observe(Rig(plain), [scene], "alone"),
-        )
-    assert [panel.title for panel in mixed.panels] == ["camera_0", "wide_0", "wide_1", "camera_1"]
-    for here, there in ((0, 0), (3, 1)):
-        assert np.array_equal(mixed.panels[here].image_rgb, alone.panels[there].image_rgb)
-    assert np.array_equal(mixed.panels[1].image_rgb, mixed.panels[2].image_rgb)
-    assert not np.array_equal(mixed.panels[0].image_rgb, mixed.panels[1].image_rgb)
-    assert (mixed.is_found >= alone.is_found).all()
 
 
 @pytest.mark.parametrize(

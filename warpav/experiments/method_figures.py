@@ -5,7 +5,7 @@ Each takes a run folder, or runs what it needs itself.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -113,33 +113,31 @@ def _optimised(placement: Placement, descent: Descent | PoolRun, progress: Progr
 # ------------------------------------------------------------------------------------------------ what a rig sees
 
 
-class _Observer:
+def _observer(config: Config, progress: Progress) -> Callable[[Rig, Sequence[Scene], str], list[SceneViews]]:
     """Observes scenes through rigs, with the configuration's detector."""
+    device, detector = checked_device(config.device), load_detector(config)
 
-    def __init__(self, config: Config, progress: Progress) -> None:
-        self._config, self._progress = config, progress
-        self._device, self._detector = checked_device(config.device), load_detector(config)
-
-    def observe(self, rig: Rig, scenes: Sequence[Scene], how: str) -> list[SceneViews]:
-        config = self._config
+    def observe(rig: Rig, scenes: Sequence[Scene], how: str) -> list[SceneViews]:
         observer = RigObserver(
             rig,
-            self._detector,
+            detector,
             confidence_min=config.detector.confidence_min,
             iou_min=config.detector.iou_min,
             occlusion=Occlusion(config.visibility.occlusion),
             supersampling=config.camera.supersampling,
-            device=self._device,
+            device=device,
         )
         views = []
-        for scene in self._progress.steps(how, scenes, count=len(scenes)):
-            observation = observer.observe(DeviceScene.pack(scene, device=self._device))
+        for scene in progress.steps(how, scenes, count=len(scenes)):
+            observation = observer.observe(DeviceScene.pack(scene, device=device))
             panels = [
                 DetectionPanel(camera.name, seen.image_rgb, seen.truth_box_px, seen.detections.box_px, seen.match)
                 for camera, seen in zip(rig.cameras, observation.cameras, strict=True)
             ]
             views.append(SceneViews(scene, observation.detected, panels))
         return views
+
+    return observe
 
 
 def before_and_after(config: Config, path: Path, *, run: RunFolder | None, progress: Progress) -> Path:
@@ -157,11 +155,11 @@ def before_and_after(config: Config, path: Path, *, run: RunFolder | None, progr
         start, result = run.rig("initial"), run.rig("final" if config.optimiser.keep == "last" else "best")
     train = list(load_scenes(config, config.scenes.train_seeds[: config.run.batch_size]))
     test = list(load_scenes(config, config.scenes.test_seeds))
-    observer = _Observer(config, progress)
+    observe = _observer(config, progress)
     rows = {
-        "Start": (start, observer.observe(start, train, "start")),
-        "Optimised": (result, observer.observe(result, train, "optimised")),
-        "On test scenes": (result, observer.observe(result, test, "test scenes")),
+        "Start": (start, observe(start, train, "start")),
+        "Optimised": (result, observe(result, train, "optimised")),
+        "On test scenes": (result, observe(result, test, "test scenes")),
     }
     return rigs.before_and_after(rows, path)
 
@@ -174,5 +172,5 @@ def highest(config: Config, path: Path, *, progress: Progress) -> Path:
     ego = scenes[0].ego
     rig = find_rig(HIGHEST, config, ego)
     surface = camera_mount(config, ego).surface
-    views = _Observer(config, progress).observe(rig, scenes, "test scenes")
+    views = _observer(config, progress)(rig, scenes, "test scenes")
     return rigs.highest_rig(rig, views, path, surface=surface)
