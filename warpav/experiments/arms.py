@@ -529,7 +529,6 @@ def _space(placement: Placement, *, free_yaw: bool) -> SearchSpace:
 
 def _found(placement: Placement, result: BudgetedValue) -> FoundRig:
     """What a search found."""
-    assert result.mount_pose is not None
     if result.error is not None:
         raise RuntimeError(f"the search ended early: {result.error}")
     return FoundRig(

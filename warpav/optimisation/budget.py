@@ -94,7 +94,7 @@ class BudgetedValue:
         self.space, self.scene_count, self.camera_renders_max = space, scene_count, camera_renders_max
         self.camera_renders = 0  # so far
         self.history: list[SearchRecord] = []  # one entry for each rig that was looked at
-        self.mount_pose: np.ndarray | None = None  # the best rig so far, float32 [camera, 7], which is feasible
+        self.best_pose: np.ndarray | None = None  # the best rig so far, float32 [camera, 7]; None: none was finite
         self.value = math.inf  # its value
         self.error: str | None = None  # what ended a search early
         self._rig_values, self._began = rig_values, time.perf_counter()
@@ -112,6 +112,12 @@ class BudgetedValue:
         return cls(
             rig_values_of(objective, scenes), space, scene_count=len(scenes), camera_renders_max=camera_renders_max
         )
+
+    @property
+    def mount_pose(self) -> np.ndarray:
+        """The best rig, which satisfies all constraints, float32 [camera, 7]; only after one of a finite value."""
+        assert self.best_pose is not None
+        return self.best_pose
 
     @property
     def camera_renders_per_rig(self) -> int:
@@ -156,7 +162,7 @@ class BudgetedValue:
         if math.isfinite(value) and value < self.value:
             if self.space.violation_m(mount_pose) > 0.0:
                 raise ValueError("only rigs that satisfy the constraints can be the best")
-            self.mount_pose, self.value = np.array(mount_pose, np.float32), value
+            self.best_pose, self.value = np.array(mount_pose, np.float32), value
         self.history.append(SearchRecord(self.camera_renders, self.value, time.perf_counter() - self._began))
 
 
@@ -171,9 +177,9 @@ def run_search(search: Search, value: BudgetedValue, rng: np.random.Generator) -
     except _BudgetSpentError:
         pass
     except Exception as failure:
-        if value.mount_pose is None:
+        if value.best_pose is None:
             raise
         value.error = f"{type(failure).__name__}: {failure}"
-    if value.mount_pose is None:
+    if value.best_pose is None:
         raise ValueError(f"none of {len(value.history)} rigs had a finite value")
     return value

@@ -227,7 +227,7 @@ class CameraMount:
     @property
     def is_free(self) -> np.ndarray:
         """Which numbers of a mount pose have a free range, bool [7]; x, y and yaw are always free, and not counted."""
-        is_free = (np.isfinite(self._zone_low) & (self._zone_high > self._zone_low)).any(axis=0)
+        is_free = np.asarray(np.any(np.isfinite(self._zone_low) & (self._zone_high > self._zone_low), axis=0), bool)
         is_free[YAW_RAD] = False
         return is_free
 

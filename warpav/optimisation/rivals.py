@@ -79,7 +79,7 @@ def selected_search(
     # the frozen cameras first, once; every rig has them
     is_further = np.tile(~space.is_frozen, len(pose) // space.camera_count)
     row = np.concatenate([np.flatnonzero(space.is_frozen), np.flatnonzero(is_further)])
-    best = value.mount_pose
+    best = value.best_pose
     start = None
     if best is not None:
         start = np.concatenate([np.arange(held), held + rows_of(best[~space.is_frozen], pose[row[held:]])])

@@ -28,7 +28,8 @@ MAX_CHUNK_VIEWS = 64
 _GPU_ROOM = 4
 """What a view takes on a GPU over its keys: silhouettes, images and what is measured of them as well."""
 
-_Item, _Result = TypeVar("_Item"), TypeVar("_Result")
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 _logger = logging.getLogger(__name__)
 
 

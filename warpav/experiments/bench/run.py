@@ -191,8 +191,9 @@ def _measure(
         progress.stage("W3")
         found["w3"] = _entry(bench.time_rgb(repeat=repeat), bench, pack_ms)
         append = written("w3", {"rgb": ((*image, 3), np.dtype(np.float32))})
-        for _, rgb in bench.rgb() if append else ():
-            append("rgb", rgb)
+        if append is not None:
+            for _, rgb in bench.rgb():
+                append("rgb", rgb)
     if options.with_sweep:
         content["sweep"] = []
         for level in _SWEEP:
