@@ -22,7 +22,7 @@ from warpav.core.errors import InputError
 from warpav.rig.rig import read_rig, write_rig
 from warpav.scene.glb import write_scene
 from warpav.view import browser as module
-from warpav.view.inspector import TURN_RAD
+from warpav.view.inspector import TURN_DEG
 from warpav.view.palette import camera_rgb
 
 pytest.importorskip("trame.app")
@@ -161,7 +161,7 @@ def test_a_camera_is_dragged_and_the_rig_is_written(browser, folder):
     click(browser, "write the rig")
     wait_until((folder / "rig.yaml").is_file)
     written = read_rig(folder / "rig.yaml").cameras
-    assert written[0].yaw_rad == pytest.approx(rig(4).cameras[0].yaw_rad + TURN_RAD, abs=1e-6)
+    assert written[0].yaw_rad == pytest.approx(rig(4).cameras[0].yaw_rad + np.radians(TURN_DEG), abs=1e-6)
     settle(browser)
     ball_px = ball(browser, 0)
     drag(browser, ball_px, (ball_px[0] + 25, ball_px[1] + 10))

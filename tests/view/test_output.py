@@ -12,13 +12,13 @@ from PIL import Image
 from tests.view.stand_ins import ego, needs_opengl, rig
 from warpav.core.errors import InputError
 from warpav.view import output
-from warpav.view.output import Animation
-from warpav.view.rig_view import rig_plotter
+from warpav.view.output import Animation, Canvas
+from warpav.view.picture import Picture, rig_plotter
 
 
 @pytest.fixture
 def plotter():
-    made = rig_plotter(rig(), ego=ego(), off_screen=True, window_size=(160, 100))
+    made = rig_plotter(Picture(rig=rig(), ego=ego()), Canvas(window_size=(160, 100), off_screen=True))
     yield made
     made.close()
 
@@ -34,7 +34,7 @@ def test_png_is_written_whole_in_a_new_folder(plotter, tmp_path):
 
 @needs_opengl
 def test_supersampling_keeps_the_size_of_everything_text_included():
-    made = rig_plotter(rig(), ego=ego(), off_screen=True, window_size=(320, 200), title="a title")
+    made = rig_plotter(Picture(rig=rig(), ego=ego()), Canvas(None, "a title", (320, 200), off_screen=True))
     once = output.render_rgb(made, supersampling=1).astype(float)
     often = output.render_rgb(made, supersampling=3).astype(float)
     again = output.render_rgb(made, supersampling=1).astype(float)
@@ -45,8 +45,9 @@ def test_supersampling_keeps_the_size_of_everything_text_included():
 
 
 @needs_opengl
-def test_gif_turns_around_the_vehicle(plotter, tmp_path):
-    path = output.save_image(plotter, tmp_path / "orbit.gif", frame_count=4, supersampling=1)
+def test_gif_turns_around_the_vehicle(plotter, tmp_path, monkeypatch):
+    monkeypatch.setattr(output, "_ORBIT_FRAMES", 4)
+    path = output.save_image(plotter, tmp_path / "orbit.gif")
     with Image.open(path) as image:
         assert image.n_frames == 4
         first = np.asarray(image.convert("RGB")).astype(float)

@@ -12,10 +12,11 @@ from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
 from warpav.core.errors import InputError
 from warpav.scene.device_scene import DeviceScene
 from warpav.sight.ground import Ground
+from warpav.view import Canvas
 from warpav.view import page as module
+from warpav.view.layers import add_coverage, patch_words
 from warpav.view.output import save_page
-from warpav.view.rig_view import add_range_rings, rig_plotter
-from warpav.view.visibility_view import add_coverage, patch_words
+from warpav.view.picture import Picture, add_range_rings, rig_plotter
 
 pytest.importorskip("k3d")
 pytestmark = needs_opengl
@@ -30,7 +31,7 @@ def plotters():
     made = {}
     for name, colour in (("first", RED_RGB), ("second", BLUE_RGB)):
         street = scene(vehicle(1, 8.0, 0.5, rgb=colour))
-        plotter = rig_plotter(rig(3), scene=street, off_screen=True, zoom=0.6, sectors=False)
+        plotter = rig_plotter(Picture(rig=rig(3), scene=street), Canvas(off_screen=True, zoom=0.6), sectors=False)
         add_range_rings(plotter, street.ego.bounds_m())
         ground = Ground.around(DeviceScene.pack(street))
         for height_m in (1.1, 1.7):

@@ -15,7 +15,7 @@ from warpav.rig.rig import Rig
 from warpav.scene.scene import Scene
 from warpav.view import Canvas, drawing_of, draws, kinds_of, plot
 from warpav.view.output import ANIMATION_PX, Animation
-from warpav.view.rig_view import project_px, rig_plotter
+from warpav.view.picture import Picture, project_px, rig_plotter
 
 SMALL = (160, 100)
 
@@ -72,7 +72,7 @@ def test_without_a_file_it_is_shown(tmp_path, monkeypatch):
     assert shown.shape == (100, 160, 3)
     assert (tmp_path / "shot.png").is_file()
     monkeypatch.setattr("warpav.view.plotting.has_display", lambda: False)
-    monkeypatch.setattr("warpav.view.rig_view.has_display", lambda: False)
+    monkeypatch.setattr("warpav.view.picture.has_display", lambda: False)
     monkeypatch.setattr("pyvista.OFF_SCREEN", False)
     with pytest.raises(InputError, match=r"plot: expected a display .* write a file instead, such as plot"):
         rig().plot()
@@ -174,8 +174,9 @@ def test_a_registered_class_is_drawn(registered, tmp_path):
 
 @needs_opengl
 def test_a_rig_without_a_vehicle_floats_above_the_axes():
-    alone = rig_plotter(rig(), off_screen=True, window_size=(160, 100))
-    on_ego = rig_plotter(rig(), scene=scene(), off_screen=True, window_size=(160, 100))
+    canvas = Canvas(window_size=(160, 100), off_screen=True)
+    alone = rig_plotter(Picture(rig=rig()), canvas)
+    on_ego = rig_plotter(Picture(rig=rig(), scene=scene()), canvas)
     try:
         assert {"axis/x", "axis/y", "axis/z"} <= set(alone.actors)
         assert "ego" not in alone.actors
@@ -190,5 +191,5 @@ def test_a_rig_without_a_vehicle_floats_above_the_axes():
 def test_a_title_is_text_and_nothing_else(tmp_path):
     """Of a file whose name is not UTF-8, begins formulas, and would colour a terminal."""
     title = "F\udce4 $x_1$ $\\bad$ \x1b[31m"
-    sheet = plot(rig(), sheet=True, ego=ego(), title=title, out=tmp_path / "sheet.png")
+    sheet = plot(rig(), kind="sheet", ego=ego(), title=title, out=tmp_path / "sheet.png")
     assert pixels(sheet).std() > 5.0

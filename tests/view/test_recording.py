@@ -1,6 +1,7 @@
 """Recordings for Rerun, read back by its own SDK: entities, poses, pinholes, images, the timeline of a run."""
 
 import io
+import itertools
 import math
 import os
 import subprocess
@@ -12,13 +13,15 @@ import pytest
 from PIL import Image
 
 import warpav
-from tests.view.stand_ins import rig, scene, vehicle
+from tests.driving_scene import flat_surface
+from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.detection.images import render
 from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
-from warpav.view.recording import TIMELINE, write_recording
+from warpav.view.palette import camera_rgb
+from warpav.view.recording import TIMELINE, run_animation, shown_iterations, write_recording
 
 FISHEYE = RigCamera(
     "wide", np.array([1.0, 1.0, 1.0]), 1.5, 0.3, 0.0, CameraModel(128, 96, math.radians(190.0), lens="fisheye")
@@ -120,3 +123,44 @@ def test_without_the_sdk_it_says_what_to_install(tmp_path, monkeypatch, capsys):
 def test_a_recording_shows_the_rig_alone(tmp_path, capsys):
     assert main(["inspect", "nuscenes", "--show", "coverage", "--out", str(tmp_path / "a.rrd")]) == 2
     assert "expected a recording alone, got 'coverage' as well" in capsys.readouterr().err
+
+
+# ---- animations
+
+FLAT = flat_surface([-1.0, -1.0], [3.0, 1.0], height_m=1.5)
+EVENT = {
+    "iteration": 0,
+    "loss": 0.5,
+    "positions_m": [[2.1, 0.0, 1.58], [0.5, 0.0, 1.58]],
+    "yaw_deg": [0.0, 180.0],
+    "gradient": {"position_per_m": [[0.0, -4.0], [2.0, 0.0]], "yaw_per_rad": [-0.1, 0.05]},
+}
+
+
+def test_long_runs_are_thinned():
+    assert shown_iterations(3) == [0, 1, 2]
+    shown = shown_iterations(1000)
+    assert (len(shown), shown[0], shown[-1]) == (60, 0, 999)
+    assert set(np.diff(shown)) <= {16, 17, 18}
+
+
+@needs_opengl
+def test_an_animation_moves(tmp_path):
+    events = [dict(EVENT, iteration=k, best_training_objective=1.0 / (k + 1)) for k in range(3)]
+    animation = run_animation(
+        [rig(2, fov_deg=60.0 + 10.0 * k) for k in range(3)],
+        events,
+        end=rig(2),
+        scene=scene(vehicle(1, 9.0, 3.0)),
+        surface=FLAT,
+        window_size=(320, 200),
+    )
+    images = list(animation.image_rgb)
+    assert len(images) == animation.count == 4
+    assert all(image.shape == (200, 320, 3) for image in images)
+    for image in images:  # the names of the cameras in their colours, lower left
+        names = image[150:, :80].astype(int).reshape(-1, 3)
+        for index in range(2):
+            assert (np.abs(names - camera_rgb(index)).max(axis=1) < 60).sum() > 20
+    for one, other in itertools.pairwise(images):
+        assert np.abs(one.astype(int) - other).max() > 60

@@ -177,8 +177,7 @@ def test_it_is_written_in_every_format(tmp_path, suffix, begins):
     content = path.read_bytes()
     assert content.startswith(begins)
     assert suffix != "pdf" or b"/Subtype /Image" not in content  # vectors alone
-    with pytest.warns(FutureWarning, match='sheet=True: is kind="sheet" now'):
-        plot(Rig(cameras), sheet=True, scene=scene(), out=path)
+    plot(Rig(cameras), kind="sheet", scene=scene(), out=path)
     assert path.read_bytes() == content
 
 

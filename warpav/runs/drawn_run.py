@@ -177,7 +177,7 @@ class DrawnRun:
 
     def view(self, canvas: Canvas, *, iteration: int | None, arrows: bool, visibility: bool) -> Any:  # noqa: ANN401
         """The result in space, or the rig before the step of an iteration, with its trajectory and arrows."""
-        from warpav.view.descent_view import Steepest, add_descent
+        from warpav.view.layers import Steepest, add_descent
 
         if canvas.is_animation and iteration is None:
             return self.animation(arrows=arrows, window_size=canvas.size_px(ANIMATION_PX))

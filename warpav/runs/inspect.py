@@ -162,9 +162,10 @@ def inspector(
     Args:
         requirements: YAML file, or a template's name; None: there are none.
     """
-    from warpav.view.descent_view import Steepest
+    from warpav.view import Canvas
     from warpav.view.inspected import InspectedRig
     from warpav.view.inspector import Inspector
+    from warpav.view.layers import Steepest
 
     check = None if requirements is None else _check(requirements, config)
     further = _further(source, begin_with) if begin_with in ("further", "gain") else None
@@ -208,7 +209,7 @@ def inspector(
         save_to=save_to,
         trajectory_m=trajectory_m,
         begin_with=begin_with,
-        off_screen=off_screen,
+        canvas=Canvas(off_screen=off_screen),
         panel=panel,
     )
 
@@ -246,14 +247,15 @@ def write_inspector_page(
     """Write a page that stands alone: a rig in some scenes, what its cameras see of the ground, switches for all."""
     from warpav.scene.device_scene import DeviceScene
     from warpav.sight.ground import HEIGHTS_M, PATCH_M, Ground
+    from warpav.view import Canvas
+    from warpav.view.layers import add_coverage, patch_words
     from warpav.view.output import save_page
-    from warpav.view.page import check_library
-    from warpav.view.rig_view import WIDE_ZOOM, add_range_rings, rig_plotter
-    from warpav.view.visibility_view import add_coverage, patch_words
+    from warpav.view.page import load_k3d
+    from warpav.view.picture import WIDE_ZOOM, Picture, add_range_rings, rig_plotter
 
     if out.suffix.lower() != ".html":
         raise ArgumentError("out", f"expected a name that ends in .html, got {str(out)!r}")
-    check_library()
+    load_k3d()
     seeds = config.scenes.test_seeds[:scene_count]
     shown = list(load_scenes(config, seeds)) if scene is None else [read_scene(scene)]
     rig = find_rig(source, config, shown[0].ego)
@@ -261,9 +263,8 @@ def write_inspector_page(
     trajectory_m = trajectory(RunFolder.open(source).events()) if is_run else None
     plotters = {}
     for each in shown:
-        plotter = rig_plotter(
-            rig, scene=each, trajectory_m=trajectory_m, off_screen=True, zoom=WIDE_ZOOM, sectors=False
-        )
+        picture = Picture(rig=rig, scene=each, trajectory_m=trajectory_m)
+        plotter = rig_plotter(picture, Canvas(zoom=WIDE_ZOOM, off_screen=True), sectors=False)
         add_range_rings(plotter, each.ego.bounds_m())
         ground = Ground.around(DeviceScene.pack(each, device=checked_device(config.device)))
         for height_m in (*HEIGHTS_M, PATCH_M):

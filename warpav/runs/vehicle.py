@@ -296,7 +296,7 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
     from PIL import Image
 
     from warpav.view.output import check_suffix, write_whole
-    from warpav.view.vehicle_view import zones_image_rgb
+    from warpav.view.picture import zones_image_rgb
 
     if image is not None:
         check_suffix(image)

@@ -36,13 +36,10 @@ class SurfaceAccessor:
     def mount_surface(self, *, cell_m: float = 0.02, min_upward_normal: float = 0.9) -> PolyData:
         """Where cameras may stand on this vehicle: one square for each cell that can carry one."""
         from warpav.rig.mount_surface import mount_surface_from_mesh
-        from warpav.view.body_view import mountable_zone_to_pyvista
+        from warpav.view.layers import zones_to_pyvista
 
-        return mountable_zone_to_pyvista(
-            mount_surface_from_mesh(
-                self.as_mesh(), cell_m=cell_m, min_upward_normal=min_upward_normal, min_zone_normal=min_upward_normal
-            )
-        )
+        normals = {"min_upward_normal": min_upward_normal, "min_zone_normal": min_upward_normal}
+        return zones_to_pyvista(mount_surface_from_mesh(self.as_mesh(), cell_m=cell_m, **normals))
 
 
 @pyvista.register_dataset_accessor("warpav", pyvista.MultiBlock)

@@ -13,11 +13,11 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
-from warpav.rig.rig import Rig, RigCamera
+from warpav.rig.rig import Rig
 from warpav.scene.scene import BLACK_SKY, Box, Scene, Sky, Vehicle
+from warpav.view.actors import mesh_to_pyvista
 from warpav.view.opengl import load_pyvista_data
-from warpav.view.polydata import mesh_to_pyvista
-from warpav.view.rig_view import FRUSTUM_DEPTH_M, camera_body, frustum_to_pyvista
+from warpav.view.picture import FRUSTUM_DEPTH_M, camera_body, frustum_to_pyvista
 
 if TYPE_CHECKING:
     MultiBlock = Any
@@ -42,23 +42,12 @@ def rig_to_pyvista(rig: Rig, *, depth_m: float = FRUSTUM_DEPTH_M) -> MultiBlock:
         parts["body"] = pyvista.merge([housing, lens])
         parts["frustum"] = frustum_to_pyvista(camera, depth_m=depth_m)
         parts["axis"] = pyvista.Line(centre, centre + depth_m * ahead)
-        _label(parts, _numbers_of(camera))
+        model, angles = camera.model, {"yaw": camera.yaw_rad, "pitch": camera.pitch_rad, "roll": camera.roll_rad}
+        about = {f"{name}_deg": math.degrees(angle) for name, angle in (angles | {"fov": model.fov_rad}).items()}
+        about |= {"name": camera.name, "position_m": camera.position_m, "lens": str(model.lens)}
+        _label(parts, about | {"width_px": model.width_px, "height_px": model.height_px})
         blocks[camera.name] = parts
     return blocks
-
-
-def _numbers_of(camera: RigCamera) -> dict[str, object]:
-    return {
-        "name": camera.name,
-        "position_m": camera.position_m,
-        "yaw_deg": math.degrees(camera.yaw_rad),
-        "pitch_deg": math.degrees(camera.pitch_rad),
-        "roll_deg": math.degrees(camera.roll_rad),
-        "fov_deg": math.degrees(camera.model.fov_rad),
-        "width_px": camera.model.width_px,
-        "height_px": camera.model.height_px,
-        "lens": str(camera.model.lens),
-    }
 
 
 def scene_to_pyvista(scene: Scene) -> MultiBlock:
@@ -97,12 +86,9 @@ def scene_to_pyvista(scene: Scene) -> MultiBlock:
 
 
 def scene_from_pyvista(blocks: MultiBlock, *, name: str | None = None) -> Scene:
-    """The scene of blocks as `scene_to_pyvista` makes them; the inverse of it.
+    """The scene of ``environment``, ``ego`` and any ``vehicle_<instance id>``; the inverse of `scene_to_pyvista`.
 
     A vehicle without field data is a ``car`` in an upright box along the axes, and grey without ``RGB``.
-
-    Args:
-        blocks: ``environment``, ``ego`` and any number of ``vehicle_<instance id>``, surfaces in the ego frame [m].
     """
     names = [str(key) for key in blocks.keys()]  # noqa: SIM118 (a MultiBlock is a list of blocks)
     missing = [key for key in ("environment", "ego") if key not in names]
@@ -140,11 +126,7 @@ def scene_from_pyvista(blocks: MultiBlock, *, name: str | None = None) -> Scene:
 
 
 def mesh_from_pyvista(surface: PolyData, *, name: str = "mesh") -> Mesh:
-    """The triangles of a pyvista surface, with the colours of its point data ``RGB`` (0..255), grey without.
-
-    Args:
-        surface: ``pyvista.PolyData`` of faces with any number of corners [m].
-    """
+    """The triangles of a pyvista surface [m], with the colours of its point data ``RGB`` (0..255), grey without."""
     pyvista = load_pyvista_data()
     if not isinstance(surface, pyvista.PolyData):
         raise InputError(

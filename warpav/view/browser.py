@@ -14,9 +14,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from warpav.core.errors import ArgumentError, InputError, install_text
-from warpav.view.inspector import SHOWN_HEIGHTS_M, TURN_RAD
+from warpav.view.inspector import SHOWN_HEIGHTS_M, SWITCHES, TURN_DEG
+from warpav.view.layers import patch_words
 from warpav.view.palette import camera_rgb, hex_colour
-from warpav.view.visibility_view import patch_words
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -106,24 +106,6 @@ class BrowserInspector:
         # an image is left out while the browser has not yet answered for the one before
         asyncio.get_running_loop().call_later(_AGAIN_S, self._update)
 
-    def _show_coverage(self, wanted: str) -> None:
-        shown = None if wanted == "off" else int(wanted)
-        while self.inspector.shown_height != shown:
-            self.inspector.cycle_coverage()
-
-    def _show_on_body(self, wanted: str) -> None:
-        while (self.inspector.shown_on_body or "off") != wanted:
-            self.inspector.cycle_body()
-
-    def _show_scene(self, number: int) -> None:
-        self.inspector.show_scene(int(number))
-
-    def _choose(self, camera: int | None) -> None:
-        self.inspector.choose(None if camera == self.inspector.chosen else camera)
-
-    def _write(self) -> None:
-        self._tell(f"wrote {self.inspector.save()}")
-
     # ------------------------------------------------------------------------------------------------- what is shown
 
     def _tell(self, text: str) -> None:
@@ -135,12 +117,12 @@ class BrowserInspector:
         """Show in the controls what the inspector shows."""
         inspector, shown = self.inspector, self.inspector.state
         with self.state as state:
-            state.coverage = "off" if inspector.shown_height is None else str(inspector.shown_height)
+            state.coverage = "off" if inspector.shown_height is None else inspector.shown_height
             state.on_body = inspector.shown_on_body or "off"
             state.frame, state.scene = shown.frame, shown.scene_index
             state.chosen = -1 if inspector.chosen is None else inspector.chosen
-            for name in _TOGGLES:
-                state[name] = getattr(inspector, name)
+            for name in SWITCHES:
+                state[f"shows_{name}"] = name in inspector.shows
             state.cameras = [
                 {"name": camera.name, "module": camera.module or "", "colour": hex_colour(camera_rgb(index))}
                 for index, camera in enumerate(shown.rig.cameras)
@@ -156,35 +138,29 @@ class BrowserInspector:
         with VAppLayout(self._server, full_height=True) as layout:
             layout.root.theme = "light"
             with v.VNavigationDrawer(permanent=True, width=320, classes="pa-3"):
-                html.Div(
-                    "{{ line }}", v_for="line, k in lines", key="k", classes="text-caption", style="line-height: 1.35"
-                )
+                line = {"classes": "text-caption", "style": "line-height: 1.35"}
+                html.Div("{{ line }}", v_for="line, k in lines", key="k", **line)
                 v.VDivider(classes="my-2")
                 if shown.scene_count > 1:
-                    self._select("scene", self._show_scene, [(k, f"scene {k + 1}") for k in range(shown.scene_count)])
+                    scenes = [(k, f"scene {k + 1}") for k in range(shown.scene_count)]
+                    self._select("scene", "scene", lambda number: inspector.show_scene(int(number)), scenes)
                 if len(shown.frames) > 1:
-                    v.VSlider(
-                        v_model=("frame",),
-                        label="iteration",
-                        min=0,
-                        max=len(shown.frames) - 1,
-                        step=1,
-                        thumb_label=True,
-                        end=(partial(self._do, lambda number: inspector.go_to(int(number))), "[$event]"),
-                        **small,
-                    )
-                heights = [(str(k), patch_words(height_m)) for k, height_m in enumerate(SHOWN_HEIGHTS_M)]
-                self._select("coverage", self._show_coverage, [*heights, ("off", "off")])
-                on_body = ["zones", *(["gain"] if shown.has_further_cameras else []), "off"]
-                self._select("on_body", self._show_on_body, [(each, _ON_BODY[each]) for each in on_body], label="body")
-                for name, (label, is_there) in _TOGGLES.items():
-                    if is_there is None or getattr(shown, is_there):
+                    action = partial(self._do, lambda number: inspector.go_to(int(number)))
+                    ends = {"min": 0, "max": len(shown.frames) - 1, "step": 1, "end": (action, "[$event]")}
+                    v.VSlider(v_model=("frame",), label="iteration", thumb_label=True, **ends, **small)
+                heights = [(k, patch_words(height_m)) for k, height_m in enumerate(SHOWN_HEIGHTS_M)]
+                self._select("coverage", "coverage", partial(_or_off, inspector.show_coverage), [*heights, _OFF])
+                gain = [("gain", SWITCHES["further"].words)] if "further" in shown.known else []
+                on_body = [("zones", "zones"), *gain, _OFF]
+                self._select("on_body", "body", partial(_or_off, inspector.show_on_body), on_body)
+                for name, switch in SWITCHES.items():
+                    if switch.needs is None or switch.needs in shown.known:
                         v.VSwitch(
-                            v_model=(name,),
-                            label=label,
+                            v_model=(f"shows_{name}",),
+                            label=switch.words,
                             color="primary",
                             classes="ml-2",
-                            update_modelValue=partial(self._do, getattr(inspector, _METHODS[name])),
+                            update_modelValue=partial(self._do, inspector.toggle, name),
                             **small,
                         )
                 v.VDivider(classes="my-2")
@@ -196,21 +172,20 @@ class BrowserInspector:
                         active=("k === chosen",),
                         title=("camera.name",),
                         subtitle=("camera.module",),
-                        click=(partial(self._do, self._choose), "[k]"),
+                        click=(partial(self._do, self._look_through), "[k]"),
                         classes="camera",
                     ),
                     v.Template(v_slot_prepend=True),
                 ):
                     v.VIcon("mdi-camera", color=("camera.colour",))
                 with v.VRow(dense=True, classes="mt-1", v_if="chosen >= 0"):
-                    self._button("turn left", lambda: inspector.turn(TURN_RAD))
-                    self._button("turn right", lambda: inspector.turn(-TURN_RAD))
-                    if shown.has_modules:
+                    self._button("turn left", lambda: inspector.turn(TURN_DEG))
+                    self._button("turn right", lambda: inspector.turn(-TURN_DEG))
+                    if "modules" in shown.known:
                         self._button("other module", inspector.change_module)
                 v.VBtn("write the rig", block=True, classes="mt-3", click=partial(self._do, self._write))
-                html.Div(
-                    "Click a ball to look through its camera, drag it to move the camera.", classes="text-caption mt-2"
-                )
+                said = "Click a ball to look through its camera, drag it to move the camera."
+                html.Div(said, classes="text-caption mt-2")
             with v.VMain(), html.Div(style="position: relative; width: 100%; height: 100%"):
                 view = vtk.VtkRemoteView(
                     inspector.plotter.render_window,
@@ -221,19 +196,12 @@ class BrowserInspector:
                 )
         self._update = view.update
 
-    def _select(
-        self,
-        name: str,
-        action: Callable[..., object],
-        choices: list[tuple[Any, str]],
-        *,
-        label: str | None = None,
-    ) -> None:
+    def _select(self, name: str, label: str, action: Callable[[Any], object], choices: list[tuple[Any, str]]) -> None:
         from trame.widgets import vuetify3 as v
 
         v.VSelect(
             v_model=(name,),
-            label=label or name,
+            label=label,
             items=(f"{name}_choices", [{"value": value, "title": title} for value, title in choices]),
             update_modelValue=(partial(self._do, action), "[$event]"),
             density="compact",
@@ -241,24 +209,23 @@ class BrowserInspector:
             classes="mb-2",
         )
 
+    def _look_through(self, camera: int) -> None:
+        self.inspector.choose(None if camera == self.inspector.chosen else camera)
+
+    def _write(self) -> None:
+        self._tell(f"wrote {self.inspector.save()}")
+
     def _button(self, label: str, action: Callable[[], object]) -> None:
         from trame.widgets import vuetify3 as v
 
         v.VBtn(label, size="small", classes="ma-1", click=partial(self._do, action))
 
 
-_TOGGLES: dict[str, tuple[str, str | None]] = {
-    "shows_rings": ("range rings", None),
-    "shows_outcomes": ("detections", None),
-    "shows_visibility": ("views of the cameras", None),
-    "shows_descent": ("arrows of the descent", "has_descents"),
-    "shows_further": ("one more camera", "has_further_cameras"),
-    "shows_requirements": ("requirements", "has_requirements"),
-}
-"""Switches by the attribute of `Inspector` that they show: label, and what of the state has to be there."""
+_OFF = ("off", "off")
 
-_METHODS = {name: name.replace("shows_", "toggle_") for name in _TOGGLES}
-_ON_BODY = {"zones": "zones", "gain": "one more camera", "off": "off"}
+
+def _or_off(action: Callable[[Any], object], wanted: Any) -> None:  # noqa: ANN401 (of the choice)
+    action(None if wanted == "off" else wanted)
 
 
 def _new_server() -> Server:

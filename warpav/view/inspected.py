@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from warpav.scene.scene import Scene
     from warpav.sight.check import RequirementResult
     from warpav.sight.ground import Coverage
-    from warpav.view.descent_view import Steepest
+    from warpav.view.layers import Steepest
 
 NEAR_M = 20.0
 """Ground of which the lines say how much several cameras see is this near to the vehicle's centre [m]."""
@@ -63,11 +63,7 @@ class InspectedRig:
             raise ValueError(f"expected a descent for each of {len(frames)} rigs, got {len(descents)}")
         self.frames = list(frames)
         self._descents = list(descents) or [None] * len(frames)
-        self.has_descents = any(each is not None for each in self._descents)
-        self.has_further_cameras = further is not None
-        self._further = further
-        self._modules, self._check = tuple(modules), check
-        self.has_modules, self.has_requirements = bool(self._modules), check is not None
+        self._further, self._modules, self._check = further, tuple(modules), check
         self.frame = len(self.frames) - 1
         self.rig = self.frames[-1]
         self.scene_index, self.scene_count = 0, scene_count
@@ -78,6 +74,17 @@ class InspectedRig:
         self._scene_of = kept(scene_of)
         self._packed_of = kept(lambda index: DeviceScene.pack(self._scene_of(index), device=device))
         self._ground_of = kept(lambda index: Ground.around(self._packed_of(index)))
+
+    @property
+    def known(self) -> set[str]:
+        """What there is to show or do beyond what every rig has."""
+        found = {
+            "descent": any(each is not None for each in self._descents),
+            "further": self._further is not None,
+            "modules": bool(self._modules),
+            "requirements": self._check is not None,
+        }
+        return {name for name, is_there in found.items() if is_there}
 
     @property
     def scene(self) -> Scene:
@@ -127,8 +134,7 @@ class InspectedRig:
     def change_module(self, camera: int) -> RigCamera:
         """Put the next module in a camera's place, after the last the first, and return it as it is then.
 
-        It stands and looks as the camera did; its lens, image and near plane are those of the module and of the camera.
-        Where there are no modules, nothing changes.
+        Position, angles and near plane stay those of the camera. Where there are no modules, nothing changes.
         """
         old, names = self.rig.cameras[camera], [module.name for module in self._modules]
         if not names:

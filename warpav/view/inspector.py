@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
 import textwrap
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -15,62 +14,62 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.sight.ground import HEIGHTS_M, PATCH_M
-from warpav.view.body_view import add_gain, add_zones
-from warpav.view.descent_view import add_descent, add_further_cameras
-from warpav.view.frustum import frustum_points
+from warpav.view.actors import add_text, no_render, remove
 from warpav.view.inspected import NEAR_M
-from warpav.view.opengl import load_pyvista, tell_vtk_where_to_draw
-from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
-from warpav.view.requirement_view import add_requirements
-from warpav.view.rig_view import (
-    FRUSTUM_DEPTH_M,
-    WIDE_ZOOM,
-    add_camera,
-    add_range_rings,
-    add_scene,
-    no_render,
-    rig_plotter,
-)
-from warpav.view.visibility_view import (
+from warpav.view.layers import (
     RAYS_PX,
-    add_camera_visibility,
     add_coverage,
-    add_outcomes,
+    add_descent,
+    add_further_cameras,
+    add_gain,
+    add_requirements,
+    add_visibility,
+    add_zones,
     colour_coverage,
     patch_words,
 )
+from warpav.view.opengl import load_pyvista, tell_vtk_where_to_draw
+from warpav.view.output import Canvas
+from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
+from warpav.view.picture import (
+    WIDE_ZOOM,
+    WINDOW_PX,
+    Picture,
+    add_camera,
+    add_range_rings,
+    add_scene,
+    label_point_m,
+    rig_plotter,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from warpav.evaluation.metrics import CameraObservation
-    from warpav.rig.rig import RigCamera
     from warpav.sight.ground import Coverage, Ground
     from warpav.view.inspected import InspectedRig
 
     Plotter = Any
 
-KEYS = {
-    "n": "next scene",
-    "c": "coverage: child, adult, ground, off",
-    "d": "detections",
-    "v": "views",
-    "g": "descent arrows",
-    "i": "range rings",
-    "m": "one more camera",
-    "z": "body: zones, one more camera, off",
-    "o": "other module",
-    "k": "requirements",
-    "Left": "turn left",
-    "Right": "turn right",
-    "Return": "write the rig",
-    "q": "quit",
-}
-"""What keys do, as the line of help in the window says; m, and the second of z, only after a search by a pool, o and k
-only where there are modules and requirements.
 
-VTK has uses of its own for w, s, r, f, p, u, e, a and 3.
-"""
+@dataclass(frozen=True)
+class Switch:
+    """What can be shown or not; ``needs`` is what of `InspectedRig.known` has to be there."""
+
+    key: str
+    words: str
+    needs: str | None = None
+
+
+SWITCHES = {
+    "rings": Switch("i", "range rings"),
+    "outcomes": Switch("d", "detections"),
+    "visibility": Switch("v", "views of the cameras"),
+    "descent": Switch("g", "arrows of the descent", "descent"),
+    "further": Switch("m", "one more camera", "further"),
+    "requirements": Switch("k", "requirements", "requirements"),
+}
+"""By their names."""
 
 VIEW_PX = 300
 """Longer side of the view through the chosen camera."""
@@ -83,7 +82,7 @@ SHOWN_HEIGHTS_M = (*HEIGHTS_M, PATCH_M)
 
 _BOTTOM = 0.1  # above the lines of help
 
-TURN_RAD = math.radians(2.0)
+TURN_DEG = 2.0
 _MESSAGE_CHARACTERS = 80
 """Longest line of a message in the window."""
 
@@ -106,41 +105,25 @@ class Inspector:
         save_to: Path,
         trajectory_m: np.ndarray | None = None,
         begin_with: BEGINNINGS = "coverage",
-        off_screen: bool | None = None,
-        window_size: tuple[int, int] = (1280, 800),
+        canvas: Canvas | None = None,
         panel: Callable[[str], None] | None = None,
     ) -> None:
-        """Draw everything once.
-
-        Args:
-            trajectory_m: Trajectories of the cameras over a run [m], [iteration, camera, 3].
-            window_size: Width and height [px].
-        """
+        """Draw everything once; a panel shows the lines that else stand in the window."""
         self.state, self.save_to, self._panel = state, save_to, panel
         self.chosen: int | None = None
         first_height = {"coverage": 0, "redundancy": SHOWN_HEIGHTS_M.index(PATCH_M)}
         self.shown_height: int | None = first_height.get(begin_with)
-        self.shows_outcomes = begin_with == "outcomes"
-        self.shows_visibility = begin_with == "visibility"
-        self.shows_descent, self.shows_rings = True, False
-        self.shows_further = begin_with == "further"
-        self.shows_requirements = begin_with == "requirements"
-        self.shown_on_body: Literal["zones", "gain"] | None = begin_with if begin_with in ("zones", "gain") else None
+        self.shows = {"descent", begin_with} & {*SWITCHES}
+        self.shown_on_body = begin_with if begin_with in ("zones", "gain") else None
         tell_vtk_where_to_draw()
+        canvas = canvas or Canvas()
         with ThreadPoolExecutor(1) as beside:
             # neither holds up the other: the one is Warp's, the other VTK's
             coverage = beside.submit(lambda: state.coverage)
-            self.plotter = rig_plotter(
-                state.rig,
-                ego=state.scene.ego,
-                scene=state.scene,
-                trajectory_m=trajectory_m,
-                off_screen=off_screen,
-                window_size=window_size,
-                sectors=False,
-                labels=False,
-                zoom=WIDE_ZOOM,
-            )
+            picture = Picture(rig=state.rig, scene=state.scene, trajectory_m=trajectory_m)
+            zoom = WIDE_ZOOM if canvas.zoom is None else canvas.zoom
+            canvas = Canvas(window_size=canvas.window_size or WINDOW_PX, zoom=zoom, off_screen=canvas.off_screen)
+            self.plotter = rig_plotter(picture, canvas, labels=False, sectors=False)
             coverage.result()
         # dragging has to be smooth; image files are made by other functions
         self.plotter.disable_anti_aliasing()
@@ -152,12 +135,7 @@ class Inspector:
         self._numbers: Any = None
         self._view: Any = None
         self._add_controls()
-        self._draw_descent()
-        self._draw_further()
-        self._draw_body()
-        if self.shows_outcomes:
-            self._draw_scene()
-        self._draw_visibility()
+        self._draw("descent", "further", "body", "visibility", *(["outcomes"] if "outcomes" in self.shows else []))
         self._redraw()
 
     # ------------------------------------------------------------------------------------------------ what users do
@@ -168,89 +146,58 @@ class Inspector:
             return  # the slider says so when it is made
         self.state.go_to(frame)
         with self._one_render():
-            for index in range(len(self.state.rig.cameras)):
-                self._draw_camera(index)
-                self._put_ball(index)
-            self._draw_descent()
-            self._draw_further()
-            self._draw_gain()
-            self._draw_visibility()
+            self._move(range(len(self.state.rig.cameras)))
+            self._draw("descent", "further", "gain", "visibility")
             self._redraw()
-
-    def next_scene(self) -> None:
-        """Show the next scene, after the last the first."""
-        self.show_scene(self.state.scene_index + 1)
 
     def show_scene(self, number: int) -> None:
         """Show a scene by its number, from 0; beyond the last they begin again."""
         self.state.show_scene(number)
         with self._one_render():
-            self._draw_scene()
-            self._draw_visibility()
+            self._draw("outcomes", "visibility")
+            self._redraw()
+
+    def show_coverage(self, height: int | None) -> None:
+        """Show who is seen where for one of `SHOWN_HEIGHTS_M`, or nothing; views go."""
+        self.shown_height = height
+        if height is not None:
+            self.shows.discard("visibility")
+        with self._one_render():
+            self._draw("visibility")
             self._redraw()
 
     def cycle_coverage(self) -> None:
-        """Show who is seen where for the next height, then the ground, nothing, the first height again; views go."""
+        """Show the coverage for the next height, then of the ground, then nothing, then for the first height again."""
         heights = [*range(len(SHOWN_HEIGHTS_M)), None]
-        self.shown_height = heights[(heights.index(self.shown_height) + 1) % len(heights)]
-        if self.shown_height is not None:
-            self.shows_visibility = False
-        with self._one_render():
-            self._draw_visibility()
-            self._redraw()
+        self.show_coverage(heights[(heights.index(self.shown_height) + 1) % len(heights)])
 
-    def toggle_outcomes(self) -> None:
-        """Colour traffic by what becomes of it, or no longer."""
-        self.shows_outcomes = not self.shows_outcomes
-        with self._one_render():
-            self._draw_scene()
-            self._redraw()
-
-    def toggle_visibility(self) -> None:
-        """Paint the views of the cameras up to what hides the rest, or no longer; the coverage goes."""
-        self.shows_visibility = not self.shows_visibility
-        if self.shows_visibility:
+    def toggle(self, name: str) -> None:
+        """Show one of `SWITCHES`, or no longer; the coverage goes where the ground carries something else."""
+        self.shows ^= {name}
+        if name in ("visibility", "requirements") and name in self.shows:
             self.shown_height = None
         with self._one_render():
-            self._draw_visibility()
-            self._draw_coverage()
+            if name != "requirements":
+                self._draw(name)
+            if name in ("outcomes", "requirements"):
+                self._redraw()
+            elif name == "visibility":
+                self._draw_coverage()
 
-    def toggle_descent(self) -> None:
-        """Show the arrows of the descent, or no longer."""
-        self.shows_descent = not self.shows_descent
+    def show_on_body(self, shown: str | None) -> None:
+        """Paint ``zones`` on the body, or ``gain``: what one more camera would bring; or nothing."""
+        self.shown_on_body = shown
         with self._one_render():
-            self._draw_descent()
-
-    def toggle_rings(self) -> None:
-        """Show circles on the ground that say how far it is, or no longer."""
-        self.shows_rings = not self.shows_rings
-        with self._one_render():
-            add_range_rings(self.plotter, self.state.scene.ego.bounds_m() if self.shows_rings else None)
-
-    def toggle_further(self) -> None:
-        """Show what one more camera would bring, or no longer; nothing happens where that is not known."""
-        self.shows_further = not self.shows_further
-        with self._one_render():
-            self._draw_further()
+            self._draw("body")
 
     def cycle_body(self) -> None:
         """Paint the zones on the body, then what one more camera would bring if that is known, then nothing."""
-        after = {None: "zones", "zones": "gain" if self.state.has_further_cameras else None, "gain": None}
-        self.shown_on_body = after[self.shown_on_body]
-        with self._one_render():
-            self._draw_body()
-
-    def toggle_requirements(self) -> None:
-        """Lay the points of the requirements on the ground, or no longer; the coverage goes."""
-        self.shows_requirements = not self.shows_requirements
-        if self.shows_requirements:
-            self.shown_height = None
-        with self._one_render():
-            self._redraw()
+        gain = "gain" if "further" in self.state.known else None
+        self.show_on_body({None: "zones", "zones": gain, "gain": None}[self.shown_on_body])
 
     def change_module(self) -> None:
         """Put the next module in the place of the chosen camera."""
-        if self.chosen is not None and self.state.has_modules:
+        if self.chosen is not None and "modules" in self.state.known:
             self.state.change_module(self.chosen)
             self._after_change(self.chosen)
 
@@ -272,10 +219,10 @@ class Inspector:
         self.chosen = camera
         self._after_change(camera)
 
-    def turn(self, angle_rad: float) -> None:
-        """Turn the chosen camera to the left by an angle [rad]."""
+    def turn(self, angle_deg: float) -> None:
+        """Turn the chosen camera to the left by an angle [degrees]."""
         if self.chosen is not None:
-            self.state.turn(self.chosen, self.state.rig.cameras[self.chosen].yaw_rad + angle_rad)
+            self.state.turn(self.chosen, self.state.rig.cameras[self.chosen].yaw_rad + np.radians(angle_deg))
             self._after_change(self.chosen)
 
     def save(self) -> Path:
@@ -289,54 +236,27 @@ class Inspector:
             self._say("\n".join([*self._lines(), f"wrote {path}"]))
         return path
 
-    # ------------------------------------------------------------------------------------------------ what is drawn
+    # ------------------------------------------------------------------------------------------------ controls
 
-    def _follow(self, camera: int, position_m: np.ndarray) -> None:
-        """What a drag changes, not yet drawn."""
-        was_descent, was_further = self.state.descent is not None, self.state.further is not None
-        self.state.move(camera, position_m)
-        self._draw_camera(camera)
-        if was_descent:
-            self._draw_descent()
-        if was_further:
-            self._draw_further()
-            self._draw_gain()
-        if self.shows_visibility:
-            self._draw_visibility_of(camera, rays=_DRAGGED_RAYS_PX)
-        self._redraw(detector=False)
-
-    def _dragged(self, ball: Any, camera: int) -> None:  # noqa: ANN401 (a vtkSphereWidget)
-        """Answer to a move of the mouse; the ball draws the window afterwards, so nothing else has to."""
-        with no_render(self.plotter):
-            self._follow(camera, np.array(ball.GetCenter()))
-
-    def _after_change(self, camera: int) -> None:
-        with self._one_render():
-            self._draw_camera(camera)
-            self._put_ball(camera)
-            self._draw_descent()
-            self._draw_further()
-            self._draw_gain()
-            if self.shows_visibility:
-                self._draw_visibility_of(camera)
-            if self.shows_outcomes:
-                self._draw_scene()
-            self._redraw()
-
-    def _attempt(self, action: Callable[[], object]) -> None:
-        """Do what a key stands for; what keeps it from being done is said in the window."""
-        try:
-            action()
-        except InputError as error:
-            with self._one_render():
-                self._say(textwrap.fill(str(error), _MESSAGE_CHARACTERS))
-
-    @contextmanager
-    def _one_render(self) -> Iterator[None]:
-        """Draw once when all is changed, instead of after every change."""
-        with no_render(self.plotter):
-            yield
-        self.plotter.render()
+    @property
+    def keys(self) -> dict[str, tuple[str, Callable[[], object]]]:
+        """What keys do, in words and as functions. VTK has uses of its own for w, s, r, f, p, u, e, a and 3."""
+        known = self.state.known
+        body = "body: zones, one more camera, off" if "further" in known else "body: zones, off"
+        found: dict[str, tuple[str, Callable[[], object]]] = {
+            "n": ("next scene", lambda: self.show_scene(self.state.scene_index + 1)),
+            "c": ("coverage: child, adult, ground, off", self.cycle_coverage),
+        }
+        for name, switch in SWITCHES.items():
+            if switch.needs is None or switch.needs in known:
+                found[switch.key] = (switch.words, partial(self.toggle, name))
+        found["z"] = (body, self.cycle_body)
+        if "modules" in known:
+            found["o"] = ("other module", self.change_module)
+        found["Left"] = ("turn left", lambda: self.turn(TURN_DEG))
+        found["Right"] = ("turn right", lambda: self.turn(-TURN_DEG))
+        found["Return"] = ("write the rig", self.save)
+        return found
 
     def _add_controls(self) -> None:
         plotter, count = self.plotter, len(self.state.frames)
@@ -345,56 +265,32 @@ class Inspector:
         plotter.render_window.AddObserver("WindowResizeEvent", lambda *_: self._put_view())
         if self._panel is not None:
             return
-        controls = {"click a ball": "look through the camera", "drag it": "move the camera", **KEYS}
-        for key, is_there in (
-            ("o", self.state.has_modules),
-            ("k", self.state.has_requirements),
-        ):
-            if not is_there:
-                del controls[key]
-        if not self.state.has_further_cameras:
-            del controls["m"]
-            controls["z"] = "body: zones, off"
-        help_texts = [f"{key}: {word}" for key, word in controls.items()]
-        half = len(help_texts) // 2
-        plotter.add_text(
-            "   ".join(help_texts[:half]) + "\n" + "   ".join(help_texts[half:]),
-            position=(0.02, 0.012),
-            viewport=True,
-            font_size=8,
-            color=hex_colour(INK_RGB),
-            name="help",
-        )
+        said = ["click a ball: look through the camera", "drag it: move the camera"]
+        said += [*(f"{key}: {words}" for key, (words, _) in self.keys.items()), "q: quit"]
+        third = -(-len(said) // 3)
+        lines = ("   ".join(said[k : k + third]) for k in range(0, len(said), third))
+        add_text(plotter, "\n".join(lines), (0.02, 0.012), size=8, name="help")
         if count > 1:
+            place = {"pointa": (0.66, 0.93), "pointb": (0.97, 0.93), "color": hex_colour(INK_RGB), "fmt": "%.0f"}
             plotter.add_slider_widget(
                 lambda value: self.go_to(round(value)),
                 (0, count - 1),
                 value=self.state.frame,
                 title="iteration",
-                pointa=(0.66, 0.93),
-                pointb=(0.97, 0.93),
-                fmt="%.0f",
-                color=hex_colour(INK_RGB),
                 interaction_event="end",
+                **place,
             )
-        actions = {
-            "n": self.next_scene,
-            "c": self.cycle_coverage,
-            "d": self.toggle_outcomes,
-            "v": self.toggle_visibility,
-            "g": self.toggle_descent,
-            "i": self.toggle_rings,
-            "m": self.toggle_further,
-            "z": self.cycle_body,
-            "o": self.change_module,
-            "k": self.toggle_requirements,
-            "Left": lambda: self.turn(TURN_RAD),
-            "Right": lambda: self.turn(-TURN_RAD),
-            "Return": self.save,
-        }
-        for key, action in actions.items():
+        for key, (_, action) in self.keys.items():
             plotter.clear_events_for_key(key, raise_on_missing=False)
             plotter.add_key_event(key, partial(self._attempt, action))
+
+    def _attempt(self, action: Callable[[], object]) -> None:
+        """Do what a key stands for; what keeps it from being done is said in the window."""
+        try:
+            action()
+        except InputError as error:
+            with self._one_render():
+                self._say(textwrap.fill(str(error), _MESSAGE_CHARACTERS))
 
     def _add_ball(self, index: int) -> None:
         """A ball around a camera that can be dragged."""
@@ -411,19 +307,57 @@ class Inspector:
         widget.AddObserver("StartInteractionEvent", lambda ball, _: self.choose(index))
         self._balls.append(widget)
 
-    def _put_ball(self, index: int) -> None:
-        self._balls[index].SetCenter(*self.state.rig.cameras[index].position_m)
-
     def _add_label(self, index: int) -> Any:  # noqa: ANN401 (a pyvista.Label)
         """The name of a camera above its frustum."""
         camera = self.state.rig.cameras[index]
-        label = load_pyvista().Label(f" {camera.name} ", position=_label_m(camera), size=14)
+        label = load_pyvista().Label(f" {camera.name} ", position=tuple(label_point_m(camera)), size=14)
         label.prop.color = "white"
         label.prop.background_color = hex_colour(camera_rgb(index))
         label.prop.background_opacity = 0.9
         label.prop.justification_horizontal = "center"
         self.plotter.add_actor(label, name=f"label/{camera.name}", reset_camera=False, pickable=False)
         return label
+
+    # ------------------------------------------------------------------------------------------------ what is drawn
+
+    @contextmanager
+    def _one_render(self) -> Iterator[None]:
+        """Draw once when all is changed, instead of after every change."""
+        with no_render(self.plotter):
+            yield
+        self.plotter.render()
+
+    def _dragged(self, ball: Any, camera: int) -> None:  # noqa: ANN401 (a vtkSphereWidget)
+        """Answer to a move of the mouse; the ball draws the window afterwards, so nothing else has to."""
+        with no_render(self.plotter):
+            self._follow(camera, np.array(ball.GetCenter()))
+
+    def _follow(self, camera: int, position_m: np.ndarray) -> None:
+        """What a drag changes, not yet drawn."""
+        was_known = self.state.descent is not None or self.state.further is not None
+        self.state.move(camera, position_m)
+        self._draw_camera(camera)
+        if was_known:
+            self._draw("descent", "further", "gain")
+        if "visibility" in self.shows:
+            self._draw_visibility([camera], rays=_DRAGGED_RAYS_PX)
+        self._redraw(detector=False)
+
+    def _after_change(self, camera: int) -> None:
+        with self._one_render():
+            self._move([camera])
+            self._draw("descent", "further", "gain")
+            if "visibility" in self.shows:
+                self._draw_visibility([camera])
+            if "outcomes" in self.shows:
+                self._draw("outcomes")
+            self._redraw()
+
+    def _move(self, cameras: Iterable[int]) -> None:
+        """Draw cameras where they are now, and their balls."""
+        for index in cameras:
+            self._draw_camera(index)
+            self._balls[index].SetCenter(*self.state.rig.cameras[index].position_m)
 
     def _draw_camera(self, index: int) -> None:
         """Move what is drawn of a camera to where it is now; only another lens is drawn again."""
@@ -434,49 +368,39 @@ class Inspector:
                 if name.startswith(f"rig/{camera.name}/"):
                     actor.user_matrix = moved
         else:
-            for name in [name for name in self.plotter.actors if name.startswith(f"rig/{camera.name}/")]:
-                self.plotter.remove_actor(name)
+            remove(self.plotter, f"rig/{camera.name}")
             add_camera(self.plotter, camera, index)
             self._drawn[index] = camera
-        self._labels[index].position = _label_m(camera)
+        self._labels[index].position = tuple(label_point_m(camera))
 
-    def _draw_descent(self) -> None:
-        descent = self.state.descent if self.shows_descent else None
-        add_descent(self.plotter, self.state.rig, descent, self.state.surface)
+    def _draw(self, *parts: str) -> None:
+        """Draw parts of the picture as they are now, or take them away."""
+        state, plotter, shows = self.state, self.plotter, self.shows
+        for part in parts:
+            if part == "rings":
+                add_range_rings(plotter, state.scene.ego.bounds_m() if part in shows else None)
+            elif part == "outcomes":
+                remove(plotter, "scene")
+                add_scene(plotter, state.scene, state.observation.outcomes if part in shows else None)
+            elif part == "visibility":
+                self._draw_visibility(range(len(state.rig.cameras)))
+            elif part == "descent":
+                add_descent(plotter, state.rig, state.descent if part in shows else None, state.surface)
+            elif part == "further" and "further" in state.known:
+                add_further_cameras(plotter, state.further if part in shows else None)
+            elif part == "body":  # zones stay where they are, whatever becomes of the cameras
+                add_zones(plotter, state.surface if self.shown_on_body == "zones" else None, bottom=_BOTTOM)
+            if part in ("body", "gain") and "further" in state.known:
+                further = state.further if self.shown_on_body == "gain" else None
+                add_gain(plotter, state.surface, further, at=(0.325, _BOTTOM))
 
-    def _draw_further(self) -> None:
-        if self.state.has_further_cameras:
-            add_further_cameras(self.plotter, self.state.further if self.shows_further else None)
-
-    def _draw_body(self) -> None:
-        """Paint the body; zones stay where they are, whatever becomes of the cameras."""
-        shown = self.state.surface if self.shown_on_body == "zones" else None
-        add_zones(self.plotter, shown, legend_bottom=_BOTTOM)
-        self._draw_gain()
-
-    def _draw_gain(self) -> None:
-        if self.state.has_further_cameras:
-            further = self.state.further if self.shown_on_body == "gain" else None
-            add_gain(self.plotter, self.state.surface, further, scale_at=(0.325, _BOTTOM))
-
-    def _draw_visibility(self) -> None:
-        for index, camera in enumerate(self.state.rig.cameras):
-            if self.shows_visibility:
-                self._draw_visibility_of(index)
+    def _draw_visibility(self, cameras: Iterable[int], *, rays: int = RAYS_PX) -> None:
+        for index in cameras:
+            camera = self.state.rig.cameras[index]
+            if "visibility" in self.shows:
+                add_visibility(self.plotter, camera, index, self.state.packed, rays=rays)
             else:
                 self.plotter.remove_actor(f"visibility/{camera.name}")
-
-    def _draw_visibility_of(self, index: int, *, rays: int = RAYS_PX) -> None:
-        add_camera_visibility(self.plotter, self.state.rig.cameras[index], index, self.state.packed, rays=rays)
-
-    def _draw_scene(self) -> None:
-        scene, plotter = self.state.scene, self.plotter
-        for name in [name for name in plotter.actors if name.startswith(("scene/", "legend/"))]:
-            plotter.remove_actor(name)
-        if self.shows_outcomes:
-            add_outcomes(plotter, scene, self.state.observation.outcomes, legend=False)
-            scene = dataclasses.replace(scene, vehicles=())
-        add_scene(plotter, scene)
 
     def _redraw(self, *, detector: bool = True) -> None:
         """What follows from the rig: coverage, numbers, and the view through the chosen camera."""
@@ -484,7 +408,7 @@ class Inspector:
         self._say("\n".join(self._lines(detector=detector)))
         if detector:
             self._draw_view()
-            add_requirements(self.plotter, self.state.requirements if self.shows_requirements else None)
+            add_requirements(self.plotter, self.state.requirements if "requirements" in self.shows else None)
 
     def _lines(self, *, detector: bool = True) -> list[str]:
         """What the corner says."""
@@ -496,12 +420,13 @@ class Inspector:
                 shares = [float(coverage.share_seen_by(count, radius_m=NEAR_M)[0]) for count in (1, 2, 3)]
                 seen = ", ".join(f"{share:.1%} by {count}" for count, share in zip((1, 2, 3), shares, strict=True))
                 lines.append(f"the ground within {NEAR_M:g} m: {seen} cameras or more")
-        if self.chosen is not None and self.state.rig.cameras[self.chosen].module is not None:
-            lines.append(f"{self.state.rig.cameras[self.chosen].name}: {self.state.rig.cameras[self.chosen].module}")
-        met = self.state.requirements if detector and self.shows_requirements else None
+        chosen = None if self.chosen is None else self.state.rig.cameras[self.chosen]
+        if chosen is not None and chosen.module is not None:
+            lines.append(f"{chosen.name}: {chosen.module}")
+        met = self.state.requirements if detector and "requirements" in self.shows else None
         if met is not None:
             lines.append(f"requirements: {met.is_point_met.mean():.1%} of points met (discs), the rest has crosses")
-        if detector and (self.shows_outcomes or self.chosen is not None):
+        if detector and ("outcomes" in self.shows or self.chosen is not None):
             observed = self.state.observation
             lines.append(f"{int(observed.detected.sum())} of {len(observed.detected)} vehicles detected")
         return lines
@@ -528,9 +453,7 @@ class Inspector:
             self._panel(text)
             return
         if self._numbers is None:
-            self._numbers = self.plotter.add_text(
-                text, position=(0.02, 0.80), viewport=True, font_size=10, color=hex_colour(INK_RGB), name="numbers"
-            )
+            self._numbers = add_text(self.plotter, text, (0.02, 0.80), size=10, name="numbers")
         self._numbers.input = text
 
     def _draw_view(self) -> None:
@@ -552,27 +475,14 @@ class Inspector:
     def view_rgb(self) -> np.ndarray:
         """The image of the chosen camera: green boxes are found, orange ones missed, red ones false; uint8."""
         assert self.chosen is not None
-        observed = self.state.observation.cameras[self.chosen]
-        return _framed_view(
-            observed, scale=VIEW_PX / max(observed.image_rgb.shape[:2]), border_rgb=camera_rgb(self.chosen)
-        )
+        return _framed_view(self.state.observation.cameras[self.chosen], camera_rgb(self.chosen))
 
 
-def _label_m(camera: RigCamera) -> tuple[float, float, float]:
-    """Where the name of a camera stands: above the far end of its frustum [m]."""
-    corner = frustum_points(camera, depth_m=FRUSTUM_DEPTH_M)[1:]
-    x, y = corner[:, :2].mean(axis=0)
-    return float(x), float(y), float(corner[:, 2].max()) + 0.12
-
-
-def _framed_view(observed: CameraObservation, *, scale: float, border_rgb: tuple[int, int, int]) -> np.ndarray:
-    """A camera's image with boxes and a coloured border.
-
-    Returns:
-        uint8 [row, column, 3].
-    """
+def _framed_view(observed: CameraObservation, border_rgb: tuple[int, int, int]) -> np.ndarray:
+    """A camera's image with boxes and a coloured border, uint8 [row, column, 3]."""
     import cv2
 
+    scale = VIEW_PX / max(observed.image_rgb.shape[:2])
     enlarged = cv2.resize(observed.image_rgb, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
 
     def draw(box: np.ndarray, rgb: tuple[int, int, int], width: int) -> None:

@@ -12,9 +12,9 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.files import atomic_write
+from warpav.view.actors import no_render
 from warpav.view.opengl import optional_module
 from warpav.view.palette import CAMERA_RGB, DESCENT_RGB
-from warpav.view.rig_view import no_render
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -35,13 +35,33 @@ _ORBIT_FRAMES, _ORBIT_FRAME_S = 40, 0.1
 _GIF_COLOURS = 255  # and one for what stays as it was
 
 
-@dataclass(frozen=True, eq=False)
-class Animation:
-    """Images of an animation, not yet drawn.
+@dataclass(frozen=True)
+class Canvas:
+    """What plots of all classes have in common; `warpav.view.plot` says what each means.
 
     Attributes:
-        image_rgb: The images, at least one, all of one size, uint8 [row, column, 3]; gone through once.
+        window_size: Width and height [px]; None: what suits the object and the file.
     """
+
+    out: Path | None = None
+    title: str | None = None
+    window_size: tuple[int, int] | None = None
+    zoom: float | None = None
+    off_screen: bool | None = None
+
+    @property
+    def is_animation(self) -> bool:
+        """Whether the file is an animation."""
+        return self.out is not None and self.out.suffix.lower() in ANIMATION_SUFFIXES
+
+    def size_px(self, usual: tuple[int, int]) -> tuple[int, int]:
+        """Width and height [px], where images have the usual size unless another one was asked for."""
+        return self.window_size or (ANIMATION_PX if self.is_animation else usual)
+
+
+@dataclass(frozen=True, eq=False)
+class Animation:
+    """Images of an animation, all of one size, uint8 [row, column, 3]; drawn as they are gone through, once."""
 
     image_rgb: Iterable[np.ndarray]
     count: int
@@ -49,32 +69,25 @@ class Animation:
     last_s: float = 0.0
 
 
-def save_image(
-    plotter: Plotter,
-    path: Path | str,
-    *,
-    supersampling: int = 2,
-    frame_count: int = _ORBIT_FRAMES,
-    progress: Progress | None = None,
-) -> Path:
-    """Write what an off-screen plotter shows.
-
-    ``.png``; ``.html``, a page that stands alone, which needs the extra ``web``; ``.gif``, one turn around the ego;
-    ``.mp4``, likewise, which needs imageio with ffmpeg. The file appears complete or not at all; missing folders are
-    made.
-    """
+def save_image(plotter: Plotter, path: Path | str, *, progress: Progress | None = None) -> Path:
+    """Write what an off-screen plotter shows: an image, a page that stands alone, or one turn around the ego."""
     path = Path(path)
     check_suffix(path)
     if path.suffix.lower() in ANIMATION_SUFFIXES:
-        frame_count = max(2, frame_count)
-        orbit = _orbit(plotter, frame_count=frame_count, supersampling=supersampling)
-        animation = Animation(orbit, frame_count, frame_s=_ORBIT_FRAME_S)
-        return save_animation(animation, path, progress=progress)
+        return save_animation(Animation(_orbit(plotter), _ORBIT_FRAMES, _ORBIT_FRAME_S), path, progress=progress)
     if path.suffix.lower() == ".png":
-        encoded = io.BytesIO()
-        _image(plotter, supersampling).save(encoded, format="PNG")
-        return write_whole(path, encoded.getvalue())
+        return write_whole(path, png_bytes(_image(plotter)))
     return save_page({path.stem: plotter}, path, title=path.stem)
+
+
+def png_bytes(image: Any, **options: Any) -> bytes:  # noqa: ANN401 (of Pillow)
+    """An image of Pillow or of uint8 [row, column, 3] as PNG."""
+    from PIL import Image
+
+    encoded = io.BytesIO()
+    image = Image.fromarray(image) if isinstance(image, np.ndarray) else image
+    image.save(encoded, format="PNG", **options)
+    return encoded.getvalue()
 
 
 def save_page(plotters: Mapping[str, Plotter], path: Path | str, *, title: str, lines: Sequence[str] = ()) -> Path:
@@ -86,21 +99,16 @@ def save_page(plotters: Mapping[str, Plotter], path: Path | str, *, title: str, 
 
 
 def save_animation(animation: Animation, path: Path | str, *, progress: Progress | None = None) -> Path:
-    """Write an animation as ``.gif`` or ``.mp4``.
-
-    The file appears complete or not at all; missing folders are made.
-    """
+    """Write an animation as ``.gif`` or ``.mp4``."""
     path = Path(path)
     if path.suffix.lower() not in ANIMATION_SUFFIXES:
         raise InputError(f"{path}: expected a name that ends in {', '.join(ANIMATION_SUFFIXES)}, got {path.suffix!r}")
-    images, times = animation.image_rgb, {"frame_s": animation.frame_s, "last_s": animation.last_s}
+    check_suffix(path)
+    images = animation.image_rgb
     if progress is not None:
         images = progress.steps("images", images, count=animation.count)
-    if path.suffix.lower() == ".gif":
-        return write_whole(path, _gif(list(images), **times))
-    for name in ("imageio", "imageio_ffmpeg"):
-        optional_module(name, purpose=f"{path}: an animation as MP4", extra="movie")
-    return write_whole(path, _mp4(images, **times))
+    encode = _gif if path.suffix.lower() == ".gif" else _mp4
+    return write_whole(path, encode(images, frame_s=animation.frame_s, last_s=animation.last_s))
 
 
 def render_rgb(plotter: Plotter, *, supersampling: int = 2) -> np.ndarray:
@@ -108,7 +116,7 @@ def render_rgb(plotter: Plotter, *, supersampling: int = 2) -> np.ndarray:
     return np.asarray(_image(plotter, supersampling))
 
 
-def _image(plotter: Plotter, supersampling: int) -> Any:  # noqa: ANN401 (a Pillow image)
+def _image(plotter: Plotter, supersampling: int = 2) -> Any:  # noqa: ANN401 (a Pillow image)
     """Draw larger and shrink: unlike multisampling, this also smooths translucent faces."""
     from PIL import Image
 
@@ -129,18 +137,16 @@ def _image(plotter: Plotter, supersampling: int) -> Any:  # noqa: ANN401 (a Pill
     return Image.fromarray(np.ascontiguousarray(large)).resize((width, height), Image.Resampling.LANCZOS)
 
 
-def _orbit(plotter: Plotter, *, frame_count: int, supersampling: int) -> Iterator[np.ndarray]:
+def _orbit(plotter: Plotter) -> Iterator[np.ndarray]:
     target = np.asarray(plotter.camera.focal_point)
-    offset = np.asarray(plotter.camera.position) - target
-    for angle in np.linspace(0.0, 2.0 * math.pi, frame_count, endpoint=False):
+    x, y, z = np.asarray(plotter.camera.position) - target
+    for angle in np.linspace(0.0, 2.0 * math.pi, _ORBIT_FRAMES, endpoint=False):
         cosine, sine = math.cos(angle), math.sin(angle)
-        turned = np.array([cosine * offset[0] - sine * offset[1], sine * offset[0] + cosine * offset[1], offset[2]])
-        plotter.camera.position = tuple(target + turned)
-        yield render_rgb(plotter, supersampling=supersampling)
-    plotter.camera.position = tuple(target + offset)
+        plotter.camera.position = tuple(target + np.array([cosine * x - sine * y, sine * x + cosine * y, z]))
+        yield render_rgb(plotter)
 
 
-def _gif(image_rgb: Sequence[np.ndarray], *, frame_s: float, last_s: float) -> bytes:
+def _gif(images: Iterable[np.ndarray], *, frame_s: float, last_s: float) -> bytes:
     """All images in the colours of a few of them and in those of the cameras.
 
     With one palette for all, what does not move costs nothing; the cameras' colours would be lost in it, as their lines
@@ -148,6 +154,7 @@ def _gif(image_rgb: Sequence[np.ndarray], *, frame_s: float, last_s: float) -> b
     """
     from PIL import Image
 
+    image_rgb = list(images)
     some = image_rgb[:: max(1, len(image_rgb) // 4)]
     accent = np.outer([1.0, 0.65], [*CAMERA_RGB, DESCENT_RGB]).round().astype(int).ravel().tolist()
     common = Image.fromarray(np.concatenate(some)).quantize(_GIF_COLOURS - len(accent) // 3, kmeans=2)
@@ -163,15 +170,15 @@ def _gif(image_rgb: Sequence[np.ndarray], *, frame_s: float, last_s: float) -> b
     return encoded.getvalue()
 
 
-def _mp4(image_rgb: Iterable[np.ndarray], *, frame_s: float, last_s: float) -> bytes:
+def _mp4(images: Iterable[np.ndarray], *, frame_s: float, last_s: float) -> bytes:
     import tempfile
 
-    imageio = optional_module("imageio.v2", purpose="an animation as MP4", extra="movie")
+    imageio = _load_imageio("an animation as MP4")
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "animation.mp4"
         with imageio.get_writer(file, format="FFMPEG", fps=1.0 / frame_s, quality=7, macro_block_size=2) as writer:
             image = None
-            for image in image_rgb:
+            for image in images:
                 writer.append_data(image)
             for _ in range(round(last_s / frame_s)):
                 writer.append_data(image)
@@ -185,12 +192,16 @@ def check_suffix(path: Path, *, further: tuple[str, ...] = ()) -> None:
         expected = ", ".join(dict.fromkeys((*SUFFIXES, *further)))
         raise InputError(f"{path}: expected a name that ends in {expected}, got {path.suffix!r}")
     if suffix == ".html":
-        from warpav.view.page import check_library
+        from warpav.view.page import load_k3d
 
-        check_library()
+        load_k3d()
     if suffix == ".mp4":
-        for name in ("imageio", "imageio_ffmpeg"):
-            optional_module(name, purpose=f"{path}: an animation as MP4", extra="movie")
+        _load_imageio(f"{path}: an animation as MP4")
+
+
+def _load_imageio(purpose: str) -> Any:  # noqa: ANN401 (a module)
+    modules = [optional_module(name, purpose=purpose, extra="movie") for name in ("imageio_ffmpeg", "imageio.v2")]
+    return modules[-1]
 
 
 def write_whole(path: Path, content: bytes) -> Path:

@@ -26,6 +26,9 @@ Tags = Mapping[str, str]
 """Values of controls, by their keys."""
 
 _OPAQUE = 255
+_SHIFTS = np.array([65536, 256, 1])
+"""Of the parts of colours that are one number."""
+
 _LABELS = "-labels"
 """What pyvista adds to the names of labels."""
 
@@ -50,7 +53,7 @@ class Page:
 
     def __init__(self, title: str, *, controls: Sequence[Control] = (), lines: Sequence[str] = ()) -> None:
         """An empty page."""
-        self._k3d, self._title, self._controls, self._lines = _k3d(), title, controls, lines
+        self._k3d, self._title, self._controls, self._lines = load_k3d(), title, controls, lines
         self._plot = self._k3d.plot(
             grid_visible=False,
             axes_helper=0,
@@ -78,9 +81,7 @@ class Page:
             actor = plotter.actors[name]
             if not actor.GetVisibility():
                 continue
-            if isinstance(actor, pyvista.Label):
-                self._add_name(str(actor.input).strip(), actor.position, _packed(actor.prop.background_color), tags)
-            elif isinstance(actor, pyvista.Actor):
+            if isinstance(actor, pyvista.Actor):
                 self._add_mesh(actor, tags)
             elif name.endswith(_LABELS):
                 self._add_labels(actor, tags)
@@ -91,21 +92,10 @@ class Page:
         named = load_pyvista().wrap(mapper.GetInputConnection(0, 0).GetProducer().GetInputDataObject(0, 0))
         shape_rgb = [round(255 * each) for each in mapper.GetBackgroundColor()]
         colour_rgb = shape_rgb if mapper.GetShape() else INK_RGB
+        style = {"color": int(np.dot(colour_rgb, _SHIFTS)), "reference_point": "cc", "size": 0.8, "is_html": True}
         for at_m, text in zip(named.points, named["labels"], strict=True):
-            self._add_name(str(text).strip(), at_m, int(np.dot(colour_rgb, [65536, 256, 1])), tags)
-
-    def _add_name(self, text: str, position_m: Any, colour: int, tags: Tags) -> None:  # noqa: ANN401 (three numbers)
-        self._put(
-            self._k3d.text(
-                html.escape(text),
-                position=[float(each) for each in position_m],
-                color=colour,
-                reference_point="cc",
-                size=0.8,
-                is_html=True,
-            ),
-            tags,
-        )
+            position = [float(each) for each in at_m]
+            self._put(self._k3d.text(html.escape(str(text).strip()), position=position, **style), tags)
 
     def _add_mesh(self, actor: Any, tags: Tags) -> None:  # noqa: ANN401 (a pyvista.Actor)
         actor.mapper.Update()
@@ -134,7 +124,7 @@ class Page:
                 point_m,
                 triangle,
                 color=_packed(actor.prop.color) if at_corner is None else 0xFFFFFF,  # both are multiplied
-                colors=[] if at_corner is None else _packed_all(at_corner),
+                colors=[] if at_corner is None else (at_corner[:, :3] @ _SHIFTS).astype(np.uint32),
                 opacity=opacity,
                 flat_shading=True,
                 side="double",
@@ -248,20 +238,11 @@ def _colours(surface: Any, actor: Any) -> np.ndarray | None:  # noqa: ANN401 (of
 
 
 def _packed(colour: Any) -> int:  # noqa: ANN401 (a pyvista.Color)
-    return int(np.dot(np.asarray(colour.int_rgb), [65536, 256, 1]))
+    return int(np.dot(np.asarray(colour.int_rgb), _SHIFTS))
 
 
-def _packed_all(rgb: np.ndarray) -> np.ndarray:
-    red, green, blue = (rgb[:, k].astype(np.uint32) for k in range(3))
-    return (red << 16) | (green << 8) | blue
-
-
-def check_library() -> None:
-    """Check that pages can be made here."""
-    _k3d()
-
-
-def _k3d() -> Any:  # noqa: ANN401 (a module)
+def load_k3d() -> Any:  # noqa: ANN401 (a module)
+    """The module k3d, which makes pages."""
     try:
         import k3d
     except ImportError as error:

@@ -6,12 +6,11 @@ What is drawn of an object is registered with `draws` by class and kind; rooms a
 from __future__ import annotations
 
 import difflib
+import importlib
 import inspect
-import io
 import sys
-import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -20,50 +19,20 @@ from warpav.raster.mesh import Mesh
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import Rig
 from warpav.scene.scene import Scene
-from warpav.view.figures.style import FIGURE_SUFFIXES, checked_figure, save_figure
+from warpav.view.figures.style import FIGURE_SUFFIXES, checked_figure, figure_bytes, save_figure
 from warpav.view.opengl import display_text, has_display, load_pyvista
-from warpav.view.output import ANIMATION_PX, ANIMATION_SUFFIXES, Animation, check_suffix, save_animation, save_image
-from warpav.view.rig_view import WINDOW_PX, rig_plotter
-from warpav.view.vehicle_view import VEHICLE_PX, vehicle_plotter
+from warpav.view.output import Animation, Canvas, check_suffix, save_animation, save_image
+from warpav.view.picture import Picture, rig_plotter, vehicle_plotter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    import numpy as np
-
     from warpav.core.progress import Progress
     from warpav.detection.probability import DetectionProbability
-    from warpav.optimisation.further_camera import FurtherCameras
     from warpav.raster.camera import CameraModel
-    from warpav.sight.check import RequirementResult
-    from warpav.sight.ground import Coverage
 
     Drawing = Any
     Plotter = Any
-
-
-@dataclass(frozen=True)
-class Canvas:
-    """What plots of all classes have in common; `plot` says what each means.
-
-    Attributes:
-        window_size: Width and height [px]; None: what suits the object and the file.
-    """
-
-    out: Path | None = None
-    title: str | None = None
-    window_size: tuple[int, int] | None = None
-    zoom: float | None = None
-    off_screen: bool | None = None
-
-    @property
-    def is_animation(self) -> bool:
-        """Whether the file is an animation."""
-        return self.out is not None and self.out.suffix.lower() in ANIMATION_SUFFIXES
-
-    def size_px(self, usual: tuple[int, int]) -> tuple[int, int]:
-        """Width and height [px], where images have the usual size unless another one was asked for."""
-        return self.window_size or (ANIMATION_PX if self.is_animation else usual)
 
 
 @dataclass(frozen=True)
@@ -71,7 +40,8 @@ class Kind:
     """One way of drawing the objects of a class."""
 
     draw: Callable[..., Drawing]
-    is_figure: bool = False
+    is_figure: bool
+    options: tuple[str, ...]
 
 
 _KINDS: dict[type, dict[str, Kind]] = {}
@@ -80,11 +50,18 @@ _KINDS: dict[type, dict[str, Kind]] = {}
 Function = TypeVar("Function", bound="Callable[..., Any]")
 
 
-def draws(cls: type, kind: str, *, is_figure: bool = False) -> Callable[[Function], Function]:
-    """Registers a function as what draws a kind of a class, and of the classes below it."""
+def draws(
+    cls: type, kind: str, *, is_figure: bool = False, options: Sequence[str] | None = None
+) -> Callable[[Function], Function]:
+    """Registers a function as what draws a kind of a class, and of the classes below it.
+
+    Options are what `plot` hands on by keyword; None: all that the function takes by keyword alone.
+    """
 
     def register(draw: Function) -> Function:
-        _KINDS.setdefault(cls, {})[kind] = Kind(draw, is_figure)
+        by_keyword = inspect.Parameter.KEYWORD_ONLY
+        takes = (name for name, one in inspect.signature(draw).parameters.items() if one.kind is by_keyword)
+        _KINDS.setdefault(cls, {})[kind] = Kind(draw, is_figure, tuple(takes if options is None else options))
         return draw
 
     return register
@@ -207,9 +184,6 @@ def plot(
         TypeError: Objects of this class cannot be plotted, or have no such option.
     """
     title = None if title is None else one_line(title)
-    if options.pop("sheet", False):
-        warnings.warn('sheet=True: is kind="sheet" now; the old name goes in the next version', FutureWarning, 2)
-        kind = "sheet"
     chosen = _checked_kind(type(obj), kind)
     canvas = Canvas(None if out is None else Path(out), title, window_size, zoom, off_screen)
     if canvas.out is not None:
@@ -236,18 +210,10 @@ def plot(
 
 
 def _split(
-    options: Mapping[str, Any],
-    kind: Kind,
-    obj: object,
-    *,
-    is_file: bool,
+    options: Mapping[str, Any], kind: Kind, obj: object, *, is_file: bool
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The options of an object's class and those of ``pyvista.Plotter.show``."""
-    takes = [
-        name
-        for name, one in inspect.signature(kind.draw).parameters.items()
-        if one.kind is inspect.Parameter.KEYWORD_ONLY
-    ]
+    takes = kind.options
     own = {name: value for name, value in options.items() if name in takes}
     of_show = {name: value for name, value in options.items() if name not in takes}
     known = (
@@ -277,13 +243,13 @@ def _show(plotter: Plotter, options: Mapping[str, Any], *, off_screen: bool | No
 
 def _deliver_figure(figure: Any, canvas: Canvas) -> Any:  # noqa: ANN401 (matplotlib)
     """Write a figure of matplotlib, or show it: as an image in a notebook, else in the system's viewer of images."""
+    import io
+
     from PIL import Image
 
     if canvas.out is not None:
         return save_figure(figure, checked_figure(canvas.out))
-    encoded = io.BytesIO()
-    figure.savefig(encoded, format="png")
-    image = Image.open(encoded)
+    image = Image.open(io.BytesIO(figure_bytes(figure, ".png")))
     if canvas.off_screen or "ipykernel" in sys.modules:
         return image
     if not has_display():
@@ -302,37 +268,26 @@ def _no_display() -> InputError:
 # ------------------------------------------------------------------------------------------- classes of lower rooms
 
 
-@draws(Rig, "view")
-def _draw_rig(
-    rig: Rig | None,
-    canvas: Canvas,
-    *,
-    ego: Mesh | None = None,
-    scene: Scene | None = None,
-    mount_surface: MountSurface | None = None,
-    trajectory_m: np.ndarray | None = None,
-    outcomes: Sequence[str] | None = None,
-    coverage: Coverage | None = None,
-    visibility: bool = False,
-    further: FurtherCameras | None = None,
-    requirements: RequirementResult | None = None,
-) -> Drawing:
-    return rig_plotter(
-        rig,
-        ego=ego,
-        scene=scene,
-        mount_surface=mount_surface,
-        trajectory_m=trajectory_m,
-        outcomes=outcomes,
-        coverage=coverage,
-        visibility=visibility,
-        further=further,
-        requirements=requirements,
-        title=canvas.title,
-        window_size=canvas.size_px(WINDOW_PX),
-        zoom=canvas.zoom,
-        off_screen=canvas.off_screen,
-    )
+@draws(Rig, "view", options=[each.name for each in fields(Picture) if each.name != "rig"])
+def _draw_rig(rig: Rig, canvas: Canvas, **parts: Any) -> Plotter:  # noqa: ANN401 (of `Picture`)
+    return rig_plotter(Picture(rig=rig, **parts), canvas)
+
+
+@draws(Scene, "view", options=("rig", "outcomes", "coverage", "visibility"))
+def _draw_scene(scene: Scene, canvas: Canvas, **parts: Any) -> Plotter:  # noqa: ANN401 (of `Picture`)
+    return rig_plotter(Picture(scene=scene, **parts), canvas)
+
+
+@draws(Mesh, "view")
+def _draw_vehicle(
+    vehicle: Mesh, canvas: Canvas, *, mount_surface: MountSurface | None = None, axle_m: Sequence[float] = ()
+) -> Plotter:
+    return vehicle_plotter(vehicle, canvas, surface=mount_surface, axle_m=axle_m)
+
+
+@draws(MountSurface, "view")
+def _draw_mount_surface(surface: MountSurface, canvas: Canvas, *, vehicle: Mesh | None = None) -> Plotter:
+    return vehicle_plotter(vehicle, canvas, surface=surface)
 
 
 @draws(Rig, "sheet", is_figure=True)
@@ -346,24 +301,33 @@ def _draw_sheet(
 ) -> Drawing:
     from warpav.view.figures.rig_sheet import rig_sheet
 
-    vehicle = scene.ego if ego is None and scene is not None else ego
-    return rig_sheet(rig, ego=vehicle, range_m=range_m, title=canvas.title)
+    return rig_sheet(rig, ego=Picture(ego=ego, scene=scene).vehicle, range_m=range_m, title=canvas.title)
 
 
-@draws(Mapping, "plan", is_figure=True)
-@draws(Rig, "plan", is_figure=True)
-def _draw_plan(
-    rig: Rig | Mapping[str, Rig], canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None
-) -> Drawing:
-    from warpav.view.figures.plan import plan_figure
+def _draws_rigs(kind: str) -> Callable[[Function], Function]:
+    """Registers what draws one rig or several by name."""
 
-    return plan_figure(_by_name(rig), _vehicle(ego, scene, "plan"), heading=canvas.title)
+    def register(draw: Function) -> Function:
+        return draws(Mapping, kind, is_figure=True)(draws(Rig, kind, is_figure=True)(draw))
+
+    return register
 
 
-@draws(Mapping, "range", is_figure=True)
-@draws(Rig, "range", is_figure=True)
+def _figure_of_rigs(module: str, kind: str) -> None:
+    """Registers ``<kind>_figure`` of a module of figures as what draws a kind of rigs on their vehicle."""
+
+    @_draws_rigs(kind)
+    def draw(rig: Any, canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None) -> Drawing:  # noqa: ANN401
+        figure = getattr(importlib.import_module(f"warpav.view.figures.{module}"), f"{kind}_figure")
+        return figure(_by_name(rig), _vehicle(ego, scene, kind), heading=canvas.title)
+
+
+_figure_of_rigs("plan", "plan")
+
+
+@_draws_rigs("range")
 def _draw_range(
-    rig: Rig | Mapping[str, Rig],
+    rig: Any,  # noqa: ANN401
     canvas: Canvas,
     *,
     ego: Mesh | None = None,
@@ -375,31 +339,12 @@ def _draw_range(
     return range_figure(_by_name(rig), _vehicle(ego, scene, "range"), probability=probability, heading=canvas.title)
 
 
-@draws(Mapping, "near_field", is_figure=True)
-@draws(Rig, "near_field", is_figure=True)
-def _draw_near_field(
-    rig: Rig | Mapping[str, Rig], canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None
-) -> Drawing:
-    from warpav.view.figures.near_field import near_field_figure
-
-    return near_field_figure(_by_name(rig), _vehicle(ego, scene, "near_field"), heading=canvas.title)
+_figure_of_rigs("near_field", "near_field")
+_figure_of_rigs("detection_range", "redundancy")
 
 
-@draws(Mapping, "redundancy", is_figure=True)
-@draws(Rig, "redundancy", is_figure=True)
-def _draw_redundancy(
-    rig: Rig | Mapping[str, Rig], canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None
-) -> Drawing:
-    from warpav.view.figures.detection_range import redundancy_figure
-
-    return redundancy_figure(_by_name(rig), _vehicle(ego, scene, "redundancy"), heading=canvas.title)
-
-
-@draws(Mapping, "resolution", is_figure=True)
-@draws(Rig, "resolution", is_figure=True)
-def _draw_resolution(
-    rig: Rig | Mapping[str, Rig], canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None
-) -> Drawing:
+@_draws_rigs("resolution")
+def _draw_resolution(rig: Any, canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None) -> Drawing:  # noqa: ANN401
     from warpav.view.figures.plan import resolution_figure
 
     del ego, scene  # the body is left out of account
@@ -429,56 +374,8 @@ def _by_name(rig: Rig | Mapping[str, Rig]) -> dict[str, Rig]:
 
 def _vehicle(ego: Mesh | None, scene: Scene | None, kind: str) -> Mesh:
     """The vehicle that a plot asks for: the given one, else that of the scene."""
-    vehicle = scene.ego if ego is None and scene is not None else ego
+    vehicle = Picture(ego=ego, scene=scene).vehicle
     if vehicle is None:
-        raise ArgumentError(
-            "ego", f"expected the vehicle for kind={kind!r}, got none; give ego=wa.read_vehicle(...) or scene=..."
-        )
+        hint = "give ego=wa.read_vehicle(...) or scene=..."
+        raise ArgumentError("ego", f"expected the vehicle for kind={kind!r}, got none; {hint}")
     return vehicle
-
-
-@draws(Scene, "view")
-def _draw_scene(
-    scene: Scene,
-    canvas: Canvas,
-    *,
-    rig: Rig | None = None,
-    outcomes: Sequence[str] | None = None,
-    coverage: Coverage | None = None,
-    visibility: bool = False,
-) -> Plotter:
-    return _draw_rig(
-        rig,
-        canvas,
-        scene=scene,
-        outcomes=outcomes,
-        coverage=coverage,
-        visibility=visibility,
-    )
-
-
-@draws(Mesh, "view")
-def _draw_vehicle(
-    vehicle: Mesh, canvas: Canvas, *, mount_surface: MountSurface | None = None, axle_m: Sequence[float] = ()
-) -> Plotter:
-    return vehicle_plotter(
-        vehicle,
-        surface=mount_surface,
-        axle_m=axle_m,
-        title=canvas.title,
-        window_size=canvas.size_px(VEHICLE_PX),
-        zoom=1.0 if canvas.zoom is None else canvas.zoom,
-        off_screen=canvas.off_screen,
-    )
-
-
-@draws(MountSurface, "view")
-def _draw_mount_surface(surface: MountSurface, canvas: Canvas, *, vehicle: Mesh | None = None) -> Plotter:
-    return vehicle_plotter(
-        vehicle,
-        surface=surface,
-        title=canvas.title,
-        window_size=canvas.size_px(VEHICLE_PX),
-        zoom=1.0 if canvas.zoom is None else canvas.zoom,
-        off_screen=canvas.off_screen,
-    )

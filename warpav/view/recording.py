@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,26 +11,23 @@ import numpy as np
 from warpav.core.files import atomic_write, writing
 from warpav.detection.images import render
 from warpav.raster.lens import Lens
-from warpav.view.descent_view import Steepest, add_descent
+from warpav.view.actors import add_legend, add_text, no_render
 from warpav.view.frustum import image_corners
+from warpav.view.layers import Steepest, add_descent
 from warpav.view.opengl import optional_module
-from warpav.view.output import ANIMATION_FRAME_S, ANIMATION_LAST_S, ANIMATION_PX, Animation, render_rgb
-from warpav.view.palette import INK_RGB, TRUTH_RGB, camera_rgb, hex_colour
-from warpav.view.rig_view import add_rig, add_trajectory, no_render, rig_plotter
-from warpav.view.visibility_view import add_legend
+from warpav.view.output import ANIMATION_FRAME_S, ANIMATION_LAST_S, ANIMATION_PX, Animation, Canvas, render_rgb
+from warpav.view.palette import TRUTH_RGB, camera_rgb
+from warpav.view.picture import Picture, add_rig, add_trajectory, rig_plotter
 
-if TYPE_CHECKING:
-    from warpav.raster.mesh import Mesh
-    from warpav.rig.rig import Rig, RigCamera
-    from warpav.scene.scene import Scene
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from warpav.raster.mesh import Mesh
     from warpav.rig.mount_surface import MountSurface
-    from warpav.rig.rig import Rig
+    from warpav.rig.rig import Rig, RigCamera
     from warpav.scene.scene import Scene
 
-FRUSTUM_DEPTH_M = 1.0
+_FRUSTUM_DEPTH_M = 1.0
 """How far frustums reach [m]."""
 
 TIMELINE = "iteration"
@@ -117,17 +113,16 @@ def _log_camera(rerun: Any, recording: Any, camera: RigCamera, index: int, *, st
             image_from_camera=model.intrinsics,
             resolution=[model.width_px, model.height_px],
             camera_xyz=rerun.ViewCoordinates.RDF,
-            image_plane_distance=FRUSTUM_DEPTH_M,
+            image_plane_distance=_FRUSTUM_DEPTH_M,
             color=colour,
         )
         recording.log(f"rig/{camera.name}/image", pinhole, static=static)
         return
-    corner_m = image_corners(model, depth_m=FRUSTUM_DEPTH_M)
+    corner_m = image_corners(model, depth_m=_FRUSTUM_DEPTH_M)
     edges = [np.stack([np.zeros(3), corner]) for corner in corner_m] + [corner_m[[0, 1, 2, 3, 0]]]
     recording.log(f"rig/{camera.name}/frustum", rerun.LineStrips3D(edges, colors=[colour]), static=static)
 
 
-ZOOM = 1.6
 _MAX_FRAMES = 60
 """Of a longer run every n-th iteration is shown, and always the last one."""
 
@@ -140,81 +135,49 @@ def run_animation(
     scene: Scene,
     surface: MountSurface | None = None,
     window_size: tuple[int, int] = ANIMATION_PX,
-    supersampling: int = 2,
 ) -> Animation:
-    """The iterations of a run, and at the end its result; drawn while the images are gone through.
+    """The iterations of a run, with arrows of the descent on a surface, and at the end its result."""
+    canvas = Canvas(window_size=window_size, zoom=1.6, off_screen=True)
 
-    Args:
-        window_size: Width and height [px].
-    """
-    images = _images(
-        frames, events, end=end, scene=scene, surface=surface, window_size=window_size, supersampling=supersampling
-    )
-    count = len(shown_iterations(len(frames))) + 1
-    return Animation(images, count, frame_s=ANIMATION_FRAME_S, last_s=ANIMATION_LAST_S)
+    def images() -> Iterator[np.ndarray]:
+        plotter = rig_plotter(Picture(rig=frames[0], scene=scene), canvas, labels=False, sectors=False)
+        plotter.disable_anti_aliasing()  # supersampling does that
+        # in one place, as moving names would be most of a GIF
+        add_legend(plotter, {camera.name: camera_rgb(k) for k, camera in enumerate(end.cameras)}, name="cameras")
+        width = max(len(str(event["iteration"])) for event in events)
 
-
-def _images(
-    frames: Sequence[Rig],
-    events: Sequence[Mapping[str, Any]],
-    *,
-    end: Rig,
-    scene: Scene,
-    surface: MountSurface | None,
-    window_size: tuple[int, int],
-    supersampling: int,
-) -> Iterator[np.ndarray]:
-    plotter = rig_plotter(
-        frames[0], scene=scene, off_screen=True, window_size=window_size, sectors=False, labels=False, zoom=ZOOM
-    )
-    plotter.disable_anti_aliasing()  # supersampling does that
-    # in one place, as moving names would be most of a GIF
-    add_legend(plotter, {camera.name: camera_rgb(k) for k, camera in enumerate(end.cameras)}, name="cameras")
-    width = max(len(str(event["iteration"])) for event in events)
-    try:
-        for k in shown_iterations(len(frames)):
-            event = events[k]
-            # trajectories of an earlier descent go when another one begins
-            own = [j for j in range(k + 1) if events[j].get("descent") == event.get("descent")]
-            trajectory_m = np.array([[camera.position_m for camera in frames[j].cameras] for j in own])
-            with no_render(plotter):
-                add_rig(plotter, frames[k], sectors=False, labels=False)
-                add_trajectory(plotter, trajectory_m)
-                if surface is not None:
-                    add_descent(plotter, frames[k], Steepest.of_event(event), surface)
-                _write(plotter, [f"iteration {event['iteration']:{width}d}", _objective_text(events[: k + 1])])
-            yield render_rgb(plotter, supersampling=supersampling)
-        with no_render(plotter):
-            add_rig(plotter, end, sectors=False, labels=False)
+        def draw(rig: Rig, steepest: Steepest | None, line: str, shown: Sequence[Mapping[str, Any]]) -> None:
+            add_rig(plotter, rig, sectors=False)
             if surface is not None:
-                add_descent(plotter, end, None, surface)
-            _write(plotter, ["result", _objective_text(events)])
-        yield render_rgb(plotter, supersampling=supersampling)
-    finally:
-        plotter.close()
+                add_descent(plotter, rig, steepest, surface)
+            text = "\n".join(filter(None, (line, _objective_text(shown))))
+            add_text(plotter, text, (0.02, 0.88), size=9, name="iteration", font="courier")
+
+        try:
+            for k in shown_iterations(len(frames)):
+                # trajectories of an earlier descent go when another one begins
+                own = [j for j in range(k + 1) if events[j].get("descent") == events[k].get("descent")]
+                with no_render(plotter):
+                    add_trajectory(plotter, [[camera.position_m for camera in frames[j].cameras] for j in own])
+                    line = f"iteration {events[k]['iteration']:{width}d}"
+                    draw(frames[k], Steepest.of_event(events[k]), line, events[: k + 1])
+                yield render_rgb(plotter)
+            with no_render(plotter):
+                draw(end, None, "result", events)
+            yield render_rgb(plotter)
+        finally:
+            plotter.close()
+
+    count = len(shown_iterations(len(frames))) + 1
+    return Animation(images(), count, frame_s=ANIMATION_FRAME_S, last_s=ANIMATION_LAST_S)
 
 
-def shown_iterations(count: int, *, most: int = _MAX_FRAMES) -> list[int]:
+def shown_iterations(count: int) -> list[int]:
     """Which of so many iterations are shown: the first, the last, and evenly spread ones between them."""
-    return sorted({round(float(k)) for k in np.linspace(0, count - 1, min(count, most))})
+    return sorted({round(float(k)) for k in np.linspace(0, count - 1, min(count, _MAX_FRAMES))})
 
 
 def _objective_text(events: Sequence[Mapping[str, Any]]) -> str:
     """The best objective so far on the scenes that rigs are compared on, else the loss of the last batch."""
-    best = events[-1].get("best_training_objective")
-    if best is not None:
-        return f"best objective so far {best:.4f}"
-    loss = events[-1]["loss"]
-    return "" if loss is None else f"loss {loss:.4f}"
-
-
-def _write(plotter: Any, lines: Sequence[str]) -> None:  # noqa: ANN401 (a pyvista.Plotter)
-    plotter.add_text(
-        "\n".join(line for line in lines if line),
-        position=(0.02, 0.88),
-        viewport=True,
-        font_size=9,
-        font="courier",
-        color=hex_colour(INK_RGB),
-        name="iteration",
-    )
+    best, loss = events[-1].get("best_training_objective"), events[-1]["loss"]
+    return f"best objective so far {best:.4f}" if best is not None else "" if loss is None else f"loss {loss:.4f}"

@@ -1,4 +1,4 @@
-"""Style and files of all figures, and sheets to print."""
+"""What all figures share: style, files, panels, headings, marks, and sheets to print."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from warpav.core.errors import ArgumentError, InputError
-from warpav.core.files import atomic_write
+from warpav.core.errors import ArgumentError
+from warpav.view.output import write_whole
 from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, PAPER_RGB, camera_rgb, hex_colour
 
 WIDTH_INCH = 9.0
@@ -70,41 +70,36 @@ def new_figure(width_inch: float, height_inch: float) -> Any:  # noqa: ANN401 (m
     return figure
 
 
-def save_figure(figure: Any, path: Path | str) -> Path:  # noqa: ANN401 (matplotlib)
-    """Write a figure as a file that appears whole or not at all, the same every time; missing folders are made."""
+def figure_bytes(figure: Any, suffix: str) -> bytes:  # noqa: ANN401 (matplotlib)
+    """A figure as a file of a kind, the same every time."""
     import matplotlib
 
-    path = Path(path)
-    suffix = path.suffix.lower()
-    encoded = io.BytesIO()
-    layout = figure.get_layout_engine()
+    encoded, layout = io.BytesIO(), figure.get_layout_engine()
     figure.draw_without_rendering()
     figure.set_layout_engine("none")  # found once: `savefig` would look for it twice more
+    options: Any = {"pil_kwargs": {"compress_level": 4}} if suffix == ".png" else {}  # the default takes twice as long
     with matplotlib.rc_context({"svg.hashsalt": "warpav"}):
-        options = {"pil_kwargs": {"compress_level": 4}} if suffix == ".png" else {}  # the default takes twice as long
         figure.savefig(encoded, format=suffix[1:], metadata=_METADATA[suffix], **options)
     figure.set_layout_engine(layout)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(path) as draft:
-            draft.write_bytes(encoded.getvalue())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror})") from None
-    return path
+    return encoded.getvalue()
+
+
+def save_figure(figure: Any, path: Path | str) -> Path:  # noqa: ANN401 (matplotlib)
+    """Write a figure as a file that appears whole or not at all, the same every time; missing folders are made."""
+    path = Path(path)
+    return write_whole(path, figure_bytes(figure, path.suffix.lower()))
 
 
 def svg_text(draw: Callable[[Any], None], height_inch: float) -> str:
     """What a function draws into an axis, as SVG; the same every time."""
     import matplotlib
 
-    with (
-        figure_style(),
-        matplotlib.rc_context({"svg.hashsalt": "warpav", "figure.facecolor": "none", "axes.facecolor": "none"}),
-    ):
+    clear = {"svg.hashsalt": "warpav", "figure.facecolor": "none", "axes.facecolor": "none"}
+    with figure_style(), matplotlib.rc_context(clear):
         figure = new_figure(SVG_WIDTH_INCH, height_inch)
         draw(figure.subplots())
         text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+        figure.savefig(text, format="svg", metadata=_METADATA[".svg"])
     return text.getvalue()
 
 
@@ -152,10 +147,52 @@ def title(axis: Any, text: str, remark: str = "") -> None:  # noqa: ANN401 (matp
     axis.set_title(remark, loc="right", fontweight="normal", fontsize=9)
 
 
-def caption(figure: Any, text: str) -> None:  # noqa: ANN401 (matplotlib)
-    """Lines below all panels, clear of their labels."""
+def caption(figure: Any, text: str, heading: str | None = None) -> None:  # noqa: ANN401 (matplotlib)
+    """Lines below all panels, clear of their labels, and a heading above them."""
     figure.get_layout_engine().set(h_pad=0.07)
     figure.supxlabel(text, fontsize=9, color=hex_colour(MUTED_RGB))
+    if heading:
+        figure.suptitle(heading, x=0.01, ha="left", fontweight="bold")
+
+
+def colour_bar(figure: Any, image: Any, axes: Any, label: str = "", **style: Any) -> None:  # noqa: ANN401 (matplotlib)
+    """A bar that says what the colours of an image mean, without a frame."""
+    bar = figure.colorbar(image, ax=axes, **{"pad": 0.02, "aspect": 28} | style)
+    bar.set_label(label)
+    bar.outline.set_visible(False)
+
+
+def colour_map(name: str, *stops: Any) -> Any:  # noqa: ANN401 (matplotlib)
+    """A map of colours between stops, as hexadecimal text or sRGB."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list(name, [hex_colour(s) if isinstance(s, tuple) else s for s in stops])
+
+
+def metre_axes(axis: Any, *, across: bool = True, up: bool = True) -> None:  # noqa: ANN401 (matplotlib)
+    """A panel from above to scale, x pointing right."""
+    axis.set_aspect("equal")
+    if across:
+        axis.set_xlabel("x, forward [m]")
+    if up:
+        axis.set_ylabel("y, left [m]")
+
+
+def closed(line: np.ndarray) -> np.ndarray:
+    """A line through points [point, 2] and back to the first."""
+    return np.vstack([line, line[:1]])
+
+
+def paper(pad: float, alpha: float) -> dict[str, Any]:
+    """What stands behind a text so that it is read on lines, for ``bbox``."""
+    return {"facecolor": "white", "edgecolor": "none", "pad": pad, "alpha": alpha}
+
+
+def halo(width: float = 2.5) -> list[Any]:
+    """What surrounds a text so that it is read on colours, for ``path_effects``."""
+    from matplotlib.patheffects import withStroke
+
+    return [withStroke(linewidth=width, foreground="white")]
 
 
 def count_text(count: int, what: str = "points") -> str:
