@@ -15,7 +15,7 @@ from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.scene import Scene
 from warpav.view import Canvas, drawing_of, kinds_of, plot
 from warpav.view.figures import detection_range
-from warpav.view.figures.plan import camera_handles, ring_radii_m
+from warpav.view.figures.from_above import camera_handles, ring_radii_m
 from warpav.view.figures.style import new_figure
 
 KINDS = ("plan", "range", "near_field", "redundancy", "resolution", "contact")
@@ -128,15 +128,13 @@ def test_a_range_that_the_model_ends_keeps_its_line_and_has_ticks():
     figure = new_figure(3.0, 3.0)
     axis = figure.add_subplot(projection="polar")
     range_m, limit_m = np.full(8, 100.0), np.array([50.0] * 5 + [200.0] * 3)
-    turn = np.append(azimuth_rad, 2.0 * math.pi)
-    detection_range._draw_line(axis, turn, range_m, limit_m, "red", "--")
-    whole, cut = (line.get_ydata() for line in axis.lines)
+    detection_range._draw_ranges(axis, azimuth_rad, {0.5: range_m}, limit_m, 0, 4.0)
+    whole, cut, ticks = (line.get_ydata() for line in axis.lines[:3])
     assert whole[5:8] == pytest.approx(100.0)
     assert cut[:5] == pytest.approx(50.0)
     assert np.isnan(cut[5:8]).all()
-    detection_range._draw_limit(axis, azimuth_rad, range_m, limit_m, "red", 4.0)
-    assert axis.lines[-1].get_ydata()[:2] == pytest.approx([50.0, 54.0])
-    assert len(axis.lines[-1].get_ydata()) == 9  # at 0, 90 and 180 degrees
+    assert ticks[:2] == pytest.approx([50.0, 54.0])
+    assert len(ticks) == 9  # at 0, 90 and 180 degrees
 
 
 def test_cameras_have_their_names_of_several_rigs_under_the_names_of_these():

@@ -7,7 +7,7 @@ import pytest
 
 from warpav.raster.camera import CameraModel
 from warpav.rig.rig import RigCamera
-from warpav.view.frustum import bearing_sector_rad, frustum_points, image_corners, sector_polygon_m
+from warpav.view.outlines import bearing_sector_rad, frustum_points, image_corners, sector_polygon_m
 
 
 def camera(*, yaw_deg=0.0, pitch_deg=0.0, roll_deg=0.0, fov_deg=90.0, width_px=320, height_px=200, **lens):

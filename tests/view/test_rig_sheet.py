@@ -18,7 +18,7 @@ from warpav.view.figures.rig_sheet import (
     rig_sheet,
     vertical_arcs_rad,
 )
-from warpav.view.frustum import seen_ground_m
+from warpav.view.outlines import seen_ground_m
 
 EXACT_RAD = 1e-7  # worst seen 3e-9: a quarter of a degree halved thirty times, and float64
 

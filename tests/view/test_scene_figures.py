@@ -20,8 +20,8 @@ from warpav.scene.reconstruction.point_cloud import fuse
 from warpav.scene.reconstruction.settings import CloudSettings, MeshSettings, ReconstructionSettings
 from warpav.scene.scene import Box
 from warpav.view import cloud_view
-from warpav.view.cloud_view import BACKGROUND_RGB
 from warpav.view.figures import clouds, images, rigs
+from warpav.view.figures.clouds import BACKGROUND_RGB
 from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH, count_text
 from warpav.view.palette import camera_rgb
 

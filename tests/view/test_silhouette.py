@@ -5,7 +5,7 @@ import pytest
 
 from tests.view.stand_ins import block, ego
 from warpav.raster.mesh import merge
-from warpav.view.silhouette import STEP_M, silhouette_m
+from warpav.view.outlines import STEP_M, silhouette_m
 
 X, Y, Z = np.eye(3)
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.view.actors import add_labels, add_text, mesh_to_pyvista, paint, remove
-from warpav.view.frustum import bearing_sector_rad, frustum_points
 from warpav.view.layers import (
     add_coverage,
     add_further_cameras,
@@ -26,6 +25,7 @@ from warpav.view.layers import (
     add_visibility,
 )
 from warpav.view.opengl import has_display, load_pyvista, load_pyvista_data
+from warpav.view.outlines import bearing_sector_rad, frustum_points
 from warpav.view.output import Canvas, render_rgb
 from warpav.view.palette import GROUND_RGB, INK_RGB, PAPER_RGB, Rgb, camera_rgb, hex_colour
 

@@ -12,8 +12,7 @@ from warpav.raster.camera import CameraModel
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.glb import GLTF_FROM_EGO
-from warpav.view.drawing.mount_model import FRUSTUM_DEPTH_M, mount_glb
-from warpav.view.drawing.sheet import mounts
+from warpav.view.drawing.mounts import FRUSTUM_DEPTH_M, mount_glb, mounts
 
 MODULE = builtin_modules()["side_2mp_100"]
 

@@ -10,7 +10,7 @@ import pytest
 from tests.view.stand_ins import ego
 from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
-from warpav.view.drawing.sheet import COLUMNS, mount_csv, mounts
+from warpav.view.drawing.mounts import COLUMNS, mount_csv, mounts
 
 WIDE = CameraModel(640, 480, math.radians(190.0), lens="fisheye")
 

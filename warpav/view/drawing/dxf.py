@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.view.drawing.sheet import angles_deg, plain
+from warpav.view.drawing.mounts import angles_deg, plain
 from warpav.view.opengl import optional_module
 from warpav.view.palette import camera_rgb
 
@@ -37,15 +37,6 @@ _ALIGN = {"left": "MIDDLE_LEFT", "middle": "MIDDLE_CENTER", "right": "MIDDLE_RIG
 def load_ezdxf(place: Path) -> Any:  # noqa: ANN401 (a module)
     """The module ezdxf, to write this file."""
     return optional_module("ezdxf", purpose=f"{place}: a drawing as DXF", extra="cad")
-
-
-def has_ezdxf() -> bool:
-    """Whether drawings can be written as DXF."""
-    try:
-        import ezdxf  # noqa: F401 (asked for alone)
-    except ImportError:
-        return False
-    return True
 
 
 def drawing_dxf(drawing: Sheet, *, place: Path) -> bytes:
@@ -94,15 +85,8 @@ def _document(ezdxf: Any, drawing: Sheet) -> Any:  # noqa: ANN401 (ezdxf)
     for ordinate in drawing.ordinates:
         add = space.add_ordinate_x_dim if ordinate.is_across else space.add_ordinate_y_dim
         feature, end = np.array(model(ordinate.feature_mm)), np.array(model(ordinate.end_mm))
-        dimension = add(
-            feature.tolist(),
-            offset=(end - feature).tolist(),
-            origin=model(ordinate.view.datum_mm),
-            text=ordinate.text,
-            dimstyle="WARPAV",
-            dxfattribs={"layer": "DIMENSIONS"},
-        )
-        dimension.render()
+        place = {"offset": (end - feature).tolist(), "origin": model(ordinate.view.datum_mm), "text": ordinate.text}
+        add(feature.tolist(), **place, dimstyle="WARPAV", dxfattribs={"layer": "DIMENSIONS"}).render()
     return document
 
 
@@ -116,29 +100,25 @@ def _add_block(document: Any, scale: float) -> None:  # noqa: ANN401 (ezdxf)
 
 def _add_mark(space: Any, drawing: Sheet, mark: Mark, place: list[float], tip: list[float]) -> None:  # noqa: ANN401 (ezdxf)
     """The block of a camera with its numbers as invisible attributes, and its arrow."""
-    camera = drawing.mounts[mark.camera].camera
-    colour = camera_rgb(mark.camera)
-    insert = space.add_blockref(BLOCK, place, dxfattribs={"layer": "CAMERAS"})
-    insert.rgb = colour
+    camera, layer = drawing.mounts[mark.camera].camera, {"layer": "CAMERAS"}
     numbers = {"NAME": camera.name, "VIEW": mark.view.name, "MODULE": camera.module or ""}
     numbers |= {f"{axis}_MM": plain(1000.0 * value, 1) for axis, value in zip("XYZ", camera.position_m, strict=True)}
     turns = zip(("YAW_DEG", "PITCH_DEG", "ROLL_DEG"), angles_deg(camera), strict=True)
     numbers |= {name: plain(angle_deg, 2) for name, angle_deg in turns}
+    drawn = [space.add_blockref(BLOCK, place, dxfattribs=layer)]
     for name, value in numbers.items():
-        insert.add_attrib(
-            name, value, place, dxfattribs={"layer": "CAMERAS", "height": drawing.scale}
-        ).is_invisible = True
+        attribute = drawn[0].add_attrib(name, value, place, dxfattribs=layer | {"height": drawing.scale})
+        attribute.is_invisible = True
     if place != tip:
-        line = space.add_line(place, tip, dxfattribs={"layer": "CAMERAS"})
-        line.rgb = colour
-        ahead = np.subtract(tip, place)
-        ahead = ahead / np.linalg.norm(ahead)
-        across = np.array([-ahead[1], ahead[0]])
-        foot = np.asarray(tip) - 2.2 * drawing.scale * ahead
-        side = 0.6 * drawing.scale * across
+        ahead = np.subtract(tip, place) / np.linalg.norm(np.subtract(tip, place))
+        foot, side = (
+            np.asarray(tip) - 2.2 * drawing.scale * ahead,
+            0.6 * drawing.scale * np.array([-ahead[1], ahead[0]]),
+        )
         corner = [np.round(each, 3).tolist() for each in (np.asarray(tip), foot + side, foot - side)]
-        head = space.add_solid(corner, dxfattribs={"layer": "CAMERAS"})
-        head.rgb = colour
+        drawn += [space.add_line(place, tip, dxfattribs=layer), space.add_solid(corner, dxfattribs=layer)]
+    for each in drawn:
+        each.rgb = camera_rgb(mark.camera)
 
 
 @contextlib.contextmanager

@@ -7,6 +7,7 @@ The drawing is composed once, of strokes, notes, ordinate dimensions and marks i
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import math
 import os
 import time
@@ -21,10 +22,9 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.lens import Lens
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import rig_text
-from warpav.view.drawing.dxf import drawing_dxf, has_ezdxf, load_ezdxf
-from warpav.view.drawing.mount_model import add_numbers, housing_corners_m, mount_glb
+from warpav.view.drawing.dxf import drawing_dxf, load_ezdxf
+from warpav.view.drawing.mounts import Mount, angles_deg, housing_corners_m, mount_csv, mount_glb, mounts, plain
 from warpav.view.drawing.sheet import (
-    MARK_MM,
     TEXT_MM,
     Mark,
     Note,
@@ -32,18 +32,16 @@ from warpav.view.drawing.sheet import (
     Sheet,
     Stroke,
     View,
-    angles_deg,
-    mount_csv,
-    mounts,
-    ordinate_line_mm,
-    plain,
+    add_numbers,
+    box_mm,
+    circle_mm,
     text_points,
     text_width_mm,
 )
-from warpav.view.figures.style import FIGURE_SUFFIXES, SCALES, Page, figure_style, save_figure
+from warpav.view.figures.style import FIGURE_SUFFIXES, SCALES, Page, closed, figure_style, save_figure
+from warpav.view.outlines import silhouette_m
 from warpav.view.output import write_whole
 from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
-from warpav.view.silhouette import silhouette_m
 
 if TYPE_CHECKING:
     from warpav.raster.mesh import Mesh
@@ -99,10 +97,9 @@ class _MountDrawing(Sheet):
             for stroke in self.strokes:
                 _draw_stroke(axis, stroke)
             for ordinate in self.ordinates:
-                line_mm = ordinate_line_mm(ordinate)
-                axis.plot(*line_mm.T, color=hex_colour(MUTED_RGB), linewidth=0.35, zorder=3)
-                side = {"rotation": 90, "va": "bottom", "ha": "center"} if ordinate.is_across else {"ha": "right"}
-                style = {"va": "center_baseline", "fontsize": text_points(TEXT_MM), "rotation_mode": "default"} | side
+                axis.plot(*ordinate.line_mm.T, color=hex_colour(MUTED_RGB), linewidth=0.35, zorder=3)
+                style = {"va": "center_baseline", "fontsize": text_points(TEXT_MM), "rotation_mode": "default"}
+                style |= {"rotation": 90, "va": "bottom", "ha": "center"} if ordinate.is_across else {"ha": "right"}
                 axis.text(*ordinate.end_mm, f" {ordinate.text} ", **style)
             for mark in self.marks:
                 colour = hex_colour(camera_rgb(mark.camera))
@@ -110,19 +107,15 @@ class _MountDrawing(Sheet):
                     arrow = {"arrowstyle": "-|>,head_width=0.12,head_length=0.3", "color": colour, "linewidth": 0.9}
                     arrow |= {"shrinkA": 0.0, "shrinkB": 0.0}
                     axis.annotate("", mark.tip_mm, xytext=mark.place_mm, arrowprops=arrow, zorder=6)
-                axis.plot(*_circle_mm(mark.place_mm).T, color=colour, linewidth=0.8, zorder=7)
-                for cross_mm in _mark_cross_mm(mark):
+                axis.plot(*circle_mm(mark.place_mm).T, color=colour, linewidth=0.8, zorder=7)
+                for cross_mm in mark.cross_mm:
                     axis.plot(*cross_mm.T, color=colour, linewidth=0.5, zorder=7)
             for note in self.notes:
-                colour = hex_colour(INK_RGB if note.camera is None else camera_rgb(note.camera))
-                across = {"left": "left", "middle": "center", "right": "right"}[note.align]
-                style = {
-                    "ha": across,
-                    "va": "center_baseline",
-                    "color": colour,
-                    "fontsize": text_points(note.height_mm),
-                }
-                axis.text(*note.place_mm, note.text, fontweight="normal" if note.camera is None else "bold", **style)
+                style = {"color": hex_colour(INK_RGB)}
+                if note.camera is not None:
+                    style = {"color": hex_colour(camera_rgb(note.camera)), "fontweight": "bold"}
+                style |= {"ha": "center" if note.align == "middle" else note.align, "va": "center_baseline"}
+                axis.text(*note.place_mm, note.text, fontsize=text_points(note.height_mm), **style)
             return page.figure
 
     def save(self, path: Path | str) -> list[Path]:
@@ -130,7 +123,8 @@ class _MountDrawing(Sheet):
         path = Path(path)
         check_out(path)
         if not path.suffix or path.is_dir():
-            ends = [end for end in (".pdf", ".dxf", ".csv", ".glb") if end != ".dxf" or has_ezdxf()]
+            has_dxf = importlib.util.find_spec("ezdxf") is not None
+            ends = (".pdf", *([".dxf"] if has_dxf else []), ".csv", ".glb")
             return [file for end in ends for file in self.save(path / f"mounts{end}")]
         match path.suffix.lower():
             case ".dxf":
@@ -241,9 +235,8 @@ def _add_datums(drawing: _MountDrawing, low_m: np.ndarray, high_m: np.ndarray) -
             end_mm = np.stack([end_mm.min(axis=0) - beyond_mm, end_mm.max(axis=0) + beyond_mm])
             drawing.strokes.append(Stroke("DATUMS", end_mm))
             middle_mm = end_mm[1] + np.array([2.2, 0.0]) if is_across else end_mm[0] - np.array([0.0, 2.2])
-            box_mm = middle_mm + 2.2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-            drawing.strokes.append(Stroke("DATUMS", box_mm, is_closed=True))
-            drawing.notes.append(Note("DATUMS", (float(middle_mm[0]), float(middle_mm[1])), name, 2.5, "middle"))
+            drawing.strokes.append(Stroke("DATUMS", box_mm(middle_mm - 2.2, middle_mm + 2.2), is_closed=True))
+            drawing.notes.append(Note("DATUMS", tuple(middle_mm.tolist()), name, 2.5, "middle"))
 
 
 def _add_cameras(drawing: _MountDrawing) -> None:
@@ -306,21 +299,7 @@ def _add_table(drawing: _MountDrawing, row_mm: float) -> None:
     """All numbers of the cameras, at the foot of the page."""
     left_mm, bottom_mm = _FRAME_MM[0] + 3.0, _FRAME_MM[1] + 2.0
     height_mm = min(TEXT_MM, 0.55 * row_mm)
-    rows: list[tuple[str, ...]] = [_TABLE_HEAD]
-    for index, mount in enumerate(drawing.mounts):
-        camera, model = mount.camera, mount.camera.model
-        lens = "" if model.lens is Lens.PINHOLE else f" {model.lens}"
-        rows.append(
-            (
-                f"{index + 1} {camera.name}",
-                camera.module or f"{math.degrees(model.fov_rad):.0f}°{lens}",
-                f"{model.width_px} x {model.height_px}",
-                plain(math.degrees(model.fov_rad), 1),
-                *(plain(1000.0 * value, 0) for value in camera.position_m),
-                *(plain(each, 1) for each in angles_deg(camera)),
-                "-" if mount.stand_off_m is None else plain(1000.0 * mount.stand_off_m, 0),
-            )
-        )
+    rows = [_TABLE_HEAD, *(_row(index, mount) for index, mount in enumerate(drawing.mounts))]
     rows, edges_mm = _columns_mm(rows, height_mm)
     for line, row in enumerate(rows):
         at_mm = bottom_mm + (len(rows) - line - 0.5) * row_mm
@@ -332,6 +311,20 @@ def _add_table(drawing: _MountDrawing, row_mm: float) -> None:
     across_mm = np.array([left_mm, left_mm + edges_mm[-1]])
     rule_mm = bottom_mm + (len(rows) - 1) * row_mm
     drawing.strokes.append(Stroke("FRAME", np.stack([across_mm, np.full(2, rule_mm)], axis=1)))
+
+
+def _row(index: int, mount: Mount) -> tuple[str, ...]:
+    camera, model = mount.camera, mount.camera.model
+    lens = "" if model.lens is Lens.PINHOLE else f" {model.lens}"
+    return (
+        f"{index + 1} {camera.name}",
+        camera.module or f"{math.degrees(model.fov_rad):.0f}°{lens}",
+        f"{model.width_px} x {model.height_px}",
+        plain(math.degrees(model.fov_rad), 1),
+        *(plain(1000.0 * value, 0) for value in camera.position_m),
+        *(plain(each, 1) for each in angles_deg(camera)),
+        "-" if mount.stand_off_m is None else plain(1000.0 * mount.stand_off_m, 0),
+    )
 
 
 def _columns_mm(rows: Sequence[tuple[str, ...]], height_mm: float) -> tuple[list[tuple[str, ...]], list[float]]:
@@ -377,13 +370,13 @@ def _add_title_block(drawing: _MountDrawing, vehicle: str, fingerprint: str) -> 
     """The frame of the page, the block with title and scale, the sign of the projection, and the notes."""
     left_mm, bottom_mm, right_mm, top_mm = _FRAME_MM
 
-    def box(x0: float, y0: float, x1: float, y1: float) -> None:
-        drawing.strokes.append(Stroke("FRAME", np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), is_closed=True))
+    def box(low_mm: tuple[float, float], high_mm: tuple[float, float]) -> None:
+        drawing.strokes.append(Stroke("FRAME", box_mm(low_mm, high_mm), is_closed=True))
 
-    box(left_mm, bottom_mm, right_mm, top_mm)
+    box((left_mm, bottom_mm), (right_mm, top_mm))
     width_mm, height_mm = _TITLE_MM
     x_mm, y_mm = right_mm - width_mm, bottom_mm
-    box(x_mm, y_mm, right_mm, y_mm + height_mm)
+    box((x_mm, y_mm), (right_mm, y_mm + height_mm))
     cells = (
         (0.0, 24.0, 70.0, "camera mounts of the rig", drawing.title[:44], 4.0),
         (70.0, 24.0, 60.0, "vehicle", vehicle[:44], 4.0),
@@ -396,7 +389,7 @@ def _add_title_block(drawing: _MountDrawing, vehicle: str, fingerprint: str) -> 
         (80.0, 0.0, 100.0, "rig file, SHA-256 begins", fingerprint, 3.0),
     )
     for x, y, width, head, text, size_mm in cells:
-        box(x_mm + x, y_mm + y, x_mm + x + width, y_mm + y + 12.0)
+        box((x_mm + x, y_mm + y), (x_mm + x + width, y_mm + y + 12.0))
         drawing.notes.append(Note("FRAME", (x_mm + x + 1.5, y_mm + y + 9.8), head, 1.8))
         if text:
             fitting_mm = min(size_mm, size_mm * (width - 3.0) / text_width_mm(text, size_mm))
@@ -406,28 +399,14 @@ def _add_title_block(drawing: _MountDrawing, vehicle: str, fingerprint: str) -> 
     cone_mm = centre_mm + np.array([[-7.0, -1.5], [1.0, -3.0], [1.0, 3.0], [-7.0, 1.5]])
     drawing.strokes.append(Stroke("FRAME", cone_mm, is_closed=True))
     for radius_mm in (1.5, 3.0):
-        drawing.strokes.append(Stroke("FRAME", _circle_mm(centre_mm + np.array([8.0, 0.0]), radius_mm), is_closed=True))
+        drawing.strokes.append(Stroke("FRAME", circle_mm(centre_mm + np.array([8.0, 0.0]), radius_mm), is_closed=True))
     drawing.strokes.append(Stroke("DATUMS", centre_mm + np.array([[-9.0, 0.0], [13.0, 0.0]])))
     hulls_mm = [stroke.point_mm for stroke in drawing.strokes if stroke.layer == "HOUSINGS"]
     has_boxes = any(float(np.ptp(hull_mm, axis=0).min()) >= _BOX_LEAST_MM for hull_mm in hulls_mm)
+    table_top_mm = max(note.place_mm[1] for note in drawing.notes if note.layer == "TABLE")
     for line, text in enumerate((*_NOTE[:-1], _NOTE[-1] + (_NOTE_HOUSINGS if has_boxes else ""))):
-        place_mm = left_mm + 3.0, max(y_mm + height_mm, _table_top_mm(drawing)) + 11.0 - 3.2 * line
+        place_mm = left_mm + 3.0, max(y_mm + height_mm, table_top_mm) + 11.0 - 3.2 * line
         drawing.notes.append(Note("FRAME", place_mm, text, 1.9))
-
-
-def _table_top_mm(drawing: _MountDrawing) -> float:
-    return max(note.place_mm[1] for note in drawing.notes if note.layer == "TABLE")
-
-
-def _mark_cross_mm(mark: Mark) -> np.ndarray:
-    """The two lines through the place of a camera, [2, 2, 2]."""
-    reach = 1.6 * MARK_MM * np.eye(2)
-    return np.stack([mark.place_mm - reach, mark.place_mm + reach], axis=1)
-
-
-def _circle_mm(centre_mm: np.ndarray, radius_mm: float = MARK_MM) -> np.ndarray:
-    turn = np.linspace(0.0, 2.0 * math.pi, 49)
-    return centre_mm + radius_mm * np.stack([np.cos(turn), np.sin(turn)], axis=1)
 
 
 def _draw_stroke(axis: Any, stroke: Stroke) -> None:  # noqa: ANN401 (matplotlib)
@@ -443,7 +422,7 @@ def _draw_stroke(axis: Any, stroke: Stroke) -> None:  # noqa: ANN401 (matplotlib
         style |= {"linestyle": (0, (12, 3, 2, 3))}
     if stroke.camera is not None:
         style |= {"color": hex_colour(camera_rgb(stroke.camera))}
-    point_mm = np.vstack([stroke.point_mm, stroke.point_mm[:1]]) if stroke.is_closed else stroke.point_mm
+    point_mm = closed(stroke.point_mm) if stroke.is_closed else stroke.point_mm
     if stroke.layer == "OUTLINE":
         axis.fill(*point_mm.T, facecolor=hex_colour(GRID_RGB), alpha=0.45, linewidth=0, zorder=0)
     axis.plot(*point_mm.T, **style)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -86,29 +86,19 @@ def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] 
                 axis.axvspan(begin, until, color=colour, linewidth=0, label=None if name in named else name, zorder=0.5)
                 named.add(name)
         colour = hex_colour(camera_rgb(0))
-        axis.step(
-            [*spent, end], [*objective, objective[-1]], where="post", color=colour, label="best rig so far", zorder=3
-        )
-        is_selection = np.array([each == "selection" for each in stage])
+        best = {"color": colour, "label": "best rig so far", "zorder": 3}
+        axis.step([*spent, end], [*objective, objective[-1]], where="post", **best)
         marks = {"linestyle": "", "color": colour, "markeredgecolor": hex_colour(INK_RGB), "markeredgewidth": 0.7}
-        axis.plot(
-            spent[is_selection], objective[is_selection], "s", label="selected", markersize=6.5, zorder=4, **marks
-        )
-        is_step = np.array([each == "polish" for each in stage])
-        axis.plot(spent[is_step], objective[is_step], "o", label="polished", markersize=4.0, zorder=4, **marks)
+        for name, mark, size, label in (("selection", "s", 6.5, "selected"), ("polish", "o", 4.0, "polished")):
+            at = np.array(stage) == name
+            axis.plot(spent[at], objective[at], mark, label=label, markersize=size, zorder=4, **marks)
         dashed = {"color": hex_colour(FALSE_POSITIVE_RGB), "linestyle": (0, (4, 3)), "linewidth": 1.5}
         axis.step(bound_spent, bound, where="post", label="bound of the pool", zorder=3, **dashed)
         top = max(later) + 0.15 * room
         if stage[0] == "start" and objective[0] > top:
-            axis.annotate(
-                f"start {objective[0]:.4f} \N{UPWARDS ARROW}",
-                (spent[0], 1.0),
-                xycoords=("data", "axes fraction"),
-                xytext=(4, -3),
-                textcoords="offset points",
-                va="top",
-                fontsize=9,
-            )
+            place = {"xycoords": ("data", "axes fraction"), "xytext": (4, -3), "textcoords": "offset points"}
+            text = f"start {objective[0]:.4f} \N{UPWARDS ARROW}"
+            axis.annotate(text, (spent[0], 1.0), va="top", fontsize=9, **place)
         elif stage[0] == "start":
             axis.plot(spent[:1], objective[:1], "D", label="start", markersize=6.5, zorder=4, **marks)
         axis.set_ylim(min(later) - 0.1 * room, top)
@@ -125,23 +115,23 @@ def convergence_panels(
 
     What says nothing is left out: a single term, which is the loss; multipliers that are all 0, as no constraint was
     broken; the distance of a single camera.
-
-    The arguments are those of `loss_figure`.
     """
     iteration = np.array([record["iteration"] for record in records])
     terms = {name: _over_time(records, "terms", name) for name in records[0]["terms"]}
     kept = {name for name in records[0]["multipliers"] if name in terms and _is_always_kept(terms[name])}
     terms = {name: term for name, term in terms.items() if name not in kept}
-    multiplier_names = [name for name in records[0]["multipliers"] if name not in kept]
-
-    multiplier = {
-        name: [_highest(record["multipliers"].get(name, 0.0)) for record in records] for name in multiplier_names
+    multiplier = {  # of several under one name the highest; NaN where it was not finite
+        name: [float(np.max(np.array(record["multipliers"].get(name, 0.0), float), initial=0.0)) for record in records]
+        for name in records[0]["multipliers"]
+        if name not in kept
     }
     distance_m = [_smallest_distance_m(record["positions_m"]) for record in records]
 
-    def begin(axis: Any, title: str) -> None:  # noqa: ANN401 (matplotlib)
+    def begin(axis: Any, title: str, lines: Mapping[str, object] | None = None) -> None:  # noqa: ANN401 (matplotlib)
         axis.set_title(title)
         axis.set_xlabel("iteration")
+        if lines:
+            axis.legend(loc="best", ncols=2 if len(lines) > 3 else 1)
         axis.xaxis.get_major_locator().set_params(integer=True)
 
     def loss(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
@@ -156,19 +146,17 @@ def convergence_panels(
             axis.legend(loc="best")
 
     def loss_terms(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
-        begin(axis, "Loss terms")
         for index, (name, term) in enumerate(terms.items()):
-            drawn = np.maximum(term, 0.0) if name in multiplier_names else term
+            drawn = np.maximum(term, 0.0) if name in multiplier else term
             colour = hex_colour(camera_rgb(index))
             axis.plot(iteration, drawn, color=colour, alpha=0.25, linewidth=1.2)
             axis.plot(iteration, running_mean(drawn), color=colour, label=name)
-        _name_lines(axis, terms)
+        begin(axis, "Loss terms", terms)
 
     def multipliers(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
-        begin(axis, "Multipliers")
-        for index, name in enumerate(multiplier_names):
-            axis.plot(iteration, multiplier[name], color=hex_colour(camera_rgb(index)), label=name)
-        _name_lines(axis, multiplier_names)
+        for index, (name, value) in enumerate(multiplier.items()):
+            axis.plot(iteration, value, color=hex_colour(camera_rgb(index)), label=name)
+        begin(axis, "Multipliers", multiplier)
 
     def spacing(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
         begin(axis, "Smallest distance between cameras [m]")
@@ -177,17 +165,10 @@ def convergence_panels(
         axis.set_ylim(0.0, 1.1 * float(largest))
         if min_distance_m is None:
             return
-        axis.axhline(min_distance_m, color=hex_colour(FALSE_POSITIVE_RGB), linestyle=(0, (4, 3)), linewidth=1.3)
-        axis.annotate(
-            f"must keep {min_distance_m:g} m",
-            (1.0, min_distance_m),
-            xycoords=("axes fraction", "data"),
-            xytext=(0, 4),
-            textcoords="offset points",
-            ha="right",
-            color=hex_colour(FALSE_POSITIVE_RGB),
-            fontsize=9,
-        )
+        red = {"color": hex_colour(FALSE_POSITIVE_RGB)}
+        axis.axhline(min_distance_m, linestyle=(0, (4, 3)), linewidth=1.3, **red)
+        place = {"xycoords": ("axes fraction", "data"), "xytext": (0, 4), "textcoords": "offset points"}
+        axis.annotate(f"must keep {min_distance_m:g} m", (1.0, min_distance_m), ha="right", fontsize=9, **place, **red)
 
     shown: dict[str, Callable[[Any], None]] = {"loss": loss}
     if len(terms) > 1:
@@ -199,25 +180,9 @@ def convergence_panels(
     return shown
 
 
-def _name_lines(axis: Any, names: Collection[str]) -> None:  # noqa: ANN401 (matplotlib)
-    """Name the lines, where there are any."""
-    if names:
-        axis.legend(loc="best", ncols=2 if len(names) > 3 else 1)
-
-
 def _over_time(records: Sequence[Mapping[str, Any]], key: str, name: str) -> np.ndarray:
     """One of the numbers under a key, float64 [record]; NaN where a record has none of that name."""
     return np.array([record[key].get(name, math.nan) for record in records], dtype=np.float64)
-
-
-def _highest(multiplier: float | Sequence[float] | None) -> float:
-    """The highest of what may be one multiplier or several; NaN where it was not finite."""
-    return float(np.max(np.array(multiplier, dtype=np.float64), initial=0.0))
-
-
-def _is_always_kept(term: np.ndarray) -> bool:
-    """Whether a constraint is an inequality that no record breaks."""
-    return bool(np.nanmin(term, initial=0.0) < 0.0 and np.nanmax(term, initial=0.0) <= 0.0)
 
 
 def running_mean(value: np.ndarray, *, window: int = 9) -> np.ndarray:
@@ -230,13 +195,14 @@ def running_mean(value: np.ndarray, *, window: int = 9) -> np.ndarray:
     return np.where(count > 0, total / np.maximum(count, 1.0), math.nan)
 
 
+def _is_always_kept(term: np.ndarray) -> bool:
+    """Whether a constraint is an inequality that no record breaks."""
+    return bool(np.nanmin(term, initial=0.0) < 0.0 and np.nanmax(term, initial=0.0) <= 0.0)
+
+
 def _smallest_distance_m(position_m: object) -> float:
     position = np.asarray(position_m, dtype=np.float64)
     first, second = np.triu_indices(len(position), 1)
     if len(first) == 0:
         return math.nan
     return float(np.linalg.norm(position[first] - position[second], axis=1).min())
-
-
-_STEPS = {1.5: (1, 1.5, 2, 3, 4, 5, 7), 4.5: (1, 2, 5), math.inf: (1,)}
-"""What is labelled within a decade of an axis of fewer decades than the key, far enough apart."""

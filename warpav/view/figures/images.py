@@ -81,30 +81,25 @@ def image_types(capture: Capture, path: Path | str) -> Path:
     with figure_style():
         figure = new_figure(WIDTH_INCH, below_inch + down_inch + 0.32)
         figure.set_layout_engine("none")
-        for column, (text, pixels) in enumerate(
-            (
-                ("Colour", image.rgb),
-                ("Depth", depth_rgb(image.depth_m, limits_m)),
-                ("Instance", instance_rgb(image.instance)),
-            )
-        ):
+        for column, text in enumerate(("Colour", "Depth", "Instance")):
             axis = _axes(figure, gap_inch + column * across_inch, below_inch, width_inch, down_inch)
-            show_image(axis, pixels)
+            show_image(axis, _pixels(image, text.lower(), limits_m))
             title(axis, text)
         _depth_bar(figure, _axes(figure, gap_inch + across_inch, below_inch - 0.2, width_inch, 0.11), limits_m)
         _instance_legend(_axes(figure, gap_inch + 2 * across_inch, below_inch - 0.2, width_inch, 0.11), image)
         x, y, z = image.view.ego_from_camera[:3, 3]
-        figure.text(
-            gap_inch / WIDTH_INCH,
-            (below_inch - 0.09) / figure.get_size_inches()[1],
-            f"{capture.name}, view {image.view.name}\ncamera at ({x:.1f}, {y:.1f}, {z:.1f}) m in the ego frame",
-            ha="left",
-            va="top",
-            fontsize=9,
-            linespacing=1.4,
-            color=hex_colour(MUTED_RGB),
-        )
+        text = f"{capture.name}, view {image.view.name}\ncamera at ({x:.1f}, {y:.1f}, {z:.1f}) m in the ego frame"
+        at = gap_inch / WIDTH_INCH, (below_inch - 0.09) / figure.get_size_inches()[1]
+        style = {"ha": "left", "va": "top", "fontsize": 9, "linespacing": 1.4, "color": hex_colour(MUTED_RGB)}
+        figure.text(*at, text, **style)
         return save_figure(figure, path)
+
+
+def _pixels(image: CapturedImage, what: str, limits_m: tuple[float, float]) -> np.ndarray:
+    """An image of a capture as colours, uint8 [row, column, 3]."""
+    if what == "depth":
+        return depth_rgb(image.depth_m, limits_m)
+    return instance_rgb(image.instance) if what == "instance" else image.rgb
 
 
 def contact_sheet(capture: Capture, what: str, path: Path | str) -> Path:
@@ -121,61 +116,40 @@ def contact_sheet(capture: Capture, what: str, path: Path | str) -> Path:
     columns = min(_SHEET_COLUMNS, len(images))
     rows = math.ceil(len(images) / columns)
     counts = {kind: sum(image.view.kind == kind for image in images) for kind in order}
-    named = sum(count > 0 for count in counts.values())
-    legend_rows = math.ceil(named / _LEGEND_COLUMNS)
+    counts = {kind: count for kind, count in counts.items() if count}
+    legend_rows = math.ceil(len(counts) / _LEGEND_COLUMNS)
     gap_inch, frame_inch, below_inch = 0.1, 0.035, 0.19 + 0.21 * legend_rows + (0.55 if what == "depth" else 0.0)
     across_inch = (WIDTH_INCH - gap_inch) / columns  # from one image to the next
     aspect = max(image.depth_m.shape[0] / image.depth_m.shape[1] for image in images)
-    down_inch = (across_inch - gap_inch) * aspect + gap_inch
+    wide_inch = across_inch - gap_inch
+    down_inch = wide_inch * aspect + gap_inch
     height_inch = rows * down_inch + gap_inch + below_inch
     with figure_style():
         figure = new_figure(WIDTH_INCH, height_inch)
         figure.set_layout_engine("none")
         for index, image in enumerate(images):
             row, column = divmod(index, columns)
-            left_inch, low_inch = gap_inch + column * across_inch, height_inch - (row + 1) * down_inch
-            wide_inch = across_inch - gap_inch
             high_inch = wide_inch * image.depth_m.shape[0] / image.depth_m.shape[1]
+            left_inch, low_inch = gap_inch + column * across_inch, height_inch - (row + 1) * down_inch
             low_inch += 0.5 * (down_inch - gap_inch - high_inch)
-            frame = _axes(
-                figure,
-                left_inch - frame_inch,
-                low_inch - frame_inch,
-                wide_inch + 2 * frame_inch,
-                high_inch + 2 * frame_inch,
-            )
+            size_inch = wide_inch + 2 * frame_inch, high_inch + 2 * frame_inch
+            frame = _axes(figure, left_inch - frame_inch, low_inch - frame_inch, *size_inch)
             frame.set(facecolor=hex_colour(KIND_RGB[image.view.kind]), xticks=[], yticks=[])
             frame.spines[:].set_visible(False)
-            if what == "rgb":
-                pixels = image.rgb
-            elif what == "depth":
-                pixels = depth_rgb(image.depth_m, limits_m)
-            else:
-                pixels = instance_rgb(image.instance)
             axis = _axes(figure, left_inch, low_inch, wide_inch, high_inch)
-            show_image(axis, pixels)
+            show_image(axis, _pixels(image, what, limits_m))
             axis.spines[:].set_visible(False)
         if what == "depth":
             _depth_bar(figure, _axes(figure, 0.2 * WIDTH_INCH, below_inch - 0.15, 0.6 * WIDTH_INCH, 0.13), limits_m)
-        handles = [
-            Patch(color=hex_colour(KIND_RGB[kind]), label=f"{_KIND_TEXT[kind]} ({count})")
-            for kind, count in counts.items()
-            if count
-        ]
-        columns = math.ceil(named / legend_rows)
+        named = ((hex_colour(KIND_RGB[kind]), f"{_KIND_TEXT[kind]} ({count})") for kind, count in counts.items())
+        handles = [Patch(color=colour, label=text) for colour, text in named]
+        columns = math.ceil(len(counts) / legend_rows)
         figure.legend(handles=handles, loc="lower center", ncols=columns, handlelength=1.2, columnspacing=1.6)
         return save_figure(figure, path)
 
 
 def depth_rgb(depth_m: np.ndarray, limits_m: tuple[float, float]) -> np.ndarray:
-    """Depths as colours on a logarithmic scale, near ones bright; a pale blue where nothing was hit.
-
-    Args:
-        depth_m: Depth [m], shape [row, column].
-
-    Returns:
-        uint8 [row, column, 3].
-    """
+    """Depths [m] as colours on a logarithmic scale, near ones bright, uint8; a pale blue where nothing was hit."""
     import matplotlib
 
     low, high = np.log(limits_m)
@@ -266,13 +240,13 @@ def _instance_legend(axis: Any, image: CapturedImage) -> None:  # noqa: ANN401 (
     )  # fmt: skip
 
 
-def contact_figure(rig: Rig, scene: Scene, *, heading: str | None = None, supersampling: int = 2) -> Any:  # noqa: ANN401
+def contact_figure(rig: Rig, scene: Scene, *, heading: str | None = None) -> Any:  # noqa: ANN401
     """The images of all cameras, from the left to the right of the vehicle and then behind it, in equal widths.
 
     Below each stand its yaw, pitch and horizontal field of view [degrees], its size [px] and the share of its pixels
     that show the own vehicle, which is rendered alone for that.
     """
-    images = render(rig, scene, supersampling=supersampling)
+    images = render(rig, scene, supersampling=2)
     share = body_shares(rig, DeviceScene.pack(scene))
     order = sorted(range(len(rig.cameras)), key=lambda k: _turn_from_left_rad(rig.cameras[k]))
     columns = min(3, len(order)) if len(order) != 4 else 2
@@ -292,18 +266,15 @@ def contact_figure(rig: Rig, scene: Scene, *, heading: str | None = None, supers
             empty_panel(axis)
             axis.spines[:].set(color=hex_colour(camera_rgb(index)), linewidth=2.0)
             axis.set_title(camera.name, fontsize=10, color=hex_colour(camera_rgb(index)))
-            model, degrees = camera.model, (camera.yaw_rad, camera.pitch_rad, camera.model.fov_rad)
-            yaw_deg, pitch_deg, fov_deg = (math.degrees(each) for each in degrees)
-            yaw_deg = math.remainder(yaw_deg, 360.0)
-            axis.set_xlabel(
-                f"yaw {yaw_deg + 0.0:.0f}°, pitch {pitch_deg + 0.0:.0f}°, fov {fov_deg:.0f}°\n"
-                f"{model.width_px} x {model.height_px} px, own body {100.0 * share[camera.name]:.1f} % of the image",
-                fontsize=8,
-                color=hex_colour(INK_RGB),
-            )
-        caption(figure, f"Scene {scene.name}. Yaw: 0 ahead, positive to the left. Pitch: positive nose down.")
-        if heading:
-            figure.suptitle(heading, x=0.01, ha="left", fontweight="bold")
+            model = camera.model
+            yaw_deg, pitch_deg, fov_deg = np.degrees([camera.yaw_rad, camera.pitch_rad, model.fov_rad]).tolist()
+            yaw_deg, pitch_deg = math.remainder(yaw_deg, 360.0) + 0.0, pitch_deg + 0.0
+            angles = f"yaw {yaw_deg:.0f}°, pitch {pitch_deg:.0f}°, fov {fov_deg:.0f}°"
+            own = f"own body {100.0 * share[camera.name]:.1f} % of the image"
+            said = f"{angles}\n{model.width_px} x {model.height_px} px, {own}"
+            axis.set_xlabel(said, fontsize=8, color=hex_colour(INK_RGB))
+        text = f"Scene {scene.name}. Yaw: 0 ahead, positive to the left. Pitch: positive nose down."
+        caption(figure, text, heading)
         return figure
 
 
@@ -319,12 +290,10 @@ _LONG_TITLE = 14
 
 @dataclass(frozen=True)
 class DetectionPanel:
-    """One camera image with what is there and what was found.
+    """One camera image, uint8 [row, column, 3], with what is there and what was found.
 
     Attributes:
-        image_rgb: The image, uint8, shape [row, column, 3].
         truth_box_px: Ground-truth boxes (x0, y0, x1, y1) [px], shape [vehicle, 4]; NaN where a vehicle has none.
-        detection_box_px: Detected boxes [px], shape [detection, 4].
         detection_of_truth: Index of the detection that found each vehicle, -1 for none, shape [vehicle].
     """
 

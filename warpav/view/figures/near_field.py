@@ -11,14 +11,29 @@ import numpy as np
 
 from warpav.sight.around import NearField
 from warpav.sight.requirement import Body
-from warpav.view.figures.plan import draw_surroundings, middle_of, panels_with_key, write_key
-from warpav.view.figures.style import WIDTH_INCH, caption, figure_style, new_figure, save_figure, title
-from warpav.view.figures.top_view import draw_cameras, draw_vehicle
+from warpav.view.figures.from_above import (
+    RING,
+    draw_cameras,
+    draw_surroundings,
+    draw_vehicle,
+    half_length_m,
+    middle_of,
+    panels_with_key,
+    write_distance,
+    write_key,
+)
+from warpav.view.figures.style import (
+    WIDTH_INCH,
+    closed,
+    figure_style,
+    metre_axes,
+    new_figure,
+    paper,
+    save_figure,
+    title,
+)
 from warpav.view.palette import COVERAGE_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 
-if TYPE_CHECKING:
-    from warpav.raster.mesh import Mesh
-    from warpav.rig.rig import Rig
 if TYPE_CHECKING:
     from warpav.raster.mesh import Mesh
     from warpav.rig.rig import Rig
@@ -28,18 +43,14 @@ _RGB = (camera_rgb(0), camera_rgb(1), camera_rgb(3))
 _RINGS_M = (0.5, 1.0, 2.0, 5.0, 10.0)
 _SHORT_PT = 16.0
 """Shorter dimensions have bars at their ends: two heads would hide them."""
-_ARROW: Any = {
-    "arrowstyle": "<|-|>",
-    "color": hex_colour(INK_RGB),
-    "linewidth": 0.9,
-    "shrinkA": 0,
-    "shrinkB": 0,
-    "mutation_scale": 7,
-}
-_SHORT_ARROW: Any = {**_ARROW, "arrowstyle": "|-|,widthA=0.4,widthB=0.4"}
+_ARROW: Any = {"color": hex_colour(INK_RGB), "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}
 _NAME_LETTERS = 17
 """Of a rig's name in the table."""
 _SIDES = {"front": 0.0, "left": 90.0, "rear": 180.0, "right": 270.0}
+_MEANINGS = {0.0: ", the ground", 1.1: ", the top of a child's head"}
+_TEXT = """Rings: distance from the outline of the body, its hull with the mirrors. Dimensions: from there to the
+first visible ground, in directions from the middle of the vehicle. Farther out, ground may be unseen
+again: see the plan."""
 
 
 def near_field_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None = None) -> Any:  # noqa: ANN401
@@ -54,49 +65,31 @@ def near_field_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None
     from matplotlib.lines import Line2D
 
     fields = {name: NearField.of(rig, ego) for name, rig in rigs.items()}
-    middle_m = middle_of(ego)
-    length_m = 0.5 * float(np.ptp(np.asarray(ego.bounds_m()), axis=0)[:2].max())
+    first, middle_m = next(iter(fields.values())), middle_of(ego)
     reach_m = max(float(np.linalg.norm(_line_m(field, 0) - middle_m, axis=1).max()) for field in fields.values())
-    reach_m = max(1.14 * reach_m, length_m + 2.0)  # with room for the arrow to the front
-    columns = min(2, len(rigs))
-    with figure_style():
-        lines = max(5, 1 + sum(len(field.heights_m) for field in fields.values()))
-        figure, panels, key = panels_with_key(
-            len(rigs), columns, panel_inch=4.65 if columns == 2 else 6.4, key_lines=lines
-        )
+    reach_m = max(1.14 * reach_m, half_length_m(ego) + 2.0)  # with room for the arrow to the front
+    columns, lines = min(2, len(rigs)), max(5, 1 + sum(len(field.heights_m) for field in fields.values()))
+    size: Any = {"panel_inch": 4.65 if columns == 2 else 6.4, "key_lines": lines, "text": _TEXT, "heading": heading}
+    with panels_with_key(len(rigs), columns, **size) as (_, panels, key):
         for axis, (name, field) in zip(panels, fields.items(), strict=True):
-            draw_surroundings(axis, ego, rigs[name], reach_m=reach_m, ring_m=())
+            draw_surroundings(axis, ego, rigs[name], reach_m=reach_m, has_rings=False)
             _draw_rings(axis, ego, reach_m)
             for row, rgb in enumerate(_RGB[: len(field.heights_m)]):
                 _draw_line(axis, field, row, hex_colour(rgb))
             title(axis, name if len(rigs) > 1 else "What is too near to be seen")
         handles = [
-            Line2D([], [], color=hex_colour(rgb), label=f"{height_m:g} m{_meaning(height_m)}")
-            for rgb, height_m in zip(_RGB, next(iter(fields.values())).heights_m, strict=False)
+            Line2D([], [], color=hex_colour(rgb), label=f"{height_m:g} m{_MEANINGS.get(height_m, '')}")
+            for rgb, height_m in zip(_RGB, first.heights_m, strict=False)
         ]
-        handles.append(Line2D([], [], color="none", label=f"dotted: unseen up to {_reach(fields):g} m"))
+        handles.append(Line2D([], [], color="none", label=f"dotted: unseen up to {first.reach_m:g} m"))
         write_key(key, {"Within this line unseen, at a height of": handles})
         _write_table(key, fields, lines)
-        caption(
-            figure,
-            "Rings: distance from the outline of the body, its hull with the mirrors. Dimensions: from there to the\n"
-            "first visible ground, in directions from the middle of the vehicle. Farther out, ground may be unseen\n"
-            "again: see the plan.",
-        )
-        if heading:
-            figure.suptitle(heading, x=0.01, ha="left", fontweight="bold")
+    figure = key.figure
+    with figure_style():
         figure.draw_without_rendering()  # texts are placed by what the layout leaves
         for axis, field in zip(panels, fields.values(), strict=True):
             _draw_dimensions(axis, field)
-        return figure
-
-
-def _meaning(height_m: float) -> str:
-    return {0.0: ", the ground", 1.1: ", the top of a child's head"}.get(height_m, "")
-
-
-def _reach(fields: Mapping[str, NearField]) -> float:
-    return next(iter(fields.values())).reach_m
+    return figure
 
 
 def _line_m(field: NearField, row: int) -> np.ndarray:
@@ -107,31 +100,24 @@ def _line_m(field: NearField, row: int) -> np.ndarray:
 
 def _draw_line(axis: Any, field: NearField, row: int, colour: str) -> None:  # noqa: ANN401 (matplotlib)
     line_m = _line_m(field, row)
-    closed = np.vstack([line_m, line_m[:1]])
     is_open = np.isinf(field.distance_m[row])
     # jumps between open directions and others are drawn as well
     is_open &= np.roll(is_open, 1) & np.roll(is_open, -1)
     is_open = np.append(is_open, is_open[0])
     axis.fill(*line_m.T[::-1], color=colour, alpha=0.10, linewidth=0, zorder=2)
     for style, hidden in (("-", is_open), (":", ~is_open)):
-        shown = np.where(hidden[:, None], np.nan, closed)
+        shown = np.where(hidden[:, None], np.nan, closed(line_m))
         axis.plot(*shown.T[::-1], color=colour, linewidth=1.6, linestyle=style, zorder=4)
 
 
 def _draw_rings(axis: Any, ego: Mesh, reach_m: float) -> None:  # noqa: ANN401 (matplotlib)
     """Lines at round distances from the outline of the body, as far as the panel reaches, and the outline itself."""
-    footprint = Body.of(ego)
-    room_m = reach_m - 0.5 * float(np.ptp(np.asarray(ego.bounds_m()), axis=0)[:2].max())
-    grey, ink = hex_colour(MUTED_RGB), hex_colour(INK_RGB)
-    paper = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.75}
+    footprint, room_m = Body.of(ego), reach_m - half_length_m(ego)
     for distance_m in (0.0, *(each for each in _RINGS_M if 0.12 * room_m < each < room_m)):
         line_m = footprint.ring_m(distance_m)
-        closed = np.vstack([line_m, line_m[:1]])
-        axis.plot(*closed.T[::-1], color=grey, linewidth=0.6, linestyle=(0, (5, 3)), zorder=3.5)
-        if distance_m > 0.0:
-            x_m, y_m = line_m[5 * len(line_m) // 8]  # behind on the right, where rarely anything is written
-            label = {"fontsize": 7, "color": ink, "ha": "center", "va": "center", "bbox": paper, "zorder": 8}
-            axis.text(y_m, x_m, f"{distance_m:g} m", **label)
+        axis.fill(*line_m.T[::-1], **RING, zorder=3.5)
+        if distance_m > 0.0:  # behind on the right, where rarely anything is written
+            write_distance(axis, line_m[5 * len(line_m) // 8][::-1], distance_m)
 
 
 def _draw_dimensions(axis: Any, field: NearField) -> None:  # noqa: ANN401 (matplotlib)
@@ -139,7 +125,6 @@ def _draw_dimensions(axis: Any, field: NearField) -> None:  # noqa: ANN401 (matp
 
     What is written stands beyond the end of its line, clear of the vehicle and of all else that is written.
     """
-    ink = hex_colour(INK_RGB)
     per_pt = axis.figure.dpi / 72.0
     line_m = _line_m(field, 0)
     worst = field.worst()
@@ -151,25 +136,17 @@ def _draw_dimensions(axis: Any, field: NearField) -> None:  # noqa: ANN401 (matp
     body_px = axis.transData.transform(field.border_m[:, ::-1])
     taken.append(np.concatenate([body_px.min(axis=0), body_px.max(axis=0)]))
     panel = axis.get_window_extent(renderer).extents
+    bold = {"ha": "center", "va": "center", "fontsize": 8, "fontweight": "bold", "bbox": paper(0.8, 0.8), "zorder": 10}
     for k, word in places.items():
         if field.distance_m[0, k] < 0.005:
             continue
         ends = np.stack([field.border_m[k], line_m[k]])[:, ::-1]
         start_px, end_px = axis.transData.transform(ends)
         is_short = np.linalg.norm(end_px - start_px) < _SHORT_PT * per_pt
-        axis.annotate("", ends[1], ends[0], arrowprops=_SHORT_ARROW if is_short else _ARROW, zorder=9)
-        text = axis.annotate(
-            f"{word}{_metres(field.distance_m[0, k], field.reach_m)} unseen",
-            ends[1],
-            xytext=(0.0, 0.0),
-            textcoords="offset points",
-            ha="center",
-            va="center",
-            fontsize=8,
-            fontweight="bold",
-            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.8},
-            zorder=10,
-        )
+        heads = "|-|,widthA=0.4,widthB=0.4" if is_short else "<|-|>"
+        axis.annotate("", ends[1], ends[0], arrowprops={**_ARROW, "arrowstyle": heads}, zorder=9)
+        said = f"{word}{_metres(field.distance_m[0, k], field.reach_m)} unseen"
+        text = axis.annotate(said, ends[1], xytext=(0.0, 0.0), textcoords="offset points", **bold)
         text.set_in_layout(False)
         low_px, high_px = text.get_window_extent(renderer).extents.reshape(2, 2)
         half_px = 0.5 * (high_px - low_px) + 2.0 * per_pt
@@ -177,9 +154,10 @@ def _draw_dimensions(axis: Any, field: NearField) -> None:  # noqa: ANN401 (matp
         taken.append(np.concatenate([middle_px - half_px, middle_px + half_px]))
         text.xyann = tuple((middle_px - end_px) / per_pt)
         near_px = np.clip(end_px, middle_px - half_px, middle_px + half_px)
-        if np.linalg.norm(near_px - end_px) > 8.0 * per_pt and not _is_between(middle_px, start_px, end_px, half_px):
+        is_on_line = (np.abs(middle_px - 0.5 * (start_px + end_px)) < half_px).all()
+        if np.linalg.norm(near_px - end_px) > 8.0 * per_pt and not is_on_line:
             place = axis.transData.inverted().transform(near_px)
-            axis.plot(*np.stack([ends[1], place]).T, color=ink, linewidth=0.5, zorder=9)
+            axis.plot(*np.stack([ends[1], place]).T, color=hex_colour(INK_RGB), linewidth=0.5, zorder=9)
 
 
 def _free_place(
@@ -191,60 +169,41 @@ def _free_place(
     """
     outwards = (end_px - start_px) / max(float(np.linalg.norm(end_px - start_px)), 1e-9)
     aside = np.array([-outwards[1], outwards[0]])
-    beyond = float(np.abs(outwards) @ half_px)
+    usual = end_px + float(np.abs(outwards) @ half_px) * outwards
     step = 0.5 * half_px[1]
-    tried = [
-        end_px + (beyond + out * step) * outwards + sign * shift * step * aside
-        for out in range(12)
-        for shift in range(12)
-        for sign in ((1.0, -1.0) if shift else (1.0,))
-    ]
-    tried.sort(key=lambda place: float(np.linalg.norm(place - end_px - beyond * outwards)))
-    tried.append(0.5 * (start_px + end_px))
-    for place in tried:
+    out, shift = np.meshgrid(np.arange(12), np.arange(-11, 12), indexing="ij")
+    tried = usual + step * (out.reshape(-1, 1) * outwards + shift.reshape(-1, 1) * aside)
+    tried = tried[np.argsort(np.linalg.norm(tried - usual, axis=1).round(6), kind="stable")]
+    for place in (*tried, 0.5 * (start_px + end_px)):
         low, high = place - half_px, place + half_px
         inside = (low >= panel[:2]).all() and (high <= panel[2:]).all()
         if inside and all((high <= box[:2]).any() or (low >= box[2:]).any() for box in taken):
             return np.asarray(place)
-    return np.asarray(tried[-1])
-
-
-def _is_between(place_px: np.ndarray, start_px: np.ndarray, end_px: np.ndarray, half_px: np.ndarray) -> bool:
-    """Whether a text stands on its line."""
-    return bool((np.abs(place_px - 0.5 * (start_px + end_px)) < half_px).all())
+    return 0.5 * (start_px + end_px)
 
 
 def _metres(distance_m: float, reach_m: float) -> str:
     return f"{distance_m:.2f} m" if math.isfinite(distance_m) else f"> {reach_m:g} m"
 
 
-def _shortened(name: str) -> str:
-    return name if len(name) <= _NAME_LETTERS else f"{name[: _NAME_LETTERS - 1]}…"
-
-
 def _write_table(axis: Any, fields: Mapping[str, NearField], lines: int) -> None:  # noqa: ANN401 (matplotlib)
     """Distances of all heights at the sides, at the worst direction of each, and in the mean, beside the key."""
     rows = []
     for name, field in fields.items():
+        short = name if len(name) <= _NAME_LETTERS else f"{name[: _NAME_LETTERS - 1]}…"
         for row, height_m in enumerate(field.heights_m):
-            distance_m = field.distance_m[row]
+            distance_m, worst = field.distance_m[row], field.worst(row)
             at = [_metres(distance_m[field.toward(azimuth_deg)], field.reach_m) for azimuth_deg in _SIDES.values()]
-            worst = field.worst(row)
             turn_deg = math.degrees(math.remainder(field.azimuth_rad[worst], 2.0 * math.pi))
-            side = "left" if turn_deg > 0.0 else "right"
-            ends = {0.0: "ahead", 180.0: "behind"}
-            where = ends.get(round(abs(turn_deg), 3), f"{abs(turn_deg):.0f}° {side}")
-            label = _shortened(name) if row == 0 and len(fields) > 1 else ""
+            side = f"{abs(turn_deg):.0f}° {'left' if turn_deg > 0.0 else 'right'}"
+            where = {0.0: "ahead", 180.0: "behind"}.get(round(abs(turn_deg), 3), side)
+            label = short if row == 0 and len(fields) > 1 else ""
             rows.append([label, f"{height_m:g} m", *at, f"{_metres(distance_m[worst], field.reach_m)}, {where}"])
-    table = axis.table(
-        cellText=rows,
-        colLabels=["", "height", *_SIDES, "worst, direction"],
-        colWidths=[0.21, 0.1, 0.11, 0.11, 0.11, 0.11, 0.25] if len(fields) > 1 else [0.13, 0.1, *[0.13] * 4, 0.25],
-        cellLoc="left",
-        colLoc="left",
-        edges="open",
-        bbox=(0.36, 1.0 - (len(rows) + 1) / lines, 0.64, (len(rows) + 1) / lines),
-    )
+    widths = [0.21, 0.1, 0.11, 0.11, 0.11, 0.11, 0.25] if len(fields) > 1 else [0.13, 0.1, *[0.13] * 4, 0.25]
+    high = (len(rows) + 1) / lines
+    style = {"cellLoc": "left", "colLoc": "left", "edges": "open", "bbox": (0.36, 1.0 - high, 0.64, high)}
+    heads = ["", "height", *_SIDES, "worst, direction"]
+    table = axis.table(cellText=rows, colLabels=heads, colWidths=widths, **style)
     table.auto_set_font_size(False)
     table.set_fontsize(8)
     for (row, _), cell in table.get_celld().items():
@@ -264,62 +223,43 @@ def requirement_map(path: Path | str, *, result: RequirementResult, rig: Rig, eg
     Its colour says how many cameras see enough of the test object there; what is not met has a cross. Points that
     several requirements share are drawn on top of each other, those not met last.
     """
+    from matplotlib.lines import Line2D
+
     ghosts, body = result.ghosts, result.body
-    outlines = [each.area.outlines_m(body) for each in ghosts.requirements]
-    corner_m = np.concatenate([line for lines in outlines for line in lines] + [body.bounds_m])
-    spacing = ghosts.of_each("grid_m")
+    outlines = [line for each in ghosts.requirements for line in each.area.outlines_m(body)]
+    corner_m, spacing = np.concatenate([*outlines, body.bounds_m]), ghosts.of_each("grid_m")
     margin_m = 0.3 + 0.5 * float(spacing.max())
     low_m, high_m = corner_m.min(axis=0) - margin_m, corner_m.max(axis=0) + margin_m
     across, up = WIDTH_INCH - _LEFT_INCH - _RIGHT_INCH, _BELOW_INCH + _ABOVE_INCH
     height = float(np.clip(up + across * (high_m - low_m)[1] / (high_m - low_m)[0], 2.6, 9.0))
-    ink = hex_colour(INK_RGB)
+    ink, grey = hex_colour(INK_RGB), hex_colour(MUTED_RGB)
     with figure_style():
         figure = new_figure(WIDTH_INCH, height)
         figure.set_layout_engine("none")
         room = (_LEFT_INCH / WIDTH_INCH, _BELOW_INCH / height, across / WIDTH_INCH, 1.0 - up / height)
         axis = figure.add_axes(room)
         draw_vehicle(axis, ego)
-        for lines in outlines:
-            for line in lines:
-                axis.plot(*np.vstack([line, line[:1]]).T, color=hex_colour(MUTED_RGB), linewidth=1.0, zorder=2)
-        scale = _points_per_metre(figure, axis, low_m, high_m)
-        size = np.clip(0.8 * spacing * scale, 2.5, 14.0) ** 2
+        for line in outlines:
+            axis.plot(*closed(line).T, color=grey, linewidth=1.0, zorder=2)
+        axis.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]))
+        metre_axes(axis)
+        figure.draw_without_rendering()
+        pt_per_m = 72.0 / figure.dpi * axis.get_window_extent().width / (high_m[0] - low_m[0])
+        size = np.clip(0.8 * spacing * pt_per_m, 2.5, 14.0) ** 2
         is_met, count = result.is_point_met, np.minimum(result.camera_count, 3)
         for k, rgb in enumerate(COVERAGE_RGB):
             for met, marker, order in ((True, "o", 3), (False, "X", 4)):
                 shown = (count == k) & (is_met == met)
                 if shown.any():
-                    axis.scatter(
-                        *ghosts.position_m[shown].T, s=size[shown], c=hex_colour(rgb), marker=marker,
-                        edgecolors=ink, linewidths=0.3, zorder=order,
-                    )  # fmt: skip
+                    style = {"marker": marker, "edgecolors": ink, "linewidths": 0.3, "zorder": order}
+                    axis.scatter(*ghosts.position_m[shown].T, s=size[shown], c=hex_colour(rgb), **style)
         draw_cameras(axis, rig, sector_radius_m=0.7)
-        figure.legend(handles=_handles(), loc="lower center", ncols=6)
-        share = float(is_met.mean())
+        dot = {"linestyle": "", "markersize": 8, "markeredgecolor": ink, "markeredgewidth": 0.4}
+        named = zip(_COUNTS, COVERAGE_RGB, strict=True)
+        handles = [Line2D([], [], marker="o", color=hex_colour(rgb), label=text, **dot) for text, rgb in named]
+        handles.append(Line2D([], [], marker="X", color=grey, label="not met", **dot))
+        figure.legend(handles=handles, loc="lower center", ncols=6)
         names = ", ".join(each.name for each in ghosts.requirements)
-        title(axis, names if len(names) <= 60 else f"{len(ghosts.requirements)} requirements", f"{share:.1%} of points")
-        axis.set(xlabel="x, forward [m]", ylabel="y, left [m]")
-        axis.set_aspect("equal")
+        names = names if len(names) <= 60 else f"{len(ghosts.requirements)} requirements"
+        title(axis, names, f"{float(is_met.mean()):.1%} of points")
         return save_figure(figure, path)
-
-
-def _points_per_metre(figure: Any, axis: Any, low: np.ndarray, high: np.ndarray) -> float:  # noqa: ANN401 (matplotlib)
-    """Typographic points that a metre is wide, once the limits are a lowest and a highest corner [2]."""
-    axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    axis.set_aspect("equal")
-    figure.draw_without_rendering()
-    return float(72.0 / figure.dpi * axis.get_window_extent().width / (high[0] - low[0]))
-
-
-def _handles() -> list[Any]:
-    from matplotlib.lines import Line2D
-
-    ink, grey = hex_colour(INK_RGB), hex_colour(MUTED_RGB)
-    dot = {"linestyle": "", "markersize": 8, "markeredgecolor": ink, "markeredgewidth": 0.4}
-    return [
-        *(
-            Line2D([], [], marker="o", color=hex_colour(rgb), label=text, **dot)
-            for rgb, text in zip(COVERAGE_RGB, _COUNTS, strict=True)
-        ),
-        Line2D([], [], marker="X", color=grey, label="not met", **dot),
-    ]

@@ -11,20 +11,19 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError
 from warpav.raster.lens import Lens
-from warpav.view.figures.style import SCALES, Page, camera_digit, camera_mark, figure_style
-from warpav.view.figures.top_view import draw_vehicle
-from warpav.view.frustum import seen_arcs_rad, seen_ground_m
+from warpav.view.figures.from_above import RING, X, Y, Z, draw_vehicle
+from warpav.view.figures.style import SCALES, Page, camera_digit, camera_mark, closed, figure_style, paper
+from warpav.view.outlines import seen_arcs_rad, seen_ground_m
 from warpav.view.palette import INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
     from warpav.raster.mesh import Mesh
     from warpav.rig.rig import Rig, RigCamera
 
-PAGE_MM = (210.0, 297.0)
+_PAGE_MM = (210.0, 297.0)
 """A4; rigs of many cameras make it longer."""
 
 _MARGIN_MM, _HEAD_MM, _ROW_MM, _NOTE_MM, _GAP_MM = 12.0, 17.0, 4.6, 17.0, 9.0
-_UP = np.array([0.0, 0.0, 1.0])
 _MARK_MM = 2.3
 """Diameter of a camera's mark: nearer ones have their numbers beside them."""
 _LETTER_MM = 1.9
@@ -45,7 +44,7 @@ _NOTE = (
 
 def horizontal_arcs_rad(camera: RigCamera) -> list[tuple[float, float]]:
     """Azimuths at which the camera sees the horizon, in the ego frame, see `seen_arcs_rad`."""
-    return seen_arcs_rad(camera, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+    return seen_arcs_rad(camera, X, Y)
 
 
 def vertical_arcs_rad(camera: RigCamera) -> list[tuple[float, float]]:
@@ -54,7 +53,7 @@ def vertical_arcs_rad(camera: RigCamera) -> list[tuple[float, float]]:
     0 is the horizon where the camera looks, pi / 2 up, -pi / 2 down; beyond them it is behind. Of a camera that looks
     straight up or down the plane is that of its image's upper edge.
     """
-    return seen_arcs_rad(camera, _forward(camera), _UP)
+    return seen_arcs_rad(camera, _forward(camera), Z)
 
 
 def field_of_view_rad(camera: RigCamera) -> tuple[float, float]:
@@ -63,9 +62,8 @@ def field_of_view_rad(camera: RigCamera) -> tuple[float, float]:
     A fisheye of 190 degrees has 190 here also where it is pitched, and so sees more of the horizon than that.
     """
     right, down, ahead = camera.ego_from_camera[:3, :3].T
-    across, upright = (
-        sum(last - first for first, last in seen_arcs_rad(camera, ahead, side)) for side in (-right, -down)
-    )
+    arcs = (seen_arcs_rad(camera, ahead, side) for side in (-right, -down))
+    across, upright = (sum(last - first for first, last in each) for each in arcs)
     return across, upright
 
 
@@ -106,17 +104,16 @@ def rig_sheet(
     # with room for names, and for a vehicle that is longer than the rings are wide
     half_m = max(1.09 * reach_m, 0.52 * float((high_m - low_m)[:2].max()))
     rest_mm = _HEAD_MM + (len(rig.cameras) + 1) * _ROW_MM + _NOTE_MM + 2.0 * _GAP_MM + 2.0 * _MARGIN_MM
-    width_mm = PAGE_MM[0]
+    width_mm = _PAGE_MM[0]
 
     def height_mm(scale: float) -> float:
         return rest_mm + 1000.0 * (2.0 * half_m + top_m) / scale
 
     wide = [one for one in SCALES if 2000.0 * half_m / one <= width_mm - 2.0 * _MARGIN_MM] or [SCALES[-1]]
-    scale = next((one for one in wide if height_mm(one) <= PAGE_MM[1]), wide[-1] if rest_mm < 200.0 else wide[0])
-    page_mm = max(PAGE_MM[1], height_mm(scale))
-    top_m = min(
-        max(reach_m, top_m), top_m + (page_mm - height_mm(scale)) * scale / 1000.0
-    )  # what the page has room for
+    scale = next((one for one in wide if height_mm(one) <= _PAGE_MM[1]), wide[-1] if rest_mm < 200.0 else wide[0])
+    page_mm = max(_PAGE_MM[1], height_mm(scale))
+    room_m = (page_mm - height_mm(scale)) * scale / 1000.0
+    top_m = min(max(reach_m, top_m), top_m + room_m)
 
     with figure_style():
         page = Page(width_mm, page_mm)
@@ -129,14 +126,15 @@ def rig_sheet(
         page.text(width_mm - _MARGIN_MM, below_mm, f"1 : {scale}", ha="right", fontsize=10)
         below_mm += 0.5 * _HEAD_MM
         above = page.panel(left_mm, below_mm, drawing_mm, drawing_mm)
-        above.set(xlim=middle_m[0] + half_m * np.array([-1, 1]), ylim=middle_m[1] + half_m * np.array([-1, 1]))
+        limits_m = middle_m[:, None] + half_m * np.array([-1, 1])
         below_mm += drawing_mm + _GAP_MM
         side_mm = 1000.0 * top_m / scale
         side = page.panel(left_mm, below_mm, drawing_mm, side_mm)
-        side.set(xlim=middle_m[0] + half_m * np.array([-1, 1]), ylim=(0.0, top_m))
         if ego is not None:
-            draw_vehicle(above, ego, is_outline=True)
-            draw_vehicle(side, ego, from_side=True, is_outline=True)
+            draw_vehicle(above, ego)
+            draw_vehicle(side, ego, X, Z)
+        above.set(xlim=limits_m[0], ylim=limits_m[1])
+        side.set(xlim=limits_m[0], ylim=(0.0, top_m))
         _draw_rings(above, side, ring_m, middle_m)
         _draw_from_above(above, rig, middle_m, reach_m, 0.001 * scale)
         _draw_from_side(side, rig, middle_m, reach_m)
@@ -157,26 +155,15 @@ def rig_sheet(
 def _draw_rings(above: Any, side: Any, ring_m: Sequence[float], middle_m: np.ndarray) -> None:  # noqa: ANN401 (matplotlib)
     from matplotlib.patches import Circle
 
-    grey = hex_colour(MUTED_RGB)
-    thin = {"fill": False, "edgecolor": grey, "linewidth": 0.6, "linestyle": (0, (5, 3)), "zorder": 2}
-    diagonal = math.sqrt(0.5)
+    label = {"fontsize": 7, "color": hex_colour(MUTED_RGB), "ha": "center", "zorder": 10}
+    below = {"xytext": (0, -3), "textcoords": "offset points", "va": "top", "annotation_clip": False}
     for radius_m in ring_m:
-        above.add_patch(Circle(tuple(middle_m), radius_m, **thin))
-        side.add_patch(Circle((middle_m[0], 0.0), radius_m, **thin))
-        paper = {"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.8}
-        label = {"fontsize": 7, "color": grey, "ha": "center", "zorder": 10}
+        above.add_patch(Circle(tuple(middle_m), radius_m, zorder=2, **RING))
+        side.add_patch(Circle((middle_m[0], 0.0), radius_m, zorder=2, **RING))
         for sign in (-1.0, 1.0):
-            place_m = middle_m + radius_m * diagonal * np.array([sign, -1.0])
-            above.text(*place_m, f"{radius_m:g} m", va="center", bbox=paper, **label)
-            side.annotate(
-                f"{radius_m:g} m",
-                (middle_m[0] + sign * radius_m, 0.0),
-                xytext=(0, -3),
-                textcoords="offset points",
-                va="top",
-                annotation_clip=False,
-                **label,
-            )
+            place_m = middle_m + radius_m * math.sqrt(0.5) * np.array([sign, -1.0])
+            above.text(*place_m, f"{radius_m:g} m", va="center", bbox=paper(0.8, 0.8), **label)
+            side.annotate(f"{radius_m:g} m", (middle_m[0] + sign * radius_m, 0.0), **below, **label)
     side.axhline(0.0, color=hex_colour(INK_RGB), linewidth=1.2, zorder=9, clip_on=False)
 
 
@@ -215,20 +202,12 @@ def _draw_from_above(
         across = "left" if outwards[0] > 0.0 else "right"
         # an upright name lies along the ring
         place_m = middle_m + (1.05 if is_upright else 1.02) * reach_m * outwards
-        axis.text(
-            *place_m,
-            names[index],
-            color=hex_colour(camera_rgb(index)),
-            fontsize=7.5,
-            fontweight="bold",
-            ha="center" if is_upright or abs(outwards[0]) < 0.2 else across,
-            va="center" if is_upright else "bottom" if outwards[1] > 0.0 else "top",
-            rotation=math.degrees(place_rad if outwards[0] < 0.0 else place_rad - math.pi) + 90.0
-            if is_upright
-            else 0.0,
-            rotation_mode="anchor",
-            zorder=10,
-        )
+        turn_rad = (place_rad if outwards[0] < 0.0 else place_rad - math.pi) + 0.5 * math.pi
+        style = {"fontsize": 7.5, "fontweight": "bold", "rotation_mode": "anchor", "zorder": 10}
+        style |= {"ha": "center" if is_upright or abs(outwards[0]) < 0.2 else across}
+        style |= {"va": "center" if is_upright else "bottom" if outwards[1] > 0.0 else "top"}
+        style |= {"rotation": math.degrees(turn_rad) if is_upright else 0.0}
+        axis.text(*place_m, names[index], color=hex_colour(camera_rgb(index)), **style)
 
 
 def _draw_from_side(axis: Any, rig: Rig, middle_m: np.ndarray, reach_m: float) -> None:  # noqa: ANN401 (matplotlib)
@@ -246,18 +225,10 @@ def _draw_cut(axis: Any, top_m: float) -> None:  # noqa: ANN401 (matplotlib)
     """Say at the upper edge of the view from the side that it ends there, and what it shows does not."""
     grey = hex_colour(MUTED_RGB)
     axis.axhline(top_m, color=grey, linewidth=0.8, linestyle=(0, (1, 2)), zorder=9, clip_on=False)
-    axis.annotate(
-        f"cut {top_m:.1f} m above the ground",
-        (1.0, top_m),
-        xycoords=("axes fraction", "data"),
-        xytext=(0, 3),
-        textcoords="offset points",
-        ha="right",
-        va="bottom",
-        fontsize=6.5,
-        color=grey,
-        annotation_clip=False,
-    )
+    text = f"cut {top_m:.1f} m above the ground"
+    style = {"ha": "right", "va": "bottom", "fontsize": 6.5, "color": grey, "annotation_clip": False}
+    place = {"xycoords": ("axes fraction", "data"), "xytext": (0, 3), "textcoords": "offset points"}
+    axis.annotate(text, (1.0, top_m), **place, **style)
 
 
 def _draw_marks(axis: Any, place_m: np.ndarray, m_per_mm: float) -> None:  # noqa: ANN401 (matplotlib)
@@ -281,9 +252,8 @@ def _draw_marks(axis: Any, place_m: np.ndarray, m_per_mm: float) -> None:  # noq
         taken.append((middle_m, half_m))
         ink = hex_colour(INK_RGB)
         axis.plot(*np.stack([foot_m, middle_m]).T, color=ink, linewidth=0.5, zorder=6)
-        paper = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
-        bold = {"fontsize": 5.5, "fontweight": "bold", "color": ink}
-        axis.text(*middle_m, text, **bold, ha="center", va="center_baseline", bbox=paper, zorder=11)
+        bold = {"fontsize": 5.5, "fontweight": "bold", "color": ink, "bbox": paper(0.6, 0.85), "zorder": 11}
+        axis.text(*middle_m, text, **bold, ha="center", va="center_baseline")
 
 
 def _near_each_other(place_m: np.ndarray, least_m: float) -> list[list[int]]:
@@ -327,7 +297,7 @@ def _distance_m(start_m: np.ndarray, direction: np.ndarray, middle_m: np.ndarray
 
 def _draw_fan(axis: Any, outline_m: np.ndarray, colour: str, *, alpha: float) -> None:  # noqa: ANN401 (matplotlib)
     axis.fill(*outline_m.T, color=colour, alpha=alpha, linewidth=0, zorder=3)
-    axis.plot(*np.vstack([outline_m, outline_m[:1]]).T, color=colour, linewidth=0.9, zorder=4)
+    axis.plot(*closed(outline_m).T, color=colour, linewidth=0.9, zorder=4)
 
 
 def _apart(bearing_rad: Sequence[float], long_rad: Sequence[float]) -> list[float]:

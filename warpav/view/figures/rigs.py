@@ -20,48 +20,47 @@ from warpav.scene.reconstruction.point_cloud import fuse
 from warpav.scene.reconstruction.reconstruct import object_mesh
 from warpav.scene.reconstruction.settings import ReconstructionSettings
 from warpav.scene.scene import Box
-from warpav.view.cloud_view import BACKGROUND_RGB, cloud_image, towards, view_of
+from warpav.view.actors import SQUARE
+from warpav.view.figures.clouds import BACKGROUND_RGB, cloud_image, towards, view_of
+from warpav.view.figures.from_above import (
+    draw_cameras,
+    draw_height_map,
+    draw_vehicle,
+    draw_zone_border,
+    start_and_end_handles,
+)
 from warpav.view.figures.images import DetectionPanel, detection_handles, draw_detections
 from warpav.view.figures.style import (
+    PALE,
     WIDTH_INCH,
     caption,
+    colour_bar,
+    colour_map,
     count_text,
     empty_panel,
     figure_style,
+    metre_axes,
     new_figure,
     panel_sizes_px,
     save_figure,
     show_image,
     title,
 )
-from warpav.view.figures.top_view import (
-    draw_bounds,
-    draw_cameras,
-    draw_height_map,
-    draw_vehicle,
-    draw_zone_border,
-    pale_map,
-    start_and_end_handles,
-)
-from warpav.view.frustum import bearing_sector_rad, sector_polygon_m
+from warpav.view.outlines import bearing_sector_rad, sector_polygon_m
 from warpav.view.palette import INK_RGB, MISS_RGB, MUTED_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
     from warpav.optimisation.constraints import Constraints
-    from warpav.raster.mesh import Mesh
-    from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
 
 _IMAGES_A_ROW = 4
+_HEAT = ("heat", "#2c4fa3", "#4fa3d1", "#f3e38a", "#ee7b35", "#a3121f", "#6b0612")
+"""From blue, where vehicles are rare, to dark red, where most are; the thesis's colours."""
 
 
 @dataclass(frozen=True, eq=False)
 class OptimisedRig:
-    """An optimisation of a rig.
-
-    Attributes:
-        trajectory_m: Its camera positions over the iterations [m], shape [iteration, camera, 3].
-    """
+    """An optimisation of a rig, with its camera positions over the iterations [m], [iteration, camera, 3]."""
 
     start: Rig
     trajectory_m: np.ndarray
@@ -88,6 +87,8 @@ def without_and_with_constraints(
     remark: str,
 ) -> Path:
     """Figure 10: the trajectories of the cameras over the vehicle, without constraints and with them."""
+    from matplotlib.patches import Rectangle
+
     point_m = np.concatenate([ego.bounds_m(), *(run.trajectory_m.reshape(-1, 3) for run in (free, kept))])
     length_m, width_m = np.ptp(point_m[:, :2], axis=0)
     with figure_style():
@@ -95,28 +96,23 @@ def without_and_with_constraints(
         axes, image = figure.subplots(2, 1, sharex=True, sharey=True), None
         for axis, heading, run in zip(axes, ("Without constraints", "With constraints"), (free, kept), strict=True):
             draw_vehicle(axis, ego)
-            image = draw_height_map(axis, surface, colours=pale_map())
+            image = draw_height_map(axis, surface, colours=colour_map(*PALE))
             if constraints.are_inequalities:
                 draw_zone_border(axis, surface)
             else:
-                draw_bounds(axis, surface.bounds_m)
+                low, high = surface.bounds_m
+                style = {"fill": False, "edgecolor": hex_colour(INK_RGB), "linewidth": 1.0, "zorder": 3}
+                axis.add_patch(Rectangle(low, *(high - low), **style))
             draw_cameras(axis, run.end, rig_initial=run.start, trajectory_m=run.trajectory_m)
             excess_m = [constraints.violation_m(Rig([camera])) for camera in run.end.cameras]
             outside = int(np.count_nonzero(excess_m))
             result = f"{outside} of {len(excess_m)} cameras end outside"
             title(axis, heading, f"{result}, by up to {max(excess_m):.2f} m" if outside else result)
-            axis.set_aspect("equal")
-            axis.set_ylabel("y, left [m]")
-        axes[1].set_xlabel("x, forward [m]")
-        bar = figure.colorbar(image, ax=axes, shrink=0.6, pad=0.02, aspect=28)
-        bar.set_label("height of the mount surface [m]")
-        bar.outline.set_visible(False)
+            metre_axes(axis, across=axis is axes[1])
+        colour_bar(figure, image, axes, "height of the mount surface [m]", shrink=0.6)
         border = "border of the mountable zone" if constraints.are_inequalities else "bounds of the mount surface"
-        _caption(
-            figure,
-            start_and_end_handles(),
-            f"{remark} Black: {border}. Without: all multipliers stay 0.",
-        )
+        text = f"{remark} Black: {border}. Without: all multipliers stay 0."
+        _legend(figure, start_and_end_handles(), text)
         return save_figure(figure, path)
 
 
@@ -131,24 +127,14 @@ def before_and_after(rows: Mapping[str, tuple[Rig, Sequence[SceneViews]]], path:
             _draw_plan(axes[0], rig, views)
             axes[0].set_ylabel(heading, fontweight="bold", fontsize=11)
             _draw_images(axes[1:], _fullest(views))
-        _caption(
-            figure,
-            detection_handles(),
-            "Left: all vehicles of the scenes from above, and the cameras' fields of view. "
-            "Right: the one of these scenes with most vehicles, through every camera.",
-        )
+        text = "Left: all vehicles of the scenes from above, and the cameras' fields of view. "
+        text += "Right: the one of these scenes with most vehicles, through every camera."
+        _legend(figure, detection_handles(), text)
         return save_figure(figure, path)
 
 
 def highest_rig(rig: Rig, views: Sequence[SceneViews], path: Path | str, *, surface: MountSurface) -> Path:
-    """Figure 12: the rig around the vehicle's highest point, its sectors, and what it finds.
-
-    Args:
-        rig: The cameras.
-        views: What they make of scenes, at least one.
-        path: PNG file to write.
-        surface: The mount surface of the vehicle.
-    """
+    """Figure 12: the rig around the vehicle's highest point, its sectors, and what it finds in scenes."""
     ego = views[0].scene.ego
     image_rows = math.ceil(len(rig.cameras) / _IMAGES_A_ROW)
     with figure_style():
@@ -156,13 +142,11 @@ def highest_rig(rig: Rig, views: Sequence[SceneViews], path: Path | str, *, surf
         upper, lower = figure.subfigures(2, 1, height_ratios=[4.2, 2.35 * image_rows])
         near, around = upper.subplots(1, 2, width_ratios=[1.15, 1.0])
         draw_vehicle(near, ego)
-        draw_height_map(near, surface, colours=pale_map())
+        draw_height_map(near, surface, colours=colour_map(*PALE))
         draw_cameras(near, rig, sector_radius_m=1.2, has_names=True)
-        near.set_aspect("equal")
+        metre_axes(near)
         near.margins(0.1)
         near.autoscale_view()
-        near.set_xlabel("x, forward [m]")
-        near.set_ylabel("y, left [m]")
         title(near, "Cameras around the highest point")
         _draw_plan(around, rig, views)
         axes = lower.subplots(image_rows, _IMAGES_A_ROW, squeeze=False).flat
@@ -170,7 +154,7 @@ def highest_rig(rig: Rig, views: Sequence[SceneViews], path: Path | str, *, surf
             axis.set_axis_off()
         _draw_images(axes[: len(rig.cameras)], _fullest(views))
         covered_deg = math.degrees(covered_rad(rig))
-        _caption(
+        _legend(
             figure,
             detection_handles(),
             f"Right: all vehicles of {count_text(len(views), 'test scenes')} from above. The fields of view cover "
@@ -227,15 +211,11 @@ def _draw_plan(axis: Any, rig: Rig, views: Sequence[SceneViews]) -> None:  # noq
     axis.locator_params(nbins=4)
     axis.tick_params(labelsize=8)
     axis.set_xlabel("x, forward [m]", fontsize=8)
-    axis.set_title(
-        f"{int(is_found.sum())} of {len(is_found)} found in {count_text(len(views), 'scenes')}",
-        fontsize=9.5,
-        fontweight="normal",
-        pad=4,
-    )
+    text = f"{int(is_found.sum())} of {len(is_found)} found in {count_text(len(views), 'scenes')}"
+    axis.set_title(text, fontsize=9.5, fontweight="normal", pad=4)
 
 
-def _caption(figure: Any, handles: Sequence[Any], text: str) -> None:  # noqa: ANN401 (matplotlib)
+def _legend(figure: Any, handles: Sequence[Any], text: str) -> None:  # noqa: ANN401 (matplotlib)
     """A caption with what the marks mean below all panels."""
     legend = figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), title=text)
     legend.get_title().set(fontsize=9, color=hex_colour(MUTED_RGB), multialignment="center")
@@ -272,12 +252,9 @@ def mount_surface_stages(
             image.set_clim(*limits_m)
             share = float(np.isfinite(one.height_m).mean())
             title(axis, text, f"{100.0 * share:.0f} % of the cells" if share < 1.0 else "")
-            axis.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]), aspect="equal")
-            axis.set_ylabel("y, left [m]")
-            axis.set_xlabel("x, forward [m]")
-        bar = figure.colorbar(image, ax=axes, shrink=0.7, pad=0.02, aspect=28)
-        bar.set_label("height of the mount surface [m]")
-        bar.outline.set_visible(False)
+            axis.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]))
+            metre_axes(axis)
+        colour_bar(figure, image, axes, "height of the mount surface [m]", shrink=0.7)
         caption(
             figure,
             f"{capture.name}. Measured: what looks upwards, seen from above, in cells of {100.0 * cell_m:g} cm. "
@@ -286,10 +263,8 @@ def mount_surface_stages(
         (size_px,) = panel_sizes_px(figure, axes[:1, 0])
         viewpoint = view_of(cloud.cloud.point_m, towards(math.radians(38.0), math.radians(40.0)), size_px)
         parts = [cloud.cloud, _coloured(surface, limits_m)]
-        show_image(
-            axes[0, 0],
-            cloud_image(parts, viewpoint, size_px=size_px, point_px=1.6, cover=1.0, background_rgb=BACKGROUND_RGB),
-        )
+        style = {"size_px": size_px, "point_px": 1.6, "cover": 1.0, "background_rgb": BACKGROUND_RGB}
+        show_image(axes[0, 0], cloud_image(parts, viewpoint, **style))
         return save_figure(figure, path)
 
 
@@ -300,23 +275,12 @@ def _coloured(surface: MountSurface, limits_m: tuple[float, float]) -> Mesh:
     height_m = surface.height_m.astype(np.float64)
     share = (height_m - limits_m[0]) / max(limits_m[1] - limits_m[0], 1e-9)
     rgb = np.rint(255.0 * matplotlib.colormaps["viridis"](np.clip(share, 0.0, 1.0))[..., :3]).astype(np.uint8)
-    row, column = np.indices(height_m.shape)
-    centre = np.stack(
-        [
-            surface.origin_m[0] + row * surface.cell_m,
-            surface.origin_m[1] + column * surface.cell_m,
-            height_m + 0.02,  # clear of the points that it was made of
-        ],
-        axis=-1,
-    ).reshape(-1, 1, 3)
-    corner = 0.5 * surface.cell_m * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+    place_m = surface.origin_m + surface.cell_m * np.moveaxis(np.indices(height_m.shape), 0, -1)
+    centre = np.concatenate([place_m, height_m[..., None] + 0.02], axis=-1)  # clear of the points that it was made of
+    corner = centre.reshape(-1, 1, 3) + surface.cell_m * np.column_stack([SQUARE, np.zeros(4)])
     first = 4 * np.arange(height_m.size)[:, None]
     triangle = np.concatenate([first + np.array(half) for half in ([0, 1, 2], [0, 2, 3])])
-    return Mesh(
-        (centre + corner).reshape(-1, 3).astype(np.float32),
-        triangle.astype(np.int32),
-        np.repeat(rgb.reshape(-1, 3), 4, axis=0),
-    )
+    return Mesh(corner.reshape(-1, 3), triangle, np.repeat(rgb.reshape(-1, 3), 4, axis=0))
 
 
 def heat_maps(
@@ -336,28 +300,17 @@ def heat_maps(
         figure = new_figure(WIDTH_INCH, 1.45 + (WIDTH_INCH - 0.9) / len(share))
         axes = figure.subplots(1, len(share), sharey=True, squeeze=False)[0]
         for axis, (name, one) in zip(axes, share.items(), strict=True):
-            image = axis.imshow(
-                np.where(one > 0.0, 100.0 * one, np.nan)[::-1, ::-1],
-                extent=(radius_m, -radius_m, -radius_m, radius_m),
-                cmap=_heat_colours(),
-                vmin=0.0,
-                vmax=100.0 * max(float(one.max()), 1e-9),
-                interpolation="nearest",
-                zorder=2,
-            )
+            shown = np.where(one > 0.0, 100.0 * one, np.nan)[::-1, ::-1]
+            extent = (radius_m, -radius_m, -radius_m, radius_m)
+            style = {"cmap": colour_map(*_HEAT), "vmin": 0.0, "vmax": 100.0 * max(float(one.max()), 1e-9)}
+            image = axis.imshow(shown, extent=extent, interpolation="nearest", zorder=2, **style)
             x, y = ego_box.corners_m()[[0, 4, 6, 2], :2].T
             axis.fill(y, x, color=hex_colour(INK_RGB), linewidth=0, zorder=3)
-            vehicle_count = sum(len(boxes) for boxes in collections[name])
-            title(
-                axis,
-                name.title(),
-                f"{count_text(len(collections[name]), 'scenes')}, {count_text(vehicle_count, 'vehicles')}",
-            )
+            vehicles = count_text(sum(len(boxes) for boxes in collections[name]), "vehicles")
+            title(axis, name.title(), f"{count_text(len(collections[name]), 'scenes')}, {vehicles}")
             axis.set_xlabel("y, left [m]")
             axis.locator_params(nbins=4)
-            bar = figure.colorbar(image, ax=axis, orientation="horizontal", pad=0.02, aspect=28)
-            bar.set_label("scenes with a vehicle there [%]")
-            bar.outline.set_visible(False)
+            colour_bar(figure, image, axis, "scenes with a vehicle there [%]", orientation="horizontal")
         axes[0].set_ylabel("x, forward [m]")
         caption(figure, "Black: the ego vehicle. White: no vehicle in any scene. Every map has a scale of its own.")
         figure.get_layout_engine().set(w_pad=0.1)
@@ -365,10 +318,9 @@ def heat_maps(
 
 
 def vehicle_occupancy(scenes: Sequence[Sequence[Box]], *, radius_m: float, cell_m: float) -> np.ndarray:
-    """Share of the scenes in which a vehicle's box covers the middle of a cell.
+    """Share of the scenes in which a vehicle's box covers the middle of a cell, 0..1, [row, column].
 
-    Returns:
-        0..1, float64, shape [row, column]; rows run along x, columns along y, both from ``-radius_m``.
+    Rows run along x, columns along y, both from ``-radius_m``.
     """
     if not scenes:
         raise InputError("a heat map needs at least one scene, got 0")
@@ -382,10 +334,3 @@ def vehicle_occupancy(scenes: Sequence[Sequence[Box]], *, radius_m: float, cell_
             covered |= box.contains(point_m + np.array([0.0, 0.0, box.center_m[2]]))
         total += covered
     return total.reshape(count, count) / len(scenes)
-
-
-def _heat_colours() -> Any:  # noqa: ANN401 (matplotlib)
-    """From blue, where vehicles are rare, to dark red, where most are; the thesis's colours."""
-    from matplotlib.colors import LinearSegmentedColormap
-
-    return LinearSegmentedColormap.from_list("heat", ["#2c4fa3", "#4fa3d1", "#f3e38a", "#ee7b35", "#a3121f", "#6b0612"])

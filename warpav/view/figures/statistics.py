@@ -6,12 +6,21 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.view.figures.style import WIDTH_INCH, caption, figure_style, new_figure, save_figure, svg_text, title
+from warpav.view.figures.style import (
+    WIDTH_INCH,
+    caption,
+    colour_map,
+    figure_style,
+    new_figure,
+    save_figure,
+    svg_text,
+    title,
+)
 from warpav.view.palette import (
     BASELINE_RGB,
     FALSE_POSITIVE_RGB,
@@ -28,39 +37,22 @@ from warpav.view.palette import (
 if TYPE_CHECKING:
     from warpav.detection.probability import DetectionProbability
     from warpav.detection.probability_fit import CalibrationBin
-if TYPE_CHECKING:
     from warpav.evaluation.perturbations import CameraOutages, MountTolerance
-
-_LEVEL_95 = 1.959964  # standard deviations of a normal number that hold 95 %
 
 
 def reliability_diagram(
     bins: Sequence[CalibrationBin], probability: np.ndarray, is_detected: np.ndarray, path: Path | str, *, title: str
 ) -> Path:
-    """Draw what share of objects was detected over the probability that was predicted, and how many there were.
-
-    Args:
-        probability: That was predicted for every object, 0..1, shape [object].
-        is_detected: What came true, bool, shape [object].
-    """
-    predicted, detected, low, high = np.array(
-        [[each.predicted, each.detected, each.low, each.high] for each in bins]
-    ).T  # fmt: skip
+    """Draw what share of objects [object] was detected over the probability that was predicted, and how many."""
+    predicted, detected, low, high = np.array([[b.predicted, b.detected, b.low, b.high] for b in bins]).T
     with figure_style():
         figure = new_figure(0.6 * WIDTH_INCH, 0.72 * WIDTH_INCH)
         axis, lower = figure.subplots(2, 1, sharex=True, height_ratios=[3, 1])
         axis.plot([0, 1], [0, 1], color=hex_colour(MUTED_RGB), linewidth=1.0, label="as predicted")
-        axis.errorbar(
-            predicted,
-            detected,
-            yerr=np.maximum([detected - low, high - detected], 0.0),  # ends at 0 and 1 are rounded
-            fmt="o",
-            markersize=4.5,
-            linewidth=1.2,
-            color=hex_colour(camera_rgb(0)),
-            clip_on=False,
-            label=f"share detected of {bins[0].count} objects, 95 % interval",
-        )
+        reach = np.maximum([detected - low, high - detected], 0.0)  # ends at 0 and 1 are rounded
+        style = {"fmt": "o", "markersize": 4.5, "linewidth": 1.2, "color": hex_colour(camera_rgb(0)), "clip_on": False}
+        label = f"share detected of {bins[0].count} objects, 95 % interval"
+        axis.errorbar(predicted, detected, yerr=reach, label=label, **style)
         axis.set_ylabel("share detected")
         axis.set_ylim(-0.02, 1.02)
         axis.set_title(title)
@@ -80,11 +72,7 @@ def reliability_diagram(
 
 
 def detection_curves(model: DetectionProbability, feature: np.ndarray, path: Path | str) -> Path:
-    """Draw what every feature adds to the logit of the probability of detection, over where objects have it.
-
-    Args:
-        feature: Features of the objects that they were fitted on, shape [object, feature].
-    """
+    """Draw what every feature adds to the logit of detection, over where objects have it, [object, feature]."""
     from warpav.detection.probability import FEATURES
 
     with figure_style():
@@ -118,23 +106,8 @@ class MetricDifference:
     high: float
 
 
-class _ObjectGroup(Protocol):
-    """Objects of about one distance, sector or kind."""
-
-    @property
-    def objects(self) -> int:
-        """How many there are."""
-        ...
-
-    @property
-    def detected(self) -> int:
-        """How many of them were detected."""
-        ...
-
-    @property
-    def recall(self) -> float | None:
-        """The share of them; None where there are none."""
-        ...
+Groups = Mapping[str, Any]
+"""Objects of about one distance, sector or kind, by its name, as `warpav.evaluation` counts them."""
 
 
 def differences(rows: Sequence[MetricDifference], first: str) -> str:
@@ -156,7 +129,7 @@ def differences(rows: Sequence[MetricDifference], first: str) -> str:
     return svg_text(draw, 0.9 + 0.42 * len(rows))
 
 
-def recall_by_group(tables: Mapping[str, Mapping[str, _ObjectGroup]], title: str, *, unit: str = "") -> str | None:
+def recall_by_group(tables: Mapping[str, Groups], title: str, *, unit: str = "") -> str | None:
     """Recall by group, a dot for every rig and the first one's 95 % interval, as SVG; None without objects."""
     groups = _groups(tables)
     if not groups:
@@ -170,7 +143,7 @@ def recall_by_group(tables: Mapping[str, Mapping[str, _ObjectGroup]], title: str
     return svg_text(draw, 1.45 + 0.3 * len(groups))
 
 
-def recall_figure(groupings: Mapping[str, Mapping[str, Mapping[str, _ObjectGroup]]], *, title: str) -> Any:  # noqa: ANN401
+def recall_figure(groupings: Mapping[str, Mapping[str, Groups]], *, title: str) -> Any:  # noqa: ANN401
     """Recall of rigs by groups of objects, a panel for every grouping, as a ``matplotlib.figure.Figure``."""
     shown = {heading: tables for heading, tables in groupings.items() if _groups(tables)}
     lines = max(len(_groups(tables)) for tables in shown.values())
@@ -185,14 +158,14 @@ def recall_figure(groupings: Mapping[str, Mapping[str, Mapping[str, _ObjectGroup
     return figure
 
 
-def _groups(tables: Mapping[str, Mapping[str, _ObjectGroup]]) -> list[str]:
+def _groups(tables: Mapping[str, Groups]) -> list[str]:
     """The names of the groups that hold objects."""
     return [name for name, group in next(iter(tables.values())).items() if group.objects]
 
 
 def _draw_recall(
     axis: Any,  # noqa: ANN401 (matplotlib)
-    tables: Mapping[str, Mapping[str, _ObjectGroup]],
+    tables: Mapping[str, Groups],
     title: str,
     *,
     unit: str = "",
@@ -205,17 +178,9 @@ def _draw_recall(
     axis.hlines(range(len(groups)), low, high, color=colour, linewidth=6.0, alpha=0.25)
     for name in reversed(others):
         values = [tables[name][group].recall if group in tables[name] else None for group in groups]
-        style: dict[str, Any] = {"marker": "o" if name == "start" else "D", "markersize": 6.5, "linestyle": ""}
-        axis.plot(
-            np.array(values, np.float64),
-            range(len(groups)),
-            markerfacecolor="none",
-            markeredgecolor=hex_colour(BASELINE_RGB.get(name, INK_RGB)),
-            markeredgewidth=1.6,
-            clip_on=False,
-            label=name,
-            **style,
-        )
+        style = {"marker": "o" if name == "start" else "D", "markersize": 6.5, "linestyle": "", "clip_on": False}
+        style |= {"markeredgecolor": hex_colour(BASELINE_RGB.get(name, INK_RGB)), "markeredgewidth": 1.6}
+        axis.plot(np.array(values, float), range(len(groups)), markerfacecolor="none", label=name, **style)
     values = np.array([tables[first][group].recall for group in groups], np.float64)
     axis.plot(values, range(len(groups)), "o", color=colour, markersize=6, clip_on=False, zorder=5, label=first)
     handles, names = axis.get_legend_handles_labels()
@@ -227,12 +192,12 @@ def _draw_recall(
     return handles, names
 
 
-def _wilson_interval(group: _ObjectGroup) -> tuple[float, float]:
+def _wilson_interval(group: Any) -> tuple[float, float]:  # noqa: ANN401 (of `Groups`)
     """Wilson's 95 % interval of a share, as if every object were found or not by itself."""
-    n, share, z = group.objects, group.detected / group.objects, _LEVEL_95
-    middle = (share + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
-    return max(middle - half, 0.0), min(middle + half, 1.0)
+    from scipy.stats import binomtest
+
+    found = binomtest(group.detected, group.objects).proportion_ci(0.95, method="wilson")
+    return float(found.low), float(found.high)
 
 
 def front_figure(points: Sequence[Mapping[str, Any]], *, by: str, title: str | None = None) -> Any:  # noqa: ANN401
@@ -304,18 +269,15 @@ def sensitivity_figure(
     panels = [part for part in (tolerance, outages) if part is not None]
     with figure_style():
         figure = new_figure(WIDTH_INCH, 1.5 + 0.34 * len(names))
-        axes = figure.subplots(
-            1, len(panels), squeeze=False, sharey=True, width_ratios=[1.7, 1.0] if len(panels) > 1 else None
-        )[0]
+        widths = [1.7, 1.0] if len(panels) > 1 else None
+        axes = figure.subplots(1, len(panels), squeeze=False, sharey=True, width_ratios=widths)[0]
         if heading:
             figure.suptitle(heading, fontweight="bold")
         if tolerance is not None:
             _draw_changes(axes[0], tolerance, names)
-            caption(
-                figure,
-                f"Expected misses per 100 objects: {tolerance.nominal:.2f}; with all cameras off by chance "
-                f"{tolerance.samples.mean():.2f} (mean of {len(tolerance.samples)} draws).",
-            )
+            off = f"{tolerance.samples.mean():.2f} (mean of {len(tolerance.samples)} draws)"
+            said = f"{tolerance.nominal:.2f}; with all cameras off by chance {off}"
+            caption(figure, f"Expected misses per 100 objects: {said}.")
         if outages is not None:
             _draw_losses(axes[-1], outages)
         axes[0].set_yticks(range(len(names)), names)
@@ -326,15 +288,12 @@ def sensitivity_figure(
 
 
 def _draw_changes(axis: Any, tolerance: MountTolerance, names: list[str]) -> None:  # noqa: ANN401 (matplotlib)
-    from matplotlib.colors import LinearSegmentedColormap
-
     degrees = list(dict.fromkeys(effect.degree for effect in tolerance.effects))
     change = np.full((len(names), len(degrees)), math.nan)
     for effect in tolerance.effects:
         change[names.index(effect.camera), degrees.index(effect.degree)] = effect.worst
     most = max(float(np.abs(change).max()), _LEAST_SHOWN)
-    stops = [hex_colour(rgb) for rgb in (*_BELOW_RGB, (255, 255, 255), *FURTHER_RGB[1:3])]
-    colours = LinearSegmentedColormap.from_list("change", stops)
+    colours = colour_map("change", *_BELOW_RGB, (255, 255, 255), *FURTHER_RGB[1:3])
     axis.imshow(change, cmap=colours, vmin=-most, vmax=most, aspect="auto")
     for (row, column), value in np.ndenumerate(change):
         axis.text(column, row, f"{value:+z.2f}", ha="center", va="center", fontsize=8.5, color=hex_colour(INK_RGB))

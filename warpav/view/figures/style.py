@@ -53,6 +53,10 @@ _STYLE: Any = {
 }
 
 
+PALE = ("pale", "#f4f6f9", "#a9b5c6")
+"""Greys that leave room for the colours of the cameras, for `colour_map`: low is light, high is darker."""
+
+
 def figure_style() -> Any:  # noqa: ANN401 (a context manager of matplotlib)
     """A context in which figures have this module's fonts, lines and colours."""
     import matplotlib
