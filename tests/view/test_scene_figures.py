@@ -19,7 +19,6 @@ from warpav.scene.glb import write_scene
 from warpav.scene.reconstruction.point_cloud import fuse
 from warpav.scene.reconstruction.settings import CloudSettings, MeshSettings, ReconstructionSettings
 from warpav.scene.scene import Box
-from warpav.view import cloud_view
 from warpav.view.figures import clouds, images, rigs
 from warpav.view.figures.clouds import BACKGROUND_RGB
 from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH, count_text
@@ -36,7 +35,7 @@ COARSE = ReconstructionSettings(
 @pytest.fixture
 def drawn(monkeypatch):
     """Matplotlib's figures of what was drawn, to read their texts; clouds are drawn coarsely."""
-    monkeypatch.setattr(cloud_view, "_SUPERSAMPLING", 1)
+    monkeypatch.setattr(clouds, "_SUPERSAMPLING", 1)
     figures = []
     for module in (images, clouds, rigs):
 
@@ -101,7 +100,7 @@ def test_image_types_stand_side_by_side(tmp_path, drawn):
     assert image.shape[1] == WIDTH_PX
     colour, depth, instance = (panel(image, axis) for axis in drawn[0].axes[:3])
     assert np.ptp([colour.shape, depth.shape, instance.shape], axis=0).max() <= 1
-    text = " ".join(one.get_text() for one in drawn[0].texts)
+    text = drawn[0].axes[0].get_xlabel()
     (shown,) = [one for one in town.images if f"view {one.view.name}\n" in text]
     for instance_id in np.unique(shown.instance):
         share = (shown.instance == instance_id).mean()

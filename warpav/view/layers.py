@@ -243,7 +243,7 @@ def zones_to_pyvista(surface: MountSurface, *, lift_m: float = 0.0) -> PolyData:
     Cell data: ``height_m`` above the ground, ``border_distance_m`` to the nearest position that carries none, and
     ``zone``, the number of its zone among `zone_names`.
     """
-    is_shown = np.ones(surface.height_m.shape, bool) if surface.is_mountable is None else surface.is_mountable.copy()
+    is_shown = surface.inside.copy()
     number = np.zeros(surface.height_m.shape, int)
     if surface.zones:
         names = zone_names(surface)

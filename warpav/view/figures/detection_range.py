@@ -89,9 +89,7 @@ def range_figure(
                     _draw_ranges(axis, first.azimuth_rad, ranges_m, limits_m[name][row], place, _TICK * reach_m)
             if not is_one:
                 axis.set_title(shown[0][1], pad=_TITLE_PAD_PT)
-        lines = [
-            Line2D([], [], color=hex_colour(camera_rgb(k)), label=each, **_mark(k)) for k, each in enumerate(names)
-        ]
+        lines = [Line2D([], [], label=each, **_mark(k)) for k, each in enumerate(names)]
         ink, words = hex_colour(INK_RGB), "detected with a probability of at least"
         levels = [Line2D([], [], color=ink, linestyle=style, label=f"{words} {k:g}") for k, style in _LEVELS.items()]
         limit = f"at least so far (both): beyond the ticks, its image is less than {LEAST_HEIGHT_PX:g} px high"

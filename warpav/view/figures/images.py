@@ -22,7 +22,6 @@ from warpav.view.figures.style import (
     figure_style,
     new_figure,
     save_figure,
-    show_image,
     title,
 )
 from warpav.view.palette import (
@@ -74,25 +73,25 @@ def image_types(capture: Capture, path: Path | str) -> Path:
     image = _telling_image(capture)
     height, width = image.depth_m.shape
     limits_m = _depth_limits_m([image])
-    gap_inch, below_inch = 0.12, 0.9
-    across_inch = (WIDTH_INCH - gap_inch) / 3  # from one image to the next
-    width_inch = across_inch - gap_inch
-    down_inch = width_inch * height / width
     with figure_style():
-        figure = new_figure(WIDTH_INCH, below_inch + down_inch + 0.32)
-        figure.set_layout_engine("none")
-        for column, text in enumerate(("Colour", "Depth", "Instance")):
-            axis = _axes(figure, gap_inch + column * across_inch, below_inch, width_inch, down_inch)
-            show_image(axis, _pixels(image, text.lower(), limits_m))
+        figure = new_figure(WIDTH_INCH, 0.9 + WIDTH_INCH / 3 * height / width)
+        axes = figure.subplots(1, 3)
+        for axis, text in zip(axes, ("Colour", "Depth", "Instance"), strict=True):
+            _show(axis, _pixels(image, text.lower(), limits_m))
             title(axis, text)
-        _depth_bar(figure, _axes(figure, gap_inch + across_inch, below_inch - 0.2, width_inch, 0.11), limits_m)
-        _instance_legend(_axes(figure, gap_inch + 2 * across_inch, below_inch - 0.2, width_inch, 0.11), image)
         x, y, z = image.view.ego_from_camera[:3, 3]
         text = f"{capture.name}, view {image.view.name}\ncamera at ({x:.1f}, {y:.1f}, {z:.1f}) m in the ego frame"
-        at = gap_inch / WIDTH_INCH, (below_inch - 0.09) / figure.get_size_inches()[1]
-        style = {"ha": "left", "va": "top", "fontsize": 9, "linespacing": 1.4, "color": hex_colour(MUTED_RGB)}
-        figure.text(*at, text, **style)
+        axes[0].set_xlabel(text, loc="left", fontsize=9, color=hex_colour(MUTED_RGB))
+        _depth_bar(figure, axes[1], limits_m)
+        _instance_legend(axes[2], image)
         return save_figure(figure, path)
+
+
+def _show(axis: Any, rgb: np.ndarray) -> None:  # noqa: ANN401 (matplotlib)
+    """An image in its own proportions, at the top of its panel."""
+    axis.imshow(rgb, interpolation="antialiased")
+    axis.set_anchor("N")
+    empty_panel(axis)
 
 
 def _pixels(image: CapturedImage, what: str, limits_m: tuple[float, float]) -> np.ndarray:
@@ -118,33 +117,22 @@ def contact_sheet(capture: Capture, what: str, path: Path | str) -> Path:
     counts = {kind: sum(image.view.kind == kind for image in images) for kind in order}
     counts = {kind: count for kind, count in counts.items() if count}
     legend_rows = math.ceil(len(counts) / _LEGEND_COLUMNS)
-    gap_inch, frame_inch, below_inch = 0.1, 0.035, 0.19 + 0.21 * legend_rows + (0.55 if what == "depth" else 0.0)
-    across_inch = (WIDTH_INCH - gap_inch) / columns  # from one image to the next
+    below_inch = 0.2 + 0.21 * legend_rows + (0.6 if what == "depth" else 0.0)
     aspect = max(image.depth_m.shape[0] / image.depth_m.shape[1] for image in images)
-    wide_inch = across_inch - gap_inch
-    down_inch = wide_inch * aspect + gap_inch
-    height_inch = rows * down_inch + gap_inch + below_inch
     with figure_style():
-        figure = new_figure(WIDTH_INCH, height_inch)
-        figure.set_layout_engine("none")
-        for index, image in enumerate(images):
-            row, column = divmod(index, columns)
-            high_inch = wide_inch * image.depth_m.shape[0] / image.depth_m.shape[1]
-            left_inch, low_inch = gap_inch + column * across_inch, height_inch - (row + 1) * down_inch
-            low_inch += 0.5 * (down_inch - gap_inch - high_inch)
-            size_inch = wide_inch + 2 * frame_inch, high_inch + 2 * frame_inch
-            frame = _axes(figure, left_inch - frame_inch, low_inch - frame_inch, *size_inch)
-            frame.set(facecolor=hex_colour(KIND_RGB[image.view.kind]), xticks=[], yticks=[])
-            frame.spines[:].set_visible(False)
-            axis = _axes(figure, left_inch, low_inch, wide_inch, high_inch)
-            show_image(axis, _pixels(image, what, limits_m))
-            axis.spines[:].set_visible(False)
+        figure = new_figure(WIDTH_INCH, rows * WIDTH_INCH / columns * aspect + below_inch)
+        axes = figure.subplots(rows, columns, squeeze=False)
+        for axis in axes.flat[len(images) :]:
+            axis.set_axis_off()
+        for axis, image in zip(axes.flat, images, strict=False):
+            _show(axis, _pixels(image, what, limits_m))
+            axis.spines[:].set(color=hex_colour(KIND_RGB[image.view.kind]), linewidth=3.0)
         if what == "depth":
-            _depth_bar(figure, _axes(figure, 0.2 * WIDTH_INCH, below_inch - 0.15, 0.6 * WIDTH_INCH, 0.13), limits_m)
+            _depth_bar(figure, axes, limits_m, shrink=0.6, aspect=40)
         named = ((hex_colour(KIND_RGB[kind]), f"{_KIND_TEXT[kind]} ({count})") for kind, count in counts.items())
         handles = [Patch(color=colour, label=text) for colour, text in named]
-        columns = math.ceil(len(counts) / legend_rows)
-        figure.legend(handles=handles, loc="lower center", ncols=columns, handlelength=1.2, columnspacing=1.6)
+        style = {"ncols": math.ceil(len(counts) / legend_rows), "handlelength": 1.2, "columnspacing": 1.6}
+        figure.legend(handles=handles, loc="outside lower center", **style)
         return save_figure(figure, path)
 
 
@@ -200,17 +188,12 @@ def _depth_limits_m(images: Sequence[CapturedImage]) -> tuple[float, float]:
     return near, max(far, 1.01 * near)
 
 
-def _axes(figure: Any, left_inch: float, low_inch: float, width_inch: float, height_inch: float) -> Any:  # noqa: ANN401
-    """Axes at a position in the figure that is not left to the layout."""
-    width, height = figure.get_size_inches()
-    return figure.add_axes((left_inch / width, low_inch / height, width_inch / width, height_inch / height))
-
-
-def _depth_bar(figure: Any, axis: Any, limits_m: tuple[float, float]) -> None:  # noqa: ANN401 (matplotlib)
+def _depth_bar(figure: Any, axes: Any, limits_m: tuple[float, float], **style: Any) -> None:  # noqa: ANN401 (matplotlib)
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LogNorm
 
-    bar = figure.colorbar(ScalarMappable(LogNorm(*limits_m), _DEPTH_COLOURS), cax=axis, orientation="horizontal")
+    style = {"orientation": "horizontal", "pad": 0.02, "panchor": False, "anchor": (0.5, 1.0)} | style
+    bar = figure.colorbar(ScalarMappable(LogNorm(*limits_m), _DEPTH_COLOURS), ax=axes, **style)
     ticks = [tick for tick in _DEPTH_TICKS_M if limits_m[0] <= tick <= limits_m[1]]
     bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
     bar.ax.minorticks_off()
@@ -224,7 +207,6 @@ def _instance_legend(axis: Any, image: CapturedImage) -> None:  # noqa: ANN401 (
     from matplotlib.legend_handler import HandlerTuple
     from matplotlib.patches import Patch
 
-    axis.set_axis_off()
     ids = [int(instance_id) for instance_id in np.unique(image.instance)]
     vehicles = [instance_id for instance_id in ids if instance_id not in (ENVIRONMENT_INSTANCE, EGO_INSTANCE)]
     entries: dict[str, Any] = {}
@@ -234,10 +216,9 @@ def _instance_legend(axis: Any, image: CapturedImage) -> None:  # noqa: ANN401 (
         name = "1 vehicle" if len(vehicles) == 1 else f"{len(vehicles)} vehicles"
         entries[name] = tuple(Patch(color=hex_colour(_instance_colour(one))) for one in vehicles[:4])
     entries["environment"] = Patch(color=hex_colour(_ENVIRONMENT_RGB))
-    axis.legend(
-        list(entries.values()), list(entries), loc="upper left", bbox_to_anchor=(0.0, 1.6), ncols=2,
-        handler_map={tuple: HandlerTuple(ndivide=None, pad=0.0)}, handlelength=1.8, columnspacing=1.6, borderpad=0.0,
-    )  # fmt: skip
+    style = {"loc": "upper left", "bbox_to_anchor": (0.0, -0.02), "ncols": 2, "borderpad": 0.0, "borderaxespad": 0.0}
+    stripes = {tuple: HandlerTuple(ndivide=None, pad=0.0)}
+    axis.legend(list(entries.values()), list(entries), handler_map=stripes, handlelength=1.8, **style)
 
 
 def contact_figure(rig: Rig, scene: Scene, *, heading: str | None = None) -> Any:  # noqa: ANN401
@@ -261,9 +242,7 @@ def contact_figure(rig: Rig, scene: Scene, *, heading: str | None = None) -> Any
             axis.set_axis_off()
         for axis, index in zip(axes.flat, order, strict=False):
             camera = rig.cameras[index]
-            axis.imshow(images[camera.name].rgb, interpolation="antialiased")
-            axis.set_anchor("N")
-            empty_panel(axis)
+            _show(axis, images[camera.name].rgb)
             axis.spines[:].set(color=hex_colour(camera_rgb(index)), linewidth=2.0)
             axis.set_title(camera.name, fontsize=10, color=hex_colour(camera_rgb(index)))
             model = camera.model
