@@ -18,9 +18,9 @@ from warpav.view.figures.convergence import (
     search_figure,
     search_panel,
 )
+from warpav.view.figures.from_above import further_figure, top_view_figure
 from warpav.view.figures.images import DetectionPanel, detections_sheet
 from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH, figure_style, new_figure, save_figure
-from warpav.view.figures.top_view import further_figure, top_view_figure
 from warpav.view.palette import (
     FALSE_POSITIVE_RGB,
     FURTHER_RGB,

@@ -14,7 +14,7 @@ from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.scene import Scene
 from warpav.view import Canvas, drawing_of, kinds_of, plot
-from warpav.view.figures import detection_range
+from warpav.view.figures import around
 from warpav.view.figures.from_above import camera_handles, ring_radii_m
 from warpav.view.figures.style import new_figure
 
@@ -128,7 +128,7 @@ def test_a_range_that_the_model_ends_keeps_its_line_and_has_ticks():
     figure = new_figure(3.0, 3.0)
     axis = figure.add_subplot(projection="polar")
     range_m, limit_m = np.full(8, 100.0), np.array([50.0] * 5 + [200.0] * 3)
-    detection_range._draw_ranges(axis, azimuth_rad, {0.5: range_m}, limit_m, 0, 4.0)
+    around._draw_ranges(axis, azimuth_rad, {0.5: range_m}, limit_m, 0, 4.0)
     whole, cut, ticks = (line.get_ydata() for line in axis.lines[:3])
     assert whole[5:8] == pytest.approx(100.0)
     assert cut[:5] == pytest.approx(50.0)

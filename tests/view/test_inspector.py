@@ -18,10 +18,9 @@ from warpav.sight.ground import PATCH_M, Ground
 from warpav.sight.requirement import SIZES_M, Band, Requirement, TestObject
 from warpav.thesis.constraints import BoundsAndSpacing
 from warpav.view import Canvas
-from warpav.view.actors import GAIN_TITLE
 from warpav.view.inspected import InspectedRig
 from warpav.view.inspector import Inspector
-from warpav.view.layers import ARROW_M, Steepest
+from warpav.view.layers import ARROW_M, GAIN_TITLE, Steepest
 from warpav.view.opengl import opengl_problem
 from warpav.view.palette import COVERAGE_RGB, FALSE_POSITIVE_RGB, MISS_RGB, camera_rgb
 from warpav.view.picture import project_px

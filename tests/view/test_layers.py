@@ -22,8 +22,16 @@ from warpav.sight.check import check_requirements
 from warpav.sight.ground import Ground
 from warpav.sight.requirement import SIZES_M, Band, Requirement, TestObject
 from warpav.view import layers, plot
-from warpav.view.actors import GAIN_TITLE
-from warpav.view.layers import LONGEST_M, WHOLE, WIDEST_RAD, Steepest, gain_to_pyvista, zone_names, zones_to_pyvista
+from warpav.view.layers import (
+    GAIN_TITLE,
+    LONGEST_M,
+    WHOLE,
+    WIDEST_RAD,
+    Steepest,
+    gain_to_pyvista,
+    zone_names,
+    zones_to_pyvista,
+)
 from warpav.view.opengl import load_pyvista
 from warpav.view.output import render_rgb
 from warpav.view.palette import COVERAGE_RGB, OUTCOME_RGB, zone_rgb

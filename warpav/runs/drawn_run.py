@@ -219,7 +219,7 @@ def _fitting(kind: str, run: _Run, canvas: Canvas, *, scene: Scene | None = None
 
 def _top_view(run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
     """Where the cameras started, how they moved, and where they ended, from above."""
-    from warpav.view.figures.top_view import top_view_figure
+    from warpav.view.figures.from_above import top_view_figure
 
     drawn = run.drawn(scene=scene)
     return top_view_figure(
@@ -244,7 +244,7 @@ def _search(run: _Run, _canvas: Canvas, *, scene: Scene | None = None) -> Any:  
 
 def _further(run: _Run, _canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
     """From above, what each camera of the pool would add to the rig that was found."""
-    from warpav.view.figures.top_view import further_figure
+    from warpav.view.figures.from_above import further_figure
 
     drawn = run.drawn(scene=scene)
     return further_figure(

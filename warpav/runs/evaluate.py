@@ -144,7 +144,7 @@ def check_rig(
     image: Path | None = None,
 ) -> Iterator[str]:
     """Check a rig against requirements; lines that say what it meets."""
-    from warpav.view.figures.near_field import requirement_map
+    from warpav.view.figures.around import requirement_map
     from warpav.view.figures.style import checked_png
 
     if image is not None:

@@ -97,7 +97,7 @@ class RunPictures:
     def _draw_further(self) -> None:
         """All other pictures, and what the report's maps of the ground are drawn from."""
         from warpav.sight.ground import BlindGround
-        from warpav.view.figures.near_field import requirement_map
+        from warpav.view.figures.around import requirement_map
 
         placement, drawn = self.placement, self._drawn
         self._plot(drawn, "top_view", "rig_top_view")

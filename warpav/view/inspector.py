@@ -14,7 +14,6 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.sight.ground import HEIGHTS_M, PATCH_M
-from warpav.view.actors import add_text, no_render, remove
 from warpav.view.inspected import NEAR_M
 from warpav.view.layers import (
     RAYS_PX,
@@ -23,10 +22,13 @@ from warpav.view.layers import (
     add_further_cameras,
     add_gain,
     add_requirements,
+    add_text,
     add_visibility,
     add_zones,
     colour_coverage,
+    no_render,
     patch_words,
+    remove,
 )
 from warpav.view.opengl import load_pyvista, tell_vtk_where_to_draw
 from warpav.view.output import Canvas

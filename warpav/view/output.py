@@ -12,7 +12,7 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.files import atomic_write
-from warpav.view.actors import no_render
+from warpav.view.layers import no_render
 from warpav.view.opengl import optional_module
 from warpav.view.palette import CAMERA_RGB, DESCENT_RGB
 

@@ -14,15 +14,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.view.actors import add_labels, add_text, mesh_to_pyvista, paint, remove
 from warpav.view.layers import (
     add_coverage,
     add_further_cameras,
     add_gain,
+    add_labels,
     add_mount_surface,
     add_outcomes,
     add_requirements,
+    add_text,
     add_visibility,
+    mesh_to_pyvista,
+    paint,
+    remove,
 )
 from warpav.view.opengl import has_display, load_pyvista, load_pyvista_data
 from warpav.view.outlines import bearing_sector_rad, frustum_points

@@ -334,13 +334,13 @@ def _draw_range(
     scene: Scene | None = None,
     probability: Callable[[CameraModel], DetectionProbability] | None = None,
 ) -> Drawing:
-    from warpav.view.figures.detection_range import range_figure
+    from warpav.view.figures.around import range_figure
 
     return range_figure(_by_name(rig), _vehicle(ego, scene, "range"), probability=probability, heading=canvas.title)
 
 
-_figure_of_rigs("near_field", "near_field")
-_figure_of_rigs("detection_range", "redundancy")
+_figure_of_rigs("around", "near_field")
+_figure_of_rigs("around", "redundancy")
 
 
 @_draws_rigs("resolution")

@@ -11,8 +11,7 @@ import numpy as np
 from warpav.core.files import atomic_write, writing
 from warpav.detection.images import render
 from warpav.raster.lens import Lens
-from warpav.view.actors import add_legend, add_text, no_render
-from warpav.view.layers import Steepest, add_descent
+from warpav.view.layers import Steepest, add_descent, add_legend, add_text, no_render
 from warpav.view.opengl import optional_module
 from warpav.view.outlines import image_corners
 from warpav.view.output import ANIMATION_FRAME_S, ANIMATION_LAST_S, ANIMATION_PX, Animation, Canvas, render_rgb

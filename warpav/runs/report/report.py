@@ -25,9 +25,9 @@ from warpav.runs.report.content import RunContent, View, read_content
 from warpav.runs.run_folder import RunFolder
 from warpav.sight.requirement import SECTORS, sectors_of
 from warpav.view.figures.convergence import convergence_panels, search_panel
+from warpav.view.figures.from_above import blind_ground
 from warpav.view.figures.statistics import MetricDifference, differences, recall_by_group
 from warpav.view.figures.style import svg_text
-from warpav.view.figures.top_view import blind_ground
 from warpav.view.palette import FALSE_POSITIVE_RGB, MISS_RGB, OUTCOME_RGB, TRUE_POSITIVE_RGB, hex_colour
 
 if TYPE_CHECKING:

@@ -20,7 +20,6 @@ from warpav.scene.reconstruction.reconstruct import reconstruct
 from warpav.scene.reconstruction.settings import CloudSettings, ReconstructionSettings
 from warpav.scene.reconstruction.surface import thin_out
 from warpav.scene.scene import Box
-from warpav.view.actors import mesh_to_pyvista
 from warpav.view.figures.style import (
     DOTS_PER_INCH,
     WIDTH_INCH,
@@ -34,6 +33,7 @@ from warpav.view.figures.style import (
     show_image,
     title,
 )
+from warpav.view.layers import mesh_to_pyvista
 from warpav.view.opengl import load_pyvista
 from warpav.view.palette import PAPER_RGB, Rgb, camera_rgb, hex_colour
 
