@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.view.stand_ins import ego, needs_opengl, rig, scene
+from tests.view.stand_ins import ego, rig, scene
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
@@ -188,14 +188,6 @@ def test_what_does_not_fit_is_named(tmp_path):
         plot(rig(), range_m=[5.0], out=tmp_path / "x.png")
     with pytest.raises(InputError, match=r"expected a name that ends in \.png, \.pdf, \.svg, got '\.html'"):
         plot(rig(), kind="sheet", out=tmp_path / "x.html")
-
-
-@needs_opengl
-def test_a_view_in_space_is_no_page(tmp_path):
-    with pytest.raises(
-        InputError, match=r"x\.pdf: expected a name that ends in \.png, \.html, \.gif, \.mp4, got '\.pdf'"
-    ):
-        plot(rig(), out=tmp_path / "x.pdf")
 
 
 def test_the_command_writes_it(tmp_path, capsys):

@@ -1,13 +1,22 @@
-"""Frustums and sectors against their closed forms."""
+"""Outlines: frustums and sectors against their closed forms, silhouettes of blocks, holes and a disc."""
 
 import math
 
 import numpy as np
 import pytest
 
+from tests.view.stand_ins import block, ego
 from warpav.raster.camera import CameraModel
+from warpav.raster.mesh import Mesh, merge
 from warpav.rig.rig import RigCamera
-from warpav.view.outlines import bearing_sector_rad, frustum_points, image_corners, sector_polygon_m
+from warpav.view.outlines import (
+    STEP_M,
+    bearing_sector_rad,
+    frustum_points,
+    image_corners,
+    sector_polygon_m,
+    silhouette_m,
+)
 
 
 def camera(*, yaw_deg=0.0, pitch_deg=0.0, roll_deg=0.0, fov_deg=90.0, width_px=320, height_px=200, **lens):
@@ -37,9 +46,8 @@ def test_frustum_of_a_camera_that_looks_left_opens_to_the_left():
 
 
 @pytest.mark.parametrize(("yaw_deg", "fov_deg"), [(0.0, 90.0), (170.0, 60.0), (-170.0, 120.0), (45.0, 20.0)])
-@pytest.mark.parametrize("pitch_deg", [0.0])
-def test_sector_of_a_level_camera_is_its_yaw_and_field_of_view(yaw_deg, fov_deg, pitch_deg):
-    right_rad, left_rad = bearing_sector_rad(camera(yaw_deg=yaw_deg, fov_deg=fov_deg, pitch_deg=pitch_deg))
+def test_sector_of_a_level_camera_is_its_yaw_and_field_of_view(yaw_deg, fov_deg):
+    right_rad, left_rad = bearing_sector_rad(camera(yaw_deg=yaw_deg, fov_deg=fov_deg))
     assert left_rad - right_rad == pytest.approx(math.radians(fov_deg))
     middle = (left_rad + right_rad) / 2 - math.radians(yaw_deg)
     assert math.remainder(middle, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
@@ -75,3 +83,40 @@ def test_sector_polygon_has_the_area_of_a_sector():
     area = 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)  # positive: counter-clockwise
     assert area == pytest.approx(0.5 * math.radians(80.0) * 3.0**2, rel=1e-3)
     np.testing.assert_allclose(polygon[0], [1.5, 0.4])
+
+
+X, Y, Z = np.eye(3)
+
+
+def area_m2(line):
+    x, y = line.T
+    return 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+
+@pytest.mark.parametrize(("right", "up"), [(X, Z), (-X, Z), (Y, Z), (-X, -Y)])
+def test_a_block_is_its_rectangle_from_every_side(right, up):
+    [line] = silhouette_m(ego(), right, up)
+    corner = ego().vertex_m @ np.stack([right, up], axis=1)
+    assert len(line) == 4
+    np.testing.assert_allclose(line.min(axis=0), corner.min(axis=0), atol=STEP_M)
+    np.testing.assert_allclose(line.max(axis=0), corner.max(axis=0), atol=STEP_M)
+
+
+def test_a_gap_between_two_posts_is_a_hole_only_where_it_is_closed():
+    posts = [block((0, 0, 0), (0.2, 1, 1), (9, 9, 9)), block((0.8, 0, 0), (1, 1, 1), (9, 9, 9))]
+    lintel = block((0, 0, 0.8), (1, 1, 1), (9, 9, 9))
+    sill = block((0, 0, 0), (1, 1, 0.2), (9, 9, 9))
+    assert len(silhouette_m(merge(posts), X, Z)) == 2
+    [gate] = silhouette_m(merge([*posts, lintel]), X, Z)
+    assert area_m2(gate) == pytest.approx(1.0 - 0.6 * 0.8, abs=0.01)
+    outer, hole = silhouette_m(merge([*posts, lintel, sill]), X, Z)
+    assert area_m2(outer) == pytest.approx(1.0, abs=0.01)
+    assert area_m2(hole) == pytest.approx(0.36, abs=0.01)
+
+
+def test_a_disc_is_round_within_two_steps():
+    turn = np.linspace(0, 2 * np.pi, 200, endpoint=False)
+    rim = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    fan = [[200, k, (k + 1) % 200] for k in range(200)]
+    [line] = silhouette_m(Mesh.create(np.vstack([rim, [[0, 0, 0]]]), fan, (9, 9, 9)), X, Y)
+    assert np.abs(np.linalg.norm(line, axis=1) - 1.0).max() < 2.0 * STEP_M  # worst seen 0.0016
