@@ -9,6 +9,7 @@ from tests.view.stand_ins import block, needs_opengl
 from warpav.scene.reconstruction.point_cloud import PointCloud
 from warpav.scene.scene import Box
 from warpav.view.figures.clouds import Viewpoint, cloud_image
+from warpav.view.palette import camera_rgb
 
 pytestmark = needs_opengl
 
@@ -75,7 +76,7 @@ def test_boxes_are_wires():
     viewpoint = Viewpoint(np.array([0.0, 0.0, 50.0]), np.zeros(3), up=(1.0, 0.0, 0.0), height_m=10.0)
     box = Box(np.zeros(3), np.array([4.0, 2.0, 1.0]), 0.0)
     image = cloud_image([], viewpoint, size_px=SIZE_PX, boxes=[box])
-    place = pixels_of(image, BLUE)
+    place = pixels_of(image, camera_rgb(1))
     assert place.min(axis=0) == pytest.approx([60.0, 130.0], abs=2.0)
     assert place.max(axis=0) + 1 == pytest.approx([140.0, 170.0], abs=2.0)
     assert not ((place > [66, 136]) & (place < [133, 163])).all(axis=1).any()  # nothing inside
