@@ -246,14 +246,8 @@ def bounded_mesh(file: Path, suffix: str, place: str) -> bytes:
 
 
 def _check_document(content: bytes) -> None:
-    """Check the JSON of a glTF file: trimesh takes memory for what it states."""
+    """Check the JSON of a glTF file: trimesh takes memory for what its arrays state, each counted where it is named."""
     document = parse_json(content.rstrip(b"\0"), "", "a glTF document", nodes_max=DATA_SET_NODES_MAX)
-    if _stated_bytes(document) > ARRAY_BYTES_MAX:
-        raise InputError(f"arrays of more than {ARRAY_BYTES_MAX // 1_000_000} MB")
-
-
-def _stated_bytes(document: Any) -> float:  # noqa: ANN401 (JSON)
-    """What the arrays of a glTF document take, each counted where it is named; infinite where that cannot be told."""
     total = 0.0
     try:
         for view in document.get("bufferViews", ()):
@@ -261,8 +255,9 @@ def _stated_bytes(document: Any) -> float:  # noqa: ANN401 (JSON)
         for accessor in document.get("accessors", ()):
             total += 8.0 * _COMPONENT_COUNT[accessor["type"]] * _size(accessor["count"])
     except (AttributeError, KeyError, TypeError):
-        return 0.0  # it is no glTF, which trimesh says better
-    return total
+        return  # it is no glTF, which trimesh says better
+    if total > ARRAY_BYTES_MAX:
+        raise InputError(f"arrays of more than {ARRAY_BYTES_MAX // 1_000_000} MB")
 
 
 def _size(count: object) -> float:

@@ -238,16 +238,16 @@ class _Held:
 
     def take(self, scene: StoredScene, size: int) -> bool:
         """Whether a scene may hold on to so many bytes; they are free again when the scene goes."""
-        with self._lock:
-            if self._size + size > HELD_BYTES:
-                return False
-            self._size += size
-        weakref.finalize(scene, self._give_back, size).atexit = False
-        return True
+        is_taken = self._add(size)
+        if is_taken:
+            weakref.finalize(scene, self._add, -size).atexit = False
+        return is_taken
 
-    def _give_back(self, size: int) -> None:
+    def _add(self, size: int) -> bool:
         with self._lock:
-            self._size -= size
+            fits = self._size + size <= HELD_BYTES
+            self._size += size if fits else 0
+        return fits
 
 
 _held = _Held()

@@ -163,12 +163,12 @@ def capture_plan(ego_box: Box, vehicles: Sequence[CapturedVehicle], settings: Pl
     views += [_towards(settings, f"towards_vehicle_{n}", ViewKind.TOWARDS_VEHICLE, eye_m, box) for n, box in named]
     views += [_top(settings, f"vehicle_top_{n}", ViewKind.VEHICLE_TOP, box) for n, box in named]
     for index, height_m in enumerate(settings.scene_heights_m):
-        pose = _pose(np.array([*ego_box.center_m[:2], height_m]), _down(ego_box.yaw_rad))
+        pose = rigid_pose(_down(ego_box.yaw_rad), np.array([*ego_box.center_m[:2], height_m]))
         views.append(_view(settings, f"scene_top_{index}", ViewKind.SCENE_TOP, pose, _TOP_FOV_RAD))
     step_rad = 2.0 * math.pi / max(settings.rotation_count, 1)
     for index in range(settings.rotation_count):
         yaw_rad = ego_box.yaw_rad + index * step_rad
-        pose = _pose(eye_m, _facing(np.array([math.cos(yaw_rad), math.sin(yaw_rad), 0.0])))
+        pose = rigid_pose(_facing(np.array([math.cos(yaw_rad), math.sin(yaw_rad), 0.0])), eye_m)
         fov_rad = min(step_rad + math.radians(10.0), _WIDEST_RAD)
         views.append(_view(settings, f"rotation_{index}", ViewKind.ROTATION, pose, fov_rad))
     # the sides, from the height of the ego vehicle's roof, or from above a vehicle that stands there
@@ -207,7 +207,7 @@ def spawn_visible_traffic(simulator: Simulator, ego_box: Box, settings: PlanSett
             break
         target_m = point.position_m + np.array([0.0, 0.0, 0.8])
         model = CameraModel(*_VISIBILITY_SIZE_PX, _TOP_FOV_RAD)
-        view = CaptureView("visibility", ViewKind.OTHER, _pose(eye_m, _facing(target_m - eye_m)), model)
+        view = CaptureView("visibility", ViewKind.OTHER, rigid_pose(_facing(target_m - eye_m), eye_m), model)
         before = np.unique(simulator.capture(view).instance)
         vehicle = simulator.spawn(point)
         if vehicle is None:
@@ -228,7 +228,7 @@ def _top(settings: PlanSettings, name: str, kind: ViewKind, box: Box) -> Capture
     if fov_rad > _WIDEST_RAD:  # long vehicles from higher up
         fov_rad = _WIDEST_RAD
         above_m = 0.5 * box.size_m[2] + half_width_m / math.tan(0.5 * fov_rad)
-    pose = _pose(box.center_m + np.array([0.0, 0.0, above_m]), _down(box.yaw_rad + 0.5 * math.pi))
+    pose = rigid_pose(_down(box.yaw_rad + 0.5 * math.pi), box.center_m + np.array([0.0, 0.0, above_m]))
     return _view(settings, name, kind, pose, fov_rad)
 
 
@@ -240,14 +240,15 @@ def _towards(settings: PlanSettings, name: str, kind: ViewKind, eye_m: np.ndarra
     tangent = np.abs(seen[:, :2] / seen[:, 2:]).max(axis=0)
     half = max(tangent[0], tangent[1] * settings.width_px / settings.height_px)
     fov_rad = float(np.clip(2.0 * math.atan(_MARGIN * half), _NARROWEST_RAD, _WIDEST_RAD))
-    return _view(settings, name, kind, _pose(eye_m, camera_from_ego.T), fov_rad)
+    return _view(settings, name, kind, rigid_pose(camera_from_ego.T, eye_m), fov_rad)
 
 
 def _view(settings: PlanSettings, name: str, kind: ViewKind, pose: np.ndarray, fov_rad: float) -> CaptureView:
     return CaptureView(name, kind, pose, CameraModel(settings.width_px, settings.height_px, fov_rad))
 
 
-def _pose(position_m: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+def rigid_pose(rotation: np.ndarray, position_m: np.ndarray) -> np.ndarray:
+    """Pose [4, 4] of a rotation [3, 3] and a position [m]."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, position_m
     return pose

@@ -25,7 +25,7 @@ from warpav.core.frames import (
 )
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
-from warpav.scene.capture.capture import CaptureView
+from warpav.scene.capture.capture import CaptureView, rigid_pose
 from warpav.scene.scene import Box, outline_gap_m
 
 Remote: TypeAlias = Any  # something that the optional package ``carla`` defines; its types cannot be named here
@@ -141,13 +141,6 @@ def check_pinhole(model: CameraModel) -> None:
 _SAME_PLACE_M = 2.5  # below the distance between the centres of neighbouring lanes
 RDF_FROM_FLU = np.eye(4)
 RDF_FROM_FLU[:3, :3] = FLU_FROM_RDF.T
-
-
-def rigid_pose(rotation: np.ndarray, position_m: np.ndarray) -> np.ndarray:
-    """Pose [4, 4] of a rotation [3, 3] and a position [m]."""
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, position_m
-    return pose
 
 
 def inverse_pose(pose: np.ndarray) -> np.ndarray:

@@ -25,7 +25,14 @@ from warpav.core.frames import (
     rotation_from_yaw_pitch_roll,
 )
 from warpav.raster.camera import CameraModel
-from warpav.scene.capture.capture import EGO_INSTANCE, CapturedImage, CapturedVehicle, CaptureView, SpawnPoint
+from warpav.scene.capture.capture import (
+    EGO_INSTANCE,
+    CapturedImage,
+    CapturedVehicle,
+    CaptureView,
+    SpawnPoint,
+    rigid_pose,
+)
 from warpav.scene.capture.carla_client import (
     RDF_FROM_FLU,
     Remote,
@@ -46,7 +53,6 @@ from warpav.scene.capture.carla_client import (
     point_of,
     pose_of,
     release_of,
-    rigid_pose,
     set_attributes,
     transform_of,
     unreachable,

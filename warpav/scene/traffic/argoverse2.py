@@ -8,7 +8,6 @@ have boxes of their own there besides their riders': the rider's counts. Whoever
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -57,7 +56,7 @@ def read_log(folder: Path) -> Recording:
     at = order[np.clip(np.searchsorted(poses["timestamp_ns"][order], sweep_ns), 0, len(order) - 1)]
     if np.abs(poses["timestamp_ns"][at] - sweep_ns).max() > 0.5e9 * step_s:
         raise InputError(f"{POSES}: expected a pose at the time of every box, got none for some")
-    rotation = _rotations(*(poses[name][at] for name in ("qw", "qx", "qy", "qz")))
+    rotation = _rotations({name: column[at] for name, column in poses.items()})
     origin_m = np.stack([poses[name][at] for name in ("tx_m", "ty_m", "tz_m")], axis=1)
     # near the first place, so that no number is large
     shift_m = origin_m[0, :2].copy()
@@ -75,7 +74,7 @@ def _users(
     sweep = np.searchsorted(sweep_ns, boxes["timestamp_ns"])
     place_m = np.stack([boxes["tx_m"], boxes["ty_m"], np.zeros(len(sweep))], axis=1)
     centre_m = np.einsum("ijk,ik->ij", rotation[sweep], place_m)[:, :2] + origin_m[sweep, :2]
-    turned = rotation[sweep] @ _rotations(*(boxes[name] for name in ("qw", "qx", "qy", "qz")))
+    turned = rotation[sweep] @ _rotations(boxes)
     pose = np.c_[centre_m, np.arctan2(turned[:, 1, 0], turned[:, 0, 0])]
     size = np.stack([boxes[name] for name in ("length_m", "width_m", "height_m")], axis=1)
     users = []
@@ -143,15 +142,11 @@ def _columns(file: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     return columns
 
 
-def _rotations(w: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Rotations of quaternions, normalised here, float64 [row, 3, 3]."""
-    length = np.sqrt(w * w + x * x + y * y + z * z)
-    if (length < 1e-6).any() or not math.isfinite(float(length.sum())):
-        raise InputError("quaternions: expected a length of 1, got 0")
-    w, x, y, z = w / length, x / length, y / length, z / length
-    rows = [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
+def _rotations(columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Rotations of the quaternions in a table, of any length but 0, float64 [row, 3, 3]."""
+    from scipy.spatial.transform import Rotation
+
+    try:
+        return Rotation.from_quat(np.stack([columns[name] for name in ("qx", "qy", "qz", "qw")], axis=1)).as_matrix()
+    except ValueError:
+        raise InputError("quaternions: expected a length of 1, got 0") from None
