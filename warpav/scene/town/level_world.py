@@ -28,23 +28,21 @@ _SAMPLES = 40  # rays to each road user from each point of the body
 class LevelWorld:
     """Collects what is in a scene; `finish` makes the scene of it."""
 
-    def __init__(self, rng: np.random.Generator) -> None:
-        """Nothing yet."""
-        self._rng = rng
-        self._ego = ego_vehicle()
-        self._vehicles: list[PlacedVehicle] = []
-        self._lines: list[Footprint] = []
-
-    def begin(
+    def __init__(
         self,
         scenery: SceneryBuilder,
         ground: StreetGround,
         ego: Slot,
         pieces: Sequence[Mesh],
         taken: Sequence[Footprint],
+        rng: np.random.Generator,
         free_m_s: tuple[float, float] | None = None,
     ) -> None:
-        """Set everything up that stands."""
+        """Everything that stands, around the ego vehicle, and nobody else."""
+        self._rng = rng
+        self._ego = ego_vehicle()
+        self._vehicles: list[PlacedVehicle] = []
+        self._lines: list[Footprint] = []
         low, high = self._ego.bounds_m().astype(np.float64)
         self._scenery, self._ground, self._pieces, self._obstacles = scenery, ground, list(pieces), list(taken)
         self._origin_m = np.array([ego.x_m - 0.5 * (low[0] + high[0]), ego.y_m, 0.0])

@@ -35,19 +35,16 @@ def level_scene(seed: int, level: Level = "easy", fleet: Fleet | None = None) ->
         from warpav.scene.town.town import town_scene
 
         return town_scene(seed, exchange)
-    from warpav.scene.town.level_world import LevelWorld
-
     stream = [_LEVEL_STREAM, LEVELS.index(level), seed]
-    world = LevelWorld(np.random.default_rng([*stream, 1]))
-    rng = np.random.default_rng([*stream, 0])
+    rng, users_rng = np.random.default_rng([*stream, 0]), np.random.default_rng([*stream, 1])
     if level == "motorway":
         from warpav.scene.town.motorway import motorway_world
 
-        motorway_world(rng, world)
+        world = motorway_world(rng, users_rng)
     else:
         from warpav.scene.town.streets import street_world
 
-        street_world(level, rng, world)
+        world = street_world(level, rng, users_rng)
     return world.finish(f"{level}_{seed:04d}", f"town {level} seed {seed}", exchange)
 
 

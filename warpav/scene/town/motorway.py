@@ -77,8 +77,8 @@ class _Section:
         return self.first_m + (index + 0.5) * self.lane_m
 
 
-def motorway_world(rng: np.random.Generator, world: LevelWorld) -> None:
-    """Build a motorway and its traffic into a world."""
+def motorway_world(rng: np.random.Generator, users_rng: np.random.Generator) -> LevelWorld:
+    """A motorway and its traffic."""
     section = _Section(rng.uniform(1.2, 2.2), rng.uniform(3.5, 3.75), int(rng.integers(2, 5)), rng.uniform(2.4, 3.2))
     side = 1.0 if rng.random() < 0.5 else -1.0  # of the carriageway of the ego vehicle
     ahead, behind = rng.uniform(*_GRADE, 2) * rng.choice([-1.0, 1.0], 2)
@@ -104,8 +104,9 @@ def motorway_world(rng: np.random.Generator, world: LevelWorld) -> None:
         pieces.append(furniture_mesh("sign", rng).transformed(yaw_rotation(yaw), place))
         taken.append(Footprint(float(x), y, yaw, 0.7, 0.3))
     ego = Slot(0.0, side * section.lane_y_m(own), 0.0, 5.0)
-    world.begin(scenery, ground, ego, pieces, taken, (slow, fast))
+    world = LevelWorld(scenery, ground, ego, pieces, taken, users_rng, (slow, fast))
     _drive(section, side, ego, world, rng)
+    return world
 
 
 def _lane_kind(index: int, count: int) -> tuple[tuple[float, float], dict[str, float]]:

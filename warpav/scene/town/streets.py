@@ -292,8 +292,8 @@ _TRAFFIC = {
 }
 
 
-def street_world(level: str, rng: np.random.Generator, world: LevelWorld) -> None:
-    """Build a street of a level and its traffic into a world."""
+def street_world(level: str, rng: np.random.Generator, users_rng: np.random.Generator) -> LevelWorld:
+    """A street of a level and its traffic."""
     traffic = _TRAFFIC[level]
     plan = _Plan(traffic, rng).layout
     ahead, behind = rng.uniform(*_GRADE, 2) * rng.choice([-1.0, 1.0], 2)
@@ -302,7 +302,7 @@ def street_world(level: str, rng: np.random.Generator, world: LevelWorld) -> Non
     furnishing = furnish(plan, rng, ground, reach_m=_FURNITURE_REACH_M)
     scenery = SceneryBuilder(rng, ground, detailed_within_m=_FRAMES_WITHIN_M)
     scenery.add_plan(plan, furnishing.markings)
-    world.begin(scenery, ground, plan.ego, furnishing.meshes, furnishing.footprints)
+    world = LevelWorld(scenery, ground, plan.ego, furnishing.meshes, furnishing.footprints, users_rng)
     life = _Life(plan, traffic, world, rng)
     life.park()
     life.go_beside()
@@ -311,6 +311,7 @@ def street_world(level: str, rng: np.random.Generator, world: LevelWorld) -> Non
     life.drive()
     life.walk()
     world.set_lines([each for lane in (*plan.lanes, *plan.cycle_lanes) for each in lane.lines()])
+    return world
 
 
 class _Life:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpav.raster.mesh import Mesh
+from warpav.scene.scene import yaw_rotation
 from warpav.scene.town.furniture import FOOTPRINT_M, furniture_mesh
 from warpav.scene.town.houses import (
     HOUSE_DEPTH_M,
@@ -218,7 +219,7 @@ class Road:
                     self._add_lines(builder, number, line, side)
 
     def _add_lines(self, builder: SceneryBuilder, number: int, line_m: np.ndarray, side: float) -> None:
-        length = float(np.linalg.norm(np.diff(line_m, axis=0), axis=1).sum())
+        length = _length_m(line_m)
         point = _at_shares(line_m, np.linspace(0.0, 1.0, max(1, round(length / _LINE_STEP_M)) + 1))
         if len(point) < 3:
             return
@@ -335,8 +336,7 @@ def pavement_width_m(rng: np.random.Generator) -> float:
 
 def _at_distances(line_m: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
     """Points of a line at distances along it [m], [...] gives [..., 2]."""
-    length = float(np.linalg.norm(np.diff(line_m, axis=0), axis=1).sum())
-    return _at_shares(line_m, np.asarray(distance_m) / max(length, 1e-9))
+    return _at_shares(line_m, np.asarray(distance_m) / max(_length_m(line_m), 1e-9))
 
 
 def _at_shares(line_m: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -481,7 +481,7 @@ class Roadside:
             mesh = furniture_mesh(kind, rng)
             if self._is_free(footprint, 0.2):
                 self._taken.append(footprint)
-                self.furniture.append(turned(mesh, yaw, np.array([x, y, KERB_HEIGHT_M])))
+                self.furniture.append(mesh.transformed(yaw_rotation(yaw), np.array([x, y, KERB_HEIGHT_M])))
 
     def _is_free(self, footprint: Footprint, distance_m: float) -> bool:
         """Whether a rectangle lies on the land, at a distance from the road, and clear of all that stands."""
@@ -494,12 +494,6 @@ class Roadside:
         if self._road.distance_m(point).min() < distance_m:
             return False
         return not any(footprint.nearer(other, 0.0 if _is_plot(other) else _CLEAR_M) for other in self._taken)
-
-
-def turned(mesh: Mesh, yaw_rad: float, place_m: np.ndarray) -> Mesh:
-    """A mesh turned about z and moved to a place [m], [3]."""
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
-    return mesh.transformed(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), place_m)
 
 
 def _is_plot(footprint: Footprint) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 
 from warpav.core.cache import fingerprint
 from warpav.raster.mesh import Mesh, merge
-from warpav.scene.scene import Scene, Vehicle
+from warpav.scene.scene import Scene, Vehicle, yaw_rotation
 from warpav.scene.town.houses import KERB_HEIGHT_M, MIRRORS_M, SceneryBuilder
 from warpav.scene.town.levels import FLEET_CODE
 from warpav.scene.town.street_life import upright_box
@@ -25,7 +25,7 @@ from warpav.scene.town.town_layout import Footprint
 from warpav.scene.traffic.files import content_digest, read_recording
 from warpav.scene.traffic.moments import REACH_M, Moment
 from warpav.scene.traffic.recording import Lanelet, RecordedState, Recording
-from warpav.scene.traffic.road import Body, Road, Roadside, pavement_width_m, road_of, subdivided, turned
+from warpav.scene.traffic.road import Body, Road, Roadside, pavement_width_m, road_of, subdivided
 from warpav.scene.traffic.road_users import body_mesh, drawn_kind
 
 if TYPE_CHECKING:
@@ -106,7 +106,8 @@ def traffic_scene(
         if exchange is not None:
             size_m = np.array([place.length_m, place.width_m, float(mesh.vertex_m[:, 2].max())])
             mesh = exchange(number, body.kind, mesh, size_m)
-        mesh = turned(mesh, place.yaw_rad, np.append(place.centre_m, road.height_m(place.centre_m)))
+        foot_m = np.append(place.centre_m, road.height_m(place.centre_m))
+        mesh = mesh.transformed(yaw_rotation(place.yaw_rad), foot_m)
         box = upright_box(mesh, place.yaw_rad)
         velocity = frame.direction_in_ego(body.velocity_m_s - own.velocity_m_s)
         users.append(Vehicle(number, body.kind, mesh, box, velocity))
