@@ -221,7 +221,7 @@ _ANGLE_TOLERANCE_RAD = 1e-3
 
 
 @dataclass(frozen=True)
-class SimulatorModel:
+class _SimulatorModel:
     """How a model uses a mesh."""
 
     path: Path  # the model's file
@@ -230,7 +230,7 @@ class SimulatorModel:
     forward: str | None
 
 
-def simulator_model(mesh: Path) -> SimulatorModel | None:
+def simulator_model(mesh: Path) -> _SimulatorModel | None:
     """The model of a mesh file, in its folder or in the one above; None where no model names it, or none can be read.
 
     Of several uses of the mesh the first one counts. Models that do not turn their mesh say nothing about its front:
@@ -258,5 +258,5 @@ def simulator_model(mesh: Path) -> SimulatorModel | None:
                 quarter = round(pose[5] / (0.5 * math.pi))
                 if abs(pose[5] - quarter * 0.5 * math.pi) <= _ANGLE_TOLERANCE_RAD:
                     forward = (None, "-y", "-x", "y")[quarter % 4]
-            return SimulatorModel(path, scale[0], forward)
+            return _SimulatorModel(path, scale[0], forward)
     return None

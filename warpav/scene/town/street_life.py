@@ -107,7 +107,7 @@ def strips(layout: Layout) -> list[Strip]:
     return found
 
 
-class Furnishing:
+class _Furnishing:
     """What was set up in a town: pieces that do not stand in each other."""
 
     def __init__(self, rng: np.random.Generator, ground: StreetGround) -> None:
@@ -129,9 +129,11 @@ class Furnishing:
         self.meshes.append(mesh.transformed(yaw_rotation(yaw_rad), np.array([place[0], place[1], z])))
 
 
-def furnish(layout: Layout, rng: np.random.Generator, ground: StreetGround, *, reach_m: float = _REACH_M) -> Furnishing:
+def furnish(
+    layout: Layout, rng: np.random.Generator, ground: StreetGround, *, reach_m: float = _REACH_M
+) -> _Furnishing:
     """Random furniture on the pavements near the ego vehicle, and in some scenes road works in a lane."""
-    found = Furnishing(rng, ground)
+    found = _Furnishing(rng, ground)
     if rng.random() < _WORKS_SHARE:
         _put_works(found, layout, rng)
     junctions_m = np.array([0.5 * (r[0] + r[2]) for r in layout.asphalt_m[1:]])
@@ -169,7 +171,7 @@ def furnish(layout: Layout, rng: np.random.Generator, ground: StreetGround, *, r
     return found
 
 
-def _put_works(found: Furnishing, layout: Layout, rng: np.random.Generator) -> None:
+def _put_works(found: _Furnishing, layout: Layout, rng: np.random.Generator) -> None:
     """Close part of a lane off: barriers at both ends, cones along the side, a patch without asphalt inside."""
     lanes = [slot for slot in layout.slots if not slot.parked and abs(np.sin(slot.yaw_rad)) < 0.1
              and _WORKS_CLEAR_M < np.hypot(slot.x_m - layout.ego.x_m, slot.y_m - layout.ego.y_m) < 24.0]  # fmt: skip

@@ -57,12 +57,12 @@ class SurfaceBuilder:
         self.add_grid(point_m[:, ::-1] * np.array([1.0, -1.0, 1.0]), material[:, ::-1])
 
     def add_loft(
-        self, ring_m: np.ndarray, material: np.ndarray, *, crown_m: float, lateral_count: int, top: int, bottom: int
+        self, ring_m: np.ndarray, material: np.ndarray, *, crown_m: float, across: int, caps: tuple[int, int]
     ) -> None:
-        """Add a closed body from stacked half outlines, [row, column, 3], mirrored across y = 0, and capped."""
+        """Add a closed body from stacked half outlines, [row, column, 3], mirrored across y = 0; caps: top, bottom."""
         self.add_mirrored_grid(ring_m.transpose(1, 0, 2), material.T)
-        self.add_grid(_cap(ring_m[-1], crown_m, lateral_count)[::-1], top)
-        self.add_grid(_cap(ring_m[0], 0.0, 2), bottom)
+        self.add_grid(_cap(ring_m[-1], crown_m, across)[::-1], caps[0])
+        self.add_grid(_cap(ring_m[0], 0.0, 2), caps[1])
 
     def add_box(self, low_m: Point, high_m: Point, material: int) -> None:
         """Add an axis-aligned box between two corners [m]."""

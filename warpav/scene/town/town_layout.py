@@ -13,7 +13,7 @@ import numpy as np
 
 REACH_M = 64.0  # streets end here, in front of a house
 SPAWN_REACH_M = 27.0  # vehicles stand no farther from the ego vehicle
-LINE_HALF_WIDTH_M = 0.06
+_LINE_HALF_WIDTH_M = 0.06
 _BLOCK_DEPTH_M = 20.0
 _CROSSING_WIDTH_M = 2.6
 _WHITE = 0.82
@@ -205,7 +205,7 @@ def dashes(
 ) -> list[Marking]:
     """A broken line along x at ``y``, left out where it would enter a hole (x range)."""
     return [
-        Marking((float(x), y - LINE_HALF_WIDTH_M, float(x) + dash, y + LINE_HALF_WIDTH_M))
+        Marking((float(x), y - _LINE_HALF_WIDTH_M, float(x) + dash, y + _LINE_HALF_WIDTH_M))
         for x in np.arange(-reach_m + 2.0, reach_m - dash, dash + gap)
         if all(x + dash < low or x > high for low, high in holes)
     ]
@@ -213,7 +213,7 @@ def dashes(
 
 def line(y: float, low: float = -REACH_M, high: float = REACH_M) -> Marking:
     """A line along x at ``y``."""
-    return Marking((low, y - LINE_HALF_WIDTH_M, high, y + LINE_HALF_WIDTH_M))
+    return Marking((low, y - _LINE_HALF_WIDTH_M, high, y + _LINE_HALF_WIDTH_M))
 
 
 def stripes(x: float, half: float, width: float) -> list[Marking]:
@@ -228,7 +228,7 @@ def side_street_markings(
     found = []
     for y in np.arange(*dash_m, 6.0):
         low, high = sorted((side * y, side * (y + 3.0)))
-        found.append(Marking((centre - LINE_HALF_WIDTH_M, low, centre + LINE_HALF_WIDTH_M, high)))
+        found.append(Marking((centre - _LINE_HALF_WIDTH_M, low, centre + _LINE_HALF_WIDTH_M, high)))
     west, east = sorted((centre, centre - side * lane))
     low, high = sorted((side * stop_m[0], side * stop_m[1]))
     return [*found, Marking((west + 0.1, low, east - 0.1, high))]

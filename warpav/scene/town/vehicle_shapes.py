@@ -6,7 +6,7 @@ Vehicle frame: x forward, y left, z up, metres; the origin lies on the ground be
 from __future__ import annotations
 
 import enum
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -151,6 +151,15 @@ def _merged_lines(lines: Sequence[float], gap: float) -> np.ndarray:
     return np.array(sorted(kept))
 
 
+def _subdivided(lines: np.ndarray, spacing: Callable[[float], float]) -> np.ndarray:
+    """Grid lines no farther apart than the spacing at the middle between two of them."""
+    found = list(lines)
+    for low, high in pairwise(lines):
+        pieces = int(np.ceil((high - low) / spacing(0.5 * (low + high)) - 1e-6))
+        found += list(np.linspace(low, high, pieces + 1)[1:-1])
+    return np.array(sorted(found))
+
+
 def _midpoints(lines: np.ndarray) -> np.ndarray:
     return 0.5 * (lines[1:] + lines[:-1])
 
@@ -250,16 +259,15 @@ def _add_body(builder: SurfaceBuilder, body: _Body, fine_m: float | None, *, coa
     for axle in spec.axles:
         lines += [body.side_parameter(body.x_at(axle) + radius * c) for c in np.cos(angle)]
         lines += [body.side_parameter(body.x_at(axle) + side * (radius + 0.006)) for side in (-1.0, 1.0)]
-    lines = list(_merged_lines(lines, _LINE_GAP_M / (body.side_front_m - body.side_rear_m)))
+    lines = _merged_lines(lines, _LINE_GAP_M / (body.side_front_m - body.side_rear_m))
     bonnet_end = body.side_parameter(body.x_at(spec.windscreen[0]) - 0.1)
-    for low, high in pairwise(tuple(lines)):
-        midpoint = 0.5 * (low + high)
-        spacing = (_COARSE_BODY_SPACING if coarse else _BODY_SPACING)[min(int(midpoint), 4)]
-        if fine_m is not None and midpoint < bonnet_end:
-            spacing = fine_m / (body.side_front_m - body.side_rear_m if midpoint > _SIDE_START else 0.55)
-        pieces = int(np.ceil((high - low) / spacing - 1e-6))
-        lines += list(np.linspace(low, high, pieces + 1)[1:-1])
-    column = np.array(sorted(lines))
+
+    def spacing(middle: float) -> float:
+        if fine_m is not None and middle < bonnet_end:
+            return fine_m / (body.side_front_m - body.side_rear_m if middle > _SIDE_START else 0.55)
+        return (_COARSE_BODY_SPACING if coarse else _BODY_SPACING)[min(int(middle), 4)]
+
+    column = _subdivided(lines, spacing)
 
     kept = np.array(_COARSE_ROWS if coarse else tuple(_Row))
     nose, tail = _body_rows(spec)
@@ -269,14 +277,8 @@ def _add_body(builder: SurfaceBuilder, body: _Body, fine_m: float | None, *, coa
     material = np.full((len(row), len(midpoint)), Material.PAINT)
     for row_low, row_high, low, high, what in panels:
         material[np.ix_((row >= row_low) & (row < row_high), (midpoint > low) & (midpoint < high))] = what
-    builder.add_loft(
-        ring,
-        material,
-        crown_m=0.045,
-        lateral_count=2 if coarse else 4 if fine_m is None else int(np.ceil(0.8 * spec.width_m / fine_m)),
-        top=Material.PAINT,
-        bottom=Material.UNDERBODY,
-    )
+    across = 2 if coarse else 4 if fine_m is None else int(np.ceil(0.8 * spec.width_m / fine_m))
+    builder.add_loft(ring, material, crown_m=0.045, across=across, caps=(Material.PAINT, Material.UNDERBODY))
 
 
 def _add_house(builder: SurfaceBuilder, body: _Body, fine_m: float | None, *, coarse: bool) -> None:
@@ -291,7 +293,6 @@ def _add_house(builder: SurfaceBuilder, body: _Body, fine_m: float | None, *, co
     bend_start = max(1.0 - spec.roof_round, spec.glass_top)
     height_share = np.r_[straight, bend_start + (1.0 - bend_start) * np.sin(bend)][:, None]
     inset = np.r_[0.0 * straight, 1.0 - np.cos(bend)][:, None]
-    slope = np.r_[straight, bend_start + (1.0 - bend_start) * np.sin(bend)][:, None]
 
     low, high = spec.side_glass
     side_lines = [0.0, 1.0, low, high, *(edge for pillar in spec.pillars for edge in pillar)]
@@ -300,20 +301,19 @@ def _add_house(builder: SurfaceBuilder, body: _Body, fine_m: float | None, *, co
     lines += [] if coarse else [0.5, 4.5]
     if spec.rear_doors:
         lines += [_DOOR_GLASS_OUTER, _DOOR_GLASS_INNER, _DOOR_GAP]
-    lines = list(_merged_lines(lines, 0.004))
-    for left, right in pairwise(tuple(lines)):
-        part = min(int(0.5 * (left + right)), 4)
-        spacing = (_COARSE_HOUSE_SPACING if coarse else _HOUSE_SPACING)[part]
+
+    def spacing(middle: float) -> float:
+        part = min(int(middle), 4)
         if fine_m is not None:
-            spacing = fine_m / (roof_front - roof_rear) if part == 2 else 0.25
-        pieces = int(np.ceil((right - left) / spacing - 1e-6))
-        lines += list(np.linspace(left, right, pieces + 1)[1:-1])
-    column = np.array(sorted(lines))
+            return fine_m / (roof_front - roof_rear) if part == 2 else 0.25
+        return (_COARSE_HOUSE_SPACING if coarse else _HOUSE_SPACING)[part]
+
+    column = _subdivided(_merged_lines(lines, 0.004), spacing)
 
     bend_m = 0.10 if spec.height_m < 2.5 else 0.08
-    front = base_front + (roof_front - base_front) * slope - 1.8 * bend_m * inset
-    rear = base_rear + (roof_rear - base_rear) * slope + 1.4 * bend_m * inset
-    half_width = base_half + (roof_half - base_half) * slope - bend_m * inset
+    front = base_front + (roof_front - base_front) * height_share - 1.8 * bend_m * inset
+    rear = base_rear + (roof_rear - base_rear) * height_share + 1.4 * bend_m * inset
+    half_width = base_half + (roof_half - base_half) * height_share - bend_m * inset
     radius = spec.house_corner_m
     x, y = _half_outline(
         column, (front, 0.8 * spec.bow_m, radius, radius), (rear, 0.4 * spec.bow_m, radius, radius), half_width
@@ -337,27 +337,21 @@ def _add_house(builder: SurfaceBuilder, body: _Body, fine_m: float | None, *, co
         material[np.ix_(glass, pane)] = Material.GLASS
     if spec.rear_doors:
         material[np.ix_(level < bend_start, midpoint > _DOOR_GAP)] = Material.SEAM
-    builder.add_loft(
-        ring,
-        material,
-        crown_m=0.04,
-        lateral_count=2 if coarse else 4 if fine_m is None else int(np.ceil(2.0 * roof_half / fine_m)),
-        top=Material.PAINT,
-        bottom=Material.UNDERBODY,
-    )
+    across = 2 if coarse else 4 if fine_m is None else int(np.ceil(2.0 * roof_half / fine_m))
+    builder.add_loft(ring, material, crown_m=0.04, across=across, caps=(Material.PAINT, Material.UNDERBODY))
 
 
 def _add_fittings(builder: SurfaceBuilder, kind: str, body: _Body, *, coarse: bool) -> None:
     """Wheels, plates, mirrors, handles: closed solids that sink into the body."""
-    spec = body.spec
+    spec, half = body.spec, body.half_width_m
     tall = kind in ("bus", "lorry")
     for axle in spec.axles:
         x = body.x_at(axle)
-        add_wheel_pair(builder, x, body.half_width_m - 0.015, spec.wheel_radius_m, twin=False, coarse=coarse)
+        add_wheel_pair(builder, x, half - 0.015, spec.wheel_radius_m, twin=False, coarse=coarse)
         reach = spec.wheel_radius_m + _ARCH_GAP_M
-        inner = body.half_width_m - (0.50 if tall else 0.32)
-        builder.add_box((x - reach, -inner, 0.7 * spec.sill_m), (x + reach, inner, 2.0 * spec.wheel_radius_m + 0.1),
-                        Material.UNDERBODY)  # fmt: skip
+        inner = half - (0.50 if tall else 0.32)
+        high = (x + reach, inner, 2.0 * spec.wheel_radius_m + 0.1)
+        builder.add_box((x - reach, -inner, 0.7 * spec.sill_m), high, Material.UNDERBODY)
     nose, tail = _body_rows(spec)
     plates = [(0.0, 0.5 * (nose[_Row.WAIST_LOW] + nose[_Row.LAMP_LOW]), Material.PLATE, 1.0)]
     if kind != "lorry":
@@ -375,25 +369,22 @@ def _add_fittings(builder: SurfaceBuilder, kind: str, body: _Body, *, coarse: bo
         _add_bus_fittings(builder, spec)
     if tall:
         x, z = body.front_m - 0.10, 0.72 * spec.height_m
-        builder.add_ellipsoid_pair((x, body.half_width_m + 0.10, z), (0.07, 0.12, 0.22), Material.BLACK_PLASTIC)
-        builder.add_box_pair(
-            (x - 0.02, body.half_width_m - 0.25, z + 0.12), (x + 0.02, body.half_width_m + 0.08, z + 0.16),
-            Material.BLACK_PLASTIC,
-        )  # fmt: skip
+        builder.add_ellipsoid_pair((x, half + 0.10, z), (0.07, 0.12, 0.22), Material.BLACK_PLASTIC)
+        arm = (x + 0.02, half + 0.08, z + 0.16)
+        builder.add_box_pair((x - 0.02, half - 0.25, z + 0.12), arm, Material.BLACK_PLASTIC)
         return
     x = body.x_at(spec.windscreen[0]) - 0.42
     z = float(body.deck_m(np.array(x))) + 0.07
     if coarse:
-        half = body.half_width_m
         builder.add_box_pair((x - 0.06, half - 0.04, z - 0.07), (x + 0.06, half + 0.17, z + 0.07), Material.PAINT)
         return
-    builder.add_ellipsoid_pair((x, body.half_width_m + 0.06, z), (0.08, 0.13, 0.08), Material.PAINT)
+    builder.add_ellipsoid_pair((x, half + 0.06, z), (0.08, 0.13, 0.08), Material.PAINT)
     for seam in spec.seams[1:]:
         x = body.x_at(seam) + 0.16
         share = np.array([0.84])
         point = body.ring_m(np.array([body.side_parameter(x)]), share, share)[0, 0]
-        builder.add_box_pair((x - 0.09, point[1] - 0.03, point[2] - 0.014),
-                             (x + 0.09, point[1] + 0.018, point[2] + 0.014), Material.SEAM)  # fmt: skip
+        corner = (x + 0.09, point[1] + 0.018, point[2] + 0.014)
+        builder.add_box_pair((x - 0.09, point[1] - 0.03, point[2] - 0.014), corner, Material.SEAM)
 
 
 def _add_bus_fittings(builder: SurfaceBuilder, spec: VehicleSpec) -> None:

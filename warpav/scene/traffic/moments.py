@@ -20,7 +20,7 @@ REACH_M = 100.0  # who is farther from the ego vehicle is left out
 SPACING_S = 1.0  # time between two moments of a recording, at least
 OVERLAP_MAX_M = 0.3  # boxes of a moment may overlap so far: drones and cameras err
 # length and width of the ego vehicle over those of the road user that it replaces: what is shorter fits as well
-LENGTH_RATIO, WIDTH_RATIO = (0.6, 1.2), (0.8, 1.15)
+LENGTH_RATIO, _WIDTH_RATIO = (0.6, 1.2), (0.8, 1.15)
 MOVED_M = 1.0  # way of a road user between two moments in which it is the ego vehicle: who waits counts once
 _COMPANY_M, _COMPANY_MIN = 60.0, 2  # other road users near the ego vehicle, one of them no pedestrian
 _MIRRORS_M = 0.22  # by which mirrors make a vehicle wider than its box
@@ -155,4 +155,4 @@ def _may_be_ego(recording: Recording, state: RecordedState, length_m: float, wid
         return False
     long, wide = length_m / user.size_m[0], width_m / user.size_m[1]
     without_mirrors = (width_m - _MIRRORS_M) / user.size_m[1]
-    return LENGTH_RATIO[0] <= long <= LENGTH_RATIO[1] and WIDTH_RATIO[0] <= wide and without_mirrors <= WIDTH_RATIO[1]
+    return LENGTH_RATIO[0] <= long <= LENGTH_RATIO[1] and _WIDTH_RATIO[0] <= wide and without_mirrors <= _WIDTH_RATIO[1]

@@ -11,7 +11,7 @@ _FOLDER = Path(__file__).parent
 
 
 @dataclass(frozen=True)
-class VehicleAbout:
+class _VehicleAbout:
     """What a shipped vehicle is."""
 
     title: str  # in words
@@ -44,10 +44,10 @@ def nearest_name(name: str) -> str | None:
     return next(iter(difflib.get_close_matches(name.lower(), vehicle_names(), 1, 0.6)), None)
 
 
-def vehicle_about(name: str) -> VehicleAbout:
+def vehicle_about(name: str) -> _VehicleAbout:
     """What the row of a shipped vehicle in ``README.md`` says; ``name`` is one of `vehicle_names`."""
     for line in (_FOLDER / "README.md").read_text(encoding="utf-8").splitlines():
         cell = [each.strip().replace("`", "") for each in line.strip().strip("|").split("|")]
         if cell[0] == name:
-            return VehicleAbout(cell[1], cell[3], cell[4])
+            return _VehicleAbout(cell[1], cell[3], cell[4])
     raise AssertionError(f"README.md has no row for {name}")
