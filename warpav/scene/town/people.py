@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from warpav.raster.mesh import Mesh
 from warpav.scene.town.paint import Material, painted_mesh, sky_share
@@ -242,7 +243,7 @@ class _CoarseBuilder(SurfaceBuilder):
     """Tubes with about half of their sides, for people far away."""
 
     def add_tube(
-        self, centre_m: np.ndarray, radius_m: np.ndarray, material: np.ndarray | int, *, sides: int, cap: float = 0.45
+        self, centre_m: ArrayLike, radius_m: ArrayLike, material: np.ndarray | int, *, sides: int, cap: float = 0.45
     ) -> None:
         """As `SurfaceBuilder.add_tube`."""
         super().add_tube(centre_m, radius_m, material, sides=max(3, sides // 2 + 1), cap=cap)
