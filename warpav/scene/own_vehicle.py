@@ -109,11 +109,9 @@ class VehicleFile:
     part: str  # part of the file, in words
     notes: tuple[str, ...] = ()  # what its owner should know of how it was read, such as textures that are missing
 
-    def in_ego_frame(self, reading: Reading, shift_m: np.ndarray | None = None) -> Mesh:
-        """The vehicle in the ego frame, moved by ``shift_m`` [3]."""
+    def in_ego_frame(self, reading: Reading) -> Mesh:
+        """The vehicle in the ego frame."""
         vertex_m = self.vertex @ (reading.scale * reading.ego_from_file).T
-        if shift_m is not None:
-            vertex_m = vertex_m + shift_m
         return Mesh.create(vertex_m, self.triangle, self.vertex_rgb, name=str(self.path))
 
 
@@ -164,9 +162,12 @@ class Examination:
     @cached_property
     def corrected(self) -> Mesh:
         """The vehicle on the ground with its rear axle above the origin, without triangles that have no area."""
-        mesh = self.mesh
-        moved = mesh.transformed(np.eye(3), self.shift_m) if self.shift_m.any() else mesh
-        return _without_flat_triangles(moved) if self.flat_triangle_count else moved
+        mesh = self.mesh.transformed(np.eye(3), self.shift_m) if self.shift_m.any() else self.mesh
+        if not self.flat_triangle_count:
+            return mesh
+        used, index = np.unique(mesh.triangle[~_is_flat(mesh)], return_inverse=True)
+        triangle = index.reshape(-1, 3).astype(np.int32)
+        return replace(mesh, vertex_m=mesh.vertex_m[used], triangle=triangle, vertex_rgb=mesh.vertex_rgb[used])
 
 
 def read_vehicle(
@@ -642,7 +643,7 @@ def _joined(parts: list[tuple[TexturedMesh, Texture | None]]) -> tuple[TexturedM
     return whole, [texture for texture in textures if texture is not None]
 
 
-def points_on(mesh: Mesh, count: int = _SAMPLE_COUNT) -> np.ndarray:
+def points_on(mesh: Mesh) -> np.ndarray:
     """Points spread evenly over a mesh, the same for the same mesh, float64 [point, 3]."""
     rng = np.random.default_rng(0)
     corner = mesh.vertex_m.astype(np.float64)[mesh.triangle]
@@ -650,8 +651,8 @@ def points_on(mesh: Mesh, count: int = _SAMPLE_COUNT) -> np.ndarray:
     total = float(area.sum())
     if not total > 0.0:
         raise InputError("vehicle: expected triangles with an area, got none")
-    triangle = np.searchsorted(np.cumsum(area) / total, rng.random(count), side="right").clip(max=len(area) - 1)
-    share = rng.random((count, 2))
+    triangle = np.searchsorted(np.cumsum(area) / total, rng.random(_SAMPLE_COUNT), side="right").clip(max=len(area) - 1)
+    share = rng.random((_SAMPLE_COUNT, 2))
     beyond = share.sum(axis=1) > 1.0
     share[beyond] = 1.0 - share[beyond]
     start = corner[triangle, 0]
@@ -681,17 +682,6 @@ def _is_flat(mesh: Mesh) -> np.ndarray:
     side = corner[:, 1:] - corner[:, :1]
     doubled = np.linalg.norm(np.cross(side[:, 0], side[:, 1]), axis=1)
     return doubled <= 1e-9 * np.maximum((side**2).sum(axis=(1, 2)), 1e-300)
-
-
-def _without_flat_triangles(mesh: Mesh) -> Mesh:
-    triangle = mesh.triangle[~_is_flat(mesh)]
-    used, index = np.unique(triangle, return_inverse=True)
-    return replace(
-        mesh,
-        vertex_m=mesh.vertex_m[used],
-        triangle=index.reshape(-1, 3).astype(np.int32),
-        vertex_rgb=mesh.vertex_rgb[used],
-    )
 
 
 def _in_file(axis: str, reading: Reading) -> str:

@@ -39,7 +39,6 @@ def follow_textures(
     textures: Sequence[Texture],
     *,
     vertices_max: int = VERTICES_MAX,
-    tolerance: float = TOLERANCE,
 ) -> TexturedMesh:
     """Split triangles until the colours follow the textures, or there are enough vertices."""
     size_px = np.array([texture.size_px for texture in textures], np.float64).reshape(-1, 2)
@@ -48,7 +47,7 @@ def follow_textures(
         left = vertices_max - len(mesh.vertex)
         texels = _edge_texels(mesh, size_px)
         longest = texels.max(axis=1)
-        weight = np.where((error > tolerance) & (longest > _LEAST_TEXELS), error**2 * _areas(mesh), 0.0)
+        weight = np.where((error > TOLERANCE) & (longest > _LEAST_TEXELS), error**2 * _areas(mesh), 0.0)
         worst = np.argsort(-weight, kind="stable")[: np.count_nonzero(weight)]
         if left < 1 or not len(worst):
             break

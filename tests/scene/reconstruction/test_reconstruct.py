@@ -45,16 +45,10 @@ def capture(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def objects():
-    """Filled with the objects that `scene` has reported."""
-    return []
-
-
-@pytest.fixture(scope="module")
-def scene(capture, objects, tmp_path_factory):
+def scene(capture, tmp_path_factory):
     """The scene of the capture, from its file."""
     file = tmp_path_factory.mktemp("scenes") / "scene.glb"
-    write_scene(reconstruct(capture, SETTINGS, on_object=objects.append), file)
+    write_scene(reconstruct(capture, SETTINGS), file)
     return read_scene(file)
 
 

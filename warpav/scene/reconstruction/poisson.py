@@ -44,15 +44,7 @@ def poisson_surface(
     margin_m = 6.0 * cell_m if margin_m is None else max(float(margin_m), 2.0 * cell_m)
     grids, lower_m = _grids_around(point_m, cell_m, margin_m, device)
     _state_equation(grids, (point_m - lower_m) / cell_m, normal, screening)
-    # Full multigrid: from the coarsest grid to the finest, each improved by W-cycles.
-    for fine, coarse in pairwise(grids):
-        coarse.restrict(fine.source, coarse.source)
-        coarse.restrict(fine.screen, coarse.screen, _COARSE_SCREEN)
-    grids[-1].relax(_COARSEST_STEPS)
-    for level in range(len(grids) - 2, -1, -1):
-        grids[level].add_prolonged(grids[level + 1].field, grids[level].field)
-        for _ in range(_CYCLES):
-            _cycle(grids[level:])
+    _solve(grids)
     return _contour(grids[0].field.numpy(), lower_m, cell_m, device)
 
 
@@ -223,6 +215,18 @@ def _state_equation(grids: list[_Grid], place: np.ndarray, normal: np.ndarray, s
     for fine, coarse in reversed(list(pairwise(grids[:used]))):
         fine.add_prolonged(coarse.source, fine.source)
         fine.add_prolonged(coarse.screen, fine.screen)
+
+
+def _solve(grids: list[_Grid]) -> None:
+    """Full multigrid: from the coarsest grid to the finest, each improved by W-cycles."""
+    for fine, coarse in pairwise(grids):
+        coarse.restrict(fine.source, coarse.source)
+        coarse.restrict(fine.screen, coarse.screen, _COARSE_SCREEN)
+    grids[-1].relax(_COARSEST_STEPS)
+    for level in range(len(grids) - 2, -1, -1):
+        grids[level].add_prolonged(grids[level + 1].field, grids[level].field)
+        for _ in range(_CYCLES):
+            _cycle(grids[level:])
 
 
 def _cycle(grids: list[_Grid]) -> None:

@@ -5,7 +5,7 @@ The order is that of the thesis's figure 5, from its step 5 on.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -36,12 +36,7 @@ _SKY_STEP = 7  # stride of the pixels that determine the sky's colour
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # more threads of linear algebra would only wait for one another
-def reconstruct(
-    capture: Capture,
-    settings: ReconstructionSettings | None = None,
-    *,
-    on_object: Callable[[str], None] | None = None,
-) -> Scene:
+def reconstruct(capture: Capture, settings: ReconstructionSettings | None = None) -> Scene:
     """The scene that a capture shows."""
     settings = settings or ReconstructionSettings()
     if settings.method not in SURFACE_METHODS:
@@ -79,8 +74,6 @@ def reconstruct(
         mesh = object_mesh(one, images, instance_id, how, settings)
         if len(mesh.triangle) == 0:
             raise InputError(f"{capture.name}: {name}: expected a surface through its points, got none")
-        if on_object is not None:
-            on_object(name)
         return mesh
 
     with ThreadPoolExecutor(threads) as pool:

@@ -20,6 +20,7 @@ from warpav_kernels.reconstruction import plane_fit
 if TYPE_CHECKING:
     from vtkmodules.vtkCommonDataModel import vtkPolyData
 
+_NEIGHBOUR_COUNT = 16  # of a point, that define its plane
 _MIN_SUPPORT = 15  # points that a piece of surface needs
 _COUNT_TOLERANCE = 0.1  # how far the number of points kept may be off
 _MIN_FALL, _MAX_FALL = 0.3, 3.0  # powers of the spacing by which that number falls
@@ -116,26 +117,22 @@ def _vtk_cloud(point_m: np.ndarray, arrays: dict[str, np.ndarray]) -> vtkPolyDat
     return cloud
 
 
-def oriented_normals(
-    point_m: np.ndarray, sensor_m: np.ndarray, *, neighbour_count: int = 16, device: str = "cpu"
-) -> np.ndarray:
+def oriented_normals(point_m: np.ndarray, sensor_m: np.ndarray) -> np.ndarray:
     """Normals of the planes through each point's neighbours, [point, 3], towards the sensor that recorded it."""
     point_m, sensor_m = checked_points(point_m, sensor_m, "sensor_m")
-    if neighbour_count < 3:
-        raise ValueError(f"neighbour_count must be at least 3, got {neighbour_count}")
     centre_m = point_m.mean(axis=0)
-    neighbour = KDTree(point_m).query(point_m, min(neighbour_count, len(point_m)), workers=-1)[1]
-    normal = wp.empty(len(point_m), dtype=wp.vec3, device=device)  # pyright: ignore[reportArgumentType]
+    neighbour = KDTree(point_m).query(point_m, min(_NEIGHBOUR_COUNT, len(point_m)), workers=-1)[1]
+    normal = wp.empty(len(point_m), dtype=wp.vec3, device="cpu")  # pyright: ignore[reportArgumentType]
+    from_centre = [
+        wp.array((place_m - centre_m).astype(np.float32), dtype=wp.vec3, device="cpu")
+        for place_m in (point_m, sensor_m)
+    ]
     wp.launch(
         plane_fit.fit_normals_kernel,
         dim=len(point_m),
-        inputs=[
-            wp.array((point_m - centre_m).astype(np.float32), dtype=wp.vec3, device=device),
-            wp.array((sensor_m - centre_m).astype(np.float32), dtype=wp.vec3, device=device),
-            wp.array(np.asarray(neighbour, np.int32), dtype=int, device=device),
-        ],
+        inputs=[*from_centre, wp.array(np.asarray(neighbour, np.int32), dtype=int, device="cpu")],
         outputs=[normal],
-        device=device,
+        device="cpu",
         record_tape=False,
     )
     return normal.numpy().astype(np.float64)
