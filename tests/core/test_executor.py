@@ -5,7 +5,6 @@ of this machine, which it treats like Slurm's but for who starts them.
 """
 
 import importlib.util
-import json
 import os
 import shutil
 import signal
@@ -13,7 +12,6 @@ import socket
 import subprocess
 import sys
 import time
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -239,19 +237,6 @@ def test_a_task_that_kills_its_process_fails_alone(elsewhere):
     assert all(outcome.error is None and outcome.result == number**2 for number, outcome in found.items())
 
 
-def mark(task):
-    """Leave a file for every attempt, and kill the process at the first one."""
-    number, folder = task
-    attempt = sum(1 for _ in folder.glob(f"{number}_*"))
-    began = time.time()
-    (folder / f"{number}_{attempt}").touch()
-    if attempt == 0 and number == 0:
-        time.sleep(0.1)
-        os.kill(os.getpid(), signal.SIGKILL)
-    time.sleep(0.2)
-    return began, time.time()
-
-
 class DeadlyProcesses:
     """Stands in for processes: the task 0 kills itself, and with it all tasks that are under way."""
 
@@ -382,36 +367,6 @@ def test_a_wrong_option_of_slurm_is_refused(options, slurm_here):
 def test_slurm_that_is_not_here_is_refused(tmp_path):
     with pytest.raises(OptionError, match=r"^executor\.name: expected Slurm's commands on this machine"):
         list(run_tasks(square, [1], executor="slurm", folder=tmp_path))
-
-
-def optimise(task):
-    """A whole small run; all its numbers but the clock's."""
-    from warpav.cli.app import main
-
-    seed, folder = task
-    small = {
-        "run.seed": seed,
-        "run.out": folder,
-        "run.iterations": 2,
-        "run.batch_size": 2,
-        "scenes.train_seeds": "0..1",
-        "scenes.test_seeds": "1000..1001",
-        "camera.width_px": 96,
-        "camera.height_px": 96,
-        "baselines.random_samples": 2,
-    }
-    assert main(["optimise", *(f"{name}={value}" for name, value in small.items())]) == 0
-    evaluation = json.loads((Path(folder) / "evaluation.json").read_text())
-    events = [json.loads(line) for line in (Path(folder) / "events.jsonl").read_text().splitlines()]
-    timeless = [{name: value for name, value in event.items() if name != "seconds"} for event in events]
-    return evaluation["arms"], evaluation["paired"], timeless, (Path(folder) / "rig_best.yaml").read_text()
-
-
-def runs(where, **options):
-    """Two runs, by their seeds."""
-    outcomes = list(run_tasks(optimise, [(seed, str(where / str(seed))) for seed in range(2)], **options))
-    assert [outcome.error for outcome in outcomes] == [None, None]
-    return {outcome.task[0]: outcome.result for outcome in outcomes}
 
 
 def test_processes_end_with_the_one_that_started_them():

@@ -17,55 +17,27 @@ def cell_network(tmp_path):
 
     ``write(names, batch, rows, columns)``; None leaves an axis dynamic. Returns the file's path.
     """
-    onnx = pytest.importorskip("onnx")
-    from onnx import TensorProto, helper, numpy_helper
+    pytest.importorskip("onnx")
+    from onnx import TensorProto
+
+    from tests.detection.tiny_networks import Graph
 
     def write(names=("car", "person", "bus"), *, batch=None, rows=None, columns=None, metadata=None):
-        count = len(names)
+        count, graph = len(names), Graph()
         weight = np.zeros((count, 3, CELL_PX, CELL_PX), np.float32)
-        for k in range(count):
-            weight[k, k % 3] = 1.0 / CELL_PX**2
-        arrays = {
-            "weight": weight,
-            "nothing": np.zeros((1, 3, CELL_PX, CELL_PX), np.float32),
-            "one": np.ones(1, np.float32),
-            "row_axis": np.array(2, np.int64),
-            "column_axis": np.array(3, np.int64),
-            "size": np.array(CELL_PX, np.float32),
-            "half": np.array(CELL_PX / 2, np.float32),
-            "flat": np.array([0, 0, -1], np.int64),
-        }
-        node = helper.make_node
+        weight[range(count), [k % 3 for k in range(count)]] = 1.0 / CELL_PX**2
         stride = {"strides": [CELL_PX, CELL_PX]}
-        nodes = [
-            node("Conv", ["images", "weight"], ["score"], **stride),
-            node("Conv", ["images", "nothing", "one"], ["ones"], **stride),
-            node("CumSum", ["ones", "column_axis"], ["column"]),
-            node("CumSum", ["ones", "row_axis"], ["row"]),
-            node("Mul", ["column", "size"], ["right"]),
-            node("Mul", ["row", "size"], ["bottom"]),
-            node("Sub", ["right", "half"], ["center_x"]),
-            node("Sub", ["bottom", "half"], ["center_y"]),
-            node("Mul", ["ones", "size"], ["side"]),
-            node("Concat", ["center_x", "center_y", "side", "side", "score"], ["map"], axis=1),
-            node("Reshape", ["map", "flat"], ["output0"]),
-        ]
+        score = graph.op("Conv", "images", weight, **stride)
+        ones = graph.op("Conv", "images", np.zeros((1, 3, CELL_PX, CELL_PX)), np.ones(1), **stride)
+        last = [graph.op("CumSum", ones, graph.constant(axis, np.int64)) for axis in (3, 2)]
+        middle = [graph.op("Sub", graph.op("Mul", each, CELL_PX), CELL_PX / 2) for each in last]
+        side = graph.op("Mul", ones, CELL_PX)
+        rows_of = graph.op("Concat", *middle, side, side, score, axis=1)
+        found = graph.op("Reshape", rows_of, graph.whole([0, 0, -1]))
         cells = None if rows is None or columns is None else rows * columns // CELL_PX**2
-        graph = helper.make_graph(
-            nodes,
-            "cells",
-            [
-                helper.make_tensor_value_info(
-                    "images", TensorProto.FLOAT, [batch or "batch", 3, rows or "h", columns or "w"]
-                )
-            ],
-            [helper.make_tensor_value_info("output0", TensorProto.FLOAT, [batch or "batch", 4 + count, cells or "n"])],
-            [numpy_helper.from_array(value, name) for name, value in arrays.items()],
-        )
-        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-        helper.set_model_props(model, {"names": str(dict(enumerate(names)))} if metadata is None else metadata)
-        path = tmp_path / f"cells_{batch}_{rows}_{columns}_{count}.onnx"
-        onnx.save(model, str(path))
-        return path
+        images = ("images", TensorProto.FLOAT, [batch or "batch", 3, rows or "h", columns or "w"])
+        outputs = {"output0": (found, TensorProto.FLOAT, [batch or "batch", 4 + count, cells or "n"])}
+        known = {"names": str(dict(enumerate(names)))} if metadata is None else metadata
+        return graph.saved(tmp_path / f"cells_{batch}_{rows}_{columns}_{count}.onnx", [images], outputs, known)
 
     return write

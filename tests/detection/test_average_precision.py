@@ -174,36 +174,6 @@ def test_the_scores_tell_the_images_apart():
     assert scores.image_scores(threshold=1)[2].true_positive.tolist() == [True]
 
 
-def _twin(scores):
-    """The definition, point by point."""
-    pairs = [pair for score in scores for pair in zip(score.confidence, score.true_positive, strict=True)]
-    pairs.sort(key=lambda pair: -pair[0])
-    objects = sum(score.object_count for score in scores)
-    total = 0.0
-    for point in range(101):
-        best = 0.0
-        for count in range(1, len(pairs) + 1):
-            found = sum(hit for _, hit in pairs[:count])
-            if found / objects >= np.linspace(0, 1, 101)[point]:
-                best = max(best, found / count)
-        total += best
-    return total / 101
-
-
-@settings(deadline=None, max_examples=30)
-@given(st.integers(0, 2**32 - 1))
-def test_precision_matches_its_twin(seed):
-    rng = np.random.default_rng(seed)
-    scores = []
-    for _ in range(3):
-        count = int(rng.integers(0, 8))
-        hit = rng.random(count) < 0.6
-        confidence = np.sort(rng.random(count))[::-1]
-        scores.append(ImageScore(confidence, hit, int(hit.sum() + rng.integers(0, 3))))
-    if sum(score.object_count for score in scores):
-        assert average_precision(scores) == pytest.approx(_twin(scores), abs=1e-12)
-
-
 def test_thesis_mean_leaves_out_images_that_miss_everything_or_hold_nothing():
     hit = ImageScore(np.array([0.9]), np.array([True]), 2)
     missed = ImageScore(np.zeros(0), np.zeros(0, bool), 3)

@@ -71,6 +71,18 @@ class Graph:
     def whole(self, value):
         return self.constant(value, np.int64)
 
+    def saved(self, path, inputs, outputs, metadata):
+        """Write it; outputs by name are what they are called inside, number type and shape."""
+        for name, (value, dtype, _) in outputs.items():
+            self.nodes.append(helper.make_node("Cast", [value], [name], to=dtype))
+        ends = [(name, dtype, shape) for name, (_, dtype, shape) in outputs.items()]
+        ends = [[helper.make_tensor_value_info(*each) for each in some] for some in (inputs, ends)]
+        graph = helper.make_graph(self.nodes, "tiny", *ends, self.constants)
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+        helper.set_model_props(model, metadata)
+        onnx.save(model, str(path))
+        return path
+
 
 def _features(graph, image, white, has_batch):
     """Edges [b, 2, 4] and confidence [b, 2]."""
@@ -128,7 +140,6 @@ def write_network(
     metadata=None,
     batch=None,
     size_px=SIDE_PX,
-    half=False,
     has_batch=True,
     order=("boxes", "labels", "scores"),
     transposed=False,
@@ -138,7 +149,7 @@ def write_network(
     """Write a network; `classes` are those of its two boxes, `poison` replaces the first edge of the first box."""
     graph = Graph()
     op, whole = graph.op, graph.whole
-    kind = TensorProto.FLOAT16 if half else TensorProto.FLOAT
+    kind = TensorProto.FLOAT
     white = 255.0 if layout.startswith("yolox") else 1.0
     edges, confidence = _features(graph, "images", white, has_batch)
     if poison is not None:
@@ -181,19 +192,4 @@ def write_network(
             outputs[name if layout == "rtdetr" else f"tensor_{name[::-1]}"] = (value, dtype, [*axis, "n", *rest])
     if add_output:
         outputs["extra"] = (op("Cast", edges, to=kind), kind, [*axis, 2, 4])
-    for name, (value, dtype, _) in outputs.items():
-        graph.nodes.append(helper.make_node("Cast", [value], [name], to=dtype))
-    model = helper.make_model(
-        helper.make_graph(
-            graph.nodes,
-            layout,
-            [helper.make_tensor_value_info(*each) for each in inputs],
-            [helper.make_tensor_value_info(name, dtype, shape) for name, (_, dtype, shape) in outputs.items()],
-            graph.constants,
-        ),
-        opset_imports=[helper.make_opsetid("", 17)],
-        ir_version=8,
-    )
-    helper.set_model_props(model, metadata or {})
-    onnx.save(model, str(path))
-    return path
+    return graph.saved(path, inputs, outputs, metadata or {})
