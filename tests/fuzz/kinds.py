@@ -20,6 +20,7 @@ from tests.scene.test_mesh_colours import write_dae, write_gltf, write_obj
 from tests.scene.traffic.recordings import street
 from tests.scene.traffic.test_files import scenario, write_log
 from warpav.core.bounded_files import read_text
+from warpav.core.records import read_form
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.experiments.bench.workload import read_truth, read_workload
 from warpav.raster.camera import CameraModel
@@ -33,7 +34,7 @@ from warpav.runs.networks import _description
 from warpav.runs.report.content import read_content
 from warpav.runs.run_folder import RunFolder
 from warpav.scene.capture.folder import read_capture, record_capture
-from warpav.scene.fleet import _stated
+from warpav.scene.fleet import _Stated
 from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.own_vehicle import examine, read_vehicle_file
 from warpav.scene.scene import Box, Scene, Vehicle
@@ -298,7 +299,11 @@ SMALL = [
     Kind("zones", _text("zones.yaml", ZONES), read_zones),
     Kind("modules", _text("modules.yaml", MODULES), read_modules),
     Kind("requirements", _text("requirements.yaml", REQUIREMENTS), read_requirements),
-    Kind("vehicle of traffic", _text("bus.yaml", "category: [bus, lorry]\nup: z\nforward: -x\nscale: 0.01\n"), _stated),
+    Kind(
+        "vehicle of traffic",
+        _text("bus.yaml", "category: [bus, lorry]\nup: z\nforward: -x\nscale: 0.01\n"),
+        lambda file: read_form(_Stated, file),
+    ),
     Kind(
         "network of a panel",
         _text("net.yaml", "format: yolox\ninput_px: 64\nwidth_px: 8\nheight_px: 8\n"),
