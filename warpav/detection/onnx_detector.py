@@ -267,9 +267,10 @@ class OnnxDetector:
         checked = []
         for tensor, array in zip(self.file.outputs, outputs, strict=True):
             if not np.isfinite(array).all():
+                hint = ", or export it in float32" if self.family.image.dtype == "float16" else ""
                 raise InputError(
                     f"{self._path}: output {tensor.name} holds numbers that are not finite, expected boxes and scores; "
-                    f"check the network's input{_half_hint(self.family.image)}"
+                    f"check the network's input{hint}"
                 )
             checked.append(array.astype(np.float32) if array.dtype == np.float16 else array)
         return checked
@@ -375,10 +376,6 @@ def _given_labels(labels: Sequence[str] | Path | str) -> tuple[str, ...]:
             "detector.labels", f"expected a label for every class, got {'none' if not given else 'an empty one'}"
         )
     return given
-
-
-def _half_hint(image: Tensor) -> str:
-    return ", or export it in float32" if image.dtype == "float16" else ""
 
 
 def _open_session(path: Path, threads: int | None, provider: str) -> InferenceSession:

@@ -28,18 +28,13 @@ _LOOKS = math.sin(math.radians(10.0))
 _SAME_PLACE_M = 1e-3
 
 
-def _side_of_name(name: str) -> str | None:
-    """``left`` or ``right`` where the name says so, as ``CAM_FRONT_LEFT`` and ``rearRight`` do."""
-    found = {word.lower() for word in _WORD.findall(name)} & set(_SIDES)
-    return found.pop() if len(found) == 1 else None
-
-
 def mirrored_cameras(cameras: Iterable[RigCamera]) -> Iterator[str]:
     """One message per camera whose name contradicts its side, as of a left-handed file read as right-handed."""
     for camera in cameras:
-        side = _side_of_name(camera.name)
-        if side is None:
+        sides = {word.lower() for word in _WORD.findall(camera.name)} & set(_SIDES)  # CAM_FRONT_LEFT, rearRight
+        if len(sides) != 1:
             continue
+        side = sides.pop()
         forward_y = camera.ego_from_camera[1, 2]
         is_wrong = _SIDES[side] * camera.position_m[1] < -_LIES_M or _SIDES[side] * forward_y < -_LOOKS
         if is_wrong:

@@ -198,7 +198,9 @@ def vertical_angle_rad(model: CameraModel) -> float:
 
 def _problems(module: Module) -> Iterator[_Problem]:
     """All that is wrong with a module; contradictions only between fields that are right by themselves."""
-    of_image = [*_name_problems(module), *_size_problems(module), *_lens_problems(module)]
+    if not (isinstance(module.name, str) and _NAME.fullmatch(module.name)):
+        yield _Problem("name", "letters, digits, '_', '-' and '.'", repr(module.name), "such as front_8mp_30")
+    of_image = [*_size_problems(module), *_lens_problems(module)]
     yield from of_image
     if not of_image:
         yield from _image_problems(module)
@@ -220,11 +222,6 @@ def _problems(module: Module) -> Iterator[_Problem]:
         yield _Problem(
             "source", "where the figures come from", repr(module.source), "name a data sheet, or say a guess"
         )
-
-
-def _name_problems(module: Module) -> Iterator[_Problem]:
-    if not (isinstance(module.name, str) and _NAME.fullmatch(module.name)):
-        yield _Problem("name", "letters, digits, '_', '-' and '.'", repr(module.name), "such as front_8mp_30")
 
 
 def _size_problems(module: Module) -> Iterator[_Problem]:

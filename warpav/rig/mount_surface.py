@@ -285,6 +285,8 @@ def mount_surface_from_mesh(
     with points carry a camera if their faces point upwards by ``min_zone_normal``; gaps of up to two cells are no
     border.
     """
+    from scipy import ndimage
+
     if not smoothing_tolerance_m > 0.0:
         raise ValueError(f"smoothing_tolerance_m must be positive, got {smoothing_tolerance_m}")
     if not 0.0 < min_zone_normal <= 1.0:
@@ -292,7 +294,8 @@ def mount_surface_from_mesh(
     measured_m, upward, origin_m = _measured(mesh, cell_m, min_upward_normal, min_height_m, keeps)
     is_measured = np.isfinite(measured_m)
     filled_m = _filled(np.where(is_measured, measured_m, 0.0), is_measured, smoothing_tolerance_m)
-    is_mountable = _without_gaps(_without_small_patches(is_measured & (upward >= min_zone_normal)))
+    is_upward = np.pad(_without_small_patches(is_measured & (upward >= min_zone_normal)), 2)
+    is_mountable = ndimage.binary_closing(is_upward, structure=np.ones((3, 3)))[2:-2, 2:-2]  # gaps of up to two cells
     if not is_mountable.any():
         raise InputError(
             f"ego mesh: expected faces that can carry a camera (normal z of at least {min_zone_normal}), got none with "
@@ -317,6 +320,8 @@ def _measured(
     keeps: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Heights [m] (NaN: none) and z of the flattest face's normal, [row, column]; centre of cell (0, 0) [m]."""
+    from scipy import ndimage
+
     if not cell_m > 0.0:
         raise ValueError(f"cell_m must be positive, got {cell_m}")
     if not 0.0 < min_upward_normal <= 1.0:
@@ -344,7 +349,8 @@ def _measured(
     in_cells = (size[0], _SAMPLES_PER_CELL, size[1], _SAMPLES_PER_CELL)
     height_m = sample_m.reshape(in_cells).max(axis=(1, 3))
     upward = sample_upward.reshape(in_cells).max(axis=(1, 3))
-    is_measured = _without_small_patches(np.isfinite(height_m) & ~_is_foot_of_wall(height_m))
+    is_foot_of_wall = ndimage.maximum_filter(height_m, size=3, mode="nearest") > height_m + _LEDGE_STEP_M
+    is_measured = _without_small_patches(np.isfinite(height_m) & ~is_foot_of_wall)
     if not is_measured.any():
         raise InputError(
             f"ego mesh: expected faces that point upwards (normal z of at least {min_upward_normal}, "
@@ -413,13 +419,6 @@ def _first_upward_height(
     return np.where(upward > -np.inf, top_m, -np.inf).reshape(size), upward.reshape(size)
 
 
-def _is_foot_of_wall(height_m: np.ndarray) -> np.ndarray:
-    """Which cells have a neighbour that is higher by `_LEDGE_STEP_M`, bool [row, column]."""
-    from scipy import ndimage
-
-    return ndimage.maximum_filter(height_m, size=3, mode="nearest") > height_m + _LEDGE_STEP_M
-
-
 def _without_small_patches(is_measured: np.ndarray) -> np.ndarray:
     """The mask without slivers thinner than three cells and without small patches; the largest patch always stays."""
     from scipy import ndimage
@@ -431,14 +430,6 @@ def _without_small_patches(is_measured: np.ndarray) -> np.ndarray:
     area = np.bincount(label.ravel())
     area[0] = 0
     return is_measured & (area >= _MIN_PATCH_FRACTION * area.max())[label]
-
-
-def _without_gaps(is_inside: np.ndarray) -> np.ndarray:
-    """The mask with gaps of up to two cells closed."""
-    from scipy import ndimage
-
-    closed = ndimage.binary_closing(np.pad(is_inside, 2), structure=np.ones((3, 3)))
-    return closed[2:-2, 2:-2]
 
 
 def _cells_to_edge(is_inside: np.ndarray) -> np.ndarray:

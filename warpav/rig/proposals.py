@@ -50,9 +50,10 @@ def propose_panes(mesh: Mesh, is_glass: np.ndarray | None = None) -> tuple[Zone,
         ahead = forward * (centre_m[:, 0] - 0.5 * (low_m[0] + high_m[0])) > 0.0
         rise = np.arccos(np.clip(normal[:, 2], -1.0, 1.0))
         may_be = ahead & (centre_m[:, 2] > floor_m) & (forward * normal[:, 0] > 0.2) & (normal[:, 2] > -0.1)
+        dark_m2 = area_m2[may_be & (luma < _DARK_LUMA)].sum()
         if is_glass is not None:
             may_be &= is_glass
-        elif _has_dark(may_be, luma, area_m2):
+        elif _MIN_AREA_M2 < dark_m2 < 0.9 * area_m2[may_be].sum():  # a large dark part beside lighter ones
             may_be &= luma < _DARK_LUMA
         elif forward > 0.0:
             may_be &= (rise > _LEAST_RISE) & (rise < _GREATEST_RISE)
@@ -63,12 +64,6 @@ def propose_panes(mesh: Mesh, is_glass: np.ndarray | None = None) -> tuple[Zone,
         if zone is not None:
             found.append(zone)
     return tuple(found)
-
-
-def _has_dark(may_be: np.ndarray, luma: np.ndarray, area_m2: np.ndarray) -> bool:
-    """Whether glass is told by its colour: a large dark part beside lighter ones."""
-    dark_m2 = area_m2[may_be & (luma < _DARK_LUMA)].sum()
-    return bool(_MIN_AREA_M2 < dark_m2 < 0.9 * area_m2[may_be].sum())
 
 
 def _flattest(normal: np.ndarray, area_m2: np.ndarray, may_be: np.ndarray) -> np.ndarray:

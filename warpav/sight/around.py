@@ -61,8 +61,10 @@ def upright_px(camera: RigCamera, foot_m: np.ndarray, height_m: float) -> np.nda
     def at(z_m: float) -> np.ndarray:
         return np.concatenate([foot_m, np.full((*foot_m.shape[:-1], 1), z_m)], axis=-1)
 
+    pose = camera.ego_from_camera
+    in_camera_m = ((at(z_m) - pose[:3, 3]) @ pose[:3, :3] for z_m in (0.0, height_m))
     with np.errstate(invalid="ignore"):
-        foot_px, top_px = (camera.model.project(_in_camera_m(camera, at(z_m))) for z_m in (0.0, height_m))
+        foot_px, top_px = map(camera.model.project, in_camera_m)
     size_px = np.nan_to_num(np.linalg.norm(top_px - foot_px, axis=-1), nan=np.inf)
     return np.where(is_in_image(camera, at(0.5 * height_m)), size_px, 0.0)
 
@@ -284,11 +286,6 @@ class SectorCounts:
         """Share of the area outside the vehicle that no camera sees, where cells are seen by so many."""
         area = np.where(self.is_body, 0.0, np.diff(np.square(self.edges_m)))
         return float((area * (count == 0)).sum() / area.sum())
-
-
-def _in_camera_m(camera: RigCamera, point_m: np.ndarray) -> np.ndarray:
-    pose = camera.ego_from_camera
-    return (point_m - pose[:3, 3]) @ pose[:3, :3]
 
 
 def _edge(holds: Callable[[np.ndarray], np.ndarray], inside: np.ndarray, outside: np.ndarray) -> np.ndarray:

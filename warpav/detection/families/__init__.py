@@ -62,7 +62,8 @@ def recognise(file: NetworkFile, name: str = "auto") -> tuple[Family, str]:
     if name != "auto":
         kind, reason = by_name[name], "set by detector.format"
         if not kind.fits(file):
-            raise InputError(f"{file.path}: detector.format={name}: expected {_wanted(kind, file)}, got {file}")
+            wanted = kind.layout if file.labels is None else f"{kind.layout}, with {len(file.labels)} labels"
+            raise InputError(f"{file.path}: detector.format={name}: expected {wanted}, got {file}")
     else:
         fitting = [family for family in FAMILIES if family.fits(file)]
         if not fitting:
@@ -78,10 +79,6 @@ def recognise(file: NetworkFile, name: str = "auto") -> tuple[Family, str]:
         kind, reason = known[0]
     labels, origin = _labels(file, kind)
     return kind(replace(file, labels=labels, labels_origin=origin)), reason
-
-
-def _wanted(kind: type[Family], file: NetworkFile) -> str:
-    return kind.layout if file.labels is None else f"{kind.layout}, with {len(file.labels)} labels"
 
 
 def _labels(file: NetworkFile, kind: type[Family]) -> tuple[tuple[str, ...], str]:
