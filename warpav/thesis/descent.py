@@ -126,9 +126,6 @@ class Descent:
 
     With further starts the run is divided among as many more descents, one after the other, each with steps,
     multipliers and schedule as if it were alone.
-
-    ``history``: rigs that were evaluated on all validation scenes. ``iteration``: steps so far. ``descent``: the
-    descent that is going on, from 0.
     """
 
     objective: RigObjective  # what is minimised
@@ -146,10 +143,10 @@ class Descent:
             raise ValueError(
                 f"{self.settings.descents} descents need as many starts, got {1 + len(self.further_starts)}"
             )
-        self.history = _History()
+        self.candidates: list[Candidate] = []  # rigs that were evaluated on all validation scenes, in order
         self._failure: str | None = None
-        self.iteration = 0
-        self.descent = 0
+        self.iteration = 0  # steps so far
+        self.descent = 0  # the descent that is going on, from 0
         self._mount: CameraMount = self.objective.mount
         self.start, *self.further_starts = (self._mount.within(pose) for pose in (self.start, *self.further_starts))
         self._begin(self.start)
@@ -195,14 +192,18 @@ class Descent:
         return self._pose.value.copy()
 
     @property
-    def candidates(self) -> list[Candidate]:
-        """Rigs that were evaluated on all validation scenes, in order."""
-        return self.history.candidates
-
-    @property
     def best(self) -> Candidate:
         """The candidate with the lowest training objective."""
-        return self.history.best
+        return lowest(self.candidates)
+
+    def _of_descent(self, descent: int) -> list[Candidate]:
+        return [each for each in self.candidates if each.descent == descent]
+
+    @property
+    def _stale_evaluations(self) -> int:
+        """Evaluations of this descent since its best rig."""
+        own = self._of_descent(self.descent)
+        return len(own) - 1 - own.index(lowest(own))
 
     @property
     def stop_reason(self) -> str | None:
@@ -211,7 +212,7 @@ class Descent:
             return self._failure
         if self.descent < len(self.further_starts) or not self._out_of_patience:
             return None
-        best, count = lowest(self.history.of_descent(self.descent)), self.history.stale_evaluations(self.descent)
+        best, count = lowest(self._of_descent(self.descent)), self._stale_evaluations
         return f"no better rig in {count} evaluations on the validation scenes since iteration {best.iteration}"
 
     def step(self) -> IterationRecord:
@@ -275,9 +276,9 @@ class Descent:
 
     def state(self) -> dict[str, np.ndarray]:
         """Everything that `restore` needs, as arrays of numbers and text: where the last step has led."""
-        stepped = _History()  # without what `finish` has looked at, which it does again
-        stepped.candidates = [each for each in self.candidates if each.iteration < self.iteration]
-        return self._position() | named_part("candidate", stepped.state())
+        # without what `finish` has looked at, which it does again
+        stepped = [each for each in self.candidates if each.iteration < self.iteration]
+        return self._position() | named_part("candidate", _state_of(stepped))
 
     def _position(self) -> dict[str, np.ndarray]:
         """The state but for its candidates, which steps only add to."""
@@ -307,7 +308,7 @@ class Descent:
         self._return_to(state)
         if self.descent == len(self.further_starts):
             self._schedule = _Schedule(self.settings, self.iterations - self._begun_at)
-        self.history.restore(part_of(state, "candidate"))
+        self.candidates = _candidates_of(part_of(state, "candidate"))
 
     def _return_to(self, state: Mapping[str, np.ndarray]) -> None:
         """Be where a `_position` was taken."""
@@ -318,7 +319,7 @@ class Descent:
         self._batches.waiting = [int(k) for k in state["waiting_scenes"]]
         self._pose.restore(part_of(state, "pose"))
         self._multiplier.restore(part_of(state, "multiplier"))
-        self.history.candidates = [each for each in self.candidates if each.iteration < self.iteration]
+        self.candidates = [each for each in self.candidates if each.iteration < self.iteration]
 
     @property
     def _steps(self) -> int:
@@ -329,7 +330,7 @@ class Descent:
     def _out_of_patience(self) -> bool:
         """Whether this descent has been evaluated often enough without a better rig."""
         patience = self.settings.patience
-        return patience is not None and self._steps > 0 and self.history.stale_evaluations(self.descent) >= patience
+        return patience is not None and self._steps > 0 and self._stale_evaluations >= patience
 
     def _check(self, mount_pose: np.ndarray) -> Candidate:
         """Evaluate the feasible poses nearest to these on all validation scenes."""
@@ -343,7 +344,7 @@ class Descent:
 
     def _check_mixture(self) -> None:
         """Exchange cameras of the best rig for those of the best rigs of the descents."""
-        best = [lowest(self.history.of_descent(k)) for k in range(self.descent + 1)]
+        best = [lowest(self._of_descent(k)) for k in range(self.descent + 1)]
         probability = [each.detection_probability for each in best if each.detection_probability is not None]
         if len(probability) < len(best):
             return
@@ -418,52 +419,32 @@ def lowest(candidates: Sequence[Candidate]) -> Candidate:
     )
 
 
-class _History:
-    """The rigs of a run that were evaluated on all validation scenes."""
+def _state_of(candidates: Sequence[Candidate]) -> dict[str, np.ndarray]:
+    """Candidates as arrays; rigs of fewer cameras than others have rows of NaN behind theirs."""
+    fields = ("training_objective", "iteration", "descent")
+    state = {name: np.array([getattr(each, name) for each in candidates]) for name in fields}
+    poses = [each.mount_pose for each in candidates]
+    most = max(map(len, poses), default=0)
+    padded = [np.pad(pose, ((0, most - len(pose)), (0, 0)), constant_values=np.nan) for pose in poses]
+    state = {"mount_pose": np.array(padded), **state}
+    if any(each.detection_probability is not None for each in candidates):
+        state["detection_probability"] = np.array([each.detection_probability for each in candidates])
+    return state
 
-    def __init__(self) -> None:
-        """None yet."""
-        self.candidates: list[Candidate] = []  # they, in order
 
-    @property
-    def best(self) -> Candidate:
-        """The candidate with the lowest objective."""
-        return lowest(self.candidates)
-
-    def of_descent(self, descent: int) -> list[Candidate]:
-        """The candidates of one descent."""
-        return [each for each in self.candidates if each.descent == descent]
-
-    def stale_evaluations(self, descent: int) -> int:
-        """Evaluations of a descent since its best rig."""
-        own = self.of_descent(descent)
-        return len(own) - 1 - own.index(lowest(own))
-
-    def state(self) -> dict[str, np.ndarray]:
-        """Everything that `restore` needs; rigs of fewer cameras than others have rows of NaN behind theirs."""
-        fields = ("training_objective", "iteration", "descent")
-        state = {name: np.array([getattr(each, name) for each in self.candidates]) for name in fields}
-        poses = [each.mount_pose for each in self.candidates]
-        most = max(map(len, poses), default=0)
-        padded = [np.pad(pose, ((0, most - len(pose)), (0, 0)), constant_values=np.nan) for pose in poses]
-        state = {"mount_pose": np.array(padded), **state}
-        if any(each.detection_probability is not None for each in self.candidates):
-            state["detection_probability"] = np.array([each.detection_probability for each in self.candidates])
-        return state
-
-    def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Take up the candidates of a state."""
-        probability = state.get("detection_probability")
-        self.candidates = [
-            Candidate(
-                np.array(pose[~np.isnan(pose).any(axis=1)], np.float32),
-                float(state["training_objective"][k]),
-                int(state["iteration"][k]),
-                int(state["descent"][k]),
-                None if probability is None else np.array(probability[k]),
-            )
-            for k, pose in enumerate(state["mount_pose"])
-        ]
+def _candidates_of(state: Mapping[str, np.ndarray]) -> list[Candidate]:
+    """The candidates of `_state_of`."""
+    probability = state.get("detection_probability")
+    return [
+        Candidate(
+            np.array(pose[~np.isnan(pose).any(axis=1)], np.float32),
+            float(state["training_objective"][k]),
+            int(state["iteration"][k]),
+            int(state["descent"][k]),
+            None if probability is None else np.array(probability[k]),
+        )
+        for k, pose in enumerate(state["mount_pose"])
+    ]
 
 
 def descent_camera_renders(
