@@ -338,11 +338,6 @@ class CameraMount:
         )
         return views
 
-    @property
-    def windows_move(self) -> bool:
-        """Whether the fields of view move over the panoramas, see `windows`: with free zooms and pitches."""
-        return bool(self.is_free[[PITCH_RAD, LOG_ZOOM]].any())
-
     def windows(self, views: PlacedViews, *, requires_grad: bool = True) -> wp.array:
         """The field of view of each camera as a window of each view of its panorama, for `Frame.window_area`, vec4.
 

@@ -461,7 +461,7 @@ class RigObjective:
         if not (needs.detections or needs.true_boxes):
             return _Observed(step, None, []), []
         seen = visible_objects(step.frame, step.scene, forward_view=step.ahead)
-        step.set_true_boxes(seen.truth_box_px)
+        step.truth_box_px = seen.truth_box_px
         cameras = self._cameras_that_matter(seen, assigned, needs.detections)
         if cameras:
             step.draw()

@@ -113,11 +113,6 @@ class PoolTask:
         return cls(cameras, packed, objective.constraints, count, object_weight=weight, **others)
 
     @property
-    def all_scenes(self) -> tuple[DeviceScene | RequiredPoints, ...]:
-        """The scenes, and the requirements' points behind them."""
-        return (*self.scenes, *([] if self.requirements is None else [self.requirements]))
-
-    @property
     def object_count(self) -> int:
         """Objects of the scenes, without the requirements' points."""
         return sum(scene.vehicle_count for scene in self.scenes)
@@ -127,7 +122,9 @@ class PoolTask:
         """Weights of the objects and of the requirements' points behind them, float64 [object]; None: all alike."""
         if self.requirements is None:
             return self.object_weight
-        return self.requirements.weights_with(self.object_weight, self.object_count)
+        alike = np.full(self.object_count, 1.0 / max(self.object_count, 1))
+        share = alike if self.object_weight is None else self.object_weight / self.object_weight.sum()
+        return np.concatenate([share, self.requirements.weight])
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,8 +182,10 @@ class PoolSearch:
         self.cameras = (
             self.designed if task.mount_errors is None else MisplacedCameras.of(self.designed, task.mount_errors)
         )
-        self.constraints, self.scenes = task.constraints.of_any_modules, task.all_scenes
-        self.points, self.camera_count, self.limits = task.requirements, task.camera_count, task.limits
+        self.constraints, self.points = task.constraints.of_any_modules, task.requirements
+        # the scenes, and the requirements' points behind them
+        self.scenes = (*task.scenes, *([] if self.points is None else [self.points]))
+        self.camera_count, self.limits = task.camera_count, task.limits
         self.object_weight, self.robust = task.whole_weight, task.robust
         self.assembly = _Assembly(self.cameras.mount)
         # the cameras that it knows

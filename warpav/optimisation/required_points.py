@@ -17,7 +17,6 @@ import numpy as np
 
 from warpav.core.cache import digest
 from warpav.core.errors import InputError
-from warpav.detection.miss_rate import shares_of
 from warpav.optimisation.selection.problem import Row
 from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import KeptRenderers
@@ -164,12 +163,6 @@ class RequiredPoints:
         of_each = np.array([HARD_WEIGHT if each.weight is None else each.weight for each in self.requirements])
         counts = np.bincount(self.ghosts.requirement, minlength=len(of_each))
         return (of_each / np.maximum(counts, 1))[self.ghosts.requirement]
-
-    def weights_with(self, object_weight: np.ndarray | None, object_count: int) -> np.ndarray:
-        """Weights of the traffic's objects, 1 in sum, and of the points behind them, float64 [object and point]."""
-        share = np.full(object_count, 1.0 / max(object_count, 1)) if object_weight is None else shares_of(object_weight)
-        assert share is not None
-        return np.concatenate([share, self.weight])
 
     def probability(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> np.ndarray:
         """How surely cameras at ``ego_from_camera`` [camera, 4, 4] see each point, 0..1, float32 [camera, point]."""

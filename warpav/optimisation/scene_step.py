@@ -223,7 +223,8 @@ class SceneStep:
         device, camera_count = renderer.device, len(views.ahead)
         self._detected = wp.zeros((camera_count, scene.vehicle_count), dtype=float, device=device)
         self._box_px = wp.zeros((renderer.view_count, scene.vehicle_count), dtype=wp.vec4, device=device)
-        self._truth_box_px: np.ndarray | None = None
+        # true visible boxes ahead, NaN for none [px], float [camera, vehicle, 4]
+        self.truth_box_px: np.ndarray | None = None
         self._assigned_camera = assigned.assigned_camera
         self._assigned_on_device = wp.array(assigned.assigned_camera, dtype=wp.int32, device=device)
         self._object_weight = objective.object_weight(scene)
@@ -253,10 +254,6 @@ class SceneStep:
         """Which camera's detector found which object, bool [camera, vehicle]."""
         self._detected.assign(np.asarray(is_detected, np.float32))
 
-    def set_true_boxes(self, truth_box_px: np.ndarray) -> None:
-        """True visible boxes ahead, NaN for none [px], float [camera, vehicle, 4]."""
-        self._truth_box_px = truth_box_px
-
     def _render(self) -> None:
         views = self._views.placed
         self.frame = self._renderer.render(
@@ -285,7 +282,7 @@ class SceneStep:
                 exchange.detector_share,
                 views.ahead,
                 objective.camera_probability,
-                self._truth_box_px,
+                self.truth_box_px,
                 self._object_weight,
             )
             losses = [loss.on_tape(scene) for loss in objective.device]

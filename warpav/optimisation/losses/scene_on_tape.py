@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from warpav.detection.probability import Appearance, DetectionProbability, Seen
-from warpav.optimisation.mount import CameraMount, PlacedViews
+from warpav.optimisation.mount import LOG_ZOOM, PITCH_RAD, CameraMount, PlacedViews
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.areas import Measures
 from warpav.raster.frame import Frame
@@ -121,7 +121,8 @@ class SceneOnTape:
             visible=True,
         )
         visible = self.frame.window_area(visible=True)
-        window_rad = self.mount.windows(self.views) if self.mount.windows_move else None
+        are_windows_free = self.mount.is_free[[PITCH_RAD, LOG_ZOOM]].any()
+        window_rad = self.mount.windows(self.views) if are_windows_free else None
         shape = self.detected.shape
         best_view = wp.zeros(shape, dtype=wp.int32, device=device)
         in_window_sr = wp.zeros(shape, dtype=float, device=device, requires_grad=True)
