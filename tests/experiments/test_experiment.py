@@ -10,7 +10,7 @@ from tests.experiments.small_experiment import ARMS, SMALL, config
 from warpav.core.errors import InputError
 from warpav.experiments import arms as arms_module
 from warpav.experiments import experiment as module
-from warpav.experiments.arms import Arm
+from warpav.experiments.arms import Arm, Method
 from warpav.experiments.experiment import run_study
 from warpav.rig.rig import read_rig
 from warpav.runs.environment import git_commit
@@ -130,7 +130,7 @@ def fail(problem, camera_renders_max):
 
 
 def test_a_failing_arm_leaves_the_others_alone(tmp_path, scenes, monkeypatch, capsys):
-    monkeypatch.setitem(arms_module.METHODS, "fails", fail)
+    monkeypatch.setitem(arms_module.METHODS, "fails", Method(fail))
     chosen = [Arm("broken", "fails"), Arm("highest", "highest")]
     done = run(tmp_path / "run", scenes, arms=chosen, runs=1)
     assert done.failed == ["broken_0: ValueError: a search that fails"]
@@ -148,7 +148,7 @@ def interrupt(problem, camera_renders_max):
 def test_an_interrupted_experiment_goes_on(tmp_path, scenes, monkeypatch, capsys):
     chosen = [Arm("highest", "highest"), Arm("stopped", "start")]
     with monkeypatch.context() as patch:
-        patch.setitem(arms_module.METHODS, "start", interrupt)
+        patch.setitem(arms_module.METHODS, "start", Method(interrupt))
         with pytest.raises(KeyboardInterrupt):
             run(tmp_path / "run", scenes, arms=chosen, runs=1)
     assert "the same command goes on from there" in capsys.readouterr().out

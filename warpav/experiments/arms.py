@@ -17,7 +17,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -85,6 +85,16 @@ _Finder = Callable[[Placement, int | None], FoundRig]
 """Finds a rig on a placement; its random numbers come from ``run.seed``, its budget [camera renders] may be None."""
 
 
+class Method(NamedTuple):
+    """A way to find rigs."""
+
+    find: _Finder
+    starts: bool = False  # begins with the configuration's start
+    holds: bool = False  # keeps the cameras of ``rig.freeze`` where they are
+    is_seeded: bool = True  # another run seed may give another rig
+    is_arm: bool = True  # also without options
+
+
 @dataclass(frozen=True)
 class Arm:
     """A search method with its options."""
@@ -97,7 +107,7 @@ class Arm:
     @property
     def is_seeded(self) -> bool:
         """Whether another run seed may give another rig."""
-        return self.method not in _SEEDLESS and not self.is_preset
+        return not self.is_preset and (self.method not in METHODS or METHODS[self.method].is_seeded)
 
     @property
     def is_preset(self) -> bool:
@@ -107,7 +117,8 @@ class Arm:
     @property
     def own_overrides(self) -> tuple[str, ...]:
         """The options that set it apart from other arms; the thesis's whole method is not taken apart."""
-        return self.overrides if self.name in _WHOLE else (*self.overrides, *self.search_overrides)
+        is_whole = self.name in ("thesis_gradient", "thesis_as_printed")
+        return self.overrides if is_whole else (*self.overrides, *self.search_overrides)
 
     def evaluation_config(self, config: Config) -> Config:
         """The configuration that its rigs are evaluated with."""
@@ -119,20 +130,19 @@ class Arm:
 
     def check(self, config: Config, camera_renders_max: int | None) -> None:
         """Reject early what would fail in every run."""
-        config = self.search_config(config)
-        package = _PACKAGES.get(self.method)
-        if package and importlib.util.find_spec(package) is None:
+        config, method = self.search_config(config), METHODS.get(self.method)
+        if self.method == "cma" and importlib.util.find_spec("cma") is None:
             raise InputError(
-                f"arm {self.name}: expected the package {package} to be installed, got none; " + install_text("rivals")
+                f"arm {self.name}: expected the package cma to be installed, got none; " + install_text("rivals")
             )
-        if config.rig.freeze and self.method not in _HOLDING:
+        if config.rig.freeze and not (method and method.holds):
             raise InputError(
                 f"arm {self.name}: rig.freeze: expected none, since it places all cameras, got "
                 f"{', '.join(config.rig.freeze)}; leave the arm or the option out"
             )
-        if self.method in _STARTING or config.rig.freeze:
+        if (method and method.starts) or config.rig.freeze:
             read_start(config)
-        if self.method in _BATCHED:
+        if self.method == "random_batches":  # it takes them whatever the configuration searches by
             load_config(config, ("optimiser.search=descent",))
         least = self._least_camera_renders(config)
         if camera_renders_max is not None and camera_renders_max < least:
@@ -165,7 +175,7 @@ class Arm:
 def find_rig_of(arm: Arm, placement: Placement, camera_renders_max: int | None) -> FoundRig:
     """The rig that an arm finds."""
     if arm.method in METHODS:
-        return METHODS[arm.method](placement, camera_renders_max)
+        return METHODS[arm.method].find(placement, camera_renders_max)
     name = arm.method.removesuffix(_AS_BUILT)
     return (_preset if name == arm.method else _preset_as_built)(placement, name=name)
 
@@ -208,7 +218,7 @@ def common_arms() -> dict[str, Arm]:
         Arm("thesis_as_printed", "as_configured", search_overrides=_thesis_as_printed()),
     ]
     presets = [f"{name}{ending}" for ending in ("", _AS_BUILT) for name in preset_names()]
-    others = [Arm(name, name) for name in (*METHODS, *presets) if name not in _NEEDS_OPTIONS]
+    others = [Arm(name, name) for name in (*METHODS, *presets) if name not in METHODS or METHODS[name].is_arm]
     return {arm.name: arm for arm in (*own, *others)}
 
 
@@ -559,44 +569,28 @@ def _greedy(placement: Placement) -> Search:
     return partial(greedy_cover, detections=detections, yaw_count=_GREEDY_DIRECTIONS, object_weight=weight)
 
 
-METHODS: dict[str, _Finder] = {
-    "optimiser": _optimised,
-    "as_configured": lambda placement, _: _optimised(placement, None),  # with its own number of steps
-    "pool_only": partial(_pooled, only=True),
-    "descent_only": _descent_only,
-    "start": lambda placement, _: _start(placement),
-    "random_rig": lambda placement, _: _random_rig(placement),
-    "highest": lambda placement, _: _practice(placement, highest_mount_pose),
-    "highest_raised": lambda placement, _: _highest_raised(placement),
-    "roof_edge": lambda placement, _: _practice(placement, edge_mount_pose),
-    "random_batches": _random_batches,
+METHODS = {
+    "optimiser": Method(_optimised, starts=True, holds=True, is_arm=False),
+    # with its own number of steps
+    "as_configured": Method(lambda placement, _: _optimised(placement, None), starts=True, holds=True, is_arm=False),
+    "pool_only": Method(partial(_pooled, only=True), starts=True, holds=True),
+    "descent_only": Method(_descent_only, starts=True, holds=True),
+    "start": Method(lambda placement, _: _start(placement), starts=True, holds=True),
+    "random_rig": Method(lambda placement, _: _random_rig(placement), holds=True),
+    "highest": Method(lambda placement, _: _practice(placement, highest_mount_pose), holds=True, is_seeded=False),
+    "highest_raised": Method(lambda placement, _: _highest_raised(placement), is_seeded=False),
+    "roof_edge": Method(lambda placement, _: _practice(placement, edge_mount_pose), is_seeded=False),
+    "random_batches": Method(_random_batches),
     # random directions would only weaken the baselines: these two keep those of the segregation
-    "random": partial(_searched, search=lambda *_: random_search, free_yaw=False),
-    "sobol": partial(_searched, search=lambda *_: sobol_search, free_yaw=False),
+    "random": Method(partial(_searched, search=lambda *_: random_search, free_yaw=False), holds=True),
+    "sobol": Method(partial(_searched, search=lambda *_: sobol_search, free_yaw=False), holds=True),
     # a pool of few directions would be a weak one
-    "random_selected": partial(_selected, draw=random_rigs, free_yaw=True),
-    "sobol_selected": partial(_selected, draw=sobol_rigs, free_yaw=True),
-    "cma": partial(_searched, search=lambda *_: cma_es, free_yaw=True),
-    "differential_evolution": partial(_searched, search=lambda *_: differential_evolution, free_yaw=True),
-    "greedy_cover": partial(_searched, search=_greedy, free_yaw=True),
+    "random_selected": Method(partial(_selected, draw=random_rigs, free_yaw=True), holds=True),
+    "sobol_selected": Method(partial(_selected, draw=sobol_rigs, free_yaw=True), holds=True),
+    "cma": Method(partial(_searched, search=lambda *_: cma_es, free_yaw=True), holds=True),
+    "differential_evolution": Method(
+        partial(_searched, search=lambda *_: differential_evolution, free_yaw=True), holds=True
+    ),
+    "greedy_cover": Method(partial(_searched, search=_greedy, free_yaw=True)),
 }
 """How a rig can be found, by name; the presets' names are methods as well."""
-
-_SEEDLESS = ("highest", "highest_raised", "roof_edge")
-_STARTING = ("optimiser", "as_configured", "pool_only", "descent_only", "start")
-"""Ways that begin with the configuration's start."""
-
-_NEEDS_OPTIONS = ("optimiser", "as_configured")
-"""Ways that are no arm without options."""
-
-_WHOLE = ("thesis_gradient", "thesis_as_printed")
-_HOLDING = (
-    *(*_STARTING, "random_rig", "highest", "random", "sobol", "random_selected", "sobol_selected"),
-    *("cma", "differential_evolution"),
-)
-"""Ways that keep the cameras of ``rig.freeze`` where they are."""
-
-_BATCHED = ("random_batches",)
-"""Ways that take batches of scenes whatever the configuration searches by."""
-
-_PACKAGES = {"cma": "cma"}
