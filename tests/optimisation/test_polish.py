@@ -136,7 +136,7 @@ def test_the_first_step_comes_near_what_was_promised():
     problem = module._Problem(mount, constraints, pose)
     model = TangentModel(Rendered(pose, probability, jacobian, before), weight)
     assert model.value(np.zeros((3, 7))) == pytest.approx(before, abs=1e-6)
-    tried = problem.feasible(problem.minimised(model, pose, 0.05))
+    tried = module.nearest_rig(problem.minimised(model, pose, 0.05), mount, constraints)
     promised = model.value(tried - pose)
     found = expected_miss_rate(cameras.with_jacobian(tried, streets())[0], weight)
     assert before - promised > 1e-3

@@ -117,7 +117,7 @@ def polish(
         edges = None
         if hard_points is not None and here.margins is not None:
             edges = hard_points.edges(here.mount_pose, here.margins, problem.reach(length), refused)
-        tried = problem.feasible(problem.minimised(model, here.mount_pose, length, edges))
+        tried = nearest_rig(problem.minimised(model, here.mount_pose, length, edges), mount, constraints)
         promised = model.value(tried.astype(np.float64) - here.mount_pose)
         if promised > model.value(np.zeros_like(here.jacobian[:, 0])) - steps.tolerance * here.objective:
             here = best
@@ -169,7 +169,7 @@ class _Problem:
     """The free numbers of a rig as one vector, and what they must satisfy."""
 
     def __init__(self, mount: CameraMount, constraints: Constraints, mount_pose: np.ndarray) -> None:
-        self.mount, self.constraints = mount, constraints
+        self.constraints = constraints
         unit = np.tile(step_unit(mount), (len(mount_pose), 1))
         self.is_free = unit > 0.0
         if mount.frozen is not None:
@@ -185,9 +185,6 @@ class _Problem:
         result = np.array(pose, np.float64)
         result[self.is_free] = free
         return result
-
-    def feasible(self, pose: np.ndarray) -> np.ndarray:
-        return nearest_rig(pose, self.mount, self.constraints)
 
     def reach(self, radius: float) -> np.ndarray:
         """How far each number may move in a step, float64 [camera, 7]."""

@@ -65,14 +65,7 @@ class Needs:
 
     def __or__(self, other: Needs) -> Needs:
         """What has to be there for both."""
-        return Needs(
-            self.panorama or other.panorama,
-            max(self.detections, other.detections),
-            self.true_boxes or other.true_boxes,
-            self.detection_probability or other.detection_probability,
-            self.unblocked_area or other.unblocked_area,
-            self.one_field or other.one_field,
-        )
+        return Needs(**{name: max(value, getattr(other, name)) for name, value in vars(self).items()})
 
 
 class Loss(ABC):
