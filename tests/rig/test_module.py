@@ -138,8 +138,6 @@ def test_a_lens_without_end_may_leave_corners_dark_and_a_polynomial_not():
 
 BAD = {
     "pinhole all round": ({"fov_rad": math.pi}, "fov_rad: expected more than 0 and below 180 degrees"),
-    "no field": ({"fov_rad": 0.0}, "fov_rad: expected more than 0"),
-    "negative field": ({"fov_rad": -1.0}, "fov_rad: expected more than 0"),
     "NaN field": ({"fov_rad": math.nan}, "fov_rad: expected more than 0"),
     "fisheye all round": ({"lens": "fisheye", "fov_rad": 2 * math.pi}, "fov_rad: expected more than 0 and below 360"),
     "field behind the fold": (
@@ -156,23 +154,19 @@ BAD = {
         {"lens": "eucm", "distortion": (1.5, 1.0)},
         "distortion: expected .* alpha of a eucm lens must lie between 0 and 1",
     ),
-    "negative sensor": ({"sensor_px": (-1280, 960)}, r"sensor_px: expected .* 8 to 16384 px, got \[-1280, 960\]"),
     "half pixels": ({"sensor_px": (1280.5, 960)}, "sensor_px: expected columns and rows"),
-    "tiny network": ({"network_px": (640, 4)}, "network_px: expected columns and rows"),
     "crop beyond the sensor": (
         {"network_px": (1281, 100), "network_by": "crop"},
         "network_px: expected a crop of at most 1280 x 960 px, the sensor, got 1281 x 100 px; crop less",
     ),
     "unknown fitting": ({"network_by": "scale"}, "network_by: .*; did you mean scaling?"),
     "flat housing": ({"housing": Housing((0.03, 0.0, 0.04))}, "housing.size_m: expected positive metres"),
-    "inverted housing": ({"housing": Housing((0.03, -0.03, 0.04))}, "housing.size_m: expected positive metres"),
     "housing in millimetres": ({"housing": Housing((30.0, 30.0, 40.0))}, "write metres: 0.03 for 30 mm"),
     "housing elsewhere": ({"housing": Housing((0.03, 0.03, 0.04), (0.0, 0.1, 0.0))}, "housing.offset_m: expected"),
     "negative price": ({"price": Price(-1.0)}, "price.value: expected a number from 0 on"),
     "price of nothing": ({"price": Price(1.0, " ")}, "price.unit: expected a unit"),
     "negative power": ({"power_w": -0.1}, "power_w: expected watts from 0 on"),
     "zone twice": ({"zones": ("roof", "mirror", "roof")}, r"zones\[2\]: expected every zone once"),
-    "zone of blanks": ({"zones": ("the roof",)}, r"zones\[0\]: expected letters"),
     "name of blanks": ({"name": "front camera"}, "name: expected letters"),
     "no source": ({"source": " "}, "source: expected where the figures come from"),
 }
