@@ -402,17 +402,15 @@ class Executor:
 
     Ray's workers and Slurm's jobs need the same warpav and the same paths as this process: an installation and a file
     system that they share.
-
-    Attributes:
-        worker_count: Tasks at a time, from 1. None: one for each core with ``process`` and a Ray of this machine, as
-            many as there is room for on a Ray cluster, and one job array with ``slurm``.
-        address: Of a running Ray cluster, as ``ray.init`` understands it: ``host:port`` from one of its machines,
-            ``ray://host:port`` from elsewhere, ``auto``. None: that of ``RAY_ADDRESS``, else ``local``, a Ray of this
-            machine that ends with the tasks. With ``slurm``, ``local`` means processes of this machine.
     """
 
     name: Literal["serial", "process", "ray", "slurm"] = "serial"
+    # Tasks at a time, from 1. None: one for each core with ``process`` and a Ray of this machine, as many as there
+    # is room for on a Ray cluster, and one job array with ``slurm``
     worker_count: int | None = None
+    # Of a running Ray cluster, as ``ray.init`` understands it: ``host:port`` from one of its machines,
+    # ``ray://host:port`` from elsewhere, ``auto``. None: that of ``RAY_ADDRESS``, else ``local``, a Ray of this
+    # machine that ends with the tasks. With ``slurm``, ``local`` means processes of this machine
     address: str | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     folder: Path | str = "slurm_jobs"

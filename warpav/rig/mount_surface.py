@@ -39,22 +39,19 @@ class MountSurface:
 
     A zone has a plane of its own: the place (x, y) of the chart is the point ``plane + x * U + y * V + height * N`` of
     the ego frame. Without zones that is (x, y, height) itself.
-
-    Attributes:
-        height_m: Height of the surface above the ground, or above the plane of its zone [m], float32, shape [row,
-            column], at least 2 x 2; rows run along x (forward), columns along y (left).
-        origin_m: x and y of the centre of cell (0, 0) [m], float64, shape [2].
-        is_mountable: Cells that can carry a camera, bool [row, column]; None: all of them. The others bridge holes.
-        zone_of_cell: Number of the zone of every cell, int32 [row, column]; empty without zones.
-        plane_m: Where the chart's (0, 0) would be in the plane of every zone [m], float64 [zone, 3].
     """
 
+    # Height of the surface above the ground, or above the plane of its zone [m], float32, shape [row, column], at
+    # least 2 x 2; rows run along x (forward), columns along y (left)
     height_m: np.ndarray
-    origin_m: np.ndarray
+    origin_m: np.ndarray  # x and y of the centre of cell (0, 0) [m], float64, shape [2]
     cell_m: float
+    # Cells that can carry a camera, bool [row, column]; None: all of them. The others bridge holes
     is_mountable: np.ndarray | None = None
     zones: tuple[Zone, ...] = ()
+    # Number of the zone of every cell, int32 [row, column]; empty without zones
     zone_of_cell: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.int32))
+    # Where the chart's (0, 0) would be in the plane of every zone [m], float64 [zone, 3]
     plane_m: np.ndarray = field(default_factory=lambda: np.zeros((1, 3)))
     modules: tuple[str, ...] = ()
     module_of_zone: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))

@@ -43,12 +43,6 @@ class Zone:
     A camera's centre is at ``origin_m + u * U + v * V + (height(u, v) + rise) * N``, with the rows U, V and N of
     ``axes``; the rise is the stand-off, behind glass it is inwards. Yaw, pitch and roll are those of the ego frame,
     wherever the zone is.
-
-    Attributes:
-        outline_m: Corners of a convex polygon in the ego frame, in order along the border [m], [corner, 3]: only what
-            is inside of it, seen along the normal, belongs to the zone; None: no matter.
-        axes: Rows U, V and N in the ego frame: V upwards along the zone, or on a level one forwards; upright zones that
-            face up have those of the ego frame; float64 [3, 3].
     """
 
     name: str
@@ -64,7 +58,11 @@ class Zone:
     is_centred: bool = False
     is_behind_glass: bool = False
     recess_m: float | None = None
+    # Corners of a convex polygon in the ego frame, in order along the border [m], [corner, 3]: only what is inside
+    # of it, seen along the normal, belongs to the zone; None: no matter
     outline_m: np.ndarray | None = None
+    # Rows U, V and N in the ego frame: V upwards along the zone, or on a level one forwards; upright zones that
+    # face up have those of the ego frame; float64 [3, 3]
     axes: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:

@@ -114,17 +114,13 @@ def px_per_degree(camera: RigCamera, direction: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class NearField:
-    """How far from the body the first point is that some camera sees, by direction.
-
-    Attributes:
-        border_m: Where each leaves the outline of the vehicle [m], float64 [direction, 2].
-        distance_m: From there on outwards to the first visible point [m], float64 [height, direction]; inf: none up to
-            ``reach_m``.
-    """
+    """How far from the body the first point is that some camera sees, by direction."""
 
     heights_m: tuple[float, ...]
     azimuth_rad: np.ndarray
-    border_m: np.ndarray
+    border_m: np.ndarray  # where each leaves the outline of the vehicle [m], float64 [direction, 2]
+    # From there on outwards to the first visible point [m], float64 [height, direction]; inf: none up to
+    # ``reach_m``
     distance_m: np.ndarray
     reach_m: float
 
@@ -171,19 +167,13 @@ class NearField:
 
 @dataclass(frozen=True, eq=False)
 class VisibleGround:
-    """Level ground near the vehicle: how many cameras see it, and in how many images it would be without the body.
-
-    Attributes:
-        is_body: Cells below the vehicle, bool [row, column].
-        in_image: Number of cameras in whose image a cell is, int64 [row, column].
-        seen: Number of cameras that see it past the body, int64 [row, column].
-    """
+    """Level ground near the vehicle: how many cameras see it, and in how many images it would be without the body."""
 
     x_m: np.ndarray
     y_m: np.ndarray
-    is_body: np.ndarray
-    in_image: np.ndarray
-    seen: np.ndarray
+    is_body: np.ndarray  # cells below the vehicle, bool [row, column]
+    in_image: np.ndarray  # number of cameras in whose image a cell is, int64 [row, column]
+    seen: np.ndarray  # number of cameras that see it past the body, int64 [row, column]
 
     @classmethod
     def of(cls, rig: Rig, ego: Mesh, *, margin_m: float, cell_m: float = 0.1, device: str = "cpu") -> VisibleGround:
@@ -222,17 +212,12 @@ class VisibleGround:
 
 @dataclass(frozen=True, eq=False)
 class SectorCounts:
-    """How many cameras see a road user, by sector and distance band around the middle of the vehicle.
-
-    Attributes:
-        is_body: Whether the middle of a cell is within the vehicle, bool [sector, band].
-        sees: Whether a camera sees a road user there, bool [camera, sector, band].
-    """
+    """How many cameras see a road user, by sector and distance band around the middle of the vehicle."""
 
     camera: tuple[str, ...]
     edges_m: tuple[float, ...]
-    is_body: np.ndarray
-    sees: np.ndarray
+    is_body: np.ndarray  # whether the middle of a cell is within the vehicle, bool [sector, band]
+    sees: np.ndarray  # whether a camera sees a road user there, bool [camera, sector, band]
 
     @classmethod
     def of(

@@ -31,16 +31,12 @@ SCHEMA = "warpav-requirements/1"
 
 @dataclass(frozen=True)
 class WorstPoint:
-    """A point that is not met, or the one that is met most narrowly.
-
-    Attributes:
-        pixels: The largest area that one camera sees [px^2].
-    """
+    """A point that is not met, or the one that is met most narrowly."""
 
     position_m: tuple[float, float]
     cameras: int
     visible_share: float
-    pixels: float
+    pixels: float  # the largest area that one camera sees [px^2]
     camera: str | None
 
 

@@ -69,19 +69,16 @@ _ENVIRONMENT = 0
 
 @dataclass(frozen=True)
 class Ground:
-    """Ground cells around the vehicle, and where a person can stand.
-
-    Attributes:
-        ground_m: Height of the ground in the ego frame [m], float32 [row, column]; NaN where there is none and outside
-            of the circle.
-        headroom_m: Distance up to the next surface [m], float32 [row, column]; infinite under the open sky, 0 inside
-            houses and where a child cannot walk to from the vehicle, such as courtyards.
-    """
+    """Ground cells around the vehicle, and where a person can stand."""
 
     scene: DeviceScene
     x_m: np.ndarray
     y_m: np.ndarray
+    # Height of the ground in the ego frame [m], float32 [row, column]; NaN where there is none and outside of the
+    # circle
     ground_m: np.ndarray
+    # Distance up to the next surface [m], float32 [row, column]; infinite under the open sky, 0 inside houses and
+    # where a child cannot walk to from the vehicle, such as courtyards
     headroom_m: np.ndarray
     cell_m: float
     radius_m: float
@@ -228,14 +225,11 @@ class BlindGround:
 
     The cells lie around the centre of the ego vehicle, x forward along the rows and y left along the columns. A cell is
     blind if it is outside all images or occluded.
-
-    Attributes:
-        open_count: Scenes in which a person of a height can stand on a cell, int64 [height, row, column].
-        blind_count: Of these, scenes in which no camera sees the person, same shape, for every rig by name.
     """
 
     scene_count: int
-    open_count: np.ndarray
+    open_count: np.ndarray  # scenes in which a person of a height can stand on a cell, int64 [height, row, column]
+    # Of these, scenes in which no camera sees the person, same shape, for every rig by name
     blind_count: dict[str, np.ndarray]
     heights_m: tuple[float, ...] = HEIGHTS_M
     cell_m: float = CELL_M

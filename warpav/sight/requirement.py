@@ -27,13 +27,9 @@ _EDGE_M = 1e-6  # points on a border belong to the area
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A vehicle's body from above, in the ego frame.
+    """A vehicle's body from above, in the ego frame."""
 
-    Attributes:
-        outline_m: Its convex hull, counter-clockwise, float64 [corner, 2].
-    """
-
-    outline_m: np.ndarray
+    outline_m: np.ndarray  # its convex hull, counter-clockwise, float64 [corner, 2]
 
     @classmethod
     def of(cls, ego: Mesh) -> Body:
@@ -252,18 +248,14 @@ MAX_GHOSTS = 100_000
 
 @dataclass(frozen=True)
 class Requirement:
-    """What has to be seen on a part of the ground.
-
-    Attributes:
-        pixels: Area that is seen of it in the image at least [px^2].
-    """
+    """What has to be seen on a part of the ground."""
 
     name: str
     area: Area
     grid_m: float
     test_object: TestObject
     visible_share: float = 0.5
-    pixels: float = 0.0
+    pixels: float = 0.0  # area that is seen of it in the image at least [px^2]
     cameras: int = 1
     sector_rad: tuple[float, float] | None = None
     weight: float | None = None
@@ -305,14 +297,10 @@ class Requirement:
 
 @dataclass(frozen=True, eq=False)
 class Ghosts:
-    """The test objects of some requirements, each at one point.
-
-    Attributes:
-        position_m: Where each stands, float64 [ghost, 2].
-    """
+    """The test objects of some requirements, each at one point."""
 
     requirements: tuple[Requirement, ...]
-    position_m: np.ndarray
+    position_m: np.ndarray  # where each stands, float64 [ghost, 2]
     requirement: np.ndarray
 
     @classmethod

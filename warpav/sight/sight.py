@@ -23,15 +23,10 @@ from warpav_kernels.sight import ground as kernels
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Which cameras have points in their images, and which of these see them past all that is in the way.
+    """Which cameras have points in their images, and which of these see them past all that is in the way."""
 
-    Attributes:
-        in_image: bool [camera, ...].
-        seen: bool [camera, ...].
-    """
-
-    in_image: np.ndarray
-    seen: np.ndarray
+    in_image: np.ndarray  # bool [camera, ...]
+    seen: np.ndarray  # bool [camera, ...]
 
     @property
     def count(self) -> np.ndarray:

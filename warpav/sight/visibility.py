@@ -36,16 +36,12 @@ _PAIRS_AT_ONCE = 8192  # of which solid angles are computed
 
 @dataclass(frozen=True, eq=False)
 class Visibility:
-    """What each camera sees of each ghost.
+    """What each camera sees of each ghost."""
 
-    Attributes:
-        visible_share: Solid angle of what is in the image and not hidden over that of the whole object alone, 0..1,
-            float64 [camera, ghost].
-        pixels: Area of what is seen [px^2], float64 [camera, ghost].
-    """
-
+    # Solid angle of what is in the image and not hidden over that of the whole object alone, 0..1, float64 [camera,
+    # ghost]
     visible_share: np.ndarray
-    pixels: np.ndarray
+    pixels: np.ndarray  # area of what is seen [px^2], float64 [camera, ghost]
 
     def meets(self, ghosts: Ghosts) -> np.ndarray:
         """Whether each camera sees as much as each ghost's requirement wants of one camera, bool [camera, ghost]."""
@@ -64,16 +60,12 @@ class VisibilityJacobian:
 
     The last axis of Jacobians is that of `warpav.raster.areas.Areas.jacobian`: the camera's centre in the ego frame
     [1/m], a small rotation about its own axes [1/rad], the logarithm of its focal lengths.
-
-    Attributes:
-        jac_visible_share: float64 [camera, ghost, 7].
-        jac_pixels: In px^2, float64 [camera, ghost, 7].
     """
 
     visible_share: np.ndarray
     pixels: np.ndarray
-    jac_visible_share: np.ndarray
-    jac_pixels: np.ndarray
+    jac_visible_share: np.ndarray  # float64 [camera, ghost, 7]
+    jac_pixels: np.ndarray  # in px^2, float64 [camera, ghost, 7]
 
 
 def poses_of(rig: Rig) -> tuple[np.ndarray, list[CameraModel]]:

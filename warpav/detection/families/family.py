@@ -219,12 +219,7 @@ class Candidates:
 
 
 class Family(ABC):
-    """One layout of inputs and outputs; an instance serves one file.
-
-    Attributes:
-        square_px: Side of the input of a file of dynamic size, where it must be square; None: as the image.
-        assumed_labels: Labels if neither user, metadata nor the number of classes determines them; None: an error.
-    """
+    """One layout of inputs and outputs; an instance serves one file."""
 
     name: ClassVar[str]
     layout: ClassVar[str]
@@ -233,7 +228,9 @@ class Family(ABC):
     white: ClassVar[float] = 1.0
     stride_px: ClassVar[int] = 32
     suppresses: ClassVar[bool] = True
+    # Side of the input of a file of dynamic size, where it must be square; None: as the image
     square_px: ClassVar[int | None] = None
+    # Labels if neither user, metadata nor the number of classes determines them; None: an error
     assumed_labels: ClassVar[tuple[str, ...] | None] = COCO_80
 
     def __init__(self, file: NetworkFile) -> None:
