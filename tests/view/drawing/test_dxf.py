@@ -1,6 +1,7 @@
 """The drawing as DXF, read back by ezdxf: clean, every camera at its coordinates, dimensions that measure them."""
 
 import math
+import re
 import sys
 
 import numpy as np
@@ -92,6 +93,11 @@ def test_the_same_drawing_has_the_same_bytes(written):
     first, second = (drawing.save(folder / f"{name}.dxf")[0].read_bytes() for name in "ab")
     assert first == second
     assert mount_drawing(RIG, ego=ego(), title="five").save(folder / "c.dxf")[0].read_bytes() == first
+    # classes stand in the order of their names, not in that of a set
+    names = re.findall(rb"\nCLASS\r?\n +1\r?\n(\w+)", first)
+    own = [name for name in names if name in (b"ACDBPLACEHOLDER", b"LAYOUT", b"MATERIAL", b"VISUALSTYLE")]
+    assert own == sorted(own)
+    assert len(own) > 1
 
 
 def test_without_ezdxf_it_says_what_to_install(tmp_path, monkeypatch):

@@ -48,6 +48,8 @@ def drawing_dxf(drawing: Sheet, *, place: Path) -> bytes:
     ezdxf = load_ezdxf(place)
     with _fixed_metadata(ezdxf):
         document = _document(ezdxf, drawing)
+        for name in sorted(document.entitydb.dxf_types_in_use()):  # ezdxf's own order changes from process to process
+            document.classes.add_class(name)
         text = io.StringIO()
         document.write(text)
     return text.getvalue().encode(document.output_encoding)

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
-from warpav.raster.lens import Lens
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import rig_text
 from warpav.view.drawing.dxf import drawing_dxf, load_ezdxf
@@ -38,7 +37,7 @@ from warpav.view.drawing.sheet import (
     text_points,
     text_width_mm,
 )
-from warpav.view.figures.style import FIGURE_SUFFIXES, SCALES, Page, closed, figure_style, save_figure
+from warpav.view.figures.style import FIGURE_SUFFIXES, SCALES, Page, camera_cells, closed, figure_style, save_figure
 from warpav.view.outlines import silhouette_m
 from warpav.view.output import write_whole
 from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
@@ -314,13 +313,10 @@ def _add_table(drawing: _MountDrawing, row_mm: float) -> None:
 
 
 def _row(index: int, mount: Mount) -> tuple[str, ...]:
-    camera, model = mount.camera, mount.camera.model
-    lens = "" if model.lens is Lens.PINHOLE else f" {model.lens}"
+    camera = mount.camera
     return (
-        f"{index + 1} {camera.name}",
-        camera.module or f"{math.degrees(model.fov_rad):.0f}°{lens}",
-        f"{model.width_px} x {model.height_px}",
-        plain(math.degrees(model.fov_rad), 1),
+        *camera_cells(index, camera),
+        plain(math.degrees(camera.model.fov_rad), 1),
         *(plain(1000.0 * value, 0) for value in camera.position_m),
         *(plain(each, 1) for each in angles_deg(camera)),
         "-" if mount.stand_off_m is None else plain(1000.0 * mount.stand_off_m, 0),

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import ArgumentError
-from warpav.raster.lens import Lens
 from warpav.view.figures.from_above import RING, X, Y, Z, draw_vehicle
-from warpav.view.figures.style import SCALES, Page, camera_digit, camera_mark, closed, figure_style, paper
+from warpav.view.figures.style import SCALES, Page, camera_cells, camera_digit, camera_mark, closed, figure_style, paper
 from warpav.view.outlines import seen_arcs_rad, seen_ground_m
 from warpav.view.palette import INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 
@@ -258,11 +257,11 @@ def _draw_marks(axis: Any, place_m: np.ndarray, m_per_mm: float) -> None:  # noq
 
 def _near_each_other(place_m: np.ndarray, least_m: float) -> list[list[int]]:
     """Places in groups: whoever is nearer to one of a group belongs to it."""
-    groups: list[list[int]] = []
-    for index, each_m in enumerate(place_m):
-        near = [group for group in groups if np.linalg.norm(place_m[group] - each_m, axis=1).min() < least_m]
-        groups = [group for group in groups if group not in near] + [sorted([index, *itertools.chain(*near)])]
-    return sorted(groups)
+    from scipy.sparse.csgraph import connected_components
+
+    apart_m = np.linalg.norm(place_m[:, None] - place_m, axis=-1)
+    count, group = connected_components(apart_m < least_m, directed=False)
+    return [np.flatnonzero(group == k).tolist() for k in range(count)]
 
 
 def _fan_m(
@@ -323,15 +322,7 @@ _HEADINGS = ("camera", "module or lens", "image [px]", "field [°]", "x, y, z [m
 
 
 def _row(index: int, camera: RigCamera) -> tuple[str, ...]:
-    model = camera.model
-    lens = "" if model.lens is Lens.PINHOLE else f" {model.lens}"
     seen = [f"{math.degrees(each):.0f}" for each in field_of_view_rad(camera)]
-    angles = (camera.yaw_rad, camera.pitch_rad, camera.roll_rad)
-    return (
-        f"{index + 1} {camera.name}",
-        camera.module or f"{math.degrees(model.fov_rad):.0f}°{lens}",
-        f"{model.width_px} x {model.height_px}",
-        " x ".join(seen),
-        ", ".join(f"{each:.2f}" for each in camera.position_m),
-        ", ".join(f"{math.degrees(each) + 0.0:.0f}" for each in angles),
-    )
+    angles_deg = np.degrees([camera.yaw_rad, camera.pitch_rad, camera.roll_rad]) + 0.0
+    place, angles = (", ".join(f"{x:.{k}f}" for x in each) for each, k in ((camera.position_m, 2), (angles_deg, 0)))
+    return (*camera_cells(index, camera), " x ".join(seen), place, angles)

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpav.core.errors import ArgumentError
 from warpav.view.output import write_whole
 from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, PAPER_RGB, camera_rgb, hex_colour
+
+if TYPE_CHECKING:
+    from warpav.rig.rig import RigCamera
 
 WIDTH_INCH = 9.0
 DOTS_PER_INCH = 150
@@ -253,6 +257,14 @@ class Page:
                     color=hex_colour(camera_rgb(line - 1)) if line and not column else hex_colour(INK_RGB),
                     fontweight="bold" if not line or not column else "normal",
                 )
+
+
+def camera_cells(index: int, camera: RigCamera) -> tuple[str, str, str]:
+    """The first cells of a camera in a table: number and name, module or lens, size of the image."""
+    model = camera.model
+    lens = "" if model.lens == "pinhole" else f" {model.lens}"
+    kind = camera.module or f"{math.degrees(model.fov_rad):.0f}°{lens}"
+    return f"{index + 1} {camera.name}", kind, f"{model.width_px} x {model.height_px}"
 
 
 def camera_mark(colour: str) -> dict[str, Any]:
