@@ -104,8 +104,8 @@ def test_image_types_stand_side_by_side(tmp_path, drawn):
     (shown,) = [one for one in town.images if f"view {one.view.name}\n" in text]
     for instance_id in np.unique(shown.instance):
         share = (shown.instance == instance_id).mean()
-        drawn_share = near(instance, images.instance_rgb(np.array([[instance_id]]))[0, 0], 3.0).mean()
-        assert drawn_share == pytest.approx(share, abs=0.02)  # worst seen .011: edges mix
+        drawn_share = near(instance[3:-3, 3:-3], images.instance_rgb(np.array([[instance_id]]))[0, 0], 3.0).mean()
+        assert drawn_share == pytest.approx(share, abs=0.02)  # worst seen .011: edges mix; without the frame
     assert colour.std() > 20.0
 
 
