@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import ConstantDetector, flat_surface
-from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
+from tests.view.stand_ins import rig, scene, vehicle
 from warpav.evaluation.metrics import RigObserver
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.raster.decide import Occlusion
@@ -53,34 +53,26 @@ def frames(count=3):
     ]
 
 
-@pytest.fixture
-def state():
+def inspected(detector, **options):
+    """The state of an inspector; ``asked`` are the rigs whose detections were wanted."""
     asked = []
+    settings = {"confidence_min": 0.1, "iou_min": 0.5, "occlusion": Occlusion.EXACT, "supersampling": 1}
 
     def observer_of(rig):
         asked.append(rig)
-        detector = ConstantDetector([FOUND_PX, [], [], []], [[0.9], [], [], []])
-        return RigObserver(
-            rig,
-            detector,
-            confidence_min=0.1,
-            iou_min=0.5,
-            occlusion=Occlusion.EXACT,
-            supersampling=1,
-            device="cpu",
-        )
+        return RigObserver(rig, detector(), **settings, device="cpu")
 
-    made = InspectedRig(
-        frames(),
-        lambda index: SCENES[index],
-        2,
-        constraints=BoundsAndSpacing(SURFACE, min_spacing_m=0.2),
-        height_offset_m=HEIGHT_M,
-        observer_of=observer_of,
-        descents=[Steepest(np.full((4, 2), 0.1 * (k + 1)), np.full(4, 0.2)) for k in range(2)] + [None],
-    )
+    constraints = BoundsAndSpacing(SURFACE, min_spacing_m=0.2)
+    fixed = {"constraints": constraints, "height_offset_m": HEIGHT_M, "observer_of": observer_of}
+    made = InspectedRig(frames(), lambda index: SCENES[index], 2, **fixed, **options)
     made.asked = asked
     return made
+
+
+@pytest.fixture
+def state():
+    descents = [Steepest(np.full((4, 2), 0.1 * (k + 1)), np.full(4, 0.2)) for k in range(2)] + [None]
+    return inspected(lambda: ConstantDetector([FOUND_PX, [], [], []], [[0.9], [], [], []]), descents=descents)
 
 
 # ------------------------------------------------------------------------------------------------ state
@@ -153,25 +145,8 @@ class BlindDetector(ConstantDetector):
 
 
 @pytest.fixture
-def equipped(state):
-    return InspectedRig(
-        state.frames,
-        lambda index: SCENES[index],
-        2,
-        constraints=BoundsAndSpacing(SURFACE, min_spacing_m=0.2),
-        height_offset_m=HEIGHT_M,
-        observer_of=lambda rig: RigObserver(
-            rig,
-            BlindDetector([[]], [[]]),
-            confidence_min=0.1,
-            iou_min=0.5,
-            occlusion=Occlusion.EXACT,
-            supersampling=1,
-            device="cpu",
-        ),
-        modules=MODULES,
-        check=checked,
-    )
+def equipped():
+    return inspected(lambda: BlindDetector([[]], [[]]), modules=MODULES, check=checked)
 
 
 def test_modules_take_turns_where_a_camera_stands(state, equipped):
@@ -201,13 +176,25 @@ def test_requirements_are_checked_again_when_the_rig_changes(state, equipped):
 
 
 @pytest.fixture
-def inspector(state, tmp_path):
-    if opengl_problem() is not None:
-        pytest.skip(f"no OpenGL: {opengl_problem()}")
-    made = Inspector(state, save_to=tmp_path / "mine.yaml", canvas=SMALL)
-    made.plotter.show(auto_close=False, interactive=False)
-    yield made
-    made.plotter.close()
+def show(tmp_path):
+    """Opens inspectors, which are closed at the end."""
+    opened = []
+
+    def make(state, **options):
+        if opengl_problem() is not None:
+            pytest.skip(f"no OpenGL: {opengl_problem()}")
+        opened.append(Inspector(state, save_to=tmp_path / "mine.yaml", canvas=SMALL, **options))
+        opened[-1].plotter.show(auto_close=False, interactive=False)
+        return opened[-1]
+
+    yield make
+    for each in opened:
+        each.plotter.close()
+
+
+@pytest.fixture
+def inspector(state, show):
+    return show(state)
 
 
 def picture(inspector):
@@ -274,10 +261,8 @@ def test_keys_do_what_the_help_says(inspector, tmp_path):
     assert any(line.startswith("constraints broken") for line in said)
 
 
-@needs_opengl
-def test_keys_change_modules_and_lay_requirements_on_the_ground(equipped, tmp_path):
-    made = Inspector(equipped, save_to=tmp_path / "mine.yaml", canvas=SMALL)
-    made.plotter.show(auto_close=False, interactive=False)
+def test_keys_change_modules_and_lay_requirements_on_the_ground(equipped, show):
+    made = show(equipped)
     plain = picture(made)
     press(made, "o")
     assert equipped.rig is equipped.frames[-1]  # no camera is chosen
@@ -298,7 +283,6 @@ def test_keys_change_modules_and_lay_requirements_on_the_ground(equipped, tmp_pa
     assert read_rig(made.save()).cameras[2].module == MODULES[0].name
     press(made, "k")
     assert "requirements" not in made.plotter.actors
-    made.plotter.close()
 
 
 def test_views_follow_the_cameras_and_the_scene(inspector):
@@ -338,20 +322,16 @@ def test_views_follow_the_cameras_and_the_scene(inspector):
     assert not painted()
 
 
-@needs_opengl
 @pytest.mark.parametrize(
     ("begin_with", "shown"), [("outcomes", "scene/outcomes/1/body"), ("visibility", "visibility/cam_3")]
 )
-def test_it_can_begin_without_the_coverage(state, tmp_path, begin_with, shown):
-    opened = Inspector(state, save_to=tmp_path / "mine.yaml", begin_with=begin_with, canvas=SMALL)
-    try:
-        assert shown in opened.plotter.actors
-        assert "coverage" not in opened.plotter.actors
-        opened.cycle_coverage()
-        assert "coverage" in opened.plotter.actors
-        assert (shown in opened.plotter.actors) == (begin_with == "outcomes")  # the ground carries one of the two
-    finally:
-        opened.plotter.close()
+def test_it_can_begin_without_the_coverage(state, show, begin_with, shown):
+    opened = show(state, begin_with=begin_with)
+    assert shown in opened.plotter.actors
+    assert "coverage" not in opened.plotter.actors
+    opened.cycle_coverage()
+    assert "coverage" in opened.plotter.actors
+    assert (shown in opened.plotter.actors) == (begin_with == "outcomes")  # the ground carries one of the two
 
 
 def test_a_key_that_fails_says_so_in_the_window(inspector, tmp_path, capfd):
@@ -364,7 +344,7 @@ def test_a_key_that_fails_says_so_in_the_window(inspector, tmp_path, capfd):
     assert "mine.yaml" not in inspector._numbers.input
 
 
-def test_a_drag_changes_what_is_drawn_in_place(inspector):
+def test_a_drag_changes_what_is_drawn_in_place(inspector, show):
     """The picture after moves equals one that is drawn anew, and no actor was made for it."""
     plotter, state = inspector.plotter, inspector.state
     actors = dict(plotter.actors)
@@ -378,13 +358,9 @@ def test_a_drag_changes_what_is_drawn_in_place(inspector):
         state.coverage.is_seen, Ground.around(state.packed).coverage(state.rig.cameras).is_seen
     )
     state.frames[state.frame] = state.rig  # so that the new slider leaves it as it is
-    anew = Inspector(state, save_to=inspector.save_to, canvas=SMALL)
-    try:
-        anew.plotter.show(auto_close=False, interactive=False)
-        below = slice(90, None)  # of the numbers
-        assert (np.abs(picture(anew) - moved)[below].max(axis=2) > 40).mean() < 1e-3  # edges of the frustum
-    finally:
-        anew.plotter.close()
+    anew = show(state)
+    below = slice(90, None)  # of the numbers
+    assert (np.abs(picture(anew) - moved)[below].max(axis=2) > 40).mean() < 1e-3  # edges of the frustum
 
 
 def test_arrows_of_the_descent_come_and_go(inspector):
@@ -404,41 +380,37 @@ def test_arrows_of_the_descent_come_and_go(inspector):
         InspectedRig(frames(), None, 1, constraints=None, height_offset_m=0.0, observer_of=None, descents=[None])
 
 
-def test_one_more_camera_is_shown_at_the_rig_that_it_would_join(state, inspector):
+def test_one_more_camera_is_shown_at_the_rig_that_it_would_join(state, inspector, show):
     """Without what a search by a pool has found, the key does nothing and the help is silent of it."""
     press(inspector, "m")
     assert "further_cameras" not in inspector.plotter.actors
     assert "one more camera" not in help_of(inspector)
     state._further = FURTHER
-    opened = Inspector(state, save_to=inspector.save_to, canvas=SMALL)
-    try:
-        opened.plotter.show(auto_close=False, interactive=False)
-        assert "m: one more camera" in help_of(opened)
-        before = picture(opened)
-        assert "further_cameras" not in opened.plotter.actors
-        press(opened, "m")
-        mesh = opened.plotter.actors["further_cameras"].mapper.dataset
-        assert set(np.unique(mesh.point_data["gain_of_100"]).round(6)) == {0.5, 1.0, 2.0}
-        # the best of a place is an arrow that begins at its camera and points where that looks, the others are dots
-        best = mesh.points[mesh.point_data["gain_of_100"] > 1.5]
-        np.testing.assert_allclose([best[:, 1].min(), best[:, 1].max()], [0.1, 0.1 + ARROW_M], atol=1e-6)
-        dot = mesh.points[np.isclose(mesh.point_data["gain_of_100"], 1.0)]
-        np.testing.assert_allclose(dot.mean(axis=0), FURTHER.position_m[1], atol=1e-3)
-        assert np.abs(picture(opened) - before).max() > 50
-        scale = list(opened.plotter.scalar_bars.keys())
-        assert scale == [GAIN_TITLE]
-        opened.go_to(0)  # another rig
-        assert "further_cameras" not in opened.plotter.actors
-        assert not list(opened.plotter.scalar_bars.keys())
-        opened.go_to(2)
-        assert "further_cameras" in opened.plotter.actors
-        opened.drag(1, np.array([1.0, 0.0]))
-        assert "further_cameras" not in opened.plotter.actors
-        opened.go_to(2)
-        press(opened, "m")
-        assert "further_cameras" not in opened.plotter.actors
-    finally:
-        opened.plotter.close()
+    opened = show(state)
+    assert "m: one more camera" in help_of(opened)
+    before = picture(opened)
+    assert "further_cameras" not in opened.plotter.actors
+    press(opened, "m")
+    mesh = opened.plotter.actors["further_cameras"].mapper.dataset
+    assert set(np.unique(mesh.point_data["gain_of_100"]).round(6)) == {0.5, 1.0, 2.0}
+    # the best of a place is an arrow that begins at its camera and points where that looks, the others are dots
+    best = mesh.points[mesh.point_data["gain_of_100"] > 1.5]
+    np.testing.assert_allclose([best[:, 1].min(), best[:, 1].max()], [0.1, 0.1 + ARROW_M], atol=1e-6)
+    dot = mesh.points[np.isclose(mesh.point_data["gain_of_100"], 1.0)]
+    np.testing.assert_allclose(dot.mean(axis=0), FURTHER.position_m[1], atol=1e-3)
+    assert np.abs(picture(opened) - before).max() > 50
+    scale = list(opened.plotter.scalar_bars.keys())
+    assert scale == [GAIN_TITLE]
+    opened.go_to(0)  # another rig
+    assert "further_cameras" not in opened.plotter.actors
+    assert not list(opened.plotter.scalar_bars.keys())
+    opened.go_to(2)
+    assert "further_cameras" in opened.plotter.actors
+    opened.drag(1, np.array([1.0, 0.0]))
+    assert "further_cameras" not in opened.plotter.actors
+    opened.go_to(2)
+    press(opened, "m")
+    assert "further_cameras" not in opened.plotter.actors
 
 
 def test_the_ground_itself_is_counted(inspector):
@@ -468,7 +440,7 @@ def test_the_ground_itself_is_counted(inspector):
     assert "coverage" not in inspector.plotter.actors
 
 
-def test_the_body_carries_zones_then_gains_then_nothing(state, inspector):
+def test_the_body_carries_zones_then_gains_then_nothing(state, inspector, show):
     """Zones stay whatever happens to the cameras; gains belong to the rig of the last frame."""
 
     def painted(opened):
@@ -485,27 +457,23 @@ def test_the_body_carries_zones_then_gains_then_nothing(state, inspector):
     assert painted(inspector) == {"zones"}
     assert "zones/legend/0" in inspector.plotter.actors
     state._further = FURTHER
-    opened = Inspector(state, save_to=inspector.save_to, begin_with="gain", canvas=SMALL)
-    try:
-        opened.plotter.show(auto_close=False, interactive=False)
-        assert "z: body: zones, one more camera, off" in help_of(opened)
-        before = picture(opened)
-        assert painted(opened) == {"gain"}
-        gain_of_100 = opened.plotter.actors["gain"].mapper.dataset.cell_data["gain_of_100"]
-        assert set(np.unique(gain_of_100).round(6)) == {0.5, 1.0, 2.0}
-        opened.go_to(0)
-        assert painted(opened) == set()
-        opened.go_to(2)
-        opened.drag(1, np.array([1.0, 0.0]))
-        assert painted(opened) == set()
-        opened.go_to(2)
-        press(opened, "z")
-        assert painted(opened) == set()
-        assert np.abs(picture(opened) - before).max() > 50
-        press(opened, "z")
-        assert painted(opened) == {"zones"}
-    finally:
-        opened.plotter.close()
+    opened = show(state, begin_with="gain")
+    assert "z: body: zones, one more camera, off" in help_of(opened)
+    before = picture(opened)
+    assert painted(opened) == {"gain"}
+    gain_of_100 = opened.plotter.actors["gain"].mapper.dataset.cell_data["gain_of_100"]
+    assert set(np.unique(gain_of_100).round(6)) == {0.5, 1.0, 2.0}
+    opened.go_to(0)
+    assert painted(opened) == set()
+    opened.go_to(2)
+    opened.drag(1, np.array([1.0, 0.0]))
+    assert painted(opened) == set()
+    opened.go_to(2)
+    press(opened, "z")
+    assert painted(opened) == set()
+    assert np.abs(picture(opened) - before).max() > 50
+    press(opened, "z")
+    assert painted(opened) == {"zones"}
 
 
 def help_of(inspector):
