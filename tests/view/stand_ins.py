@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh, merge
@@ -47,3 +48,14 @@ def rig(count=4, fov_deg=80.0):
         RigCamera(f"cam_{i}", np.array([1.3 + 0.8 * math.cos(a), 0.6 * math.sin(a), 1.58]), a, 0.0, 0.0, model)
         for i, a in enumerate(turn)
     )
+
+
+def pixels(path):
+    """An image as float64 [row, column, 3]."""
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGB")).astype(float)
+
+
+def near(image, rgb, tolerance=10.0):
+    """Which pixels have about this colour."""
+    return np.linalg.norm(image - np.asarray(rgb, float), axis=-1) < tolerance

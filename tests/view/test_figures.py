@@ -4,9 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from PIL import Image
 
-from tests.view.stand_ins import ego, rig
+from tests.view.stand_ins import ego, near, pixels, rig
 from warpav.core.errors import InputError
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.mount_surface import MountSurface
@@ -54,14 +53,9 @@ def records(count=30):
     ]
 
 
-def pixels(path):
-    with Image.open(path) as image:
-        return np.asarray(image.convert("RGB")).astype(float)
-
-
 def where(image, rgb, tolerance=12.0):
     """Rows and columns of the pixels of this colour."""
-    return np.nonzero(np.linalg.norm(image - np.asarray(rgb, float), axis=-1) < tolerance)
+    return np.nonzero(near(image, rgb, tolerance))
 
 
 def test_loss_curves_hold_a_line_per_term(tmp_path):

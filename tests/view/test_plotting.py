@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.view.stand_ins import ego, needs_opengl, rig, scene, vehicle
+from tests.view.stand_ins import ego, needs_opengl, pixels, rig, scene, vehicle
 from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
 from warpav.raster.mesh import Mesh
@@ -18,10 +18,6 @@ from warpav.view.output import ANIMATION_PX, Animation
 from warpav.view.picture import Picture, project_px, rig_plotter
 
 SMALL = (160, 100)
-
-
-def pixels(path):
-    return np.asarray(Image.open(path).convert("RGB")).astype(int)
 
 
 @needs_opengl

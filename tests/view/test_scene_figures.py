@@ -7,10 +7,9 @@ import re
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
 
 from tests.scene.capture.town_capture import town_capture
-from tests.view.stand_ins import needs_opengl, scene, vehicle
+from tests.view.stand_ins import near, needs_opengl, pixels, scene, vehicle
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.experiments import scene_figures
@@ -45,16 +44,6 @@ def drawn(monkeypatch):
 
         monkeypatch.setattr(module, "save_figure", save)
     return figures
-
-
-def pixels(path):
-    with Image.open(path) as image:
-        assert image.format == "PNG"
-        return np.asarray(image.convert("RGB")).astype(float)
-
-
-def near(image, rgb, tolerance=10.0):
-    return np.linalg.norm(image - np.asarray(rgb, float), axis=-1) < tolerance
 
 
 def panel(image, axis):
