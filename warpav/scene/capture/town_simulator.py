@@ -18,7 +18,7 @@ from warpav.scene.capture.capture import (
     CaptureView,
     SpawnPoint,
 )
-from warpav.scene.scene import Box, Sky
+from warpav.scene.scene import Box
 from warpav.scene.town.town import TownWorld, town_world
 
 if TYPE_CHECKING:
@@ -150,7 +150,10 @@ class _Caster:
             triangle = hit["primID"]
             seen = triangle >= 0
             sky = waiting[~seen]
-            rgb[sky] += through[sky, None] * _sky_rgb(self._sky, direction[sky])
+            up = direction[sky, 2] / np.linalg.norm(direction[sky], axis=1)
+            share = self._sky.zenith_share(up)[:, None]
+            sky_rgb = (1.0 - share) * self._sky.horizon_rgb + share * self._sky.zenith_rgb
+            rgb[sky] += through[sky, None] * sky_rgb
             waiting, triangle = waiting[seen], triangle[seen]
             u, v, distance = (hit[name][seen] for name in ("u", "v", "tfar"))
             a, b, c = np.moveaxis(self._corner_rgb[triangle], 1, 0)
@@ -176,9 +179,3 @@ class _Caster:
             depth_m.reshape(height, width),
             instance.reshape(height, width),
         )
-
-
-def _sky_rgb(sky: Sky, direction: np.ndarray) -> np.ndarray:
-    """Colour of the sky along rays, 0..255."""
-    share = sky.zenith_share(direction[:, 2] / np.linalg.norm(direction, axis=1))[:, None]
-    return (1.0 - share) * sky.horizon_rgb + share * sky.zenith_rgb

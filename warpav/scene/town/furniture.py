@@ -14,23 +14,6 @@ from warpav.raster.mesh import Mesh
 from warpav.scene.town.paint import Material, painted_mesh, sky_share
 from warpav.scene.town.surface_builder import Surface, SurfaceBuilder
 
-FOOTPRINT_M = {
-    "lamp_post": (0.3, 0.3),
-    "bollard": (0.25, 0.25),
-    "bin": (0.6, 0.6),
-    "sign": (0.7, 0.3),
-    "traffic_light": (0.7, 0.4),
-    "bench": (1.9, 0.7),
-    "bus_shelter": (3.9, 1.6),
-    "kiosk": (3.1, 3.6),
-    "barrier": (2.2, 0.6),
-    "cone": (0.4, 0.4),
-    "works_sign": (1.1, 0.7),
-    "sand_heap": (2.0, 1.5),
-    "pallet": (1.2, 1.0),
-}
-"""Length and width of every kind [m]."""
-
 _FOOT_M = -0.12  # how deep a foot reaches
 
 # Linear albedos that a piece draws its own colour from.
@@ -208,35 +191,36 @@ def _pallet(builder: SurfaceBuilder) -> None:
             builder.add_box((x, -0.40, z), (x + 0.34, 0.40, z + 0.18), Material.STONE)
 
 
-_BUILDERS = {
-    "lamp_post": _lamp_post,
-    "bollard": _bollard,
-    "bin": _bin,
-    "sign": _sign,
-    "traffic_light": _traffic_light,
-    "bench": _bench,
-    "bus_shelter": _bus_shelter,
-    "kiosk": _kiosk,
-    "barrier": _barrier,
-    "cone": _cone,
-    "works_sign": _works_sign,
-    "sand_heap": _sand_heap,
-    "pallet": _pallet,
+_PIECES = {  # length and width [m], and what builds it
+    "lamp_post": (0.3, 0.3, _lamp_post),
+    "bollard": (0.25, 0.25, _bollard),
+    "bin": (0.6, 0.6, _bin),
+    "sign": (0.7, 0.3, _sign),
+    "traffic_light": (0.7, 0.4, _traffic_light),
+    "bench": (1.9, 0.7, _bench),
+    "bus_shelter": (3.9, 1.6, _bus_shelter),
+    "kiosk": (3.1, 3.6, _kiosk),
+    "barrier": (2.2, 0.6, _barrier),
+    "cone": (0.4, 0.4, _cone),
+    "works_sign": (1.1, 0.7, _works_sign),
+    "sand_heap": (2.0, 1.5, _sand_heap),
+    "pallet": (1.2, 1.0, _pallet),
 }
+FOOTPRINT_M = {kind: (length, width) for kind, (length, width, _) in _PIECES.items()}  # length and width of every kind
 
 
 @cache
 def _baked(kind: str) -> tuple[Surface, np.ndarray]:
     builder = SurfaceBuilder()
-    _BUILDERS[kind](builder)
+    _PIECES[kind][2](builder)
     surface = builder.finish()
     return surface, sky_share(surface)
 
 
 def furniture_mesh(kind: str, rng: np.random.Generator) -> Mesh:
     """One piece with its light baked in."""
-    if kind not in _BUILDERS:
-        raise ValueError(f"no furniture {kind!r}; kinds: {', '.join(_BUILDERS)}")
+    if kind not in _PIECES:
+        raise ValueError(f"no furniture {kind!r}; kinds: {', '.join(_PIECES)}")
     colours = _SIGN_COLOURS if kind == "sign" else _COLOURS
     surface, sky = _baked(kind)
     return painted_mesh(surface, sky, {Material.PAINT: colours[int(rng.integers(len(colours)))]})

@@ -49,10 +49,8 @@ def drawn_kind(category: str, size_m: tuple[float, float, float], rng: np.random
 
 def body_mesh(kind: str, size_m: tuple[float, float, float], rng: np.random.Generator) -> Mesh:
     """The body of a road user, with its light baked in."""
-    if kind == "pedestrian":
-        return _person(rng, size_m[2])
-    if kind in ("cyclist", "motorcycle"):
-        return _rider("cyclist" if kind == "cyclist" else "motorcyclist", rng, size_m)
+    if kind in ("pedestrian", "cyclist", "motorcycle"):
+        return _person("motorcyclist" if kind == "motorcycle" else kind, rng, size_m)
     variant = int(rng.integers(VARIANT_COUNT))
     paint = drawn_paint(kind, rng)
     spread = 1.0 + rng.uniform(-_HEIGHT_SPREAD, _HEIGHT_SPREAD)
@@ -64,24 +62,19 @@ def body_mesh(kind: str, size_m: tuple[float, float, float], rng: np.random.Gene
     return Mesh(vertex_m.astype(np.float32), mesh.triangle, mesh.vertex_rgb)
 
 
-def _person(rng: np.random.Generator, height_m: float) -> Mesh:
-    mesh = person_mesh("pedestrian", rng)
-    return mesh if math.isnan(height_m) else _scaled(mesh, height_m / float(mesh.vertex_m[:, 2].max()))
-
-
-def _rider(category: str, rng: np.random.Generator, size_m: tuple[float, float, float]) -> Mesh:
-    """As long as the box: larger or smaller as a whole within limits, and beyond them stretched."""
+def _person(category: str, rng: np.random.Generator, size_m: tuple[float, float, float]) -> Mesh:
+    """As tall as recorded; riders as long as the box: larger or smaller within limits, and beyond them stretched."""
     mesh = person_mesh(category, rng)
     (low_x, _, _), (high_x, _, high_z) = mesh.bounds_m().astype(np.float64)
-    ratio = size_m[0] / (high_x - low_x)
-    scale = float(np.clip(ratio, *_RIDER_SCALE))
-    factor = np.array([ratio, scale, scale if math.isnan(size_m[2]) else size_m[2] / high_z])
+    if category == "pedestrian":
+        low_x, high_x = 0.0, 0.0
+        factor = np.full(3, 1.0 if math.isnan(size_m[2]) else size_m[2] / high_z)
+    else:
+        ratio = size_m[0] / (high_x - low_x)
+        scale = float(np.clip(ratio, *_RIDER_SCALE))
+        factor = np.array([ratio, scale, scale if math.isnan(size_m[2]) else size_m[2] / high_z])
     vertex_m = (mesh.vertex_m - [0.5 * (low_x + high_x), 0.0, 0.0]) * factor
     return Mesh(vertex_m.astype(np.float32), mesh.triangle, mesh.vertex_rgb)
-
-
-def _scaled(mesh: Mesh, factor: float) -> Mesh:
-    return Mesh((mesh.vertex_m * factor).astype(np.float32), mesh.triangle, mesh.vertex_rgb)
 
 
 def _rigid_m(mesh: Mesh, kind: str) -> list[tuple[float, float]]:
