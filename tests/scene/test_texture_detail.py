@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from warpav.scene.mesh_colours import Texture
-from warpav.scene.texture_detail import TexturedMesh, follow_textures
+from warpav.scene.mesh_colours import Texture, TexturedMesh, follow_textures
 
 QUAD = np.array([[0, 0, 0], [4, 0, 0], [4, 2, 0], [0, 2, 0]], float)
 TWO = np.array([[0, 1, 2], [0, 2, 3]])

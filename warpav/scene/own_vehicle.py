@@ -27,8 +27,16 @@ from warpav.scene.glb import (
     vertex_coloured,
     write_whole,
 )
-from warpav.scene.mesh_colours import FileFinder, Texture, simulator_model, texture_of, vertex_rgb
-from warpav.scene.texture_detail import VERTICES_MAX, TexturedMesh, follow_textures
+from warpav.scene.mesh_colours import (
+    VERTICES_MAX,
+    FileFinder,
+    Texture,
+    TexturedMesh,
+    follow_textures,
+    simulator_model,
+    texture_of,
+    vertex_rgb,
+)
 from warpav.scene.vehicles import file_of, nearest_name, vehicle_names
 
 if TYPE_CHECKING:
@@ -212,7 +220,7 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
     """Read the mesh of a vehicle as stored; of a scene that warpav wrote, its ego vehicle.
 
     Textures become vertex colours, where they are finer than the triangles with more triangles of the same surface
-    (`warpav.scene.texture_detail`). Unit and axes are those that the file states (COLLADA, up in glTF), or that the
+    (`warpav.scene.mesh_colours`). Unit and axes are those that the file states (COLLADA, up in glTF), or that the
     ``model.sdf`` of a simulator beside it states; else the ego frame's.
     """
     import trimesh

@@ -9,9 +9,8 @@ import numpy as np
 from warpav.raster.mesh import Mesh, merge
 from warpav.scene.scene import Scene, Vehicle
 from warpav.scene.town.houses import SHADOW_SEGMENTS, SceneryBuilder
-from warpav.scene.town.lanes import velocities_m_s
 from warpav.scene.town.people import person_mesh
-from warpav.scene.town.placed_vehicle import LONG_KINDS, DrawnVehicle, Exchange, PlacedVehicle, Sight
+from warpav.scene.town.placed_vehicle import LONG_KINDS, DrawnVehicle, Exchange, PlacedVehicle, Sight, velocities_m_s
 from warpav.scene.town.street_life import Crowd, Person, RoadUser, upright_box
 from warpav.scene.town.surface_builder import StreetGround
 from warpav.scene.town.town import drawn_sky, ego_vehicle

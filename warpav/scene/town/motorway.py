@@ -15,9 +15,8 @@ from warpav.raster.mesh import Mesh
 from warpav.scene.scene import yaw_rotation
 from warpav.scene.town.furniture import furniture_mesh
 from warpav.scene.town.houses import SceneryBuilder, cells_of
-from warpav.scene.town.lanes import lane_vehicles
 from warpav.scene.town.level_world import LevelWorld
-from warpav.scene.town.placed_vehicle import LONG_KINDS, drawn_vehicle
+from warpav.scene.town.placed_vehicle import LONG_KINDS, drawn_vehicle, lane_vehicles
 from warpav.scene.town.surface_builder import StreetGround
 from warpav.scene.town.town_layout import Footprint, Lane, Marking, Slot
 

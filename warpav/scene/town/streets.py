@@ -13,9 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from warpav.scene.town.houses import SceneryBuilder
-from warpav.scene.town.lanes import lane_positions, lane_vehicles
 from warpav.scene.town.level_world import LevelWorld
-from warpav.scene.town.placed_vehicle import LONG_KINDS, PlacedVehicle, drawn_vehicle
+from warpav.scene.town.placed_vehicle import LONG_KINDS, PlacedVehicle, drawn_vehicle, lane_positions, lane_vehicles
 from warpav.scene.town.street_life import furnish, strips
 from warpav.scene.town.surface_builder import StreetGround
 from warpav.scene.town.town_layout import (

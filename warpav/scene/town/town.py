@@ -15,8 +15,15 @@ import numpy as np
 from warpav.raster.mesh import Mesh, merge
 from warpav.scene.scene import Scene, Sky, Vehicle
 from warpav.scene.town.houses import SceneryBuilder
-from warpav.scene.town.lanes import stop_lines, velocities_m_s
-from warpav.scene.town.placed_vehicle import LONG_KINDS, Exchange, PlacedVehicle, Sight, drawn_vehicle
+from warpav.scene.town.placed_vehicle import (
+    LONG_KINDS,
+    Exchange,
+    PlacedVehicle,
+    Sight,
+    drawn_vehicle,
+    stop_lines,
+    velocities_m_s,
+)
 from warpav.scene.town.street_life import Person, RoadUser, furnish, people, upright_box
 from warpav.scene.town.surface_builder import StreetGround
 from warpav.scene.town.town_layout import SPAWN_REACH_M, Footprint, Layout, Slot, town_layout
