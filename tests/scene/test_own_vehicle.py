@@ -5,7 +5,6 @@ import pytest
 import trimesh
 
 from warpav.core.errors import InputError
-from warpav.scene.glb import vertex_coloured
 from warpav.scene.own_vehicle import AXES, Reading, examine, read_vehicle_file, write_vehicle
 from warpav.scene.town.town import ego_vehicle
 from warpav.scene.town.vehicle_shapes import vehicle_mesh
@@ -25,7 +24,7 @@ def of_kind(kind):
 def save(mesh, path, *, reading=None, shift=(0.0, 0.0, 0.0)):
     """A file whose numbers mean ``mesh`` when they are read so."""
     reading = reading or Reading("y" if path.suffix == ".glb" else "z", "x")
-    geometry = vertex_coloured(mesh)
+    geometry = trimesh.Trimesh(mesh.vertex_m, mesh.triangle, vertex_colors=mesh.vertex_rgb, process=False)
     ego = mesh.vertex_m.astype(np.float64) + shift
     geometry.vertices = ego @ reading.ego_from_file / reading.scale
     geometry.export(path)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     import trimesh
 
 SCHEMA = "warpav-scene/1"
-ROOT_NODE, ENVIRONMENT_NODE, EGO_NODE = "ego_frame", "environment", "ego"
+_ROOT_NODE, ENVIRONMENT_NODE, EGO_NODE = "ego_frame", "environment", "ego"
 _VEHICLE_PREFIX, _OTHER_PREFIX = "vehicle_", "other_"
 _EGO_FRAME = "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's centre"
 GLTF_FROM_EGO = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]])
@@ -45,42 +46,68 @@ GLTF_FROM_EGO = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0
 
 def write_scene(scene: Scene, path: str | Path) -> None:
     """Write a scene; the same scene gives the same bytes, and the file appears only once it is complete."""
-    import trimesh
-
-    path = Path(path)
-    file = trimesh.Scene(base_frame="world")
-    file.metadata = {
-        "schema": SCHEMA,
-        "frame": _EGO_FRAME,
-        "units": "m",
+    about = {
         "name": scene.name,
         "source": scene.source,
         "sky_horizon_rgb": [int(value) for value in scene.sky.horizon_rgb],
         "sky_zenith_rgb": [int(value) for value in scene.sky.zenith_rgb],
     }
-    file.graph.update(frame_from="world", frame_to=ROOT_NODE, matrix=GLTF_FROM_EGO)
-    add_node(file, ENVIRONMENT_NODE, scene.environment, {"role": "environment"})
-    add_node(file, EGO_NODE, scene.ego, {"role": "ego"})
+    nodes: list[Node] = [
+        (ENVIRONMENT_NODE, scene.environment, {"role": "environment"}),
+        (EGO_NODE, scene.ego, {"role": "ego"}),
+    ]
     scene = scene.targeting(("vehicle",))
-    for role, prefix, users in (
-        ("vehicle", _VEHICLE_PREFIX, scene.vehicles),
-        ("other", _OTHER_PREFIX, scene.others),
-    ):
-        for user in users:
-            extras = {
-                "role": role,
-                "instance_id": int(user.instance_id),
-                "class": user.category,
-                "box_center_m": [float(value) for value in user.box.center_m],
-                "box_size_m": [float(value) for value in user.box.size_m],
-                "box_yaw_deg": float(np.degrees(user.box.yaw_rad)),
-            }
-            if user.velocity_ego_m_s is not None:
-                extras["velocity_ego_m_s"] = [float(value) for value in user.velocity_ego_m_s]
-            add_node(file, f"{prefix}{user.instance_id}", user.mesh, extras)
+    for user in (*scene.vehicles, *scene.others):
+        role, prefix = ("vehicle", _VEHICLE_PREFIX) if user.road_user == "vehicle" else ("other", _OTHER_PREFIX)
+        extras = {
+            "role": role,
+            "instance_id": int(user.instance_id),
+            "class": user.category,
+            "box_center_m": [float(value) for value in user.box.center_m],
+            "box_size_m": [float(value) for value in user.box.size_m],
+            "box_yaw_deg": float(np.degrees(user.box.yaw_rad)),
+        }
+        if user.velocity_ego_m_s is not None:
+            extras["velocity_ego_m_s"] = [float(value) for value in user.velocity_ego_m_s]
+        nodes.append((f"{prefix}{user.instance_id}", user.mesh, extras))
+    write_nodes(Path(path), SCHEMA, about, nodes)
+
+
+Node = tuple[str, Mesh, dict[str, Any]]
+"""Name, mesh in the ego frame, and extras of a node."""
+
+
+def glb_bytes(about: dict[str, Any], nodes: Sequence[Node]) -> bytes:
+    """Nodes below one that turns the ego frame into glTF's axes, with their exact vertices and colours, as GLB."""
+    import trimesh
+
+    file = trimesh.Scene(base_frame="world")
+    file.metadata = about
+    file.graph.update(frame_from="world", frame_to=_ROOT_NODE, matrix=GLTF_FROM_EGO)
+    for name, mesh, extras in nodes:
+        opaque = np.full((len(mesh.vertex_rgb), 1), 255, np.uint8)
+        geometry = trimesh.Trimesh(
+            vertices=mesh.vertex_m,
+            faces=mesh.triangle,
+            vertex_colors=np.concatenate([mesh.vertex_rgb, opaque], axis=1),
+            process=False,
+            validate=False,
+        )
+        file.add_geometry(geometry, node_name=name, geom_name=name, parent_node_name=_ROOT_NODE, metadata=extras)
     data = file.export(file_type="glb")
     assert isinstance(data, bytes)
-    write_whole(path, data, what="scene")
+    return data
+
+
+def write_nodes(path: Path, schema: str, about: dict[str, Any], nodes: Sequence[Node]) -> None:
+    """Write a file of a schema that is either complete or absent."""
+    data = glb_bytes({"schema": schema, "frame": _EGO_FRAME, "units": "m", **about}, nodes)
+    try:
+        with atomic_write(path) as draft:
+            draft.write_bytes(data)
+    except OSError as error:
+        what = schema.removeprefix("warpav-").partition("/")[0]
+        raise InputError(f"{path}: cannot write the {what}: {error.strerror}; choose a folder that exists") from error
 
 
 def read_scene(path: str | Path) -> Scene:
@@ -129,35 +156,6 @@ def read_scene(path: str | Path) -> Scene:
         about.source,
     )
     return scene.targeting(("vehicle",))
-
-
-def vertex_coloured(mesh: Mesh) -> trimesh.Trimesh:
-    """The mesh as trimesh writes it, with its exact vertices and colours."""
-    import trimesh
-
-    opaque = np.full((len(mesh.vertex_rgb), 1), 255, np.uint8)
-    return trimesh.Trimesh(
-        vertices=mesh.vertex_m,
-        faces=mesh.triangle,
-        vertex_colors=np.concatenate([mesh.vertex_rgb, opaque], axis=1),
-        process=False,
-        validate=False,
-    )
-
-
-def add_node(file: trimesh.Scene, name: str, mesh: Mesh, extras: dict[str, Any]) -> None:
-    """Add a mesh in the ego frame below `ROOT_NODE`, with its exact colours."""
-    geometry = vertex_coloured(mesh)
-    file.add_geometry(geometry, node_name=name, geom_name=name, parent_node_name=ROOT_NODE, metadata=extras)
-
-
-def write_whole(path: Path, data: bytes, *, what: str) -> None:
-    """Write a file that is either complete or absent."""
-    try:
-        with atomic_write(path) as draft:
-            draft.write_bytes(data)
-    except OSError as error:
-        raise InputError(f"{path}: cannot write the {what}: {error.strerror}; choose a folder that exists") from error
 
 
 def _mesh_nodes(file: trimesh.Scene, path: Path) -> dict[str, dict[str, Any]]:

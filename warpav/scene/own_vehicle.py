@@ -17,16 +17,7 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
-from warpav.scene.glb import (
-    EGO_NODE,
-    ENVIRONMENT_NODE,
-    GLTF_FROM_EGO,
-    ROOT_NODE,
-    TRIANGLES_MAX,
-    bounded_mesh,
-    vertex_coloured,
-    write_whole,
-)
+from warpav.scene.glb import EGO_NODE, ENVIRONMENT_NODE, TRIANGLES_MAX, bounded_mesh, write_nodes
 from warpav.scene.mesh_colours import (
     VERTICES_MAX,
     FileFinder,
@@ -288,29 +279,10 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
 
 def write_vehicle(mesh: Mesh, path: str | Path, *, source: str = "") -> None:
     """Write a vehicle as GLB with one node ``ego``, as scenes have it; the file appears once it is complete."""
-    import trimesh
-
     path = Path(path)
     if path.suffix.lower() != ".glb":
         raise InputError(f"{path}: vehicle: expected a name that ends in .glb, got {path.name!r}")
-    file = trimesh.Scene(base_frame="world")
-    file.metadata = {
-        "schema": SCHEMA,
-        "frame": "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's centre",
-        "units": "m",
-        "source": source,
-    }
-    file.graph.update(frame_from="world", frame_to=ROOT_NODE, matrix=GLTF_FROM_EGO)
-    file.add_geometry(
-        vertex_coloured(mesh),
-        node_name=EGO_NODE,
-        geom_name=EGO_NODE,
-        parent_node_name=ROOT_NODE,
-        metadata={"role": "ego"},
-    )
-    data = file.export(file_type="glb")
-    assert isinstance(data, bytes)
-    write_whole(path, data, what="vehicle")
+    write_nodes(path, SCHEMA, {"source": source}, [(EGO_NODE, mesh, {"role": "ego"})])
 
 
 def examine(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpav.raster.mesh import Mesh
-from warpav.scene.glb import GLTF_FROM_EGO, ROOT_NODE, add_node
+from warpav.scene.glb import Node, glb_bytes
 from warpav.view.outlines import frustum_points
 from warpav.view.palette import camera_rgb
 
@@ -124,24 +124,16 @@ def mount_glb(mounts: Sequence[Mount], ego: Mesh | None, modules: Mapping[str, M
     Vertices are in the ego frame [m] below one node that turns it into glTF's axes, as in scene files. Extras of a
     frustum hold the numbers of its camera. The same input gives the same bytes.
     """
-    import trimesh
-
-    file = trimesh.Scene(base_frame="world")
     axes = "x forward, y left, z up, origin on the ground below the rear axle's centre"
-    file.metadata = {"frame": f"ego: ISO 8855, {axes}"}
-    file.graph.update(frame_from="world", frame_to=ROOT_NODE, matrix=GLTF_FROM_EGO)
-    if ego is not None:
-        add_node(file, "vehicle", ego, {})
+    nodes: list[Node] = [] if ego is None else [("vehicle", ego, {})]
     for index, mount in enumerate(mounts):
         camera, colour = mount.camera, camera_rgb(index)
         angles = zip(("yaw_deg", "pitch_deg", "roll_deg"), angles_deg(camera), strict=True)
         numbers = {"position_m": [float(value) for value in camera.position_m], **dict(angles)}
         point_m = frustum_points(camera, depth_m=FRUSTUM_DEPTH_M)
-        add_node(file, f"{camera.name}/frustum", Mesh.create(point_m, _SIDES, colour), numbers)
+        nodes.append((f"{camera.name}/frustum", Mesh.create(point_m, _SIDES, colour), numbers))
         module = modules.get(camera.module or "")
         if module is not None:
             corner_m = housing_corners_m(camera, module.housing)
-            add_node(file, f"{camera.name}/housing", Mesh.create(corner_m, _BOX, colour), {"module": module.name})
-    data = file.export(file_type="glb")
-    assert isinstance(data, bytes)
-    return data
+            nodes.append((f"{camera.name}/housing", Mesh.create(corner_m, _BOX, colour), {"module": module.name}))
+    return glb_bytes({"frame": f"ego: ISO 8855, {axes}"}, nodes)
