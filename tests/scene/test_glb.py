@@ -1,7 +1,8 @@
-"""Scene files: exact round trip, axes, the same bytes, and one-line messages for bad files."""
+"""Scenes as GLB: exact, readable for others, refused in a line when they are not what they should be."""
 
 import json
 import struct
+import time
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import trimesh
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
 from warpav.scene.glb import read_scene, write_scene
+from warpav.scene.own_vehicle import read_vehicle_file
 from warpav.scene.scene import Box, Scene, Sky, Vehicle
 
 
@@ -161,3 +163,31 @@ def test_no_faces(scene, tmp_path):
     _rewritten(path, points_only)
     with pytest.raises(InputError, match=r"vehicle_2': expected a mesh with triangles, got none"):
         read_scene(path)
+
+
+def refusal(read, path):
+    began = time.process_time()
+    with pytest.raises(InputError) as caught:
+        read(path)
+    assert time.process_time() - began < 5.0
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.obj", "v 0 0 0\n" * 2_000_001),
+        ("a.off", "OFF\n1 1 0\n" + "1 " * 600_000),
+        ("a.gltf", "[" * 200_000),
+        ("a.dae", "<a>" * 40_000),
+        ("a.dae", "<!DOCTYPE a [<!ENTITY b 'c'>]><COLLADA>&b;</COLLADA>"),
+        ("a.ply", "ply\nformat ascii 1.0\nelement vertex 999999999999\nproperty float x\nend_header\n1\n"),
+        ("a.zip", "PK"),
+        ("a.zae", "PK"),
+    ],
+)
+def test_vehicles_keep_the_bounds(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    told = refusal(read_vehicle_file, tmp_path / name)
+    assert told.startswith(f"{tmp_path / name}: vehicle: expected a ")

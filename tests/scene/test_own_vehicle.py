@@ -5,9 +5,11 @@ import pytest
 import trimesh
 
 from warpav.core.errors import InputError
-from warpav.scene.own_vehicle import AXES, Reading, examine, read_vehicle_file, write_vehicle
+from warpav.rig.proposals import kinds_of_names
+from warpav.runs.vehicle import part_names
+from warpav.scene.own_vehicle import AXES, Reading, examine, read_vehicle, read_vehicle_file, write_vehicle
 from warpav.scene.town.town import ego_vehicle
-from warpav.scene.town.vehicle_shapes import vehicle_mesh
+from warpav.scene.town.vehicle_shapes import ego_glass, ego_mesh, vehicle_mesh
 
 TURNS = [(up, forward) for up in AXES for forward in AXES if up[-1] != forward[-1]]
 
@@ -148,3 +150,22 @@ def test_what_cannot_be_a_vehicle_is_refused_in_one_line(tmp_path, name, content
     with pytest.raises(InputError, match=message) as error:
         checked(tmp_path / name)
     assert "\n" not in str(error.value)
+
+
+def test_glass_is_found_again_in_a_file_by_its_name(tmp_path):
+    """The town's car in two nodes, y up as glTF is; its triangles come in another order."""
+    car, is_glass = ego_mesh(), ego_glass()
+    scene = trimesh.Scene()
+    vertex_m = car.vertex_m[:, [1, 2, 0]].astype(float)  # x forward becomes z, z up becomes y
+    for name, kept in (("window panes", is_glass), ("body", ~is_glass)):
+        part = trimesh.Trimesh(vertex_m, car.triangle[kept], vertex_colors=car.vertex_rgb, process=False)
+        scene.add_geometry(part, node_name=name, geom_name=name)
+    scene.export(tmp_path / "car.glb")
+    mesh = read_vehicle(tmp_path / "car.glb", forward="z")
+    names = part_names(tmp_path / "car.glb", mesh, forward="z")
+    found = kinds_of_names(names) == "glass"
+    assert found.sum() == is_glass.sum()
+    middle_m = [each.vertex_m[each.triangle].mean(axis=1) for each in (mesh, car)]
+    kept = zip(middle_m, (found, is_glass), strict=True)
+    first, second = (np.sort(np.round(middle[flag], 2), axis=0) for middle, flag in kept)
+    np.testing.assert_allclose(first, second, atol=0.011)
