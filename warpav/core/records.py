@@ -60,6 +60,9 @@ class Form(BaseModel):
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+LEFT_OUT: Any = None
+"""Default of a field that may be left out, but not be null."""
+
 Content = TypeVar("Content", bound=BaseModel)
 Number = Annotated[float, Field(gt=-1e9, lt=1e9)]
 """Finite, and of a size that can mean something."""

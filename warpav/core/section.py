@@ -131,8 +131,9 @@ def _quantity_reader(quantity: str, unit_factor: Mapping[str, float], example: s
         if number is not None:
             return number
         match = _QUANTITY.fullmatch(value)
-        is_unknown = match and match[2] and match[2] not in unit_factor
-        problem = f"; {match[2]!r} is no unit of {quantity}, use {', '.join(unit_factor)}" if is_unknown else ""
+        problem = ""
+        if match and match[2] and match[2] not in unit_factor:
+            problem = f"; {match[2]!r} is no unit of {quantity}, use {', '.join(unit_factor)}"
         mistake(f"expected {example}, got {value!r}{problem}")
 
     return BeforeValidator(read)

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from warpav.core.records import Form, Number, Point3, read_form
+from warpav.core.records import LEFT_OUT, Form, Number, Point3, read_form
 from warpav.core.table import aligned
 from warpav.raster.lens import Lens
 from warpav.rig.module import Fitting, Housing, Module, ModuleError, Price
@@ -78,11 +78,11 @@ class _ModuleForm(Form):
 
     name: str = Field(description="a name, such as front_8mp_30")
     sensor_px: _Pixels = Field(description=_PIXELS_TEXT)
-    network_px: _Pixels = Field(None, description=_PIXELS_TEXT)
+    network_px: _Pixels = Field(LEFT_OUT, description=_PIXELS_TEXT)
     network_by: Fitting = Field(Fitting.SCALING, strict=False)
     lens: Lens = Field(Lens.PINHOLE, strict=False)
     fov_deg: Number = Field(description="the horizontal field of view of the whole sensor in degrees, such as 100.0")
-    vertical_fov_deg: Number = Field(None, description="a number of degrees, such as 60.0")
+    vertical_fov_deg: Number = Field(LEFT_OUT, description="a number of degrees, such as 60.0")
     distortion: list[Number] = Field([], description="a list of finite numbers in OpenCV's order")
     housing: _HousingForm = Field(description="a mapping with size_m and maybe offset_m")
     price: _PriceForm = Field(description="a mapping with value and unit")
@@ -92,8 +92,8 @@ class _ModuleForm(Form):
 
     def module(self) -> Module:
         """The module of these figures."""
-        given = {name: value for name, value in self if name in self.model_fields_set}
-        given = {name: tuple(value) if isinstance(value, list) else value for name, value in given.items()}
+        given: dict[str, Any] = {name: value for name, value in self if name in self.model_fields_set}
+        given |= {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
         for name in {"fov_deg", "vertical_fov_deg"} & given.keys():
             given[name.replace("_deg", "_rad")] = math.radians(given.pop(name))
         (width, height, depth), (right, down, forward) = self.housing.size_m, self.housing.offset_m
@@ -105,7 +105,7 @@ class _ModuleForm(Form):
 class ModulesForm(Form):
     """A catalogue of modules."""
 
-    extends: Literal["builtin"] = Field(None, description=f"{BUILTIN}, to hold the shipped modules as well")
+    extends: Literal["builtin"] = Field(LEFT_OUT, description=f"{BUILTIN}, to hold the shipped modules as well")
     modules: list[_ModuleForm] = Field(description="a list of at least one module", min_length=1)
 
 

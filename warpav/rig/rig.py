@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from warpav.core.errors import InputError
 from warpav.core.files import write_text
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll, yaw_pitch_roll_from_rotation
-from warpav.core.records import Form, Name, Number, Point2, Point3, Positive, nearest, read_form
+from warpav.core.records import LEFT_OUT, Form, Name, Number, Point2, Point3, Positive, nearest, read_form
 from warpav.core.section import mistake, shown
 from warpav.core.table import Table, aligned, data_frame
 from warpav.core.yaml_file import read_yaml, yaml_lines, yaml_name, yaml_number, yaml_row
@@ -253,22 +253,22 @@ class _CameraForm(Form, json_schema_extra=_any_of_images):
     yaw_deg: Number = Field(description=f"{_ANGLE_TEXT}, left positive")
     pitch_deg: Number = Field(description=f"{_ANGLE_TEXT}, nose down positive")
     roll_deg: Number = Field(description=f"{_ANGLE_TEXT}, right side down positive")
-    fov_deg: Annotated[float, Field(gt=0.0, le=360.0)] = Field(None, description=_FOV_TEXT)
-    width_px: _Size = None  # pyright: ignore[reportAssignmentType]
-    height_px: _Size = None  # pyright: ignore[reportAssignmentType]
+    fov_deg: Annotated[float, Field(gt=0.0, le=360.0)] = Field(LEFT_OUT, description=_FOV_TEXT)
+    width_px: _Size = LEFT_OUT
+    height_px: _Size = LEFT_OUT
     lens: Lens = Field(Lens.PINHOLE, strict=False)
     focal_px: Annotated[list[Positive], Field(min_length=2, max_length=2)] = Field(
-        None, description="two positive numbers of pixels [fx, fy], such as [640.0, 640.0]"
+        LEFT_OUT, description="two positive numbers of pixels [fx, fy], such as [640.0, 640.0]"
     )
     centre_px: Point2 = Field(
-        None,
+        LEFT_OUT,
         description="two finite numbers of pixels [cx, cy] from the image's upper left corner, such as [320.0, 240.0]",
     )
     distortion: list[Number] = Field(
         [], description="a list of finite numbers in OpenCV's order, such as [-0.31, 0.11, 0.0, 0.0]"
     )
-    module: Name = Field(None, description="the name of a camera module, such as side_2mp_100")
-    behind_glass: Name = Field(None, description="the name of one of the file's panes, such as windscreen")
+    module: Name = Field(LEFT_OUT, description="the name of a camera module, such as side_2mp_100")
+    behind_glass: Name = Field(LEFT_OUT, description="the name of one of the file's panes, such as windscreen")
 
     @model_validator(mode="after")
     def _has_an_image(self) -> _CameraForm:
@@ -299,9 +299,10 @@ class _CameraForm(Form, json_schema_extra=_any_of_images):
         else:
             names, hint = ", ".join(modules), nearest(self.module, modules)
             mistake(f"expected a module of the catalogue, {names}, got {self.module!r}{hint}", "module")
-        angles_rad = map(math.radians, (self.yaw_deg, self.pitch_deg, self.roll_deg))
+        yaw_rad, pitch_rad, roll_rad = map(math.radians, (self.yaw_deg, self.pitch_deg, self.roll_deg))
         pane = None if self.behind_glass is None else panes[self.behind_glass]
-        return RigCamera(self.name, np.array(self.position_m), *angles_rad, model, self.module, pane)
+        position_m = np.array(self.position_m)
+        return RigCamera(self.name, position_m, yaw_rad, pitch_rad, roll_rad, model, self.module, pane)
 
 
 class _PaneForm(Form):
@@ -322,7 +323,7 @@ class RigForm(Form):
 
     frame: Literal["ego"] = Field(description="ego (x forward, y left, z up)")
     panes: dict[str, _PaneForm] = Field({}, description="a mapping from names to panes, what cameras look through")
-    modules: str = Field(None, description="the path of a catalogue of modules")
+    modules: str = Field(LEFT_OUT, description="the path of a catalogue of modules")
     cameras: list[_CameraForm] = Field(description="a list of at least one camera", min_length=1)
 
 

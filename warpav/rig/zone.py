@@ -283,7 +283,7 @@ def mirrored(zone: Zone) -> Zone:
 
 def write_zones(zones: Sequence[Zone], path: Path | str) -> None:
     """Write zones into a YAML file that `read_zones` reads, for a person to edit."""
-    names = {normal: name for name, normal in NORMALS.items()}
+    names: dict[tuple[float, ...], str] = {normal: name for name, normal in NORMALS.items()}
     row = partial(yaml_row, decimals=3)
 
     def box(corners: np.ndarray) -> str:

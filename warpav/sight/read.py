@@ -12,7 +12,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, mod
 
 from warpav.core.errors import InputError
 from warpav.core.files import write_text
-from warpav.core.records import Form, Number, Point2, Positive, Whole, in_order, nearest, read_form
+from warpav.core.records import LEFT_OUT, Form, Number, Point2, Positive, Whole, in_order, nearest, read_form
 from warpav.core.section import mistake, shown
 from warpav.core.yaml_file import read_yaml
 from warpav.scene.own_vehicle import read_vehicle_file
@@ -60,9 +60,9 @@ class _AreaForm(Form, json_schema_extra={"minProperties": 1, "maxProperties": 1}
         | Annotated[list[Number], Field(min_length=4, max_length=4)],
         AfterValidator(_box),
         Field(description="lowest and highest corner [x, y] [m]"),
-    ] = None  # pyright: ignore[reportAssignmentType]
+    ] = LEFT_OUT
     polygon_m: Annotated[list[Point2], AfterValidator(_polygon)] = Field(
-        None, description="corners [x, y] in order along the border [m]"
+        LEFT_OUT, description="corners [x, y] in order along the border [m]"
     )
 
     @model_validator(mode="after")
@@ -77,7 +77,7 @@ class _AreaForm(Form, json_schema_extra={"minProperties": 1, "maxProperties": 1}
             return Band((self.around_m[0], self.around_m[1]))
         if self.strip:
             (near, far), along = self.strip.distance_m, self.strip.along_m
-            return Strip(self.strip.side, (near, far), along and (along[0], along[1]))
+            return Strip(self.strip.side, (near, far), None if along is None else (along[0], along[1]))
         return self.box_m or self.polygon_m  # pyright: ignore[reportReturnType]
 
 
@@ -103,6 +103,7 @@ def _test_object(form: str | _ObjectForm, info: ValidationInfo) -> TestObject:
     if isinstance(form, str):
         return TestObject(form, SIZES_M[form])
     if form.mesh is not None:
+        assert info.context is not None  # the folder of the file
         return _own(info.context / Path(form.mesh).expanduser(), math.radians(form.yaw_deg))
     assert form.kind is not None
     length, width, height = SIZES_M[form.kind]

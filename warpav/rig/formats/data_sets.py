@@ -220,8 +220,8 @@ def _read_argoverse2(path: Path) -> Found:
         lens = lenses[name]
         intrinsics_px = [lens.at(column).number() for column in _CAMERA]
         at = Record(f"{lens.location}: {', '.join(_CAMERA)}", intrinsics_px)
-        size = {name: lens.at(name).whole() for name in ("width_px", "height_px")}
-        optics = optics_of(at, *intrinsics_px, **size)
+        width_px, height_px = (lens.at(name).whole() for name in ("width_px", "height_px"))
+        optics = optics_of(at, *intrinsics_px, width_px=width_px, height_px=height_px)
         is_distorted |= any(lens.at(column).number(0.0) for column in _DISTORTION)
         cameras.append(FoundCamera(name, transform, optics))
     if not cameras:

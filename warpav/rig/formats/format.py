@@ -315,10 +315,11 @@ class RigFormat:
                 target if is_file else target / f"{camera.name}{self.suffixes[0]}": self.write(camera, losses)
                 for camera in cameras
             }
-        if len(self.files) > 1 and is_file:
+        first, *others = self.files
+        if others and is_file:
             names = " and ".join(self.files)
             raise InputError(f"{target}: {self.name}: expected a folder for {names}, got a file's name")
-        return self.write(cameras, target if is_file or len(self.files) > 1 else target / self.files[0], losses)
+        return self.write(cameras, target if is_file or others else target / first, losses)
 
 
 def transform_of_link(
