@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
@@ -34,6 +33,8 @@ class Body:
     @classmethod
     def of(cls, ego: Mesh) -> Body:
         """The body of a vehicle's mesh; all of it counts, mirrors too."""
+        from scipy.spatial import ConvexHull
+
         point_m = ego.vertex_m[:, :2].astype(np.float64)
         return cls(point_m[ConvexHull(point_m).vertices])
 
@@ -206,12 +207,16 @@ class TestObject:
     @cached_property
     def hull_m(self) -> np.ndarray:
         """Triangles of its convex hull [m], float64 [triangle, 3, 3]; their winding means nothing."""
+        from scipy.spatial import ConvexHull
+
         point_m = self.body.vertex_m.astype(np.float64)
         return point_m[ConvexHull(point_m).simplices]
 
     @cached_property
     def footprint_m(self) -> np.ndarray:
         """Corners of its outline from above, and what lies halfway between them [m], [point, 2]."""
+        from scipy.spatial import ConvexHull
+
         point_m = self.body.vertex_m[:, :2].astype(np.float64)
         corner_m = point_m[ConvexHull(point_m).vertices]
         return np.concatenate([corner_m, 0.5 * (corner_m + np.roll(corner_m, -1, axis=0))])
