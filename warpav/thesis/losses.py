@@ -12,7 +12,18 @@ from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav_kernels.thesis import losses as kernels
 
 
-class _AssignedVehicleLoss(DeviceLoss):
+class _ThesisLoss(DeviceLoss):
+    """A loss that needs the panorama and one field of view at all times."""
+
+    needed = Needs(panorama=True, one_field=True)
+
+    def needs(self, schedule: LossSchedule) -> Needs:
+        """As in `Loss`."""
+        del schedule
+        return self.needed
+
+
+class _AssignedVehicleLoss(_ThesisLoss):
     """Mean over the assigned vehicles of a scene; a scene without any costs nothing."""
 
     def on_tape(self, scene: SceneOnTape) -> wp.array:
@@ -62,13 +73,7 @@ class InFrameRotation(_AssignedVehicleLoss):
         """With the parameters of a configuration."""
         return cls(options.settings.epsilon)
 
-    def needs(self, schedule: LossSchedule) -> Needs:
-        """The panorama."""
-        del schedule
-        return Needs(panorama=True, one_field=True)
-
     def add(self, scene: SceneOnTape, vehicle_loss: wp.array) -> None:
-        """As in `_AssignedVehicleLoss`."""
         mount, views, device = scene.mount, scene.views, scene.frame.device
         vehicle_count = scene.scene.vehicle_count
         bearing_rad = wp.zeros(vehicle_count, dtype=wp.vec2, device=device)
@@ -106,19 +111,15 @@ class DetectedArea(_AssignedVehicleLoss):
     epsilon: float = 1e-5  # weight of pixels outside the box, in [0, 1)
     reference: Reference = Reference.NON_OCCLUDED  # what the detected area is compared with
     name = "detected_area"
+    # its own vehicles in each camera's images
+    needed = Needs(panorama=True, detections=DetectedImages.ASSIGNED, one_field=True)
 
     @classmethod
     def of(cls, options: LossOptions) -> DetectedArea:
         """With the parameters of a configuration."""
         return cls(options.settings.min_detected_area, options.settings.epsilon, options.reference)
 
-    def needs(self, schedule: LossSchedule) -> Needs:
-        """The panorama, and each camera's detections of its own vehicles."""
-        del schedule
-        return Needs(panorama=True, detections=DetectedImages.ASSIGNED, one_field=True)
-
     def add(self, scene: SceneOnTape, vehicle_loss: wp.array) -> None:
-        """As in `_AssignedVehicleLoss`."""
         wp.launch(
             kernels.detected_area_loss_kernel,
             dim=scene.scene.vehicle_count,
@@ -148,13 +149,7 @@ class ObjectVisibility(_AssignedVehicleLoss):
         """With the parameters of a configuration."""
         return cls(options.settings.min_detected_area, options.reference)
 
-    def needs(self, schedule: LossSchedule) -> Needs:
-        """The panorama."""
-        del schedule
-        return Needs(panorama=True, one_field=True)
-
     def add(self, scene: SceneOnTape, vehicle_loss: wp.array) -> None:
-        """As in `_AssignedVehicleLoss`."""
         wp.launch(
             kernels.object_visibility_loss_kernel,
             dim=scene.scene.vehicle_count,
@@ -176,19 +171,14 @@ class SurfaceBlockage(_AssignedVehicleLoss):
 
     min_unblocked_area: float = 0.5  # share of a vehicle left free below which it costs something, in (0, 1]
     name = "surface_blockage"
+    needed = Needs(panorama=True, unblocked_area=True, one_field=True)
 
     @classmethod
     def of(cls, options: LossOptions) -> SurfaceBlockage:
         """With the parameters of a configuration."""
         return cls(options.settings.min_unblocked_area)
 
-    def needs(self, schedule: LossSchedule) -> Needs:
-        """The panorama, and the unblocked areas."""
-        del schedule
-        return Needs(panorama=True, unblocked_area=True, one_field=True)
-
     def add(self, scene: SceneOnTape, vehicle_loss: wp.array) -> None:
-        """As in `_AssignedVehicleLoss`."""
         device, vehicle_count = scene.frame.device, scene.scene.vehicle_count
         clearest_camera = wp.zeros(vehicle_count, dtype=wp.int32, device=device)
         wp.launch(
@@ -222,7 +212,7 @@ class SurfaceBlockage(_AssignedVehicleLoss):
 
 
 @dataclass(frozen=True)
-class AngularCoverage(DeviceLoss):
+class AngularCoverage(_ThesisLoss):
     """The share of the angle that a rig could cover and does not; the same on all scenes."""
 
     name = "angular_coverage"
@@ -232,11 +222,6 @@ class AngularCoverage(DeviceLoss):
         """It has no parameters."""
         del options
         return cls()
-
-    def needs(self, schedule: LossSchedule) -> Needs:
-        """One field of view; the panorama as with all of the thesis's losses."""
-        del schedule
-        return Needs(panorama=True, one_field=True)
 
     def on_tape(self, scene: SceneOnTape) -> wp.array:
         """As in `DeviceLoss`."""
