@@ -24,54 +24,26 @@ def bench_table(content: Mapping[str, Any], *, with_peers: bool) -> TerminalTabl
         f"{work['file']}: {work['faces']} triangles, {work['views']} views of {work['res']} x {work['res']} px, "
         f"{content['options']['lens']}"
     )
-    columns = (
-        ("item", "left"),
-        ("renderer", "left"),
-        ("where", "left"),
-        ("median ms", "right"),
-        ("threads", "right"),
-        ("peak MiB", "right"),
-        (_ERROR_HEADING, "right"),
-        (_SMALL_ERROR_HEADING, "right"),
-    )
-    for heading, justify in columns:
-        table.add_column(heading, justify=justify)
+    for heading in ("item", "renderer", "where"):
+        table.add_column(heading, justify="left")
+    for heading in ("median ms", "threads", "peak MiB", _ERROR_HEADING, _SMALL_ERROR_HEADING):
+        table.add_column(heading, justify="right")
     peers = _peers()["rows"] if with_peers else []
     reference = content.get("reference", {}).get("embreex", {})
     for item, entry in content["items"].items():
         scores = content["scores"].get(item)
         name = f"warpav x{content['options']['supersample']}" if item == "w1" else "warpav"
-        large, small = _gradient_errors(scores) if item == "w1" and scores else ("", "")
-        if item == "w2" and scores:
-            large = _image_errors(scores)
-        table.add_row(
-            _TITLES[item],
-            name,
-            f"this run, {device['kind']}",
-            _milliseconds(entry["median_ms"]),
-            str(entry["threads"]),
-            _mebibytes(entry),
-            large,
-            small,
-            style="bold",
-        )
+        errors = _gradient_errors(scores) if item == "w1" else (_image_errors(scores) if item == "w2" else "", "")
+        cells = (_milliseconds(entry["median_ms"]), str(entry["threads"]), _mebibytes(entry), *errors)
+        table.add_row(_TITLES[item], name, f"this run, {device['kind']}", *cells, style="bold")
         if item in reference:
             median_ms = _milliseconds(reference[item]["median_ms"])
             ratio = f"warpav / embreex = {reference[item]['ratio']:.2f}"
             table.add_row("", "embreex", "this run, cpu", median_ms, str(reference["threads"]), "", ratio, "")
         for peer in (row for row in peers if row["item"] == item):
-            large, small = _gradient_errors(peer.get("accuracy"))
-            table.add_row(
-                "",
-                peer["peer"],
-                f"{ELSEWHERE}, {peer['device']}",
-                _milliseconds(peer["median_ms"]),
-                str(peer.get("threads", "")),
-                _mebibytes(peer),
-                large,
-                small,
-                style="dim",
-            )
+            cells = (_milliseconds(peer["median_ms"]), str(peer.get("threads", "")), _mebibytes(peer))
+            where = f"{ELSEWHERE}, {peer['device']}"
+            table.add_row("", peer["peer"], where, *cells, *_gradient_errors(peer.get("accuracy")), style="dim")
         table.add_section()
     return table
 
@@ -123,9 +95,9 @@ def _error(score: Mapping[str, float | None]) -> str:
     return "-" if median is None else f"{median:.2f} m"
 
 
-def _image_errors(scores: Mapping[str, float | None]) -> str:
-    if scores["id_share"] is None:
-        return "-"
+def _image_errors(scores: Mapping[str, float | None] | None) -> str:
+    if not scores or scores["id_share"] is None:
+        return "-" if scores else ""
     text = f"objects {100.0 * scores['id_share']:.4f} %"
     if scores["depth_p999_m"] is not None:
         text += f", depth 99.9 %: {scores['depth_p999_m']:.1e} m"
