@@ -16,7 +16,7 @@ from tests.oracle import thesis
 from warpav.core.errors import InputError
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.losses.lagrangian import Lagrangian
+from warpav.optimisation.losses.lagrangian import lagrangian_of
 from warpav.optimisation.losses.loss import LossSchedule
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount
@@ -414,7 +414,7 @@ def test_a_state_of_something_else_is_refused():
 
 def saddle_point(slope, excess, start, multiplier, *, damping, steps=600, rate=0.05, ascent=1.0):
     """Descend and ascend on a problem in closed form; the last places and multipliers, one row a step."""
-    lagrangian = Lagrangian([1.0, 0.0], len(excess(start)[0]), damping=damping, are_inequalities=True)
+    weight = wp.array([1.0, 0.0], dtype=float, device="cpu")
     ascender, x, track = MultiplierAscent(np.array(multiplier)), np.array(start, float), []
     for _ in range(steps):
         value, jacobian = excess(x)
@@ -425,7 +425,7 @@ def saddle_point(slope, excess, start, multiplier, *, damping, steps=600, rate=0
         tape = wp.Tape()
         with tape:
             nothing = wp.zeros(2, dtype=float, device="cpu")
-            total = lagrangian.on_tape(nothing, constraint, multipliers)
+            total = lagrangian_of(nothing, constraint, multipliers, weight=weight, damping=damping)
         tape.backward(total)
         track.append(np.r_[x, ascender.value])
         x = x - rate * (slope(x) + np.asarray(jacobian).T @ constraint.grad.numpy())

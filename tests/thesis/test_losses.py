@@ -12,7 +12,7 @@ from tests.driving_scene import flat_surface, roof
 from tests.kernels.test_mount_pose import oracle as placed_by_oracle
 from tests.optimisation.objectives import thesis_losses
 from tests.oracle import thesis
-from warpav.optimisation.losses.lagrangian import Lagrangian
+from warpav.optimisation.losses.lagrangian import lagrangian_of
 from warpav.optimisation.losses.loss import LossOptions, Reference, losses_of
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav.optimisation.mount import CameraMount
@@ -346,10 +346,14 @@ def lagrangian(objective, constraint, multiplier, weights, device, *, damping=0.
         wp.array(np.array(numbers, np.float32), dtype=float, device=device, requires_grad=True)
         for numbers in (objective, constraint, multiplier)
     ]
+    weight, scale = (
+        wp.array(list(each), dtype=float, device=device) for each in (weights, [max(weights)] * len(constraint))
+    )
+    # the constraints come with every objective that takes part, scaled like the largest of them
+    printed = {} if are_inequalities else {"scale": scale, "repeats": sum(each > 0.0 for each in weights)}
     tape = wp.Tape()
     with tape:
-        whole = Lagrangian(weights, len(constraint), damping=damping, are_inequalities=are_inequalities, device=device)
-        total = whole.on_tape(*arrays)
+        total = lagrangian_of(*arrays, weight=weight, damping=damping, **printed)
     tape.backward(total)
     return float(total.numpy()[0]), [array.grad.numpy() for array in arrays]
 
@@ -357,7 +361,6 @@ def lagrangian(objective, constraint, multiplier, weights, device, *, damping=0.
 @pytest.mark.equation(1)
 @pytest.mark.parametrize("scales", [(1.0, 10.0), (2.0, 0.0), (0.0, 3.0)])
 def test_lagrangian_matches_oracle(device, rng, scales):
-    # the constraints come with every objective that takes part, scaled like the largest of them
     taking_part = [j for j in range(2) if scales[j] > 0.0]
     for _ in range(5):
         objective, constraint, multiplier = rng.uniform(0.0, 2.0, (3, 2))

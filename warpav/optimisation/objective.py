@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property, partial, reduce
 from operator import or_
 
 import numpy as np
@@ -28,7 +28,7 @@ from warpav.detection.observe import (
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.importance import Importance
 from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
-from warpav.optimisation.losses.lagrangian import Lagrangian
+from warpav.optimisation.losses.lagrangian import lagrangian_of
 from warpav.optimisation.losses.loss import DetectedImages, DeviceLoss, HostLoss, Loss, LossSchedule, Needs
 from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability, SceneOnTape
 from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
@@ -124,14 +124,13 @@ class RigObjective:
         self._views: dict[int, RigViews] = {}
         constraint_count = len(self.constraints.names)
         self._exchange = Exchange(camera_count, constraint_count, len(device_weights), device=mount.device)
-        self._lagrangian = Lagrangian(
-            device_weights,
-            constraint_count,
+        scale = [self.constraint_scale] * constraint_count
+        self._lagrangian = partial(
+            lagrangian_of,
+            weight=wp.array(device_weights, dtype=float, device=mount.device),
+            scale=None if constraints.are_inequalities else wp.array(scale, dtype=float, device=mount.device),
+            repeats=float(len(self.losses)),
             damping=options.multiplier_damping,
-            are_inequalities=self.constraints.are_inequalities,
-            scale=self.constraint_scale,
-            repeats=len(self.losses),
-            device=mount.device,
         )
 
     def _check(self) -> None:
@@ -271,7 +270,7 @@ class RigObjective:
             closed = time.perf_counter()
             with tape if with_constraints else contextlib.nullcontext():
                 constraint_loss = self.constraints.losses_of(views.placed, views.rotation_count)
-                total = self._lagrangian.on_tape(exchange.mean_loss(), constraint_loss, exchange.multiplier)
+                total = self._lagrangian(exchange.mean_loss(), constraint_loss, exchange.multiplier)
             if gradient:
                 tape.backward(total if with_constraints else None)
             fetched = exchange.fetch(constraint_loss, total, views.renderers)
