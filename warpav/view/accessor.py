@@ -38,7 +38,7 @@ class SurfaceAccessor:
         from warpav.rig.mount_surface import mount_surface_from_mesh
         from warpav.view.layers import zones_to_pyvista
 
-        normals = {"min_upward_normal": min_upward_normal, "min_zone_normal": min_upward_normal}
+        normals: Any = {"min_upward_normal": min_upward_normal, "min_zone_normal": min_upward_normal}
         return zones_to_pyvista(mount_surface_from_mesh(self.as_mesh(), cell_m=cell_m, **normals))
 
 

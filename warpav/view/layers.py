@@ -29,8 +29,6 @@ from warpav.view.palette import (
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from pyvista import PolyData
-
     from warpav.optimisation.further_camera import FurtherCameras
     from warpav.raster.mesh import Mesh
     from warpav.rig.mount_surface import MountSurface
@@ -41,6 +39,7 @@ if TYPE_CHECKING:
     from warpav.sight.ground import Coverage
 
     Plotter = Any
+    PolyData = Any
 
 SQUARE = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 """Corners of a cell around its middle, in cells."""

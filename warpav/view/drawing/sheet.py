@@ -122,7 +122,7 @@ def circle_mm(centre_mm: np.ndarray, radius_mm: float = MARK_MM, count: int = 49
     return centre_mm + radius_mm * np.stack([np.cos(turn_rad), np.sin(turn_rad)], axis=1)
 
 
-def box_mm(low_mm: Sequence[float], high_mm: Sequence[float]) -> np.ndarray:
+def box_mm(low_mm: Sequence[float] | np.ndarray, high_mm: Sequence[float] | np.ndarray) -> np.ndarray:
     """Corners of a rectangle on the page, [4, 2]."""
     (x0, y0), (x1, y1) = low_mm, high_mm
     return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])

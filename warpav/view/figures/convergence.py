@@ -75,9 +75,7 @@ def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] 
     room = max(max(later) - min(later), 0.02 * max(later))
 
     def draw(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
-        axis.set_title("Best rig and bound")
-        axis.set_xlabel("camera renders (one camera in one scene)")
-        axis.set_ylabel("objective")
+        axis.set(title="Best rig and bound", xlabel="camera renders (one camera in one scene)", ylabel="objective")
         named: set[str] = set()
         for k, until in enumerate(spent):
             begin = spent[k - 1] if k else 0
@@ -101,8 +99,7 @@ def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] 
             axis.annotate(text, (spent[0], 1.0), va="top", fontsize=9, **place)
         elif stage[0] == "start":
             axis.plot(spent[:1], objective[:1], "D", label="start", markersize=6.5, zorder=4, **marks)
-        axis.set_ylim(min(later) - 0.1 * room, top)
-        axis.set_xlim(0, end)
+        axis.set(ylim=(min(later) - 0.1 * room, top), xlim=(0, end))
         axis.figure.legend(loc="outside lower center", ncols=7 if axis.figure.get_figwidth() > SVG_WIDTH_INCH else 3)
 
     return draw
@@ -128,8 +125,7 @@ def convergence_panels(
     distance_m = [_smallest_distance_m(record["positions_m"]) for record in records]
 
     def begin(axis: Any, title: str, lines: Mapping[str, object] | None = None) -> None:  # noqa: ANN401 (matplotlib)
-        axis.set_title(title)
-        axis.set_xlabel("iteration")
+        axis.set(title=title, xlabel="iteration")
         if lines:
             axis.legend(loc="best", ncols=2 if len(lines) > 3 else 1)
         axis.xaxis.get_major_locator().set_params(integer=True)

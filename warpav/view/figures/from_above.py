@@ -120,7 +120,7 @@ def start_and_end_handles() -> list[Any]:
     """Handles of a legend for cameras at the start and at the end."""
     from matplotlib.lines import Line2D
 
-    mark = {"linestyle": "", "marker": "o", "color": hex_colour(MUTED_RGB)}
+    mark: Any = {"linestyle": "", "marker": "o", "color": hex_colour(MUTED_RGB)}
     return [
         Line2D([], [], markersize=8, markerfacecolor="white", label="start", **mark),
         Line2D([], [], markersize=9, label="end", **mark),

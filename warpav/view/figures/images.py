@@ -339,8 +339,7 @@ def draw_detections(axis: Any, panel: DetectionPanel) -> None:  # noqa: ANN401 (
             _draw_box(axis, box, TRUTH_RGB, linewidth=0.9, zorder=3)
         else:
             _draw_box(axis, box, MISS_RGB, linewidth=1.6, linestyle=(0, (3, 2)), zorder=5)
-    axis.set_xlim(0, width)
-    axis.set_ylim(height, 0)
+    axis.set(xlim=(0, width), ylim=(height, 0))
     found = f"{len(found_index)} of {int(present.sum())} found"
     is_long = len(panel.title) > _LONG_TITLE
     axis.set_title(

@@ -189,8 +189,10 @@ def resolution_figure(rigs: Mapping[str, Rig], *, heading: str | None = None) ->
             gap_deg = 360.0 * float((found[horizon] == 0.0).mean())
             label = f"{name}: mean {np.nanmean(line):.1f}, no image on {gap_deg:.0f}°"
             axes[0].plot(azimuth_deg, line, color=hex_colour(camera_rgb(index)), label=label)
-        axes[0].set(ylim=(0.0, 1.1 * max(float(each[horizon].max()) for each in best.values()) or 1.0))
-        axes[0].set_ylabel("pixels per degree")
+        axes[0].set(
+            ylim=(0.0, 1.1 * max(float(each[horizon].max()) for each in best.values()) or 1.0),
+            ylabel="pixels per degree",
+        )
         axes[0].legend(loc="lower right", ncols=min(2, len(rigs)))
         title(axes[0], "Along the horizon, best camera")
         image = None
@@ -202,8 +204,11 @@ def resolution_figure(rigs: Mapping[str, Rig], *, heading: str | None = None) ->
             axis.axhline(0.0, color="white", linewidth=0.8, linestyle="--")
             axis.set(ylabel="elevation [°]", yticks=(-60, -30, 0, 30, 60))
             title(axis, f"{name}: over azimuth and elevation" if len(rigs) > 1 else "Over azimuth and elevation")
-        axes[-1].set(xlim=(180.0, -180.0), xticks=range(180, -181, -45))
-        axes[-1].set_xlabel("azimuth [°]: 0 ahead, 90 to the left, -90 to the right")
+        axes[-1].set(
+            xlim=(180.0, -180.0),
+            xticks=range(180, -181, -45),
+            xlabel="azimuth [°]: 0 ahead, 90 to the left, -90 to the right",
+        )
         colour_bar(figure, image, list(axes[1:]), "pixels per degree", pad=0.01, aspect=14 * len(rigs))
         caption(figure, "Grey: in no image. Dashed: horizon. The own body is left out of account.", heading)
         return figure

@@ -53,9 +53,7 @@ def reliability_diagram(
         style = {"fmt": "o", "markersize": 4.5, "linewidth": 1.2, "color": hex_colour(camera_rgb(0)), "clip_on": False}
         label = f"share detected of {bins[0].count} objects, 95 % interval"
         axis.errorbar(predicted, detected, yerr=reach, label=label, **style)
-        axis.set_ylabel("share detected")
-        axis.set_ylim(-0.02, 1.02)
-        axis.set_title(title)
+        axis.set(ylabel="share detected", ylim=(-0.02, 1.02), title=title)
         axis.legend(loc="upper left")
         edges = np.linspace(0.0, 1.0, 21)
         shown = [probability[is_detected], probability[~is_detected]]
@@ -64,9 +62,7 @@ def reliability_diagram(
         lower.hist(shown, bins=list(edges), stacked=True, color=colours, label=labels)
         lower.set_yscale("symlog", linthresh=10)
         lower.yaxis.set_major_formatter("{x:,.0f}")
-        lower.set_ylabel("objects")
-        lower.set_xlabel("predicted probability")
-        lower.set_xlim(-0.02, 1.02)
+        lower.set(ylabel="objects", xlabel="predicted probability", xlim=(-0.02, 1.02))
         lower.legend(loc="upper center", ncols=2)
         return save_figure(figure, path)
 
@@ -88,8 +84,7 @@ def detection_curves(model: DetectionProbability, feature: np.ndarray, path: Pat
             axis.set_zorder(share.get_zorder() + 1)
             axis.patch.set_visible(False)
             axis.plot(value, model.curve(f, value), color=hex_colour(camera_rgb(0)))
-            axis.set_title(each.name.replace("_", " "))
-            axis.set_xlabel(each.unit)
+            axis.set(title=each.name.replace("_", " "), xlabel=each.unit)
         for axis in axes[:, 0]:
             axis.set_ylabel("added to the logit")
         return save_figure(figure, path)
@@ -120,8 +115,7 @@ def differences(rows: Sequence[MetricDifference], first: str) -> str:
             axis.plot([row.low, row.high], [line, line], color=colour, linewidth=2.4)
             axis.plot(row.mean, line, "o", color=colour, markersize=7)
         axis.set_yticks(range(len(rows)), [f"{row.metric}\nagainst {row.other}" for row in rows])
-        axis.set_ylim(len(rows) - 0.4, -0.6)
-        axis.set_title("Differences with 95 % intervals")
+        axis.set(ylim=(len(rows) - 0.4, -0.6), title="Differences with 95 % intervals")
         axis.locator_params(axis="x", nbins=5)
         axis.set_xlabel(f"← worse    {first} minus other    better →")
         axis.grid(visible=False, axis="y")
@@ -185,10 +179,7 @@ def _draw_recall(
     axis.plot(values, range(len(groups)), "o", color=colour, markersize=6, clip_on=False, zorder=5, label=first)
     handles, names = axis.get_legend_handles_labels()
     axis.set_yticks(range(len(groups)), [f"{group}{unit}  ({tables[first][group].objects})" for group in groups])
-    axis.set_ylim(len(groups) - 0.4, -0.6)
-    axis.set_xlim(0.0, 1.02)
-    axis.set_title(title)
-    axis.set_xlabel("recall (number of objects)")
+    axis.set(ylim=(len(groups) - 0.4, -0.6), xlim=(0.0, 1.02), title=title, xlabel="recall (number of objects)")
     return handles, names
 
 

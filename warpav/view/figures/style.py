@@ -102,7 +102,7 @@ def svg_text(draw: Callable[[Any], None], height_inch: float) -> str:
     """What a function draws into an axis, as SVG; the same every time."""
     import matplotlib
 
-    clear = {"svg.hashsalt": "warpav", "figure.facecolor": "none", "axes.facecolor": "none"}
+    clear: Any = {"svg.hashsalt": "warpav", "figure.facecolor": "none", "axes.facecolor": "none"}
     with figure_style(), matplotlib.rc_context(clear):
         figure = new_figure(SVG_WIDTH_INCH, height_inch)
         draw(figure.subplots())
