@@ -15,6 +15,7 @@ from warpav.evaluation.metrics import PAIRED_METRICS, GroupRecall, ObjectOutcome
 from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import CameraMount, FreeRanges, views_of_rig
+from warpav.optimisation.objective import ObjectiveOptions
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
@@ -205,10 +206,7 @@ def observer_of(rig, calls):
     return RigObserver(
         rig,
         ScriptedDetector(calls),
-        confidence_min=0.1,
-        iou_min=0.5,
-        occlusion=Occlusion.EXACT,
-        supersampling=1,
+        ObjectiveOptions(occlusion=Occlusion.EXACT),
         device="cpu",
     )
 

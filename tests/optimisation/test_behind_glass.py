@@ -16,6 +16,7 @@ from warpav.evaluation.metrics import RigObserver
 from warpav.optimisation.camera_jacobians import placing_slope
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
+from warpav.optimisation.objective import ObjectiveOptions
 from warpav.optimisation.pool import spread_mount_poses
 from warpav.optimisation.required_points import RequiredPoints
 from warpav.raster.camera import CameraModel
@@ -169,10 +170,8 @@ def test_metrics_and_pictures_know_the_pane(device):
     on_roof = RigCamera("roof", np.array([2.19, 0.0, 1.7]), model=MODEL)
     rig = Rig([on_roof, replace(camera, name="in"), replace(camera, name="shut", behind_glass=None)])
     scene = packed_street(device)
-    options = {
-        "confidence_min": 0.1, "iou_min": 0.5, "occlusion": Occlusion.EXACT, "supersampling": 1, "device": device
-    }  # fmt: skip
-    seen = RigObserver(rig, SilentDetector(), **options).observe(scene)
+    options = ObjectiveOptions(occlusion=Occlusion.EXACT)
+    seen = RigObserver(rig, SilentDetector(), options, device=device).observe(scene)
     by_camera = np.concatenate([each.truth_box_px for each in seen.observations])[np.argsort(seen.camera)]
     visible = np.isfinite(by_camera[..., 0]).any(axis=1)
     assert visible.tolist() == [True, True, False]

@@ -10,6 +10,7 @@ from tests.driving_scene import ConstantDetector, flat_surface
 from tests.view.stand_ins import rig, scene, vehicle
 from warpav.evaluation.metrics import RigObserver
 from warpav.optimisation.further_camera import FurtherCameras
+from warpav.optimisation.objective import ObjectiveOptions
 from warpav.raster.decide import Occlusion
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import Rig, read_rig
@@ -56,11 +57,11 @@ def frames(count=3):
 def inspected(detector, **options):
     """The state of an inspector; ``asked`` are the rigs whose detections were wanted."""
     asked = []
-    settings = {"confidence_min": 0.1, "iou_min": 0.5, "occlusion": Occlusion.EXACT, "supersampling": 1}
+    options_of_looks = ObjectiveOptions(occlusion=Occlusion.EXACT)
 
     def observer_of(rig):
         asked.append(rig)
-        return RigObserver(rig, detector(), **settings, device="cpu")
+        return RigObserver(rig, detector(), options_of_looks, device="cpu")
 
     constraints = BoundsAndSpacing(SURFACE, min_spacing_m=0.2)
     fixed = {"constraints": constraints, "height_offset_m": HEIGHT_M, "observer_of": observer_of}

@@ -26,10 +26,9 @@ from warpav.detection.probability import Appearance
 from warpav.optimisation.constraints import min_camera_distance_m
 from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
 from warpav.optimisation.mount import CameraMount, PlacedViews, views_of_rig
-from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.objective import ObjectiveOptions, RigObjective
 from warpav.raster.areas import AMODAL_AREA, Measures
 from warpav.raster.camera import CameraModel
-from warpav.raster.decide import Occlusion
 from warpav.raster.frame import Frame
 from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig
@@ -279,26 +278,22 @@ class RigObserver:
         self,
         rig: Rig,
         detector: Detector,
+        options: ObjectiveOptions,
         *,
-        confidence_min: float,
-        iou_min: float,
-        occlusion: Occlusion,
-        supersampling: int,
         device: str,
         probability_of: Callable[[CameraModel], CameraProbability | None] | None = None,
     ) -> None:
         """Create the renderers; cameras of one model that look through one pane share one."""
         self._probability_of = probability_of
-        self._detector, self._confidence_min, self._iou_min = detector, confidence_min, iou_min
+        self._detector, self._options = detector, options
         kind_of = [(camera.model, camera.behind_glass) for camera in rig.cameras]
         kinds = list(dict.fromkeys(kind_of))
         self._groups: list[tuple[Renderer, Rig]] = []
         for kind in kinds:
             model, _ = kind
             part = Rig([camera for camera, each in zip(rig.cameras, kind_of, strict=True) if each == kind])
-            renderer = Renderer(
-                [model] * len(part.cameras), supersampling=supersampling, occlusion=occlusion, device=device
-            )
+            shown = [model] * len(part.cameras)
+            renderer = Renderer(shown, supersampling=options.supersampling, occlusion=options.occlusion, device=device)
             self._groups.append((renderer, part))
         self._camera = [k for kind in kinds for k, each in enumerate(kind_of) if each == kind]
 
@@ -315,8 +310,8 @@ class RigObserver:
                 scene,
                 self._detector,
                 forward_view=forward_view,
-                confidence_min=self._confidence_min,
-                iou_min=self._iou_min,
+                confidence_min=self._options.confidence_min,
+                iou_min=self._options.iou_min,
             )
             observations.append(observation)
             measures = frame.measure()
@@ -409,10 +404,7 @@ def observe_scenes(
         observer = RigObserver(
             rig,
             objective.detector,
-            confidence_min=objective.options.confidence_min,
-            iou_min=objective.options.iou_min,
-            occlusion=objective.options.occlusion,
-            supersampling=objective.options.supersampling,
+            objective.options,
             device=objective.device,
             probability_of=objective.probability_of if with_probability or has_objective else None,
         )

@@ -17,12 +17,11 @@ from warpav.core.warp_setup import checked_device
 from warpav.evaluation.metrics import RigObserver
 from warpav.experiments.scene_figures import RIG_NUMBERS
 from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M
-from warpav.raster.decide import Occlusion
 from warpav.rig.presets import HIGHEST
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, load_config
 from warpav.runs.events import trajectory
-from warpav.runs.mounts import camera_mount
+from warpav.runs.mounts import camera_mount, objective_options
 from warpav.runs.networks import load_detector, load_networks
 from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement, needed_fit, placement_on
@@ -118,15 +117,7 @@ def _observer(config: Config, progress: Progress) -> Callable[[Rig, Sequence[Sce
     device, detector = checked_device(config.device), load_detector(config)
 
     def observe(rig: Rig, scenes: Sequence[Scene], how: str) -> list[SceneViews]:
-        observer = RigObserver(
-            rig,
-            detector,
-            confidence_min=config.detector.confidence_min,
-            iou_min=config.detector.iou_min,
-            occlusion=Occlusion(config.visibility.occlusion),
-            supersampling=config.camera.supersampling,
-            device=device,
-        )
+        observer = RigObserver(rig, detector, objective_options(config), device=device)
         views = []
         for scene in progress.steps(how, scenes, count=len(scenes)):
             observation = observer.observe(DeviceScene.pack(scene, device=device))

@@ -22,7 +22,7 @@ from warpav.rig.rig import Rig, RigCamera
 from warpav.runs.config import Config
 from warpav.runs.drawn_run import FittedRigs
 from warpav.runs.events import trajectory
-from warpav.runs.mounts import camera_mount, constraints_of, mount_surface, rig_modules
+from warpav.runs.mounts import camera_mount, constraints_of, mount_surface, objective_options, rig_modules
 from warpav.runs.networks import load_detector
 from warpav.runs.rig_source import arm_names, find_rig, is_run_folder
 from warpav.runs.run_folder import RunFolder
@@ -34,9 +34,7 @@ from warpav.view.output import check_suffix
 
 if TYPE_CHECKING:
     from warpav.core.progress import Progress
-    from warpav.detection.detector import Detector
     from warpav.detection.images import CameraImage
-    from warpav.evaluation.metrics import RigObserver
     from warpav.optimisation.further_camera import FurtherCameras
     from warpav.raster.mesh import Mesh
     from warpav.rig.module import Module
@@ -64,6 +62,7 @@ def inspect_rig(
     progress: Progress | None = None,
 ) -> Path | None:
     """Show a rig on its vehicle in traffic: in the interactive inspector if there is a display, else in a file."""
+    from warpav.evaluation.metrics import RigObserver
     from warpav.scene.device_scene import DeviceScene
     from warpav.sight.ground import HEIGHTS_M, PATCH_M, Ground
     from warpav.view.opengl import has_display
@@ -97,7 +96,8 @@ def inspect_rig(
         device = checked_device(config.device)
         packed = DeviceScene.pack(scene, device=device)
         if shown == "outcomes":
-            outcomes = _observer(rig, load_detector(config), config, device).observe(packed).outcomes
+            observer = RigObserver(rig, load_detector(config), objective_options(config), device=device)
+            outcomes = observer.observe(packed).outcomes
         else:
             heights_m = HEIGHTS_M if shown == "coverage" else (PATCH_M,)
             coverage = Ground.around(packed).coverage(rig.cameras, heights_m=heights_m)
@@ -162,6 +162,7 @@ def inspector(
     Args:
         requirements: YAML file, or a template's name; None: there are none.
     """
+    from warpav.evaluation.metrics import RigObserver
     from warpav.view import Canvas
     from warpav.view.inspected import InspectedRig
     from warpav.view.inspector import Inspector
@@ -197,7 +198,7 @@ def inspector(
         len(seeds) if scenes is None else len(scenes),
         constraints=constraints_of(config, mount.surface),
         height_offset_m=mount.height_offset_m,
-        observer_of=lambda rig: _observer(rig, detector, config, device),
+        observer_of=lambda rig: RigObserver(rig, detector, objective_options(config), device=device),
         descents=descents,
         further=further,
         modules=_modules(config),
@@ -307,21 +308,6 @@ def _further(source: str, shown: str) -> FurtherCameras:
             f"{source!r}",
         )
     return found
-
-
-def _observer(rig: Rig, detector: Detector, config: Config, device: str) -> RigObserver:
-    from warpav.evaluation.metrics import RigObserver
-    from warpav.raster.decide import Occlusion
-
-    return RigObserver(
-        rig,
-        detector,
-        confidence_min=config.detector.confidence_min,
-        iou_min=config.detector.iou_min,
-        occlusion=Occlusion(config.visibility.occlusion),
-        supersampling=config.camera.supersampling,
-        device=device,
-    )
 
 
 # ---------------------------------------------------------------------------------------------------- plots

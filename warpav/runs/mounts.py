@@ -14,6 +14,7 @@ from warpav.core.cache import digest
 from warpav.core.errors import InputError, OptionError
 from warpav.core.warp_setup import checked_device
 from warpav.raster.camera import CameraModel
+from warpav.raster.decide import Occlusion
 from warpav.raster.lens import Lens
 from warpav.rig.catalogue import builtin_modules, read_modules
 from warpav.rig.chart import chart_of, propose_zones, with_middles
@@ -28,6 +29,7 @@ from warpav.runs.config import NAMED_STARTS, Config
 if TYPE_CHECKING:
     from warpav.optimisation.constraints import Constraints
     from warpav.optimisation.mount import CameraMount, FreeRanges, FrozenCameras
+    from warpav.optimisation.objective import ObjectiveOptions
     from warpav.optimisation.rig_limits import RigLimits
     from warpav.raster.mesh import Mesh
 
@@ -232,6 +234,19 @@ def constraints_of(config: Config, surface: MountSurface, frozen: FrozenCameras 
         margin_m=config.mount.margin_m,
         frozen=frozen,
         module=module,
+    )
+
+
+def objective_options(config: Config) -> ObjectiveOptions:
+    """How scenes are looked at."""
+    from warpav.optimisation.objective import ObjectiveOptions
+
+    return ObjectiveOptions(
+        confidence_min=config.detector.confidence_min,
+        iou_min=config.detector.iou_min,
+        occlusion=Occlusion(config.visibility.occlusion),
+        supersampling=config.camera.supersampling,
+        multiplier_damping=config.optimiser.damping(are_inequalities=config.method != "thesis"),
     )
 
 

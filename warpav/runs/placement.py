@@ -25,17 +25,16 @@ from warpav.optimisation.losses.loss import Loss, LossOptions, LossSchedule, Ref
 from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
 from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.objective import ObjectiveOptions, RigObjective
+from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.required_points import RequiredPoints
 from warpav.optimisation.rig_limits import RigLimits, range_text
 from warpav.optimisation.settings import LOSSES, ImportanceSettings, RobustSettings
-from warpav.raster.decide import Occlusion
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig
 from warpav.runs.config import AUTO, Config, RigConfig
 from warpav.runs.config.schema import NO_REQUIREMENTS
 from warpav.runs.detector_fit import ensure_fit, fit_config
-from warpav.runs.mounts import camera_models, checked_frozen, constraints_of, rig_limits
+from warpav.runs.mounts import camera_models, checked_frozen, constraints_of, objective_options, rig_limits
 from warpav.runs.networks import Networks, load_networks
 from warpav.runs.rig_source import read_baselines, read_start, with_added_cameras
 from warpav.runs.scene_set import SceneSet, check_zones, checked_vehicle, load_scene_set, own_vehicle, pack_scenes
@@ -689,13 +688,7 @@ def _assembled(
         camera_probability=_camera_probabilities(config, probability, mount.surface.modules),
         constraints=constraints,
         importance=importance,
-        options=ObjectiveOptions(
-            confidence_min=config.detector.confidence_min,
-            iou_min=config.detector.iou_min,
-            occlusion=Occlusion(config.visibility.occlusion),
-            supersampling=config.camera.supersampling,
-            multiplier_damping=config.optimiser.damping(are_inequalities=constraints.are_inequalities),
-        ),
+        options=objective_options(config),
     )
     train, others = assigned[:train_count], assigned[train_count:]
     validation_count = len(scenes.validation)
