@@ -35,6 +35,17 @@ class Table:
         head, *lines = aligned([self.columns, *self.rows])
         return "\n".join([head, "-" * len(head), *lines, *([self.caption] if self.caption else [])])
 
+    @classmethod
+    def of(cls, columns: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> Table:
+        """From sequences."""
+        return cls(tuple(columns), tuple(map(tuple, rows)), caption)
+
+    def markdown(self) -> str:
+        """The table as Markdown, numbers to the right."""
+        rule = ["---", *["---:"] * (len(self.columns) - 1)]
+        lines = [" | ".join(cell.replace("|", "\\|") for cell in row) for row in (self.columns, rule, *self.rows)]
+        return "\n".join([*(f"| {line} |" for line in lines), "", *([self.caption, ""] if self.caption else [])])
+
     def __repr__(self) -> str:
         return str(self)
 

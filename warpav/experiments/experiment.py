@@ -60,6 +60,7 @@ from warpav.runs.scene_set import (
     scene_part,
     traffic_fleet_digest,
 )
+from warpav.runs.terminal import drawn
 
 Task = TypeVar("Task")
 
@@ -185,7 +186,7 @@ def show_rows(
         tables = [table, "thesis III"] if table == "thesis II" else [table]
         texts = [table_of(f"{each} {study} {judge}", rows) for each in tables]
         write_text(done.folder / "table.md", "\n".join(each.markdown() for each in texts))
-        progress.show(texts[0].terminal())
+        progress.show(drawn(texts[0]))
     for failure in done.failed:
         progress.say(f"failed: {failure}")
     progress.say(f"{done.done} new results; rows, table and results: {done.folder}")

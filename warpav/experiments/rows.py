@@ -18,10 +18,10 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.files import write_text
+from warpav.core.table import Table
 from warpav.evaluation.statistics import RESAMPLES, paired_difference
 from warpav.experiments.gradient_magnitude import LOSS_OF
 from warpav.experiments.result_folder import objective_of_tests, objective_on_tests
-from warpav.runs.terminal import TextTable
 from warpav.thesis.tables import WARNING, thesis_table
 
 Row = dict[str, str]
@@ -181,7 +181,7 @@ def filled_page(text: str, rows: Sequence[Row]) -> str:
     return MARK.sub(lambda found: f"{found[1]}\n{table_of(found[2], rows).markdown()}\n{found[3]}", text)
 
 
-def table_of(marked: str, rows: Sequence[Row]) -> TextTable:
+def table_of(marked: str, rows: Sequence[Row]) -> Table:
     """A table by its kind, the study and the judge, such as ``arms open builtin``, ``thesis II table2 builtin``."""
     kind, *words = marked.split()
     return _KINDS[kind](rows, *words)
@@ -220,7 +220,7 @@ def _difference(rows: Sequence[Row], study: str, judge: str, arm: str) -> str:
     return ""
 
 
-def _arms(rows: Sequence[Row], study: str, judge: str = OWN_JUDGE) -> TextTable:
+def _arms(rows: Sequence[Row], study: str, judge: str = OWN_JUDGE) -> Table:
     """Every arm of a study: means over runs, and how many more it misses than its reference."""
     arms = _runs(rows, study, judge)
     has = {row[0]: any(_values(runs, row[0]) for runs in arms.values()) for row in _ARM_COLUMNS.values()}
@@ -237,10 +237,10 @@ def _arms(rows: Sequence[Row], study: str, judge: str = OWN_JUDGE) -> TextTable:
         ]
         for arm, runs in arms.items()
     ]
-    return TextTable("", ["arm", "runs", first, *([more] if any(differences.values()) else []), *others], lines, "")
+    return Table.of(["arm", "runs", first, *([more] if any(differences.values()) else []), *others], lines)
 
 
-def _settings(rows: Sequence[Row]) -> TextTable:
+def _settings(rows: Sequence[Row]) -> Table:
     """The search beside rigs by hand in all settings of hard and recorded traffic."""
     found = "recall_at_equal_false_alarms"
     hands = ("default", "roof_edge", "highest_raised", "random_selected")
@@ -251,10 +251,10 @@ def _settings(rows: Sequence[Row]) -> TextTable:
         more = _difference(rows, study, OWN_JUDGE, "roof_edge")
         lines.append([study, *missed, more, *(_mean(arms.get(arm, []), found, 100.0, 1) for arm in hands)])
     heads = ["missed of 100", "edge of the roof", "more [95 %]", "found at equal false alarms", "edge of the roof"]
-    return TextTable("", ["traffic, cameras, mount", *heads, "higher up", "random, our selection"], lines, "")
+    return Table.of(["traffic, cameras, mount", *heads, "higher up", "random, our selection"], lines)
 
 
-def _networks(rows: Sequence[Row], study: str = "") -> TextTable:
+def _networks(rows: Sequence[Row], study: str = "") -> Table:
     """What other networks find of the same rigs, at equal false alarms, by study."""
     pairs = dict.fromkeys(
         (row["study"], row["judge"])
@@ -267,10 +267,10 @@ def _networks(rows: Sequence[Row], study: str = "") -> TextTable:
         found = _runs(rows, *pair)
         cells = [_mean(found.get(arm, []), "recall_at_equal_false_alarms", 100.0, 1) for arm in arms]
         lines.append([f"{pair[0]}, {pair[1]}", *cells, _difference(rows, *pair, "roof_edge")])
-    return TextTable("", ["study and network", *arms, "roof_edge misses more [95 %]"], lines, "")
+    return Table.of(["study and network", *arms, "roof_edge misses more [95 %]"], lines)
 
 
-def _thesis(rows: Sequence[Row], number: str, study: str, judge: str = OWN_JUDGE) -> TextTable:
+def _thesis(rows: Sequence[Row], number: str, study: str, judge: str = OWN_JUDGE) -> Table:
     """A table of the thesis: ours above what it prints."""
     printed = thesis_table(number)["rows"]
     columns = [key for key in _THESIS_COLUMNS if any(key in row for row in printed)]
@@ -283,7 +283,7 @@ def _thesis(rows: Sequence[Row], number: str, study: str, judge: str = OWN_JUDGE
         lines.append([f"`{arm}`", str(len(runs)), *(_spread(runs, _THESIS_COLUMNS[key][1]) for key in columns)])
         if row:
             lines.append(["thesis", "", *(_printed(row.get(key)) for key in columns)])
-    return TextTable("", ["arm", "runs", *(_THESIS_COLUMNS[key][0] for key in columns)], lines, WARNING)
+    return Table.of(["arm", "runs", *(_THESIS_COLUMNS[key][0] for key in columns)], lines, WARNING)
 
 
 def arm_name(method: str, loss: str) -> str:
@@ -297,7 +297,7 @@ def _printed(cell: Mapping[str, float] | None) -> str:
     return f"{cell['mean']:.3f}" + (f" ±{cell['std']:.3f}" if cell["std"] is not None else "")
 
 
-def _gradients(rows: Sequence[Row], study: str, judge: str = OWN_JUDGE) -> TextTable:
+def _gradients(rows: Sequence[Row], study: str, judge: str = OWN_JUDGE) -> Table:
     """Mean magnitudes of the gradients of every loss, and those that the thesis prints in tables I and V."""
     printed = {row["loss"]: row for number in ("I", "V") for row in thesis_table(number)["rows"]}
     of_loss = {loss: printed[name] for name, loss in LOSS_OF.items() if name in printed}
@@ -307,10 +307,10 @@ def _gradients(rows: Sequence[Row], study: str, judge: str = OWN_JUDGE) -> TextT
         theirs = [f"{of_loss[loss][kind]:.3f}" if loss in of_loss else "" for kind in ("positional", "rotational")]
         lines.append([loss, *cells, *theirs])
     heads = ["loss", "positional [1/m]", "rotational [1/rad]", "thesis, positional", "thesis, rotational"]
-    return TextTable("", heads, lines, "")
+    return Table.of(heads, lines)
 
 
-def _correlation(rows: Sequence[Row], study: str = "correlation", judge: str = OWN_JUDGE) -> TextTable:
+def _correlation(rows: Sequence[Row], study: str = "correlation", judge: str = OWN_JUDGE) -> Table:
     """Spearman's rank correlation of the objective with what the detector finds on unseen scenes, over random rigs."""
     from warpav.evaluation.statistics import rank_correlation
 
@@ -322,10 +322,10 @@ def _correlation(rows: Sequence[Row], study: str = "correlation", judge: str = O
         estimate = rank_correlation(expected, found)
         ends = "" if estimate.low is None else f" [{estimate.low:.3f}, {estimate.high:.3f}]"
         lines.append([arm, str(len(runs)), "-" if estimate.value is None else f"{estimate.value:.3f}{ends}"])
-    return TextTable("", ["rigs", "number", "rank correlation [95 %]"], lines, "")
+    return Table.of(["rigs", "number", "rank correlation [95 %]"], lines)
 
 
-_KINDS: dict[str, Callable[..., TextTable]] = {
+_KINDS: dict[str, Callable[..., Table]] = {
     "arms": _arms,
     "settings": _settings,
     "networks": _networks,

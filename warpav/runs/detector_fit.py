@@ -17,6 +17,7 @@ import numpy as np
 from warpav.core.errors import ArgumentError
 from warpav.core.files import check_folder, write_json, write_text, writing
 from warpav.core.progress import NullProgress, Progress
+from warpav.core.table import Table
 from warpav.detection.camera_mixture import ScalingDetector, windows_of
 from warpav.detection.probability import DetectionProbability, DetectorUse, stored_file
 from warpav.detection.probability_fit import (
@@ -49,7 +50,7 @@ from warpav.runs.networks import (
     networks_in,
     opened_detector,
 )
-from warpav.runs.terminal import TextTable
+from warpav.runs.terminal import drawn
 from warpav.scene.traffic.files import content_digest
 from warpav.scene.traffic.moments import search_and_test
 
@@ -426,14 +427,15 @@ def score_detectors(
     for name, each in configs.items():
         progress.say(f"{name}: {len(seeds)} scenes")
         found.append(_scores_of(name, each, town_config(each) if fitted_on == "town" else each, seeds, progress))
-    table = TextTable(
-        "Detection probability against what detectors find",
+    title = "Detection probability against what detectors find"
+    table = Table.of(
         _HEADS,
         [_cells(each) for each in found],
         "Objects of which a view shows some pixel; detected: their share; predicted: their mean probability. 95 % "
         f"intervals resample scenes. Calibration error: {BIN_COUNT} bins of equal number.",
     )
-    progress.show(table.terminal())
+    progress.say(title)
+    progress.show(drawn(table))
     if out is None:
         return
     with writing(out):
@@ -442,7 +444,7 @@ def score_detectors(
     detectors = [each.data for each in found]
     content = {"schema": _SCORES_SCHEMA, "scenes": source, "fitted_on": fitted_on, "detectors": detectors}
     write_json(out / "scores.json", content)
-    write_text(out / "scores.md", table.markdown())
+    write_text(out / "scores.md", f"**{title}**\n\n{table.markdown()}")
     for each in found:
         _draw_reliability(each.scores, each.probability, each.is_detected, out / each.data["name"], each.data["name"])
     progress.say(f"wrote {out}")

@@ -7,20 +7,20 @@ they come out as they are written. A test refuses other imports of rich.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
 from typing import Any
 
 from rich import box
+from rich import table as rich_table
 from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.measure import Measurement
 from rich.segment import Segment
-from rich.table import Table
 from rich.text import Text
 
 from warpav.core.errors import one_line, printable
+from warpav.core.table import Table
 
-__all__ = ["Group", "RenderableType", "Terminal", "TerminalTable", "TextTable", "shown"]
+__all__ = ["Group", "RenderableType", "Terminal", "TerminalTable", "drawn", "shown"]
 
 
 def shown(text: str, style: str = "") -> Text:
@@ -29,7 +29,7 @@ def shown(text: str, style: str = "") -> Text:
     return Text(one_line(text).encode(encoding, "backslashreplace").decode(encoding), style)
 
 
-class TerminalTable(Table):
+class TerminalTable(rich_table.Table):
     """A table of texts, the first column to the left."""
 
     def __init__(self, title: str = "", *, has_frame: bool = True) -> None:
@@ -65,32 +65,13 @@ class Terminal(Console):
             yield segment if segment.control else Segment(printable(segment.text), segment.style)
 
 
-@dataclass(frozen=True)
-class TextTable:
-    """A table; the first column is to the left, numbers to the right."""
-
-    title: str
-    headings: Sequence[str]
-    lines: Sequence[Sequence[str]]
-    note: str
-
-    def markdown(self) -> str:
-        """The table as Markdown."""
-        rule = ["---", *["---:"] * (len(self.headings) - 1)]
-        rows = [_markdown_row(cells) for cells in (self.headings, rule, *self.lines)]
-        title = [f"**{self.title}**", ""] if self.title else []
-        return "\n".join([*title, *rows, "", *([self.note, ""] if self.note else [])])
-
-    def terminal(self) -> Group:
-        """The table for the console."""
-        table = TerminalTable(has_frame=False)
-        for k, heading in enumerate(self.headings):
-            table.add_column(heading, justify="right" if k else "left", overflow="fold")
-        for cells in self.lines:
-            table.add_row(*cells)
-        title = [shown(self.title, "bold")] if self.title else []
-        return Group(*title, table, *([shown(self.note)] if self.note else []))
-
-
-def _markdown_row(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+def drawn(table: Table, *, has_frame: bool = False) -> Group:
+    """A table for the console, numbers to the right, and its caption below."""
+    found = TerminalTable(has_frame=has_frame)
+    for k, name in enumerate(table.columns):
+        style = "bold" if name == "optimised" else None
+        side = "right" if k else "left"
+        found.add_column(name, no_wrap=has_frame and not k, justify=side, overflow="fold", style=style)
+    for row in table.rows:
+        found.add_row(*row)
+    return Group(found, *([shown(table.caption)] if table.caption else []))

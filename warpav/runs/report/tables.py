@@ -13,7 +13,7 @@ from warpav.runs.report.statements import (
     summary,
     warnings,
 )
-from warpav.runs.terminal import Terminal, TerminalTable, shown
+from warpav.runs.terminal import Group, Terminal, drawn, shown
 
 _STYLE = {"good": "green", "bad": "red", "open": ""}
 
@@ -32,9 +32,7 @@ def show_run(console: Terminal, run: RunContent) -> None:
     outages = evaluation.camera_outage.get(evaluation.first)
     for table in (outages and outages.table(evaluation.first), *robustness):
         if table is not None:
-            console.print(_drawn(table))
-            if table.caption:
-                console.print(shown(table.caption))
+            console.print(drawn(table, has_frame=True))
     for statement in (headline(run), *summary(run)):
         _show(console, statement)
 
@@ -45,25 +43,15 @@ def _show(console: Terminal, statement: Statement) -> None:
     console.print(shown(about, _STYLE[statement.tone] or "bold").append(shown(text, "default")))
 
 
-def _drawn(table: Table) -> TerminalTable:
-    drawn = TerminalTable()
-    for k, name in enumerate(table.columns):
-        style = "bold" if name == "optimised" else None
-        drawn.add_column(name, no_wrap=k == 0, justify="right" if k else "left", style=style)
-    for row in table.rows:
-        drawn.add_row(*row)
-    return drawn
-
-
 def _print_arms(console: Terminal, table: Table, fixed: int) -> None:
     """Print a table with a column for each arm, in parts where the console is too narrow; each has the first arm."""
     others = range(fixed + 1, len(table.columns))
 
-    def parts(size: int) -> list[TerminalTable]:
+    def parts(size: int) -> list[Group]:
         chosen = [[*range(fixed + 1), *others[k : k + size]] for k in range(0, max(1, len(others)), size)]
         cells = [table.columns, *table.rows]
         columns = [[tuple(row[k] for k in part) for row in cells] for part in chosen]
-        return [_drawn(Table(first, tuple(rows))) for first, *rows in columns]
+        return [drawn(Table(first, tuple(rows)), has_frame=True) for first, *rows in columns]
 
     size = max(1, len(others))
     while size > 1 and any(console.width_of(part) > console.width for part in parts(size)):
