@@ -25,7 +25,7 @@ from warpav.runs.optimise import Optimisation, kept_drawing
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
 from warpav.runs.report.content import RunContent, read_content
-from warpav.runs.result import Result, StageTimer, write_verdict
+from warpav.runs.result import Result, StageTimer, complete_folder
 from warpav.runs.rig_source import arm_names, find_rig, is_run_folder, is_shipped
 from warpav.runs.robustness import load_states_of, soiling_of
 from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, held_run, new_run_folder
@@ -95,7 +95,7 @@ def resume_rig(folder: RunFolder, config: Config, *, progress: Progress) -> tupl
             return optimisation.result(), read_content(folder)
         # from here on the folder is written to
         folder.replace_events(events)
-        folder.remove_verdict()
+        folder.remove_evaluation()
         folder.write_config(config, freeze=config.rig.freeze)
         folder.note_resumed(done)
         return _run_to_the_end(folder, optimisation, timer, progress)
@@ -138,7 +138,7 @@ def _run_to_the_end(
         optimisation.run(progress=progress, on_step=lambda record: _record_step(folder, optimisation, record))
         result = optimisation.result()
         timer.end("descent")
-        return result, write_verdict(folder, result, placement.test, placement.shown, timer=timer, progress=progress)
+        return result, complete_folder(folder, result, placement.test, placement.shown, timer=timer, progress=progress)
 
 
 @contextlib.contextmanager

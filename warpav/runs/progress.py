@@ -1,4 +1,4 @@
-"""What a run shows: a live table in a terminal, plain lines when piped, and the verdict at the end."""
+"""What a run shows while it goes: a live table in a terminal, plain lines when piped."""
 
 from __future__ import annotations
 

@@ -240,7 +240,7 @@ class Result:
                 scenes, first = placement.observed(given, progress=shown), given[0]
                 if test is not None:
                     written.write_config(_with_scenes(config, placement, given, written), freeze=placement.parts.freeze)
-            write_verdict(written, self, scenes, first, timer=timer, progress=shown)
+            complete_folder(written, self, scenes, first, timer=timer, progress=shown)
         return written.path
 
     def drawn(self, *, scene: Scene | None = None) -> DrawnRun:
@@ -300,7 +300,7 @@ class StageTimer:
         return {**self._seconds, "total": self._last - self._began}
 
 
-def write_verdict(
+def complete_folder(
     folder: RunFolder,
     result: Result,
     test: list[AssignedScene],

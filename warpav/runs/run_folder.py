@@ -184,7 +184,7 @@ class RunFolder:
             with writing(draft):
                 draft.unlink(missing_ok=True)
 
-    def remove_verdict(self) -> None:
+    def remove_evaluation(self) -> None:
         """Remove ``evaluation.json`` and ``report.html``, which speak of fewer iterations than are to come."""
         for name in ("evaluation.json", "report.html"):
             with writing(self.path / name):
