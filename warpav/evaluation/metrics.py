@@ -150,8 +150,9 @@ class ArmMetrics:
     @property
     def detected(self) -> int | None:
         """How many objects some camera detects; None where that is not known."""
-        known = self.objects is not None and self.tp_detection_rate is not None
-        return round(self.tp_detection_rate * self.objects) if known else None
+        if self.objects is None or self.tp_detection_rate is None:
+            return None
+        return round(self.tp_detection_rate * self.objects)
 
     def to_json(self) -> dict[str, Any]:
         """As ``evaluation.json`` has them; of `OPTIONAL_METRICS` those that are known."""

@@ -268,12 +268,14 @@ class RigEvaluation(_Part):
     ) -> RigEvaluation:
         """From what was measured of rigs in scenes of these names."""
         found = requirements or {}
-        evaluation = cls(
-            scenes={"test": len(scenes)},
-            arms=dict(metrics),
-            camera_outage=dict(camera_outage or {}),
-            requirements={name: [each.to_json() for each in result.outcomes] for name, result in found.items()},
-            outcomes=list(objects),
+        evaluation = cls.model_validate(
+            {
+                "scenes": {"test": len(scenes)},
+                "arms": dict(metrics),
+                "camera_outage": dict(camera_outage or {}),
+                "requirements": {name: [each.to_json() for each in met.outcomes] for name, met in found.items()},
+                "outcomes": list(objects),
+            }
         )
         evaluation._rigs, evaluation._scenes, evaluation._requirements = dict(rigs), tuple(scenes), dict(found)
         return evaluation

@@ -492,10 +492,10 @@ def _estimates(
         with contextlib.suppress(ValueError):  # all of them were detected, or none
             again = score(probability[chosen], samples.is_detected[chosen])
             drawn.append([getattr(again, name) for name in names])
-    ends: Any = [(None, None)] * 2
+    ends: list[tuple[float | None, float | None]] = [(None, None)] * 2
     if drawn:
         ends = np.quantile(np.array(drawn), [0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0], axis=0).T.tolist()
-    return {name: Estimate(getattr(scores, name), *ends[k], count) for k, name in enumerate(names)}
+    return {name: Estimate(getattr(scores, name), ends[k][0], ends[k][1], count) for k, name in enumerate(names)}
 
 
 def _cells(found: _FitScores) -> list[str]:

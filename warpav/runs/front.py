@@ -251,8 +251,8 @@ def _searched(
             known_pool=None if search is None or search.found is None else search.found.pool,
             progress=progress,
         )
+        assert isinstance(begun.descent, PoolRun)
         search = begun.descent
-        assert isinstance(search, PoolRun)
         records = []
         while search.stop_reason is None:
             records.append(search.step())

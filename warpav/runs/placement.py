@@ -211,11 +211,12 @@ class Placement:
             )
         ego, losses, requirements = (options.get(name) for name in ("ego", "losses", "requirements"))
         start_rig = start if isinstance(start, Rig) else None
-        if cameras is None and start_rig is not None and options.get("modules") is None:
+        modules = options.get("modules")
+        if cameras is None and start_rig is not None and modules is None:
             cameras = len(start_rig.cameras)
         base = Config() if config is None else config
         given: dict[str, object] = {
-            "rig.modules": None if options.get("modules") is None else dict(options["modules"] or {}),
+            "rig.modules": None if modules is None else dict(modules),
             "rig.cameras": cameras,
             "camera.fov_deg": options.get("fov_deg"),
             "device": device,

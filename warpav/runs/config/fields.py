@@ -100,7 +100,7 @@ def _read_seeds(value: object) -> tuple[int, ...]:
     return tuple(seeds)
 
 
-def _check_once(values: Sequence[object], noun: str) -> None:
+def _check_once(values: Sequence[Any], noun: str) -> None:
     twice = [value for value, count in Counter(values).items() if count > 1]
     if twice:
         text = shown(str(twice[0])) if isinstance(twice[0], (str, Path)) else min(twice)

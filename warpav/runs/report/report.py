@@ -146,7 +146,7 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "metrics": _typeset(evaluation and evaluation.metric_table()),
         "paired": _paired(evaluation) if evaluation else [],
         "cameras": _cameras(run),
-        "outage": _typeset(outages and outages.table(evaluation.first)),
+        "outage": _typeset(outages.table(evaluation.first) if evaluation and outages else None),
         "further": _further(run, objects),
         "near": _typeset(evaluation and evaluation.requirement_table()),
         "recall": _typeset(evaluation and evaluation.recall_table()),
