@@ -254,4 +254,4 @@ class Optimisation:
     def result(self) -> Result:
         """What it has come to; the last look at all validation scenes is taken here."""
         found = self.descent.finish()
-        return Result.of(self.placement, self.descent, found, self.records, self.pairing_rig, self.state)
+        return Result(self.placement, tuple(self.records), self.pairing_rig, self.descent, found, self.state)

@@ -6,7 +6,7 @@ import html
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -56,75 +56,85 @@ _TOLERANCE_SCENES, _TOLERANCE_DRAWS = 10, 8
 """Errors of mounting of which a run says what they cost, and on how much: some percent of a run's time."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """What an optimisation has come to.
 
     Attributes:
-        rig: The rig of the run: the one that was found, or the start where that one is worse.
-        start: The rig that it started from.
-        found: The rig that was found, the best or the last as ``optimiser.keep`` says, even where it is worse.
-        objective: Of `rig`, on all validation scenes (the training scenes if there are none); less is better. With
-            ``robust.camera_loss`` it counts what is missed without a camera, with ``robust.mount_error_m`` and
-            ``robust.mount_error_deg`` errors of mounting, see `robust`.
-        start_objective: Of `start`, likewise.
-        found_objective: Of `found`, likewise.
-        history: Series by name: ``loss``, every loss and constraint, ``seconds``, one number an iteration; and
-            ``objective`` on all validation scenes whenever it was measured, the last one of `found` with
-            ``optimiser.keep`` last, with ``objective_iteration``, the iterations before which that was. Of a search by
-            a pool ``bound``, ``pool_cameras`` and ``camera_renders`` as well, NaN before the first selection.
-        ended: Why it ended early; None where it took all iterations.
         placement: What it ran on.
         records: What every iteration did.
         pairing_rig: See `warpav.runs.placement.Placement.assigned`.
     """
 
-    rig: Rig
-    start: Rig
-    found: Rig
-    objective: float
-    start_objective: float
-    found_objective: float
-    history: dict[str, list[float]]
-    ended: str | None
     placement: Placement
-    records: tuple[IterationRecord, ...] = field(repr=False)
-    pairing_rig: Rig | None = field(repr=False)
-    _descent: Descent | PoolRun = field(repr=False)
-    _kept: Candidate = field(repr=False)
-    _state: Callable[[], dict[str, np.ndarray]] = field(repr=False)
+    records: tuple[IterationRecord, ...]
+    pairing_rig: Rig | None
+    _descent: Descent | PoolRun
+    _kept: Candidate
+    _state: Callable[[], dict[str, np.ndarray]]  # what a checkpoint holds
 
-    @classmethod
-    def of(
-        cls,
-        placement: Placement,
-        descent: Descent | PoolRun,
-        kept: Candidate,
-        records: Sequence[IterationRecord],
-        pairing_rig: Rig | None,
-        state: Callable[[], dict[str, np.ndarray]],
-    ) -> Result:
-        """The result of a descent that has finished with a candidate; ``state`` gives what a checkpoint holds."""
-        rig = placement.mount.rig
-        begun, end = descent.candidates[0].training_objective, kept.training_objective
-        is_worse = not end <= begun
-        start, found = rig(descent.start), rig(kept.mount_pose)
-        return cls(
-            rig=start if is_worse else found,
-            start=start,
-            found=found,
-            objective=begun if is_worse else end,
-            start_objective=begun,
-            found_objective=end,
-            history=_history(records, descent.candidates),
-            ended=descent.stop_reason,
-            placement=placement,
-            records=tuple(records),
-            pairing_rig=pairing_rig,
-            _descent=descent,
-            _kept=kept,
-            _state=state,
-        )
+    @property
+    def rig(self) -> Rig:
+        """The rig of the run: the one that was found, or the start where that one is worse."""
+        return self.start if self.is_worse_than_start else self.found
+
+    @cached_property
+    def start(self) -> Rig:
+        """The rig that it started from."""
+        return self.placement.mount.rig(self._descent.start)
+
+    @cached_property
+    def found(self) -> Rig:
+        """The rig that was found, the best or the last as ``optimiser.keep`` says, even where it is worse."""
+        return self.placement.mount.rig(self._kept.mount_pose)
+
+    @property
+    def objective(self) -> float:
+        """Of `rig`, on all validation scenes (the training scenes if there are none); less is better.
+
+        With ``robust.camera_loss`` it counts what is missed without a camera, with ``robust.mount_error_m`` and
+        ``robust.mount_error_deg`` errors of mounting, see `robust`.
+        """
+        return self.start_objective if self.is_worse_than_start else self.found_objective
+
+    @property
+    def start_objective(self) -> float:
+        """Of `start`, likewise."""
+        return self._descent.candidates[0].training_objective
+
+    @property
+    def found_objective(self) -> float:
+        """Of `found`, likewise."""
+        return self._kept.training_objective
+
+    @property
+    def ended(self) -> str | None:
+        """Why it ended early; None where it took all iterations."""
+        return self._descent.stop_reason
+
+    @cached_property
+    def history(self) -> dict[str, list[float]]:
+        """Series by name: ``loss``, every loss and constraint, ``seconds``, one number an iteration.
+
+        ``objective`` is on all validation scenes whenever it was measured, the last one of `found` with
+        ``optimiser.keep`` last; ``objective_iteration`` are the iterations before which that was. Of a search by a pool
+        ``bound``, ``pool_cameras`` and ``camera_renders`` as well, NaN before the first selection.
+        """
+        records, candidates = self.records, self._descent.candidates
+        names = list(dict.fromkeys(name for record in records for name in record.terms))
+        found: dict[str, list[float]] = {
+            "iteration": [record.iteration for record in records],
+            "loss": [record.loss for record in records],
+            **{name: [record.terms.get(name, math.nan) for record in records] for name in names},
+            "seconds": [record.seconds["total"] for record in records],
+        }
+        if any(record.stage is not None for record in records):
+            for name in ("bound", "pool_cameras", "camera_renders"):
+                values = (getattr(record, name) for record in records)
+                found[name] = [math.nan if value is None else value for value in values]
+        found["objective"] = [candidate.training_objective for candidate in candidates]
+        found["objective_iteration"] = [candidate.iteration for candidate in candidates]
+        return found
 
     @cached_property
     def certificate(self) -> Certificate | None:
@@ -433,20 +443,3 @@ def _with_scenes(config: Config, placement: Placement, test: Sequence[Scene], fo
         "scenes.test_seeds": seeds[2],
     }
     return config.replace(options)
-
-
-def _history(records: Sequence[IterationRecord], candidates: Sequence[Candidate]) -> dict[str, list[float]]:
-    names = list(dict.fromkeys(name for record in records for name in record.terms))
-    return {
-        "iteration": [record.iteration for record in records],
-        "loss": [record.loss for record in records],
-        **{name: [record.terms.get(name, math.nan) for record in records] for name in names},
-        "seconds": [record.seconds["total"] for record in records],
-        **{
-            name: [math.nan if (value := getattr(record, name)) is None else value for record in records]
-            for name in ("bound", "pool_cameras", "camera_renders")
-            if any(record.stage is not None for record in records)
-        },
-        "objective": [candidate.training_objective for candidate in candidates],
-        "objective_iteration": [candidate.iteration for candidate in candidates],
-    }
