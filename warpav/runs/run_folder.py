@@ -228,12 +228,10 @@ class RunFolder:
         """Write ``further_cameras.csv``: what each camera of the pool would add to the rig that was found."""
         import numpy as np
 
-        angles_deg = np.degrees(np.stack([further.yaw_rad, further.pitch_rad, further.fov_rad], axis=1))
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(_FURTHER_COLUMNS)
-        for gain, place, angles in zip(further.gain, further.position_m, angles_deg, strict=True):
-            writer.writerow([f"{gain:.8f}", *(f"{value:.6f}" for value in (*place, *angles))])
+        angles_deg = np.degrees([further.yaw_rad, further.pitch_rad, further.fov_rad])
+        text, table = io.StringIO(), np.column_stack([further.gain, further.position_m, *angles_deg])
+        heading = ",".join(_FURTHER_COLUMNS)
+        np.savetxt(text, table, ["%.8f", *["%.6f"] * 6], delimiter=",", header=heading, comments="")
         write_text(self.path / "further_cameras.csv", text.getvalue())
 
     def further_cameras(self) -> FurtherCameras | None:
@@ -246,15 +244,15 @@ class RunFolder:
         if not file.exists():
             return None
         try:
-            heading, *rows = csv.reader(read_text(file, "rows of numbers").splitlines())
-            if tuple(heading) != _FURTHER_COLUMNS:
-                raise ValueError(f"columns {', '.join(heading)}")
-            table = np.array(rows, np.float64).reshape(len(rows), len(_FURTHER_COLUMNS))
+            heading, *rows = read_text(file, "rows of numbers").splitlines()
+            if heading != ",".join(_FURTHER_COLUMNS):
+                raise ValueError(f"columns {heading}")
+            table = np.array([row.split(",") for row in rows], np.float64).reshape(len(rows), len(_FURTHER_COLUMNS))
             if not np.isfinite(table).all():
                 raise ValueError("a number that is not finite")
         except InputError:
             raise
-        except (ValueError, csv.Error) as error:
+        except ValueError as error:
             raise InputError(
                 f"{file}: expected rows of {', '.join(_FURTHER_COLUMNS)}, got: {one_line(str(error))}; "
                 "was the file changed?"
