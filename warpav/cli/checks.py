@@ -15,7 +15,7 @@ modules_app = App(name="modules", help="Catalogues of camera modules.")
 
 
 @config_app.command(name="show")
-def config_show(
+def _config_show(
     config: Config = DEFAULT_CONFIG,
     /,
     *overrides: Overrides,
@@ -33,7 +33,7 @@ def config_show(
 
 
 @config_app.command(name="check")
-def config_check(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
+def _config_check(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> None:
     """Check a configuration, and name everything that is wrong with it."""
     from warpav.runs.placement import Placement
 
@@ -43,7 +43,7 @@ def config_check(config: Config = DEFAULT_CONFIG, /, *overrides: Overrides) -> N
 
 
 @config_app.command(name="schema")
-def config_schema(
+def _config_schema(
     *,
     of: Annotated[
         Literal["config", "rig", "modules", "zones", "requirements"], Parameter(help="Of which file.")
@@ -58,7 +58,7 @@ def config_schema(
 
 
 @config_app.command(name="copy")
-def config_copy(name: Config, target: Annotated[Path, Parameter(help="File to write.")], /) -> None:
+def _config_copy(name: Config, target: Annotated[Path, Parameter(help="File to write.")], /) -> None:
     """Copy a shipped configuration, comments included, to start one's own from."""
     from warpav.runs.config import find_config
 
@@ -72,7 +72,7 @@ def config_copy(name: Config, target: Annotated[Path, Parameter(help="File to wr
 
 
 @config_app.command(name="diff")
-def config_diff(one: Config, other: Config, /) -> None:
+def _config_diff(one: Config, other: Config, /) -> None:
     """List the options in which two configurations differ."""
     from warpav.runs.config import load_config, option_values
 
@@ -83,7 +83,7 @@ def config_diff(one: Config, other: Config, /) -> None:
 
 
 @modules_app.command(name="list")
-def modules_list(
+def _modules_list(
     file: Annotated[Path | None, Parameter(help="Catalogue, YAML; by default the one that ships with warpav.")] = None,
     /,
 ) -> None:
@@ -97,7 +97,7 @@ def modules_list(
 
 
 @modules_app.command(name="check")
-def modules_check(file: Annotated[Path, Parameter(help="Catalogue, YAML.")], /) -> None:
+def _modules_check(file: Annotated[Path, Parameter(help="Catalogue, YAML.")], /) -> None:
     """Check a catalogue: one line per problem with file, line, field, what was expected, what came, how to fix it.
 
     Status 0: every module can be used; 2: something has to be corrected.

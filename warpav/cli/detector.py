@@ -78,7 +78,7 @@ def detector_fit(
 
 
 @dev_detector_app.command(name="score")
-def detector_score(
+def _detector_score(
     config: Config = DEFAULT_CONFIG,
     /,
     *overrides: Overrides,
@@ -105,7 +105,7 @@ def detector_score(
 
 
 @dev_detector_app.command(name="evaluate")
-def detector_evaluate(
+def _detector_evaluate(
     *overrides: Overrides,
     out: Annotated[Path, Parameter(help="Folder for evaluation.json and evaluation.md.")],
     image_folder: Annotated[Path | None, Parameter(help="Folder of the images; by default OUT/images.")] = None,
@@ -121,7 +121,7 @@ def detector_evaluate(
 
 
 @dev_detector_app.command(name="train")
-def detector_train(
+def _detector_train(
     *,
     out: Annotated[Path, Parameter(help="Folder for checkpoint.pt and detector.onnx.")],
     image_folder: Annotated[Path | None, Parameter(help="Folder of the images; by default OUT/images.")] = None,

@@ -95,7 +95,7 @@ def experiment(
 
 
 @experiment_app.command(name="rescore")
-def experiment_rescore(
+def _experiment_rescore(
     folder: Annotated[Path, Parameter(help="Folder of a study.")],
     /,
     *overrides: Overrides,
@@ -139,7 +139,7 @@ def experiment_rescore(
 
 
 @experiment_app.command(name="results")
-def experiment_results(
+def _experiment_results(
     *folders: Annotated[Path, Parameter(help="Folders of studies, or of rescored ones.")],
     out: Annotated[
         Path, Parameter(help="CSV file for all their rows, or a Markdown page whose marked tables are filled by them.")

@@ -24,7 +24,7 @@ rig_app = App(name="rig", help="Known camera rigs; rig files of other tools; wha
 
 
 @rig_app.command(name="presets")
-def rig_presets() -> None:
+def _rig_presets() -> None:
     """List the rigs that ship with warpav, with their sources."""
     from warpav.rig.presets import preset_about, preset_names, preset_rig
 
@@ -37,7 +37,7 @@ def rig_presets() -> None:
 
 
 @rig_app.command(name="import")
-def rig_import(
+def _rig_import(
     file: Annotated[Path, Parameter(help="File or folder of another tool.")],
     /,
     *,
@@ -75,7 +75,7 @@ def rig_import(
 
 
 @rig_app.command(name="export")
-def rig_export(
+def _rig_export(
     rig: RigSource,
     /,
     *,
@@ -106,7 +106,7 @@ def rig_export(
 
 
 @rig_app.command(name="check")
-def rig_check(
+def _rig_check(
     rig: RigSource,
     /,
     *,
@@ -139,7 +139,7 @@ def rig_check(
 
 
 @rig_app.command(name="requirements")
-def rig_requirements(
+def _rig_requirements(
     rig: RigSource,
     /,
     *overrides: Overrides,
@@ -162,7 +162,7 @@ def rig_requirements(
 
 
 @rig_app.command(name="drawing")
-def rig_drawing(
+def _rig_drawing(
     rig: RigSource,
     /,
     *overrides: Overrides,

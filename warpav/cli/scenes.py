@@ -28,7 +28,7 @@ SceneLevel = Annotated[
     Parameter(help="Of the embedded town, for seeds: easy, urban, dense or motorway."),
 ]
 
-TrafficVehicles = Annotated[
+_TrafficVehicles = Annotated[
     list[str] | None,
     Parameter(
         help="Vehicles of other makers in the places of some: shipped, a mesh file, or a folder of these; may be given "
@@ -36,7 +36,7 @@ TrafficVehicles = Annotated[
         negative=(),
     ),
 ]
-VehiclesShare = Annotated[
+_VehiclesShare = Annotated[
     float | None, Parameter(help="With --vehicles: of the vehicles in whose places one could stand; by default 0.5.")
 ]
 
@@ -52,14 +52,14 @@ dev_scenes_app = App(name="scenes", help="Figures of the thesis.")
 
 
 @scenes_app.command(name="make")
-def scenes_make(
+def _scenes_make(
     *,
     out: Annotated[Path, Parameter(help="Folder for the files, scene_SEED.glb.")],
     seeds: Annotated[str | None, Parameter(help="Range such as 1000..1009 or list such as [1,2,3].")] = None,
     count: Annotated[int | None, Parameter(help="Instead of --seeds: this many, from seed 0.")] = None,
     level: SceneLevel = "easy",
-    vehicles: TrafficVehicles = None,
-    vehicles_share: VehiclesShare = None,
+    vehicles: _TrafficVehicles = None,
+    vehicles_share: _VehiclesShare = None,
     executor: Executor = "serial",
     workers: Workers = None,
 ) -> int:
@@ -71,7 +71,7 @@ def scenes_make(
 
 
 @scenes_app.command(name="traffic")
-def scenes_traffic(
+def _scenes_traffic(
     *recordings: Annotated[
         Path,
         Parameter(
@@ -82,8 +82,8 @@ def scenes_traffic(
     out: Annotated[Path, Parameter(help="Folder for the files, scene_SEED.glb.")],
     seeds: Annotated[str | None, Parameter(help="Range such as 1000..1009 or list such as [1,2,3].")] = None,
     count: Annotated[int | None, Parameter(help="Instead of --seeds: this many, from seed 0.")] = None,
-    vehicles: TrafficVehicles = None,
-    vehicles_share: VehiclesShare = None,
+    vehicles: _TrafficVehicles = None,
+    vehicles_share: _VehiclesShare = None,
     executor: Executor = "serial",
     workers: Workers = None,
 ) -> int:
@@ -97,7 +97,7 @@ def scenes_traffic(
 
 
 @scenes_app.command(name="capture")
-def scenes_capture(
+def _scenes_capture(
     *overrides: Overrides,
     out: Annotated[Path, Parameter(help="Folder for the captures, scene_SEED.")],
     seeds: Annotated[str | None, Parameter(help="Range such as 1000..1009 or list such as [1,2,3].")] = None,
@@ -126,7 +126,7 @@ def scenes_capture(
 
 
 @scenes_app.command(name="reconstruct")
-def scenes_reconstruct(
+def _scenes_reconstruct(
     captures: Annotated[Path, Parameter(help="Capture, or folder of captures.")],
     /,
     *overrides: Overrides,
@@ -144,7 +144,7 @@ def scenes_reconstruct(
 
 
 @scenes_app.command(name="check")
-def scenes_check(captures: Annotated[Path, Parameter(help="Capture, or folder of captures.")], /) -> int:
+def _scenes_check(captures: Annotated[Path, Parameter(help="Capture, or folder of captures.")], /) -> int:
     """Check captures, also those of other simulators and cameras, and name everything that is wrong with them."""
     from warpav.scene.files import captures_in, check_captures
 
@@ -155,14 +155,14 @@ def scenes_check(captures: Annotated[Path, Parameter(help="Capture, or folder of
 
 
 @scenes_app.command(name="show")
-def scenes_show(
+def _scenes_show(
     scene: SceneSource,
     /,
     *,
     out: Annotated[Path | None, Parameter(help="PNG, HTML, GIF or MP4 to write; by default a window.")] = None,
     level: SceneLevel = "easy",
-    vehicles: TrafficVehicles = None,
-    vehicles_share: VehiclesShare = None,
+    vehicles: _TrafficVehicles = None,
+    vehicles_share: _VehiclesShare = None,
 ) -> None:
     """Show a scene and list its vehicles."""
     from warpav.runs.scenes import chosen_fleet, show_scene
@@ -172,7 +172,7 @@ def scenes_show(
 
 
 @scenes_app.command(name="statistics")
-def scenes_statistics(
+def _scenes_statistics(
     *overrides: Overrides,
     seeds: Annotated[
         str | None, Parameter(help="Range such as 0..39 or list such as [1,2,3]; by default scenes.train_seeds.")
@@ -198,7 +198,7 @@ def scenes_statistics(
 
 
 @dev_scenes_app.command(name="figure")
-def scenes_figure(
+def _scenes_figure(
     number: Annotated[int, Parameter(help="Its number in the thesis: 4 to 12, or 14 to 16.")],
     /,
     *overrides: Overrides,
@@ -241,7 +241,7 @@ def scenes_figure(
 
 
 @scenes_app.command(name="heatmap")
-def scenes_heatmap(
+def _scenes_heatmap(
     scenes: Annotated[Path, Parameter(help="Folder of scenes, scene_SEED.glb.")],
     /,
     *,

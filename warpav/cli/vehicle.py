@@ -22,7 +22,7 @@ vehicle_app = App(name="vehicle", help="Your own vehicle.")
 
 
 @vehicle_app.command(name="list")
-def vehicle_list() -> None:
+def _vehicle_list() -> None:
     """List the vehicles that ship with warpav, which scenes.ego takes by name, with their sources."""
     import numpy as np
 
@@ -39,7 +39,7 @@ def vehicle_list() -> None:
 
 
 @vehicle_app.command(name="check")
-def vehicle_check(
+def _vehicle_check(
     file: Annotated[Path, Parameter(help="Mesh of the vehicle: GLB, glTF, OBJ, DAE, PLY or STL.")],
     /,
     *overrides: Overrides,
@@ -93,7 +93,7 @@ def vehicle_check(
 
 
 @vehicle_app.command(name="zones")
-def vehicle_zones(
+def _vehicle_zones(
     file: Annotated[Path, Parameter(help="Mesh of the vehicle as scenes.ego takes it, see warpav vehicle check.")],
     /,
     *overrides: Overrides,

@@ -86,7 +86,7 @@ class _Part(BaseModel):
 
 
 @dataclass(frozen=True)
-class SeenObject:
+class _SeenObject:
     """An object of a scene before several rigs; which cameras see and detect it is not written to files."""
 
     scene: str
@@ -190,7 +190,7 @@ class _Need(_Part):
     share: float | None = 1.0
 
 
-class MetRequirement(_Part):
+class _MetRequirement(_Part):
     """What a rig meets of a requirement, see `warpav.sight.check.RequirementOutcome.to_json`."""
 
     name: str
@@ -237,7 +237,7 @@ class RigEvaluation(_Part):
     arms: dict[str, Annotated[ArmMetrics, PlainSerializer(ArmMetrics.to_json)]] = Field(min_length=1)
     paired: dict[str, dict[str, Annotated[Difference, PlainSerializer(Difference.to_json)]]] = {}
     camera_outage: dict[str, Annotated[CameraOutages, PlainSerializer(CameraOutages.to_json)] | None] = {}
-    met: dict[str, list[MetRequirement]] = Field({}, alias="requirements")
+    met: dict[str, list[_MetRequirement]] = Field({}, alias="requirements")
     mount_tolerance: ToleranceTable | None = None
     rig_of_run: str | None = None
     training_objective: StartAndEnd | None = None
@@ -245,7 +245,7 @@ class RigEvaluation(_Part):
     certificate: dict[str, Any] | None = None
     robust: Robust | None = None
     constraints: dict[str, list[Margin]] | None = None
-    outcomes: list[Annotated[SeenObject, PlainSerializer(SeenObject.to_json)]] | None = None
+    outcomes: list[Annotated[_SeenObject, PlainSerializer(_SeenObject.to_json)]] | None = None
     ground: GroundTable | None = None
     seconds: dict[str, float] = {}
     soiling: Annotated[Soiling, PlainSerializer(Soiling.to_json)] | None = None
@@ -261,7 +261,7 @@ class RigEvaluation(_Part):
         rigs: Mapping[str, Rig],
         metrics: Mapping[str, ArmMetrics],
         scenes: Sequence[str],
-        objects: Sequence[SeenObject] = (),
+        objects: Sequence[_SeenObject] = (),
         *,
         camera_outage: Mapping[str, CameraOutages | None] | None = None,
         requirements: Mapping[str, RequirementResult] | None = None,
@@ -329,7 +329,7 @@ class RigEvaluation(_Part):
         return self._scenes
 
     @property
-    def objects(self) -> tuple[SeenObject, ...]:
+    def objects(self) -> tuple[_SeenObject, ...]:
         """Every object of the scenes, and what becomes of it."""
         return tuple(self.outcomes or ())
 
@@ -475,7 +475,7 @@ def _cell(value: float | None) -> str:
 
 def seen_objects(
     observations: Mapping[str, SceneObservations], scenes: Sequence[DeviceScene], rigs: Mapping[str, Rig]
-) -> list[SeenObject]:
+) -> list[_SeenObject]:
     """Every object of scenes before several rigs."""
     objects = []
     for number, scene in enumerate(scenes):
@@ -487,7 +487,7 @@ def seen_objects(
         for k in range(scene.vehicle_count):
             forward_m, left_m = scene.from_ego_m[k]
             objects.append(
-                SeenObject(
+                _SeenObject(
                     scene.name,
                     scene.category[k],
                     math.hypot(forward_m, left_m),

@@ -183,7 +183,7 @@ def fit_config(config: Config, progress: Progress) -> Config:
             f"detection probability is that of the embedded scenes: to fit it on others takes {_MIN_FIT_SCENES}, "
             f"scenes.train_seeds has {count}"
         )
-        return town_config(config)
+        return _town_config(config)
     scenes = config.scenes
     if scenes.source != "traffic" or (scenes.recordings, scenes.test_recordings) == (None, None):
         return config
@@ -212,7 +212,7 @@ def _unseen(config: Config) -> tuple[int, ...]:
     return () if config.scenes.source == "traffic" else config.scenes.test_seeds
 
 
-def town_config(config: Config) -> Config:
+def _town_config(config: Config) -> Config:
     """The configuration with embedded scenes for its own."""
     town = {"source": "town", "folder": None, "recordings": None, "test_recordings": None}
     return config.replace({f"scenes.{name}": value for name, value in town.items()})
@@ -426,7 +426,7 @@ def score_detectors(
     found = []
     for name, each in configs.items():
         progress.say(f"{name}: {len(seeds)} scenes")
-        found.append(_scores_of(name, each, town_config(each) if fitted_on == "town" else each, seeds, progress))
+        found.append(_scores_of(name, each, _town_config(each) if fitted_on == "town" else each, seeds, progress))
     title = "Detection probability against what detectors find"
     table = Table.of(
         _HEADS,
