@@ -94,7 +94,7 @@ class LevelWorld:
         """The scene in the ego frame, without those whom nobody on the ego vehicle could see."""
         to_ego = -self._origin_m
         users = [*self._vehicles, *self._crowd.persons]
-        meshes = [one.standing(self._ground) if isinstance(one, PlacedVehicle) else one.mesh for one in users]
+        meshes = [one.standing(self._ground) for one in users]
         velocity = velocities_m_s([self._own, *users], [*self._obstacles, *self._lines], self._rng)
         pieces = merge([self._scenery.finish(), *self._pieces])
         seen = self._seen([pieces, self._ego.transformed(np.eye(3), self._origin_m)], meshes)

@@ -21,7 +21,7 @@ from warpav.scene.town.surface_builder import StreetGround
 from warpav.scene.town.town_layout import Footprint, Lane, Marking, Slot
 
 _MOTORWAY_REACH_M = 232.0
-USERS_REACH_M = 200.0  # road users are no farther from the ego vehicle
+_USERS_REACH_M = 200.0  # road users are no farther from the ego vehicle
 _FIELD_M = 130.0  # from the middle to the edge of the ground
 _INNER_SHOULDER_M, _VERGE_M = 0.8, 7.0
 _CURVE_M = 90.0  # in which the road bends from level to its grade
@@ -82,13 +82,8 @@ def motorway_world(rng: np.random.Generator, users_rng: np.random.Generator) -> 
     side = 1.0 if rng.random() < 0.5 else -1.0  # of the carriageway of the ego vehicle
     ahead, behind = rng.uniform(*_GRADE, 2) * rng.choice([-1.0, 1.0], 2)
     is_level = rng.random() >= _GRADE_SHARE
-    ground = StreetGround(
-        0.0,
-        *((0.0, 0.0) if is_level else (ahead, behind)),
-        curve_m=_CURVE_M,
-        reach_m=300.0,
-        only_bends=True,
-    )
+    ahead, behind = (0.0, 0.0) if is_level else (ahead, behind)
+    ground = StreetGround(0.0, ahead, behind, curve_m=_CURVE_M, reach_m=300.0, only_bends=True)
     scenery = SceneryBuilder(rng, ground)
     _Builder(section, side, scenery, ground, rng).build()
     own = int(rng.choice(section.lanes))
@@ -121,18 +116,13 @@ def _drive(section: _Section, side: float, ego: Slot, world: LevelWorld, rng: np
             y = direction * side * section.lane_y_m(index)
             yaw = 0.0 if direction > 0.0 else np.pi
             draw = partial(drawn_vehicle, kind_shares, rng)
-            lane = Lane(
-                (-direction * USERS_REACH_M, y),
-                yaw,
-                2.0 * USERS_REACH_M,
-                (_HEADWAY_S * free_m_s[0], added_m),
-                kind_shares,
-            )
+            start_m, spacing_m = (-direction * _USERS_REACH_M, y), (_HEADWAY_S * free_m_s[0], added_m)
+            lane = Lane(start_m, yaw, 2.0 * _USERS_REACH_M, spacing_m, kind_shares)
             for drawn, footprint in lane_vehicles(lane, draw, rng):
                 limits = (free_m_s[0], min(free_m_s[1], free_m_s[0] + 2.5)) if drawn.kind in LONG_KINDS else free_m_s
                 gap_m = abs(footprint.x_m) - 0.5 * (drawn.size_m[0] + _EGO_LENGTH_M)
                 own_lane = abs(y - ego.y_m) < 1.0 and gap_m < _HEADWAY_S * free_m_s[0]
-                in_reach = np.hypot(footprint.x_m, footprint.y_m - ego.y_m) <= USERS_REACH_M
+                in_reach = np.hypot(footprint.x_m, footprint.y_m - ego.y_m) <= _USERS_REACH_M
                 if in_reach and not own_lane:
                     world.put_vehicle(drawn, footprint, yaw, gap_m=_CLEARANCE_M, free_m_s=limits)
     if rng.random() < _STANDING_SHARE:

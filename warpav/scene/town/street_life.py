@@ -46,6 +46,11 @@ class Person(RoadUser):
     mesh: Mesh  # town frame
     pavement_share: float  # how far from the kerb to the houses, 0..1; below 0 on the road
 
+    def standing(self, ground: StreetGround) -> Mesh:
+        """The person's mesh in the town frame, which knows the ground already."""
+        del ground
+        return self.mesh
+
 
 def upright_box(mesh: Mesh, yaw_rad: float) -> Box:
     """The smallest upright box of a heading that contains a mesh."""

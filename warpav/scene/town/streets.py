@@ -250,7 +250,7 @@ class _Plan:
             self._blocks.append(Block((low, -end, high, end), 2.5, (front,)))
 
 
-USERS_REACH_M = 80.0  # road users are no farther from the ego vehicle
+_USERS_REACH_M = 80.0  # road users are no farther from the ego vehicle
 _FURNITURE_REACH_M, _FRAMES_WITHIN_M = 90.0, 45.0
 _CLEARANCE_M, _AHEAD_M = 0.30, 1.2
 _STEP_OUT_GAP_M = 0.75  # between parked cars, for somebody to step out
@@ -425,7 +425,7 @@ class _Life:
         """People on pavements."""
         rng = self._rng
         for strip in strips(self._plan):
-            span = strip.span_m(np.zeros(2), USERS_REACH_M)
+            span = strip.span_m(np.zeros(2), _USERS_REACH_M)
             if span is None:
                 continue
             low, high = span
@@ -462,4 +462,4 @@ class _Life:
         return None
 
     def _is_near(self, x_m: float, y_m: float) -> bool:
-        return bool(np.hypot(x_m, y_m - self._plan.ego.y_m) <= USERS_REACH_M)
+        return bool(np.hypot(x_m, y_m - self._plan.ego.y_m) <= _USERS_REACH_M)

@@ -139,8 +139,8 @@ def _try_world(seed: int, attempt: int, exchange: Exchange | None) -> TownWorld 
         in_car_park=layout.template == "car_park",
     )
     users = []
-    for number, one in enumerate(moving[1:], start=1):
-        mesh = (one.standing(ground) if isinstance(one, PlacedVehicle) else one.mesh).transformed(np.eye(3), -origin)
+    for number, one in enumerate([*placed, *persons], start=1):
+        mesh = one.standing(ground).transformed(np.eye(3), -origin)
         box = upright_box(mesh, one.footprint.yaw_rad)
         users.append(Vehicle(number, one.category, mesh, box, velocity[number] - velocity[0]))
     environment = merge([scenery.finish(), *furnishing.meshes]).transformed(np.eye(3), -origin)
