@@ -76,7 +76,7 @@ def working_directory(tmp_path, monkeypatch):
 @pytest.fixture
 def short_polish(monkeypatch):
     """Searches by a pool in this process take three steps where they polish, instead of up to sixteen."""
-    for name in ("FIRST_POLISH", "FURTHER_POLISH", "LAST_POLISH"):
+    for name in ("_FIRST_POLISH", "_FURTHER_POLISH", "_LAST_POLISH"):
         monkeypatch.setattr(f"warpav.optimisation.pool_search.{name}", (3, 0.4))
 
 

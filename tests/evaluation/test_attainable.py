@@ -11,7 +11,7 @@ from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.detector import ROAD_USERS
 from warpav.evaluation.metrics import metrics_of, observe_scenes
 from warpav.evaluation.statistics import paired_differences
-from warpav.optimisation.attainable import LIKELY, attainable_objects
+from warpav.optimisation.attainable import _LIKELY, attainable_objects
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.pool import spread_mount_poses
 from warpav.scene.device_scene import DeviceScene
@@ -43,8 +43,8 @@ def test_no_other_cameras_find_what_is_not_attainable():
     others = spread_mount_poses(single.mount, constraints, 1280, seed=7)
     for flags, assigned in zip(found, scenes, strict=True):
         best = single.detection_probability(others, assigned.scene).max(axis=0)
-        assert flags[best > LIKELY + 0.1].all()
-        assert not flags[best < LIKELY - 0.1].any()
+        assert flags[best > _LIKELY + 0.1].all()
+        assert not flags[best < _LIKELY - 0.1].any()
 
 
 def test_recalls_of_the_attainable():

@@ -5,7 +5,7 @@ import functools
 from tests.driving_scene import street
 from warpav.cli.app import main
 from warpav.experiments.arms import Arm
-from warpav.experiments.study import Study, loss_overrides
+from warpav.experiments.study import Study, _loss_overrides
 from warpav.runs.config import load_config
 from warpav.scene.glb import write_scene
 
@@ -22,7 +22,7 @@ OPTIONS = (
     "detector.confidence_min=0.1",
 )
 
-BOTH = loss_overrides("IFR+DOA")
+BOTH = _loss_overrides("IFR+DOA")
 ARMS = (Arm("sgd_ifr_doa", "optimiser", BOTH), Arm("random_ifr_doa", "random_batches", BOTH))
 SMALL = Study("small", "thesis", ARMS, runs=2)
 

@@ -10,7 +10,7 @@ import pytest
 from tests.experiments.small_experiment import config
 from warpav.core.errors import InputError
 from warpav.experiments import arms as module
-from warpav.experiments.arms import METHODS, Arm, common_arms, find_arm, find_rig_of
+from warpav.experiments.arms import METHODS, Arm, _common_arms, find_arm, find_rig_of
 from warpav.optimisation.budget import BudgetedValue, SingleCameraValues
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.settings import LOSSES
@@ -228,12 +228,12 @@ def test_unknown_arms_are_named_with_their_neighbour():
         find_arm("sgd_irf", own)
     with pytest.raises(InputError, match=r"got 'nuscene'; did you mean nuscenes\?"):
         find_arm("nuscene", own)
-    assert set(METHODS) - {"optimiser", "as_configured"} < set(common_arms())
+    assert set(METHODS) - {"optimiser", "as_configured"} < set(_common_arms())
 
 
 def test_what_cannot_work_is_refused_before_it_starts(problem, monkeypatch):
     settings = problem.config
-    for name in common_arms():
+    for name in _common_arms():
         if name not in ("cma", "thesis_as_printed"):
             find_arm(name, {}).check(settings, None)
     with pytest.raises(InputError, match=r"run\.batch_size: expected at most the 2 training scene"):
@@ -260,7 +260,7 @@ def test_what_cannot_work_is_refused_before_it_starts(problem, monkeypatch):
 
 
 def test_the_thesis_searches_its_way_and_is_judged_like_all_others(problem):
-    arm = common_arms()["thesis_gradient"]
+    arm = _common_arms()["thesis_gradient"]
     base = problem.config.model_copy(update={"method": "default"})
     assert arm.evaluation_config(base).method == "default"
     assert arm.search_config(base).method == "thesis"
@@ -269,7 +269,7 @@ def test_the_thesis_searches_its_way_and_is_judged_like_all_others(problem):
 
 
 def test_the_thesis_as_printed_is_the_shipped_configuration_on_the_task_of_the_experiment():
-    arm, printed = common_arms()["thesis_as_printed"], option_values(load_config("thesis"))
+    arm, printed = _common_arms()["thesis_as_printed"], option_values(load_config("thesis"))
     changes = ["rig.cameras=6", "rig.free.pitch_deg=[-20, 20]", "camera.fov_deg=60", "mount.margin_m=0.1"]
     task = load_config("default", [*changes, "detector.classes.vehicle=[car]", "scenes.validation_seeds=150..159"])
     found, asked = option_values(arm.search_config(task)), option_values(task)
@@ -283,7 +283,7 @@ def test_the_thesis_as_printed_is_the_shipped_configuration_on_the_task_of_the_e
 
 
 def test_the_thesis_as_printed_takes_its_own_steps(problem):
-    arm = common_arms()["thesis_as_printed"]
+    arm = _common_arms()["thesis_as_printed"]
     small = ("run.iterations=1", "run.batch_size=2")
     one_step = replace(arm, search_overrides=(*arm.search_overrides, *small))
     placement = problem.with_config(one_step.search_config(problem.config))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from warpav.experiments.scene_statistics import scene_statistics, visible_shares_of
+from warpav.experiments.scene_statistics import _visible_shares_of, scene_statistics
 from warpav.raster.mesh import Mesh
 from warpav.scene.scene import Box, Scene, Vehicle
 from warpav.scene.town.levels import level_scene
@@ -53,7 +53,7 @@ def test_the_visible_share_is_that_of_a_box_behind_a_box_half_as_wide():
     behind = box_at(1, centre_m + 40.0, 0.0, (0.01, 8.0, 3.0))
     plate = box_at(2, centre_m + 20.0, 1.0, (0.01, 2.0, 4.0))  # its shadow goes from 0 to 4 of -4 to 4 m
     hidden = box_at(3, centre_m + 60.0, 0.0, (0.01, 1.0, 1.0))
-    share = visible_shares_of(scene_of(behind, plate, hidden))
+    share = _visible_shares_of(scene_of(behind, plate, hidden))
     assert share == pytest.approx([0.5, 1.0, 0.0], abs=0.02)
     found = scene_statistics([scene_of(behind, plate, hidden)])
     assert list(found.by_visible_share().values()) == pytest.approx([1 / 3, 1 / 3, 0.0, 1 / 3])

@@ -7,7 +7,7 @@ import pytest
 from tests.experiments.small_experiment import complaint
 from warpav.core.errors import InputError
 from warpav.experiments import study as module
-from warpav.experiments.study import find_study, loss_overrides, thesis_rows
+from warpav.experiments.study import _loss_overrides, _thesis_rows, find_study
 from warpav.runs.config import load_config
 
 STUDIES = [file.stem for file in sorted((Path(module.__file__).parent / "studies").glob("*.yaml"))]
@@ -54,11 +54,11 @@ def test_circumstances_have_arms_of_their_own():
 
 def test_arms_of_the_thesis_have_its_weights():
     names = [arm.name for arm in find_study("table2").arms]
-    assert len(names) == len(thesis_rows("II"))
-    assert dict(each.split("=") for each in loss_overrides("IFR+10*DOA"))["losses.detected_area"] == "10.0"
+    assert len(names) == len(_thesis_rows("II"))
+    assert dict(each.split("=") for each in _loss_overrides("IFR+10*DOA"))["losses.detected_area"] == "10.0"
     assert [arm.name for arm in find_study("table4").arms][-1] == "sgd_ifr_doa_sb_ov"
     with pytest.raises(ValueError, match="got 'XYZ'"):
-        loss_overrides("IFR+XYZ")
+        _loss_overrides("IFR+XYZ")
 
 
 @pytest.mark.parametrize(

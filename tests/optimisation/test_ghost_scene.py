@@ -14,7 +14,7 @@ from tests.optimisation.test_zones import MODEL, chart, constraints_of, mount_of
 from warpav.core.errors import InputError
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
 from warpav.optimisation.pool_search import PoolSearchSettings
-from warpav.optimisation.required_points import HARD_WEIGHT, MET, RequiredPoints
+from warpav.optimisation.required_points import _HARD_WEIGHT, MET, RequiredPoints
 from warpav.sight.check import check_requirements
 from warpav.sight.read import read_requirements
 from warpav.sight.requirement import Band, Requirement
@@ -38,7 +38,7 @@ def test_points_count_by_how_near_cameras_come_to_meeting_them():
     assert 0.0 < seen.meets.mean() < 1.0
     closeness = seen.visibility.closeness(seen.ghosts)
     np.testing.assert_allclose(found[~seen.meets], 0.9 * closeness[~seen.meets], atol=1e-4)
-    assert scene().weight.sum() == pytest.approx(HARD_WEIGHT)
+    assert scene().weight.sum() == pytest.approx(_HARD_WEIGHT)
     assert scene(weight=0.3).weight.sum() == pytest.approx(0.3)
 
 

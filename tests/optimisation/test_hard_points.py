@@ -11,14 +11,14 @@ from tests.optimisation.test_pool import cameras_of, poses_of
 from tests.optimisation.test_pool import mount_of as roof_mount
 from tests.optimisation.test_zones import MODEL, mount_of, spread
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD
-from warpav.optimisation.required_points import NEAR_EDGE, RequiredPoints
-from warpav.optimisation.single_cameras import camera_margins, hard_points
+from warpav.optimisation.required_points import _NEAR_EDGE, RequiredPoints
+from warpav.optimisation.single_cameras import _camera_margins, hard_points
 from warpav.optimisation.tangent_model import KEPT_BACK, HardPoints
 
 
 def test_margins_reach_one_where_points_are_met():
     cameras, pose = cameras_of(mount=mount_of()), spread()[:40]
-    margin, _ = camera_margins(cameras, scene(pixels=60.0), pose)
+    margin, _ = _camera_margins(cameras, scene(pixels=60.0), pose)
     is_met = RequiredPoints.meets(cameras.detection_probability(pose, scene(pixels=60.0)))
     np.testing.assert_array_equal(margin >= 1.0, is_met)
     assert 0.0 < is_met.mean() < 1.0
@@ -31,10 +31,10 @@ def test_margins_reach_one_where_points_are_met():
 def test_a_pair_has_the_greater_margin_of_its_two_cameras():
     mount, cameras = symmetric_mount(), symmetric_cameras()
     pose = columns()[mount.is_pair(columns())][:6]
-    margin, jacobian = camera_margins(cameras, scene(), pose)
+    margin, jacobian = _camera_margins(cameras, scene(), pose)
     is_met = RequiredPoints.meets(cameras.detection_probability(pose, scene()))
     np.testing.assert_array_equal(margin >= 1.0, is_met)
-    alone, slope = camera_margins(cameras.sides[0], scene(), pose)
+    alone, slope = _camera_margins(cameras.sides[0], scene(), pose)
     is_image = margin > alone
     assert is_image.any()
     np.testing.assert_array_equal(margin[~is_image], alone[~is_image])
@@ -46,12 +46,12 @@ def test_the_jacobian_of_margins_agrees_with_differences(share, pixels):
     cameras = cameras_of(mount=mount_of(model=MODEL.resized(640, 640)))  # as wide as they are drawn: less rough
     seeing = [2, 6, 10, 14]  # some points well enough, and not whole
     pose, ghosts = spread()[seeing].astype(np.float64), scene(share=share, pixels=pixels)
-    margin, jacobian = camera_margins(cameras, ghosts, pose)
+    margin, jacobian = _camera_margins(cameras, ghosts, pose)
     size = 0.01
     for column in (X_M, Y_M, HEIGHT_DELTA_M, YAW_RAD, PITCH_RAD, ROLL_RAD):
-        ends = [camera_margins(cameras, ghosts, pose + side * size * np.eye(7)[column])[0] for side in (1.0, -1.0)]
+        ends = [_camera_margins(cameras, ghosts, pose + side * size * np.eye(7)[column])[0] for side in (1.0, -1.0)]
         slope = (ends[0] - ends[1]) / (2.0 * size)
-        is_met = (margin > 1.0) & (np.max([margin, *ends], axis=0) < NEAR_EDGE) & jacobian.any(axis=2)
+        is_met = (margin > 1.0) & (np.max([margin, *ends], axis=0) < _NEAR_EDGE) & jacobian.any(axis=2)
         bend = np.abs(ends[0] + ends[1] - 2.0 * margin)
         is_met &= bend < 0.2 * np.abs(ends[0] - ends[1]) + 0.01  # a kink has no slope
         one, other = slope[is_met], jacobian[..., column][is_met]

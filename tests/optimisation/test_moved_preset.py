@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import EGO_TOP_M, flat_surface, street
-from warpav.optimisation.baselines import PLACE_STEP_M, move_to_vehicle
+from warpav.optimisation.baselines import _PLACE_STEP_M, move_to_vehicle
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.mount import CameraMount
 from warpav.raster.camera import CameraModel
@@ -55,7 +55,7 @@ def test_a_camera_goes_where_the_vehicle_does_not_hide_its_view():
     rig = Rig([camera("front", [2.4, 0.0, 1.25]), camera("rear", [2.4, 0.0, 1.25], yaw_deg=180.0, fov_deg=20.0)])
     moved = move_to_vehicle(rig, mount_on(bonnet), ego, constraints=BoundsAndSpacing(bonnet))
     front, rear = moved.rig.cameras
-    np.testing.assert_allclose(front.position_m[:2], [2.4, 0.0], atol=PLACE_STEP_M)
+    np.testing.assert_allclose(front.position_m[:2], [2.4, 0.0], atol=_PLACE_STEP_M)
     assert moved.blocked_share[0] == 0.0
     # backwards the cabin fills most from everywhere; what is best is at the edge, looking past it
     assert abs(rear.position_m[1]) == pytest.approx(0.8)

@@ -159,7 +159,7 @@ def test_lenses_and_samples_are_those_of_the_objective(device, lens, supersampli
 def test_neither_chunks_nor_threads_nor_neighbours_change_a_bit(monkeypatch):
     pose = poses_of(37)
     expected = drawn(37).detection_probability
-    monkeypatch.setattr("warpav.optimisation.single_cameras.CPU_VIEWS", 5)
+    monkeypatch.setattr("warpav.optimisation.single_cameras._CPU_VIEWS", 5)
     for chunk, threads in ((1, 1), (7, 2), (100, 3)):
         found = drawn(37, cameras=cameras_of(thread_count=threads), chunk_cameras=chunk)
         np.testing.assert_array_equal(found.detection_probability, expected)
@@ -227,7 +227,7 @@ def test_a_renderer_without_room_draws_fewer_cameras_at_once(monkeypatch, caplog
 def test_large_pools_are_kept_in_half_precision(monkeypatch):
     exact = drawn(20)
     assert exact.detection_probability.dtype == np.float32
-    monkeypatch.setattr(module, "HALF_ABOVE_BYTES", 4 * 20 * 10 - 1)
+    monkeypatch.setattr(module, "_HALF_ABOVE_BYTES", 4 * 20 * 10 - 1)
     half = drawn(20)
     assert half.detection_probability.dtype == np.float16
     error = np.abs(half.detection_probability.astype(float) - exact.detection_probability)

@@ -31,10 +31,10 @@ def searched(mount=None, count=3, *, settings=SMALL, frozen=None, min_spacing_m=
 def short_refinement():
     """Refinements polish little and end after one replacement in vain and a look near the rig."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "VAIN_REPLACEMENTS", 1)
-        patch.setattr(module, "REPLACEMENT_POLISH", (3, 0.4))
-        patch.setattr(module, "REFINED_TO", 0.25)
-        patch.setattr(module, "NEAR_CAMERAS", 6)
+        patch.setattr(module, "_VAIN_REPLACEMENTS", 1)
+        patch.setattr(module, "_REPLACEMENT_POLISH", (3, 0.4))
+        patch.setattr(module, "_REFINED_TO", 0.25)
+        patch.setattr(module, "_NEAR_CAMERAS", 6)
         yield
 
 

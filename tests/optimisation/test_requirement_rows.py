@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.optimisation.calls import select
 from warpav.core.errors import InputError
-from warpav.optimisation.required_points import require_meetable, requirement_rows
+from warpav.optimisation.required_points import _require_meetable, _requirement_rows
 from warpav.sight.requirement import SIZES_M, Band, Ghosts, Requirement, TestObject
 from warpav.sight.visibility import Visibility
 
@@ -37,7 +37,7 @@ def test_a_rig_satisfies_the_rows_where_it_meets_every_hard_point(data):
     ghosts = ghosts_of([each[0] for each in needs], [each[1] for each in needs], points)
     flags = data.draw(st.lists(st.integers(0, 2**count - 1), min_size=len(points), max_size=len(points)))
     meets = np.array([[bool(flag >> c & 1) for flag in flags] for c in range(count)])
-    rows, points_of_rows = requirement_rows(meets, ghosts)
+    rows, points_of_rows = _requirement_rows(meets, ghosts)
     hard = np.flatnonzero(ghosts.is_hard)
     for size in range(count + 1):
         for rig in itertools.combinations(range(count), size):
@@ -54,7 +54,7 @@ def test_a_rig_satisfies_the_rows_where_it_meets_every_hard_point(data):
 
 def test_the_selection_takes_the_rows(rng):
     meets = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1]], bool)
-    rows = requirement_rows(meets, ghosts_of([1], [None], [0, 0, 0]))[0]
+    rows = _requirement_rows(meets, ghosts_of([1], [None], [0, 0, 0]))[0]
     probability = np.zeros((5, 4))
     probability[[0, 1, 2]] = [0.9, 0.8, 0.7, 0.9]  # what meets least sees most
     probability[[3, 4]] = 0.1
@@ -74,7 +74,7 @@ def test_what_no_camera_meets_is_named_with_the_nearest():
     pixels = np.array([[500.0, 400, 500, 500, 0, 500], [500, 300, 500, 500, 0, 0], [0, 20, 500, 0, 0, 0]])
     visibility = Visibility(share, pixels)
     with pytest.raises(InputError) as caught:
-        require_meetable(visibility, ghosts, 1)
+        _require_meetable(visibility, ghosts, 1)
     assert str(caught.value).splitlines() == [
         *(
             f"requirement {name}: cameras: expected at most 1, the cameras of the rig, got 2; lower it or allow more "
@@ -91,4 +91,4 @@ def test_what_no_camera_meets_is_named_with_the_nearest():
     ]
     kept = [0, 2, 4]
     easy = Ghosts(ghosts.requirements, ghosts.position_m[kept], ghosts.requirement[kept])
-    require_meetable(Visibility(share[:, kept], pixels[:, kept]), easy, 2)
+    _require_meetable(Visibility(share[:, kept], pixels[:, kept]), easy, 2)

@@ -15,7 +15,7 @@ from warpav.optimisation.objective import Evaluation
 from warpav.optimisation.space import SearchSpace
 from warpav.raster.camera import CameraModel
 from warpav.thesis.constraints import BoundsAndSpacing
-from warpav.thesis.starts import HIGHEST_TURNS, evaluate_starts, exchange_cameras, first_rigs
+from warpav.thesis.starts import _HIGHEST_TURNS, _first_rigs, evaluate_starts, exchange_cameras
 
 MOUNT = CameraMount(roof(), camera=CameraModel(64, 64, math.pi / 2), height_offset_m=0.25)
 SPACE = SearchSpace.over(MOUNT, 3, constraints=BoundsAndSpacing(MOUNT.surface))
@@ -23,7 +23,7 @@ SPACE = SearchSpace.over(MOUNT, 3, constraints=BoundsAndSpacing(MOUNT.surface))
 
 def test_the_highest_point_comes_first_and_all_turns_are_there():
     highest = highest_mount_pose(SPACE.constraints, 3)
-    rigs = list(itertools.islice(first_rigs(SPACE, np.random.default_rng(1)), HIGHEST_TURNS))
+    rigs = list(itertools.islice(_first_rigs(SPACE, np.random.default_rng(1)), _HIGHEST_TURNS))
     np.testing.assert_allclose(rigs[0], SPACE.feasible(highest))
     turns = [(np.degrees(rig[0, YAW_RAD] - highest[0, YAW_RAD]) + 1e-3) % 120.0 for rig in rigs]
     assert sorted(np.round(turns)) == [0.0, 30.0, 60.0, 90.0]
@@ -33,12 +33,12 @@ def test_the_highest_point_comes_first_and_all_turns_are_there():
 
 
 def test_the_others_fill_the_space_and_are_feasible():
-    rigs = list(itertools.islice(first_rigs(SPACE, np.random.default_rng(1)), HIGHEST_TURNS, HIGHEST_TURNS + 64))
+    rigs = list(itertools.islice(_first_rigs(SPACE, np.random.default_rng(1)), _HIGHEST_TURNS, _HIGHEST_TURNS + 64))
     assert all(SPACE.violation_m(rig) == 0.0 for rig in rigs)
     unit = np.array([SPACE.unit_of(rig) for rig in rigs])
     # of 64 points of a Sobol sequence 16 lie in each quarter; the spacing moves a few
     assert np.abs(np.histogram(unit[:, 2], 4, (0, 1))[0] - 16).max() <= 3
-    again = list(itertools.islice(first_rigs(SPACE, np.random.default_rng(1)), HIGHEST_TURNS, HIGHEST_TURNS + 64))
+    again = list(itertools.islice(_first_rigs(SPACE, np.random.default_rng(1)), _HIGHEST_TURNS, _HIGHEST_TURNS + 64))
     np.testing.assert_array_equal(rigs, again)
 
 

@@ -187,8 +187,8 @@ def resized(rig: Rig, config: Config) -> Rig:
 
 
 def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
-    """The arm of this name: one of the given ones, or one of `common_arms`."""
-    every = {**common_arms(), **arms}
+    """The arm of this name: one of the given ones, or one of `_common_arms`."""
+    every = {**_common_arms(), **arms}
     if name in every:
         return every[name]
     preset = name.removeprefix("default_as_").removesuffix(_AS_BUILT)
@@ -200,7 +200,7 @@ def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
     raise ArgumentError("arms", f"expected names out of {names}, got {name!r}{hint}")
 
 
-def common_arms() -> dict[str, Arm]:
+def _common_arms() -> dict[str, Arm]:
     """Arms by name that fit every experiment, under the losses of its configuration: one of each method and preset.
 
     ``thesis_as_printed`` is the search of the shipped configuration ``thesis`` with its own number of steps,
@@ -236,7 +236,7 @@ def _default_like(preset: str, *, pixels: int | None = None) -> Arm:
         name += _AS_BUILT
         model = next(each.model for each in cameras if _fov_deg(each.model) == common).with_pixels(pixels)
         overrides += (f"camera.width_px={model.width_px}", f"camera.height_px={model.height_px}")
-    return Arm(name, "optimiser", overrides, common_arms()["default"].search_overrides)
+    return Arm(name, "optimiser", overrides, _common_arms()["default"].search_overrides)
 
 
 def _thesis_as_printed() -> tuple[str, ...]:

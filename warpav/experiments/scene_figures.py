@@ -51,7 +51,7 @@ def draw_figure(
     if seed is not None and capture is not None:
         raise InputError(f"figure {number}: expected either seed or capture, got both")
     load_warp()
-    recorded = read_capture(capture) if capture is not None else recorded_town(3 if seed is None else seed)
+    recorded = read_capture(capture) if capture is not None else _recorded_town(3 if seed is None else seed)
     match number:
         case 4:
             return image_types(recorded, path)
@@ -67,7 +67,7 @@ def draw_figure(
             return contact_sheet(recorded, {14: "rgb", 15: "depth", 16: "instance"}[number], path)
 
 
-def recorded_town(seed: int) -> Capture:
+def _recorded_town(seed: int) -> Capture:
     """A situation of the embedded town, recorded into memory."""
     if seed < 0:
         raise ArgumentError("seed", f"expected an integer from 0, got {seed}")

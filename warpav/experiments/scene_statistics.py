@@ -85,7 +85,7 @@ def scene_statistics(scenes: Iterable[Scene], *, device: str = "cpu") -> _SceneS
         whole = scene.targeting(ROAD_USERS)
         centre_m = scene.ego.bounds_m()[:, :2].astype(np.float64).mean(axis=0)
         found.scene_count += 1
-        found.visible_share += visible_shares_of(whole, device=device).tolist()
+        found.visible_share += _visible_shares_of(whole, device=device).tolist()
         for user in whole.vehicles:
             velocity = user.velocity_ego_m_s
             found.category.append(user.category)
@@ -95,7 +95,7 @@ def scene_statistics(scenes: Iterable[Scene], *, device: str = "cpu") -> _SceneS
     return found
 
 
-def visible_shares_of(scene: Scene, *, device: str = "cpu") -> np.ndarray:
+def _visible_shares_of(scene: Scene, *, device: str = "cpu") -> np.ndarray:
     """Visible share of every target of a scene from above the middle of the ego vehicle, float64 [vehicle]."""
     centre_m = scene.ego.bounds_m()[:, :2].astype(np.float64).mean(axis=0)
     model = CameraModel(_SIZE_PX, _SIZE_PX, math.radians(360.0 / _VIEWS))

@@ -176,10 +176,10 @@ def find_study(
     names: list[str | _ArmFile] = [*file.arms, *(arm for part in parts for arm in part.arms if arm not in dropped)]
     arms = [_arm(each) for each in names]
     if file.thesis is not None:
-        rows = thesis_rows(file.thesis)
-        arms = [Arm(arm_name(way, loss), _METHOD_OF[way], loss_overrides(loss)) for way, loss in rows]
+        rows = _thesis_rows(file.thesis)
+        arms = [Arm(arm_name(way, loss), _METHOD_OF[way], _loss_overrides(loss)) for way, loss in rows]
     if file.gradients is not None:
-        arms = [Arm(GRADIENTS, GRADIENTS, loss_overrides(file.gradients))]
+        arms = [Arm(GRADIENTS, GRADIENTS, _loss_overrides(file.gradients))]
     others = [arm.name for arm in arms if arm.name != file.reference]
     references = dict.fromkeys(others, file.reference) if len(others) < len(arms) else {}
     if file.vary:
@@ -205,7 +205,7 @@ def find_study(
     )
 
 
-def loss_overrides(expression: str) -> tuple[str, ...]:
+def _loss_overrides(expression: str) -> tuple[str, ...]:
     """The weights of a combination of losses as the thesis writes it, such as ``IFR+10*DOA``; all others are 0."""
     weights: dict[str, float] = dict.fromkeys(LOSSES, 0.0)
     for term in expression.removesuffix("*").split("+"):  # the mark of a footnote
@@ -216,7 +216,7 @@ def loss_overrides(expression: str) -> tuple[str, ...]:
     return tuple(f"losses.{name}={weight}" for name, weight in weights.items())
 
 
-def thesis_rows(number: str) -> list[tuple[str, str]]:
+def _thesis_rows(number: str) -> list[tuple[str, str]]:
     """Method and loss of every row of a table of the thesis."""
     rows = [(row["method"], row["loss"]) for row in thesis_table(number)["rows"]]
     return [*rows, _UNPRINTED] if number == "IV" else rows

@@ -3,7 +3,7 @@
 Traffic hides traffic. What stands behind a lorry is missed by every rig, and of what is far away the detector finds
 little from anywhere; so the misses of the best rig are not 0, and how much a rig loses shows only beside what can be
 had. An object counts as attainable if one of many cameras, spread over the mount's places and directions as the first
-pool of a search is, detects it with a probability of at least `LIKELY`. That takes no detector, and no rig.
+pool of a search is, detects it with a probability of at least `_LIKELY`. That takes no detector, and no rig.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from warpav.optimisation.pool import spread_mount_poses
 
 CAMERAS = 128
 """Cameras that are spread over the mount."""
-LIKELY = 0.5
+_LIKELY = 0.5
 """Probability from which on a camera rather detects an object than not."""
 
 
@@ -31,4 +31,4 @@ def attainable_objects(
         return None
     pose = spread_mount_poses(single.mount, objective.constraints.of_single_cameras, cameras, seed=0)
     found = [single.detection_probability(pose, assigned.scene) for assigned in scenes]
-    return [np.asarray(each.max(axis=0, initial=0.0) >= LIKELY) for each in found]
+    return [np.asarray(each.max(axis=0, initial=0.0) >= _LIKELY) for each in found]

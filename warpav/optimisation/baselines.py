@@ -64,7 +64,7 @@ def random_mount_pose(constraints: Constraints, yaw_rad: np.ndarray, *, rng: np.
     return pose
 
 
-PLACE_STEP_M = 0.05
+_PLACE_STEP_M = 0.05
 """Distance between the places that are tried, on the mount surface."""
 
 
@@ -79,7 +79,7 @@ def move_to_vehicle(
     caster = ray_caster(ego)
     # camera centres all over where they may stand [m], float64 [place, 3]
     low_m, high_m = mount.surface.bounds_m
-    count = np.maximum(np.ceil((high_m - low_m) / PLACE_STEP_M).astype(int) + 1, 2)
+    count = np.maximum(np.ceil((high_m - low_m) / _PLACE_STEP_M).astype(int) + 1, 2)
     x_m, y_m = (np.linspace(low, high, n) for low, high, n in zip(low_m, high_m, count, strict=True))
     plane_m = np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1).reshape(-1, 2)
     plane_m = plane_m[constraints.contains(plane_m)]

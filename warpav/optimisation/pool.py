@@ -30,11 +30,11 @@ from warpav.optimisation.required_points import RequiredPoints
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.scene.device_scene import DeviceScene
 
-CHUNK_CAMERAS = 512
+_CHUNK_CAMERAS = 512
 """Cameras that one task draws in one scene."""
 _POOL_NAME = "scenes seen by the pool"
 """What progress calls the cameras that are drawn."""
-HALF_ABOVE_BYTES = 2**29
+_HALF_ABOVE_BYTES = 2**29
 """Matrices that would be larger than this in single precision are kept in half precision."""
 _SPREAD_BLOCK = 1024
 _SPREAD_TRIES = 2**22
@@ -95,7 +95,7 @@ class Drawing:
 
     executor: Executor | None = None  # where it is done; None: here, with a thread for each core
     cache: Path | None = None  # folder that keeps what is drawn, such as `pool_cache_folder`; None: nothing is kept
-    chunk_cameras: int = CHUNK_CAMERAS  # cameras that one task draws in one scene, at least 1
+    chunk_cameras: int = _CHUNK_CAMERAS  # cameras that one task draws in one scene, at least 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +135,7 @@ class CameraPool:
         known = np.concatenate([self.mount_pose, new])
         together = np.concatenate([self.mount_pose, more])
         shape = (len(together), len(self.scene_index))
-        found = np.empty(shape, np.float16 if 4 * shape[0] * shape[1] > HALF_ABOVE_BYTES else np.float32)
+        found = np.empty(shape, np.float16 if 4 * shape[0] * shape[1] > _HALF_ABOVE_BYTES else np.float32)
         found[: len(self.mount_pose)] = self.detection_probability
         row = rows_of(more, known)
         is_new, is_first = row >= len(self.mount_pose), np.zeros(len(row), bool)

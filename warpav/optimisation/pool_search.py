@@ -48,15 +48,15 @@ _POOL_SHARE = 0.45
 """Of a budget, the share of the first pool; more where less than the rest is enough for a round with its polishes."""
 _PRICED_STEPS = 3
 """Steps of the ascent of the prices."""
-FIRST_POLISH, FURTHER_POLISH, LAST_POLISH = (16, 0.4), (10, 0.4), (6, 0.2)
+_FIRST_POLISH, _FURTHER_POLISH, _LAST_POLISH = (16, 0.4), (10, 0.4), (6, 0.2)
 """Steps and first radius of a polish: of the first selected rig, in a round of pricing, and at the end."""
 _GAP_ON_THE_WAY = 3e-3
 """Objective less bound at which a selection ends whose rig is polished next: about what the relaxation alone proves."""
-_REPLACEMENTS, REPLACEMENT_POLISH, VAIN_REPLACEMENTS = 4, (12, 0.4), 2
+_REPLACEMENTS, _REPLACEMENT_POLISH, _VAIN_REPLACEMENTS = 4, (12, 0.4), 2
 """Single cameras that are polished from elsewhere at a time, their steps and first radius, and how often in vain."""
-NEAR_CAMERAS = 16
+_NEAR_CAMERAS = 16
 """Cameras that are drawn around each of the rig's at a time."""
-_REFINED_FROM, REFINED_TO = 0.4, 0.01
+_REFINED_FROM, _REFINED_TO = 0.4, 0.01
 """Radii of these, in units of the polish: halved whenever nothing better is found."""
 _SAME = 1e-6  # the polish and the pool round differently
 _OTHER_MODULE = 1e6  # farther than any camera of the same module
@@ -296,7 +296,7 @@ class PoolSearch:
         """Camera renders that the first pool may take of so many."""
         if not self.settings.polishes:
             return limit
-        polishes = (FIRST_POLISH, FURTHER_POLISH, LAST_POLISH, *(FIRST_POLISH,) * (OTHERS if self.robust else 0))
+        polishes = (_FIRST_POLISH, _FURTHER_POLISH, _LAST_POLISH, *(_FIRST_POLISH,) * (OTHERS if self.robust else 0))
         steps = sum(1 + count for count, _ in polishes)
         of_a_round = steps * self.camera_count + _PRICED_STEPS * self.settings.priced_cameras
         rest = limit - of_a_round * len(self.scenes)
@@ -306,8 +306,8 @@ class PoolSearch:
         """Improve the best rig, and prove how good it is."""
         self._todo = [("note",), ("select",), ("settle",)]
         if self.settings.polishes:
-            first = [] if self.bound is not None else [("select_and_polish", *FIRST_POLISH)]
-            self._todo[:1] = [*first, ("priced",), ("note",), ("select_and_polish", *LAST_POLISH), ("refined", 0, -1)]
+            first = [] if self.bound is not None else [("select_and_polish", *_FIRST_POLISH)]
+            self._todo[:1] = [*first, ("priced",), ("note",), ("select_and_polish", *_LAST_POLISH), ("refined", 0, -1)]
 
     def _note(self) -> None:
         """The settings under which pricing has come to its end."""
@@ -323,7 +323,7 @@ class PoolSearch:
         is_first, can_pay = before == np.inf, self._affordable(_PRICED_STEPS) == _PRICED_STEPS
         if (is_first or self.objective <= before - _SAME) and self.round < self.settings.rounds and can_pay:
             self.round += 1
-            self._todo[:0] = [("price",), ("select_and_polish", *FURTHER_POLISH), ("priced", self.objective)]
+            self._todo[:0] = [("price",), ("select_and_polish", *_FURTHER_POLISH), ("priced", self.objective)]
 
     def _refined(self, times: int, spent: int) -> None:
         """Look for what steps along gradients have missed: other places for single cameras, and near the rig's.
@@ -339,18 +339,18 @@ class PoolSearch:
     def _replaced(self, vain: int, before: float) -> Iterator[Found]:
         """Replace single cameras until that was in vain too often."""
         vain = 0 if vain < 0 or self.objective < before - _SAME else vain + 1
-        if vain < VAIN_REPLACEMENTS and self._affordable(2) == 2:
+        if vain < _VAIN_REPLACEMENTS and self._affordable(2) == 2:
             before, renders = self.objective, self.camera_renders
             yield from self._replace()
             if self.camera_renders != renders:
-                self._todo[:0] = [("select_and_polish", *FURTHER_POLISH), ("replaced", vain, before)]
+                self._todo[:0] = [("select_and_polish", *_FURTHER_POLISH), ("replaced", vain, before)]
 
     def _nearby(self, radius: float, before: float) -> Iterator[Found]:
         """Look around the best rig's cameras, ever nearer when nothing better is found."""
         assert self.rig is not None
         radius = radius * 0.5 if self.objective > before - _SAME else radius
-        count = NEAR_CAMERAS * (len(self.rig) - len(self.assembly.frozen))
-        if radius > REFINED_TO and self._affordable(count) == count:
+        count = _NEAR_CAMERAS * (len(self.rig) - len(self.assembly.frozen))
+        if radius > _REFINED_TO and self._affordable(count) == count:
             before = self.objective
             yield from self._look_nearby(radius)
             self._todo.insert(0, ("nearby", radius, before))
@@ -549,7 +549,7 @@ class PoolSearch:
                 break
             weight = replacements.missed_by_others[slot]
             task = PolishTask(mount, constraints, len(self.scenes), weight=weight)
-            steps = PolishSteps(*REPLACEMENT_POLISH, camera_renders_max=self._left)
+            steps = PolishSteps(*_REPLACEMENT_POLISH, camera_renders_max=self._left)
             *_, last = polish(pose[camera][None], self._detect, task, steps)
             self._places += [pose[camera][None], last.mount_pose]
         yield self._found("polish")
@@ -557,7 +557,7 @@ class PoolSearch:
     def _look_nearby(self, radius: float) -> Iterator[Found]:
         """Draw cameras around those of the best rig, and exchange its own for them."""
         mount = self.cameras.mount
-        near = np.asarray(self._replacements.near(radius, NEAR_CAMERAS, self._rng), np.float64)
+        near = np.asarray(self._replacements.near(radius, _NEAR_CAMERAS, self._rng), np.float64)
         near[:, [X_M, Y_M]] = self.constraints.nearest_place(near[:, [X_M, Y_M]])
         near = mount.clipped(near)
         before = len(self.pool.mount_pose)

@@ -30,7 +30,7 @@ from warpav.sight.visibility import (
 )
 
 
-def requirement_rows(meets: np.ndarray, ghosts: Ghosts) -> tuple[list[Row], np.ndarray]:
+def _requirement_rows(meets: np.ndarray, ghosts: Ghosts) -> tuple[list[Row], np.ndarray]:
     """The hard requirements as rows ``sum of meets over a rig's cameras >= cameras``, and the point of each, int [row].
 
     A row that follows from another is left out: one that the same cameras, or more of them, satisfy, with as few or
@@ -55,7 +55,7 @@ def requirement_rows(meets: np.ndarray, ghosts: Ghosts) -> tuple[list[Row], np.n
     return rows, ghost[kept]
 
 
-def require_meetable(visibility: Visibility, ghosts: Ghosts, count: int) -> None:
+def _require_meetable(visibility: Visibility, ghosts: Ghosts, count: int) -> None:
     """Make sure that a pool can meet every point of the hard requirements, each with the camera that comes closest.
 
     Only single points are looked at: that a rig of few cameras meets all of them at once is for the selection to find.
@@ -92,9 +92,9 @@ MET = 0.999
 """Probability of a point that a camera meets."""
 _NEARLY_MET = 0.9
 """Probability just before: two cameras that do not meet a point together stay below one that does."""
-HARD_WEIGHT = 0.1
+_HARD_WEIGHT = 0.1
 """Weight of a hard requirement: it leads the search to where it is met, and the rows keep it there."""
-NEAR_EDGE = 3.0
+_NEAR_EDGE = 3.0
 """Margin from which on a hard point counts as met whatever a step does."""
 _SEEN_KEPT = 2
 """Answers with Jacobians that are kept: of a pair's two sides."""
@@ -160,7 +160,7 @@ class RequiredPoints:
     @cached_property
     def weight(self) -> np.ndarray:
         """What missing each point costs, where missing all the traffic costs 1: an even share, float64 [point]."""
-        of_each = np.array([HARD_WEIGHT if each.weight is None else each.weight for each in self.requirements])
+        of_each = np.array([_HARD_WEIGHT if each.weight is None else each.weight for each in self.requirements])
         counts = np.bincount(self.ghosts.requirement, minlength=len(of_each))
         return (of_each / np.maximum(counts, 1))[self.ghosts.requirement]
 
@@ -187,7 +187,7 @@ class RequiredPoints:
         """The lesser of share and pixels at the hard points, over what is asked of one camera: 1 where one meets it.
 
         Returns float64 [camera, hard point], and the derivatives as of `with_jacobian`; these are 0 where a camera sees
-        the whole object or nothing of it, and from `NEAR_EDGE` on.
+        the whole object or nothing of it, and from `_NEAR_EDGE` on.
         """
         seen = self._differentiated(ego_from_camera, models)
         share, pixels = self._over_needs(seen.visibility)
@@ -209,7 +209,7 @@ class RequiredPoints:
             share, pixels = self._over_needs(seen)
             margin = np.minimum(share, pixels)
             is_partial = (seen.visible_share > 0.0) & ((seen.visible_share < 1.0) | (pixels < share))
-            is_near = self.is_hard & (margin >= 1.0) & (margin < NEAR_EDGE) & is_partial
+            is_near = self.is_hard & (margin >= 1.0) & (margin < _NEAR_EDGE) & is_partial
             # most points are met, or not seen at all
             is_steep = (seen.visible_share > 0.0) & ((by_share > 0.0) | (by_pixels > 0.0))
             which = np.flatnonzero((is_steep | is_near).any(axis=0))
@@ -249,10 +249,10 @@ class RequiredPoints:
         return bool((found >= self.ghosts.of_each("cameras"))[self.is_hard].all())
 
     def rows(self, probability: np.ndarray) -> tuple[list[Row], np.ndarray]:
-        """`requirement_rows` of cameras that see the points so surely, [camera, point]."""
+        """`_requirement_rows` of cameras that see the points so surely, [camera, point]."""
         if not self.is_hard.any():
             return [], np.zeros(0, int)
-        return requirement_rows(self.meets(probability), self.ghosts)
+        return _requirement_rows(self.meets(probability), self.ghosts)
 
     @staticmethod
     def meets(probability: np.ndarray) -> np.ndarray:
@@ -267,7 +267,7 @@ class RequiredPoints:
         """Make sure that a pool of cameras can meet every hard point. ``probability`` [camera, point]."""
         needed = self.ghosts.of_each("cameras")
         if not self.is_kept(probability) or (self.is_hard & (needed > count)).any():
-            require_meetable(seen(), self.ghosts, count)
+            _require_meetable(seen(), self.ghosts, count)
 
 
 def _needed_px(ghosts: Ghosts) -> np.ndarray:

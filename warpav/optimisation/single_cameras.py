@@ -42,7 +42,7 @@ from warpav.raster.scene import Scene as RasterScene
 from warpav.scene.device_scene import DeviceScene
 from warpav.sight.visibility import Visibility
 
-CPU_VIEWS = 16
+_CPU_VIEWS = 16
 """Views that one thread renders at once, at most."""
 _CPU_KEY_BYTES = 2**26
 """Of the views that one thread renders at once: one of 8 MP, four of 1920 x 1080 pixels, all of smaller ones."""
@@ -305,7 +305,7 @@ class SingleCameras:
     def _is_cuda(self) -> bool:
         return wp.get_device(self.mount.device).is_cuda
 
-    def _most_views(self, module: int, *, views_max: int = CPU_VIEWS, renderers: int = 1) -> int:
+    def _most_views(self, module: int, *, views_max: int = _CPU_VIEWS, renderers: int = 1) -> int:
         """Views that each renderer renders at once: as the caches of a core hold, or as fill a GPU and have room."""
         camera = self.mount.cameras[module]
         if self._is_cuda:
@@ -363,10 +363,10 @@ def hard_points(cameras: SingleCameras, ghosts: RequiredPoints) -> HardPoints | 
     if not ghosts.is_hard.any():
         return None
     needed = ghosts.ghosts.of_each("cameras")[ghosts.is_hard]
-    return HardPoints(lambda mount_pose: camera_margins(cameras, ghosts, mount_pose), needed)
+    return HardPoints(lambda mount_pose: _camera_margins(cameras, ghosts, mount_pose), needed)
 
 
-def camera_margins(cameras: SingleCameras, ghosts: RequiredPoints, mount_pose: np.ndarray) -> Margins:
+def _camera_margins(cameras: SingleCameras, ghosts: RequiredPoints, mount_pose: np.ndarray) -> Margins:
     """`RequiredPoints.margins` with the Jacobian to the mount poses; of a pair the greater of its two cameras'.
 
     What `SingleCameras.with_jacobian` has just rendered of the same cameras is not rendered again.

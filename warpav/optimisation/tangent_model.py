@@ -33,7 +33,7 @@ Margins = tuple[np.ndarray, np.ndarray]
 """Margins of cameras at points [camera, point], and their Jacobian to the mount poses [camera, point, 7]."""
 KEPT_BACK = 0.05
 """How far above 1 a margin is kept, where it is not below already, as tangents are not exact."""
-CONTRADICTION = 0.3
+_MARGIN_CONTRADICTION = 0.3
 """How far below what was rendered a tangent may be; one that is lower by more has been proven wrong."""
 
 
@@ -59,7 +59,7 @@ class HardPoints:
         for other_pose, (other, slope) in refused:
             here = other + np.einsum("cok,ck->co", slope, mount_pose.astype(np.float64) - other_pose)
             is_lost = counts & (value >= 1.0) & (other < 1.0) & (other > 0.0)
-            tangents.append((np.maximum(here, value), slope, is_lost & (here >= value - CONTRADICTION)))
+            tangents.append((np.maximum(here, value), slope, is_lost & (here >= value - _MARGIN_CONTRADICTION)))
         rows = []
         for each, slope, holds in tangents:
             lowest = each - np.einsum("cok,ck->co", np.abs(slope), reach)

@@ -14,11 +14,11 @@ from warpav.optimisation.mount import YAW_RAD
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.space import SearchSpace
 
-HIGHEST_TURNS = 4
+_HIGHEST_TURNS = 4
 """Turns at which the cameras around the highest point are evaluated, over the angle from one camera to the next."""
 
 
-def first_rigs(space: SearchSpace, rng: np.random.Generator) -> Iterator[np.ndarray]:
+def _first_rigs(space: SearchSpace, rng: np.random.Generator) -> Iterator[np.ndarray]:
     """Rigs to begin with, the most promising first, float32 [camera, 7] each; there is no end to them.
 
     The cameras around the highest point, as they are and turned by parts of the angle between them; then a scrambled
@@ -29,9 +29,9 @@ def first_rigs(space: SearchSpace, rng: np.random.Generator) -> Iterator[np.ndar
     highest = highest_mount_pose(space.constraints, space.camera_count)
     step_rad = 2.0 * math.pi / space.camera_count
     # first the half turn, which is farthest from the rig as it is
-    for k in sorted(range(HIGHEST_TURNS), key=lambda k: abs(k / HIGHEST_TURNS - 0.5) if k else -1.0):
+    for k in sorted(range(_HIGHEST_TURNS), key=lambda k: abs(k / _HIGHEST_TURNS - 0.5) if k else -1.0):
         pose = highest.copy()
-        pose[:, YAW_RAD] += k / HIGHEST_TURNS * step_rad
+        pose[:, YAW_RAD] += k / _HIGHEST_TURNS * step_rad
         yield space.feasible(pose)
     sequence = qmc.Sobol(max(space.size, 1), scramble=True, rng=rng)
     while True:
@@ -55,7 +55,7 @@ def evaluate_starts(
     *,
     known: np.ndarray,
 ) -> list[Start]:
-    """Evaluate a known rig, `first_rigs`, and one made of the best cameras of all of them; the best come first.
+    """Evaluate a known rig, `_first_rigs`, and one made of the best cameras of all of them; the best come first.
 
     ``known`` float [camera, 7].
 
@@ -74,7 +74,7 @@ def evaluate_starts(
             probability.append(found.detection_probability)
 
     evaluate(known)
-    rigs = first_rigs(space, rng)
+    rigs = _first_rigs(space, rng)
     while len(starts) < count:
         if len(starts) == count - 1 and len(starts) == len(probability) > 1:
             best = int(np.argmin([each.value for each in starts]))

@@ -13,7 +13,7 @@ from tests.experiments.bench.small_workload import small_workload
 from tests.oracle.ray_cast import RayCaster
 from warpav.core.frames import EGO_FROM_THESIS
 from warpav.experiments.bench.items import Bench, object_type
-from warpav.experiments.bench.reference import hit_rgb, view_rays
+from warpav.experiments.bench.reference import _hit_rgb, view_rays
 from warpav.experiments.bench.workload import (
     ROTATION_COUNT,
     WEIGHT_NAMES,
@@ -273,7 +273,7 @@ def test_embrees_rays_are_the_workloads(workloads):
         seen &= found == index[view].ravel()
         along = hit["tfar"][seen] + workload.near_m[view // ROTATION_COUNT]
         np.testing.assert_allclose(along, depth[view].ravel()[seen], rtol=1e-4)
-        error = np.abs(hit_rgb(workload, hit)[seen] - rgb[view].reshape(-1, 3)[seen])
+        error = np.abs(_hit_rgb(workload, hit)[seen] - rgb[view].reshape(-1, 3)[seen])
         assert np.quantile(error, 0.999) < 1e-3
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from warpav.optimisation.selection.relaxation import cut_coefficient, cut_constant, cut_level, cut_slope
+from warpav.optimisation.selection.relaxation import _cut_coefficient, _cut_constant, _cut_slope, cut_level
 
 PROBABILITY = st.one_of(st.sampled_from([0.0, 1.0, 1.0 - 1e-12, 1e-12]), st.floats(0.0, 1.0))
 SEVERAL = hnp.arrays(float, st.integers(1, 6), elements=PROBABILITY)
@@ -20,7 +20,7 @@ def log_missed(probability):
 
 
 def right_side(fraction, probability, level):
-    return cut_constant(level) - fraction @ cut_coefficient(1.0 - probability, log_missed(probability), level)
+    return _cut_constant(level) - fraction @ _cut_coefficient(1.0 - probability, log_missed(probability), level)
 
 
 @given(SEVERAL, st.floats(0.0, 30.0))
@@ -52,8 +52,8 @@ def test_no_level_is_violated_more(probability, data):
 def test_slope_is_the_derivative_by_the_probability(probability, level):
     step = 1e-6
     around = np.array([probability - step, probability + step])
-    below, above = cut_coefficient(1.0 - around, log_missed(around), level)
+    below, above = _cut_coefficient(1.0 - around, log_missed(around), level)
     # the second derivative jumps where the branches meet; it is at most 1 / (1 - p)
-    assert cut_slope(1.0 - probability, level) == pytest.approx(
+    assert _cut_slope(1.0 - probability, level) == pytest.approx(
         (above - below) / (2.0 * step), abs=2.0 * step / (1.0 - probability) + 1e-8
     )

@@ -30,7 +30,7 @@ def time_embree(workload: Workload, *, repeat: int) -> dict[str, list[float]]:
             hit = scene.run(origin_m, direction, output=1)
             cast_s += time.perf_counter() - began
             began = time.perf_counter()
-            hit_rgb(workload, hit)
+            _hit_rgb(workload, hit)
             shade_s += time.perf_counter() - began
         if number > 0:
             times_ms["w2"].append(1000.0 * cast_s)
@@ -77,7 +77,7 @@ def view_rays(workload: Workload) -> Iterator[tuple[np.ndarray, np.ndarray]]:
             yield origin_m.astype(np.float32), direction.astype(np.float32)
 
 
-def hit_rgb(workload: Workload, hit: dict[str, np.ndarray]) -> np.ndarray:
+def _hit_rgb(workload: Workload, hit: dict[str, np.ndarray]) -> np.ndarray:
     """Vertex colours interpolated at the hits of rays, float32 [ray, 3]; 0 where nothing is hit."""
     seen = np.flatnonzero(hit["primID"] >= 0)
     corner_rgb = workload.vertex_rgb[workload.triangle[hit["primID"][seen]]]

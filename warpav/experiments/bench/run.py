@@ -44,7 +44,7 @@ SCHEMA = "warpav-bench-1"
 _ITEMS = ("w1", "w2", "w3")
 _SWEEP = (1, 2, 4, 8)
 # Above these sizes, embree's minutes are not worth the comparison.
-MAX_EMBREE_RAYS, MAX_EMBREE_TRIANGLES = 1 << 24, 1_000_000
+_MAX_EMBREE_RAYS, _MAX_EMBREE_TRIANGLES = 1 << 24, 1_000_000
 _MAX_EMBREE_REPEAT = 5
 
 
@@ -200,8 +200,8 @@ def _measure(
             entry, level_scores = silhouettes(level)
             del entry["grad"], entry["value"]
             content["sweep"].append({"supersample": level, **entry, "scores": level_scores})
-    is_small = workload.view_count * workload.size_px**2 <= MAX_EMBREE_RAYS
-    is_worth_it = bench.device.is_cpu and is_small and len(workload.triangle) <= MAX_EMBREE_TRIANGLES
+    is_small = workload.view_count * workload.size_px**2 <= _MAX_EMBREE_RAYS
+    is_worth_it = bench.device.is_cpu and is_small and len(workload.triangle) <= _MAX_EMBREE_TRIANGLES
     if {"w2", "w3"} & found.keys() and (is_worth_it if options.with_embree is None else options.with_embree):
         progress.stage("embree")
         content["reference"] = {"embreex": _measure_embree(workload, found, repeat)}

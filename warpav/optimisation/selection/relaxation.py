@@ -42,19 +42,19 @@ _MOST_LEVEL = 30.0
 """Greatest level [log of a miss probability]: such a cut asks for no more than 3e-12."""
 
 
-def cut_constant(level: np.ndarray) -> np.ndarray:
+def _cut_constant(level: np.ndarray) -> np.ndarray:
     """The right side for an empty rig, ``(1 + z) exp(-z)``, in the shape of the levels."""
     return (1.0 + level) * np.exp(-level)
 
 
-def cut_coefficient(missed: np.ndarray, log_missed: np.ndarray, level: np.ndarray) -> np.ndarray:
+def _cut_coefficient(missed: np.ndarray, log_missed: np.ndarray, level: np.ndarray) -> np.ndarray:
     """What a camera takes off the right side, phi(L), 0..1; concave and increasing in L."""
     decay = np.exp(-level)
     return np.where(log_missed <= level, decay * log_missed, decay * (1.0 + level) - missed)
 
 
-def cut_slope(missed: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """Derivative of `cut_coefficient` by the detection probability p = 1 - missed, exp(-z)..1; continuous."""
+def _cut_slope(missed: np.ndarray, level: np.ndarray) -> np.ndarray:
+    """Derivative of `_cut_coefficient` by the detection probability p = 1 - missed, exp(-z)..1; continuous."""
     decay = np.exp(-level)
     return np.where(missed >= decay, decay / np.maximum(missed, decay), 1.0)
 
@@ -98,14 +98,14 @@ class Price:
         """
         missed = self._missed(detection_probability)
         with np.errstate(divide="ignore"):
-            gain = cut_coefficient(missed, -np.log(missed), self.cut_level) @ self.cut_dual
+            gain = _cut_coefficient(missed, -np.log(missed), self.cut_level) @ self.cut_dual
         return -gain - self.dearest - (0.0 if coefficient is None else np.asarray(coefficient) @ self.row_dual)
 
     def reduced_cost_slope(self, detection_probability: np.ndarray) -> np.ndarray:
         """Derivative of the reduced cost by each probability, <= 0 and continuous, float64 [camera, object]."""
         missed = self._missed(detection_probability)
         slope = np.zeros((len(missed), self.object_count))
-        share = -self.cut_dual * cut_slope(missed, self.cut_level)
+        share = -self.cut_dual * _cut_slope(missed, self.cut_level)
         np.add.at(slope.T, self.cut_object, share.T)
         return slope
 
@@ -240,7 +240,7 @@ class Relaxation:
         start, index, value = _sparse(coefficient, columns)
         index[start] = cut_object
         high = np.full(len(level), math.inf)
-        self._model.addRows(len(level), cut_constant(level), high, len(value), start, index, value)
+        self._model.addRows(len(level), _cut_constant(level), high, len(value), start, index, value)
         self._note_rows(cut_object, level, np.full(len(level), -1))
 
     def add_row(self, coefficient: np.ndarray, low: float = -math.inf, high: float = math.inf) -> int:
@@ -347,13 +347,13 @@ class Relaxation:
     def _coefficient(self, cut_object: np.ndarray, camera: np.ndarray, level: np.ndarray) -> np.ndarray:
         """Of cuts, float64 [cut, camera]."""
         part = np.ix_(cut_object, camera)
-        return cut_coefficient(self.problem.missed[part], self._log_missed[part], level[:, None])
+        return _cut_coefficient(self.problem.missed[part], self._log_missed[part], level[:, None])
 
     def most_violated(self, fraction: np.ndarray, support: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Levels of the most violated cuts, and what they ask of u, float64 [object] each."""
         log_missed, missed = self._log_missed[:, support].T, self.problem.missed[:, support].T
         level = cut_level(fraction[support], log_missed)
-        least = cut_constant(level) - fraction[support] @ cut_coefficient(missed, log_missed, level)
+        least = _cut_constant(level) - fraction[support] @ _cut_coefficient(missed, log_missed, level)
         return level, np.maximum(least, 0.0)
 
     def _bound(self, node: Node, dual: np.ndarray, fraction: np.ndarray, value: float) -> tuple[Relaxed, np.ndarray]:
@@ -380,7 +380,7 @@ class Relaxation:
         order = np.argsort(free, kind="stable")
         left = problem.count - int(np.count_nonzero(node.required))
         taken = order[:left]
-        bound = problem.unseen + float(cut_dual @ cut_constant(level) + row_dual @ limit)
+        bound = problem.unseen + float(cut_dual @ _cut_constant(level) + row_dual @ limit)
         bound += float(cost[node.required].sum() + free[taken].sum()) - ROUNDING
         dearest = free[order[left - 1]] if left else -math.inf
         next_cost = free[order[left]] if left < len(order) else math.inf
