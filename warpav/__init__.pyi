@@ -6,7 +6,6 @@ from warpav.core.errors import InputError
 from warpav.core.progress import Progress
 from warpav.detection.detector import Detections, Detector
 from warpav.detection.images import render
-from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.rig.catalogue import read_modules
@@ -17,14 +16,14 @@ from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.rig import RigCamera as Camera
 from warpav.runs import losses, robustness
 from warpav.runs.config import Config
-from warpav.runs.evaluate import evaluate
+from warpav.runs.evaluate import evaluate, highest_rig, random_rig
 from warpav.runs.front import front
 from warpav.runs.jobs import resume
 from warpav.runs.networks import read_detector
 from warpav.runs.optimise import optimise
 from warpav.runs.placement import Placement
 from warpav.runs.result import Result
-from warpav.runs.rig_source import highest_rig, random_rig
+from warpav.runs.rig_evaluation import RigEvaluation
 from warpav.runs.run_folder import RunFolder, read_run
 from warpav.scene.files import read_scenes, town, write_scenes
 from warpav.scene.own_vehicle import read_vehicle

@@ -11,7 +11,7 @@ import pytest
 from tests.cli.small_run import SMALL
 from warpav.cli.app import main
 from warpav.evaluation.metrics import OPTIONAL_METRICS
-from warpav.evaluation.rig_evaluation import TABLE_ROWS
+from warpav.runs.rig_evaluation import TABLE_ROWS
 from warpav.runs.run_folder import RunFolder
 from warpav.thesis.descent import Descent
 

@@ -14,7 +14,6 @@ from warpav.core.errors import InputError
 from warpav.detection.probability import Appearance
 from warpav.evaluation.metrics import OPTIONAL_METRICS, ArmMetrics, metrics_of, observe_scenes
 from warpav.evaluation.perturbations import CameraOutages
-from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.evaluation.statistics import paired_differences
 from warpav.optimisation.importance import Importance
 from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
@@ -25,6 +24,7 @@ from warpav.optimisation.settings import ImportanceSettings
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig, RigCamera
+from warpav.runs.rig_evaluation import RigEvaluation
 from warpav.thesis.constraints import BoundsAndSpacing
 
 NEAR = ImportanceSettings(sector_deg=[{"from": -60, "to": 60, "weight": 3.0}, {"from": 60, "to": 120, "weight": 0.5}])

@@ -12,7 +12,6 @@ from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
 from warpav.detection.probability import DetectionProbability
 from warpav.evaluation.metrics import PAIRED_METRICS, GroupRecall, ObjectOutcome, RigObserver, evaluate_rig
-from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import CameraMount, FreeRanges, views_of_rig
 from warpav.optimisation.objective import ObjectiveOptions
@@ -21,6 +20,7 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig, RigCamera
+from warpav.runs.rig_evaluation import RigEvaluation
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.sight.around import body_shares

@@ -8,7 +8,6 @@ import pytest
 import warpav as wa
 from warpav.core.errors import InputError
 from warpav.detection.miss_rate import expected_miss_rate
-from warpav.evaluation.rig_evaluation import Robust
 from warpav.experiments.result_folder import unseeded
 from warpav.optimisation.camera_loss import RobustObjective
 from warpav.optimisation.mount_errors import MountErrors
@@ -16,6 +15,7 @@ from warpav.optimisation.objective import single_cameras_of
 from warpav.optimisation.single_cameras import MisplacedCameras
 from warpav.runs.config import Config, dump_config, load_config
 from warpav.runs.report.statements import robust_text
+from warpav.runs.rig_evaluation import Robust
 
 MEAN = ["robust.camera_loss=mean", "robust.weight=0.3"]
 ERRORS = ["robust.mount_error_m=5 cm", "robust.mount_error_deg=3"]

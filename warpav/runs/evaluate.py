@@ -1,4 +1,4 @@
-"""Rigs on the scenes of a placement."""
+"""Rigs on the scenes of a placement, and those that need no search."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ from warpav.core.progress import Progress
 from warpav.core.warp_setup import checked_device
 from warpav.evaluation.metrics import metrics_of, observe_scenes
 from warpav.evaluation.perturbations import CameraOutages
-from warpav.evaluation.rig_evaluation import RigEvaluation, seen_objects
 from warpav.optimisation.attainable import attainable_objects
+from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
+from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
+from warpav.runs.rig_evaluation import RigEvaluation, seen_objects
 from warpav.runs.rig_source import check_rig_source, find_rig
 from warpav.runs.scene_set import first_scene
 from warpav.scene.device_scene import DeviceScene
@@ -170,3 +172,38 @@ def check_rig(
     if image is not None:
         requirement_map(image, result=result, rig=rig, ego=ego)
         yield f"wrote {image}"
+
+
+def highest_rig(placement: Placement) -> Rig:
+    """The cameras of a placement around the highest point of its mount surface, evenly turned, the first forward.
+
+    On zones they stand as far off the skin as their zone lets them.
+
+    Args:
+        placement: Gives number and model of the cameras, the vehicle and the constraints; frozen cameras stay.
+
+    Raises:
+        InputError: The cameras do not fit.
+    """
+    mount = placement.mount
+    pose = highest_mount_pose(placement.objective.constraints, placement.objective.camera_count)
+    return mount.rig(mount.within(mount.off_the_skin(pose)))
+
+
+def random_rig(placement: Placement, seed: int = 0) -> Rig:
+    """The cameras of a placement at random positions that satisfy the constraints, in random directions.
+
+    Where zones limit directions, a direction beyond its limits is moved to the nearest one within.
+
+    Args:
+        placement: As of `highest_rig`.
+        seed: The same seed gives the same rig, at least 0.
+
+    Raises:
+        InputError: The cameras do not fit.
+    """
+    space = SearchSpace.over(
+        placement.mount, placement.objective.camera_count, constraints=placement.objective.constraints
+    )
+    pose = space.random(np.random.default_rng(seed)).astype(np.float32)
+    return placement.mount.rig(placement.mount.within(pose))

@@ -15,7 +15,6 @@ from warpav.core.files import write_json
 from warpav.core.progress import Progress
 from warpav.core.table import Table
 from warpav.detection.miss_rate import further_gain, missed_probability
-from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.pool_search import too_near
@@ -27,6 +26,7 @@ from warpav.runs.mounts import check_one_unit, rig_modules
 from warpav.runs.optimise import Optimisation, kept_drawing, pool_search_settings, searches_by_pool
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
+from warpav.runs.rig_evaluation import RigEvaluation
 from warpav.scene.scene import Scene
 from warpav.view import Canvas, draws, plot
 

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 from warpav.core.errors import ArgumentError
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import device_name
-from warpav.evaluation.rig_evaluation import GroundTable, Robust, SearchEnd, StartAndEnd, ToleranceTable
 from warpav.optimisation.budget import BudgetedValue, run_search
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.optimisation.mount_errors import MountErrors
@@ -26,12 +25,13 @@ from warpav.rig.rig import Rig, write_rig
 from warpav.runs.checkpoint import identity_of
 from warpav.runs.config import Config
 from warpav.runs.drawn_run import DrawnRun, draws_runs
-from warpav.runs.evaluate import evaluate_on, requirements_of
+from warpav.runs.evaluate import evaluate_on, highest_rig, requirements_of
 from warpav.runs.events import Certificate
 from warpav.runs.mounts import preset_for
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress
-from warpav.runs.rig_source import highest_rig, read_baselines
+from warpav.runs.rig_evaluation import GroundTable, Robust, SearchEnd, StartAndEnd, ToleranceTable
+from warpav.runs.rig_source import read_baselines
 from warpav.runs.robustness import tolerance_on
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scenes

@@ -1,4 +1,4 @@
-"""Rigs by what a user writes: a rig YAML, a preset, a run folder, or ``highest``; and rigs that need no search."""
+"""Rigs by what a user writes: a rig YAML, a preset, a run folder, or ``highest``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError, OptionError
 from warpav.optimisation.baselines import highest_mount_pose
-from warpav.optimisation.space import SearchSpace
 from warpav.rig.check import off_vehicle
 from warpav.rig.presets import HIGHEST, find_rig_file, is_preset, preset_names
 from warpav.rig.rig import Rig, RigCamera, read_rig
@@ -26,7 +25,6 @@ from warpav.runs.run_folder import RunFolder
 if TYPE_CHECKING:
     from warpav.raster.camera import CameraModel
     from warpav.raster.mesh import Mesh
-    from warpav.runs.placement import Placement
 
 _logger = logging.getLogger(__name__)
 
@@ -198,38 +196,3 @@ def start_changes(start: Rig, begun: Rig) -> str:
 
 def _model_words(model: CameraModel) -> str:
     return f"{model.lens} {math.degrees(model.fov_rad):.0f} deg {model.width_px} x {model.height_px} px"
-
-
-def highest_rig(placement: Placement) -> Rig:
-    """The cameras of a placement around the highest point of its mount surface, evenly turned, the first forward.
-
-    On zones they stand as far off the skin as their zone lets them.
-
-    Args:
-        placement: Gives number and model of the cameras, the vehicle and the constraints; frozen cameras stay.
-
-    Raises:
-        InputError: The cameras do not fit.
-    """
-    mount = placement.mount
-    pose = highest_mount_pose(placement.objective.constraints, placement.objective.camera_count)
-    return mount.rig(mount.within(mount.off_the_skin(pose)))
-
-
-def random_rig(placement: Placement, seed: int = 0) -> Rig:
-    """The cameras of a placement at random positions that satisfy the constraints, in random directions.
-
-    Where zones limit directions, a direction beyond its limits is moved to the nearest one within.
-
-    Args:
-        placement: As of `highest_rig`.
-        seed: The same seed gives the same rig, at least 0.
-
-    Raises:
-        InputError: The cameras do not fit.
-    """
-    space = SearchSpace.over(
-        placement.mount, placement.objective.camera_count, constraints=placement.objective.constraints
-    )
-    pose = space.random(np.random.default_rng(seed)).astype(np.float32)
-    return placement.mount.rig(placement.mount.within(pose))

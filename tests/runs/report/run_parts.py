@@ -3,10 +3,10 @@
 import numpy as np
 from PIL import Image
 
-from warpav.evaluation.rig_evaluation import TABLE_ROWS
 from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera, write_rig
 from warpav.runs.config import load_config
+from warpav.runs.rig_evaluation import TABLE_ROWS
 from warpav.runs.run_folder import RunFolder
 
 ARMS = ("optimised", "start", "highest")

@@ -11,12 +11,12 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 
 from warpav.core.errors import InputError
 from warpav.core.yaml_file import read_yaml
-from warpav.evaluation.rig_evaluation import RigEvaluation
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.rig import Rig
 from warpav.rig.zone import Zone, read_zones
 from warpav.runs.config import Config
 from warpav.runs.events import Certificate, Event
+from warpav.runs.rig_evaluation import RigEvaluation
 from warpav.runs.run_folder import RunFolder
 
 _BoxPx = tuple[float, float, float, float]

@@ -12,12 +12,12 @@ import numpy as np
 
 from warpav.core.frames import wrap_angle_rad
 from warpav.evaluation.metrics import ObjectOutcome
-from warpav.evaluation.rig_evaluation import RigEvaluation, Robust
 from warpav.evaluation.statistics import Difference
 from warpav.optimisation.constraints import Margin
 from warpav.optimisation.mount_errors import ANGLES
 from warpav.rig.rig import Rig
 from warpav.runs.report.content import RunContent
+from warpav.runs.rig_evaluation import RigEvaluation, Robust
 
 _Tone = Literal["good", "bad", "open"]
 
