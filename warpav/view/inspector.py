@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Switch:
+class _Switch:
     """What can be shown or not; ``needs`` is what of `InspectedRig.known` has to be there."""
 
     key: str
@@ -64,16 +64,16 @@ class Switch:
 
 
 SWITCHES = {
-    "rings": Switch("i", "range rings"),
-    "outcomes": Switch("d", "detections"),
-    "visibility": Switch("v", "views of the cameras"),
-    "descent": Switch("g", "arrows of the descent", "descent"),
-    "further": Switch("m", "one more camera", "further"),
-    "requirements": Switch("k", "requirements", "requirements"),
+    "rings": _Switch("i", "range rings"),
+    "outcomes": _Switch("d", "detections"),
+    "visibility": _Switch("v", "views of the cameras"),
+    "descent": _Switch("g", "arrows of the descent", "descent"),
+    "further": _Switch("m", "one more camera", "further"),
+    "requirements": _Switch("k", "requirements", "requirements"),
 }
 """By their names."""
 
-VIEW_PX = 300
+_VIEW_PX = 300
 """Longer side of the view through the chosen camera."""
 
 BEGINNINGS = Literal["coverage", "redundancy", "outcomes", "visibility", "further", "zones", "gain", "requirements"]
@@ -484,7 +484,7 @@ def _framed_view(observed: CameraObservation, border_rgb: tuple[int, int, int]) 
     """A camera's image with boxes and a coloured border, uint8 [row, column, 3]."""
     import cv2
 
-    scale = VIEW_PX / max(observed.image_rgb.shape[:2])
+    scale = _VIEW_PX / max(observed.image_rgb.shape[:2])
     enlarged = cv2.resize(observed.image_rgb, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
 
     def draw(box: np.ndarray, rgb: tuple[int, int, int], width: int) -> None:

@@ -55,7 +55,7 @@ def mesh_to_pyvista(mesh: Mesh) -> PolyData:
     return surface
 
 
-def faces_to_pyvista(corner_m: np.ndarray, sides: int = 4) -> PolyData:
+def _faces_to_pyvista(corner_m: np.ndarray, sides: int = 4) -> PolyData:
     """Faces of so many corners each that share none, from their corners [m], in order [corner, 3]."""
     return load_pyvista_data().PolyData.from_regular_faces(corner_m, np.arange(len(corner_m)).reshape(-1, sides))
 
@@ -104,7 +104,7 @@ def add_labels(plotter: Plotter, point_m: np.ndarray, texts: list[str], *, size:
     plotter.add_point_labels(point_m, texts, text_color=hex_colour(INK_RGB), font_size=size, name=name, **style)
 
 
-def add_gains(
+def _add_gains(
     plotter: Plotter,
     surface: PolyData | None,
     most: float,
@@ -249,7 +249,7 @@ def coverage_to_pyvista(coverage: Coverage) -> PolyData:
     middle_m = np.stack([ground.x_m[row], ground.y_m[column]], axis=-1)
     height_m = np.broadcast_to(ground.ground_m[row, column][:, None, None] + _LIFT_M, (len(row), 4, 1))
     point_m = np.concatenate([middle_m[:, None] + ground.cell_m * SQUARE, height_m], axis=-1)
-    surface = faces_to_pyvista(point_m.reshape(-1, 3))
+    surface = _faces_to_pyvista(point_m.reshape(-1, 3))
     for height, count in zip(coverage.heights_m, coverage.count, strict=True):
         surface.cell_data[f"cameras_{height:g}m"] = count[row, column]
         surface.cell_data[f"blind_{height:g}m"] = count[row, column] == 0
@@ -314,7 +314,7 @@ def requirements_to_pyvista(result: RequirementResult) -> PolyData:
         height_m = np.full((*plane_m.shape[:-1], 1), lift * _REQUIREMENT_LIFT_M)
         corners.append(np.concatenate([plane_m, height_m], axis=-1).reshape(-1, 3))
         points.append(np.repeat(index, len(shape)))
-    surface, point = faces_to_pyvista(np.concatenate(corners), 3), np.concatenate(points)
+    surface, point = _faces_to_pyvista(np.concatenate(corners), 3), np.concatenate(points)
     surface.cell_data["RGB"] = np.array(COVERAGE_RGB, np.uint8)[np.minimum(result.camera_count, 3)][point]
     surface.cell_data["point"] = point
     return surface
@@ -370,7 +370,7 @@ def zones_to_pyvista(surface: MountSurface, *, lift_m: float = 0.0) -> PolyData:
         mirrored_m = point_m.reshape(-1, 4, 3)[is_pair] * (1.0, -1.0, 1.0)
         point_m = np.concatenate([point_m, mirrored_m.reshape(-1, 3)])
         data = {name: np.concatenate([each, each[is_pair]]) for name, each in data.items()}
-    squares = faces_to_pyvista(point_m)
+    squares = _faces_to_pyvista(point_m)
     squares.cell_data.update(data)
     return squares
 
@@ -439,7 +439,7 @@ def add_gain(
     if further is not None and len(further):
         squares, most = gain_to_pyvista(surface, further, lift_m=_ZONE_LIFT_M), 100.0 * float(further.gain.max())
         squares = squares.extract_cells(np.isfinite(squares.cell_data["gain_of_100"])).extract_surface(algorithm=None)
-    add_gains(plotter, squares, most, name="gain", at=at, lighting=False)
+    _add_gains(plotter, squares, most, name="gain", at=at, lighting=False)
 
 
 # --------------------------------------------------------------------------------------------------- of a search
@@ -548,4 +548,4 @@ def add_further_cameras(
             if len(shown):
                 parts.append(points.glyph(geom=shape, orient="direction", scale=False))
     surface = pyvista.merge(parts) if parts else None
-    add_gains(plotter, surface, most, name="further_cameras", at=at, ambient=0.5)
+    _add_gains(plotter, surface, most, name="further_cameras", at=at, ambient=0.5)

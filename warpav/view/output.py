@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     Plotter = Any
 
 SUFFIXES = (".png", ".html", ".gif", ".mp4")
-ANIMATION_SUFFIXES = (".gif", ".mp4")
+_ANIMATION_SUFFIXES = (".gif", ".mp4")
 ANIMATION_PX = (800, 500)
 """Window of animations, so that a GIF stays below 5 MB."""
 
@@ -52,7 +52,7 @@ class Canvas:
     @property
     def is_animation(self) -> bool:
         """Whether the file is an animation."""
-        return self.out is not None and self.out.suffix.lower() in ANIMATION_SUFFIXES
+        return self.out is not None and self.out.suffix.lower() in _ANIMATION_SUFFIXES
 
     def size_px(self, usual: tuple[int, int]) -> tuple[int, int]:
         """Width and height [px], where images have the usual size unless another one was asked for."""
@@ -73,21 +73,13 @@ def save_image(plotter: Plotter, path: Path | str, *, progress: Progress | None 
     """Write what an off-screen plotter shows: an image, a page that stands alone, or one turn around the ego."""
     path = Path(path)
     check_suffix(path)
-    if path.suffix.lower() in ANIMATION_SUFFIXES:
+    if path.suffix.lower() in _ANIMATION_SUFFIXES:
         return save_animation(Animation(_orbit(plotter), _ORBIT_FRAMES, _ORBIT_FRAME_S), path, progress=progress)
     if path.suffix.lower() == ".png":
-        return write_whole(path, png_bytes(_image(plotter)))
+        encoded = io.BytesIO()
+        _image(plotter).save(encoded, format="PNG")
+        return write_whole(path, encoded.getvalue())
     return save_page({path.stem: plotter}, path, title=path.stem)
-
-
-def png_bytes(image: Any, **options: Any) -> bytes:  # noqa: ANN401 (of Pillow)
-    """An image of Pillow or of uint8 [row, column, 3] as PNG."""
-    from PIL import Image
-
-    encoded = io.BytesIO()
-    image = Image.fromarray(image) if isinstance(image, np.ndarray) else image
-    image.save(encoded, format="PNG", **options)
-    return encoded.getvalue()
 
 
 def save_page(plotters: Mapping[str, Plotter], path: Path | str, *, title: str, lines: Sequence[str] = ()) -> Path:
@@ -101,8 +93,8 @@ def save_page(plotters: Mapping[str, Plotter], path: Path | str, *, title: str, 
 def save_animation(animation: Animation, path: Path | str, *, progress: Progress | None = None) -> Path:
     """Write an animation as ``.gif`` or ``.mp4``."""
     path = Path(path)
-    if path.suffix.lower() not in ANIMATION_SUFFIXES:
-        raise InputError(f"{path}: expected a name that ends in {', '.join(ANIMATION_SUFFIXES)}, got {path.suffix!r}")
+    if path.suffix.lower() not in _ANIMATION_SUFFIXES:
+        raise InputError(f"{path}: expected a name that ends in {', '.join(_ANIMATION_SUFFIXES)}, got {path.suffix!r}")
     check_suffix(path)
     images = animation.image_rgb
     if progress is not None:

@@ -22,7 +22,7 @@ from warpav.view.palette import INK_RGB, camera_rgb, hex_colour
 if TYPE_CHECKING:
     Plotter = Any
 
-Tags = Mapping[str, str]
+_Tags = Mapping[str, str]
 """Values of controls, by their keys."""
 
 _OPAQUE = 255
@@ -37,7 +37,7 @@ _OF_SCENE = ("scene/", "coverage", "ground", "legend/", "visibility/", "outcomes
 
 
 @dataclass(frozen=True)
-class Control:
+class _Control:
     """A control of the panel."""
 
     key: str
@@ -48,10 +48,10 @@ class Control:
     colours: Sequence[str] = field(default=())
 
 
-class Page:
+class _Page:
     """A page that is being made."""
 
-    def __init__(self, title: str, *, controls: Sequence[Control] = (), lines: Sequence[str] = ()) -> None:
+    def __init__(self, title: str, *, controls: Sequence[_Control] = (), lines: Sequence[str] = ()) -> None:
         """An empty page."""
         self._k3d, self._title, self._controls, self._lines = load_k3d(), title, controls, lines
         self._plot = self._k3d.plot(
@@ -74,7 +74,7 @@ class Page:
         self._plot.camera = self._camera
         self._plot.camera_fov = float(camera.view_angle)
 
-    def add(self, plotter: Plotter, tags_by_name: Mapping[str, Tags]) -> None:
+    def add(self, plotter: Plotter, tags_by_name: Mapping[str, _Tags]) -> None:
         """Add what a plotter shows: surfaces, lines and names in space, not what lies in the plane of its window."""
         pyvista = load_pyvista()
         for name, tags in tags_by_name.items():
@@ -86,7 +86,7 @@ class Page:
             elif name.endswith(_LABELS):
                 self._add_labels(actor, tags)
 
-    def _add_labels(self, actor: Any, tags: Tags) -> None:  # noqa: ANN401 (a vtkActor2D)
+    def _add_labels(self, actor: Any, tags: _Tags) -> None:  # noqa: ANN401 (a vtkActor2D)
         """Names that pyvista places so that none hides another."""
         mapper = actor.GetMapper()
         named = load_pyvista().wrap(mapper.GetInputConnection(0, 0).GetProducer().GetInputDataObject(0, 0))
@@ -97,7 +97,7 @@ class Page:
             position = [float(each) for each in at_m]
             self._put(self._k3d.text(html.escape(str(text).strip()), position=position, **style), tags)
 
-    def _add_mesh(self, actor: Any, tags: Tags) -> None:  # noqa: ANN401 (a pyvista.Actor)
+    def _add_mesh(self, actor: Any, tags: _Tags) -> None:  # noqa: ANN401 (a pyvista.Actor)
         actor.mapper.Update()
         surface = load_pyvista().wrap(actor.mapper.GetInput())
         if surface is None or not surface.n_points:
@@ -132,7 +132,7 @@ class Page:
             tags,
         )
 
-    def _add_lines(self, surface: Any, actor: Any, tags: Tags) -> None:  # noqa: ANN401 (of pyvista)
+    def _add_lines(self, surface: Any, actor: Any, tags: _Tags) -> None:  # noqa: ANN401 (of pyvista)
         cells, at = np.asarray(surface.lines), 0
         pieces = []
         while at < len(cells):
@@ -151,7 +151,7 @@ class Page:
             tags,
         )
 
-    def _put(self, drawn: Any, tags: Tags) -> None:  # noqa: ANN401 (an object of K3D)
+    def _put(self, drawn: Any, tags: _Tags) -> None:  # noqa: ANN401 (an object of K3D)
         self._plot += drawn
         self._tags.append({**tags, "id": str(drawn.id)})
 
@@ -175,14 +175,14 @@ class Page:
 _GROUND = "ground seen by no camera (red), one, two or more (blue)"
 
 
-def page_of(plotters: Mapping[str, Plotter], *, title: str, lines: Sequence[str] = ()) -> Page:
+def page_of(plotters: Mapping[str, Plotter], *, title: str, lines: Sequence[str] = ()) -> _Page:
     """A page of what plotters show: the rig of the first, and the scenes of all, one at a time.
 
     The panel switches cameras, names, range rings and paths, and what the ground carries: every actor
     ``coverage/WORDS`` is one of the choices.
     """
     first, *_ = plotters
-    tagged: dict[str, dict[str, Tags]] = {}
+    tagged: dict[str, dict[str, _Tags]] = {}
     values: dict[str, dict[str, None]] = {"camera": {}, "show": {}, "ground": {}}  # in order, each once
     for scene, plotter in plotters.items():
         tagged[scene] = {}
@@ -193,15 +193,15 @@ def page_of(plotters: Mapping[str, Plotter], *, title: str, lines: Sequence[str]
             if is_of_scene or scene == first:
                 tagged[scene][name] = {**tags, "scene": scene} if is_of_scene else tags
     cameras, shown, ground = (list(each) for each in values.values())
-    controls = [Control("scene", "scene", "one", list(plotters), [first])] if len(plotters) > 1 else []
+    controls = [_Control("scene", "scene", "one", list(plotters), [first])] if len(plotters) > 1 else []
     if ground:
-        controls.append(Control("ground", _GROUND, "one", [*ground, "off"], ground[:1]))
+        controls.append(_Control("ground", _GROUND, "one", [*ground, "off"], ground[:1]))
     if shown:
-        controls.append(Control("show", "show", "any", shown, shown))
+        controls.append(_Control("show", "show", "any", shown, shown))
     if cameras:
         colours = [hex_colour(camera_rgb(k)) for k in range(len(cameras))]
-        controls.append(Control("camera", "cameras", "any", cameras, cameras, colours))
-    page = Page(title, controls=controls, lines=lines)
+        controls.append(_Control("camera", "cameras", "any", cameras, cameras, colours))
+    page = _Page(title, controls=controls, lines=lines)
     page.look_as(plotters[first])
     for scene, plotter in plotters.items():
         page.add(plotter, tagged[scene])

@@ -125,7 +125,7 @@ def rig_plotter(picture: Picture, canvas: Canvas, *, labels: bool = True, sector
     usual_zoom = WIDE_ZOOM if is_wide else _BODY_ZOOM if picture.shows_body else 1.0
     plotter = _new_plotter(canvas, WINDOW_PX)
     bounds_m = _bounds_without_ego_m(rig.cameras if rig else ()) if vehicle is None else vehicle.bounds_m()
-    look_at(
+    _look_at(
         plotter,
         bounds_m,
         azimuth_rad=clear_azimuth_rad(scene) if scene else VIEW_AZIMUTH_RAD,
@@ -194,7 +194,7 @@ def vehicle_plotter(
     plotter = _new_plotter(canvas, _VEHICLE_PX)
     bounds_m = vehicle.bounds_m().astype(np.float64) if vehicle is not None else _bounds_of_surface_m(surface)
     view = {"azimuth_rad": azimuth_rad, "elevation_rad": _VEHICLE_ELEVATION_RAD}
-    look_at(plotter, bounds_m, **view, zoom=1.0 if canvas.zoom is None else canvas.zoom)
+    _look_at(plotter, bounds_m, **view, zoom=1.0 if canvas.zoom is None else canvas.zoom)
     plotter.camera.view_angle = 19.0
     if vehicle is not None:
         paint(plotter, mesh_to_pyvista(vehicle), name="ego")
@@ -249,7 +249,7 @@ def _taken_px(plotter: Plotter, title: str | None, *, has_scale: bool) -> np.nda
     return np.reshape(np.array(boxes, np.float64), (-1, 4))
 
 
-def look_at(
+def _look_at(
     plotter: Plotter, bounds_m: np.ndarray, *, azimuth_rad: float, elevation_rad: float, zoom: float = 1.0
 ) -> None:
     """Point the plotter's camera at a vehicle, by its lowest and highest corner [m], shape [2, 3]."""

@@ -47,18 +47,18 @@ class Kind:
 _KINDS: dict[type, dict[str, Kind]] = {}
 """By class and name; the first kind of a class is drawn where none is asked for."""
 
-Function = TypeVar("Function", bound="Callable[..., Any]")
+_Function = TypeVar("_Function", bound="Callable[..., Any]")
 
 
 def draws(
     cls: type, kind: str, *, is_figure: bool = False, options: Sequence[str] | None = None
-) -> Callable[[Function], Function]:
+) -> Callable[[_Function], _Function]:
     """Registers a function as what draws a kind of a class, and of the classes below it.
 
     Options are what `plot` hands on by keyword; None: all that the function takes by keyword alone.
     """
 
-    def register(draw: Function) -> Function:
+    def register(draw: _Function) -> _Function:
         by_keyword = inspect.Parameter.KEYWORD_ONLY
         takes = (name for name, one in inspect.signature(draw).parameters.items() if one.kind is by_keyword)
         _KINDS.setdefault(cls, {})[kind] = Kind(draw, is_figure, tuple(takes if options is None else options))
@@ -304,10 +304,10 @@ def _draw_sheet(
     return rig_sheet(rig, ego=Picture(ego=ego, scene=scene).vehicle, range_m=range_m, title=canvas.title)
 
 
-def _draws_rigs(kind: str) -> Callable[[Function], Function]:
+def _draws_rigs(kind: str) -> Callable[[_Function], _Function]:
     """Registers what draws one rig or several by name."""
 
-    def register(draw: Function) -> Function:
+    def register(draw: _Function) -> _Function:
         return draws(Mapping, kind, is_figure=True)(draws(Rig, kind, is_figure=True)(draw))
 
     return register

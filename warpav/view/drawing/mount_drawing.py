@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 PAGE_MM = (420.0, 297.0)
 """A3, landscape."""
 
-SUFFIXES = (*FIGURE_SUFFIXES[::-1], ".dxf", ".csv", ".glb")
+_SUFFIXES = (*FIGURE_SUFFIXES[::-1], ".dxf", ".csv", ".glb")
 """Of files that `MountDrawing.save` writes."""
 
 _FRAME_MM = (20.0, 10.0, 410.0, 287.0)  # ISO 5457: 20 mm to the left, 10 mm to the others
@@ -139,8 +139,8 @@ class _MountDrawing(Sheet):
 def check_out(path: Path) -> None:
     """Check that a drawing can be written as this file, or into this folder."""
     is_folder = not path.suffix or path.is_dir()
-    if not is_folder and path.suffix.lower() not in SUFFIXES:
-        expected = f"a folder or a name that ends in {', '.join(SUFFIXES)}"
+    if not is_folder and path.suffix.lower() not in _SUFFIXES:
+        expected = f"a folder or a name that ends in {', '.join(_SUFFIXES)}"
         raise ArgumentError("out", f"expected {expected}, got {path.suffix!r}", place=path)
     if not is_folder and path.suffix.lower() == ".dxf":
         load_ezdxf(path)

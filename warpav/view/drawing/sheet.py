@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 TEXT_MM = 2.2
 """Height of capital letters."""
 
-MARK_MM = 1.0
+_MARK_MM = 1.0
 """Radius of the mark of a camera."""
 
 
@@ -90,7 +90,7 @@ class Mark:
     @property
     def cross_mm(self) -> np.ndarray:
         """The two lines through its place, [2, 2, 2]."""
-        reach = 1.6 * MARK_MM * np.eye(2)
+        reach = 1.6 * _MARK_MM * np.eye(2)
         return np.stack([self.place_mm - reach, self.place_mm + reach], axis=1)
 
 
@@ -116,7 +116,7 @@ def text_width_mm(text: str, height_mm: float, *, is_bold: bool = False) -> floa
     return text_to_path.get_text_width_height_descent(text, font, ismath=False)[0] / 72.0 * 25.4
 
 
-def circle_mm(centre_mm: np.ndarray, radius_mm: float = MARK_MM, count: int = 49) -> np.ndarray:
+def circle_mm(centre_mm: np.ndarray, radius_mm: float = _MARK_MM, count: int = 49) -> np.ndarray:
     """Points around a place on the page, [point, 2]; the last is the first again."""
     turn_rad = np.linspace(0.0, 2.0 * math.pi, count)
     return centre_mm + radius_mm * np.stack([np.cos(turn_rad), np.sin(turn_rad)], axis=1)
@@ -189,7 +189,7 @@ def _free_place_mm(
         cost += _LINE_COST * _is_on(line_mm, middle_mm, size_mm)
         if cost < least:
             leader_mm = _points_mm(_leader_mm(place_mm, middle_mm, size_mm))
-            leader_mm = leader_mm[np.linalg.norm(leader_mm - place_mm, axis=1) > 2.0 * MARK_MM]
+            leader_mm = leader_mm[np.linalg.norm(leader_mm - place_mm, axis=1) > 2.0 * _MARK_MM]
             apart_mm = np.linalg.norm(leader_mm[:, None] - symbol_mm, axis=-1)
             cost += _LEADER_COST * bool((apart_mm < 0.5 * _CLEAR_MM).any())
         if cost < least:
@@ -207,12 +207,12 @@ def _leader_mm(place_mm: np.ndarray, middle_mm: np.ndarray, size_mm: np.ndarray)
     half_mm = 0.5 * size_mm + 0.5 * _CLEAR_MM
     end_mm = np.clip(place_mm, middle_mm - half_mm, middle_mm + half_mm)
     towards = (end_mm - place_mm) / np.linalg.norm(end_mm - place_mm)
-    return np.stack([place_mm + MARK_MM * towards, end_mm])
+    return np.stack([place_mm + _MARK_MM * towards, end_mm])
 
 
 def _mark_points_mm(mark: Mark) -> np.ndarray:
     """Points of a mark and its arrow, near enough to each other that no number fits between them."""
-    round_mm = circle_mm(mark.place_mm, 1.6 * MARK_MM, 17)
+    round_mm = circle_mm(mark.place_mm, 1.6 * _MARK_MM, 17)
     return np.concatenate([round_mm, _points_mm(np.stack([mark.place_mm, mark.tip_mm]))])
 
 
@@ -233,7 +233,7 @@ def _groups(marks: Sequence[Mark]) -> list[list[Mark]]:
         for group in groups:
             first = group[0]
             apart_mm = max(np.linalg.norm(mark.place_mm - first.place_mm), np.linalg.norm(mark.tip_mm - first.tip_mm))
-            if apart_mm < 2.0 * MARK_MM:
+            if apart_mm < 2.0 * _MARK_MM:
                 group.append(mark)
                 break
         else:

@@ -49,7 +49,7 @@ _STRAY_REACH_M = 9.0  # of what was seen through a vehicle's panes, so much is d
 _STREET_HEIGHT_M = 3.0  # what is higher would hide the street
 _GAINED_RGB, _LOST_RGB = camera_rgb(0), camera_rgb(3)
 
-Parts = Sequence[PointCloud | Mesh]
+_Parts = Sequence[PointCloud | Mesh]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class Viewpoint:
 
 
 def cloud_image(
-    parts: Parts,
+    parts: _Parts,
     viewpoint: Viewpoint,
     *,
     size_px: tuple[int, int],
@@ -173,7 +173,7 @@ def stages(capture: Capture, path: Path | str, *, settings: ReconstructionSettin
         for cloud, budget in zip((low, *objects), budgets, strict=True)
     ]
     scene = reconstruct(capture, settings)
-    panels: dict[str, tuple[Parts, float]] = {
+    panels: dict[str, tuple[_Parts, float]] = {
         "(4) With vehicles": ([everything], 0.0),
         "(5) Without far points": ([nearer], 0.0),
         f"(6) Sphere beyond {how.radius_m:g} m": ([near, moved, *objects], 1.6),
@@ -329,7 +329,7 @@ def window_filter(
     with figure_style():
         figure = new_figure(WIDTH_INCH, 9.8)
         grid = figure.add_gridspec(3, 6, height_ratios=[1.0, 0.8, 1.0])
-        panels: list[tuple[Any, str, str, Parts, tuple[Any, ...]]] = [
+        panels: list[tuple[Any, str, str, _Parts, tuple[Any, ...]]] = [
             (grid[0, :3], "Instance images alone", _counted(clouds.shown), clouds.shown, whole),
             (grid[0, 3:], "Inside the 3D boxes", _counted(clouds.boxed), clouds.boxed, whole),
             (grid[1, :2], name, _counted(one_shown), one_shown, single),

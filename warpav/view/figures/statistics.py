@@ -101,7 +101,7 @@ class MetricDifference:
     high: float
 
 
-Groups = Mapping[str, Any]
+_Groups = Mapping[str, Any]
 """Objects of about one distance, sector or kind, by its name, as `warpav.evaluation` counts them."""
 
 
@@ -123,7 +123,7 @@ def differences(rows: Sequence[MetricDifference], first: str) -> str:
     return svg_text(draw, 0.9 + 0.42 * len(rows))
 
 
-def recall_by_group(tables: Mapping[str, Groups], title: str, *, unit: str = "") -> str | None:
+def recall_by_group(tables: Mapping[str, _Groups], title: str, *, unit: str = "") -> str | None:
     """Recall by group, a dot for every rig and the first one's 95 % interval, as SVG; None without objects."""
     groups = _groups(tables)
     if not groups:
@@ -137,7 +137,7 @@ def recall_by_group(tables: Mapping[str, Groups], title: str, *, unit: str = "")
     return svg_text(draw, 1.45 + 0.3 * len(groups))
 
 
-def recall_figure(groupings: Mapping[str, Mapping[str, Groups]], *, title: str) -> Any:  # noqa: ANN401
+def recall_figure(groupings: Mapping[str, Mapping[str, _Groups]], *, title: str) -> Any:  # noqa: ANN401
     """Recall of rigs by groups of objects, a panel for every grouping, as a ``matplotlib.figure.Figure``."""
     shown = {heading: tables for heading, tables in groupings.items() if _groups(tables)}
     lines = max(len(_groups(tables)) for tables in shown.values())
@@ -152,14 +152,14 @@ def recall_figure(groupings: Mapping[str, Mapping[str, Groups]], *, title: str) 
     return figure
 
 
-def _groups(tables: Mapping[str, Groups]) -> list[str]:
+def _groups(tables: Mapping[str, _Groups]) -> list[str]:
     """The names of the groups that hold objects."""
     return [name for name, group in next(iter(tables.values())).items() if group.objects]
 
 
 def _draw_recall(
     axis: Any,  # noqa: ANN401 (matplotlib)
-    tables: Mapping[str, Groups],
+    tables: Mapping[str, _Groups],
     title: str,
     *,
     unit: str = "",
@@ -183,7 +183,7 @@ def _draw_recall(
     return handles, names
 
 
-def _wilson_interval(group: Any) -> tuple[float, float]:  # noqa: ANN401 (of `Groups`)
+def _wilson_interval(group: Any) -> tuple[float, float]:  # noqa: ANN401 (of `_Groups`)
     """Wilson's 95 % interval of a share, as if every object were found or not by itself."""
     from scipy.stats import binomtest
 
