@@ -31,6 +31,16 @@ def _write(name, data):
     return name
 
 
+MODULE = {
+    "sensor_px": [64, 48],
+    "fov_deg": 90.0,
+    "housing": {"size_m": [0.05, 0.05, 0.05]},
+    "price": {"value": 1.0, "unit": "relative"},
+    "power_w": None,
+    "source": "made up",
+}
+
+
 def _rig(name="rig.yaml", *, camera="front"):
     return _write(name, {"frame": "ego", "cameras": [{**CAMERA, "name": camera}]})
 
@@ -51,7 +61,7 @@ CASES = {
     "an option": (2, lambda: ["config", "check", f"rig.start={NAME}"], VISIBLE),
     "a scene": (2, lambda: ["render", f"{NAME}.glb", "--rig", "highest", "--out", "o"], VISIBLE),
     "a camera": (2, lambda: ["rig", "check", _rig(camera=MARKUP)], MARKUP_VISIBLE),
-    "a module": (2, lambda: ["modules", "check", _write("m.yaml", {"modules": {MARKUP: {}}})], MARKUP_VISIBLE),
+    "a module": (2, lambda: ["modules", "check", _write("m.yaml", {"modules": [{**MODULE, "name": MARKUP}]})], MARKUP_VISIBLE),
     "a catalogue": (
         2,
         lambda: ["rig", "check", _write("rig.yaml", {"frame": "ego", "modules": NAME, "cameras": [CAMERA]})],
