@@ -61,7 +61,11 @@ CASES = {
     "an option": (2, lambda: ["config", "check", f"rig.start={NAME}"], VISIBLE),
     "a scene": (2, lambda: ["render", f"{NAME}.glb", "--rig", "highest", "--out", "o"], VISIBLE),
     "a camera": (2, lambda: ["rig", "check", _rig(camera=MARKUP)], MARKUP_VISIBLE),
-    "a module": (2, lambda: ["modules", "check", _write("m.yaml", {"modules": [{**MODULE, "name": MARKUP}]})], MARKUP_VISIBLE),
+    "a module": (
+        2,
+        lambda: ["modules", "check", _write("m.yaml", {"modules": [{**MODULE, "name": MARKUP}]})],
+        MARKUP_VISIBLE,
+    ),
     "a catalogue": (
         2,
         lambda: ["rig", "check", _write("rig.yaml", {"frame": "ego", "modules": NAME, "cameras": [CAMERA]})],

@@ -104,7 +104,7 @@ def polished(margin_of, *, knows):
             mount=mount,
             constraints=zone_of(mount, 1),
             scene_count=1,
-            is_allowed=lambda probability: margin_of(*tried[-1])[0] >= 1.0,
+            is_allowed=lambda pose, probability: margin_of(*tried[-1])[0] >= 1.0,
             hard_points=HardPoints(margins, np.array([1])) if knows else None,
         )
     )

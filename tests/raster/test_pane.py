@@ -8,6 +8,7 @@ import pytest
 from tests.driving_scene import camera_pose, ground, on_device, random_poses, street
 from tests.raster.bodies import cuboid
 from warpav.raster.camera import CameraModel
+from warpav.raster.mesh import merge
 from warpav.raster.pane import Pane
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene
@@ -49,6 +50,35 @@ def test_a_scene_through_a_pane_is_that_around_a_body_without_it(device):
     np.testing.assert_allclose(area_px, expected[2], atol=1e-3)
     np.testing.assert_allclose(jacobian, expected[3], rtol=1e-3, atol=1e-2)
     assert (area_px[0] > 0.0).any()
+
+
+def test_a_scene_that_carries_a_body_is_that_around_both(device):
+    whole = street()
+    cars = {str(k): each.mesh for k, each in enumerate(whole.vehicles)}
+    carried = merge([cuboid((0.3, 0.2, 0.2), (1.0, 0.4, 1.7)), cuboid((0.4, 0.4, 0.4), (2.8, -0.2, 1.2))])
+    scene = Scene(cars, [whole.environment], foreground=whole.ego, device=device)
+    expected = rendered(Scene(cars, [whole.environment], foreground=merge([whole.ego, carried]), device=device), device)
+    number, depth_m, area_px, jacobian = rendered(scene.carrying(carried), device)
+    np.testing.assert_array_equal(number, expected[0])
+    np.testing.assert_allclose(depth_m, expected[1], rtol=1e-5)
+    np.testing.assert_allclose(area_px, expected[2], atol=1e-3)
+    np.testing.assert_allclose(jacobian, expected[3], rtol=1e-3, atol=1e-2)
+    assert (number != rendered(scene, device)[0]).any()
+    through = scene.through(FRONT).carrying(carried)
+    np.testing.assert_array_equal(
+        rendered(through, device)[0],
+        rendered(
+            Scene(cars, [whole.environment], foreground=merge([FRONT.opened(whole.ego), carried]), device=device),
+            device,
+        )[0],
+    )
+
+
+def test_what_cannot_be_carried():
+    scene = Scene({"cube": cuboid((1, 1, 1), (0, 0, 0))})
+    assert scene.carrying(None) is scene
+    with pytest.raises(ValueError, match="expected a scene with a foreground, got none"):
+        scene.carrying(cuboid((1, 1, 1), (0, 0, 0)))
 
 
 def test_rays_of_another_library_see_the_same_bodies():

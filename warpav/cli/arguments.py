@@ -37,7 +37,7 @@ FileTurn = Annotated[
 RigConfig = Annotated[
     str | None, Parameter(name="--config", help="Configuration; by default that of the run folder, or quick.")
 ]
-RigSource = Annotated[str, Parameter(help="Rig YAML, preset, run folder, or highest.")]
+RigSource = Annotated[str, Parameter(help="Rig YAML, preset, run folder, or by hand: corners, cross, edge, highest.")]
 Executor = Annotated[Literal["serial", "process"], Parameter(help="process spreads scenes over processes.")]
 Workers = Annotated[int | None, Parameter(help="Processes; by default one for each core.")]
 TaskExecutor = Annotated[

@@ -30,7 +30,9 @@ from warpav.optimisation.objective import ObjectiveOptions, RigObjective
 from warpav.raster.areas import AMODAL_AREA, Measures
 from warpav.raster.camera import CameraModel
 from warpav.raster.frame import Frame
+from warpav.raster.mesh import Mesh
 from warpav.raster.renderer import Renderer
+from warpav.rig.camera_body import bodies_of
 from warpav.rig.rig import Rig
 from warpav.scene.device_scene import DeviceScene
 from warpav.sight.around import body_shares
@@ -285,7 +287,8 @@ class RigObserver:
         probability_of: Callable[[CameraModel], CameraProbability | None] | None = None,
     ) -> None:
         """Create the renderers; cameras of one model that look through one pane share one."""
-        self._probability_of = probability_of
+        self._probability_of, self._rig = probability_of, rig
+        self._bodies_on: dict[bytes, Mesh | None] = {}
         self._detector, self._options = detector, options
         kind_of = [(camera.model, camera.behind_glass) for camera in rig.cameras]
         kinds = list(dict.fromkeys(kind_of))
@@ -301,9 +304,10 @@ class RigObserver:
     def observe(self, scene: DeviceScene) -> RigObservation:
         """Render the scene in all cameras and run the detector."""
         observations, area_px, found = [], [], []
+        bodies = self._bodies(scene)
         for renderer, part in self._groups:
             views = views_of_rig(part, rotation_count=1, rotation_step_rad=0.0, device=str(renderer.device))
-            raster = scene.raster.through(part.cameras[0].behind_glass)
+            raster = scene.raster.through(part.cameras[0].behind_glass).carrying(bodies)
             frame = renderer.render(raster, views.position_ego_m, views.camera_from_ego)
             forward_view = list(range(len(part.cameras)))
             observation = observe(
@@ -323,6 +327,13 @@ class RigObserver:
         is_known = len(found) == len(self._groups)
         probability = np.concatenate(found)[np.argsort(self._camera)] if is_known else None
         return RigObservation(observations, _is_in_frame(np.concatenate(area_px)), self._camera, probability)
+
+    def _bodies(self, scene: DeviceScene) -> Mesh | None:
+        """The bodies of the cameras on the vehicle of a scene; of one vehicle they are made once."""
+        bounds_m = scene.ego_bounds_m.tobytes()
+        if bounds_m not in self._bodies_on:
+            self._bodies_on = {bounds_m: bodies_of(self._rig, scene.raster.foreground_mesh())}
+        return self._bodies_on[bounds_m]
 
 
 def _detection_probability(

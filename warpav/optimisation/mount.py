@@ -17,6 +17,7 @@ from warpav.core.frames import rotation_from_yaw_pitch_roll
 from warpav.raster.buffers import lens_of
 from warpav.raster.camera import CameraModel, rotational_additions
 from warpav.raster.pane import Pane
+from warpav.rig.module import PLAIN, PLAIN_HOUSING, Housing
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import Rig, RigCamera
 from warpav.rig.zone import Zone
@@ -106,12 +107,14 @@ class CameraMount:
         height_offset_m: float,
         device: str = "cpu",
         free: FreeRanges | None = None,
+        housings: Sequence[Housing] = (),
     ) -> None:
         """Mount for cameras of one model, or of the models of several modules."""
         self.surface = surface
         self.cameras = (camera,) if isinstance(camera, CameraModel) else tuple(camera)
         if len(self.cameras) != (count := max(len(surface.modules), 1)):
             raise ValueError(f"camera must be one model for each of {count}, got {len(self.cameras)}")
+        self.housings = tuple(housings) or (PLAIN_HOUSING,) * len(self.cameras)
         self.height_offset_m = height_offset_m
         self.device = device
         self.free = free = free or FreeRanges()
@@ -391,8 +394,9 @@ class CameraMount:
                 pitch_rad=float(pose[PITCH_RAD]),
                 roll_rad=float(pose[ROLL_RAD]),
                 model=self.cameras[module[i]].zoomed(float(pose[LOG_ZOOM])),
-                module=modules[module[i]] if modules else None,
+                module=modules[module[i]] if modules and modules[module[i]] != PLAIN else None,
                 behind_glass=panes[i],
+                housing=self.housings[module[i]],
             )
             sides = ((camera, "left"), (_mirror_image(camera), "right")) if is_pair else ()
             cameras += [dataclasses.replace(each, name=f"{camera.name}_{side}") for each, side in sides] or [camera]

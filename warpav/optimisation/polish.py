@@ -15,7 +15,7 @@ Source: the model is a composite one, exact to first order, as in Gauss-Newton m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -26,10 +26,13 @@ from warpav.detection.miss_rate import expected_miss_rate
 from warpav.optimisation.camera_loss import SOFTNESS, RobustObjective
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.tangent_model import REACH, TANGENTS, Edges, HardPoints, Margins, Rendered, TangentModel
+from warpav.optimisation.tangent_model import REACH, TANGENTS, HardPoints, Margins, Rendered, TangentModel
 
 Detected = tuple[np.ndarray, np.ndarray]
 """The probability that each camera detects each object [camera, object], and its Jacobian [camera, object, 7]."""
+
+Inequalities = tuple[np.ndarray, np.ndarray]
+"""``spare + slope . move >= 0``: float [row] and [row, camera, 7]."""
 
 _STEP_UNIT = {X_M: 0.2, Y_M: 0.2, YAW_RAD: 0.2, PITCH_RAD: 0.1, HEIGHT_DELTA_M: 0.1, LOG_ZOOM: 0.1}
 """How far a number of a mount pose may move in a step of radius 1 [m, rad, 1]."""
@@ -61,7 +64,10 @@ class PolishTask:
     weight: np.ndarray | None = None  # of each object, at least 0; None: all alike
     robust: RobustObjective | None = None  # what is minimised; None: the expected miss rate
     hard_points: HardPoints | None = None  # points that steps keep met as far as tangents tell
-    is_allowed: Callable[[np.ndarray], bool] | None = None  # whether a rig whose cameras detect so much
+    # what a step of some reach [camera, 7] must leave between the cameras of a rig [camera, 7]
+    pair_edges: Callable[[np.ndarray, np.ndarray], Inequalities] | None = None
+    # whether a rig [camera, 7] whose cameras detect so much [camera, object] is one
+    is_allowed: Callable[[np.ndarray, np.ndarray], bool] | None = None
 
 
 @dataclass(frozen=True)
@@ -114,9 +120,12 @@ def polish(
         model = TangentModel(
             here, shares, earlier=rendered, reach=REACH * length * step_unit(mount), rig_value=rig_value
         )
-        edges = None
+        edges = list[Inequalities]()
         if hard_points is not None and here.margins is not None:
-            edges = hard_points.edges(here.mount_pose, here.margins, problem.reach(length), refused)
+            found = hard_points.edges(here.mount_pose, here.margins, problem.reach(length), refused)
+            edges.append((found.spare, found.slope(len(pose))))
+        if task.pair_edges is not None:
+            edges.append(task.pair_edges(here.mount_pose, problem.reach(length)))
         tried = nearest_rig(problem.minimised(model, here.mount_pose, length, edges), mount, constraints)
         promised = model.value(tried.astype(np.float64) - here.mount_pose)
         if promised > model.value(np.zeros_like(here.jacobian[:, 0])) - steps.tolerance * here.objective:
@@ -132,7 +141,7 @@ def polish(
         here = Rendered(tried, probability, jacobian, value_of(probability), margins)
         rendered.append(here)
         tried_objective = here.objective
-        if task.is_allowed is not None and not task.is_allowed(here.probability):
+        if task.is_allowed is not None and not task.is_allowed(here.mount_pose, here.probability):
             if here.margins is not None:
                 refused = [*refused, (here.mount_pose, here.margins)][-TANGENTS:]
             here = best
@@ -201,7 +210,9 @@ class _Problem:
         return slope[:, self.is_free]
 
     @threadpool_limits.wrap(limits=1, user_api="blas")  # more threads only wait for one another, the longer the busier
-    def minimised(self, model: TangentModel, pose: np.ndarray, radius: float, edges: Edges | None = None) -> np.ndarray:
+    def minimised(
+        self, model: TangentModel, pose: np.ndarray, radius: float, edges: Sequence[Inequalities] = ()
+    ) -> np.ndarray:
         """The rig with the lowest modelled objective within a radius of a rig, constraints and edges, [camera, 7]."""
         from scipy.optimize import minimize
 
@@ -222,9 +233,16 @@ class _Problem:
             "jac": lambda scaled: self.slack_slope(moved(scaled)) * unit,
         }
         constraints = [slack]
-        if edges is not None and len(edges.camera):
-            slope, spare = edges.slope(len(pose))[:, self.is_free] * unit, edges.spare
-            constraints.append({"type": "ineq", "fun": lambda scaled: spare + slope @ scaled, "jac": lambda _: slope})
+        for spare, of_pose in edges:
+            if len(spare):
+                slope = of_pose[:, self.is_free] * unit
+                constraints.append(
+                    {
+                        "type": "ineq",
+                        "fun": lambda scaled, a=spare, b=slope: a + b @ scaled,
+                        "jac": lambda _, b=slope: b,
+                    }
+                )
         found = minimize(
             objective,
             np.clip(np.zeros(len(here)), low, high),

@@ -45,25 +45,41 @@ def pool_cache_folder() -> Path:
     return Path(platformdirs.user_cache_dir("warpav", appauthor=False)) / "pools"
 
 
-def spread_mount_poses(mount: CameraMount, constraints: Constraints, count: int, *, seed: int) -> np.ndarray:
+def spread_mount_poses(
+    mount: CameraMount,
+    constraints: Constraints,
+    count: int,
+    *,
+    seed: int,
+    allowed: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> np.ndarray:
     """Cameras spread evenly over all that is free: a scrambled Sobol sequence, cut to where cameras may stand.
 
     Returns mount poses, float32 [camera, 7]; yaws in -pi..pi.
+
+    ``allowed`` says which cameras [camera, 7] keep the design rules; None: all.
 
     The first n of more cameras are the n cameras of the same seed. Of modules there are equally many, in turns.
     """
     if count < 1:
         raise ArgumentError("count", f"expected at least 1 camera, got {count}")
     if not mount.is_mixed:
-        return _spread(mount, constraints, count, np.random.default_rng(seed), 0)
+        return _spread(mount, constraints, count, np.random.default_rng(seed), 0, allowed)
     modules = len(mount.cameras)
     each = -(-count // modules)
-    of_module = [_spread(mount, constraints, each, np.random.default_rng([seed, k]), k) for k in range(modules)]
+    of_module = [
+        _spread(mount, constraints, each, np.random.default_rng([seed, k]), k, allowed) for k in range(modules)
+    ]
     return np.stack(of_module, axis=1).reshape(each * modules, MOUNT_POSE_SIZE)[:count]
 
 
 def _spread(
-    mount: CameraMount, constraints: Constraints, count: int, rng: np.random.Generator, module: int
+    mount: CameraMount,
+    constraints: Constraints,
+    count: int,
+    rng: np.random.Generator,
+    module: int,
+    allowed: Callable[[np.ndarray], np.ndarray] | None,
 ) -> np.ndarray:
     """Cameras of one module, as `spread_mount_poses`."""
     from scipy.stats import qmc
@@ -83,7 +99,8 @@ def _spread(
         pose[:, others] = low[:, others] + share[:, 2:] * (high - low)[:, others]
         pose = mount.clipped(pose)
         is_kept = constraints.contains(pose[:, [X_M, Y_M]]) & (mount.module_of(pose) == module)
-        kept = np.concatenate([kept, pose[is_kept]])
+        pose = pose[is_kept][: 4 * count]
+        kept = np.concatenate([kept, pose if allowed is None else pose[allowed(pose)]])
         if len(kept) >= count:
             return kept[:count]
     raise constraints.do_not_fit(1)

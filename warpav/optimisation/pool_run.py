@@ -23,7 +23,7 @@ from warpav.optimisation.pool_search import Found, PoolSearch, PoolSearchSetting
 from warpav.optimisation.records import Candidate, IterationRecord, named_part, part_of, rig_fields
 from warpav.optimisation.selection.relaxation import Price
 
-_WORDS = ("todo", "objective", "bound", "round", "rng", "iteration", "proven", "start_value")
+_WORDS = ("todo", "objective", "bound", "round", "rng", "rules", "iteration", "proven", "start_value")
 
 
 class PoolRun(PoolSearch):
@@ -182,6 +182,8 @@ class PoolRun(PoolSearch):
         self._todo = [tuple(each) for each in words["todo"]]
         self.objective, self.bound, self.round = (words[name] for name in ("objective", "bound", "round"))
         self._rng.bit_generator.state = words["rng"]
+        if self.rules is not None:
+            self.rules.gap_steps, self.rules.near_level, self._rule_rows = words["rules"]
         self.iteration = self._final_states = words["iteration"]
         self._proven = None if words["proven"] is None else tuple(words["proven"])
         self.start_value = words["start_value"] and RobustValue(**words["start_value"])

@@ -20,11 +20,12 @@ from typing import Any, Literal
 import numpy as np
 from scipy import sparse
 
-from warpav.core.errors import ArgumentError, OptionError
+from warpav.core.errors import ArgumentError, InputError, OptionError
 from warpav.core.progress import Progress
 from warpav.detection.miss_rate import SUREST, expected_miss_rate, shares_of
 from warpav.optimisation.camera_loss import OTHERS, RobustObjective, RobustValue, exchange_robust, select_robust
 from warpav.optimisation.constraints import Constraints
+from warpav.optimisation.hand_rigs import HandRig, by_hand
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import HEIGHT_DELTA_M, MOUNT_POSE_SIZE, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.mount_errors import MountErrors
@@ -32,6 +33,7 @@ from warpav.optimisation.objective import RigObjective, single_cameras_of
 from warpav.optimisation.polish import Detected, PolishSteps, PolishTask, nearest_rig, polish, step_unit
 from warpav.optimisation.pool import CameraPool, Drawing, spread_mount_poses
 from warpav.optimisation.pool_cache import rows_of
+from warpav.optimisation.pool_rules import PoolRules
 from warpav.optimisation.replacements import Replacements, within_half_a_turn
 from warpav.optimisation.required_points import RequiredPoints
 from warpav.optimisation.rig_limits import RigLimits
@@ -39,7 +41,9 @@ from warpav.optimisation.selection.problem import Row, SelectionProblem, exchang
 from warpav.optimisation.selection.relaxation import Price
 from warpav.optimisation.selection.select import Selection, select
 from warpav.optimisation.single_cameras import MisplacedCameras, SingleCameras, hard_points
+from warpav.optimisation.tangent_model import HardPoints
 from warpav.scene.device_scene import DeviceScene
+from warpav.sight.rules import AZIMUTH_STEP_RAD, NEAR_M
 
 _Stage = Literal["start", "selection", "polish", "pricing", "settled"]
 _START_NAME = "scenes seen by the start"
@@ -58,6 +62,10 @@ _NEAR_CAMERAS = 16
 """Cameras that are drawn around each of the rig's at a time."""
 _REFINED_FROM, _REFINED_TO = 0.4, 0.01
 """Radii of these, in units of the polish: halved whenever nothing better is found."""
+_PRICE = 0.03
+"""Share of the objective that a rule may cost which the cameras cannot keep as asked."""
+_POLISHED_BY_HAND = 3
+"""Rigs by hand that are polished."""
 _SAME = 1e-6  # the polish and the pool round differently
 _OTHER_MODULE = 1e6  # farther than any camera of the same module
 _KEPT = ("pool", "rig", "objective", "bound", "price", "round", "_under", "_row_points")
@@ -93,6 +101,8 @@ class PoolTask:
     limits: RigLimits | None = None  # how many cameras of each of the mount's modules a rig may have
     requirements: RequiredPoints | None = None  # points that have to be seen near the vehicle besides
     robust: RobustObjective | None = None  # what is minimised instead of the expected miss rate, see `camera_loss`
+    rules: PoolRules | None = None  # design rules that every rig keeps
+    starts_by_hand: bool = False  # whether rigs by hand are tried first, and the best of them polished
     mount_errors: MountErrors | None = None  # over which every camera's probabilities are averaged, see `mount_errors`
 
     @classmethod
@@ -186,6 +196,8 @@ class PoolSearch:
         # the scenes, and the requirements' points behind them
         self.scenes = (*task.scenes, *([] if self.points is None else [self.points]))
         self.camera_count, self.limits = task.camera_count, task.limits
+        self.rules, self._rule_rows = task.rules, list[str]()
+        self.hand_rigs = list[HandRig]()
         self.object_weight, self.robust = task.whole_weight, task.robust
         self.assembly = _Assembly(self.cameras.mount)
         # the cameras that it knows
@@ -220,7 +232,9 @@ class PoolSearch:
     def position(self) -> dict[str, Any]:
         """All that it knows between two stages."""
         known: dict[str, Any] = {name: getattr(self, name) for name in _KEPT}
-        return known | {"todo": list(self._todo), "places": list(self._places), "rng": self._rng.bit_generator.state}
+        levels = None if self.rules is None else [self.rules.gap_steps, self.rules.near_level, list(self._rule_rows)]
+        known |= {"todo": list(self._todo), "places": list(self._places), "rules": levels}
+        return known | {"rng": self._rng.bit_generator.state}
 
     def _found(self, stage: _Stage, *, is_final: bool = True) -> Found:
         """The state of the search."""
@@ -270,27 +284,97 @@ class PoolSearch:
             self.pool = pool.extended(new, progress=self._progress) if len(new) else pool
         else:
             if spread_count > 0:
-                spread = spread_mount_poses(mount, self.constraints, spread_count, seed=self.seed)
+                allowed = None if self.rules is None else self.rules.allowed
+                spread = spread_mount_poses(mount, self.constraints, spread_count, seed=self.seed, allowed=allowed)
             if start is None:
                 self.pool = pool.extended(np.concatenate([first, spread]), progress=self._progress)
             else:
                 told = {"progress": self._progress, "name": _START_NAME}
                 self.pool = pool.extended(first, may_see_nothing=len(spread) > 0, **told)
         if start is not None:
-            row = rows_of(first, self.pool.mount_pose)
-            of_start = self.pool.detection_probability[row]
-            robust = self._robust_value(row)
-            value = robust.objective if robust else expected_miss_rate(of_start, shares_of(self.object_weight))
-            self._is_better(start, value, of_start)
-            if self.rig is not None:
-                yield self._found("start")
+            if self.rules is None:  # their levels follow from the pool
+                yield from self._offered(start, first)
             if len(spread):
                 self.pool = self.pool.extended(spread, progress=self._progress)
         if self.points is not None:
             found = self.pool.detection_probability[:, -self.points.vehicle_count :]
             seen = partial(self.cameras.visibility, self.pool.mount_pose, self.points)
             self.points.check(found, seen, self.camera_count)
+        if self.rules is not None:
+            self._settle_rules(self.rules)
+            if start is not None:
+                yield from self._offered(start, first)
         self._todo = [("improve",)]
+        if self.task.starts_by_hand:
+            by_hand = yield from self._by_hand()
+            self._todo[:0] = [("polish", rig.tolist(), *_FIRST_POLISH) for rig in by_hand if self.settings.polishes]
+
+    def _offered(self, start: np.ndarray, rows: np.ndarray) -> Iterator[Found]:
+        """The start as the first rig, where it keeps what rigs must keep."""
+        self._is_better(start, self._value_of(rows))
+        if self.rig is not None:
+            yield self._found("start")
+
+    def _by_hand(self) -> Generator[Found, None, list[np.ndarray]]:
+        """Try rigs by hand, whose cameras join the pool; the best that keep the rules."""
+        mount, constraints = self.cameras.mount, self.constraints
+
+        def values_of(rigs: Sequence[np.ndarray]) -> list[float]:
+            self.pool = self.pool.extended(np.concatenate(rigs), progress=self._progress)
+            return [self._value_of(rig) for rig in rigs]
+
+        self.hand_rigs = by_hand(mount, constraints, self.camera_count, values_of)
+        kept = []
+        for each in self.hand_rigs:
+            rig = self.assembly.rig(each.mount_pose, like=self.rig)
+            if self._is_better(rig, each.value):
+                yield self._found("start")
+            if self.rules is None or self._keeps_rules(rig):
+                kept.append(rig)
+        return kept[:_POLISHED_BY_HAND]
+
+    def _value_of(self, rig: np.ndarray) -> float:
+        """The objective of a rig of the pool, float32 [camera, 7]."""
+        row = rows_of(rig, self.pool.mount_pose)
+        robust = self._robust_value(row)
+        share = shares_of(self.object_weight)
+        return robust.objective if robust else expected_miss_rate(self.pool.detection_probability[row], share)
+
+    def _settle_rules(self, rules: PoolRules) -> None:
+        """The strictest levels of what a rig must see together that the cameras of the pool can keep."""
+        most = self.camera_count if self.limits is None else self.limits.count[1]
+        widest_rad = max(model.fov_rad for model in self.cameras.mount.cameras)
+        if rules.rules.azimuth_gap_rad is not None and most * widest_rad >= 2.0 * np.pi - 1e-6:
+            first = round(rules.rules.azimuth_gap_rad / AZIMUTH_STEP_RAD)
+            rules.gap_steps = self._kept_level("gap_steps", [first + k for k in range(20)], is_asked=True)
+        if rules.rules.near_ground:
+            rules.near_level = self._kept_level("near_level", list(range(len(NEAR_M))), is_asked=False)
+
+    def _kept_level(self, name: str, levels: list[int], *, is_asked: bool) -> int | None:
+        """The level of a rule, ever looser ones to choose from; None: no rule.
+
+        The first where it is asked for and rigs of the pool can keep it, else the strictest that costs at most `_PRICE`
+        of the objective.
+        """
+        if is_asked and self._selected_at(name, levels[0]) < np.inf:
+            return levels[0]
+        most = (1.0 + _PRICE) * self._selected_at(name, None)
+        low, high = 0, len(levels)
+        while low < high:
+            middle = (low + high) // 2
+            is_kept = self._selected_at(name, levels[middle]) <= most
+            low, high = (low, middle) if is_kept else (middle + 1, high)
+        return levels[low] if low < len(levels) else None
+
+    def _selected_at(self, name: str, level: int | None) -> float:
+        """The objective of the rig that would be selected at a level of a rule; inf where none keeps it."""
+        setattr(self.rules, name, level)
+        try:
+            return self._selection(max(self.settings.gap, _GAP_ON_THE_WAY)).objective
+        except InputError:
+            return np.inf
+        finally:
+            setattr(self.rules, name, None)
 
     def _first_share(self, limit: int) -> int:
         """Camera renders that the first pool may take of so many."""
@@ -378,18 +462,21 @@ class PoolSearch:
                 probability = self.pool.detection_probability[row]
             if not self._meets_requirements(probability):
                 return False
+        if self.rules is not None and not self._keeps_rules(rig):
+            return False
         if objective < self.objective - (_SAME if self.rig is not None else 0.0):
             self.rig, self.objective = rig, objective
             return True
         return False
 
+    def _keeps_rules(self, rig: np.ndarray) -> bool:
+        return self.rules is None or self.rules.keeps(rig, frozen=self.assembly.is_held(len(rig)))
+
     def _select(self, least_gap: float = 0.0) -> Generator[Found, None, tuple[np.ndarray, bool]]:
         """The best rig of the pool, and whether it is better than what was known."""
         gap = max(self.settings.gap, least_gap)
         cameras = len(self.pool.mount_pose)
-        absent = 0 if self.limits is None else self.limits.absent
-        rows, self._row_points = self._rows_for(self.pool.mount_pose, absent)
-        selection = self._selection(gap, rows, absent)
+        selection = self._selection(gap)
         self.bound, self.price, self._others = selection.bound, selection.price, selection.others
         chosen = selection.cameras[selection.cameras < cameras]
         chosen = self.assembly.rig(self.pool.mount_pose[chosen], like=self.rig)
@@ -400,20 +487,37 @@ class PoolSearch:
             raise KeyboardInterrupt
         return chosen, is_better
 
-    def _selection(self, gap: float, rows: list[Row], absent: int) -> Selection:
-        """Choose the best rig of the pool."""
-        pool, known = self.pool, None
-        if self.rig is not None:
-            missing = np.arange(self.camera_count - len(self.rig))
-            known = np.concatenate([self._rows_of_best(), len(pool.mount_pose) + missing])
-        problem = SelectionProblem.create(
-            _with_absent(np.minimum(pool.detection_probability, SUREST), absent),
+    def _problem(self) -> SelectionProblem:
+        """What a rig is chosen from: the pool."""
+        absent = 0 if self.limits is None else self.limits.absent
+        rows, self._row_points = self._rows_for(self.pool.mount_pose, absent)
+        return SelectionProblem.create(
+            _with_absent(np.minimum(self.pool.detection_probability, SUREST), absent),
             self.camera_count,
-            conflict=too_near(pool.mount_pose, self.constraints, absent=absent),
+            conflict=self._conflict(self.pool.mount_pose, absent),
             required=np.arange(len(self.assembly.frozen)),
             rows=rows,
             weight=self.object_weight,
         )
+
+    def _conflict(self, mount_pose: np.ndarray, absent: int = 0) -> sparse.csr_array:
+        near = too_near(mount_pose, self.constraints, absent=absent)
+        if self.rules is None:
+            return near
+        housing = self.rules.conflict(mount_pose, absent=absent).tocoo()
+        held = len(self.assembly.frozen)
+        kept = (housing.row >= held) | (housing.col >= held)
+        index = housing.row[kept], housing.col[kept]
+        return sparse.csr_array(near + sparse.csr_array((np.ones(kept.sum(), bool), index), shape=near.shape))
+
+    def _selection(self, gap: float) -> Selection:
+        """Choose the best rig of the pool."""
+        pool, known = self.pool, None
+        absent = 0 if self.limits is None else self.limits.absent
+        if self.rig is not None:
+            missing = np.arange(self.camera_count - len(self.rig))
+            known = np.concatenate([self._rows_of_best(), len(pool.mount_pose) + missing])
+        problem = self._problem()
         options = {"gap": gap, "time_limit_s": self.settings.selection_time_s, "seed": self.seed}
         if self.robust is None:
             return select(problem, start=known, **options)
@@ -434,6 +538,10 @@ class PoolSearch:
     def _rows_for(self, mount_pose: np.ndarray, absent: int = 0) -> tuple[list[Row], np.ndarray]:
         """Limits and hard requirements for cameras of the pool, and the points that the latter are, int [row]."""
         rows = self._limit_rows(mount_pose, absent)
+        if self.rules is not None:
+            of_rules = self.rules.rows(mount_pose, absent=absent, free_from=len(self.assembly.frozen))
+            self._rule_rows = [row.name for row in of_rules]
+            rows += of_rules
         if self.points is None:
             return rows, np.zeros(0, int)
         asked, point = self.points.rows(self._points_of(mount_pose, absent))
@@ -442,6 +550,8 @@ class PoolSearch:
     def _coefficients_for(self, mount_pose: np.ndarray) -> np.ndarray | None:
         """Coefficients of cameras of the pool in the rows of the last selection, float [camera, row]; None: no rows."""
         rows = [row.coefficient for row in self._limit_rows(mount_pose)]
+        if self.rules is not None:
+            rows += self.rules.coefficients(mount_pose, self._rule_rows)
         if self.points is not None and len(self._row_points):
             rows += list(self.points.meets(self._points_of(mount_pose)[:, self._row_points]).T.astype(float))
         return np.stack(rows, axis=1) if rows else None
@@ -464,8 +574,9 @@ class PoolSearch:
             len(self.scenes),
             weight=self.object_weight,
             robust=self.robust,
-            hard_points=None if self.points is None else hard_points(self.cameras, self.points),
-            is_allowed=None if self.points is None else self._meets_requirements,
+            hard_points=self._hard_points,
+            pair_edges=None if self.rules is None else self.rules.pair_edges,
+            is_allowed=self._is_allowed,
         )
         steps = PolishSteps(step_count, radius, camera_renders_max=self._left)
         is_better = True
@@ -475,6 +586,16 @@ class PoolSearch:
                 yield self._found("polish")
         if not is_better:  # what the last steps have cost is the polish's too
             yield self._found("polish")
+
+    @property
+    def _hard_points(self) -> HardPoints | None:
+        """Requirements and rules that a polish keeps by their tangents."""
+        asked = [] if self.points is None else [hard_points(self.cameras, self.points)]
+        asked += [] if self.rules is None else [HardPoints(self.rules.margins, self.rules.needed)]
+        return HardPoints.of_all([each for each in asked if each is not None])
+
+    def _is_allowed(self, mount_pose: np.ndarray, probability: np.ndarray) -> bool:
+        return self._meets_requirements(probability) and self._keeps_rules(mount_pose)
 
     def _detect(self, mount_pose: np.ndarray) -> Detected:
         """What cameras detect in all scenes, and its Jacobian; they join the pool."""
@@ -522,7 +643,7 @@ class PoolSearch:
     def _replacements(self) -> Replacements:
         """What would come of the best rig with one camera replaced."""
         pool, rig, held = self.pool, self._rows_of_best(), len(self.assembly.frozen)
-        conflict = too_near(pool.mount_pose, self.constraints)
+        conflict = self._conflict(pool.mount_pose)
         module = self.cameras.mount.module_of(pool.mount_pose)
         can_replace = ~(conflict + conflict.T)[:, rig].toarray(), module[:, None] == module[rig]
         return Replacements(
@@ -567,7 +688,7 @@ class PoolSearch:
         problem = SelectionProblem.create(
             np.minimum(pool.detection_probability[around], SUREST),
             len(rig),
-            conflict=too_near(pool.mount_pose[around], self.constraints),
+            conflict=self._conflict(pool.mount_pose[around]),
             required=np.arange(len(self.assembly.frozen)),
             rows=self._rows_for(pool.mount_pose[around])[0],
             weight=self.object_weight,
@@ -593,11 +714,11 @@ class _Assembly:
 
     def in_order(self, rig: np.ndarray) -> np.ndarray:
         """The cameras of a rig, the frozen ones first, as `rig` takes them."""
-        return np.concatenate([self.frozen, rig[~self._is_held(len(rig))]])
+        return np.concatenate([self.frozen, rig[~self.is_held(len(rig))]])
 
     def rig(self, pose: np.ndarray, *, like: np.ndarray | None = None) -> np.ndarray:
         """The rig of chosen cameras, the frozen ones first, in the order of those of ``like`` that are nearest."""
-        is_held = self._is_held(len(pose))
+        is_held = self.is_held(len(pose))
         result = np.empty((len(pose), 7), np.float32)
         count = len(self.frozen)
         result[is_held], free = pose[:count], pose[count:]
@@ -614,7 +735,7 @@ class _Assembly:
         result[~is_held] = free
         return result
 
-    def _is_held(self, count: int) -> np.ndarray:
+    def is_held(self, count: int) -> np.ndarray:
         return self.is_frozen if len(self.is_frozen) else np.zeros(count, bool)
 
 

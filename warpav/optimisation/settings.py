@@ -73,6 +73,7 @@ METHOD_LOSSES: dict[str, dict[str, Any]] = {
 if TYPE_CHECKING:
     from warpav.optimisation.camera_loss import RobustObjective
     from warpav.optimisation.mount_errors import MountErrors
+    from warpav.sight.rules import Rules
 
     LossWeights = Section
 else:
@@ -360,6 +361,65 @@ class RobustSettings(Section):
         """The first option that asks for something; None: nothing is."""
         names = ("camera_loss", "mount_error_m", "mount_error_deg")
         return next((f"robust.{name}" for name in names if getattr(self, name) is not None), None)
+
+
+class RuleSettings(Section):
+    """Design rules, so that a rig can be mounted; a limit of null: no such rule.
+
+    ``rules: default`` and ``rules: none`` say the same as ``enforced`` true and false.
+    """
+
+    enforced: bool = Field(default=False, description="whether rigs of a search by a pool keep the rules")
+    own_body: float | None = Field(
+        default=0.3, gt=0.0, le=1.0, description="largest share of an image that the own body may fill"
+    )
+    own_body_wide: float | None = Field(
+        default=0.6, gt=0.0, le=1.0, description="the same of cameras of 150 degrees and more"
+    )
+    horizon: float | None = Field(
+        default=0.1, ge=0.0, le=1.0, description="least share of an image's height above the horizon"
+    )
+    azimuth_gap_deg: Degrees | None = Field(
+        default=3.0,
+        ge=3.0,
+        le=60.0,
+        description="widest gap of directions in which no camera sees a road user at 15 m, of rigs whose fields of "
+        "view go all round; wider where the cameras cannot, which is said",
+    )
+    near_ground: bool = Field(
+        default=True, description="see the ground all round from as near to the body as the cameras can"
+    )
+    housing: float | None = Field(
+        default=0.01, gt=0.0, le=1.0, description="largest share of an image that another camera may fill"
+    )
+    crossing_deg: Degrees | None = Field(
+        default=60.0,
+        ge=0.0,
+        le=180.0,
+        description="least angle between where a camera looks and the line to the vehicle's middle",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_word(cls, data: object) -> object:
+        if not isinstance(data, str):
+            return data
+        if data not in ("default", "none"):
+            mistake(f"expected default, none or its limits, got {shown(data)}")
+        return {"enforced": data == "default"}
+
+    @property
+    def limits(self) -> Rules | None:
+        """The limits, in radians; None: none are kept."""
+        from warpav.sight.rules import Rules
+
+        if not self.enforced:
+            return None
+        angles = (None if each is None else math.radians(each) for each in (self.azimuth_gap_deg, self.crossing_deg))
+        gap_rad, crossing_rad = angles
+        return Rules(
+            self.own_body, self.own_body_wide, self.horizon, gap_rad, self.near_ground, self.housing, crossing_rad
+        )
 
 
 class VisibilitySettings(Section):

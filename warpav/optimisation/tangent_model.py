@@ -44,6 +44,18 @@ class HardPoints:
     margins: Callable[[np.ndarray], Margins]  # of cameras, float [camera, 7], at every point
     needed: np.ndarray  # how many cameras must meet each, int [point]
 
+    @classmethod
+    def of_all(cls, several: Sequence[HardPoints]) -> HardPoints | None:
+        """The points of several; None: of none."""
+        if len(several) < 2:
+            return several[0] if several else None
+
+        def margins(mount_pose: np.ndarray) -> Margins:
+            value, slope = zip(*(each.margins(mount_pose) for each in several), strict=True)
+            return np.concatenate(value, axis=1), np.concatenate(slope, axis=1)
+
+        return cls(margins, np.concatenate([each.needed for each in several]))
+
     def edges(
         self,
         mount_pose: np.ndarray,

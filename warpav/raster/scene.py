@@ -314,6 +314,54 @@ class Scene:
             kept[pane] = self._without(pane)
         return kept[pane]
 
+    def foreground_mesh(self) -> Mesh:
+        """The foreground as a mesh, without the vertices of the others; there has to be one."""
+        body = self.layer_body.numpy()[self.foreground_layer]
+        own = self.triangles.triangle.numpy()[self.triangles.triangle_body.numpy() == body]
+        used, triangle = np.unique(own, return_inverse=True)
+        vertex_rgb = np.rint(255.0 * self.vertex_rgb.numpy()[used]).astype(np.uint8)
+        return Mesh(self.triangles.vertex_world_m.numpy()[used], triangle.reshape(-1, 3).astype(np.int32), vertex_rgb)
+
+    def carrying(self, mesh: Mesh | None) -> Scene:
+        """The scene with one more mesh as a part of its foreground, such as what a rig puts on the body.
+
+        Args:
+            mesh: In the world frame [m]; None: the scene itself is returned.
+
+        Raises:
+            ValueError: There is no foreground.
+        """
+        if mesh is None:
+            return self
+        if self.foreground_layer < 0:
+            raise ValueError("mesh: expected a scene with a foreground, got none")
+        known, added = self.arrays(), Scene(foreground=mesh, device="cpu").arrays()
+        vertices, triangle, cluster = (
+            len(known["vertex_rgb"]),
+            self._occluder_triangle_count,
+            self.occluder_cluster_count,
+        )
+        more = len(added["triangle"])
+        # vertices join at the end, triangles and clusters behind those of the foreground, which is the last occluder
+        added["triangle"] = added["triangle"] + vertices
+        added["triangle_body"][:] = self.occluder_count - 1
+        added["neighbour"] = np.where(added["neighbour"] >= 0, added["neighbour"] + triangle, -1)
+        added["cluster_layer"][:] = self.foreground_layer
+        added["cluster_first"] = added["cluster_first"] + triangle
+        added["cluster_vertices"] = added["cluster_vertices"] + np.array([vertices, 0], np.int32)
+        known["neighbour"] = np.where(known["neighbour"] >= triangle, known["neighbour"] + more, known["neighbour"])
+        known["cluster_first"] = known["cluster_first"] + np.where(np.arange(self.cluster_count) >= cluster, more, 0)
+        at = {**dict.fromkeys((*_OF_TRIANGLES, "source_triangle"), triangle), **dict.fromkeys(_OF_CLUSTERS, cluster)}
+        at |= dict.fromkeys(("vertex_world_m", "vertex_rgb", "source_vertex"), vertices)
+        for name, place in at.items():
+            dtype = known[name].dtype
+            known[name] = np.concatenate([known[name][:place], added[name], known[name][place:]]).astype(dtype)
+        bounds_m = known["layer_bounds_world_m"] = known["layer_bounds_world_m"].copy()
+        low_m, high_m = mesh.bounds_m()
+        own_m = bounds_m[self.foreground_layer]
+        bounds_m[self.foreground_layer] = np.minimum(own_m[0], low_m), np.maximum(own_m[1], high_m)
+        return Scene.of_arrays(known, device=self.device)
+
     def _without(self, pane: Pane) -> Scene:
         """See `through`."""
         host = {name: getattr(self.triangles, name).numpy() for name in _OF_TRIANGLES + _OF_CLUSTERS}

@@ -48,6 +48,13 @@ class Housing:
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
+PLAIN = "camera"
+"""What cameras that are no modules are called where modules have names."""
+
+PLAIN_HOUSING = Housing((0.08, 0.08, 0.08))
+"""Of a camera that is no module: what an automotive camera takes with its bracket."""
+
+
 @dataclass(frozen=True)
 class Price:
     """What a module costs."""

@@ -24,6 +24,7 @@ from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import Lens, LensShape
 from warpav.raster.pane import Pane
 from warpav.rig.catalogue import builtin_modules, read_modules
+from warpav.rig.module import PLAIN_HOUSING, Housing
 
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingImports]
@@ -53,6 +54,7 @@ class RigCamera:
             image then.
         behind_glass: The pane of the own vehicle that it looks through from inside; what of the body belongs to it is
             clear for this camera and for nobody else. None: the whole body is opaque.
+        housing: Its box, which other cameras see.
 
     Raises:
         InputError: A name is unfit, or a number is not finite.
@@ -66,6 +68,7 @@ class RigCamera:
     model: CameraModel = _QUICK_MODEL
     module: str | None = None
     behind_glass: Pane | None = None
+    housing: Housing = PLAIN_HOUSING
 
     def __post_init__(self) -> None:
         location = f"camera {self.name!r}"
@@ -302,7 +305,8 @@ class _CameraForm(Form, json_schema_extra=_any_of_images):
         yaw_rad, pitch_rad, roll_rad = map(math.radians, (self.yaw_deg, self.pitch_deg, self.roll_deg))
         pane = None if self.behind_glass is None else panes[self.behind_glass]
         position_m = np.array(self.position_m)
-        return RigCamera(self.name, position_m, yaw_rad, pitch_rad, roll_rad, model, self.module, pane)
+        housing = modules[self.module].housing if self.module in modules else PLAIN_HOUSING
+        return RigCamera(self.name, position_m, yaw_rad, pitch_rad, roll_rad, model, self.module, pane, housing)
 
 
 class _PaneForm(Form):

@@ -18,12 +18,12 @@ from warpav.raster.decide import Occlusion
 from warpav.raster.lens import Lens
 from warpav.rig.catalogue import builtin_modules, read_modules
 from warpav.rig.chart import chart_of, propose_zones, with_middles
-from warpav.rig.module import Module
+from warpav.rig.module import PLAIN, PLAIN_HOUSING, Module, Price
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.on_body import MovedRig
 from warpav.rig.presets import preset_on_vehicle
 from warpav.rig.rig import Rig
-from warpav.rig.zone import read_zones
+from warpav.rig.zone import NORMALS, Zone, read_zones
 from warpav.runs.config import NAMED_STARTS, Config
 
 if TYPE_CHECKING:
@@ -60,13 +60,27 @@ def _near_m(config: Config) -> float:
 
 def has_zones(config: Config) -> bool:
     """Whether cameras stand in zones: those of a file, or for modules those that the body suggests."""
-    return config.mount.zones is not None or config.rig.modules is not None
+    return config.mount.zones is not None or config.rig.module_counts is not None
 
 
 def rig_modules(config: Config) -> tuple[Module, ...]:
     """The camera modules that a rig may be made of, in the order of ``rig.modules``; none: equal cameras."""
-    if config.rig.modules is None:
+    if config.rig.module_counts is None:
         return ()
+    if config.rig.modules is None:
+        camera = camera_model(config)
+        return (
+            Module(
+                name=PLAIN,
+                sensor_px=(camera.width_px, camera.height_px),
+                fov_rad=camera.fov_rad,
+                housing=PLAIN_HOUSING,
+                price=Price(0.0),
+                source="the section camera",
+                lens=camera.lens,
+                distortion=camera.distortion,
+            ),
+        )
     catalogue = builtin_modules() if config.rig.catalogue is None else read_modules(config.rig.catalogue)
     for name in config.rig.modules:
         if name not in catalogue:
@@ -117,13 +131,13 @@ def rig_limits(config: Config, surface: MountSurface) -> RigLimits | None:
     """How many cameras of which module a rig may have; None where all cameras are equal."""
     from warpav.optimisation.rig_limits import RigLimits
 
-    if config.rig.modules is None:
+    if config.rig.module_counts is None:
         return None
     if config.rig.max_cost is not None:
         check_one_unit(rig_modules(config))
     pairs = surface.pairs or (False,) * len(surface.modules)
     return RigLimits.of(
-        config.rig.modules,
+        config.rig.module_counts,
         count=config.rig.camera_range,
         price={module.name: module.price.value for module in rig_modules(config)},
         cost_max=config.rig.max_cost,
@@ -163,7 +177,12 @@ _SURFACES: dict[str, MountSurface] = {}
 
 def _zones_chart(config: Config, ego: Mesh) -> MountSurface:
     path = config.mount.zones
-    zones = propose_zones(ego) if path is None else read_zones(path)
+    if path is not None:
+        zones = read_zones(path)
+    elif config.rig.modules is not None:
+        zones = propose_zones(ego)
+    else:
+        zones = _top_zones(config)
     if config.rig.symmetric and not any(zone.is_centred for zone in zones):
         zones = with_middles(zones)
     try:
@@ -179,6 +198,14 @@ def _zones_chart(config: Config, ego: Mesh) -> MountSurface:
         )
     except InputError as error:
         raise InputError(str(error) if path is None else f"{path}: {error}") from None
+
+
+def _top_zones(config: Config) -> tuple[Zone, ...]:
+    """Roof and bonnet as zones of plain cameras in pairs, and their middle."""
+    height_m = config.rig.free.height_m or (config.rig.height_offset_m, config.rig.height_offset_m)
+    top = Zone("top", NORMALS["up"], stand_off_m=height_m)
+    ahead = dataclasses.replace(top, name="top_middle", is_centred=True)
+    return top, ahead, dataclasses.replace(ahead, name="top_middle_rear", yaw_rad=(math.pi, math.pi))
 
 
 def roof_surface(config: Config, ego: Mesh) -> MountSurface:
@@ -206,7 +233,8 @@ def camera_mount(config: Config, ego: Mesh, *, say: Callable[[str], None] | None
             "expected no zone with behind_glass, as only the search by a pool, with the loss expected_miss_rate alone, "
             "knows such cameras; set optimiser.search=pool, or leave the losses as they are",
         )
-    models = dict(zip(config.rig.modules or (), camera_models(config), strict=False))
+    models = dict(zip(config.rig.module_counts or (), camera_models(config), strict=False))
+    housings = {module.name: module.housing for module in rig_modules(config)}
     return CameraMount(
         surface,
         camera=[models[name] for name in surface.modules] if surface.modules else camera_model(config),
@@ -214,6 +242,7 @@ def camera_mount(config: Config, ego: Mesh, *, say: Callable[[str], None] | None
         height_offset_m=0.0 if has_zones(config) else config.rig.height_offset_m,
         device=checked_device(config.device),
         free=free_ranges(config),
+        housings=[housings[name] for name in surface.modules],
     )
 
 

@@ -164,6 +164,8 @@ class Optimisation:
                 start=start,
                 limits=placement.limits,
                 requirements=placement.test_points,
+                rules=placement.rules,
+                starts_by_hand=config.rules.enforced and config.rig.modules is None and not placement.parts.freeze,
                 robust=config.robust.objective,
                 mount_errors=config.robust.mount_errors,
             )

@@ -25,7 +25,8 @@ from warpav.optimisation.losses.loss import Loss, LossOptions, LossSchedule, Ref
 from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
 from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.objective import RigObjective
+from warpav.optimisation.objective import RigObjective, single_cameras_of
+from warpav.optimisation.pool_rules import PoolRules
 from warpav.optimisation.required_points import RequiredPoints
 from warpav.optimisation.rig_limits import RigLimits, range_text
 from warpav.optimisation.settings import LOSSES, ImportanceSettings, RobustSettings
@@ -425,6 +426,12 @@ class Placement:
         return RequiredPoints(self.requirements, self.ego, device=str(self.mount.device))
 
     @property
+    def rules(self) -> PoolRules | None:
+        """The design rules of a search by a pool; None: none."""
+        limits, cameras = self.config.rules.limits, single_cameras_of(self.objective)
+        return None if limits is None or cameras is None else PoolRules(limits, cameras, self.ego)
+
+    @property
     def frozen_rig(self) -> Rig | None:
         """The rig of which some cameras are frozen: all rigs have their cameras in its order. None: none is."""
         return self.start_rig if self.parts.freeze else None
@@ -646,7 +653,8 @@ def _checked_requirements(requirements: Sequence[Requirement], config: Config) -
 def _have_one_objective(one: Config, other: Config) -> bool:
     """Whether two configurations differ in nothing but how the optimiser steps, or what a search by a pool adds."""
     dampings = [{each.optimiser.damping(are_inequalities=flag) for flag in (True, False)} for each in (one, other)]
-    steps = {"run": other.run, "optimiser": other.optimiser, "robust": other.robust, "requirements": other.requirements}
+    steps = {"run": other.run, "optimiser": other.optimiser, "robust": other.robust, "rules": other.rules}
+    steps |= {"requirements": other.requirements}
     return one.run.seed == other.run.seed and dampings[0] == dampings[1] and one.model_copy(update=steps) == other
 
 
@@ -711,9 +719,10 @@ def _camera_probabilities(
     """How likely a camera is to detect, of a mount's modules each; one model stands for all of these."""
     models = probability if isinstance(probability, tuple) else (probability,)
     found = [CameraProbability.of(config.losses, model) for model in models]
-    if config.rig.modules is None or found == [None]:
+    counts = config.rig.module_counts
+    if counts is None or found == [None]:
         return found[0]
-    of_module = dict(zip(config.rig.modules, found * (len(config.rig.modules) // len(found)), strict=True))
+    of_module = dict(zip(counts, found * (len(counts) // len(found)), strict=True))
     return [each for name in modules if (each := of_module[name]) is not None]
 
 

@@ -1,4 +1,4 @@
-"""Rigs by what a user writes: a rig YAML, a preset, a run folder, or ``highest``."""
+"""Rigs by what a user writes: a rig YAML, a preset, a run folder, or one by hand."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError, OptionError
-from warpav.optimisation.baselines import highest_mount_pose
+from warpav.optimisation.hand_rigs import rig_by_hand
 from warpav.rig.check import off_vehicle
-from warpav.rig.presets import HIGHEST, find_rig_file, is_preset, preset_names
+from warpav.rig.presets import HAND_RIGS, find_rig_file, is_preset, preset_names
 from warpav.rig.rig import Rig, RigCamera, read_rig
 from warpav.runs.config import NAMED_STARTS, START_TEXT, Config, placed_config
 from warpav.runs.mounts import camera_model, camera_mount, checked_frozen, constraints_of, preset_for, with_shared_model
@@ -43,7 +43,7 @@ def is_run_folder(source: str) -> bool:
 
 def check_rig_source(source: str) -> None:
     """Reject early what :func:`find_rig` would reject after the scenes have been built."""
-    if source != HIGHEST:
+    if source not in HAND_RIGS:
         read_rig(rig_file(source))
 
 
@@ -53,11 +53,10 @@ def is_shipped(source: str) -> bool:
 
 
 def find_rig(source: str, config: Config, ego: Mesh, *, say: Callable[[str], object] = _logger.warning) -> Rig:
-    """The rig that ``source`` means: a rig YAML, a preset, a run folder, or ``highest``."""
-    if source == HIGHEST:
+    """The rig that ``source`` means: a rig YAML, a preset, a run folder, or one by hand (`HAND_RIGS`)."""
+    if source in HAND_RIGS:
         mount = camera_mount(config, ego)
-        pose = highest_mount_pose(constraints_of(config, mount.surface), config.rig.cameras)
-        return mount.rig(mount.clipped(mount.off_the_skin(pose)))
+        return mount.rig(rig_by_hand(source, mount, constraints_of(config, mount.surface), config.rig.cameras))
     rig = with_shared_model(read_rig(rig_file(source)), config)
     away = off_vehicle(rig, ego)
     if is_shipped(source) and (away or config.scenes.ego is not None):
@@ -97,8 +96,8 @@ def arm_names(source: str, beside: Sequence[str] = ()) -> dict[str, str]:
 
 
 def rig_to_export(source: str) -> Rig:
-    """The rig that ``source`` means; ``highest`` stands on the embedded vehicle, with the cameras of ``quick``."""
-    if source != HIGHEST:
+    """The rig that ``source`` means; one by hand stands on the embedded vehicle, with the cameras of ``quick``."""
+    if source not in HAND_RIGS:
         return read_rig(rig_file(source))
     from warpav.scene.town.town import town_scene
 

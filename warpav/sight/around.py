@@ -44,7 +44,7 @@ _BELOW_M = 1.0  # of the ground that stands there for the rays, so that points a
 _TURN_RAD = 1e-4
 
 
-def _level_ground(ego: Mesh, *, device: str = "cpu") -> DeviceScene:
+def level_ground(ego: Mesh, *, device: str = "cpu") -> DeviceScene:
     """The vehicle with nothing around it, in which points from the height of the ground upwards are free."""
     side_m, below_m = 1e3, -_BELOW_M
     corner_m = [[side_m * x, side_m * y, below_m] for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
@@ -136,7 +136,7 @@ class NearField:
         device: str = "cpu",
     ) -> NearField:
         """Look along every direction in steps of 5 cm, then by bisection; lines of sight end at the body."""
-        scene = _level_ground(ego, device=device)
+        scene = level_ground(ego, device=device)
         azimuth_rad = np.arange(direction_count) * 2.0 * math.pi / direction_count
         border_m = Body.of(ego).border_m(azimuth_rad)
         outwards = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
@@ -178,7 +178,7 @@ class VisibleGround:
     @classmethod
     def of(cls, rig: Rig, ego: Mesh, *, margin_m: float, cell_m: float = 0.1, device: str = "cpu") -> VisibleGround:
         """Of the ground up to a distance from the bounds of the vehicle."""
-        scene = _level_ground(ego, device=device)
+        scene = level_ground(ego, device=device)
         low_m, high_m = np.asarray(ego.bounds_m(), np.float64)[:, :2]
         x_m, y_m = (
             np.arange(low - margin_m + 0.5 * cell_m, high + margin_m, cell_m)
@@ -235,7 +235,7 @@ class SectorCounts:
         It sees one where the point at half the height of a car is in its image, free of the own body, and the car large
         enough.
         """
-        scene, body = _level_ground(ego, device=device), Body.of(ego)
+        scene, body = level_ground(ego, device=device), Body.of(ego)
         azimuth_rad = np.arange(sector_count) * 2.0 * math.pi / sector_count
         distance_m = 0.5 * (np.asarray(edges_m)[1:] + np.asarray(edges_m)[:-1])
         across = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)
@@ -309,10 +309,4 @@ def body_shares(rig: Rig, scene: DeviceScene) -> dict[str, float]:
 def _body_alone(scene: DeviceScene, pane: Pane | None) -> RasterScene:
     """The ego vehicle of a scene as cameras behind a pane see it, and nothing else, on the scene's device."""
     raster = scene.raster.through(pane)
-    body = raster.layer_body.numpy()[raster.foreground_layer]
-    triangles = raster.triangles
-    triangle = triangles.triangle.numpy()[triangles.triangle_body.numpy() == body]
-    used, triangle = np.unique(triangle, return_inverse=True)
-    vertex_rgb = np.zeros((len(used), 3), np.uint8)  # only ids are read
-    mesh = Mesh(triangles.vertex_world_m.numpy()[used], triangle.reshape(-1, 3).astype(np.int32), vertex_rgb)
-    return RasterScene(occluders=[mesh], device=raster.device)
+    return RasterScene(occluders=[raster.foreground_mesh()], device=raster.device)

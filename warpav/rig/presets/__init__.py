@@ -11,6 +11,9 @@ from warpav.raster.mesh import Mesh
 from warpav.rig.on_body import Body, MovedRig, put_on_body
 from warpav.rig.rig import Rig, read_rig
 
+HAND_RIGS = ("corners", "cross", "edge", "highest")
+"""Names of rigs by hand; like `HIGHEST` they need a vehicle to stand on."""
+
 HIGHEST = "highest"
 """The name of the thesis's baseline, cameras around the highest point; it needs a vehicle to stand on."""
 
@@ -96,6 +99,6 @@ def find_rig_file(source: str) -> Path:
     if source in names:
         return _preset_file(source)
     raise InputError(
-        f"{source}: rig: expected a rig YAML, a run folder, a preset ({', '.join(names)}) or {HIGHEST}, "
-        f"got no file of that name{nearest(source, [*names, HIGHEST])}"
+        f"{source}: rig: expected a rig YAML, a run folder, a preset ({', '.join(names)}) or one by hand "
+        f"({', '.join(HAND_RIGS)}), got no file of that name{nearest(source, [*names, *HAND_RIGS])}"
     )

@@ -20,10 +20,12 @@ from warpav.optimisation.settings import (
     LossSettings,
     OptimiserSettings,
     RobustSettings,
+    RuleSettings,
     ThesisSettings,
     VisibilitySettings,
 )
 from warpav.raster.lens import Lens, LensShape, checked_distortion
+from warpav.rig.module import PLAIN
 from warpav.runs.config.fields import (
     AUTO,
     COUNTS_TEXT,
@@ -298,7 +300,7 @@ class RigConfig(Section):
     )
     symmetric: bool | None = Field(
         default=None,
-        description="whether modules stand in mirrored pairs, or in the middle where a zone is centred; null: no",
+        description="whether cameras stand in mirrored pairs, or in the middle where a zone is centred; null: no",
     )
 
     @model_validator(mode="before")
@@ -321,6 +323,11 @@ class RigConfig(Section):
                 mistake(text, "modules", "cameras")
             result |= {"cameras": max(most, 1), "fewest_cameras": max(least, 1) if least < most else None}
         return result
+
+    @property
+    def module_counts(self) -> Mapping[str, tuple[int, int]] | None:
+        """Least and greatest number of each module, of plain cameras in pairs too; None: cameras one by one."""
+        return {PLAIN: self.camera_range} if self.modules is None and self.symmetric else self.modules
 
     @property
     def camera_range(self) -> tuple[int, int]:
@@ -574,6 +581,7 @@ class ConfigTree(Section):
     robust: RobustSettings = Field(
         default=RobustSettings(), description="rigs that are to bear the loss of a camera, or errors of mounting"
     )
+    rules: RuleSettings = Field(default=RuleSettings(), description="design rules, so that a rig can be mounted")
     visibility: VisibilitySettings = Field(default=VisibilitySettings(), description="what hides a vehicle")
     optimiser: OptimiserSettings = Field(default=OptimiserSettings(), description="steps and multipliers")
     baselines: _BaselineConfig = Field(default=_BaselineConfig(), description="rigs to compare with")
@@ -633,10 +641,10 @@ class ConfigTree(Section):
         self._check_importance()
         if self.requirements not in (None, AUTO) and not self.knows_requirements:
             mistake(f"expected null: {NO_REQUIREMENTS}", "requirements", "optimiser.search")
-        robust = self.robust.asked_for
-        if robust is not None and (self.search_kind == "descent" or not self.losses.is_by_single_cameras):
+        asked = self.robust.asked_for or ("rules.enforced" if self.rules.enforced else None)
+        if asked is not None and (self.search_kind == "descent" or not self.losses.is_by_single_cameras):
             text = "expected null, as only the search by a pool, with the loss expected_miss_rate alone, knows it"
-            mistake(f"{text}; leave optimiser.search and the losses as they are", robust, "optimiser.search")
+            mistake(f"{text}; leave optimiser.search and the losses as they are", asked, "optimiser.search")
         if self.thesis.rotations < self.rig.cameras:
             mistake(
                 f"expected at least one direction per camera ({self.rig.cameras}), got {self.thesis.rotations}",
@@ -673,17 +681,22 @@ class ConfigTree(Section):
 
     def _check_modules(self) -> None:
         rig = self.rig
+        if rig.symmetric and rig.freeze:
+            mistake(f"expected none with rig.symmetric, got {shown(rig.freeze)}", "rig.freeze", "rig.symmetric")
         if rig.modules is None:
             if rig.max_cost is not None:
                 text = f"expected null without rig.modules, got {shown(rig.max_cost)}"
                 mistake(f"{text}; say which modules there are", "rig.max_cost", "rig.modules")
-            if rig.symmetric:
-                mistake(
-                    "expected null without rig.modules; say which modules there are", "rig.symmetric", "rig.modules"
+            if not rig.symmetric:
+                return
+            if self.method == "thesis" or self.search_kind == "descent" or not self.losses.is_by_single_cameras:
+                text = (
+                    "expected null, as only the search by a pool, with the loss expected_miss_rate alone, knows pairs"
                 )
+                mistake(f"{text}; leave method, optimiser.search and the losses as they are", "rig.symmetric", "losses")
+            if rig.free.fov_deg is not None:
+                mistake("expected null with rig.symmetric", "rig.free.fov_deg", "rig.symmetric")
             return
-        if rig.symmetric and rig.freeze:
-            mistake(f"expected none with rig.symmetric, got {shown(rig.freeze)}", "rig.freeze", "rig.symmetric")
         if self.method == "thesis":
             mistake("expected null, as the thesis has equal cameras; take method: default", "rig.modules", "method")
         if self.search_kind == "descent" or not self.losses.is_by_single_cameras:

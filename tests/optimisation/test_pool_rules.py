@@ -1,0 +1,147 @@
+"""Design rules of pools and polishes: every rig that is found keeps them, and none that keeps them is better."""
+
+import functools
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from tests.driving_scene import street
+from tests.optimisation.test_polish import zone_of
+from tests.optimisation.test_pool import cameras_of, mount_of, streets
+from warpav.detection.miss_rate import expected_miss_rate
+from warpav.optimisation.mount import FreeRanges
+from warpav.optimisation.pool import CameraPool, spread_mount_poses
+from warpav.optimisation.pool_rules import ALONE, PoolRules
+from warpav.optimisation.pool_search import PoolSearch, PoolSearchSettings, PoolTask
+from warpav.optimisation.selection.problem import SelectionProblem
+from warpav.optimisation.selection.select import select
+from warpav.raster.camera import CameraModel
+from warpav.sight.rules import NO_RULES, RuleCheck, Rules
+
+MODEL = CameraModel(64, 64, math.radians(100.0), near_m=0.05)
+RULES = Rules(own_body=0.35, azimuth_gap_rad=None, near_ground=False, housing=0.004)
+
+
+@functools.cache
+def mount():
+    return mount_of(free=FreeRanges(pitch_rad=(-0.1, 0.4)), model=MODEL)
+
+
+def rules_of(rules=RULES):
+    return PoolRules(rules, cameras_of(mount=mount()), street().ego)
+
+
+@functools.cache
+def spread(count=40):
+    return spread_mount_poses(mount(), zone_of(mount()), count, seed=3)
+
+
+def kept_by(pose, rules=RULES):
+    """Whether a rig keeps the rules, by its margins as any rig's."""
+    return all(each.is_kept for each in RuleCheck(mount().rig(pose), street().ego, rules).margins)
+
+
+def test_what_a_camera_keeps_alone_is_what_its_margins_say():
+    found = rules_of().allowed(spread())
+    assert 5 < found.sum() < len(found) - 5
+    np.testing.assert_array_equal(found, [kept_by(each[None]) for each in spread()])
+
+
+def test_pairs_in_conflict_are_those_of_all_pairs():
+    conflict = rules_of().conflict(spread()).toarray()
+    alone = Rules(None, None, None, None, near_ground=False, housing=RULES.housing, crossing_rad=None)
+    for one, other in itertools.combinations(range(len(spread())), 2):
+        assert conflict[one, other] == conflict[other, one]
+        assert conflict[one, other] != kept_by(spread()[[one, other]], alone)
+    assert conflict.any()
+
+
+def test_the_selection_is_the_best_of_all_rigs_that_keep_the_rules():
+    pose = spread(18)
+    pool = CameraPool.empty(streets(), cameras_of(mount=mount())).extended(pose)
+    rules = rules_of()
+    problem = SelectionProblem.create(
+        pool.detection_probability, 2, conflict=rules.conflict(pose), rows=rules.rows(pose)
+    )
+    found = select(problem, gap=0.0)
+    share = np.full(pool.detection_probability.shape[1], 1.0 / pool.detection_probability.shape[1])
+    value = {
+        rig: expected_miss_rate(pool.detection_probability[list(rig)], share)
+        for rig in itertools.combinations(range(len(pose)), 2)
+        if kept_by(pose[list(rig)])
+    }
+    assert found.objective == pytest.approx(min(value.values()), abs=1e-9)
+    assert len(value) < 18 * 17 / 2
+
+
+@pytest.mark.parametrize("gap_steps", [1, 3])
+def test_margins_are_kept_where_rules_are_and_their_slopes_are_those_of_differences(gap_steps):
+    rules = rules_of()
+    rules.gap_steps, rules.near_level = gap_steps, 3
+    pose = spread()[[0, 7]]
+    value, slope = rules.margins(pose)
+    breaks = rules._measured(pose).breaks[:, : len(ALONE) - 1]
+    np.testing.assert_array_equal(value[:, :3] < 1.0, breaks)
+    assert value.shape == (2, len(rules.needed))
+    for number, step in ((0, 0.02), (2, 0.01), (3, 0.01)):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = pose.copy()
+            moved[:, number] += sign * step
+            ends.append(rules.margins(moved)[0])
+        difference = (ends[0] - ends[1]) / (2.0 * step)
+        smooth = (value[:, 1:] > 0.02) & (ends[0][:, 1:] > 0.0) & (ends[1][:, 1:] > 0.0)
+        error = np.abs(slope[:, 1:, number] - difference[:, 1:])[smooth]
+        assert np.median(error) < 0.02
+        assert np.quantile(error, 0.9) < 0.6  # an edge of an image changes places within a step
+        assert slope[:, 0, number] == pytest.approx(difference[:, 0], abs=0.6)  # a hard image of 160 px
+
+
+def test_a_search_ends_with_a_rig_that_keeps_the_rules():
+    rules = Rules(own_body=0.35, housing=0.004, azimuth_gap_rad=math.radians(3.0))
+    ends = {}
+    for name, kept in (("none", None), ("rules", rules)):
+        asked = None if kept is None else rules_of(kept)
+        task = PoolTask(cameras_of(mount=mount()), streets(), zone_of(mount(), 4), 4, rules=asked)
+        settings = PoolSearchSettings(pool_cameras=40, rounds=1, priced_cameras=2)
+        for found in PoolSearch(task, settings):
+            if asked is not None:
+                assert asked.keeps(found.mount_pose)
+            if found.stage == "settled":
+                break
+        ends[name] = found
+    assert asked.gap_steps is not None
+    check = RuleCheck(mount().rig(ends["rules"].mount_pose), street().ego, rules)
+    assert all(each.is_kept for each in check.margins if each.rule != "azimuth_gap")
+    assert check.azimuth_gap_rad <= asked.gap_steps * math.radians(3.0)
+    assert ends["rules"].objective >= ends["none"].objective - 0.02
+
+
+def test_without_rules_nothing_is_in_the_way():
+    rules = rules_of(NO_RULES)
+    assert rules.allowed(spread()).all()
+    assert rules.rows(spread()) == []
+    assert rules.conflict(spread()).nnz == 0
+
+
+def test_a_step_that_would_bring_a_housing_into_view_is_told_before():
+    """One camera stands just outside of the left edge of another's image: only moves away from it are left."""
+    rules = rules_of(Rules(None, None, None, None, near_ground=False, housing=0.001, crossing_rad=None))
+    pose = np.zeros((2, 7), np.float32)
+    pose[0, :2] = [0.3, 0.0]
+    half = math.radians(50.0)
+    pose[1, :2] = [0.3 + 0.6 * math.cos(half + 0.15), 0.6 * math.sin(half + 0.15)]
+    assert rules.conflict(pose).nnz == 0
+    reach = np.zeros((2, 7))
+    reach[:, :3] = 0.15
+    spare, slope = rules.pair_edges(pose, reach)
+    assert len(spare) >= 1
+    towards, away = np.zeros((2, 7)), np.zeros((2, 7))
+    towards[0, 2], away[0, 2] = 0.12, -0.12  # turning to the left looks at it
+    assert (spare + np.einsum("rck,ck->r", slope, towards)).min() < 0.0
+    assert (spare + np.einsum("rck,ck->r", slope, away)).min() >= 0.0
+    turned = pose.copy()
+    turned[0, 2] = 0.4
+    assert rules.conflict(turned).nnz > 0

@@ -1,0 +1,68 @@
+"""The section ``rules`` and pairs of plain cameras: read, refused, and what they become."""
+
+import math
+
+import pytest
+
+import warpav as wa
+from warpav.core.errors import InputError
+from warpav.rig.module import PLAIN
+from warpav.runs.config import Config, load_config
+from warpav.runs.mounts import camera_mount, rig_limits
+from warpav.runs.rig_source import find_rig
+from warpav.sight.rules import Rules
+
+
+def test_limits_are_in_radians_and_none_by_default():
+    assert Config().rules.limits is None
+    assert load_config(None, ["rules=default"]).rules.limits == Rules()
+    assert load_config(None, ["rules=default", "rules=none"]).rules.limits is None
+    limits = load_config(None, ["rules.enforced=true", "rules.crossing_deg=45", "rules.horizon=null"]).rules.limits
+    assert limits.crossing_rad == pytest.approx(math.radians(45.0))
+    assert limits.horizon is None
+    assert limits.own_body == 0.3
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["rules.own_body=0"], r"rules\.own_body: expected"),
+        (["rules.horizon=1.5"], r"rules\.horizon: expected"),
+        (["rules.azimuth_gap_deg=1"], r"rules\.azimuth_gap_deg: expected"),
+        (["rules=strict"], r"rules: expected default, none or its limits, got 'strict'"),
+        (["rules.body=0.3"], r"rules\.body: expected one of enforced, own_body"),
+        (
+            ["rules=default", "optimiser.search=descent"],
+            r"rules\.enforced: expected null, as only the search by a pool",
+        ),
+        (["method=thesis", "rules=default"], r"rules\.enforced: expected null, as only the search by a pool"),
+        (["method=thesis", "rig.symmetric=true"], r"rig\.symmetric: expected null, as only the search by a pool"),
+        (
+            ["rig.symmetric=true", "rig.free.fov_deg=[60, 100]"],
+            r"rig\.free\.fov_deg: expected null with rig\.symmetric",
+        ),
+    ],
+)
+def test_what_cannot_be_is_named(overrides, message):
+    with pytest.raises(InputError, match=message):
+        load_config(None, overrides)
+
+
+def test_plain_cameras_stand_in_pairs_or_in_the_middle():
+    config = load_config(None, ["rig.symmetric=true", "rig.cameras=5"])
+    mount = camera_mount(config, wa.town([0])[0].ego)
+    assert mount.surface.pairs == (True, False)
+    limits = rig_limits(config, mount.surface)
+    assert limits.count == (5, 5)
+    assert limits.kinds == ((PLAIN, 2), (PLAIN, 1))
+    assert limits.size(limits.first_kinds()) == 5
+
+
+@pytest.mark.parametrize("is_symmetric", [False, True])
+def test_rigs_by_hand_stand_on_any_vehicle_by_name(is_symmetric):
+    config = load_config(None, ["rig.symmetric=true"] if is_symmetric else [])
+    corners, cross = (find_rig(name, config, wa.town([0])[0].ego) for name in ("corners", "cross"))
+    assert sorted(round(math.degrees(each.yaw_rad)) for each in corners.cameras) == [-136, -44, 44, 136]
+    assert sorted(round(math.degrees(each.yaw_rad)) % 360 for each in cross.cameras) == [0, 90, 180, 270]
+    for each in corners.cameras:  # each at its corner
+        assert each.position_m[1] * each.yaw_rad > 0.0
