@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from cyclopts import CycloptsError
 
+from warpav.cli._arguments import DEFAULT_CONFIG
 from warpav.cli.app import app, main, placed
-from warpav.cli.arguments import DEFAULT_CONFIG
 from warpav.core.errors import InputError
 from warpav.runs.config import Config, load_config, option_values
 

@@ -13,7 +13,7 @@ import warp as wp
 import warpav as wa
 from tests.optimisation.calls import select
 from tests.optimisation.objectives import OneScene, thesis_losses
-from warpav.experiments.bench.workload import embedded_workload, pack_workload
+from warpav.experiments.bench._workload import embedded_workload, pack_workload
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
 from warpav.optimisation.mount import CameraMount, views_of_rig

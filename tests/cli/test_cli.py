@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from tests.cli.small_run import SMALL, complaint
+from warpav.cli._scenes import SceneLevel
 from warpav.cli.app import main
-from warpav.cli.scenes import SceneLevel
 from warpav.runs.config import Config, described_options
 from warpav.scene.town.levels import LEVELS
 

@@ -10,7 +10,7 @@ from tests.cli.small_run import complaint
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.rig.rig import Rig
-from warpav.runs.drawn_run import COMPARED_KINDS, FITTING_KINDS, FittedRigs
+from warpav.runs._drawn_run import COMPARED_KINDS, FITTING_KINDS, FittedRigs
 from warpav.runs.inspect import AskedPlots
 from warpav.runs.run_folder import RunFolder
 from warpav.scene.town.town import town_scene

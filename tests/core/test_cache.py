@@ -66,7 +66,7 @@ def test_parts_do_not_run_into_one_another():
     ("code", "file"),
     [
         (TOWN, "warpav/scene/town/town.py"),
-        (TOWN, "warpav/scene/town/houses.py"),
+        (TOWN, "warpav/scene/town/_houses.py"),
         (TOWN, "warpav/raster/mesh.py"),
         ("warpav.scene.capture.town_simulator", "warpav/scene/capture/town_simulator.py"),
         ("warpav.scene.capture.town_simulator", "warpav/scene/town/town.py"),

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from warpav.cli.arguments import complain, say
+from warpav.cli._arguments import complain, say
 from warpav.core.errors import ArgumentError, InputError, OptionError, one_line, printable
 from warpav.core.files import atomic_write
 from warpav.core.yaml_file import read_yaml, yaml_name

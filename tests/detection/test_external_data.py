@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from warpav.core.errors import InputError
-from warpav.detection.external_data import check_external_data
+from warpav.detection._external_data import check_external_data
 from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector
 
 onnx = pytest.importorskip("onnx")

@@ -14,8 +14,7 @@ from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.detection.training import CLASS_NAMES, TrainingOptions, data
 from warpav.detection.training import train as train_module
-from warpav.detection.training.evaluate import evaluate
-from warpav.detection.training.loss import (
+from warpav.detection.training._loss import (
     TargetBoxes,
     _move,
     _warp,
@@ -23,7 +22,8 @@ from warpav.detection.training.loss import (
     detection_loss,
     pairwise_iou,
 )
-from warpav.detection.training.network import TownNetwork, export_network
+from warpav.detection.training._network import TownNetwork, export_network
+from warpav.detection.training.evaluate import evaluate
 from warpav.detection.training.train import DeviceData, Training, train_detector
 from warpav.raster.camera import Lens
 from warpav.runs.detector_training import tables

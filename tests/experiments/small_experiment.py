@@ -4,7 +4,7 @@ import functools
 
 from tests.driving_scene import street
 from warpav.cli.app import main
-from warpav.experiments.arms import Arm
+from warpav.experiments._arms import Arm
 from warpav.experiments.study import Study, _loss_overrides
 from warpav.runs.config import load_config
 from warpav.scene.glb import write_scene

@@ -9,8 +9,8 @@ import pytest
 
 from tests.experiments.small_experiment import config
 from warpav.core.errors import InputError
-from warpav.experiments import arms as module
-from warpav.experiments.arms import METHODS, Arm, _common_arms, find_arm, find_rig_of
+from warpav.experiments import _arms as module
+from warpav.experiments._arms import METHODS, Arm, _common_arms, find_arm, find_rig_of
 from warpav.optimisation.budget import BudgetedValue, SingleCameraValues
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.settings import LOSSES

@@ -8,9 +8,9 @@ import pytest
 
 from tests.experiments.small_experiment import ARMS, SMALL, config
 from warpav.core.errors import InputError
-from warpav.experiments import arms as arms_module
+from warpav.experiments import _arms as arms_module
 from warpav.experiments import experiment as module
-from warpav.experiments.arms import Arm, Method
+from warpav.experiments._arms import Arm, Method
 from warpav.experiments.experiment import run_study
 from warpav.rig.rig import read_rig
 from warpav.runs.environment import git_commit

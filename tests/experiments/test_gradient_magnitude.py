@@ -7,7 +7,7 @@ import pytest
 
 from tests.driving_scene import SilentDetector, packed_street, roof
 from tests.optimisation.objectives import rig_objective
-from warpav.experiments.gradient_magnitude import LOSS_OF, measure_gradient_magnitudes
+from warpav.experiments._gradient_magnitude import LOSS_OF, measure_gradient_magnitudes
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import CameraMount
 from warpav.optimisation.settings import LOSSES, LossSettings, OptimiserSettings

@@ -22,7 +22,7 @@ from tests.scene.traffic.test_files import scenario, write_log
 from warpav.core.bounded_files import read_text
 from warpav.core.records import read_form
 from warpav.detection.onnx_detector import OnnxDetector
-from warpav.experiments.bench.workload import read_truth, read_workload
+from warpav.experiments.bench._workload import read_truth, read_workload
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.rig.catalogue import read_modules
@@ -31,7 +31,7 @@ from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
 from warpav.rig.zone import read_zones
 from warpav.runs.config import load_config
 from warpav.runs.networks import _description
-from warpav.runs.report.content import read_content
+from warpav.runs.report._content import read_content
 from warpav.runs.run_folder import RunFolder
 from warpav.scene.capture.folder import read_capture, record_capture
 from warpav.scene.fleet import _Stated

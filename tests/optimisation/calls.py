@@ -1,11 +1,11 @@
 """Searches, polishes and selections by keyword, for tests that vary one thing at a time."""
 
-from warpav.optimisation.camera_loss import select_robust as robust
+from warpav.optimisation._camera_loss import select_robust as robust
 from warpav.optimisation.polish import PolishSteps, PolishTask
 from warpav.optimisation.polish import polish as polished
 from warpav.optimisation.pool import CameraPool, Drawing
 from warpav.optimisation.pool_search import PoolSearch, PoolTask
-from warpav.optimisation.selection.problem import SelectionProblem
+from warpav.optimisation.selection._problem import SelectionProblem
 from warpav.optimisation.selection.select import select as selected
 
 

@@ -7,11 +7,11 @@ import numpy as np
 import warp as wp
 
 from warpav.detection.detector import Detector
+from warpav.optimisation._scene_step import Exchange, Objective, RigViews, SceneStep
 from warpav.optimisation.losses.loss import LossOptions, LossSchedule, Reference, losses_of
 from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
 from warpav.optimisation.mount import CameraMount
 from warpav.optimisation.objective import ObjectiveOptions, RigObjective
-from warpav.optimisation.scene_step import Exchange, Objective, RigViews, SceneStep
 from warpav.optimisation.settings import METHOD_LOSSES, LossSettings
 from warpav.raster.renderer import Renderer
 from warpav.thesis.constraints import BoundsAndSpacing

@@ -13,14 +13,14 @@ from tests.optimisation.test_modules import symmetric_cameras, symmetric_chart, 
 from tests.optimisation.test_polish import polished, zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from tests.optimisation.test_pool_search import SMALL
+from warpav.optimisation._camera_loss import RobustObjective
+from warpav.optimisation._replacements import Replacements
 from warpav.optimisation.baselines import highest_mount_pose
-from warpav.optimisation.camera_loss import RobustObjective
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.mount import MIRROR
 from warpav.optimisation.pool_cache import rows_of
-from warpav.optimisation.replacements import Replacements
 from warpav.optimisation.rig_limits import RigLimits
-from warpav.optimisation.selection.problem import Row
+from warpav.optimisation.selection._problem import Row
 
 MEAN, WORST = RobustObjective("mean", 0.5), RobustObjective("worst", 0.4)
 

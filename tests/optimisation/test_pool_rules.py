@@ -15,7 +15,7 @@ from warpav.optimisation.mount import FreeRanges
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_rules import ALONE, PoolRules
 from warpav.optimisation.pool_search import PoolSearch, PoolSearchSettings, PoolTask
-from warpav.optimisation.selection.problem import SelectionProblem
+from warpav.optimisation.selection._problem import SelectionProblem
 from warpav.optimisation.selection.select import select
 from warpav.raster.camera import CameraModel
 from warpav.sight.rules import NO_RULES, RuleCheck, Rules

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from warpav.detection.miss_rate import expected_miss_rate
-from warpav.optimisation.replacements import Replacements
+from warpav.optimisation._replacements import Replacements
 
 UNIT = np.array([0.2, 0.2, 0.2, 0.0, 0.0, 0.0, 0.0])
 

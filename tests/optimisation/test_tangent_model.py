@@ -7,7 +7,7 @@ from tests.optimisation.calls import polish
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import mount_of, poses_of
 from warpav.detection.miss_rate import expected_miss_rate
-from warpav.optimisation.tangent_model import CONTRADICTION, Rendered, TangentModel
+from warpav.optimisation._tangent_model import CONTRADICTION, Rendered, TangentModel
 
 SLOPE = np.random.default_rng(0).normal(size=(3, 5, 7))  # [camera, object, number]
 PLANES = np.stack([SLOPE, SLOPE * np.r_[-2.0, np.ones(6)]])  # they meet where the first number is 0

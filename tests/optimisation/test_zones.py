@@ -12,7 +12,7 @@ from tests.driving_scene import street
 from tests.optimisation.calls import polish
 from tests.optimisation.test_pool import cameras_of
 from warpav.core.errors import InputError
-from warpav.optimisation.camera_jacobians import placing_slope
+from warpav.optimisation._camera_jacobians import placing_slope
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.pool import spread_mount_poses

@@ -15,7 +15,8 @@ from warpav.detection import probability
 from warpav.detection.probability import FEATURE_COUNT, DetectionProbability, stored_file
 from warpav.detection.probability_fit import DetectionSamples, score
 from warpav.raster.camera import CameraModel
-from warpav.runs import detector_fit, detector_samples
+from warpav.runs import _detector_samples as detector_samples
+from warpav.runs import detector_fit
 from warpav.runs.config import load_config
 from warpav.runs.detector_fit import chosen_seeds
 from warpav.runs.networks import any_camera_config, any_camera_use, detector_use

@@ -8,8 +8,8 @@ import pytest
 import warpav as wa
 from warpav.core.errors import InputError
 from warpav.detection.miss_rate import expected_miss_rate
-from warpav.experiments.result_folder import unseeded
-from warpav.optimisation.camera_loss import RobustObjective
+from warpav.experiments._result_folder import unseeded
+from warpav.optimisation._camera_loss import RobustObjective
 from warpav.optimisation.mount_errors import MountErrors
 from warpav.optimisation.objective import single_cameras_of
 from warpav.optimisation.single_cameras import MisplacedCameras

@@ -15,7 +15,7 @@ from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
 from warpav.rig.presets import preset_rig
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
-from warpav.runs.checkpoint import check_options
+from warpav.runs._checkpoint import check_options
 from warpav.runs.config import load_config
 from warpav.runs.run_folder import RunFolder, check_new_run, held_run, new_run_folder
 

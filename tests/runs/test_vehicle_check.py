@@ -9,7 +9,7 @@ from tests.runs.test_scenes import small_scene
 from tests.scene.test_own_vehicle import of_kind, save
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.experiments.result_folder import unseeded
+from warpav.experiments._result_folder import unseeded
 from warpav.runs.config import load_config, with_absolute_paths
 from warpav.runs.networks import detector_use
 from warpav.runs.scene_set import load_scenes, own_vehicle

@@ -13,8 +13,8 @@ from warpav.scene.cache import built_scenes, scene_file
 from warpav.scene.fleet import CATEGORIES, _bodies, fleet_of
 from warpav.scene.own_vehicle import write_vehicle
 from warpav.scene.stored_scene import SceneRecipe
+from warpav.scene.town._paint import PAINT_COLOURS
 from warpav.scene.town.levels import TownSource, level_scene
-from warpav.scene.town.paint import PAINT_COLOURS
 from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, body_size_m, vehicle_mesh
 from warpav.scene.traffic.moments import Moment
 from warpav.scene.traffic.traffic_scene import TrafficSource

@@ -16,7 +16,7 @@ from tests.oracle import thesis
 from warpav.core.errors import InputError
 from warpav.detection.probability import DetectionProbability
 from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.losses.lagrangian import lagrangian_of
+from warpav.optimisation.losses._lagrangian import lagrangian_of
 from warpav.optimisation.losses.loss import LossSchedule
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import X_M, Y_M, YAW_RAD, CameraMount

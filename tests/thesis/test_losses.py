@@ -12,7 +12,7 @@ from tests.driving_scene import flat_surface, roof
 from tests.kernels.test_mount_pose import oracle as placed_by_oracle
 from tests.optimisation.objectives import thesis_losses
 from tests.oracle import thesis
-from warpav.optimisation.losses.lagrangian import lagrangian_of
+from warpav.optimisation.losses._lagrangian import lagrangian_of
 from warpav.optimisation.losses.loss import LossOptions, Reference, losses_of
 from warpav.optimisation.losses.scene_on_tape import SceneOnTape
 from warpav.optimisation.mount import CameraMount

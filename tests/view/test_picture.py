@@ -8,8 +8,8 @@ from tests.view.stand_ins import ego, needs_opengl, rig, scene, vehicle
 from warpav.core.errors import InputError
 from warpav.rig.mount_surface import MountSurface
 from warpav.view import picture
+from warpav.view._outlines import frustum_points
 from warpav.view.opengl import load_pyvista
-from warpav.view.outlines import frustum_points
 from warpav.view.output import render_rgb
 from warpav.view.palette import camera_rgb
 

@@ -67,7 +67,7 @@ def test_without_a_file_it_is_shown(tmp_path, monkeypatch):
     shown = rig().plot(off_screen=True, screenshot=tmp_path / "shot.png", return_img=True, window_size=SMALL)
     assert shown.shape == (100, 160, 3)
     assert (tmp_path / "shot.png").is_file()
-    monkeypatch.setattr("warpav.view.plotting.has_display", lambda: False)
+    monkeypatch.setattr("warpav.view._plotting.has_display", lambda: False)
     monkeypatch.setattr("warpav.view.picture.has_display", lambda: False)
     monkeypatch.setattr("pyvista.OFF_SCREEN", False)
     with pytest.raises(InputError, match=r"plot: expected a display .* write a file instead, such as plot"):
@@ -75,7 +75,7 @@ def test_without_a_file_it_is_shown(tmp_path, monkeypatch):
 
 
 def test_an_image_file_has_a_known_suffix(tmp_path, monkeypatch):
-    monkeypatch.setattr("warpav.view.plotting.rig_plotter", lambda *_args, **_options: pytest.fail("drawn"))
+    monkeypatch.setattr("warpav.view._plotting.rig_plotter", lambda *_args, **_options: pytest.fail("drawn"))
     with pytest.raises(
         InputError,
         match=r"rig\.bmp: expected a name that ends in \.png, \.html, \.gif, \.mp4, \.pdf, \.svg, got '\.bmp'",

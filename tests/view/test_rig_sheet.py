@@ -11,14 +11,14 @@ from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
 from warpav.view import plot
-from warpav.view.figures.rig_sheet import (
+from warpav.view._outlines import seen_ground_m
+from warpav.view.figures._rig_sheet import (
     _near_each_other,
     field_of_view_rad,
     horizontal_arcs_rad,
     rig_sheet,
     vertical_arcs_rad,
 )
-from warpav.view.outlines import seen_ground_m
 
 EXACT_RAD = 1e-7  # worst seen 3e-9: a quarter of a degree halved thirty times, and float64
 

@@ -21,14 +21,14 @@ from typing import TextIO
 from cyclopts import App, CycloptsError, Group, MissingArgumentError
 
 from warpav import __version__
-from warpav.cli.arguments import complain, flag_of, with_flags
-from warpav.cli.checks import bench, config_app, doctor, modules_app
-from warpav.cli.detector import detector_app, dev_detector_app
-from warpav.cli.experiment import experiment_app
-from warpav.cli.rig import rig_app
-from warpav.cli.runs import evaluate, front, inspect, optimise, plot, render, report, view
-from warpav.cli.scenes import dev_scenes_app, scenes_app
-from warpav.cli.vehicle import vehicle_app
+from warpav.cli._arguments import complain, flag_of, with_flags
+from warpav.cli._checks import bench, config_app, doctor, modules_app
+from warpav.cli._detector import detector_app, dev_detector_app
+from warpav.cli._experiment import experiment_app
+from warpav.cli._rig import rig_app
+from warpav.cli._runs import evaluate, front, inspect, optimise, plot, render, report, view
+from warpav.cli._scenes import dev_scenes_app, scenes_app
+from warpav.cli._vehicle import vehicle_app
 from warpav.core.errors import ArgumentError, InputError
 
 _GC_THRESHOLD = 50_000

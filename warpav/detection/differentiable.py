@@ -22,8 +22,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from warpav.core.errors import InputError, OptionError
+from warpav.detection._external_data import check_external_data
 from warpav.detection.detector import ROAD_USERS
-from warpav.detection.external_data import check_external_data
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.raster.camera import CameraModel
 

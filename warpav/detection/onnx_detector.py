@@ -19,8 +19,8 @@ from warpav.core.bounded_files import read_text
 from warpav.core.cores import available_cores
 from warpav.core.errors import InputError, OptionError
 from warpav.core.records import nearest
+from warpav.detection._external_data import check_external_data
 from warpav.detection.detector import ROAD_USERS, Detections
-from warpav.detection.external_data import check_external_data
 from warpav.detection.families import recognise
 from warpav.detection.families.family import Asked, Letterbox, NetworkFile, Tensor, metadata_labels
 

@@ -1,6 +1,6 @@
 """The runner of studies: a task for each arm and run seed, every result in a file of its own as soon as it is there.
 
-`warpav.experiments.result_folder` says what the folder holds. The same command again does what is missing, and nothing
+`warpav.experiments._result_folder` says what the folder holds. The same command again does what is missing, and nothing
 else.
 """
 
@@ -23,9 +23,9 @@ from warpav.core.files import write_json, write_text
 from warpav.core.progress import NullProgress, Progress
 from warpav.detection.miss_rate import expected_miss_rate, shares_of
 from warpav.evaluation.metrics import metrics_of, observe_scenes
-from warpav.experiments.arms import Arm, FoundRig, constraint_loss, find_rig_of, resized
-from warpav.experiments.gradient_magnitude import measure_gradient_magnitudes
-from warpav.experiments.result_folder import (
+from warpav.experiments._arms import Arm, FoundRig, constraint_loss, find_rig_of, resized
+from warpav.experiments._gradient_magnitude import measure_gradient_magnitudes
+from warpav.experiments._result_folder import (
     ATTAINABLE,
     RESULTS,
     SCHEMA,

@@ -22,9 +22,8 @@ from warpav.core.files import write_json
 from warpav.core.progress import NullProgress, Progress
 from warpav.core.warp_setup import device_name
 from warpav.evaluation.metrics import metrics_of, observe_scenes
-from warpav.experiments.arms import resized
-from warpav.experiments.experiment import Finished, make_scenes_ready, outcomes, show_rows, traffic_of_process
-from warpav.experiments.result_folder import (
+from warpav.experiments._arms import resized
+from warpav.experiments._result_folder import (
     ATTAINABLE,
     DESCRIPTION,
     RESULTS,
@@ -33,6 +32,7 @@ from warpav.experiments.result_folder import (
     results_in,
     unseeded,
 )
+from warpav.experiments.experiment import Finished, make_scenes_ready, outcomes, show_rows, traffic_of_process
 from warpav.experiments.rows import ROWS, read_rows
 from warpav.optimisation.settings import LOSSES
 from warpav.rig.rig import read_rig

@@ -20,8 +20,8 @@ from warpav.core.errors import InputError
 from warpav.core.files import write_text
 from warpav.core.table import Table
 from warpav.evaluation.statistics import RESAMPLES, paired_difference
-from warpav.experiments.gradient_magnitude import LOSS_OF
-from warpav.experiments.result_folder import objective_of_tests, objective_on_tests
+from warpav.experiments._gradient_magnitude import LOSS_OF
+from warpav.experiments._result_folder import objective_of_tests, objective_on_tests
 from warpav.thesis.tables import WARNING, thesis_table
 
 Row = dict[str, str]

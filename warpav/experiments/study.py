@@ -17,8 +17,8 @@ import yaml
 from pydantic import BaseModel, ConfigDict
 
 from warpav.core.errors import ArgumentError, InputError, OptionError
-from warpav.experiments.arms import Arm, find_arm
-from warpav.experiments.gradient_magnitude import LOSS_OF
+from warpav.experiments._arms import Arm, find_arm
+from warpav.experiments._gradient_magnitude import LOSS_OF
 from warpav.experiments.rows import arm_name
 from warpav.optimisation.settings import LOSSES
 from warpav.runs.config import Config, overridden_option

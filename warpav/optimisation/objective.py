@@ -25,15 +25,15 @@ from warpav.detection.observe import (
     observe,
     visible_objects,
 )
+from warpav.optimisation._scene_step import Exchange, Objective, RigViews, SceneLosses, SceneStep
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.importance import Importance
+from warpav.optimisation.losses._lagrangian import lagrangian_of
 from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
-from warpav.optimisation.losses.lagrangian import lagrangian_of
 from warpav.optimisation.losses.loss import DetectedImages, DeviceLoss, HostLoss, Loss, LossSchedule, Needs
 from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability, SceneOnTape
 from warpav.optimisation.losses.user_loss import LossFunction, UserLoss
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, CameraMount, views_of_rig
-from warpav.optimisation.scene_step import Exchange, Objective, RigViews, SceneLosses, SceneStep
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.areas import Measures
 from warpav.raster.camera import CameraModel

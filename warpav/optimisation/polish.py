@@ -23,10 +23,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from warpav.detection.miss_rate import expected_miss_rate
-from warpav.optimisation.camera_loss import SOFTNESS, RobustObjective
+from warpav.optimisation._camera_loss import SOFTNESS, RobustObjective
+from warpav.optimisation._tangent_model import REACH, TANGENTS, HardPoints, Margins, Rendered, TangentModel
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
-from warpav.optimisation.tangent_model import REACH, TANGENTS, HardPoints, Margins, Rendered, TangentModel
 
 Detected = tuple[np.ndarray, np.ndarray]
 """The probability that each camera detects each object [camera, object], and its Jacobian [camera, object, 7]."""

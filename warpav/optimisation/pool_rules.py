@@ -14,11 +14,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import sparse
 
-from warpav.optimisation.camera_jacobians import placing_slope
+from warpav.optimisation._camera_jacobians import placing_slope
+from warpav.optimisation._tangent_model import Margins
 from warpav.optimisation.mount import MIRROR, MOUNT_POSE_SIZE
-from warpav.optimisation.selection.problem import Row
+from warpav.optimisation.selection._problem import Row
 from warpav.optimisation.single_cameras import SingleCameras
-from warpav.optimisation.tangent_model import Margins
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.raster.pane import Pane

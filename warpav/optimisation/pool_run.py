@@ -15,13 +15,13 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.core.progress import Progress
 from warpav.detection.miss_rate import expected_miss_rate, shares_of
-from warpav.optimisation.camera_loss import RobustValue
+from warpav.optimisation._camera_loss import RobustValue
 from warpav.optimisation.further_camera import FurtherCameras, further_cameras
 from warpav.optimisation.pool import CameraPool, Drawing
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import Found, PoolSearch, PoolSearchSettings, PoolTask
 from warpav.optimisation.records import Candidate, IterationRecord, named_part, part_of, rig_fields
-from warpav.optimisation.selection.relaxation import Price
+from warpav.optimisation.selection._relaxation import Price
 
 _WORDS = ("todo", "objective", "bound", "round", "rng", "rules", "iteration", "proven", "start_value")
 

@@ -23,7 +23,9 @@ from scipy import sparse
 from warpav.core.errors import ArgumentError, InputError, OptionError
 from warpav.core.progress import Progress
 from warpav.detection.miss_rate import SUREST, expected_miss_rate, shares_of
-from warpav.optimisation.camera_loss import OTHERS, RobustObjective, RobustValue, exchange_robust, select_robust
+from warpav.optimisation._camera_loss import OTHERS, RobustObjective, RobustValue, exchange_robust, select_robust
+from warpav.optimisation._replacements import Replacements, within_half_a_turn
+from warpav.optimisation._tangent_model import HardPoints
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.hand_rigs import HandRig, by_hand
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
@@ -34,14 +36,12 @@ from warpav.optimisation.polish import Detected, PolishSteps, PolishTask, neares
 from warpav.optimisation.pool import CameraPool, Drawing, spread_mount_poses
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_rules import PoolRules
-from warpav.optimisation.replacements import Replacements, within_half_a_turn
 from warpav.optimisation.required_points import RequiredPoints
 from warpav.optimisation.rig_limits import RigLimits
-from warpav.optimisation.selection.problem import Row, SelectionProblem, exchange
-from warpav.optimisation.selection.relaxation import Price
+from warpav.optimisation.selection._problem import Row, SelectionProblem, exchange
+from warpav.optimisation.selection._relaxation import Price
 from warpav.optimisation.selection.select import Selection, select
 from warpav.optimisation.single_cameras import MisplacedCameras, SingleCameras, hard_points
-from warpav.optimisation.tangent_model import HardPoints
 from warpav.scene.device_scene import DeviceScene
 from warpav.sight.rules import AZIMUTH_STEP_RAD, NEAR_M
 

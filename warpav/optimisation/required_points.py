@@ -17,7 +17,7 @@ import numpy as np
 
 from warpav.core.cache import digest
 from warpav.core.errors import InputError
-from warpav.optimisation.selection.problem import Row
+from warpav.optimisation.selection._problem import Row
 from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import KeptRenderers
 from warpav.raster.mesh import Mesh

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warpav.core.errors import OptionError
-from warpav.optimisation.selection.problem import Row
+from warpav.optimisation.selection._problem import Row
 
 _LESS_THAN_ANY = 1e-9
 

@@ -21,7 +21,7 @@ from warpav.optimisation.mount import X_M, Y_M, YAW_RAD
 from warpav.optimisation.objective import RigObjective, single_cameras_of
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import too_near
-from warpav.optimisation.selection.problem import SelectionProblem
+from warpav.optimisation.selection._problem import SelectionProblem
 from warpav.optimisation.selection.select import Selection, select
 from warpav.optimisation.space import SearchSpace
 

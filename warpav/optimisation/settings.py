@@ -71,7 +71,7 @@ METHOD_LOSSES: dict[str, dict[str, Any]] = {
 """Weights of the losses where the configuration says nothing, by method."""
 
 if TYPE_CHECKING:
-    from warpav.optimisation.camera_loss import RobustObjective
+    from warpav.optimisation._camera_loss import RobustObjective
     from warpav.optimisation.mount_errors import MountErrors
     from warpav.sight.rules import Rules
 
@@ -343,7 +343,7 @@ class RobustSettings(Section):
     @property
     def objective(self) -> RobustObjective | None:
         """What is minimised; None: the expected miss rate."""
-        from warpav.optimisation.camera_loss import RobustObjective  # it needs scipy, which configurations do not
+        from warpav.optimisation._camera_loss import RobustObjective  # it needs scipy, which configurations do not
 
         return None if self.camera_loss is None else RobustObjective(self.camera_loss, self.weight)
 

@@ -18,12 +18,12 @@ import warp as wp
 from warpav.core.cache import digest, fingerprint
 from warpav.core.cores import available_cores, gpu_share
 from warpav.core.warp_setup import load_warp
-from warpav.optimisation.camera_jacobians import CameraJacobians, placing_slope
+from warpav.optimisation._camera_jacobians import CameraJacobians, placing_slope
+from warpav.optimisation._tangent_model import HardPoints, Margins
 from warpav.optimisation.losses.scene_on_tape import CameraProbability
 from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, MIRROR, MOUNT_POSE_SIZE, CameraMount
 from warpav.optimisation.mount_errors import MountErrors, outside_skin
 from warpav.optimisation.required_points import RequiredPoints
-from warpav.optimisation.tangent_model import HardPoints, Margins
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import (

@@ -11,7 +11,8 @@ import numpy as np
 import warp as wp
 
 from warpav.core.errors import InputError
-from warpav.raster import areas, images
+from warpav.raster import _images as images
+from warpav.raster import areas
 from warpav.raster.areas import AREA_COUNT, Areas, Coverage, Measures, WindowMeasures
 from warpav.raster.buffers import Buffers, Content, RenderState
 from warpav.raster.decide import hide_by_foreground

@@ -31,8 +31,7 @@ from warpav.detection.probability_fit import (
 )
 from warpav.evaluation.statistics import LEVEL, Estimate
 from warpav.raster.camera import CameraModel
-from warpav.runs.config import Config
-from warpav.runs.detector_samples import (
+from warpav.runs._detector_samples import (
     FOLDS,
     Source,
     network_scale_of,
@@ -41,6 +40,7 @@ from warpav.runs.detector_samples import (
     samples_folder,
     say_or_warn,
 )
+from warpav.runs.config import Config
 from warpav.runs.mounts import camera_model, camera_models
 from warpav.runs.networks import (
     any_camera_config,

@@ -66,14 +66,14 @@ def evaluate(
 
 
 @draws(CameraOutages, "outages", is_figure=True)
-def _outages_drawing(outages: CameraOutages, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view.plotting.Kind)
+def _outages_drawing(outages: CameraOutages, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view._plotting.Kind)
     from warpav.view.figures.statistics import sensitivity_figure
 
     return sensitivity_figure(None, outages, heading=canvas.title)
 
 
 @draws(RigEvaluation, "recall", is_figure=True)
-def _drawing(evaluation: RigEvaluation, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view.plotting.Kind)
+def _drawing(evaluation: RigEvaluation, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view._plotting.Kind)
     from warpav.view.figures.statistics import recall_figure
 
     if not evaluation.objects:

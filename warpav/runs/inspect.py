@@ -19,8 +19,8 @@ from warpav.core.files import check_folder
 from warpav.core.warp_setup import checked_device
 from warpav.raster.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
+from warpav.runs._drawn_run import FittedRigs
 from warpav.runs.config import Config
-from warpav.runs.drawn_run import FittedRigs
 from warpav.runs.events import trajectory
 from warpav.runs.mounts import camera_mount, constraints_of, mount_surface, objective_options, rig_modules
 from warpav.runs.networks import load_detector

@@ -17,14 +17,14 @@ from warpav.optimisation.pool import Drawing, pool_cache_folder
 from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.records import IterationRecord
 from warpav.rig.rig import Rig, write_rig
-from warpav.runs.checkpoint import check_options
+from warpav.runs._checkpoint import check_options
 from warpav.runs.config import Config, flow_text, placed_config
 from warpav.runs.evaluate import evaluate_on
 from warpav.runs.mounts import preset_for
 from warpav.runs.optimise import Optimisation, kept_drawing
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
-from warpav.runs.report.content import RunContent, read_content
+from warpav.runs.report._content import RunContent, read_content
 from warpav.runs.result import Result, StageTimer, complete_folder
 from warpav.runs.rig_source import arm_names, find_rig, is_run_folder, is_shipped
 from warpav.runs.robustness import load_states_of, soiling_of

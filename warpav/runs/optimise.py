@@ -21,7 +21,7 @@ from warpav.optimisation.pool_search import PoolSearchSettings, PoolTask
 from warpav.optimisation.records import IterationRecord, NotFiniteError, named_part, part_of
 from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig
-from warpav.runs.checkpoint import check_identity, identity_of
+from warpav.runs._checkpoint import check_identity, identity_of
 from warpav.runs.config import Config
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress

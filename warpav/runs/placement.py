@@ -33,7 +33,7 @@ from warpav.optimisation.settings import LOSSES, ImportanceSettings, RobustSetti
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig
 from warpav.runs.config import AUTO, Config, RigConfig
-from warpav.runs.config.schema import NO_REQUIREMENTS
+from warpav.runs.config._schema import NO_REQUIREMENTS
 from warpav.runs.detector_fit import ensure_fit, fit_config
 from warpav.runs.mounts import camera_models, checked_frozen, constraints_of, objective_options, rig_limits
 from warpav.runs.networks import Networks, load_networks

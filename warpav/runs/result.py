@@ -22,9 +22,9 @@ from warpav.optimisation.records import Candidate, IterationRecord
 from warpav.optimisation.rivals import random_search
 from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig, write_rig
-from warpav.runs.checkpoint import identity_of
+from warpav.runs._checkpoint import identity_of
+from warpav.runs._drawn_run import DrawnRun, draws_runs
 from warpav.runs.config import Config
-from warpav.runs.drawn_run import DrawnRun, draws_runs
 from warpav.runs.evaluate import evaluate_on, highest_rig, requirements_of
 from warpav.runs.events import Certificate
 from warpav.runs.mounts import preset_for
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from warpav.optimisation.losses.scene_on_tape import AssignedScene
-    from warpav.runs.report.content import RunContent
+    from warpav.runs.report._content import RunContent
     from warpav.sight.check import RequirementResult
     from warpav.thesis.descent import Descent
 
@@ -320,7 +320,7 @@ def complete_folder(
     progress: Progress,
 ) -> RunContent:
     """Complete a run folder that has its iterations: rigs, evaluation, figures, report."""
-    from warpav.runs.report.content import read_content
+    from warpav.runs.report._content import read_content
     from warpav.runs.report.report import write_report
     from warpav.runs.run_figures import GROUND_SCENES, RunPictures
     from warpav.sight.ground import BlindGround

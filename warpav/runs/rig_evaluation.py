@@ -211,7 +211,7 @@ class _MetRequirement(_Part):
 
 
 class Robust(_Part):
-    """What a robust objective is made of, see `warpav.optimisation.camera_loss.RobustValue`."""
+    """What a robust objective is made of, see `warpav.optimisation._camera_loss.RobustValue`."""
 
     camera_loss: Literal["mean", "worst"] | None = None
     weight: float | None = None

@@ -43,8 +43,8 @@ from warpav.core.table import data_frame
 from warpav.rig.presets import preset_names
 from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.zone import read_zones, write_zones
+from warpav.runs._drawn_run import DrawnRun, draws_runs
 from warpav.runs.config import KEPT_FILES, Config, dump_config, load_config, with_absolute_paths
-from warpav.runs.drawn_run import DrawnRun, draws_runs
 from warpav.runs.environment import command_line, environment
 from warpav.runs.events import Certificate, flat_numbers, read_events
 from warpav.sight.read import copy_requirements

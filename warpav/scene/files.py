@@ -243,7 +243,7 @@ def capture_scenes(
 
 def capture_carla_scenes(tasks: Sequence[CaptureTask], *, host: str, port: int) -> Iterator[Outcome[CaptureTask, bool]]:
     """As `capture_scenes` with a CARLA server, one after the other; `InputError` where it does not answer."""
-    from warpav.scene.capture.carla_simulator import CarlaSimulator
+    from warpav.scene.capture._carla_simulator import CarlaSimulator
 
     _make_folders(task.folder for task in tasks)
     with CarlaSimulator(host=host, port=port) as simulator:

@@ -22,14 +22,14 @@ from warpav.core.errors import InputError
 from warpav.core.records import Record, read_record
 from warpav.core.yaml_file import read_yaml
 from warpav.raster.mesh import Mesh
+from warpav.scene._vehicle_shape import body_width_m, points_on, wheels_of
 from warpav.scene.own_vehicle import AXES, FORMATS, examine, read_vehicle_file
-from warpav.scene.town.paint import drawn_paint, lit_rgb, sky_share_at
-from warpav.scene.town.placed_vehicle import Exchange
-from warpav.scene.town.surface_builder import NORMAL_STEPS, corner_normals
+from warpav.scene.town._paint import drawn_paint, lit_rgb, sky_share_at
+from warpav.scene.town._placed_vehicle import Exchange
+from warpav.scene.town._surface_builder import NORMAL_STEPS, corner_normals
+from warpav.scene.town._vehicle_specs import VEHICLE_SPECS
 from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, body_size_m
-from warpav.scene.town.vehicle_specs import VEHICLE_SPECS
-from warpav.scene.traffic.road_users import stretched
-from warpav.scene.vehicle_shape import body_width_m, points_on, wheels_of
+from warpav.scene.traffic._road_users import stretched
 from warpav.scene.vehicles import SHIPPED, vehicle_folder
 
 CATEGORIES = tuple(VEHICLE_SPECS)  # vehicles in whose places others can stand

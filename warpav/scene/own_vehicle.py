@@ -17,6 +17,7 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
+from warpav.scene._vehicle_shape import ALIKE, Shape, Wheels, points_on, shape_of, wheels_of
 from warpav.scene.glb import EGO_NODE, ENVIRONMENT_NODE, TRIANGLES_MAX, bounded_mesh, write_nodes
 from warpav.scene.mesh_colours import (
     VERTICES_MAX,
@@ -28,7 +29,6 @@ from warpav.scene.mesh_colours import (
     texture_of,
     vertex_rgb,
 )
-from warpav.scene.vehicle_shape import ALIKE, Shape, Wheels, points_on, shape_of, wheels_of
 from warpav.scene.vehicles import file_of, nearest_name, vehicle_names
 
 if TYPE_CHECKING:

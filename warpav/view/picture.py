@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import InputError
+from warpav.view._outlines import bearing_sector_rad, frustum_points
 from warpav.view.layers import (
     add_coverage,
     add_further_cameras,
@@ -29,7 +30,6 @@ from warpav.view.layers import (
     remove,
 )
 from warpav.view.opengl import has_display, load_pyvista, load_pyvista_data
-from warpav.view.outlines import bearing_sector_rad, frustum_points
 from warpav.view.output import Canvas, render_rgb
 from warpav.view.palette import GROUND_RGB, INK_RGB, PAPER_RGB, Rgb, camera_rgb, hex_colour
 

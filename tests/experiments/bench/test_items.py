@@ -12,9 +12,9 @@ from tests.driving_scene import camera_pose
 from tests.experiments.bench.small_workload import small_workload
 from tests.oracle.ray_cast import RayCaster
 from warpav.core.frames import EGO_FROM_THESIS
-from warpav.experiments.bench.items import Bench, object_type
-from warpav.experiments.bench.reference import _hit_rgb, view_rays
-from warpav.experiments.bench.workload import (
+from warpav.experiments.bench._items import Bench, object_type
+from warpav.experiments.bench._reference import _hit_rgb, view_rays
+from warpav.experiments.bench._workload import (
     ROTATION_COUNT,
     WEIGHT_NAMES,
     embedded_truth,

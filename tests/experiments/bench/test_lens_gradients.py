@@ -15,8 +15,8 @@ import pytest
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from warpav.experiments.bench.items import Bench
-from warpav.experiments.bench.workload import (
+from warpav.experiments.bench._items import Bench
+from warpav.experiments.bench._workload import (
     LENSES,
     ROTATION_COUNT,
     embedded_truth,

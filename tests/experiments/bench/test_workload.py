@@ -7,7 +7,7 @@ import pytest
 
 from tests.experiments.bench.small_workload import SIZE, VEHICLES, small_truth, small_workload
 from warpav.core.errors import InputError
-from warpav.experiments.bench.workload import (
+from warpav.experiments.bench._workload import (
     WEIGHT_NAMES,
     embedded_truth,
     embedded_workload,

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from warpav.optimisation.selection.relaxation import _cut_coefficient, _cut_constant, _cut_slope, cut_level
+from warpav.optimisation.selection._relaxation import _cut_coefficient, _cut_constant, _cut_slope, cut_level
 
 PROBABILITY = st.one_of(st.sampled_from([0.0, 1.0, 1.0 - 1e-12, 1e-12]), st.floats(0.0, 1.0))
 SEVERAL = hnp.arrays(float, st.integers(1, 6), elements=PROBABILITY)

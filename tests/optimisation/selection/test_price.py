@@ -5,7 +5,7 @@ import pytest
 
 from tests.optimisation.calls import select
 from tests.optimisation.selection.pools import random_pool
-from warpav.optimisation.selection.problem import Row
+from warpav.optimisation.selection._problem import Row
 
 
 @pytest.fixture(scope="module")

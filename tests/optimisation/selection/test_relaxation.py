@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tests.optimisation.selection.pools import best_by_brute_force
-from warpav.optimisation.selection.problem import SelectionProblem
-from warpav.optimisation.selection.relaxation import Node, Relaxation
+from warpav.optimisation.selection._problem import SelectionProblem
+from warpav.optimisation.selection._relaxation import Node, Relaxation
 
 pytestmark = pytest.mark.filterwarnings("error")
 EVERY = range(8)

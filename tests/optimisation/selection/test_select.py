@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from tests.optimisation.calls import select
 from tests.optimisation.selection.pools import best_by_brute_force, every_rig, miss_rate, random_pool
 from warpav.core.errors import InputError
-from warpav.optimisation.selection.problem import Row
-from warpav.optimisation.selection.relaxation import Relaxation
+from warpav.optimisation.selection._problem import Row
+from warpav.optimisation.selection._relaxation import Relaxation
 
 ROUNDING = 1e-12
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")

@@ -9,7 +9,7 @@ import yaml
 from tests.rig.formats.known_pose import ALPASIM, POSITION_M, write_sample
 from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
-from warpav.rig.formats.alpasim import READ_PX, WRITE_PX
+from warpav.rig.formats._alpasim import READ_PX, WRITE_PX
 from warpav.rig.formats.convert import ImportOptions, export_rig_with_notes, import_rig_with_notes
 from warpav.rig.rig import Rig, RigCamera
 

@@ -29,7 +29,7 @@ from warpav.core.errors import InputError
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs.config import load_config
 from warpav.runs.events import Bound, Certificate
-from warpav.runs.report.content import RunContent, read_content
+from warpav.runs.report._content import RunContent, read_content
 from warpav.runs.report.report import write_report
 from warpav.runs.report.statements import headline, summary
 from warpav.runs.report.tables import show_run

@@ -605,7 +605,7 @@ class Server:
 def install(monkeypatch, one):
     """Put a server where the package would be; no socket leads to it."""
     monkeypatch.setitem(sys.modules, "carla", one.module())
-    monkeypatch.setattr("warpav.scene.capture.carla_simulator.unreachable", lambda _host, _port: None)
+    monkeypatch.setattr("warpav.scene.capture._carla_simulator.unreachable", lambda _host, _port: None)
 
 
 MODEL = CameraModel(96, 64, math.radians(80.0))

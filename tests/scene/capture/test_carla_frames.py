@@ -8,7 +8,7 @@ import pytest
 from tests.scene.capture import carla_double
 from tests.scene.capture.carla_double import Server
 from warpav.core.frames import rotation_from_yaw_pitch_roll
-from warpav.scene.capture.carla_client import (
+from warpav.scene.capture._carla_client import (
     boxes_overlap,
     code_from_bgra,
     depth_from_bgra,

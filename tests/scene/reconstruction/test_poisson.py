@@ -6,8 +6,8 @@ import trimesh
 from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import spsolve
 
-from warpav.scene.reconstruction import poisson
-from warpav.scene.reconstruction.poisson import poisson_surface
+from warpav.scene.reconstruction import _poisson as poisson
+from warpav.scene.reconstruction._poisson import poisson_surface
 
 
 def sphere_points(count, radius_m, rng, noise_m=0.0):

@@ -8,7 +8,7 @@ import pytest
 
 from tests.scene.traffic.recordings import LANE_M, street, write
 from warpav.core.errors import InputError
-from warpav.scene.traffic.argoverse2 import EGO_CENTRE_M
+from warpav.scene.traffic._argoverse2 import EGO_CENTRE_M
 from warpav.scene.traffic.files import read_recording, recordings_in
 
 XML = """<?xml version='1.0' encoding='UTF-8'?>

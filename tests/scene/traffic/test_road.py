@@ -5,10 +5,10 @@ import pytest
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from warpav.scene.town.houses import KERB_HEIGHT_M, SceneryBuilder
-from warpav.scene.town.surface_builder import StreetGround
+from warpav.scene.town._houses import KERB_HEIGHT_M, SceneryBuilder
+from warpav.scene.town._surface_builder import StreetGround
+from warpav.scene.traffic._road import road_of
 from warpav.scene.traffic.recording import Lanelet
-from warpav.scene.traffic.road import road_of
 
 HALF_M, END_M = 4.0, 40.0
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests.scene.town.closed_surface import unmatched_edge_count
 from warpav.scene.scene import road_user_of
-from warpav.scene.traffic.road_users import body_mesh, drawn_kind
+from warpav.scene.traffic._road_users import body_mesh, drawn_kind
 
 SIZES = [
     ("hatchback", (3.53, 1.62, math.nan)),

@@ -14,8 +14,8 @@ from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import Rig, RigCamera
+from warpav.view.drawing._sheet import text_width_mm
 from warpav.view.drawing.mount_drawing import PAGE_MM, mount_drawing
-from warpav.view.drawing.sheet import text_width_mm
 
 
 def drawing_of(some=None, **options):

@@ -13,7 +13,7 @@ from warpav.raster.camera import CameraModel
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.glb import GLTF_FROM_EGO
-from warpav.view.drawing.mounts import COLUMNS, FRUSTUM_DEPTH_M, mount_csv, mount_glb, mounts
+from warpav.view.drawing._mounts import COLUMNS, FRUSTUM_DEPTH_M, mount_csv, mount_glb, mounts
 
 MODULE = builtin_modules()["side_2mp_100"]
 

@@ -17,9 +17,9 @@ from torch import Tensor, nn
 
 from warpav.core.errors import InputError
 from warpav.detection.training import TrainingOptions
+from warpav.detection.training._loss import MIN_SIDE_PX, TargetBoxes, augment, detection_loss
+from warpav.detection.training._network import TownNetwork, export_network
 from warpav.detection.training.data import TRAIN_SUBSETS, LabelledImages, load_images, write_images
-from warpav.detection.training.loss import MIN_SIDE_PX, TargetBoxes, augment, detection_loss
-from warpav.detection.training.network import TownNetwork, export_network
 
 # Relative frequency of batches by image side [px].
 _SIZE_PROBABILITY = {256: 0.4, 384: 0.2, 640: 0.25, 1280: 0.15}

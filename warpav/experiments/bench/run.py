@@ -24,9 +24,9 @@ from warpav.core.errors import ArgumentError
 from warpav.core.files import atomic_write, write_json
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import checked_device, load_warp
-from warpav.experiments.bench.scores import ImageScores, gradient_scores
-from warpav.experiments.bench.table import bench_table, peer_note, sweep_table
-from warpav.experiments.bench.workload import (
+from warpav.experiments.bench._scores import ImageScores, gradient_scores
+from warpav.experiments.bench._table import bench_table, peer_note, sweep_table
+from warpav.experiments.bench._workload import (
     LENSES,
     Truth,
     Workload,
@@ -38,7 +38,7 @@ from warpav.experiments.bench.workload import (
 )
 
 if TYPE_CHECKING:
-    from warpav.experiments.bench.items import Bench, Timing
+    from warpav.experiments.bench._items import Bench, Timing
 
 SCHEMA = "warpav-bench-1"
 _ITEMS = ("w1", "w2", "w3")
@@ -82,7 +82,7 @@ def run_bench(
     device = checked_device(options.device)
     workload, truth = _read_work(workload_file, truth_file, options.lens)
 
-    from warpav.experiments.bench.items import Bench
+    from warpav.experiments.bench._items import Bench
 
     progress.stage(f"packing {workload.name}: {len(workload.triangle)} triangles, {workload.view_count} views")
     began = time.perf_counter()
@@ -110,7 +110,7 @@ def _read_work(workload_file: Path | None, truth_file: Path | None, lens: str) -
     if lens != "pinhole":
         if truth_file is not None:
             raise ArgumentError("truth", f"expected none with the lens {lens}, as truths are those of pinholes")
-        from warpav.experiments.bench.reference import embree_truth
+        from warpav.experiments.bench._reference import embree_truth
 
         workload = dataclasses.replace(workload, lens=lens)
         return workload, embree_truth(workload)
@@ -169,7 +169,7 @@ def _measure(
     progress: Progress,
 ) -> None:
     """Measure what is asked for into the content of the JSON file."""
-    from warpav.experiments.bench.items import object_type
+    from warpav.experiments.bench._items import object_type
 
     workload, repeat, found, scores = bench.workload, options.repeat, content["items"], content["scores"]
     image = (workload.view_count, workload.size_px, workload.size_px)
@@ -234,7 +234,7 @@ def _collect_images(bench: Bench, truth: Truth | None, append: Callable[..., Non
 
 
 def _measure_embree(workload: Workload, found: Mapping[str, Any], repeat: int) -> dict[str, Any]:
-    from warpav.experiments.bench.reference import time_embree
+    from warpav.experiments.bench._reference import time_embree
 
     times_ms = time_embree(workload, repeat=min(repeat, _MAX_EMBREE_REPEAT))
     result: dict[str, Any] = {"version": metadata.version("embreex"), "threads": 1}

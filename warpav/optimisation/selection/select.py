@@ -13,14 +13,14 @@ from typing import Literal
 import numpy as np
 
 from warpav.core.errors import ArgumentError
-from warpav.optimisation.selection.problem import (
+from warpav.optimisation.selection._problem import (
     SelectionProblem,
     exchange,
     feasible_rig,
     raise_conflict,
     random_rig,
 )
-from warpav.optimisation.selection.relaxation import Node, Price, Relaxation, Relaxed
+from warpav.optimisation.selection._relaxation import Node, Price, Relaxation, Relaxed
 
 TOLERANCE = 1e-9
 """Expected miss rates that differ by less count as equal."""

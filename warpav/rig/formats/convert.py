@@ -22,8 +22,8 @@ from warpav.core.frames import rotation_from_yaw_pitch_roll
 from warpav.core.records import nearest
 from warpav.raster.camera import CameraModel
 from warpav.rig.check import FAR_M, mirrored_cameras
-from warpav.rig.formats.format import FoundCamera, Losses, Optics, PlacedCamera, RigFormat
-from warpav.rig.formats.ros import FOLDER, read_camera_infos
+from warpav.rig.formats._format import FoundCamera, Losses, Optics, PlacedCamera, RigFormat
+from warpav.rig.formats._ros import FOLDER, read_camera_infos
 from warpav.rig.rig import Rig, RigCamera
 
 _MODULES = {

@@ -8,9 +8,9 @@ What a file leaves out comes from the file that its ``extends`` names; what that
 with ``method: thesis`` as in ``thesis``.
 """
 
-from warpav.runs.config.explain import COMMAND_LINE, DescribedOption, described_options, option_values
-from warpav.runs.config.fields import AUTO, NAMED_STARTS, START_TEXT, read_seeds
-from warpav.runs.config.load import (
+from warpav.runs.config._explain import COMMAND_LINE, DescribedOption, described_options, option_values
+from warpav.runs.config._fields import AUTO, NAMED_STARTS, START_TEXT, read_seeds
+from warpav.runs.config._load import (
     Config,
     dump_config,
     file_schema,
@@ -21,7 +21,7 @@ from warpav.runs.config.load import (
     placed_config,
     with_absolute_paths,
 )
-from warpav.runs.config.schema import (
+from warpav.runs.config._schema import (
     KEPT_FILES,
     USUAL_OPTIONS,
     DetectorConfig,

@@ -20,7 +20,7 @@ from warpav.evaluation.statistics import Difference
 from warpav.runs.config import config_names, load_config, overrides_from
 from warpav.runs.mounts import free_ranges, has_zones
 from warpav.runs.report import statements as words
-from warpav.runs.report.content import RunContent, View, read_content
+from warpav.runs.report._content import RunContent, View, read_content
 from warpav.runs.rig_evaluation import LOWER_IS_BETTER, RECALL_GROUPS, TABLE_ROWS, RigEvaluation
 from warpav.runs.run_folder import RunFolder
 from warpav.sight.requirement import SECTORS, sectors_of

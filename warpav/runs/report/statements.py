@@ -16,7 +16,7 @@ from warpav.evaluation.statistics import Difference
 from warpav.optimisation.constraints import Margin
 from warpav.optimisation.mount_errors import ANGLES
 from warpav.rig.rig import Rig
-from warpav.runs.report.content import RunContent
+from warpav.runs.report._content import RunContent
 from warpav.runs.rig_evaluation import RigEvaluation, Robust
 
 _Tone = Literal["good", "bad", "open"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from warpav.core.table import Table
-from warpav.runs.report.content import RunContent
+from warpav.runs.report._content import RunContent
 from warpav.runs.report.statements import (
     MINUS,
     NONE,

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
-from warpav.scene.reconstruction.poisson import checked_points, poisson_surface
+from warpav.scene.reconstruction._poisson import checked_points, poisson_surface
 from warpav_kernels.reconstruction import plane_fit
 
 if TYPE_CHECKING:

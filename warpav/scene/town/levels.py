@@ -38,11 +38,11 @@ def level_scene(seed: int, level: Level = "easy", fleet: Fleet | None = None) ->
     stream = [_LEVEL_STREAM, LEVELS.index(level), seed]
     rng, users_rng = np.random.default_rng([*stream, 0]), np.random.default_rng([*stream, 1])
     if level == "motorway":
-        from warpav.scene.town.motorway import motorway_world
+        from warpav.scene.town._motorway import motorway_world
 
         world = motorway_world(rng, users_rng)
     else:
-        from warpav.scene.town.streets import street_world
+        from warpav.scene.town._streets import street_world
 
         world = street_world(level, rng, users_rng)
     return world.finish(f"{level}_{seed:04d}", f"town {level} seed {seed}", exchange)

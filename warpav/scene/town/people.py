@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warpav.raster.mesh import Mesh
-from warpav.scene.town.paint import Material, painted_mesh, sky_share
-from warpav.scene.town.surface_builder import Point, Surface, SurfaceBuilder
+from warpav.scene.town._paint import Material, painted_mesh, sky_share
+from warpav.scene.town._surface_builder import Point, Surface, SurfaceBuilder
 
 _THIGH_M, _SHIN_M = 0.435, 0.425
 _UPPER_ARM_M, _FOREARM_M = 0.29, 0.26

@@ -14,8 +14,8 @@ import numpy as np
 
 from warpav.raster.mesh import Mesh, merge
 from warpav.scene.scene import Scene, Sky, Vehicle
-from warpav.scene.town.houses import SceneryBuilder
-from warpav.scene.town.placed_vehicle import (
+from warpav.scene.town._houses import SceneryBuilder
+from warpav.scene.town._placed_vehicle import (
     LONG_KINDS,
     Exchange,
     PlacedVehicle,
@@ -24,9 +24,9 @@ from warpav.scene.town.placed_vehicle import (
     stop_lines,
     velocities_m_s,
 )
-from warpav.scene.town.street_life import Person, RoadUser, furnish, people, upright_box
-from warpav.scene.town.surface_builder import StreetGround
-from warpav.scene.town.town_layout import SPAWN_REACH_M, Footprint, Layout, Slot, town_layout
+from warpav.scene.town._street_life import Person, RoadUser, furnish, people, upright_box
+from warpav.scene.town._surface_builder import StreetGround
+from warpav.scene.town._town_layout import SPAWN_REACH_M, Footprint, Layout, Slot, town_layout
 from warpav.scene.town.vehicle_shapes import ego_glass, ego_mesh, vehicle_glass
 
 _VISIBLE_COUNT_MIN, _VISIBLE_COUNT_MAX = 5, 15

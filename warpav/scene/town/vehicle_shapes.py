@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warpav.raster.mesh import Mesh
-from warpav.scene.town.lorry_body import add_lorry_body, add_wheel_pair
-from warpav.scene.town.paint import Material, painted_mesh, sky_share
-from warpav.scene.town.surface_builder import Surface, SurfaceBuilder
-from warpav.scene.town.vehicle_specs import CARGO, EGO_SPEC, HIGH_VAN, VEHICLE_SPECS, VehicleSpec
+from warpav.scene.town._lorry_body import add_lorry_body, add_wheel_pair
+from warpav.scene.town._paint import Material, painted_mesh, sky_share
+from warpav.scene.town._surface_builder import Surface, SurfaceBuilder
+from warpav.scene.town._vehicle_specs import CARGO, EGO_SPEC, HIGH_VAN, VEHICLE_SPECS, VehicleSpec
 
 VARIANT_COUNT = 2  # shapes per kind; instances differ further by paint and scale
 

@@ -18,7 +18,7 @@ from warpav.core.cache import digest
 from warpav.core.errors import InputError
 from warpav.core.records import Point2, Record, Word, read_record
 from warpav.core.yaml_file import Location
-from warpav.scene.traffic.argoverse2 import ANNOTATIONS, read_log
+from warpav.scene.traffic._argoverse2 import ANNOTATIONS, read_log
 from warpav.scene.traffic.recording import Lanelet, RecordedUser, Recording, check_step
 
 SUFFIXES = (".json", ".json.gz", ".xml", ".xml.gz")

@@ -13,7 +13,7 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.scene.scene import outline_gap_m
-from warpav.scene.town.town_layout import Footprint
+from warpav.scene.town._town_layout import Footprint
 
 CLASSES = ("car", "truck", "bus", "motorcycle", "bicycle", "pedestrian")
 """What road users can be. Two-wheelers have their riders on them."""

@@ -1,7 +1,7 @@
 """A rig on a drawing for the workshop: three views to scale, coordinates from datums, and a table, as PDF and DXF.
 
 The drawing is composed once, of strokes, notes, ordinate dimensions and marks in millimetres of paper; `figure` and
-`warpav.view.drawing.dxf` draw these.
+`warpav.view.drawing._dxf` draw these.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ import numpy as np
 from warpav.core.errors import ArgumentError, InputError
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import rig_text
-from warpav.view.drawing.dxf import drawing_dxf, load_ezdxf
-from warpav.view.drawing.mounts import Mount, angles_deg, housing_corners_m, mount_csv, mount_glb, mounts, plain
-from warpav.view.drawing.sheet import (
+from warpav.view._outlines import silhouette_m
+from warpav.view.drawing._dxf import drawing_dxf, load_ezdxf
+from warpav.view.drawing._mounts import Mount, angles_deg, housing_corners_m, mount_csv, mount_glb, mounts, plain
+from warpav.view.drawing._sheet import (
     TEXT_MM,
     Mark,
     Note,
@@ -38,7 +39,6 @@ from warpav.view.drawing.sheet import (
     text_width_mm,
 )
 from warpav.view.figures.style import FIGURE_SUFFIXES, SCALES, Page, camera_cells, closed, figure_style, save_figure
-from warpav.view.outlines import silhouette_m
 from warpav.view.output import write_whole
 from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 

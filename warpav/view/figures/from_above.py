@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.view._outlines import sector_polygon_m, silhouette_m
 from warpav.view.figures.style import (
     PALE,
     WIDTH_INCH,
@@ -24,7 +25,6 @@ from warpav.view.figures.style import (
     paper,
     svg_text,
 )
-from warpav.view.outlines import sector_polygon_m, silhouette_m
 from warpav.view.palette import COVERAGE_RGB, GRID_RGB, INK_RGB, MUTED_RGB, Rgb, camera_rgb, further_map, hex_colour
 
 if TYPE_CHECKING:

@@ -20,6 +20,7 @@ from warpav.scene.reconstruction.point_cloud import fuse
 from warpav.scene.reconstruction.reconstruct import object_mesh
 from warpav.scene.reconstruction.settings import ReconstructionSettings
 from warpav.scene.scene import Box
+from warpav.view._outlines import bearing_sector_rad, sector_polygon_m
 from warpav.view.figures.clouds import BACKGROUND_RGB, cloud_image, towards, view_of
 from warpav.view.figures.from_above import (
     draw_cameras,
@@ -46,7 +47,6 @@ from warpav.view.figures.style import (
     title,
 )
 from warpav.view.layers import SQUARE
-from warpav.view.outlines import bearing_sector_rad, sector_polygon_m
 from warpav.view.palette import INK_RGB, MISS_RGB, MUTED_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:

@@ -1,0 +1,201 @@
+"""CARLA, in two dialects with equal keys and different conventions.
+
+``carla-ros-bridge`` is the bridge's ``objects.json``: right-handed, y left, pitch nose down. ``carla-python`` is a list
+of sensors as agents of the leaderboard give it: left-handed, y right, yaw to the right, pitch nose up. The user states
+which one it is; no file does. Both know a lens by its field of view alone.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warpav.core.bounded_files import check_nesting, parse_json, read_text
+from warpav.core.errors import InputError
+from warpav.core.frames import carla_from_ego_pose, ego_from_carla_pose
+from warpav.rig.formats._format import (
+    Found,
+    FoundCamera,
+    Losses,
+    Optics,
+    PlacedCamera,
+    Record,
+    RigFormat,
+    link_of_transform,
+    pinhole_of,
+    read_json_record,
+    transform_of_link,
+)
+
+_CAMERA = "sensor.camera.rgb"
+_ANY_CAMERA = "sensor.camera."
+_ORIGIN = "the vehicle actor's, which CARLA puts near the centre of the vehicle"
+_DEFAULTS = (800, 600, 90.0)  # of the blueprint sensor.camera.rgb
+
+
+def _read_bridge(path: Path, part: str | None) -> Found:
+    """The cameras of the only vehicle that has some, or of the one whose id is ``part``."""
+    objects = read_json_record(path, "the ros-bridge's objects.json").at("objects")
+    with_cameras: dict[str, list[Record]] = {}
+    for item in objects.items("the ros-bridge's list of objects; carla-python reads a plain list of sensors"):
+        sensors = item.at("sensors")
+        if sensors.value is not None and (found := sensors.items()) and any(map(_is_camera, found)):
+            with_cameras[item.at("id").text("vehicle")] = found
+    if part is not None and part not in with_cameras:
+        raise InputError(f"{path}: expected a vehicle {part!r} with cameras, got {', '.join(with_cameras) or 'none'}")
+    if part is None and len(with_cameras) > 1:
+        raise InputError(f"{path}: expected one vehicle with cameras, got {', '.join(with_cameras)}; choose by `part`")
+    sensors = with_cameras[part] if part is not None else next(iter(with_cameras.values()), [])
+    return _found(path, sensors, _bridge_camera)
+
+
+def _bridge_camera(sensor: Record) -> tuple[np.ndarray, Optics, bool]:
+    spawn_point = sensor.at("spawn_point")
+    spawn_point.mapping("a mapping with x, y, z, roll, pitch, yaw")
+    angle = {f"{key}_rad": math.radians(spawn_point.at(key).number(0.0)) for key in ("yaw", "pitch", "roll")}
+    transform = transform_of_link([spawn_point.at(key).number() for key in "xyz"], **angle)
+    return transform, *_optics(sensor, "image_size_x", "image_size_y")
+
+
+def _read_python(path: Path) -> Found:
+    """The cameras of a list of sensors: JSON, or the list as Python writes it."""
+    data = Record(path, _literal(path))
+    if isinstance(data.value, dict) and "objects" in data.value:
+        raise data.error(
+            "a list of sensors", "objects, which is the ros-bridge's dialect: `format_name` carla-ros-bridge"
+        )
+    sensors = data.at("sensors") if isinstance(data.value, dict) else data
+    return _found(path, sensors.items("a list of sensors"), _python_camera)
+
+
+def _literal(file: Path) -> Any:  # noqa: ANN401
+    kind = "a list of sensors, as JSON or as Python writes it"
+    text = read_text(file, kind)
+    check_nesting(text, str(file), quotes="\"'")
+    try:
+        return parse_json(text, str(file), kind)
+    except InputError as error:
+        try:
+            return ast.literal_eval(text.strip())
+        except (SyntaxError, ValueError, TypeError, MemoryError, RecursionError):
+            raise error from None
+
+
+def _python_camera(sensor: Record) -> tuple[np.ndarray, Optics, bool]:
+    location_m = [sensor.at(key).number() for key in "xyz"]
+    pitch_deg, yaw_deg, roll_deg = (sensor.at(key).number(0.0) for key in ("pitch", "yaw", "roll"))
+    position_m, yaw_rad, pitch_rad, roll_rad = ego_from_carla_pose(
+        np.array(location_m), pitch_deg=pitch_deg, yaw_deg=yaw_deg, roll_deg=roll_deg
+    )
+    is_long = any(sensor.at(key).value is not None for key in ("image_size_x", "image_size_y"))
+    keys = ("image_size_x", "image_size_y") if is_long else ("width", "height")
+    transform = transform_of_link(position_m, yaw_rad=yaw_rad, pitch_rad=pitch_rad, roll_rad=roll_rad)
+    return transform, *_optics(sensor, *keys)
+
+
+def _found(path: Path, sensors: Sequence[Record], camera_of: Any) -> Found:  # noqa: ANN401
+    cameras, defaulted, others = [], [], set()
+    for sensor in sensors:
+        if not _is_camera(sensor):
+            kind = sensor.at("type").value
+            others |= {kind} if isinstance(kind, str) and kind.startswith(_ANY_CAMERA) else set()
+            continue
+        name = sensor.at("id").text(f"camera_{len(cameras)}")
+        transform, optics, is_defaulted = camera_of(sensor)
+        defaulted += [name] if is_defaulted else []
+        cameras.append(FoundCamera(name, transform, optics))
+    if not cameras:
+        raise InputError(f"{path}: expected sensors of type {_CAMERA}, got none")
+    notes = []
+    if others:
+        notes.append(f"only {_CAMERA} is read, not {', '.join(sorted(others))}")
+    if defaulted:
+        width, height, fov = _DEFAULTS
+        notes.append(f"{', '.join(defaulted)}: the image is CARLA's default, {width} x {height} px, {fov:g} deg")
+    return Found(tuple(cameras), tuple(notes))
+
+
+def _is_camera(sensor: Record) -> bool:
+    return sensor.at("type").value == _CAMERA
+
+
+def _optics(sensor: Record, width_key: str, height_key: str) -> tuple[Optics, bool]:
+    multiplier = sensor.at("lens_circle_multiplier")
+    if multiplier.number(0.0) != 0.0:
+        raise multiplier.error("0, because warpav has no model of CARLA's lens distortion")
+    width, height, fov = _DEFAULTS
+    fields = [sensor.at(key) for key in (width_key, height_key, "fov")]
+    fov_deg = fields[2].number(fov)
+    if not 0.0 < fov_deg < 180.0:
+        raise fields[2].error("a field of view between 0 and 180 degrees")
+    optics = Optics(fields[0].whole(width), fields[1].whole(height), fov_rad=math.radians(fov_deg))
+    return optics, any(field.value is None for field in fields)
+
+
+def _written(value: float) -> float:
+    """A number without the last digits of floats, nor a negative zero."""
+    return round(float(value), 9) + 0.0
+
+
+def _write_bridge(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
+    """One vehicle that carries the cameras."""
+    sensors = []
+    for camera in cameras:
+        model = pinhole_of(camera, losses, is_centred=True)
+        position_m, angle = link_of_transform(camera.file_from_camera)
+        numbers = *position_m, *(math.degrees(angle[key]) for key in ("roll_rad", "pitch_rad", "yaw_rad"))
+        spawn_point = dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), map(_written, numbers), strict=True))
+        sensors.append({"type": _CAMERA, "id": camera.name, "spawn_point": spawn_point})
+        sensors[-1] |= {"image_size_x": model.width_px, "image_size_y": model.height_px}
+        sensors[-1] |= {"fov": _written(math.degrees(model.fov_rad))}
+    vehicle = {"type": "vehicle.tesla.model3", "id": "ego_vehicle", "sensors": sensors}
+    losses.notes.append("the vehicle is called vehicle.tesla.model3; put in the one that you drive")
+    return {target: (json.dumps({"objects": [vehicle]}, indent=2) + "\n").encode()}
+
+
+def _write_python(cameras: Sequence[PlacedCamera], target: Path, losses: Losses) -> dict[Path, bytes]:
+    """A list of sensors, which is JSON and Python at once."""
+    sensors = []
+    for camera in cameras:
+        model = pinhole_of(camera, losses, is_centred=True)
+        position_m, angle = link_of_transform(camera.file_from_camera)
+        location_m, pitch, yaw, roll = carla_from_ego_pose(np.array(position_m), **angle)
+        numbers = dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), (*location_m, roll, pitch, yaw), strict=True))
+        sensors.append({"type": _CAMERA, "id": camera.name, **{key: _written(each) for key, each in numbers.items()}})
+        sensors[-1] |= {"width": model.width_px, "height": model.height_px}
+        sensors[-1] |= {"fov": _written(math.degrees(model.fov_rad))}
+    return {target: (json.dumps(sensors, indent=2) + "\n").encode()}
+
+
+FORMATS = (
+    RigFormat(
+        "carla-ros-bridge",
+        frame="camera link to vehicle, x forward, y left, z up, right-handed, metres, degrees, pitch nose down",
+        origin=_ORIGIN,
+        is_ego_origin=False,
+        files=("objects.json",),
+        suffixes=(".json",),
+        read=_read_bridge,
+        write=_write_bridge,
+        parts="a vehicle's id, such as ego_vehicle",
+        mirrored_hint="is the file CARLA's own left-handed dialect (`format_name` carla-python)?",
+    ),
+    RigFormat(
+        "carla-python",
+        frame="camera to vehicle, x forward, y right, z up, left-handed, metres, degrees, yaw to the right, pitch nose "
+        "up",
+        origin=_ORIGIN,
+        is_ego_origin=False,
+        files=("sensors.json",),
+        suffixes=(".json", ".py", ".txt"),
+        read=_read_python,
+        write=_write_python,
+        mirrored_hint="is the file right-handed, with y to the left (`format_name` carla-ros-bridge)?",
+    ),
+)

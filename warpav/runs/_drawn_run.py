@@ -1,0 +1,278 @@
+"""What plots of a run show: its rigs on their vehicle, its iterations, what one more camera would bring."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from warpav.core.errors import ArgumentError, InputError
+from warpav.rig.rig import Rig
+from warpav.runs.config import Config
+from warpav.runs.events import of_modules, trajectory
+from warpav.view import Canvas, drawing_of, draws
+from warpav.view.output import ANIMATION_PX, Animation
+
+if TYPE_CHECKING:
+    from warpav.detection.probability import DetectionProbability
+    from warpav.optimisation.further_camera import FurtherCameras
+    from warpav.raster.camera import CameraModel
+    from warpav.rig.mount_surface import MountSurface
+    from warpav.scene.scene import Scene
+
+COMPARED_KINDS = ("plan", "range", "near_field", "redundancy", "resolution")
+"""Kinds that take several rigs."""
+
+FITTING_KINDS = (*COMPARED_KINDS, "contact", "sheet")
+"""Kinds of rigs that runs have as well: start and result side by side, of the last two the result."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FittedRigs:
+    """Rigs on one vehicle in one scene, and the configuration whose detector looks through them."""
+
+    rigs: Mapping[str, Rig]
+    scene: Scene
+    config: Config
+
+    def drawing(self, kind: str, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view._plotting.Kind)
+        """What a kind out of `FITTING_KINDS` shows of them."""
+        if kind not in COMPARED_KINDS:
+            return drawing_of(list(self.rigs.values())[-1], canvas, kind=kind, scene=self.scene)
+        options = {"probability": self._probability} if kind == "range" else {}
+        shown = self.rigs if len(self.rigs) > 1 else next(iter(self.rigs.values()))
+        return drawing_of(shown, canvas, kind=kind, scene=self.scene, **options)
+
+    @cached_property
+    def _probability(self) -> Callable[[CameraModel], DetectionProbability]:
+        """Gives the model of detection probability of the configuration's detector for a camera."""
+        from warpav.runs.detector_fit import ensure_fit
+
+        if self.config.losses.probability != "fitted":
+            raise ArgumentError(
+                "kind",
+                f"expected losses.probability=fitted for 'range', got {self.config.losses.probability}; the detection "
+                "range is unknown without a fitted model",
+            )
+        return lambda model: ensure_fit(self.config, camera=model)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DrawnRun:
+    """A run as its plots show it; the scene is loaded and the surface made for those that need them."""
+
+    name: str
+    config: Config
+    start: Rig
+    rig: Rig
+    all_events: Sequence[Mapping[str, Any]]
+    scene_of: Callable[[], Scene]
+    surface_of: Callable[[Scene], MountSurface]
+    further_of: Callable[[], FurtherCameras | None]
+
+    def drawn(self, *, scene: Scene | None = None) -> DrawnRun:
+        """Itself, with another scene where there is one."""
+        return self if scene is None else dataclasses.replace(self, scene_of=lambda: scene)
+
+    @cached_property
+    def further(self) -> FurtherCameras | None:
+        """What one more camera of the pool would add; None where no pool was drawn."""
+        return self.further_of()
+
+    @cached_property
+    def scene(self) -> Scene:
+        """Traffic and street."""
+        return self.scene_of()
+
+    @cached_property
+    def surface(self) -> MountSurface:
+        """What the cameras stand on."""
+        return self.surface_of(self.scene)
+
+    @cached_property
+    def events(self) -> Sequence[Mapping[str, Any]]:
+        """The iterations whose rigs have the cameras of the result."""
+        return of_modules(self.all_events, [camera.module for camera in self.rig.cameras])
+
+    @cached_property
+    def frames(self) -> list[Rig]:
+        """The rig of every iteration."""
+        counts = {len(event["positions_m"]) for event in self.events}
+        if counts - {len(self.rig.cameras)}:
+            raise InputError(
+                f"{self.name}: run folder: expected events.jsonl and the rig files of one run, got {min(counts)} "
+                f"cameras in the one and {len(self.rig.cameras)} in the other; take the rig file instead of the folder"
+            )
+        return [self._rig_of(event) for event in self.events]
+
+    def _rig_of(self, event: Mapping[str, Any]) -> Rig:
+        free, cameras = event.get("free", {}), []
+        for k, camera in enumerate(self.rig.cameras):
+            pitch_deg, fov_deg = (free[name][k] if name in free else None for name in ("pitch_deg", "fov_deg"))
+            model = camera.model
+            if fov_deg is not None:
+                try:
+                    model = dataclasses.replace(model, fov_rad=math.radians(fov_deg), focal_px=None, centre_px=None)
+                except ValueError as error:
+                    raise InputError(
+                        f"{self.name}: run folder: expected fields of view of {camera.name}, got: {error}"
+                    ) from None
+            cameras.append(
+                dataclasses.replace(
+                    camera,
+                    position_m=np.array(event["positions_m"][k]),
+                    yaw_rad=math.radians(event["yaw_deg"][k]),
+                    pitch_rad=camera.pitch_rad if pitch_deg is None else math.radians(pitch_deg),
+                    model=model,
+                )
+            )
+        return Rig(cameras)
+
+    @property
+    def fitted(self) -> FittedRigs:
+        """Start and result on their vehicle."""
+        return FittedRigs({"start": self.start, "optimised": self.rig}, self.scene, self.config)
+
+    def nearest_iteration(self) -> int:
+        """The iteration before whose step the cameras stood nearest to those of the result; from 0."""
+        end_m = np.array([camera.position_m for camera in self.rig.cameras])
+        positions_m = np.array([event["positions_m"] for event in self.events], np.float64)
+        return int(np.linalg.norm(positions_m - end_m, axis=2).max(axis=1).argmin())
+
+    def checked_iteration(self, iteration: int) -> int:
+        """The number of an iteration from 0."""
+        count = len(self.events)
+        if not -count <= iteration < count:
+            raise InputError(f"{self.name}: iteration: expected one of {count} from 0, got {iteration}")
+        return iteration % count
+
+    def checked_further(self, kind: str) -> FurtherCameras:
+        """`further`, for a kind of plot that needs them."""
+        if self.further is None or not len(self.further):
+            raise ArgumentError(
+                "kind",
+                f"expected the folder of a run with optimiser.search=pool that has drawn its pool for {kind!r}, got "
+                f"{self.name!r}",
+            )
+        return self.further
+
+    def animation(self, *, arrows: bool = True, window_size: tuple[int, int] = ANIMATION_PX) -> Animation:
+        """The cameras move over the vehicle, and their trajectories grow."""
+        from warpav.view.recording import run_animation
+
+        if not self.events:
+            raise InputError(f"{self.name}: expected iterations to animate, got none; write a .png instead")
+        return run_animation(
+            self.frames,
+            self.events,
+            end=self.rig,
+            scene=self.scene,
+            surface=self.surface if arrows else None,
+            window_size=window_size,
+        )
+
+    def view(self, canvas: Canvas, *, iteration: int | None, arrows: bool, visibility: bool) -> Any:  # noqa: ANN401
+        """The result in space, or the rig before the step of an iteration, with its trajectory and arrows."""
+        from warpav.view.layers import Steepest, add_descent
+
+        if canvas.is_animation and iteration is None:
+            return self.animation(arrows=arrows, window_size=canvas.size_px(ANIMATION_PX))
+        frames = self.frames
+        rig, path_m, index = self.rig, trajectory(self.events), None
+        if iteration is not None:
+            index = self.checked_iteration(iteration)
+            rig, own = frames[index], self.events[index].get("descent")
+            before = [event["positions_m"] for event in self.events[: index + 1] if event.get("descent") == own]
+            path_m = np.array(before, np.float64)
+        plotter = drawing_of(rig, canvas, kind="view", scene=self.scene, trajectory_m=path_m, visibility=visibility)
+        if arrows and self.events:
+            index = self.nearest_iteration() if index is None else index
+            steepest = Steepest.of_event(self.events[index])
+            if steepest is not None:
+                add_descent(plotter, frames[index], steepest, self.surface)
+        return plotter
+
+
+class _Run(Protocol):
+    def drawn(self, *, scene: Scene | None = None) -> DrawnRun: ...
+
+
+def _view(
+    run: _Run,
+    canvas: Canvas,
+    *,
+    iteration: int | None = None,
+    scene: Scene | None = None,
+    arrows: bool = True,
+    visibility: bool = False,
+) -> Any:  # noqa: ANN401 (see warpav.view._plotting.Kind)
+    return run.drawn(scene=scene).view(canvas, iteration=iteration, arrows=arrows, visibility=visibility)
+
+
+def _fitting(kind: str, run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
+    return run.drawn(scene=scene).fitted.drawing(kind, canvas)
+
+
+def _top_view(run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
+    """Where the cameras started, how they moved, and where they ended, from above."""
+    from warpav.view.figures.from_above import top_view_figure
+
+    drawn = run.drawn(scene=scene)
+    return top_view_figure(
+        rig=drawn.rig,
+        ego=drawn.scene.ego,
+        mount_surface=drawn.surface.over_ground,
+        rig_initial=drawn.start,
+        trajectory_m=trajectory(drawn.events),
+        shows_zone=drawn.config.method != "thesis",
+        heading=canvas.title,
+    )
+
+
+def _search(run: _Run, _canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
+    """Best rig and bound of a search by a pool over its renders; of a descent its losses over its iterations."""
+    from warpav.view.figures.convergence import loss_figure, search_figure
+
+    drawn = run.drawn(scene=scene)
+    found = search_figure(drawn.all_events)
+    return loss_figure(drawn.all_events, min_distance_m=drawn.config.rig.min_spacing_m) if found is None else found
+
+
+def _further(run: _Run, _canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
+    """From above, what each camera of the pool would add to the rig that was found."""
+    from warpav.view.figures.from_above import further_figure
+
+    drawn = run.drawn(scene=scene)
+    return further_figure(
+        further=drawn.checked_further("further"),
+        rig=drawn.rig,
+        ego=drawn.scene.ego,
+        mount_surface=drawn.surface.over_ground,
+        objects="vehicles" if drawn.config.scenes.targets == ("vehicle",) else "road users",
+    )
+
+
+def _gain(run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
+    """The body of the vehicle painted by what one more camera would bring there, in its zones."""
+    drawn = run.drawn(scene=scene)
+    further = drawn.checked_further("gain")
+    return drawing_of(drawn.rig, canvas, kind="view", scene=drawn.scene, mount_surface=drawn.surface, further=further)
+
+
+def draws_runs(cls: type) -> None:
+    """Register the kinds of plots of runs for a class with a method ``drawn``."""
+    draws(cls, "view")(_view)
+    for kind in FITTING_KINDS:
+        draws(cls, kind, is_figure=True)(partial(_fitting, kind))
+    for kind, draw in (("top_view", _top_view), ("search", _search), ("further", _further)):
+        draws(cls, kind, is_figure=True)(draw)
+    draws(cls, "gain")(_gain)
+
+
+draws_runs(DrawnRun)
+for _kind in FITTING_KINDS:
+    draws(FittedRigs, _kind, is_figure=True)(partial(lambda kind, fitted, canvas: fitted.drawing(kind, canvas), _kind))

@@ -1,0 +1,204 @@
+"""Messages about configurations, and the description of every option."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import inspect
+import operator
+import types
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import annotated_types
+from pydantic.fields import FieldInfo
+
+from warpav.core.section import Expectation, Section, section_of, shown
+from warpav.core.yaml_file import Location
+from warpav.runs.config._schema import ConfigTree
+
+COMMAND_LINE = "command line"
+
+
+def placed(place: str, text: str) -> str:
+    """A text behind the place that it is about, if there is one."""
+    return f"{place}: {text}" if place else text
+
+
+def explain(
+    found: Mapping[str, Any],
+    file: Path | None,
+    written_at: Mapping[Location, str],
+    override_of: Mapping[Location, str],
+) -> str:
+    """One line about one mistake that the validation found."""
+    section: type[Section] = ConfigTree
+    field: FieldInfo | None = None
+    location: Location = ()
+    for part in found["loc"]:  # the tail of a location can be an index, or a name that pydantic gave a validator
+        known = section.model_fields.get(str(part)) if field is None else None
+        if field is not None:
+            break
+        location = (*location, str(part))
+        inner = section_of(known.annotation) if known else None
+        if inner:
+            section = inner
+        else:
+            field = known
+            if known is None:
+                break
+    fields = found.get("ctx", {}).get("fields", ()) if found["type"] == "mistake" else ()
+    locations = [(*location, *name.split(".")) for name in fields] or [location]
+    overridden = [name for name in locations if _override_at(name, override_of) is not None]
+    written = [name for name in locations if name in written_at]
+    place = place_of((overridden or written or locations)[0], file, written_at, override_of)
+    location = locations[0]
+
+    if found["type"] == "extra_forbidden":
+        text = _unknown_option(section, location)
+    elif found["type"] == "mistake":
+        text = found["ctx"]["text"]
+    elif field is None:
+        text = f"expected a section with {', '.join(section.model_fields)}, got {shown(found['input'])}"
+    else:
+        default = "null" if field.get_default() is None else shown(field.get_default())
+        text = f"expected {_expected(field)}, got {shown(found['input'])}"
+        choices = [str(choice) for choice in _choices(field)]
+        near = difflib.get_close_matches(str(found["input"]), choices, 1, 0.6)
+        text += f"; did you mean {near[0]}?" if near else f"; {field.description} (default {default})"
+    return placed(place, f"{'.'.join(location)}: {text}")
+
+
+def _override_at(location: Location, override_of: Mapping[Location, str]) -> str | None:
+    for key, override in reversed(list(override_of.items())):
+        if key[: len(location)] == location or location[: len(key)] == key:
+            return override
+    return None
+
+
+def place_of(
+    location: Location,
+    file: Path | None,
+    written_at: Mapping[Location, str],
+    override_of: Mapping[Location, str],
+) -> str:
+    """Where an option stands: in an override, at a line of a file, or nowhere and so in the defaults."""
+    override = _override_at(location, override_of)
+    if override is not None:
+        return override
+    if file is None:
+        return "defaults"
+    for length in range(len(location), 0, -1):
+        if location[:length] in written_at:
+            return written_at[location[:length]]
+    return str(file)
+
+
+def _unknown_option(section: type[Section], location: Location) -> str:
+    names = list(section.model_fields)
+    unknown = location[-1]
+    parts = unknown.split(".")
+    if tuple(parts) in option_locations(ConfigTree):
+        return f"expected sections, got {unknown!r}; write {': {'.join(parts)}: ...{'}' * (len(parts) - 1)}"
+    elsewhere = [".".join(name) for name in option_locations(ConfigTree) if name[-1] == unknown]
+    near = difflib.get_close_matches(unknown, names, 1, 0.5)
+    hint = elsewhere[0] if elsewhere else ".".join((*location[:-1], near[0])) if near else ""
+    return f"expected one of {', '.join(names)}, got {unknown!r}" + (f"; did you mean {hint}?" if hint else "")
+
+
+def _choices(field: FieldInfo) -> tuple[object, ...]:
+    return typing.get_args(field.annotation) if typing.get_origin(field.annotation) is Literal else ()
+
+
+def _expected(field: FieldInfo) -> str:
+    """What a field expects, in words, from its type and its limits."""
+    annotation, metadata, optional = field.annotation, list(field.metadata), ""
+    if typing.get_origin(annotation) in (types.UnionType, typing.Union):
+        inner = next(member for member in typing.get_args(annotation) if member is not type(None))
+        annotation, optional = inner, ", or null"
+        if typing.get_origin(inner) is Annotated:
+            annotation = typing.get_args(inner)[0]
+            metadata += typing.get_args(inner)[1:]
+    words = next((item for item in metadata if isinstance(item, Expectation)), None)
+    if _choices(field):
+        return " or ".join([", ".join(map(str, _choices(field)[:-1])), str(_choices(field)[-1])]).removeprefix(" or ")
+    limits = _limits(metadata, words.unit if words else "")
+    if words:
+        return words.text.replace("{range}", limits) + optional
+    noun = {bool: "true or false", int: "a whole number", float: "a number"}.get(typing.cast(type, annotation), "text")
+    return noun + limits + optional
+
+
+def _limits(metadata: Sequence[object], unit: str) -> str:
+    low = high = ""
+    for item in metadata:
+        if isinstance(item, annotated_types.Ge):
+            low = f" from {_number(item.ge)}{unit}"
+        elif isinstance(item, annotated_types.Gt):
+            low = f" above {_number(item.gt)}{unit}"
+        elif isinstance(item, annotated_types.Le):
+            high = f" to {_number(item.le)}{unit}"
+        elif isinstance(item, annotated_types.Lt):
+            high = f" below {_number(item.lt)}{unit}"
+    return low + (f" and{high}" if low and high.startswith(" below") else high)
+
+
+def _number(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def option_values(config: ConfigTree) -> dict[str, object]:
+    """Every option by its dotted name, such as ``rig.cameras``, in the order of the tree, as written in files."""
+    tree = config.model_dump(mode="json")
+    return {
+        ".".join(location): functools.reduce(operator.getitem, location, tree)
+        for location in option_locations(ConfigTree)
+    }
+
+
+@dataclass(frozen=True)
+class DescribedOption:
+    """One option of the configuration, for documentation."""
+
+    name: str
+    section: str
+    section_description: str
+    expected: str
+    default: object
+    description: str
+
+
+def described_options() -> Iterator[DescribedOption]:
+    """Every option with what is known of it, in the order of the tree, what stands at the top first."""
+    default_of = option_values(ConfigTree())
+
+    def walk(section: type[Section], prefix: str) -> Iterator[DescribedOption]:
+        inner = {name: section_of(field.annotation) for name, field in section.model_fields.items()}
+        for name, field in section.model_fields.items():
+            if inner[name] is None:
+                yield DescribedOption(
+                    name=prefix + name,
+                    section=prefix.rstrip("."),
+                    section_description=inspect.getdoc(section) or "",
+                    expected=_expected(field),
+                    default=default_of[prefix + name],
+                    description=field.description or "",
+                )
+        for name, below in inner.items():
+            if below is not None:
+                yield from walk(below, f"{prefix}{name}.")
+
+    return walk(ConfigTree, "")
+
+
+def option_locations(section: type[Section], prefix: Location = ()) -> Iterator[Location]:
+    """Where the options of a section stand, in order."""
+    for name, field in section.model_fields.items():
+        inner = section_of(field.annotation)
+        if inner:
+            yield from option_locations(inner, (*prefix, name))
+        else:
+            yield (*prefix, name)

@@ -1,0 +1,756 @@
+"""Sections of the configuration: every option, what it takes, and what it is by default."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import ConfigDict, Field, model_validator
+
+from warpav.core.errors import InputError
+from warpav.core.section import Degrees, Expectation, Metres, Section, mistake, shown
+from warpav.core.yaml_file import read_yaml
+from warpav.optimisation.settings import (
+    METHOD_LOSSES,
+    ImportanceSettings,
+    LossSettings,
+    OptimiserSettings,
+    RobustSettings,
+    RuleSettings,
+    ThesisSettings,
+    VisibilitySettings,
+)
+from warpav.raster.lens import Lens, LensShape, checked_distortion
+from warpav.rig.module import PLAIN
+from warpav.runs.config._fields import (
+    AUTO,
+    COUNTS_TEXT,
+    MAX_SEED,
+    MOST_CAMERAS,
+    NAMED_STARTS,
+    START_TEXT,
+    CameraNames,
+    CatalogueFile,
+    DetectorModel,
+    Device,
+    Distortion,
+    Folder,
+    FovRange,
+    HeightRange,
+    Heights,
+    Labels,
+    LabelsOrFile,
+    MeshFile,
+    ModuleCounts,
+    PitchRange,
+    PresetImages,
+    PresetNames,
+    Recordings,
+    Requirements,
+    RigFiles,
+    Seeds,
+    Targets,
+    Vehicles,
+    ZonesFile,
+    read_count,
+)
+from warpav.scene.scene import ROAD_USERS, road_user_of
+from warpav.scene.town.levels import LEVELS, Level
+from warpav.sight.templates import template_names
+
+EXTENDS = "extends"
+"""Key of a file that names another file, on top of which it stands."""
+
+USUAL_OPTIONS = (
+    *("run.seed", "run.out", "run.iterations", "run.pictures", "device", "method"),
+    *("scenes.source", "scenes.level", "scenes.train_seeds", "scenes.test_seeds", "scenes.folder", "scenes.ego"),
+    *("scenes.targets", "scenes.recordings", "rig.cameras", "rig.start", "rig.freeze", "rig.min_spacing_m"),
+    *("rig.free.pitch_deg", "rig.free.height_m", "rig.free.fov_deg", "rig.modules", "rig.max_cost", "rig.symmetric"),
+    *("camera.fov_deg", "camera.width_px", "camera.height_px", "camera.lens", "mount.zones", "detector.model"),
+    *("detector.confidence_min", "importance.category", "requirements", "robust.camera_loss", "optimiser.pool_cameras"),
+)
+"""Options that users set; ``warpav config show`` shows these, and with ``--all`` the others."""
+
+KEPT_FILES = {
+    "rig.start": "rig_start.yaml",
+    "mount.zones": "zones.yaml",
+    "rig.catalogue": "modules.yaml",
+    "requirements": "requirements.yaml",
+}
+"""Options of which a run keeps the file in its folder: a value of this name means the file beside the configuration."""
+
+
+def config_dir() -> Path:
+    """The folder of the shipped configurations: the installed package's own, else the checkout's."""
+    package = Path(__file__).resolve().parents[2]
+    for folder in (package / "configs", package.parent / "configs"):
+        if (folder / "quick.yaml").is_file():
+            return folder
+    raise InputError(f"shipped configurations: expected a folder configs in {package}, got none; reinstall warpav")
+
+
+def config_names() -> list[str]:
+    """Names of the shipped configurations, such as ``quick``."""
+    return sorted(file.stem for file in config_dir().glob("*.yaml"))
+
+
+def find_config(path: str | Path) -> Path:
+    """The file that ``path`` means: an existing file, or a shipped configuration by its name."""
+    file = Path(path).expanduser()
+    if file.is_file():
+        return file
+    shipped = config_dir() / f"{file.stem}.yaml"
+    named = str(path) in (file.stem, shipped.name, f"configs/{shipped.name}")
+    if named and shipped.is_file():
+        return shipped
+    if (file / "config.yaml").is_file():
+        raise InputError(
+            f"{path}: config: expected a YAML file or a shipped name, got a run folder; {file / 'config.yaml'} repeats "
+            f"it, rig.start={file} begins with its rig"
+        )
+    near = difflib.get_close_matches(file.stem, config_names(), 1, 0.6)
+    hint = f"did you mean {near[0]}?" if near else f"shipped ones are {', '.join(config_names())}"
+    if file.parent == Path() and file.suffix not in ("", ".yaml", ".yml"):  # as rig.cameras, of rig.cameras 6
+        hint = f"an option is given with its value, as {path}=VALUE"
+    raise InputError(f"{path}: config: expected a YAML file or a shipped name, got {str(path)!r}; {hint}")
+
+
+@cache
+def _shipped_values(name: str) -> dict[str, Any]:
+    """What a shipped configuration says, as its file has it; not to be changed."""
+    return read_yaml(config_dir() / f"{name}.yaml")[0]
+
+
+class RunConfig(Section):
+    """The run as a whole."""
+
+    seed: int = Field(default=0, ge=0, le=MAX_SEED, description="seed of every random choice of the run")
+    out: Folder | None = Field(
+        default=None, description="run folder; null takes runs/<config name> and numbers it when that exists"
+    )
+    iterations: int = Field(default=100, ge=1, le=1_000_000, description="optimiser steps")
+    batch_size: int = Field(default=4, ge=1, description="scenes per step of a descent")
+    checkpoint_every: int | None = Field(
+        default=None,
+        ge=1,
+        le=1_000_000,
+        description="steps after which the state of a run is written, from which warpav optimise --resume goes on; "
+        "null: 10, of a search by a pool 1",
+    )
+    pictures: Literal["few", "all", "none"] = Field(
+        default="few",
+        description="what a run draws: few, the six of the report's first page; all; none. warpav report RUN --full "
+        "draws all of them later",
+    )
+
+
+class SceneConfig(Section):
+    """Which traffic scenes are trained and tested on."""
+
+    source: Literal["town", "traffic", "captured", "folder"] = Field(
+        default="town",
+        description="town builds the embedded street scenes; traffic builds scenes of recorded traffic; captured takes "
+        "images of embedded ones and makes meshes of these; folder reads scene_<seed>.glb files",
+    )
+    level: Annotated[Level | None, Expectation(", ".join(LEVELS))] = Field(
+        default=None,
+        description="of the embedded street scenes: easy, where everything is near and can be seen from the roof; "
+        "urban, as long and busy as real streets; dense, full of people and of what hides them; motorway, fast and "
+        "far; null: easy",
+    )
+    train_seeds: Seeds = Field(default=tuple(range(60)), description="scenes that the optimiser sees")
+    validation_seeds: Seeds | None = Field(
+        default=None, description="scenes on which rigs of a run are compared; null: the training scenes"
+    )
+    test_seeds: Seeds = Field(default=tuple(range(5000, 5040)), description="scenes that only the evaluation sees")
+    folder: Folder | None = Field(
+        default=None,
+        description="where source: folder finds its scene_<seed>.glb files, and where source: captured keeps what it "
+        "makes; null keeps that in the user's cache",
+    )
+    ego: MeshFile | None = Field(
+        default=None,
+        description="mesh of your own vehicle, which takes the place of every scene's own, or a name that warpav "
+        "vehicle list shows, such as bus; warpav vehicle check examines and repairs meshes; null: the scene's own",
+    )
+    mirror: bool = Field(
+        default=False,
+        description="train on every scene's mirror image as well, against traffic that keeps to one side",
+    )
+    targets: Targets = Field(
+        default=("vehicle",),
+        description="the road users that rigs are optimised and evaluated for; all others only hide them",
+    )
+
+    recordings: Recordings | None = Field(
+        default=None,
+        description="files and folders of recorded traffic that source: traffic takes, as warpav scenes traffic does; "
+        "null: those that ship with warpav",
+    )
+    test_recordings: Recordings | None = Field(
+        default=None,
+        description="the same for the test scenes alone; null: the last third of scenes.recordings, by name",
+    )
+    vehicles: Vehicles | None = Field(
+        default=None,
+        description="vehicles of other makers in the places of some in the traffic of town and recordings: shipped, "
+        "mesh files, and folders of these; null: warpav's own alone",
+    )
+    vehicles_share: float | None = Field(
+        default=None,
+        gt=0.0,
+        le=1.0,
+        description="of the vehicles in whose places a mesh of scenes.vehicles could stand, those in whose places one "
+        "does; null: 0.5",
+    )
+
+    @property
+    def search_scene_count(self) -> int:
+        """Scenes on which a search by a pool chooses: of training, with their mirror images, and of validation."""
+        return len(self.train_seeds) * (1 + self.mirror) + len(self.validation_seeds or ())
+
+    @model_validator(mode="after")
+    def _check(self) -> SceneConfig:
+        for name in ("train_seeds", "validation_seeds"):
+            both = sorted(set(getattr(self, name) or ()) & set(self.test_seeds))
+            if both:
+                mistake(
+                    f"expected test scenes that are not trained on, got {len(both)} seed(s) in both, such as {both[0]}",
+                    "test_seeds",
+                    name,
+                )
+        if self.level is not None and self.source != "town":
+            mistake(f"expected no level because scenes.source is {self.source}, got {self.level}", "level", "source")
+        for name in ("recordings", "test_recordings"):
+            if getattr(self, name) is not None and self.source != "traffic":
+                mistake("expected null, as scenes.source is not traffic", name, "source")
+        if self.vehicles is not None and self.source not in ("town", "traffic"):
+            text = f"expected null, as scenes.source {self.source} has vehicles of its own, got {shown(self.vehicles)}"
+            mistake(text, "vehicles", "source")
+        if self.vehicles_share is not None and self.vehicles is None:
+            text = f"expected null without scenes.vehicles, got {self.vehicles_share:g}"
+            mistake(f"{text}; say which vehicles there are", "vehicles_share", "vehicles")
+        if self.source == "folder":
+            if self.folder is None:
+                mistake("expected a folder of scenes because scenes.source is folder, got none", "folder", "source")
+            if not self.folder.is_dir():
+                mistake(
+                    f"expected an existing folder, got {str(self.folder)!r}; warpav scenes make --out writes one",
+                    "folder",
+                )
+        return self
+
+
+class _FreeConfig(Section):
+    """What the optimiser moves besides x, y and yaw, each within two bounds; null leaves it as configured."""
+
+    pitch_deg: PitchRange = Field(
+        default=(-10.0, 20.0), description="bounds of each camera's pitch, nose-down positive; null: level cameras"
+    )
+    height_m: HeightRange = Field(
+        default=None, description="bounds of each camera's height above the mount surface, around rig.height_offset_m"
+    )
+    fov_deg: FovRange = Field(
+        default=None, description="bounds of each camera's horizontal field of view, around camera.fov_deg"
+    )
+
+
+class RigConfig(Section):
+    """How many cameras there are, where they start, how close they may come, and what else of them is free."""
+
+    cameras: int = Field(
+        default=4,
+        ge=1,
+        le=MOST_CAMERAS,
+        description="cameras on the vehicle; of modules also the range in which their number may be, such as 2..8",
+    )
+    start: Annotated[str, Expectation(START_TEXT)] = Field(
+        default="random", description=f"rig that the optimiser starts from: {START_TEXT}"
+    )
+    freeze: CameraNames = Field(
+        default=(),
+        description="cameras of rig.start that stay as they are, by name: their places, directions and lenses; the "
+        "others are optimised around them, and cameras that rig.start lacks for rig.cameras are added",
+    )
+    height_offset_m: Metres = Field(
+        default=0.25, ge=0.0, le=2.0, description="height of the cameras above the mount surface"
+    )
+    min_spacing_m: Metres = Field(default=0.2, gt=0.0, le=5.0, description="minimum distance between two cameras")
+    free: _FreeConfig = Field(default=_FreeConfig(), description="what is optimised besides x, y and yaw")
+    fewest_cameras: int | None = Field(
+        default=None,
+        ge=1,
+        le=MOST_CAMERAS,
+        description="cameras at least, where rig.cameras is the most; null: as many",
+    )
+    modules: ModuleCounts | None = Field(
+        default=None,
+        description="camera modules that the rig is made of, each with its number or a range of it; they stand in the "
+        "zones that they fit; null: equal cameras as the section camera says",
+    )
+    catalogue: CatalogueFile | None = Field(
+        default=None, description="catalogue of the modules; null: the one that ships with warpav"
+    )
+    max_cost: float | None = Field(
+        default=None, gt=0.0, description="what all cameras may cost together, in the unit of the catalogue"
+    )
+    symmetric: bool | None = Field(
+        default=None,
+        description="whether cameras stand in mirrored pairs, or in the middle where a zone is centred; null: no",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _counted(cls, data: object) -> object:
+        """The ends of a range of cameras apart; without a number as many as the modules allow."""
+        if not isinstance(data, dict):
+            return data
+        result, cameras, modules = dict(data), data.get("cameras"), data.get("modules")
+        if isinstance(cameras, str) and ".." in cameras:
+            least, most = read_count(cameras, "a number of cameras from 1 to 16, or a range such as 2..8", "cameras")
+            if data.get("fewest_cameras") not in (None, least):
+                mistake(f"expected null where rig.cameras is {least}..{most}", "fewest_cameras", "cameras")
+            result |= {"cameras": most, "fewest_cameras": least if least < most else None}
+        elif cameras is None and isinstance(modules, Mapping) and modules:
+            counts = [read_count(count, COUNTS_TEXT, "modules") for count in modules.values()]
+            least, most = (sum(pair[end] for pair in counts) for end in range(2))
+            if most > MOST_CAMERAS:
+                text = f"expected at most {MOST_CAMERAS} cameras, or rig.cameras, got modules that allow {most}"
+                mistake(text, "modules", "cameras")
+            result |= {"cameras": max(most, 1), "fewest_cameras": max(least, 1) if least < most else None}
+        return result
+
+    @property
+    def module_counts(self) -> Mapping[str, tuple[int, int]] | None:
+        """Least and greatest number of each module, of plain cameras in pairs too; None: cameras one by one."""
+        return {PLAIN: self.camera_range} if self.modules is None and self.symmetric else self.modules
+
+    @property
+    def camera_range(self) -> tuple[int, int]:
+        """The least and the greatest number of cameras."""
+        return self.cameras if self.fewest_cameras is None else self.fewest_cameras, self.cameras
+
+
+class _CaptureConfig(Section):
+    """The images that source: captured and warpav scenes capture take of a situation."""
+
+    width_px: int = Field(default=640, ge=32, le=4096, description="image width")
+    height_px: int = Field(default=480, ge=32, le=4096, description="image height")
+    vehicles: int = Field(default=12, ge=1, le=200, description="vehicles besides the ego vehicle, at most")
+    radius_m: Metres = Field(
+        default=30.0, gt=0.0, le=500.0, description="vehicles stand no farther from the ego vehicle"
+    )
+    rotations: int = Field(default=4, ge=1, le=64, description="images from the ego vehicle all around")
+    ego_sides: int = Field(default=4, ge=0, le=64, description="images of the ego vehicle from beside it")
+    scene_heights_m: Heights = Field(
+        default=(14.0, 28.0, 45.0), description="heights of the images of the whole place from above"
+    )
+
+
+class _ReconstructionConfig(Section):
+    """How source: captured and warpav scenes reconstruct make meshes from images."""
+
+    method: Literal["poisson", "signed_distance", "nksr"] = Field(
+        default="poisson", description="surface method; nksr needs the package of that name"
+    )
+    radius_m: Metres = Field(
+        default=40.0, gt=1.0, le=1000.0, description="the environment beyond is drawn on a sphere of this radius"
+    )
+    max_height_m: Metres = Field(default=10.0, gt=0.0, le=1000.0, description="what is higher is left out")
+    far_depth_m: Metres = Field(default=900.0, gt=1.0, description="depths from here on are sky")
+    vehicle_points: int = Field(default=200_000, ge=200, description="points that are kept of each vehicle")
+    vehicle_triangles: int = Field(default=4500, ge=50, description="triangles of each vehicle")
+    vehicle_cell_m: Metres = Field(default=0.03, ge=0.005, le=1.0, description="cells in which a vehicle is found")
+    environment_points: int = Field(default=150_000, ge=200, description="points that are kept of the environment")
+    environment_triangles: int = Field(default=36_000, ge=50, description="triangles of the environment")
+    environment_cell_m: Metres = Field(
+        default=0.25, ge=0.02, le=5.0, description="cells in which the environment is found"
+    )
+
+
+class _CameraConfig(Section):
+    """The camera model that all cameras share."""
+
+    fov_deg: Degrees = Field(
+        default=90.0, ge=10.0, le=360.0, description="horizontal field of view; beyond 170 a fisheye's or a panorama's"
+    )
+    width_px: int = Field(default=256, ge=16, le=4096, description="image width")
+    height_px: int = Field(default=256, ge=16, le=4096, description="image height")
+    near_m: Metres = Field(default=0.1, gt=0.0, le=10.0, description="what is nearer than this is cut away")
+    supersampling: Literal[1, 2, 4, 8] = Field(default=1, description="samples per pixel edge of the renderer")
+    lens: Literal["pinhole", "brown_conrady", "fisheye", "eucm", "double_sphere", "panorama", "equirectangular"] = (
+        Field(default="pinhole", description="how directions become places in the image")
+    )
+    distortion: Distortion = Field(
+        default=(),
+        description="OpenCV's: k1 k2 p1 p2 [k3 [k4 k5 k6]] of brown_conrady, k1 k2 k3 k4 of fisheye; alpha beta of "
+        "eucm, xi alpha of double_sphere",
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> _CameraConfig:
+        lens = Lens(self.lens)
+        try:
+            checked_distortion(lens, self.distortion)
+        except ValueError as error:
+            mistake(f"expected as many numbers as the lens has, got: {error}", "distortion", "lens")
+        if self.fov_deg > self.widest_deg:
+            text = f"expected an angle in degrees from 10 deg to {self.widest_deg:g} deg, the widest for this {lens}"
+            mistake(f"{text} lens, got {self.fov_deg:g}", "fov_deg", "lens", "distortion")
+        return self
+
+    @property
+    def widest_deg(self) -> float:
+        """The widest field of view that the lens can have [deg]."""
+        lens = Lens(self.lens)
+        shape = LensShape(lens, self.distortion)
+        widest_deg = 170.0
+        if shape.has_unit_rays:
+            widest_deg = 360.0 if shape.is_panorama else 350.0
+        if shape.is_radial:
+            # rounded down, so that the angle in a message is one that is taken
+            widest_deg = min(widest_deg, math.floor(200.0 * math.degrees(shape.limit_rad)) / 100.0)
+        return widest_deg
+
+
+class _MountConfig(Section):
+    """The height map on which cameras may sit."""
+
+    cell_m: Metres = Field(default=0.02, ge=0.002, le=0.5, description="cell size of the height map")
+    min_upward_normal: float = Field(
+        default=0.8,
+        gt=0.0,
+        le=1.0,
+        description="minimum vertical part of the unit normal of what the height map is made of",
+    )
+    min_zone_normal: float = Field(
+        default=0.9,
+        gt=0.0,
+        le=1.0,
+        description="the same of what can carry a camera; a windscreen cannot (method: default)",
+    )
+    margin_m: Metres = Field(
+        default=0.02,
+        ge=0.0,
+        le=1.0,
+        description="minimum distance of a camera's centre to the border of the mountable zone (method: default)",
+    )
+    smoothing_tolerance_m: Metres = Field(
+        default=1e-4, gt=0.0, le=0.1, description="filled cells are smoothed until no cell changes by more than this"
+    )
+    zones: ZonesFile | None = Field(
+        default=None,
+        description="zones anywhere on the body, each with its normal, stand-off and directions, as warpav vehicle "
+        "zones proposes them; null: roof and bonnet (method: default)",
+    )
+
+
+class _ClassesConfig(Section):
+    """Which labels of the detector count as which kind of road user; null takes the usual names."""
+
+    vehicle: Labels | None = Field(default=None, description="labels of motor vehicles, such as [car, bus]")
+    pedestrian: Labels | None = Field(default=None, description="labels of people on foot, such as [person]")
+    cyclist: Labels | None = Field(
+        default=None, description="labels of people on bicycles; a bicycle alone is none unless it is named here"
+    )
+
+
+class DetectorConfig(Section):
+    """The object detector, and when its boxes count."""
+
+    model: DetectorModel = Field(default="builtin", description="builtin or the path of an ONNX file")
+    confidence_min: float = Field(default=0.25, ge=0.0, lt=1.0, description="minimum confidence of a detection")
+    iou_min: float = Field(
+        default=0.5, gt=0.0, lt=1.0, description="minimum overlap with the true box for a true positive"
+    )
+    nms_iou_max: float = Field(default=0.5, gt=0.0, le=1.0, description="boxes that overlap more are merged")
+    format: Literal[
+        "auto",
+        "ultralytics",
+        "ultralytics-end2end",
+        "ultralytics-rtdetr",
+        "yolox",
+        "yolox-decoded",
+        "torchvision",
+        "rtdetr",
+        "rtdetr-single",
+    ] = Field(default="auto", description="layout of the file's inputs and outputs; auto finds it out")
+    labels: LabelsOrFile = Field(
+        default=None,
+        description="labels in the order of the network's classes; null takes those in the file, or else COCO's",
+    )
+    classes: _ClassesConfig = Field(default=_ClassesConfig(), description="which labels count as which road user")
+    input_px: int | None = Field(default=None, ge=32, le=4096, description="input size; null takes the model's own")
+    provider: Literal["cpu", "cuda", "tensorrt"] = Field(default="cpu", description="what the network runs on")
+
+
+class _BaselineConfig(Section):
+    """The rigs that the result is compared with."""
+
+    random_samples: int = Field(default=20, ge=1, le=1_000_000, description="random rigs of which the best is taken")
+    random_scenes: int = Field(default=4, ge=1, description="training scenes on which the random rigs are ranked")
+    presets: PresetNames | None = Field(
+        default=None, description="presets on the body of the vehicle that a run compares its rig with; null: none"
+    )
+    rigs: RigFiles | None = Field(
+        default=None, description="rigs of your own that a run compares its rig with, named by their files; null: none"
+    )
+    preset_images: PresetImages | None = Field(
+        default=None,
+        description="images of presets, in proportions of their own: same_pixels as many pixels as the run's cameras, "
+        "same_width as many columns, sensor all they have; null: same_pixels",
+    )
+
+
+class _ExecutorConfig(Section):
+    """Where the tasks of an experiment run."""
+
+    name: Literal["serial", "process", "ray", "slurm"] = Field(
+        default="serial",
+        description="serial: one after the other; process: in processes of this machine; ray and slurm: on a cluster",
+    )
+    workers: int | None = Field(default=None, ge=1, description="tasks at a time; null takes as many as fit")
+    gpus: int = Field(
+        default=1, ge=1, description="GPUs that the processes of a search share in turn, from the one of device on"
+    )
+    address: str | None = Field(
+        default=None, description="of a Ray cluster; null takes RAY_ADDRESS, else a Ray of this machine"
+    )
+    options: Annotated[dict[str, Any], Expectation("options such as {num_gpus: 1}")] = Field(
+        default={}, description="what a task needs: options of ray.remote, or parameters of submitit for Slurm"
+    )
+
+
+NO_REQUIREMENTS = "only the search by a pool, with the loss expected_miss_rate alone, knows requirements"
+"""Why others take none."""
+
+
+def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Sections laid over others: what the upper ones leave out comes from below."""
+    result = dict(below)
+    if "modules" in above and "cameras" not in above:  # of the section rig: modules say how many there are
+        result.pop("cameras", None)
+    for name, value in above.items():
+        under = result.get(name)
+        both = isinstance(under, Mapping) and isinstance(value, Mapping)
+        result[name] = merged(dict(under or {}), value) if both else value
+    return result
+
+
+def _add_extends(schema: dict[str, Any]) -> None:
+    """Let editors know the key that files have besides the options."""
+    text = "YAML file, beside this one or by its path, or shipped name, on top of which this file stands"
+    schema["properties"][EXTENDS] = {"type": "string", "description": text}
+
+
+class ConfigTree(Section):
+    """Every option of a run."""
+
+    model_config = ConfigDict(json_schema_extra=_add_extends)
+    renamed: ClassVar[Mapping[str, str]] = {"segregation": "thesis"}
+
+    run: RunConfig = Field(default=RunConfig(), description="the run as a whole")
+    device: Device = Field(default="cpu", description="what renders, and what gradients are computed on")
+    method: Literal["thesis", "default"] = Field(
+        default="default",
+        description="thesis: the losses and constraints as printed; default: the share of road users that the rig is "
+        "expected to miss, cameras on roof and bonnet alone",
+    )
+    scenes: SceneConfig = Field(default=SceneConfig(), description="traffic scenes")
+    capture: _CaptureConfig = Field(default=_CaptureConfig(), description="images of scenes")
+    reconstruction: _ReconstructionConfig = Field(default=_ReconstructionConfig(), description="scenes from images")
+    rig: RigConfig = Field(default=RigConfig(), description="the cameras together")
+    camera: _CameraConfig = Field(default=_CameraConfig(), description="each camera")
+    mount: _MountConfig = Field(default=_MountConfig(), description="where cameras may sit")
+    detector: DetectorConfig = Field(default=DetectorConfig(), description="the object detector")
+    thesis: ThesisSettings = Field(default=ThesisSettings(), description="which camera is assigned which vehicle")
+    losses: LossSettings = Field(
+        default=LossSettings(**METHOD_LOSSES["default"]), description="the objectives; each method has its own"
+    )
+    importance: ImportanceSettings = Field(default=ImportanceSettings(), description="which road users matter more")
+    requirements: Requirements | None = Field(
+        default=AUTO,
+        description="what has to be seen near the vehicle besides the traffic: the name of a template, such as "
+        "near_field, or the path of a YAML file; null: nothing; auto: where the search is the one by a pool, without "
+        "robust, the points of near_field join the objective, and none is asked for",
+    )
+    robust: RobustSettings = Field(
+        default=RobustSettings(), description="rigs that are to bear the loss of a camera, or errors of mounting"
+    )
+    rules: RuleSettings = Field(default=RuleSettings(), description="design rules, so that a rig can be mounted")
+    visibility: VisibilitySettings = Field(default=VisibilitySettings(), description="what hides a vehicle")
+    optimiser: OptimiserSettings = Field(default=OptimiserSettings(), description="steps and multipliers")
+    baselines: _BaselineConfig = Field(default=_BaselineConfig(), description="rigs to compare with")
+    executor: _ExecutorConfig = Field(default=_ExecutorConfig(), description="where the tasks of an experiment run")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _complete(cls, data: object) -> object:
+        if not isinstance(data, dict):
+            return data
+        method = data.get("method", cls.model_fields["method"].default)
+        if not isinstance(method, str) or method not in METHOD_LOSSES:
+            return data  # rejected by the validation that follows, with its location
+        if isinstance(data.get("losses"), dict):
+            data = {**data, "losses": LossSettings.with_new_names(data["losses"])}  # pyright: ignore[reportCallIssue]
+        if method == "thesis":
+            return merged(_shipped_values("thesis"), data)
+        return merged({"losses": METHOD_LOSSES[method]}, data)
+
+    @property
+    def shared_gpu_count(self) -> int:
+        """GPUs that processes share: ``executor.gpus``; 1 on a CPU, so what GPUs began goes on without them."""
+        return self.executor.gpus if self.device.startswith("cuda") else 1
+
+    @property
+    def requirements_file(self) -> Path | None:
+        """The file of requirements; None where a template is meant, or nothing."""
+        known = (None, AUTO, *template_names())
+        return None if self.requirements in known else Path(str(self.requirements)).expanduser()
+
+    @property
+    def knows_requirements(self) -> bool:
+        """Whether the search is one that knows requirements."""
+        return self.search_kind == "pool" and self.losses.is_by_single_cameras and self.method != "thesis"
+
+    @property
+    def search_kind(self) -> str:
+        """Which search it is: ``pool``, or ``descent``, whose steps take batches of scenes."""
+        if self.optimiser.search != "auto":
+            return self.optimiser.search
+        return "pool" if self.losses.is_by_single_cameras else "descent"
+
+    @model_validator(mode="after")
+    def _check(self) -> ConfigTree:
+        scene_count = len(self.scenes.train_seeds)
+        if self.search_kind == "descent" and self.run.batch_size > scene_count:
+            mistake(
+                f"expected at most the {scene_count} training scene(s), got {self.run.batch_size}; "
+                f"set run.batch_size={scene_count} or lower",
+                "run.batch_size",
+                "scenes.train_seeds",
+            )
+        self._check_modules()
+        self._check_free()
+        self._check_freeze()
+        self._check_zones()
+        self._check_importance()
+        if self.requirements not in (None, AUTO) and not self.knows_requirements:
+            mistake(f"expected null: {NO_REQUIREMENTS}", "requirements", "optimiser.search")
+        asked = self.robust.asked_for or ("rules.enforced" if self.rules.enforced else None)
+        if asked is not None and (self.search_kind == "descent" or not self.losses.is_by_single_cameras):
+            text = "expected null, as only the search by a pool, with the loss expected_miss_rate alone, knows it"
+            mistake(f"{text}; leave optimiser.search and the losses as they are", asked, "optimiser.search")
+        if self.thesis.rotations < self.rig.cameras:
+            mistake(
+                f"expected at least one direction per camera ({self.rig.cameras}), got {self.thesis.rotations}",
+                "thesis.rotations",
+                "rig.cameras",
+            )
+        return self
+
+    def _check_importance(self) -> None:
+        if not self.importance.is_set:
+            return
+        if not self.losses.weights["expected_miss_rate"]:
+            text = "expected nothing, as only the loss expected_miss_rate knows weights, and its own is 0"
+            mistake(f"{text}; set losses.expected_miss_rate", "importance", "losses.expected_miss_rate")
+        for name in self.importance.category:
+            kind = name if name in ROAD_USERS else road_user_of(name)
+            if kind not in self.scenes.targets:
+                text = f"expected road users out of scenes.targets, {', '.join(self.scenes.targets)}, got {name!r}"
+                mistake(f"{text}; add {kind} to scenes.targets", "importance.category", "scenes.targets")
+
+    def _check_freeze(self) -> None:
+        frozen = self.rig.freeze
+        if not frozen:
+            return
+        if self.rig.start in NAMED_STARTS:
+            text = f"expected none, for rig.start={self.rig.start} has no cameras of these names, got {shown(frozen)}"
+            mistake(f"{text}; set rig.start to the rig that has them", "rig.freeze", "rig.start")
+        if len(frozen) >= self.rig.cameras:
+            text = f"expected fewer than the {self.rig.cameras} of rig.cameras, so that one can move"
+            mistake(f"{text}, got {len(frozen)}", "rig.freeze", "rig.cameras")
+        if self.method == "thesis":
+            text = f"expected none, as the thesis moves all cameras, got {shown(frozen)}; take method: default"
+            mistake(text, "rig.freeze", "method")
+
+    def _check_modules(self) -> None:
+        rig = self.rig
+        if rig.symmetric and rig.freeze:
+            mistake(f"expected none with rig.symmetric, got {shown(rig.freeze)}", "rig.freeze", "rig.symmetric")
+        if rig.modules is None:
+            if rig.max_cost is not None:
+                text = f"expected null without rig.modules, got {shown(rig.max_cost)}"
+                mistake(f"{text}; say which modules there are", "rig.max_cost", "rig.modules")
+            if not rig.symmetric:
+                return
+            if self.method == "thesis" or self.search_kind == "descent" or not self.losses.is_by_single_cameras:
+                text = (
+                    "expected null, as only the search by a pool, with the loss expected_miss_rate alone, knows pairs"
+                )
+                mistake(f"{text}; leave method, optimiser.search and the losses as they are", "rig.symmetric", "losses")
+            if rig.free.fov_deg is not None:
+                mistake("expected null with rig.symmetric", "rig.free.fov_deg", "rig.symmetric")
+            return
+        if self.method == "thesis":
+            mistake("expected null, as the thesis has equal cameras; take method: default", "rig.modules", "method")
+        if self.search_kind == "descent" or not self.losses.is_by_single_cameras:
+            text = "expected null, as only the search by a pool, with the loss expected_miss_rate alone, knows modules"
+            mistake(f"{text}; set optimiser.search=pool, or leave the losses as they are", "rig.modules", "losses")
+        for name in ("height_m", "fov_deg"):
+            if getattr(rig.free, name) is not None:
+                of = "module its lens" if name == "fov_deg" else "zone its stand_off_m"
+                text = f"expected null, as every {of}, got {shown(getattr(rig.free, name))}"
+                mistake(text, f"rig.free.{name}", "rig.modules")
+
+    def _check_zones(self) -> None:
+        if self.mount.zones is None:
+            return
+        if self.method == "thesis":
+            mistake(
+                "expected null, as the thesis has roof and bonnet alone; take method: default", "mount.zones", "method"
+            )
+        if self.rig.free.height_m is not None:
+            text = "expected null, as every zone of mount.zones has its own stand_off_m"
+            mistake(f"{text}, got {shown(self.rig.free.height_m)}", "rig.free.height_m", "mount.zones")
+
+    def _check_free(self) -> None:
+        free = self.rig.free
+        configured = {
+            "pitch_deg": (0.0, "level cameras", "rig.free.pitch_deg"),
+            "height_m": (self.rig.height_offset_m, "rig.height_offset_m", "rig.height_offset_m"),
+            "fov_deg": (self.camera.fov_deg, "camera.fov_deg", "camera.fov_deg"),
+        }
+        for name, (value, what, option) in configured.items():
+            pair = getattr(free, name)
+            if pair is None:
+                continue
+            fields = dict.fromkeys((f"rig.free.{name}", option))
+            if not pair[0] <= value <= pair[1]:
+                text = f"expected bounds that hold the {value:g} of {what}, got {shown(pair)}"
+                mistake(text, *fields)
+            if self.method == "thesis":
+                mistake(
+                    f"expected null, as the thesis moves x, y and yaw alone, got {shown(pair)}; take method: default",
+                    f"rig.free.{name}",
+                    "method",
+                )
+        if free.fov_deg is None:
+            return
+        widest_deg = self.camera.widest_deg
+        if free.fov_deg[1] > widest_deg:
+            text = f"expected at most {widest_deg:g} deg, the widest for this {self.camera.lens} lens"
+            mistake(f"{text}, got {shown(free.fov_deg)}", "rig.free.fov_deg", "camera.lens", "camera.distortion")
+        alike = self.losses.one_field
+        if alike:
+            mistake(
+                f"expected null, as losses.{alike[0]} takes one field of view for all cameras, got "
+                f"{shown(free.fov_deg)}",
+                "rig.free.fov_deg",
+                f"losses.{alike[0]}",
+            )

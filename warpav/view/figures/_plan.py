@@ -1,0 +1,222 @@
+"""Plots on the ground, seen from above and to scale: how far cameras resolve a car, and pixels per degree."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warpav.sight.around import CAR_HEIGHT_M, PIXELS, VisibleGround, px_per_degree, size_ranges_m
+from warpav.view._outlines import fan_outlines_m
+from warpav.view.figures.from_above import (
+    RINGS,
+    camera_handles,
+    draw_surroundings,
+    half_length_m,
+    middle_of,
+    panels_with_key,
+    write_key,
+)
+from warpav.view.figures.style import (
+    WIDTH_INCH,
+    camera_digit,
+    camera_mark,
+    caption,
+    closed,
+    colour_bar,
+    figure_style,
+    halo,
+    new_figure,
+    title,
+)
+from warpav.view.palette import COVERAGE_RGB, GROUND_RGB, camera_rgb, hex_colour
+
+if TYPE_CHECKING:
+    from warpav.raster.mesh import Mesh
+    from warpav.rig.rig import Rig
+
+_MARGIN_M = 6.0
+"""How far the ground is drawn around the vehicle [m]."""
+
+_FARTHEST_M = 200.0
+"""How far fans are drawn [m], so that a telephoto camera does not press the others together."""
+
+_AZIMUTH_RAD = np.linspace(-math.pi, math.pi, 720, endpoint=False)
+_ACROSS = np.stack([np.cos(_AZIMUTH_RAD), np.sin(_AZIMUTH_RAD)], axis=-1)
+_SIZE_NAMES = {40.0: "easily recognised", 20.0: "recognised", 12.0: "limit of detectors"}
+_NUMBER_REACH = 0.74
+"""How far out numbers of cameras stand, as a share of the panel: below the arrow to the front."""
+_SHADE = (0.30, 0.17, 0.10)  # of 40, 20 and 12 px; each lies on the next one
+_GROUND_OF = {
+    "": (255, 255, 255),
+    "hidden by the own body": COVERAGE_RGB[0],
+    "in no image": (108, 76, 120),
+    "seen by one camera": (208, 226, 243),
+    "seen by two or more": (150, 190, 226),
+}
+
+
+def plan_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None = None) -> Any:  # noqa: ANN401 (matplotlib)
+    """Every camera's field of view on the ground, and beside it the ground near the vehicle; one row for each rig.
+
+    On the left, the fan of a camera covers the places at which it sees the middle of a car 1.5 m high, out to where the
+    car's image is still 40, 20 and 12 px high: the distance in the image between the car's foot and its top, both
+    through the lens (`CameraModel.project`), so that distortion and the edges of wide lenses count. Of a level pinhole
+    with the focal length f that is where the depth is ``f 1.5 m / 12 px``. Nothing stands in the way. Fans end at
+    200 m.
+
+    On the right, level ground in cells of 0.1 m: whether it is in some image, and whether the straight line from that
+    camera to it is free of the own body (rays against the vehicle's mesh).
+    """
+    from matplotlib.patches import Patch
+
+    ranges = {name: [size_ranges_m(camera, _AZIMUTH_RAD) for camera in rig.cameras] for name, rig in rigs.items()}
+    near_m = half_length_m(ego) + _MARGIN_M
+    farthest_m = {name: max(float(np.nanmax(each[..., 1], initial=0.0)) for each in ranges[name]) for name in rigs}
+    far_m = max(near_m, min(1.06 * max(farthest_m.values()) + 2.0, _FARTHEST_M))
+    text = (
+        f"The darker a fan, the larger in that camera's image is a car {CAR_HEIGHT_M:g} m high.\n"
+        f"{RINGS} Within a panel, vehicle and rings have one scale."
+    )
+    cameras = camera_handles(rigs)
+    columns = [-(-len(each) // 6) if len(cameras) == 1 else 1 for each in cameras.values()]
+    lines = max(-(-len(each) // count) for each, count in zip(cameras.values(), columns, strict=True))
+    size: Any = {"panel_inch": 4.65, "key_lines": 1 + max(4, lines), "text": text, "heading": heading}
+    with panels_with_key(2 * len(rigs), 2, **size) as (figure, panels, key):
+        for (name, rig), far, near in zip(rigs.items(), panels[::2], panels[1::2], strict=True):
+            prefix = f"{name}: " if len(rigs) > 1 else ""
+            draw_surroundings(far, ego, rig, reach_m=far_m, camera_size=0.0)
+            _draw_fans(far, rig, ranges[name], far_m)
+            title(far, f"{prefix}how far a car is large enough")
+            cut = f", drawn up to {far_m:g} m" if farthest_m[name] > far_m else ""
+            far.set_xlabel(f"farthest with {PIXELS[-1]:g} px: {farthest_m[name]:.0f} m{cut}", fontsize=8)
+            draw_surroundings(near, ego, rig, reach_m=near_m)
+            _draw_ground(near, VisibleGround.of(rig, ego, margin_m=near_m), middle_of(ego), near_m)
+            _number_cameras(near, rig)
+            title(near, f"{prefix}ground near the vehicle")
+        shades = 1.0 - np.cumprod(1.0 - np.array(_SHADE)[::-1])[::-1]
+        labels = [": ".join(filter(None, (f"≥ {least:g} px", _SIZE_NAMES.get(least)))) for least in PIXELS]
+        sizes = [Patch(color=str(1.0 - 0.8 * shade), label=each) for each, shade in zip(labels, shades, strict=True)]
+        grounds = [Patch(facecolor=hex_colour(rgb), label=name) for name, rgb in _GROUND_OF.items() if name]
+        groups = {f"Both: {name}": each for name, each in cameras.items()}
+        groups = {"Left: height of a car's image": sizes, **groups, "Right: ground that is": grounds}
+        write_key(key, groups, columns=(1, *columns, 1))
+    return figure
+
+
+def _draw_fans(axis: Any, rig: Rig, ranges_m: Sequence[np.ndarray], reach_m: float) -> None:  # noqa: ANN401 (matplotlib)
+    """Draw the fans of all cameras, one for every size, and number them.
+
+    A number stands on the outermost outline, in the direction in which its camera looks.
+    """
+    placed_m: list[np.ndarray] = []
+    for index, (camera, of_camera) in enumerate(zip(rig.cameras, ranges_m, strict=True)):
+        colour, centre_m = hex_colour(camera_rgb(index)), camera.position_m[:2]
+        for of_size, alpha in zip(of_camera, _SHADE, strict=False):
+            for outline_m in fan_outlines_m(centre_m, _AZIMUTH_RAD, of_size):
+                axis.fill(*outline_m.T[::-1], color=colour, alpha=alpha, linewidth=0, zorder=3)
+                axis.plot(*closed(outline_m).T[::-1], color=colour, linewidth=0.5, alpha=0.9, zorder=4)
+        far_m = of_camera[-1][:, 1]
+        if not np.isfinite(far_m).any():
+            continue
+        ahead = camera.ego_from_camera[:2, 2]
+        nearest = np.nanargmax(np.where(np.isfinite(far_m), _ACROSS @ ahead, np.nan))
+        range_m = min(float(far_m[nearest]), _NUMBER_REACH * reach_m)
+        place_m = centre_m + range_m * _ACROSS[nearest]
+        while any(np.linalg.norm(place_m - other_m) < 0.06 * reach_m for other_m in placed_m) and range_m > 1.0:
+            range_m *= 0.9
+            place_m = centre_m + range_m * _ACROSS[nearest]
+        placed_m.append(place_m)
+        axis.plot(*place_m[::-1], **camera_mark(colour) | {"markersize": 9.0}, zorder=9)
+        axis.text(*place_m[::-1], str(index + 1), **camera_digit() | {"fontsize": 6}, zorder=10)
+
+
+def _number_cameras(axis: Any, rig: Rig) -> None:  # noqa: ANN401 (matplotlib)
+    """Write the numbers of cameras beside their marks: outwards, and away from marks nearby."""
+    position_m = np.array([camera.position_m[:2] for camera in rig.cameras])
+    for index, (camera, place_m) in enumerate(zip(rig.cameras, position_m, strict=True)):
+        forward = camera.ego_from_camera[0, 2]
+        near_m = position_m[np.linalg.norm(position_m - place_m, axis=1) < 0.35]
+        away_m = place_m - near_m.mean(axis=0)
+        outwards = (0.0, np.sign(place_m[1])) if abs(place_m[1]) > 0.2 else (0.3 * np.sign(forward), 0.01)
+        towards = outwards + 0.4 * away_m / max(float(np.linalg.norm(away_m)), 0.01)
+        ahead_pt, left_pt = 8.0 * towards / np.linalg.norm(towards)
+        style = camera_digit() | {"fontsize": 6.5, "color": hex_colour(camera_rgb(index)), "path_effects": halo(1.8)}
+        offset = {"xytext": (-left_pt, ahead_pt), "textcoords": "offset points"}
+        axis.annotate(str(index + 1), place_m[::-1], **offset, **style, zorder=8)
+
+
+def _draw_ground(axis: Any, ground: VisibleGround, middle_m: np.ndarray, reach_m: float) -> None:  # noqa: ANN401
+    """Paint the ground by what cameras see of it, and write how much of it they do not."""
+    from matplotlib.colors import ListedColormap
+
+    limits = axis.get_xlim(), axis.get_ylim()
+    state = np.select([ground.is_body, ground.is_shadow, ground.is_outside, ground.seen == 1], [0, 1, 2, 3], default=4)
+    half_m = 0.5 * (ground.x_m[1] - ground.x_m[0])
+    extent = (ground.y_m[0] - half_m, ground.y_m[-1] + half_m, ground.x_m[0] - half_m, ground.x_m[-1] + half_m)
+    colours = ListedColormap([hex_colour(rgb) for rgb in _GROUND_OF.values()])
+    style = {"cmap": colours, "vmin": -0.5, "vmax": 4.5, "interpolation": "nearest", "zorder": 1}
+    axis.imshow(state, origin="lower", extent=extent, **style)
+    axis.set(xlim=limits[0], ylim=limits[1])
+    is_near = np.hypot(ground.x_m[:, None] - middle_m[0], ground.y_m[None] - middle_m[1]) <= reach_m
+    hidden_m2, outside_m2 = (ground.area_m2(flag & is_near) for flag in (ground.is_shadow, ground.is_outside))
+    text = f"up to {reach_m:.1f} m: {hidden_m2:.0f} m² hidden by the own body, {outside_m2:.0f} m² in no image"
+    axis.set_xlabel(text, fontsize=8)
+
+
+_STEP_DEG, _ELEVATION_DEG = 0.5, 60.0
+
+
+def resolution_figure(rigs: Mapping[str, Rig], *, heading: str | None = None) -> Any:  # noqa: ANN401 (matplotlib)
+    """Pixels that the best camera has for a degree, along the horizon for all rigs, and below for each as a map.
+
+    The best camera of a direction is the one with most pixels per degree there: the square root of pixels per square
+    degree, from the derivative of `CameraModel.project`. On the optical axis of a pinhole with the focal length f in
+    pixels it is ``f pi / 180``. Directions are taken from each camera's own centre; nothing stands in the way.
+    """
+    azimuth_deg = np.arange(-180.0, 180.0 + _STEP_DEG, _STEP_DEG)
+    elevation_deg = np.arange(-_ELEVATION_DEG, _ELEVATION_DEG + _STEP_DEG, _STEP_DEG)
+    best = {name: _best(rig, azimuth_deg, elevation_deg) for name, rig in rigs.items()}
+    horizon = len(elevation_deg) // 2
+    most = max(float(each.max()) for each in best.values())
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 3.2 + 2.3 * len(rigs))
+        axes = figure.subplots(1 + len(rigs), 1, sharex=True, height_ratios=[1.2, *[1.0] * len(rigs)])
+        for index, (name, found) in enumerate(best.items()):
+            line = np.where(found[horizon] > 0.0, found[horizon], np.nan)
+            gap_deg = 360.0 * float((found[horizon] == 0.0).mean())
+            label = f"{name}: mean {np.nanmean(line):.1f}, no image on {gap_deg:.0f}°"
+            axes[0].plot(azimuth_deg, line, color=hex_colour(camera_rgb(index)), label=label)
+        axes[0].set(
+            ylim=(0.0, 1.1 * max(float(each[horizon].max()) for each in best.values()) or 1.0),
+            ylabel="pixels per degree",
+        )
+        axes[0].legend(loc="lower right", ncols=min(2, len(rigs)))
+        title(axes[0], "Along the horizon, best camera")
+        image = None
+        for axis, (name, found) in zip(axes[1:], best.items(), strict=True):
+            style = {"cmap": "viridis", "vmin": 0.0, "vmax": most, "rasterized": True}
+            image = axis.pcolormesh(azimuth_deg, elevation_deg, np.ma.masked_equal(found, 0.0), **style)
+            axis.set_facecolor(hex_colour(GROUND_RGB))
+            axis.grid(visible=False)
+            axis.axhline(0.0, color="white", linewidth=0.8, linestyle="--")
+            axis.set(ylabel="elevation [°]", yticks=(-60, -30, 0, 30, 60))
+            title(axis, f"{name}: over azimuth and elevation" if len(rigs) > 1 else "Over azimuth and elevation")
+        axes[-1].set(
+            xlim=(180.0, -180.0),
+            xticks=range(180, -181, -45),
+            xlabel="azimuth [°]: 0 ahead, 90 to the left, -90 to the right",
+        )
+        colour_bar(figure, image, list(axes[1:]), "pixels per degree", pad=0.01, aspect=14 * len(rigs))
+        caption(figure, "Grey: in no image. Dashed: horizon. The own body is left out of account.", heading)
+        return figure
+
+
+def _best(rig: Rig, azimuth_deg: np.ndarray, elevation_deg: np.ndarray) -> np.ndarray:
+    """Pixels per degree of the best camera, float64 [elevation, azimuth]; 0 where a direction is in no image."""
+    elevation_rad, azimuth_rad = np.meshgrid(np.radians(elevation_deg), np.radians(azimuth_deg), indexing="ij")
+    level = np.cos(elevation_rad)
+    direction = np.stack([level * np.cos(azimuth_rad), level * np.sin(azimuth_rad), np.sin(elevation_rad)], axis=-1)
+    return np.max([px_per_degree(camera, direction) for camera in rig.cameras], axis=0)
