@@ -111,6 +111,17 @@ def test_bounds_of_a_module_hold_its_zones_and_no_more():
     assert np.ptp(surface.bounds_of(0), axis=0).prod() < np.ptp(surface.bounds_m, axis=0).prod()
 
 
+def test_the_highest_point_of_a_module_is_in_its_zones():
+    surface = chart()
+    place_m = surface.place_m[surface.inside]
+    height_m = surface.point_m(place_m, surface.height_at_m(place_m))[:, 2]
+    for number in range(3):
+        own_m = height_m[surface.module_at(place_m) == number]
+        top_m = surface.highest_point_m(number)[None, :2]
+        assert surface.module_at(top_m)[0] == number
+        assert surface.point_m(top_m, surface.height_at_m(top_m))[0, 2] == pytest.approx(own_m.max(), abs=0.002)
+
+
 def test_each_camera_detects_what_a_mount_of_its_module_alone_says():
     """Bit for bit, in whatever order they stand."""
     pose = np.random.default_rng(3).permutation(spread())

@@ -245,6 +245,26 @@ def test_greedy_covers_what_single_cameras_see():
     assert len(rigs) == 1
 
 
+def test_greedy_looks_at_places_all_over_the_surface_alike():
+    asked = []
+
+    def detections(pose):
+        asked.append(pose)
+        return detected_near(RING)(pose)
+
+    search(functools.partial(greedy_cover, detections=detections, yaw_count=1))
+    place_m = np.unique(np.concatenate(asked)[:, [X_M, Y_M]], axis=0)
+    low_m, high_m = CONSTRAINTS.surface.bounds_m
+    np.testing.assert_allclose(place_m.mean(axis=0), 0.5 * (low_m + high_m), atol=1e-6)
+    assert (place_m.max(axis=0) - place_m.min(axis=0) > 0.6 * (high_m - low_m)).all()
+
+
+def test_yaws_without_ends_go_round():
+    space = space_of(2)
+    assert space.goes_round.sum() == 2
+    assert space.size == 6
+
+
 def test_greedy_refuses_what_it_cannot_do():
     with pytest.raises(ValueError, match="greedy_cover needs at least 10 camera renders, got 8"):
         search(GREEDY, 2, renders=4, each=1)

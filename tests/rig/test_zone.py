@@ -224,6 +224,8 @@ def test_a_zone_that_selects_nothing_is_named():
     )
     with pytest.raises(InputError, match=expected):
         chart_of([nowhere], BOX)
+    with pytest.raises(InputError, match="expected one on the left or in the middle for a symmetric rig, got none"):
+        chart_of([Zone("right", NORMALS["right"])], BOX, pair_spacing_m=0.3)
     with pytest.raises(InputError, match="names that differ"):
         chart_of([Zone("a", NORMALS["up"]), Zone("a", NORMALS["up"])], BOX)
 

@@ -217,7 +217,8 @@ def _problems(module: Module) -> Iterator[_Problem]:
     if not (isinstance(module.price.unit, str) and module.price.unit.strip()):
         yield _Problem("price.unit", "a unit, such as EUR or relative", repr(module.price.unit), "name the unit")
     if module.power_w is not None and not _is_number(module.power_w, 0.0):
-        yield _Problem("power_w", "watts from 0 on", f"{module.power_w}", "write null where it is unknown")
+        got = f"{module.power_w:g}" if isinstance(module.power_w, float) else f"{module.power_w}"
+        yield _Problem("power_w", "watts from 0 on", got, "write null where it is unknown")
     for i, zone in enumerate(module.zones):
         if not (isinstance(zone, str) and _NAME.fullmatch(zone)):
             yield _Problem(
