@@ -27,17 +27,17 @@ from warpav.rig.formats._ros import FOLDER, read_camera_infos
 from warpav.rig.rig import Rig, RigCamera
 
 _MODULES = {
-    "nuscenes": "data_sets",
-    "argoverse2": "data_sets",
-    "urdf": "ros",
-    "camera-info": "ros",
-    "autoware": "ros",
-    "carla-ros-bridge": "carla",
-    "carla-python": "carla",
-    "kitti": "data_sets",
-    "opencv": "calibration",
-    "alpasim": "alpasim",
-    "kalibr": "calibration",
+    "nuscenes": "_data_sets",
+    "argoverse2": "_data_sets",
+    "urdf": "_ros",
+    "camera-info": "_ros",
+    "autoware": "_ros",
+    "carla-ros-bridge": "_carla",
+    "carla-python": "_carla",
+    "kitti": "_data_sets",
+    "opencv": "_calibration",
+    "alpasim": "_alpasim",
+    "kalibr": "_calibration",
 }
 """Where the formats are, by name; each module has its `RigFormat` rows in ``FORMATS``."""
 FORMAT_NAMES = tuple(_MODULES)
