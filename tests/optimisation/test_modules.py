@@ -289,6 +289,14 @@ def columns(count=36):
     return spread_mount_poses(symmetric_mount(), constraints, count, seed=0)
 
 
+def test_a_cache_tells_pairs_from_single_cameras():
+    cameras = symmetric_cameras()
+    surface = replace(symmetric_chart(), pairs=(False,) * 6)
+    single = CameraMount(surface, camera=cameras.mount.cameras, height_offset_m=0.0)
+    assert replace(cameras, mount=single).identity["vehicle"] != cameras.identity["vehicle"]
+    assert replace(cameras, mount=symmetric_mount()).identity == cameras.identity
+
+
 def test_pairs_are_mirror_images_and_the_others_stand_in_the_middle():
     mount = symmetric_mount()
     assert symmetric_chart().modules == ("narrow", "narrow", "wide", "wide", "fisheye", "fisheye")
