@@ -1,10 +1,12 @@
 """The section ``rules`` and pairs of plain cameras: read, refused, and what they become."""
 
+import json
 import math
 
 import pytest
 
 import warpav as wa
+from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.rig.module import PLAIN
 from warpav.runs.config import Config, load_config
@@ -66,3 +68,14 @@ def test_rigs_by_hand_stand_on_any_vehicle_by_name(is_symmetric):
     assert sorted(round(math.degrees(each.yaw_rad)) % 360 for each in cross.cameras) == [0, 90, 180, 270]
     for each in corners.cameras:  # each at its corner
         assert each.position_m[1] * each.yaw_rad > 0.0
+
+
+def test_what_a_rig_breaks_is_said(capsys, tmp_path):
+    file = tmp_path / "found.json"
+    small = ["scenes.test_seeds=5000..5000", "camera.width_px=64", "camera.height_px=64"]
+    assert main(["evaluate", "highest", "rules=default", *small, "--json", str(file)]) == 0
+    said = capsys.readouterr().out
+    assert "Rules: 2 of 5 are broken: the own body fills 32% of the image of camera_0, at most 30% is asked" in said
+    found = {each["rule"]: each for each in json.loads(file.read_text())["rules"]["highest"]}
+    assert not found["crossing"]["is_kept"]
+    assert found["azimuth_gap"]["value"] <= 3.0

@@ -184,7 +184,7 @@ def test_cameras_of_all_lenses_are_drawn(street):
 
 
 def test_a_vehicle_is_asked_for_before_anything_is_computed(tmp_path, monkeypatch, street):
-    monkeypatch.setattr("warpav.view.figures._plan.size_ranges_m", lambda *_a, **_k: pytest.fail("computed"))
+    monkeypatch.setattr("warpav.view.figures.plan.size_ranges_m", lambda *_a, **_k: pytest.fail("computed"))
     with pytest.raises(InputError, match="ego: expected the vehicle for kind='plan', got none; give ego="):
         plot(rig(), kind="plan", out=tmp_path / "x.png")
     with pytest.raises(InputError, match="scene: expected the scene for kind='contact', got none"):

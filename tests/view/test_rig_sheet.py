@@ -12,7 +12,7 @@ from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
 from warpav.view import plot
 from warpav.view._outlines import seen_ground_m
-from warpav.view.figures._rig_sheet import (
+from warpav.view.figures.rig_sheet import (
     _near_each_other,
     field_of_view_rad,
     horizontal_arcs_rad,

@@ -30,6 +30,7 @@ from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.sight.check import RequirementResult, check_requirements, check_rigs
 from warpav.sight.read import read_requirements
+from warpav.sight.rules import RuleCheck, RuleMargin
 from warpav.view import Canvas, draws
 
 
@@ -172,6 +173,14 @@ def check_rig(
     if image is not None:
         requirement_map(image, result=result, rig=rig, ego=ego)
         yield f"wrote {image}"
+
+
+def rule_margins(rigs: Mapping[str, Rig], placement: Placement) -> dict[str, list[RuleMargin]] | None:
+    """How far rigs are from breaking the design rules of a placement; None where it keeps none."""
+    limits = placement.config.rules.limits
+    if limits is None:
+        return None
+    return {name: list(RuleCheck(rig, placement.ego, limits).margins) for name, rig in rigs.items()}
 
 
 def highest_rig(placement: Placement) -> Rig:

@@ -19,7 +19,7 @@ from warpav.optimisation.records import IterationRecord
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs._checkpoint import check_options
 from warpav.runs.config import Config, flow_text, placed_config
-from warpav.runs.evaluate import evaluate_on
+from warpav.runs.evaluate import evaluate_on, rule_margins
 from warpav.runs.mounts import preset_for
 from warpav.runs.optimise import Optimisation, kept_drawing
 from warpav.runs.placement import Placement
@@ -233,6 +233,7 @@ def measure_rig(
         pairing_rig[other] = placement.frozen_rig if is_ordered else RunFolder.open(names[other]).rig("initial")
     found = evaluate_on(rigs, placement.test, placement, pairing_rig=pairing_rig, progress=progress)
     measured: dict[str, Any] = {"constraints": {name: placement.objective.constraints.margins(rig)}}
+    measured["rules"] = rule_margins(rigs, placement)
     scenes = list(load_scenes(config, config.scenes.test_seeds)) if soiled or loads else []
     if soiled is not None:
         measured["soiling"] = soiling_of(rig, scenes, placement, soiled, progress=progress)

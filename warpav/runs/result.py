@@ -25,7 +25,7 @@ from warpav.rig.rig import Rig, write_rig
 from warpav.runs._checkpoint import identity_of
 from warpav.runs._drawn_run import DrawnRun, draws_runs
 from warpav.runs.config import Config
-from warpav.runs.evaluate import evaluate_on, highest_rig, requirements_of
+from warpav.runs.evaluate import evaluate_on, highest_rig, requirements_of, rule_margins
 from warpav.runs.events import Certificate
 from warpav.runs.mounts import preset_for
 from warpav.runs.placement import Placement, Stream
@@ -357,6 +357,7 @@ def complete_folder(
         "certificate": None if result.certificate is None else result.certificate.to_json(),
         **({} if result.robust is None else {"robust": Robust(**result.robust)}),
         "constraints": {name: constraints.margins(rig) for name, rig in rigs.items()},
+        "rules": rule_margins(rigs, placement),
         "ground": GroundTable(**ground.table()),
     }
     evaluation = compared.compared().model_copy(update=measured)

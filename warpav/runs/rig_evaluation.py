@@ -28,6 +28,7 @@ from warpav.optimisation.constraints import Margin
 from warpav.rig.rig import Rig
 from warpav.scene.device_scene import DeviceScene
 from warpav.sight.check import Gap, RequirementResult, WorstPoint
+from warpav.sight.rules import RuleMargin
 
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingImports]
@@ -245,6 +246,7 @@ class RigEvaluation(_Part):
     certificate: dict[str, Any] | None = None
     robust: Robust | None = None
     constraints: dict[str, list[Margin]] | None = None
+    rules: dict[str, list[RuleMargin]] | None = None
     outcomes: list[Annotated[_SeenObject, PlainSerializer(_SeenObject.to_json)]] | None = None
     ground: GroundTable | None = None
     seconds: dict[str, float] = {}

@@ -299,7 +299,7 @@ def _draw_sheet(
     scene: Scene | None = None,
     range_m: Sequence[float] | None = None,
 ) -> Drawing:
-    from warpav.view.figures._rig_sheet import rig_sheet
+    from warpav.view.figures.rig_sheet import rig_sheet
 
     return rig_sheet(rig, ego=Picture(ego=ego, scene=scene).vehicle, range_m=range_m, title=canvas.title)
 
@@ -345,7 +345,7 @@ _figure_of_rigs("around", "redundancy")
 
 @_draws_rigs("resolution")
 def _draw_resolution(rig: Any, canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None) -> Drawing:  # noqa: ANN401
-    from warpav.view.figures._plan import resolution_figure
+    from warpav.view.figures.plan import resolution_figure
 
     del ego, scene  # the body is left out of account
     return resolution_figure(_by_name(rig), heading=canvas.title)

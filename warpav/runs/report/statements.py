@@ -18,6 +18,7 @@ from warpav.optimisation.mount_errors import ANGLES
 from warpav.rig.rig import Rig
 from warpav.runs.report._content import RunContent
 from warpav.runs.rig_evaluation import RigEvaluation, Robust
+from warpav.sight.rules import RuleMargin
 
 _Tone = Literal["good", "bad", "open"]
 
@@ -206,7 +207,7 @@ def summary(run: RunContent) -> list[Statement]:
     found += [_bound(run), _moves(run)]
     if run.evaluation is not None:
         found += [_left(run, run.evaluation), _requirements(run.evaluation)]
-        found += [_ground(run.evaluation), _constraints(run.evaluation), _pitch_limits(run)]
+        found += [_ground(run.evaluation), _constraints(run.evaluation), _rules(run.evaluation), _pitch_limits(run)]
     found.append(_end(run))
     if run.evaluation is not None:
         found.append(_caution(run.evaluation))
@@ -561,6 +562,33 @@ def _constraints(evaluation: RigEvaluation) -> Statement | None:
         return Statement("Constraints", f"{len(broken)} of {len(margins)} are broken; {worst}.", "bad")
     text = f"All {len(margins)} hold; the tightest is {name}, with {_length(tightest.slack_m)} to spare."
     return Statement("Constraints", text, "good")
+
+
+_RULE_WORDS = {
+    "own_body": ("the own body fills {value:.0%} of the image of {camera}", "at most {limit:.0%}"),
+    "horizon": ("the horizon of {camera} is {value:.0%} of the image's height below its top", "at least {limit:.0%}"),
+    "crossing": ("{camera} looks {value:.0f} degrees past the way across the vehicle", "at least {limit:.0f}"),
+    "housing": ("the housing of another camera fills {value:.1%} of the image of {camera}", "at most {limit:.1%}"),
+    "azimuth_gap": ("at 15 m a gap of {value:.0f} degrees is in no image", "at most {limit:.0f}"),
+}
+
+
+def _rules(evaluation: RigEvaluation) -> Statement | None:
+    """The design rules that the first rig keeps, or how far it breaks them; None where none is asked for."""
+    margins = None if evaluation.rules is None else evaluation.rules.get(evaluation.first)
+    if not margins:
+        return None
+
+    def told(margin: RuleMargin) -> str:
+        value, limit = _RULE_WORDS[margin.rule]
+        camera = margin.cameras[0] if margin.cameras else ""
+        return f"{value.format(value=margin.value, camera=camera)}, {limit.format(limit=margin.limit)} is asked"
+
+    broken = [margin for margin in margins if not margin.is_kept]
+    if broken:
+        return Statement("Rules", f"{len(broken)} of {len(margins)} are broken: {'; '.join(map(told, broken))}.", "bad")
+    closest = min(margins, key=lambda margin: abs(margin.value - margin.limit) / max(margin.limit, 1e-9))
+    return Statement("Rules", f"All {len(margins)} are kept; nearest to its limit: {told(closest)}.", "good")
 
 
 def _pitch_limits(run: RunContent) -> Statement | None:
