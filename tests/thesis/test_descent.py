@@ -25,7 +25,7 @@ from warpav.optimisation.records import NotFiniteError
 from warpav.optimisation.settings import LossSettings, OptimiserSettings
 from warpav.raster.camera import CameraModel
 from warpav.thesis.constraints import BoundsAndSpacing
-from warpav.thesis.descent import Descent, MultiplierAscent, descent_camera_renders
+from warpav.thesis.descent import Descent, MultiplierAscent, affordable_iterations, descent_camera_renders
 
 MODEL = CameraModel(64, 64, math.pi / 2)
 START = np.array([[1.7, 0.4, 1.2, 0.0, 0.0, 0.0, 0.0], [0.5, -0.4, -1.9, 0.0, 0.0, 0.0, 0.0]])
@@ -327,6 +327,15 @@ def test_renders_of_a_run_are_counted(descents, iterations, check_every, keep, s
     assert 2 * spent <= counted
     if descents == 1:
         assert 2 * spent == counted
+
+
+@pytest.mark.parametrize("budget", [0, 30, 100, 1000])
+def test_a_budget_pays_for_as_many_iterations_as_it_can(budget):
+    options = {"camera_count": 2, "batch_size": 2}
+    count = affordable_iterations(SETTINGS, 3, budget, **options)
+    assert descent_camera_renders(SETTINGS, 3, iterations=count + 1, **options) > budget
+    assert count == 0 or descent_camera_renders(SETTINGS, 3, iterations=count, **options) <= budget
+    assert (count > 0) == (budget > 0)
 
 
 @pytest.mark.parametrize("is_informed", [True, False])
