@@ -126,6 +126,8 @@ def test_what_is_no_pane_is_refused():
         Pane("p", (2.0, 0.0, 0.0), square, (0.0, 1.0))
     with pytest.raises(ValueError, match="polygon"):
         Pane("p", (1.0, 0.0, 0.0), square[:2], (0.0, 1.0))
+    with pytest.raises(ValueError, match="outline_m: expected the corners of a polygon"):  # on one line
+        Pane("p", (1.0, 0.0, 0.0), ((1, 0, 0), (1, 1, 1), (1, 2, 2)), (0.0, 1.0))
     with pytest.raises(ValueError, match="lower end first"):
         Pane("p", (1.0, 0.0, 0.0), square, (1.0, 0.0))
     with pytest.raises(ValueError, match="foreground"):

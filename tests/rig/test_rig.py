@@ -280,3 +280,18 @@ def test_a_rig_is_a_table_of_pandas():
     assert frame.loc["left", "yaw_deg":"roll_deg"].tolist() == pytest.approx(np.degrees([1.0, 0.5, 0.25]))
     assert frame.loc["left", "lens"] == "fisheye"
     assert frame["module"].isna().all()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"name": "front left"}, "name: expected a name of letters"),
+        ({"name": ""}, "name: expected a name of letters"),
+        ({"module": "a b"}, "module: expected a name of letters"),
+        ({"position_m": [0.0, 1.0]}, "position_m: expected three finite numbers"),
+        ({"yaw_rad": math.inf}, "yaw_rad: expected a finite number, got inf"),
+    ],
+)
+def test_a_camera_that_is_none_is_refused(options, message):
+    with pytest.raises(InputError, match=message):
+        RigCamera(**{"name": "camera", "position_m": [0.0, 0.0, 1.0]} | options)
