@@ -11,7 +11,14 @@ from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
 from warpav.detection.probability import DetectionProbability
-from warpav.evaluation.metrics import PAIRED_METRICS, GroupRecall, ObjectOutcome, RigObserver, evaluate_rig
+from warpav.evaluation.metrics import (
+    PAIRED_METRICS,
+    GroupRecall,
+    ObjectOutcome,
+    RigObserver,
+    evaluate_rig,
+    observe_scenes,
+)
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import CameraMount, FreeRanges, views_of_rig
 from warpav.optimisation.objective import ObjectiveOptions
@@ -227,6 +234,21 @@ def test_a_rig_of_other_zooms_has_an_objective_where_they_are_free(scenes):
     found = evaluate_rig(rig, scenes[:1], free)
     assert found.objective is not None
     assert found.tp_in_frame_rate == fixed.tp_in_frame_rate
+
+
+@pytest.mark.parametrize("with_objective", [True, False])
+def test_a_camera_sees_the_housing_of_the_one_before_it(scenes, with_objective):
+    ahead, behind = rig_of().cameras
+    rig = Rig([ahead, dataclasses.replace(behind, position_m=ahead.position_m - [0.4, 0.0, 0.0], yaw_rad=0.0)])
+    images = []
+    for has_bodies in (False, True):
+        objective = objective_of(ConstantDetector.silent(2))
+        objective.options = dataclasses.replace(objective.options, cameras_have_bodies=has_bodies)
+        seen = observe_scenes(rig, scenes[:1], objective, with_objective=with_objective)
+        images.append([camera.image_rgb.astype(int) for camera in seen.observations[0].cameras])
+    changed = [(np.abs(one - other).max(axis=-1) > 0).mean() for one, other in zip(*images, strict=True)]
+    assert changed[0] == 0.0
+    assert 0.005 < changed[1] < 0.1
 
 
 def test_the_own_body_is_measured_once_a_camera(scenes):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property, partial
@@ -287,8 +287,7 @@ class RigObserver:
         probability_of: Callable[[CameraModel], CameraProbability | None] | None = None,
     ) -> None:
         """Create the renderers; cameras of one model that look through one pane share one."""
-        self._probability_of, self._rig = probability_of, rig
-        self._bodies_on: dict[bytes, Mesh | None] = {}
+        self._probability_of = probability_of
         self._detector, self._options = detector, options
         kind_of = [(camera.model, camera.behind_glass) for camera in rig.cameras]
         kinds = list(dict.fromkeys(kind_of))
@@ -304,10 +303,9 @@ class RigObserver:
     def observe(self, scene: DeviceScene) -> RigObservation:
         """Render the scene in all cameras and run the detector."""
         observations, area_px, found = [], [], []
-        bodies = self._bodies(scene)
         for renderer, part in self._groups:
             views = views_of_rig(part, rotation_count=1, rotation_step_rad=0.0, device=str(renderer.device))
-            raster = scene.raster.through(part.cameras[0].behind_glass).carrying(bodies)
+            raster = scene.raster.through(part.cameras[0].behind_glass)
             frame = renderer.render(raster, views.position_ego_m, views.camera_from_ego)
             forward_view = list(range(len(part.cameras)))
             observation = observe(
@@ -327,13 +325,6 @@ class RigObserver:
         is_known = len(found) == len(self._groups)
         probability = np.concatenate(found)[np.argsort(self._camera)] if is_known else None
         return RigObservation(observations, _is_in_frame(np.concatenate(area_px)), self._camera, probability)
-
-    def _bodies(self, scene: DeviceScene) -> Mesh | None:
-        """The bodies of the cameras on the vehicle of a scene; of one vehicle they are made once."""
-        bounds_m = scene.ego_bounds_m.tobytes()
-        if bounds_m not in self._bodies_on:
-            self._bodies_on = {bounds_m: bodies_of(self._rig, scene.raster.foreground_mesh())}
-        return self._bodies_on[bounds_m]
 
 
 def _detection_probability(
@@ -422,7 +413,7 @@ def observe_scenes(
         )
     observations: list[RigObservation] = []
     losses = []
-    for assigned in scenes:
+    for assigned in _carrying(rig, scenes) if objective.options.cameras_have_bodies else scenes:
         if observer is None:
             observation, measures, loss, probability = objective.observe_rig(rig, assigned)
             is_in_frame = _is_in_frame(_amodal_area_px(measures, objective.forward_view))
@@ -434,7 +425,17 @@ def observe_scenes(
             probability = observations[-1].detection_probability
             if has_objective and probability is not None:
                 losses.append(objective.value_of(probability, assigned))
-    return SceneObservations(rig, [assigned.scene for assigned in scenes], observations, losses)
+    return SceneObservations(rig, [each.scene for each in scenes], observations, losses)
+
+
+def _carrying(rig: Rig, scenes: Sequence[AssignedScene]) -> Iterator[AssignedScene]:
+    """The scenes with the bodies of a rig's cameras on their vehicle; of one vehicle they are made once."""
+    bodies: dict[bytes, Mesh | None] = {}
+    for assigned in scenes:
+        vehicle = assigned.scene.ego_bounds_m.tobytes()
+        if vehicle not in bodies:
+            bodies = {vehicle: bodies_of(rig, assigned.scene.raster.foreground_mesh())}
+        yield AssignedScene(assigned.scene.carrying(bodies[vehicle]), partial(getattr, assigned, "assigned_camera"))
 
 
 def confidence_at(

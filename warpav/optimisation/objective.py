@@ -78,6 +78,7 @@ class ObjectiveOptions:
     occlusion: Occlusion = Occlusion.PAIRWISE  # what hides a vehicle
     supersampling: int = 1  # samples per pixel along each axis
     multiplier_damping: float = 0.0  # damping of the multipliers, at least 0; 0 as in the thesis
+    cameras_have_bodies: bool = False  # whether the housings of cameras hide things where a rig is judged
 
 
 class RigObjective:

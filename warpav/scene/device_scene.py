@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from warpav.core.cache import digest
+from warpav.raster.mesh import Mesh
 from warpav.raster.scene import Scene as RasterScene
 from warpav.scene.scene import ROAD_USERS, Scene
 
@@ -90,6 +91,21 @@ class DeviceScene:
             wp.array(np.reshape(half_size, (-1, 3)), dtype=wp.vec3, device=device),
             wp.array(np.reshape(along, (-1, 2)), dtype=wp.vec2, device=device),
         )
+
+    def carrying(self, mesh: Mesh | None) -> DeviceScene:
+        """The scene with one more mesh on the ego vehicle, in the ego frame [m]; without one the scene itself."""
+        if mesh is None:
+            return self
+        scene = DeviceScene(
+            self.name,
+            self.raster.carrying(mesh),
+            self.category,
+            self.road_user_index,
+            self.from_ego_m,
+            self.time_to_collision_s,
+        )
+        scene.__dict__["upright_box"] = self.upright_box
+        return scene
 
     @cached_property
     def fingerprint(self) -> str:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Level = Literal["easy", "urban", "dense", "motorway"]
 LEVELS: tuple[Level, ...] = ("easy", "urban", "dense", "motorway")  # names of the levels, the easiest first
-_CODE = {"easy": "town", "urban": "streets", "dense": "streets", "motorway": "motorway"}
+_CODE = {"easy": "town", "urban": "_streets", "dense": "_streets", "motorway": "_motorway"}
 FLEET_CODE = ("warpav.scene.fleet", "warpav.scene.reconstruction.surface")
 """Modules that make vehicles of other makers what they are in scenes."""
 _LEVEL_STREAM = 0x1E7E1  # keeps the random numbers of levels apart from other uses of the same seed
