@@ -156,7 +156,7 @@ def plot(
     ``further`` and ``gain``, what one more camera would bring, from above and painted on the body. All of them take
     ``scene``. A result has those of a rig.
 
-    What errors of mounting cost (`warpav.robustness.mount_tolerance`) is a heat map of cameras by degrees of freedom,
+    What errors of mounting cost (`warpav.mount_tolerance`) is a heat map of cameras by degrees of freedom,
     with ``outages`` (of ``evaluation.camera_outage``) beside a bar for the loss of each camera; they alone are the
     bars.
     An evaluation of rigs is a figure of their recall by distance, sector and category, and has no options. Such figures
