@@ -276,7 +276,7 @@ def objective_options(config: Config) -> ObjectiveOptions:
         occlusion=Occlusion(config.visibility.occlusion),
         supersampling=config.camera.supersampling,
         multiplier_damping=config.optimiser.damping(are_inequalities=config.method != "thesis"),
-        cameras_have_bodies=config.method != "thesis",
+        cameras_have_bodies=config.rules.enforced,
     )
 
 
