@@ -37,7 +37,10 @@ MUTATED = (
     *("warpav/optimisation/*.py", "warpav/thesis/*.py", "warpav/raster/*.py", "warpav/core/frames.py"),
     *(f"warpav/rig/{name}.py" for name in ("mount_surface", "chart", "zone", "rig")),
 )
-TESTS = ("tests/optimisation", "tests/thesis", "tests/raster", "tests/rig", "tests/core/test_frames.py")
+TESTS = (
+    *("tests/optimisation", "tests/thesis", "tests/raster", "tests/rig", "tests/sight", "tests/evaluation"),
+    *("tests/golden", "tests/core/test_frames.py"),
+)
 COPIED = (
     *("configs", "docs", "kernels", "notebooks", "tests", "warpav"),
     *("pyproject.toml", "README.md", "CHANGELOG.md", "CONTRIBUTING.md"),
