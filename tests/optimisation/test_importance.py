@@ -14,7 +14,7 @@ from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, streets
 from warpav.core.errors import InputError
 from warpav.optimisation.budget import rig_values_of
-from warpav.optimisation.importance import Importance
+from warpav.optimisation.importance import Importance, check_categories
 from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
 from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
 from warpav.optimisation.mount import X_M, YAW_RAD, CameraMount
@@ -254,6 +254,14 @@ def test_a_wrong_weight_is_told_in_one_line(option, expected):
     assert f"importance.{option.partition('=')[0]}: " in str(error.value)
     assert expected in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_weights_are_of_categories_that_there_are():
+    check_categories(ImportanceSettings(category={"pedestrian": 2.0, "tram": 3.0}), ["tram"])
+    with pytest.raises(
+        InputError, match=r"importance\.category: expected some of .*, got 'pedestrain'; did you mean pe"
+    ):
+        check_categories(ImportanceSettings(category={"pedestrain": 2.0}))
 
 
 def test_weights_are_written_and_read_back_and_what_is_not_set_is_not_written(tmp_path):

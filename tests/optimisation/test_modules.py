@@ -235,6 +235,19 @@ def test_limits_that_no_rig_satisfies(options, message):
         RigLimits.of(LIMITS, price=PRICES, **options)
 
 
+def test_which_rigs_are_within_the_limits():
+    limits = RigLimits.of(LIMITS, count=(2, 4), price=PRICES, cost_max=6.0)
+    kinds = len(limits.kinds)
+    for size in range(6):
+        for kind in itertools.combinations_with_replacement(range(kinds), size):
+            names = [limits.kinds[k][0] for k in kind]
+            fits = all(names.count(name) <= high for name, (_, high) in LIMITS.items())
+            fits = fits and size <= 4 and sum(PRICES[name] for name in names) <= 6.0
+            is_whole = size >= 2 and all(names.count(name) >= low for name, (low, _) in LIMITS.items())
+            assert limits.holds(np.array(kind, int), is_whole=False) == fits
+            assert limits.holds(np.array(kind, int)) == (fits and is_whole)
+
+
 @pytest.mark.parametrize("cost_max", [None, 4.0])
 def test_a_search_keeps_the_limits(cost_max):
     limits = RigLimits.of(LIMITS, count=(2, 4), price=PRICES, cost_max=cost_max)
