@@ -75,7 +75,7 @@ Whole = Annotated[
     int, BeforeValidator(lambda value: int(value) if isinstance(value, float) and value.is_integer() else value)
 ]
 """A whole number, which files may write with a point."""
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
+Name = Annotated[str, Field(pattern=r"^[_A-Za-z0-9][_A-Za-z0-9.-]*$")]
 """What may be a file's name."""
 
 
