@@ -259,9 +259,9 @@ def test_a_wrong_weight_is_told_in_one_line(option, expected):
 def test_weights_are_of_categories_that_there_are():
     check_categories(ImportanceSettings(category={"pedestrian": 2.0, "tram": 3.0}), ["tram"])
     with pytest.raises(
-        InputError, match=r"importance\.category: expected some of .*, got 'pedestrain'; did you mean pe"
+        InputError, match=r"importance\.category: expected some of .*, got 'pedestrians'; did you mean pe"
     ):
-        check_categories(ImportanceSettings(category={"pedestrain": 2.0}))
+        check_categories(ImportanceSettings(category={"pedestrians": 2.0}))
 
 
 def test_weights_are_written_and_read_back_and_what_is_not_set_is_not_written(tmp_path):
