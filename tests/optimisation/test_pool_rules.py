@@ -18,7 +18,7 @@ from warpav.optimisation.pool_search import PoolSearch, PoolSearchSettings, Pool
 from warpav.optimisation.selection._problem import SelectionProblem
 from warpav.optimisation.selection.select import select
 from warpav.raster.camera import CameraModel
-from warpav.sight.rules import NO_RULES, RuleCheck, Rules
+from warpav.sight.rules import RuleCheck, Rules
 
 MODEL = CameraModel(64, 64, math.radians(100.0), near_m=0.05)
 RULES = Rules(own_body=0.35, azimuth_gap_rad=None, near_ground=False, housing=0.004)
@@ -120,7 +120,7 @@ def test_a_search_ends_with_a_rig_that_keeps_the_rules():
 
 
 def test_without_rules_nothing_is_in_the_way():
-    rules = rules_of(NO_RULES)
+    rules = rules_of(Rules(None, None, None, None, near_ground=False, housing=None, crossing_rad=None))
     assert rules.allowed(spread()).all()
     assert rules.rows(spread()) == []
     assert rules.conflict(spread()).nnz == 0

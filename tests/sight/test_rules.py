@@ -111,6 +111,24 @@ def test_the_own_body_fills_what_rays_say_and_its_jacobian_is_that_of_difference
         assert jacobian[0, axis] == pytest.approx((moved[0] - moved[1]) / (20 * step), abs=0.03)
 
 
+def test_many_cameras_see_of_the_own_body_what_each_sees_alone():
+    own = OwnBody(street().ego)
+    cameras = [looking([1.0, 0.2, 1.75], 30.0 * k, 20.0, model=MODEL) for k in range(11)]
+    share, jacobian = own.shares(*poses(*cameras))
+    for k, camera in enumerate(cameras):
+        alone = own.shares(*poses(camera))
+        assert share[k] == alone[0][0]
+        np.testing.assert_array_equal(jacobian[k], alone[1][0])
+
+
+def test_one_limit_of_the_own_body_is_kept_without_the_other():
+    body = cuboid((4.0, 2.0, 1.5), (0.0, 0.0, 0.75))
+    margins = RuleCheck(box_rig(), body, Rules(own_body_wide=None, housing=None)).margins
+    assert {each.rule: each.is_kept for each in margins}["own_body"] is False
+    margins = RuleCheck(box_rig(), body, Rules(own_body=None, housing=None)).margins
+    assert {each.rule: each.is_kept for each in margins}["own_body"] is True
+
+
 def test_housings_hide_and_meet():
     front, behind, beside = looking([1.0, 0.0, 1.7]), looking([0.5, 0.0, 1.7]), looking([0.5, 0.06, 1.7], 90.0)
     views, models = poses(front, behind, beside)

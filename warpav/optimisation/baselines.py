@@ -14,7 +14,7 @@ from warpav.raster.mesh import Mesh
 from warpav.rig.on_body import MovedRig, blocked_shares, ray_caster
 from warpav.rig.rig import Rig
 
-_TOP_M = 0.25
+TOP_M = 0.25
 """How far below the highest point the top of a vehicle may reach [m]."""
 
 
@@ -37,7 +37,7 @@ def highest_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarra
 def edge_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarray:
     """Cameras at the edge of the top, evenly turned, the first forward, each where it ends, float64 [camera, 7].
 
-    The top is what is at most `_TOP_M` below the highest point, in the same zone.
+    The top is what is at most `TOP_M` below the highest point, in the same zone.
     """
     surface = constraints.surface
     pose = np.zeros((camera_count, MOUNT_POSE_SIZE))
@@ -46,7 +46,7 @@ def edge_mount_pose(constraints: Constraints, camera_count: int) -> np.ndarray:
     if surface.zones:
         place = place[surface.zone_at(place) == surface.zone_at(surface.highest_point_m()[None, :2])]
     point = surface.point_m(place, surface.height_at_m(place))
-    is_top = point[:, 2] >= point[:, 2].max() - _TOP_M
+    is_top = point[:, 2] >= point[:, 2].max() - TOP_M
     place, from_middle = place[is_top], point[is_top, :2] - point[is_top, :2].mean(axis=0)
     for camera, yaw in enumerate(pose[:, YAW_RAD]):
         ahead = from_middle @ np.array([math.cos(yaw), math.sin(yaw)])

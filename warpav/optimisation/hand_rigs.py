@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.optimisation.baselines import edge_mount_pose, highest_mount_pose
+from warpav.optimisation.baselines import TOP_M, edge_mount_pose, highest_mount_pose
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.mount import MOUNT_POSE_SIZE, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
 
@@ -26,9 +26,6 @@ SET_BACK_M = (0.3, 0.0, 0.6)
 
 PITCH_DEG = (12, 0, 6, 18)
 """Pitches, nose down [deg]."""
-
-_TOP_M = 0.25
-"""How far below its highest point the top of a vehicle may reach [m]."""
 
 _ALONG_RAD = math.radians(20.0)
 """A camera that looks so nearly along an axis of the vehicle stands amid that edge."""
@@ -76,7 +73,7 @@ def hand_mount_pose(
     is_mountable = np.ones(surface.height_m.shape, bool) if surface.is_mountable is None else surface.is_mountable
     place_m = surface.origin_m + surface.cell_m * np.argwhere(is_mountable)
     point_m = surface.point_m(place_m, surface.height_at_m(place_m))
-    is_top = point_m[:, 2] >= point_m[:, 2].max() - _TOP_M
+    is_top = point_m[:, 2] >= point_m[:, 2].max() - TOP_M
     place_m, point_m = place_m[is_top], point_m[is_top]
     half_m = np.abs(point_m[:, 1]).max() if mount.is_symmetric else None
     low_m, high_m = point_m[:, :2].min(axis=0), point_m[:, :2].max(axis=0)

@@ -49,7 +49,7 @@ MARGIN_SCALE = 5.0
 _CLEAR = 0.01
 """How far outside of an image another camera's box is kept, as a share of the width."""
 
-_STEP = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3])
+_STEP = 1e-3
 """Half a difference in every number of a mount pose [m, rad, 1]."""
 
 
@@ -124,9 +124,6 @@ class PoolRules:
         """The rows of a mount on each of its sides: the own, and where pairs are their mirror images."""
         pair = np.flatnonzero(self.cameras.mount.is_pair(pose)) if len(self.cameras.sides) > 1 else []
         return [(0, np.arange(len(pose))), *([(1, np.asarray(pair))] if len(pair) else [])]
-
-    def _panes(self, side: int, pose: np.ndarray) -> list[object]:
-        return list(self.cameras.sides[side].mount.panes_of(pose))
 
     def _rig_cameras(
         self, side: int, pose: np.ndarray, views: np.ndarray, models: Sequence[CameraModel]
@@ -296,9 +293,9 @@ class PoolRules:
             ends = []
             for sign in (1.0, -1.0):
                 moved = pose.copy()
-                moved[camera, number] += np.float32(sign * _STEP[number])
+                moved[camera, number] += np.float32(sign * _STEP)
                 ends.append(self._clearances(moved))
-            slope[:, camera, number] = (ends[0] - ends[1]) / (2.0 * _STEP[number])
+            slope[:, camera, number] = (ends[0] - ends[1]) / (2.0 * _STEP)
         is_near = value - np.einsum("rck,ck->r", np.abs(slope), reach) < _CLEAR
         return np.maximum(value[is_near] - _CLEAR, 0.0), slope[is_near]
 
@@ -351,9 +348,9 @@ class PoolRules:
             ends = []
             for sign in (1.0, -1.0):
                 moved = pose.copy()
-                moved[:, number] += np.float32(sign * _STEP[number])
+                moved[:, number] += np.float32(sign * _STEP)
                 ends.append(closed_forms(*cameras.in_ego(moved)))
-            slope[..., number] = (ends[0] - ends[1]) / (2.0 * _STEP[number])
+            slope[..., number] = (ends[0] - ends[1]) / (2.0 * _STEP)
         if len(point_m):
             seen = sight(self._rig_cameras(side, pose, views, models), point_m, self._ground).seen
             value[:, 2:] = np.where(seen, value[:, 2:], np.minimum(value[:, 2:], 0.0))

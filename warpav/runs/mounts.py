@@ -331,11 +331,13 @@ def _as_frozen(model: CameraModel) -> str:
 def with_shared_model(rig: Rig, config: Config) -> Rig:
     """A rig from a file, its cameras completed by the camera model of a configuration."""
     known = camera_models(config)
+    housings = {module.name: module.housing for module in rig_modules(config)}
     cameras = []
     for camera in rig.cameras:
         completed = [_completed(camera.model, shared) for shared in known]
         model = next((model for model in completed if model in known), completed[0])
-        cameras.append(dataclasses.replace(camera, model=model))
+        housing = housings.get(camera.module or PLAIN, camera.housing)
+        cameras.append(dataclasses.replace(camera, model=model, housing=housing))
     return Rig(cameras)
 
 

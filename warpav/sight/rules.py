@@ -16,6 +16,8 @@ import warp as wp
 
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
+from warpav.raster.chunks import KeptRenderers
+from warpav.raster.frame import Frame
 from warpav.raster.mesh import Mesh
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene as RasterScene
@@ -42,8 +44,8 @@ NEAR_M = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 """Distances from the body from which on the ground may have to be seen [m]."""
 
 SECTORS = 8
-_IMAGE_PX = 160
-"""Width of the images in which the own body is measured."""
+_IMAGE_PX, _VIEWS_AT_ONCE = 160, 8
+"""Width of the images in which the own body is measured, and how many are drawn at once."""
 
 _MIDDLE_M = 0.3
 """A camera nearer to the middle of the vehicle does not look across it [m]."""
@@ -71,9 +73,6 @@ class Rules:
     near_ground: bool = True
     housing: float | None = 0.01
     crossing_rad: float | None = math.radians(60.0)
-
-
-NO_RULES = Rules(None, None, None, None, near_ground=False, housing=None, crossing_rad=None)
 
 
 def horizon_margin(ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> np.ndarray:
@@ -147,7 +146,7 @@ class OwnBody:
     def __init__(self, vehicle: Mesh, *, device: str = "cpu") -> None:
         self.vehicle, self.device = vehicle, device
         self._scene = RasterScene({"body": vehicle}, device=device)
-        self._renderers: dict[tuple[int, int, int], Renderer] = {}
+        self._renderers = KeptRenderers()
 
     def shares(self, ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> tuple[np.ndarray, np.ndarray]:
         """Share of each image that the body fills, float64 [camera], and its Jacobian, float64 [camera, 7].
@@ -160,24 +159,26 @@ class OwnBody:
             model.resized(_IMAGE_PX, max(8, round(model.height_px * _IMAGE_PX / model.width_px))) for model in models
         ]
         for size in dict.fromkeys((model.width_px, model.height_px) for model in drawn):
-            row = np.flatnonzero([(model.width_px, model.height_px) == size for model in drawn])
-            key = (*size, len(row))
-            lenses = [drawn[k] for k in row]
-            if key in self._renderers:
-                self._renderers[key].set_lenses(lenses)
-            else:
-                self._renderers[key] = Renderer(lenses, device=self.device)
-            frame = self._renderers[key].render(
-                self._scene,
-                wp.array(pose[row, :3, 3].astype(np.float32), dtype=wp.vec3, device=self.device),
-                wp.array(pose[row, :3, :3].transpose(0, 2, 1).astype(np.float32), dtype=wp.mat33, device=self.device),
-                content=Content.MEASURES,
-            )
-            areas = frame.areas()
+            group = np.flatnonzero([(model.width_px, model.height_px) == size for model in drawn])
             pixels = size[0] * size[1]
-            share[row] = areas.visible.numpy()[:, 0] / pixels
-            jacobian[row] = areas.jacobian.numpy()[:, 0] / pixels
+            for first in range(0, len(group), _VIEWS_AT_ONCE):
+                row = group[first : first + _VIEWS_AT_ONCE]
+                # the last ones are filled up with the last camera
+                view = row[np.minimum(np.arange(_VIEWS_AT_ONCE), len(row) - 1)]
+                areas = self._frame(size, [drawn[k] for k in view], pose[view]).areas()
+                share[row] = areas.visible.numpy()[: len(row), 0] / pixels
+                jacobian[row] = areas.jacobian.numpy()[: len(row), 0] / pixels
         return share, jacobian
+
+    def _frame(self, size: tuple[int, int], lenses: list[CameraModel], pose: np.ndarray) -> Frame:
+        [renderer] = self._renderers.of(size, lambda: [Renderer(lenses, device=self.device)])
+        renderer.set_lenses(lenses)
+        return renderer.render(
+            self._scene,
+            wp.array(pose[:, :3, 3].astype(np.float32), dtype=wp.vec3, device=self.device),
+            wp.array(pose[:, :3, :3].transpose(0, 2, 1).astype(np.float32), dtype=wp.mat33, device=self.device),
+            content=Content.MEASURES,
+        )
 
 
 @dataclass(frozen=True)
@@ -216,7 +217,7 @@ class RuleCheck:
     def margins(self) -> tuple[RuleMargin, ...]:
         """The margin of every rule that is on."""
         rules, found = self.rules, list[RuleMargin]()
-        if rules.own_body is not None and rules.own_body_wide is not None:
+        if rules.own_body is not None or rules.own_body_wide is not None:
             limits = np.array([own_body_limit(rules, model) for model in self._models])
             share = np.array([self._body_share(camera) for camera in self.rig.cameras])
             found.append(self._worst("own_body", share, limits, "of the image", most=True))

@@ -567,7 +567,7 @@ def _constraints(evaluation: RigEvaluation) -> Statement | None:
 _RULE_WORDS = {
     "own_body": ("the own body fills {value:.0%} of the image of {camera}", "at most {limit:.0%}"),
     "horizon": ("the horizon of {camera} is {value:.0%} of the image's height below its top", "at least {limit:.0%}"),
-    "crossing": ("{camera} looks {value:.0f} degrees past the way across the vehicle", "at least {limit:.0f}"),
+    "crossing": ("{camera} looks {value:.0f} degrees away from straight across the vehicle", "at least {limit:.0f}"),
     "housing": ("the housing of another camera fills {value:.1%} of the image of {camera}", "at most {limit:.1%}"),
     "azimuth_gap": ("at 15 m a gap of {value:.0f} degrees is in no image", "at most {limit:.0f}"),
 }
