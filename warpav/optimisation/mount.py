@@ -17,7 +17,7 @@ from warpav.core.frames import rotation_from_yaw_pitch_roll
 from warpav.raster.buffers import lens_of
 from warpav.raster.camera import CameraModel, rotational_additions
 from warpav.raster.pane import Pane
-from warpav.rig.module import PLAIN, PLAIN_HOUSING, Housing
+from warpav.rig.module import PLAIN, PLAIN_HOUSING, Housing, Role
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import Rig, RigCamera
 from warpav.rig.zone import Zone
@@ -108,6 +108,7 @@ class CameraMount:
         device: str = "cpu",
         free: FreeRanges | None = None,
         housings: Sequence[Housing] = (),
+        roles: Sequence[Role] = (),
     ) -> None:
         """Mount for cameras of one model, or of the models of several modules."""
         self.surface = surface
@@ -115,6 +116,7 @@ class CameraMount:
         if len(self.cameras) != (count := max(len(surface.modules), 1)):
             raise ValueError(f"camera must be one model for each of {count}, got {len(self.cameras)}")
         self.housings = tuple(housings) or (PLAIN_HOUSING,) * len(self.cameras)
+        self.roles = tuple(roles) or (Role.ANY,) * len(self.cameras)
         self.height_offset_m = height_offset_m
         self.device = device
         self.free = free = free or FreeRanges()
@@ -370,25 +372,22 @@ class CameraMount:
         return self.surface.point_m(place, height_m).astype(np.float64)
 
     def rig(self, mount_pose: np.ndarray) -> Rig:
-        """The rig whose cameras stand at ``mount_pose`` [camera, 7], named ``camera_0``, ``camera_1``, ...
+        """The rig whose cameras stand at ``mount_pose`` [camera, 7], named by where they look (`named_by_direction`).
 
         Where some are frozen, all have the names of the rig that these are of, and these are the same to the last bit.
-        Modules have the names of the catalogue, ``side_2mp_100_1``, ``side_2mp_100_2`` where there are several, and
-        those of a pair ``_left`` and ``_right`` behind it.
         """
         frozen = self.frozen
         position_m = self.position_m(mount_pose)
         module = self.module_of(mount_pose)
         modules = self.surface.modules
         panes = self.panes_of(mount_pose)
-        names = _numbered([modules[k] for k in module]) if modules else [f"camera_{i}" for i in range(len(module))]
         cameras: list[RigCamera] = []
         for i, (pose, is_pair) in enumerate(zip(mount_pose, self.is_pair(mount_pose), strict=True)):
             if frozen is not None and frozen.is_frozen[i]:
                 cameras.append(frozen.camera[i])
                 continue
             camera = RigCamera(
-                name=names[i] if frozen is None else frozen.camera[i].name,
+                name="camera" if frozen is None else frozen.camera[i].name,
                 position_m=position_m[i],
                 yaw_rad=float(pose[YAW_RAD]),
                 pitch_rad=float(pose[PITCH_RAD]),
@@ -398,9 +397,8 @@ class CameraMount:
                 behind_glass=panes[i],
                 housing=self.housings[module[i]],
             )
-            sides = ((camera, "left"), (_mirror_image(camera), "right")) if is_pair else ()
-            cameras += [dataclasses.replace(each, name=f"{camera.name}_{side}") for each, side in sides] or [camera]
-        return Rig(cameras)
+            cameras += [camera, _mirror_image(camera)] if is_pair else [camera]
+        return Rig(named_by_direction(cameras) if frozen is None else cameras)
 
     def rows_of_cameras(self, mount_pose: np.ndarray) -> np.ndarray:
         """The row of ``mount_pose`` [row, 7] that each camera of its `rig` comes from, int [camera]."""
@@ -469,9 +467,28 @@ def _mirror_image(camera: RigCamera) -> RigCamera:
     )
 
 
-def _numbered(names: Sequence[str]) -> list[str]:
-    """The names with a number from 1 where there are several of one."""
-    return [f"{name}_{names[: k + 1].count(name)}" if names.count(name) > 1 else name for k, name in enumerate(names)]
+_SECTORS = ("front", "front_left", "left", "rear_left", "rear", "rear_right", "right", "front_right")
+
+
+def named_by_direction(cameras: Sequence[RigCamera]) -> list[RigCamera]:
+    """Cameras named by the eighth of a turn in which they look: ``front_left``, ``rear``.
+
+    Several of one eighth have their field of view behind it where that tells them apart, ``front_30``, else a number
+    from the foremost on, ``left_1``.
+    """
+    sector = [_SECTORS[round(camera.yaw_rad / (math.pi / 4.0)) % 8] for camera in cameras]
+    field_deg = [round(math.degrees(camera.model.fov_rad)) for camera in cameras]
+    names = []
+    for k, name in enumerate(sector):
+        there = [j for j, other in enumerate(sector) if other == name]
+        fields = [field_deg[j] for j in there]
+        if len(there) > 1 and len(set(fields)) == len(fields):
+            name = f"{name}_{field_deg[k]}"  # noqa: PLW2901
+        elif len(there) > 1:
+            there.sort(key=lambda j: -cameras[j].position_m[0])
+            name = f"{name}_{1 + there.index(k)}"  # noqa: PLW2901
+        names.append(name)
+    return [dataclasses.replace(camera, name=name) for camera, name in zip(cameras, names, strict=True)]
 
 
 def views_of_rig(

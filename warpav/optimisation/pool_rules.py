@@ -72,11 +72,21 @@ class PoolRules:
         self.rules, self.cameras, self.vehicle = rules, cameras, vehicle
         self.gap_steps: int | None = None  # widest gap that is allowed, in `AZIMUTH_STEP_RAD`; None: any
         self.near_level: int | None = None  # index into `NEAR_M`; None: any
+        self.price: dict[str, float] = {}  # what the rules of these two levels cost of the objective, shares
         self._ring_m = ring_m(vehicle)
         self._near_m = np.stack([near_ring_m(vehicle, distance_m) for distance_m in NEAR_M])
         self._ground = level_ground(vehicle, device=cameras.mount.device)
         self._bodies: dict[Pane | None, OwnBody] = {None: OwnBody(vehicle, device=cameras.mount.device)}
         self._known: dict[bytes, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+
+    @property
+    def settled(self) -> Rules:
+        """The rules with the limits that a search has settled on."""
+        gap_rad = None if self.gap_steps is None else self.gap_steps * AZIMUTH_STEP_RAD
+        near_m = None if self.near_level is None else NEAR_M[self.near_level]
+        return dataclasses.replace(
+            self.rules, azimuth_gap_rad=gap_rad, near_m=near_m, near_ground=self.near_level is not None
+        )
 
     # ------------------------------------------------------------------------------------------- single cameras
 

@@ -17,11 +17,16 @@ from warpav.core.progress import Progress
 from warpav.detection.miss_rate import expected_miss_rate, shares_of
 from warpav.optimisation._camera_loss import RobustValue
 from warpav.optimisation.further_camera import FurtherCameras, further_cameras
+from warpav.optimisation.hand_rigs import HandRig
 from warpav.optimisation.pool import CameraPool, Drawing
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import Found, PoolSearch, PoolSearchSettings, PoolTask
 from warpav.optimisation.records import Candidate, IterationRecord, named_part, part_of, rig_fields
+from warpav.optimisation.rounding import STEP_M, roundings
 from warpav.optimisation.selection._relaxation import Price
+
+_ROUNDED = 3
+"""Roundings that are judged, the nearest of those that keep the rules."""
 
 _WORDS = ("todo", "objective", "bound", "round", "rng", "rules", "iteration", "proven", "start_value")
 
@@ -40,15 +45,25 @@ class PoolRun(PoolSearch):
         pool: CameraPool | None = None,
     ) -> None:
         assert task.start is not None
-        # mount poses that the rig begins with, float32 [camera, 7]
-        self.start = task.cameras.mount.within(np.asarray(task.start, np.float32))
+        self._start = task.cameras.mount.within(np.asarray(task.start, np.float32))
         self.candidates: list[Candidate] = []  # the rigs that were found, each better than those before
         self.iteration = 0  # steps so far
         self.found: Found | None = None  # the last state; None before the first step
         self.start_value: RobustValue | None = None  # what the objective of the start is made of
         self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
         self._final_states = 0
+        self.rounding: Candidate | None = None  # the best rig, rounded
         super().__init__(task, settings, seed=seed, drawing=drawing, progress=progress, pool=pool)
+
+    @property
+    def start(self) -> np.ndarray:
+        """Mount poses that the rig is compared with: the best by hand, else the given start, float32 [camera, 7]."""
+        return self.hand_rigs[0].mount_pose if self.hand_rigs else self._start
+
+    @property
+    def start_objective(self) -> float:
+        """The objective of `start`; infinite where it breaks a hard requirement, and was not drawn by hand."""
+        return self.hand_rigs[0].value if self.hand_rigs else self.candidates[0].training_objective
 
     @property
     def mount_pose(self) -> np.ndarray:
@@ -71,9 +86,9 @@ class PoolRun(PoolSearch):
         """Go on until the search comes to another state."""
         began = time.perf_counter()
         self.found = found = next(self)
-        if not self.candidates and found.stage != "start":  # it breaks a hard requirement
+        if not self.candidates and found.stage != "start":  # it breaks a hard requirement or a rule
             self.candidates.append(Candidate(self.start, math.inf, self.iteration, 0))
-        if self.start_value is None:
+        if self.start_value is None or found.stage == "start":
             self.start_value = found.robust
         if not self.candidates or found.objective < self.best.training_objective:
             self.candidates.append(Candidate(found.mount_pose, found.objective, self.iteration, 0))
@@ -84,10 +99,35 @@ class PoolRun(PoolSearch):
         return record
 
     def finish(self) -> Candidate:
-        """The best rig; where no step was taken, the start."""
+        """The best rig, rounded as a workshop takes it; where no step was taken, the start."""
         if not self.candidates:
             self.step()
-        return self.best
+        if self.rounding is None and self.rig is not None and self.best.training_objective < math.inf:
+            self._round(self.best)
+        return self.best if self.rounding is None else self.rounding
+
+    def _round(self, best: Candidate) -> None:
+        """The best of the nearest roundings of a rig that keep what it keeps."""
+        held, kept = self.assembly.is_held(len(best.mount_pose)), list[Candidate]()
+        for pose in roundings(best.mount_pose, self.cameras.mount, held):
+            if self._affordable(len(pose)) < len(pose) or not self._keeps_rules(pose) or not self._fits(pose):
+                continue
+            self.pool = self.pool.extended(pose)
+            kept.append(Candidate(pose, self._value_of(pose), best.iteration, 0))
+            if len(kept) == _ROUNDED:
+                break
+        allowed = [each for each in kept if self._meets_points(each.mount_pose)]
+        self.rounding = min(allowed, key=lambda each: each.training_objective, default=None)
+        if self.rounding is not None and self._progress is not None:
+            values = f"objective {best.training_objective:.4f} -> {self.rounding.training_objective:.4f}"
+            self._progress.say(f"rounded to 5 mm and 0.5 degrees: {values}")
+
+    def _fits(self, mount_pose: np.ndarray) -> bool:
+        margins = self.task.constraints.margins(self.cameras.mount.rig(mount_pose))
+        return all(margin.slack_m > -STEP_M for margin in margins)
+
+    def _meets_points(self, mount_pose: np.ndarray) -> bool:
+        return self._meets_requirements(self.pool.detection_probability[rows_of(mount_pose, self.pool.mount_pose)])
 
     def further_cameras(self) -> FurtherCameras | None:
         """What traffic each camera of the pool would add to the best rig, which is in it; None before it is drawn."""
@@ -126,7 +166,7 @@ class PoolRun(PoolSearch):
         """All that the search knows between two stages, and the run."""
         start_value = self.start_value and asdict(self.start_value)
         of_run = {"iteration": self.iteration, "proven": self._proven, "start_value": start_value}
-        return super().position() | of_run | {"candidates": list(self.candidates)}
+        return super().position() | of_run | {"candidates": list(self.candidates), "by_hand": self.hand_rigs[:1]}
 
     def state(self) -> dict[str, np.ndarray]:
         """Everything that `restore` needs: where the present stage began; drawn cameras are in the cache.
@@ -142,6 +182,7 @@ class PoolRun(PoolSearch):
                 (each.mount_pose.tolist(), each.training_objective, each.iteration) for each in known["candidates"]
             ],
         }
+        words["by_hand"] = [{**vars(each), "mount_pose": each.mount_pose.tolist()} for each in known["by_hand"]]
         state = {"iteration": np.array(self._final_states), "words": np.array(json.dumps(words))}
         state["row_points"] = known["_row_points"]
         if known["places"]:
@@ -183,13 +224,16 @@ class PoolRun(PoolSearch):
         self.objective, self.bound, self.round = (words[name] for name in ("objective", "bound", "round"))
         self._rng.bit_generator.state = words["rng"]
         if self.rules is not None:
-            self.rules.gap_steps, self.rules.near_level, self._rule_rows = words["rules"]
+            self.rules.gap_steps, self.rules.near_level, self._rule_rows, self.rules.price = words["rules"]
         self.iteration = self._final_states = words["iteration"]
         self._proven = None if words["proven"] is None else tuple(words["proven"])
         self.start_value = words["start_value"] and RobustValue(**words["start_value"])
         self.candidates = [
             Candidate(np.array(pose, np.float32), objective, iteration, 0)
             for pose, objective, iteration in words["candidates"]
+        ]
+        self.hand_rigs = [
+            HandRig(**{**each, "mount_pose": np.array(each["mount_pose"], np.float32)}) for each in words["by_hand"]
         ]
         self._row_points = np.array(state["row_points"], int)
         self._places = [each[None] for each in state["places"]] if "places" in state else []

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Generator, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal
 
@@ -232,7 +232,8 @@ class PoolSearch:
     def position(self) -> dict[str, Any]:
         """All that it knows between two stages."""
         known: dict[str, Any] = {name: getattr(self, name) for name in _KEPT}
-        levels = None if self.rules is None else [self.rules.gap_steps, self.rules.near_level, list(self._rule_rows)]
+        rules = self.rules
+        levels = rules and [rules.gap_steps, rules.near_level, list(self._rule_rows), dict(rules.price)]
         known |= {"todo": list(self._todo), "places": list(self._places), "rules": levels}
         return known | {"rng": self._rng.bit_generator.state}
 
@@ -320,17 +321,23 @@ class PoolSearch:
         mount, constraints = self.cameras.mount, self.constraints
 
         def values_of(rigs: Sequence[np.ndarray]) -> list[float]:
+            new = np.unique(np.concatenate(rigs), axis=0)
+            if self._affordable(len(new)) < len(new):
+                return [np.inf] * len(rigs)
             self.pool = self.pool.extended(np.concatenate(rigs), progress=self._progress)
             return [self._value_of(rig) for rig in rigs]
 
-        self.hand_rigs = by_hand(mount, constraints, self.camera_count, values_of)
+        found = by_hand(mount, constraints, self.camera_count, values_of)
+        if self._progress is not None and found:
+            self._progress.say(f"by hand: {found[0]}: objective {found[0].value:.4f}")
         kept = []
-        for each in self.hand_rigs:
+        for each in found:
             rig = self.assembly.rig(each.mount_pose, like=self.rig)
-            if self._is_better(rig, each.value):
-                yield self._found("start")
-            if self.rules is None or self._keeps_rules(rig):
+            self.hand_rigs.append(replace(each, mount_pose=rig))
+            if each.value < np.inf and self._keeps_rules(rig):
                 kept.append(rig)
+                if self._is_better(rig, each.value):
+                    yield self._found("start")
         return kept[:_POLISHED_BY_HAND]
 
     def _value_of(self, rig: np.ndarray) -> float:
@@ -346,25 +353,28 @@ class PoolSearch:
         widest_rad = max(model.fov_rad for model in self.cameras.mount.cameras)
         if rules.rules.azimuth_gap_rad is not None and most * widest_rad >= 2.0 * np.pi - 1e-6:
             first = round(rules.rules.azimuth_gap_rad / AZIMUTH_STEP_RAD)
-            rules.gap_steps = self._kept_level("gap_steps", [first + k for k in range(20)], is_asked=True)
+            levels = [first + k for k in range(20)]
+            rules.gap_steps, rules.price["azimuth_gap"] = self._kept_level("gap_steps", levels, is_asked=True)
         if rules.rules.near_ground:
-            rules.near_level = self._kept_level("near_level", list(range(len(NEAR_M))), is_asked=False)
+            levels = list(range(len(NEAR_M)))
+            rules.near_level, rules.price["near_ground"] = self._kept_level("near_level", levels, is_asked=False)
 
-    def _kept_level(self, name: str, levels: list[int], *, is_asked: bool) -> int | None:
-        """The level of a rule, ever looser ones to choose from; None: no rule.
+    def _kept_level(self, name: str, levels: list[int], *, is_asked: bool) -> tuple[int | None, float]:
+        """The level of a rule, ever looser ones to choose from, None: no rule; and the share that it costs.
 
         The first where it is asked for and rigs of the pool can keep it, else the strictest that costs at most `_PRICE`
         of the objective.
         """
-        if is_asked and self._selected_at(name, levels[0]) < np.inf:
-            return levels[0]
-        most = (1.0 + _PRICE) * self._selected_at(name, None)
+        free, kept = self._selected_at(name, None), self._selected_at(name, levels[0]) if is_asked else np.inf
+        if kept < np.inf:
+            return levels[0], kept / max(free, _SAME) - 1.0
         low, high = 0, len(levels)
         while low < high:
             middle = (low + high) // 2
-            is_kept = self._selected_at(name, levels[middle]) <= most
-            low, high = (low, middle) if is_kept else (middle + 1, high)
-        return levels[low] if low < len(levels) else None
+            value = self._selected_at(name, levels[middle])
+            is_kept = value <= (1.0 + _PRICE) * free
+            low, high, kept = (low, middle, value) if is_kept else (middle + 1, high, kept)
+        return (levels[low], kept / max(free, _SAME) - 1.0) if low < len(levels) else (None, 0.0)
 
     def _selected_at(self, name: str, level: int | None) -> float:
         """The objective of the rig that would be selected at a level of a rule; inf where none keeps it."""

@@ -369,7 +369,10 @@ class RuleSettings(Section):
     ``rules: default`` and ``rules: none`` say the same as ``enforced`` true and false.
     """
 
-    enforced: bool = Field(default=False, description="whether rigs of a search by a pool keep the rules")
+    enforced: bool | None = Field(
+        default=None,
+        description="whether rigs keep the rules, which the search by a pool alone knows; null: where it is that one",
+    )
     own_body: float | None = Field(
         default=0.3, gt=0.0, le=1.0, description="largest share of an image that the own body may fill"
     )
@@ -409,12 +412,10 @@ class RuleSettings(Section):
         return {"enforced": data == "default"}
 
     @property
-    def limits(self) -> Rules | None:
-        """The limits, in radians; None: none are kept."""
+    def limits(self) -> Rules:
+        """The limits, in radians."""
         from warpav.sight.rules import Rules
 
-        if not self.enforced:
-            return None
         angles = (None if each is None else math.radians(each) for each in (self.azimuth_gap_deg, self.crossing_deg))
         gap_rad, crossing_rad = angles
         return Rules(

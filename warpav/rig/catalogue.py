@@ -14,7 +14,7 @@ from pydantic import Field
 from warpav.core.records import LEFT_OUT, Form, Number, Point3, read_form
 from warpav.core.table import aligned
 from warpav.raster.lens import Lens
-from warpav.rig.module import Fitting, Housing, Module, ModuleError, Price
+from warpav.rig.module import Fitting, Housing, Module, ModuleError, Price, Role
 
 BUILTIN = "builtin"
 """What a catalogue writes after ``extends:`` to hold the shipped modules as well."""
@@ -34,11 +34,11 @@ def _builtin() -> Mapping[str, Module]:
 
 def module_table(modules: Mapping[str, Module]) -> str:
     """The modules as a table of plain text."""
-    return "\n".join(aligned([_HEADINGS, *map(_row, modules.values())], left=(0, 3, 8, 9)))
+    return "\n".join(aligned([_HEADINGS, *map(_row, modules.values())], left=(0, 3, 8, 9, 10)))
 
 
 _HEADINGS = ("module", "sensor [px]", "network [px]", "lens", "field of view [°]", "px/° in the middle", "price")
-_HEADINGS += ("power [W]", "zones", "source")
+_HEADINGS += ("power [W]", "role", "zones", "source")
 
 
 def _row(module: Module) -> tuple[str, ...]:
@@ -54,6 +54,7 @@ def _row(module: Module) -> tuple[str, ...]:
         f"{module.pixels_per_degree:.1f}",
         f"{module.price.value:g} {module.price.unit}",
         "-" if module.power_w is None else f"{module.power_w:g}",
+        str(module.role),
         ", ".join(module.zones) or "all",
         " ".join(module.source.split()),
     )
@@ -86,8 +87,9 @@ class _ModuleForm(Form):
     distortion: list[Number] = Field([], description="a list of finite numbers in OpenCV's order")
     housing: _HousingForm = Field(description="a mapping with size_m and maybe offset_m")
     price: _PriceForm = Field(description="a mapping with value and unit")
-    power_w: Number | None = Field(description="watts, or null where it is unknown")
+    power_w: Number | None = Field(None, description="watts, or null where it is unknown")
     zones: list[str] = Field([], description="a list of names, such as [windscreen]; [] for all zones")
+    role: Role = Field(Role.ANY, strict=False, description="what it is for, which bounds where it stands and looks")
     source: str = Field(description="where the figures come from, as text")
 
     def module(self) -> Module:

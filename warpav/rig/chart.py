@@ -17,7 +17,7 @@ from warpav.core.errors import InputError
 from warpav.core.frames import FLU_FROM_RDF, rotation_from_yaw_pitch_roll
 from warpav.raster.mesh import Mesh
 from warpav.raster.pane import Pane
-from warpav.rig.module import Housing, Module
+from warpav.rig.module import Housing, Module, Role
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.proposals import propose_panes, simplified
 from warpav.rig.zone import NORMALS, Zone
@@ -69,7 +69,12 @@ def chart_of(
     if modules:
         there = [zone for zone in zones if zone.name in surface_of]
         sheets, names, module_of_zone, pairs, notes = _sheets(
-            modules, there, surface_of, is_symmetric=pair_spacing_m is not None, pitch_rad=pitch_rad
+            modules,
+            there,
+            surface_of,
+            middle_x_m=float(mesh.bounds_m()[:, 0].mean()),
+            is_symmetric=pair_spacing_m is not None,
+            pitch_rad=pitch_rad,
         )
         zones, surfaces = [zone for zone, _ in sheets], [surface for _, surface in sheets]
     else:
@@ -148,13 +153,26 @@ def _sheets(
     zones: Sequence[Zone],
     surface_of: dict[str, MountSurface],
     *,
+    middle_x_m: float,
     is_symmetric: bool,
     pitch_rad: tuple[float, float],
 ) -> tuple[list[tuple[Zone, MountSurface]], list[str], np.ndarray, tuple[bool, ...], tuple[str, ...]]:
     """The zones once for each module that they carry: they, names, which each carries, which are pairs; and notes."""
     sheets, names, carried, pairs, notes = [], [], [], [], []
     for module in modules:
-        fitting, left_out = _roomy(module, _fitting(module, zones), surface_of, pitch_rad)
+        sides = (1.0,) if is_symmetric else (1.0, -1.0)
+        there = [
+            kept
+            for zone in _fitting(module, zones)
+            for kept in _of_role(module, zone, surface_of[zone.name], pitch_rad, middle_x_m, sides)
+        ]
+        if not there:
+            names_there = ", ".join(zone.name for zone in _fitting(module, zones))
+            raise InputError(
+                f"module {module.name!r}: role: expected a zone that lets it stand and look as a {module.role} module "
+                f"does, got {names_there}; give a zone other yaw_deg or pitch_deg, or the module role: any"
+            )
+        fitting, left_out = _roomy(module, there, pitch_rad)
         notes += left_out
         for is_pair in (True, False) if is_symmetric else (False,):
             own = [each for each in fitting if not is_symmetric or each[0].is_centred != is_pair]
@@ -166,15 +184,62 @@ def _sheets(
     return sheets, names, np.array(carried), tuple(pairs) if is_symmetric else (), tuple(notes)
 
 
+_AHEAD_RAD, _ASIDE_RAD, _LEVEL_RAD = math.radians(20.0), math.radians(60.0), math.radians(10.0)
+"""How far modules of a role look aside of ahead or back, or of straight to the side; and those two up or down [rad]."""
+
+
+def _of_role(
+    module: Module,
+    zone: Zone,
+    surface: MountSurface,
+    pitch_rad: tuple[float, float],
+    middle_x_m: float,
+    sides: Sequence[float],
+) -> list[tuple[Zone, MountSurface]]:
+    """A zone and its surface as a role lets a module look and stand there, once for each side where it has one."""
+    if module.role in (Role.ANY, Role.SURROUND):
+        return [(zone, surface)]
+    local_m = np.concatenate([surface.place_m, surface.height_m[..., None]], axis=-1)
+    point_m = local_m @ zone.axes + zone.origin_m
+    pitch = zone.pitch_rad or pitch_rad
+    if module.role is Role.SIDE:
+        wanted = [(side * math.pi / 2.0, _ASIDE_RAD, side * point_m[..., 1] >= 0.0) for side in sides]
+    else:
+        forward = 1.0 if module.role is Role.FRONT else -1.0
+        pitch = max(pitch[0], -_LEVEL_RAD), min(pitch[1], _LEVEL_RAD)
+        ahead = forward * (point_m[..., 0] - middle_x_m) >= 0.0
+        wanted = [(0.0 if forward > 0.0 else math.pi, _AHEAD_RAD, ahead)]
+    found = []
+    for middle_rad, half_rad, is_there in wanted:
+        yaw = _overlap(zone.yaw_range_rad, middle_rad - half_rad, middle_rad + half_rad)
+        kept = surface.inside & is_there
+        if yaw is None or pitch[0] > pitch[1] or not kept.any():
+            continue
+        narrowed = zone if zone.is_centred else replace(zone, yaw_rad=yaw)
+        found.append((replace(narrowed, pitch_rad=pitch), replace(surface, is_mountable=kept)))
+    return found
+
+
+def _overlap(range_rad: tuple[float, float] | None, low_rad: float, high_rad: float) -> tuple[float, float] | None:
+    """What a range of yaws, None: all, has in common with another; None: nothing."""
+    if range_rad is None:
+        return low_rad, high_rad
+    for turn in (0.0, math.tau, -math.tau):
+        low, high = max(range_rad[0] + turn, low_rad), min(range_rad[1] + turn, high_rad)
+        if low <= high:
+            return low, high
+    return None
+
+
 def _roomy(
-    module: Module, zones: Sequence[Zone], surface_of: dict[str, MountSurface], pitch_rad: tuple[float, float]
+    module: Module, zones: Sequence[tuple[Zone, MountSurface]], pitch_rad: tuple[float, float]
 ) -> tuple[list[tuple[Zone, MountSurface]], list[str]]:
     """Those of a module's zones in which its housing has room, as they are then, with their surfaces; and a note."""
-    found = {zone.name: _with_room(module, zone, surface_of[zone.name], pitch_rad=pitch_rad) for zone in zones}
-    roomy = [each for each in found.values() if isinstance(each, tuple)]
+    found = [(zone, _with_room(module, zone, surface, pitch_rad=pitch_rad)) for zone, surface in zones]
+    roomy = [each for _, each in found if isinstance(each, tuple)]
     needed = [
         f"{zone.name} needs {1e3 * each:.0f} mm and allows {1e3 * zone.stand_off_m[1]:.0f}"
-        for zone, each in zip(zones, found.values(), strict=True)
+        for zone, each in found
         if not isinstance(each, tuple)
     ]
     fix = "raise the zone's stand_off_m or recess_m, or narrow its angles"

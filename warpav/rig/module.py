@@ -48,6 +48,25 @@ class Housing:
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
+class Role(StrEnum):
+    """What a module is for, which bounds where it stands and looks."""
+
+    FRONT = "front"
+    """Stands ahead of the vehicle's middle and looks at most 20 degrees aside of straight ahead."""
+
+    SIDE = "side"
+    """Stands on a side and looks at most 60 degrees ahead of or behind straight to it."""
+
+    REAR = "rear"
+    """Stands behind the middle and looks at most 20 degrees aside of straight back."""
+
+    SURROUND = "surround"
+    """For the near field all round: may see more of the own body, and stands and looks as zones allow."""
+
+    ANY = "any"
+    """Stands and looks as zones allow."""
+
+
 PLAIN = "camera"
 """What cameras that are no modules are called where modules have names."""
 
@@ -107,6 +126,7 @@ class Module:
             None: not stated.
         power_w: What it draws [W], at least 0; None: unknown.
         zones: Names or kinds of the zones that it fits, such as ``windscreen``; empty: all.
+        role: A `Role` or its name.
 
     Raises:
         ModuleError: Numbers out of range, or that contradict each other; an `InputError`.
@@ -126,6 +146,7 @@ class Module:
     vertical_fov_rad: float | None = None
     power_w: float | None = None
     zones: tuple[str, ...] = ()
+    role: Role = Role.ANY
 
     def __post_init__(self) -> None:
         for name, value, kind in (("housing", self.housing, Housing), ("price", self.price, Price)):
@@ -139,6 +160,7 @@ class Module:
         self._set("sensor_px", (int(self.sensor_px[0]), int(self.sensor_px[1])))
         self._set("network_px", (int(self.network_px[0]), int(self.network_px[1])))
         self._set("lens", Lens(self.lens))
+        self._set("role", Role(self.role))
         self._set("network_by", Fitting(self.network_by))
         self._set("distortion", tuple(float(value) for value in self.distortion))
         self._set("zones", tuple(self.zones))
@@ -219,6 +241,9 @@ def _problems(module: Module) -> Iterator[_Problem]:
     if module.power_w is not None and not _is_number(module.power_w, 0.0):
         got = f"{module.power_w:g}" if isinstance(module.power_w, float) else f"{module.power_w}"
         yield _Problem("power_w", "watts from 0 on", got, "write null where it is unknown")
+    if module.role not in list(Role):
+        hint = _suggestion(module.role, list(Role))
+        yield _Problem("role", f"one of {', '.join(Role)}", repr(module.role), hint)
     for i, zone in enumerate(module.zones):
         if not (isinstance(zone, str) and _NAME.fullmatch(zone)):
             yield _Problem(

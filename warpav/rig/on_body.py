@@ -143,6 +143,13 @@ def _are_hit(caster: EmbreeScene, origin_m: np.ndarray, direction: np.ndarray) -
     return np.asarray(caster.run(origin_m, direction, query="OCCLUDED")) >= 0
 
 
+def skin_distance_m(vehicle: Mesh, point_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """How far the skin is from points along their normals, up to `REACH_M` [m]; both [point, 3], returns [point]."""
+    origin_m, direction = np.asarray(point_m + REACH_M * normal, np.float32), np.asarray(-normal, np.float32)
+    found = ray_caster(vehicle).run(origin_m, direction, query="DISTANCE")
+    return np.minimum(np.abs(np.asarray(found, np.float64) - REACH_M), REACH_M)
+
+
 def _skin(vehicle: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """Points spread evenly over a mesh, [point, 3], with unit normals to either side but those that look down."""
     rng = np.random.default_rng(0)

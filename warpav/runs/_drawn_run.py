@@ -12,7 +12,7 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.rig.rig import Rig
-from warpav.runs.config import Config
+from warpav.runs.config import BY_HAND, Config
 from warpav.runs.events import of_modules, trajectory
 from warpav.view import Canvas, drawing_of, draws
 from warpav.view.output import ANIMATION_PX, Animation
@@ -135,7 +135,8 @@ class DrawnRun:
     @property
     def fitted(self) -> FittedRigs:
         """Start and result on their vehicle."""
-        return FittedRigs({"start": self.start, "optimised": self.rig}, self.scene, self.config)
+        start = BY_HAND if self.config.rig.start == BY_HAND else "start"
+        return FittedRigs({start: self.start, "optimised": self.rig}, self.scene, self.config)
 
     def nearest_iteration(self) -> int:
         """The iteration before whose step the cameras stood nearest to those of the result; from 0."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from warpav.evaluation.perturbations import CameraOutages
 from warpav.optimisation.attainable import attainable_objects
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
+from warpav.optimisation.pool_rules import PoolRules
 from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config
@@ -175,12 +178,26 @@ def check_rig(
         yield f"wrote {image}"
 
 
-def rule_margins(rigs: Mapping[str, Rig], placement: Placement) -> dict[str, list[RuleMargin]] | None:
-    """How far rigs are from breaking the design rules of a placement; None where it keeps none."""
-    limits = placement.config.rules.limits
-    if limits is None:
+def rule_margins(
+    rigs: Mapping[str, Rig], placement: Placement, searched: PoolRules | None = None
+) -> dict[str, list[RuleMargin]] | None:
+    """How far rigs are from breaking the design rules of a placement, or those that a search has settled on.
+
+    None where it keeps none.
+    """
+    if not placement.config.keeps_rules:
         return None
-    return {name: list(RuleCheck(rig, placement.ego, limits).margins) for name, rig in rigs.items()}
+    limits = placement.config.rules.limits
+    gap_rad = None if searched is None else searched.settled.azimuth_gap_rad
+    asked_deg = math.degrees(limits.azimuth_gap_rad or 0.0) if gap_rad != limits.azimuth_gap_rad else None
+    asked, price = {"azimuth_gap": asked_deg if gap_rad else None}, {} if searched is None else searched.price
+    return {
+        name: [
+            replace(each, asked=asked.get(each.rule), price=price.get(each.rule))
+            for each in RuleCheck(rig, placement.ego, limits if searched is None else searched.settled).margins
+        ]
+        for name, rig in rigs.items()
+    }
 
 
 def highest_rig(placement: Placement) -> Rig:

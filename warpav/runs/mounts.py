@@ -18,9 +18,9 @@ from warpav.raster.decide import Occlusion
 from warpav.raster.lens import Lens
 from warpav.rig.catalogue import builtin_modules, read_modules
 from warpav.rig.chart import chart_of, propose_zones, with_middles
-from warpav.rig.module import PLAIN, PLAIN_HOUSING, Module, Price
+from warpav.rig.module import PLAIN, PLAIN_HOUSING, Module, Price, Role
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
-from warpav.rig.on_body import MovedRig
+from warpav.rig.on_body import MovedRig, skin_distance_m
 from warpav.rig.presets import preset_on_vehicle
 from warpav.rig.rig import Rig
 from warpav.rig.zone import NORMALS, Zone, read_zones
@@ -87,7 +87,8 @@ def rig_modules(config: Config) -> tuple[Module, ...]:
             near = difflib.get_close_matches(name, catalogue, 1, 0.5)
             hint = f"did you mean {near[0]}?" if near else "warpav modules list shows the shipped ones"
             raise OptionError("rig.modules", f"expected modules out of {', '.join(catalogue)}, got {name!r}; {hint}")
-    return tuple(catalogue[name] for name in config.rig.modules)
+    found = (catalogue[name] for name in config.rig.modules)
+    return tuple(found) if config.keeps_rules else tuple(dataclasses.replace(each, role=Role.ANY) for each in found)
 
 
 def check_one_unit(modules: Iterable[Module]) -> None:
@@ -175,6 +176,49 @@ _SURFACES: dict[str, MountSurface] = {}
 """The last one, by what it follows from: a run looks for mistakes in it before it makes scenes, and takes it then."""
 
 
+_ACROSS = np.array([1.0, -1.0, 1.0])
+_MIRRORED_M, _SAME_PLACE_M = 0.02, 0.05
+"""How far the skin of a symmetric vehicle is from its mirror image, and places of zones from those of others [m]."""
+
+
+def made_symmetric(config: Config, ego: Mesh, start: Rig | None = None) -> Config:
+    """A configuration whose ``rig.symmetric`` is true where it is ``auto`` and all is symmetric, else as it is."""
+    if not config.may_be_symmetric:
+        return config
+    wanted = config.replace({"rig.symmetric": True})
+    from scipy.spatial import KDTree
+
+    try:
+        free = mount_surface(config, ego) if config.mount.zones is not None else None
+        mount = camera_mount(wanted, ego)
+        constraints_of(wanted, mount.surface)
+        if start is not None:
+            mount.mount_pose_of_rig(start)
+    except InputError:
+        return config
+    if free is not None:
+        there_m, wanted_m = (
+            each.point_m(each.place_m[each.inside], each.height_at_m(each.place_m[each.inside]))
+            for each in (free, mount.surface)
+        )
+        if not (KDTree(there_m).query(wanted_m * _ACROSS)[0] <= _SAME_PLACE_M).all():
+            return config
+    return wanted
+
+
+def _check_mirrored(surface: MountSurface, ego: Mesh) -> None:
+    """See that the skin on the right is the mirror image of that on the left, where cameras may stand."""
+    place_m = surface.place_m[surface.inside][::20]
+    point_m, normal = surface.point_m(place_m, surface.height_at_m(place_m)), surface.axes[surface.zone_at(place_m), 2]
+    off_m = float(np.quantile(skin_distance_m(ego, point_m * _ACROSS, normal * _ACROSS), 0.95))
+    if off_m > _MIRRORED_M:
+        raise OptionError(
+            "rig.symmetric",
+            f"expected a vehicle that is its own mirror image, got a skin that is {off_m:.2f} m off on the right; set "
+            "rig.symmetric=false, or move the mesh so that y = 0 is its middle",
+        )
+
+
 def _zones_chart(config: Config, ego: Mesh) -> MountSurface:
     path = config.mount.zones
     if path is not None:
@@ -183,14 +227,14 @@ def _zones_chart(config: Config, ego: Mesh) -> MountSurface:
         zones = propose_zones(ego)
     else:
         zones = _top_zones(config)
-    if config.rig.symmetric and not any(zone.is_centred for zone in zones):
+    if config.rig.is_symmetric and not any(zone.is_centred for zone in zones):
         zones = with_middles(zones)
     try:
-        return chart_of(
+        surface = chart_of(
             zones,
             ego,
             modules=rig_modules(config),
-            pair_spacing_m=config.rig.min_spacing_m if config.rig.symmetric else None,
+            pair_spacing_m=config.rig.min_spacing_m if config.rig.is_symmetric else None,
             pitch_rad=free_ranges(config).pitch_rad or (0.0, 0.0),
             cell_m=config.mount.cell_m,
             min_upward_normal=config.mount.min_upward_normal,
@@ -198,6 +242,9 @@ def _zones_chart(config: Config, ego: Mesh) -> MountSurface:
         )
     except InputError as error:
         raise InputError(str(error) if path is None else f"{path}: {error}") from None
+    if config.rig.is_symmetric:
+        _check_mirrored(surface, ego)
+    return surface
 
 
 def _top_zones(config: Config) -> tuple[Zone, ...]:
@@ -235,6 +282,7 @@ def camera_mount(config: Config, ego: Mesh, *, say: Callable[[str], None] | None
         )
     models = dict(zip(config.rig.module_counts or (), camera_models(config), strict=False))
     housings = {module.name: module.housing for module in rig_modules(config)}
+    roles = {module.name: module.role for module in rig_modules(config)}
     return CameraMount(
         surface,
         camera=[models[name] for name in surface.modules] if surface.modules else camera_model(config),
@@ -243,6 +291,7 @@ def camera_mount(config: Config, ego: Mesh, *, say: Callable[[str], None] | None
         device=checked_device(config.device),
         free=free_ranges(config),
         housings=[housings[name] for name in surface.modules],
+        roles=[roles[name] for name in surface.modules],
     )
 
 
@@ -276,7 +325,7 @@ def objective_options(config: Config) -> ObjectiveOptions:
         occlusion=Occlusion(config.visibility.occlusion),
         supersampling=config.camera.supersampling,
         multiplier_damping=config.optimiser.damping(are_inequalities=config.method != "thesis"),
-        cameras_have_bodies=config.rules.enforced,
+        cameras_have_bodies=config.keeps_rules,
     )
 
 

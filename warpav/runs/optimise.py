@@ -13,7 +13,8 @@ import numpy as np
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.executor import Executor
 from warpav.core.progress import Progress
-from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
+from warpav.optimisation.baselines import random_mount_pose
+from warpav.optimisation.hand_rigs import by_hand, rig_by_hand
 from warpav.optimisation.objective import single_cameras_of
 from warpav.optimisation.pool import CameraPool, Drawing, pool_cache_folder
 from warpav.optimisation.pool_run import PoolRun
@@ -22,7 +23,7 @@ from warpav.optimisation.records import IterationRecord, NotFiniteError, named_p
 from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig
 from warpav.runs._checkpoint import check_identity, identity_of
-from warpav.runs.config import Config
+from warpav.runs.config import BY_HAND, Config
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress
 from warpav.runs.result import Result
@@ -96,6 +97,25 @@ def kept_drawing(executor: Executor | None = None) -> Drawing:
     return Drawing(executor, pool_cache_folder())
 
 
+def _named_start(placement: Placement, *, by_pool: bool) -> np.ndarray:
+    """The rig that ``rig.start`` says without being one, [camera, 7]; a search by a pool looks for the best by hand."""
+    name, mount, constraints = placement.config.rig.start, placement.mount, placement.objective.constraints
+    count = placement.objective.camera_count if placement.limits is None else placement.limits.count[1]
+    if name != "random":
+        if name == BY_HAND and not by_pool:
+            scenes = placement.validation
+
+            def values_of(rigs: Sequence[np.ndarray]) -> list[float]:
+                return [placement.objective.evaluate(rig, scenes).objective for rig in rigs]
+
+            return by_hand(mount, constraints, count, values_of)[0].mount_pose
+        with contextlib.suppress(InputError) if name == BY_HAND else contextlib.nullcontext():
+            first = "corners" if count >= 4 else "cross"
+            return rig_by_hand(first if name == BY_HAND else name, mount, constraints, count)
+    rng = placement.random_numbers(Stream.START)
+    return random_mount_pose(constraints, placement.segregation.yaw_rad, rng=rng)
+
+
 class Optimisation:
     """One run of the optimiser, step by step."""
 
@@ -136,11 +156,8 @@ class Optimisation:
                 start = mount.mount_pose_of_rig(whole, as_configured=True)
                 if progress is not None and (changed := start_changes(given, mount.rig(start))):
                     progress.say(f"rig.start: {changed}")
-            elif config.rig.start == "highest":
-                start = highest_mount_pose(objective.constraints, objective.camera_count)
             else:
-                rng = placement.random_numbers(Stream.START)
-                start = random_mount_pose(objective.constraints, placement.segregation.yaw_rad, rng=rng)
+                start = _named_start(placement, by_pool=by_pool)
             start = start.astype(np.float32)  # as the optimiser keeps it: a start that stays the best is the same rig
             pairing_rig = placement.frozen_rig if placement.has_ordered_start else mount.rig(start)
             if config.optimiser.starts > 1 and not by_pool:
@@ -165,7 +182,7 @@ class Optimisation:
                 limits=placement.limits,
                 requirements=placement.test_points,
                 rules=placement.rules,
-                starts_by_hand=config.rules.enforced and config.rig.modules is None and not placement.parts.freeze,
+                starts_by_hand=placement.starts_by_hand,
                 robust=config.robust.objective,
                 mount_errors=config.robust.mount_errors,
             )

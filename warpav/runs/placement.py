@@ -32,13 +32,28 @@ from warpav.optimisation.rig_limits import RigLimits, range_text
 from warpav.optimisation.settings import LOSSES, ImportanceSettings, RobustSettings
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig
-from warpav.runs.config import AUTO, Config, RigConfig
+from warpav.runs.config import AUTO, BY_HAND, Config, RigConfig
 from warpav.runs.config._schema import NO_REQUIREMENTS
 from warpav.runs.detector_fit import ensure_fit, fit_config
-from warpav.runs.mounts import camera_models, checked_frozen, constraints_of, objective_options, rig_limits
+from warpav.runs.mounts import (
+    camera_models,
+    checked_frozen,
+    constraints_of,
+    made_symmetric,
+    objective_options,
+    rig_limits,
+)
 from warpav.runs.networks import Networks, load_networks
 from warpav.runs.rig_source import read_baselines, read_start, with_added_cameras
-from warpav.runs.scene_set import SceneSet, check_zones, checked_vehicle, load_scene_set, own_vehicle, pack_scenes
+from warpav.runs.scene_set import (
+    SceneSet,
+    check_zones,
+    checked_vehicle,
+    known_vehicle,
+    load_scene_set,
+    own_vehicle,
+    pack_scenes,
+)
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.scene.town.levels import level_of
@@ -248,6 +263,9 @@ class Placement:
             if requirements is None or isinstance(requirements, (str, Path))
             else _checked_requirements(requirements, self.config),
         )
+        if not self.parts.freeze:
+            around = self.parts.ego or own_vehicle(self.config) or scenes[0][0].ego
+            self.config = made_symmetric(self.config, around, self.parts.start)
         self._prepared: _Prepared | None = None
 
     @classmethod
@@ -269,7 +287,10 @@ class Placement:
         check_zones(config)
         if config.scenes.source == "town":  # others may have categories of their own
             check_categories(config.importance)
-        return cls._of(config, Parts(read_start(config) if start is None else start, config.rig.freeze))
+        start = read_start(config) if start is None else start
+        if config.may_be_symmetric and (ego := known_vehicle(config)) is not None:
+            config = made_symmetric(config, ego, start)
+        return cls._of(config, Parts(start, config.rig.freeze))
 
     @classmethod
     def _of(cls, config: Config, parts: Parts) -> Placement:
@@ -428,8 +449,8 @@ class Placement:
     @property
     def rules(self) -> PoolRules | None:
         """The design rules of a search by a pool; None: none."""
-        limits, cameras = self.config.rules.limits, single_cameras_of(self.objective)
-        return None if limits is None or cameras is None else PoolRules(limits, cameras, self.ego)
+        cameras = single_cameras_of(self.objective) if self.config.keeps_rules else None
+        return None if cameras is None else PoolRules(self.config.rules.limits, cameras, self.ego)
 
     @property
     def frozen_rig(self) -> Rig | None:
@@ -445,6 +466,11 @@ class Placement:
         from warpav.thesis.segregation import nearest_cameras
 
         return orientation_rad[np.argsort(nearest_cameras(orientation_rad, self.frozen_rig))]
+
+    @property
+    def starts_by_hand(self) -> bool:
+        """Whether the search tries rigs by hand first, and begins with the best."""
+        return self.config.rig.start == BY_HAND and self.parts.start is None
 
     @property
     def has_ordered_start(self) -> bool:

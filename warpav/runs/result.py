@@ -20,11 +20,12 @@ from warpav.optimisation.mount_errors import MountErrors
 from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.records import Candidate, IterationRecord
 from warpav.optimisation.rivals import random_search
+from warpav.optimisation.rounding import workshop_rig
 from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs._checkpoint import identity_of
 from warpav.runs._drawn_run import DrawnRun, draws_runs
-from warpav.runs.config import Config
+from warpav.runs.config import BY_HAND, Config
 from warpav.runs.evaluate import evaluate_on, highest_rig, requirements_of, rule_margins
 from warpav.runs.events import Certificate
 from warpav.runs.mounts import preset_for
@@ -49,7 +50,7 @@ if TYPE_CHECKING:
     from warpav.thesis.descent import Descent
 
 OPTIMISED, START = "optimised", "start"
-"""Names of the rigs of a run where it is compared."""
+"""Names of the rigs of a run where it is compared; a start that is the best by hand is called `BY_HAND`."""
 
 _TOLERANCE_M, _TOLERANCE_RAD = 0.02, math.radians(1.0)
 _TOLERANCE_SCENES, _TOLERANCE_DRAWS = 10, 8
@@ -85,8 +86,23 @@ class Result:
 
     @cached_property
     def found(self) -> Rig:
-        """The rig that was found, the best or the last as ``optimiser.keep`` says, even where it is worse."""
-        return self.placement.mount.rig(self._kept.mount_pose)
+        """The rig that was found, the best or the last as ``optimiser.keep`` says, even where it is worse.
+
+        Of a search by a pool its numbers are rounded as a workshop takes them, unless that breaks a rule.
+        """
+        rig, descent = self.placement.mount.rig(self._kept.mount_pose), self._descent
+        is_rounded = isinstance(descent, PoolRun) and descent.rounding is not None
+        return workshop_rig(rig, self.placement.parts.freeze) if is_rounded else rig
+
+    @property
+    def start_name(self) -> str:
+        """What the start is called where rigs are compared."""
+        is_by_hand = self.placement.starts_by_hand and (
+            bool(self._descent.hand_rigs)
+            if isinstance(self._descent, PoolRun)
+            else self.placement.config.optimiser.starts == 1
+        )
+        return BY_HAND if is_by_hand else START
 
     @property
     def objective(self) -> float:
@@ -100,7 +116,7 @@ class Result:
     @property
     def start_objective(self) -> float:
         """Of `start`, likewise."""
-        return self._descent.candidates[0].training_objective
+        return self._descent.start_objective
 
     @property
     def found_objective(self) -> float:
@@ -173,7 +189,7 @@ class Result:
         options = {} if descent.task.robust is None else asdict(descent.task.robust)
         if descent.task.mount_errors is not None:
             options |= {name: getattr(settings, name) for name in ("mount_error_m", "mount_error_deg")}
-            rigs = {START: descent.candidates[0].mount_pose, OPTIMISED: descent.mount_pose}
+            rigs = {START: descent.start, OPTIMISED: descent.mount_pose}
             parts = {name: (descent.misplaced_miss_rates(rigs[name]) or {}) | part for name, part in parts.items()}
         return {**options, **{name: part or None for name, part in parts.items()}}
 
@@ -194,8 +210,8 @@ class Result:
 
     @property
     def is_worse_than_start(self) -> bool:
-        """Whether it is higher, or no number; then `rig` is the start."""
-        return not self.found_objective <= self.start_objective
+        """Whether it is higher, or no number; then `rig` is the start. A search by a pool keeps the rules instead."""
+        return not isinstance(self._descent, PoolRun) and not self.found_objective <= self.start_objective
 
     def save(
         self,
@@ -206,8 +222,9 @@ class Result:
     ) -> Path:
         """Write the run folder that the command line leaves: iterations, rigs, evaluation, figures, report.
 
-        The result is compared with its start, the rig around the highest point, the best of some random rigs, the
-        presets of ``baselines.presets`` and the rigs of ``baselines.rigs``.
+        The result is compared with its start (the best rig by hand), the rig around the highest point, the best of
+        ``baselines.random_samples`` random rigs, the presets of ``baselines.presets`` and the rigs of
+        ``baselines.rigs``.
         Scenes that are objects are written into the folder. Of a detector that is an object ``env.json`` keeps the
         class alone, so ``warpav evaluate`` asks for its ONNX file.
 
@@ -344,7 +361,7 @@ def complete_folder(
     constraints = placement.objective.constraints
     measured = {
         "mount_tolerance": tolerance,
-        "rig_of_run": START if result.is_worse_than_start else OPTIMISED,
+        "rig_of_run": result.start_name if result.is_worse_than_start else OPTIMISED,
         "training_objective": StartAndEnd(
             start=_finite(result.start_objective), optimised=_finite(result.found_objective)
         ),
@@ -357,7 +374,7 @@ def complete_folder(
         "certificate": None if result.certificate is None else result.certificate.to_json(),
         **({} if result.robust is None else {"robust": Robust(**result.robust)}),
         "constraints": {name: constraints.margins(rig) for name, rig in rigs.items()},
-        "rules": rule_margins(rigs, placement),
+        "rules": rule_margins(rigs, placement, descent.rules if isinstance(descent, PoolRun) else None),
         "ground": GroundTable(**ground.table()),
     }
     evaluation = compared.compared().model_copy(update=measured)
@@ -392,32 +409,35 @@ def _tolerance(result: Result, test: Sequence[AssignedScene]) -> ToleranceTable 
 
 def _compared(result: Result, progress: Progress) -> tuple[dict[str, Rig], dict[str, Rig | None]]:
     """The rigs that a result is compared with, itself first, and the rigs that these began as."""
-    placement = result.placement
-    config, mount, constraints = placement.config, placement.mount, placement.objective.constraints
-    highest = highest_rig(placement)
+    placement, config = result.placement, result.placement.config
+    presets = {name: preset_for(name, config, placement.ego).rig for name in config.baselines.presets or ()}
+    others = {**presets, **read_baselines(config)}
+    for rig in others.values():
+        placement.add_camera_models(rig, progress)
+    rigs = {OPTIMISED: result.found, result.start_name: result.start, "highest": highest_rig(placement)}
+    pairing_rig: dict[str, Rig | None] = dict.fromkeys(rigs, result.pairing_rig) | {"highest": rigs["highest"]}
+    if config.baselines.random_samples:
+        rigs["random"], pairing_rig["random"] = _best_of_random(placement, progress), placement.frozen_rig
+    return {**rigs, **others}, {**pairing_rig, **others}
+
+
+def _best_of_random(placement: Placement, progress: Progress) -> Rig:
+    """The best of some random rigs on some training scenes."""
+    config, mount = placement.config, placement.mount
     samples, rng = config.baselines.random_samples, placement.random_numbers(Stream.SEARCH)
     chosen = rng.choice(len(placement.train), min(config.baselines.random_scenes, len(placement.train)), replace=False)
     progress.stage(f"best of {samples} random rigs on {len(chosen)} training scenes")
     space = SearchSpace.over(
         mount,
         placement.objective.camera_count,
-        constraints=constraints,
+        constraints=placement.objective.constraints,
         yaw_rad=placement.yaw_rad,
         yaw_reach_rad=0.0,
     )
     scenes = [placement.train[k] for k in chosen]
     camera_renders = samples * len(scenes) * space.camera_count
     value = BudgetedValue.of(placement.objective, scenes, space, camera_renders_max=camera_renders)
-    random = mount.rig(run_search(random_search, value, rng).mount_pose)
-    pairing_rig = result.pairing_rig
-    presets = {name: preset_for(name, config, placement.ego).rig for name in config.baselines.presets or ()}
-    others = {**presets, **read_baselines(config)}
-    for rig in others.values():
-        placement.add_camera_models(rig, progress)
-    return (
-        {OPTIMISED: result.found, START: result.start, "highest": highest, "random": random, **others},
-        {OPTIMISED: pairing_rig, START: pairing_rig, "highest": highest, "random": placement.frozen_rig, **others},
-    )
+    return mount.rig(run_search(random_search, value, rng).mount_pose)
 
 
 def _with_scenes(config: Config, placement: Placement, test: Sequence[Scene], folder: RunFolder) -> Config:

@@ -306,6 +306,11 @@ class RigEvaluation(_Part):
         return next(iter(self.arms))
 
     @property
+    def start(self) -> str:
+        """The rig that a run began with: the best by hand, or the one that it was given."""
+        return "by_hand" if "by_hand" in self.arms else "start"
+
+    @property
     def best(self) -> ArmMetrics:
         """Its metrics."""
         return self.arms[self.first]

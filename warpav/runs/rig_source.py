@@ -18,8 +18,16 @@ from warpav.optimisation.hand_rigs import rig_by_hand
 from warpav.rig.check import off_vehicle
 from warpav.rig.presets import HAND_RIGS, find_rig_file, is_preset, preset_names
 from warpav.rig.rig import Rig, RigCamera, read_rig
-from warpav.runs.config import NAMED_STARTS, START_TEXT, Config, placed_config
-from warpav.runs.mounts import camera_model, camera_mount, checked_frozen, constraints_of, preset_for, with_shared_model
+from warpav.runs.config import BY_HAND, NAMED_STARTS, START_TEXT, Config, placed_config
+from warpav.runs.mounts import (
+    camera_model,
+    camera_mount,
+    checked_frozen,
+    constraints_of,
+    made_symmetric,
+    preset_for,
+    with_shared_model,
+)
 from warpav.runs.run_folder import RunFolder
 
 if TYPE_CHECKING:
@@ -55,6 +63,7 @@ def is_shipped(source: str) -> bool:
 def find_rig(source: str, config: Config, ego: Mesh, *, say: Callable[[str], object] = _logger.warning) -> Rig:
     """The rig that ``source`` means: a rig YAML, a preset, a run folder, or one by hand (`HAND_RIGS`)."""
     if source in HAND_RIGS:
+        config = made_symmetric(config, ego)
         mount = camera_mount(config, ego)
         return mount.rig(rig_by_hand(source, mount, constraints_of(config, mount.surface), config.rig.cameras))
     rig = with_shared_model(read_rig(rig_file(source)), config)
@@ -112,7 +121,7 @@ def rig_file(source: str) -> Path:
 
 def read_baselines(config: Config) -> dict[str, Rig]:
     """The rigs of ``baselines.rigs`` by their names, those of their files."""
-    taken = {"optimised", "start", "highest", "random", *(config.baselines.presets or ())}
+    taken = {"optimised", BY_HAND, "start", "highest", "random", *(config.baselines.presets or ())}
     rigs: dict[str, Rig] = {}
     for path in config.baselines.rigs or ():
         if path.stem in taken | set(rigs):

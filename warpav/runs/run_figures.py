@@ -69,7 +69,7 @@ class RunPictures:
     @property
     def rigs(self) -> dict[str, Rig]:
         """Start and result by their headings."""
-        return {"start": self.start, "optimised": self.found}
+        return {self.evaluation.start: self.start, "optimised": self.found}
 
     def draw(self, progress: Progress, *, full: bool) -> None:
         """Draw the pictures of the first page, or all; what this machine cannot draw is said."""

@@ -44,7 +44,7 @@ from warpav.rig.presets import preset_names
 from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.zone import read_zones, write_zones
 from warpav.runs._drawn_run import DrawnRun, draws_runs
-from warpav.runs.config import KEPT_FILES, Config, dump_config, load_config, with_absolute_paths
+from warpav.runs.config import BY_HAND, KEPT_FILES, Config, dump_config, load_config, with_absolute_paths
 from warpav.runs.environment import command_line, environment
 from warpav.runs.events import Certificate, flat_numbers, read_events
 from warpav.sight.read import copy_requirements
@@ -299,7 +299,8 @@ class RunFolder:
     def found_rig(self) -> Rig:
         """The rig that the search found, even where it is worse than its start."""
         keeps_best = self.config().optimiser.keep == "best"
-        return self.rig("best" if keeps_best and (self.evaluation() or {}).get("rig_of_run") != "start" else "final")
+        is_start = (self.evaluation() or {}).get("rig_of_run") in ("start", BY_HAND)
+        return self.rig("best" if keeps_best and not is_start else "final")
 
     def rig_file(self, role: _RigRole | None = None) -> Path:
         """The file of a rig of the run."""

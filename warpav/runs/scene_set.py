@@ -17,6 +17,7 @@ from warpav.core.cache import digest, user_cache_folder
 from warpav.core.errors import ArgumentError, InputError, OptionError
 from warpav.core.progress import NullProgress, Progress
 from warpav.core.warp_setup import checked_device, compiling
+from warpav.optimisation.settings import RuleSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.rig.zone import read_zones
@@ -115,10 +116,11 @@ def scene_part(config: Config) -> Config:
             catalogue=config.rig.catalogue,
             cameras=config.rig.cameras,
             symmetric=config.rig.symmetric,
-            min_spacing_m=config.rig.min_spacing_m if config.rig.symmetric else RigConfig().min_spacing_m,
+            min_spacing_m=config.rig.min_spacing_m if config.rig.is_symmetric else RigConfig().min_spacing_m,
         ),
         camera=config.camera,
         mount=config.mount,
+        rules=RuleSettings(enforced=config.keeps_rules),
     )
 
 
@@ -274,14 +276,20 @@ def own_vehicle(config: Config) -> Mesh | None:
     return found.mesh
 
 
+def known_vehicle(config: Config) -> Mesh | None:
+    """The vehicle that carries the cameras, where it is known before scenes are made."""
+    ego = own_vehicle(config)
+    if ego is None and config.scenes.source in ("town", "traffic"):
+        return ego_vehicle()
+    return next(load_scenes(config, config.scenes.train_seeds[:1])).ego if config.scenes.source == "folder" else ego
+
+
 def check_zones(config: Config) -> None:
     """See that modules and zones can be used, before scenes are made; on the vehicle where that is known before."""
     rig_modules(config)
     if not has_zones(config):
         return
-    ego = own_vehicle(config)
-    if ego is None and config.scenes.source == "town":
-        ego = ego_vehicle()
+    ego = known_vehicle(config)
     if ego is not None:
         mount_surface(config, ego)
     elif config.mount.zones is not None:

@@ -62,6 +62,7 @@ class Rules:
         azimuth_gap_rad: Widest gap of directions in which no camera sees a road user at `RING_M` [rad]; of rigs with
             fields of view of a whole turn together.
         near_ground: Whether the ground must be seen from as near to the body as the cameras can.
+        near_m: From how near to the body on the ground must be seen all round [m]; None: a search finds that out.
         housing: Largest share of an image that another camera's housing may fill.
         crossing_rad: Least angle between where a camera looks and the way across the vehicle, from above [rad].
     """
@@ -73,6 +74,7 @@ class Rules:
     near_ground: bool = True
     housing: float | None = 0.01
     crossing_rad: float | None = math.radians(60.0)
+    near_m: float | None = None
 
 
 def horizon_margin(ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -> np.ndarray:
@@ -187,10 +189,12 @@ class RuleMargin:
 
     rule: str
     cameras: tuple[str, ...]
-    value: float
-    limit: float
+    value: float | None  # None: nowhere
+    limit: float | None  # None: any value will do
     unit: str
     is_kept: bool
+    asked: float | None = None  # the limit that was asked for, where no rig of a search's cameras keeps it
+    price: float | None = None  # what keeping it costs of the objective, a share; None: not known
 
 
 class RuleCheck:
@@ -239,6 +243,11 @@ class RuleCheck:
             gap = math.degrees(self.azimuth_gap_rad)
             limit = math.degrees(rules.azimuth_gap_rad)
             found.append(RuleMargin("azimuth_gap", (), gap, limit, "deg", gap <= limit + 1e-9))
+        if rules.near_ground:
+            near_m = float(self.near_m.max())
+            kept = rules.near_m is None or near_m <= rules.near_m
+            value = near_m if math.isfinite(near_m) else None
+            found.append(RuleMargin("near_ground", (), value, rules.near_m, "m", kept))
         return tuple(found)
 
     def _worst(self, rule: str, value: np.ndarray, limit: np.ndarray, unit: str, *, most: bool = False) -> RuleMargin:

@@ -196,6 +196,11 @@ class Descent:
         """The candidate with the lowest training objective."""
         return lowest(self.candidates)
 
+    @property
+    def start_objective(self) -> float:
+        """The objective of the rig that the run begins with."""
+        return self.candidates[0].training_objective
+
     def _of_descent(self, descent: int) -> list[Candidate]:
         return [each for each in self.candidates if each.descent == descent]
 

@@ -27,6 +27,9 @@ _BODIES = {
 }
 """Bodies that presets were made for; unidrive_6x60 is of no vehicle."""
 
+AS_BUILT = {"nuscenes": "", "argoverse2": "ring", "edgar": "basler_sr"}
+"""Presets of vehicles that were built, and how the names of their cameras that look all round begin."""
+
 
 def preset_names() -> list[str]:
     """Names of the shipped rigs, sorted, such as ``nuscenes``."""

@@ -9,7 +9,7 @@ with ``method: thesis`` as in ``thesis``.
 """
 
 from warpav.runs.config._explain import COMMAND_LINE, DescribedOption, described_options, option_values
-from warpav.runs.config._fields import AUTO, NAMED_STARTS, START_TEXT, read_seeds
+from warpav.runs.config._fields import AUTO, BY_HAND, NAMED_STARTS, START_TEXT, read_seeds
 from warpav.runs.config._load import (
     Config,
     dump_config,
@@ -35,6 +35,7 @@ from warpav.runs.config._schema import (
 
 __all__ = [
     "AUTO",
+    "BY_HAND",
     "COMMAND_LINE",
     "KEPT_FILES",
     "NAMED_STARTS",

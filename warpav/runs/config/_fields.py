@@ -23,15 +23,18 @@ from warpav.core.section import (
     shown,
 )
 from warpav.core.yaml_file import read_yaml
-from warpav.rig.presets import preset_names
+from warpav.rig.presets import HAND_RIGS, preset_names
 from warpav.scene.scene import ROAD_USERS
 from warpav.scene.vehicles import SHIPPED, vehicle_file, vehicle_names
 from warpav.sight.templates import template_names
 
-NAMED_STARTS = ("random", "highest")
+BY_HAND = "by_hand"
+"""The start that is the best of some rigs by hand."""
+
+NAMED_STARTS = (BY_HAND, "random", *HAND_RIGS)
 """What rig.start may be besides a rig."""
 
-START_TEXT = "random, highest, a preset, a run folder or the path of a rig YAML"
+START_TEXT = f"{', '.join(NAMED_STARTS)}, a preset, a run folder or the path of a rig YAML"
 
 AUTO = "auto"
 """Requirements that are the near field, as a term of the objective alone, where the search knows requirements."""

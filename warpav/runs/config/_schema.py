@@ -28,6 +28,7 @@ from warpav.raster.lens import Lens, LensShape, checked_distortion
 from warpav.rig.module import PLAIN
 from warpav.runs.config._fields import (
     AUTO,
+    BY_HAND,
     COUNTS_TEXT,
     MAX_SEED,
     MOST_CAMERAS,
@@ -269,7 +270,7 @@ class RigConfig(Section):
         description="cameras on the vehicle; of modules also the range in which their number may be, such as 2..8",
     )
     start: Annotated[str, Expectation(START_TEXT)] = Field(
-        default="random", description=f"rig that the optimiser starts from: {START_TEXT}"
+        default=BY_HAND, description=f"rig that the optimiser starts from: {START_TEXT}"
     )
     freeze: CameraNames = Field(
         default=(),
@@ -298,9 +299,10 @@ class RigConfig(Section):
     max_cost: float | None = Field(
         default=None, gt=0.0, description="what all cameras may cost together, in the unit of the catalogue"
     )
-    symmetric: bool | None = Field(
-        default=None,
-        description="whether cameras stand in mirrored pairs, or in the middle where a zone is centred; null: no",
+    symmetric: bool | Literal["auto"] = Field(
+        default="auto",
+        description="whether cameras stand in mirrored pairs, or in the middle where a zone is centred; auto: where "
+        "the search is the one by a pool, and vehicle, zones, modules and the rig to start from are symmetric",
     )
 
     @model_validator(mode="before")
@@ -327,7 +329,12 @@ class RigConfig(Section):
     @property
     def module_counts(self) -> Mapping[str, tuple[int, int]] | None:
         """Least and greatest number of each module, of plain cameras in pairs too; None: cameras one by one."""
-        return {PLAIN: self.camera_range} if self.modules is None and self.symmetric else self.modules
+        return {PLAIN: self.camera_range} if self.modules is None and self.is_symmetric else self.modules
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether cameras stand in mirrored pairs; False while nobody has looked at the vehicle for ``auto``."""
+        return self.symmetric is True
 
     @property
     def camera_range(self) -> tuple[int, int]:
@@ -491,7 +498,9 @@ class DetectorConfig(Section):
 class _BaselineConfig(Section):
     """The rigs that the result is compared with."""
 
-    random_samples: int = Field(default=20, ge=1, le=1_000_000, description="random rigs of which the best is taken")
+    random_samples: int = Field(
+        default=0, ge=0, le=1_000_000, description="random rigs of which the best is taken; 0: none"
+    )
     random_scenes: int = Field(default=4, ge=1, description="training scenes on which the random rigs are ranked")
     presets: PresetNames | None = Field(
         default=None, description="presets on the body of the vehicle that a run compares its rig with; null: none"
@@ -615,7 +624,28 @@ class ConfigTree(Section):
     @property
     def knows_requirements(self) -> bool:
         """Whether the search is one that knows requirements."""
+        return self._is_by_pool
+
+    @property
+    def _is_by_pool(self) -> bool:
         return self.search_kind == "pool" and self.losses.is_by_single_cameras and self.method != "thesis"
+
+    @property
+    def keeps_rules(self) -> bool:
+        """Whether rigs keep the design rules, and cameras have bodies where rigs are judged."""
+        return self._is_by_pool if self.rules.enforced is None else self.rules.enforced
+
+    @property
+    def may_be_symmetric(self) -> bool:
+        """Whether ``rig.symmetric: auto`` asks for pairs of a symmetric vehicle."""
+        rig = self.rig
+        return (
+            rig.symmetric == "auto"
+            and self._is_by_pool
+            and rig.camera_range[0] > 1
+            and not rig.freeze
+            and rig.free.fov_deg is None
+        )
 
     @property
     def search_kind(self) -> str:
@@ -681,17 +711,17 @@ class ConfigTree(Section):
 
     def _check_modules(self) -> None:
         rig = self.rig
-        if rig.symmetric and rig.freeze:
+        if rig.is_symmetric and rig.freeze:
             mistake(f"expected none with rig.symmetric, got {shown(rig.freeze)}", "rig.freeze", "rig.symmetric")
         if rig.modules is None:
             if rig.max_cost is not None:
                 text = f"expected null without rig.modules, got {shown(rig.max_cost)}"
                 mistake(f"{text}; say which modules there are", "rig.max_cost", "rig.modules")
-            if not rig.symmetric:
+            if not rig.is_symmetric:
                 return
             if self.method == "thesis" or self.search_kind == "descent" or not self.losses.is_by_single_cameras:
                 text = (
-                    "expected null, as only the search by a pool, with the loss expected_miss_rate alone, knows pairs"
+                    "expected auto, as only the search by a pool, with the loss expected_miss_rate alone, knows pairs"
                 )
                 mistake(f"{text}; leave method, optimiser.search and the losses as they are", "rig.symmetric", "losses")
             if rig.free.fov_deg is not None:

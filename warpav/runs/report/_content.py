@@ -158,7 +158,7 @@ def _ground(folder: RunFolder, evaluation: RigEvaluation | None) -> _GroundMap |
         "heights_m": 1,
         "cell_m": 0,
         "ego_bounds_m": 2,
-        **{f"blind_count_{arm}": 3 for arm in ("start", evaluation.first)},
+        **{f"blind_count_{arm}": 3 for arm in (evaluation.start, evaluation.first)},
     }
     for name, dimensions in wanted.items():
         if name not in arrays or arrays[name].ndim != dimensions or arrays[name].dtype.kind not in "iuf":
@@ -167,7 +167,7 @@ def _ground(folder: RunFolder, evaluation: RigEvaluation | None) -> _GroundMap |
             )
     opened = arrays["open_count"].astype(np.float64)
     shares = {}
-    for arm in ("start", evaluation.first):
+    for arm in (evaluation.start, evaluation.first):
         blind = arrays[f"blind_count_{arm}"].astype(np.float64)
         if blind.shape != opened.shape or len(blind) != len(arrays["heights_m"]):
             raise InputError(f"{file}: expected counts of one shape, got {blind.shape} and {opened.shape}")

@@ -64,6 +64,7 @@ _FIGURES = {
     "sensitivity": "What it costs to mount a camera off its place, by degree of freedom, and to lose it",
     "search": "Best rig and bound over the camera renders",
     "requirements_start": "From above: points that have to be seen, and how many cameras of the start see enough there",
+    "requirements_by_hand": "The same of the rig by hand",
     "requirements_optimised": "The same of the rig that was found",
     "further_cameras": "From above: what each camera of the pool would add to the rig that was found",
 }
@@ -188,10 +189,11 @@ def _cards(run: RunContent) -> list[words.Statement]:
     if evaluation is None:
         return [words.Statement("last loss", words.number(run.events[-1].loss, 4))]
     first, arm = evaluation.first, evaluation.best
-    before = evaluation.arms["start"].tp_detection_rate if "start" in evaluation.arms else None
+    before = evaluation.arms[evaluation.start].tp_detection_rate if evaluation.start in evaluation.arms else None
     cards = [
         words.Statement(
-            f"recall of the rig, {first}" + ("" if before is None else f" (start {words.number(before)})"),
+            f"recall of the rig, {first}"
+            + ("" if before is None else f" ({evaluation.start.replace('_', ' ')} {words.number(before)})"),
             words.number(arm.tp_detection_rate),
         ),
         words.Statement(f"AP50 of all images, {first}", words.number(arm.ap50_pooled)),
@@ -274,7 +276,7 @@ def _plots(run: RunContent, drawn: Collection[str]) -> dict[str, list[_PageImage
         svg = recall_by_group(tables, title, unit=RECALL_GROUPS.get(by, ""))
         if svg is not None:
             found["recall"].append(_plot(by, f"{title} of every rig; the table holds the numbers", svg))
-    rigs = {"start": run.start, evaluation.first: run.result}
+    rigs = {evaluation.start: run.start, evaluation.first: run.result}
     for height, height_m in enumerate(run.ground.heights_m):
         for arm in (name for name in rigs if name in run.ground.blind_share):
             svg = blind_ground(
@@ -466,7 +468,7 @@ def _ground(evaluation: RigEvaluation) -> list[dict[str, Any]]:
     ground = evaluation.ground
     assert ground is not None
     first = evaluation.first
-    has_start = "start" in ground.blind and first != "start"
+    has_start = evaluation.start in ground.blind and first != evaluation.start
     return [
         {
             "height_m": height_m,
@@ -477,7 +479,7 @@ def _ground(evaluation: RigEvaluation) -> list[dict[str, Any]]:
                     [
                         (
                             ground.share(first, height, s, b),
-                            ground.share("start", height, s, b) if has_start else None,
+                            ground.share(evaluation.start, height, s, b) if has_start else None,
                         )
                         for b in range(len(ground.bands_m))
                     ],

@@ -30,7 +30,12 @@ _MIN_SCENES = 6
 _FEW_SCENES = 30
 _FAR_PER_100 = 5.0  # detected misses that exceed the expected ones by so many, and twofold, are warned of
 _HIDING_BODY = 0.5  # share of an image from which on the own body is named as why a rig detects nothing
-_BASELINES = {"start": "the start", "highest": "the highest rig", "random": "the best random rig"}
+_BASELINES = {
+    "by_hand": "the best rig by hand",
+    "start": "the start",
+    "highest": "the highest rig",
+    "random": "the best random rig",
+}
 _ALSO_COMPARED = {
     "ap50_pooled": ("AP50", False),
     "false_alarms_per_frame": ("false alarms", True),
@@ -117,10 +122,10 @@ def worse_than_start(evaluation: RigEvaluation) -> list[str]:
             f"the optimised rig has objective {end}, its start {training.start:.4g}; the rig of the run, "
             "rig_best.yaml, is the start"
         )
-    recall = evaluation.paired.get("start", {}).get("tp_detection_rate")
-    if recall is not None and recall.high is not None and recall.high < 0.0 and "start" in evaluation.arms:
+    recall = evaluation.paired.get(evaluation.start, {}).get("tp_detection_rate")
+    if recall is not None and recall.high is not None and recall.high < 0.0 and evaluation.start in evaluation.arms:
         before, after = (
-            number(evaluation.arms["start"].tp_detection_rate, 4),
+            number(evaluation.arms[evaluation.start].tp_detection_rate, 4),
             number(evaluation.best.tp_detection_rate, 4),
         )
         found.append(f"the {evaluation.first} rig has recall {after} on the test scenes, its start {before}")
@@ -241,9 +246,9 @@ def _traffic(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
         return None
     first = evaluation.first
     text = f"In {_counted(evaluation.scene_count, 'scene')} that no search has seen, the {found}."
-    if evaluation.outcomes is not None and "start" in evaluation.arms:
+    if evaluation.outcomes is not None and evaluation.start in evaluation.arms:
         pairs = Counter(
-            (seen.outcome["start"] == ObjectOutcome.DETECTED, seen.outcome[first] == ObjectOutcome.DETECTED)
+            (seen.outcome[evaluation.start] == ObjectOutcome.DETECTED, seen.outcome[first] == ObjectOutcome.DETECTED)
             for seen in evaluation.outcomes
         )
         won, lost = pairs[False, True], pairs[True, False]
@@ -346,7 +351,7 @@ def _objective(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
     if training is None or training.optimised is None:
         return None
     if training.start is None:
-        outcomes = evaluation.met.get("start", [])
+        outcomes = evaluation.met.get(evaluation.start, [])
         unmet = [each.name for each in outcomes if each.hard and not each.is_met]
         reason = f", as it does not meet {_listed(unmet)}" if unmet else ""
         return Statement("Objective", f"{number(training.optimised, 4)} at the end; the start is not allowed{reason}.")
@@ -356,13 +361,13 @@ def _objective(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
         return Statement("Objective", f"{text}: {robust_text(evaluation.robust)}.")
     if _counts_points(run):
         text += ", expected misses and points of the requirements that are not met together"
-    before = evaluation.arms["start"].objective if "start" in evaluation.arms else None
+    before = evaluation.arms[evaluation.start].objective if evaluation.start in evaluation.arms else None
     after = evaluation.best.objective
     if before is None or after is None:
         return Statement("Objective", f"{text}.")
     what = "what is expected to be missed" if _counts_points(run) else "it"
     text += f"; on the test scenes {what} {_change(before, after)}"
-    found = evaluation.paired.get("start", {}).get("objective")
+    found = evaluation.paired.get(evaluation.start, {}).get("objective")
     if found is not None and found.low is not None:
         text += f", a difference of {interval(found)} a scene"
     tone = "open" if found is None else tone_of(found, lower_is_better=True)
@@ -529,7 +534,10 @@ def _ground(evaluation: RigEvaluation) -> Statement | None:
         text = f"{percent(ground.share(first, height))} of the ground for someone {height_m:g} m tall"
         parts.append(text + (f" ({', '.join(others)})" if others else ""))
     text = f"Within {ground.radius_m:g} m no camera sees {_listed(parts)}."
-    before, after = ground.share("start", 0) if "start" in ground.blind else None, ground.share(first, 0)
+    before, after = (
+        ground.share(evaluation.start, 0) if evaluation.start in ground.blind else None,
+        ground.share(first, 0),
+    )
     if before is not None and after is not None and after > before + 0.005:
         what = "points of the requirements, not all the ground" if evaluation.met else "traffic, not ground"
         text += f" That is more than at the start: the objective counts {what}."
@@ -570,7 +578,10 @@ _RULE_WORDS = {
     "crossing": ("{camera} looks {value:.0f} degrees away from straight across the vehicle", "at least {limit:.0f}"),
     "housing": ("the housing of another camera fills {value:.1%} of the image of {camera}", "at most {limit:.1%}"),
     "azimuth_gap": ("at 15 m a gap of {value:.0f} degrees is in no image", "at most {limit:.0f}"),
+    "near_ground": ("the ground is seen all round from {value:g} m off the body on", "at most {limit:g}"),
 }
+_RULE_NAMES = {"azimuth_gap": "Closing the gap", "near_ground": "Seeing the ground"}
+_NAMED_PRICE = 0.01  # a rule that costs a larger share of the objective is named with its price
 
 
 def _rules(evaluation: RigEvaluation) -> Statement | None:
@@ -582,13 +593,26 @@ def _rules(evaluation: RigEvaluation) -> Statement | None:
     def told(margin: RuleMargin) -> str:
         value, limit = _RULE_WORDS[margin.rule]
         camera = margin.cameras[0] if margin.cameras else ""
+        if margin.value is None:
+            return "the ground is nowhere seen all round"
         return f"{value.format(value=margin.value, camera=camera)}, {limit.format(limit=margin.limit)} is asked"
 
+    further = "".join(
+        f" {_RULE_NAMES[margin.rule]} costs {percent(margin.price)} of the objective."
+        for margin in margins
+        if margin.price is not None and margin.price > _NAMED_PRICE
+    )
+    for margin in margins:
+        if margin.asked is not None:
+            further += f" No rig of these cameras does with {margin.asked:.0f} degrees of gap, as was asked."
     broken = [margin for margin in margins if not margin.is_kept]
     if broken:
-        return Statement("Rules", f"{len(broken)} of {len(margins)} are broken: {'; '.join(map(told, broken))}.", "bad")
-    closest = min(margins, key=lambda margin: abs(margin.value - margin.limit) / max(margin.limit, 1e-9))
-    return Statement("Rules", f"All {len(margins)} are kept; nearest to its limit: {told(closest)}.", "good")
+        text = f"{len(broken)} of {len(margins)} are broken: {'; '.join(map(told, broken))}."
+        return Statement("Rules", f"{text}{further}", "bad")
+    limited = [(margin, margin.value, margin.limit) for margin in margins if margin.value is not None and margin.limit]
+    closest = min(limited, key=lambda each: abs(each[1] - each[2]) / each[2], default=None)
+    text = f"All {len(margins)} are kept" + (f"; nearest to its limit: {told(closest[0])}." if closest else ".")
+    return Statement("Rules", f"{text}{further}", "good")
 
 
 def _pitch_limits(run: RunContent) -> Statement | None:
