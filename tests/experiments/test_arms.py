@@ -47,7 +47,8 @@ def missing(tmp_path_factory):
     """The same under the expected miss rate."""
     with RunDisplay() as display:
         folder = tmp_path_factory.mktemp("scenes") / "street"
-        return Placement.from_config(config(folder, *MISSES, "requirements=null")).prepare(display)
+        alone = ("requirements=null", "rules=none", "rig.symmetric=false")
+        return Placement.from_config(config(folder, *MISSES, *alone)).prepare(display)
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from tests.driving_scene import flat_surface
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, streets
 from warpav.detection.miss_rate import expected_miss_rate
-from warpav.optimisation.hand_rigs import by_hand, directions_rad, hand_mount_pose
+from warpav.optimisation.hand_rigs import by_hand, directions_rad, rig_by_hand
 from warpav.optimisation.mount import PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
 from warpav.optimisation.pool_search import PoolSearch, PoolSearchSettings, PoolTask
 from warpav.raster.camera import CameraModel
@@ -38,11 +38,11 @@ def test_where_they_look(name, count, expected_deg):
 
 
 def test_corners_stand_at_the_corners_and_the_front_pair_is_set_back():
-    pose = hand_mount_pose(flat(), zone_of(flat(), 4), directions_rad("corners", 4, 42.0), set_back_m=0.5, pitch_deg=18)
-    corner_m = [[0.5, 0.6], [0.5, -0.6], [-1.0, 0.6], [-1.0, -0.6]]
+    pose = rig_by_hand("corners", flat(), zone_of(flat(), 4), 4)
+    corner_m = [[0.7, 0.6], [0.7, -0.6], [-1.0, 0.6], [-1.0, -0.6]]
     np.testing.assert_allclose(pose[:, [X_M, Y_M]], corner_m, atol=0.08)  # cells, and the border's margin
-    np.testing.assert_allclose(np.degrees(pose[:, YAW_RAD]), [42, -42, 138, -138], rtol=1e-5)
-    np.testing.assert_allclose(np.degrees(pose[:, PITCH_RAD]), 18.0, rtol=1e-5)
+    np.testing.assert_allclose(np.degrees(pose[:, YAW_RAD]), [44, -44, 136, -136], rtol=1e-5)
+    np.testing.assert_allclose(np.degrees(pose[:, PITCH_RAD]), 12.0, rtol=1e-5)
 
 
 def test_the_best_by_hand_is_the_best_of_what_was_tried():

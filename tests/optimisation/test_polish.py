@@ -146,7 +146,7 @@ def test_the_first_step_comes_near_what_was_promised():
 def test_the_budget_is_kept_and_frozen_cameras_stay():
     mount = mount_of(free=None)
     rig = mount.rig(poses_of(3, mount))
-    frozen = mount.freezing(rig, ["camera_1"])
+    frozen = mount.freezing(rig, [rig.cameras[1].name])
     constraints = zone_of(frozen, frozen=frozen.frozen)
     cameras = cameras_of(mount=frozen)
     steps = polished(cameras, frozen.mount_pose_of_rig(rig), constraints, camera_renders_max=31)

@@ -85,7 +85,7 @@ def test_the_selection_is_the_best_rig_of_the_pool_by_brute_force():
 def test_frozen_cameras_are_part_of_every_rig():
     plain = mount_of(free=None)
     rig = plain.rig(poses_of(3, plain))
-    mount = plain.freezing(rig, ["camera_1"])
+    mount = plain.freezing(rig, [rig.cameras[1].name])
     for state in searched(mount, frozen=mount.frozen):
         np.testing.assert_array_equal(state.mount_pose[1], mount.frozen.mount_pose[1])
 
@@ -118,7 +118,8 @@ def test_the_start_comes_before_the_pool_is_drawn_and_changes_nothing_that_follo
     mount = mount_of(free=None)
     start, constraints, settings = poses_of(3, mount, seed=5), zone_of(mount), replace(SMALL, rounds=0)
     if is_frozen:
-        mount = mount.freezing(mount.rig(start), ["camera_1"])
+        rig = mount.rig(start)
+        mount = mount.freezing(rig, [rig.cameras[1].name])
         constraints = zone_of(mount, frozen=mount.frozen)
     cameras, scenes, drawn = cameras_of(mount=mount), streets(), []
     chunk = pool_module._draw
@@ -160,7 +161,8 @@ def test_a_second_search_draws_neither_the_start_nor_the_pool(tmp_path, monkeypa
 
 def test_refinement_spends_what_rounds_leave_and_finds_better_rigs():
     plain = mount_of(free=None)
-    mount = plain.freezing(plain.rig(poses_of(3, plain)), ["camera_1"])
+    rig = plain.rig(poses_of(3, plain))
+    mount = plain.freezing(rig, [rig.cameras[1].name])
     settings = PoolSearchSettings(pool_cameras=24, rounds=1, priced_cameras=4, camera_renders_max=480)
     *_, without = searched(mount, settings=settings, frozen=mount.frozen)
     states = searched(mount, settings=replace(settings, refinements=20), frozen=mount.frozen)

@@ -26,6 +26,7 @@ modules:
     price: {value: 25, unit: EUR}
     power_w: 0.8
     zones: [roof, mirror]
+    role: side
     source: data sheet 7
 """
 
@@ -51,6 +52,7 @@ def test_every_field_is_read(tmp_path):
         price=Price(25, "EUR"),
         power_w=0.8,
         zones=("roof", "mirror"),
+        role="side",
         source="data sheet 7",
     )
 
@@ -159,6 +161,7 @@ def test_the_table_says_what_the_network_gets(tmp_path):
         f"{used.pixels_per_degree:.1f}",
         "25 EUR",
         "0.8",
+        "side",
         "roof, mirror",
         "data sheet 7",
     ]

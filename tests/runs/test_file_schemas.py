@@ -50,7 +50,7 @@ extends: builtin
 modules:
   - {name: a, sensor_px: [640, 480], network_px: [320, 240], network_by: scaling, lens: fisheye, fov_deg: 120,
      vertical_fov_deg: 90, distortion: [0, 0, 0, 0], housing: {size_m: [0.03, 0.03, 0.03], offset_m: [0, 0, 0]},
-     price: {value: 1, unit: EUR}, power_w: null, zones: [roof], source: a guess}
+     price: {value: 1, unit: EUR}, power_w: null, zones: [roof], role: front, source: a guess}
 """,
     "zones": """
 zones:

@@ -261,7 +261,7 @@ def test_a_function_of_the_probabilities_is_a_loss(train):
         others = np.stack([np.prod(np.delete(miss, k, axis=0), axis=0) for k in range(len(miss))])
         return float(miss.prod(axis=0).mean()), -others / probability.shape[1]
 
-    config = wa.Config.load("quick", "optimiser.starts=1")
+    config = wa.Config.load("quick", "optimiser.starts=1", "rig.start=random", "rig.symmetric=false")
     own = wa.Placement(train[:1], config=config, losses=[(2.0, missed)])
     built_in = wa.Placement(train[:1], config=config, losses=[(2.0, wa.losses.ExpectedMissRate())])
     rig = Optimisation.begin(built_in).start
@@ -279,7 +279,8 @@ def test_a_function_of_the_probabilities_is_a_loss(train):
 def test_what_is_optimised_is_what_is_reported_with_weights(train):
     """Objective and evaluation of one scene are one weighted mean of what the single cameras miss."""
     weights = {"distance_m": {0: 1.0, 20: 4.0}, "sector_deg": [{"from": 90, "to": 270, "weight": 0.5}]}
-    placement = wa.Placement(train[:1], config=wa.Config.load("quick", "optimiser.starts=1"), importance=weights)
+    config = wa.Config.load("quick", "rig.start=random", "rig.symmetric=false")
+    placement = wa.Placement(train[:1], config=config, importance=weights)
     assert placement.config.importance.distance_m == {0.0: 1.0, 20.0: 4.0}
     rig = Optimisation.begin(placement).start
     missed = np.prod(1.0 - np.minimum(placement.detection_probabilities(rig), 0.9999), axis=0)

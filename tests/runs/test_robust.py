@@ -93,9 +93,9 @@ def test_a_result_says_what_its_objective_is_made_of(tmp_path):
         in_parts = 0.6 * each["expected_miss_rate"] + 0.4 * each["without_camera"]
         assert each["objective"] == pytest.approx(in_parts)
         assert each["without_camera"] > each["expected_miss_rate"]
-    terms = result.records[-1].terms
-    assert terms["expected_miss_rate"] == result.robust["optimised"]["expected_miss_rate"]
-    assert terms["expected_miss_rate_without_camera"] == result.robust["optimised"]["without_camera"]
+    terms, optimised = result.records[-1].terms, result.robust["optimised"]  # before and after numbers are rounded
+    assert terms["expected_miss_rate"] == pytest.approx(optimised["expected_miss_rate"], abs=0.02)
+    assert terms["expected_miss_rate_without_camera"] == pytest.approx(optimised["without_camera"], abs=0.02)
     assert result.bound <= result.objective
     folder = result.save(tmp_path / "run", test=list(wa.town([5])))
     evaluation = wa.read_run(folder).evaluation()

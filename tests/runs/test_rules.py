@@ -15,10 +15,15 @@ from warpav.runs.rig_source import find_rig
 from warpav.sight.rules import Rules
 
 
-def test_limits_are_in_radians_and_none_by_default():
-    assert Config().rules.limits is None
-    assert load_config(None, ["rules=default"]).rules.limits == Rules()
-    assert load_config(None, ["rules=default", "rules=none"]).rules.limits is None
+def test_limits_are_in_radians_and_kept_where_a_search_can():
+    assert Config().rules.limits == Rules()
+    assert [load_config(None, each).keeps_rules for each in ([], ["rules=default"], ["rules=none"])] == [
+        True,
+        True,
+        False,
+    ]
+    assert not load_config(None, ["optimiser.search=descent"]).keeps_rules
+    assert not load_config("thesis").keeps_rules
     limits = load_config(None, ["rules.enforced=true", "rules.crossing_deg=45", "rules.horizon=null"]).rules.limits
     assert limits.crossing_rad == pytest.approx(math.radians(45.0))
     assert limits.horizon is None
@@ -38,7 +43,7 @@ def test_limits_are_in_radians_and_none_by_default():
             r"rules\.enforced: expected null, as only the search by a pool",
         ),
         (["method=thesis", "rules=default"], r"rules\.enforced: expected null, as only the search by a pool"),
-        (["method=thesis", "rig.symmetric=true"], r"rig\.symmetric: expected null, as only the search by a pool"),
+        (["method=thesis", "rig.symmetric=true"], r"rig\.symmetric: expected auto, as only the search by a pool"),
         (
             ["rig.symmetric=true", "rig.free.fov_deg=[60, 100]"],
             r"rig\.free\.fov_deg: expected null with rig\.symmetric",
@@ -75,7 +80,7 @@ def test_what_a_rig_breaks_is_said(capsys, tmp_path):
     small = ["scenes.test_seeds=5000..5000", "camera.width_px=64", "camera.height_px=64"]
     assert main(["evaluate", "highest", "rules=default", *small, "--json", str(file)]) == 0
     said = capsys.readouterr().out
-    assert "Rules: 2 of 5 are broken: the own body fills 32% of the image of camera_0, at most 30% is asked" in said
+    assert "Rules: 2 of 6 are broken: the own body fills 32% of the image of front_1, at most 30% is asked" in said
     found = {each["rule"]: each for each in json.loads(file.read_text())["rules"]["highest"]}
     assert not found["crossing"]["is_kept"]
     assert found["azimuth_gap"]["value"] <= 3.0

@@ -154,6 +154,7 @@ def test_a_rig_has_a_margin_for_every_rule():
         "horizon": True,
         "crossing": True,
         "azimuth_gap": True,
+        "near_ground": True,
     }
     assert check.azimuth_gap_rad == 0.0
     one_less = RuleCheck(Rig(box_rig().cameras[:3]), body, Rules(housing=None))

@@ -212,7 +212,8 @@ def rig_by_hand(name: str, mount: CameraMount, constraints: Constraints, count: 
     ``name``: ``corners``, ``cross``, ``edge`` or ``highest``.
     """
     if name in _OF_SURFACE:
-        return _placed(mount, constraints, _OF_SURFACE[name](constraints, count))
+        rows = count if constraints.module is None else len(constraints.module)
+        return _placed(mount, constraints, _OF_SURFACE[name](constraints, rows))
     set_back_m = SET_BACK_M[0] if name == "corners" else 0.0
     layout = _layout(name, mount, constraints, count, CORNER_DEG[0])
     pose = _hand_mount_pose(mount, constraints, layout, set_back_m=set_back_m, pitch_deg=PITCH_DEG[0])

@@ -397,7 +397,7 @@ class CameraMount:
                 behind_glass=panes[i],
                 housing=self.housings[module[i]],
             )
-            cameras += [camera, _mirror_image(camera)] if is_pair else [camera]
+            cameras += [camera, mirror_image(camera)] if is_pair else [camera]
         return Rig(named_by_direction(cameras) if frozen is None else cameras)
 
     def rows_of_cameras(self, mount_pose: np.ndarray) -> np.ndarray:
@@ -431,7 +431,7 @@ class CameraMount:
 
     def _check_mirrored(self, rig: Rig, camera: RigCamera) -> None:
         """Make sure that a camera of a rig has its mirror image there, to a millimetre and a milliradian."""
-        wanted = _mirror_image(camera)
+        wanted = mirror_image(camera)
         for other in rig.cameras:
             turn = wanted.ego_from_camera[:3, :3].T @ other.ego_from_camera[:3, :3]
             is_near = math.dist(wanted.position_m, other.position_m) <= _FROZEN_OFF_M
@@ -458,7 +458,7 @@ class CameraMount:
         )
 
 
-def _mirror_image(camera: RigCamera) -> RigCamera:
+def mirror_image(camera: RigCamera) -> RigCamera:
     """The camera on the other side of the vehicle."""
     position_m = camera.position_m * [1.0, -1.0, 1.0]
     pane = camera.behind_glass and camera.behind_glass.mirrored()

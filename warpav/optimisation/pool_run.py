@@ -22,13 +22,10 @@ from warpav.optimisation.pool import CameraPool, Drawing
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import Found, PoolSearch, PoolSearchSettings, PoolTask
 from warpav.optimisation.records import Candidate, IterationRecord, named_part, part_of, rig_fields
-from warpav.optimisation.rounding import STEP_M, roundings
+from warpav.optimisation.rounding import roundings
 from warpav.optimisation.selection._relaxation import Price
 
-_ROUNDED = 3
-"""Roundings that are judged, the nearest of those that keep the rules."""
-
-_WORDS = ("todo", "objective", "bound", "round", "rng", "rules", "iteration", "proven", "start_value")
+_WORDS = ("todo", "objective", "bound", "round", "rng", "rules", "iteration", "proven")
 
 
 class PoolRun(PoolSearch):
@@ -49,7 +46,6 @@ class PoolRun(PoolSearch):
         self.candidates: list[Candidate] = []  # the rigs that were found, each better than those before
         self.iteration = 0  # steps so far
         self.found: Found | None = None  # the last state; None before the first step
-        self.start_value: RobustValue | None = None  # what the objective of the start is made of
         self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
         self._final_states = 0
         self.rounding: Candidate | None = None  # the best rig, rounded
@@ -64,6 +60,11 @@ class PoolRun(PoolSearch):
     def start_objective(self) -> float:
         """The objective of `start`; infinite where it breaks a hard requirement, and was not drawn by hand."""
         return self.hand_rigs[0].value if self.hand_rigs else self.candidates[0].training_objective
+
+    def robust_value(self, mount_pose: np.ndarray) -> RobustValue | None:
+        """What the objective of a rig of the pool, float32 [camera, 7], is made of; None where it is no robust one."""
+        row = rows_of(self.assembly.in_order(mount_pose), self.pool.mount_pose)
+        return None if (row < 0).any() else self._robust_value(row)
 
     @property
     def mount_pose(self) -> np.ndarray:
@@ -88,8 +89,6 @@ class PoolRun(PoolSearch):
         self.found = found = next(self)
         if not self.candidates and found.stage != "start":  # it breaks a hard requirement or a rule
             self.candidates.append(Candidate(self.start, math.inf, self.iteration, 0))
-        if self.start_value is None or found.stage == "start":
-            self.start_value = found.robust
         if not self.candidates or found.objective < self.best.training_objective:
             self.candidates.append(Candidate(found.mount_pose, found.objective, self.iteration, 0))
         record = self._record(found, time.perf_counter() - began)
@@ -99,35 +98,37 @@ class PoolRun(PoolSearch):
         return record
 
     def finish(self) -> Candidate:
-        """The best rig, rounded as a workshop takes it; where no step was taken, the start."""
+        """The best rig, with rules rounded as a workshop takes it; where no step was taken, the start."""
         if not self.candidates:
             self.step()
-        if self.rounding is None and self.rig is not None and self.best.training_objective < math.inf:
+        if self.rules is not None and self.rounding is None and self.best.training_objective < math.inf:
             self._round(self.best)
         return self.best if self.rounding is None else self.rounding
 
     def _round(self, best: Candidate) -> None:
-        """The best of the nearest roundings of a rig that keep what it keeps."""
-        held, kept = self.assembly.is_held(len(best.mount_pose)), list[Candidate]()
-        for pose in roundings(best.mount_pose, self.cameras.mount, held):
-            if self._affordable(len(pose)) < len(pose) or not self._keeps_rules(pose) or not self._fits(pose):
-                continue
-            self.pool = self.pool.extended(pose)
-            kept.append(Candidate(pose, self._value_of(pose), best.iteration, 0))
-            if len(kept) == _ROUNDED:
+        """The best of the nearest roundings of a rig that keeps what it keeps."""
+        held, mount = self.assembly.is_held(len(best.mount_pose)), self.cameras.mount
+        rigs = list(roundings(best.mount_pose, mount, held, self._fits))
+        cameras = np.unique(np.concatenate([best.mount_pose, *rigs]), axis=0)
+        if self._affordable(len(cameras)) < len(cameras):
+            return
+        self.pool = self.pool.extended(cameras)
+        for value, number in sorted((self._value_of(pose), number) for number, pose in enumerate(rigs)):
+            pose = rigs[number]
+            found = self.pool.detection_probability[rows_of(pose, self.pool.mount_pose)]
+            is_kept = self._meets_requirements(found) and self._keeps_rules(pose)
+            if is_kept and not self.task.constraints.violation_m(mount.rig(pose)) > 0.0:
+                self.rounding = Candidate(pose, value, best.iteration, 0)
                 break
-        allowed = [each for each in kept if self._meets_points(each.mount_pose)]
-        self.rounding = min(allowed, key=lambda each: each.training_objective, default=None)
         if self.rounding is not None and self._progress is not None:
             values = f"objective {best.training_objective:.4f} -> {self.rounding.training_objective:.4f}"
             self._progress.say(f"rounded to 5 mm and 0.5 degrees: {values}")
 
     def _fits(self, mount_pose: np.ndarray) -> bool:
-        margins = self.task.constraints.margins(self.cameras.mount.rig(mount_pose))
-        return all(margin.slack_m > -STEP_M for margin in margins)
-
-    def _meets_points(self, mount_pose: np.ndarray) -> bool:
-        return self._meets_requirements(self.pool.detection_probability[rows_of(mount_pose, self.pool.mount_pose)])
+        mount, constraints = self.cameras.mount.of_single_cameras, self.constraints.of_single_cameras
+        if constraints.violation_m(mount.rig(mount_pose)) > 0.0:
+            return False
+        return self.rules is None or bool(self.rules.allowed(mount_pose).all())
 
     def further_cameras(self) -> FurtherCameras | None:
         """What traffic each camera of the pool would add to the best rig, which is in it; None before it is drawn."""
@@ -151,7 +152,7 @@ class PoolRun(PoolSearch):
         ``expected_miss_rate`` with errors of mounting, and ``as_designed``; None for a rig that is not in the pool.
         """
         assert self.found is not None
-        pool, task = self.found.pool, self.task
+        pool, task = self.pool, self.task
         row = rows_of(mount_pose, pool.mount_pose)
         if (row < 0).any():
             return None
@@ -164,8 +165,7 @@ class PoolRun(PoolSearch):
 
     def position(self) -> dict[str, Any]:
         """All that the search knows between two stages, and the run."""
-        start_value = self.start_value and asdict(self.start_value)
-        of_run = {"iteration": self.iteration, "proven": self._proven, "start_value": start_value}
+        of_run = {"iteration": self.iteration, "proven": self._proven}
         return super().position() | of_run | {"candidates": list(self.candidates), "by_hand": self.hand_rigs[:1]}
 
     def state(self) -> dict[str, np.ndarray]:
@@ -227,7 +227,6 @@ class PoolRun(PoolSearch):
             self.rules.gap_steps, self.rules.near_level, self._rule_rows, self.rules.price = words["rules"]
         self.iteration = self._final_states = words["iteration"]
         self._proven = None if words["proven"] is None else tuple(words["proven"])
-        self.start_value = words["start_value"] and RobustValue(**words["start_value"])
         self.candidates = [
             Candidate(np.array(pose, np.float32), objective, iteration, 0)
             for pose, objective, iteration in words["candidates"]

@@ -293,7 +293,7 @@ class PoolSearch:
                 told = {"progress": self._progress, "name": _START_NAME}
                 self.pool = pool.extended(first, may_see_nothing=len(spread) > 0, **told)
         if start is not None:
-            if self.rules is None:  # their levels follow from the pool
+            if self.rules is None and not self.task.starts_by_hand:  # levels of rules follow from the pool
                 yield from self._offered(start, first)
             if len(spread):
                 self.pool = self.pool.extended(spread, progress=self._progress)
@@ -303,20 +303,23 @@ class PoolSearch:
             self.points.check(found, seen, self.camera_count)
         if self.rules is not None:
             self._settle_rules(self.rules)
-            if start is not None:
+            if start is not None and not self.task.starts_by_hand:
                 yield from self._offered(start, first)
         self._todo = [("improve",)]
         if self.task.starts_by_hand:
-            by_hand = yield from self._by_hand()
+            by_hand = self._by_hand()
+            if start is not None:
+                yield from self._offered(start, first)
             self._todo[:0] = [("polish", rig.tolist(), *_FIRST_POLISH) for rig in by_hand if self.settings.polishes]
 
     def _offered(self, start: np.ndarray, rows: np.ndarray) -> Iterator[Found]:
-        """The start as the first rig, where it keeps what rigs must keep."""
-        self._is_better(start, self._value_of(rows))
+        """The start as the first rig, where it keeps what rigs must keep, unless there is one already."""
+        if self.rig is None:
+            self._is_better(start, self._value_of(rows))
         if self.rig is not None:
             yield self._found("start")
 
-    def _by_hand(self) -> Generator[Found, None, list[np.ndarray]]:
+    def _by_hand(self) -> list[np.ndarray]:
         """Try rigs by hand, whose cameras join the pool; the best that keep the rules."""
         mount, constraints = self.cameras.mount, self.constraints
 
@@ -336,8 +339,7 @@ class PoolSearch:
             self.hand_rigs.append(replace(each, mount_pose=rig))
             if each.value < np.inf and self._keeps_rules(rig):
                 kept.append(rig)
-                if self._is_better(rig, each.value):
-                    yield self._found("start")
+                self._is_better(rig, each.value)
         return kept[:_POLISHED_BY_HAND]
 
     def _value_of(self, rig: np.ndarray) -> float:

@@ -19,11 +19,14 @@ from warpav.evaluation.metrics import metrics_of, observe_scenes
 from warpav.evaluation.perturbations import CameraOutages
 from warpav.optimisation.attainable import attainable_objects
 from warpav.optimisation.baselines import highest_mount_pose
+from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
+from warpav.optimisation.mount import CameraMount
 from warpav.optimisation.pool_rules import PoolRules
 from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config
+from warpav.runs.mounts import camera_mount, constraints_of
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
 from warpav.runs.rig_evaluation import RigEvaluation, seen_objects
@@ -211,9 +214,18 @@ def highest_rig(placement: Placement) -> Rig:
     Raises:
         InputError: The cameras do not fit.
     """
-    mount = placement.mount
-    pose = highest_mount_pose(placement.objective.constraints, placement.objective.camera_count)
-    return mount.rig(mount.within(mount.off_the_skin(pose)))
+    mount, constraints, count = _one_by_one(placement)
+    return mount.rig(mount.within(mount.off_the_skin(highest_mount_pose(constraints, count))))
+
+
+def _one_by_one(placement: Placement) -> tuple[CameraMount, Constraints, int]:
+    """Mount, constraints and number of a placement's cameras, equal ones each for itself also where they are pairs."""
+    config, objective = placement.config, placement.objective
+    if config.rig.modules is not None or not placement.mount.is_symmetric:
+        return placement.mount, objective.constraints, objective.camera_count
+    config = config.replace({"rig.symmetric": False})
+    mount = camera_mount(config, placement.ego)
+    return mount, constraints_of(config, mount.surface), config.rig.cameras
 
 
 def random_rig(placement: Placement, seed: int = 0) -> Rig:
@@ -228,8 +240,6 @@ def random_rig(placement: Placement, seed: int = 0) -> Rig:
     Raises:
         InputError: The cameras do not fit.
     """
-    space = SearchSpace.over(
-        placement.mount, placement.objective.camera_count, constraints=placement.objective.constraints
-    )
-    pose = space.random(np.random.default_rng(seed)).astype(np.float32)
-    return placement.mount.rig(placement.mount.within(pose))
+    mount, constraints, count = _one_by_one(placement)
+    space = SearchSpace.over(mount, count, constraints=constraints)
+    return mount.rig(mount.within(space.random(np.random.default_rng(seed)).astype(np.float32)))

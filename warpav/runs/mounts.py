@@ -55,7 +55,8 @@ def camera_model(config: Config) -> CameraModel:
 def _near_m(config: Config) -> float:
     """What is nearer to a camera is not seen [m]."""
     near_m = config.camera.near_m
-    return min(near_m, _FLUSH_NEAR_M) if has_zones(config) else near_m
+    is_flush = config.mount.zones is not None or config.rig.modules is not None
+    return min(near_m, _FLUSH_NEAR_M) if is_flush else near_m
 
 
 def has_zones(config: Config) -> bool:
@@ -164,7 +165,7 @@ def mount_surface(config: Config, ego: Mesh) -> MountSurface:
     paths = [path for path in (config.mount.zones, config.rig.catalogue) if path is not None and path.is_file()]
     files = [(str(path), path.stat().st_mtime_ns) for path in paths]
     settings = [section.model_dump_json() for section in (config.mount, config.rig)]
-    made_of = digest(ego.vertex_m.tobytes(), ego.triangle.tobytes(), *files, *settings)
+    made_of = digest(ego.vertex_m.tobytes(), ego.triangle.tobytes(), config.rig.is_symmetric, *files, *settings)
     if made_of not in _SURFACES:
         surface = _zones_chart(config, ego) if has_zones(config) else roof_surface(config, ego)
         _SURFACES.clear()
@@ -182,10 +183,10 @@ _MIRRORED_M, _SAME_PLACE_M = 0.02, 0.05
 
 
 def made_symmetric(config: Config, ego: Mesh, start: Rig | None = None) -> Config:
-    """A configuration whose ``rig.symmetric`` is true where it is ``auto`` and all is symmetric, else as it is."""
+    """A configuration whose ``rig.symmetric: auto`` means true if all is symmetric, else as it is."""
     if not config.may_be_symmetric:
         return config
-    wanted = config.replace({"rig.symmetric": True})
+    wanted = config.model_copy(update={"rig": config.rig.mirrored()})
     from scipy.spatial import KDTree
 
     try:

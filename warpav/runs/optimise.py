@@ -13,7 +13,7 @@ import numpy as np
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.executor import Executor
 from warpav.core.progress import Progress
-from warpav.optimisation.baselines import random_mount_pose
+from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
 from warpav.optimisation.hand_rigs import by_hand, rig_by_hand
 from warpav.optimisation.objective import single_cameras_of
 from warpav.optimisation.pool import CameraPool, Drawing, pool_cache_folder
@@ -111,6 +111,8 @@ def _named_start(placement: Placement, *, by_pool: bool) -> np.ndarray:
             return by_hand(mount, constraints, count, values_of)[0].mount_pose
         with contextlib.suppress(InputError) if name == BY_HAND else contextlib.nullcontext():
             first = "corners" if count >= 4 else "cross"
+            if name == "highest":
+                return highest_mount_pose(constraints, placement.objective.camera_count)
             return rig_by_hand(first if name == BY_HAND else name, mount, constraints, count)
     rng = placement.random_numbers(Stream.START)
     return random_mount_pose(constraints, placement.segregation.yaw_rad, rng=rng)

@@ -263,7 +263,7 @@ class Placement:
             if requirements is None or isinstance(requirements, (str, Path))
             else _checked_requirements(requirements, self.config),
         )
-        if not self.parts.freeze:
+        if not self.parts.freeze and self.parts.losses is None:
             around = self.parts.ego or own_vehicle(self.config) or scenes[0][0].ego
             self.config = made_symmetric(self.config, around, self.parts.start)
         self._prepared: _Prepared | None = None
@@ -318,6 +318,8 @@ class Placement:
 
     def with_config(self, config: Config) -> Placement:
         """The same placement with other numbers; scenes, detector and fit are taken along as they are."""
+        if self.config.rig.is_symmetric and config.may_be_symmetric:
+            config = config.model_copy(update={"rig": config.rig.mirrored()})
         placement = Placement._of(config, self.parts)
         done = self._prepared
         if done is not None and not _have_one_objective(config, self.config):

@@ -169,7 +169,7 @@ class Result:
     def gap(self) -> float | None:
         """Objective less bound; negative where the polish went below what the pool's cameras can reach; None as above.
 
-        The objective is that of `found` on the scenes of the search.
+        The objective is that of `found` on the scenes of the search, before its numbers were rounded.
         """
         return None if self.certificate is None else self.certificate.gap
 
@@ -184,12 +184,12 @@ class Result:
         descent, settings = self._descent, self.placement.config.robust
         if not isinstance(descent, PoolRun) or descent.found is None or settings.asked_for is None:
             return None
-        values = {START: descent.start_value, OPTIMISED: descent.found.robust}
+        rigs = {START: descent.start, OPTIMISED: self._kept.mount_pose}
+        values = {name: descent.robust_value(rig) for name, rig in rigs.items()}
         parts = {name: {} if value is None else asdict(value) for name, value in values.items()}
         options = {} if descent.task.robust is None else asdict(descent.task.robust)
         if descent.task.mount_errors is not None:
             options |= {name: getattr(settings, name) for name in ("mount_error_m", "mount_error_deg")}
-            rigs = {START: descent.start, OPTIMISED: descent.mount_pose}
             parts = {name: (descent.misplaced_miss_rates(rigs[name]) or {}) | part for name, part in parts.items()}
         return {**options, **{name: part or None for name, part in parts.items()}}
 

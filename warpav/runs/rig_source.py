@@ -24,7 +24,6 @@ from warpav.runs.mounts import (
     camera_mount,
     checked_frozen,
     constraints_of,
-    made_symmetric,
     preset_for,
     with_shared_model,
 )
@@ -63,7 +62,6 @@ def is_shipped(source: str) -> bool:
 def find_rig(source: str, config: Config, ego: Mesh, *, say: Callable[[str], object] = _logger.warning) -> Rig:
     """The rig that ``source`` means: a rig YAML, a preset, a run folder, or one by hand (`HAND_RIGS`)."""
     if source in HAND_RIGS:
-        config = made_symmetric(config, ego)
         mount = camera_mount(config, ego)
         return mount.rig(rig_by_hand(source, mount, constraints_of(config, mount.surface), config.rig.cameras))
     rig = with_shared_model(read_rig(rig_file(source)), config)

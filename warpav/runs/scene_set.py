@@ -115,7 +115,7 @@ def scene_part(config: Config) -> Config:
             modules=config.rig.modules,
             catalogue=config.rig.catalogue,
             cameras=config.rig.cameras,
-            symmetric=config.rig.symmetric,
+            symmetric=config.rig.is_symmetric,
             min_spacing_m=config.rig.min_spacing_m if config.rig.is_symmetric else RigConfig().min_spacing_m,
         ),
         camera=config.camera,

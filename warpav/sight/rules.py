@@ -53,27 +53,19 @@ _MIDDLE_M = 0.3
 
 @dataclass(frozen=True)
 class Rules:
-    """Limits; None: no such rule.
+    """Limits; None: no such rule."""
 
-    Attributes:
-        own_body: Largest share of an image that the own body may fill.
-        own_body_wide: The same for cameras of `WIDE_RAD` and more.
-        horizon: How far the horizon is below the top edge at least, as a share of the image's height.
-        azimuth_gap_rad: Widest gap of directions in which no camera sees a road user at `RING_M` [rad]; of rigs with
-            fields of view of a whole turn together.
-        near_ground: Whether the ground must be seen from as near to the body as the cameras can.
-        near_m: From how near to the body on the ground must be seen all round [m]; None: a search finds that out.
-        housing: Largest share of an image that another camera's housing may fill.
-        crossing_rad: Least angle between where a camera looks and the way across the vehicle, from above [rad].
-    """
-
-    own_body: float | None = 0.3
-    own_body_wide: float | None = 0.6
-    horizon: float | None = 0.1
+    own_body: float | None = 0.3  # largest share of an image that the own body may fill
+    own_body_wide: float | None = 0.6  # the same for cameras of `WIDE_RAD` and more
+    horizon: float | None = 0.1  # how far the horizon is below the top edge at least, as a share of the image's height
+    # Widest gap of directions in which no camera sees a road user at `RING_M` [rad]; of rigs with fields of view of
+    # a whole turn together
     azimuth_gap_rad: float | None = AZIMUTH_STEP_RAD
-    near_ground: bool = True
-    housing: float | None = 0.01
+    near_ground: bool = True  # whether the ground must be seen from as near to the body as the cameras can
+    housing: float | None = 0.01  # largest share of an image that another camera's housing may fill
+    # Least angle between where a camera looks and the way across the vehicle, from above [rad]
     crossing_rad: float | None = math.radians(60.0)
+    # From how near to the body on the ground must be seen all round [m]; None: a search finds that out
     near_m: float | None = None
 
 

@@ -22,14 +22,16 @@ def box_share_kernel(
 ):
     """Share of an object's whole box that a view shows, for comparison with a fitted probability of detection.
 
-    Its share inside the image, with ``hiding_counts`` times what nothing hides of that; 0 where nothing is visible.
+    Its share inside the image, with ``hiding_counts`` times what nothing hides of that; 0 where nothing is visible, at
+    most 1, as a pixel may be larger than a far box.
 
     Launch: ``dim=(view_count, object_count)``.
     Writes: every element of ``probability`` once.
     """
     view, k = wp.tid()
     if hiding_counts != 0:
-        probability[view, k] = feature[view, k, IN_FRAME_SHARE] * feature[view, k, VISIBLE_SHARE]
+        share = feature[view, k, IN_FRAME_SHARE] * feature[view, k, VISIBLE_SHARE]
+        probability[view, k] = wp.min(share, 1.0)
     else:
         probability[view, k] = feature[view, k, IN_FRAME_SHARE]
 

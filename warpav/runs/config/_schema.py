@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 
 from warpav.core.errors import InputError
 from warpav.core.section import Degrees, Expectation, Metres, Section, mistake, shown
@@ -305,6 +305,8 @@ class RigConfig(Section):
         "the search is the one by a pool, and vehicle, zones, modules and the rig to start from are symmetric",
     )
 
+    _is_mirrored: bool = PrivateAttr(default=False)
+
     @model_validator(mode="before")
     @classmethod
     def _counted(cls, data: object) -> object:
@@ -334,7 +336,13 @@ class RigConfig(Section):
     @property
     def is_symmetric(self) -> bool:
         """Whether cameras stand in mirrored pairs; False while nobody has looked at the vehicle for ``auto``."""
-        return self.symmetric is True
+        return self.symmetric is True or (self.symmetric == "auto" and self._is_mirrored)
+
+    def mirrored(self) -> RigConfig:
+        """The same, of which ``symmetric: auto`` means true."""
+        found = self.model_copy()
+        found._is_mirrored = True
+        return found
 
     @property
     def camera_range(self) -> tuple[int, int]:
