@@ -310,7 +310,7 @@ class PoolSearch:
             by_hand = self._by_hand()
             if start is not None:
                 yield from self._offered(start, first)
-            self._todo[:0] = [("polish", rig.tolist(), *_FIRST_POLISH) for rig in by_hand if self.settings.polishes]
+            self._todo = [("improve", [rig.tolist() for rig in by_hand])]
 
     def _offered(self, start: np.ndarray, rows: np.ndarray) -> Iterator[Found]:
         """The start as the first rig, where it keeps what rigs must keep, unless there is one already."""
@@ -398,11 +398,12 @@ class PoolSearch:
         rest = limit - of_a_round * len(self.scenes)
         return int(_POOL_SHARE * limit) if self.settings.refinements else max(int(_POOL_SHARE * limit), rest)
 
-    def _improve(self) -> None:
-        """Improve the best rig, and prove how good it is."""
+    def _improve(self, by_hand: Sequence[list[list[float]]] = ()) -> None:
+        """Improve the best rig, and those by hand, and prove how good the best is."""
         self._todo = [("note",), ("select",), ("settle",)]
         if self.settings.polishes:
             first = [] if self.bound is not None else [("select_and_polish", *_FIRST_POLISH)]
+            first += [("polish", rig, *_FIRST_POLISH) for rig in by_hand]
             self._todo[:1] = [*first, ("priced",), ("note",), ("select_and_polish", *_LAST_POLISH), ("refined", 0, -1)]
 
     def _note(self) -> None:

@@ -517,7 +517,8 @@ class Placement:
         of what the cameras see; what a frozen camera would gain is 0.
 
         Args:
-            rig: As many cameras as the placement has, of its camera model, anywhere.
+            rig: As many cameras as the placement has, of its camera model, anywhere; of a symmetric placement a
+                symmetric rig, whose pairs move together.
             scenes: Where to look; None: all training scenes.
 
         Returns:
@@ -531,14 +532,19 @@ class Placement:
             self.mount_pose_of(rig), self._scenes_for(rig, scenes), gradient=True, with_constraints=False
         )
         assert found.gradient is not None
+        rows = self.mount.rows_of_cameras(self.mount_pose_of(rig))
+        images = [self.mount.is_symmetric and camera.position_m[1] < 0.0 for camera in rig.cameras]
         columns = {
             name: column
             for name, column in _DEGREES_OF_FREEDOM.items()
             if name in ("x_m", "y_m", "yaw_rad") or self.mount.is_free[column]
         }
         gradient = {
-            camera.name: {name: float(found.gradient[k, column]) for name, column in columns.items()}
-            for k, camera in enumerate(rig.cameras)
+            camera.name: {
+                name: float(found.gradient[row, column]) * (-1.0 if is_image and name in ("y_m", "yaw_rad") else 1.0)
+                for name, column in columns.items()
+            }
+            for camera, row, is_image in zip(rig.cameras, rows, images, strict=True)
         }
         return found.objective, gradient
 
