@@ -85,7 +85,7 @@ def test_the_ten_lines_run_as_printed(tmp_path, monkeypatch, capsys):
     assert len(run.events()) == len(result.records) == 2
     assert (run.path / "report.html").is_file()
     evaluation = json.loads((run.path / "evaluation.json").read_text())
-    assert list(evaluation["arms"]) == ["optimised", "start", "highest", "random"]
+    assert list(evaluation["arms"]) == ["optimised", "by_hand", "highest", "random"]
     assert run.config().scenes.train_seeds == (0, 1)
 
 
@@ -202,7 +202,7 @@ def test_a_detector_is_read_as_a_placement_reads_it():
 
 
 def test_rigs_to_compare_with_need_no_search():
-    placement = wa.Placement(wa.town([0]), cameras=3)
+    placement = wa.Placement(wa.town([0]), cameras=3, rig={"symmetric": False})
     highest = wa.highest_rig(placement)
     assert len(highest.cameras) == 3
     top_m = placement.mount.surface.height_m.max() + placement.config.rig.height_offset_m

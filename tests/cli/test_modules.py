@@ -16,7 +16,15 @@ def test_the_shipped_modules_are_listed_with_their_columns(capsys):
         assert word in head
     assert [row.split()[0] for row in rows] == list(builtin_modules())
     tele = next(row for row in rows if row.startswith("tele_8mp_28"))
-    for text in ("3840 x 2160", "1920 x 1080", "pinhole", "28.0", "67.2", "2.6 relative", " -  windscreen, roof "):
+    for text in (
+        "3840 x 2160",
+        "1920 x 1080",
+        "pinhole",
+        "28.0",
+        "67.2",
+        "2.6 relative",
+        " -  front     windscreen, roof ",
+    ):
         assert text in tele
 
 

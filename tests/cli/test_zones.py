@@ -69,7 +69,9 @@ def test_zones_are_proposed_edited_and_used(working_directory, car, capsys):
     for rig in (folder.rig(), folder.rig("initial")):
         for camera in rig.cameras:
             place_m, rise_m = chart.place_of(camera.position_m)
-            assert float(rise_m) == pytest.approx(0.02, abs=2e-3)  # cells of 2 and 4 cm differ a little
+            assert float(rise_m) == pytest.approx(
+                0.02, abs=5e-3
+            )  # cells of 2 and 4 cm differ a little, and numbers are rounded
             assert chart.zone_distance_m(place_m) > 0.0
             side = 1.0 if camera.position_m[1] > 0.0 else -1.0
             assert 39.9 < side * np.degrees(camera.yaw_rad) < 140.1

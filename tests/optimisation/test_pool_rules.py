@@ -11,6 +11,7 @@ from tests.driving_scene import street
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, streets
 from warpav.detection.miss_rate import expected_miss_rate
+from warpav.optimisation import pool_search
 from warpav.optimisation.mount import FreeRanges
 from warpav.optimisation.pool import CameraPool, spread_mount_poses
 from warpav.optimisation.pool_rules import ALONE, PoolRules
@@ -99,7 +100,8 @@ def test_margins_are_kept_where_rules_are_and_their_slopes_are_those_of_differen
         assert slope[:, 0, number] == pytest.approx(difference[:, 0], abs=0.6)  # a hard image of 160 px
 
 
-def test_a_search_ends_with_a_rig_that_keeps_the_rules():
+def test_a_search_ends_with_a_rig_that_keeps_the_rules(monkeypatch):
+    monkeypatch.setattr(pool_search, "_PRICE", 10.0)
     rules = Rules(own_body=0.35, housing=0.004, azimuth_gap_rad=math.radians(3.0))
     ends = {}
     for name, kept in (("none", None), ("rules", rules)):

@@ -96,7 +96,7 @@ BAD = {
     "lens": (changed("lens: fisheye", "lens: fish_eye"), 6, "modules[0].lens: expected one", "did you mean fisheye?"),
     "key": (changed("power_w:", "power:"), 12, "modules[0].power: expected one of", "; did you mean power_w?"),
     "zone": (changed("[roof, mirror]", "[roof, roof]"), 13, "modules[0].zones[1]: expected every zone once", "roof"),
-    "name twice": (ONE + ONE.removeprefix("modules:\n").replace("mine", "Mine"), 15, "modules[1].name: expected every "
+    "name twice": (ONE + ONE.removeprefix("modules:\n").replace("mine", "Mine"), 16, "modules[1].name: expected every "
                    "name once, got 'Mine'", "; give it another name than that of modules[0]"),
     "shipped name": (
         "extends: builtin\n" + ONE.replace("mine", "front_8mp_30"),
@@ -105,7 +105,7 @@ BAD = {
         "than that of the shipped catalogue",
     ),
     "extends": ("extends: other\n" + ONE, 1, "extends: expected builtin, to hold the shipped modules", "got 'other'"),
-    "root key": (ONE + "vehicle: car\n", 15, "vehicle: expected one of extends, modules, got 'vehicle'", "; remove it"),
+    "root key": (ONE + "vehicle: car\n", 16, "vehicle: expected one of extends, modules, got 'vehicle'", "; remove it"),
     "a list": ("- name: mine\n", 1, "expected a mapping with extends, modules", ""),
     "a module of text": ("modules:\n  - mine\n", 2, "modules[0]: expected a mapping with name", "'mine'"),
 }  # fmt: skip

@@ -100,7 +100,7 @@ def directions_rad(name: str, count: int, corner_deg: float) -> np.ndarray:
 
 def _layout(name: str, mount: CameraMount, constraints: Constraints, count: int, corner_deg: float) -> _Layout:
     """Where the cameras of ``corners``, ``cross`` or a known vehicle look and stand."""
-    if constraints.module is not None and not _are_alike(mount):
+    if constraints.module is not None:
         return _of_modules(name, mount, constraints.module, corner_deg)
     found = _as_built(name) if name in AS_BUILT else _looking_outwards(directions_rad(name, count, corner_deg))
     return found.of_pairs() if mount.is_symmetric else found
@@ -214,6 +214,7 @@ def rig_by_hand(name: str, mount: CameraMount, constraints: Constraints, count: 
     if name in _OF_SURFACE:
         rows = count if constraints.module is None else len(constraints.module)
         return _placed(mount, constraints, _OF_SURFACE[name](constraints, rows))
+    constraints = constraints.of_any_modules if _are_alike(mount) else constraints
     set_back_m = SET_BACK_M[0] if name == "corners" else 0.0
     layout = _layout(name, mount, constraints, count, CORNER_DEG[0])
     pose = _hand_mount_pose(mount, constraints, layout, set_back_m=set_back_m, pitch_deg=PITCH_DEG[0])
@@ -240,6 +241,8 @@ def by_hand(
         values = values_of([rig.mount_pose for rig in rigs])
         return [replace(rig, value=float(value)) for rig, value in zip(rigs, values, strict=True)]
 
+    of_surface = constraints
+    constraints = constraints.of_any_modules if _are_alike(mount) else constraints
     is_pitched = bool(mount.is_free[PITCH_RAD])
     pitches = PITCH_DEG if is_pitched else (0,)
     kinds = [("cross", {"corner": CORNER_DEG[:1], "back": (0.0,), "pitch": pitches})]
@@ -251,7 +254,7 @@ def by_hand(
         kinds += [(name, as_built) for name in AS_BUILT if len(_as_built(name).yaw_rad) == count]
     found = [best for name, tried in kinds if (best := _best_of_kind(mount, constraints, name, count, tried, rated))]
     if not mount.is_symmetric:
-        found += rated([HandRig(name, "", rig_by_hand(name, mount, constraints, count)) for name in _OF_SURFACE])
+        found += rated([HandRig(name, "", rig_by_hand(name, mount, of_surface, count)) for name in _OF_SURFACE])
     return sorted(found, key=lambda rig: rig.value)
 
 

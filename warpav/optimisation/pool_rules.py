@@ -72,7 +72,7 @@ class PoolRules:
         self.rules, self.cameras, self.vehicle = rules, cameras, vehicle
         self.gap_steps: int | None = None  # widest gap that is allowed, in `AZIMUTH_STEP_RAD`; None: any
         self.near_level: int | None = None  # index into `NEAR_M`; None: any
-        self.price: dict[str, float] = {}  # what the rules of these two levels cost of the objective, shares
+        self.price_of_gap = math.inf  # what the gap that is asked for would cost of the objective, a share
         self._ring_m = ring_m(vehicle)
         self._near_m = np.stack([near_ring_m(vehicle, distance_m) for distance_m in NEAR_M])
         self._ground = level_ground(vehicle, device=cameras.mount.device)

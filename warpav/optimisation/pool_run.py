@@ -224,7 +224,7 @@ class PoolRun(PoolSearch):
         self.objective, self.bound, self.round = (words[name] for name in ("objective", "bound", "round"))
         self._rng.bit_generator.state = words["rng"]
         if self.rules is not None:
-            self.rules.gap_steps, self.rules.near_level, self._rule_rows, self.rules.price = words["rules"]
+            self.rules.gap_steps, self.rules.near_level, self._rule_rows, self.rules.price_of_gap = words["rules"]
         self.iteration = self._final_states = words["iteration"]
         self._proven = None if words["proven"] is None else tuple(words["proven"])
         self.candidates = [

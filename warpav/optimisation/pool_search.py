@@ -233,7 +233,7 @@ class PoolSearch:
         """All that it knows between two stages."""
         known: dict[str, Any] = {name: getattr(self, name) for name in _KEPT}
         rules = self.rules
-        levels = rules and [rules.gap_steps, rules.near_level, list(self._rule_rows), dict(rules.price)]
+        levels = rules and [rules.gap_steps, rules.near_level, list(self._rule_rows), rules.price_of_gap]
         known |= {"todo": list(self._todo), "places": list(self._places), "rules": levels}
         return known | {"rng": self._rng.bit_generator.state}
 
@@ -321,7 +321,6 @@ class PoolSearch:
 
     def _by_hand(self) -> list[np.ndarray]:
         """Try rigs by hand, whose cameras join the pool; the best that keep the rules."""
-        mount, constraints = self.cameras.mount, self.constraints
 
         def values_of(rigs: Sequence[np.ndarray]) -> list[float]:
             new = np.unique(np.concatenate(rigs), axis=0)
@@ -330,7 +329,7 @@ class PoolSearch:
             self.pool = self.pool.extended(np.concatenate(rigs), progress=self._progress)
             return [self._value_of(rig) for rig in rigs]
 
-        found = by_hand(mount, constraints, self.camera_count, values_of)
+        found = by_hand(self.cameras.mount, self.task.constraints, self.camera_count, values_of)
         if self._progress is not None and found:
             self._progress.say(f"by hand: {found[0]}: objective {found[0].value:.4f}")
         kept = []
@@ -356,27 +355,23 @@ class PoolSearch:
         if rules.rules.azimuth_gap_rad is not None and most * widest_rad >= 2.0 * np.pi - 1e-6:
             first = round(rules.rules.azimuth_gap_rad / AZIMUTH_STEP_RAD)
             levels = [first + k for k in range(20)]
-            rules.gap_steps, rules.price["azimuth_gap"] = self._kept_level("gap_steps", levels, is_asked=True)
+            rules.gap_steps, rules.price_of_gap = self._kept_level("gap_steps", levels)
         if rules.rules.near_ground:
-            levels = list(range(len(NEAR_M)))
-            rules.near_level, rules.price["near_ground"] = self._kept_level("near_level", levels, is_asked=False)
+            rules.near_level, _ = self._kept_level("near_level", list(range(len(NEAR_M))))
 
-    def _kept_level(self, name: str, levels: list[int], *, is_asked: bool) -> tuple[int | None, float]:
-        """The level of a rule, ever looser ones to choose from, None: no rule; and the share that it costs.
+    def _kept_level(self, name: str, levels: list[int]) -> tuple[int | None, float]:
+        """The strictest level of a rule, of ever looser ones, that costs at most `_PRICE` of the objective.
 
-        The first where it is asked for and rigs of the pool can keep it, else the strictest that costs at most `_PRICE`
-        of the objective.
+        None: no rule. And the share that the first would cost, infinite where no rig keeps it.
         """
-        free, kept = self._selected_at(name, None), self._selected_at(name, levels[0]) if is_asked else np.inf
-        if kept < np.inf:
-            return levels[0], kept / max(free, _SAME) - 1.0
-        low, high = 0, len(levels)
+        free, first = self._selected_at(name, None), self._selected_at(name, levels[0])
+        price, most = first / max(free, _SAME) - 1.0, (1.0 + _PRICE) * free
+        low, high = 0 if first <= most else 1, 0 if first <= most else len(levels)
         while low < high:
             middle = (low + high) // 2
-            value = self._selected_at(name, levels[middle])
-            is_kept = value <= (1.0 + _PRICE) * free
-            low, high, kept = (low, middle, value) if is_kept else (middle + 1, high, kept)
-        return (levels[low], kept / max(free, _SAME) - 1.0) if low < len(levels) else (None, 0.0)
+            is_kept = self._selected_at(name, levels[middle]) <= most
+            low, high = (low, middle) if is_kept else (middle + 1, high)
+        return levels[low] if low < len(levels) else None, price
 
     def _selected_at(self, name: str, level: int | None) -> float:
         """The objective of the rig that would be selected at a level of a rule; inf where none keeps it."""

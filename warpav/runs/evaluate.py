@@ -191,13 +191,16 @@ def rule_margins(
     if not placement.config.keeps_rules:
         return None
     limits = placement.config.rules.limits
-    gap_rad = None if searched is None else searched.settled.azimuth_gap_rad
-    asked_deg = math.degrees(limits.azimuth_gap_rad or 0.0) if gap_rad != limits.azimuth_gap_rad else None
-    asked, price = {"azimuth_gap": asked_deg if gap_rad else None}, {} if searched is None else searched.price
+    if searched is None:
+        return {name: list(RuleCheck(rig, placement.ego, limits).margins) for name, rig in rigs.items()}
+    settled = searched.settled
+    is_wider = limits.azimuth_gap_rad is not None and limits.azimuth_gap_rad != settled.azimuth_gap_rad
+    asked_deg = math.degrees(limits.azimuth_gap_rad or 0.0) if is_wider else None
+    price = searched.price_of_gap if is_wider and math.isfinite(searched.price_of_gap) else None
     return {
         name: [
-            replace(each, asked=asked.get(each.rule), price=price.get(each.rule))
-            for each in RuleCheck(rig, placement.ego, limits if searched is None else searched.settled).margins
+            replace(each, asked=asked_deg, price=price) if each.rule == "azimuth_gap" else each
+            for each in RuleCheck(rig, placement.ego, settled).margins
         ]
         for name, rig in rigs.items()
     }

@@ -168,6 +168,8 @@ def _record_step(folder: RunFolder, optimisation: Optimisation, record: Iteratio
     """Write a step before the next, so that a run that is stopped leaves a folder that opens."""
     descent = optimisation.descent
     folder.append_event(record)
+    if record.stage == "start":  # the best by hand is known now
+        write_rig(optimisation.start, folder.rig_path("initial"))
     _write_rigs(folder, optimisation, ("final",) if record.training_objective is None else ("best", "final"))
     every = optimisation.placement.config.run.checkpoint_every
     if every is None:
@@ -191,7 +193,8 @@ def _keep_reached(folder: RunFolder, optimisation: Optimisation) -> None:
         return
     if records:  # the last one may not be there, or in part
         folder.replace_events([json_ready(each) for each in records])
-        _write_rigs(folder, optimisation, ("best", "final"))
+        is_rounded = isinstance(descent, PoolRun) and descent.rounding is not None  # and written
+        _write_rigs(folder, optimisation, ("final",) if is_rounded else ("best", "final"))
     folder.write_checkpoint(optimisation.state())
     further = descent.further_cameras() if isinstance(descent, PoolRun) else None
     if further is not None:

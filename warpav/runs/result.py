@@ -344,6 +344,7 @@ def complete_folder(
 
     placement, descent = result.placement, result._descent
     folder.write_checkpoint(result._state())
+    write_rig(result.start, folder.rig_path("initial"))
     write_rig(result.rig, folder.rig_path("best"))
     write_rig(placement.mount.rig(descent.candidates[-1].mount_pose), folder.rig_path("final"))
     if result.further_cameras is not None:

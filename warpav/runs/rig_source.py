@@ -62,6 +62,8 @@ def is_shipped(source: str) -> bool:
 def find_rig(source: str, config: Config, ego: Mesh, *, say: Callable[[str], object] = _logger.warning) -> Rig:
     """The rig that ``source`` means: a rig YAML, a preset, a run folder, or one by hand (`HAND_RIGS`)."""
     if source in HAND_RIGS:
+        if config.rig.symmetric == "auto" and config.rig.modules is None:
+            config = config.replace({"rig.symmetric": False})  # cameras one by one
         mount = camera_mount(config, ego)
         return mount.rig(rig_by_hand(source, mount, constraints_of(config, mount.surface), config.rig.cameras))
     rig = with_shared_model(read_rig(rig_file(source)), config)

@@ -185,8 +185,8 @@ class RuleMargin:
     limit: float | None  # None: any value will do
     unit: str
     is_kept: bool
-    asked: float | None = None  # the limit that was asked for, where no rig of a search's cameras keeps it
-    price: float | None = None  # what keeping it costs of the objective, a share; None: not known
+    asked: float | None = None  # the limit that was asked for, where a search has widened it
+    price: float | None = None  # what that would have cost of the objective, a share; None: no rig keeps it
 
 
 class RuleCheck:

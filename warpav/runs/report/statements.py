@@ -580,8 +580,6 @@ _RULE_WORDS = {
     "azimuth_gap": ("at 15 m a gap of {value:.0f} degrees is in no image", "at most {limit:.0f}"),
     "near_ground": ("the ground is seen all round from {value:g} m off the body on", "at most {limit:g}"),
 }
-_RULE_NAMES = {"azimuth_gap": "Closing the gap", "near_ground": "Seeing the ground"}
-_NAMED_PRICE = 0.01  # a rule that costs a larger share of the objective is named with its price
 
 
 def _rules(evaluation: RigEvaluation) -> Statement | None:
@@ -597,14 +595,14 @@ def _rules(evaluation: RigEvaluation) -> Statement | None:
             return "the ground is nowhere seen all round"
         return f"{value.format(value=margin.value, camera=camera)}, {limit.format(limit=margin.limit)} is asked"
 
-    further = "".join(
-        f" {_RULE_NAMES[margin.rule]} costs {percent(margin.price)} of the objective."
-        for margin in margins
-        if margin.price is not None and margin.price > _NAMED_PRICE
-    )
+    further = ""
     for margin in margins:
-        if margin.asked is not None:
-            further += f" No rig of these cameras does with {margin.asked:.0f} degrees of gap, as was asked."
+        if margin.asked is not None and margin.price is None:
+            further += f" No rig of these cameras keeps the {margin.asked:.0f} degrees of gap that were asked."
+        elif margin.asked is not None:
+            further += (
+                f" The {margin.asked:.0f} degrees of gap that were asked would cost {percent(margin.price)} more."
+            )
     broken = [margin for margin in margins if not margin.is_kept]
     if broken:
         text = f"{len(broken)} of {len(margins)} are broken: {'; '.join(map(told, broken))}."
