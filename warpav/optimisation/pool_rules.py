@@ -77,6 +77,7 @@ class PoolRules:
         self._near_m = np.stack([near_ring_m(vehicle, distance_m) for distance_m in NEAR_M])
         self._ground = level_ground(vehicle, device=cameras.mount.device)
         self._bodies: dict[Pane | None, OwnBody] = {None: OwnBody(vehicle, device=cameras.mount.device)}
+        self._conflicting = b"", np.zeros(0, int), np.zeros(0, int)
         self._known: dict[bytes, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
 
     @property
@@ -164,9 +165,10 @@ class PoolRules:
         size = len(pose) + absent
         if self.rules.housing is None:
             return sparse.csr_array((size, size), dtype=bool)
-        one, other = self._conflicts(pose, pose).nonzero()
-        apart = one != other
-        one, other = one[apart], other[apart]
+        if pose.tobytes() != self._conflicting[0]:  # a search asks often about the same pool
+            one, other = self._conflicts(pose, pose).nonzero()
+            self._conflicting = pose.tobytes(), one[one != other], other[one != other]
+        _, one, other = self._conflicting
         return sparse.csr_array((np.ones(len(one), bool), (one, other)), shape=(size, size))
 
     def _conflicts(self, pose: np.ndarray, others: np.ndarray) -> sparse.csr_array:

@@ -326,9 +326,11 @@ class PoolSearch:
             new = np.unique(np.concatenate(rigs), axis=0)
             if self._affordable(len(new)) < len(new):
                 return [np.inf] * len(rigs)
-            self.pool = self.pool.extended(np.concatenate(rigs), progress=self._progress)
+            self.pool = self.pool.extended(np.concatenate(rigs))
             return [self._value_of(rig) for rig in rigs]
 
+        if self._progress is not None:
+            self._progress.stage("rigs by hand")
         found = by_hand(self.cameras.mount, self.task.constraints, self.camera_count, values_of)
         if self._progress is not None and found:
             self._progress.say(f"by hand: {found[0]}: objective {found[0].value:.4f}")
@@ -377,7 +379,7 @@ class PoolSearch:
         """The objective of the rig that would be selected at a level of a rule; inf where none keeps it."""
         setattr(self.rules, name, level)
         try:
-            return self._selection(max(self.settings.gap, _GAP_ON_THE_WAY)).objective
+            return self._selection(1.0).objective  # by exchanges, without a proof
         except InputError:
             return np.inf
         finally:

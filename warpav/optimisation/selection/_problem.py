@@ -268,14 +268,15 @@ def random_rig(
     can_be = np.ones(problem.camera_count, bool)
     can_be[rig] = False
     can_be &= ~problem.excluded_by(rig)
+    counts = (problem.coefficient >= 0.0).all(axis=1)
+    coefficients, low, high = problem.coefficient[counts], problem.low[counts], problem.high[counts]
+    helps = coefficients > 0.0
     while len(rig) < problem.count:
-        total = problem.coefficient[:, rig].sum(axis=1)
-        wanted = can_be.copy()
-        for coefficient, now, low, high in zip(problem.coefficient, total, problem.low, problem.high, strict=True):
-            if (coefficient >= 0.0).all():
-                wanted &= now + coefficient <= high + _ROW_TOLERANCE
-                if now < low - _ROW_TOLERANCE and (wanted & (coefficient > 0.0)).any():
-                    wanted &= coefficient > 0.0
+        total = coefficients[:, rig].sum(axis=1)
+        wanted = can_be & (total[:, None] + coefficients <= high[:, None] + _ROW_TOLERANCE).all(axis=0)
+        for row in np.flatnonzero(total < low - _ROW_TOLERANCE):
+            fewer = wanted & helps[row]
+            wanted = fewer if fewer.any() else wanted
         choice = np.flatnonzero(wanted)
         if not len(choice):
             return None
