@@ -379,7 +379,7 @@ class PoolSearch:
         """The objective of the rig that would be selected at a level of a rule; inf where none keeps it."""
         setattr(self.rules, name, level)
         try:
-            return self._selection(1.0).objective  # by exchanges, without a proof
+            return self._selection(max(self.settings.gap, _GAP_ON_THE_WAY)).objective
         except InputError:
             return np.inf
         finally:

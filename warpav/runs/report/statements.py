@@ -18,6 +18,7 @@ from warpav.optimisation.mount_errors import ANGLES
 from warpav.rig.rig import Rig
 from warpav.runs.report._content import RunContent
 from warpav.runs.rig_evaluation import RigEvaluation, Robust
+from warpav.sight.requirement import SECTORS
 from warpav.sight.rules import RuleMargin
 
 _Tone = Literal["good", "bad", "open"]
@@ -207,9 +208,10 @@ def summary(run: RunContent) -> list[Statement]:
     """The run in a few statements, the most important first."""
     found: list[Statement | None] = []
     if run.evaluation is not None:
-        found += [_traffic(run, run.evaluation), _misses(run, run.evaluation)]
+        found += [_traffic(run, run.evaluation), _why(run, run.evaluation), _misses(run, run.evaluation)]
         found += [_differences(run, run.evaluation), _objective(run, run.evaluation)]
-    found += [_bound(run), _moves(run)]
+    is_by_hand = run.evaluation is not None and run.evaluation.start == "by_hand"  # another rig, not one that moved
+    found += [_bound(run), None if is_by_hand else _moves(run)]
     if run.evaluation is not None:
         found += [_left(run, run.evaluation), _requirements(run.evaluation)]
         found += [_ground(run.evaluation), _constraints(run.evaluation), _rules(run.evaluation), _pitch_limits(run)]
@@ -244,16 +246,53 @@ def _traffic(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
     found = _detected(run, evaluation)
     if not found:
         return None
-    first = evaluation.first
     text = f"In {_counted(evaluation.scene_count, 'scene')} that no search has seen, the {found}."
-    if evaluation.outcomes is not None and evaluation.start in evaluation.arms:
-        pairs = Counter(
-            (seen.outcome[evaluation.start] == ObjectOutcome.DETECTED, seen.outcome[first] == ObjectOutcome.DETECTED)
-            for seen in evaluation.outcomes
-        )
-        won, lost = pairs[False, True], pairs[True, False]
-        text += f" Against the start it has won {won} and lost {lost}."
     return Statement("Traffic", text)
+
+
+_UNSEEN_THERE = {
+    ObjectOutcome.OUT_OF_FRAME: "in no image there",
+    ObjectOutcome.HIDDEN: "hidden there",
+    ObjectOutcome.MISSED: "seen but missed there",
+}
+
+
+def _why(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
+    """What the first rig finds and loses against its start, in terms of road users, seams and heights."""
+    first, start = evaluation.first, evaluation.start
+    if evaluation.outcomes is None or start not in evaluation.arms or first == start:
+        return None
+    is_found = {
+        name: np.array([seen.outcome[name] == ObjectOutcome.DETECTED for seen in evaluation.outcomes])
+        for name in (first, start)
+    }
+    parts = []
+    for verb, one, other in (("finds", first, start), ("loses", start, first)):
+        gained = [evaluation.outcomes[k] for k in np.flatnonzero(is_found[one] & ~is_found[other])]
+        text = f"{verb} {_counted(len(gained), objects_name(run, 1))}" + (" more" if verb == "finds" else "")
+        reasons = Counter(seen.outcome[other] for seen in gained)
+        told = [f"{reasons[each]} {words}" for each, words in _UNSEEN_THERE.items() if reasons[each]]
+        if verb == "loses":
+            told = [each.replace(" there", " now") for each in told]
+        sectors = Counter(SECTORS[round(seen.bearing_deg / 45.0) % len(SECTORS)] for seen in gained)
+        if gained:
+            near_m, far_m = (pick(seen.distance_m for seen in gained) for pick in (min, max))
+            most = [f"{name} {count}" for name, count in sectors.most_common(3)]
+            text += f" ({', '.join(told)}; {', '.join(most)}; {near_m:.0f} to {far_m:.0f} m away)"
+        parts.append(text)
+    text = f"Against {_arm(start)} it {_listed(parts)}."
+    margins = {name: {each.rule: each for each in (evaluation.rules or {}).get(name, ())} for name in (first, start)}
+    gaps = [margins[name]["azimuth_gap"].value for name in (first, start) if "azimuth_gap" in margins[name]]
+    if len(gaps) == len(margins):
+        text += f" Its widest gap of directions is {gaps[0]:.0f} degrees ({gaps[1]:.0f})."
+    shares = [evaluation.arms[name].redundant_rate for name in (first, start)]
+    if None not in shares:
+        text += f" Two cameras see {percent(shares[0], 0)} of those within 30{SPACE}m ({percent(shares[1], 0)})."
+    if run.start is not None and run.result is not None:
+        heights = [[camera.position_m[2] for camera in rig.cameras] for rig in (run.result, run.start)]
+        low, high = ([pick(each) for each in heights] for pick in (min, max))
+        text += f" Its cameras stand {low[0]:.2f} to {high[0]:.2f}{SPACE}m high ({low[1]:.2f} to {high[1]:.2f})."
+    return Statement("Why", text)
 
 
 def _detected(run: RunContent, evaluation: RigEvaluation) -> str:
