@@ -101,12 +101,12 @@ def draw_behind_glass(folder: Path) -> None:
     import warpav as wa
     from warpav.optimisation.mount import X_M, Y_M, CameraMount
     from warpav.rig.chart import chart_of
-    from warpav.rig.proposals import propose_panes
+    from warpav.rig.proposals import parts_of
     from warpav.scene.own_vehicle import read_vehicle
 
     [town], images = wa.town([3]), []
     for scene in (town, town.around(read_vehicle("bus")), town.around(read_vehicle("truck"))):
-        surface = chart_of(propose_panes(scene.ego)[:1], scene.ego)
+        surface = chart_of(parts_of(scene.ego).panes[:1], scene.ego)
         model = wa.CameraModel(420, 300, math.radians(110.0), near_m=0.01)
         mount = CameraMount(surface, camera=model, height_offset_m=0.0)
         cell_m = surface.origin_m + surface.cell_m * np.argwhere(surface.is_mountable)

@@ -1,11 +1,13 @@
-"""What carries no camera: wheels, what files name, and what has another colour than the paint."""
+"""What is told from sheet metal: wheels, what files name, glass by colour and shape, small patches, thin parts."""
 
 import numpy as np
 import pytest
 
 from tests.raster.bodies import cuboid
 from warpav.raster.mesh import Mesh, merge
-from warpav.rig.proposals import kinds_of_names, propose_keep_out
+from warpav.rig.chart import chart_of, propose_zones
+from warpav.rig.proposals import kinds_of_names, parts_of
+from warpav.rig.zone import NORMALS
 from warpav.scene.own_vehicle import read_vehicle
 
 
@@ -33,37 +35,96 @@ def painted(size_m, place_m, rgb):
 
 
 def body_with_parts():
-    """A grey body, a white lamp on its front, a dark pane on its side, and a round wheel below."""
+    """A grey body with a white lamp, a dark side window, a blue logo, a rail on its roof, and a round wheel below."""
     return merge(
         [
             painted((4.0, 1.8, 1.0), (1.0, 0.0, 0.9), [120, 130, 140]),
             painted((0.02, 0.3, 0.1), (3.01, 0.5, 0.8), [250, 250, 240]),
             painted((1.0, 0.02, 0.4), (1.0, 0.91, 1.1), [5, 10, 20]),
+            painted((0.8, 0.8, 0.01), (0.0, 0.0, 1.4), [20, 40, 250]),
+            painted((3.0, 0.1, 0.2), (1.0, -0.6, 1.5), [120, 130, 140]),
             painted((0.6, 0.2, 0.62), (0.0, 0.8, 0.31), [120, 130, 140]),
         ]
     )
 
 
-def test_another_colour_and_wheels_are_kept_out():
-    found = propose_keep_out(body_with_parts())
-    assert [name for name, _ in found] == ["wheel", "wheel", "other colour", "other colour"]
-    wheel, other, pane, lamp = (box for _, box in found)
-    np.testing.assert_allclose(other[:, 1], [-0.98, -0.62], atol=1e-3)
-    np.testing.assert_allclose(wheel, [[-0.38, 0.62, -0.08], [0.38, 0.98, 0.7]], atol=1e-3)
-    np.testing.assert_allclose(lamp, [[2.98, 0.33, 0.73], [3.04, 0.67, 0.87]], atol=1e-3)
-    np.testing.assert_allclose(pane, [[0.48, 0.88, 0.88], [1.52, 0.94, 1.32]], atol=1e-3)
+def test_lamps_windows_rails_and_wheels_are_kept_out_and_logos_are_not():
+    found = parts_of(body_with_parts()).keep_out
+    expected_m = {
+        ("wheel", ""): [[-0.38, -0.98, -0.08], [0.38, -0.62, 0.7]],
+        ("other colour", "front"): [[3.0, 0.33, 0.73], [3.04, 0.67, 0.87]],
+        ("window", "left"): [[0.48, 0.9, 0.88], [1.52, 0.94, 1.32]],
+        ("thin part", "up"): [[-0.52, -0.67, 1.38], [2.52, -0.53, 1.62]],
+    }
+    for kind, box_m in expected_m.items():  # cells are 2.5 cm
+        away_m = [np.abs(box - box_m).max() for *names, box in found if tuple(names) == kind]
+        assert min(away_m) < 0.026, kind
+    assert sum(name == "wheel" for name, _, _ in found) == 2
+    assert not any(((box[0] <= [0.0, 0.0, 1.405]) & (box[1] >= [0.0, 0.0, 1.405])).all() for _, _, box in found)
+
+
+def test_a_logo_takes_nothing_of_a_roof():
+    zones = {zone.name: zone for zone in propose_zones(body_with_parts())}
+    chart = chart_of([zones["roof"]], body_with_parts(), cell_m=0.04)
+    assert chart.inside.sum() * chart.cell_m**2 == pytest.approx(4.0 * 1.8 - 3.04 * 0.14, rel=0.06)
+
+
+def vehicle(name, rgb=None):
+    mesh = read_vehicle(name)
+    return mesh if rgb is None else Mesh.create(mesh.vertex_m, mesh.triangle, rgb)
+
+
+@pytest.mark.parametrize("name", ["panel_van", "minibus", "bus", "truck"])
+def test_glass_of_the_paint_s_colour_is_found_by_shape_where_dark_glass_is(name):
+    coloured, plain = parts_of(vehicle(name)), parts_of(vehicle(name, [150, 150, 150]))
+    assert coloured.untold == ""
+    assert "windscreen" in plain.untold
+    assert "side windows by shape alone" in plain.untold
+    assert ("no rear window" in plain.untold) == (len(plain.panes) == 1)
+    (one_m, other_m) = (np.asarray(parts.panes[0].outline_m) for parts in (coloured, plain))
+    np.testing.assert_allclose(
+        [one_m.min(axis=0), one_m.max(axis=0)], [other_m.min(axis=0), other_m.max(axis=0)], atol=0.08
+    )
+    boxes = {
+        side: [box for word, at, box in plain.keep_out if (word, at) == ("window", side)] for side in ("left", "right")
+    }
+    for word, side, (low_m, high_m) in coloured.keep_out:
+        if word == "window" and side in boxes:
+            middle_m = 0.5 * (low_m + high_m)
+            assert any(((box[0] <= middle_m) & (middle_m <= box[1])).all() for box in boxes[side]), side
+
+
+@pytest.mark.parametrize(("name", "rgb"), [("panel_van", None), ("minibus", None), ("coupe", None), ("bus", [200] * 3)])
+def test_no_two_proposed_zones_share_skin(name, rgb):
+    mesh = vehicle(name, rgb)
+    zones = propose_zones(mesh)
+    assert {"roof", "left", "right", "front", "rear", "windscreen"} <= {zone.name for zone in zones}
+    charts = [chart_of([zone], mesh, cell_m=0.03) for zone in zones]
+    for one in charts:
+        point_m = one.point_m(one.place_m[one.inside], one.height_m[one.inside])
+        for other in charts:
+            local_m = (point_m - other.plane_m[0]) @ other.axes[0].T
+            away_m = np.abs(local_m[:, 2] - other.height_at_m(local_m[:, :2]))
+            is_shared = (other.zone_distance_m(local_m[:, :2]) > other.cell_m) & (away_m < 0.01)
+            # both sides of an edge have a row of cells there
+            least_m2 = 0.0 if one.zones[0].is_behind_glass or other.zones[0].is_behind_glass else 0.04
+            assert one is other or is_shared.sum() * one.cell_m**2 <= least_m2, (one.zones[0].name, other.zones[0].name)
 
 
 @pytest.mark.parametrize("name", ["bus", "minibus", "moving_truck", "truck"])
 def test_the_windows_of_the_shipped_vehicles_are_kept_out(name):
-    mesh = read_vehicle(name)
-    found = propose_keep_out(mesh)
-    assert [kind for kind, _ in found].count("wheel") == 4
-    middle_m = mesh.vertex_m[mesh.triangle].mean(axis=1)
-    is_dark = mesh.vertex_rgb[mesh.triangle].mean(axis=(1, 2)) < 40.0
-    is_glass = is_dark & (middle_m[:, 2] > 0.6 * mesh.bounds_m()[1, 2])
-    inside = np.zeros(len(middle_m), bool)
-    for _, (low_m, high_m) in found:
-        inside |= ((middle_m >= low_m) & (middle_m <= high_m)).all(axis=1)
-    assert is_glass.sum() >= 8
-    assert inside[is_glass].mean() > 0.95
+    mesh = vehicle(name)
+    found = parts_of(mesh)
+    assert [kind for kind, _, _ in found.keep_out].count("wheel") == 4
+    corner_m = mesh.vertex_m[mesh.triangle]
+    middle_m = corner_m.mean(axis=1)
+    normal = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
+    is_glass = mesh.vertex_rgb[mesh.triangle].mean(axis=(1, 2)) < 40.0
+    is_glass &= middle_m[:, 2] > 0.6 * mesh.bounds_m()[1, 2]
+    for side in ("left", "right"):
+        inside = np.zeros(len(middle_m), bool)
+        for _, (low_m, high_m) in ((at, box) for _, at, box in found.keep_out if at == side):
+            inside |= ((middle_m >= low_m) & (middle_m <= high_m)).all(axis=1)
+        is_side = is_glass & (normal @ NORMALS[side] > 0.7 * np.linalg.norm(normal, axis=1))
+        assert is_side.sum() >= 2
+        assert inside[is_side].all()

@@ -11,7 +11,7 @@ import warpav as wa
 from tests.raster.bodies import ball, cuboid
 from warpav.core.errors import InputError
 from warpav.rig.chart import chart_of, propose_zones
-from warpav.rig.proposals import propose_panes
+from warpav.rig.proposals import parts_of
 from warpav.rig.zone import NORMALS, Zone, mirrored, read_zones, write_zones
 from warpav.scene.own_vehicle import read_vehicle
 
@@ -169,7 +169,7 @@ def test_a_zone_behind_glass_has_a_pane_as_large_as_its_outline():
 @pytest.mark.parametrize("name", ["bus", "minibus", "moving_truck", "truck"])
 def test_the_panes_of_the_shipped_vehicles_are_found_by_their_colour(name):
     mesh = read_vehicle(name)
-    panes = propose_panes(mesh)
+    panes = parts_of(mesh).panes
     assert [zone.name for zone in panes] == ["windscreen", "rear_window"]
     corner_m = mesh.vertex_m[mesh.triangle]
     is_dark = mesh.vertex_rgb[mesh.triangle].mean(axis=(1, 2)) < 40.0
@@ -236,7 +236,7 @@ def test_what_is_proposed_for_the_town_s_car_lies_on_it():
 
     ego = wa.town([0])[0].ego
     zones = propose_zones(ego)
-    assert {zone.name for zone in zones} == {"roof", "bonnet", "left", "right", "front", "rear", "windscreen"}
+    assert {zone.name for zone in zones} == {*NORMALS, "roof", "bonnet", "windscreen", "rear_window"} - {"up"}
     chart = chart_of(zones, ego, cell_m=0.04)
     body = EmbreeScene()
     TriangleMesh(body, ego.vertex_m[ego.triangle])

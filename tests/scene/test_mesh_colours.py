@@ -7,8 +7,10 @@ import pytest
 import trimesh
 from PIL import Image
 
+from tests.raster.bodies import cuboid
 from warpav.core.errors import InputError
-from warpav.scene.mesh_colours import GREY_RGB, Texture, TexturedMesh, follow_textures
+from warpav.raster.mesh import Mesh
+from warpav.scene.mesh_colours import GREY_RGB, Texture, TexturedMesh, follow_textures, shaded
 from warpav.scene.own_vehicle import read_vehicle, read_vehicle_file
 
 # a texture of 2 x 2 texels, upper row first
@@ -308,3 +310,16 @@ def test_a_closed_box_stays_closed():
     assert len(found.vertex) > 3000
     assert rim(found) == (0.0, 0)
     np.testing.assert_allclose(areas(found).sum(), 6.0)
+
+
+@pytest.mark.parametrize(("rgb", "least"), [([200, 60, 60], 60), ([0, 0, 0], 60)])
+def test_a_vehicle_of_one_colour_is_shaded_and_others_are_not(rgb, least):
+    box = cuboid((4.0, 2.0, 1.5), (0.0, 0.0, 0.75))
+    plain = Mesh.create(box.vertex_m, box.triangle[:, ::-1], rgb)  # inside out, as some files are
+    lit = shaded(plain)
+    np.testing.assert_array_equal(lit.vertex_m[lit.triangle].mean(axis=1), box.vertex_m[box.triangle].mean(axis=1))
+    middle_m, luma = lit.vertex_m[lit.triangle].mean(axis=1), lit.vertex_rgb[lit.triangle].mean(axis=(1, 2))
+    top, side = luma[middle_m[:, 2] > 1.49], luma[np.abs(middle_m[:, 1]) > 0.99]
+    assert np.ptp(top) == np.ptp(side) == 0.0
+    assert top[0] > side[0] + 20.0 > least
+    assert shaded(lit) is lit

@@ -19,7 +19,7 @@ from warpav.raster.mesh import Mesh
 from warpav.raster.pane import Pane
 from warpav.rig.module import Housing, Module, Role
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
-from warpav.rig.proposals import propose_panes, simplified
+from warpav.rig.proposals import BodyParts, parts_of, simplified
 from warpav.rig.zone import NORMALS, Zone
 
 _GAP_M = 1.0
@@ -42,6 +42,12 @@ _STEP_RAD = math.radians(5.0)
 """Between the directions in which a housing is tried; between them it reaches .1 % farther at most."""
 
 _ROUNDING_M = 1e-3
+
+_PITCH_RAD = (math.radians(-10.0), math.radians(30.0))
+"""Of proposed zones."""
+
+_CLEAR_M, _COARSE_M, _LEAST_M2 = 0.04, 0.04, 0.25
+"""How far proposed zones keep from panes, the cells in which they are tried, and the least of one [m2]."""
 
 
 def chart_of(
@@ -410,47 +416,64 @@ def _words(normal: np.ndarray) -> str:
     return f"along {np.round(normal, 3).tolist()}"
 
 
-def propose_zones(mesh: Mesh, is_glass: np.ndarray | None = None) -> tuple[Zone, ...]:
+def propose_zones(mesh: Mesh, parts: BodyParts | None = None) -> tuple[Zone, ...]:
     """Zones of a vehicle for a person to edit: roof and bonnet, sides, front and rear, windscreen, rear window.
 
-    The roof is what faces upwards in the upper third, the bonnet what does ahead of and below it. Sides keep out of the
-    lowest third (wheels, sills), front and rear out of what bumpers touch. A zone of which the body has nothing is left
-    out.
+    The roof is what faces upwards in the upper third behind the windscreen, the bonnet what does ahead of it. Sides
+    keep out of the lowest third (wheels, sills), front and rear out of what bumpers touch, all out of panes and of
+    what else carries no camera (``parts``; None: as far as the mesh tells), so no two share any skin. A zone of which
+    the body has nothing is left out.
     """
+    parts = parts_of(mesh) if parts is None else parts
+    pane_m = {pane: cell_m for pane in parts.panes if len(cell_m := _cells_m(pane, mesh, cell_m=0.02))}
+    boxes = [(side, box) for _, side, box in parts.keep_out]
+    boxes += [("", np.round([m.min(axis=0) - _CLEAR_M, m.max(axis=0) + _CLEAR_M], 3)) for m in pane_m.values()]
     low_m, high_m = mesh.bounds_m().astype(np.float64)
-    length, _, height = high_m - low_m
-    far = np.array([_BIG_M, _BIG_M, _BIG_M])
+    length_m, _, height_m = high_m - low_m
+    lower_m, upper_m = low_m[2] + height_m / 3.0, low_m[2] + 2.0 / 3.0 * height_m
+    begins_m, ends_m, top_m = low_m[0] + 0.6 * length_m, high_m[0], upper_m - _CLEAR_M  # of the bonnet, of the roof
+    for pane, cell_m in pane_m.items():
+        if pane.name == "windscreen":
+            begins_m, _, middle_m = cell_m.mean(axis=0)
+            ends_m, top_m, upper_m = begins_m, cell_m[:, 2].max(), max(upper_m, middle_m)
 
-    def box(least: dict[int, float], greatest: dict[int, float]) -> np.ndarray:
-        corners = np.stack([low_m - 0.1, high_m + 0.1])
-        for axis, value in least.items():
-            corners[0, axis] = value
-        for axis, value in greatest.items():
-            corners[1, axis] = value
-        return np.round(np.clip(corners, -far, far), 3)
+    def box(x_m: Sequence[float] = (-_BIG_M, _BIG_M), z_m: Sequence[float] = (-_BIG_M, _BIG_M)) -> np.ndarray:
+        corner_m = np.array([[x_m[0], -_BIG_M, z_m[0]], [x_m[1], _BIG_M, z_m[1]]])
+        return np.round(np.clip(corner_m, low_m - 0.1, high_m + 0.1), 3)
 
-    upper, lower = low_m[2] + 2.0 / 3.0 * height, low_m[2] + height / 3.0
-    above_ground, side = low_m[2] + 0.2 * height, ("b_pillar", "mirror", "fender")
-    upright = (math.radians(-10.0), math.radians(30.0))
+    above_ground_m, side = low_m[2] + 0.2 * height_m, ("b_pillar", "mirror", "fender")
     wanted = (
-        Zone("roof", NORMALS["up"], box_m=box({2: upper}, {}), pitch_rad=upright),
-        Zone("bonnet", NORMALS["up"], box_m=box({0: low_m[0] + 0.6 * length, 2: lower}, {2: upper}), pitch_rad=upright),
-        Zone("left", NORMALS["left"], box_m=box({2: lower}, {}), pitch_rad=upright, kinds=side),
-        Zone("right", NORMALS["right"], box_m=box({2: lower}, {}), pitch_rad=upright, kinds=side),
-        Zone("front", NORMALS["front"], box_m=box({2: above_ground}, {}), pitch_rad=upright, kinds=("bumper",)),
-        Zone(
-            "rear", NORMALS["rear"], box_m=box({2: above_ground}, {}), pitch_rad=upright, kinds=("bumper", "tailgate")
-        ),
-        *propose_panes(mesh, is_glass),
+        Zone("roof", NORMALS["up"], box_m=box((-_BIG_M, ends_m), (upper_m, _BIG_M))),
+        Zone("bonnet", NORMALS["up"], box_m=box((begins_m, _BIG_M), (lower_m, top_m))),
+        Zone("left", NORMALS["left"], box_m=box(z_m=(lower_m, _BIG_M)), kinds=side),
+        Zone("right", NORMALS["right"], box_m=box(z_m=(lower_m, _BIG_M)), kinds=side),
+        Zone("front", NORMALS["front"], box_m=box(z_m=(above_ground_m, _BIG_M)), kinds=("bumper",)),
+        Zone("rear", NORMALS["rear"], box_m=box(z_m=(above_ground_m, _BIG_M)), kinds=("bumper", "tailgate")),
     )
     found = []
     for zone in wanted:
-        try:
-            chart_of([zone], mesh, cell_m=0.04)
-        except InputError:
-            continue
-        found.append(zone)
-    return tuple(found)
+        seen = [box for side, box in boxes if not side or NORMALS[side] == zone.normal]
+        found.append(_clear_of(seen, replace(zone, pitch_rad=_PITCH_RAD), mesh))
+    return (*(zone for zone in found if zone is not None), *pane_m)
+
+
+def _clear_of(boxes: Sequence[np.ndarray], zone: Zone, mesh: Mesh) -> Zone | None:
+    """A zone with those boxes kept out that reach into it; None where nothing of it is there, or left."""
+    point_m = _cells_m(zone, mesh)
+    inside = [box for box in boxes if ((point_m >= box[0]) & (point_m <= box[1])).all(axis=1).any()]
+    clear = replace(zone, keep_out_m=tuple(inside))
+    cell_count = len(point_m) if not inside else len(_cells_m(clear, mesh))
+    return clear if cell_count * _COARSE_M**2 > _LEAST_M2 else None
+
+
+def _cells_m(zone: Zone, mesh: Mesh, *, cell_m: float = _COARSE_M) -> np.ndarray:
+    """Middles of the cells of a zone in the ego frame [m], float64 [cell, 3]; none where the body has nothing of it."""
+    try:
+        chart = chart_of([zone], mesh, cell_m=cell_m)
+    except InputError:
+        return np.zeros((0, 3))
+    place_m = chart.place_m[chart.inside]
+    return chart.point_m(place_m, chart.height_at_m(place_m))
 
 
 def with_middles(zones: Sequence[Zone]) -> tuple[Zone, ...]:

@@ -208,17 +208,19 @@ def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequ
 
 
 def _panels(rig: Rig, objective: RigObjective, assigned: AssignedScene) -> list[DetectionPanel]:
+    from warpav.detection.images import render_images
     from warpav.evaluation.metrics import observe_scenes
-    from warpav.view.figures.images import DetectionPanel
+    from warpav.view.figures.images import DetectionPanel, own_body_tinted
 
     [seen] = observe_scenes(rig, [assigned], objective, with_objective=False).observations
+    images = render_images(assigned.scene, rig.cameras, device=objective.device)
     return [
         DetectionPanel(
             title=camera.name,
-            image_rgb=of_camera.image_rgb,
+            image_rgb=own_body_tinted(of_camera.image_rgb, image.object_index),
             truth_box_px=of_camera.truth_box_px,
             detection_box_px=of_camera.detections.box_px,
             detection_of_truth=of_camera.match,
         )
-        for camera, of_camera in zip(rig.cameras, seen.cameras, strict=True)
+        for camera, of_camera, image in zip(rig.cameras, seen.cameras, images, strict=True)
     ]

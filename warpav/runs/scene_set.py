@@ -258,6 +258,7 @@ def load_scene(source: str, config: Config | None = None, *, fleet: Fleet | None
 
 def own_vehicle(config: Config) -> Mesh | None:
     """The vehicle of ``scenes.ego`` in the ego frame; None where scenes keep their own."""
+    from warpav.scene.mesh_colours import shaded
     from warpav.scene.own_vehicle import examine, read_vehicle_file
 
     path = config.scenes.ego
@@ -273,7 +274,7 @@ def own_vehicle(config: Config) -> Mesh | None:
             "scenes.ego",
             f"{path}: {found.problems[0].text}; warpav vehicle check {shlex.quote(str(path))} says how to fix it",
         )
-    return found.mesh
+    return shaded(found.mesh)
 
 
 def known_vehicle(config: Config) -> Mesh | None:
@@ -298,6 +299,7 @@ def check_zones(config: Config) -> None:
 
 def checked_vehicle(ego: object) -> Mesh:
     """A vehicle that is given as an object, in the ego frame; ``ego`` [vertex, 3]."""
+    from warpav.scene.mesh_colours import shaded
     from warpav.scene.own_vehicle import Reading, VehicleFile, examine
 
     mesh = ego if isinstance(ego, Mesh) else _mesh_of(ego)
@@ -305,7 +307,7 @@ def checked_vehicle(ego: object) -> Mesh:
     problems = examine(file, file.usual).problems
     if problems:
         raise ArgumentError("ego", f"{problems[0].text}; move the mesh into the ego frame")
-    return mesh
+    return mesh if isinstance(ego, Mesh) else shaded(mesh)
 
 
 def _mesh_of(ego: Any) -> Mesh:  # noqa: ANN401 (checked here)

@@ -15,8 +15,8 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.raster.mesh import Mesh
 from warpav.rig.chart import chart_of, propose_zones
 from warpav.rig.mount_surface import MountSurface
-from warpav.rig.proposals import kinds_of_names, propose_keep_out
-from warpav.rig.zone import Zone, write_zones
+from warpav.rig.proposals import kinds_of_names, parts_of
+from warpav.rig.zone import write_zones
 from warpav.runs.config import Config
 from warpav.runs.mounts import mount_surface
 from warpav.scene.own_vehicle import (
@@ -40,15 +40,8 @@ belong to it."""
 _BONNET_SHARE = 0.8
 """A bonnet is lower than this share of the roof's height; the top of a lorry's cab is not."""
 
-_SLOPE_REACH_M = 0.4
-"""Slopes of windscreen and bonnet are means over this distance."""
-
-_LEAST_KINK = 0.06
-"""A windscreen is steeper than the bonnet before it by this [m/m]."""
-
-_LEAST_BONNET_M = 0.3
-"""A shorter part before the windscreen is its lower edge."""
-
+_LEAST_PANE_M2 = 0.1
+"""Less of a windscreen is its curved upper edge."""
 
 _ZONE_NORMALS = (0.92, 0.94, 0.95, 0.96, 0.97, 0.98)
 """Values of mount.min_zone_normal that may leave out a windscreen: slopes of 23 to 11 degrees."""
@@ -145,12 +138,12 @@ def _with_colours(found: Examination, path: str | Path, reading: Reading) -> Exa
     return replace(found, mesh=read_vehicle_file(file_of(path)).in_ego_frame(reading))
 
 
-def _zone_parts(surface: MountSurface, vehicle: Mesh) -> list[_ZonePart]:
-    """The parts of the mountable zone, the largest first.
+def _zone_parts(surface: MountSurface, vehicle: Mesh, pane_x_m: Sequence[float]) -> list[_ZonePart]:
+    """The parts of the mountable zone, the largest first; ``pane_x_m``: where the windscreen begins and ends.
 
     The part with the highest point is the roof. What is lower than it by `_BONNET_BELOW` is bonnet or front before the
     roof's centre, and rear behind it. Windscreens of many cars are flat enough to be part of the zone, and join roof
-    and bonnet: what separates these are the kinks in between.
+    and bonnet.
     """
     from scipy import ndimage
 
@@ -167,16 +160,12 @@ def _zone_parts(surface: MountSurface, vehicle: Mesh) -> list[_ZonePart]:
         height_m, centre_x_m = float(surface.height_m[inside].mean()), float(x_m[np.nonzero(inside)[0]].mean())
         if surface.height_m[inside].max() >= highest_m - 1e-6:
             name = "roof"
-            kinks = _windscreen_rows(surface, inside, float(highest_m))
-            if kinks is not None:
-                for part_name, rows in zip(
-                    ("windscreen", "bonnet"), (slice(*kinks), slice(kinks[1], None)), strict=True
-                ):
-                    part = np.zeros_like(inside)
-                    part[rows] = inside[rows]
-                    parts.append(_zone_part(part_name, surface, part))
-                inside = inside.copy()
-                inside[kinks[0] :] = False
+            is_ahead, is_pane = (inside & (x_m > pane_x_m[k])[:, None] for k in (1, 0))
+            is_pane &= ~is_ahead
+            if np.count_nonzero(is_pane) * surface.cell_m**2 > _LEAST_PANE_M2:
+                both = {"windscreen": is_pane, "bonnet": is_ahead}
+                parts += [_zone_part(each, surface, part) for each, part in both.items() if part.any()]
+                inside = inside & ~is_pane & ~is_ahead
             roof_x_m = float(x_m[np.nonzero(inside)[0]].mean())
         elif height_m > highest_m - max(_BONNET_BELOW_M, _BONNET_BELOW * highest_m):
             name = "roof"
@@ -191,36 +180,6 @@ def _zone_parts(surface: MountSurface, vehicle: Mesh) -> list[_ZonePart]:
 def _zone_part(name: str, surface: MountSurface, inside: np.ndarray) -> _ZonePart:
     area_m2 = float(np.count_nonzero(inside)) * surface.cell_m**2
     return _ZonePart(name, area_m2, float(surface.height_m[inside].mean()))
-
-
-def _windscreen_rows(surface: MountSurface, inside: np.ndarray, highest_m: float) -> tuple[int, int] | None:
-    """First row of the windscreen and of the bonnet before it, in a part of the zone that joins them with the roof.
-
-    The bonnet begins where the surface, lower than `_BONNET_SHARE` of the roof, becomes flatter by most; the windscreen
-    where the slope from the top of the roof first is half of that before the bonnet.
-
-    Shapes: ``inside`` [row, column].
-    """
-    row = np.flatnonzero(inside.any(axis=1))
-    if len(row) < row[-1] - row[0] + 1:  # rows between are no part of it, so nothing joins roof and bonnet there
-        row = row[row > np.flatnonzero(~inside.any(axis=1) & (np.arange(len(inside)) < row[-1])).max(initial=-1)]
-    height_m = np.array([np.median(surface.height_m[each][inside[each]]) for each in row])
-    reach = max(1, round(_SLOPE_REACH_M / surface.cell_m))
-    top = int(height_m.argmax())
-    slope = (height_m[:-reach] - height_m[reach:]) / (reach * surface.cell_m)  # down to the front, positive
-    least = max(1, round(_LEAST_BONNET_M / surface.cell_m))
-    at = np.arange(max(top + reach, reach), min(len(row) - least, len(slope)))
-    at = at[height_m[at] < _BONNET_SHARE * highest_m]
-    if not len(at):
-        return None
-    flatter = slope[at - reach] - slope[at]
-    best = int(at[flatter.argmax()])
-    if flatter.max() < _LEAST_KINK:
-        return None
-    steep = slope[best - reach]
-    local = np.gradient(height_m, surface.cell_m)
-    begins = top + int(np.flatnonzero(-local[top:] > 0.5 * steep)[0])
-    return int(row[begins]), int(row[best])
 
 
 def _file_lines(file: VehicleFile, reading: Reading, found: Examination) -> Iterator[str]:
@@ -247,7 +206,10 @@ def _shape_lines(found: Examination) -> Iterator[str]:
 
 
 def _mount_lines(surface: MountSurface, vehicle: Mesh, config: Config) -> Iterator[str]:
-    parts = _zone_parts(surface, vehicle)
+    panes = {pane.name: pane.outline_m for pane in parts_of(vehicle).panes}
+    x_m = np.asarray(panes.get("windscreen", np.full((1, 3), np.inf)))[:, 0]
+    pane_x_m = float(x_m.min()), float(x_m.max())
+    parts = _zone_parts(surface, vehicle, pane_x_m)
     total = sum(part.area_m2 for part in parts)
     shown = ", ".join(f"{part.name} {part.area_m2:.2f} m² at {part.height_m:.2f} m" for part in parts[:5])
     yield _row("cameras", f"{total:.2f} m² can carry them: {shown}" + (", ..." if len(parts) > 5 else ""))
@@ -255,14 +217,16 @@ def _mount_lines(surface: MountSurface, vehicle: Mesh, config: Config) -> Iterat
     if "bonnet" not in names:
         yield _row("", "no bonnet was found: a van, a bus, or a bonnet steeper than mount.min_zone_normal allows")
     if "windscreen" in names:
-        normal = _normal_without_windscreen(parts, vehicle, config)
+        normal = _normal_without_windscreen(parts, vehicle, config, pane_x_m)
         option = "no mount.min_zone_normal" if normal is None else f"mount.min_zone_normal={normal:g}"
         yield _row("", f"the windscreen is flat enough to carry cameras; {option} leaves it out")
     x, y, z = surface.highest_point_m()
     yield _row("highest", f"{z:.2f} m, at x {x:.2f}, y {y:.2f}")
 
 
-def _normal_without_windscreen(parts: Sequence[_ZonePart], vehicle: Mesh, config: Config) -> float | None:
+def _normal_without_windscreen(
+    parts: Sequence[_ZonePart], vehicle: Mesh, config: Config, pane_x_m: Sequence[float]
+) -> float | None:
     """The least ``mount.min_zone_normal`` of those tried that keeps the bonnet and not the windscreen; None: none."""
 
     def area_m2(parts: Sequence[_ZonePart], *names: str) -> float:
@@ -273,7 +237,7 @@ def _normal_without_windscreen(parts: Sequence[_ZonePart], vehicle: Mesh, config
             continue
         try:
             changed = config.replace({"mount.min_zone_normal": normal})
-            kept = _zone_parts(mount_surface(changed, vehicle), vehicle)
+            kept = _zone_parts(mount_surface(changed, vehicle), vehicle, pane_x_m)
         except InputError:  # nothing is left
             return None
         roof, bonnet = (area_m2(kept, name) / area_m2(parts, name) for name in ("roof", "bonnet"))
@@ -285,10 +249,6 @@ def _normal_without_windscreen(parts: Sequence[_ZonePart], vehicle: Mesh, config
 
 def _row(name: str, text: str) -> str:
     return f"  {name:9} {text}"
-
-
-# How far a pane may bulge out of the plane of its corners, along the vehicle [m].
-_PANE_BULGE_M = 0.3
 
 
 def propose(path: Path, config: Config, *, out: Path, image: Path | None = None) -> Iterator[str]:
@@ -303,17 +263,8 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
     mesh = read_vehicle(path)
     names = part_names(path, mesh)
     kind = None if names is None else kinds_of_names(names)
-    is_glass = None if kind is None or not (kind == "glass").any() else kind == "glass"
-    boxes = propose_keep_out(mesh, kind)
-    proposed = propose_zones(mesh, is_glass)
-    corners_m = {zone.name: zone.outline_m for zone in proposed if zone.outline_m is not None}
-    bulge_m = np.array([_PANE_BULGE_M, 0.0, 0.0])
-    panes = [(name, np.round([m.min(axis=0) - bulge_m, m.max(axis=0) + bulge_m], 3)) for name, m in corners_m.items()]
-    kept = []
-    for zone in proposed:
-        holds_panes = not zone.is_behind_glass and abs(zone.axes[2][0]) > 0.7  # faces as windscreens do, outside
-        kept.append(_kept_clear(zone, mesh, [*boxes, *panes] if holds_panes else boxes))
-    zones = tuple(each for each in kept if each is not None)
+    parts = parts_of(mesh, kind)
+    zones = propose_zones(mesh, parts)
     if not zones:
         raise InputError(f"{path}: expected a body that faces upwards, sideways, forwards or backwards, got none")
     mount = config.mount
@@ -326,13 +277,17 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
     )
     write_zones(zones, out)
     counts = Counter(
-        name for name, box in (*boxes, *panes) if any((box == each).all() for zone in zones for each in zone.keep_out_m)
+        name for name, _, box in parts.keep_out if any(box is each for zone in zones for each in zone.keep_out_m)
     )
     if counts:
         yield "  kept out: " + ", ".join(f"{count} x {name}" for name, count in counts.items())
     for number, zone in enumerate(zones):
         inside = (chart.zone_of_cell == number) & chart.inside
         yield f"  {zone.name:11} {np.count_nonzero(inside) * chart.cell_m**2:.2f} m²"
+    lost = [f"the triangles of the {pane.name} reach beyond it" for pane in parts.panes if pane not in zones]
+    untold = "; ".join(filter(None, (parts.untold, *lost)))
+    if untold:
+        yield f"  not told    {untold}: look at a picture, and edit keep_out_m"
     yield f"wrote {out}; edit it, and use it with mount.zones={out}"
     if image is not None:
         title = f"zones of {path.name}"
@@ -345,23 +300,7 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
         yield f"wrote {image}"
 
 
-def _kept_clear(zone: Zone, mesh: Mesh, boxes: Sequence[tuple[str, np.ndarray]]) -> Zone | None:
-    """A zone with the boxes that reach into it, which carry no camera; None where they leave nothing of it."""
-    if zone.is_behind_glass:
-        return zone
-    chart = chart_of([zone], mesh, cell_m=0.04)
-    place_m = chart.place_m[chart.inside]
-    point_m = chart.point_m(place_m, chart.height_at_m(place_m))
-    inside = [box for _, box in boxes if ((point_m >= box[0]) & (point_m <= box[1])).all(axis=1).any()]
-    clear = replace(zone, keep_out_m=(*zone.keep_out_m, *inside))
-    try:
-        chart_of([clear], mesh, cell_m=0.04)
-    except InputError:
-        return None
-    return clear
-
-
-SAME_M = 1e-3
+_SAME_M = 1e-3
 """A triangle of the file and one of the vehicle whose middles are so near are one [m]."""
 
 
@@ -384,6 +323,6 @@ def part_names(path: str | Path, mesh: Mesh, *, forward: str | None = None) -> l
     found = examine(file, file.usual.changed(forward=forward))
     middle_m = found.mesh.vertex_m[found.mesh.triangle].mean(axis=1) + found.shift_m
     away_m, nearest = KDTree(middle_m).query(mesh.vertex_m[mesh.triangle].mean(axis=1))
-    if np.max(away_m) > SAME_M:
+    if np.max(away_m) > _SAME_M:
         return None
     return [names[k] for k in np.asarray(nearest)]

@@ -23,6 +23,9 @@ import numpy as np
 
 from warpav.core.bounded_files import DATA_SET_BYTES_MAX, is_inner_path, parse_xml, read_bytes
 from warpav.core.errors import InputError
+from warpav.raster.mesh import Mesh
+from warpav.scene.town._paint import lit_rgb
+from warpav.scene.town._surface_builder import corner_normals
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -405,3 +408,30 @@ def _edge_texels(mesh: TexturedMesh, size_px: np.ndarray, index: np.ndarray | No
 def _areas(mesh: TexturedMesh) -> np.ndarray:
     corner = mesh.vertex[mesh.triangle]
     return 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+
+
+_ONE_COLOUR = 6  # of 255: what differs by less is one colour
+_BLACK = 24  # of 255: what exporters write where a material says nothing
+_WHITE_ALBEDO, _PAINT_MIRROR = 0.85, 0.13
+
+
+def shaded(mesh: Mesh) -> Mesh:
+    """A vehicle of one colour, in the ego frame, with the town's light in it, by normals alone; others as they are.
+
+    Without that it has one brightness all over in the images of cameras, and no shape. Black becomes grey.
+    """
+    if np.ptp(mesh.vertex_rgb, axis=0).max() > _ONE_COLOUR:
+        return mesh
+    vertex_m, place = np.unique(mesh.vertex_m.astype(np.float64), axis=0, return_inverse=True)
+    triangle = place.reshape(-1)[mesh.triangle]
+    corner_m = vertex_m[triangle]
+    across = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
+    outwards = corner_m.mean(axis=1) - 0.5 * (vertex_m.min(axis=0) + vertex_m.max(axis=0))
+    is_inside_out = (across * outwards).sum(axis=1) < 0.0
+    triangle = np.where(is_inside_out[:, None], triangle[:, ::-1], triangle)
+    normal = corner_normals(vertex_m, triangle).reshape(-1, 3)
+    sky = 0.5 * (1.0 + normal[:, 2])
+    rgb = GREY_RGB if mesh.vertex_rgb.max() < _BLACK else mesh.vertex_rgb.mean(axis=0)
+    albedo = np.tile(_WHITE_ALBEDO * (np.asarray(rgb) / 255.0) ** 2.2, (len(sky), 1))
+    lit = lit_rgb(normal, sky, albedo, np.full(len(sky), _PAINT_MIRROR))
+    return Mesh.create(vertex_m[triangle.reshape(-1)], np.arange(triangle.size).reshape(-1, 3), lit)

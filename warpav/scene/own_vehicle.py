@@ -25,6 +25,7 @@ from warpav.scene.mesh_colours import (
     Texture,
     TexturedMesh,
     follow_textures,
+    shaded,
     simulator_model,
     texture_of,
     vertex_rgb,
@@ -150,6 +151,8 @@ def read_vehicle(
 ) -> Mesh:
     """A vehicle in the ego frame from a mesh file, on the ground with its rear axle above the origin.
 
+    One of a single colour, or of none, gets light and shadow by its normals (`warpav.scene.mesh_colours.shaded`).
+
     Args:
         path: As of `read_vehicle_file`, or the name of a vehicle that ships with warpav, such as ``bus``.
         up: The file's axis that points up, out of `AXES`; None: what the file states, else z.
@@ -175,7 +178,7 @@ def read_vehicle(
         }
         advice = ", ".join(f"{name}={value!r}" for name, value in remedies.items())
         raise InputError(f"{path}: {problem.text}" + (f"; read it with {advice}" if advice else ""))
-    return found.corrected
+    return shaded(found.corrected)
 
 
 def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_MAX) -> VehicleFile:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -476,8 +476,14 @@ class Inspector:
 
     def view_rgb(self) -> np.ndarray:
         """The image of the chosen camera: green boxes are found, orange ones missed, red ones false; uint8."""
+        from warpav.detection.images import render_images
+        from warpav.view.figures.images import own_body_tinted
+
         assert self.chosen is not None
-        return _framed_view(self.state.observation.cameras[self.chosen], camera_rgb(self.chosen))
+        observed, packed = self.state.observation.cameras[self.chosen], self.state.packed
+        [image] = render_images(packed, [self.state.rig.cameras[self.chosen]], device=str(packed.raster.device))
+        shown_rgb = own_body_tinted(observed.image_rgb, image.object_index)
+        return _framed_view(replace(observed, image_rgb=shown_rgb), camera_rgb(self.chosen))
 
 
 def _framed_view(observed: CameraObservation, border_rgb: tuple[int, int, int]) -> np.ndarray:

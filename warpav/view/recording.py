@@ -12,6 +12,7 @@ from warpav.core.files import atomic_write, writing
 from warpav.detection.images import render
 from warpav.raster.lens import Lens
 from warpav.view._outlines import image_corners
+from warpav.view.figures.images import own_body_tinted
 from warpav.view.layers import Steepest, add_descent, add_legend, add_text, no_render
 from warpav.view.opengl import optional_module
 from warpav.view.output import ANIMATION_FRAME_S, ANIMATION_LAST_S, ANIMATION_PX, Animation, Canvas, render_rgb
@@ -69,7 +70,8 @@ def write_recording(
                 recording.log("loss", rerun.Scalars(float(loss[number])))
         for camera in rig.cameras:
             place = f"rig/{camera.name}/image" if camera.model.lens is Lens.PINHOLE else f"image/{camera.name}"
-            recording.log(place, rerun.Image(images[camera.name].rgb).compress(jpeg_quality=90), static=not frames)
+            shown = own_body_tinted(images[camera.name].rgb, images[camera.name].object_index)
+            recording.log(place, rerun.Image(shown).compress(jpeg_quality=90), static=not frames)
         recording.flush()
         recording.disconnect()
     return path

@@ -13,7 +13,7 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.detection.images import render
 from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture, CapturedImage, ViewKind
-from warpav.scene.device_scene import DeviceScene
+from warpav.scene.device_scene import EGO, DeviceScene
 from warpav.sight.around import body_shares
 from warpav.view.figures.style import (
     WIDTH_INCH,
@@ -65,6 +65,7 @@ _ENVIRONMENT_RGB = (214, 218, 224)
 _DEPTH_COLOURS = "viridis_r"
 _DEPTH_TICKS_M = (0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 _SHEET_COLUMNS, _LEGEND_COLUMNS = 6, 5
+_OWN_BODY_RGB, _TINT = (138, 84, 214), 0.4  # of the own body, and its share: roads and paints are often one grey
 _NOTABLE_SHARE = 0.002  # of an image's pixels: less of a vehicle is not worth showing
 
 
@@ -221,6 +222,12 @@ def _instance_legend(axis: Any, image: CapturedImage) -> None:  # noqa: ANN401 (
     axis.legend(list(entries.values()), list(entries), handler_map=stripes, handlelength=1.8, **style)
 
 
+def own_body_tinted(image_rgb: np.ndarray, object_index: np.ndarray) -> np.ndarray:
+    """An image of a camera with the own body tinted, uint8 [row, column, 3]; ``object_index`` as `CameraImage` has."""
+    tinted = np.rint((1.0 - _TINT) * image_rgb + _TINT * np.array(_OWN_BODY_RGB)).astype(np.uint8)
+    return np.where((object_index == EGO)[..., None], tinted, image_rgb)
+
+
 def contact_figure(rig: Rig, scene: Scene, *, heading: str | None = None) -> Any:  # noqa: ANN401
     """The images of all cameras, from the left to the right of the vehicle and then behind it, in equal widths.
 
@@ -242,7 +249,7 @@ def contact_figure(rig: Rig, scene: Scene, *, heading: str | None = None) -> Any
             axis.set_axis_off()
         for axis, index in zip(axes.flat, order, strict=False):
             camera = rig.cameras[index]
-            _show(axis, images[camera.name].rgb)
+            _show(axis, own_body_tinted(images[camera.name].rgb, images[camera.name].object_index))
             axis.spines[:].set(color=hex_colour(camera_rgb(index)), linewidth=2.0)
             axis.set_title(camera.name, fontsize=10, color=hex_colour(camera_rgb(index)))
             model = camera.model
@@ -252,7 +259,7 @@ def contact_figure(rig: Rig, scene: Scene, *, heading: str | None = None) -> Any
             own = f"own body {100.0 * share[camera.name]:.1f} % of the image"
             said = f"{angles}\n{model.width_px} x {model.height_px} px, {own}"
             axis.set_xlabel(said, fontsize=8, color=hex_colour(INK_RGB))
-        text = f"Scene {scene.name}. Yaw: 0 ahead, positive to the left. Pitch: positive nose down."
+        text = f"Scene {scene.name}. Yaw: 0 ahead, positive to the left. Pitch: positive nose down. Own body: violet."
         caption(figure, text, heading)
         return figure
 
