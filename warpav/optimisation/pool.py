@@ -38,6 +38,7 @@ _HALF_ABOVE_BYTES = 2**29
 """Matrices that would be larger than this in single precision are kept in half precision."""
 _SPREAD_BLOCK = 1024
 _SPREAD_TRIES = 2**22
+_RULES_TRIES = 40  # cameras that are looked at for each that keeps the design rules, at most
 
 
 def pool_cache_folder() -> Path:
@@ -70,7 +71,9 @@ def spread_mount_poses(
     of_module = [
         _spread(mount, constraints, each, np.random.default_rng([seed, k]), k, allowed) for k in range(modules)
     ]
-    return np.stack(of_module, axis=1).reshape(each * modules, MOUNT_POSE_SIZE)[:count]
+    # in turns, as long as there are some
+    turn = np.concatenate([np.arange(len(part)) for part in of_module])
+    return np.concatenate(of_module)[np.argsort(turn, kind="stable")][:count]
 
 
 def _spread(
@@ -87,7 +90,7 @@ def _spread(
     numbers = np.r_[X_M, Y_M, YAW_RAD, np.flatnonzero(mount.is_free)]
     low_m, high_m = mount.surface.bounds_of(module)
     sequence = qmc.Sobol(len(numbers), scramble=True, rng=rng)
-    kept = np.zeros((0, MOUNT_POSE_SIZE), np.float32)
+    kept, looked_at = np.zeros((0, MOUNT_POSE_SIZE), np.float32), 0
     for _ in range(_SPREAD_TRIES // _SPREAD_BLOCK):
         pose = np.zeros((_SPREAD_BLOCK, MOUNT_POSE_SIZE), np.float32)
         share = sequence.random(_SPREAD_BLOCK)
@@ -101,7 +104,8 @@ def _spread(
         is_kept = constraints.contains(pose[:, [X_M, Y_M]]) & (mount.module_of(pose) == module)
         pose = pose[is_kept][: 4 * count]
         kept = np.concatenate([kept, pose if allowed is None else pose[allowed(pose)]])
-        if len(kept) >= count:
+        looked_at += len(pose)
+        if len(kept) >= count or (allowed is not None and looked_at > _RULES_TRIES * count):
             return kept[:count]
     raise constraints.do_not_fit(1)
 

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import sparse
 
+from warpav.core.errors import OptionError
 from warpav.optimisation._camera_jacobians import placing_slope
 from warpav.optimisation._tangent_model import Margins
 from warpav.optimisation.mount import MIRROR, MOUNT_POSE_SIZE
@@ -94,6 +95,17 @@ class PoolRules:
     def allowed(self, mount_pose: np.ndarray) -> np.ndarray:
         """Which cameras keep all rules that they can keep alone, bool [camera]."""
         return np.asarray(~self._measured(mount_pose).breaks.any(axis=1))
+
+    def refuse(self, mount_pose: np.ndarray, kept: int) -> None:
+        """Say which rule most cameras, [camera, 7], break, where too few keep all; ``kept``: how many were found."""
+        share = self._measured(mount_pose).breaks.mean(axis=0)
+        worst = int(share.argmax())
+        option = f"rules.{ALONE[worst]}" + ("_deg" if ALONE[worst] == "crossing" else "")
+        raise OptionError(
+            option,
+            f"expected one that enough cameras can keep, got {kept} that keep all rules; {share[worst]:.0%} break this "
+            "one: loosen it, let zones or rig.free allow more, or set rules=none",
+        )
 
     def _measured(self, mount_pose: np.ndarray) -> _Measured:
         pose = np.ascontiguousarray(mount_pose, np.float32).reshape(-1, MOUNT_POSE_SIZE)
@@ -187,7 +199,7 @@ class PoolRules:
             distance_m = np.linalg.norm(to_m, axis=1)
             near = distance_m <= _reach_m(model[k], radius_m, self.rules.housing)
             near &= self._may_be_in_image(model[k], view[k], to_m, distance_m, radius_m)
-            near &= distance_m > 1e-9  # itself
+            near &= np.abs(other_corner_m - corner_m[k]).max(axis=(1, 2)) > 1e-9  # itself
             which = np.flatnonzero(near)
             if not len(which):
                 continue

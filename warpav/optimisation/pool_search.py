@@ -287,6 +287,8 @@ class PoolSearch:
             if spread_count > 0:
                 allowed = None if self.rules is None else self.rules.allowed
                 spread = spread_mount_poses(mount, self.constraints, spread_count, seed=self.seed, allowed=allowed)
+                if self.rules is not None and len(spread) < self.camera_count - len(self.assembly.frozen):
+                    self.rules.refuse(spread_mount_poses(mount, self.constraints, 64, seed=self.seed), len(spread))
             if start is None:
                 self.pool = pool.extended(np.concatenate([first, spread]), progress=self._progress)
             else:

@@ -74,16 +74,25 @@ def horizon_margin(ego_from_camera: np.ndarray, models: Sequence[CameraModel]) -
 
     Negative where it is above the image or the lens does not see it.
     """
+    ahead = ego_from_camera[:, :2, 2]
+    length = np.linalg.norm(ahead, axis=1, keepdims=True)
+    ray = np.pad(ahead / np.maximum(length, 1e-12), ((0, 0), (0, 1)))[:, None]
     margin = np.full(len(models), -1.0)
-    for k, (pose, model) in enumerate(zip(ego_from_camera, models, strict=True)):
-        ahead = pose[:2, 2]
-        length = np.linalg.norm(ahead)
-        if length < 1e-6:
-            continue
-        with np.errstate(invalid="ignore", divide="ignore"):
-            row_px = model.project(np.array([*(ahead / length), 0.0]) @ pose[:3, :3])[1]
-        margin[k] = np.nan_to_num(row_px / model.height_px, nan=-1.0, posinf=-1.0, neginf=-1.0)
-    return margin
+    for model, row in _by_model(models):
+        row_px = _projected(model, ray[row] @ ego_from_camera[row, :3, :3])[:, 0, 1]
+        margin[row] = np.nan_to_num(row_px / model.height_px, nan=-1.0, posinf=-1.0, neginf=-1.0)
+    return np.where(length[:, 0] < 1e-6, -1.0, margin)
+
+
+def _by_model(models: Sequence[CameraModel]) -> list[tuple[CameraModel, np.ndarray]]:
+    """The cameras of each model, int [camera of the model]."""
+    return [(each, np.flatnonzero([model == each for model in models])) for each in dict.fromkeys(models)]
+
+
+def _projected(model: CameraModel, point_m: np.ndarray) -> np.ndarray:
+    """Places of points [..., 3] in an image [px], [..., 2]; not finite where the lens does not see them."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return model.project(point_m)
 
 
 def crossing_angle_rad(ego_from_camera: np.ndarray, middle_m: np.ndarray) -> np.ndarray:
@@ -110,11 +119,11 @@ def border_margin(ego_from_camera: np.ndarray, models: Sequence[CameraModel], po
     -1 where the lens does not see a point. ``point_m`` [point, 3].
     """
     margin = np.full((len(models), len(point_m)), -1.0)
-    for k, (pose, model) in enumerate(zip(ego_from_camera, models, strict=True)):
-        with np.errstate(invalid="ignore", divide="ignore"):
-            place_px = model.project((point_m - pose[:3, 3]) @ pose[:3, :3])
-            edge_px = np.minimum(place_px, np.array([model.width_px, model.height_px]) - place_px).min(axis=1)
-        margin[k] = np.nan_to_num(edge_px / model.width_px, nan=-1.0, posinf=-1.0, neginf=-1.0)
+    for model, row in _by_model(models):
+        pose = ego_from_camera[row]
+        place_px = _projected(model, (point_m - pose[:, None, :3, 3]) @ pose[:, :3, :3])
+        edge_px = np.minimum(place_px, np.array([model.width_px, model.height_px]) - place_px).min(axis=-1)
+        margin[row] = np.nan_to_num(edge_px / model.width_px, nan=-1.0, posinf=-1.0, neginf=-1.0)
     return margin
 
 

@@ -197,9 +197,12 @@ def _expected(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
 
 
 def _is_worse_than_start(evaluation: RigEvaluation) -> bool:
-    """Whether the objective of the rig that was found is higher than that of its start, or no number."""
+    """Whether the objective of the rig that was found is higher than that of its start, or no number.
+
+    Then the start is the rig of the run, unless it breaks rules that the other keeps.
+    """
     training = evaluation.training_objective
-    if training is None or training.start is None:
+    if training is None or training.start is None or evaluation.rules is not None:
         return False
     return training.optimised is None or training.optimised > training.start
 
@@ -400,6 +403,10 @@ def _objective(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
         return Statement("Objective", f"{text}: {robust_text(evaluation.robust)}.")
     if _counts_points(run):
         text += ", expected misses and points of the requirements that are not met together"
+    broken = sum(not margin.is_kept for margin in (evaluation.rules or {}).get(evaluation.start, ()))
+    if broken:
+        rules = "a rule" if broken == 1 else f"{broken} rules"
+        text += f" ({_arm(evaluation.start)} breaks {rules} that the other keeps)"
     before = evaluation.arms[evaluation.start].objective if evaluation.start in evaluation.arms else None
     after = evaluation.best.objective
     if before is None or after is None:
