@@ -125,3 +125,11 @@ def test_a_camera_far_from_the_body_has_no_stalk():
     camera = looking([0.0, 0.0, 3.0])
     assert len(body_of(camera, np.array([0.0, 0.0, 1.5])).vertex_m) == 8
     assert len(body_of(camera, np.array([0.0, 0.0, 2.5])).vertex_m) == 16
+
+
+def test_what_is_straight_behind_a_wide_lens_is_not_in_its_image():
+    """A fisheye has places for rays beyond its image: those of a box behind it lie all round."""
+    model = CameraModel(640, 480, math.radians(190.0), lens="fisheye")
+    camera, behind = looking([3.0, 0.0, 0.3], 0.0, 28.0), looking([1.2, 0.0, 1.3])
+    box_m = corners_m(behind.ego_from_camera, Housing((0.04, 0.04, 0.05)))[None]
+    assert hidden_share(model, np.linalg.inv(camera.ego_from_camera), box_m)[0] == 0.0

@@ -38,6 +38,7 @@ _HALF_ABOVE_BYTES = 2**29
 """Matrices that would be larger than this in single precision are kept in half precision."""
 _SPREAD_BLOCK = 1024
 _SPREAD_TRIES = 2**22
+_PAIRS_A_TURN = 3.0
 _RULES_TRIES = 40  # cameras that are looked at for each that keeps the design rules, at most
 
 
@@ -60,20 +61,20 @@ def spread_mount_poses(
 
     ``allowed`` says which cameras [camera, 7] keep the design rules; None: all.
 
-    The first n of more cameras are the n cameras of the same seed. Of modules there are equally many, in turns.
+    The first n of more cameras are the n cameras of the same seed. Of modules there are equally many, in turns, of
+    pairs three for each single one of a symmetric rig, which stands in the middle and has less to choose.
     """
     if count < 1:
         raise ArgumentError("count", f"expected at least 1 camera, got {count}")
     if not mount.is_mixed:
         return _spread(mount, constraints, count, np.random.default_rng(seed), 0, allowed)
-    modules = len(mount.cameras)
-    each = -(-count // modules)
-    of_module = [
-        _spread(mount, constraints, each, np.random.default_rng([seed, k]), k, allowed) for k in range(modules)
-    ]
+    kinds = len(mount.cameras)
+    turns = np.ones(kinds) if not mount.is_symmetric else np.where(mount.surface.pairs, _PAIRS_A_TURN, 1.0)
+    each = np.ceil(count * turns / turns.sum()).astype(int)
+    of_kind = [_spread(mount, constraints, each[k], np.random.default_rng([seed, k]), k, allowed) for k in range(kinds)]
     # in turns, as long as there are some
-    turn = np.concatenate([np.arange(len(part)) for part in of_module])
-    return np.concatenate(of_module)[np.argsort(turn, kind="stable")][:count]
+    turn = np.concatenate([np.arange(len(part)) / turns[k] for k, part in enumerate(of_kind)])
+    return np.concatenate(of_kind)[np.argsort(turn, kind="stable")][:count]
 
 
 def _spread(

@@ -23,7 +23,7 @@ from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.raster.pane import Pane
-from warpav.rig.camera_body import boxes_meet, corners_m, hidden_share
+from warpav.rig.camera_body import boxes_meet, corners_m, hidden_share, least_cosine
 from warpav.rig.rig import RigCamera
 from warpav.sight.around import level_ground
 from warpav.sight.requirement import Body
@@ -231,12 +231,8 @@ class PoolRules:
     def _may_be_in_image(
         model: CameraModel, view: np.ndarray, to_m: np.ndarray, distance_m: np.ndarray, radius_m: np.ndarray
     ) -> np.ndarray:
-        """Whether balls may reach into an image: by the angle from its axis to its corners."""
-        corner = np.array([[x, y] for x in (0.0, model.width_px) for y in (0.0, model.height_px)])
-        ray = model.rays(corner)
-        if not np.isfinite(ray).all():
-            return np.ones(len(to_m), bool)
-        half_rad = np.arccos(np.clip(ray[:, 2] / np.linalg.norm(ray, axis=1), -1.0, 1.0)).max()
+        """Whether balls may reach into an image: by the angle from its axis to its border."""
+        half_rad = math.acos(max(least_cosine(model), -1.0))
         ahead = np.clip(to_m @ view[:3, 2] / np.maximum(distance_m, 1e-9), -1.0, 1.0)
         return np.arccos(ahead) <= half_rad + np.arcsin(np.clip(radius_m / np.maximum(distance_m, 1e-9), 0.0, 1.0))
 

@@ -62,8 +62,8 @@ _NEAR_CAMERAS = 16
 """Cameras that are drawn around each of the rig's at a time."""
 _REFINED_FROM, _REFINED_TO = 0.4, 0.01
 """Radii of these, in units of the polish: halved whenever nothing better is found."""
-_PRICE = 0.03
-"""Share of the objective that a rule may cost which the cameras cannot keep as asked."""
+_PRICE = 0.01
+"""Share of the objective that the rules of gap and near ground together may cost; beyond it they are loosened."""
 _POLISHED_BY_HAND = 3
 """Rigs by hand that are polished."""
 _SAME = 1e-6  # the polish and the pool round differently
@@ -356,19 +356,21 @@ class PoolSearch:
         """The strictest levels of what a rig must see together that the cameras of the pool can keep."""
         most = self.camera_count if self.limits is None else self.limits.count[1]
         widest_rad = max(model.fov_rad for model in self.cameras.mount.cameras)
+        free = self._selection(self._level_gap).objective
         if rules.rules.azimuth_gap_rad is not None and most * widest_rad >= 2.0 * np.pi - 1e-6:
             first = round(rules.rules.azimuth_gap_rad / AZIMUTH_STEP_RAD)
             levels = [first + k for k in range(20)]
-            rules.gap_steps, rules.price_of_gap = self._kept_level("gap_steps", levels)
+            rules.gap_steps, rules.price_of_gap = self._kept_level("gap_steps", levels, free)
         if rules.rules.near_ground:
-            rules.near_level, _ = self._kept_level("near_level", list(range(len(NEAR_M))))
+            rules.near_level, _ = self._kept_level("near_level", list(range(len(NEAR_M))), free)
 
-    def _kept_level(self, name: str, levels: list[int]) -> tuple[int | None, float]:
+    def _kept_level(self, name: str, levels: list[int], free: float) -> tuple[int | None, float]:
         """The strictest level of a rule, of ever looser ones, that costs at most `_PRICE` of the objective.
 
-        None: no rule. And the share that the first would cost, infinite where no rig keeps it.
+        None: no rule. And the share that the first would cost, infinite where no rig keeps it. ``free``: the objective
+        without such rules.
         """
-        free, first = self._selected_at(name, None), self._selected_at(name, levels[0])
+        first = self._selected_at(name, levels[0])
         price, most = first / max(free, _SAME) - 1.0, (1.0 + _PRICE) * free
         low, high = 0 if first <= most else 1, 0 if first <= most else len(levels)
         while low < high:
@@ -377,11 +379,15 @@ class PoolSearch:
             low, high = (low, middle) if is_kept else (middle + 1, high)
         return levels[low] if low < len(levels) else None, price
 
+    @property
+    def _level_gap(self) -> float:
+        return max(self.settings.gap, _GAP_ON_THE_WAY)
+
     def _selected_at(self, name: str, level: int | None) -> float:
         """The objective of the rig that would be selected at a level of a rule; inf where none keeps it."""
         setattr(self.rules, name, level)
         try:
-            return self._selection(max(self.settings.gap, _GAP_ON_THE_WAY)).objective
+            return self._selection(self._level_gap).objective
         except InputError:
             return np.inf
         finally:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -124,6 +125,9 @@ def hidden_share(model: CameraModel, camera_from_ego: np.ndarray, corner_m: np.n
         place_px = model.project(point_m)
     depth_m = np.linalg.norm(point_m, axis=-1) if model.shape.has_unit_rays else point_m[..., 2]
     is_seen = np.isfinite(place_px).all(axis=-1) & (depth_m > model.near_m)
+    # what is behind a wide lens has places all round its image
+    ahead = point_m[..., 2] / np.maximum(np.linalg.norm(point_m, axis=-1), 1e-12)
+    is_seen &= ahead >= least_cosine(model)
     frame = np.array([[0, 0], [model.width_px, 0], [model.width_px, model.height_px], [0, model.height_px]], np.float32)
     share = np.zeros(len(corner_m))
     for k in np.flatnonzero(is_seen.sum(axis=1) >= 3):
@@ -131,6 +135,18 @@ def hidden_share(model: CameraModel, camera_from_ego: np.ndarray, corner_m: np.n
         if len(hull) >= 3:
             share[k] = cv2.intersectConvexConvex(hull, frame)[0] / (model.width_px * model.height_px)
     return share
+
+
+@lru_cache(maxsize=64)
+def least_cosine(model: CameraModel) -> float:
+    """Cosine of the greatest angle between the axis and a ray of an image."""
+    width, height = model.width_px, model.height_px
+    share = np.linspace(0.0, 1.0, _EDGE_STEPS)[:, None]
+    sides = (([0.0, 0.0], [width, 0.0]), ([0.0, height], [width, height]), ([0.0, 0.0], [0.0, height]))
+    border_px = np.concatenate([(1.0 - share) * a + share * b for a, b in (*sides, ([width, 0.0], [width, height]))])
+    ray = model.rays(border_px)
+    cosine = ray[:, 2] / np.linalg.norm(ray, axis=1)
+    return float(np.nanmin(cosine)) - 1e-9
 
 
 def boxes_meet(one_m: np.ndarray, other_m: np.ndarray) -> np.ndarray:
