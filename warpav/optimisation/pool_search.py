@@ -303,13 +303,15 @@ class PoolSearch:
             found = self.pool.detection_probability[:, -self.points.vehicle_count :]
             seen = partial(self.cameras.visibility, self.pool.mount_pose, self.points)
             self.points.check(found, seen, self.camera_count)
+        if self.task.starts_by_hand:
+            self._try_by_hand()
         if self.rules is not None:
             self._settle_rules(self.rules)
             if start is not None and not self.task.starts_by_hand:
                 yield from self._offered(start, first)
         self._todo = [("improve",)]
         if self.task.starts_by_hand:
-            by_hand = self._by_hand()
+            by_hand = self._best_by_hand()
             if start is not None:
                 yield from self._offered(start, first)
             self._todo = [("improve", [rig.tolist() for rig in by_hand])]
@@ -321,8 +323,8 @@ class PoolSearch:
         if self.rig is not None:
             yield self._found("start")
 
-    def _by_hand(self) -> list[np.ndarray]:
-        """Try rigs by hand, whose cameras join the pool; the best that keep the rules."""
+    def _try_by_hand(self) -> None:
+        """Try rigs by hand, whose cameras join the pool."""
 
         def values_of(rigs: Sequence[np.ndarray]) -> list[float]:
             new = np.unique(np.concatenate(rigs), axis=0)
@@ -336,11 +338,15 @@ class PoolSearch:
         found = by_hand(self.cameras.mount, self.task.constraints, self.camera_count, values_of)
         if self._progress is not None and found:
             self._progress.say(f"by hand: {found[0]}: objective {found[0].value:.4f}")
+        self.hand_rigs = [replace(each, mount_pose=self.assembly.rig(each.mount_pose)) for each in found]
+
+    def _best_by_hand(self) -> list[np.ndarray]:
+        """The best of those rigs that keep the rules, and stand apart."""
         kept = []
-        for each in found:
-            rig = self.assembly.rig(each.mount_pose, like=self.rig)
-            self.hand_rigs.append(replace(each, mount_pose=rig))
-            if each.value < np.inf and self._keeps_rules(rig):
+        for each in self.hand_rigs:
+            rig = each.mount_pose
+            stands = each.value < np.inf and not too_near(rig, self.constraints).nnz
+            if stands and self._keeps_rules(rig):
                 kept.append(rig)
                 self._is_better(rig, each.value)
         return kept[:_POLISHED_BY_HAND]
@@ -367,11 +373,12 @@ class PoolSearch:
     def _kept_level(self, name: str, levels: list[int], free: float) -> tuple[int | None, float]:
         """The strictest level of a rule, of ever looser ones, that costs at most `_PRICE` of the objective.
 
-        None: no rule. And the share that the first would cost, infinite where no rig keeps it. ``free``: the objective
-        without such rules.
+        Nor more than the lead over the best rig by hand. None: no rule. And the share that the first would cost,
+        infinite where no rig keeps it. ``free``: the objective without such rules.
         """
         first = self._selected_at(name, levels[0])
         price, most = first / max(free, _SAME) - 1.0, (1.0 + _PRICE) * free
+        most = min([most, *(max(each.value, free) for each in self.hand_rigs[:1])])
         low, high = 0 if first <= most else 1, 0 if first <= most else len(levels)
         while low < high:
             middle = (low + high) // 2
