@@ -10,16 +10,10 @@ from warpav.core.errors import InputError
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import Rig
-from warpav.view.figures.convergence import (
-    convergence_panels,
-    loss_figure,
-    running_mean,
-    search_figure,
-    search_panel,
-)
+from warpav.view.figures.convergence import loss_figure, running_mean, search_figure
 from warpav.view.figures.from_above import further_figure, top_view_figure
 from warpav.view.figures.images import DetectionPanel, detections_sheet
-from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH, figure_style, new_figure, save_figure
+from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH, save_figure
 from warpav.view.palette import (
     FALSE_POSITIVE_RGB,
     FURTHER_RGB,
@@ -87,14 +81,16 @@ def test_loss_curves_need_records():
 
 
 def test_panels_that_say_nothing_are_left_out():
+    def titles(run):
+        return [axis.get_title(loc="left") for axis in loss_figure(run).axes if axis.axison]
+
     run = records(3)
-    assert list(convergence_panels(run)) == ["loss", "loss terms", "multipliers", "camera distance"]
+    assert titles(run) == ["Loss", "Loss terms", "Multipliers", "Smallest distance between cameras [m]"]
     for record in run:
         record["terms"], record["multipliers"] = {"misses": 1.0, "oob": -0.1}, {"oob": 0.0}
-    assert list(convergence_panels(run)) == ["loss", "camera distance"]
-    assert len([axis for axis in loss_figure(run).axes if axis.axison]) == 2
+    assert titles(run) == ["Loss", "Smallest distance between cameras [m]"]
     one = {"iteration": 0, "loss": 1.0, "terms": {}, "multipliers": {}, "positions_m": [[0.0, 0.0, 1.5]]}
-    assert list(convergence_panels([one])) == ["loss"]
+    assert titles([one]) == ["Loss"]
 
 
 def search_records():
@@ -112,17 +108,8 @@ def search_records():
     return [dict(zip(names, row, strict=True)) for row in rows]
 
 
-def drawn_search(records):
-    """Axis with what `search_panel` draws."""
-    with figure_style():
-        figure = new_figure(WIDTH_INCH, 4.0)
-        axis = figure.subplots()
-        search_panel(records)(axis)
-    return axis
-
-
 def test_a_search_is_drawn_over_what_it_has_spent(tmp_path):
-    axis = drawn_search(search_records())
+    axis = search_figure(search_records()).axes[0]
     lines = {line.get_label(): line.get_xydata() for line in axis.get_lines()}
     np.testing.assert_allclose(lines["best rig so far"][:4], [[40, 0.30], [400, 0.10], [600, 0.09], [700, 0.08]])
     np.testing.assert_allclose(lines["bound of the pool"][:2], [[400, 0.098], [1000, 0.079]])
@@ -146,7 +133,7 @@ def test_a_search_is_drawn_over_what_it_has_spent(tmp_path):
 def test_a_start_that_is_near_is_a_mark():
     records = search_records()
     records[0]["training_objective"] = 0.101
-    axis = drawn_search(records)
+    axis = search_figure(records).axes[0]
     assert "start" in {line.get_label() for line in axis.get_lines()}
     assert not axis.texts
     assert axis.get_ylabel() == "objective"  # it may hold requirements, or the loss of a camera
@@ -154,8 +141,8 @@ def test_a_start_that_is_near_is_a_mark():
 
 def test_a_descent_has_no_curve_of_a_search(tmp_path):
     assert search_figure(records()) is None
-    assert search_panel([]) is None
-    assert search_panel(search_records()[:1]) is None  # stopped before the first selection
+    assert search_figure([]) is None
+    assert search_figure(search_records()[:1]) is None  # stopped before the first selection
     assert list(tmp_path.iterdir()) == []
 
 

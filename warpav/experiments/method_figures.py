@@ -33,7 +33,7 @@ from warpav.scene.scene import Scene
 from warpav.view.figures import rigs
 from warpav.view.figures.images import DetectionPanel
 from warpav.view.figures.rigs import OptimisedRig, SceneViews
-from warpav.view.figures.style import checked_png
+from warpav.view.figures.style import checked_figure
 
 if TYPE_CHECKING:
     from warpav.optimisation.pool_run import PoolRun
@@ -46,7 +46,7 @@ def draw_method_figure(
     number: int, path: Path | str, config: Config, *, run: RunFolder | None, progress: Progress
 ) -> Path:
     """Draw a figure by its number in the thesis."""
-    path = checked_png(path)
+    path = checked_figure(path, (".png",))
     match number:
         case 10:
             return unconstrained(config, path, run=run, progress=progress)

@@ -19,7 +19,7 @@ from warpav.scene.scene import Box
 from warpav.view.figures.clouds import sphere, stages, window_filter
 from warpav.view.figures.images import contact_sheet, image_types
 from warpav.view.figures.rigs import heat_maps, mount_surface_stages
-from warpav.view.figures.style import checked_png
+from warpav.view.figures.style import checked_figure
 
 _CAPTURE_NUMBERS = (4, 5, 6, 7, 9, 14, 15, 16)
 """Figures of one capture, by their numbers in the thesis."""
@@ -38,7 +38,7 @@ def draw_figure(
     scenes: Path | None = None,
 ) -> Path:
     """Draw a figure by its number in the thesis."""
-    path = checked_png(path)
+    path = checked_figure(path, (".png",))
     if number == _COLLECTION_NUMBER:
         if scenes is None or seed is not None or capture is not None:
             raise InputError(f"figure {number}: expected scenes, a folder of them, and nothing else")
@@ -79,7 +79,7 @@ def scene_store_heat_maps(
     folder: Path, path: Path | str, *, train: Sequence[int] | None = None, test: Sequence[int] | None = None
 ) -> Path:
     """Figure 8 for a folder of scenes: all of them, those for training, those for testing."""
-    path = checked_png(path)
+    path = checked_figure(path, (".png",))
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of scenes, got {'a file' if folder.exists() else 'none'}")
     found = {int(match[1]) for file in folder.iterdir() if (match := re.fullmatch(r"scene_(\d+)\.glb", file.name))}

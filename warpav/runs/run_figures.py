@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import io
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -20,6 +22,7 @@ from warpav.runs.evaluate import requirements_of
 from warpav.runs.events import trajectory
 from warpav.runs.placement import Placement
 from warpav.runs.report._content import read_evaluation
+from warpav.runs.report.report import SHOWN_SCENES
 from warpav.runs.rig_evaluation import RigEvaluation
 from warpav.runs.run_folder import RunFolder
 from warpav.view import Canvas, drawing_of, plot
@@ -31,9 +34,6 @@ if TYPE_CHECKING:
     from warpav.raster.camera import CameraModel
     from warpav.scene.scene import Scene
     from warpav.view.figures.images import DetectionPanel
-
-VIEW_PX = 960
-"""Longer side of the images that are kept of what cameras see."""
 
 GROUND_SCENES = 10
 """Test scenes at most on which the ground that no camera sees is measured."""
@@ -95,9 +95,12 @@ class RunPictures:
         detections_sheet(self._panels(self.test[0]), self.folder.figure_path("detections"))
 
     def _draw_further(self) -> None:
-        """All other pictures, and what the report's maps of the ground are drawn from."""
+        """All other pictures."""
         from warpav.sight.ground import BlindGround
         from warpav.view.figures.around import requirement_map
+        from warpav.view.figures.from_above import blind_ground_figure
+        from warpav.view.figures.images import detections_sheet
+        from warpav.view.figures.style import save_figure
 
         placement, drawn = self.placement, self._drawn
         self._plot(drawn, "top_view", "rig_top_view")
@@ -110,9 +113,21 @@ class RunPictures:
             file = self.folder.figure_path(f"requirements_{name}")
             requirement_map(file, result=met, rig=self.rigs[name], ego=placement.ego)
         scenes = [assigned.scene for assigned in self.test[:GROUND_SCENES]]
-        self.folder.write_ground(BlindGround.of(self.rigs, scenes).arrays(placement.ego.bounds_m()))
-        shown = _shown_scenes(self.test, self.evaluation)
-        _keep_views(self.folder, [(each.scene.name, self._panels(each)) for each in shown])
+        blind = blind_ground_figure(BlindGround.of(self.rigs, scenes), self.rigs, placement.ego)
+        save_figure(blind, self.folder.figure_path("blind_ground"))
+        for kind in ("recall", "differences"):
+            with contextlib.suppress(InputError):  # too few objects or scenes
+                self._plot(self.evaluation, kind)
+        for which, shown in zip(SHOWN_SCENES, _shown_scenes(self.test, self.evaluation), strict=False):
+            panels = self._panels(shown)
+            for camera in dict.fromkeys(panel.title for of_rig in panels.values() for panel in of_rig):
+                row = [
+                    dataclasses.replace(panel, title=rig)
+                    for rig, of_rig in panels.items()
+                    for panel in of_rig
+                    if panel.title == camera
+                ]
+                detections_sheet({shown.scene.name: row}, self.folder.figure_path(f"{which}_{camera}"))
 
     @cached_property
     def _drawn(self) -> DrawnRun:
@@ -173,38 +188,6 @@ def _shown_scenes(scenes: Sequence[AssignedScene], evaluation: RigEvaluation) ->
     left = Counter(each.scene for each in evaluation.objects if each.outcome["optimised"] != ObjectOutcome.DETECTED)
     others = [each for each in scenes[1:] if left[each.scene.name]]
     return [scenes[0], *sorted(others, key=lambda each: -left[each.scene.name])[:1]]
-
-
-def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequence[DetectionPanel]]]]) -> None:
-    """Write what cameras see into a run folder, by scene and by rig, as images and boxes."""
-    from PIL import Image
-
-    views, image_of = [], {}
-    for number, (scene, rigs) in enumerate(panels):
-        for rig, cameras in rigs.items():
-            for panel in cameras:
-                name = f"{number}_{rig}_{panel.title}.webp"
-                encoded, image = io.BytesIO(), Image.fromarray(panel.image_rgb)
-                image.thumbnail((VIEW_PX, VIEW_PX))
-                image.save(encoded, "WEBP", quality=88)
-                image_of[name] = encoded.getvalue()
-                height_px, width_px = panel.image_rgb.shape[:2]
-                views.append(
-                    {
-                        "scene": scene,
-                        "scene_number": number,
-                        "rig": rig,
-                        "camera": panel.title,
-                        "image": name,
-                        "size_px": [width_px, height_px],
-                        "truth_box_px": [
-                            box.tolist() if np.isfinite(box).all() else None for box in panel.truth_box_px
-                        ],
-                        "detection_box_px": panel.detection_box_px,
-                        "detection_of_truth": panel.detection_of_truth,
-                    }
-                )
-    folder.write_views(views, image_of)
 
 
 def _panels(rig: Rig, objective: RigObjective, assigned: AssignedScene) -> list[DetectionPanel]:

@@ -311,7 +311,7 @@ def detections_sheet(rows: Mapping[str, Sequence[DetectionPanel]], path: Path | 
                 if column < len(panels):
                     draw_detections(axis, panels[column])
             axes[0].set_ylabel(heading, fontweight="bold", fontsize=11)
-        figure.legend(handles=detection_handles(), loc="outside lower center", ncols=4)
+        figure.legend(handles=detection_handles(), loc="outside lower center", ncols=min(4, 2 * column_count))
         return save_figure(figure, path)
 
 
@@ -347,7 +347,8 @@ def draw_detections(axis: Any, panel: DetectionPanel) -> None:  # noqa: ANN401 (
         else:
             _draw_box(axis, box, MISS_RGB, linewidth=1.6, linestyle=(0, (3, 2)), zorder=5)
     axis.set(xlim=(0, width), ylim=(height, 0))
-    found = f"{len(found_index)} of {int(present.sum())} found"
+    found, false = f"{len(found_index)} of {int(present.sum())} found", len(detection) - len(found_index)
+    found += f", {false} false alarm{'' if false == 1 else 's'}" if false else ""
     is_long = len(panel.title) > _LONG_TITLE
     axis.set_title(
         f"{panel.title}\n{found}" if is_long else f"{panel.title}: {found}", fontsize=9.5, fontweight="normal", pad=4

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 
 WIDTH_INCH = 9.0
 DOTS_PER_INCH = 150
-SVG_WIDTH_INCH = 4.5
-"""Of panels as SVG: a phone shows one below the other, and every letter can be read."""
-
 _METADATA: dict[str, Any] = {
     ".png": {"Software": None},
     ".pdf": {"Creator": None, "Producer": None, "CreationDate": None},
@@ -98,32 +95,11 @@ def save_figure(figure: Any, path: Path | str) -> Path:  # noqa: ANN401 (matplot
     return write_whole(path, figure_bytes(figure, path.suffix.lower()))
 
 
-def svg_text(draw: Callable[[Any], None], height_inch: float) -> str:
-    """What a function draws into an axis, as SVG; the same every time."""
-    import matplotlib
-
-    clear: Any = {"svg.hashsalt": "warpav", "figure.facecolor": "none", "axes.facecolor": "none"}
-    with figure_style(), matplotlib.rc_context(clear):
-        figure = new_figure(SVG_WIDTH_INCH, height_inch)
-        draw(figure.subplots())
-        text = io.StringIO()
-        figure.savefig(text, format="svg", metadata=_METADATA[".svg"])
-    return text.getvalue()
-
-
-def checked_png(path: Path | str) -> Path:
-    """The path of a PNG file to write."""
+def checked_figure(path: Path | str, suffixes: Sequence[str] = FIGURE_SUFFIXES) -> Path:
+    """The path of a figure to write, which has one of these suffixes."""
     path = Path(path)
-    if path.suffix.lower() != ".png":
-        raise ArgumentError("out", f"expected a name that ends in .png, got {path.suffix!r}", place=path)
-    return path
-
-
-def checked_figure(path: Path | str) -> Path:
-    """The path of a figure to write."""
-    path = Path(path)
-    if path.suffix.lower() not in FIGURE_SUFFIXES:
-        expected = ", ".join(FIGURE_SUFFIXES)
+    if path.suffix.lower() not in suffixes:
+        expected = ", ".join(suffixes)
         raise ArgumentError("out", f"expected a name that ends in {expected}, got {path.suffix!r}", place=path)
     return path
 
