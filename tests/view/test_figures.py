@@ -10,7 +10,7 @@ from warpav.core.errors import InputError
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import Rig
-from warpav.view.figures.convergence import loss_figure, running_mean, search_figure
+from warpav.view.figures.convergence import _running_mean, loss_figure, search_figure
 from warpav.view.figures.from_above import further_figure, top_view_figure
 from warpav.view.figures.images import DetectionPanel, detections_sheet
 from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH, save_figure
@@ -241,8 +241,8 @@ def test_rows_of_a_detection_sheet_may_differ_in_length(tmp_path):
 def test_running_mean_is_the_mean_of_what_is_there():
     value = np.array([1.0, np.nan, 3.0, 8.0, 2.0])
     expected = [np.nanmean(value[max(0, i - 1) : i + 2]) for i in range(5)]
-    np.testing.assert_allclose(running_mean(value, window=3), expected)
-    assert np.isnan(running_mean(np.full(3, np.nan))).all()
+    np.testing.assert_allclose(_running_mean(value, window=3), expected)
+    assert np.isnan(_running_mean(np.full(3, np.nan))).all()
 
 
 def test_figure_that_cannot_be_written_says_so(tmp_path):

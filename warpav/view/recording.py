@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _FRUSTUM_DEPTH_M = 1.0
 """How far frustums reach [m]."""
 
-TIMELINE = "iteration"
+_TIMELINE = "iteration"
 
 
 def write_recording(
@@ -47,7 +47,7 @@ def write_recording(
     Entities, all in the ego frame [m]: ``vehicle`` and ``scene/...`` are meshes, ``box/...`` the boxes of road users;
     ``rig/<camera>`` is a pose, below it ``image``, a pinhole with what the camera sees. Of another lens, which the
     viewer has not, ``frustum`` has the edges of its view, and ``image/<camera>`` what it sees. With frames the poses
-    are on the timeline `TIMELINE`, and the images belong to the rig at its end.
+    are on the timeline `_TIMELINE`, and the images belong to the rig at its end.
     """
     path = Path(path)
     rerun = load_rerun(path)
@@ -63,7 +63,7 @@ def write_recording(
         _log_scene(rerun, recording, scene)
         for number, frame in enumerate((*frames, rig)):
             if frames:
-                recording.set_time(TIMELINE, sequence=number)
+                recording.set_time(_TIMELINE, sequence=number)
             for index, camera in enumerate(frame.cameras):
                 _log_camera(rerun, recording, camera, index, static=not frames)
             if number < len(loss) and math.isfinite(loss[number]):
@@ -155,7 +155,7 @@ def run_animation(
             add_text(plotter, text, (0.02, 0.88), size=9, name="iteration", font="courier")
 
         try:
-            for k in shown_iterations(len(frames)):
+            for k in _shown_iterations(len(frames)):
                 # trajectories of an earlier descent go when another one begins
                 own = [j for j in range(k + 1) if events[j].get("descent") == events[k].get("descent")]
                 with no_render(plotter):
@@ -169,11 +169,11 @@ def run_animation(
         finally:
             plotter.close()
 
-    count = len(shown_iterations(len(frames))) + 1
+    count = len(_shown_iterations(len(frames))) + 1
     return Animation(images(), count, frame_s=ANIMATION_FRAME_S, last_s=ANIMATION_LAST_S)
 
 
-def shown_iterations(count: int) -> list[int]:
+def _shown_iterations(count: int) -> list[int]:
     """Which of so many iterations are shown: the first, the last, and evenly spread ones between them."""
     return sorted({round(float(k)) for k in np.linspace(0, count - 1, min(count, _MAX_FRAMES))})
 

@@ -31,13 +31,13 @@ from warpav.view.palette import OUTCOME_RGB, hex_colour
 if TYPE_CHECKING:
     from jinja2 import Template
 
-MAX_BYTES = 5_000_000
+_MAX_BYTES = 5_000_000
 """No report is larger."""
 
 _IMAGE_BYTES = 3_200_000
 """All images together, before they are written as text."""
 
-SIZES: Sequence[tuple[int, int]] = ((1280, 84), (960, 80), (640, 75), (480, 65), (320, 50), (200, 35))
+_SIZES: Sequence[tuple[int, int]] = ((1280, 84), (960, 80), (640, 75), (480, 65), (320, 50), (200, 35))
 """Longer side [px] and quality of images: the first at which all of them fit."""
 
 _ROWS_SHOWN = 30
@@ -94,9 +94,9 @@ def write_report(folder: RunFolder, run: RunContent | None = None) -> Path:
     run = read_content(folder) if run is None else run
     page = _template().render(_content(folder, run))
     page = page.encode("utf-8", "backslashreplace").decode()  # of paths that are not UTF-8
-    if len(page.encode()) > MAX_BYTES:
+    if len(page.encode()) > _MAX_BYTES:
         raise InputError(
-            f"{folder.path}: report: expected at most {MAX_BYTES / 1e6:g} MB, got {len(page.encode()) / 1e6:.1f}; "
+            f"{folder.path}: report: expected at most {_MAX_BYTES / 1e6:g} MB, got {len(page.encode()) / 1e6:.1f}; "
             "move images out of its figures folder"
         )
     return folder.write_report(page)
@@ -289,7 +289,7 @@ def _images(files: Sequence[Path | io.BytesIO]) -> list[tuple[str, tuple[int, in
             text = " ".join(str(error).split())
             raise InputError(f"{file}: expected an image, got: {text}; was the file changed?") from None
     found: list[tuple[bytes, tuple[int, int]]] = []
-    for side_px, quality in SIZES:
+    for side_px, quality in _SIZES:
         found = []
         for original in originals:
             image, encoded = original.copy(), io.BytesIO()

@@ -35,10 +35,18 @@ from warpav.view.drawing._sheet import (
     add_numbers,
     box_mm,
     circle_mm,
+)
+from warpav.view.figures.style import (
+    FIGURE_SUFFIXES,
+    SCALES,
+    Page,
+    camera_cells,
+    closed,
+    figure_style,
+    save_figure,
     text_points,
     text_width_mm,
 )
-from warpav.view.figures.style import FIGURE_SUFFIXES, SCALES, Page, camera_cells, closed, figure_style, save_figure
 from warpav.view.output import write_whole
 from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 
@@ -47,7 +55,7 @@ if TYPE_CHECKING:
     from warpav.rig.module import Module
     from warpav.rig.rig import Rig
 
-PAGE_MM = (420.0, 297.0)
+_PAGE_MM = (420.0, 297.0)
 """A3, landscape."""
 
 _SUFFIXES = (*FIGURE_SUFFIXES[::-1], ".dxf", ".csv", ".glb")
@@ -90,9 +98,9 @@ class _MountDrawing(Sheet):
     def figure(self) -> Any:  # noqa: ANN401 (matplotlib)
         """The drawing as a ``matplotlib.figure.Figure`` in the size of the page."""
         with figure_style():
-            page = Page(*PAGE_MM)
-            axis = page.panel(0.0, 0.0, *PAGE_MM)
-            axis.set(xlim=(0.0, PAGE_MM[0]), ylim=(0.0, PAGE_MM[1]))
+            page = Page(*_PAGE_MM)
+            axis = page.panel(0.0, 0.0, *_PAGE_MM)
+            axis.set(xlim=(0.0, _PAGE_MM[0]), ylim=(0.0, _PAGE_MM[1]))
             for stroke in self.strokes:
                 _draw_stroke(axis, stroke)
             for ordinate in self.ordinates:

@@ -124,7 +124,7 @@ def _panels(
         begin(axis, "Loss")
         value = np.array([record["loss"] for record in records], dtype=np.float64)
         axis.plot(iteration, value, color=hex_colour(INK_RGB), alpha=0.28, linewidth=1.2, label="batch")
-        axis.plot(iteration, running_mean(value), color=hex_colour(INK_RGB), label="mean of batches")
+        axis.plot(iteration, _running_mean(value), color=hex_colour(INK_RGB), label="mean of batches")
         compared = np.array([record.get("training_objective") for record in records], dtype=np.float64)
         if np.isfinite(compared).any():
             at = np.isfinite(compared)
@@ -136,7 +136,7 @@ def _panels(
             drawn = np.maximum(term, 0.0) if name in multiplier else term
             colour = hex_colour(camera_rgb(index))
             axis.plot(iteration, drawn, color=colour, alpha=0.25, linewidth=1.2)
-            axis.plot(iteration, running_mean(drawn), color=colour, label=name)
+            axis.plot(iteration, _running_mean(drawn), color=colour, label=name)
         begin(axis, "Loss terms", terms)
 
     def multipliers(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
@@ -171,7 +171,7 @@ def _over_time(records: Sequence[Mapping[str, Any]], key: str, name: str) -> np.
     return np.array([record[key].get(name, math.nan) for record in records], dtype=np.float64)
 
 
-def running_mean(value: np.ndarray, *, window: int = 9) -> np.ndarray:
+def _running_mean(value: np.ndarray, *, window: int = 9) -> np.ndarray:
     """Mean over the ``window`` entries around each one, fewer at the ends; NaN entries do not count."""
     value = np.asarray(value, dtype=np.float64)
     half = window // 2

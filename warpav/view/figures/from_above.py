@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.view._labels import Labels
 from warpav.view._outlines import sector_polygon_m, silhouette_m
 from warpav.view.figures.style import (
     PALE,
@@ -308,15 +309,13 @@ def _set_apart(figure: Any, axis: Any) -> None:  # noqa: ANN401 (matplotlib)
         low_m[0] = min(low_m[0], *(box[0, 0] for box in boxes_m))
         high_m[0] = max(high_m[0], *(box[1, 0] for box in boxes_m))
         axis.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]))
-    middle_m, taken = 0.5 * (low_m[1] + high_m[1]), []
+    middle_m, labels = 0.5 * (low_m[1] + high_m[1]), Labels()
     for text, box in zip(axis.texts, _text_boxes_m(figure, axis), strict=True):
-        outwards = math.copysign(1.1 * float(np.ptp(box, axis=0)[1]), float(box[:, 1].mean()) - middle_m)
-        tried = [box + np.array([0.0, step * outwards]) for step in (0, 1, -1, 2, -2, 3, -3, 4)]
-        free = (each for each in tried if not any(_overlap(each, other) for other in taken))
-        taken.append(next(free, tried[0]))
-        text.set_position(np.array(text.get_position()) + taken[-1][0] - box[0])
-    low_m = np.min([low_m, *(box[0] for box in taken)], axis=0) - 0.05
-    high_m = np.max([high_m, *(box[1] for box in taken)], axis=0) + 0.05
+        size_m, outwards = np.ptp(box, axis=0), math.copysign(1.1, float(box[:, 1].mean()) - middle_m)
+        step_m = np.outer([0, 1, -1, 2, -2, 3, -3, 4], [0.0, outwards * size_m[1]])
+        moved_m = step_m[labels.put(box.mean(axis=0) + step_m, size_m)]
+        text.set_position(np.array(text.get_position()) + moved_m)
+        low_m, high_m = np.minimum(low_m, box[0] + moved_m - 0.05), np.maximum(high_m, box[1] + moved_m + 0.05)
     axis.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]))
     ratio = (high_m - low_m)[1] / (high_m - low_m)[0]
     figure.set_figheight(float(np.clip(_ROOM_INCH[1] + (WIDTH_INCH - _ROOM_INCH[0]) * ratio, 3.6, 7.5)))
@@ -327,10 +326,6 @@ def _text_boxes_m(figure: Any, axis: Any) -> list[np.ndarray]:  # noqa: ANN401 (
     figure.draw_without_rendering()
     from_px = axis.transData.inverted()
     return [from_px.transform(text.get_window_extent().get_points()) for text in axis.texts]
-
-
-def _overlap(one: np.ndarray, other: np.ndarray) -> bool:
-    return bool((one[0] < other[1]).all() and (other[0] < one[1]).all())
 
 
 def further_figure(
