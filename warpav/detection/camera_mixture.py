@@ -8,7 +8,7 @@ itself, with the same focal length and another principal point.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -142,14 +142,7 @@ def _cut(rng: np.random.Generator, camera: RigCamera, window: Window, aim_px: np
     size_px = np.array([window.width_px, window.height_px])
     spare_px = np.array([model.width_px, model.height_px]) - size_px
     corner_px = np.clip(np.round(aim_px - rng.uniform(0.15, 0.85, 2) * size_px), 0.0, spare_px)
-    return RigCamera(
-        camera.name,
-        camera.position_m,
-        camera.yaw_rad,
-        camera.pitch_rad,
-        camera.roll_rad,
-        window_model(model, corner_px, size_px),
-    )
+    return replace(camera, model=window_model(model, corner_px, size_px))
 
 
 def window_model(model: CameraModel, corner_px: np.ndarray, size_px: np.ndarray) -> CameraModel:

@@ -44,15 +44,10 @@ class Detections:
         """The label of every detection."""
         return tuple(self.names[index] for index in self.class_index)
 
-    def most_confident(self, count: int) -> Detections:
-        """The first ``count`` of them."""
-        return Detections(
-            self.box_px[:count],
-            self.confidence[:count],
-            self.class_index[:count],
-            self.names,
-            self.road_user_index[:count],
-        )
+    def only(self, chosen: np.ndarray | slice) -> Detections:
+        """Some of them."""
+        box_px, confidence, class_index = self.box_px[chosen], self.confidence[chosen], self.class_index[chosen]
+        return Detections(box_px, confidence, class_index, self.names, self.road_user_index[chosen])
 
     @classmethod
     def none(cls, names: tuple[str, ...] = ()) -> Detections:

@@ -331,31 +331,23 @@ def _paddings(attributes: Mapping[str, Any]) -> tuple[list[int], list[int]]:
     return [left, right, top, bottom], [0, 0]
 
 
-def _convolution(given: list, attributes: Mapping[str, Any]) -> Tensor:
+def _over_windows(given: list, attributes: Mapping[str, Any], border: float) -> tuple[Tensor, dict[str, Any]]:
+    """The image, padded where its ends differ, and how windows of a convolution or a maximum lie on it."""
     around, inside = _paddings(attributes)
-    image = functional.pad(given[0], around) if any(around) else given[0]
-    return functional.conv2d(
-        image,
-        given[1],
-        given[2] if len(given) > 2 else None,
-        stride=tuple(attributes.get("strides", (1, 1))),
-        padding=tuple(inside),
-        dilation=tuple(attributes.get("dilations", (1, 1))),
-        groups=attributes.get("group", 1),
-    )
+    image = functional.pad(given[0], around, value=border) if any(around) else given[0]
+    stride, dilation = (tuple(attributes.get(name, (1, 1))) for name in ("strides", "dilations"))
+    return image, {"stride": stride, "padding": tuple(inside), "dilation": dilation}
+
+
+def _convolution(given: list, attributes: Mapping[str, Any]) -> Tensor:
+    image, windows = _over_windows(given, attributes, 0.0)
+    return functional.conv2d(image, *given[1:3], **windows, groups=attributes.get("group", 1))
 
 
 def _max_pool(given: list, attributes: Mapping[str, Any]) -> Tensor:
-    around, inside = _paddings(attributes)
-    image = functional.pad(given[0], around, value=float("-inf")) if any(around) else given[0]
-    return functional.max_pool2d(
-        image,
-        tuple(attributes["kernel_shape"]),
-        stride=tuple(attributes.get("strides", (1, 1))),
-        padding=tuple(inside),
-        dilation=tuple(attributes.get("dilations", (1, 1))),
-        ceil_mode=bool(attributes.get("ceil_mode", 0)),
-    )
+    image, windows = _over_windows(given, attributes, float("-inf"))
+    rounds_up = bool(attributes.get("ceil_mode", 0))
+    return functional.max_pool2d(image, tuple(attributes["kernel_shape"]), **windows, ceil_mode=rounds_up)
 
 
 def _resize(given: list, attributes: Mapping[str, Any]) -> Tensor:
@@ -411,10 +403,6 @@ def _unsqueeze(given: list, attributes: Mapping[str, Any]) -> Tensor:
     return result
 
 
-def _squeeze(given: list, attributes: Mapping[str, Any]) -> Tensor:
-    return given[0].squeeze(tuple(_axes(given, attributes)))
-
-
 def _gather(given: list, attributes: Mapping[str, Any]) -> Tensor:
     axis, index = attributes.get("axis", 0) % given[0].ndim, given[1]
     index = index + (index < 0) * given[0].shape[axis]
@@ -437,10 +425,6 @@ def _range(given: list, attributes: Mapping[str, Any]) -> Tensor:
 def _shape(given: list, attributes: Mapping[str, Any]) -> Tensor:
     sides = list(given[0].shape)[attributes.get("start", 0) : attributes.get("end")]
     return torch.tensor(sides, dtype=torch.int64, device=given[0].device)
-
-
-def _concat(given: list, attributes: Mapping[str, Any]) -> Tensor:
-    return torch.cat(given, attributes["axis"])
 
 
 def _clip(given: list, attributes: Mapping[str, Any]) -> Tensor:
@@ -466,7 +450,7 @@ _OPERATORS: dict[str, Callable[[list, Mapping[str, Any]], Any]] = {
     "Add": lambda given, _: given[0] + given[1],
     "Cast": _cast,
     "Clip": _clip,
-    "Concat": _concat,
+    "Concat": lambda given, attributes: torch.cat(given, attributes["axis"]),
     "Constant": lambda given, _: None,  # read with the file
     "Conv": _convolution,
     "CumSum": _cumulative_sum,
@@ -490,7 +474,7 @@ _OPERATORS: dict[str, Callable[[list, Mapping[str, Any]], Any]] = {
     "Slice": _slice,
     "Softmax": lambda given, attributes: given[0].softmax(attributes.get("axis", -1)),
     "Split": _split,
-    "Squeeze": _squeeze,
+    "Squeeze": lambda given, attributes: given[0].squeeze(tuple(_axes(given, attributes))),
     "Sub": lambda given, _: given[0] - given[1],
     "Tanh": lambda given, _: given[0].tanh(),
     "Transpose": lambda given, attributes: given[0].permute(attributes["perm"]),

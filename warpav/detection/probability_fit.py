@@ -166,7 +166,7 @@ class CalibrationBin:
 
 def score(probability: np.ndarray, is_detected: np.ndarray, *, bin_count: int = BIN_COUNT) -> ProbabilityScores:
     """Compare probabilities with outcomes."""
-    from scipy.stats import rankdata
+    from scipy.stats import binomtest, rankdata
 
     probability, is_detected = np.asarray(probability, np.float64), np.asarray(is_detected, bool)
     found, count = int(is_detected.sum()), len(is_detected)
@@ -176,9 +176,9 @@ def score(probability: np.ndarray, is_detected: np.ndarray, *, bin_count: int = 
     auc = (rank[is_detected].sum() - 0.5 * found * (found + 1)) / (found * (count - found))
     bins = []
     for members in np.array_split(np.argsort(probability, kind="stable"), bin_count):
-        number, share = len(members), float(is_detected[members].mean())
-        low, high = _wilson_interval(share, number)
-        bins.append(CalibrationBin(number, float(probability[members].mean()), share, low, high))
+        number, hits = len(members), int(is_detected[members].sum())
+        interval = binomtest(hits, number).proportion_ci(0.95, method="wilson")
+        bins.append(CalibrationBin(number, float(probability[members].mean()), hits / number, *map(float, interval)))
     base = found / count
     return ProbabilityScores(
         auc=float(auc),
@@ -187,13 +187,6 @@ def score(probability: np.ndarray, is_detected: np.ndarray, *, bin_count: int = 
         calibration_error=sum(each.count * abs(each.predicted - each.detected) for each in bins) / count,
         bins=tuple(bins),
     )
-
-
-def _wilson_interval(share: float, count: int) -> tuple[float, float]:
-    z = 1.959964
-    middle = (share + z * z / (2 * count)) / (1 + z * z / count)
-    reach = z / (1 + z * z / count) * math.sqrt(share * (1 - share) / count + z * z / (4 * count * count))
-    return max(0.0, middle - reach), min(1.0, middle + reach)
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # more threads would only wait for one another

@@ -149,17 +149,10 @@ def evaluate(detector: Detector, labelled: LabelledImages) -> dict[str, object]:
     report: dict[str, object] = {"images": len(labelled.images_rgb)}
     for index, road_user in enumerate(ROAD_USERS):
         chosen = (class_index >= 0) & (_ROAD_USER_OF_CLASS[class_index] == index)
-        found = [_of_road_user(each, index) for each in detections]
+        found = [each.only(each.road_user_index == index) for each in detections]
         if (chosen & ~labelled.labels.ignored).any():
             report[road_user] = _Scored(labelled, found, chosen).report()
     return report
-
-
-def _of_road_user(found: Detections, index: int) -> Detections:
-    kept = found.road_user_index == index
-    return Detections(
-        found.box_px[kept], found.confidence[kept], found.class_index[kept], found.names, found.road_user_index[kept]
-    )
 
 
 def _share(value: float) -> float | None:

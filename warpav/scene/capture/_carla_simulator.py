@@ -14,8 +14,7 @@ import re
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -54,6 +53,7 @@ from warpav.scene.capture.capture import (
     CapturedImage,
     CapturedVehicle,
     CaptureView,
+    Simulator,
     SpawnPoint,
     rigid_pose,
 )
@@ -103,8 +103,8 @@ class _Situation:
     next_id: int = 1
 
 
-class CarlaSimulator:
-    """A CARLA server as a `warpav.scene.capture.capture.Simulator`.
+class CarlaSimulator(Simulator):
+    """A CARLA server.
 
     Use it in a ``with`` statement: entering connects, makes the server synchronous and prepares the world; leaving, for
     whatever reason, destroys every actor that was made and restores weather, vegetation, lights and settings.
@@ -151,11 +151,8 @@ class CarlaSimulator:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
-        """Destroy all spawned actors and restore everything that was changed, even after an error."""
-        self._leave(error)
+    def __exit__(self, *failure: Any) -> None:  # noqa: ANN401
+        self._leave(failure[1])
 
     def _connect(self) -> None:
         self._carla = import_carla()
@@ -364,7 +361,6 @@ class CarlaSimulator:
         )
 
     def remove(self, vehicle: CapturedVehicle) -> None:
-        """As in `Simulator`."""
         standing = self._begun().standing.get(vehicle.instance_id)
         if standing is None or vehicle.instance_id == EGO_INSTANCE:
             raise ValueError(f"there is no vehicle with instance id {vehicle.instance_id}")
@@ -372,7 +368,6 @@ class CarlaSimulator:
         del self._begun().standing[vehicle.instance_id]
 
     def capture(self, view: CaptureView) -> CapturedImage:
-        """As in `Simulator`."""
         situation = self._begun()
         image = self._shoot(view.ego_from_camera, view.model, tuple(_CAMERAS), self._warm_up_ticks)
         code = code_from_bgra(image["code"])

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import enum
 import math
+from abc import abstractmethod
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Any
 
 import numpy as np
 
@@ -91,7 +92,7 @@ class SpawnPoint:
     yaw_rad: float  # heading [rad]
 
 
-class Simulator(Protocol):
+class Simulator(AbstractContextManager["Simulator"]):
     """A simulator with a static world; a context manager that restores its state on exit.
 
     All poses and boxes are in the ego frame of the situation that was begun last.
@@ -101,35 +102,28 @@ class Simulator(Protocol):
     source: str  # where it comes from, such as ``town seed 7``
     world: str  # fingerprint of its world: captures of another world are recorded again
 
+    @abstractmethod
     def begin(self, seed: int) -> Box:
         """Begin a situation: the ego vehicle alone, in clear weather, the sun overhead, no vegetation."""
-        ...
 
+    @abstractmethod
     def spawn_points(self, radius_m: float) -> Sequence[SpawnPoint]:
         """Places for other vehicles within a radius of the ego vehicle, in an order that the seed chooses."""
-        ...
 
+    @abstractmethod
     def spawn(self, point: SpawnPoint) -> CapturedVehicle | None:
         """Spawn a randomly chosen and coloured vehicle; None if the simulator rejects it, for example if occupied."""
-        ...
 
+    @abstractmethod
     def remove(self, vehicle: CapturedVehicle) -> None:
         """Take a vehicle out again."""
-        ...
 
+    @abstractmethod
     def capture(self, view: CaptureView) -> CapturedImage:
         """Take the three images of a view."""
-        ...
 
-    def __enter__(self) -> Self:
-        """The simulator itself."""
-        ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
+    def __exit__(self, *failure: Any) -> None:  # noqa: ANN401
         """Destroy all actors of this simulator and restore everything it changed, even after an error."""
-        ...
 
 
 _TOP_FOV_RAD = math.radians(90.0)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from warpav.scene.capture.capture import (
     CapturedImage,
     CapturedVehicle,
     CaptureView,
+    Simulator,
     SpawnPoint,
 )
 from warpav.scene.scene import Box
@@ -31,7 +31,7 @@ _PAST_PANE_M = 1e-4
 _VEHICLE_TAG = 14  # CARLA's semantic tag of cars; the other two channels hold the instance id
 
 
-class TownSimulator:
+class TownSimulator(Simulator):
     """The procedural town of `town_scene`; seed, vehicles and instance ids are the same as there.
 
     Spawn points are the poses of the scene's vehicles, each for its own vehicle. Colours have one sample
@@ -39,14 +39,12 @@ class TownSimulator:
     """
 
     def __init__(self) -> None:
-        """No situation yet."""
         self.name, self.source, self.world = "", "", fingerprint("town", code=(__name__,))
         self._world: TownWorld | None = None
         self._spawned: set[int] = set()
         self._caster: _Caster | None = None
 
     def begin(self, seed: int) -> Box:
-        """As in `Simulator`."""
         self._world = town_world(seed)
         self.name, self.source = self._world.scene.name, self._world.scene.source
         self._spawned, self._caster = set(), None
@@ -81,24 +79,13 @@ class TownSimulator:
         return None
 
     def remove(self, vehicle: CapturedVehicle) -> None:
-        """As in `Simulator`."""
         self._spawned.discard(vehicle.instance_id)
         self._caster = None
 
     def capture(self, view: CaptureView) -> CapturedImage:
-        """As in `Simulator`."""
         if self._caster is None:
             self._caster = _Caster(self._begun(), self._spawned)
         return self._caster.capture(view)
-
-    def __enter__(self) -> Self:
-        """The simulator itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
-        """Nothing runs outside this process, so there is nothing to clean up."""
 
     def _begun(self) -> TownWorld:
         if self._world is None:
