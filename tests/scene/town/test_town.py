@@ -246,7 +246,7 @@ def test_a_level_that_is_none_is_refused():
     for level in ("easy", "urban"):
         with pytest.raises(ValueError, match="seed must be 0 or more, got -1"):
             level_scene(-1, level)
-    with pytest.raises(InputError, match=r"expected no level because scenes\.source is captured"):
+    with pytest.raises(InputError, match=r"expected null, as only scenes\.source town takes it"):
         load_config(wa.Config(), ["scenes.source=captured", "scenes.level=urban"])
 
 
