@@ -20,6 +20,7 @@ from warpav.scene.capture.capture import (
 )
 from warpav.scene.scene import Box
 from warpav.scene.town.town import TownWorld, town_world
+from warpav.scene.town.vehicle_shapes import ego_glass
 
 if TYPE_CHECKING:
     from embreex.rtcore_scene import EmbreeScene
@@ -113,7 +114,7 @@ class _Caster:
             counts,
         )
         self._is_pane = np.concatenate(
-            [np.zeros(counts[0], bool), world.ego_glass, *(world.vehicle_glass[k] for k in there)]
+            [np.zeros(counts[0], bool), ego_glass(), *(world.vehicle_glass[k] for k in there)]
         )
         self._sky = scene.sky
         self._embree: EmbreeScene = EmbreeScene()

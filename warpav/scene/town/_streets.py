@@ -26,6 +26,7 @@ from warpav.scene.town._town_layout import (
     Rectangle,
     Slot,
     dashes,
+    ends,
     line,
     side_street_markings,
     stripes,
@@ -82,7 +83,6 @@ class _Plan:
     """A plan as it grows."""
 
     def __init__(self, traffic: Traffic, rng: np.random.Generator) -> None:
-        """A random plan."""
         self._traffic, self._rng = traffic, rng
         self._markings: list[Marking] = []
         self._slots: list[Slot] = []  # parking bays, and places in lanes for road works
@@ -244,10 +244,7 @@ class _Plan:
             for arm in arms:
                 low, high = sorted((side * depth, side * (depth + _BLOCK_DEPTH_M)))
                 self._blocks.append(Block((arm.west_m - 10.0, low, arm.east_m + 10.0, high), 2.5, (facing,)))
-        end = half + 10.0
-        for sign, front in ((1.0, "west"), (-1.0, "east")):
-            low, high = sorted((sign * _REACH_M, sign * (_REACH_M + _BLOCK_DEPTH_M)))
-            self._blocks.append(Block((low, -end, high, end), 2.5, (front,)))
+        self._blocks += ends(half, _REACH_M)
 
 
 _USERS_REACH_M = 80.0  # road users are no farther from the ego vehicle

@@ -75,7 +75,6 @@ class Occupied:
     """What is taken already: quickly asked whether a rectangle comes near any of it."""
 
     def __init__(self, footprints: Iterable[Footprint] = ()) -> None:
-        """These are taken."""
         self._footprints: list[Footprint] = []
         self._circle: list[tuple[float, float, float]] = []
         for each in footprints:
@@ -112,6 +111,17 @@ class Block:
     pavement_m: float  # width of the pavement in front of the houses [m]
     fronts: tuple[str, ...]  # the sides that houses face: any of ``south``, ``north``, ``west``, ``east``
     corner_m: float = 0.0  # radius of the kerb at its corners [m]
+
+
+def sides_of(rectangle_m: Rectangle) -> dict[str, tuple[np.ndarray, np.ndarray, float]]:
+    """Sides of a block, counter-clockwise: where each starts, its direction, and how long it is [m]."""
+    x_low, y_low, x_high, y_high = rectangle_m
+    return {
+        "south": (np.array((x_low, y_low)), np.array((1.0, 0.0)), x_high - x_low),
+        "north": (np.array((x_high, y_high)), np.array((-1.0, 0.0)), x_high - x_low),
+        "east": (np.array((x_high, y_low)), np.array((0.0, 1.0)), y_high - y_low),
+        "west": (np.array((x_low, y_high)), np.array((0.0, -1.0)), y_high - y_low),
+    }
 
 
 @dataclass(frozen=True)
@@ -249,12 +259,12 @@ def _cross_slots(rng: np.random.Generator, x: float, yaw: float, low: float, hig
     return [Slot(x, float(y), yaw, 12.0) for y in np.arange(low + phase, high, rng.uniform(6.6, 8.5))]
 
 
-def _ends(half_width: float) -> tuple[Block, Block]:
+def ends(half_width: float, reach_m: float = REACH_M) -> tuple[Block, Block]:
     """Houses that close the street at both ends."""
-    half = half_width + 10.0
+    half, far_m = half_width + 10.0, reach_m + _BLOCK_DEPTH_M
     return (
-        Block((REACH_M, -half, REACH_M + _BLOCK_DEPTH_M, half), 2.5, ("west",)),
-        Block((-REACH_M - _BLOCK_DEPTH_M, -half, -REACH_M, half), 2.5, ("east",)),
+        Block((reach_m, -half, far_m, half), 2.5, ("west",)),
+        Block((-far_m, -half, -reach_m, half), 2.5, ("east",)),
     )
 
 
@@ -266,7 +276,7 @@ def _street(
     blocks = (
         Block((-REACH_M, half, REACH_M, depth), pavement, ("south",)),
         Block((-REACH_M, -depth, REACH_M, -half), pavement, ("north",)),
-        *_ends(half),
+        *ends(half),
     )
     road = ((-REACH_M, -half, REACH_M, half),)
     return Layout(name, road, blocks, tuple(markings), tuple(slots), Slot(0.0, ego_y, 0.0, 5.0))
@@ -317,7 +327,7 @@ def _junction(rng: np.random.Generator, arms: tuple[float, ...]) -> Layout:
     west, east = centre - side_half, centre + side_half
     markings = dashes(0.0, dash=3.0, gap=3.0, holes=[(west - 6.5, east + 6.5)])
     asphalt: list[Rectangle] = [(-REACH_M, -half, REACH_M, half)]
-    blocks: list[Block] = list(_ends(half))
+    blocks: list[Block] = list(ends(half))
     slots = _lane_slots(rng, -lane / 2, 0.0, spacing=rng.uniform(7.5, 10.0), clear=7.5)
     slots += _lane_slots(rng, lane / 2, np.pi, spacing=rng.uniform(7.5, 10.0))
     depth = REACH_M * 0.75

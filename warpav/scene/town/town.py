@@ -8,7 +8,7 @@ into vertex colours. The same seed gives the same bytes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from warpav.scene.town._placed_vehicle import (
 from warpav.scene.town._street_life import Person, RoadUser, furnish, people, upright_box
 from warpav.scene.town._surface_builder import StreetGround
 from warpav.scene.town._town_layout import SPAWN_REACH_M, Footprint, Layout, Slot, town_layout
-from warpav.scene.town.vehicle_shapes import ego_glass, ego_mesh, vehicle_glass
+from warpav.scene.town.vehicle_shapes import ego_mesh, vehicle_glass
 
 _VISIBLE_COUNT_MIN, _VISIBLE_COUNT_MAX = 5, 15
 EYE_HEIGHT_M = 1.8  # traffic must be visible from here, above the centre of the ego vehicle
@@ -54,13 +54,11 @@ _GRADE_MIN, _GRADE_MAX = 0.02, 0.06
 _TOWN_STREAM = 0x70F3  # keeps the town's random numbers apart from other uses of the same seed
 
 
-@dataclass(frozen=True)
-class TownWorld:
-    """A scene and what a simulator knows beyond it."""
+class TownWorld(NamedTuple):
+    """A scene, and which triangles of every vehicle but the ego vehicle are window panes, bool [triangle]."""
 
-    scene: Scene  # the scene
-    ego_glass: np.ndarray  # which triangles of the ego vehicle are window panes, bool [triangle]
-    vehicle_glass: tuple[np.ndarray, ...]  # the same of every other vehicle
+    scene: Scene
+    vehicle_glass: tuple[np.ndarray, ...]
 
 
 def ego_vehicle() -> Mesh:
@@ -148,7 +146,6 @@ def _try_world(seed: int, attempt: int, exchange: Exchange | None) -> TownWorld 
     vehicles, others = tuple(users[: len(placed)]), tuple(users[len(placed) :])
     return TownWorld(
         Scene(name, environment, ego, vehicles, drawn_sky(rng), source, others),
-        ego_glass(),
         tuple(vehicle_glass(one.category, one.variant) for one in placed),
     )
 
