@@ -417,11 +417,6 @@ def _cast(given: list, attributes: Mapping[str, Any]) -> Tensor:
     return given[0].to(kinds[attributes["to"]])
 
 
-def _range(given: list, attributes: Mapping[str, Any]) -> Tensor:
-    first, end, step = (each.item() for each in given)
-    return torch.arange(first, end, step, dtype=given[0].dtype, device=given[0].device)
-
-
 def _shape(given: list, attributes: Mapping[str, Any]) -> Tensor:
     sides = list(given[0].shape)[attributes.get("start", 0) : attributes.get("end")]
     return torch.tensor(sides, dtype=torch.int64, device=given[0].device)
@@ -440,12 +435,6 @@ def _cumulative_sum(given: list, attributes: Mapping[str, Any]) -> Tensor:
     return given[0].cumsum(int(given[1].item()))
 
 
-def _divide(given: list, attributes: Mapping[str, Any]) -> Tensor:
-    if given[0].is_floating_point():
-        return given[0] / given[1]
-    return given[0].div(given[1], rounding_mode="trunc")
-
-
 _OPERATORS: dict[str, Callable[[list, Mapping[str, Any]], Any]] = {
     "Add": lambda given, _: given[0] + given[1],
     "Cast": _cast,
@@ -454,7 +443,7 @@ _OPERATORS: dict[str, Callable[[list, Mapping[str, Any]], Any]] = {
     "Constant": lambda given, _: None,  # read with the file
     "Conv": _convolution,
     "CumSum": _cumulative_sum,
-    "Div": _divide,
+    "Div": lambda given, _: given[0].div(given[1], rounding_mode=None if given[0].is_floating_point() else "trunc"),
     "Exp": lambda given, _: given[0].exp(),
     "Expand": lambda given, _: given[0] * given[0].new_ones(given[1].tolist()),
     "Gather": _gather,
@@ -465,7 +454,9 @@ _OPERATORS: dict[str, Callable[[list, Mapping[str, Any]], Any]] = {
     "MaxPool": _max_pool,
     "Mul": lambda given, _: given[0] * given[1],
     "Pow": lambda given, _: given[0] ** given[1],
-    "Range": _range,
+    "Range": lambda given, _: torch.arange(
+        *(each.item() for each in given), dtype=given[0].dtype, device=given[0].device
+    ),
     "Relu": lambda given, _: given[0].relu(),
     "Reshape": _reshape,
     "Resize": _resize,

@@ -45,10 +45,7 @@ _PROVIDERS = {
 _BATCH_MAX = 32
 # Beyond this many candidates the least confident are dropped.
 _CANDIDATE_MAX = 1000
-# What onnxruntime calls otherwise than NumPy.
 _TORCH_SUFFIXES = (".pt", ".pth", ".torchscript")
-
-_NUMBER_TYPES = {"float": "float32", "double": "float64"}
 
 
 def suppress(
@@ -308,7 +305,7 @@ class OnnxDetector:
     def _read_file(self, labels: Sequence[str] | Path | str | None) -> NetworkFile:
         try:
             inputs, outputs = (
-                tuple(_tensor(each.name, each.shape, each.type) for each in listed)
+                tuple(Tensor.described(each.name, each.shape, each.type) for each in listed)
                 for listed in (self._session.get_inputs(), self._session.get_outputs())
             )
             metadata = dict(self._session.get_modelmeta().custom_metadata_map)
@@ -353,13 +350,6 @@ class OnnxDetector:
                     f"name those that do in detector.classes.{user}"
                 )
         return {user: found[user] for user in ROAD_USERS if len(found[user]) and (targets is None or user in targets)}
-
-
-def _tensor(name: str, shape: Sequence[int | str | None], kind: str) -> Tensor:
-    """An input or output as onnxruntime describes it."""
-    number = kind.removeprefix("tensor(").removesuffix(")")
-    axes = tuple(side if isinstance(side, int) else None for side in shape)
-    return Tensor(name, axes, _NUMBER_TYPES.get(number, number))
 
 
 def _given_labels(labels: Sequence[str] | Path | str) -> tuple[str, ...]:

@@ -29,14 +29,9 @@ vase scissors teddy_bear hair_drier toothbrush
 COCO_80 = tuple(label.replace("_", " ") for label in _COCO_LABELS.split())
 
 
-def _coco_91() -> tuple[str, ...]:
-    """COCO's labels at COCO's own numbers, which leave ten out; 0 is the background."""
-    labels = iter(COCO_80)
-    return (BACKGROUND, *("N/A" if number in _COCO_GAPS else next(labels) for number in range(1, 91)))
-
-
-COCO_91 = _coco_91()
-"""By class of networks that were trained on COCO."""
+_label_of_80 = iter(COCO_80)
+COCO_91 = (BACKGROUND, *("N/A" if number in _COCO_GAPS else next(_label_of_80) for number in range(1, 91)))
+"""By class of networks that were trained on COCO, whose own numbers leave ten out; 0 is the background."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +41,13 @@ class Tensor:
     name: str  # its name in the file
     shape: tuple[int | None, ...]  # its axes; None where an axis is dynamic
     dtype: str  # numPy's name of its numbers, such as float32
+
+    @classmethod
+    def described(cls, name: str, shape: Sequence[int | str | None], kind: str) -> Tensor:
+        """One as onnxruntime describes it, such as ``tensor(float)``."""
+        number = kind.removeprefix("tensor(").removesuffix(")")
+        axes = tuple(side if isinstance(side, int) else None for side in shape)
+        return cls(name, axes, {"float": "float32", "double": "float64"}.get(number, number))
 
     @property
     def is_float(self) -> bool:

@@ -89,9 +89,10 @@ class Training:
         floating = [name for name, value in current.items() if value.is_floating_point()]
         self._averages, self._currents = [average[name] for name in floating], [current[name] for name in floating]
         self.learning_rate = learning_rate
-        self.optimiser = torch.optim.AdamW(
-            _parameter_groups(self.network), lr=learning_rate, fused=device.type == "cuda"
-        )
+        # weights of convolutions decay, biases and normalisation do not
+        weights, others = ([v for v in self.network.parameters() if (v.ndim > 1) == wide] for wide in (True, False))
+        groups = [{"params": weights, "weight_decay": _WEIGHT_DECAY}, {"params": others, "weight_decay": 0.0}]
+        self.optimiser = torch.optim.AdamW(groups, lr=learning_rate, fused=device.type == "cuda")
         self.random = np.random.default_rng(seed)
         self.generator = torch.Generator(device).manual_seed(seed)
         self.step = 0
@@ -147,7 +148,10 @@ class Training:
         nn.utils.clip_grad_norm_(self.network.parameters(), _GRADIENT_NORM_MAX)
         self.optimiser.step()
         self.step += 1
-        self._update_average()
+        # the first steps are forgotten sooner
+        decay = min(_AVERAGE_DECAY, (1.0 + self.step) / (10.0 + self.step))
+        with torch.no_grad():  # PyTorch documents the function, but its stub lacks it
+            torch._foreach_lerp_(self._averages, self._currents, 1.0 - decay)  # pyright: ignore[reportPrivateImportUsage]
         return score_loss.detach(), box_loss.detach()
 
     def _learning_rate(self) -> float:
@@ -155,20 +159,6 @@ class Training:
         progress = min(1.0, self.step / max(1, self.step_count))
         cosine = 0.5 * (1.0 + math.cos(math.pi * progress))
         return self.learning_rate * warm_up * max(cosine, _LAST_LEARNING_RATE_FRACTION)
-
-    @torch.no_grad()
-    def _update_average(self) -> None:
-        # The first steps are forgotten sooner.
-        decay = min(_AVERAGE_DECAY, (1.0 + self.step) / (10.0 + self.step))
-        # PyTorch documents the function, but its stub lacks it.
-        torch._foreach_lerp_(self._averages, self._currents, 1.0 - decay)  # pyright: ignore[reportPrivateImportUsage]
-
-
-def _parameter_groups(network: nn.Module) -> list[dict[str, object]]:
-    """Weights of convolutions decay, biases and normalisation do not."""
-    weights = [value for value in network.parameters() if value.ndim > 1]
-    others = [value for value in network.parameters() if value.ndim <= 1]
-    return [{"params": weights, "weight_decay": _WEIGHT_DECAY}, {"params": others, "weight_decay": 0.0}]
 
 
 def train(training: Training, data: dict[int, DeviceData], options: TrainingOptions, checkpoint: Path) -> None:

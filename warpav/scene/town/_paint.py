@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Mapping
-from functools import cache
 
 import numpy as np
 
@@ -77,7 +76,11 @@ _BUS_COLOURS = np.array(
 _PAINT_SHARES = np.array([20, 8, 14, 10, 9, 7, 11, 6, 5, 5, 2, 2, 3, 1]) / 103.0
 _SKY_LIGHT, _SUN_LIGHT, _BOUNCE_LIGHT = 0.62, 0.34, 0.04
 _GROUND_ALBEDO = 0.18  # an occlusion ray that ends on the road still brings this share of the light
-_OCCLUSION_RAYS = 64
+_TURN = np.arange(64)
+_Z = 1.0 - (2.0 * _TURN + 1.0) / 64
+_AZIMUTH = _TURN * np.pi * (3.0 - np.sqrt(5.0))
+_DIRECTIONS = np.stack([np.sqrt(1.0 - _Z * _Z) * np.cos(_AZIMUTH), np.sqrt(1.0 - _Z * _Z) * np.sin(_AZIMUTH), _Z], 1)
+"""Directions of rays for ambient occlusion, spread evenly over the sphere along a spiral."""
 _OCCLUSION_STEPS = 64  # occlusion is kept on this grid, so that the last bit of a ray caster does not matter
 _RAY_OFFSET_M = 0.03
 _GAMMA = 2.2
@@ -113,7 +116,7 @@ def sky_share_at(corner_m: np.ndarray, point_m: np.ndarray, normal: np.ndarray) 
     origin = (point_m + _RAY_OFFSET_M * normal).astype(np.float32)
     light = np.zeros(len(origin))
     weight = np.zeros(len(origin))
-    for direction in _sphere_directions(_OCCLUSION_RAYS):
+    for direction in _DIRECTIONS:
         cosine = normal[:, 0] * direction[0]
         cosine += normal[:, 1] * direction[1] + normal[:, 2] * direction[2]
         lit = np.nonzero(cosine > 0.02)[0]
@@ -143,13 +146,3 @@ def lit_rgb(normal: np.ndarray, sky: np.ndarray, albedo: np.ndarray, mirror: np.
     linear = albedo * irradiance[:, None]
     linear += mirror[:, None] * reflected[:, None] * _REFLECTED_TINT
     return np.round(255.0 * np.clip(linear, 0.0, 1.0) ** (1.0 / _GAMMA)).astype(np.uint8)
-
-
-@cache
-def _sphere_directions(count: int) -> np.ndarray:
-    """Unit vectors spread evenly over the sphere along a spiral, shape [count, 3]."""
-    index = np.arange(count)
-    z = 1.0 - (2.0 * index + 1.0) / count
-    azimuth = index * np.pi * (3.0 - np.sqrt(5.0))
-    radius = np.sqrt(1.0 - z * z)
-    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)
