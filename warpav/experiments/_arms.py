@@ -8,7 +8,6 @@ the arm's own configuration spends.
 
 from __future__ import annotations
 
-import difflib
 import importlib.util
 import json
 import math
@@ -22,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError, install_text
+from warpav.core.records import nearest
 from warpav.optimisation.baselines import edge_mount_pose, highest_mount_pose, move_to_vehicle, random_mount_pose
 from warpav.optimisation.budget import (
     BudgetedValue,
@@ -192,10 +192,8 @@ def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
     preset = name.removeprefix("default_as_").removesuffix(_AS_BUILT)
     if name.startswith("default_as_") and preset in preset_names():
         return _default_like(preset, pixels=PIXELS if name.endswith(_AS_BUILT) else None)
-    near = difflib.get_close_matches(name, list(every), 1, 0.5)
-    hint = f"; did you mean {near[0]}?" if near else ""
     names = ", ".join(dict.fromkeys([*arms, *every]))
-    raise ArgumentError("arms", f"expected names out of {names}, got {name!r}{hint}")
+    raise ArgumentError("arms", f"expected names out of {names}, got {name!r}{nearest(name, every)}")
 
 
 def _common_arms() -> dict[str, Arm]:

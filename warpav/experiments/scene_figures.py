@@ -10,7 +10,7 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.warp_setup import load_warp
-from warpav.scene.capture.capture import Capture, PlanSettings, record
+from warpav.scene.capture.capture import PlanSettings, record
 from warpav.scene.capture.folder import read_capture
 from warpav.scene.capture.town_simulator import TownSimulator
 from warpav.scene.files import scene_path, split_seeds
@@ -51,7 +51,11 @@ def draw_figure(
     if seed is not None and capture is not None:
         raise InputError(f"figure {number}: expected either seed or capture, got both")
     load_warp()
-    recorded = read_capture(capture) if capture is not None else _recorded_town(3 if seed is None else seed)
+    seed = 3 if seed is None else seed
+    if seed < 0:
+        raise ArgumentError("seed", f"expected an integer from 0, got {seed}")
+    with TownSimulator() as simulator:
+        recorded = record(simulator, seed, PlanSettings()) if capture is None else read_capture(capture)
     match number:
         case 4:
             return image_types(recorded, path)
@@ -65,14 +69,6 @@ def draw_figure(
             return mount_surface_stages(recorded, path)
         case _:
             return contact_sheet(recorded, {14: "rgb", 15: "depth", 16: "instance"}[number], path)
-
-
-def _recorded_town(seed: int) -> Capture:
-    """A situation of the embedded town, recorded into memory."""
-    if seed < 0:
-        raise ArgumentError("seed", f"expected an integer from 0, got {seed}")
-    with TownSimulator() as simulator:
-        return record(simulator, seed, PlanSettings())
 
 
 def scene_store_heat_maps(

@@ -9,19 +9,28 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpav.experiments.bench._workload import ROTATION_COUNT, Truth, Workload
 
+if TYPE_CHECKING:
+    from embreex.rtcore_scene import EmbreeScene
 
-def time_embree(workload: Workload, *, repeat: int) -> dict[str, list[float]]:
-    """Wall times of every repeat [ms], by item."""
+
+def _embree_scene(workload: Workload) -> EmbreeScene:
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 
     scene = EmbreeScene()
     TriangleMesh(scene, workload.vertex_m, workload.triangle)
+    return scene
+
+
+def time_embree(workload: Workload, *, repeat: int) -> dict[str, list[float]]:
+    """Wall times of every repeat [ms], by item."""
+    scene = _embree_scene(workload)
     times_ms: dict[str, list[float]] = {"w2": [], "w3": []}
     for number in range(repeat + 1):
         cast_s = shade_s = 0.0
@@ -30,7 +39,12 @@ def time_embree(workload: Workload, *, repeat: int) -> dict[str, list[float]]:
             hit = scene.run(origin_m, direction, output=1)
             cast_s += time.perf_counter() - began
             began = time.perf_counter()
-            _hit_rgb(workload, hit)
+            # vertex colours at the hits, 0 where nothing is hit
+            seen = np.flatnonzero(hit["primID"] >= 0)
+            corner_rgb = workload.vertex_rgb[workload.triangle[hit["primID"][seen]]]
+            u, v = hit["u"][seen, None], hit["v"][seen, None]
+            rgb = np.zeros((len(hit["primID"]), 3), np.float32)
+            rgb[seen] = (1.0 - u - v) * corner_rgb[:, 0] + u * corner_rgb[:, 1] + v * corner_rgb[:, 2]
             shade_s += time.perf_counter() - began
         if number > 0:
             times_ms["w2"].append(1000.0 * cast_s)
@@ -40,11 +54,7 @@ def time_embree(workload: Workload, *, repeat: int) -> dict[str, list[float]]:
 
 def embree_truth(workload: Workload) -> Truth:
     """Objects and depths of all views by embree, without gradients: for lenses that no truth file knows."""
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-
-    scene = EmbreeScene()
-    TriangleMesh(scene, workload.vertex_m, workload.triangle)
+    scene = _embree_scene(workload)
     shape = (workload.size_px, workload.size_px)
     near_m = np.repeat(workload.near_m, ROTATION_COUNT)
     index, depth_m = [], []
@@ -75,13 +85,3 @@ def view_rays(workload: Workload) -> Iterator[tuple[np.ndarray, np.ndarray]]:
             direction = ray @ np.stack([-left, [0.0, -1.0, 0.0], forward])
             origin_m = centre_m + workload.near_m[camera] * direction
             yield origin_m.astype(np.float32), direction.astype(np.float32)
-
-
-def _hit_rgb(workload: Workload, hit: dict[str, np.ndarray]) -> np.ndarray:
-    """Vertex colours interpolated at the hits of rays, float32 [ray, 3]; 0 where nothing is hit."""
-    seen = np.flatnonzero(hit["primID"] >= 0)
-    corner_rgb = workload.vertex_rgb[workload.triangle[hit["primID"][seen]]]
-    u, v = hit["u"][seen, None], hit["v"][seen, None]
-    rgb = np.zeros((len(hit["primID"]), 3), np.float32)
-    rgb[seen] = (1.0 - u - v) * corner_rgb[:, 0] + u * corner_rgb[:, 1] + v * corner_rgb[:, 2]
-    return rgb

@@ -84,15 +84,16 @@ def _gradient_errors(scores: Mapping[str, Any] | None) -> tuple[str, str]:
     if not scores:
         return "", ""
     return tuple(  # pyright: ignore[reportReturnType]
-        " / ".join(_error(scores[weight][part]) for weight in ("smooth", "white")) for part in ("xzyaw", "xz")
+        " / ".join(
+            f"{score['rel_all']:.4f}"
+            if score.get("rel_all") is not None
+            else "-"
+            if score.get("rel_median") is None
+            else f"{score['rel_median']:.2f} m"
+            for score in (scores[weight][part] for weight in ("smooth", "white"))
+        )
+        for part in ("xzyaw", "xz")
     )
-
-
-def _error(score: Mapping[str, float | None]) -> str:
-    if score.get("rel_all") is not None:
-        return f"{score['rel_all']:.4f}"
-    median = score.get("rel_median")
-    return "-" if median is None else f"{median:.2f} m"
 
 
 def _image_errors(scores: Mapping[str, float | None] | None) -> str:

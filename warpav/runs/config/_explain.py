@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic.fields import FieldInfo
 
+from warpav.core.records import nearest
 from warpav.core.section import Expectation, Section, section_of, shown
 from warpav.core.yaml_file import Location
 from warpav.runs.config._schema import ConfigTree
@@ -60,9 +61,8 @@ def explain(
     else:
         default = "null" if field.get_default() is None else shown(field.get_default())
         text = f"expected {_expected(field)}, got {shown(found['input'])}"
-        choices = [str(choice) for choice in _choices(field)]
-        near = difflib.get_close_matches(str(found["input"]), choices, 1, 0.6)
-        text += f"; did you mean {near[0]}?" if near else f"; {field.description} (default {default})"
+        near = nearest(found["input"], map(str, _choices(field)))
+        text += near or f"; {field.description} (default {default})"
     return placed(place, f"{'.'.join(location)}: {text}")
 
 

@@ -73,11 +73,9 @@ _IDENTIFY_SIDE_PX, _MIN_INSIDE_PX = 128, 20
 _INSTANCE_MARGIN_M = 0.5  # CARLA's boxes come from collision shapes: mirrors and aerials may exceed them
 _CAMERAS = {"rgb": "sensor.camera.rgb", "depth": "sensor.camera.depth", "code": "sensor.camera.instance_segmentation"}
 _PLAIN_IMAGE = {
-    "lens_flare_intensity": "0.0",
-    "bloom_intensity": "0.0",
-    "motion_blur_intensity": "0.0",
-    "motion_blur_max_distortion": "0.0",
-    "chromatic_aberration_intensity": "0.0",
+    "exposure_mode": "histogram",
+    **dict.fromkeys(("lens_flare_intensity", "bloom_intensity", "chromatic_aberration_intensity"), "0.0"),
+    **dict.fromkeys(("motion_blur_intensity", "motion_blur_max_distortion"), "0.0"),
 }
 """What is switched off in colour images. The ``lens_*`` distortion stays at its defaults: they are a pinhole's, and
 zeros spoil depth images."""
@@ -287,7 +285,8 @@ class CarlaSimulator(Simulator):
         """As in `Simulator`; the seed chooses the ego vehicle's spawn point."""
         if seed < 0:
             raise ValueError(f"seed must not be negative, got {seed}")
-        self._entered()
+        if self._world is None:
+            raise RuntimeError("a CarlaSimulator is used inside a with statement")
         self._situation = None
         self._destroy(list(self._made))
         self._tick()
@@ -384,14 +383,9 @@ class CarlaSimulator(Simulator):
             instance=instance,
         )
 
-    def _entered(self) -> None:
-        if self._world is None:
-            raise RuntimeError("a CarlaSimulator is used inside a with statement")
-
     def _begun(self) -> _Situation:
-        self._entered()
         if self._situation is None:
-            raise RuntimeError("begin(seed) comes first")
+            raise RuntimeError("a CarlaSimulator is used inside a with statement, and begin(seed) comes first")
         return self._situation
 
     def _find_ego(self) -> Remote:
@@ -541,7 +535,12 @@ class CarlaSimulator(Simulator):
         try:
             for kind in kinds:
                 blueprint = self._blueprints.find(_CAMERAS[kind])
-                set_attributes(blueprint, size | (self._plain_image(blueprint) if kind == "rgb" else {}))
+                set_attributes(blueprint, size)
+                if kind == "rgb":  # consistent between views: no lens effects, fixed exposure
+                    ends = [blueprint.get_attribute(f"exposure_{end}_bright") for end in ("min", "max")]
+                    exposure = repr(0.5 * sum(end.as_float() for end in ends))
+                    held = {"exposure_min_bright": exposure, "exposure_max_bright": exposure}
+                    set_attributes(blueprint, _PLAIN_IMAGE | held)
                 sensor = self._spawn(blueprint, world_from_link)
                 if sensor is None:
                     raise RuntimeError(f"CARLA does not spawn {_CAMERAS[kind]}")
@@ -577,10 +576,3 @@ class CarlaSimulator(Simulator):
                 f"{model.height_px} were asked for"
             )
         return np.frombuffer(bytes(image.raw_data), np.uint8).reshape(image.height, image.width, 4)
-
-    def _plain_image(self, blueprint: Remote) -> dict[str, str]:
-        """Attributes for colour images that are consistent between views: no lens effects, fixed exposure."""
-        ends = [blueprint.get_attribute(f"exposure_{end}_bright") for end in ("min", "max")]
-        exposure = 0.5 * sum(end.as_float() for end in ends)
-        held = {"exposure_min_bright": repr(exposure), "exposure_max_bright": repr(exposure)}
-        return _PLAIN_IMAGE | {"exposure_mode": "histogram"} | held

@@ -44,7 +44,7 @@ from warpav.core.bounded_files import (
 )
 from warpav.core.cache import digest
 from warpav.core.errors import InputError
-from warpav.core.files import atomic_write
+from warpav.core.files import atomic_write, writing
 from warpav.core.records import Point2, Point3, Record, read_record
 from warpav.raster.camera import CameraModel
 from warpav.scene.capture.capture import (
@@ -250,8 +250,30 @@ def record_capture(
             "source": simulator.source,
             "recipe": made_with,
             "ego": _box_fields(ego_box),
-            "vehicles": [_vehicle_fields(one) for one in vehicles],
-            "images": [_image_fields(view) for view in views],
+            "vehicles": [
+                {
+                    "instance_id": one.instance_id,
+                    "class": one.category,
+                    **_box_fields(one.box),
+                    "spawn_m": np.asarray(one.spawn_m, float).tolist(),
+                    "spawn_yaw_deg": math.degrees(one.spawn_yaw_rad),
+                    "instance_rgb": np.asarray(one.instance_rgb).tolist(),
+                    "velocity_ego_m_s": None if one.velocity_ego_m_s is None else one.velocity_ego_m_s.tolist(),
+                }
+                for one in vehicles
+            ],
+            "images": [
+                {
+                    "name": view.name,
+                    "kind": view.kind,
+                    "width_px": view.model.width_px,
+                    "height_px": view.model.height_px,
+                    "intrinsics": view.model.intrinsics.tolist(),
+                    "ego_from_camera": view.ego_from_camera.tolist(),
+                    **{kind: f"images/{view.name}_{kind}.png" for kind in ("rgb", "depth", "instance")},
+                }
+                for view in views
+            ],
         }
     )
     planned = record.model_dump_json(by_alias=True, indent=1)
@@ -358,30 +380,6 @@ def _box_fields(box: Box) -> dict[str, Any]:
     return {"box_center_m": center_m, "box_size_m": size_m, "box_yaw_deg": math.degrees(box.yaw_rad)}
 
 
-def _vehicle_fields(one: CapturedVehicle) -> dict[str, Any]:
-    return {
-        "instance_id": one.instance_id,
-        "class": one.category,
-        **_box_fields(one.box),
-        "spawn_m": np.asarray(one.spawn_m, float).tolist(),
-        "spawn_yaw_deg": math.degrees(one.spawn_yaw_rad),
-        "instance_rgb": np.asarray(one.instance_rgb).tolist(),
-        "velocity_ego_m_s": None if one.velocity_ego_m_s is None else one.velocity_ego_m_s.tolist(),
-    }
-
-
-def _image_fields(view: CaptureView) -> dict[str, Any]:
-    return {
-        "name": view.name,
-        "kind": view.kind,
-        "width_px": view.model.width_px,
-        "height_px": view.model.height_px,
-        "intrinsics": view.model.intrinsics.tolist(),
-        "ego_from_camera": view.ego_from_camera.tolist(),
-        **{kind: f"images/{view.name}_{kind}.png" for kind in ("rgb", "depth", "instance")},
-    }
-
-
 def _read_record(file: Path) -> _CaptureRecord:
     text = _text(file)
     if text is None:
@@ -422,8 +420,5 @@ def _has_files(folder: Path, one: _ImageRecord) -> bool:
 
 def _write(file: Path, data: bytes) -> None:
     """Write a file that appears whole or not at all."""
-    try:
-        with atomic_write(file) as draft:
-            draft.write_bytes(data)
-    except OSError as error:
-        raise InputError(f"{file}: expected to write here, got: {error.strerror}") from None
+    with writing(file), atomic_write(file) as draft:
+        draft.write_bytes(data)

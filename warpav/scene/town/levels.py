@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -11,6 +10,7 @@ import numpy as np
 
 from warpav.core.cache import fingerprint
 from warpav.core.errors import ArgumentError
+from warpav.core.records import nearest
 from warpav.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -52,9 +52,8 @@ def checked_level(level: str) -> Level:
     """A level by its name."""
     found: Level | None = next((each for each in LEVELS if each == level), None)
     if found is None:
-        near = difflib.get_close_matches(str(level), LEVELS, 1, 0.5)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise ArgumentError("level", f"expected one of {', '.join(LEVELS)}, got {level!r}{hint}")
+        text = f"expected one of {', '.join(LEVELS)}, got {level!r}{nearest(level, LEVELS)}"
+        raise ArgumentError("level", text)
     return found
 
 
