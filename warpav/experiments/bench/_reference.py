@@ -39,12 +39,7 @@ def time_embree(workload: Workload, *, repeat: int) -> dict[str, list[float]]:
             hit = scene.run(origin_m, direction, output=1)
             cast_s += time.perf_counter() - began
             began = time.perf_counter()
-            # vertex colours at the hits, 0 where nothing is hit
-            seen = np.flatnonzero(hit["primID"] >= 0)
-            corner_rgb = workload.vertex_rgb[workload.triangle[hit["primID"][seen]]]
-            u, v = hit["u"][seen, None], hit["v"][seen, None]
-            rgb = np.zeros((len(hit["primID"]), 3), np.float32)
-            rgb[seen] = (1.0 - u - v) * corner_rgb[:, 0] + u * corner_rgb[:, 1] + v * corner_rgb[:, 2]
+            _hit_rgb(workload, hit)
             shade_s += time.perf_counter() - began
         if number > 0:
             times_ms["w2"].append(1000.0 * cast_s)
@@ -85,3 +80,13 @@ def view_rays(workload: Workload) -> Iterator[tuple[np.ndarray, np.ndarray]]:
             direction = ray @ np.stack([-left, [0.0, -1.0, 0.0], forward])
             origin_m = centre_m + workload.near_m[camera] * direction
             yield origin_m.astype(np.float32), direction.astype(np.float32)
+
+
+def _hit_rgb(workload: Workload, hit: dict[str, np.ndarray]) -> np.ndarray:
+    """Vertex colours interpolated at the hits of rays, float32 [ray, 3]; 0 where nothing is hit."""
+    seen = np.flatnonzero(hit["primID"] >= 0)
+    corner_rgb = workload.vertex_rgb[workload.triangle[hit["primID"][seen]]]
+    u, v = hit["u"][seen, None], hit["v"][seen, None]
+    rgb = np.zeros((len(hit["primID"]), 3), np.float32)
+    rgb[seen] = (1.0 - u - v) * corner_rgb[:, 0] + u * corner_rgb[:, 1] + v * corner_rgb[:, 2]
+    return rgb
