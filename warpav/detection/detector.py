@@ -32,7 +32,6 @@ class Detections:
     road_user_index: np.ndarray = cast("np.ndarray", None)  # noqa: RUF009 (a constant)
 
     def __post_init__(self) -> None:
-        """Fill in what was left out."""
         if cast("np.ndarray | None", self.road_user_index) is None:
             object.__setattr__(self, "road_user_index", np.zeros(len(self.confidence), np.int32))
 
@@ -41,17 +40,15 @@ class Detections:
 
     @property
     def label(self) -> tuple[str, ...]:
-        """The label of every detection."""
         return tuple(self.names[index] for index in self.class_index)
 
     def only(self, chosen: np.ndarray | slice) -> Detections:
-        """Some of them."""
+        """Some of them; ``chosen`` bool [detection], or a slice."""
         box_px, confidence, class_index = self.box_px[chosen], self.confidence[chosen], self.class_index[chosen]
         return Detections(box_px, confidence, class_index, self.names, self.road_user_index[chosen])
 
     @classmethod
     def none(cls, names: tuple[str, ...] = ()) -> Detections:
-        """Nothing found."""
         return cls(np.zeros((0, 4), np.float32), np.zeros(0, np.float32), np.zeros(0, np.int32), names)
 
 
@@ -59,9 +56,7 @@ class Detector(Protocol):
     """Finds road users in images."""
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Every label that the detector can give."""
-        ...
+    def names(self) -> tuple[str, ...]: ...
 
     def detect(self, images_rgb: np.ndarray | Sequence[np.ndarray]) -> list[Detections]:
         """Find the road users in every image.

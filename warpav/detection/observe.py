@@ -238,7 +238,6 @@ class DetectorInLoop:
     """
 
     def __init__(self, detector: Detector) -> None:
-        """The detector is called from one thread, one call at a time."""
         self._detector = detector
         self._pool = ThreadPoolExecutor(1)
         self._known: WeakKeyDictionary[Any, dict[int, tuple[bytes, Detections]]] = WeakKeyDictionary()

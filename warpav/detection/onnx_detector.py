@@ -275,7 +275,6 @@ class OnnxDetector:
     def _decode(
         self, outputs: tuple[np.ndarray, ...], letterbox: Letterbox, height_px: int, width_px: int
     ) -> Detections:
-        """Detections of one image from its outputs."""
         size_px = (letterbox.input_height_px, letterbox.input_width_px)
         parts = []
         for user, classes in self._classes.items():

@@ -60,7 +60,6 @@ class DetectionSamples:
 
     @classmethod
     def join(cls, parts: Sequence[DetectionSamples]) -> DetectionSamples:
-        """All of them."""
         return cls(
             np.concatenate([np.zeros((0, FEATURE_COUNT)), *(part.feature for part in parts)]),
             np.concatenate([np.zeros(0, bool), *(part.is_detected for part in parts)]),
@@ -68,7 +67,6 @@ class DetectionSamples:
         )
 
     def of_seeds(self, seeds: Sequence[int]) -> DetectionSamples:
-        """Those in the scenes of some seeds."""
         kept = np.isin(self.seed, np.asarray(seeds, np.int64))
         return DetectionSamples(self.feature[kept], self.is_detected[kept], self.seed[kept])
 
@@ -140,8 +138,6 @@ def sample_detections(
 
 @dataclass(frozen=True)
 class ProbabilityScores:
-    """ProbabilityScores of a probability model."""
-
     # Share of pairs of a detected and a missed object of which the detected one has the higher probability; ties count
     # half
     auc: float

@@ -69,8 +69,6 @@ _GREEDY_DIRECTIONS = 8
 
 @dataclass(frozen=True)
 class FoundRig:
-    """A rig that an arm found."""
-
     rig: Rig
     pairing_rig: Rig | None
     camera_renders: int = 0
@@ -86,8 +84,6 @@ _Finder = Callable[[Placement, int | None], FoundRig]
 
 
 class Method(NamedTuple):
-    """A way to find rigs."""
-
     find: _Finder
     starts: bool = False  # begins with the configuration's start
     holds: bool = False  # keeps the cameras of ``rig.freeze`` where they are
@@ -125,7 +121,6 @@ class Arm:
         return load_config(config, self.overrides)
 
     def search_config(self, config: Config) -> Config:
-        """The configuration that it searches by."""
         return load_config(config, (*self.overrides, *self.search_overrides))
 
     def check(self, config: Config, camera_renders_max: int | None) -> None:
@@ -173,7 +168,6 @@ class Arm:
 
 
 def find_rig_of(arm: Arm, placement: Placement, camera_renders_max: int | None) -> FoundRig:
-    """The rig that an arm finds."""
     method = METHODS.get(arm.method)
     return _preset(placement, arm.method) if method is None else method.find(placement, camera_renders_max)
 

@@ -175,7 +175,6 @@ def objective_of_tests(result: Mapping[str, Any]) -> list[Any]:
 
 
 def read_json(file: Path) -> Any:  # noqa: ANN401 (any JSON value)
-    """The content of a result."""
     try:
         return bounded_files.read_json(
             file, "a readable JSON file", bytes_max=DATA_SET_BYTES_MAX, nodes_max=DATA_SET_NODES_MAX

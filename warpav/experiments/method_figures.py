@@ -45,7 +45,6 @@ _UNCONSTRAINED = ("optimiser.multiplier_learning_rate=0", "optimiser.multiplier_
 def draw_method_figure(
     number: int, path: Path | str, config: Config, *, run: RunFolder | None, progress: Progress
 ) -> Path:
-    """Draw a figure by its number in the thesis."""
     path = checked_figure(path, (".png",))
     match number:
         case 10:

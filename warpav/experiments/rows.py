@@ -158,13 +158,11 @@ def _text(value: float | None, scale: float = 1.0) -> str:
 
 
 def write_rows(rows: Sequence[Row], path: Path) -> None:
-    """Write rows as CSV in one step."""
     lines = [",".join(COLUMNS), *(",".join(row.get(column, "") for column in COLUMNS) for row in rows)]
     write_text(path, "\n".join([*lines, ""]))
 
 
 def read_rows(path: Path) -> list[Row]:
-    """The rows of a CSV file of studies."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))

@@ -37,7 +37,6 @@ def draw_figure(
     capture: Path | None = None,
     scenes: Path | None = None,
 ) -> Path:
-    """Draw a figure by its number in the thesis."""
     path = checked_figure(path, (".png",))
     if number == _COLLECTION_NUMBER:
         if scenes is None or seed is not None or capture is not None:

@@ -30,8 +30,6 @@ _VIEWS = 4
 
 @dataclass
 class _SceneStatistics:
-    """Counts over scenes."""
-
     scene_count: int = 0
     category: list[str] = field(default_factory=list)
     road_user: list[str] = field(default_factory=list)
@@ -40,7 +38,6 @@ class _SceneStatistics:
     speed_m_s: list[float] = field(default_factory=list)
 
     def by_kind(self) -> dict[str, float]:
-        """Road users a scene, by kind."""
         return {kind: self.road_user.count(kind) / self.scene_count for kind in ROAD_USERS}
 
     def by_category(self) -> dict[str, float]:
@@ -57,7 +54,6 @@ class _SceneStatistics:
         return _shares(list(np.nan_to_num(self.visible_share)), _VISIBLE_EDGES, "%", 100.0)
 
     def table(self) -> list[str]:
-        """Lines of text."""
         total = len(self.category)
         mean = total / max(self.scene_count, 1)
 

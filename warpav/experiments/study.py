@@ -156,7 +156,6 @@ class Study:
 def find_study(
     name: str, *, setting: str | None = None, vary: Sequence[str] | None = None, quick: bool = False
 ) -> Study:
-    """A study by its name."""
     file = _read("table2" if name == "table3" else name)
     if setting is not None and not file.settings:
         raise ArgumentError("setting", f"expected nothing, as it is an option of rivals, got it with {name}")

@@ -56,7 +56,6 @@ class Tensor:
 
     @property
     def is_integer(self) -> bool:
-        """Whether it holds whole numbers."""
         return self.dtype in ("int32", "int64")
 
     def __str__(self) -> str:
@@ -79,7 +78,6 @@ class NetworkFile:
     run: Callable[[dict[str, np.ndarray]], list[np.ndarray]]  # runs the network: inputs by name to outputs in order
 
     def __str__(self) -> str:
-        """Its inputs, outputs and number of labels."""
         text = f"inputs {'; '.join(map(str, self.inputs))}, outputs {'; '.join(map(str, self.outputs))}"
         text = text if len(text) <= 400 else text[:400] + " ..."
         return text + (
@@ -236,7 +234,6 @@ class Family(ABC):
     assumed_labels: ClassVar[tuple[str, ...] | None] = COCO_80
 
     def __init__(self, file: NetworkFile) -> None:
-        """A family's reader of a file that it fits."""
         assert file.image is not None
         self.file = file
         self.image = file.image
@@ -293,12 +290,10 @@ class Family(ABC):
         return network_input
 
     def feed(self, network_input: np.ndarray) -> dict[str, np.ndarray]:
-        """The network's inputs by name."""
         array = network_input if len(self.image.shape) == 4 else network_input[0]
         return {self.image.name: array.astype(self.image.dtype, copy=False)}
 
     def each_image(self, outputs: Sequence[np.ndarray], image_count: int) -> list[tuple[np.ndarray, ...]]:
-        """The outputs of one run, image by image."""
         for tensor, array in zip(self.file.outputs, outputs, strict=True):
             if array.ndim == 0 or len(array) != image_count:
                 raise InputError(

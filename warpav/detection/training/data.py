@@ -44,7 +44,6 @@ class Subset:
 
     @property
     def seeds(self) -> range:
-        """Seeds of the scenes."""
         return range(self.first_seed, self.first_seed + self.scene_count)
 
     def sources(self) -> list[TownSource | TrafficSource]:

@@ -69,7 +69,6 @@ class DeviceData:
         )
 
     def batch(self, index: Tensor) -> tuple[Tensor, TargetBoxes]:
-        """The images and objects of these indices."""
         truth = self.truth
         return self.images_rgb[index], TargetBoxes(truth.box_px[index], truth.class_index[index], truth.ignored[index])
 
@@ -99,7 +98,6 @@ class Training:
         self.step_count = step_count
 
     def load(self, path: Path) -> None:
-        """Go on from a checkpoint."""
         hint = "train into another folder, or remove the file"
         try:
             state = torch.load(path, map_location=self.device, weights_only=True)
@@ -132,7 +130,6 @@ class Training:
         partial.replace(path)
 
     def train_step(self, data: DeviceData, batch_size: int) -> tuple[Tensor, Tensor]:
-        """One step on a random batch."""
         for group in self.optimiser.param_groups:
             group["lr"] = self._learning_rate()
         # Drawn on the device: a copy would wait for all that the device has yet to do.

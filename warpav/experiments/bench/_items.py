@@ -42,7 +42,6 @@ class Timing:
 
     @property
     def median_ms(self) -> float:
-        """Median of the repeats."""
         return statistics.median(self.times_ms)
 
 

@@ -36,7 +36,6 @@ _CATEGORY_OF_BASE_TYPE = {"car": "car", "van": "van", "truck": "lorry", "bus": "
 
 
 def import_carla() -> ModuleType:
-    """The client package."""
     try:
         return importlib.import_module("carla")
     except ImportError as error:
@@ -91,7 +90,6 @@ def set_attributes(blueprint: Remote, values: Mapping[str, str | None]) -> None:
 
 
 def colours_of(blueprint: Remote) -> list[str]:
-    """The colours that a blueprint recommends."""
     return list(blueprint.get_attribute("color").recommended_values) if blueprint.has_attribute("color") else []
 
 
@@ -144,7 +142,6 @@ RDF_FROM_FLU[:3, :3] = FLU_FROM_RDF.T
 
 
 def inverse_pose(pose: np.ndarray) -> np.ndarray:
-    """The inverse of a pose [4, 4]."""
     return rigid_pose(pose[:3, :3].T, -pose[:3, :3].T @ pose[:3, 3])
 
 

@@ -118,7 +118,6 @@ class _BoxRecord(_Described):
 
     @property
     def box(self) -> Box:
-        """The same as a `Box`."""
         return Box(np.array(self.box_center_m), np.array(self.box_size_m), math.radians(self.box_yaw_deg))
 
 
@@ -335,10 +334,14 @@ class _Images(Sequence[CapturedImage]):
                 )
         return CapturedImage(view, np.ascontiguousarray(rgb), depth_m, instance)
 
-    def _read(self, name: str, dtype: type, shape: tuple[int, ...]) -> np.ndarray:
+    def _there(self, name: str, what: str) -> Path:
         file = self._folder / name
         if not file.is_file():
-            raise InputError(f"{file}: expected an image, got no such file; take or copy it again")
+            raise InputError(f"{file}: expected {what}, got no such file; take or copy it again")
+        return file
+
+    def _read(self, name: str, dtype: type, shape: tuple[int, ...]) -> np.ndarray:
+        file = self._there(name, "an image")
         data = read_bytes(file, "a PNG image", bytes_max=ARRAY_BYTES_MAX)
         size_px = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")  # stated before all pixels
         if data.startswith(PNG_SIGNATURE) and size_px != shape[1::-1]:
@@ -356,12 +359,10 @@ class _Images(Sequence[CapturedImage]):
         return image
 
     def _depth_m(self, name: str, size: tuple[int, int]) -> np.ndarray:
-        file = self._folder / name
+        file = self._there(name, "depths")
         if file.suffix != ".npz":
             step = self._read(name, np.uint16, size)
             return np.where(step > 0, np.float32(self._record.depth_step_m) * step, np.inf).astype(np.float32)
-        if not file.is_file():
-            raise InputError(f"{file}: expected depths, got no such file; take or copy it again")
         arrays = read_arrays(file, "an .npz with the array depth_m", names=("depth_m",))
         if "depth_m" not in arrays:
             raise InputError(f"{file}: expected an .npz with the array depth_m, got none of that name")

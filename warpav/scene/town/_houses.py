@@ -119,11 +119,9 @@ class SceneryBuilder:
             self.add_block(block)
 
     def add_asphalt(self, rectangle_m: Rectangle, cell_m: float = _GROUND_CELL_M) -> None:
-        """Add road surface."""
         self.add_ground(rectangle_m, 0.0, self.asphalt_rgb, 0.006, cell_m)
 
     def add_marking(self, marking: Marking) -> None:
-        """Add a painted rectangle."""
         x_low, y_low, x_high, y_high = marking.rectangle_m
         along = self._columns(x_low, x_high, max(1, round((x_high - x_low) / 16.0)))
         x, y = np.meshgrid(along, [y_low, y_high], indexing="ij")

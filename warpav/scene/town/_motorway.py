@@ -77,7 +77,6 @@ class _Section:
 
 
 def motorway_world(rng: np.random.Generator, users_rng: np.random.Generator) -> LevelWorld:
-    """A motorway and its traffic."""
     section = _Section(rng.uniform(1.2, 2.2), rng.uniform(3.5, 3.75), int(rng.integers(2, 5)), rng.uniform(2.4, 3.2))
     side = 1.0 if rng.random() < 0.5 else -1.0  # of the carriageway of the ego vehicle
     ahead, behind = rng.uniform(*_GRADE, 2) * rng.choice([-1.0, 1.0], 2)

@@ -42,7 +42,6 @@ class DrawnVehicle:
         return vehicle_size_m(self.kind, self.variant) * self.scale
 
     def mesh(self, *, coarse: bool = False) -> Mesh:
-        """Its mesh in the vehicle frame."""
         return vehicle_mesh(self.kind, self.paint, variant=self.variant, scale=self.scale, coarse=coarse)
 
 
@@ -76,7 +75,6 @@ class PlacedVehicle(RoadUser):
         return replace(self, mesh=found.transformed(np.eye(3), middle_m))
 
     def standing(self, ground: StreetGround) -> Mesh:
-        """The vehicle's mesh in the town frame."""
         place = self.footprint
         return self.mesh.transformed(*ground.stand(place.x_m, place.y_m, place.yaw_rad, self.size_m))
 

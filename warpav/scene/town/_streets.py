@@ -289,7 +289,6 @@ _TRAFFIC = {
 
 
 def street_world(level: str, rng: np.random.Generator, users_rng: np.random.Generator) -> LevelWorld:
-    """A street of a level and its traffic."""
     traffic = _TRAFFIC[level]
     plan = _Plan(traffic, rng).layout
     ahead, behind = rng.uniform(*_GRADE, 2) * rng.choice([-1.0, 1.0], 2)
@@ -306,7 +305,7 @@ def street_world(level: str, rng: np.random.Generator, users_rng: np.random.Gene
     life.cross()
     life.drive()
     life.walk()
-    world.set_lines([each for lane in (*plan.lanes, *plan.cycle_lanes) for each in lane.lines()])
+    world.lines = [each for lane in (*plan.lanes, *plan.cycle_lanes) for each in lane.lines()]
     return world
 
 
@@ -419,7 +418,6 @@ class _Life:
                     self._person("cyclist", place, lane.yaw_rad + rng.normal(0.0, 0.03))
 
     def walk(self) -> None:
-        """People on pavements."""
         rng = self._rng
         for strip in strips(self._plan):
             span = strip.span_m(np.zeros(2), _USERS_REACH_M)

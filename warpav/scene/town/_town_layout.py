@@ -81,7 +81,6 @@ class Occupied:
             self.add(each)
 
     def add(self, footprint: Footprint) -> None:
-        """Take a rectangle."""
         self._footprints.append(footprint)
         self._circle.append((footprint.x_m, footprint.y_m, footprint.radius_m))
 
@@ -164,8 +163,6 @@ class Lane:
 
 @dataclass(frozen=True)
 class Layout:
-    """One town plan."""
-
     template: str  # name of the road template
     asphalt_m: tuple[Rectangle, ...]  # rectangles of road, not overlapping
     blocks: tuple[Block, ...]  # blocks of houses
@@ -304,7 +301,6 @@ def _parking_street(rng: np.random.Generator) -> Layout:
 
 
 def _avenue(rng: np.random.Generator) -> Layout:
-    """Two lanes in either direction."""
     lane, pavement = rng.uniform(3.1, 3.5), rng.uniform(3.5, 5.5)
     half = 2.0 * lane + 0.4
     markings = [line(0.11), line(-0.11), line(half - 0.25), line(-half + 0.25)]
@@ -409,7 +405,6 @@ _TEMPLATES = (
 
 
 def town_layout(rng: np.random.Generator) -> Layout:
-    """A random plan, mirrored half of the time."""
     make = _TEMPLATES[int(rng.choice(len(_TEMPLATES), p=[share for _, share in _TEMPLATES]))][0]
     layout = make(rng)
     return layout.mirrored() if rng.random() < 0.5 else layout

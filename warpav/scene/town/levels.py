@@ -49,7 +49,6 @@ def level_scene(seed: int, level: Level = "easy", fleet: Fleet | None = None) ->
 
 
 def checked_level(level: str) -> Level:
-    """A level by its name."""
     found: Level | None = next((each for each in LEVELS if each == level), None)
     if found is None:
         text = f"expected one of {', '.join(LEVELS)}, got {level!r}{nearest(level, LEVELS)}"
@@ -66,7 +65,6 @@ class TownSource:
     fleet: Fleet | None = None  # vehicles of other makers, in the places of some of the town's; None: none
 
     def scene(self) -> Scene:
-        """The scene; as of `level_scene`."""
         return level_scene(self.seed, self.level, self.fleet)
 
     @property

@@ -209,7 +209,6 @@ def _park(slot: Slot, rng: np.random.Generator) -> PlacedVehicle | None:
 
 
 def drawn_sky(rng: np.random.Generator) -> Sky:
-    """A random overcast or blue sky."""
     horizon = rng.uniform(0.80, 0.92) * np.array([0.97, 0.99, 1.0])
     zenith = rng.uniform(0.50, 0.72) * np.array([0.72, 0.92, 1.22])
     return Sky(*(np.round(255.0 * np.minimum(colour, 1.0)).astype(np.uint8) for colour in (horizon, zenith)))
