@@ -21,7 +21,16 @@ from warpav.view.figures.images import contact_sheet, image_types
 from warpav.view.figures.rigs import heat_maps, mount_surface_stages
 from warpav.view.figures.style import checked_figure
 
-_CAPTURE_NUMBERS = (4, 5, 6, 7, 9, 14, 15, 16)
+_OF_CAPTURES = {
+    4: image_types,
+    5: stages,
+    6: sphere,
+    7: window_filter,
+    9: mount_surface_stages,
+    14: lambda capture, path: contact_sheet(capture, "rgb", path),
+    15: lambda capture, path: contact_sheet(capture, "depth", path),
+    16: lambda capture, path: contact_sheet(capture, "instance", path),
+}
 """Figures of one capture, by their numbers in the thesis."""
 _COLLECTION_NUMBER = 8
 """The figure of a collection of scenes."""
@@ -42,8 +51,8 @@ def draw_figure(
         if scenes is None or seed is not None or capture is not None:
             raise InputError(f"figure {number}: expected scenes, a folder of them, and nothing else")
         return scene_store_heat_maps(scenes, path)
-    if number not in _CAPTURE_NUMBERS:
-        known = ", ".join(map(str, sorted((*_CAPTURE_NUMBERS, _COLLECTION_NUMBER, *RIG_NUMBERS))))
+    if number not in _OF_CAPTURES:
+        known = ", ".join(map(str, sorted((*_OF_CAPTURES, _COLLECTION_NUMBER, *RIG_NUMBERS))))
         raise InputError(f"figure: expected one of {known}, got {number}")
     if scenes is not None:
         raise InputError(f"figure {number}: expected seed or capture, got scenes; that goes with figure 8")
@@ -55,19 +64,7 @@ def draw_figure(
         raise ArgumentError("seed", f"expected an integer from 0, got {seed}")
     with TownSimulator() as simulator:
         recorded = record(simulator, seed, PlanSettings()) if capture is None else read_capture(capture)
-    match number:
-        case 4:
-            return image_types(recorded, path)
-        case 5:
-            return stages(recorded, path)
-        case 6:
-            return sphere(recorded, path)
-        case 7:
-            return window_filter(recorded, path)
-        case 9:
-            return mount_surface_stages(recorded, path)
-        case _:
-            return contact_sheet(recorded, {14: "rgb", 15: "depth", 16: "instance"}[number], path)
+    return _OF_CAPTURES[number](recorded, path)
 
 
 def scene_store_heat_maps(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpav.raster.mesh import Mesh
+from warpav.raster.mesh import Mesh, triangle_caster
 from warpav.rig.rig import Rig, RigCamera
 
 if TYPE_CHECKING:
@@ -100,12 +100,7 @@ def put_on_body(rig: Rig, vehicle: Mesh, *, made_for: Body | None = None) -> Mov
 
 def ray_caster(vehicle: Mesh) -> EmbreeScene:
     """The triangles of a vehicle, to cast rays at."""
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-
-    caster = EmbreeScene()
-    TriangleMesh(caster, vehicle.vertex_m[vehicle.triangle])
-    return caster
+    return triangle_caster(vehicle.vertex_m[vehicle.triangle])
 
 
 def blocked_shares(caster: EmbreeScene, camera: RigCamera, place_m: np.ndarray) -> np.ndarray:

@@ -516,10 +516,10 @@ BROKEN = {
         "outcomes and ground must be of all arms, constraints of the first, highest is missing",
     ),
     "unknown outcome": (_evaluation(outcomes=[seen(1.0, "vanished")]), "outcomes.0.outcome.optimised: expected what"),
-    "iteration is a list": (_replace("events.jsonl", "[]\n"), "events.jsonl:1: expected one JSON object"),
+    "iteration is a list": (_replace("events.jsonl", "[]\n"), "events.jsonl:1: expected an object, got"),
     "iteration without number": (
         _replace("events.jsonl", '{"loss": 1}\n'),
-        "events.jsonl:1: expected an iteration of a run",
+        "events.jsonl:1: iteration: expected a value, got nothing; add iteration",
     ),
     "configuration is a list": (_replace("config.yaml", "[1]\n"), "config.yaml: expected sections of options"),
     "picture is none": (_replace("figures/rig.png", b"\x89PNG nothing"), "rig.png: expected an image, got"),
@@ -536,7 +536,7 @@ BROKEN = {
         _recall_by(lambda table: table["sector"].clear()),
         "recall_by must have the same groups for all arms",
     ),
-    "terms are a number": (_event(terms=5), "events.jsonl:1: terms: expected a valid dictionary, got"),
+    "terms are a number": (_event(terms=5), "events.jsonl:1: terms: expected an object, got"),
     "further cameras are none": (
         _replace("further_cameras.csv", "x\n1\n"),
         "further_cameras.csv: expected rows of gain",

@@ -267,34 +267,25 @@ def _town_surface() -> MountSurface:
     return mount_surface_from_mesh(ego_vehicle())
 
 
-@dataclass(frozen=True)
-class _Job:
-    """One scene and its index in the files of its subset."""
-
-    index: int
-    source: TownSource | TrafficSource
-    subset: Subset
-    folder: Path
-    thread_count: int | None
-
-
-def _write_scene(job: _Job) -> dict[int, np.recarray]:
-    """Render one scene into the folder's files and return its labels."""
+def _write_scene(
+    numbered: tuple[int, TownSource | TrafficSource], *, subset: Subset, folder: Path, thread_count: int | None
+) -> dict[int, np.recarray]:
+    """Render one scene, with its index in the files of its subset, into these files, and return its labels."""
     load_warp()  # without its start-up messages, in every process
-    subset = job.subset
+    index, source = numbered
     is_reconstructed = subset.made_of == "reconstructed"
-    scene = reconstructed_scene(job.source.seed) if is_reconstructed else job.source.scene()
+    scene = reconstructed_scene(source.seed) if is_reconstructed else source.scene()
     labelled = render_scene(
         scene,
         _town_surface(),
-        job.source.seed,
+        source.seed,
         views_per_scene=subset.views_per_scene,
         ignored_ids=[other.instance_id for other in scene.others] if is_reconstructed else (),
-        thread_count=job.thread_count,
+        thread_count=thread_count,
     )
     for side_px, count in subset.views_per_scene.items():
-        images_rgb = np.load(job.folder / f"images_{side_px}.npy", mmap_mode="r+")
-        images_rgb[job.index * count : (job.index + 1) * count] = labelled[side_px].images_rgb
+        images_rgb = np.load(folder / f"images_{side_px}.npy", mmap_mode="r+")
+        images_rgb[index * count : (index + 1) * count] = labelled[side_px].images_rgb
     return {side_px: each.labels for side_px, each in labelled.items()}
 
 
@@ -316,17 +307,17 @@ def write_images(subset: Subset, folder: Path, *, processes: int) -> None:
         np.lib.format.open_memmap(folder / f"images_{side_px}.npy", mode="w+", dtype=np.uint8, shape=shape).flush()
         labels[side_px] = [empty_labels(count)] * subset.scene_count
 
-    thread_count = None if processes == 1 else 1
-    jobs = [_Job(index, each, subset, folder, thread_count) for index, each in enumerate(subset.sources())]
+    write = functools.partial(_write_scene, subset=subset, folder=folder, thread_count=None if processes == 1 else 1)
+    jobs = list(enumerate(subset.sources()))
     start_s = time.perf_counter()
     # The first scene fills the kernel cache, which processes would otherwise all compile at once.
-    first = Executor().map(_write_scene, jobs[:1])
-    rest = Executor("serial" if processes == 1 else "process", processes).map(_write_scene, jobs[1:])
+    first = Executor().map(write, jobs[:1])
+    rest = Executor("serial" if processes == 1 else "process", processes).map(write, jobs[1:])
     for done, outcome in enumerate(itertools.chain(first, rest), start=1):
         if outcome.result is None:
-            raise RuntimeError(f"seed {outcome.task.source.seed}: {outcome.error}")
+            raise RuntimeError(f"seed {outcome.task[1].seed}: {outcome.error}")
         for side_px, each in outcome.result.items():
-            labels[side_px][outcome.task.index] = each
+            labels[side_px][outcome.task[0]] = each
         if done % 100 == 0:
             _logger.info("%d of %d scenes, %.0f s", done, len(jobs), time.perf_counter() - start_s)
     for side_px, each in labels.items():

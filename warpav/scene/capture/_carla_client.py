@@ -109,18 +109,15 @@ _SKY_M = 0.999 * _DEPTH_RANGE_M  # the sky's dome is drawn somewhere beyond the 
 
 def depth_from_bgra(bgra: np.ndarray) -> np.ndarray:
     """Metres from what CARLA's depth camera sends, [row, column, 4]: 24 bits, red lowest, over the range of 1 km."""
-    blue, green, red = (bgra[..., channel].astype(np.int64) for channel in range(3))
-    depth_m = (red + 256 * green + 65536 * blue) * (_DEPTH_RANGE_M / (2**24 - 1))
+    depth_m = code_from_bgra(bgra) * (_DEPTH_RANGE_M / (2**24 - 1))
     return np.where(depth_m < _SKY_M, depth_m, np.inf).astype(np.float32)
 
 
 def code_from_bgra(bgra: np.ndarray) -> np.ndarray:
-    """One number per pixel from what CARLA's instance camera sends: semantic tag + 256 G + 65536 B.
+    """One number per pixel [row, column] from what CARLA's instance camera sends: semantic tag + 256 G + 65536 B.
 
     Green and blue are the low and the high byte of a number that the server gives the object. That is the actor's id
     on small maps and the engine's own number on large ones, so only the whole colour is compared.
-
-    Shapes: ``bgra`` [row, column, 4], returns [row, column].
     """
     blue, green, red = (bgra[..., channel].astype(np.int32) for channel in range(3))
     return red + 256 * green + 65536 * blue

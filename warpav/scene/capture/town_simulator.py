@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warpav.core.cache import fingerprint
-from warpav.raster.mesh import merge
+from warpav.raster.mesh import merge, triangle_caster
 from warpav.scene.capture.capture import (
     EGO_INSTANCE,
     ENVIRONMENT_INSTANCE,
@@ -21,9 +20,6 @@ from warpav.scene.capture.capture import (
 from warpav.scene.scene import Box
 from warpav.scene.town.town import TownWorld, town_world
 from warpav.scene.town.vehicle_shapes import ego_glass
-
-if TYPE_CHECKING:
-    from embreex.rtcore_scene import EmbreeScene
 
 PANE_OPACITY = 0.6  # share of a pixel's colour that a window pane gives; the rest is what lies behind it
 _INSIDE_SHADE = 0.3  # surfaces seen from inside a vehicle are this bright
@@ -98,16 +94,12 @@ class _Caster:
     """All surfaces of a situation, ready for rays."""
 
     def __init__(self, world: TownWorld, spawned: set[int]) -> None:
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-
         scene = world.scene
         there = [k for k, vehicle in enumerate(scene.vehicles) if vehicle.instance_id in spawned]
         around = merge([scene.environment, *(other.mesh for other in scene.others)])
         meshes = [around, scene.ego, *(scene.vehicles[k].mesh for k in there)]
         counts = [len(mesh.triangle) for mesh in meshes]
         whole = merge(meshes)
-        self._corner_m = whole.vertex_m[whole.triangle]
         self._corner_rgb = whole.vertex_rgb[whole.triangle].astype(np.float32)
         self._instance = np.repeat(
             np.array([ENVIRONMENT_INSTANCE, EGO_INSTANCE, *(scene.vehicles[k].instance_id for k in there)], np.uint16),
@@ -117,8 +109,7 @@ class _Caster:
             [np.zeros(counts[0], bool), ego_glass(), *(world.vehicle_glass[k] for k in there)]
         )
         self._sky = scene.sky
-        self._embree: EmbreeScene = EmbreeScene()
-        TriangleMesh(self._embree, self._corner_m)
+        self._embree = triangle_caster(whole.vertex_m[whole.triangle])
 
     def capture(self, view: CaptureView) -> CapturedImage:
         # rays have z = 1 along the optical axis, so distances along them are depths

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from warpav.core.cores import available_cores
 from warpav.core.errors import InputError
-from warpav.raster.mesh import Mesh, merge
+from warpav.raster.mesh import Mesh, merge, triangle_caster
 from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture, CapturedImage
 from warpav.scene.reconstruction.point_cloud import ObjectCloud, PointCloud, fuse, seen_rgb
 from warpav.scene.reconstruction.settings import MeshSettings, ReconstructionSettings
@@ -115,13 +115,9 @@ def object_mesh(
 
 def _unseen_points(vertex_m: np.ndarray, triangle: np.ndarray, one: ObjectCloud) -> np.ndarray:
     """Where the rays to surface without points meet it first [m]."""
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-
     if len(one.ray_origin_m) == 0 or len(triangle) == 0:
         return np.zeros((0, 3), np.float32)
-    caster = EmbreeScene()
-    TriangleMesh(caster, vertex_m[triangle].astype(np.float32))
+    caster = triangle_caster(vertex_m[triangle])
     step = -(-len(one.ray_origin_m) // _MOST_RAYS)
     origin = np.ascontiguousarray(one.ray_origin_m[::step], np.float32)
     direction = np.ascontiguousarray(one.ray_direction[::step], np.float32)

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from warpav.raster.mesh import Mesh
+from warpav.raster.mesh import Mesh, triangle_caster
 from warpav.scene.town._surface_builder import Surface
 
 
@@ -108,11 +108,7 @@ def sky_share_at(corner_m: np.ndarray, point_m: np.ndarray, normal: np.ndarray) 
 
     Shapes: ``corner_m`` [triangle, 3, 3], ``point_m`` [point, 3], ``normal`` [point, 3].
     """
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-
-    caster = EmbreeScene()
-    TriangleMesh(caster, corner_m.astype(np.float32))
+    caster = triangle_caster(corner_m)
     origin = (point_m + _RAY_OFFSET_M * normal).astype(np.float32)
     light = np.zeros(len(origin))
     weight = np.zeros(len(origin))

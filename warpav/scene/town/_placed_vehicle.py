@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warpav.raster.mesh import Mesh, merge
+from warpav.raster.mesh import Mesh, merge, triangle_caster
 from warpav.scene.town._paint import drawn_paint
 from warpav.scene.town._street_life import RoadUser
 from warpav.scene.town._surface_builder import StreetGround
@@ -87,9 +87,6 @@ class Sight:
 
     def __init__(self, blockers: Sequence[Mesh], targets: Sequence[Mesh], samples: int = _SAMPLES) -> None:
         """Everything, in one frame; so many rays go to each target."""
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-
         meshes = [*blockers, *targets]
         whole = merge(meshes)
         self._owner = np.repeat(np.arange(len(meshes)), [len(mesh.triangle) for mesh in meshes])
@@ -98,8 +95,7 @@ class Sight:
         self._point_m = [
             mesh.vertex_m[mesh.triangle[:: max(1, len(mesh.triangle) // samples)]].mean(axis=1) for mesh in targets
         ]
-        self._caster = EmbreeScene()
-        TriangleMesh(self._caster, whole.vertex_m, whole.triangle)
+        self._caster = triangle_caster(whole.vertex_m[whole.triangle])
 
     def shares(self, eye_m: np.ndarray, some: np.ndarray | None = None) -> np.ndarray:
         """Share of triangles whose middle can be seen from a point, [3], of each target or of some by number."""

@@ -183,25 +183,25 @@ class Layout:
         """The plan with left and right exchanged."""
         opposite = {"south": "north", "north": "south"}
 
-        def rectangles(each: Iterable[Rectangle]) -> tuple[Rectangle, ...]:
-            return tuple((x_low, -y_high, x_high, -y_low) for x_low, y_low, x_high, y_high in each)
+        def flipped(rectangle: Rectangle) -> Rectangle:
+            x_low, y_low, x_high, y_high = rectangle
+            return x_low, -y_high, x_high, -y_low
 
         def lanes(each: Iterable[Lane]) -> tuple[Lane, ...]:
             return tuple(replace(one, start_m=(one.start_m[0], -one.start_m[1]), yaw_rad=-one.yaw_rad) for one in each)
 
-        blocks, places = (rectangles(each.rectangle_m for each in some) for some in (self.blocks, self.markings))
+        blocks = [
+            replace(each, fronts=tuple(opposite.get(front, front) for front in each.fronts)) for each in self.blocks
+        ]
         return Layout(
             self.template,
-            rectangles(self.asphalt_m),
-            tuple(
-                replace(block, rectangle_m=place, fronts=tuple(opposite.get(front, front) for front in block.fronts))
-                for block, place in zip(self.blocks, blocks, strict=True)
-            ),
-            tuple(replace(each, rectangle_m=place) for each, place in zip(self.markings, places, strict=True)),
+            tuple(map(flipped, self.asphalt_m)),
+            tuple(replace(each, rectangle_m=flipped(each.rectangle_m)) for each in blocks),
+            tuple(replace(each, rectangle_m=flipped(each.rectangle_m)) for each in self.markings),
             tuple(replace(slot, y_m=-slot.y_m, yaw_rad=-slot.yaw_rad) for slot in self.slots),
             replace(self.ego, y_m=-self.ego.y_m),
-            rectangles(self.crossings_m),
-            rectangles(self.open_crossings_m),
+            tuple(map(flipped, self.crossings_m)),
+            tuple(map(flipped, self.open_crossings_m)),
             lanes(self.lanes),
             lanes(self.cycle_lanes),
         )
