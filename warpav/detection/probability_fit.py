@@ -214,8 +214,14 @@ def fit_probability(
     best = penalties[0]
     if len(seeds) >= _FOLD_COUNT and len(penalties) > 1:
         folds = [fold_of == k for k in range(_FOLD_COUNT)]
-        loss = [sum(regression.left_out_loss(left_out, penalty) for left_out in folds) for penalty in penalties]
-        best = penalties[int(np.argmin(loss))]
+
+        def loss(penalty: float) -> float:
+            """Negative log-likelihood of the objects of each fold under what is fitted to the others."""
+            logit = [regression.design[fold] @ regression.fit(~fold, penalty) for fold in folds]
+            pairs = zip(logit, (regression.outcome[fold] for fold in folds), strict=True)
+            return sum(float(np.logaddexp(0.0, each).sum() - each @ outcome) for each, outcome in pairs)
+
+        best = min(penalties, key=loss)
     weight = regression.fit(np.ones(count, bool), best)
     start, step = np.array(ranges).T
     coefficient = weight[1:].reshape(FEATURE_COUNT, knot_count)
@@ -286,8 +292,3 @@ class _Regression:
                 break
             point, reached = point + length * step, tried
         return self.rising @ point
-
-    def left_out_loss(self, left_out: np.ndarray, penalty: float) -> float:
-        """Negative log-likelihood of some objects under what is fitted to the others."""
-        logit = self.design[left_out] @ self.fit(~left_out, penalty)
-        return float(np.logaddexp(0.0, logit).sum() - logit @ self.outcome[left_out])

@@ -80,13 +80,9 @@ def read_description(folder: Path) -> dict[str, Any]:
 def _check_same(file: Path, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     """See that the results of a folder are of this experiment."""
     fix = "choose another folder with `out`"
-    if there.get("experiment") != wanted["experiment"]:
-        raise InputError(f"{file}: experiment: expected {wanted['experiment']}, got {there.get('experiment')!r}; {fix}")
-    budget, wanted_budget = there.get("camera_renders_max"), wanted["camera_renders_max"]
-    if budget != wanted_budget:
-        raise InputError(
-            f"{file}: camera_renders_max: expected {wanted_budget}, got {budget!r}; {fix}, or give the same `budget`"
-        )
+    for name, too in (("experiment", ""), ("camera_renders_max", ", or give the same `budget`")):
+        if there.get(name) != wanted[name]:
+            raise InputError(f"{file}: {name}: expected {wanted[name]}, got {there.get(name)!r}; {fix}{too}")
     options = there.get("options")
     options = options if isinstance(options, dict) else {}
     different = [

@@ -130,8 +130,10 @@ class Training:
         partial.replace(path)
 
     def train_step(self, data: DeviceData, batch_size: int) -> tuple[Tensor, Tensor]:
+        warm_up = min(1.0, (self.step + 1) / min(_WARM_UP_STEPS, max(1, self.step_count // 10)))
+        cosine = 0.5 * (1.0 + math.cos(math.pi * min(1.0, self.step / max(1, self.step_count))))
         for group in self.optimiser.param_groups:
-            group["lr"] = self._learning_rate()
+            group["lr"] = self.learning_rate * warm_up * max(cosine, _LAST_LEARNING_RATE_FRACTION)
         # Drawn on the device: a copy would wait for all that the device has yet to do.
         index = torch.randint(len(data.images_rgb), (batch_size,), generator=self.generator, device=self.device)
         images, truth = augment(*data.batch(index), self.generator)
@@ -150,12 +152,6 @@ class Training:
         with torch.no_grad():  # PyTorch documents the function, but its stub lacks it
             torch._foreach_lerp_(self._averages, self._currents, 1.0 - decay)  # pyright: ignore[reportPrivateImportUsage]
         return score_loss.detach(), box_loss.detach()
-
-    def _learning_rate(self) -> float:
-        warm_up = min(1.0, (self.step + 1) / min(_WARM_UP_STEPS, max(1, self.step_count // 10)))
-        progress = min(1.0, self.step / max(1, self.step_count))
-        cosine = 0.5 * (1.0 + math.cos(math.pi * progress))
-        return self.learning_rate * warm_up * max(cosine, _LAST_LEARNING_RATE_FRACTION)
 
 
 def train(training: Training, data: dict[int, DeviceData], options: TrainingOptions, checkpoint: Path) -> None:

@@ -103,22 +103,28 @@ def _unknown_option(section: type[Section], location: Location) -> str:
     return f"expected one of {', '.join(names)}, got {unknown!r}" + (f"; did you mean {hint}?" if hint else "")
 
 
-def _choices(field: FieldInfo) -> tuple[object, ...]:
-    return typing.get_args(field.annotation) if typing.get_origin(field.annotation) is Literal else ()
+def _kinds(field: FieldInfo) -> tuple[object, ...]:
+    is_union = typing.get_origin(field.annotation) in (types.UnionType, typing.Union)
+    return typing.get_args(field.annotation) if is_union else (field.annotation,)
+
+
+def _choices(field: FieldInfo) -> list[object]:
+    kinds = _kinds(field)
+    words = [word for kind in kinds if typing.get_origin(kind) is Literal for word in typing.get_args(kind)]
+    return ["true", "false", *words] if words and bool in kinds else words
 
 
 def _expected(field: FieldInfo) -> str:
     """What a field expects, in words, from its type and its limits."""
-    annotation, metadata, optional = field.annotation, list(field.metadata), ""
-    if typing.get_origin(annotation) in (types.UnionType, typing.Union):
-        inner = next(member for member in typing.get_args(annotation) if member is not type(None))
-        annotation, optional = inner, ", or null"
-        if typing.get_origin(inner) is Annotated:
-            annotation = typing.get_args(inner)[0]
-            metadata += typing.get_args(inner)[1:]
+    kinds, metadata, choices = _kinds(field), list(field.metadata), list(map(str, _choices(field)))
+    optional = ", or null" if type(None) in kinds else ""
+    annotation = kinds[0]
+    if typing.get_origin(annotation) is Annotated:
+        annotation = typing.get_args(annotation)[0]
+        metadata += typing.get_args(kinds[0])[1:]
     words = next((item for item in metadata if isinstance(item, Expectation)), None)
-    if _choices(field):
-        return " or ".join([", ".join(map(str, _choices(field)[:-1])), str(_choices(field)[-1])]).removeprefix(" or ")
+    if choices:
+        return " or ".join(filter(None, [", ".join(choices[:-1]), choices[-1]])) + optional
     limits = _limits(metadata, words.unit if words else "")
     if words:
         return words.text.replace("{range}", limits) + optional

@@ -229,9 +229,6 @@ def _read_presets(value: object) -> object:
 
 
 PresetNames = Annotated[tuple[str, ...], *_option("a list of presets, such as [nuscenes, argoverse2]", _read_presets)]
-PresetImages = Annotated[
-    Literal["same_pixels", "same_width", "sensor"], Expectation("same_pixels, same_width or sensor")
-]
 
 
 def _read_device(value: object) -> object:

@@ -49,7 +49,6 @@ from warpav.runs.config._fields import (
     MeshFile,
     ModuleCounts,
     PitchRange,
-    PresetImages,
     PresetNames,
     Recordings,
     Requirements,
@@ -61,7 +60,7 @@ from warpav.runs.config._fields import (
     read_count,
 )
 from warpav.scene.scene import ROAD_USERS, road_user_of
-from warpav.scene.town.levels import LEVELS, Level
+from warpav.scene.town.levels import Level
 from warpav.sight.templates import template_names
 
 EXTENDS = "extends"
@@ -167,7 +166,7 @@ class SceneConfig(Section):
         description="town builds the embedded street scenes; traffic builds scenes of recorded traffic; captured takes "
         "images of embedded ones and makes meshes of these; folder reads scene_<seed>.glb files",
     )
-    level: Annotated[Level | None, Expectation(", ".join(LEVELS))] = Field(
+    level: Level | None = Field(
         default=None,
         description="of the embedded street scenes: easy, where everything is near and can be seen from the roof; "
         "urban, as long and busy as real streets; dense, full of people and of what hides them; motorway, fast and "
@@ -520,7 +519,7 @@ class _BaselineConfig(Section):
     rigs: RigFiles | None = Field(
         default=None, description="rigs of your own that a run compares its rig with, named by their files; null: none"
     )
-    preset_images: PresetImages | None = Field(
+    preset_images: Literal["same_pixels", "same_width", "sensor"] | None = Field(
         default=None,
         description="images of presets, in proportions of their own: same_pixels as many pixels as the run's cameras, "
         "same_width as many columns, sensor all they have; null: same_pixels",
@@ -705,7 +704,13 @@ class ConfigTree(Section):
             text = f"expected null without rig.modules, got {shown(self.rig.max_cost)}"
             mistake(f"{text}; say which modules there are", "rig.max_cost", "rig.modules")
         self._check_free()
-        self._check_freeze()
+        frozen = self.rig.freeze
+        if frozen and self.rig.start in NAMED_STARTS:
+            text = f"expected none, for rig.start={self.rig.start} has no cameras of these names, got {shown(frozen)}"
+            mistake(f"{text}; set rig.start to the rig that has them", "rig.freeze", "rig.start")
+        if len(frozen) >= self.rig.cameras:
+            text = f"expected fewer than the {self.rig.cameras} of rig.cameras, so that one can move"
+            mistake(f"{text}, got {len(frozen)}", "rig.freeze", "rig.cameras")
         self._check_importance()
         if self.requirements not in (None, AUTO) and not self.knows_requirements:
             mistake(f"expected null: {NO_REQUIREMENTS}", "requirements", "optimiser.search")
@@ -739,17 +744,6 @@ class ConfigTree(Section):
             if kind not in self.scenes.targets:
                 text = f"expected road users out of scenes.targets, {', '.join(self.scenes.targets)}, got {name!r}"
                 mistake(f"{text}; add {kind} to scenes.targets", "importance.category", "scenes.targets")
-
-    def _check_freeze(self) -> None:
-        frozen = self.rig.freeze
-        if not frozen:
-            return
-        if self.rig.start in NAMED_STARTS:
-            text = f"expected none, for rig.start={self.rig.start} has no cameras of these names, got {shown(frozen)}"
-            mistake(f"{text}; set rig.start to the rig that has them", "rig.freeze", "rig.start")
-        if len(frozen) >= self.rig.cameras:
-            text = f"expected fewer than the {self.rig.cameras} of rig.cameras, so that one can move"
-            mistake(f"{text}, got {len(frozen)}", "rig.freeze", "rig.cameras")
 
     def _check_free(self) -> None:
         free = self.rig.free

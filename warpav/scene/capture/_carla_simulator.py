@@ -290,7 +290,12 @@ class CarlaSimulator(Simulator):
         self._situation = None
         self._destroy(list(self._made))
         self._tick()
-        blueprint = self._find_ego()
+        known = sorted(blueprint.id for blueprint in self._blueprints.filter("vehicle.*"))
+        cars = [name for name in known if category_of(self._blueprints.find(name)) == "car"]
+        name = next((name for name in (*_EGO_BLUEPRINTS, *cars) if name in known), None)
+        if name is None:
+            raise InputError(f"CARLA: expected cars in the server at {self._host}:{self._port}, got none")
+        blueprint = self._blueprints.find(name)
         set_attributes(blueprint, {"role_name": _EGO_ROLE, "color": next(iter(colours_of(blueprint)), None)})
         order = np.random.default_rng([seed, 0]).permutation(len(self._place_m))
         for place in order[:_MAX_EGO_PLACES]:
@@ -387,14 +392,6 @@ class CarlaSimulator(Simulator):
         if self._situation is None:
             raise RuntimeError("a CarlaSimulator is used inside a with statement, and begin(seed) comes first")
         return self._situation
-
-    def _find_ego(self) -> Remote:
-        known = sorted(blueprint.id for blueprint in self._blueprints.filter("vehicle.*"))
-        cars = [name for name in known if category_of(self._blueprints.find(name)) == "car"]
-        for name in (*_EGO_BLUEPRINTS, *cars):
-            if name in known:
-                return self._blueprints.find(name)
-        raise InputError(f"CARLA: expected cars in the server at {self._host}:{self._port}, got none")
 
     def _put(self, blueprint: Remote, position_m: np.ndarray, yaw_rad: float) -> Remote | None:
         """A vehicle at rest, lamps and physics off; None if it does not come to rest."""
