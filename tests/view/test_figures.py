@@ -7,12 +7,14 @@ import pytest
 
 from tests.view.stand_ins import ego, near, pixels, rig
 from warpav.core.errors import InputError
+from warpav.detection.detector import Detections
+from warpav.evaluation.metrics import CameraObservation
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import Rig
 from warpav.view.figures.convergence import _running_mean, loss_figure, search_figure
 from warpav.view.figures.from_above import further_figure, top_view_figure
-from warpav.view.figures.images import DetectionPanel, detections_sheet
+from warpav.view.figures.images import detections_sheet
 from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH, save_figure
 from warpav.view.palette import (
     FALSE_POSITIVE_RGB,
@@ -209,14 +211,10 @@ def test_top_view_shows_the_zone_on_request(tmp_path):
 
 def test_detections_have_their_colours_and_sizes(tmp_path):
     none = np.full(4, np.nan)
-    panel = DetectionPanel(
-        title="front",
-        image_rgb=np.full((200, 200, 3), 90, np.uint8),
-        truth_box_px=np.array([[10, 20, 90, 60], none, [120, 100, 180, 160]], float),
-        detection_box_px=np.array([[10, 120, 50, 180], [10, 20, 90, 60]], float),
-        detection_of_truth=np.array([1, -1, -1]),
-    )
-    image = pixels(detections_sheet({"start": [panel]}, tmp_path / "found.png"))
+    found = Detections(np.array([[10, 120, 50, 180], [10, 20, 90, 60]], float), np.ones(2), np.zeros(2, int), ("car",))
+    truth = np.array([[10, 20, 90, 60], none, [120, 100, 180, 160]], float)
+    seen = CameraObservation(np.full((200, 200, 3), 90, np.uint8), truth, found, np.array([1, -1, -1]))
+    image = pixels(detections_sheet({"start": {"front": seen}}, tmp_path / "found.png"))
     grey = np.abs(image - 90.0).max(axis=-1) < 2.0
     rows, columns = np.nonzero(grey.mean(axis=1) > 0.3)[0], np.nonzero(grey.mean(axis=0) > 0.3)[0]
     scale = np.ptp(columns) / 200.0
@@ -232,10 +230,11 @@ def test_detections_have_their_colours_and_sizes(tmp_path):
 
 
 def test_rows_of_a_detection_sheet_may_differ_in_length(tmp_path):
-    panel = DetectionPanel("a", np.zeros((8, 8, 3), np.uint8), np.zeros((0, 4)), np.zeros((0, 4)), np.zeros(0))
-    assert detections_sheet({"start": [], "end": [panel, panel]}, tmp_path / "found.png").is_file()
-    with pytest.raises(InputError, match="no image"):
-        detections_sheet({"start": []}, tmp_path / "none.png")
+    none = np.zeros((0, 4))
+    seen = CameraObservation(
+        np.zeros((8, 8, 3), np.uint8), none, Detections(none, np.zeros(0), np.zeros(0, int), ()), np.zeros(0, int)
+    )
+    assert detections_sheet({"start": {}, "end": {"a": seen, "b": seen}}, tmp_path / "found.png").is_file()
 
 
 def test_running_mean_is_the_mean_of_what_is_there():

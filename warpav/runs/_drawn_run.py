@@ -18,9 +18,7 @@ from warpav.view import Canvas, drawing_of, draws
 from warpav.view.output import ANIMATION_PX, Animation
 
 if TYPE_CHECKING:
-    from warpav.detection.probability import DetectionProbability
     from warpav.optimisation.further_camera import FurtherCameras
-    from warpav.raster.camera import CameraModel
     from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
 
@@ -31,34 +29,21 @@ FITTING_KINDS = (*COMPARED_KINDS, "contact", "sheet")
 """Kinds of rigs that runs have as well: start and result side by side, of the last two the result."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class FittedRigs:
-    """Rigs on one vehicle in one scene, and the configuration whose detector looks through them."""
+def fitting(kind: str, rigs: Mapping[str, Rig], scene: Scene, config: Config) -> tuple[Any, dict[str, Any]]:
+    """What `plot` draws of rigs on one vehicle for a kind out of `FITTING_KINDS`, and its options."""
+    from warpav.runs.detector_fit import ensure_fit
 
-    rigs: Mapping[str, Rig]
-    scene: Scene
-    config: Config
-
-    def drawing(self, kind: str, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view._plotting.Kind)
-        """What a kind out of `FITTING_KINDS` shows of them."""
-        if kind not in COMPARED_KINDS:
-            return drawing_of(list(self.rigs.values())[-1], canvas, kind=kind, scene=self.scene)
-        options = {"probability": self._probability} if kind == "range" else {}
-        shown = self.rigs if len(self.rigs) > 1 else next(iter(self.rigs.values()))
-        return drawing_of(shown, canvas, kind=kind, scene=self.scene, **options)
-
-    @cached_property
-    def _probability(self) -> Callable[[CameraModel], DetectionProbability]:
-        """Gives the model of detection probability of the configuration's detector for a camera."""
-        from warpav.runs.detector_fit import ensure_fit
-
-        if self.config.losses.probability != "fitted":
+    options: dict[str, Any] = {"scene": scene}
+    if kind == "range":
+        if config.losses.probability != "fitted":
             raise ArgumentError(
                 "kind",
-                f"expected losses.probability=fitted for 'range', got {self.config.losses.probability}; the detection "
+                f"expected losses.probability=fitted for 'range', got {config.losses.probability}; the detection "
                 "range is unknown without a fitted model",
             )
-        return lambda model: ensure_fit(self.config, camera=model)
+        options["probability"] = lambda model: ensure_fit(config, camera=model)
+    is_comparison = kind in COMPARED_KINDS and len(rigs) > 1
+    return rigs if is_comparison else list(rigs.values())[-1], options
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -133,10 +118,9 @@ class DrawnRun:
         return Rig(cameras)
 
     @property
-    def fitted(self) -> FittedRigs:
-        """Start and result on their vehicle."""
-        start = BY_HAND if self.config.rig.start == BY_HAND else "start"
-        return FittedRigs({start: self.start, "optimised": self.rig}, self.scene, self.config)
+    def rigs(self) -> dict[str, Rig]:
+        """Start and result by name."""
+        return {BY_HAND if self.config.rig.start == BY_HAND else "start": self.start, "optimised": self.rig}
 
     def nearest_iteration(self) -> int:
         """The iteration before whose step the cameras stood nearest to those of the result; from 0."""
@@ -215,7 +199,9 @@ def _view(
 
 
 def _fitting(kind: str, run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
-    return run.drawn(scene=scene).fitted.drawing(kind, canvas)
+    drawn = run.drawn(scene=scene)
+    shown, options = fitting(kind, drawn.rigs, drawn.scene, drawn.config)
+    return drawing_of(shown, canvas, kind=kind, **options)
 
 
 def _top_view(run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
@@ -275,5 +261,3 @@ def draws_runs(cls: type) -> None:
 
 
 draws_runs(DrawnRun)
-for _kind in FITTING_KINDS:
-    draws(FittedRigs, _kind, is_figure=True)(partial(lambda kind, fitted, canvas: fitted.drawing(kind, canvas), _kind))

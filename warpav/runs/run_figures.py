@@ -29,11 +29,10 @@ from warpav.view import Canvas, drawing_of, plot
 
 if TYPE_CHECKING:
     from warpav.detection.probability import DetectionProbability
+    from warpav.evaluation.metrics import CameraObservation
     from warpav.optimisation.losses.scene_on_tape import AssignedScene
-    from warpav.optimisation.objective import RigObjective
     from warpav.raster.camera import CameraModel
     from warpav.scene.scene import Scene
-    from warpav.view.figures.images import DetectionPanel
 
 GROUND_SCENES = 10
 """Test scenes at most on which the ground that no camera sees is measured."""
@@ -92,7 +91,8 @@ class RunPictures:
             self._plot(self.evaluation.mount_tolerance.tolerance(), "tolerance", "sensitivity", outages=outages)
         for kind in ("plan", "near_field"):
             self._plot(drawn, kind)
-        detections_sheet(self._panels(self.test[0]), self.folder.figure_path("detections"))
+        seen = {name: self._seen(rig, self.test[0]) for name, rig in self.rigs.items()}
+        detections_sheet(seen, self.folder.figure_path("detections"))
 
     def _draw_further(self) -> None:
         """All other pictures."""
@@ -119,14 +119,9 @@ class RunPictures:
             with contextlib.suppress(InputError):  # too few objects or scenes
                 self._plot(self.evaluation, kind)
         for which, shown in zip(SHOWN_SCENES, _shown_scenes(self.test, self.evaluation), strict=False):
-            panels = self._panels(shown)
-            for camera in dict.fromkeys(panel.title for of_rig in panels.values() for panel in of_rig):
-                row = [
-                    dataclasses.replace(panel, title=rig)
-                    for rig, of_rig in panels.items()
-                    for panel in of_rig
-                    if panel.title == camera
-                ]
+            seen = {name: self._seen(rig, shown) for name, rig in self.rigs.items()}
+            for camera in dict.fromkeys(camera for of_rig in seen.values() for camera in of_rig):
+                row = {name: of_rig[camera] for name, of_rig in seen.items() if camera in of_rig}
                 detections_sheet({shown.scene.name: row}, self.folder.figure_path(f"{which}_{camera}"))
 
     @cached_property
@@ -170,9 +165,19 @@ class RunPictures:
         write_whole(self.folder.figure_path("rig"), encoded.getvalue())
         return None
 
-    def _panels(self, assigned: AssignedScene) -> dict[str, list[DetectionPanel]]:
-        """What the cameras of both rigs see of a scene."""
-        return {heading: _panels(rig, self.placement.objective, assigned) for heading, rig in self.rigs.items()}
+    def _seen(self, rig: Rig, assigned: AssignedScene) -> dict[str, CameraObservation]:
+        """What the cameras of a rig see of a scene, by their names; the own body is tinted."""
+        from warpav.detection.images import render_images
+        from warpav.evaluation.metrics import observe_scenes
+        from warpav.view.figures.images import own_body_tinted
+
+        objective = self.placement.objective
+        [seen] = observe_scenes(rig, [assigned], objective, with_objective=False).observations
+        images = render_images(assigned.scene, rig.cameras, device=objective.device)
+        return {
+            camera.name: dataclasses.replace(each, image_rgb=own_body_tinted(each.image_rgb, image.object_index))
+            for camera, each, image in zip(rig.cameras, seen.cameras, images, strict=True)
+        }
 
     def _probability(self, model: CameraModel) -> DetectionProbability:
         """That of the same camera, else of one whose images have the same size, as of zooms of one lens."""
@@ -188,22 +193,3 @@ def _shown_scenes(scenes: Sequence[AssignedScene], evaluation: RigEvaluation) ->
     left = Counter(each.scene for each in evaluation.objects if each.outcome["optimised"] != ObjectOutcome.DETECTED)
     others = [each for each in scenes[1:] if left[each.scene.name]]
     return [scenes[0], *sorted(others, key=lambda each: -left[each.scene.name])[:1]]
-
-
-def _panels(rig: Rig, objective: RigObjective, assigned: AssignedScene) -> list[DetectionPanel]:
-    from warpav.detection.images import render_images
-    from warpav.evaluation.metrics import observe_scenes
-    from warpav.view.figures.images import DetectionPanel, own_body_tinted
-
-    [seen] = observe_scenes(rig, [assigned], objective, with_objective=False).observations
-    images = render_images(assigned.scene, rig.cameras, device=objective.device)
-    return [
-        DetectionPanel(
-            title=camera.name,
-            image_rgb=own_body_tinted(of_camera.image_rgb, image.object_index),
-            truth_box_px=of_camera.truth_box_px,
-            detection_box_px=of_camera.detections.box_px,
-            detection_of_truth=of_camera.match,
-        )
-        for camera, of_camera, image in zip(rig.cameras, seen.cameras, images, strict=True)
-    ]
