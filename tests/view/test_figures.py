@@ -246,5 +246,5 @@ def test_running_mean_is_the_mean_of_what_is_there():
 
 def test_figure_that_cannot_be_written_says_so(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written"):
+    with pytest.raises(InputError, match="expected a place to write to"):
         save_figure(loss_figure(records(3)), tmp_path / "file" / "loss.png")

@@ -149,7 +149,8 @@ class RunPictures:
             return problem
         from PIL import Image
 
-        from warpav.view.output import render_rgb, write_whole
+        from warpav.core.files import write_bytes
+        from warpav.view.output import render_rgb
 
         path_m = {"optimised": trajectory(self.folder.events())}
         images = []
@@ -162,7 +163,7 @@ class RunPictures:
                 plotter.close()
         encoded = io.BytesIO()
         Image.fromarray(np.hstack(images)).save(encoded, format="PNG", compress_level=4)
-        write_whole(self.folder.figure_path("rig"), encoded.getvalue())
+        write_bytes(self.folder.figure_path("rig"), encoded.getvalue())
         return None
 
     def _seen(self, rig: Rig, assigned: AssignedScene) -> dict[str, CameraObservation]:

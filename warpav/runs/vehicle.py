@@ -255,7 +255,8 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
     """Propose zones of a vehicle, write them, draw them; lines that say what there is."""
     from PIL import Image
 
-    from warpav.view.output import check_suffix, write_whole
+    from warpav.core.files import write_bytes
+    from warpav.view.output import check_suffix
     from warpav.view.picture import zones_image_rgb
 
     if image is not None:
@@ -294,7 +295,7 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
         if image.suffix.lower() == ".png":
             encoded = io.BytesIO()
             Image.fromarray(zones_image_rgb(mesh, chart, title=title)).save(encoded, format="PNG", optimize=True)
-            write_whole(image, encoded.getvalue())
+            write_bytes(image, encoded.getvalue())
         else:
             plot(mesh, mount_surface=chart, title=title, out=image)
         yield f"wrote {image}"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.core.files import atomic_write
+from warpav.core.files import write_bytes
 from warpav.view.layers import no_render
 from warpav.view.opengl import optional_module
 from warpav.view.palette import CAMERA_RGB, DESCENT_RGB
@@ -78,7 +78,7 @@ def save_image(plotter: Plotter, path: Path | str, *, progress: Progress | None 
     if path.suffix.lower() == ".png":
         encoded = io.BytesIO()
         _image(plotter).save(encoded, format="PNG")
-        return write_whole(path, encoded.getvalue())
+        return write_bytes(path, encoded.getvalue())
     return save_page({path.stem: plotter}, path, title=path.stem)
 
 
@@ -87,7 +87,7 @@ def save_page(plotters: Mapping[str, Plotter], path: Path | str, *, title: str, 
     from warpav.view.page import page_of
 
     page = page_of(plotters, title=title, lines=lines)
-    return write_whole(Path(path), page.html().encode())
+    return write_bytes(Path(path), page.html().encode())
 
 
 def save_animation(animation: Animation, path: Path | str, *, progress: Progress | None = None) -> Path:
@@ -100,7 +100,7 @@ def save_animation(animation: Animation, path: Path | str, *, progress: Progress
     if progress is not None:
         images = progress.steps("images", images, count=animation.count)
     encode = _gif if path.suffix.lower() == ".gif" else _mp4
-    return write_whole(path, encode(images, frame_s=animation.frame_s, last_s=animation.last_s))
+    return write_bytes(path, encode(images, frame_s=animation.frame_s, last_s=animation.last_s))
 
 
 def render_rgb(plotter: Plotter, *, supersampling: int = 2) -> np.ndarray:
@@ -194,14 +194,3 @@ def check_suffix(path: Path, *, further: tuple[str, ...] = ()) -> None:
 def _load_imageio(purpose: str) -> Any:  # noqa: ANN401 (a module)
     modules = [optional_module(name, purpose=purpose, extra="movie") for name in ("imageio_ffmpeg", "imageio.v2")]
     return modules[-1]
-
-
-def write_whole(path: Path, content: bytes) -> Path:
-    """Write a file that appears complete or not at all; missing folders are made. Returns the path."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(path) as draft:
-            draft.write_bytes(content)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another path") from None
-    return path

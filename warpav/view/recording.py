@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.files import atomic_write, writing
+from warpav.core.files import write_bytes
 from warpav.detection.images import render
 from warpav.raster.lens import Lens
 from warpav.view._outlines import image_corners
@@ -55,26 +55,21 @@ def write_recording(
     recording = rerun.RecordingStream("warpav", send_properties=False)
     recording.set_log_time_enabled(False)
     recording.set_log_tick_enabled(False)
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    with writing(path), atomic_write(path) as draft:
-        recording.save(draft)
-        recording.log("/", rerun.ViewCoordinates.FLU, static=True)
-        _log_scene(rerun, recording, scene)
-        for number, frame in enumerate((*frames, rig)):
-            if frames:
-                recording.set_time(_TIMELINE, sequence=number)
-            for index, camera in enumerate(frame.cameras):
-                _log_camera(rerun, recording, camera, index, static=not frames)
-            if number < len(loss) and math.isfinite(loss[number]):
-                recording.log("loss", rerun.Scalars(float(loss[number])))
-        for camera in rig.cameras:
-            place = f"rig/{camera.name}/image" if camera.model.lens is Lens.PINHOLE else f"image/{camera.name}"
-            shown = own_body_tinted(images[camera.name].rgb, images[camera.name].object_index)
-            recording.log(place, rerun.Image(shown).compress(jpeg_quality=90), static=not frames)
-        recording.flush()
-        recording.disconnect()
-    return path
+    memory = recording.memory_recording()  # a file of Rerun's own may end short, or never
+    recording.log("/", rerun.ViewCoordinates.FLU, static=True)
+    _log_scene(rerun, recording, scene)
+    for number, frame in enumerate((*frames, rig)):
+        if frames:
+            recording.set_time(_TIMELINE, sequence=number)
+        for index, camera in enumerate(frame.cameras):
+            _log_camera(rerun, recording, camera, index, static=not frames)
+        if number < len(loss) and math.isfinite(loss[number]):
+            recording.log("loss", rerun.Scalars(float(loss[number])))
+    for camera in rig.cameras:
+        place = f"rig/{camera.name}/image" if camera.model.lens is Lens.PINHOLE else f"image/{camera.name}"
+        shown = own_body_tinted(images[camera.name].rgb, images[camera.name].object_index)
+        recording.log(place, rerun.Image(shown).compress(jpeg_quality=90), static=not frames)
+    return write_bytes(path, memory.drain_as_bytes())
 
 
 def load_rerun(path: Path) -> Any:  # noqa: ANN401 (a module)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
+from warpav.core.files import write_bytes
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import rig_text
 from warpav.view._outlines import silhouette_m
@@ -47,7 +48,6 @@ from warpav.view.figures.style import (
     text_points,
     text_width_mm,
 )
-from warpav.view.output import write_whole
 from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
@@ -135,11 +135,11 @@ class _MountDrawing(Sheet):
             return [file for end in ends for file in self.save(path / f"mounts{end}")]
         match path.suffix.lower():
             case ".dxf":
-                return [write_whole(path, drawing_dxf(self, place=path))]
+                return [write_bytes(path, drawing_dxf(self, place=path))]
             case ".csv":
-                return [write_whole(path, mount_csv(self.mounts).encode())]
+                return [write_bytes(path, mount_csv(self.mounts).encode())]
             case ".glb":
-                return [write_whole(path, mount_glb(self.mounts, self.ego, self.modules))]
+                return [write_bytes(path, mount_glb(self.mounts, self.ego, self.modules))]
             case _:
                 return [save_figure(self.figure(), path)]
 

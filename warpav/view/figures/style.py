@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import ArgumentError
+from warpav.core.files import write_bytes
 from warpav.view._labels import Labels, around
-from warpav.view.output import write_whole
 from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, PAPER_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def figure_bytes(figure: Any, suffix: str) -> bytes:  # noqa: ANN401 (matplotlib
 def save_figure(figure: Any, path: Path | str) -> Path:  # noqa: ANN401 (matplotlib)
     """Write a figure as a file that appears whole or not at all, the same every time; missing folders are made."""
     path = Path(path)
-    return write_whole(path, figure_bytes(figure, path.suffix.lower()))
+    return write_bytes(path, figure_bytes(figure, path.suffix.lower()))
 
 
 def checked_figure(path: Path | str, suffixes: Sequence[str] = FIGURE_SUFFIXES) -> Path:
