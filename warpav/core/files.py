@@ -73,15 +73,6 @@ def write_text(file: Path, text: str) -> None:
         draft.write_text(text, encoding="utf-8")
 
 
-def write_bytes(file: Path, content: bytes) -> Path:
-    """Write a file in one step, whole and on the disk when this returns it; makes folders. Raises `WriteError`."""
-    with writing(file):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(file, is_durable=True) as draft:
-            draft.write_bytes(content)
-    return file
-
-
 def write_json(file: Path, data: object) -> None:
     """Write data as JSON in one step; dataclasses and arrays are welcome, NaN becomes null. Raises `WriteError`."""
     write_text(file, json.dumps(json_ready(data), indent=2, allow_nan=False) + "\n")

@@ -149,8 +149,7 @@ class RunPictures:
             return problem
         from PIL import Image
 
-        from warpav.core.files import write_bytes
-        from warpav.view.output import render_rgb
+        from warpav.view.output import render_rgb, write_bytes
 
         path_m = {"optimised": trajectory(self.folder.events())}
         images = []

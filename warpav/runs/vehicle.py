@@ -255,8 +255,7 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
     """Propose zones of a vehicle, write them, draw them; lines that say what there is."""
     from PIL import Image
 
-    from warpav.core.files import write_bytes
-    from warpav.view.output import check_suffix
+    from warpav.view.output import check_suffix, write_bytes
     from warpav.view.picture import zones_image_rgb
 
     if image is not None:

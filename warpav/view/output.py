@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.core.files import write_bytes
+from warpav.core.files import atomic_write, writing
 from warpav.view.layers import no_render
 from warpav.view.opengl import optional_module
 from warpav.view.palette import CAMERA_RGB, DESCENT_RGB
@@ -194,3 +194,12 @@ def check_suffix(path: Path, *, further: tuple[str, ...] = ()) -> None:
 def _load_imageio(purpose: str) -> Any:  # noqa: ANN401 (a module)
     modules = [optional_module(name, purpose=purpose, extra="movie") for name in ("imageio_ffmpeg", "imageio.v2")]
     return modules[-1]
+
+
+def write_bytes(path: Path, content: bytes) -> Path:
+    """Write a file in one step, whole and on the disk when this returns it; makes folders. Raises `WriteError`."""
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(path, is_durable=True) as draft:
+            draft.write_bytes(content)
+    return path

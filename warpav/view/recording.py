@@ -8,14 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.files import write_bytes
 from warpav.detection.images import render
 from warpav.raster.lens import Lens
 from warpav.view._outlines import image_corners
 from warpav.view.figures.images import own_body_tinted
 from warpav.view.layers import Steepest, add_descent, add_legend, add_text, no_render
 from warpav.view.opengl import optional_module
-from warpav.view.output import ANIMATION_FRAME_S, ANIMATION_LAST_S, ANIMATION_PX, Animation, Canvas, render_rgb
+from warpav.view.output import (
+    ANIMATION_FRAME_S,
+    ANIMATION_LAST_S,
+    ANIMATION_PX,
+    Animation,
+    Canvas,
+    render_rgb,
+    write_bytes,
+)
 from warpav.view.palette import TRUTH_RGB, camera_rgb
 from warpav.view.picture import Picture, add_rig, add_trajectory, rig_plotter
 

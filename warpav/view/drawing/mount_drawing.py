@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
-from warpav.core.files import write_bytes
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import rig_text
 from warpav.view._outlines import silhouette_m
@@ -48,6 +47,7 @@ from warpav.view.figures.style import (
     text_points,
     text_width_mm,
 )
+from warpav.view.output import write_bytes
 from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:

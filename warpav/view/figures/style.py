@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import ArgumentError
-from warpav.core.files import write_bytes
 from warpav.view._labels import Labels, around
+from warpav.view.output import write_bytes
 from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, PAPER_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
