@@ -4,30 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 
 from warpav.core.errors import InputError
-
-if TYPE_CHECKING:
-    from embreex.rtcore_scene import EmbreeScene
 
 GREY = (128, 128, 128)
 """Colour of a mesh that was given none."""
 
 MAX_COUNT = 2**31 - 1
 """Indices of vertices and triangles are 32-bit integers."""
-
-
-def triangle_caster(corner_m: np.ndarray) -> EmbreeScene:
-    """Triangles [triangle, 3, 3], to cast rays at."""
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-
-    caster = EmbreeScene()
-    TriangleMesh(caster, np.asarray(corner_m, np.float32))
-    return caster
 
 
 @dataclass(frozen=True)

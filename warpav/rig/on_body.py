@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warpav.raster.mesh import Mesh, triangle_caster
+from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig, RigCamera
 
 if TYPE_CHECKING:
@@ -100,7 +100,12 @@ def put_on_body(rig: Rig, vehicle: Mesh, *, made_for: Body | None = None) -> Mov
 
 def ray_caster(vehicle: Mesh) -> EmbreeScene:
     """The triangles of a vehicle, to cast rays at."""
-    return triangle_caster(vehicle.vertex_m[vehicle.triangle])
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    caster = EmbreeScene()
+    TriangleMesh(caster, vehicle.vertex_m[vehicle.triangle])
+    return caster
 
 
 def blocked_shares(caster: EmbreeScene, camera: RigCamera, place_m: np.ndarray) -> np.ndarray:

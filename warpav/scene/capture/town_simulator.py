@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from warpav.core.cache import fingerprint
-from warpav.raster.mesh import merge, triangle_caster
+from warpav.raster.mesh import merge
 from warpav.scene.capture.capture import (
     EGO_INSTANCE,
     ENVIRONMENT_INSTANCE,
@@ -17,7 +17,7 @@ from warpav.scene.capture.capture import (
     Simulator,
     SpawnPoint,
 )
-from warpav.scene.scene import Box
+from warpav.scene.scene import Box, triangle_caster
 from warpav.scene.town.town import TownWorld, town_world
 from warpav.scene.town.vehicle_shapes import ego_glass
 

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from warpav.core.cores import available_cores
 from warpav.core.errors import InputError
-from warpav.raster.mesh import Mesh, merge, triangle_caster
+from warpav.raster.mesh import Mesh, merge
 from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture, CapturedImage
 from warpav.scene.reconstruction.point_cloud import ObjectCloud, PointCloud, fuse, seen_rgb
 from warpav.scene.reconstruction.settings import MeshSettings, ReconstructionSettings
@@ -27,7 +27,7 @@ from warpav.scene.reconstruction.surface import (
     trimmed,
     vertex_normals,
 )
-from warpav.scene.scene import BLACK_SKY, Scene, Sky, Vehicle
+from warpav.scene.scene import BLACK_SKY, Scene, Sky, Vehicle, triangle_caster
 
 _MIN_POINTS = 200  # a vehicle of fewer points is no vehicle
 _MOST_RAYS = 40_000  # of more rays to where an object has surface without points, a part is enough

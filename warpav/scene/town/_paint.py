@@ -10,7 +10,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from warpav.raster.mesh import Mesh, triangle_caster
+from warpav.raster.mesh import Mesh
+from warpav.scene.scene import triangle_caster
 from warpav.scene.town._surface_builder import Surface
 
 

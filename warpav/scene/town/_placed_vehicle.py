@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warpav.raster.mesh import Mesh, merge, triangle_caster
+from warpav.raster.mesh import Mesh, merge
+from warpav.scene.scene import triangle_caster
 from warpav.scene.town._paint import drawn_paint
 from warpav.scene.town._street_life import RoadUser
 from warpav.scene.town._surface_builder import StreetGround
