@@ -59,14 +59,7 @@ class Detector(Protocol):
     def names(self) -> tuple[str, ...]: ...
 
     def detect(self, images_rgb: np.ndarray | Sequence[np.ndarray]) -> list[Detections]:
-        """Find the road users in every image.
-
-        Args:
-            images_rgb: Images of one size, uint8, shape [image, row, column, 3].
-
-        Returns:
-            One `Detections` for every image, in order.
-        """
+        """What is in images of one size, uint8 [image, row, column, 3]; one `Detections` for each, in order."""
         ...
 
 
@@ -79,10 +72,5 @@ class TensorDetector(Detector, Protocol):
         ...
 
     def detect_tensor(self, network_input: Any) -> list[Detections]:  # noqa: ANN401 (a DLPack capsule has no type)
-        """Find the road users in images that are laid out for the network.
-
-        Args:
-            network_input: Anything with the DLPack protocol: RGB in 0..1, float32 [image, 3, row, column], on any
-                device. It is not kept.
-        """
+        """The same for anything with the DLPack protocol: RGB in 0..1, float32 [image, 3, row, column]; not kept."""
         ...

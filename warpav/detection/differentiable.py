@@ -232,16 +232,6 @@ def _torch_device(device: str) -> str:
     return device
 
 
-@dataclass(frozen=True)
-class _Node:
-    """One operator: what it is called, what goes in and out, and its attributes."""
-
-    operator: str
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    attributes: Mapping[str, Any]
-
-
 class TorchNetwork:
     """The network of an ONNX file with one input and one output, as a differentiable function."""
 
@@ -266,13 +256,14 @@ class TorchNetwork:
             return torch.from_numpy(np.array(numpy_helper.to_array(value))).to(device)
 
         self._constants = {each.name: as_tensor(each) for each in model.graph.initializer}
-        self._nodes: list[_Node] = []
+        # what each operator is called, what goes in and out, and its attributes
+        self._nodes: list[tuple[str, Sequence[str], Sequence[str], Mapping[str, Any]]] = []
         for node in model.graph.node:
             attributes = {each.name: onnx.helper.get_attribute_value(each) for each in node.attribute}
             if node.op_type == "Constant" and "value" in attributes:
                 self._constants[node.output[0]] = as_tensor(attributes["value"])
                 continue
-            self._nodes.append(_Node(node.op_type, tuple(node.input), tuple(node.output), attributes))
+            self._nodes.append((node.op_type, tuple(node.input), tuple(node.output), attributes))
         inputs = [each for each in model.graph.input if each.name not in self._constants]
         if len(inputs) != 1 or len(model.graph.output) != 1:
             raise InputError(
@@ -280,20 +271,18 @@ class TorchNetwork:
                 f"{len(model.graph.output)}; export the network without suppression"
             )
         self._input, self._output = inputs[0].name, model.graph.output[0].name
-        self._last_use = {name: k for k, node in enumerate(self._nodes) for name in node.inputs}
+        self._last_use = {name: k for k, (_, inputs, _, _) in enumerate(self._nodes) for name in inputs}
         sides = [side.dim_value if side.HasField("dim_value") else 0 for side in inputs[0].type.tensor_type.shape.dim]
         self._verify([side or free for side, free in zip(sides, (1, 3, *_FREE_SIZE_PX), strict=True)])
 
     def __call__(self, images: Tensor) -> Tensor:
         """The raw output for images, a tensor float32 [image, 3, row, column]; differentiable."""
         value = {self._input: images}
-        for k, node in enumerate(self._nodes):
-            given = [
-                None if not name else value[name] if name in value else self._constants[name] for name in node.inputs
-            ]
-            result = _OPERATORS[node.operator](given, node.attributes)
-            value.update(zip(node.outputs, result if isinstance(result, tuple) else (result,), strict=False))
-            for name in node.inputs:
+        for k, (operator, inputs, outputs, attributes) in enumerate(self._nodes):
+            given = [None if not name else value[name] if name in value else self._constants[name] for name in inputs]
+            result = _OPERATORS[operator](given, attributes)
+            value.update(zip(outputs, result if isinstance(result, tuple) else (result,), strict=False))
+            for name in inputs:
                 if self._last_use[name] == k and name in value:
                     del value[name]
         return value[self._output]

@@ -7,6 +7,7 @@ of the rigs: the objective of the search on unseen scenes, or the detector.
 from __future__ import annotations
 
 import itertools
+import operator
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -143,14 +144,12 @@ class Study:
 
     def check(self, config: Config) -> None:
         """See that the configuration has what only the user can bring."""
-        if self.needs is not None:
-            section, _, option = self.needs.partition(".")
-            if getattr(getattr(config, section), option) is None:
-                raise OptionError(
-                    self.needs,
-                    f"expected a value for {self.name}, as what it needs does not ship with warpav, got none; give "
-                    f"{self.needs}=FILE_OR_FOLDER",
-                )
+        if self.needs is not None and operator.attrgetter(self.needs)(config) is None:
+            raise OptionError(
+                self.needs,
+                f"expected a value for {self.name}, as what it needs does not ship with warpav, got none; give "
+                f"{self.needs}=FILE_OR_FOLDER",
+            )
 
 
 def find_study(

@@ -77,17 +77,8 @@ TEST_SUBSETS = {
 """Scenes that evaluate, likewise."""
 
 _CLASS_OF_CATEGORY = {
-    "car": "car",
-    "hatchback": "car",
-    "saloon": "car",
-    "estate": "car",
-    "suv": "car",
-    "van": "van",
-    "lorry": "lorry",
-    "bus": "bus",
-    "motorcycle": "motorcycle",
-    "pedestrian": "pedestrian",
-    "cyclist": "cyclist",
+    **dict.fromkeys(("hatchback", "saloon", "estate", "suv"), "car"),
+    **{name: name for name in CLASS_NAMES},
 }
 
 _OBJECT_MAX = 40

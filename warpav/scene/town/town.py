@@ -39,15 +39,7 @@ _FILL_ROUNDS = 4
 _SECTOR_COUNT = 8
 # Beside the ego vehicle, where its own body hides much of them, only this share of the vehicles that could stand do.
 _BESIDE_M, _BESIDE_LONG_M, _BESIDE_SHARE = 2.4, 4.0, 0.08
-_KIND_SHARES = {
-    "hatchback": 0.25,
-    "saloon": 0.18,
-    "estate": 0.14,
-    "suv": 0.17,
-    "van": 0.11,
-    "lorry": 0.08,
-    "bus": 0.07,
-}
+_KIND_SHARES = {"hatchback": 0.25, "saloon": 0.18, "estate": 0.14, "suv": 0.17, "van": 0.11, "lorry": 0.08, "bus": 0.07}
 _LATERAL_JITTER_M, _YAW_JITTER_RAD = 0.10, 0.020
 _GRADE_SHARE = 0.4  # of the streets are on a grade
 _GRADE_MIN, _GRADE_MAX = 0.02, 0.06
