@@ -164,7 +164,10 @@ def find_study(
     judges: list[Judge] = [part.judge for part in parts if part.judge is not None]
     dropped = {arm for part in parts for arm in part.without}
     names: list[str | _ArmFile] = [*file.arms, *(arm for part in parts for arm in part.arms if arm not in dropped)]
-    arms = [_arm(each) for each in names]
+    arms = [
+        find_arm(each, {}) if isinstance(each, str) else Arm(each.name, each.method, each.options, each.search)
+        for each in names
+    ]
     if file.thesis is not None:
         rows = _thesis_rows(file.thesis)
         arms = [Arm(arm_name(way, loss), _METHOD_OF[way], _loss_overrides(loss)) for way, loss in rows]
@@ -215,12 +218,6 @@ def _thesis_rows(number: str) -> list[tuple[str, str]]:
 @cache
 def _read(name: str) -> _StudyFile:
     return _StudyFile.model_validate(yaml.safe_load((_FILES / f"{name}.yaml").read_text(encoding="utf-8")))
-
-
-def _arm(each: str | _ArmFile) -> Arm:
-    if isinstance(each, str):
-        return find_arm(each, {})
-    return Arm(each.name, each.method, each.options, each.search)
 
 
 def _parts(file: _StudyFile, setting: str | None) -> list[_Setting]:

@@ -17,7 +17,6 @@ from scipy.spatial import KDTree
 from warpav.core.errors import InputError, install_text
 from warpav.core.frames import (
     EGO_FROM_CARLA,
-    FLU_FROM_RDF,
     carla_from_ego_pose,
     ego_from_carla_pose,
     rotation_from_yaw_pitch_roll,
@@ -25,7 +24,7 @@ from warpav.core.frames import (
 )
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
-from warpav.scene.capture.capture import CaptureView, rigid_pose
+from warpav.scene.capture.capture import rigid_pose
 from warpav.scene.scene import Box, outline_gap_m
 
 Remote: TypeAlias = Any  # something that the optional package ``carla`` defines; its types cannot be named here
@@ -74,12 +73,6 @@ def release_of(version: str) -> str:
     """``0.9.16`` of ``0.9.16-2-gabcdef``; builds from source describe themselves so."""
     match = re.match(r"\d+\.\d+\.\d+", version)
     return match.group() if match else version
-
-
-def clear_noon(carla: ModuleType) -> Remote:
-    """Clear and windless, the sun overhead; shadows lie below what casts them."""
-    calm = ("cloudiness", "precipitation", "precipitation_deposits", "wind_intensity", "fog_density", "wetness")
-    return carla.WeatherParameters(**dict.fromkeys(calm, 0.0), sun_altitude_angle=90.0)
 
 
 def set_attributes(blueprint: Remote, values: Mapping[str, str | None]) -> None:
@@ -134,8 +127,6 @@ def check_pinhole(model: CameraModel) -> None:
 
 
 _SAME_PLACE_M = 2.5  # below the distance between the centres of neighbouring lanes
-RDF_FROM_FLU = np.eye(4)
-RDF_FROM_FLU[:3, :3] = FLU_FROM_RDF.T
 
 
 def inverse_pose(pose: np.ndarray) -> np.ndarray:
@@ -192,18 +183,6 @@ def ego_pose_of_wheels(wheel_m: np.ndarray, radius_m: np.ndarray) -> np.ndarray 
     if min(turn[0, 0], turn[2, 2]) < math.cos(math.radians(5.0)):
         return None
     return rigid_pose(turn, rear_m.mean(axis=0))
-
-
-def ego_rays(view: CaptureView, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """Rays through pixels of a view, in the ego frame's axes [pixel, 3]."""
-    return view.model.rays(np.stack([column + 0.5, row + 0.5], -1)) @ view.ego_from_camera[:3, :3].T
-
-
-def is_inside(box: Box, point_m: np.ndarray) -> np.ndarray:
-    """Which points lie in a box, its lowest part left out: there the road is as near as the vehicle."""
-    along_m, half_m = box.local_m(point_m), 0.5 * box.size_m
-    is_within = np.all(np.abs(along_m) <= half_m + 0.1, axis=-1)
-    return is_within & (along_m[:, 2] > -half_m[2] + 0.2 * box.size_m[2])
 
 
 def meets_box(box: Box, origin_m: np.ndarray, ray: np.ndarray, *, margin_m: float) -> np.ndarray:

@@ -25,20 +25,16 @@ from warpav.core.frames import (
 )
 from warpav.raster.camera import CameraModel
 from warpav.scene.capture._carla_client import (
-    RDF_FROM_FLU,
     Remote,
     boxes_overlap,
     category_of,
     check_pinhole,
-    clear_noon,
     code_from_bgra,
     colours_of,
     depth_from_bgra,
     ego_pose_of_wheels,
-    ego_rays,
     import_carla,
     inverse_pose,
-    is_inside,
     lane_places,
     meets_box,
     point_of,
@@ -72,6 +68,7 @@ _LOOK_FROM = ((0.0, 90.0), (0.0, 40.0), (90.0, 40.0), (180.0, 40.0), (270.0, 40.
 _IDENTIFY_SIDE_PX, _MIN_INSIDE_PX = 128, 20
 _INSTANCE_MARGIN_M = 0.5  # CARLA's boxes come from collision shapes: mirrors and aerials may exceed them
 _CAMERAS = {"rgb": "sensor.camera.rgb", "depth": "sensor.camera.depth", "code": "sensor.camera.instance_segmentation"}
+_CALM = ("cloudiness", "precipitation", "precipitation_deposits", "wind_intensity", "fog_density", "wetness")
 _PLAIN_IMAGE = {
     "exposure_mode": "histogram",
     **dict.fromkeys(("lens_flare_intensity", "bloom_intensity", "chromatic_aberration_intensity"), "0.0"),
@@ -205,7 +202,9 @@ class CarlaSimulator(Simulator):
             manager = world.get_lightmanager()
             self._change("lights", lambda: (manager.turn_on(lights), self._tick()), lambda: manager.turn_off(lights))
         weather = world.get_weather()
-        self._change("weather", lambda: world.set_weather(weather), lambda: world.set_weather(clear_noon(carla)))
+        # clear and windless, the sun overhead; shadows lie below what casts them
+        noon = carla.WeatherParameters(**dict.fromkeys(_CALM, 0.0), sun_altitude_angle=90.0)
+        self._change("weather", lambda: world.set_weather(weather), lambda: world.set_weather(noon))
         signals = list(actors.filter("traffic.traffic_light*"))
         if signals and not signals[0].is_frozen():
             self._change(
@@ -378,7 +377,7 @@ class CarlaSimulator(Simulator):
         instance = np.zeros(code.shape, np.uint16)
         for instance_id, standing in situation.standing.items():
             row, column = np.nonzero(np.isin(code, list(standing.codes)))
-            ray = ego_rays(view, row, column)
+            ray = view.model.rays(np.stack([column + 0.5, row + 0.5], -1)) @ view.ego_from_camera[:3, :3].T
             meets = meets_box(standing.box, view.ego_from_camera[:3, 3], ray, margin_m=_INSTANCE_MARGIN_M)
             instance[row[meets], column[meets]] = instance_id
         return CapturedImage(
@@ -467,7 +466,9 @@ class CarlaSimulator(Simulator):
             row, column = np.nonzero(np.isfinite(depth_m) & (code != 0))
             ray = model.rays(np.stack([column + 0.5, row + 0.5], -1)) @ view[:3, :3].T
             point_m = view[:3, 3] + depth_m[row, column, None] * ray
-            inside = is_inside(box, point_m)
+            # but for its lowest part, where the road is as near as the vehicle
+            is_high = box.local_m(point_m)[:, 2] > -0.3 * box.size_m[2]
+            inside = is_high & box.contains(point_m, margin_m=0.1)
             found, where, total = np.unique(code[row, column], return_inverse=True, return_counts=True)
             count = np.bincount(where, weights=inside, minlength=len(found))
             mine = (count >= _MIN_INSIDE_PX) & (count > 0.5 * total)
@@ -524,7 +525,7 @@ class CarlaSimulator(Simulator):
     ) -> dict[str, np.ndarray]:
         """Images of one simulation step from cameras that exist only for it: BGRA, uint8 [row, column, 4] by kind."""
         check_pinhole(model)
-        world_from_link = self._begun().world_from_ego @ ego_from_camera @ RDF_FROM_FLU
+        world_from_link = self._begun().world_from_ego @ ego_from_camera @ rigid_pose(FLU_FROM_RDF.T, np.zeros(3))
         size = {"image_size_x": str(model.width_px), "image_size_y": str(model.height_px)}
         size |= {"fov": repr(math.degrees(model.fov_rad)), "sensor_tick": "0.0", "role_name": _ROLE}
         sensor_ids: list[int] = []

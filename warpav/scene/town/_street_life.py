@@ -46,9 +46,8 @@ class Person(RoadUser):
     mesh: Mesh  # town frame
     pavement_share: float  # how far from the kerb to the houses, 0..1; below 0 on the road
 
-    def standing(self, ground: StreetGround) -> Mesh:
+    def standing(self, _: StreetGround) -> Mesh:
         """The person's mesh in the town frame, which knows the ground already."""
-        del ground
         return self.mesh
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
@@ -49,11 +49,10 @@ def level_scene(seed: int, level: Level = "easy", fleet: Fleet | None = None) ->
 
 
 def checked_level(level: str) -> Level:
-    found: Level | None = next((each for each in LEVELS if each == level), None)
-    if found is None:
+    if level not in LEVELS:
         text = f"expected one of {', '.join(LEVELS)}, got {level!r}{nearest(level, LEVELS)}"
         raise ArgumentError("level", text)
-    return found
+    return cast("Level", level)
 
 
 @dataclass(frozen=True)
@@ -82,5 +81,4 @@ def level_of(source: str) -> tuple[Level, int] | None:
     match = re.fullmatch(rf"town (?:({'|'.join(LEVELS[1:])}) )?seed (\d+)", source)
     if match is None:
         return None
-    level: Level = next(each for each in LEVELS if each == (match[1] or "easy"))
-    return level, int(match[2])
+    return checked_level(match[1] or "easy"), int(match[2])
