@@ -15,7 +15,7 @@ from warpav.rig.rig import Rig
 from warpav.runs.config import BY_HAND, Config
 from warpav.runs.events import of_modules, trajectory
 from warpav.view import Canvas, drawing_of, draws
-from warpav.view.output import ANIMATION_PX, Animation
+from warpav.view.output import ANIMATION_PX
 
 if TYPE_CHECKING:
     from warpav.optimisation.further_camera import FurtherCameras
@@ -128,13 +128,6 @@ class DrawnRun:
         positions_m = np.array([event["positions_m"] for event in self.events], np.float64)
         return int(np.linalg.norm(positions_m - end_m, axis=2).max(axis=1).argmin())
 
-    def checked_iteration(self, iteration: int) -> int:
-        """The number of an iteration from 0."""
-        count = len(self.events)
-        if not -count <= iteration < count:
-            raise InputError(f"{self.name}: iteration: expected one of {count} from 0, got {iteration}")
-        return iteration % count
-
     def checked_further(self, kind: str) -> FurtherCameras:
         """`further`, for a kind of plot that needs them."""
         if self.further is None or not len(self.further):
@@ -145,31 +138,23 @@ class DrawnRun:
             )
         return self.further
 
-    def animation(self, *, arrows: bool = True, window_size: tuple[int, int] = ANIMATION_PX) -> Animation:
-        """The cameras move over the vehicle, and their trajectories grow."""
-        from warpav.view.recording import run_animation
-
-        if not self.events:
-            raise InputError(f"{self.name}: expected iterations to animate, got none; write a .png instead")
-        return run_animation(
-            self.frames,
-            self.events,
-            end=self.rig,
-            scene=self.scene,
-            surface=self.surface if arrows else None,
-            window_size=window_size,
-        )
-
     def view(self, canvas: Canvas, *, iteration: int | None, arrows: bool, visibility: bool) -> Any:  # noqa: ANN401
         """The result in space, or the rig before the step of an iteration, with its trajectory and arrows."""
         from warpav.view.layers import Steepest, add_descent
+        from warpav.view.recording import run_animation
 
-        if canvas.is_animation and iteration is None:
-            return self.animation(arrows=arrows, window_size=canvas.size_px(ANIMATION_PX))
         frames = self.frames
+        if canvas.is_animation and iteration is None:  # the cameras move, and their trajectories grow
+            if not self.events:
+                raise InputError(f"{self.name}: expected iterations to animate, got none; write a .png instead")
+            moving = {"scene": self.scene, "surface": self.surface if arrows else None}
+            return run_animation(frames, self.events, end=self.rig, **moving, window_size=canvas.size_px(ANIMATION_PX))
         rig, path_m, index = self.rig, trajectory(self.events), None
         if iteration is not None:
-            index = self.checked_iteration(iteration)
+            count = len(self.events)
+            if not -count <= iteration < count:
+                raise InputError(f"{self.name}: iteration: expected one of {count} from 0, got {iteration}")
+            index = iteration % count
             rig, own = frames[index], self.events[index].get("descent")
             before = [event["positions_m"] for event in self.events[: index + 1] if event.get("descent") == own]
             path_m = np.array(before, np.float64)

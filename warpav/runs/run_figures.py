@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import io
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -147,9 +146,7 @@ class RunPictures:
         problem = opengl_problem()
         if problem is not None:
             return problem
-        from PIL import Image
-
-        from warpav.view.output import render_rgb, write_bytes
+        from warpav.view.output import render_rgb, save_rgb
 
         path_m = {"optimised": trajectory(self.folder.events())}
         images = []
@@ -160,9 +157,7 @@ class RunPictures:
                 images.append(render_rgb(plotter))
             finally:
                 plotter.close()
-        encoded = io.BytesIO()
-        Image.fromarray(np.hstack(images)).save(encoded, format="PNG", compress_level=4)
-        write_bytes(self.folder.figure_path("rig"), encoded.getvalue())
+        save_rgb(np.hstack(images), self.folder.figure_path("rig"))
         return None
 
     def _seen(self, rig: Rig, assigned: AssignedScene) -> dict[str, CameraObservation]:

@@ -76,9 +76,7 @@ def save_image(plotter: Plotter, path: Path | str, *, progress: Progress | None 
     if path.suffix.lower() in _ANIMATION_SUFFIXES:
         return save_animation(Animation(_orbit(plotter), _ORBIT_FRAMES, _ORBIT_FRAME_S), path, progress=progress)
     if path.suffix.lower() == ".png":
-        encoded = io.BytesIO()
-        _image(plotter).save(encoded, format="PNG")
-        return write_bytes(path, encoded.getvalue())
+        return save_rgb(render_rgb(plotter), path)
     return save_page({path.stem: plotter}, path, title=path.stem)
 
 
@@ -103,13 +101,17 @@ def save_animation(animation: Animation, path: Path | str, *, progress: Progress
     return write_bytes(path, encode(images, frame_s=animation.frame_s, last_s=animation.last_s))
 
 
+def save_rgb(image_rgb: np.ndarray, path: Path) -> Path:
+    """Write an image as PNG, uint8 [row, column, 3]."""
+    from PIL import Image
+
+    encoded = io.BytesIO()
+    Image.fromarray(image_rgb).save(encoded, format="PNG")
+    return write_bytes(path, encoded.getvalue())
+
+
 def render_rgb(plotter: Plotter, *, supersampling: int = 2) -> np.ndarray:
-    """What an off-screen plotter shows: uint8, shape [row, column, 3]."""
-    return np.asarray(_image(plotter, supersampling))
-
-
-def _image(plotter: Plotter, supersampling: int = 2) -> Any:  # noqa: ANN401 (a Pillow image)
-    """Draw larger and shrink: unlike multisampling, this also smooths translucent faces."""
+    """What an off-screen plotter shows, uint8 [row, column, 3]: drawn larger, so that translucent faces are smooth."""
     from PIL import Image
 
     width, height = plotter.window_size
@@ -126,7 +128,7 @@ def _image(plotter: Plotter, supersampling: int = 2) -> Any:  # noqa: ANN401 (a 
         window.SetDPI(dots_per_inch)
         with no_render(plotter):
             plotter.window_size = [width, height]
-    return Image.fromarray(np.ascontiguousarray(large)).resize((width, height), Image.Resampling.LANCZOS)
+    return np.asarray(Image.fromarray(np.ascontiguousarray(large)).resize((width, height), Image.Resampling.LANCZOS))
 
 
 def _orbit(plotter: Plotter) -> Iterator[np.ndarray]:

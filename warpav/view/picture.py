@@ -190,10 +190,14 @@ def vehicle_plotter(
     azimuth_rad: float = VIEW_AZIMUTH_RAD,
 ) -> Plotter:
     """A vehicle that is to carry cameras: where they may stand, its origin, its axes, its wheels; not yet shown."""
-    if vehicle is None and surface is None:
+    if vehicle is not None:
+        bounds_m = vehicle.bounds_m().astype(np.float64)
+    elif surface is not None:  # from the ground to the highest cell
+        low, high = surface.over_ground.bounds_m
+        bounds_m = np.array([[*low, 0.0], [*high, np.nanmax(surface.over_ground.height_m)]], np.float64)
+    else:
         raise ValueError("vehicle, surface: expected at least one of them, got neither")
     plotter = _new_plotter(canvas, _VEHICLE_PX)
-    bounds_m = vehicle.bounds_m().astype(np.float64) if vehicle is not None else _bounds_of_surface_m(surface)
     view = {"azimuth_rad": azimuth_rad, "elevation_rad": _VEHICLE_ELEVATION_RAD}
     _look_at(plotter, bounds_m, **view, zoom=1.0 if canvas.zoom is None else canvas.zoom)
     plotter.camera.view_angle = 19.0
@@ -229,14 +233,6 @@ def zones_image_rgb(vehicle: Mesh, surface: MountSurface, *, title: str) -> np.n
         views.append(render_rgb(plotter))
         plotter.close()
     return np.concatenate(views, axis=1)
-
-
-def _bounds_of_surface_m(surface: MountSurface | None) -> np.ndarray:
-    """The box from the ground to the highest cell of a surface [m], shape [2, 3]."""
-    assert surface is not None
-    surface = surface.over_ground
-    low, high = surface.bounds_m
-    return np.array([[*low, 0.0], [*high, np.nanmax(surface.height_m)]], np.float64)
 
 
 def _taken_px(plotter: Plotter, title: str | None, *, has_scale: bool) -> np.ndarray:

@@ -139,7 +139,9 @@ def add_numbers(sheet: Sheet) -> None:
     A number stays off marks, arrows and other numbers, and where it can off lines. It is near its mark, behind the
     arrow rather than beside it. Marks that lie on each other and look the same way share a line of numbers.
     """
-    symbol_mm, labels = np.concatenate([_mark_points_mm(mark) for mark in sheet.marks]), Labels()
+    symbols = [circle_mm(mark.place_mm, 1.6 * _MARK_MM, 17) for mark in sheet.marks]
+    symbols += [_points_mm(np.stack([mark.place_mm, mark.tip_mm])) for mark in sheet.marks]
+    symbol_mm, labels = np.concatenate(symbols), Labels()
     lines = [_points_mm(stroke.point_mm, is_closed=stroke.is_closed) for stroke in sheet.strokes]
     lines += [_points_mm(ordinate.line_mm) for ordinate in sheet.ordinates]
     for point_mm, weight in ((symbol_mm, _SYMBOL_COST), (np.concatenate(lines), _LINE_COST)):
@@ -170,12 +172,6 @@ def _leader_mm(place_mm: np.ndarray, middle_mm: np.ndarray, size_mm: np.ndarray)
     end_mm = np.clip(place_mm, middle_mm - half_mm, middle_mm + half_mm)
     towards = (end_mm - place_mm) / np.linalg.norm(end_mm - place_mm)
     return np.stack([place_mm + _MARK_MM * towards, end_mm])
-
-
-def _mark_points_mm(mark: Mark) -> np.ndarray:
-    """Points of a mark and its arrow, near enough to each other that no number fits between them."""
-    round_mm = circle_mm(mark.place_mm, 1.6 * _MARK_MM, 17)
-    return np.concatenate([round_mm, _points_mm(np.stack([mark.place_mm, mark.tip_mm]))])
 
 
 def _points_mm(line_mm: np.ndarray, *, is_closed: bool = False) -> np.ndarray:

@@ -104,8 +104,13 @@ def _panels(
     broken; the distance of a single camera.
     """
     iteration = np.array([record["iteration"] for record in records])
-    terms = {name: _over_time(records, "terms", name) for name in records[0]["terms"]}
-    kept = {name for name in records[0]["multipliers"] if name in terms and _is_always_kept(terms[name])}
+    terms = {  # NaN where a record has none of that name
+        name: np.array([record["terms"].get(name, math.nan) for record in records], dtype=np.float64)
+        for name in records[0]["terms"]
+    }
+    limits = {name: term for name, term in terms.items() if name in records[0]["multipliers"]}
+    # inequalities that no record breaks
+    kept = {name for name, term in limits.items() if np.nanmin(term, initial=0.0) < 0.0 >= np.nanmax(term)}
     terms = {name: term for name, term in terms.items() if name not in kept}
     multiplier = {  # of several under one name the highest; NaN where it was not finite
         name: [float(np.max(np.array(record["multipliers"].get(name, 0.0), float), initial=0.0)) for record in records]
@@ -166,11 +171,6 @@ def _panels(
     return shown
 
 
-def _over_time(records: Sequence[Mapping[str, Any]], key: str, name: str) -> np.ndarray:
-    """One of the numbers under a key, float64 [record]; NaN where a record has none of that name."""
-    return np.array([record[key].get(name, math.nan) for record in records], dtype=np.float64)
-
-
 def _running_mean(value: np.ndarray, *, window: int = 9) -> np.ndarray:
     """Mean over the ``window`` entries around each one, fewer at the ends; NaN entries do not count."""
     value = np.asarray(value, dtype=np.float64)
@@ -179,11 +179,6 @@ def _running_mean(value: np.ndarray, *, window: int = 9) -> np.ndarray:
     total = np.convolve(np.pad(np.where(valid, value, 0.0), half), np.ones(2 * half + 1), mode="valid")
     count = np.convolve(np.pad(valid.astype(np.float64), half), np.ones(2 * half + 1), mode="valid")
     return np.where(count > 0, total / np.maximum(count, 1.0), math.nan)
-
-
-def _is_always_kept(term: np.ndarray) -> bool:
-    """Whether a constraint is an inequality that no record breaks."""
-    return bool(np.nanmin(term, initial=0.0) < 0.0 and np.nanmax(term, initial=0.0) <= 0.0)
 
 
 def _smallest_distance_m(position_m: object) -> float:

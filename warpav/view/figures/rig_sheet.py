@@ -145,8 +145,12 @@ def rig_sheet(
         _draw_rings(above, side, ring_m, middle_m)
         _draw_from_above(above, rig, middle_m, reach_m, 0.001 * scale)
         _draw_from_side(side, rig, middle_m, reach_m)
-        if top_m < reach_m:
-            _draw_cut(side, top_m)
+        if top_m < reach_m:  # what the view from the side shows does not end there
+            grey = hex_colour(MUTED_RGB)
+            side.axhline(top_m, color=grey, linewidth=0.8, linestyle=(0, (1, 2)), zorder=9, clip_on=False)
+            style = {"ha": "right", "va": "bottom", "fontsize": 6.5, "color": grey, "annotation_clip": False}
+            place = {"xycoords": ("axes fraction", "data"), "xytext": (0, 3), "textcoords": "offset points"}
+            side.annotate(f"cut {top_m:.1f} m above the ground", (1.0, top_m), **place, **style)
         for axis, across in ((above, [0, 1]), (side, [0, 2])):
             place_m = np.array([camera.position_m[across] for camera in rig.cameras])
             mark_cameras(axis, place_m, per_pt=25.4 / 72.0 * 0.001 * scale)
@@ -244,16 +248,6 @@ def _draw_from_side(axis: Any, rig: Rig, middle_m: np.ndarray, reach_m: float) -
             _draw_fan(axis, outline_m, colour, alpha=0.05)  # many lie on each other
 
 
-def _draw_cut(axis: Any, top_m: float) -> None:  # noqa: ANN401 (matplotlib)
-    """Say at the upper edge of the view from the side that it ends there, and what it shows does not."""
-    grey = hex_colour(MUTED_RGB)
-    axis.axhline(top_m, color=grey, linewidth=0.8, linestyle=(0, (1, 2)), zorder=9, clip_on=False)
-    text = f"cut {top_m:.1f} m above the ground"
-    style = {"ha": "right", "va": "bottom", "fontsize": 6.5, "color": grey, "annotation_clip": False}
-    place = {"xycoords": ("axes fraction", "data"), "xytext": (0, 3), "textcoords": "offset points"}
-    axis.annotate(text, (1.0, top_m), **place, **style)
-
-
 def _fan_m(
     arc_rad: tuple[float, float],
     centre_m: np.ndarray,
@@ -267,21 +261,19 @@ def _fan_m(
     first, last = arc_rad
     angle_rad = np.linspace(first, last, 2 + math.ceil((last - first) / _ARC_STEP_RAD))
     direction = np.stack([sign * np.cos(angle_rad), np.sin(angle_rad)], axis=-1)
-    distance_m = np.array([_distance_m(centre_m, each, middle_m, reach_m) for each in direction])
+    distance_m = _distance_m(centre_m, direction, middle_m, reach_m)
     if on_ground:
-        down = -direction[:, 1]
-        to_ground_m = np.full(len(down), np.inf)
-        np.divide(max(centre_m[1], 0.0), down, out=to_ground_m, where=down > _ANGLE_EPSILON)
-        distance_m = np.minimum(distance_m, to_ground_m)
+        down = np.maximum(-direction[:, 1], _ANGLE_EPSILON)
+        distance_m = np.minimum(distance_m, max(centre_m[1], 0.0) / down)
     return np.vstack([centre_m, centre_m + distance_m[:, None] * direction])
 
 
-def _distance_m(start_m: np.ndarray, direction: np.ndarray, middle_m: np.ndarray, radius_m: float) -> float:
-    """How far it is from a point to a circle around it along a unit direction; 0 for a point outside."""
+def _distance_m(start_m: np.ndarray, direction: np.ndarray, middle_m: np.ndarray, radius_m: float) -> np.ndarray:
+    """How far it is from a point to a circle around it along unit directions [..., 2]; 0 for a point outside."""
     offset_m = start_m - middle_m
-    along = float(offset_m @ direction)
+    along = direction @ offset_m
     square = along * along - float(offset_m @ offset_m) + radius_m * radius_m
-    return max(-along + math.sqrt(square), 0.0) if square > 0.0 else 0.0
+    return np.where(square > 0.0, np.maximum(np.sqrt(np.maximum(square, 0.0)) - along, 0.0), 0.0)
 
 
 def _draw_fan(axis: Any, outline_m: np.ndarray, colour: str, *, alpha: float) -> None:  # noqa: ANN401 (matplotlib)
