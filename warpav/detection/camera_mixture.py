@@ -21,7 +21,7 @@ from warpav.rig.rig import RigCamera
 RECIPE = 1
 """Number of this mixture: who changes what is drawn raises it, and all fits for any camera are fitted again."""
 
-WINDOWS_PX = ((256, 256, 24), (512, 384, 8), (960, 544, 5), (1600, 896, 1))
+_WINDOWS_PX = ((256, 256, 24), (512, 384, 8), (960, 544, 5), (1600, 896, 1))
 """Width, height and number a scene of the windows for networks that take images of any size."""
 _ASPECTS = (1.0, 4.0 / 3.0, 16.0 / 9.0)
 _WIDEST_IMAGE_PX = 2048
@@ -69,8 +69,8 @@ def windows_of(detector: ScalingDetector) -> tuple[Window, ...]:
 
     Windows of images up to `_WIDEST_IMAGE_PX` for networks of any size; else whole images as wide as the network's own.
     """
-    if all(detector.network_scale(height, width) == (1.0, 1.0) for width, height, _ in WINDOWS_PX):
-        return tuple(Window(*window, is_cut=True) for window in WINDOWS_PX)
+    if all(detector.network_scale(height, width) == (1.0, 1.0) for width, height, _ in _WINDOWS_PX):
+        return tuple(Window(*window, is_cut=True) for window in _WINDOWS_PX)
     rows, columns = detector.input_size_px(256, 256)
     count = max(1, round(min(VIEWS_PER_SCENE, _PIXELS_PER_SCENE / (rows * columns)) / len(_ASPECTS)))
     return tuple(Window(columns, max(8, round(columns / aspect)), count, is_cut=False) for aspect in _ASPECTS)

@@ -36,8 +36,8 @@ _PENALTIES = (0.3, 3.0, 30.0, 300.0)
 _FOLD_COUNT = 5
 _RIDGE = 0.01
 BIN_COUNT = 15
-MIN_OBJECTS = 200
-MIN_OF_EACH = 10
+_MIN_OBJECTS = 200
+_MIN_OF_EACH = 10
 _ITERATIONS_MAX = 100
 
 # More pixels of the same thing, less of it hidden, less of it cut off and clearer colours never make it harder to find
@@ -199,9 +199,9 @@ def fit_probability(
     The penalty is the one whose likelihood is greatest on scenes that were left out, over folds of whole scenes.
     """
     found, count = int(samples.is_detected.sum()), len(samples)
-    if count < MIN_OBJECTS or min(found, count - found) < MIN_OF_EACH:
+    if count < _MIN_OBJECTS or min(found, count - found) < _MIN_OF_EACH:
         raise ValueError(
-            f"expected at least {MIN_OBJECTS} visible objects, {MIN_OF_EACH} of them detected and {MIN_OF_EACH} "
+            f"expected at least {_MIN_OBJECTS} visible objects, {_MIN_OF_EACH} of them detected and {_MIN_OF_EACH} "
             f"missed, got {count}, {found} detected and {count - found} missed"
         )
     ranges = [natural_range(samples.feature[:, f], knot_count) for f in range(FEATURE_COUNT)]

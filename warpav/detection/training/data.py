@@ -253,9 +253,7 @@ def load_images(folder: Path) -> dict[int, LabelledImages]:
     return dict(sorted(labelled.items()))
 
 
-@functools.cache
-def _town_surface() -> MountSurface:
-    return mount_surface_from_mesh(ego_vehicle())
+_town_surface = functools.cache(lambda: mount_surface_from_mesh(ego_vehicle()))
 
 
 def _write_scene(

@@ -14,7 +14,7 @@ from warpav.runs.terminal import TerminalTable
 _TITLES = {"w1": "W1 gradient", "w2": "W2 depth, object", "w3": "W3 colour"}
 _ERROR_HEADING = "error of x, z, yaw"
 _SMALL_ERROR_HEADING = "of x, z"
-ELSEWHERE = "measured elsewhere"
+_ELSEWHERE = "measured elsewhere"
 
 
 def bench_table(content: Mapping[str, Any], *, with_peers: bool) -> TerminalTable:
@@ -42,7 +42,7 @@ def bench_table(content: Mapping[str, Any], *, with_peers: bool) -> TerminalTabl
             table.add_row("", "embreex", "this run, cpu", median_ms, str(reference["threads"]), "", ratio, "")
         for peer in (row for row in peers if row["item"] == item):
             cells = (_milliseconds(peer["median_ms"]), str(peer.get("threads", "")), _mebibytes(peer))
-            where = f"{ELSEWHERE}, {peer['device']}"
+            where = f"{_ELSEWHERE}, {peer['device']}"
             table.add_row("", peer["peer"], where, *cells, *_gradient_errors(peer.get("accuracy")), style="dim")
         table.add_section()
     return table
@@ -53,7 +53,7 @@ def peer_note() -> str:
     peers = _peers()
     devices = "; ".join(f"{kind}: {name}" for kind, name in peers["devices"].items())
     return (
-        f"{ELSEWHERE}: on {peers['measured']}, {devices}\n"
+        f"{_ELSEWHERE}: on {peers['measured']}, {devices}\n"
         "error: relative error of the gradient, smooth / white weights, over all scored poses; m: median over the poses"
     )
 

@@ -151,7 +151,7 @@ class PlanSettings:
 
 def capture_plan(ego_box: Box, vehicles: Sequence[CapturedVehicle], settings: PlanSettings) -> list[CaptureView]:
     """The views in the order of the thesis's figure 14, then the sides of the ego vehicle."""
-    eye_m = eye_position_m(ego_box, settings)
+    eye_m = _eye_position_m(ego_box, settings)
     named = [(f"{vehicle.instance_id:03d}", vehicle.box) for vehicle in vehicles]
     views = [_top(settings, "ego_top", ViewKind.EGO_TOP, ego_box)]
     views += [_towards(settings, f"towards_vehicle_{n}", ViewKind.TOWARDS_VEHICLE, eye_m, box) for n, box in named]
@@ -179,7 +179,7 @@ def capture_plan(ego_box: Box, vehicles: Sequence[CapturedVehicle], settings: Pl
     return views
 
 
-def eye_position_m(ego_box: Box, settings: PlanSettings) -> np.ndarray:
+def _eye_position_m(ego_box: Box, settings: PlanSettings) -> np.ndarray:
     """Where the images from the ego vehicle are taken [m], shape [3]."""
     return ego_box.center_m + np.array([0.0, 0.0, 0.5 * ego_box.size_m[2] + settings.eye_above_roof_m])
 
@@ -194,7 +194,7 @@ def record(simulator: Simulator, seed: int, settings: PlanSettings) -> Capture:
 
 def spawn_visible_traffic(simulator: Simulator, ego_box: Box, settings: PlanSettings) -> tuple[CapturedVehicle, ...]:
     """Spawn vehicles one after the other; one stays only if an instance image shows a new instance after it."""
-    eye_m = eye_position_m(ego_box, settings)
+    eye_m = _eye_position_m(ego_box, settings)
     visible: list[CapturedVehicle] = []
     for point in simulator.spawn_points(settings.radius_m):
         if len(visible) == settings.vehicle_count:

@@ -21,7 +21,7 @@ from warpav.scene.scene import Box, triangle_caster
 from warpav.scene.town.town import TownWorld, town_world
 from warpav.scene.town.vehicle_shapes import ego_glass
 
-PANE_OPACITY = 0.6  # share of a pixel's colour that a window pane gives; the rest is what lies behind it
+_PANE_OPACITY = 0.6  # share of a pixel's colour that a window pane gives; the rest is what lies behind it
 _INSIDE_SHADE = 0.3  # surfaces seen from inside a vehicle are this bright
 _MAX_PANES = 8
 _PAST_PANE_M = 1e-4
@@ -143,13 +143,13 @@ class _Caster:
                 instance[waiting] = self._instance[triangle]
             passed_m[waiting] += distance
             pane = self._is_pane[triangle] & (layer < _MAX_PANES - 1)
-            opacity = through[waiting] * np.where(pane, np.float32(PANE_OPACITY), np.float32(1.0))
+            opacity = through[waiting] * np.where(pane, np.float32(_PANE_OPACITY), np.float32(1.0))
             rgb[waiting] += opacity[:, None] * colour
             depth_m[waiting[~pane]] = passed_m[waiting[~pane]]
             waiting = waiting[pane]
             if not len(waiting):
                 break
-            through[waiting] *= 1.0 - PANE_OPACITY
+            through[waiting] *= 1.0 - _PANE_OPACITY
             passed_m[waiting] += _PAST_PANE_M
             origin[waiting] = view.ego_from_camera[:3, 3] + passed_m[waiting, None] * direction[waiting]
         return CapturedImage(

@@ -65,7 +65,7 @@ class Material(enum.IntEnum):
 
 _ALBEDO = np.array([material.albedo for material in Material])
 _MIRROR = np.array([material.mirror for material in Material])
-PAINT_COLOURS = np.array(
+_PAINT_COLOURS = np.array(
     [(0.70, 0.70, 0.70), (0.64, 0.65, 0.67), (0.52, 0.53, 0.55), (0.34, 0.35, 0.37), (0.19, 0.21, 0.23),
      (0.080, 0.085, 0.095), (0.035, 0.035, 0.040), (0.030, 0.065, 0.21), (0.10, 0.21, 0.40), (0.40, 0.025, 0.025),
      (0.26, 0.03, 0.04), (0.05, 0.15, 0.10), (0.68, 0.65, 0.58), (0.55, 0.25, 0.05)]
@@ -93,7 +93,7 @@ _ENVIRONMENT_LIGHT = [0.10, 0.13, 0.16, 0.22, 0.45, 0.95, 1.0]
 
 def drawn_paint(kind: str, rng: np.random.Generator) -> np.ndarray:
     """A random paint of a kind of vehicle, linear albedo, shape [3]."""
-    paint = PAINT_COLOURS[int(rng.choice(len(PAINT_COLOURS), p=_PAINT_SHARES))] * rng.uniform(0.9, 1.1)
+    paint = _PAINT_COLOURS[int(rng.choice(len(_PAINT_COLOURS), p=_PAINT_SHARES))] * rng.uniform(0.9, 1.1)
     return _BUS_COLOURS[int(rng.integers(len(_BUS_COLOURS)))] if kind == "bus" else paint
 
 

@@ -164,8 +164,8 @@ def lane_vehicles(
         yield drawn[-1], Footprint.at(lane.at(middle_m, left_m), yaw, (length_m, drawn[-1].size_m[1]))
 
 
-HEADWAY_S = 1.5  # time in which a driver reaches what is ahead in its lane now, at least
-STREET_KM_H = (30.0, 50.0)
+_HEADWAY_S = 1.5  # time in which a driver reaches what is ahead in its lane now, at least
+_STREET_KM_H = (30.0, 50.0)
 _CAR_PARK_KM_H = (5.0, 15.0)
 _CYCLIST_M_S = (4.0, 6.0)
 _PEDESTRIAN_M_S = (1.1, 1.7)
@@ -177,7 +177,7 @@ def velocities_m_s(
     users: Sequence[RoadUser], obstacles: Sequence[Footprint], rng: np.random.Generator, *, in_car_park: bool = False
 ) -> np.ndarray:
     """Random velocities over ground in the town frame [m/s], float64 [user, 2]."""
-    limit_m_s = np.multiply(_CAR_PARK_KM_H if in_car_park else STREET_KM_H, _M_S_PER_KM_H)
+    limit_m_s = np.multiply(_CAR_PARK_KM_H if in_car_park else _STREET_KM_H, _M_S_PER_KM_H)
     things = [*(user.footprint for user in users), *obstacles]
     centre_m = np.array([(thing.x_m, thing.y_m) for thing in things])
     radius_m = np.array([thing.radius_m for thing in things])
@@ -191,7 +191,7 @@ def velocities_m_s(
         if user.category != "pedestrian":
             # what it reaches later than that does not slow it down
             far_m = np.hypot(*(centre_m - centre_m[k]).T) - radius_m - radius_m[k]
-            near = np.flatnonzero(far_m <= HEADWAY_S * speed_m_s)
+            near = np.flatnonzero(far_m <= _HEADWAY_S * speed_m_s)
             # free way ahead of the rectangle as it moves in a direction
             c, s = np.cos(user.heading_rad), np.sin(user.heading_rad)
             way_m = np.inf
@@ -203,7 +203,7 @@ def velocities_m_s(
                 )
                 if not is_beside and along_m.mean() > 0.0:
                     way_m = min(way_m, max(along_m.min() - 0.5 * user.footprint.length_m, 0.0))
-            speed_m_s = min(speed_m_s, way_m / HEADWAY_S)
+            speed_m_s = min(speed_m_s, way_m / _HEADWAY_S)
         velocity[k] = speed_m_s * np.array([np.cos(user.heading_rad), np.sin(user.heading_rad)])
     return velocity
 
