@@ -113,7 +113,10 @@ def _corrupt(run_folder, change):
         (lambda run: (run / "config.yaml").unlink(), "copy: run folder: expected a folder written by warpav optimise"),
         (lambda run: (run / "config.yaml").write_bytes(b"\xff\x00"), "copy/config.yaml: expected a readable YAML"),
         (lambda run: [file.unlink() for file in run.glob("rig_*.yaml")], "copy: run folder: expected rig_best.yaml"),
-        (lambda run: (run / "events.jsonl").write_text('{"a": 1}\n'), "copy/events.jsonl:1: expected an iteration of"),
+        (
+            lambda run: (run / "events.jsonl").write_text('{"a": 1}\n'),
+            "copy/events.jsonl:1: iteration: expected a value",
+        ),
         (lambda run: (run / "events.jsonl").write_bytes(b"\xff\n\x00\n"), "copy/events.jsonl:1: expected one JSON"),
         (
             lambda run: (run / "events.jsonl").write_text(

@@ -1,6 +1,7 @@
 """``warpav plot``: rigs, runs and comparisons; what is wrong is said before anything is loaded."""
 
 import os
+from pathlib import Path
 
 import pytest
 from PIL import Image
@@ -10,8 +11,8 @@ from tests.cli.small_run import complaint
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.rig.rig import Rig
-from warpav.runs._drawn_run import COMPARED_KINDS, FITTING_KINDS, FittedRigs
-from warpav.runs.inspect import AskedPlots
+from warpav.runs._drawn_run import COMPARED_KINDS, FITTING_KINDS, fitting
+from warpav.runs.inspect import asked_plots
 from warpav.runs.run_folder import RunFolder
 from warpav.scene.town.town import town_scene
 from warpav.view import Canvas, drawing_of, kinds_of
@@ -69,9 +70,9 @@ def test_a_run_compares_its_start_with_its_result(run_folder):
     scene = town_scene(3)
     assert set(FITTING_KINDS) < set(kinds_of(RunFolder)) & set(kinds_of(Rig))
     assert tuple(kinds_of(dict)) == COMPARED_KINDS
-    fitted = run_folder.drawn(scene=scene).fitted
-    assert list(fitted.rigs) == ["by_hand", "optimised"]
-    assert fitted.scene is scene
+    drawn = run_folder.drawn(scene=scene)
+    assert list(drawn.rigs) == ["by_hand", "optimised"]
+    assert drawn.scene is scene
     figure = drawing_of(run_folder, Canvas(), kind="redundancy", scene=scene)
     titles = [axis.get_title(loc="left") for axis in figure.axes]
     assert titles[0] == "by_hand: all cameras"
@@ -82,11 +83,9 @@ def test_a_run_compares_its_start_with_its_result(run_folder):
 
 def test_without_a_detector_there_is_no_range(run_folder):
     config = wa.Config.load("quick", "losses.probability=visible_share")
-    fitted = FittedRigs({"rig": run_folder.rig()}, town_scene(3), config)
     with pytest.raises(InputError, match=r"expected losses.probability=fitted for 'range', got visible_share"):
-        fitted.drawing("range", Canvas())
+        fitting("range", {"rig": run_folder.rig()}, town_scene(3), config)
 
 
 def test_the_usual_file_has_the_name_of_its_kind():
-    asked = AskedPlots.of("nuscenes", kind="plan")
-    assert {name: str(file) for name, file in asked.files.items()} == {"plan": "plan.png"}
+    assert asked_plots("nuscenes", kind="plan") == {"plan": Path("plan.png")}

@@ -30,21 +30,21 @@ def _boxes(rng, count):
 
 
 def _images(rng, count=12):
-    """Objects, some crowds or ignored, and detections: shaken objects and false alarms, with confidences that tie."""
+    """Objects, some ignored, and detections: shaken objects and false alarms, with confidences that tie."""
     for _ in range(count):
         truth = _boxes(rng, rng.integers(0, 7))
         found = [truth[rng.random(len(truth)) < 0.8] for _ in range(2)]
         shaken = np.concatenate(found) + rng.normal(0, 2.5, (sum(map(len, found)), 4))
         shaken[:, 2:] = np.maximum(shaken[:, 2:], shaken[:, :2] + 1.0)
         detection = np.concatenate([shaken, _boxes(rng, rng.integers(0, 5))])
-        flags = rng.random((2, len(truth))) < 0.15
-        yield truth, *flags, detection, np.round(rng.random(len(detection)), 2)
+        ignored = rng.random(len(truth)) < 0.25
+        yield truth, ignored, detection, np.round(rng.random(len(detection)), 2)
 
 
 def _coco(images, *, iou_min=COCO_IOU, area_px2=EVERY_SIZE):
     """AP of one class by pycocotools, NaN without objects, [size range, threshold].
 
-    Images are truth, whether it is a crowd, whether it is ignored, detections and their confidence.
+    Images are truth, whether it is ignored, detections and their confidence.
     """
     coco_module = pytest.importorskip("pycocotools.coco")
     evaluation_module: Any = pytest.importorskip("pycocotools.cocoeval")
@@ -53,22 +53,22 @@ def _coco(images, *, iou_min=COCO_IOU, area_px2=EVERY_SIZE):
         return [float(box[0]), float(box[1]), float(box[2] - box[0]), float(box[3] - box[1])]
 
     class WithIgnored(evaluation_module.COCOeval):
-        # pycocotools itself drops the flag "ignore" and takes crowds for the only ignored objects
+        # pycocotools itself drops the flag "ignore"
         def _prepare(self):
             super()._prepare()
             for objects in self._gts.values():
                 for each in objects:
-                    each["ignore"] = int(each["iscrowd"] or each["hidden"])
+                    each["ignore"] = each["hidden"]
 
     coco = coco_module.COCO()
     annotations, results = [], []
-    for image, (truth, crowd, hidden, detection, confidence) in enumerate(images):
-        for box, is_crowd, is_hidden in zip(truth, crowd, hidden, strict=True):
+    for image, (truth, hidden, detection, confidence) in enumerate(images):
+        for box, is_hidden in zip(truth, hidden, strict=True):
             x, y, width, height = corner_and_size(box)
             annotations.append(
                 {
                     "id": len(annotations) + 1, "image_id": image, "category_id": 1, "bbox": [x, y, width, height],
-                    "area": width * height, "iscrowd": int(is_crowd), "hidden": int(is_hidden),
+                    "area": width * height, "iscrowd": 0, "hidden": int(is_hidden),
                 }
             )  # fmt: skip
         for box, score in zip(detection, confidence, strict=True):
@@ -93,8 +93,8 @@ def _coco(images, *, iou_min=COCO_IOU, area_px2=EVERY_SIZE):
 def _ours(images, **options):
     return score_images(
         [
-            ImageBoxes(truth, detection, confidence, truth_ignored=hidden, truth_is_crowd=crowd)
-            for truth, crowd, hidden, detection, confidence in images
+            ImageBoxes(truth, detection, confidence, truth_ignored=hidden)
+            for truth, hidden, detection, confidence in images
         ],
         **options,
     ).average_precision()
@@ -127,11 +127,11 @@ def _awkward_images(draw):
     for _ in range(draw(st.integers(1, 5))):
         truth, found = draw(st.lists(box, max_size=5)), draw(st.lists(box, max_size=6))
         found += draw(st.lists(st.sampled_from(truth), max_size=4)) if truth else []
-        flags = [np.array(draw(st.lists(st.booleans(), min_size=len(truth), max_size=len(truth))), bool) for _ in "ab"]
+        ignored = np.array(draw(st.lists(st.booleans(), min_size=len(truth), max_size=len(truth))), bool)
         confidence = draw(st.lists(st.sampled_from([0.25, 0.5, 0.75]), min_size=len(found), max_size=len(found)))
         images.append(
             (
-                np.array(truth, float).reshape(-1, 4), *flags, np.array(found, float).reshape(-1, 4),
+                np.array(truth, float).reshape(-1, 4), ignored, np.array(found, float).reshape(-1, 4),
                 np.array(confidence),
             )
         )  # fmt: skip
@@ -140,8 +140,8 @@ def _awkward_images(draw):
 
 @settings(deadline=None, max_examples=200)
 @given(_awkward_images())
-def test_ties_crowds_and_exact_sizes_match_pycocotools(images):
-    if any(len(image[3]) for image in images):  # pycocotools takes no empty list of detections
+def test_ties_and_exact_sizes_match_pycocotools(images):
+    if any(len(image[2]) for image in images):  # pycocotools takes no empty list of detections
         np.testing.assert_allclose(_ours(images), _coco(images), atol=TOLERANCE)
     else:
         assert np.nan_to_num(_ours(images)).max() == 0.0
@@ -220,10 +220,10 @@ def test_detections_that_count_only_if_they_find_something():
     images = list(_images(np.random.default_rng(100)))
     low_px2, high_px2 = 400.0, 1800.0
     boxes = []
-    for truth, crowd, hidden, detection, confidence in images:
+    for truth, hidden, detection, confidence in images:
         truth_px2, found_px2 = (np.prod(box[:, 2:] - box[:, :2], axis=1) for box in (truth, detection))
         out, waived = ((px2 < low_px2) | (px2 > high_px2) for px2 in (truth_px2, found_px2))
-        boxes.append(ImageBoxes(truth, detection, confidence, hidden | out, crowd, waived))
+        boxes.append(ImageBoxes(truth, detection, confidence, hidden | out, waived))
     found = score_images(boxes, iou_min=[0.5], area_px2=[(0.0, np.inf)]).average_precision()
     expected = _coco(images, iou_min=[0.5], area_px2=[(low_px2, high_px2)])
     np.testing.assert_allclose(found, expected, atol=TOLERANCE)

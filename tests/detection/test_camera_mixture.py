@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 from tests.driving_scene import packed_street, roof
-from warpav.detection.camera_mixture import WINDOWS_PX, Window, mixed_camera, window_model, windows_of
+from warpav.detection.camera_mixture import _WINDOWS_PX, Window, mixed_camera, window_model, windows_of
 from warpav.detection.families.family import ImagePlacement, Letterbox
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
@@ -57,7 +57,7 @@ def test_a_window_shows_what_the_whole_image_shows_there(lens):
 
 
 def test_windows_are_small_and_reach_the_network_pixel_by_pixel():
-    assert [(each.width_px, each.height_px, each.count) for each in windows_of(Network())] == list(WINDOWS_PX)
+    assert [(each.width_px, each.height_px, each.count) for each in windows_of(Network())] == list(_WINDOWS_PX)
     for network in (Network((640, 640)), Network((384, 640)), Network((640, 640), ImagePlacement.STRETCHED)):
         windows = windows_of(network)
         assert not any(window.is_cut for window in windows)

@@ -41,7 +41,7 @@ def one_thread():
 
 def _labelled_images(rng, count=4):
     """Grey images with one coloured rectangle of each of two classes."""
-    labels = data.Labels.empty(count)
+    labels = data.empty_labels(count)
     images_rgb = np.full((count, SIDE_PX, SIDE_PX, 3), 90, np.uint8)
     for image in range(count):
         for k, channel in enumerate((0, 2)):
@@ -188,7 +188,7 @@ class _Told:
 
 
 def test_a_detector_is_judged_by_road_user():
-    labels = data.Labels.empty(2)
+    labels = data.empty_labels(2)
     # A car that is found as a van, a bus that is missed, a pedestrian that is found, and one that need not be.
     labels.box_px[0, :4] = [[4, 4, 34, 24], [36, 4, 60, 40], [4, 30, 12, 54], [20, 30, 28, 54]]
     labels.class_index[0, :4] = [CLASS_NAMES.index(name) for name in ("car", "bus", "pedestrian", "pedestrian")]

@@ -11,10 +11,11 @@ from tests.experiments.small_experiment import config
 from warpav.core.errors import InputError
 from warpav.experiments import _arms as module
 from warpav.experiments._arms import METHODS, Arm, _common_arms, find_arm, find_rig_of
-from warpav.optimisation.budget import BudgetedValue, SingleCameraValues
+from warpav.optimisation.budget import BudgetedValue
 from warpav.optimisation.objective import RigObjective
 from warpav.optimisation.settings import LOSSES
 from warpav.optimisation.single_cameras import SingleCameras
+from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import write_rig
 from warpav.runs.config import load_config, option_values
 from warpav.runs.placement import Placement
@@ -155,14 +156,13 @@ def test_mixing_the_cameras_of_rigs_is_never_worse(missing, name):
 
 
 def test_values_of_single_cameras_are_those_of_the_objective(missing, rng):
-    space = module._space(missing, free_yaw=True)
+    space = SearchSpace.over(missing.objective.mount, 2, constraints=missing.objective.constraints)
     rigs = np.array([space.feasible(space.random(rng)) for _ in range(5)])
     value = BudgetedValue.of(missing.objective, missing.train, space, camera_renders_max=20)
     found = value.of_rigs(rigs)
     expected = [missing.objective.evaluate(pose, missing.train).objective for pose in rigs]
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-6)
     assert len(set(expected)) > 1
-    assert isinstance(module._single_values(missing), SingleCameraValues)
     double = missing.with_config(load_config(missing.config, ["losses.expected_miss_rate=2"]))
     again = BudgetedValue.of(double.objective, double.train, space, camera_renders_max=20).of_rigs(rigs)
     np.testing.assert_allclose(again, 2.0 * found, rtol=1e-6)

@@ -89,8 +89,8 @@ def test_too_few_objects_are_refused(capsys, monkeypatch):
 @pytest.fixture
 def small_fit(monkeypatch):
     monkeypatch.setattr(detector_samples, "VIEWS_PER_SCENE", 6)
-    monkeypatch.setattr("warpav.detection.probability_fit.MIN_OBJECTS", 30)
-    monkeypatch.setattr("warpav.detection.probability_fit.MIN_OF_EACH", 2)
+    monkeypatch.setattr("warpav.detection.probability_fit._MIN_OBJECTS", 30)
+    monkeypatch.setattr("warpav.detection.probability_fit._MIN_OF_EACH", 2)
     # small images, so that some objects are missed
     return ["--scenes", "1..3", "--held-out", "[4, 5, 6]", "camera.width_px=96", "camera.height_px=96"]
 
@@ -148,7 +148,7 @@ def sampled(monkeypatch):
         return DetectionSamples(feature, is_detected, np.full(40, seed))
 
     monkeypatch.setattr(detector_samples._Sampling, "samples", samples)
-    monkeypatch.setattr("warpav.detection.probability_fit.MIN_OBJECTS", 30)
+    monkeypatch.setattr("warpav.detection.probability_fit._MIN_OBJECTS", 30)
     return seeds
 
 

@@ -14,7 +14,7 @@ from warpav.optimisation.mount_errors import MountErrors
 from warpav.optimisation.objective import single_cameras_of
 from warpav.optimisation.single_cameras import MisplacedCameras
 from warpav.runs.config import Config, dump_config, load_config
-from warpav.runs.report.statements import robust_text
+from warpav.runs.report.statements import _robust_text
 from warpav.runs.rig_evaluation import Robust
 
 MEAN = ["robust.camera_loss=mean", "robust.weight=0.3"]
@@ -100,7 +100,7 @@ def test_a_result_says_what_its_objective_is_made_of(tmp_path):
     folder = result.save(tmp_path / "run", test=list(wa.town([5])))
     evaluation = wa.read_run(folder).evaluation()
     assert evaluation["robust"] == result.robust
-    text = robust_text(Robust(**evaluation["robust"]))
+    text = _robust_text(Robust(**evaluation["robust"]))
     assert text.startswith("the objective is 0.6 x expected misses + 0.4 x those without")
     report = (folder / "report.html").read_text()
     assert text.replace("->", "-&gt;") in report
@@ -132,7 +132,7 @@ def test_a_result_says_what_errors_cost(tmp_path, others):
     assert evaluation["robust"] == result.robust
     assert evaluation["mount_tolerance"]["position_m"] == 0.05
     assert evaluation["mount_tolerance"]["angle_rad"] == pytest.approx(errors.angle_rad)
-    report, text = (folder / "report.html").read_text(), robust_text(Robust(**evaluation["robust"]))
+    report, text = (folder / "report.html").read_text(), _robust_text(Robust(**evaluation["robust"]))
     assert "in the mean over errors of mounting of +-5 cm and +-3 deg" in text
     assert text.replace("->", "-&gt;") in report
     assert ("counts the errors of mounting of +-5 cm and +-3 deg" in report) == (not others)

@@ -114,15 +114,15 @@ def test_a_line_cut_off_by_a_crash_is_left_out(folder):
     ("line", "message"),
     [
         (b"\x00\xff\xfe\n{}\n", r"events\.jsonl:2: expected one JSON object per line, got '\\x00"),
-        (b"[1, 2]\n", r"events\.jsonl:2: expected one JSON object per line, got '\[1, 2\]'"),
-        (b'{"a": 1, "b": 2}\n', r"events\.jsonl:2: expected an iteration of a run with iteration, got a, b"),
+        (b"[1, 2]\n", r"events\.jsonl:2: expected an object, got \[1, 2\]"),
+        (b'{"a": 1, "b": 2}\n', r"events\.jsonl:2: iteration: expected a value, got nothing; add iteration"),
         (
             b'{"iteration": 1, "loss": 1, "positions_m": [[1, 2, 3]], "yaw_deg": [0]}\n',
             r"events\.jsonl:2: positions_m: expected 2 cameras as in the lines before, got 1",
         ),
         (
             b'{"iteration": 1, "loss": 1, "positions_m": [[1, 2, null], [1, 2, 3]], "yaw_deg": [0, 0]}\n',
-            r"events\.jsonl:2: positions_m.0.2: expected a valid number",
+            r"events\.jsonl:2: positions_m\[0\]\[2\]: expected a number",
         ),
         (
             b'{"iteration": 1, "loss": 1, "positions_m": [[1, 2, 3], [1, 2, 3]], "yaw_deg": [0]}\n',
@@ -131,12 +131,12 @@ def test_a_line_cut_off_by_a_crash_is_left_out(folder):
         *(
             (json.dumps({**dataclasses.asdict(Record(1, 1.0, {}, [[1, 2, 3]] * 2, [0, 0])), **part}).encode(), message)
             for part, message in [
-                ({"loss": "a"}, r"events\.jsonl:2: loss: expected a valid number.*, got 'a'"),
-                ({"training_objective": []}, r"training_objective: expected a valid number"),
-                ({"terms": {"missed": "a"}}, r"terms\.missed: expected a valid number.*, got 'a'"),
-                ({"multipliers": [1]}, r"multipliers: expected a valid dictionary, got .\[1\]"),
-                ({"gradient": 5}, "gradient: expected a valid dictionary, got .5"),
-                ({"gradient": {"a": 1}}, r"gradient\.a: expected a valid list, got .1"),
+                ({"loss": "a"}, r"events\.jsonl:2: loss: expected a number, got 'a'"),
+                ({"training_objective": []}, r"training_objective: expected a number"),
+                ({"terms": {"missed": "a"}}, r"terms\.missed: expected a number, got 'a'"),
+                ({"multipliers": [1]}, r"multipliers: expected an object, got \[1\]"),
+                ({"gradient": 5}, "gradient: expected an object, got 5"),
+                ({"gradient": {"a": 1}}, r"gradient\.a.*: expected a list, got 1"),
                 (
                     {"gradient": {"position_per_m": [[0, 1]] * 2, "yaw_per_rad": [0]}},
                     r"gradient\.yaw_per_rad: expected a number for each of 2 cameras, got \[0",

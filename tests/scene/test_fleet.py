@@ -13,7 +13,7 @@ from warpav.scene.cache import built_scenes, scene_file
 from warpav.scene.fleet import CATEGORIES, _bodies, fleet_of
 from warpav.scene.own_vehicle import write_vehicle
 from warpav.scene.stored_scene import SceneRecipe
-from warpav.scene.town._paint import PAINT_COLOURS
+from warpav.scene.town._paint import _PAINT_COLOURS
 from warpav.scene.town.levels import TownSource, level_scene
 from warpav.scene.town.vehicle_shapes import VARIANT_COUNT, body_size_m, vehicle_mesh
 from warpav.scene.traffic.moments import Moment
@@ -111,7 +111,7 @@ def test_as_many_are_exchanged_as_the_share_says(fleet, pairs):
 def test_paint_is_drawn_and_glass_tyres_and_lamps_keep_their_colours(fleet):
     for body in _bodies(fleet.paths):
         look = body.looks[0]
-        meshes = [body.mesh(body.size_m, PAINT_COLOURS[k], coarse=False) for k in (0, 9)]
+        meshes = [body.mesh(body.size_m, _PAINT_COLOURS[k], coarse=False) for k in (0, 9)]
         differs = (meshes[0].vertex_rgb != meshes[1].vertex_rgb).any(axis=1)
         np.testing.assert_array_equal(differs, look.paint > 0.0)
         assert 0.2 < differs.mean() < 0.7

@@ -7,19 +7,15 @@ import pytest
 
 from tests.view.stand_ins import ego, near, pixels, rig
 from warpav.core.errors import InputError
+from warpav.detection.detector import Detections
+from warpav.evaluation.metrics import CameraObservation
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import Rig
-from warpav.view.figures.convergence import (
-    convergence_panels,
-    loss_figure,
-    running_mean,
-    search_figure,
-    search_panel,
-)
+from warpav.view.figures.convergence import _running_mean, loss_figure, search_figure
 from warpav.view.figures.from_above import further_figure, top_view_figure
-from warpav.view.figures.images import DetectionPanel, detections_sheet
-from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH, figure_style, new_figure, save_figure
+from warpav.view.figures.images import detections_sheet
+from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH, save_figure
 from warpav.view.palette import (
     FALSE_POSITIVE_RGB,
     FURTHER_RGB,
@@ -87,14 +83,16 @@ def test_loss_curves_need_records():
 
 
 def test_panels_that_say_nothing_are_left_out():
+    def titles(run):
+        return [axis.get_title(loc="left") for axis in loss_figure(run).axes if axis.axison]
+
     run = records(3)
-    assert list(convergence_panels(run)) == ["loss", "loss terms", "multipliers", "camera distance"]
+    assert titles(run) == ["Loss", "Loss terms", "Multipliers", "Smallest distance between cameras [m]"]
     for record in run:
         record["terms"], record["multipliers"] = {"misses": 1.0, "oob": -0.1}, {"oob": 0.0}
-    assert list(convergence_panels(run)) == ["loss", "camera distance"]
-    assert len([axis for axis in loss_figure(run).axes if axis.axison]) == 2
+    assert titles(run) == ["Loss", "Smallest distance between cameras [m]"]
     one = {"iteration": 0, "loss": 1.0, "terms": {}, "multipliers": {}, "positions_m": [[0.0, 0.0, 1.5]]}
-    assert list(convergence_panels([one])) == ["loss"]
+    assert titles([one]) == ["Loss"]
 
 
 def search_records():
@@ -112,17 +110,8 @@ def search_records():
     return [dict(zip(names, row, strict=True)) for row in rows]
 
 
-def drawn_search(records):
-    """Axis with what `search_panel` draws."""
-    with figure_style():
-        figure = new_figure(WIDTH_INCH, 4.0)
-        axis = figure.subplots()
-        search_panel(records)(axis)
-    return axis
-
-
 def test_a_search_is_drawn_over_what_it_has_spent(tmp_path):
-    axis = drawn_search(search_records())
+    axis = search_figure(search_records()).axes[0]
     lines = {line.get_label(): line.get_xydata() for line in axis.get_lines()}
     np.testing.assert_allclose(lines["best rig so far"][:4], [[40, 0.30], [400, 0.10], [600, 0.09], [700, 0.08]])
     np.testing.assert_allclose(lines["bound of the pool"][:2], [[400, 0.098], [1000, 0.079]])
@@ -146,7 +135,7 @@ def test_a_search_is_drawn_over_what_it_has_spent(tmp_path):
 def test_a_start_that_is_near_is_a_mark():
     records = search_records()
     records[0]["training_objective"] = 0.101
-    axis = drawn_search(records)
+    axis = search_figure(records).axes[0]
     assert "start" in {line.get_label() for line in axis.get_lines()}
     assert not axis.texts
     assert axis.get_ylabel() == "objective"  # it may hold requirements, or the loss of a camera
@@ -154,8 +143,8 @@ def test_a_start_that_is_near_is_a_mark():
 
 def test_a_descent_has_no_curve_of_a_search(tmp_path):
     assert search_figure(records()) is None
-    assert search_panel([]) is None
-    assert search_panel(search_records()[:1]) is None  # stopped before the first selection
+    assert search_figure([]) is None
+    assert search_figure(search_records()[:1]) is None  # stopped before the first selection
     assert list(tmp_path.iterdir()) == []
 
 
@@ -222,14 +211,10 @@ def test_top_view_shows_the_zone_on_request(tmp_path):
 
 def test_detections_have_their_colours_and_sizes(tmp_path):
     none = np.full(4, np.nan)
-    panel = DetectionPanel(
-        title="front",
-        image_rgb=np.full((200, 200, 3), 90, np.uint8),
-        truth_box_px=np.array([[10, 20, 90, 60], none, [120, 100, 180, 160]], float),
-        detection_box_px=np.array([[10, 120, 50, 180], [10, 20, 90, 60]], float),
-        detection_of_truth=np.array([1, -1, -1]),
-    )
-    image = pixels(detections_sheet({"start": [panel]}, tmp_path / "found.png"))
+    found = Detections(np.array([[10, 120, 50, 180], [10, 20, 90, 60]], float), np.ones(2), np.zeros(2, int), ("car",))
+    truth = np.array([[10, 20, 90, 60], none, [120, 100, 180, 160]], float)
+    seen = CameraObservation(np.full((200, 200, 3), 90, np.uint8), truth, found, np.array([1, -1, -1]))
+    image = pixels(detections_sheet({"start": {"front": seen}}, tmp_path / "found.png"))
     grey = np.abs(image - 90.0).max(axis=-1) < 2.0
     rows, columns = np.nonzero(grey.mean(axis=1) > 0.3)[0], np.nonzero(grey.mean(axis=0) > 0.3)[0]
     scale = np.ptp(columns) / 200.0
@@ -245,20 +230,21 @@ def test_detections_have_their_colours_and_sizes(tmp_path):
 
 
 def test_rows_of_a_detection_sheet_may_differ_in_length(tmp_path):
-    panel = DetectionPanel("a", np.zeros((8, 8, 3), np.uint8), np.zeros((0, 4)), np.zeros((0, 4)), np.zeros(0))
-    assert detections_sheet({"start": [], "end": [panel, panel]}, tmp_path / "found.png").is_file()
-    with pytest.raises(InputError, match="no image"):
-        detections_sheet({"start": []}, tmp_path / "none.png")
+    none = np.zeros((0, 4))
+    seen = CameraObservation(
+        np.zeros((8, 8, 3), np.uint8), none, Detections(none, np.zeros(0), np.zeros(0, int), ()), np.zeros(0, int)
+    )
+    assert detections_sheet({"start": {}, "end": {"a": seen, "b": seen}}, tmp_path / "found.png").is_file()
 
 
 def test_running_mean_is_the_mean_of_what_is_there():
     value = np.array([1.0, np.nan, 3.0, 8.0, 2.0])
     expected = [np.nanmean(value[max(0, i - 1) : i + 2]) for i in range(5)]
-    np.testing.assert_allclose(running_mean(value, window=3), expected)
-    assert np.isnan(running_mean(np.full(3, np.nan))).all()
+    np.testing.assert_allclose(_running_mean(value, window=3), expected)
+    assert np.isnan(_running_mean(np.full(3, np.nan))).all()
 
 
 def test_figure_that_cannot_be_written_says_so(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written"):
+    with pytest.raises(InputError, match="expected a place to write to"):
         save_figure(loss_figure(records(3)), tmp_path / "file" / "loss.png")

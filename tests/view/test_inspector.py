@@ -21,7 +21,7 @@ from warpav.thesis.constraints import BoundsAndSpacing
 from warpav.view import Canvas
 from warpav.view.inspected import InspectedRig
 from warpav.view.inspector import Inspector
-from warpav.view.layers import ARROW_M, GAIN_TITLE, Steepest
+from warpav.view.layers import _ARROW_M, _GAIN_TITLE, Steepest
 from warpav.view.opengl import opengl_problem
 from warpav.view.palette import COVERAGE_RGB, FALSE_POSITIVE_RGB, MISS_RGB, camera_rgb
 from warpav.view.picture import project_px
@@ -396,12 +396,12 @@ def test_one_more_camera_is_shown_at_the_rig_that_it_would_join(state, inspector
     assert set(np.unique(mesh.point_data["gain_of_100"]).round(6)) == {0.5, 1.0, 2.0}
     # the best of a place is an arrow that begins at its camera and points where that looks, the others are dots
     best = mesh.points[mesh.point_data["gain_of_100"] > 1.5]
-    np.testing.assert_allclose([best[:, 1].min(), best[:, 1].max()], [0.1, 0.1 + ARROW_M], atol=1e-6)
+    np.testing.assert_allclose([best[:, 1].min(), best[:, 1].max()], [0.1, 0.1 + _ARROW_M], atol=1e-6)
     dot = mesh.points[np.isclose(mesh.point_data["gain_of_100"], 1.0)]
     np.testing.assert_allclose(dot.mean(axis=0), FURTHER.position_m[1], atol=1e-3)
     assert np.abs(picture(opened) - before).max() > 50
     scale = list(opened.plotter.scalar_bars.keys())
-    assert scale == [GAIN_TITLE]
+    assert scale == [_GAIN_TITLE]
     opened.go_to(0)  # another rig
     assert "further_cameras" not in opened.plotter.actors
     assert not list(opened.plotter.scalar_bars.keys())

@@ -23,13 +23,13 @@ from warpav.sight.ground import Ground
 from warpav.sight.requirement import SIZES_M, Band, Requirement, TestObject
 from warpav.view import layers, plot
 from warpav.view.layers import (
-    GAIN_TITLE,
-    LONGEST_M,
+    _GAIN_TITLE,
+    _LONGEST_M,
+    _WIDEST_RAD,
     WHOLE,
-    WIDEST_RAD,
     Steepest,
+    _zone_names,
     gain_to_pyvista,
-    zone_names,
     zones_to_pyvista,
 )
 from warpav.view.opengl import load_pyvista
@@ -185,7 +185,7 @@ def test_squares_of_a_zone_lie_on_its_side_of_the_box():
     chart = chart_of([ROOF, LEFT, RIGHT], BOX, cell_m=0.05)
     painted = zones_to_pyvista(chart)
     zone = painted.cell_data["zone"]
-    assert zone_names(chart) == ["roof", "left", "right"]
+    assert _zone_names(chart) == ["roof", "left", "right"]
     for number, (axis, place_m) in enumerate(((2, 1.4), (1, 0.8), (1, -0.8))):
         corners = painted.points.reshape(-1, 4, 3)[zone == number]
         assert len(corners) > 100
@@ -288,7 +288,7 @@ def test_a_zone_has_its_colour_and_its_name(plotter):
         assert np.abs(image[row, column].astype(int) - zone_rgb(number)).max() <= 2
     layers.add_zones(plotter, None)
     assert not [name for name in plotter.actors if name.startswith("zones")]
-    assert zone_names(flat_surface([0.0, 0.0], [1.0, 1.0])) == [WHOLE]
+    assert _zone_names(flat_surface([0.0, 0.0], [1.0, 1.0])) == [WHOLE]
 
 
 @needs_opengl
@@ -298,7 +298,7 @@ def test_what_nobody_asked_for_is_not_painted(plotter):
     drawn = plotter.actors["gain"].mapper.dataset
     assert drawn.n_cells == pytest.approx(np.pi * PLACE_M**2 / 0.05**2, rel=0.1)
     np.testing.assert_allclose(drawn.cell_data["gain_of_100"], 3.0)
-    assert list(plotter.scalar_bars.keys()) == [GAIN_TITLE]
+    assert list(plotter.scalar_bars.keys()) == [_GAIN_TITLE]
     layers.add_gain(plotter, chart, None)
     assert "gain" not in plotter.actors
     assert not list(plotter.scalar_bars.keys())
@@ -336,19 +336,19 @@ def slope(rise):
 def test_arrows_point_down_the_gradient_along_the_surface():
     descent = Steepest.of_event(EVENT)
     np.testing.assert_allclose(
-        layers.arrows_m(rig(2), descent, FLAT), [[0, LONGEST_M, 0], [-LONGEST_M / 2, 0, 0]], atol=1e-6
+        layers._arrows_m(rig(2), descent, FLAT), [[0, _LONGEST_M, 0], [-_LONGEST_M / 2, 0, 0]], atol=1e-6
     )
     # on a slope of 30 degrees the second one, which goes down it, keeps its length
     rise = math.tan(math.radians(30.0))
-    down = layers.arrows_m(rig(2), descent, slope(rise))[1]
-    np.testing.assert_allclose(down, -LONGEST_M / 2 * np.array([math.cos(math.pi / 6), 0, 0.5]), atol=1e-4)
+    down = layers._arrows_m(rig(2), descent, slope(rise))[1]
+    np.testing.assert_allclose(down, -_LONGEST_M / 2 * np.array([math.cos(math.pi / 6), 0, 0.5]), atol=1e-4)
 
 
 def test_a_run_that_recorded_no_gradient_has_no_arrows():
     assert Steepest.of_event({"iteration": 0}) is None
     assert Steepest.of_event({"iteration": 0, "gradient": {}}) is None
     still = Steepest(np.zeros((2, 2)), np.zeros(2))
-    assert not layers.arrows_m(rig(2), still, FLAT).any()
+    assert not layers._arrows_m(rig(2), still, FLAT).any()
 
 
 @needs_opengl
@@ -361,12 +361,12 @@ def test_bent_arrows_turn_the_way_of_the_descent(draw):
     first = plotter.actors["descent/cam_0/turn"].mapper.dataset.points - rig(2).cameras[0].position_m
     bearing = np.arctan2(first[:, 1], first[:, 0])
     assert bearing.min() > -0.1
-    assert WIDEST_RAD < bearing.max() < WIDEST_RAD + 0.6
+    assert _WIDEST_RAD < bearing.max() < _WIDEST_RAD + 0.6
     # camera 1 looks back and turns to the right by half of it
     second = plotter.actors["descent/cam_1/turn"].mapper.dataset.points - rig(2).cameras[1].position_m
     turned = np.angle(np.exp(1j * (np.arctan2(second[:, 1], second[:, 0]) - math.pi)))
     assert turned.max() < 0.1
-    assert -WIDEST_RAD / 2 - 0.6 < turned.min() < -WIDEST_RAD / 2
+    assert -_WIDEST_RAD / 2 - 0.6 < turned.min() < -_WIDEST_RAD / 2
     layers.add_descent(plotter, rig(2), None, FLAT)
     assert not names & set(plotter.actors)
     with pytest.raises(ValueError, match="each of 3 cameras, got 2"):

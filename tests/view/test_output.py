@@ -76,7 +76,7 @@ def test_an_html_page_asks_nothing_of_the_network(tmp_path):
 @needs_opengl
 def test_place_that_cannot_be_written_is_refused(plotter, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written"):
+    with pytest.raises(InputError, match="expected a place to write to"):
         output.save_image(plotter, tmp_path / "file" / "rig.png")
 
 

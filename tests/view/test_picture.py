@@ -71,7 +71,7 @@ def test_near_traffic_and_road_are_drawn_and_walls_are_not(draw):
 
 def test_viewer_stands_where_no_vehicle_hides_the_ego():
     for users, side in (((), 1), ((vehicle(1, 6.0, 3.4),), -1), ((vehicle(1, 6.0, -3.4),), 1)):
-        assert picture.clear_azimuth_rad(scene(*users)) == side * picture.VIEW_AZIMUTH_RAD
+        assert picture._clear_azimuth_rad(scene(*users)) == side * picture.VIEW_AZIMUTH_RAD
 
 
 def test_drawing_again_replaces_the_actors(draw):
@@ -86,7 +86,7 @@ def test_drawing_again_replaces_the_actors(draw):
 def test_labels_that_want_one_place_do_not_overlap(draw, count):
     plotter = draw(rig=rig(1), ego=ego())
     wanted, size = np.tile([1.3, 0.0, 3.0], (count, 1)), np.tile([70.0, 20.0], (count, 1))
-    lower_left = picture.project_px(plotter, picture.label_anchors_m(plotter, wanted, size))
+    lower_left = picture.project_px(plotter, picture._label_anchors_m(plotter, wanted, size))
     apart = np.abs(lower_left[:, None] - lower_left[None])
     assert not ((apart < size - 1.5).all(axis=-1) & ~np.eye(count, dtype=bool)).any()
     assert (lower_left > -1.0).all()

@@ -13,12 +13,12 @@ from warpav.rig.rig import Rig, RigCamera
 from warpav.view import plot
 from warpav.view._outlines import seen_ground_m
 from warpav.view.figures.rig_sheet import (
-    _near_each_other,
-    field_of_view_rad,
-    horizontal_arcs_rad,
+    _field_of_view_rad,
+    _horizontal_arcs_rad,
+    _vertical_arcs_rad,
     rig_sheet,
-    vertical_arcs_rad,
 )
+from warpav.view.palette import camera_rgb, hex_colour
 
 EXACT_RAD = 1e-7  # worst seen 3e-9: a quarter of a degree halved thirty times, and float64
 
@@ -50,20 +50,20 @@ def arc_deg(arcs):
 @pytest.mark.parametrize("yaw_deg", [0.0, 55.0, 180.0, -91.0])
 def test_a_level_pinhole_spans_its_field_of_view(yaw_deg):
     one = camera(CameraModel(400, 200, math.radians(80.0)), yaw_deg)
-    first, last = arc_deg(horizontal_arcs_rad(one))
+    first, last = arc_deg(_horizontal_arcs_rad(one))
     assert last - first == pytest.approx(80.0, abs=math.degrees(EXACT_RAD))
     assert math.remainder(0.5 * (first + last) - yaw_deg, 360.0) == pytest.approx(0.0, abs=1e-6)
     half_deg = math.degrees(math.atan(0.5 * math.tan(math.radians(40.0))))
-    assert arc_deg(vertical_arcs_rad(one)) == pytest.approx([-half_deg, half_deg], abs=1e-6)
+    assert arc_deg(_vertical_arcs_rad(one)) == pytest.approx([-half_deg, half_deg], abs=1e-6)
 
 
 def test_a_fisheye_sees_behind_itself_and_a_panorama_all_round():
     wide = camera(CameraModel(400, 400, math.radians(190.0), lens="fisheye"), 90.0)
-    assert arc_deg(horizontal_arcs_rad(wide)) == pytest.approx([-5.0, 185.0], abs=1e-5)
-    assert arc_deg(vertical_arcs_rad(wide)) == pytest.approx([-95.0, 95.0], abs=1e-5)
+    assert arc_deg(_horizontal_arcs_rad(wide)) == pytest.approx([-5.0, 185.0], abs=1e-5)
+    assert arc_deg(_vertical_arcs_rad(wide)) == pytest.approx([-95.0, 95.0], abs=1e-5)
     all_round = camera(CameraModel(720, 180, 2.0 * math.pi, lens="panorama"), 30.0)
-    assert horizontal_arcs_rad(all_round) == [(-math.pi, math.pi)]
-    ahead, behind = np.degrees(vertical_arcs_rad(all_round))
+    assert _horizontal_arcs_rad(all_round) == [(-math.pi, math.pi)]
+    ahead, behind = np.degrees(_vertical_arcs_rad(all_round))
     assert [behind[1] - behind[0], ahead[1] - ahead[0]] == pytest.approx([ahead[1] - ahead[0]] * 2)
 
 
@@ -81,15 +81,15 @@ def test_pitched_and_rolled_fans_end_where_the_border_crosses_the_horizon(lens, 
     share = (up[crossing] / (up[crossing] - up[following]))[:, None]
     at = (1.0 - share) * ray[crossing] + share * ray[following]
     expected_deg = sorted(np.degrees(np.arctan2(at[:, 1], at[:, 0])))
-    level_deg = arc_deg(horizontal_arcs_rad(camera(model, 70.0)))
-    found_deg = arc_deg(horizontal_arcs_rad(one))
+    level_deg = arc_deg(_horizontal_arcs_rad(camera(model, 70.0)))
+    found_deg = arc_deg(_horizontal_arcs_rad(one))
     assert found_deg == pytest.approx(expected_deg, abs=1e-3)  # worst seen 2e-5: between samples of the border
     assert np.abs(found_deg - level_deg).max() > 1.0  # the fan of a level camera would be wrong
 
 
 def test_a_camera_that_looks_down_has_the_ground_of_its_border():
     one = camera(CameraModel(320, 240, math.radians(60.0)), 40.0, 62.0, 10.0, (1.0, 0.5, 2.0))
-    assert horizontal_arcs_rad(one) == []
+    assert _horizontal_arcs_rad(one) == []
     ray = border_rays(one)
     foot_m = one.position_m[:2] - ray[:, :2] * (one.position_m[2] / ray[:, 2:])
     [outline_m] = seen_ground_m(one, reach_m=100.0, step_rad=math.radians(0.1))
@@ -105,7 +105,7 @@ def test_a_camera_that_looks_down_has_the_ground_of_its_border():
 
 
 def test_straight_down_the_plane_is_that_of_the_upper_edge():
-    arcs = vertical_arcs_rad(camera(CameraModel(200, 200, math.radians(80.0)), pitch_deg=90.0))
+    arcs = _vertical_arcs_rad(camera(CameraModel(200, 200, math.radians(80.0)), pitch_deg=90.0))
     assert arc_deg(arcs) == pytest.approx([-130.0, -50.0], abs=1e-5)
 
 
@@ -124,7 +124,7 @@ def test_the_page_is_in_the_scale_that_it_states():
 @pytest.mark.parametrize("turn_deg", [(0.0, 0.0, 0.0), (97.0, 30.0, 0.0), (10.0, -80.0, 25.0)])
 def test_the_table_has_the_field_of_the_lens_however_it_is_turned(turn_deg):
     wide = camera(CameraModel(640, 480, math.radians(190.0), lens="fisheye"), *turn_deg)
-    assert np.degrees(field_of_view_rad(wide)) == pytest.approx([190.0, 142.5], abs=1e-5)
+    assert np.degrees(_field_of_view_rad(wide)) == pytest.approx([190.0, 142.5], abs=1e-5)
     words = [text.get_text() for text in rig_sheet(Rig([wide]), ego=ego()).texts]
     assert {"190° fisheye", "640 x 480"} <= set(words)
     assert any(word.startswith("190 x 14") for word in words)
@@ -145,15 +145,13 @@ def test_what_the_view_from_the_side_leaves_out_is_said():
 
 
 def test_cameras_at_one_place_have_their_numbers_beside_it():
-    place_m = np.array([[0.0, 3.0], [8.0, 3.0], [0.05, 3.0], [7.0, 3.0], [0.1, 3.0]])
-    assert _near_each_other(place_m, 0.06) == [[0, 2, 4], [1], [3]]
     model = CameraModel(fov_rad=math.radians(60.0))
     pair = Rig(
         RigCamera(f"c{k}", np.array([1.0, side, 1.5]), side, 0.0, 0.0, model) for k, side in enumerate((-0.8, 0.8))
     )
     above, side = rig_sheet(pair, ego=ego()).axes
-    assert "1, 2" in [text.get_text() for text in side.texts]
-    assert {"1", "2"} <= {text.get_text() for text in above.texts}
+    for axis, colours in ((above, ["white", "white"]), (side, [hex_colour(camera_rgb(k)) for k in range(2)])):
+        assert [text.get_color() for text in axis.texts if text.get_text() in ("1", "2")] == colours
 
 
 def test_many_cameras_make_the_page_longer():

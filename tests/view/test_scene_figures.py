@@ -368,7 +368,7 @@ def test_wrong_words_are_told_in_one_line(tmp_path, monkeypatch, capsys, words, 
 @pytest.mark.parametrize("number", [14, 15, 16])
 def test_a_contact_sheet_by_its_number_frames_every_image_by_its_reason(tmp_path, monkeypatch, capsys, number):
     town = capture()
-    monkeypatch.setattr(scene_figures, "_recorded_town", lambda seed: town if seed == 3 else None)
+    monkeypatch.setattr(scene_figures, "record", lambda simulator, seed, settings: town if seed == 3 else None)
     out = tmp_path / "new" / "figure.png"
     assert main(["scenes", "figure", str(number), "--out", str(out), "--seed", "3"]) == 0
     assert capsys.readouterr().out == f"wrote {out}\n"

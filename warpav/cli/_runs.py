@@ -284,12 +284,12 @@ def plot(
     config: RigConfig = None,
 ) -> None:
     """Draw a plot of a rig or a run to scale, for an engineer who fits it to a vehicle."""
-    from warpav.runs.inspect import AskedPlots
+    from warpav.runs.inspect import asked_plots, draw_plots
     from warpav.runs.progress import RunDisplay
 
-    asked = AskedPlots.of(rig_or_run, kind=kind, out=out, beside=beside or ())
+    asked = asked_plots(rig_or_run, kind=kind, out=out, beside=beside or ())
     with of_rig(rig_or_run, config, overrides) as settings, RunDisplay() as display:
-        files, left_out = asked.draw(settings, progress=display)
+        files, left_out = draw_plots(rig_or_run, asked, settings, beside=beside or (), progress=display)
     for file in files:
         say(f"wrote {file}")
     for name, reason in left_out.items():

@@ -29,6 +29,7 @@ _EXPECTED = {
     "list_type": "a list",
     "dict_type": "an object",
     "float_type": "a number",
+    "float_parsing": "a number",
     "finite_number": "a finite number",
     "int_type": "a whole number",
     "string_type": "text",

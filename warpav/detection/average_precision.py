@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warpav.detection.matching import covered_fraction, iou_matrix
+from warpav.detection.matching import iou_matrix
 
 COCO_IOU = tuple(float(value) for value in np.linspace(0.5, 0.95, 10))
 """The thresholds of AP@[.5:.95]."""
@@ -34,9 +34,6 @@ class ImageBoxes:
     confidence: np.ndarray  # in any order, [detection]
     # Objects that need not be found (too small, say), bool [object]; None: none
     truth_ignored: np.ndarray | None = None
-    # Objects that are regions full of things that nobody labelled; they are ignored too, match any number of
-    # detections, and their IoU is the share of the detection that lies in them. Bool [object]; None: none
-    truth_is_crowd: np.ndarray | None = None
     # Detections that count only if they find an object, bool [detection]; None: none, but for those outside the size
     # range that is being scored
     detection_ignored_unless_matched: np.ndarray | None = None
@@ -155,7 +152,6 @@ class _Image:
     waived: np.ndarray  # counts only if it finds an object, bool [detection]
     truth_px2: np.ndarray  # [object]
     truth_ignored: np.ndarray  # bool [object]
-    truth_is_crowd: np.ndarray  # bool [object]
     iou: np.ndarray  # [detection, object]
 
     @classmethod
@@ -165,23 +161,15 @@ class _Image:
         box_px = np.asarray(image.detection_box_px, np.float64).reshape(-1, 4)[order]
         truth_px = np.asarray(image.truth_box_px, np.float64).reshape(-1, 4)
         exists = np.asarray(np.isfinite(truth_px).all(axis=1))
-        ignored, is_crowd = (
-            np.zeros(exists.sum(), bool) if flags is None else np.asarray(flags, bool)[exists]
-            for flags in (image.truth_ignored, image.truth_is_crowd)
-        )
-        waived = image.detection_ignored_unless_matched
+        ignored, waived = image.truth_ignored, image.detection_ignored_unless_matched
         truth_px = truth_px[exists]
-        iou = iou_matrix(box_px, truth_px)
-        if is_crowd.any():
-            iou[:, is_crowd] = covered_fraction(box_px, truth_px[is_crowd])
         return cls(
             confidence[order],
             np.prod(box_px[:, 2:] - box_px[:, :2], axis=1),
             np.zeros(len(order), bool) if waived is None else np.asarray(waived, bool)[order],
             np.prod(truth_px[:, 2:] - truth_px[:, :2], axis=1),
-            ignored | is_crowd,
-            is_crowd,
-            iou,
+            np.zeros(len(truth_px), bool) if ignored is None else np.asarray(ignored, bool)[exists],
+            iou_matrix(box_px, truth_px),
         )
 
 
@@ -196,11 +184,11 @@ def _match(
 
     # objects padded to one number, the last index for none
     width = max(1, *(len(each.truth_px2) for each in images))
-    exists, is_crowd = np.zeros((len(images), width), bool), np.zeros((len(images), width), bool)
+    exists = np.zeros((len(images), width), bool)
     counted = np.zeros((len(low_px2), len(images), width), bool)
     for k, each in enumerate(images):
         index = slice(len(each.truth_px2))
-        exists[k, index], is_crowd[k, index] = True, each.truth_is_crowd
+        exists[k, index] = True
         counted[:, k, index] = ~each.truth_ignored & (each.truth_px2 >= low_px2) & (each.truth_px2 <= high_px2)
 
     # only detections that reach some object can match; the others change nothing for the rest
@@ -225,5 +213,5 @@ def _match(
         # one that takes an ignored object is ignored whatever its size, one that hits counts whatever its size
         ignored[:, :, detection] = np.where(is_taken, ~is_hit, ignored[:, :, detection])
         a, b, row = np.nonzero(is_taken)
-        free[a, b, turn[row], taken[a, b, row]] &= is_crowd[turn[row], taken[a, b, row]]
+        free[a, b, turn[row], taken[a, b, row]] = False
     return hit, ignored, counted.sum(axis=2)

@@ -8,7 +8,7 @@ itself, with the same focal length and another principal point.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -21,7 +21,7 @@ from warpav.rig.rig import RigCamera
 RECIPE = 1
 """Number of this mixture: who changes what is drawn raises it, and all fits for any camera are fitted again."""
 
-WINDOWS_PX = ((256, 256, 24), (512, 384, 8), (960, 544, 5), (1600, 896, 1))
+_WINDOWS_PX = ((256, 256, 24), (512, 384, 8), (960, 544, 5), (1600, 896, 1))
 """Width, height and number a scene of the windows for networks that take images of any size."""
 _ASPECTS = (1.0, 4.0 / 3.0, 16.0 / 9.0)
 _WIDEST_IMAGE_PX = 2048
@@ -69,8 +69,8 @@ def windows_of(detector: ScalingDetector) -> tuple[Window, ...]:
 
     Windows of images up to `_WIDEST_IMAGE_PX` for networks of any size; else whole images as wide as the network's own.
     """
-    if all(detector.network_scale(height, width) == (1.0, 1.0) for width, height, _ in WINDOWS_PX):
-        return tuple(Window(*window, is_cut=True) for window in WINDOWS_PX)
+    if all(detector.network_scale(height, width) == (1.0, 1.0) for width, height, _ in _WINDOWS_PX):
+        return tuple(Window(*window, is_cut=True) for window in _WINDOWS_PX)
     rows, columns = detector.input_size_px(256, 256)
     count = max(1, round(min(VIEWS_PER_SCENE, _PIXELS_PER_SCENE / (rows * columns)) / len(_ASPECTS)))
     return tuple(Window(columns, max(8, round(columns / aspect)), count, is_cut=False) for aspect in _ASPECTS)
@@ -142,14 +142,7 @@ def _cut(rng: np.random.Generator, camera: RigCamera, window: Window, aim_px: np
     size_px = np.array([window.width_px, window.height_px])
     spare_px = np.array([model.width_px, model.height_px]) - size_px
     corner_px = np.clip(np.round(aim_px - rng.uniform(0.15, 0.85, 2) * size_px), 0.0, spare_px)
-    return RigCamera(
-        camera.name,
-        camera.position_m,
-        camera.yaw_rad,
-        camera.pitch_rad,
-        camera.roll_rad,
-        window_model(model, corner_px, size_px),
-    )
+    return replace(camera, model=window_model(model, corner_px, size_px))
 
 
 def window_model(model: CameraModel, corner_px: np.ndarray, size_px: np.ndarray) -> CameraModel:

@@ -32,7 +32,6 @@ class Detections:
     road_user_index: np.ndarray = cast("np.ndarray", None)  # noqa: RUF009 (a constant)
 
     def __post_init__(self) -> None:
-        """Fill in what was left out."""
         if cast("np.ndarray | None", self.road_user_index) is None:
             object.__setattr__(self, "road_user_index", np.zeros(len(self.confidence), np.int32))
 
@@ -41,22 +40,15 @@ class Detections:
 
     @property
     def label(self) -> tuple[str, ...]:
-        """The label of every detection."""
         return tuple(self.names[index] for index in self.class_index)
 
-    def most_confident(self, count: int) -> Detections:
-        """The first ``count`` of them."""
-        return Detections(
-            self.box_px[:count],
-            self.confidence[:count],
-            self.class_index[:count],
-            self.names,
-            self.road_user_index[:count],
-        )
+    def only(self, chosen: np.ndarray | slice) -> Detections:
+        """Some of them; ``chosen`` bool [detection], or a slice."""
+        box_px, confidence, class_index = self.box_px[chosen], self.confidence[chosen], self.class_index[chosen]
+        return Detections(box_px, confidence, class_index, self.names, self.road_user_index[chosen])
 
     @classmethod
     def none(cls, names: tuple[str, ...] = ()) -> Detections:
-        """Nothing found."""
         return cls(np.zeros((0, 4), np.float32), np.zeros(0, np.float32), np.zeros(0, np.int32), names)
 
 
@@ -64,19 +56,10 @@ class Detector(Protocol):
     """Finds road users in images."""
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Every label that the detector can give."""
-        ...
+    def names(self) -> tuple[str, ...]: ...
 
     def detect(self, images_rgb: np.ndarray | Sequence[np.ndarray]) -> list[Detections]:
-        """Find the road users in every image.
-
-        Args:
-            images_rgb: Images of one size, uint8, shape [image, row, column, 3].
-
-        Returns:
-            One `Detections` for every image, in order.
-        """
+        """What is in images of one size, uint8 [image, row, column, 3]; one `Detections` for each, in order."""
         ...
 
 
@@ -89,10 +72,5 @@ class TensorDetector(Detector, Protocol):
         ...
 
     def detect_tensor(self, network_input: Any) -> list[Detections]:  # noqa: ANN401 (a DLPack capsule has no type)
-        """Find the road users in images that are laid out for the network.
-
-        Args:
-            network_input: Anything with the DLPack protocol: RGB in 0..1, float32 [image, 3, row, column], on any
-                device. It is not kept.
-        """
+        """The same for anything with the DLPack protocol: RGB in 0..1, float32 [image, 3, row, column]; not kept."""
         ...

@@ -232,16 +232,6 @@ def _torch_device(device: str) -> str:
     return device
 
 
-@dataclass(frozen=True)
-class _Node:
-    """One operator: what it is called, what goes in and out, and its attributes."""
-
-    operator: str
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    attributes: Mapping[str, Any]
-
-
 class TorchNetwork:
     """The network of an ONNX file with one input and one output, as a differentiable function."""
 
@@ -266,13 +256,14 @@ class TorchNetwork:
             return torch.from_numpy(np.array(numpy_helper.to_array(value))).to(device)
 
         self._constants = {each.name: as_tensor(each) for each in model.graph.initializer}
-        self._nodes: list[_Node] = []
+        # what each operator is called, what goes in and out, and its attributes
+        self._nodes: list[tuple[str, Sequence[str], Sequence[str], Mapping[str, Any]]] = []
         for node in model.graph.node:
             attributes = {each.name: onnx.helper.get_attribute_value(each) for each in node.attribute}
             if node.op_type == "Constant" and "value" in attributes:
                 self._constants[node.output[0]] = as_tensor(attributes["value"])
                 continue
-            self._nodes.append(_Node(node.op_type, tuple(node.input), tuple(node.output), attributes))
+            self._nodes.append((node.op_type, tuple(node.input), tuple(node.output), attributes))
         inputs = [each for each in model.graph.input if each.name not in self._constants]
         if len(inputs) != 1 or len(model.graph.output) != 1:
             raise InputError(
@@ -280,20 +271,18 @@ class TorchNetwork:
                 f"{len(model.graph.output)}; export the network without suppression"
             )
         self._input, self._output = inputs[0].name, model.graph.output[0].name
-        self._last_use = {name: k for k, node in enumerate(self._nodes) for name in node.inputs}
+        self._last_use = {name: k for k, (_, inputs, _, _) in enumerate(self._nodes) for name in inputs}
         sides = [side.dim_value if side.HasField("dim_value") else 0 for side in inputs[0].type.tensor_type.shape.dim]
         self._verify([side or free for side, free in zip(sides, (1, 3, *_FREE_SIZE_PX), strict=True)])
 
     def __call__(self, images: Tensor) -> Tensor:
         """The raw output for images, a tensor float32 [image, 3, row, column]; differentiable."""
         value = {self._input: images}
-        for k, node in enumerate(self._nodes):
-            given = [
-                None if not name else value[name] if name in value else self._constants[name] for name in node.inputs
-            ]
-            result = _OPERATORS[node.operator](given, node.attributes)
-            value.update(zip(node.outputs, result if isinstance(result, tuple) else (result,), strict=False))
-            for name in node.inputs:
+        for k, (operator, inputs, outputs, attributes) in enumerate(self._nodes):
+            given = [None if not name else value[name] if name in value else self._constants[name] for name in inputs]
+            result = _OPERATORS[operator](given, attributes)
+            value.update(zip(outputs, result if isinstance(result, tuple) else (result,), strict=False))
+            for name in inputs:
                 if self._last_use[name] == k and name in value:
                     del value[name]
         return value[self._output]
@@ -331,31 +320,23 @@ def _paddings(attributes: Mapping[str, Any]) -> tuple[list[int], list[int]]:
     return [left, right, top, bottom], [0, 0]
 
 
-def _convolution(given: list, attributes: Mapping[str, Any]) -> Tensor:
+def _over_windows(given: list, attributes: Mapping[str, Any], border: float) -> tuple[Tensor, dict[str, Any]]:
+    """The image, padded where its ends differ, and how windows of a convolution or a maximum lie on it."""
     around, inside = _paddings(attributes)
-    image = functional.pad(given[0], around) if any(around) else given[0]
-    return functional.conv2d(
-        image,
-        given[1],
-        given[2] if len(given) > 2 else None,
-        stride=tuple(attributes.get("strides", (1, 1))),
-        padding=tuple(inside),
-        dilation=tuple(attributes.get("dilations", (1, 1))),
-        groups=attributes.get("group", 1),
-    )
+    image = functional.pad(given[0], around, value=border) if any(around) else given[0]
+    stride, dilation = (tuple(attributes.get(name, (1, 1))) for name in ("strides", "dilations"))
+    return image, {"stride": stride, "padding": tuple(inside), "dilation": dilation}
+
+
+def _convolution(given: list, attributes: Mapping[str, Any]) -> Tensor:
+    image, windows = _over_windows(given, attributes, 0.0)
+    return functional.conv2d(image, *given[1:3], **windows, groups=attributes.get("group", 1))
 
 
 def _max_pool(given: list, attributes: Mapping[str, Any]) -> Tensor:
-    around, inside = _paddings(attributes)
-    image = functional.pad(given[0], around, value=float("-inf")) if any(around) else given[0]
-    return functional.max_pool2d(
-        image,
-        tuple(attributes["kernel_shape"]),
-        stride=tuple(attributes.get("strides", (1, 1))),
-        padding=tuple(inside),
-        dilation=tuple(attributes.get("dilations", (1, 1))),
-        ceil_mode=bool(attributes.get("ceil_mode", 0)),
-    )
+    image, windows = _over_windows(given, attributes, float("-inf"))
+    rounds_up = bool(attributes.get("ceil_mode", 0))
+    return functional.max_pool2d(image, tuple(attributes["kernel_shape"]), **windows, ceil_mode=rounds_up)
 
 
 def _resize(given: list, attributes: Mapping[str, Any]) -> Tensor:
@@ -411,10 +392,6 @@ def _unsqueeze(given: list, attributes: Mapping[str, Any]) -> Tensor:
     return result
 
 
-def _squeeze(given: list, attributes: Mapping[str, Any]) -> Tensor:
-    return given[0].squeeze(tuple(_axes(given, attributes)))
-
-
 def _gather(given: list, attributes: Mapping[str, Any]) -> Tensor:
     axis, index = attributes.get("axis", 0) % given[0].ndim, given[1]
     index = index + (index < 0) * given[0].shape[axis]
@@ -429,18 +406,9 @@ def _cast(given: list, attributes: Mapping[str, Any]) -> Tensor:
     return given[0].to(kinds[attributes["to"]])
 
 
-def _range(given: list, attributes: Mapping[str, Any]) -> Tensor:
-    first, end, step = (each.item() for each in given)
-    return torch.arange(first, end, step, dtype=given[0].dtype, device=given[0].device)
-
-
 def _shape(given: list, attributes: Mapping[str, Any]) -> Tensor:
     sides = list(given[0].shape)[attributes.get("start", 0) : attributes.get("end")]
     return torch.tensor(sides, dtype=torch.int64, device=given[0].device)
-
-
-def _concat(given: list, attributes: Mapping[str, Any]) -> Tensor:
-    return torch.cat(given, attributes["axis"])
 
 
 def _clip(given: list, attributes: Mapping[str, Any]) -> Tensor:
@@ -456,21 +424,15 @@ def _cumulative_sum(given: list, attributes: Mapping[str, Any]) -> Tensor:
     return given[0].cumsum(int(given[1].item()))
 
 
-def _divide(given: list, attributes: Mapping[str, Any]) -> Tensor:
-    if given[0].is_floating_point():
-        return given[0] / given[1]
-    return given[0].div(given[1], rounding_mode="trunc")
-
-
 _OPERATORS: dict[str, Callable[[list, Mapping[str, Any]], Any]] = {
     "Add": lambda given, _: given[0] + given[1],
     "Cast": _cast,
     "Clip": _clip,
-    "Concat": _concat,
+    "Concat": lambda given, attributes: torch.cat(given, attributes["axis"]),
     "Constant": lambda given, _: None,  # read with the file
     "Conv": _convolution,
     "CumSum": _cumulative_sum,
-    "Div": _divide,
+    "Div": lambda given, _: given[0].div(given[1], rounding_mode=None if given[0].is_floating_point() else "trunc"),
     "Exp": lambda given, _: given[0].exp(),
     "Expand": lambda given, _: given[0] * given[0].new_ones(given[1].tolist()),
     "Gather": _gather,
@@ -481,7 +443,9 @@ _OPERATORS: dict[str, Callable[[list, Mapping[str, Any]], Any]] = {
     "MaxPool": _max_pool,
     "Mul": lambda given, _: given[0] * given[1],
     "Pow": lambda given, _: given[0] ** given[1],
-    "Range": _range,
+    "Range": lambda given, _: torch.arange(
+        *(each.item() for each in given), dtype=given[0].dtype, device=given[0].device
+    ),
     "Relu": lambda given, _: given[0].relu(),
     "Reshape": _reshape,
     "Resize": _resize,
@@ -490,7 +454,7 @@ _OPERATORS: dict[str, Callable[[list, Mapping[str, Any]], Any]] = {
     "Slice": _slice,
     "Softmax": lambda given, attributes: given[0].softmax(attributes.get("axis", -1)),
     "Split": _split,
-    "Squeeze": _squeeze,
+    "Squeeze": lambda given, attributes: given[0].squeeze(tuple(_axes(given, attributes))),
     "Sub": lambda given, _: given[0] - given[1],
     "Tanh": lambda given, _: given[0].tanh(),
     "Transpose": lambda given, attributes: given[0].permute(attributes["perm"]),

@@ -99,7 +99,7 @@ class Observation:
     def from_confidence(self, confidence_min: float) -> Observation:
         """The same by a detector that drops what is less confident; matches below are to be none."""
         counts = [int((found.confidence >= confidence_min).sum()) for found in self.detections]
-        kept = [found.most_confident(count) for found, count in zip(self.detections, counts, strict=True)]
+        kept = [found.only(slice(count)) for found, count in zip(self.detections, counts, strict=True)]
         may = [each[:, :count] for each, count in zip(self.may_match, counts, strict=True)]
         return replace(self, detections=kept, may_match=may)
 
@@ -238,7 +238,6 @@ class DetectorInLoop:
     """
 
     def __init__(self, detector: Detector) -> None:
-        """The detector is called from one thread, one call at a time."""
         self._detector = detector
         self._pool = ThreadPoolExecutor(1)
         self._known: WeakKeyDictionary[Any, dict[int, tuple[bytes, Detections]]] = WeakKeyDictionary()

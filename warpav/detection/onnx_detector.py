@@ -45,10 +45,7 @@ _PROVIDERS = {
 _BATCH_MAX = 32
 # Beyond this many candidates the least confident are dropped.
 _CANDIDATE_MAX = 1000
-# What onnxruntime calls otherwise than NumPy.
 _TORCH_SUFFIXES = (".pt", ".pth", ".torchscript")
-
-_NUMBER_TYPES = {"float": "float32", "double": "float64"}
 
 
 def suppress(
@@ -238,7 +235,7 @@ class OnnxDetector:
         try:
             self._session.run_with_iobinding(binding)
         except Exception as error:  # onnxruntime's own types share no parent
-            raise InputError(f"{self._path}: cannot run on {array.device}: {_one_line(error)}") from error
+            raise InputError(f"{self._path}: cannot run on {array.device}: {_short(error)}") from error
         return self.family.each_image(self._checked(binding.copy_outputs_to_cpu()), len(array))
 
     def _run(self, network_input: np.ndarray) -> list[tuple[np.ndarray, ...]]:
@@ -260,7 +257,7 @@ class OnnxDetector:
             return [np.asarray(output) for output in self._session.run(None, feed)]
         except Exception as error:  # onnxruntime's own types share no parent
             came = ", ".join(f"{name} {list(array.shape)} {array.dtype}" for name, array in feed.items())
-            raise InputError(f"{self._path}: cannot run on input {came}: {_one_line(error)}") from error
+            raise InputError(f"{self._path}: cannot run on input {came}: {_short(error)}") from error
 
     def _checked(self, outputs: Sequence[np.ndarray]) -> list[np.ndarray]:
         """The network's outputs, single precision at least, if all numbers are finite."""
@@ -278,7 +275,6 @@ class OnnxDetector:
     def _decode(
         self, outputs: tuple[np.ndarray, ...], letterbox: Letterbox, height_px: int, width_px: int
     ) -> Detections:
-        """Detections of one image from its outputs."""
         size_px = (letterbox.input_height_px, letterbox.input_width_px)
         parts = []
         for user, classes in self._classes.items():
@@ -308,7 +304,7 @@ class OnnxDetector:
     def _read_file(self, labels: Sequence[str] | Path | str | None) -> NetworkFile:
         try:
             inputs, outputs = (
-                tuple(_tensor(each.name, each.shape, each.type) for each in listed)
+                tuple(Tensor.described(each.name, each.shape, each.type) for each in listed)
                 for listed in (self._session.get_inputs(), self._session.get_outputs())
             )
             metadata = dict(self._session.get_modelmeta().custom_metadata_map)
@@ -331,7 +327,7 @@ class OnnxDetector:
         for user, labels in classes.items():
             for label in (label.lower() for label in labels or ()):
                 if label not in index:
-                    expected = f"labels of {self._path} ({_listed(self.names)})"
+                    expected = f"labels of {self._path} ({_short(', '.join(self.names))})"
                     hint = nearest(label, index)
                     raise OptionError(f"detector.classes.{user}", f"expected {expected}, got {label!r}{hint}")
                 if named.setdefault(label, user) != user:
@@ -347,18 +343,12 @@ class OnnxDetector:
             wanted = usual if given is None else [label.lower() for label in given]
             found[user] = np.array(sorted({k for label in wanted for k in index.get(label, ())}), np.int32)
             if len(found[user]) == 0 and user in (("vehicle",) if targets is None else targets):
+                known = _short(", ".join(self.names))
                 raise InputError(
-                    f"{self._path}: none of its labels ({_listed(self.names)}) means a {user} ({', '.join(wanted)}); "
+                    f"{self._path}: none of its labels ({known}) means a {user} ({', '.join(wanted)}); "
                     f"name those that do in detector.classes.{user}"
                 )
         return {user: found[user] for user in ROAD_USERS if len(found[user]) and (targets is None or user in targets)}
-
-
-def _tensor(name: str, shape: Sequence[int | str | None], kind: str) -> Tensor:
-    """An input or output as onnxruntime describes it."""
-    number = kind.removeprefix("tensor(").removesuffix(")")
-    axes = tuple(side if isinstance(side, int) else None for side in shape)
-    return Tensor(name, axes, _NUMBER_TYPES.get(number, number))
 
 
 def _given_labels(labels: Sequence[str] | Path | str) -> tuple[str, ...]:
@@ -409,9 +399,9 @@ def _open_session(path: Path, threads: int | None, provider: str) -> InferenceSe
         if "external" in str(error).lower():
             raise InputError(
                 f"{path}: its weights lie in another file, which must be next to it, but cannot be read: "
-                f"{_one_line(error, 600)}"
+                f"{_short(error, 600)}"
             ) from error
-        raise InputError(f"{path}: not an ONNX file that onnxruntime can load: {_one_line(error)}") from error
+        raise InputError(f"{path}: not an ONNX file that onnxruntime can load: {_short(error)}") from error
     if session.get_providers()[0] != known[provider]:
         raise OptionError(
             "detector.provider",
@@ -421,11 +411,6 @@ def _open_session(path: Path, threads: int | None, provider: str) -> InferenceSe
     return session
 
 
-def _listed(words: Sequence[str]) -> str:
-    text = ", ".join(words)
-    return text if len(text) <= 200 else text[:200] + " ..."
-
-
-def _one_line(error: Exception, longest: int = 200) -> str:
+def _short(error: object, longest: int = 200) -> str:
     text = " ".join(str(error).split())
     return text if len(text) <= longest else text[:longest] + " ..."

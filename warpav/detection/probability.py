@@ -35,8 +35,6 @@ FEATURE_COUNT = int(kernels.FEATURE_COUNT)
 
 @dataclass(frozen=True)
 class _Feature:
-    """A feature of an object in a view."""
-
     name: str  # short name
     unit: str  # its unit, or the function of it that is taken
     definition: str  # what it is
@@ -99,7 +97,6 @@ class DetectorUse:
 
     @cached_property
     def model_sha256(self) -> str:
-        """SHA-256 of the ONNX file."""
         try:
             return hashlib.sha256(self.model.read_bytes()).hexdigest()
         except OSError as error:

@@ -36,8 +36,8 @@ _PENALTIES = (0.3, 3.0, 30.0, 300.0)
 _FOLD_COUNT = 5
 _RIDGE = 0.01
 BIN_COUNT = 15
-MIN_OBJECTS = 200
-MIN_OF_EACH = 10
+_MIN_OBJECTS = 200
+_MIN_OF_EACH = 10
 _ITERATIONS_MAX = 100
 
 # More pixels of the same thing, less of it hidden, less of it cut off and clearer colours never make it harder to find
@@ -60,7 +60,6 @@ class DetectionSamples:
 
     @classmethod
     def join(cls, parts: Sequence[DetectionSamples]) -> DetectionSamples:
-        """All of them."""
         return cls(
             np.concatenate([np.zeros((0, FEATURE_COUNT)), *(part.feature for part in parts)]),
             np.concatenate([np.zeros(0, bool), *(part.is_detected for part in parts)]),
@@ -68,7 +67,6 @@ class DetectionSamples:
         )
 
     def of_seeds(self, seeds: Sequence[int]) -> DetectionSamples:
-        """Those in the scenes of some seeds."""
         kept = np.isin(self.seed, np.asarray(seeds, np.int64))
         return DetectionSamples(self.feature[kept], self.is_detected[kept], self.seed[kept])
 
@@ -140,8 +138,6 @@ def sample_detections(
 
 @dataclass(frozen=True)
 class ProbabilityScores:
-    """ProbabilityScores of a probability model."""
-
     # Share of pairs of a detected and a missed object of which the detected one has the higher probability; ties count
     # half
     auc: float
@@ -166,7 +162,7 @@ class CalibrationBin:
 
 def score(probability: np.ndarray, is_detected: np.ndarray, *, bin_count: int = BIN_COUNT) -> ProbabilityScores:
     """Compare probabilities with outcomes."""
-    from scipy.stats import rankdata
+    from scipy.stats import binomtest, rankdata
 
     probability, is_detected = np.asarray(probability, np.float64), np.asarray(is_detected, bool)
     found, count = int(is_detected.sum()), len(is_detected)
@@ -176,9 +172,9 @@ def score(probability: np.ndarray, is_detected: np.ndarray, *, bin_count: int = 
     auc = (rank[is_detected].sum() - 0.5 * found * (found + 1)) / (found * (count - found))
     bins = []
     for members in np.array_split(np.argsort(probability, kind="stable"), bin_count):
-        number, share = len(members), float(is_detected[members].mean())
-        low, high = _wilson_interval(share, number)
-        bins.append(CalibrationBin(number, float(probability[members].mean()), share, low, high))
+        number, hits = len(members), int(is_detected[members].sum())
+        interval = binomtest(hits, number).proportion_ci(0.95, method="wilson")
+        bins.append(CalibrationBin(number, float(probability[members].mean()), hits / number, *map(float, interval)))
     base = found / count
     return ProbabilityScores(
         auc=float(auc),
@@ -187,13 +183,6 @@ def score(probability: np.ndarray, is_detected: np.ndarray, *, bin_count: int = 
         calibration_error=sum(each.count * abs(each.predicted - each.detected) for each in bins) / count,
         bins=tuple(bins),
     )
-
-
-def _wilson_interval(share: float, count: int) -> tuple[float, float]:
-    z = 1.959964
-    middle = (share + z * z / (2 * count)) / (1 + z * z / count)
-    reach = z / (1 + z * z / count) * math.sqrt(share * (1 - share) / count + z * z / (4 * count * count))
-    return max(0.0, middle - reach), min(1.0, middle + reach)
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # more threads would only wait for one another
@@ -210,9 +199,9 @@ def fit_probability(
     The penalty is the one whose likelihood is greatest on scenes that were left out, over folds of whole scenes.
     """
     found, count = int(samples.is_detected.sum()), len(samples)
-    if count < MIN_OBJECTS or min(found, count - found) < MIN_OF_EACH:
+    if count < _MIN_OBJECTS or min(found, count - found) < _MIN_OF_EACH:
         raise ValueError(
-            f"expected at least {MIN_OBJECTS} visible objects, {MIN_OF_EACH} of them detected and {MIN_OF_EACH} "
+            f"expected at least {_MIN_OBJECTS} visible objects, {_MIN_OF_EACH} of them detected and {_MIN_OF_EACH} "
             f"missed, got {count}, {found} detected and {count - found} missed"
         )
     ranges = [natural_range(samples.feature[:, f], knot_count) for f in range(FEATURE_COUNT)]
@@ -225,8 +214,14 @@ def fit_probability(
     best = penalties[0]
     if len(seeds) >= _FOLD_COUNT and len(penalties) > 1:
         folds = [fold_of == k for k in range(_FOLD_COUNT)]
-        loss = [sum(regression.left_out_loss(left_out, penalty) for left_out in folds) for penalty in penalties]
-        best = penalties[int(np.argmin(loss))]
+
+        def loss(penalty: float) -> float:
+            """Negative log-likelihood of the objects of each fold under what is fitted to the others."""
+            logit = [regression.design[fold] @ regression.fit(~fold, penalty) for fold in folds]
+            pairs = zip(logit, (regression.outcome[fold] for fold in folds), strict=True)
+            return sum(float(np.logaddexp(0.0, each).sum() - each @ outcome) for each, outcome in pairs)
+
+        best = min(penalties, key=loss)
     weight = regression.fit(np.ones(count, bool), best)
     start, step = np.array(ranges).T
     coefficient = weight[1:].reshape(FEATURE_COUNT, knot_count)
@@ -297,8 +292,3 @@ class _Regression:
                 break
             point, reached = point + length * step, tried
         return self.rising @ point
-
-    def left_out_loss(self, left_out: np.ndarray, penalty: float) -> float:
-        """Negative log-likelihood of some objects under what is fitted to the others."""
-        logit = self.design[left_out] @ self.fit(~left_out, penalty)
-        return float(np.logaddexp(0.0, logit).sum() - logit @ self.outcome[left_out])

@@ -8,13 +8,12 @@ the arm's own configuration spends.
 
 from __future__ import annotations
 
-import difflib
 import importlib.util
 import json
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -22,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError, install_text
+from warpav.core.records import nearest
 from warpav.optimisation.baselines import edge_mount_pose, highest_mount_pose, move_to_vehicle, random_mount_pose
 from warpav.optimisation.budget import (
     BudgetedValue,
@@ -49,7 +49,6 @@ from warpav.optimisation.rivals import (
 from warpav.optimisation.selection.select import Selection
 from warpav.optimisation.space import SearchSpace
 from warpav.raster.camera import CameraModel
-from warpav.rig.on_body import MovedRig
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig
 from warpav.runs.config import Config, load_config, option_values
@@ -70,8 +69,6 @@ _GREEDY_DIRECTIONS = 8
 
 @dataclass(frozen=True)
 class FoundRig:
-    """A rig that an arm found."""
-
     rig: Rig
     pairing_rig: Rig | None
     camera_renders: int = 0
@@ -81,13 +78,12 @@ class FoundRig:
     notes: dict[str, Any] = field(default_factory=dict)
 
 
+_RigValues = Callable[[np.ndarray], Iterable[float]]
 _Finder = Callable[[Placement, int | None], FoundRig]
 """Finds a rig on a placement; its random numbers come from ``run.seed``, its budget [camera renders] may be None."""
 
 
 class Method(NamedTuple):
-    """A way to find rigs."""
-
     find: _Finder
     starts: bool = False  # begins with the configuration's start
     holds: bool = False  # keeps the cameras of ``rig.freeze`` where they are
@@ -125,7 +121,6 @@ class Arm:
         return load_config(config, self.overrides)
 
     def search_config(self, config: Config) -> Config:
-        """The configuration that it searches by."""
         return load_config(config, (*self.overrides, *self.search_overrides))
 
     def check(self, config: Config, camera_renders_max: int | None) -> None:
@@ -173,11 +168,8 @@ class Arm:
 
 
 def find_rig_of(arm: Arm, placement: Placement, camera_renders_max: int | None) -> FoundRig:
-    """The rig that an arm finds."""
-    if arm.method in METHODS:
-        return METHODS[arm.method].find(placement, camera_renders_max)
-    name = arm.method.removesuffix(_AS_BUILT)
-    return (_preset if name == arm.method else _preset_as_built)(placement, name=name)
+    method = METHODS.get(arm.method)
+    return _preset(placement, arm.method) if method is None else method.find(placement, camera_renders_max)
 
 
 def resized(rig: Rig, config: Config) -> Rig:
@@ -194,10 +186,8 @@ def find_arm(name: str, arms: Mapping[str, Arm]) -> Arm:
     preset = name.removeprefix("default_as_").removesuffix(_AS_BUILT)
     if name.startswith("default_as_") and preset in preset_names():
         return _default_like(preset, pixels=PIXELS if name.endswith(_AS_BUILT) else None)
-    near = difflib.get_close_matches(name, list(every), 1, 0.5)
-    hint = f"; did you mean {near[0]}?" if near else ""
     names = ", ".join(dict.fromkeys([*arms, *every]))
-    raise ArgumentError("arms", f"expected names out of {names}, got {name!r}{hint}")
+    raise ArgumentError("arms", f"expected names out of {names}, got {name!r}{nearest(name, every)}")
 
 
 def _common_arms() -> dict[str, Arm]:
@@ -215,7 +205,14 @@ def _common_arms() -> dict[str, Arm]:
             "optimiser",
             search_overrides=_thesis_options("method", "losses", "visibility", "optimiser", "rig.free"),
         ),
-        Arm("thesis_as_printed", "as_configured", search_overrides=_thesis_as_printed()),
+        Arm(
+            "thesis_as_printed",
+            "as_configured",
+            search_overrides=_thesis_options(
+                *("method", "run.iterations", "run.batch_size", "rig", "mount", "thesis", "losses", "visibility"),
+                *("optimiser", "detector.confidence_min", "detector.iou_min", "detector.nms_iou_max"),
+            ),
+        ),
     ]
     presets = [f"{name}{ending}" for ending in ("", _AS_BUILT) for name in preset_names()]
     others = [Arm(name, name) for name in (*METHODS, *presets) if name not in METHODS or METHODS[name].is_arm]
@@ -239,24 +236,12 @@ def _default_like(preset: str, *, pixels: int | None = None) -> Arm:
     return Arm(name, "optimiser", overrides, _common_arms()["default"].search_overrides)
 
 
-def _thesis_as_printed() -> tuple[str, ...]:
-    """Overrides for a search by the whole shipped configuration ``thesis``, on the task of the configuration."""
-    whole = _thesis_options(
-        *("method", "run.iterations", "run.batch_size", "rig", "mount", "detector", "thesis", "losses"),
-        *("visibility", "optimiser"),
-    )
-    task = ("rig.cameras", "rig.freeze", "detector.")
-    thresholds = ("detector.confidence_min", "detector.iou_min", "detector.nms_iou_max")
-    return tuple(each for each in whole if not each.startswith(task) or each.startswith(thresholds))
-
-
 def _thesis_options(*parts: str) -> tuple[str, ...]:
-    """Overrides with the values of the shipped configuration ``thesis``, of whole sections or single options."""
-    values = option_values(load_config("thesis"))
+    """Overrides with the values of the shipped configuration ``thesis``, of sections or options; the task stays."""
     return tuple(
         f"{name}={json.dumps(value)}"
-        for name, value in values.items()
-        if any(f"{name}.".startswith(f"{part}.") for part in parts)
+        for name, value in option_values(load_config("thesis")).items()
+        if any(f"{name}.".startswith(f"{part}.") for part in parts) and name not in ("rig.cameras", "rig.freeze")
     )
 
 
@@ -268,40 +253,72 @@ def constraint_loss(placement: Placement, mount_pose: np.ndarray) -> float:
     return objective.constraint_scale * broken
 
 
+def _found(
+    placement: Placement,
+    mount_pose: np.ndarray,
+    pairing_rig: Rig | None,
+    rows: Sequence[Mapping[str, Any]] = (),
+    *,
+    training_objective: float | None = None,
+    **notes: Any,  # noqa: ANN401
+) -> FoundRig:
+    """The rig at mount poses [camera, 7], and the history that led there, a row for each look at a rig."""
+    return FoundRig(
+        placement.objective.mount.rig(mount_pose),
+        pairing_rig,
+        rows[-1]["camera_renders"] if rows else 0,
+        {name: [row[name] for row in rows] for name in rows[0]} if rows else {},
+        training_objective=training_objective,
+        mount_pose=mount_pose,
+        notes=notes,
+    )
+
+
+def _row(camera_renders: int, began_s: float, best_value: float | None, **more: Any) -> dict[str, Any]:  # noqa: ANN401
+    seconds = time.perf_counter() - began_s
+    return {"camera_renders": camera_renders, "seconds": seconds, "best_value": best_value, **more}
+
+
 def _optimised(placement: Placement, camera_renders_max: int | None) -> FoundRig:
-    """The configuration's own search, from its own start."""
+    """The configuration's own search, from its own start: a descent takes as many steps as the budget pays for."""
     if searches_by_pool(placement):
         return _pooled(placement, camera_renders_max)
-    placement = _within(placement, camera_renders_max)
-    optimisation = Optimisation.begin(placement)
-    starts = placement.config.optimiser.starts
-    assert isinstance(optimisation.descent, Descent)
-    return _descended(
-        placement, optimisation.descent, optimisation.pairing_rig, start_count=starts if starts > 1 else 0
-    )
-
-
-def _within(placement: Placement, camera_renders_max: int | None) -> Placement:
-    """The same placement with as many iterations as a budget pays for, or as the configuration says."""
-    if camera_renders_max is None:
-        return placement
     config = placement.config
-    iterations = affordable_iterations(
-        config.optimiser,
-        len(placement.validation),
-        camera_renders_max,
-        camera_count=config.rig.cameras,
-        batch_size=config.run.batch_size,
+    if camera_renders_max is not None:
+        iterations = affordable_iterations(
+            config.optimiser,
+            len(placement.validation),
+            camera_renders_max,
+            camera_count=config.rig.cameras,
+            batch_size=config.run.batch_size,
+        )
+        config = load_config(config, [f"run.iterations={iterations}"])
+        placement = placement.with_config(config)
+    optimisation = Optimisation.begin(placement)
+    descent, rows, began = optimisation.descent, [], time.perf_counter()
+    assert isinstance(descent, Descent)
+    tried = config.optimiser.starts if config.optimiser.starts > 1 else 0
+
+    def camera_renders() -> int:
+        looks = tried + len(descent.candidates)
+        return config.rig.cameras * (descent.iteration * config.run.batch_size + looks * len(placement.validation))
+
+    while descent.iteration < config.run.iterations and descent.stop_reason is None:
+        record = descent.step()
+        rows.append(_row(camera_renders(), began, record.best_training_objective, loss=record.loss))
+    unprojected = descent.mount_pose
+    result = descent.finish()
+    best = min(each.training_objective for each in descent.candidates)
+    rows.append(_row(camera_renders(), began, best, loss=None))
+    return _found(
+        placement,
+        result.mount_pose,
+        optimisation.pairing_rig,
+        rows,
+        training_objective=result.training_objective,
+        unprojected_constraint_loss=constraint_loss(placement, unprojected),
+        stopped=descent.stop_reason,
     )
-    return placement.with_config(load_config(config, [f"run.iterations={iterations}"]))
-
-
-def _from_one_start(placement: Placement, *, takes_batches: bool = True) -> Placement:
-    """The same placement, whose search is a descent that tries no other starts; some take none of its steps."""
-    one = ["optimiser.search=descent", "optimiser.starts=1", "optimiser.descents=1"]
-    if not takes_batches:
-        one.append("run.batch_size=1")
-    return placement.with_config(load_config(placement.config, one))
 
 
 def _pooled(placement: Placement, camera_renders_max: int | None, *, only: bool = False) -> FoundRig:
@@ -325,51 +342,25 @@ def _pooled(placement: Placement, camera_renders_max: int | None, *, only: bool 
         descent.step()
         best = descent.found
         assert best is not None
-        row = _row(best.camera_renders, began, best.objective)
-        rows.append(row | {"stage": best.stage, "round": best.round, "bound": best.bound or None})
-    return FoundRig(
-        placement.objective.mount.rig(best.mount_pose),
-        begun.pairing_rig,
-        best.camera_renders,
-        _columns(rows),
-        training_objective=best.objective,
-        mount_pose=best.mount_pose,
-        notes={"bound": best.bound, "gap": best.gap, "pool_cameras": best.pool_cameras},
-    )
+        more = {"stage": best.stage, "round": best.round, "bound": best.bound or None}
+        rows.append(_row(best.camera_renders, began, best.objective, **more))
+    notes = {"bound": best.bound, "gap": best.gap, "pool_cameras": best.pool_cameras}
+    return _found(placement, best.mount_pose, begun.pairing_rig, rows, training_objective=best.objective, **notes)
 
 
-def _descended(placement: Placement, descent: Descent, pairing_rig: Rig | None, *, start_count: int = 0) -> FoundRig:
-    """The rig at the end of a descent, preceded by the given number of evaluations on all validation scenes."""
-    config = placement.config
-    rows, began = [], time.perf_counter()
-
-    def camera_renders() -> int:
-        looks = start_count + len(descent.candidates)
-        return config.rig.cameras * (descent.iteration * config.run.batch_size + looks * len(placement.validation))
-
-    while descent.iteration < config.run.iterations and descent.stop_reason is None:
-        record = descent.step()
-        rows.append(_row(camera_renders(), began, record.best_training_objective) | {"loss": record.loss})
-    unprojected = descent.mount_pose
-    result = descent.finish()
-    best = min(each.training_objective for each in descent.candidates)
-    rows.append(_row(camera_renders(), began, best) | {"loss": None})
-    return FoundRig(
-        placement.objective.mount.rig(result.mount_pose),
-        pairing_rig,
-        camera_renders(),
-        _columns(rows),
-        training_objective=result.training_objective,
-        mount_pose=result.mount_pose,
-        notes={"unprojected_constraint_loss": constraint_loss(placement, unprojected), "stopped": descent.stop_reason},
-    )
+def _from_one_start(placement: Placement) -> Optimisation:
+    """What a descent begins with that tries no other starts, and takes none of its own steps."""
+    one = ["optimiser.search=descent", "optimiser.starts=1", "optimiser.descents=1", "run.batch_size=1"]
+    return Optimisation.begin(placement.with_config(load_config(placement.config, one)))
 
 
 def _descent_only(placement: Placement, camera_renders_max: int | None) -> FoundRig:
     """The polish alone, from the configuration's one start, until nothing improves or the budget is spent."""
-    begun = Optimisation.begin(_from_one_start(placement, takes_batches=False))
-    values, mount = _single_values(placement), placement.objective.mount
-    task = PolishTask(mount, placement.objective.constraints, len(values.scenes), weight=values.object_weight)
+    begun = _from_one_start(placement)
+    values = _single_values(placement, rig_values_of(placement.objective, placement.train))
+    task = PolishTask(
+        placement.objective.mount, placement.objective.constraints, len(values.scenes), weight=values.object_weight
+    )
     steps = polish(
         begun.descent.start,
         lambda moved: values.cameras.with_jacobian(moved, values.scenes),
@@ -380,19 +371,12 @@ def _descent_only(placement: Placement, camera_renders_max: int | None) -> Found
     for step in steps:
         rows.append(_row(step.camera_renders, began, values.weight * step.objective))
     assert step is not None
-    return FoundRig(
-        mount.rig(step.mount_pose),
-        begun.pairing_rig,
-        step.camera_renders,
-        _columns(rows),
-        training_objective=values.weight * step.objective,
-        mount_pose=step.mount_pose,
-    )
+    best = rows[-1]["best_value"]
+    return _found(placement, step.mount_pose, begun.pairing_rig, rows, training_objective=best)
 
 
-def _single_values(placement: Placement) -> SingleCameraValues:
-    """Values of rigs on all training scenes by single cameras."""
-    values = rig_values_of(placement.objective, placement.train)
+def _single_values(placement: Placement, values: _RigValues) -> SingleCameraValues:
+    """Values of rigs, if they are known by single cameras."""
     if not isinstance(values, SingleCameraValues):
         names = ", ".join(loss.name for _, loss in placement.objective.losses)
         raise InputError(
@@ -402,31 +386,29 @@ def _single_values(placement: Placement) -> SingleCameraValues:
     return values
 
 
-def _start(placement: Placement) -> FoundRig:
+def _start(placement: Placement, _: int | None) -> FoundRig:
     """The rig that the configuration's search starts from, without trying others."""
-    begun = Optimisation.begin(_from_one_start(placement, takes_batches=False))
+    begun = _from_one_start(placement)
     return FoundRig(begun.start, begun.pairing_rig, mount_pose=begun.descent.start)
 
 
-def _random_rig(placement: Placement) -> FoundRig:
+def _random_rig(placement: Placement, _: int | None) -> FoundRig:
     """A random feasible rig with random directions, without evaluation."""
-    space = SearchSpace.over(
-        placement.objective.mount, placement.config.rig.cameras, constraints=placement.objective.constraints
-    )
+    mount, constraints = placement.objective.mount, placement.objective.constraints
+    space = SearchSpace.over(mount, placement.config.rig.cameras, constraints=constraints)
     pose = space.random(placement.random_numbers(Stream.SEARCH)).astype(np.float32)
-    return FoundRig(placement.objective.mount.rig(pose), placement.frozen_rig, mount_pose=pose)
+    return _found(placement, pose, placement.frozen_rig)
 
 
-def _practice(placement: Placement, pose_of: Callable[[Constraints, int], np.ndarray]) -> FoundRig:
+def _practice(placement: Placement, _: int | None, *, pose_of: Callable[[Constraints, int], np.ndarray]) -> FoundRig:
     """A rig that needs no search."""
     mount = placement.objective.mount
     pose = pose_of(placement.objective.constraints, placement.config.rig.cameras).astype(np.float32)
     pose = mount.within(mount.off_the_skin(pose))
-    found = mount.rig(pose)
-    return FoundRig(found, found, mount_pose=pose)
+    return _found(placement, pose, mount.rig(pose))
 
 
-def _highest_raised(placement: Placement) -> FoundRig:
+def _highest_raised(placement: Placement, _: int | None) -> FoundRig:
     """Cameras around the highest point, on a rack that is ``rig.height_offset_m`` high, whatever zones there are."""
     config = load_config(placement.config, ["mount.zones=null"])
     mount = camera_mount(config, placement.ego)
@@ -436,22 +418,16 @@ def _highest_raised(placement: Placement) -> FoundRig:
     return FoundRig(found, found)
 
 
-def _preset(placement: Placement, *, name: str) -> FoundRig:
-    """A known rig, moved to the roof of the vehicle, with images of the size of all others."""
-    mount, constraints = placement.objective.mount, placement.objective.constraints
-    return _moved(move_to_vehicle(preset_rig(name), mount, placement.ego, constraints=constraints, image=mount.camera))
-
-
-def _preset_as_built(placement: Placement, *, name: str) -> FoundRig:
-    """A known rig on the body of the vehicle, with images in its own proportions."""
-    moved = preset_for(name, placement.config, placement.ego)
-    placement.add_camera_models(moved.rig)
-    return _moved(moved)
-
-
-def _moved(moved: MovedRig) -> FoundRig:
-    notes = {"moved_m": moved.moved_m, "blocked_share": moved.blocked_share}
-    return FoundRig(moved.rig, moved.rig, notes=notes)
+def _preset(placement: Placement, method: str) -> FoundRig:
+    """A known rig on the roof with images like all others, or as built: on the body, with images of its own."""
+    name, mount = method.removesuffix(_AS_BUILT), placement.objective.mount
+    if name == method:
+        constraints = placement.objective.constraints
+        moved = move_to_vehicle(preset_rig(name), mount, placement.ego, constraints=constraints, image=mount.camera)
+    else:
+        moved = preset_for(name, placement.config, placement.ego)
+        placement.add_camera_models(moved.rig)
+    return FoundRig(moved.rig, moved.rig, notes={"moved_m": moved.moved_m, "blocked_share": moved.blocked_share})
 
 
 def _random_batches(placement: Placement, camera_renders_max: int | None) -> FoundRig:
@@ -474,43 +450,68 @@ def _random_batches(placement: Placement, camera_renders_max: int | None) -> Fou
         rows.append(_row(number * per_rig, began, best_value if best_pose is not None else None))
     if best_pose is None:
         raise ValueError(f"none of {count} random rigs had a finite value")
-    return FoundRig(objective.mount.rig(best_pose), None, count * per_rig, _columns(rows), mount_pose=best_pose)
+    return _found(placement, best_pose, None, rows)
 
 
 def _searched(
-    placement: Placement, camera_renders_max: int | None, *, search: Callable[[Placement], Search], free_yaw: bool
+    placement: Placement,
+    camera_renders_max: int | None,
+    *,
+    search: Callable[[Placement, _RigValues, dict[str, Any]], Search],
+    free_yaw: bool = True,
 ) -> FoundRig:
-    """A baseline search on all training scenes."""
-    rng, space = placement.random_numbers(Stream.SEARCH), _space(placement, free_yaw=free_yaw)
-    most = _budget(placement, camera_renders_max)
-    value = BudgetedValue.of(placement.objective, placement.train, space, camera_renders_max=most)
-    return _found(placement, run_search(search(placement), value, rng))
-
-
-def _selected(placement: Placement, camera_renders_max: int | None, *, draw: Draw, free_yaw: bool) -> FoundRig:
-    """The best rig that can be made of the cameras of the rigs that a baseline draws."""
-    rng, values, config = placement.random_numbers(Stream.SEARCH), _single_values(placement), placement.config
-    value = BudgetedValue(
-        values,
-        _space(placement, free_yaw=free_yaw),
-        scene_count=len(values.scenes),
-        camera_renders_max=_budget(placement, camera_renders_max),
-    )
+    """A baseline search on all training scenes; ``search`` may take notes on what it finds besides."""
     notes: dict[str, Any] = {}
-
-    def told(selection: Selection) -> None:
-        notes.update(bound=selection.bound, gap=selection.gap, pool_cameras=len(value.history) * config.rig.cameras)
-
-    search = partial(
-        selected_search,
-        draw=draw,
-        single=values,
-        gap=config.optimiser.pool_gap,
-        time_limit_s=config.optimiser.selection_time_s,
-        seed=config.run.seed,
-        on_selection=told,
+    objective, config = placement.objective, placement.config
+    space = SearchSpace.over(
+        objective.mount,
+        config.rig.cameras,
+        constraints=objective.constraints,
+        yaw_rad=placement.yaw_rad,
+        yaw_reach_rad=math.pi if free_yaw else 0.0,
     )
-    return replace(_found(placement, run_search(search, value, rng)), notes=notes)
+    values = rig_values_of(objective, placement.train)
+    most = _budget(placement, camera_renders_max)
+    value = BudgetedValue(values, space, scene_count=len(placement.train), camera_renders_max=most)
+    result = run_search(search(placement, values, notes), value, placement.random_numbers(Stream.SEARCH))
+    if result.error is not None:
+        raise RuntimeError(f"the search ended early: {result.error}")
+    rows = [
+        {**vars(each), "best_value": each.best_value if math.isfinite(each.best_value) else None}
+        for each in result.history
+    ]
+    pose, frozen = result.mount_pose, placement.frozen_rig
+    found = _found(placement, pose, frozen, rows, training_objective=result.value, **notes)
+    return replace(found, camera_renders=result.camera_renders)
+
+
+def _selected(placement: Placement, values: _RigValues, notes: dict[str, Any], *, draw: Draw) -> Search:
+    """Finds the best rig that can be made of the cameras of the rigs that a baseline draws."""
+    single, config = _single_values(placement, values), placement.config
+
+    def search(value: BudgetedValue, rng: np.random.Generator) -> None:
+        def told(selection: Selection) -> None:
+            count = len(value.history) * config.rig.cameras
+            notes.update(bound=selection.bound, gap=selection.gap, pool_cameras=count)
+
+        selected_search(
+            value,
+            rng,
+            draw=draw,
+            single=single,
+            gap=config.optimiser.pool_gap,
+            time_limit_s=config.optimiser.selection_time_s,
+            seed=config.run.seed,
+            on_selection=told,
+        )
+
+    return search
+
+
+def _greedy(placement: Placement, *_: Any) -> Search:  # noqa: ANN401
+    detections = detections_of(placement.objective, placement.train)
+    weight = placement.objective.object_weight(placement.train)
+    return partial(greedy_cover, detections=detections, yaw_count=_GREEDY_DIRECTIONS, object_weight=weight)
 
 
 def _budget(placement: Placement, camera_renders_max: int | None) -> int:
@@ -526,71 +527,26 @@ def _budget(placement: Placement, camera_renders_max: int | None) -> int:
     )
 
 
-def _space(placement: Placement, *, free_yaw: bool) -> SearchSpace:
-    """The rigs that a baseline may try."""
-    return SearchSpace.over(
-        placement.objective.mount,
-        placement.config.rig.cameras,
-        constraints=placement.objective.constraints,
-        yaw_rad=placement.yaw_rad,
-        yaw_reach_rad=math.pi if free_yaw else 0.0,
-    )
-
-
-def _found(placement: Placement, result: BudgetedValue) -> FoundRig:
-    """What a search found."""
-    if result.error is not None:
-        raise RuntimeError(f"the search ended early: {result.error}")
-    return FoundRig(
-        placement.objective.mount.rig(result.mount_pose),
-        placement.frozen_rig,
-        result.camera_renders,
-        {
-            "camera_renders": [each.camera_renders for each in result.history],
-            "seconds": [each.seconds for each in result.history],
-            "best_value": [each.best_value if math.isfinite(each.best_value) else None for each in result.history],
-        },
-        training_objective=result.value,
-        mount_pose=result.mount_pose,
-    )
-
-
-def _row(camera_renders: int, began_s: float, best_value: float | None) -> dict[str, Any]:
-    return {"camera_renders": camera_renders, "seconds": time.perf_counter() - began_s, "best_value": best_value}
-
-
-def _columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
-    return {name: [row[name] for row in rows] for name in rows[0]} if rows else {}
-
-
-def _greedy(placement: Placement) -> Search:
-    detections = detections_of(placement.objective, placement.train)
-    weight = placement.objective.object_weight(placement.train)
-    return partial(greedy_cover, detections=detections, yaw_count=_GREEDY_DIRECTIONS, object_weight=weight)
-
-
 METHODS = {
     "optimiser": Method(_optimised, starts=True, holds=True, is_arm=False),
     # with its own number of steps
     "as_configured": Method(lambda placement, _: _optimised(placement, None), starts=True, holds=True, is_arm=False),
     "pool_only": Method(partial(_pooled, only=True), starts=True, holds=True),
     "descent_only": Method(_descent_only, starts=True, holds=True),
-    "start": Method(lambda placement, _: _start(placement), starts=True, holds=True),
-    "random_rig": Method(lambda placement, _: _random_rig(placement), holds=True),
-    "highest": Method(lambda placement, _: _practice(placement, highest_mount_pose), holds=True, is_seeded=False),
-    "highest_raised": Method(lambda placement, _: _highest_raised(placement), is_seeded=False),
-    "roof_edge": Method(lambda placement, _: _practice(placement, edge_mount_pose), is_seeded=False),
+    "start": Method(_start, starts=True, holds=True),
+    "random_rig": Method(_random_rig, holds=True),
+    "highest": Method(partial(_practice, pose_of=highest_mount_pose), holds=True, is_seeded=False),
+    "highest_raised": Method(_highest_raised, is_seeded=False),
+    "roof_edge": Method(partial(_practice, pose_of=edge_mount_pose), is_seeded=False),
     "random_batches": Method(_random_batches),
     # random directions would only weaken the baselines: these two keep those of the segregation
     "random": Method(partial(_searched, search=lambda *_: random_search, free_yaw=False), holds=True),
     "sobol": Method(partial(_searched, search=lambda *_: sobol_search, free_yaw=False), holds=True),
     # a pool of few directions would be a weak one
-    "random_selected": Method(partial(_selected, draw=random_rigs, free_yaw=True), holds=True),
-    "sobol_selected": Method(partial(_selected, draw=sobol_rigs, free_yaw=True), holds=True),
-    "cma": Method(partial(_searched, search=lambda *_: cma_es, free_yaw=True), holds=True),
-    "differential_evolution": Method(
-        partial(_searched, search=lambda *_: differential_evolution, free_yaw=True), holds=True
-    ),
-    "greedy_cover": Method(partial(_searched, search=_greedy, free_yaw=True)),
+    "random_selected": Method(partial(_searched, search=partial(_selected, draw=random_rigs)), holds=True),
+    "sobol_selected": Method(partial(_searched, search=partial(_selected, draw=sobol_rigs)), holds=True),
+    "cma": Method(partial(_searched, search=lambda *_: cma_es), holds=True),
+    "differential_evolution": Method(partial(_searched, search=lambda *_: differential_evolution), holds=True),
+    "greedy_cover": Method(partial(_searched, search=_greedy)),
 }
 """How a rig can be found, by name; the presets' names are methods as well."""

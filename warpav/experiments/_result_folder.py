@@ -80,13 +80,9 @@ def read_description(folder: Path) -> dict[str, Any]:
 def _check_same(file: Path, there: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
     """See that the results of a folder are of this experiment."""
     fix = "choose another folder with `out`"
-    if there.get("experiment") != wanted["experiment"]:
-        raise InputError(f"{file}: experiment: expected {wanted['experiment']}, got {there.get('experiment')!r}; {fix}")
-    budget, wanted_budget = there.get("camera_renders_max"), wanted["camera_renders_max"]
-    if budget != wanted_budget:
-        raise InputError(
-            f"{file}: camera_renders_max: expected {wanted_budget}, got {budget!r}; {fix}, or give the same `budget`"
-        )
+    for name, too in (("experiment", ""), ("camera_renders_max", ", or give the same `budget`")):
+        if there.get(name) != wanted[name]:
+            raise InputError(f"{file}: {name}: expected {wanted[name]}, got {there.get(name)!r}; {fix}{too}")
     options = there.get("options")
     options = options if isinstance(options, dict) else {}
     different = [
@@ -114,21 +110,18 @@ def _options(config: Config) -> dict[str, Any]:
         for name, value in option_values(config).items()
         if name not in ("run.seed", "run.out", "run.pictures") and not name.startswith("executor.")
     }
-    if config.rig.catalogue is not None:
-        values["rig.catalogue"] = f"{config.rig.catalogue.name} {digest(config.rig.catalogue.read_bytes())}"
-    if config.mount.zones is not None:
-        values["mount.zones"] = f"{config.mount.zones.name} {digest(config.mount.zones.read_bytes())}"
-    if config.requirements_file is not None:
-        file = config.requirements_file
-        values["requirements"] = f"{file.name} {digest(file.read_bytes())}"
+    files = {
+        "rig.catalogue": config.rig.catalogue,
+        "mount.zones": config.mount.zones,
+        "requirements": config.requirements_file,
+    }
+    values |= {name: f"{file.name} {digest(file.read_bytes())}" for name, file in files.items() if file is not None}
     if config.scenes.ego is not None:  # what it holds, wherever it lies
         values["scenes.ego"] = f"{config.scenes.ego.name} {own_vehicle_digest(config)}"
-    recordings = recordings_digest(config)
-    if recordings is not None:
+    if (recordings := recordings_digest(config)) is not None:
         values.pop("scenes.test_recordings", None)
         values["scenes.recordings"] = recordings
-    vehicles = traffic_fleet_digest(config)
-    if vehicles is not None:
+    if (vehicles := traffic_fleet_digest(config)) is not None:
         values["scenes.vehicles"] = vehicles
     return json.loads(json.dumps(values))
 
@@ -148,21 +141,17 @@ def is_there(file: Path, made_with: str) -> bool:
 
 def results_in(folder: Path, order: Sequence[str] = ()) -> dict[str, list[dict[str, Any]]]:
     """All results that a folder holds, by arm, arms in this order and then by name, and by run seed."""
-    found = [_read_result(file) for file in sorted((folder / RESULTS).glob("*.json"))]
+    found = []
+    for file in sorted((folder / RESULTS).glob("*.json")):
+        result = read_json(file)
+        if not isinstance(result, dict) or result.get("schema") != SCHEMA or not {"arm", "seed"} <= result.keys():
+            schema = result.get("schema") if isinstance(result, dict) else None
+            text = f"expected a result of schema {SCHEMA} with an arm and a seed, got {schema!r}; delete it"
+            raise InputError(f"{file}: schema: {text}")
+        found.append(result)
     there = {run["arm"] for run in found}
     arms = [arm for arm in dict.fromkeys([*order, *sorted(there)]) if arm in there]
     return {arm: sorted((run for run in found if run["arm"] == arm), key=lambda run: run["seed"]) for arm in arms}
-
-
-def _read_result(file: Path) -> dict[str, Any]:
-    """A result."""
-    result = read_json(file)
-    if not isinstance(result, dict) or result.get("schema") != SCHEMA or not {"arm", "seed"} <= result.keys():
-        found = result.get("schema") if isinstance(result, dict) else None
-        raise InputError(
-            f"{file}: schema: expected a result of schema {SCHEMA} with an arm and a seed, got {found!r}; delete it"
-        )
-    return result
 
 
 def objective_on_tests(result: Mapping[str, Any]) -> float | None:
@@ -182,7 +171,6 @@ def objective_of_tests(result: Mapping[str, Any]) -> list[Any]:
 
 
 def read_json(file: Path) -> Any:  # noqa: ANN401 (any JSON value)
-    """The content of a result."""
     try:
         return bounded_files.read_json(
             file, "a readable JSON file", bytes_max=DATA_SET_BYTES_MAX, nodes_max=DATA_SET_NODES_MAX

@@ -21,7 +21,6 @@ from warpav.core.errors import ArgumentError
 from warpav.core.executor import Executor, Outcome
 from warpav.core.files import write_json, write_text
 from warpav.core.progress import NullProgress, Progress
-from warpav.detection.miss_rate import expected_miss_rate, shares_of
 from warpav.evaluation.metrics import metrics_of, observe_scenes
 from warpav.experiments._arms import Arm, FoundRig, constraint_loss, find_rig_of, resized
 from warpav.experiments._gradient_magnitude import measure_gradient_magnitudes
@@ -39,7 +38,7 @@ from warpav.experiments.rows import OWN_JUDGE, ROWS, rows_of, table_of, write_ro
 from warpav.experiments.study import GRADIENTS, Judge, Study
 from warpav.optimisation.attainable import attainable_objects
 from warpav.optimisation.baselines import highest_mount_pose
-from warpav.optimisation.budget import SingleCameraValues, rig_values_of
+from warpav.optimisation.budget import rig_values_of
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import write_rig
@@ -246,7 +245,10 @@ def _rig(task: _ArmTask) -> dict[str, Any]:
         "overrides": list(task.arm.overrides),
         "search_overrides": list(task.arm.search_overrides),
         "training_objective": found.training_objective,
-        "objective_seen": _objective_seen(evaluation, found),
+        # on all scenes that it was chosen on
+        "objective_seen": _objective_on(
+            evaluation, found, evaluation.assigned(evaluation.validation, found.pairing_rig)
+        ),
         "constraint_loss": None if found.mount_pose is None else constraint_loss(evaluation, found.mount_pose),
         **found.notes,
         "camera_renders": found.camera_renders,
@@ -262,30 +264,18 @@ def _rig(task: _ArmTask) -> dict[str, Any]:
 
 def _objective_of_scene(evaluation: Placement, found: FoundRig, scenes: Sequence[AssignedScene]) -> list[float | None]:
     """The objective of a rig in each test scene; None in those without objects, and for cameras of other lenses."""
-    if found.mount_pose is None:
-        return [None] * len(scenes)
-    pose, counts = np.asarray(found.mount_pose, np.float32), [each.scene.vehicle_count for each in scenes]
-    values = rig_values_of(evaluation.objective, scenes)
-    if isinstance(values, SingleCameraValues):
-        of_scene = np.split(values.detection_probability(pose), np.cumsum(counts)[:-1], axis=1)
-        weights = [evaluation.objective.object_weight([each]) for each in scenes]
-        return [
-            values.weight * expected_miss_rate(each, shares_of(weight))
-            if count and (weight is None or weight.any())
-            else None
-            for each, count, weight in zip(of_scene, counts, weights, strict=True)
-        ]
-    return [
-        evaluation.objective.evaluate(pose, [each]).objective if count else None
-        for each, count in zip(scenes, counts, strict=True)
-    ]
+
+    def weighs(each: AssignedScene) -> bool:
+        weight = evaluation.objective.object_weight([each])
+        return each.scene.vehicle_count > 0 and (weight is None or bool(weight.any()))
+
+    return [_objective_on(evaluation, found, [each]) if weighs(each) else None for each in scenes]
 
 
-def _objective_seen(evaluation: Placement, found: FoundRig) -> float | None:
-    """The objective of a rig on all scenes that it was chosen on; None for cameras of other lenses."""
+def _objective_on(evaluation: Placement, found: FoundRig, scenes: Sequence[AssignedScene]) -> float | None:
+    """The objective of a rig on scenes together; None for cameras of other lenses."""
     if found.mount_pose is None:
         return None
-    scenes = evaluation.assigned(evaluation.validation, found.pairing_rig)
     return next(iter(rig_values_of(evaluation.objective, scenes)(np.asarray(found.mount_pose, np.float32)[None])))
 
 

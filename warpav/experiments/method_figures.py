@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import checked_device
-from warpav.evaluation.metrics import RigObserver
+from warpav.evaluation.metrics import RigObservation, RigObserver
 from warpav.experiments.scene_figures import RIG_NUMBERS
 from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M
 from warpav.rig.presets import HIGHEST
@@ -31,9 +31,8 @@ from warpav.runs.scene_set import load_scene_set, load_scenes
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.view.figures import rigs
-from warpav.view.figures.images import DetectionPanel
-from warpav.view.figures.rigs import OptimisedRig, SceneViews
-from warpav.view.figures.style import checked_png
+from warpav.view.figures.rigs import OptimisedRig
+from warpav.view.figures.style import checked_figure
 
 if TYPE_CHECKING:
     from warpav.optimisation.pool_run import PoolRun
@@ -45,8 +44,7 @@ _UNCONSTRAINED = ("optimiser.multiplier_learning_rate=0", "optimiser.multiplier_
 def draw_method_figure(
     number: int, path: Path | str, config: Config, *, run: RunFolder | None, progress: Progress
 ) -> Path:
-    """Draw a figure by its number in the thesis."""
-    path = checked_png(path)
+    path = checked_figure(path, (".png",))
     match number:
         case 10:
             return unconstrained(config, path, run=run, progress=progress)
@@ -112,21 +110,17 @@ def _optimised(placement: Placement, descent: Descent | PoolRun, progress: Progr
 # ------------------------------------------------------------------------------------------------ what a rig sees
 
 
-def _observer(config: Config, progress: Progress) -> Callable[[Rig, Sequence[Scene], str], list[SceneViews]]:
+_Views: TypeAlias = list[tuple[Scene, RigObservation]]
+
+
+def _observer(config: Config, progress: Progress) -> Callable[[Rig, Sequence[Scene], str], _Views]:
     """Observes scenes through rigs, with the configuration's detector."""
     device, detector = checked_device(config.device), load_detector(config)
 
-    def observe(rig: Rig, scenes: Sequence[Scene], how: str) -> list[SceneViews]:
+    def observe(rig: Rig, scenes: Sequence[Scene], how: str) -> _Views:
         observer = RigObserver(rig, detector, objective_options(config), device=device)
-        views = []
-        for scene in progress.steps(how, scenes, count=len(scenes)):
-            observation = observer.observe(DeviceScene.pack(scene, device=device))
-            panels = [
-                DetectionPanel(camera.name, seen.image_rgb, seen.truth_box_px, seen.detections.box_px, seen.match)
-                for camera, seen in zip(rig.cameras, observation.cameras, strict=True)
-            ]
-            views.append(SceneViews(scene, observation.detected, panels))
-        return views
+        shown = progress.steps(how, scenes, count=len(scenes))
+        return [(scene, observer.observe(DeviceScene.pack(scene, device=device))) for scene in shown]
 
     return observe
 

@@ -53,8 +53,6 @@ _REFERENCE = "default"
 
 @dataclass(frozen=True)
 class _RescoreTask:
-    """One rig to rescore."""
-
     name: str
     config: Config
     source: Path
@@ -64,7 +62,6 @@ class _RescoreTask:
 
     @property
     def file(self) -> Path:
-        """The new result."""
         return self.folder / RESULTS / f"{self.name}.json"
 
     def is_done(self) -> bool:
@@ -76,7 +73,6 @@ class _RescoreTask:
 
 
 def config_file(folder: Path) -> Path:
-    """The configuration of an experiment."""
     for name in (DESCRIPTION, "config.yaml"):
         if not (folder / name).is_file():
             raise InputError(f"{folder}: expected the folder of an experiment with a file {name}, got none")
@@ -126,7 +122,6 @@ class Rescoring:
 
     @property
     def waiting(self) -> list[_RescoreTask]:
-        """The tasks that have no result yet."""
         return [task for task in self.tasks if not task.is_done()]
 
 

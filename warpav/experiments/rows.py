@@ -40,14 +40,10 @@ COLUMNS = (
     *("positional", "rotational", "of", "reference", "more", "low", "high"),
 )
 _METRICS = {
-    "misses_per_100": "misses_per_100",
-    "recall_at_equal_false_alarms": "recall_at_equal_false_alarms",
+    **{name: name for name in COLUMNS if name.startswith("map50_")},
+    **{name: name for name in ("misses_per_100", "recall_at_equal_false_alarms", "attainable_misses_per_100")},
     "false_alarms_per_frame": "false_alarms_per_image",
     "ap50_pooled": "ap50",
-    "attainable_misses_per_100": "attainable_misses_per_100",
-    "map50_average": "map50_average",
-    "map50_min_camera": "map50_min_camera",
-    "map50_max_camera": "map50_max_camera",
     "tp_detection_rate": "detection_rate",
     "tp_in_frame_rate": "in_frame_rate",
     "detection_confidence": "confidence",
@@ -108,14 +104,15 @@ def rows_of(
             rows.append(
                 {
                     **{"study": study, "judge": judge, "arm": arm, "of": of, "reference": reference},
-                    **{key: _text(getattr(found, name), scale) for key, name in _ENDS.items()},
+                    **{
+                        "more": _text(found.mean, scale),
+                        "low": _text(found.low, scale),
+                        "high": _text(found.high, scale),
+                    },
                 }
             )
             break
     return rows
-
-
-_ENDS = {"more": "mean", "low": "low", "high": "high"}
 
 
 def _run_rows(run: Mapping[str, Any], study: str, judge: str) -> list[Row]:
@@ -158,13 +155,11 @@ def _text(value: float | None, scale: float = 1.0) -> str:
 
 
 def write_rows(rows: Sequence[Row], path: Path) -> None:
-    """Write rows as CSV in one step."""
     lines = [",".join(COLUMNS), *(",".join(row.get(column, "") for column in COLUMNS) for row in rows)]
     write_text(path, "\n".join([*lines, ""]))
 
 
 def read_rows(path: Path) -> list[Row]:
-    """The rows of a CSV file of studies."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))

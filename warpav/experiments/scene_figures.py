@@ -10,7 +10,7 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.warp_setup import load_warp
-from warpav.scene.capture.capture import Capture, PlanSettings, record
+from warpav.scene.capture.capture import PlanSettings, record
 from warpav.scene.capture.folder import read_capture
 from warpav.scene.capture.town_simulator import TownSimulator
 from warpav.scene.files import scene_path, split_seeds
@@ -19,9 +19,18 @@ from warpav.scene.scene import Box
 from warpav.view.figures.clouds import sphere, stages, window_filter
 from warpav.view.figures.images import contact_sheet, image_types
 from warpav.view.figures.rigs import heat_maps, mount_surface_stages
-from warpav.view.figures.style import checked_png
+from warpav.view.figures.style import checked_figure
 
-_CAPTURE_NUMBERS = (4, 5, 6, 7, 9, 14, 15, 16)
+_OF_CAPTURES = {
+    4: image_types,
+    5: stages,
+    6: sphere,
+    7: window_filter,
+    9: mount_surface_stages,
+    14: lambda capture, path: contact_sheet(capture, "rgb", path),
+    15: lambda capture, path: contact_sheet(capture, "depth", path),
+    16: lambda capture, path: contact_sheet(capture, "instance", path),
+}
 """Figures of one capture, by their numbers in the thesis."""
 _COLLECTION_NUMBER = 8
 """The figure of a collection of scenes."""
@@ -37,49 +46,32 @@ def draw_figure(
     capture: Path | None = None,
     scenes: Path | None = None,
 ) -> Path:
-    """Draw a figure by its number in the thesis."""
-    path = checked_png(path)
+    path = checked_figure(path, (".png",))
     if number == _COLLECTION_NUMBER:
         if scenes is None or seed is not None or capture is not None:
             raise InputError(f"figure {number}: expected scenes, a folder of them, and nothing else")
         return scene_store_heat_maps(scenes, path)
-    if number not in _CAPTURE_NUMBERS:
-        known = ", ".join(map(str, sorted((*_CAPTURE_NUMBERS, _COLLECTION_NUMBER, *RIG_NUMBERS))))
+    if number not in _OF_CAPTURES:
+        known = ", ".join(map(str, sorted((*_OF_CAPTURES, _COLLECTION_NUMBER, *RIG_NUMBERS))))
         raise InputError(f"figure: expected one of {known}, got {number}")
     if scenes is not None:
         raise InputError(f"figure {number}: expected seed or capture, got scenes; that goes with figure 8")
     if seed is not None and capture is not None:
         raise InputError(f"figure {number}: expected either seed or capture, got both")
     load_warp()
-    recorded = read_capture(capture) if capture is not None else _recorded_town(3 if seed is None else seed)
-    match number:
-        case 4:
-            return image_types(recorded, path)
-        case 5:
-            return stages(recorded, path)
-        case 6:
-            return sphere(recorded, path)
-        case 7:
-            return window_filter(recorded, path)
-        case 9:
-            return mount_surface_stages(recorded, path)
-        case _:
-            return contact_sheet(recorded, {14: "rgb", 15: "depth", 16: "instance"}[number], path)
-
-
-def _recorded_town(seed: int) -> Capture:
-    """A situation of the embedded town, recorded into memory."""
+    seed = 3 if seed is None else seed
     if seed < 0:
         raise ArgumentError("seed", f"expected an integer from 0, got {seed}")
     with TownSimulator() as simulator:
-        return record(simulator, seed, PlanSettings())
+        recorded = record(simulator, seed, PlanSettings()) if capture is None else read_capture(capture)
+    return _OF_CAPTURES[number](recorded, path)
 
 
 def scene_store_heat_maps(
     folder: Path, path: Path | str, *, train: Sequence[int] | None = None, test: Sequence[int] | None = None
 ) -> Path:
     """Figure 8 for a folder of scenes: all of them, those for training, those for testing."""
-    path = checked_png(path)
+    path = checked_figure(path, (".png",))
     if not folder.is_dir():
         raise InputError(f"{folder}: expected a folder of scenes, got {'a file' if folder.exists() else 'none'}")
     found = {int(match[1]) for file in folder.iterdir() if (match := re.fullmatch(r"scene_(\d+)\.glb", file.name))}

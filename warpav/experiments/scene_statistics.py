@@ -8,6 +8,7 @@ ego vehicle, the shares of nuScenes. It takes any `Scene`: of the town, of files
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -29,8 +30,6 @@ _VIEWS = 4
 
 @dataclass
 class _SceneStatistics:
-    """Counts over scenes."""
-
     scene_count: int = 0
     category: list[str] = field(default_factory=list)
     road_user: list[str] = field(default_factory=list)
@@ -39,13 +38,11 @@ class _SceneStatistics:
     speed_m_s: list[float] = field(default_factory=list)
 
     def by_kind(self) -> dict[str, float]:
-        """Road users a scene, by kind."""
         return {kind: self.road_user.count(kind) / self.scene_count for kind in ROAD_USERS}
 
     def by_category(self) -> dict[str, float]:
         """Road users a scene by category, the most frequent first."""
-        count = {name: self.category.count(name) for name in sorted(set(self.category))}
-        return {name: number / self.scene_count for name, number in sorted(count.items(), key=lambda item: -item[1])}
+        return {name: count / self.scene_count for name, count in Counter(sorted(self.category)).most_common()}
 
     def by_distance(self, kind: str | None = None) -> dict[str, float]:
         """Share of the road users, 0..1, by distance; of all kinds, or of one."""
@@ -57,7 +54,6 @@ class _SceneStatistics:
         return _shares(list(np.nan_to_num(self.visible_share)), _VISIBLE_EDGES, "%", 100.0)
 
     def table(self) -> list[str]:
-        """Lines of text."""
         total = len(self.category)
         mean = total / max(self.scene_count, 1)
 
@@ -114,10 +110,9 @@ def _visible_shares_of(scene: Scene, *, device: str = "cpu") -> np.ndarray:
 
 def _shares(values: Sequence[float], edges: Sequence[float], unit: str, scale: float = 1.0) -> dict[str, float]:
     """Share of the values between each pair of edges, the last edge included."""
-    found = {}
-    for low, high in pairwise(edges):
-        is_last = high == edges[-1]
-        inside = sum(low <= value < high or (is_last and value == high) for value in values)
-        name = f"over {low * scale:g} {unit}" if math.isinf(high) else f"{low * scale:g}-{high * scale:g} {unit}"
-        found[name] = inside / max(len(values), 1)
-    return found
+    count = np.histogram(values, edges)[0]
+    names = [
+        f"over {low * scale:g} {unit}" if math.isinf(high) else f"{low * scale:g}-{high * scale:g} {unit}"
+        for low, high in pairwise(edges)
+    ]
+    return dict(zip(names, count / max(len(values), 1), strict=True))

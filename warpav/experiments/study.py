@@ -7,6 +7,7 @@ of the rigs: the objective of the search on unseen scenes, or the detector.
 from __future__ import annotations
 
 import itertools
+import operator
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -68,14 +69,7 @@ class _Setting(_Part):
     arms: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
     needs: str | None = None
-
-
-class _Composed(_Part):
-    """What all composed settings add."""
-
-    options: tuple[str, ...] = ()
-    arms: tuple[str, ...] = ()
-    judge: Judge = "attainable"
+    judge: Judge | None = None
     quick: tuple[str, ...] = ()
 
 
@@ -107,7 +101,6 @@ class _StudyFile(_Part):
     vary: dict[str, _Factor] = {}
     settings: dict[str, _Setting] = {}
     words: tuple[dict[str, _Setting], ...] = ()
-    composed: _Composed = _Composed()
 
 
 @dataclass(frozen=True)
@@ -151,30 +144,30 @@ class Study:
 
     def check(self, config: Config) -> None:
         """See that the configuration has what only the user can bring."""
-        if self.needs is not None:
-            section, _, option = self.needs.partition(".")
-            if getattr(getattr(config, section), option) is None:
-                raise OptionError(
-                    self.needs,
-                    f"expected a value for {self.name}, as what it needs does not ship with warpav, got none; give "
-                    f"{self.needs}=FILE_OR_FOLDER",
-                )
+        if self.needs is not None and operator.attrgetter(self.needs)(config) is None:
+            raise OptionError(
+                self.needs,
+                f"expected a value for {self.name}, as what it needs does not ship with warpav, got none; give "
+                f"{self.needs}=FILE_OR_FOLDER",
+            )
 
 
 def find_study(
     name: str, *, setting: str | None = None, vary: Sequence[str] | None = None, quick: bool = False
 ) -> Study:
-    """A study by its name."""
     file = _read("table2" if name == "table3" else name)
     if setting is not None and not file.settings:
         raise ArgumentError("setting", f"expected nothing, as it is an option of rivals, got it with {name}")
     if vary is not None and not file.vary:
         raise ArgumentError("vary", f"expected nothing, as it is an option of sweep, got it with {name}")
-    parts, is_composed = _parts(file, setting)
-    judge = file.composed.judge if is_composed else file.judge
+    parts = _parts(file, setting)
+    judges: list[Judge] = [part.judge for part in parts if part.judge is not None]
     dropped = {arm for part in parts for arm in part.without}
     names: list[str | _ArmFile] = [*file.arms, *(arm for part in parts for arm in part.arms if arm not in dropped)]
-    arms = [_arm(each) for each in names]
+    arms = [
+        find_arm(each, {}) if isinstance(each, str) else Arm(each.name, each.method, each.options, each.search)
+        for each in names
+    ]
     if file.thesis is not None:
         rows = _thesis_rows(file.thesis)
         arms = [Arm(arm_name(way, loss), _METHOD_OF[way], _loss_overrides(loss)) for way, loss in rows]
@@ -189,7 +182,7 @@ def find_study(
         budget = budget and budget * part.budget_factor
     ego = "bus" if any("scenes.ego=bus" in part.options for part in parts) else "car"
     of_parts = [each.format(zones=_FOLDER / "zones", ego=ego) for part in parts for each in part.options]
-    smaller = (file.composed.quick if is_composed else ()) if quick else ()
+    smaller = [each for part in parts for each in part.quick] if quick else []
     return Study(
         "_".join([name if name != "table3" else "table2", *([setting] if setting else []), *(["quick"] * quick)]),
         file.config,
@@ -199,7 +192,7 @@ def find_study(
         file.quick.runs_of if quick else file.runs_of,
         references,
         (file.quick.budget if quick else None) or budget,
-        judge,
+        judges[0] if judges else file.judge,
         "thesis III" if name == "table3" else file.table,
         next((part.needs for part in parts if part.needs), None),
     )
@@ -227,23 +220,17 @@ def _read(name: str) -> _StudyFile:
     return _StudyFile.model_validate(yaml.safe_load((_FILES / f"{name}.yaml").read_text(encoding="utf-8")))
 
 
-def _arm(each: str | _ArmFile) -> Arm:
-    if isinstance(each, str):
-        return find_arm(each, {})
-    return Arm(each.name, each.method, each.options, each.search)
-
-
-def _parts(file: _StudyFile, setting: str | None) -> tuple[list[_Setting], bool]:
-    """What a setting adds, and whether it is composed of words."""
+def _parts(file: _StudyFile, setting: str | None) -> list[_Setting]:
+    """What a setting adds: one of a name, or one composed of words."""
     if not file.settings:
-        return [], False
+        return []
     if setting in file.settings:
-        return [file.settings[setting]], False
+        return [file.settings[setting]]
     for words in itertools.product(*(each.items() for each in file.words)):
         if "_".join(word for word, _ in words if word) == setting:
-            composed = _Setting(options=file.composed.options, arms=file.composed.arms)
-            return [composed, *(part for _, part in words)], True
-    usual, parts = ", ".join(file.settings), "; ".join(" ".join(filter(None, each)) for each in file.words)
+            return [part for _, part in words]
+    usual = ", ".join(file.settings)
+    parts = "; ".join(filter(None, (" ".join(filter(None, each)) for each in file.words)))
     raise ArgumentError(
         "setting",
         f"expected one of {usual}, or a word of each of these with _ between: {parts}, got {setting or 'none'}",

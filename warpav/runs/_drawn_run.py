@@ -15,12 +15,10 @@ from warpav.rig.rig import Rig
 from warpav.runs.config import BY_HAND, Config
 from warpav.runs.events import of_modules, trajectory
 from warpav.view import Canvas, drawing_of, draws
-from warpav.view.output import ANIMATION_PX, Animation
+from warpav.view.output import ANIMATION_PX
 
 if TYPE_CHECKING:
-    from warpav.detection.probability import DetectionProbability
     from warpav.optimisation.further_camera import FurtherCameras
-    from warpav.raster.camera import CameraModel
     from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
 
@@ -31,34 +29,21 @@ FITTING_KINDS = (*COMPARED_KINDS, "contact", "sheet")
 """Kinds of rigs that runs have as well: start and result side by side, of the last two the result."""
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class FittedRigs:
-    """Rigs on one vehicle in one scene, and the configuration whose detector looks through them."""
+def fitting(kind: str, rigs: Mapping[str, Rig], scene: Scene, config: Config) -> tuple[Any, dict[str, Any]]:
+    """What `plot` draws of rigs on one vehicle for a kind out of `FITTING_KINDS`, and its options."""
+    from warpav.runs.detector_fit import ensure_fit
 
-    rigs: Mapping[str, Rig]
-    scene: Scene
-    config: Config
-
-    def drawing(self, kind: str, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view._plotting.Kind)
-        """What a kind out of `FITTING_KINDS` shows of them."""
-        if kind not in COMPARED_KINDS:
-            return drawing_of(list(self.rigs.values())[-1], canvas, kind=kind, scene=self.scene)
-        options = {"probability": self._probability} if kind == "range" else {}
-        shown = self.rigs if len(self.rigs) > 1 else next(iter(self.rigs.values()))
-        return drawing_of(shown, canvas, kind=kind, scene=self.scene, **options)
-
-    @cached_property
-    def _probability(self) -> Callable[[CameraModel], DetectionProbability]:
-        """Gives the model of detection probability of the configuration's detector for a camera."""
-        from warpav.runs.detector_fit import ensure_fit
-
-        if self.config.losses.probability != "fitted":
+    options: dict[str, Any] = {"scene": scene}
+    if kind == "range":
+        if config.losses.probability != "fitted":
             raise ArgumentError(
                 "kind",
-                f"expected losses.probability=fitted for 'range', got {self.config.losses.probability}; the detection "
+                f"expected losses.probability=fitted for 'range', got {config.losses.probability}; the detection "
                 "range is unknown without a fitted model",
             )
-        return lambda model: ensure_fit(self.config, camera=model)
+        options["probability"] = lambda model: ensure_fit(config, camera=model)
+    is_comparison = kind in COMPARED_KINDS and len(rigs) > 1
+    return rigs if is_comparison else list(rigs.values())[-1], options
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -133,23 +118,15 @@ class DrawnRun:
         return Rig(cameras)
 
     @property
-    def fitted(self) -> FittedRigs:
-        """Start and result on their vehicle."""
-        start = BY_HAND if self.config.rig.start == BY_HAND else "start"
-        return FittedRigs({start: self.start, "optimised": self.rig}, self.scene, self.config)
+    def rigs(self) -> dict[str, Rig]:
+        """Start and result by name."""
+        return {BY_HAND if self.config.rig.start == BY_HAND else "start": self.start, "optimised": self.rig}
 
     def nearest_iteration(self) -> int:
         """The iteration before whose step the cameras stood nearest to those of the result; from 0."""
         end_m = np.array([camera.position_m for camera in self.rig.cameras])
         positions_m = np.array([event["positions_m"] for event in self.events], np.float64)
         return int(np.linalg.norm(positions_m - end_m, axis=2).max(axis=1).argmin())
-
-    def checked_iteration(self, iteration: int) -> int:
-        """The number of an iteration from 0."""
-        count = len(self.events)
-        if not -count <= iteration < count:
-            raise InputError(f"{self.name}: iteration: expected one of {count} from 0, got {iteration}")
-        return iteration % count
 
     def checked_further(self, kind: str) -> FurtherCameras:
         """`further`, for a kind of plot that needs them."""
@@ -161,31 +138,23 @@ class DrawnRun:
             )
         return self.further
 
-    def animation(self, *, arrows: bool = True, window_size: tuple[int, int] = ANIMATION_PX) -> Animation:
-        """The cameras move over the vehicle, and their trajectories grow."""
-        from warpav.view.recording import run_animation
-
-        if not self.events:
-            raise InputError(f"{self.name}: expected iterations to animate, got none; write a .png instead")
-        return run_animation(
-            self.frames,
-            self.events,
-            end=self.rig,
-            scene=self.scene,
-            surface=self.surface if arrows else None,
-            window_size=window_size,
-        )
-
     def view(self, canvas: Canvas, *, iteration: int | None, arrows: bool, visibility: bool) -> Any:  # noqa: ANN401
         """The result in space, or the rig before the step of an iteration, with its trajectory and arrows."""
         from warpav.view.layers import Steepest, add_descent
+        from warpav.view.recording import run_animation
 
-        if canvas.is_animation and iteration is None:
-            return self.animation(arrows=arrows, window_size=canvas.size_px(ANIMATION_PX))
         frames = self.frames
+        if canvas.is_animation and iteration is None:  # the cameras move, and their trajectories grow
+            if not self.events:
+                raise InputError(f"{self.name}: expected iterations to animate, got none; write a .png instead")
+            moving = {"scene": self.scene, "surface": self.surface if arrows else None}
+            return run_animation(frames, self.events, end=self.rig, **moving, window_size=canvas.size_px(ANIMATION_PX))
         rig, path_m, index = self.rig, trajectory(self.events), None
         if iteration is not None:
-            index = self.checked_iteration(iteration)
+            count = len(self.events)
+            if not -count <= iteration < count:
+                raise InputError(f"{self.name}: iteration: expected one of {count} from 0, got {iteration}")
+            index = iteration % count
             rig, own = frames[index], self.events[index].get("descent")
             before = [event["positions_m"] for event in self.events[: index + 1] if event.get("descent") == own]
             path_m = np.array(before, np.float64)
@@ -215,7 +184,9 @@ def _view(
 
 
 def _fitting(kind: str, run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
-    return run.drawn(scene=scene).fitted.drawing(kind, canvas)
+    drawn = run.drawn(scene=scene)
+    shown, options = fitting(kind, drawn.rigs, drawn.scene, drawn.config)
+    return drawing_of(shown, canvas, kind=kind, **options)
 
 
 def _top_view(run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
@@ -275,5 +246,3 @@ def draws_runs(cls: type) -> None:
 
 
 draws_runs(DrawnRun)
-for _kind in FITTING_KINDS:
-    draws(FittedRigs, _kind, is_figure=True)(partial(lambda kind, fitted, canvas: fitted.drawing(kind, canvas), _kind))

@@ -15,7 +15,7 @@ from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.onnx_detector import OnnxDetector
 from warpav.runs.config import Config
 from warpav.runs.networks import load_detector
-from warpav.view.figures.style import checked_png
+from warpav.view.figures.style import checked_figure
 from warpav.view.palette import CAMERA_RGB, PAPER_RGB
 
 _SMALL_PX = 256
@@ -32,7 +32,7 @@ def check_detector(
     if out is not None and image_file is None:
         raise ArgumentError("out", "expected `image` beside it, as boxes are drawn on an image")
     image_rgb = None if image_file is None else _read_image(image_file)
-    target = None if image_file is None else checked_png(out or Path(f"{image_file.stem}_boxes.png"))
+    target = None if image_file is None else checked_figure(out or Path(f"{image_file.stem}_boxes.png"), (".png",))
     if target is not None and not target.absolute().parent.is_dir():
         raise ArgumentError("out", f"expected an existing folder to write to, got {str(target.parent)!r}", place=target)
     config = config.model_copy(update={"detector": config.detector.model_copy(update={"model": model})})

@@ -16,7 +16,7 @@ from warpav.core.files import atomic_write, writing
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import checked_device
 from warpav.evaluation.metrics import metrics_of, observe_scenes
-from warpav.evaluation.perturbations import CameraOutages
+from warpav.evaluation.perturbations import CameraOutages, MountTolerance
 from warpav.optimisation.attainable import attainable_objects
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.constraints import Constraints
@@ -74,9 +74,16 @@ def evaluate(
 
 @draws(CameraOutages, "outages", is_figure=True)
 def _outages_drawing(outages: CameraOutages, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view._plotting.Kind)
+    return _tolerance_drawing(None, canvas, outages=outages)
+
+
+@draws(MountTolerance, "tolerance", is_figure=True)
+def _tolerance_drawing(
+    tolerance: MountTolerance | None, canvas: Canvas, *, outages: CameraOutages | None = None
+) -> Any:  # noqa: ANN401 (as above)
     from warpav.view.figures.statistics import sensitivity_figure
 
-    return sensitivity_figure(None, outages, heading=canvas.title)
+    return sensitivity_figure(tolerance, outages, heading=canvas.title)
 
 
 @draws(RigEvaluation, "recall", is_figure=True)
@@ -92,6 +99,21 @@ def _drawing(evaluation: RigEvaluation, canvas: Canvas) -> Any:  # noqa: ANN401 
     }
     title = canvas.title or f"{len(evaluation.scenes)} scenes, {len(evaluation.objects)} objects"
     return recall_figure(groupings, title=title)
+
+
+@draws(RigEvaluation, "differences", is_figure=True)
+def _differences_drawing(evaluation: RigEvaluation, _canvas: Canvas) -> Any:  # noqa: ANN401 (as above)
+    from warpav.view.figures.statistics import differences_figure
+
+    rows = {
+        f"{heading}\nagainst {other}": found[metric]
+        for metric, heading in {"tp_detection_rate": "recall", "ap50_pooled": "AP50"}.items()
+        for other, found in (evaluation.paired or evaluation.compared().paired).items()
+        if metric in found and None not in (found[metric].low, found[metric].high)
+    }
+    if not rows:
+        raise InputError("plot: expected rigs to compare on several scenes, got none")
+    return differences_figure(rows, evaluation.first)
 
 
 def evaluate_on(
@@ -154,10 +176,10 @@ def check_rig(
 ) -> Iterator[str]:
     """Check a rig against requirements; lines that say what it meets."""
     from warpav.view.figures.around import requirement_map
-    from warpav.view.figures.style import checked_png
+    from warpav.view.figures.style import checked_figure
 
     if image is not None:
-        checked_png(image)
+        checked_figure(image, (".png",))
     wanted = read_requirements(requirements)
     check_rig_source(source)
     ego = first_scene(config).ego

@@ -7,10 +7,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from warpav.core.bounded_files import DATA_SET_BYTES_MAX, parse_json, read_bytes
 from warpav.core.errors import InputError
+from warpav.core.records import read_record
 
 if TYPE_CHECKING:
     import numpy as np
@@ -75,29 +76,19 @@ def read_events(file: Path, *, least: int = 0) -> list[dict[str, Any]]:
         if event is not None:
             # of modules a rig may have more than another
             count = len(events[0]["positions_m"]) if events and not events[0].get("modules") else None
-            if wrong := _mistake(event, count):
-                raise InputError(f"{file}:{number}: {wrong}; {_MEND_EVENTS}")
+            place = f"{file}:{number}"
+            try:
+                wrong = read_record(Event, event, place).mistake(count)
+            except InputError as error:
+                raise InputError(f"{error}; {_MEND_EVENTS}") from None
+            if wrong:
+                raise InputError(f"{place}: {wrong}; {_MEND_EVENTS}")
             events.append(event)
     if len(events) < least:
         raise InputError(
             f"{file}: expected the {least} iterations of a run that has ended, got {len(events)}; was it cut off?"
         )
     return events
-
-
-def _mistake(event: object, camera_count: int | None) -> str | None:
-    """What keeps a line from being an iteration of a run of so many cameras; None: nothing."""
-    if not isinstance(event, dict):
-        return f"expected one JSON object per line, got {str(event)[:40]!r}"
-    try:
-        return Event.model_validate(event).mistake(camera_count)
-    except ValidationError as error:
-        found = error.errors()[0]
-    place = ".".join(str(part) for part in found["loc"] if not str(part).startswith(("float", "list[")))
-    if found["type"] == "missing":
-        return f"expected an iteration of a run with {place}, got {', '.join(list(event)[:5]) or 'no field'}"
-    text = found["msg"].removeprefix("Input should be ")
-    return f"{place}: expected {text}, got {str(found['input'])[:40]!r}"
 
 
 def trajectory(events: Sequence[Mapping[str, Any]]) -> np.ndarray | None:

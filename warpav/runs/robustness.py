@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from warpav.core.errors import InputError
 from warpav.core.progress import Progress
 from warpav.evaluation.perturbations import (
-    CameraOutages,
     LoadState,
     LoadStates,
     MountTolerance,
@@ -26,7 +24,6 @@ from warpav.runs.evaluate import weights_on
 from warpav.runs.placement import Placement
 from warpav.runs.progress import shown_progress
 from warpav.scene.scene import Scene
-from warpav.view import Canvas, draws
 
 __all__ = ["load_states", "mount_tolerance", "soiling"]
 
@@ -149,10 +146,3 @@ def _posed(rig: Rig, scenes: Sequence[AssignedScene], placement: Placement) -> P
 def _unknown_probability(placement: Placement, what: str) -> InputError:
     got = ", ".join(loss.name for _, loss in placement.objective.losses)
     return InputError(f"losses: expected the expected_miss_rate alone, with combine=any, for {what}, got {got}")
-
-
-@draws(MountTolerance, "tolerance", is_figure=True)
-def _tolerance_drawing(tolerance: MountTolerance, canvas: Canvas, *, outages: CameraOutages | None = None) -> Any:  # noqa: ANN401
-    from warpav.view.figures.statistics import sensitivity_figure
-
-    return sensitivity_figure(tolerance, outages, heading=canvas.title)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import io
+import contextlib
+import dataclasses
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -20,20 +21,17 @@ from warpav.runs.evaluate import requirements_of
 from warpav.runs.events import trajectory
 from warpav.runs.placement import Placement
 from warpav.runs.report._content import read_evaluation
+from warpav.runs.report.report import SHOWN_SCENES
 from warpav.runs.rig_evaluation import RigEvaluation
 from warpav.runs.run_folder import RunFolder
 from warpav.view import Canvas, drawing_of, plot
 
 if TYPE_CHECKING:
     from warpav.detection.probability import DetectionProbability
+    from warpav.evaluation.metrics import CameraObservation
     from warpav.optimisation.losses.scene_on_tape import AssignedScene
-    from warpav.optimisation.objective import RigObjective
     from warpav.raster.camera import CameraModel
     from warpav.scene.scene import Scene
-    from warpav.view.figures.images import DetectionPanel
-
-VIEW_PX = 960
-"""Longer side of the images that are kept of what cameras see."""
 
 GROUND_SCENES = 10
 """Test scenes at most on which the ground that no camera sees is measured."""
@@ -92,12 +90,16 @@ class RunPictures:
             self._plot(self.evaluation.mount_tolerance.tolerance(), "tolerance", "sensitivity", outages=outages)
         for kind in ("plan", "near_field"):
             self._plot(drawn, kind)
-        detections_sheet(self._panels(self.test[0]), self.folder.figure_path("detections"))
+        seen = {name: self._seen(rig, self.test[0]) for name, rig in self.rigs.items()}
+        detections_sheet(seen, self.folder.figure_path("detections"))
 
     def _draw_further(self) -> None:
-        """All other pictures, and what the report's maps of the ground are drawn from."""
+        """All other pictures."""
         from warpav.sight.ground import BlindGround
         from warpav.view.figures.around import requirement_map
+        from warpav.view.figures.from_above import blind_ground_figure
+        from warpav.view.figures.images import detections_sheet
+        from warpav.view.figures.style import save_figure
 
         placement, drawn = self.placement, self._drawn
         self._plot(drawn, "top_view", "rig_top_view")
@@ -110,9 +112,16 @@ class RunPictures:
             file = self.folder.figure_path(f"requirements_{name}")
             requirement_map(file, result=met, rig=self.rigs[name], ego=placement.ego)
         scenes = [assigned.scene for assigned in self.test[:GROUND_SCENES]]
-        self.folder.write_ground(BlindGround.of(self.rigs, scenes).arrays(placement.ego.bounds_m()))
-        shown = _shown_scenes(self.test, self.evaluation)
-        _keep_views(self.folder, [(each.scene.name, self._panels(each)) for each in shown])
+        blind = blind_ground_figure(BlindGround.of(self.rigs, scenes), self.rigs, placement.ego)
+        save_figure(blind, self.folder.figure_path("blind_ground"))
+        for kind in ("recall", "differences"):
+            with contextlib.suppress(InputError):  # too few objects or scenes
+                self._plot(self.evaluation, kind)
+        for which, shown in zip(SHOWN_SCENES, _shown_scenes(self.test, self.evaluation), strict=False):
+            seen = {name: self._seen(rig, shown) for name, rig in self.rigs.items()}
+            for camera in dict.fromkeys(camera for of_rig in seen.values() for camera in of_rig):
+                row = {name: of_rig[camera] for name, of_rig in seen.items() if camera in of_rig}
+                detections_sheet({shown.scene.name: row}, self.folder.figure_path(f"{which}_{camera}"))
 
     @cached_property
     def _drawn(self) -> DrawnRun:
@@ -137,9 +146,7 @@ class RunPictures:
         problem = opengl_problem()
         if problem is not None:
             return problem
-        from PIL import Image
-
-        from warpav.view.output import render_rgb, write_whole
+        from warpav.view.output import render_rgb, save_rgb
 
         path_m = {"optimised": trajectory(self.folder.events())}
         images = []
@@ -150,14 +157,22 @@ class RunPictures:
                 images.append(render_rgb(plotter))
             finally:
                 plotter.close()
-        encoded = io.BytesIO()
-        Image.fromarray(np.hstack(images)).save(encoded, format="PNG", compress_level=4)
-        write_whole(self.folder.figure_path("rig"), encoded.getvalue())
+        save_rgb(np.hstack(images), self.folder.figure_path("rig"))
         return None
 
-    def _panels(self, assigned: AssignedScene) -> dict[str, list[DetectionPanel]]:
-        """What the cameras of both rigs see of a scene."""
-        return {heading: _panels(rig, self.placement.objective, assigned) for heading, rig in self.rigs.items()}
+    def _seen(self, rig: Rig, assigned: AssignedScene) -> dict[str, CameraObservation]:
+        """What the cameras of a rig see of a scene, by their names; the own body is tinted."""
+        from warpav.detection.images import render_images
+        from warpav.evaluation.metrics import observe_scenes
+        from warpav.view.figures.images import own_body_tinted
+
+        objective = self.placement.objective
+        [seen] = observe_scenes(rig, [assigned], objective, with_objective=False).observations
+        images = render_images(assigned.scene, rig.cameras, device=objective.device)
+        return {
+            camera.name: dataclasses.replace(each, image_rgb=own_body_tinted(each.image_rgb, image.object_index))
+            for camera, each, image in zip(rig.cameras, seen.cameras, images, strict=True)
+        }
 
     def _probability(self, model: CameraModel) -> DetectionProbability:
         """That of the same camera, else of one whose images have the same size, as of zooms of one lens."""
@@ -173,54 +188,3 @@ def _shown_scenes(scenes: Sequence[AssignedScene], evaluation: RigEvaluation) ->
     left = Counter(each.scene for each in evaluation.objects if each.outcome["optimised"] != ObjectOutcome.DETECTED)
     others = [each for each in scenes[1:] if left[each.scene.name]]
     return [scenes[0], *sorted(others, key=lambda each: -left[each.scene.name])[:1]]
-
-
-def _keep_views(folder: RunFolder, panels: Sequence[tuple[str, Mapping[str, Sequence[DetectionPanel]]]]) -> None:
-    """Write what cameras see into a run folder, by scene and by rig, as images and boxes."""
-    from PIL import Image
-
-    views, image_of = [], {}
-    for number, (scene, rigs) in enumerate(panels):
-        for rig, cameras in rigs.items():
-            for panel in cameras:
-                name = f"{number}_{rig}_{panel.title}.webp"
-                encoded, image = io.BytesIO(), Image.fromarray(panel.image_rgb)
-                image.thumbnail((VIEW_PX, VIEW_PX))
-                image.save(encoded, "WEBP", quality=88)
-                image_of[name] = encoded.getvalue()
-                height_px, width_px = panel.image_rgb.shape[:2]
-                views.append(
-                    {
-                        "scene": scene,
-                        "scene_number": number,
-                        "rig": rig,
-                        "camera": panel.title,
-                        "image": name,
-                        "size_px": [width_px, height_px],
-                        "truth_box_px": [
-                            box.tolist() if np.isfinite(box).all() else None for box in panel.truth_box_px
-                        ],
-                        "detection_box_px": panel.detection_box_px,
-                        "detection_of_truth": panel.detection_of_truth,
-                    }
-                )
-    folder.write_views(views, image_of)
-
-
-def _panels(rig: Rig, objective: RigObjective, assigned: AssignedScene) -> list[DetectionPanel]:
-    from warpav.detection.images import render_images
-    from warpav.evaluation.metrics import observe_scenes
-    from warpav.view.figures.images import DetectionPanel, own_body_tinted
-
-    [seen] = observe_scenes(rig, [assigned], objective, with_objective=False).observations
-    images = render_images(assigned.scene, rig.cameras, device=objective.device)
-    return [
-        DetectionPanel(
-            title=camera.name,
-            image_rgb=own_body_tinted(of_camera.image_rgb, image.object_index),
-            truth_box_px=of_camera.truth_box_px,
-            detection_box_px=of_camera.detections.box_px,
-            detection_of_truth=of_camera.match,
-        )
-        for camera, of_camera, image in zip(rig.cameras, seen.cameras, images, strict=True)
-    ]

@@ -6,7 +6,6 @@
                   rig_start.yaml (where rig.start names a rig)
                   evaluation.json  checkpoints/last.npz  report.html  figures/*.png
                   further_cameras.csv (where optimiser.search is pool)
-                  figures/ground.npz  figures/views.json  figures/views/*.webp (where all pictures are drawn)
 
 A file is replaced in one step or extended by one whole line, so a run that is stopped leaves a folder that opens.
 One process at a time writes to a folder, and holds it.
@@ -197,32 +196,6 @@ class RunFolder:
     def figure_path(self, name: str) -> Path:
         """Where the figure of this name belongs: ``figures/<name>.png``."""
         return self.path / "figures" / f"{name}.png"
-
-    def write_ground(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Write ``figures/ground.npz``, the cells of the ground that no camera sees."""
-        _write_arrays(self.path / "figures" / "ground.npz", arrays)
-
-    def ground(self) -> dict[str, np.ndarray] | None:
-        """The content of ``figures/ground.npz``, or None."""
-        return _read_arrays(self.path / "figures" / "ground.npz")
-
-    def write_views(self, views: Sequence[Mapping[str, Any]], image_of: Mapping[str, bytes]) -> None:
-        """Write what cameras see: ``figures/views.json``, and the images that it names."""
-        folder = self.path / "figures" / "views"
-        with writing(folder):
-            folder.mkdir(exist_ok=True)
-            for name, encoded in image_of.items():
-                with atomic_write(folder / name) as draft:
-                    draft.write_bytes(encoded)
-        write_json(self.path / "figures" / "views.json", views)
-
-    def views(self) -> Any:  # noqa: ANN401 (JSON)
-        """The content of ``figures/views.json``, or None."""
-        return self._read_json("figures/views.json")
-
-    def view_path(self, name: str) -> Path:
-        """Where the image of this name in ``figures/views.json`` is."""
-        return self.path / "figures" / "views" / name
 
     def write_further_cameras(self, further: FurtherCameras) -> None:
         """Write ``further_cameras.csv``: what each camera of the pool would add to the rig that was found."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -253,9 +252,7 @@ def _row(name: str, text: str) -> str:
 
 def propose(path: Path, config: Config, *, out: Path, image: Path | None = None) -> Iterator[str]:
     """Propose zones of a vehicle, write them, draw them; lines that say what there is."""
-    from PIL import Image
-
-    from warpav.view.output import check_suffix, write_whole
+    from warpav.view.output import check_suffix, save_rgb
     from warpav.view.picture import zones_image_rgb
 
     if image is not None:
@@ -292,9 +289,7 @@ def propose(path: Path, config: Config, *, out: Path, image: Path | None = None)
     if image is not None:
         title = f"zones of {path.name}"
         if image.suffix.lower() == ".png":
-            encoded = io.BytesIO()
-            Image.fromarray(zones_image_rgb(mesh, chart, title=title)).save(encoded, format="PNG", optimize=True)
-            write_whole(image, encoded.getvalue())
+            save_rgb(zones_image_rgb(mesh, chart, title=title), image)
         else:
             plot(mesh, mount_surface=chart, title=title, out=image)
         yield f"wrote {image}"

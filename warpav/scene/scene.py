@@ -16,6 +16,8 @@ from warpav.raster.mesh import Mesh, merge
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from embreex.rtcore_scene import EmbreeScene
+
     MultiBlock = Any
 
 ROAD_USERS = ("vehicle", "pedestrian", "cyclist")
@@ -32,6 +34,16 @@ _ROAD_USER_OF_CATEGORY = {
 def road_user_of(category: str) -> str:
     """The kind of a category out of `ROAD_USERS`: anything else than a person or cyclist counts as a vehicle."""
     return _ROAD_USER_OF_CATEGORY.get(category.lower(), "vehicle")
+
+
+def triangle_caster(corner_m: np.ndarray) -> EmbreeScene:
+    """Triangles [triangle, 3, 3], to cast rays at."""
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    caster = EmbreeScene()
+    TriangleMesh(caster, np.asarray(corner_m, np.float32))
+    return caster
 
 
 def yaw_rotation(yaw_rad: float) -> np.ndarray:

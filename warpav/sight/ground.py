@@ -274,13 +274,3 @@ class BlindGround:
             "cells": by_sector(self.open_count),
             "blind": {name: by_sector(count) for name, count in self.blind_count.items()},
         }
-
-    def arrays(self, ego_bounds_m: np.ndarray) -> dict[str, np.ndarray]:
-        """The counts for ``figures/ground.npz``, with the ego vehicle's lowest and highest corner [m], [2, 3]."""
-        return {
-            "open_count": self.open_count.astype(np.uint16),
-            **{f"blind_count_{name}": count.astype(np.uint16) for name, count in self.blind_count.items()},
-            "heights_m": np.array(self.heights_m),
-            "cell_m": np.array(self.cell_m),
-            "ego_bounds_m": np.asarray(ego_bounds_m, np.float64),
-        }

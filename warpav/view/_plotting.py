@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from warpav.core.progress import Progress
-    from warpav.detection.probability import DetectionProbability
-    from warpav.raster.camera import CameraModel
 
     Drawing = Any
     Plotter = Any
@@ -159,8 +157,8 @@ def plot(
     What errors of mounting cost (`warpav.mount_tolerance`) is a heat map of cameras by degrees of freedom,
     with ``outages`` (of ``evaluation.camera_outage``) beside a bar for the loss of each camera; they alone are the
     bars.
-    An evaluation of rigs is a figure of their recall by distance, sector and category, and has no options. Such figures
-    and sheets may also be ``.pdf`` and ``.svg``.
+    An evaluation of rigs is a figure of their recall by distance, sector and category; ``differences`` are those of
+    recall and AP50 of the first rig to the others. Such figures and sheets may also be ``.pdf`` and ``.svg``.
 
     Args:
         obj: What to show.
@@ -304,46 +302,25 @@ def _draw_sheet(
     return rig_sheet(rig, ego=Picture(ego=ego, scene=scene).vehicle, range_m=range_m, title=canvas.title)
 
 
-def _draws_rigs(kind: str) -> Callable[[_Function], _Function]:
-    """Registers what draws one rig or several by name."""
-
-    def register(draw: _Function) -> _Function:
-        return draws(Mapping, kind, is_figure=True)(draws(Rig, kind, is_figure=True)(draw))
-
-    return register
-
-
-def _figure_of_rigs(module: str, kind: str) -> None:
+def _figure_of_rigs(module: str, kind: str, *further: str) -> None:
     """Registers ``<kind>_figure`` of a module of figures as what draws a kind of rigs on their vehicle."""
 
-    @_draws_rigs(kind)
-    def draw(rig: Any, canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None) -> Drawing:  # noqa: ANN401
+    def draw(rig: Any, canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None, **parts: Any) -> Drawing:  # noqa: ANN401
         figure = getattr(importlib.import_module(f"warpav.view.figures.{module}"), f"{kind}_figure")
-        return figure(_by_name(rig), _vehicle(ego, scene, kind), heading=canvas.title)
+        return figure(_by_name(rig), _vehicle(ego, scene, kind), **parts, heading=canvas.title)
+
+    for cls in (Rig, Mapping):
+        draws(cls, kind, is_figure=True, options=("ego", "scene", *further))(draw)
 
 
 _figure_of_rigs("plan", "plan")
-
-
-@_draws_rigs("range")
-def _draw_range(
-    rig: Any,  # noqa: ANN401
-    canvas: Canvas,
-    *,
-    ego: Mesh | None = None,
-    scene: Scene | None = None,
-    probability: Callable[[CameraModel], DetectionProbability] | None = None,
-) -> Drawing:
-    from warpav.view.figures.around import range_figure
-
-    return range_figure(_by_name(rig), _vehicle(ego, scene, "range"), probability=probability, heading=canvas.title)
-
-
+_figure_of_rigs("around", "range", "probability")
 _figure_of_rigs("around", "near_field")
 _figure_of_rigs("around", "redundancy")
 
 
-@_draws_rigs("resolution")
+@draws(Mapping, "resolution", is_figure=True)
+@draws(Rig, "resolution", is_figure=True)
 def _draw_resolution(rig: Any, canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None) -> Drawing:  # noqa: ANN401
     from warpav.view.figures.plan import resolution_figure
 

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 SQUARE = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 """Corners of a cell around its middle, in cells."""
 
-GAIN_TITLE = "one more camera: further objects found of 100"
+_GAIN_TITLE = "one more camera: further objects found of 100"
 
 
 def mesh_to_pyvista(mesh: Mesh) -> PolyData:
@@ -115,17 +115,17 @@ def _add_gains(
 ) -> None:
     """Add a surface in the colours of its ``gain_of_100``, with a scale; what was drawn before under the name goes."""
     plotter.remove_actor(name)
-    if GAIN_TITLE in plotter.scalar_bars:
-        plotter.remove_scalar_bar(GAIN_TITLE)
+    if _GAIN_TITLE in plotter.scalar_bars:
+        plotter.remove_scalar_bar(_GAIN_TITLE)
     if surface is None or not surface.n_cells:
         return
     size = max(9, round(16 * min(1.0, plotter.window_size[0] / 1280)))
-    scale = {"title": GAIN_TITLE, "color": hex_colour(INK_RGB), "fmt": "%.1f", "n_labels": 3}
+    scale = {"title": _GAIN_TITLE, "color": hex_colour(INK_RGB), "fmt": "%.1f", "n_labels": 3}
     scale |= {"position_x": at[0], "position_y": at[1], "width": 0.35, "height": 0.115}
     scale |= {"title_font_size": size, "label_font_size": size}
     colours = {"scalars": "gain_of_100", "cmap": further_map(), "clim": (0.0, max(most, 1e-9))}
     plotter.add_mesh(surface, **colours, **style, name=name, scalar_bar_args=scale)
-    plotter.scalar_bars[GAIN_TITLE].SetTitle(f"{GAIN_TITLE}\n ")  # VTK lets it touch its numbers
+    plotter.scalar_bars[_GAIN_TITLE].SetTitle(f"{_GAIN_TITLE}\n ")  # VTK lets it touch its numbers
 
 
 # --------------------------------------------------------------------------------------------------- what is seen
@@ -341,12 +341,12 @@ def zones_to_pyvista(surface: MountSurface, *, lift_m: float = 0.0) -> PolyData:
     A zone that carries several modules is there once. Of symmetric rigs the right halves of zones are there too.
 
     Cell data: ``height_m`` above the ground, ``border_distance_m`` to the nearest position that carries none, and
-    ``zone``, the number of its zone among `zone_names`.
+    ``zone``, the number of its zone among `_zone_names`.
     """
     is_shown = surface.inside.copy()
     number = np.zeros(surface.height_m.shape, int)
     if surface.zones:
-        names = zone_names(surface)
+        names = _zone_names(surface)
         own = [zone.name for zone in surface.zones]
         is_shown &= np.array([own.index(name) == k for k, name in enumerate(own)])[surface.zone_of_cell]
         number = np.array([names.index(name) for name in own])[surface.zone_of_cell]
@@ -375,7 +375,7 @@ def zones_to_pyvista(surface: MountSurface, *, lift_m: float = 0.0) -> PolyData:
     return squares
 
 
-def zone_names(surface: MountSurface) -> list[str]:
+def _zone_names(surface: MountSurface) -> list[str]:
     """Names of a surface's zones in their order, each once."""
     return list(dict.fromkeys(zone.name for zone in surface.zones)) or [WHOLE]
 
@@ -385,7 +385,7 @@ def add_zones(plotter: Plotter, surface: MountSurface | None, *, name: str = "zo
     remove(plotter, name)
     if surface is None:
         return
-    labels: dict[str, Rgb] = {each: zone_rgb(k) for k, each in enumerate(zone_names(surface))}
+    labels: dict[str, Rgb] = {each: zone_rgb(k) for k, each in enumerate(_zone_names(surface))}
     squares = zones_to_pyvista(surface, lift_m=_ZONE_LIFT_M)
     squares.cell_data["RGB"] = np.array(list(labels.values()), np.uint8)[squares.cell_data["zone"]]
     paint(plotter, squares, name=name)
@@ -415,7 +415,7 @@ def gain_to_pyvista(surface: MountSurface, further: FurtherCameras, *, lift_m: f
     squares = zones_to_pyvista(surface, lift_m=lift_m)
     gain_of_100 = np.full(squares.n_cells, np.nan)
     if len(further):
-        names = zone_names(surface)
+        names = _zone_names(surface)
         own = np.array([names.index(zone.name) for zone in surface.zones] or [0])
         middle_m = squares.points.reshape(-1, 4, 3).mean(axis=1)
         place_m, _ = surface.place_of(surface.left_of(further.position_m))
@@ -444,10 +444,10 @@ def add_gain(
 
 # --------------------------------------------------------------------------------------------------- of a search
 
-LONGEST_M = 0.8
+_LONGEST_M = 0.8
 """Length of the arrow of the camera on which the loss depends most [m]; the others are shorter in proportion."""
 
-WIDEST_RAD = math.radians(60.0)
+_WIDEST_RAD = math.radians(60.0)
 """Angle of the bent arrow of the camera on whose yaw the loss depends most, likewise."""
 
 _RADIUS_M = 0.42  # of the bent arrows
@@ -473,7 +473,7 @@ class Steepest:
         return cls(along, -np.asarray(gradient["yaw_per_rad"], np.float64))
 
 
-def arrows_m(rig: Rig, descent: Steepest, surface: MountSurface) -> np.ndarray:
+def _arrows_m(rig: Rig, descent: Steepest, surface: MountSurface) -> np.ndarray:
     """Arrows along the mount surface for where the descent moves the cameras, in the ego frame [m], [camera, 3].
 
     Lengths are in proportion to the gradient's norm; all 0 where the loss depends on no position.
@@ -488,7 +488,7 @@ def arrows_m(rig: Rig, descent: Steepest, surface: MountSurface) -> np.ndarray:
     tangent = np.column_stack([ahead, rise_m / (2.0 * reach_m)])
     tangent = np.einsum("ki,kij->kj", tangent, surface.axes[surface.zone_at(position_m)])
     length = np.linalg.norm(tangent, axis=1, keepdims=True)
-    return tangent / np.maximum(length, 1e-12) * LONGEST_M * norm / norm.max()
+    return tangent / np.maximum(length, 1e-12) * _LONGEST_M * norm / norm.max()
 
 
 def add_descent(plotter: Plotter, rig: Rig, descent: Steepest | None, surface: MountSurface) -> None:
@@ -501,12 +501,12 @@ def add_descent(plotter: Plotter, rig: Rig, descent: Steepest | None, surface: M
         return
     if len(descent.turn) != len(rig.cameras):
         raise ValueError(f"expected a gradient for each of {len(rig.cameras)} cameras, got {len(descent.turn)}")
-    turn_rad = WIDEST_RAD * descent.turn / max(np.abs(descent.turn).max(initial=0.0), 1e-300)
-    for camera, arrow, angle in zip(rig.cameras, arrows_m(rig, descent, surface), turn_rad, strict=True):
+    turn_rad = _WIDEST_RAD * descent.turn / max(np.abs(descent.turn).max(initial=0.0), 1e-300)
+    for camera, arrow, angle in zip(rig.cameras, _arrows_m(rig, descent, surface), turn_rad, strict=True):
         start, curves = camera.position_m + np.array([0.0, 0.0, _RISE_M]), {}
-        if np.linalg.norm(arrow) > _LEAST * LONGEST_M:
+        if np.linalg.norm(arrow) > _LEAST * _LONGEST_M:
             curves["move"] = start + np.linspace(0.0, 1.0, 2)[:, None] * arrow
-        if abs(angle) > _LEAST * WIDEST_RAD:
+        if abs(angle) > _LEAST * _WIDEST_RAD:
             bearing = camera.yaw_rad + np.linspace(0.0, angle, 24)
             curves["turn"] = start + _RADIUS_M * np.column_stack([np.cos(bearing), np.sin(bearing), 0.0 * bearing])
         for kind, curve_m in curves.items():
@@ -526,7 +526,7 @@ def _arrow(curve_m: np.ndarray) -> PolyData:
     return pyvista.merge([shaft, tip])
 
 
-ARROW_M = 0.32
+_ARROW_M = 0.32
 """Length of the arrow of a further camera [m]."""
 
 
@@ -538,7 +538,7 @@ def add_further_cameras(
     if further is not None and len(further):
         most, best = 100.0 * float(further.gain.max()), further.best_places()
         arrow = {"shaft_radius": 0.06, "tip_radius": 0.16, "tip_length": 0.36}
-        arrow = pyvista.Arrow(**arrow, shaft_resolution=12, tip_resolution=16).scale(ARROW_M)
+        arrow = pyvista.Arrow(**arrow, shaft_resolution=12, tip_resolution=16).scale(_ARROW_M)
         dot = pyvista.Sphere(radius=0.022, theta_resolution=10, phi_resolution=10)
         for chosen, shape in ((best, arrow), (np.setdiff1d(np.arange(len(further)), best), dot)):
             shown = further[chosen]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.core.files import atomic_write
+from warpav.core.files import atomic_write, writing
 from warpav.view.layers import no_render
 from warpav.view.opengl import optional_module
 from warpav.view.palette import CAMERA_RGB, DESCENT_RGB
@@ -76,9 +76,7 @@ def save_image(plotter: Plotter, path: Path | str, *, progress: Progress | None 
     if path.suffix.lower() in _ANIMATION_SUFFIXES:
         return save_animation(Animation(_orbit(plotter), _ORBIT_FRAMES, _ORBIT_FRAME_S), path, progress=progress)
     if path.suffix.lower() == ".png":
-        encoded = io.BytesIO()
-        _image(plotter).save(encoded, format="PNG")
-        return write_whole(path, encoded.getvalue())
+        return save_rgb(render_rgb(plotter), path)
     return save_page({path.stem: plotter}, path, title=path.stem)
 
 
@@ -87,7 +85,7 @@ def save_page(plotters: Mapping[str, Plotter], path: Path | str, *, title: str, 
     from warpav.view.page import page_of
 
     page = page_of(plotters, title=title, lines=lines)
-    return write_whole(Path(path), page.html().encode())
+    return write_bytes(Path(path), page.html().encode())
 
 
 def save_animation(animation: Animation, path: Path | str, *, progress: Progress | None = None) -> Path:
@@ -100,16 +98,20 @@ def save_animation(animation: Animation, path: Path | str, *, progress: Progress
     if progress is not None:
         images = progress.steps("images", images, count=animation.count)
     encode = _gif if path.suffix.lower() == ".gif" else _mp4
-    return write_whole(path, encode(images, frame_s=animation.frame_s, last_s=animation.last_s))
+    return write_bytes(path, encode(images, frame_s=animation.frame_s, last_s=animation.last_s))
+
+
+def save_rgb(image_rgb: np.ndarray, path: Path) -> Path:
+    """Write an image as PNG, uint8 [row, column, 3]."""
+    from PIL import Image
+
+    encoded = io.BytesIO()
+    Image.fromarray(image_rgb).save(encoded, format="PNG")
+    return write_bytes(path, encoded.getvalue())
 
 
 def render_rgb(plotter: Plotter, *, supersampling: int = 2) -> np.ndarray:
-    """What an off-screen plotter shows: uint8, shape [row, column, 3]."""
-    return np.asarray(_image(plotter, supersampling))
-
-
-def _image(plotter: Plotter, supersampling: int = 2) -> Any:  # noqa: ANN401 (a Pillow image)
-    """Draw larger and shrink: unlike multisampling, this also smooths translucent faces."""
+    """What an off-screen plotter shows, uint8 [row, column, 3]: drawn larger, so that translucent faces are smooth."""
     from PIL import Image
 
     width, height = plotter.window_size
@@ -126,7 +128,7 @@ def _image(plotter: Plotter, supersampling: int = 2) -> Any:  # noqa: ANN401 (a 
         window.SetDPI(dots_per_inch)
         with no_render(plotter):
             plotter.window_size = [width, height]
-    return Image.fromarray(np.ascontiguousarray(large)).resize((width, height), Image.Resampling.LANCZOS)
+    return np.asarray(Image.fromarray(np.ascontiguousarray(large)).resize((width, height), Image.Resampling.LANCZOS))
 
 
 def _orbit(plotter: Plotter) -> Iterator[np.ndarray]:
@@ -196,12 +198,10 @@ def _load_imageio(purpose: str) -> Any:  # noqa: ANN401 (a module)
     return modules[-1]
 
 
-def write_whole(path: Path, content: bytes) -> Path:
-    """Write a file that appears complete or not at all; missing folders are made. Returns the path."""
-    try:
+def write_bytes(path: Path, content: bytes) -> Path:
+    """Write a file in one step, whole and on the disk when this returns it; makes folders. Raises `WriteError`."""
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(path) as draft:
+        with atomic_write(path, is_durable=True) as draft:
             draft.write_bytes(content)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); choose another path") from None
     return path

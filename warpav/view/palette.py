@@ -77,7 +77,12 @@ def camera_rgb(index: int) -> Rgb:
     return CAMERA_RGB[index % len(CAMERA_RGB)]
 
 
-BASELINE_RGB: dict[str, Rgb] = {"start": MUTED_RGB, "highest": camera_rgb(1), "random": camera_rgb(4)}
+BASELINE_RGB: dict[str, Rgb] = {
+    "start": MUTED_RGB,
+    "by_hand": MUTED_RGB,
+    "highest": camera_rgb(1),
+    "random": camera_rgb(4),
+}
 """Of rigs that a result is compared with; the result has the colour of the first camera."""
 
 

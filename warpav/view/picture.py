@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import InputError
+from warpav.view._labels import Labels
 from warpav.view._outlines import bearing_sector_rad, frustum_points
 from warpav.view.layers import (
     add_coverage,
@@ -128,7 +129,7 @@ def rig_plotter(picture: Picture, canvas: Canvas, *, labels: bool = True, sector
     _look_at(
         plotter,
         bounds_m,
-        azimuth_rad=clear_azimuth_rad(scene) if scene else VIEW_AZIMUTH_RAD,
+        azimuth_rad=_clear_azimuth_rad(scene) if scene else VIEW_AZIMUTH_RAD,
         elevation_rad=_BODY_ELEVATION_RAD if picture.shows_body else _VIEW_ELEVATION_RAD,
         zoom=usual_zoom if canvas.zoom is None else canvas.zoom,
     )
@@ -189,10 +190,14 @@ def vehicle_plotter(
     azimuth_rad: float = VIEW_AZIMUTH_RAD,
 ) -> Plotter:
     """A vehicle that is to carry cameras: where they may stand, its origin, its axes, its wheels; not yet shown."""
-    if vehicle is None and surface is None:
+    if vehicle is not None:
+        bounds_m = vehicle.bounds_m().astype(np.float64)
+    elif surface is not None:  # from the ground to the highest cell
+        low, high = surface.over_ground.bounds_m
+        bounds_m = np.array([[*low, 0.0], [*high, np.nanmax(surface.over_ground.height_m)]], np.float64)
+    else:
         raise ValueError("vehicle, surface: expected at least one of them, got neither")
     plotter = _new_plotter(canvas, _VEHICLE_PX)
-    bounds_m = vehicle.bounds_m().astype(np.float64) if vehicle is not None else _bounds_of_surface_m(surface)
     view = {"azimuth_rad": azimuth_rad, "elevation_rad": _VEHICLE_ELEVATION_RAD}
     _look_at(plotter, bounds_m, **view, zoom=1.0 if canvas.zoom is None else canvas.zoom)
     plotter.camera.view_angle = 19.0
@@ -230,14 +235,6 @@ def zones_image_rgb(vehicle: Mesh, surface: MountSurface, *, title: str) -> np.n
     return np.concatenate(views, axis=1)
 
 
-def _bounds_of_surface_m(surface: MountSurface | None) -> np.ndarray:
-    """The box from the ground to the highest cell of a surface [m], shape [2, 3]."""
-    assert surface is not None
-    surface = surface.over_ground
-    low, high = surface.bounds_m
-    return np.array([[*low, 0.0], [*high, np.nanmax(surface.height_m)]], np.float64)
-
-
 def _taken_px(plotter: Plotter, title: str | None, *, has_scale: bool) -> np.ndarray:
     """Where title and scale are written, left, upper, right and lower edge [px], [box, 4]; names keep clear of them."""
     width, height = plotter.window_size
@@ -262,7 +259,7 @@ def _look_at(
     plotter.camera_set = True
 
 
-def clear_azimuth_rad(scene: Scene) -> float:
+def _clear_azimuth_rad(scene: Scene) -> float:
     """Bearing of the viewer [rad]: front left, unless traffic hides the vehicle there and less at the front right."""
     low, high = scene.ego.bounds_m().astype(np.float64)
     middle = (low[:2] + high[:2]) / 2
@@ -447,7 +444,7 @@ def _add_names(plotter: Plotter, cameras: Sequence[RigCamera], *, depth_m: float
     wanted_m = np.array([label_point_m(camera, depth_m) for camera in cameras])
     scale = min(1.0, max(0.5, plotter.window_size[0] / WINDOW_PX[0]))
     size_px = scale * np.array([[9.5 * len(camera.name) + 14.0, 28.0] for camera in cameras])
-    corner_m = label_anchors_m(plotter, wanted_m, size_px, taken_px=taken_px)
+    corner_m = _label_anchors_m(plotter, wanted_m, size_px, taken_px=taken_px)
     style = {"font_size": round(17 * scale), "bold": True, "text_color": "white", "margin": round(4 * scale)}
     style |= {"shape": "rounded_rect", "shape_opacity": 1.0, "show_points": False, "always_visible": True}
     for index, camera in enumerate(cameras):
@@ -455,7 +452,7 @@ def _add_names(plotter: Plotter, cameras: Sequence[RigCamera], *, depth_m: float
         plotter.add_point_labels(corner_m[index][None], [f" {camera.name} "], **label, **style)
 
 
-def label_anchors_m(
+def _label_anchors_m(
     plotter: Plotter, wanted_m: np.ndarray, size_px: np.ndarray, *, taken_px: np.ndarray = _NOWHERE
 ) -> np.ndarray:
     """Where the lower left corners of labels belong [m], so that none overlaps another or leaves the image.
@@ -470,25 +467,14 @@ def label_anchors_m(
     above = np.cross(right, ahead)
     middle_px = project_px(plotter, wanted_m)
     px_per_m = np.linalg.norm(project_px(plotter, wanted_m + above) - middle_px, axis=1)
-    image_px = np.asarray(plotter.window_size, dtype=np.float64)
     step = np.stack(np.meshgrid(np.arange(-60, 61) * 8.0, np.arange(-60, 61) * 5.0), axis=-1).reshape(-1, 2)
     step = step[np.argsort(np.hypot(step[:, 0], step[:, 1]), kind="stable")]
-    placed_px = np.zeros((0, 2))
-    placed: list[int] = []
+    labels = Labels(taken_px, within=(0.0, 0.0, *plotter.window_size))
     corner_m = np.asarray(wanted_m, dtype=np.float64).copy()
     for index in np.argsort(-middle_px[:, 1], kind="stable"):  # lowest in the image first
-        candidate = middle_px[index] + step
-        room = size_px[index] / 2.0
-        clear = ((candidate >= room) & (candidate <= image_px - room)).all(axis=1)
-        for other, other_px in zip(placed, placed_px, strict=True):
-            clear &= (np.abs(candidate - other_px) >= room + size_px[other] / 2.0).any(axis=1)
-        for box in taken_px:
-            clear &= ((candidate + room <= box[:2]) | (candidate - room >= box[2:])).any(axis=1)
-        chosen = int(np.argmax(clear))  # the first, its wish, should none be clear
-        right_px, down_px = step[chosen] + room * np.array([-1.0, 1.0])
+        chosen = step[labels.put(middle_px[index] + step, size_px[index])]
+        right_px, down_px = chosen + 0.5 * size_px[index] * np.array([-1.0, 1.0])
         corner_m[index] += (right_px * right - down_px * above) / px_per_m[index]
-        placed.append(int(index))
-        placed_px = np.vstack([placed_px, candidate[chosen]])
     return corner_m
 
 

@@ -8,14 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.files import atomic_write, writing
 from warpav.detection.images import render
 from warpav.raster.lens import Lens
 from warpav.view._outlines import image_corners
 from warpav.view.figures.images import own_body_tinted
 from warpav.view.layers import Steepest, add_descent, add_legend, add_text, no_render
 from warpav.view.opengl import optional_module
-from warpav.view.output import ANIMATION_FRAME_S, ANIMATION_LAST_S, ANIMATION_PX, Animation, Canvas, render_rgb
+from warpav.view.output import (
+    ANIMATION_FRAME_S,
+    ANIMATION_LAST_S,
+    ANIMATION_PX,
+    Animation,
+    Canvas,
+    render_rgb,
+    write_bytes,
+)
 from warpav.view.palette import TRUTH_RGB, camera_rgb
 from warpav.view.picture import Picture, add_rig, add_trajectory, rig_plotter
 
@@ -30,7 +37,7 @@ if TYPE_CHECKING:
 _FRUSTUM_DEPTH_M = 1.0
 """How far frustums reach [m]."""
 
-TIMELINE = "iteration"
+_TIMELINE = "iteration"
 
 
 def write_recording(
@@ -47,7 +54,7 @@ def write_recording(
     Entities, all in the ego frame [m]: ``vehicle`` and ``scene/...`` are meshes, ``box/...`` the boxes of road users;
     ``rig/<camera>`` is a pose, below it ``image``, a pinhole with what the camera sees. Of another lens, which the
     viewer has not, ``frustum`` has the edges of its view, and ``image/<camera>`` what it sees. With frames the poses
-    are on the timeline `TIMELINE`, and the images belong to the rig at its end.
+    are on the timeline `_TIMELINE`, and the images belong to the rig at its end.
     """
     path = Path(path)
     rerun = load_rerun(path)
@@ -55,26 +62,21 @@ def write_recording(
     recording = rerun.RecordingStream("warpav", send_properties=False)
     recording.set_log_time_enabled(False)
     recording.set_log_tick_enabled(False)
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    with writing(path), atomic_write(path) as draft:
-        recording.save(draft)
-        recording.log("/", rerun.ViewCoordinates.FLU, static=True)
-        _log_scene(rerun, recording, scene)
-        for number, frame in enumerate((*frames, rig)):
-            if frames:
-                recording.set_time(TIMELINE, sequence=number)
-            for index, camera in enumerate(frame.cameras):
-                _log_camera(rerun, recording, camera, index, static=not frames)
-            if number < len(loss) and math.isfinite(loss[number]):
-                recording.log("loss", rerun.Scalars(float(loss[number])))
-        for camera in rig.cameras:
-            place = f"rig/{camera.name}/image" if camera.model.lens is Lens.PINHOLE else f"image/{camera.name}"
-            shown = own_body_tinted(images[camera.name].rgb, images[camera.name].object_index)
-            recording.log(place, rerun.Image(shown).compress(jpeg_quality=90), static=not frames)
-        recording.flush()
-        recording.disconnect()
-    return path
+    memory = recording.memory_recording()  # a file of Rerun's own may end short, or never
+    recording.log("/", rerun.ViewCoordinates.FLU, static=True)
+    _log_scene(rerun, recording, scene)
+    for number, frame in enumerate((*frames, rig)):
+        if frames:
+            recording.set_time(_TIMELINE, sequence=number)
+        for index, camera in enumerate(frame.cameras):
+            _log_camera(rerun, recording, camera, index, static=not frames)
+        if number < len(loss) and math.isfinite(loss[number]):
+            recording.log("loss", rerun.Scalars(float(loss[number])))
+    for camera in rig.cameras:
+        place = f"rig/{camera.name}/image" if camera.model.lens is Lens.PINHOLE else f"image/{camera.name}"
+        shown = own_body_tinted(images[camera.name].rgb, images[camera.name].object_index)
+        recording.log(place, rerun.Image(shown).compress(jpeg_quality=90), static=not frames)
+    return write_bytes(path, memory.drain_as_bytes())
 
 
 def load_rerun(path: Path) -> Any:  # noqa: ANN401 (a module)
@@ -155,7 +157,7 @@ def run_animation(
             add_text(plotter, text, (0.02, 0.88), size=9, name="iteration", font="courier")
 
         try:
-            for k in shown_iterations(len(frames)):
+            for k in _shown_iterations(len(frames)):
                 # trajectories of an earlier descent go when another one begins
                 own = [j for j in range(k + 1) if events[j].get("descent") == events[k].get("descent")]
                 with no_render(plotter):
@@ -169,11 +171,11 @@ def run_animation(
         finally:
             plotter.close()
 
-    count = len(shown_iterations(len(frames))) + 1
+    count = len(_shown_iterations(len(frames))) + 1
     return Animation(images(), count, frame_s=ANIMATION_FRAME_S, last_s=ANIMATION_LAST_S)
 
 
-def shown_iterations(count: int) -> list[int]:
+def _shown_iterations(count: int) -> list[int]:
     """Which of so many iterations are shown: the first, the last, and evenly spread ones between them."""
     return sorted({round(float(k)) for k in np.linspace(0, count - 1, min(count, _MAX_FRAMES))})
 

@@ -224,7 +224,7 @@ def test_chunks_change_nothing(device, workloads, monkeypatch):
     for time in (functools.partial(bench.time_silhouettes, 1), bench.time_depth_and_object, bench.time_rgb):
         timing = time(repeat=2)
         assert len(timing.times_ms) == 2
-        assert 0 < min(timing.times_ms) <= timing.median_ms <= max(timing.times_ms)
+        assert min(timing.times_ms) > 0
 
 
 def test_a_workload_without_vehicles_has_no_loss(device, workloads):

@@ -154,24 +154,6 @@ def picture(path, size_px=(64, 48), seed=0):
     Image.fromarray(noise).save(path)
 
 
-def views(scene="town_7"):
-    """What two cameras of two rigs see: one vehicle found, one missed, one not there, one false alarm."""
-    return [
-        {
-            "scene": scene,
-            "rig": rig_name,
-            "camera": camera,
-            "image": f"0_{rig_name}_{camera}.webp",
-            "size_px": [64, 48],
-            "truth_box_px": [[4.0, 4.0, 14.0, 12.0], None, [30.0, 20.0, 40.0, 30.0]],
-            "detection_box_px": [[5.0, 4.0, 14.0, 12.0], [50.0, 30.0, 60.0, 40.0]],
-            "detection_of_truth": [0, -1, -1],
-        }
-        for camera in ("left", "right")
-        for rig_name in ("start", "optimised")
-    ]
-
-
 def fill(folder, content=None):
     """Everything that a finished run leaves."""
     folder.write_evaluation(evaluation() if content is None else content)
@@ -180,18 +162,6 @@ def fill(folder, content=None):
     write_rig(rig(shift_m=0.75), folder.rig_path("final"))
     for name in ("rig", "rig_top_view", "detections", "loss_curves", "another"):
         picture(folder.figure_path(name))
-    for view in views():
-        picture(folder.view_path(view["image"]))
-    folder.write_views(views(), {})
-    count = np.full((2, 21, 21), 12, np.uint16)
-    count[:, :5] = 0
-    folder.write_ground(
-        {
-            "open_count": count,
-            **{f"blind_count_{name}": (count // (k + 1)).astype(np.uint16) for k, name in enumerate(ARMS)},
-            "heights_m": np.array([1.1, 1.7]),
-            "cell_m": np.array(0.5),
-            "ego_bounds_m": np.array([[-1.0, -0.9, 0.0], [3.6, 0.9, 1.5]]),
-        }
-    )
+    for name in ("recall", "differences", "blind_ground", "first_scene_left", "hardest_scene_left"):
+        picture(folder.figure_path(name))
     return folder

@@ -13,8 +13,8 @@ from warpav.scene.capture.capture import (
     PlanSettings,
     SpawnPoint,
     ViewKind,
+    _eye_position_m,
     capture_plan,
-    eye_position_m,
     spawn_visible_traffic,
 )
 from warpav.scene.scene import Box
@@ -80,7 +80,7 @@ def test_rotations_see_all_around():
     views = [view for view in capture_plan(EGO_BOX, [], PLAN) if view.kind is ViewKind.ROTATION]
     assert len(views) == PLAN.rotation_count
     bearing = np.linspace(-math.pi, math.pi, 721)
-    far = eye_position_m(EGO_BOX, PLAN) + 50.0 * np.stack([np.cos(bearing), np.sin(bearing), 0 * bearing], axis=1)
+    far = _eye_position_m(EGO_BOX, PLAN) + 50.0 * np.stack([np.cos(bearing), np.sin(bearing), 0 * bearing], axis=1)
     seen = np.zeros(len(far), int)
     for view in views:
         local = (far - view.ego_from_camera[:3, 3]) @ view.ego_from_camera[:3, :3]

@@ -6,7 +6,7 @@ import pytest
 from tests.oracle.ray_cast import RayCaster
 from tests.scene.capture.town_capture import SEED, town_capture
 from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, PlanSettings, ViewKind
-from warpav.scene.capture.town_simulator import PANE_OPACITY, TownSimulator
+from warpav.scene.capture.town_simulator import _PANE_OPACITY, TownSimulator
 from warpav.scene.town.town import town_world
 
 
@@ -62,7 +62,7 @@ def test_panes_show_what_lies_behind_them(looks):
         through += np.count_nonzero(behind)
         # colour: at least the pane's own share of what an opaque pane would show
         opaque = 255.0 * seen.rgb[behind]
-        assert (image.rgb[behind] >= PANE_OPACITY * opaque - 1.0).all()
+        assert (image.rgb[behind] >= _PANE_OPACITY * opaque - 1.0).all()
     assert through > 2000  # the artefact that the 3D boxes have to remove is real
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import warpav as wa
 from warpav.core.errors import InputError
 from warpav.runs.config import load_config
-from warpav.scene.town._placed_vehicle import HEADWAY_S, STREET_KM_H, Sight, stop_lines, velocities_m_s
+from warpav.scene.town._placed_vehicle import _HEADWAY_S, _STREET_KM_H, Sight, stop_lines, velocities_m_s
 from warpav.scene.town._street_life import RoadUser
 from warpav.scene.town._town_layout import Footprint, Layout, Slot
 from warpav.scene.town.levels import LEVELS, level_scene
@@ -196,7 +196,7 @@ def check_nobody_drives_into_whom_it_follows(scene):
         )
         for user in vehicles
     ]
-    later = [(yaw, outline + 0.96 * HEADWAY_S * velocity) for yaw, outline, velocity in speed]
+    later = [(yaw, outline + 0.96 * _HEADWAY_S * velocity) for yaw, outline, velocity in speed]
     for (yaw, one), (other_yaw, other) in itertools.combinations(later, 2):
         if np.cos(yaw - other_yaw) > 0.99 and np.hypot(*(one.mean(axis=0) - other.mean(axis=0))) < 16.0:
             assert not _rectangles_overlap(one, other), scene.name
@@ -246,7 +246,7 @@ def test_a_level_that_is_none_is_refused():
     for level in ("easy", "urban"):
         with pytest.raises(ValueError, match="seed must be 0 or more, got -1"):
             level_scene(-1, level)
-    with pytest.raises(InputError, match=r"expected no level because scenes\.source is captured"):
+    with pytest.raises(InputError, match=r"expected null, as only scenes\.source town takes it"):
         load_config(wa.Config(), ["scenes.source=captured", "scenes.level=urban"])
 
 
@@ -255,7 +255,7 @@ JUNCTION = Layout(
     "crossroads", ((-64.0, -4.0, 64.0, 4.0), (5.0, 4.0, 12.0, 48.0)), (), (), (),
     Slot(0.0, -2.0, 0.0, 5.0, parked=False),
 )  # fmt: skip
-FREE_M_S = np.array(STREET_KM_H) / 3.6
+FREE_M_S = np.array(_STREET_KM_H) / 3.6
 
 
 def car(x_m, y_m, heading_rad=0.0, category="saloon", *, parked=False):
@@ -280,18 +280,18 @@ def test_a_free_driver_follows_its_lane_at_the_speed_of_a_street():
 
 def test_what_is_ahead_in_the_lane_slows_a_driver_down():
     behind, front, beside = speeds([car(0.0, 0.0), car(7.0, 0.5), car(5.0, 3.0)])
-    assert behind.tolist() == [pytest.approx(3.0 / HEADWAY_S), 0.0]  # 3 m between the bumpers
+    assert behind.tolist() == [pytest.approx(3.0 / _HEADWAY_S), 0.0]  # 3 m between the bumpers
     assert min(front[0], beside[0]) >= FREE_M_S[0]
     [before_works] = speeds([car(0.0, 0.0)], obstacles=[Footprint(5.0, 0.0, 0.0, 3.0, 2.0)])
-    assert before_works[0] == pytest.approx(1.5 / HEADWAY_S)
+    assert before_works[0] == pytest.approx(1.5 / _HEADWAY_S)
     bicycle, person = speeds([car(0.0, 0.0, 0.0, "cyclist"), car(5.0, 0.0, np.pi, "pedestrian")])
-    assert bicycle[0] == pytest.approx(1.0 / HEADWAY_S)
+    assert bicycle[0] == pytest.approx(1.0 / _HEADWAY_S)
     assert 1.1 <= -person[0] <= 1.7  # people on foot heed nobody
 
 
 def test_who_comes_to_a_street_with_priority_slows_down_and_who_leaves_it_does_not():
     coming, leaving = speeds([car(7.0, 20.0, -0.5 * np.pi), car(10.0, 20.0, 0.5 * np.pi)], JUNCTION)
-    assert FREE_M_S[0] <= -coming[1] <= (18.0 - 5.3) / HEADWAY_S
+    assert FREE_M_S[0] <= -coming[1] <= (18.0 - 5.3) / _HEADWAY_S
     [waiting] = speeds([car(7.0, 8.3, -0.5 * np.pi)], JUNCTION)  # the line lies 1.1 m outside, .4 m wide
-    assert waiting[1] == pytest.approx(-(6.3 - 5.3) / HEADWAY_S)
+    assert waiting[1] == pytest.approx(-(6.3 - 5.3) / _HEADWAY_S)
     assert leaving[1] >= FREE_M_S[0]

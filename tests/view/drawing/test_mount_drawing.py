@@ -14,8 +14,8 @@ from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import Rig, RigCamera
-from warpav.view.drawing._sheet import text_width_mm
-from warpav.view.drawing.mount_drawing import PAGE_MM, mount_drawing
+from warpav.view.drawing.mount_drawing import _PAGE_MM, mount_drawing
+from warpav.view.figures.style import text_width_mm
 
 
 def drawing_of(some=None, **options):
@@ -31,7 +31,7 @@ def drawing_with(count):
 def test_the_page_is_a3_and_everything_is_on_it():
     for count in (4, 24):
         figure = drawing_with(count).figure()
-        assert figure.get_size_inches() * 25.4 == pytest.approx(PAGE_MM)
+        assert figure.get_size_inches() * 25.4 == pytest.approx(_PAGE_MM)
         figure.draw_without_rendering()
         [axis] = figure.axes
         for text in axis.texts:
@@ -177,7 +177,7 @@ def test_it_is_written_the_same_every_time(tmp_path, monkeypatch):
         assert first.read_bytes().startswith(begins)
     page = (tmp_path / "b.pdf").read_bytes()
     [size] = re.findall(rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", page)
-    assert [float(each) / 72.0 * 25.4 for each in size] == pytest.approx(PAGE_MM, abs=0.01)
+    assert [float(each) / 72.0 * 25.4 for each in size] == pytest.approx(_PAGE_MM, abs=0.01)
     assert b"/Subtype /Image" not in page  # vectors alone
 
 

@@ -230,7 +230,15 @@ def _gives_pixels(file: NetworkFile) -> bool | None:
 class _ListingFamily(Family):
     """Families with boxes, labels and scores as outputs of their own, distinguished by rank and type."""
 
-    _outputs: tuple[int, int, int]
+    def __init__(self, file: NetworkFile) -> None:
+        super().__init__(file)
+        which = self._which(file)
+        assert which is not None
+        self._outputs = which
+
+    @classmethod
+    def _which(cls, file: NetworkFile) -> tuple[int, int, int] | None:
+        return cls._find(file, 1)
 
     @staticmethod
     def _find(file: NetworkFile, batch_axes: int) -> tuple[int, int, int] | None:
@@ -281,12 +289,9 @@ class Torchvision(_ListingFamily):
     def _which(cls, file: NetworkFile) -> tuple[int, int, int] | None:
         return cls._find(file, 0) or (cls._find(file, 1) if file.image and len(file.image.shape) == 4 else None)
 
-    def __init__(self, file: NetworkFile) -> None:
-        super().__init__(file)
-        which = self._which(file)
-        assert which is not None
-        self._outputs = which
-        self._is_batched = len(file.outputs[which[0]].shape) == 3
+    @property
+    def _is_batched(self) -> bool:
+        return len(self.file.outputs[self._outputs[0]].shape) == 3
 
     @property
     def batch(self) -> int | None:
@@ -317,23 +322,18 @@ class Rtdetr(_ListingFamily):
             and len(file.image.shape) == 4
             and len(file.inputs) == 2
             and cls._size_input(file) is not None
-            and cls._find(file, 1) is not None
+            and cls._which(file) is not None
         )
 
     @classmethod
     def evidence(cls, file: NetworkFile) -> str | None:
         return f"its second input {file.inputs[1]} takes the size of the images, and it lists labels, boxes and scores"
 
-    def __init__(self, file: NetworkFile) -> None:
-        super().__init__(file)
-        which, size_input = self._find(file, 1), self._size_input(file)
-        assert which is not None
-        assert size_input is not None
-        self._outputs, self._size = which, size_input
-
     def feed(self, network_input: np.ndarray) -> dict[str, np.ndarray]:
         count, _, rows, columns = network_input.shape
-        return super().feed(network_input) | {self._size.name: np.full((count, 2), (columns, rows), self._size.dtype)}
+        size = self._size_input(self.file)
+        assert size is not None
+        return super().feed(network_input) | {size.name: np.full((count, 2), (columns, rows), size.dtype)}
 
 
 class RtdetrSingle(UltralyticsEndToEnd):

@@ -29,14 +29,9 @@ vase scissors teddy_bear hair_drier toothbrush
 COCO_80 = tuple(label.replace("_", " ") for label in _COCO_LABELS.split())
 
 
-def _coco_91() -> tuple[str, ...]:
-    """COCO's labels at COCO's own numbers, which leave ten out; 0 is the background."""
-    labels = iter(COCO_80)
-    return (BACKGROUND, *("N/A" if number in _COCO_GAPS else next(labels) for number in range(1, 91)))
-
-
-COCO_91 = _coco_91()
-"""By class of networks that were trained on COCO."""
+_label_of_80 = iter(COCO_80)
+COCO_91 = (BACKGROUND, *("N/A" if number in _COCO_GAPS else next(_label_of_80) for number in range(1, 91)))
+"""By class of networks that were trained on COCO, whose own numbers leave ten out; 0 is the background."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +42,13 @@ class Tensor:
     shape: tuple[int | None, ...]  # its axes; None where an axis is dynamic
     dtype: str  # numPy's name of its numbers, such as float32
 
+    @classmethod
+    def described(cls, name: str, shape: Sequence[int | str | None], kind: str) -> Tensor:
+        """One as onnxruntime describes it, such as ``tensor(float)``."""
+        number = kind.removeprefix("tensor(").removesuffix(")")
+        axes = tuple(side if isinstance(side, int) else None for side in shape)
+        return cls(name, axes, {"float": "float32", "double": "float64"}.get(number, number))
+
     @property
     def is_float(self) -> bool:
         """Whether it holds floating-point numbers that onnxruntime gives to NumPy."""
@@ -54,7 +56,6 @@ class Tensor:
 
     @property
     def is_integer(self) -> bool:
-        """Whether it holds whole numbers."""
         return self.dtype in ("int32", "int64")
 
     def __str__(self) -> str:
@@ -77,7 +78,6 @@ class NetworkFile:
     run: Callable[[dict[str, np.ndarray]], list[np.ndarray]]  # runs the network: inputs by name to outputs in order
 
     def __str__(self) -> str:
-        """Its inputs, outputs and number of labels."""
         text = f"inputs {'; '.join(map(str, self.inputs))}, outputs {'; '.join(map(str, self.outputs))}"
         text = text if len(text) <= 400 else text[:400] + " ..."
         return text + (
@@ -234,7 +234,6 @@ class Family(ABC):
     assumed_labels: ClassVar[tuple[str, ...] | None] = COCO_80
 
     def __init__(self, file: NetworkFile) -> None:
-        """A family's reader of a file that it fits."""
         assert file.image is not None
         self.file = file
         self.image = file.image
@@ -291,12 +290,10 @@ class Family(ABC):
         return network_input
 
     def feed(self, network_input: np.ndarray) -> dict[str, np.ndarray]:
-        """The network's inputs by name."""
         array = network_input if len(self.image.shape) == 4 else network_input[0]
         return {self.image.name: array.astype(self.image.dtype, copy=False)}
 
     def each_image(self, outputs: Sequence[np.ndarray], image_count: int) -> list[tuple[np.ndarray, ...]]:
-        """The outputs of one run, image by image."""
         for tensor, array in zip(self.file.outputs, outputs, strict=True):
             if array.ndim == 0 or len(array) != image_count:
                 raise InputError(

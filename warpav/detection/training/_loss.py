@@ -172,17 +172,13 @@ def _recolour(image: Tensor, uniform) -> Tensor:  # noqa: ANN001 - a closure of 
     y = torch.linspace(-1.0, 1.0, image.shape[2], device=image.device)[:, None]
     x = torch.linspace(-1.0, 1.0, image.shape[3], device=image.device)
     image = image * (1.0 + uniform(-0.2, 0.2, count, 1, 1, 1) * x + uniform(-0.2, 0.2, count, 1, 1, 1) * y)
-    # Half of the images stay sharp.
-    image = image.lerp(_blurred(image), (uniform(-1.0, 1.0, count, 1, 1, 1)).clamp(0.0))
-    noise = torch.rand_like(image) - 0.5
-    return (image + noise * uniform(0.0, 0.12, count, 1, 1, 1)).clamp(0.0, 1.0)
-
-
-def _blurred(image: Tensor) -> Tensor:
-    """The image through a binomial filter of 5 x 5 pixels."""
+    # Half of the images stay sharp, the others go through a binomial filter of 5 x 5 pixels.
     line = _constant((1.0, 4.0, 6.0, 4.0, 1.0), image.device) / 16.0
     filters = (line[:, None] * line).expand(3, 1, 5, 5).contiguous()
-    return functional.conv2d(functional.pad(image, (2, 2, 2, 2), mode="replicate"), filters, groups=3)
+    blurred = functional.conv2d(functional.pad(image, (2, 2, 2, 2), mode="replicate"), filters, groups=3)
+    image = image.lerp(blurred, (uniform(-1.0, 1.0, count, 1, 1, 1)).clamp(0.0))
+    noise = torch.rand_like(image) - 0.5
+    return (image + noise * uniform(0.0, 0.12, count, 1, 1, 1)).clamp(0.0, 1.0)
 
 
 @functools.cache

@@ -85,19 +85,14 @@ class _Head(nn.Module):
         self.distance = nn.Conv2d(channels, 4, 1)
         # Start from few objects in an image, each about four cells wide.
         objects_per_cell = 5.0 / (256.0 / stride_px) ** 2
-        nn.init.constant_(_bias(self.score), math.log(objects_per_cell / class_count))
-        nn.init.constant_(_bias(self.distance), math.log(2.0))
+        nn.init.constant_(self.score.bias, math.log(objects_per_cell / class_count))
+        nn.init.constant_(self.distance.bias, math.log(2.0))
 
     def forward(self, feature: Tensor) -> tuple[Tensor, Tensor]:
         score, distance = self.score_branch(feature), self.distance_branch(feature)
         # The last layers keep full precision: a bfloat16 logarithm would round a distance by more than a per cent.
         with torch.autocast(feature.device.type, enabled=False):
             return self.score(score.float()), self.distance(distance.float())
-
-
-def _bias(convolution: nn.Conv2d) -> Tensor:
-    assert convolution.bias is not None
-    return convolution.bias
 
 
 class TownNetwork(nn.Module):

@@ -8,10 +8,9 @@ import logging
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
-from zipfile import BadZipFile
+from typing import Literal
 
 import numpy as np
 
@@ -45,7 +44,6 @@ class Subset:
 
     @property
     def seeds(self) -> range:
-        """Seeds of the scenes."""
         return range(self.first_seed, self.first_seed + self.scene_count)
 
     def sources(self) -> list[TownSource | TrafficSource]:
@@ -79,17 +77,8 @@ TEST_SUBSETS = {
 """Scenes that evaluate, likewise."""
 
 _CLASS_OF_CATEGORY = {
-    "car": "car",
-    "hatchback": "car",
-    "saloon": "car",
-    "estate": "car",
-    "suv": "car",
-    "van": "van",
-    "lorry": "lorry",
-    "bus": "bus",
-    "motorcycle": "motorcycle",
-    "pedestrian": "pedestrian",
-    "cyclist": "cyclist",
+    **dict.fromkeys(("hatchback", "saloon", "estate", "suv"), "car"),
+    **{name: name for name in CLASS_NAMES},
 }
 
 _OBJECT_MAX = 40
@@ -101,30 +90,24 @@ _PERSON_MARGIN_M, _PERSON_FOOT_M = 0.15, 0.08
 _logger = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class Labels:
-    """The objects of a set of images, padded to one count."""
+_LABEL = np.dtype(
+    [
+        ("box_px", np.float32, 4),  # ground-truth box ``x0, y0, x1, y1`` [px]
+        ("class_index", np.int8),  # index into `CLASS_NAMES`, -1 where padded
+        # To be neither found nor left alone: it shows less than the least area of a ground-truth box, or is a person
+        # whom a reconstruction made unrecognisable
+        ("ignored", np.bool_),
+        ("visible_fraction", np.float32),  # unoccluded share of its area in the image, in 0..1
+        ("distance_m", np.float32),  # from the camera to its middle [m]
+    ]
+)
 
-    box_px: np.ndarray  # ground-truth box ``x0, y0, x1, y1`` [px], float32, shape [image, object, 4]
-    class_index: np.ndarray  # index into `CLASS_NAMES`, -1 where padded, int8, shape [image, object]
-    # Objects that are neither to be found nor to be left alone: they show less than the least area of a ground-truth
-    # box, or are people whom a reconstruction made unrecognisable, bool, shape [image, object]
-    ignored: np.ndarray
-    # Unoccluded share of the object's area in the image, in 0..1, float32, shape [image, object]
-    visible_fraction: np.ndarray
-    distance_m: np.ndarray  # from the camera to the middle of the object [m], float32, shape [image, object]
 
-    @classmethod
-    def empty(cls, image_count: int) -> Labels:
-        """Room for the objects of so many images."""
-        shape = (image_count, _OBJECT_MAX)
-        return cls(
-            np.zeros((*shape, 4), np.float32),
-            np.full(shape, -1, np.int8),
-            np.zeros(shape, bool),
-            np.zeros(shape, np.float32),
-            np.zeros(shape, np.float32),
-        )
+def empty_labels(image_count: int) -> np.recarray:
+    """Room for the objects of so many images, records [image, object]."""
+    labels = np.zeros((image_count, _OBJECT_MAX), _LABEL).view(np.recarray)
+    labels.class_index = -1
+    return labels
 
 
 @dataclass(frozen=True)
@@ -132,12 +115,11 @@ class LabelledImages:
     """Images of one size and their objects."""
 
     images_rgb: np.ndarray  # uint8, shape [image, row, column, 3]; lies on the disk until it is read
-    labels: Labels  # their objects
+    labels: np.recarray  # their objects, see `empty_labels`
 
     def first(self, count: int | None) -> LabelledImages:
         """The first so many images; None means all."""
-        labels = Labels(*(getattr(self.labels, field.name)[:count] for field in fields(Labels)))
-        return LabelledImages(self.images_rgb[:count], labels)
+        return LabelledImages(self.images_rgb[:count], self.labels[:count])
 
 
 def sample_cameras(
@@ -203,7 +185,7 @@ def render_scene(
         cameras = sample_cameras(rng, surface, scene.ego.bounds_m(), side_px=side_px, count=count)
         supersampling = int(rng.integers(1, 3))
         rendered = render_images(packed, cameras, supersampling=supersampling, thread_count=thread_count)
-        labels = Labels.empty(count)
+        labels = empty_labels(count)
         for image, (camera, render) in enumerate(zip(cameras, rendered, strict=True)):
             box_px = visible_boxes(render.object_index, len(scene.vehicles), min_area_px=1)
             large_box_px = visible_boxes(render.object_index, len(scene.vehicles), min_area_px=_MIN_AREA_PX)
@@ -255,61 +237,49 @@ def _part(mesh: Mesh, chosen: np.ndarray) -> Mesh:
 def load_images(folder: Path) -> dict[int, LabelledImages]:
     """What `write_images` wrote, by the side of the image [px]; images stay on the disk until they are read."""
     labelled = {}
-    for file in sorted(folder.glob("labels_*.npz")):
+    for file in sorted(folder.glob("labels_*.npy")):
         side_text = file.stem.removeprefix("labels_")
         try:
-            with np.load(file) as arrays:
-                labels = Labels(**{field.name: arrays[field.name] for field in fields(Labels)})
+            labels = np.load(file)
             images_rgb = np.load(folder / f"images_{side_text}.npy", mmap_mode="r")
-            if images_rgb.shape != (len(labels.box_px), int(side_text), int(side_text), 3):
-                raise ValueError(f"images of shape {images_rgb.shape} for {len(labels.box_px)} labels")
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
+            if labels.dtype != _LABEL or images_rgb.shape != (len(labels), int(side_text), int(side_text), 3):
+                raise ValueError(f"images of shape {images_rgb.shape} for {len(labels)} labels")
+        except (OSError, ValueError, EOFError) as error:
             raise InputError(
                 f"{file}: expected labels and images that warpav wrote, got others ({' '.join(str(error).split())}); "
                 "remove the folder, and they are made again"
             ) from error
-        labelled[int(side_text)] = LabelledImages(images_rgb, labels)
+        labelled[int(side_text)] = LabelledImages(images_rgb, labels.view(np.recarray))
     return dict(sorted(labelled.items()))
 
 
-@functools.cache
-def _town_surface() -> MountSurface:
-    return mount_surface_from_mesh(ego_vehicle())
+_town_surface = functools.cache(lambda: mount_surface_from_mesh(ego_vehicle()))
 
 
-@dataclass(frozen=True)
-class _Job:
-    """One scene and its index in the files of its subset."""
-
-    index: int
-    source: TownSource | TrafficSource
-    subset: Subset
-    folder: Path
-    thread_count: int | None
-
-
-def _write_scene(job: _Job) -> dict[int, Labels]:
-    """Render one scene into the folder's files and return its labels."""
+def _write_scene(
+    numbered: tuple[int, TownSource | TrafficSource], *, subset: Subset, folder: Path, thread_count: int | None
+) -> dict[int, np.recarray]:
+    """Render one scene, with its index in the files of its subset, into these files, and return its labels."""
     load_warp()  # without its start-up messages, in every process
-    subset = job.subset
+    index, source = numbered
     is_reconstructed = subset.made_of == "reconstructed"
-    scene = reconstructed_scene(job.source.seed) if is_reconstructed else job.source.scene()
+    scene = reconstructed_scene(source.seed) if is_reconstructed else source.scene()
     labelled = render_scene(
         scene,
         _town_surface(),
-        job.source.seed,
+        source.seed,
         views_per_scene=subset.views_per_scene,
         ignored_ids=[other.instance_id for other in scene.others] if is_reconstructed else (),
-        thread_count=job.thread_count,
+        thread_count=thread_count,
     )
     for side_px, count in subset.views_per_scene.items():
-        images_rgb = np.load(job.folder / f"images_{side_px}.npy", mmap_mode="r+")
-        images_rgb[job.index * count : (job.index + 1) * count] = labelled[side_px].images_rgb
+        images_rgb = np.load(folder / f"images_{side_px}.npy", mmap_mode="r+")
+        images_rgb[index * count : (index + 1) * count] = labelled[side_px].images_rgb
     return {side_px: each.labels for side_px, each in labelled.items()}
 
 
 def write_images(subset: Subset, folder: Path, *, processes: int) -> None:
-    """Render scenes into ``images_<side>.npy`` and ``labels_<side>.npz``, unless the same are there already."""
+    """Render scenes into ``images_<side>.npy`` and ``labels_<side>.npy``, unless the same are there already."""
     made_with = fingerprint(subset, CLASS_NAMES, code=(__name__,))
     note = folder / "made_with.txt"
     if note.is_file():
@@ -320,30 +290,28 @@ def write_images(subset: Subset, folder: Path, *, processes: int) -> None:
             )
         return
     folder.mkdir(parents=True, exist_ok=True)
-    labels: dict[int, list[Labels]] = {}
+    labels: dict[int, list[np.recarray]] = {}
     for side_px, count in subset.views_per_scene.items():
         shape = (subset.scene_count * count, side_px, side_px, 3)
         np.lib.format.open_memmap(folder / f"images_{side_px}.npy", mode="w+", dtype=np.uint8, shape=shape).flush()
-        labels[side_px] = [Labels.empty(count)] * subset.scene_count
+        labels[side_px] = [empty_labels(count)] * subset.scene_count
 
-    thread_count = None if processes == 1 else 1
-    jobs = [_Job(index, each, subset, folder, thread_count) for index, each in enumerate(subset.sources())]
+    write = functools.partial(_write_scene, subset=subset, folder=folder, thread_count=None if processes == 1 else 1)
+    jobs = list(enumerate(subset.sources()))
     start_s = time.perf_counter()
     # The first scene fills the kernel cache, which processes would otherwise all compile at once.
-    first = Executor().map(_write_scene, jobs[:1])
-    rest = Executor("serial" if processes == 1 else "process", processes).map(_write_scene, jobs[1:])
+    first = Executor().map(write, jobs[:1])
+    rest = Executor("serial" if processes == 1 else "process", processes).map(write, jobs[1:])
     for done, outcome in enumerate(itertools.chain(first, rest), start=1):
         if outcome.result is None:
-            raise RuntimeError(f"seed {outcome.task.source.seed}: {outcome.error}")
+            raise RuntimeError(f"seed {outcome.task[1].seed}: {outcome.error}")
         for side_px, each in outcome.result.items():
-            labels[side_px][outcome.task.index] = each
+            labels[side_px][outcome.task[0]] = each
         if done % 100 == 0:
             _logger.info("%d of %d scenes, %.0f s", done, len(jobs), time.perf_counter() - start_s)
     for side_px, each in labels.items():
-        arrays: dict[str, Any] = {
-            field.name: np.concatenate([getattr(one, field.name) for one in each]) for field in fields(Labels)
-        }
-        np.savez(str(folder / f"labels_{side_px}.npz"), **arrays)
-        count = int((arrays["class_index"] >= 0).sum())
-        _logger.info("%s: %d images of %d px, %d objects", folder.name, len(arrays["box_px"]), side_px, count)
+        joined = np.concatenate(each)
+        np.save(folder / f"labels_{side_px}.npy", joined)
+        count = int((joined["class_index"] >= 0).sum())
+        _logger.info("%s: %d images of %d px, %d objects", folder.name, len(joined), side_px, count)
     note.write_text(made_with)

@@ -23,7 +23,7 @@ _HEIGHT_BINS_PX = (0.0, 8.0, 12.0, 16.0, 24.0, 32.0, 64.0, 128.0, np.inf)
 _VISIBLE_FRACTION_BINS = (0.0, 0.25, 0.5, 0.75, np.inf)
 _DISTANCE_BINS_M = (0.0, 10.0, 20.0, 40.0, 80.0, np.inf)
 # Confidence threshold of recall, precision and labels.
-OPERATING_CONFIDENCE = 0.25
+_OPERATING_CONFIDENCE = 0.25
 
 # Labels that are no road user's name are kinds of vehicles.
 _ROAD_USER_OF_CLASS = np.array([ROAD_USERS.index(name) if name in ROAD_USERS else 0 for name in CLASS_NAMES])
@@ -78,13 +78,13 @@ class _Scored:
         for image, found in enumerate(self.detections):
             held = np.nonzero(self.chosen[image])[0]
             match = match_detections(
-                labels.box_px[image, held], found.box_px, found.confidence, confidence_min=OPERATING_CONFIDENCE
+                labels.box_px[image, held], found.box_px, found.confidence, confidence_min=_OPERATING_CONFIDENCE
             )
             hit[image, held] = match >= 0
             matched = held[match >= 0]
             said = np.array([found.names[k] for k in found.class_index[match[match >= 0]]])
             right_label[image, matched] = said == np.array(CLASS_NAMES)[labels.class_index[image, matched]]
-            free = np.setdiff1d(np.nonzero(found.confidence >= OPERATING_CONFIDENCE)[0], match)
+            free = np.setdiff1d(np.nonzero(found.confidence >= _OPERATING_CONFIDENCE)[0], match)
             waived = covered_fraction(found.box_px[free], labels.box_px[image, labels.ignored[image]])
             free = free[waived.max(axis=1, initial=0.0) < 0.5]
             false_alarms += int((found.box_px[free, 3] - found.box_px[free, 1] >= _HEADLINE_HEIGHT_PX).sum())
@@ -149,17 +149,10 @@ def evaluate(detector: Detector, labelled: LabelledImages) -> dict[str, object]:
     report: dict[str, object] = {"images": len(labelled.images_rgb)}
     for index, road_user in enumerate(ROAD_USERS):
         chosen = (class_index >= 0) & (_ROAD_USER_OF_CLASS[class_index] == index)
-        found = [_of_road_user(each, index) for each in detections]
+        found = [each.only(each.road_user_index == index) for each in detections]
         if (chosen & ~labelled.labels.ignored).any():
             report[road_user] = _Scored(labelled, found, chosen).report()
     return report
-
-
-def _of_road_user(found: Detections, index: int) -> Detections:
-    kept = found.road_user_index == index
-    return Detections(
-        found.box_px[kept], found.confidence[kept], found.class_index[kept], found.names, found.road_user_index[kept]
-    )
 
 
 def _share(value: float) -> float | None:

@@ -69,7 +69,6 @@ class DeviceData:
         )
 
     def batch(self, index: Tensor) -> tuple[Tensor, TargetBoxes]:
-        """The images and objects of these indices."""
         truth = self.truth
         return self.images_rgb[index], TargetBoxes(truth.box_px[index], truth.class_index[index], truth.ignored[index])
 
@@ -89,16 +88,16 @@ class Training:
         floating = [name for name, value in current.items() if value.is_floating_point()]
         self._averages, self._currents = [average[name] for name in floating], [current[name] for name in floating]
         self.learning_rate = learning_rate
-        self.optimiser = torch.optim.AdamW(
-            _parameter_groups(self.network), lr=learning_rate, fused=device.type == "cuda"
-        )
+        # weights of convolutions decay, biases and normalisation do not
+        weights, others = ([v for v in self.network.parameters() if (v.ndim > 1) == wide] for wide in (True, False))
+        groups = [{"params": weights, "weight_decay": _WEIGHT_DECAY}, {"params": others, "weight_decay": 0.0}]
+        self.optimiser = torch.optim.AdamW(groups, lr=learning_rate, fused=device.type == "cuda")
         self.random = np.random.default_rng(seed)
         self.generator = torch.Generator(device).manual_seed(seed)
         self.step = 0
         self.step_count = step_count
 
     def load(self, path: Path) -> None:
-        """Go on from a checkpoint."""
         hint = "train into another folder, or remove the file"
         try:
             state = torch.load(path, map_location=self.device, weights_only=True)
@@ -131,9 +130,10 @@ class Training:
         partial.replace(path)
 
     def train_step(self, data: DeviceData, batch_size: int) -> tuple[Tensor, Tensor]:
-        """One step on a random batch."""
+        warm_up = min(1.0, (self.step + 1) / min(_WARM_UP_STEPS, max(1, self.step_count // 10)))
+        cosine = 0.5 * (1.0 + math.cos(math.pi * min(1.0, self.step / max(1, self.step_count))))
         for group in self.optimiser.param_groups:
-            group["lr"] = self._learning_rate()
+            group["lr"] = self.learning_rate * warm_up * max(cosine, _LAST_LEARNING_RATE_FRACTION)
         # Drawn on the device: a copy would wait for all that the device has yet to do.
         index = torch.randint(len(data.images_rgb), (batch_size,), generator=self.generator, device=self.device)
         images, truth = augment(*data.batch(index), self.generator)
@@ -147,28 +147,11 @@ class Training:
         nn.utils.clip_grad_norm_(self.network.parameters(), _GRADIENT_NORM_MAX)
         self.optimiser.step()
         self.step += 1
-        self._update_average()
-        return score_loss.detach(), box_loss.detach()
-
-    def _learning_rate(self) -> float:
-        warm_up = min(1.0, (self.step + 1) / min(_WARM_UP_STEPS, max(1, self.step_count // 10)))
-        progress = min(1.0, self.step / max(1, self.step_count))
-        cosine = 0.5 * (1.0 + math.cos(math.pi * progress))
-        return self.learning_rate * warm_up * max(cosine, _LAST_LEARNING_RATE_FRACTION)
-
-    @torch.no_grad()
-    def _update_average(self) -> None:
-        # The first steps are forgotten sooner.
+        # the first steps are forgotten sooner
         decay = min(_AVERAGE_DECAY, (1.0 + self.step) / (10.0 + self.step))
-        # PyTorch documents the function, but its stub lacks it.
-        torch._foreach_lerp_(self._averages, self._currents, 1.0 - decay)  # pyright: ignore[reportPrivateImportUsage]
-
-
-def _parameter_groups(network: nn.Module) -> list[dict[str, object]]:
-    """Weights of convolutions decay, biases and normalisation do not."""
-    weights = [value for value in network.parameters() if value.ndim > 1]
-    others = [value for value in network.parameters() if value.ndim <= 1]
-    return [{"params": weights, "weight_decay": _WEIGHT_DECAY}, {"params": others, "weight_decay": 0.0}]
+        with torch.no_grad():  # PyTorch documents the function, but its stub lacks it
+            torch._foreach_lerp_(self._averages, self._currents, 1.0 - decay)  # pyright: ignore[reportPrivateImportUsage]
+        return score_loss.detach(), box_loss.detach()
 
 
 def train(training: Training, data: dict[int, DeviceData], options: TrainingOptions, checkpoint: Path) -> None:

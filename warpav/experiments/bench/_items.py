@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import statistics
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -39,11 +38,6 @@ class Timing:
     setup_ms: float
     compile_ms: float
     peak_mib: float | None
-
-    @property
-    def median_ms(self) -> float:
-        """Median of the repeats."""
-        return statistics.median(self.times_ms)
 
 
 class Bench:

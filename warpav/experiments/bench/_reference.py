@@ -13,15 +13,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from warpav.experiments.bench._workload import ROTATION_COUNT, Truth, Workload
+from warpav.scene.scene import triangle_caster
 
 
 def time_embree(workload: Workload, *, repeat: int) -> dict[str, list[float]]:
     """Wall times of every repeat [ms], by item."""
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-
-    scene = EmbreeScene()
-    TriangleMesh(scene, workload.vertex_m, workload.triangle)
+    scene = triangle_caster(workload.vertex_m[workload.triangle])
     times_ms: dict[str, list[float]] = {"w2": [], "w3": []}
     for number in range(repeat + 1):
         cast_s = shade_s = 0.0
@@ -40,11 +37,7 @@ def time_embree(workload: Workload, *, repeat: int) -> dict[str, list[float]]:
 
 def embree_truth(workload: Workload) -> Truth:
     """Objects and depths of all views by embree, without gradients: for lenses that no truth file knows."""
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-
-    scene = EmbreeScene()
-    TriangleMesh(scene, workload.vertex_m, workload.triangle)
+    scene = triangle_caster(workload.vertex_m[workload.triangle])
     shape = (workload.size_px, workload.size_px)
     near_m = np.repeat(workload.near_m, ROTATION_COUNT)
     index, depth_m = [], []

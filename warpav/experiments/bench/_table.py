@@ -14,7 +14,7 @@ from warpav.runs.terminal import TerminalTable
 _TITLES = {"w1": "W1 gradient", "w2": "W2 depth, object", "w3": "W3 colour"}
 _ERROR_HEADING = "error of x, z, yaw"
 _SMALL_ERROR_HEADING = "of x, z"
-ELSEWHERE = "measured elsewhere"
+_ELSEWHERE = "measured elsewhere"
 
 
 def bench_table(content: Mapping[str, Any], *, with_peers: bool) -> TerminalTable:
@@ -42,7 +42,7 @@ def bench_table(content: Mapping[str, Any], *, with_peers: bool) -> TerminalTabl
             table.add_row("", "embreex", "this run, cpu", median_ms, str(reference["threads"]), "", ratio, "")
         for peer in (row for row in peers if row["item"] == item):
             cells = (_milliseconds(peer["median_ms"]), str(peer.get("threads", "")), _mebibytes(peer))
-            where = f"{ELSEWHERE}, {peer['device']}"
+            where = f"{_ELSEWHERE}, {peer['device']}"
             table.add_row("", peer["peer"], where, *cells, *_gradient_errors(peer.get("accuracy")), style="dim")
         table.add_section()
     return table
@@ -53,7 +53,7 @@ def peer_note() -> str:
     peers = _peers()
     devices = "; ".join(f"{kind}: {name}" for kind, name in peers["devices"].items())
     return (
-        f"{ELSEWHERE}: on {peers['measured']}, {devices}\n"
+        f"{_ELSEWHERE}: on {peers['measured']}, {devices}\n"
         "error: relative error of the gradient, smooth / white weights, over all scored poses; m: median over the poses"
     )
 
@@ -84,15 +84,16 @@ def _gradient_errors(scores: Mapping[str, Any] | None) -> tuple[str, str]:
     if not scores:
         return "", ""
     return tuple(  # pyright: ignore[reportReturnType]
-        " / ".join(_error(scores[weight][part]) for weight in ("smooth", "white")) for part in ("xzyaw", "xz")
+        " / ".join(
+            f"{score['rel_all']:.4f}"
+            if score.get("rel_all") is not None
+            else "-"
+            if score.get("rel_median") is None
+            else f"{score['rel_median']:.2f} m"
+            for score in (scores[weight][part] for weight in ("smooth", "white"))
+        )
+        for part in ("xzyaw", "xz")
     )
-
-
-def _error(score: Mapping[str, float | None]) -> str:
-    if score.get("rel_all") is not None:
-        return f"{score['rel_all']:.4f}"
-    median = score.get("rel_median")
-    return "-" if median is None else f"{median:.2f} m"
 
 
 def _image_errors(scores: Mapping[str, float | None] | None) -> str:

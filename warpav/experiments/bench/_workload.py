@@ -11,6 +11,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partialmethod
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -71,12 +72,10 @@ class Workload:
 
     @property
     def view_count(self) -> int:
-        """Views of all cameras."""
         return ROTATION_COUNT * len(self.pose)
 
     @property
     def triangle_object(self) -> np.ndarray:
-        """Object of every triangle, int32 [triangle]."""
         return np.repeat(np.arange(len(self.triangle_count), dtype=np.int32), self.triangle_count)
 
     def models(self, camera: Sequence[int]) -> list[CameraModel]:
@@ -123,7 +122,6 @@ def embedded_workload() -> Workload:
 
 
 def embedded_truth(workload: Workload) -> Truth:
-    """The truth of `embedded_workload`."""
     with as_file(files("warpav.experiments.bench").joinpath("data", "truth.npz")) as file:
         return read_truth(file, workload)
 
@@ -211,7 +209,7 @@ def read_truth(file: Path, workload: Workload) -> Truth:
         check_gradient={name: check_gradient[:, :, names.index(name)] for name in WEIGHT_NAMES},
         object_view=view,
         object_index=fields.integers("ids", image),
-        depth_m=fields.floats("depth", image, keep_type=True),
+        depth_m=fields.floats_as_they_are("depth", image),
     )
 
 
@@ -261,49 +259,33 @@ class _Fields:
         return InputError(f"{self._file}: {name}: {expected}, got {' '.join(str(got).split())}")
 
     def raw(self, name: str) -> np.ndarray:
-        """An array as it is."""
         if name not in self.arrays:
             raise InputError(f"{self._file}: {name}: expected an array of this name, got none")
         return self.arrays[name]
 
-    def integers(
-        self, name: str, shape: _Shape, is_good: Callable[[np.ndarray], np.ndarray] = np.isfinite, expected: str = ""
-    ) -> np.ndarray:
-        """An array of integers, int64."""
-        value = self.raw(name)
-        if value.dtype.kind not in "iub":
-            raise self.error(name, "expected integers", value.dtype)
-        return self._checked(name, value.astype(np.int64), shape, is_good, expected)
-
-    def floats(
+    def _numbers(
         self,
+        dtype: type[np.generic] | None,
         name: str,
         shape: _Shape,
         is_good: Callable[[np.ndarray], np.ndarray] = np.isfinite,
-        expected: str = "",
-        *,
-        keep_type: bool = False,
+        expected: str = "finite numbers",
     ) -> np.ndarray:
-        """An array of finite numbers, float64 unless the type is kept."""
         value = self.raw(name)
-        if value.dtype.kind not in "iuf":
-            raise self.error(name, "expected numbers", value.dtype)
-        value = value if keep_type else value.astype(np.float64)
-        value = self._checked(name, value, shape, np.isfinite, "finite numbers")
-        return self._checked(name, value, shape, is_good, expected)
-
-    def _checked(
-        self, name: str, value: np.ndarray, shape: _Shape, is_good: Callable[[np.ndarray], np.ndarray], expected: str
-    ) -> np.ndarray:
-        fits = value.ndim == len(shape) and all(
-            want is None or have == want for have, want in zip(value.shape, shape, strict=True)
-        )
-        if not fits:
+        kinds, noun = ("iub", "integers") if dtype is np.int64 else ("iuf", "numbers")
+        if value.dtype.kind not in kinds:
+            raise self.error(name, f"expected {noun}", value.dtype)
+        if value.ndim != len(shape) or any(
+            want not in (None, have) for have, want in zip(value.shape, shape, strict=True)
+        ):
             wanted = ", ".join("n" if want is None else str(want) for want in shape)
             raise self.error(name, f"expected the shape [{wanted}]", list(value.shape))
-        bad = np.argwhere(~is_good(value))
-        if len(bad):
-            at = [int(i) for i in bad[0]]
-            where = f" at {at}" if at else ""
-            raise self.error(name, f"expected {expected}", f"{value[tuple(at)]}{where}")
+        value = value if dtype is None else value.astype(dtype)
+        for is_fine, text in ((np.isfinite, "finite numbers"), (is_good, expected)):
+            if len(bad := np.argwhere(~is_fine(value))):
+                at = [int(i) for i in bad[0]]
+                raise self.error(name, f"expected {text}", f"{value[tuple(at)]}{f' at {at}' if at else ''}")
         return value
+
+    integers, floats = partialmethod(_numbers, np.int64), partialmethod(_numbers, np.float64)
+    floats_as_they_are = partialmethod(_numbers, None)

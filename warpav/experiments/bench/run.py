@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.core.cores import available_cores
 from warpav.core.errors import ArgumentError
 from warpav.core.files import atomic_write, write_json
 from warpav.core.progress import Progress
@@ -266,12 +267,11 @@ def _spread(times_ms: list[float]) -> dict[str, float | int]:
 def _device(bench: Bench) -> dict[str, Any]:
     if bench.device.is_cuda:
         return {"kind": "cuda", "name": bench.device.name}
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     name = platform.processor() or platform.machine()
     with contextlib.suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         name = next(line for line in lines if line.startswith("model name")).partition(":")[2].strip()
-    return {"kind": "cpu", "name": name, "cores": cores}
+    return {"kind": "cpu", "name": name, "cores": available_cores()}
 
 
 @contextlib.contextmanager

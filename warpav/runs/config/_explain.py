@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import functools
 import inspect
+import itertools
 import operator
 import types
 import typing
@@ -13,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import annotated_types
 from pydantic.fields import FieldInfo
 
+from warpav.core.records import nearest
 from warpav.core.section import Expectation, Section, section_of, shown
 from warpav.core.yaml_file import Location
 from warpav.runs.config._schema import ConfigTree
@@ -38,18 +39,12 @@ def explain(
     section: type[Section] = ConfigTree
     field: FieldInfo | None = None
     location: Location = ()
-    for part in found["loc"]:  # the tail of a location can be an index, or a name that pydantic gave a validator
-        known = section.model_fields.get(str(part)) if field is None else None
-        if field is not None:
+    for part in found["loc"]:  # the tail can be an index, or a name that pydantic gave a validator
+        location, field = (*location, str(part)), section.model_fields.get(str(part))
+        inner = section_of(field.annotation) if field else None
+        if inner is None:
             break
-        location = (*location, str(part))
-        inner = section_of(known.annotation) if known else None
-        if inner:
-            section = inner
-        else:
-            field = known
-            if known is None:
-                break
+        section, field = inner, None
     fields = found.get("ctx", {}).get("fields", ()) if found["type"] == "mistake" else ()
     locations = [(*location, *name.split(".")) for name in fields] or [location]
     overridden = [name for name in locations if _override_at(name, override_of) is not None]
@@ -66,9 +61,8 @@ def explain(
     else:
         default = "null" if field.get_default() is None else shown(field.get_default())
         text = f"expected {_expected(field)}, got {shown(found['input'])}"
-        choices = [str(choice) for choice in _choices(field)]
-        near = difflib.get_close_matches(str(found["input"]), choices, 1, 0.6)
-        text += f"; did you mean {near[0]}?" if near else f"; {field.description} (default {default})"
+        near = nearest(found["input"], map(str, _choices(field)))
+        text += near or f"; {field.description} (default {default})"
     return placed(place, f"{'.'.join(location)}: {text}")
 
 
@@ -109,22 +103,28 @@ def _unknown_option(section: type[Section], location: Location) -> str:
     return f"expected one of {', '.join(names)}, got {unknown!r}" + (f"; did you mean {hint}?" if hint else "")
 
 
-def _choices(field: FieldInfo) -> tuple[object, ...]:
-    return typing.get_args(field.annotation) if typing.get_origin(field.annotation) is Literal else ()
+def _kinds(field: FieldInfo) -> tuple[object, ...]:
+    is_union = typing.get_origin(field.annotation) in (types.UnionType, typing.Union)
+    return typing.get_args(field.annotation) if is_union else (field.annotation,)
+
+
+def _choices(field: FieldInfo) -> list[object]:
+    kinds = _kinds(field)
+    words = [word for kind in kinds if typing.get_origin(kind) is Literal for word in typing.get_args(kind)]
+    return ["true", "false", *words] if words and bool in kinds else words
 
 
 def _expected(field: FieldInfo) -> str:
     """What a field expects, in words, from its type and its limits."""
-    annotation, metadata, optional = field.annotation, list(field.metadata), ""
-    if typing.get_origin(annotation) in (types.UnionType, typing.Union):
-        inner = next(member for member in typing.get_args(annotation) if member is not type(None))
-        annotation, optional = inner, ", or null"
-        if typing.get_origin(inner) is Annotated:
-            annotation = typing.get_args(inner)[0]
-            metadata += typing.get_args(inner)[1:]
+    kinds, metadata, choices = _kinds(field), list(field.metadata), list(map(str, _choices(field)))
+    optional = ", or null" if type(None) in kinds else ""
+    annotation = kinds[0]
+    if typing.get_origin(annotation) is Annotated:
+        annotation = typing.get_args(annotation)[0]
+        metadata += typing.get_args(kinds[0])[1:]
     words = next((item for item in metadata if isinstance(item, Expectation)), None)
-    if _choices(field):
-        return " or ".join([", ".join(map(str, _choices(field)[:-1])), str(_choices(field)[-1])]).removeprefix(" or ")
+    if choices:
+        return " or ".join(filter(None, [", ".join(choices[:-1]), choices[-1]])) + optional
     limits = _limits(metadata, words.unit if words else "")
     if words:
         return words.text.replace("{range}", limits) + optional
@@ -133,17 +133,10 @@ def _expected(field: FieldInfo) -> str:
 
 
 def _limits(metadata: Sequence[object], unit: str) -> str:
-    low = high = ""
-    for item in metadata:
-        if isinstance(item, annotated_types.Ge):
-            low = f" from {_number(item.ge)}{unit}"
-        elif isinstance(item, annotated_types.Gt):
-            low = f" above {_number(item.gt)}{unit}"
-        elif isinstance(item, annotated_types.Le):
-            high = f" to {_number(item.le)}{unit}"
-        elif isinstance(item, annotated_types.Lt):
-            high = f" below {_number(item.lt)}{unit}"
-    return low + (f" and{high}" if low and high.startswith(" below") else high)
+    words = {"ge": " from", "gt": " above", "le": " to", "lt": " below"}
+    found = {name: value for item in metadata for name in words if (value := getattr(item, name, None)) is not None}
+    text = "".join(f"{word} {_number(found[name])}{unit}" for name, word in words.items() if name in found)
+    return text.replace(" below", " and below") if len(found) > 1 else text
 
 
 def _number(value: object) -> str:
@@ -174,31 +167,31 @@ class DescribedOption:
 def described_options() -> Iterator[DescribedOption]:
     """Every option with what is known of it, in the order of the tree, what stands at the top first."""
     default_of = option_values(ConfigTree())
-
-    def walk(section: type[Section], prefix: str) -> Iterator[DescribedOption]:
-        inner = {name: section_of(field.annotation) for name, field in section.model_fields.items()}
-        for name, field in section.model_fields.items():
-            if inner[name] is None:
-                yield DescribedOption(
-                    name=prefix + name,
-                    section=prefix.rstrip("."),
-                    section_description=inspect.getdoc(section) or "",
-                    expected=_expected(field),
-                    default=default_of[prefix + name],
-                    description=field.description or "",
-                )
-        for name, below in inner.items():
-            if below is not None:
-                yield from walk(below, f"{prefix}{name}.")
-
-    return walk(ConfigTree, "")
+    below: dict[Location, list[DescribedOption]] = {(): []}
+    for location, section, field in _options(ConfigTree):
+        name = ".".join(location)
+        below.setdefault(location[:-1], []).append(
+            DescribedOption(
+                name=name,
+                section=".".join(location[:-1]),
+                section_description=inspect.getdoc(section) or "",
+                expected=_expected(field),
+                default=default_of[name],
+                description=field.description or "",
+            )
+        )
+    return itertools.chain(*below.values())
 
 
-def option_locations(section: type[Section], prefix: Location = ()) -> Iterator[Location]:
+def option_locations(section: type[Section]) -> Iterator[Location]:
     """Where the options of a section stand, in order."""
+    return (location for location, _, _ in _options(section))
+
+
+def _options(section: type[Section], prefix: Location = ()) -> Iterator[tuple[Location, type[Section], FieldInfo]]:
     for name, field in section.model_fields.items():
         inner = section_of(field.annotation)
         if inner:
-            yield from option_locations(inner, (*prefix, name))
+            yield from _options(inner, (*prefix, name))
         else:
-            yield (*prefix, name)
+            yield (*prefix, name), section, field

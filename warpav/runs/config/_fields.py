@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -13,6 +12,7 @@ from pydantic import BeforeValidator, PlainSerializer, WithJsonSchema
 from pydantic_core import PydanticCustomError
 
 from warpav.core.errors import InputError
+from warpav.core.records import nearest
 from warpav.core.section import (
     DEGREES_PER_UNIT,
     METRES_PER_UNIT,
@@ -58,16 +58,11 @@ def _option(
     return (*parts, *([] if schema is None else [WithJsonSchema(dict(schema))]))
 
 
-def _hint(value: object, words: Sequence[str], otherwise: str = "", cutoff: float = 0.6) -> str:
-    near = difflib.get_close_matches(str(value), words, 1, cutoff)
-    return f"; did you mean {near[0]}?" if near else otherwise
-
-
-def _check_words(values: Sequence[object], known: Sequence[str], expected: str, cutoff: float = 0.6) -> None:
+def _check_words(values: Sequence[object], known: Sequence[str], expected: str) -> None:
     """Reject words out of no list."""
     for value in values:
         if value not in known:
-            mistake(f"expected {expected}, got {shown(value)}{_hint(value, known, cutoff=cutoff)}")
+            mistake(f"expected {expected}, got {shown(value)}{nearest(value, known)}")
 
 
 # seeds
@@ -119,7 +114,6 @@ def read_seeds(text: str, place: str) -> tuple[int, ...]:
 
 
 def _shown_seeds(seeds: tuple[int, ...]) -> str | list[int]:
-    # as long as the seeds: sealed ones lie a billion apart
     if len(seeds) > 1 and seeds == tuple(range(seeds[0], seeds[0] + len(seeds))):
         return f"{seeds[0]}..{seeds[-1]}"
     return list(seeds)
@@ -142,29 +136,19 @@ def _read_path(value: object) -> object:
 def _check_file(value: str, expected: str, words: Sequence[str] = ()) -> None:
     """Reject a path at which there is no file; ``words`` may have been meant instead."""
     if not Path(value).expanduser().is_file():
-        mistake(f"expected {expected}, got {value!r}{_hint(value, words, '; no such file')}")
+        mistake(f"expected {expected}, got {value!r}{nearest(value, words) or '; no such file'}")
 
 
-def _file(what: str) -> tuple[object, ...]:
-    """What makes a field the path of a file that exists."""
-
-    def read(value: object) -> object:
-        if isinstance(value, str):
-            _check_file(value, f"{what}, or null")
-        return _read_path(value)
-
-    return _option(what, read, str)
-
-
-def _word_or_file(what: str, words: Callable[[], Sequence[str]]) -> tuple[object, ...]:
-    """What makes a field a word or the path of a file that exists."""
+def _file(what: str, words: Callable[[], Sequence[str]] | None = None) -> tuple[object, ...]:
+    """What makes a field the path of a file that exists, or a text that is one of some words or such a path."""
 
     def read(value: object) -> object:
-        if isinstance(value, str) and value not in words():
-            _check_file(value, what, words())
-        return value
+        known = () if words is None else words()
+        if isinstance(value, str) and value not in known:
+            _check_file(value, f"{what}, or null" if words is None else what, known)
+        return _read_path(value) if words is None else value
 
-    return _option(what, read)
+    return _option(what, read, str if words is None else None)
 
 
 _MESH_FILE = "the path of a mesh file"
@@ -182,10 +166,10 @@ Folder = Annotated[Path, *_option("a folder", _read_path, str)]
 MeshFile = Annotated[Path, *_option(_MESH_FILE, _read_mesh_file, str)]
 ZonesFile = Annotated[Path, *_file("the path of a YAML file of zones")]
 CatalogueFile = Annotated[Path, *_file("the path of a catalogue of modules")]
-DetectorModel = Annotated[str, *_word_or_file("builtin or the path of an ONNX file", lambda: ["builtin"])]
+DetectorModel = Annotated[str, *_file("builtin or the path of an ONNX file", lambda: ["builtin"])]
 Requirements = Annotated[
     str,
-    *_word_or_file(
+    *_file(
         "auto, the name of a template, such as near_field, or the path of a YAML file",
         lambda: [AUTO, *template_names()],
     ),
@@ -203,7 +187,7 @@ def _paths(expected: str, word: str | None = None) -> tuple[object, ...]:
             mistake(f"expected {expected}, got none")
         for path in paths:
             if isinstance(path, str) and path != word and not Path(path).expanduser().exists():
-                hint = _hint(path, [word or ""], "; no such file or folder")
+                hint = nearest(path, [word or ""]) or "; no such file or folder"
                 mistake(f"expected {expected}, got {path!r}{hint}")
         found = [path if path == word else _read_path(path) for path in paths]
         if word is not None:
@@ -240,14 +224,11 @@ Targets = Annotated[tuple[str, ...], *_option(_TARGETS_TEXT, _read_targets, list
 def _read_presets(value: object) -> object:
     if not isinstance(value, (list, tuple)):
         return value
-    _check_words(value, preset_names(), f"presets out of {', '.join(preset_names())}", 0.5)
+    _check_words(value, preset_names(), f"presets out of {', '.join(preset_names())}")
     return tuple(value)
 
 
 PresetNames = Annotated[tuple[str, ...], *_option("a list of presets, such as [nuscenes, argoverse2]", _read_presets)]
-PresetImages = Annotated[
-    Literal["same_pixels", "same_width", "sensor"], Expectation("same_pixels, same_width or sensor")
-]
 
 
 def _read_device(value: object) -> object:

@@ -129,22 +129,19 @@ def _validated(
         return Config.model_validate(data)
     except ValidationError as error:
         found = error.errors(include_url=False)
-    below = _to_indent([_location(each["loc"]) for each in found])
+    located = [(tuple(map(str, each["loc"])), each) for each in found]
+    below = _to_indent([location for location, _ in located])
     said_above = set(itertools.chain(*below.values()))
-    found = [each for each in found if _location(each["loc"]) not in said_above]
+    found = [each for each in located if each[0] not in said_above]
     lines = []
-    for each in found[:_MISTAKES_MAX]:
-        names = [location[-1] for location in below.get(_location(each["loc"]), ())]
+    for at, each in found[:_MISTAKES_MAX]:
+        names = [location[-1] for location in below.get(at, ())]
         hint = f"; indent {' and '.join(names)} below it" if names else ""
         lines.append(explain(each, file, written_at, override_of) + hint)
     lines = list(dict.fromkeys(lines))
     if len(found) > _MISTAKES_MAX:
         lines.append(f"and {len(found) - _MISTAKES_MAX} more mistakes")
     raise InputError(*lines)
-
-
-def _location(found: Sequence[int | str]) -> Location:
-    return tuple(map(str, found))
 
 
 def _to_indent(mistaken: Sequence[Location]) -> dict[Location, list[Location]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import operator
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -48,7 +49,6 @@ from warpav.runs.config._fields import (
     MeshFile,
     ModuleCounts,
     PitchRange,
-    PresetImages,
     PresetNames,
     Recordings,
     Requirements,
@@ -60,7 +60,7 @@ from warpav.runs.config._fields import (
     read_count,
 )
 from warpav.scene.scene import ROAD_USERS, road_user_of
-from warpav.scene.town.levels import LEVELS, Level
+from warpav.scene.town.levels import Level
 from warpav.sight.templates import template_names
 
 EXTENDS = "extends"
@@ -149,6 +149,15 @@ class RunConfig(Section):
     )
 
 
+_SOURCES_OF = {
+    "level": ("town",),
+    "recordings": ("traffic",),
+    "test_recordings": ("traffic",),
+    "vehicles": ("town", "traffic"),
+}
+"""Options of scenes that some of their sources take alone."""
+
+
 class SceneConfig(Section):
     """Which traffic scenes are trained and tested on."""
 
@@ -157,7 +166,7 @@ class SceneConfig(Section):
         description="town builds the embedded street scenes; traffic builds scenes of recorded traffic; captured takes "
         "images of embedded ones and makes meshes of these; folder reads scene_<seed>.glb files",
     )
-    level: Annotated[Level | None, Expectation(", ".join(LEVELS))] = Field(
+    level: Level | None = Field(
         default=None,
         description="of the embedded street scenes: easy, where everything is near and can be seen from the roof; "
         "urban, as long and busy as real streets; dense, full of people and of what hides them; motorway, fast and "
@@ -224,25 +233,19 @@ class SceneConfig(Section):
                     "test_seeds",
                     name,
                 )
-        if self.level is not None and self.source != "town":
-            mistake(f"expected no level because scenes.source is {self.source}, got {self.level}", "level", "source")
-        for name in ("recordings", "test_recordings"):
-            if getattr(self, name) is not None and self.source != "traffic":
-                mistake("expected null, as scenes.source is not traffic", name, "source")
-        if self.vehicles is not None and self.source not in ("town", "traffic"):
-            text = f"expected null, as scenes.source {self.source} has vehicles of its own, got {shown(self.vehicles)}"
-            mistake(text, "vehicles", "source")
+        for name, sources in _SOURCES_OF.items():
+            value = getattr(self, name)
+            if value is not None and self.source not in sources:
+                text = f"expected null, as only scenes.source {' and '.join(sources)} takes it, got {shown(value)}"
+                mistake(text, name, "source")
         if self.vehicles_share is not None and self.vehicles is None:
             text = f"expected null without scenes.vehicles, got {self.vehicles_share:g}"
             mistake(f"{text}; say which vehicles there are", "vehicles_share", "vehicles")
-        if self.source == "folder":
-            if self.folder is None:
-                mistake("expected a folder of scenes because scenes.source is folder, got none", "folder", "source")
-            if not self.folder.is_dir():
-                mistake(
-                    f"expected an existing folder, got {str(self.folder)!r}; warpav scenes make --out writes one",
-                    "folder",
-                )
+        if self.source == "folder" and self.folder is None:
+            mistake("expected a folder of scenes because scenes.source is folder, got none", "folder", "source")
+        if self.source == "folder" and self.folder and not self.folder.is_dir():
+            text = f"expected an existing folder, got {str(self.folder)!r}; warpav scenes make --out writes one"
+            mistake(text, "folder")
         return self
 
 
@@ -516,7 +519,7 @@ class _BaselineConfig(Section):
     rigs: RigFiles | None = Field(
         default=None, description="rigs of your own that a run compares its rig with, named by their files; null: none"
     )
-    preset_images: PresetImages | None = Field(
+    preset_images: Literal["same_pixels", "same_width", "sensor"] | None = Field(
         default=None,
         description="images of presets, in proportions of their own: same_pixels as many pixels as the run's cameras, "
         "same_width as many columns, sensor all they have; null: same_pixels",
@@ -544,6 +547,26 @@ class _ExecutorConfig(Section):
 
 NO_REQUIREMENTS = "only the search by a pool, with the loss expected_miss_rate alone, knows requirements"
 """Why others take none."""
+
+
+_POOL_ALONE = "only the search by a pool, with the loss expected_miss_rate alone, knows it"
+_LEAVE = "leave method, optimiser.search and the losses as they are"
+_XY_AND_YAW = ("method", "the thesis moves x, y and yaw alone", "take method: default")
+_APART = (
+    ("rig.modules", "method", "the thesis has equal cameras", "take method: default"),
+    ("mount.zones", "method", "the thesis has roof and bonnet alone", "take method: default"),
+    ("rig.freeze", "method", "the thesis moves all cameras", "take method: default"),
+    *((f"rig.free.{name}", *_XY_AND_YAW) for name in _FreeConfig.model_fields),
+    ("rig.modules", "optimiser.search", _POOL_ALONE, _LEAVE),
+    ("rig.symmetric", "optimiser.search", _POOL_ALONE, _LEAVE),
+    ("rig.symmetric", "method", _POOL_ALONE, _LEAVE),
+    ("rig.freeze", "rig.symmetric", "every camera of a pair moves", ""),
+    ("rig.free.fov_deg", "rig.modules", "every module has its lens", ""),
+    ("rig.free.fov_deg", "rig.symmetric", "the cameras of a pair have one lens", ""),
+    ("rig.free.height_m", "rig.modules", "every zone has its stand_off_m", ""),
+    ("rig.free.height_m", "mount.zones", "every zone has its stand_off_m", ""),
+)
+"""Two options that do not go together, why the first one is not to be given, and what else could be done."""
 
 
 def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
@@ -672,17 +695,28 @@ class ConfigTree(Section):
                 "run.batch_size",
                 "scenes.train_seeds",
             )
-        self._check_modules()
+        for option, other, why, remedy in _APART:
+            if (value := self._given(option)) and self._given(other):
+                nothing = {"rig.freeze": "none", "rig.symmetric": "auto"}.get(option, "null")
+                text = f"expected {nothing}, as {why}, got {shown(value)}"
+                mistake(f"{text}; {remedy}" if remedy else text, option, other)
+        if self.rig.max_cost is not None and self.rig.modules is None:
+            text = f"expected null without rig.modules, got {shown(self.rig.max_cost)}"
+            mistake(f"{text}; say which modules there are", "rig.max_cost", "rig.modules")
         self._check_free()
-        self._check_freeze()
-        self._check_zones()
+        frozen = self.rig.freeze
+        if frozen and self.rig.start in NAMED_STARTS:
+            text = f"expected none, for rig.start={self.rig.start} has no cameras of these names, got {shown(frozen)}"
+            mistake(f"{text}; set rig.start to the rig that has them", "rig.freeze", "rig.start")
+        if len(frozen) >= self.rig.cameras:
+            text = f"expected fewer than the {self.rig.cameras} of rig.cameras, so that one can move"
+            mistake(f"{text}, got {len(frozen)}", "rig.freeze", "rig.cameras")
         self._check_importance()
         if self.requirements not in (None, AUTO) and not self.knows_requirements:
             mistake(f"expected null: {NO_REQUIREMENTS}", "requirements", "optimiser.search")
         asked = self.robust.asked_for or ("rules.enforced" if self.rules.enforced else None)
-        if asked is not None and (self.search_kind == "descent" or not self.losses.is_by_single_cameras):
-            text = "expected null, as only the search by a pool, with the loss expected_miss_rate alone, knows it"
-            mistake(f"{text}; leave optimiser.search and the losses as they are", asked, "optimiser.search")
+        if asked is not None and self._given("optimiser.search"):
+            mistake(f"expected null, as {_POOL_ALONE}; {_LEAVE}", asked, "optimiser.search")
         if self.thesis.rotations < self.rig.cameras:
             mistake(
                 f"expected at least one direction per camera ({self.rig.cameras}), got {self.thesis.rotations}",
@@ -690,6 +724,14 @@ class ConfigTree(Section):
                 "rig.cameras",
             )
         return self
+
+    def _given(self, option: str) -> object:
+        """What an option says that may not go with another; of those that always say something if that is apart."""
+        if option == "method":
+            return self.method == "thesis"
+        if option == "optimiser.search":
+            return self.search_kind == "descent" or not self.losses.is_by_single_cameras
+        return self.rig.is_symmetric if option == "rig.symmetric" else operator.attrgetter(option)(self)
 
     def _check_importance(self) -> None:
         if not self.importance.is_set:
@@ -703,60 +745,6 @@ class ConfigTree(Section):
                 text = f"expected road users out of scenes.targets, {', '.join(self.scenes.targets)}, got {name!r}"
                 mistake(f"{text}; add {kind} to scenes.targets", "importance.category", "scenes.targets")
 
-    def _check_freeze(self) -> None:
-        frozen = self.rig.freeze
-        if not frozen:
-            return
-        if self.rig.start in NAMED_STARTS:
-            text = f"expected none, for rig.start={self.rig.start} has no cameras of these names, got {shown(frozen)}"
-            mistake(f"{text}; set rig.start to the rig that has them", "rig.freeze", "rig.start")
-        if len(frozen) >= self.rig.cameras:
-            text = f"expected fewer than the {self.rig.cameras} of rig.cameras, so that one can move"
-            mistake(f"{text}, got {len(frozen)}", "rig.freeze", "rig.cameras")
-        if self.method == "thesis":
-            text = f"expected none, as the thesis moves all cameras, got {shown(frozen)}; take method: default"
-            mistake(text, "rig.freeze", "method")
-
-    def _check_modules(self) -> None:
-        rig = self.rig
-        if rig.is_symmetric and rig.freeze:
-            mistake(f"expected none with rig.symmetric, got {shown(rig.freeze)}", "rig.freeze", "rig.symmetric")
-        if rig.modules is None:
-            if rig.max_cost is not None:
-                text = f"expected null without rig.modules, got {shown(rig.max_cost)}"
-                mistake(f"{text}; say which modules there are", "rig.max_cost", "rig.modules")
-            if not rig.is_symmetric:
-                return
-            if self.method == "thesis" or self.search_kind == "descent" or not self.losses.is_by_single_cameras:
-                text = (
-                    "expected auto, as only the search by a pool, with the loss expected_miss_rate alone, knows pairs"
-                )
-                mistake(f"{text}; leave method, optimiser.search and the losses as they are", "rig.symmetric", "losses")
-            if rig.free.fov_deg is not None:
-                mistake("expected null with rig.symmetric", "rig.free.fov_deg", "rig.symmetric")
-            return
-        if self.method == "thesis":
-            mistake("expected null, as the thesis has equal cameras; take method: default", "rig.modules", "method")
-        if self.search_kind == "descent" or not self.losses.is_by_single_cameras:
-            text = "expected null, as only the search by a pool, with the loss expected_miss_rate alone, knows modules"
-            mistake(f"{text}; set optimiser.search=pool, or leave the losses as they are", "rig.modules", "losses")
-        for name in ("height_m", "fov_deg"):
-            if getattr(rig.free, name) is not None:
-                of = "module its lens" if name == "fov_deg" else "zone its stand_off_m"
-                text = f"expected null, as every {of}, got {shown(getattr(rig.free, name))}"
-                mistake(text, f"rig.free.{name}", "rig.modules")
-
-    def _check_zones(self) -> None:
-        if self.mount.zones is None:
-            return
-        if self.method == "thesis":
-            mistake(
-                "expected null, as the thesis has roof and bonnet alone; take method: default", "mount.zones", "method"
-            )
-        if self.rig.free.height_m is not None:
-            text = "expected null, as every zone of mount.zones has its own stand_off_m"
-            mistake(f"{text}, got {shown(self.rig.free.height_m)}", "rig.free.height_m", "mount.zones")
-
     def _check_free(self) -> None:
         free = self.rig.free
         configured = {
@@ -768,16 +756,9 @@ class ConfigTree(Section):
             pair = getattr(free, name)
             if pair is None:
                 continue
-            fields = dict.fromkeys((f"rig.free.{name}", option))
             if not pair[0] <= value <= pair[1]:
                 text = f"expected bounds that hold the {value:g} of {what}, got {shown(pair)}"
-                mistake(text, *fields)
-            if self.method == "thesis":
-                mistake(
-                    f"expected null, as the thesis moves x, y and yaw alone, got {shown(pair)}; take method: default",
-                    f"rig.free.{name}",
-                    "method",
-                )
+                mistake(text, *dict.fromkeys((f"rig.free.{name}", option)))
         if free.fov_deg is None:
             return
         widest_deg = self.camera.widest_deg

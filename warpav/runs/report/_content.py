@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
-import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
+from pydantic import TypeAdapter, ValidationError
 
 from warpav.core.errors import InputError
 from warpav.core.yaml_file import read_yaml
@@ -19,47 +18,7 @@ from warpav.runs.events import Certificate, Event
 from warpav.runs.rig_evaluation import RigEvaluation
 from warpav.runs.run_folder import RunFolder
 
-_BoxPx = tuple[float, float, float, float]
 Content = TypeVar("Content")
-
-
-class View(BaseModel):
-    """What a camera sees of a scene, with boxes [px]; see `warpav.view.figures.images.DetectionPanel`."""
-
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
-
-    scene: str
-    scene_number: int = 0
-    rig: str
-    camera: str
-    image: Annotated[str, Field(pattern=r"^[^/\\]+$")]
-    size_px: tuple[int, int]
-    truth_box_px: list[_BoxPx | None]
-    detection_box_px: list[_BoxPx]
-    detection_of_truth: list[int]
-
-    @field_validator("size_px")
-    @classmethod
-    def _is_a_size(cls, size_px: tuple[int, int]) -> tuple[int, int]:
-        if min(size_px) < 1:
-            raise ValueError("an image has at least one pixel")
-        return size_px
-
-
-@dataclass(frozen=True)
-class _GroundMap:
-    """Cells of the ground, see `warpav.sight.ground.BlindGround`.
-
-    Attributes:
-        blind_share: Share of the scenes in which no camera sees somebody on a cell, of those in which he can stand
-            there, by arm, float64 [height, row, column]; NaN where he never can.
-        ego_bounds_m: Lowest and highest corner of the vehicle in its frame [m], [2, 3].
-    """
-
-    blind_share: dict[str, np.ndarray]
-    heights_m: list[float]
-    cell_m: float
-    ego_bounds_m: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -75,8 +34,6 @@ class RunContent:
     evaluation: RigEvaluation | None = None
     start: Rig | None = None
     result: Rig | None = None
-    views: list[View] = field(default_factory=list)
-    ground: _GroundMap | None = None
     certificate: Certificate | None = None
     further: FurtherCameras | None = None
     zones: tuple[Zone, ...] = ()
@@ -110,8 +67,6 @@ def read_content(folder: RunFolder) -> RunContent:
         evaluation=evaluation,
         start=folder.rig("initial") if (folder.path / "rig_initial.yaml").is_file() else None,
         result=_result(folder, config),
-        views=_checked(list[View], folder.views() or [], folder, "figures/views.json"),
-        ground=_ground(folder, evaluation),
         certificate=Certificate.of([event.model_dump() for event in events], scenes=scenes),
         further=folder.further_cameras(),
         zones=() if config is None or config.mount.zones is None else read_zones(config.mount.zones),
@@ -146,30 +101,3 @@ def _result(folder: RunFolder, config: Config | None) -> Rig | None:
         if (folder.path / f"rig_{role}.yaml").is_file():
             return folder.rig(role)
     return None
-
-
-def _ground(folder: RunFolder, evaluation: RigEvaluation | None) -> _GroundMap | None:
-    arrays = folder.ground()
-    if arrays is None or evaluation is None:
-        return None
-    file = folder.path / "figures" / "ground.npz"
-    wanted: Mapping[str, int] = {
-        "open_count": 3,
-        "heights_m": 1,
-        "cell_m": 0,
-        "ego_bounds_m": 2,
-        **{f"blind_count_{arm}": 3 for arm in (evaluation.start, evaluation.first)},
-    }
-    for name, dimensions in wanted.items():
-        if name not in arrays or arrays[name].ndim != dimensions or arrays[name].dtype.kind not in "iuf":
-            raise InputError(
-                f"{file}: expected numbers {name} with {dimensions} dimensions, got none; was the file changed?"
-            )
-    opened = arrays["open_count"].astype(np.float64)
-    shares = {}
-    for arm in (evaluation.start, evaluation.first):
-        blind = arrays[f"blind_count_{arm}"].astype(np.float64)
-        if blind.shape != opened.shape or len(blind) != len(arrays["heights_m"]):
-            raise InputError(f"{file}: expected counts of one shape, got {blind.shape} and {opened.shape}")
-        shares[arm] = np.divide(blind, opened, out=np.full(opened.shape, np.nan), where=opened > 0)
-    return _GroundMap(shares, arrays["heights_m"].tolist(), float(arrays["cell_m"]), arrays["ego_bounds_m"])

@@ -6,7 +6,7 @@ import base64
 import io
 import math
 import shlex
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,26 +20,24 @@ from warpav.evaluation.statistics import Difference
 from warpav.runs.config import config_names, load_config, overrides_from
 from warpav.runs.mounts import free_ranges, has_zones
 from warpav.runs.report import statements as words
-from warpav.runs.report._content import RunContent, View, read_content
-from warpav.runs.rig_evaluation import LOWER_IS_BETTER, RECALL_GROUPS, TABLE_ROWS, RigEvaluation
+from warpav.runs.report._content import RunContent, read_content
+from warpav.runs.rig_evaluation import LOWER_IS_BETTER, TABLE_ROWS, RigEvaluation
 from warpav.runs.run_folder import RunFolder
 from warpav.sight.requirement import SECTORS, sectors_of
-from warpav.view.figures.convergence import convergence_panels, search_panel
-from warpav.view.figures.from_above import blind_ground
-from warpav.view.figures.statistics import MetricDifference, differences, recall_by_group
-from warpav.view.figures.style import svg_text
-from warpav.view.palette import FALSE_POSITIVE_RGB, MISS_RGB, OUTCOME_RGB, TRUE_POSITIVE_RGB, hex_colour
+from warpav.view.figures.convergence import loss_figure, search_figure
+from warpav.view.figures.style import figure_bytes
+from warpav.view.palette import OUTCOME_RGB, hex_colour
 
 if TYPE_CHECKING:
     from jinja2 import Template
 
-MAX_BYTES = 5_000_000
+_MAX_BYTES = 5_000_000
 """No report is larger."""
 
 _IMAGE_BYTES = 3_200_000
 """All images together, before they are written as text."""
 
-SIZES: Sequence[tuple[int, int]] = ((1280, 84), (960, 80), (640, 75), (480, 65), (320, 50), (200, 35))
+_SIZES: Sequence[tuple[int, int]] = ((1280, 84), (960, 80), (640, 75), (480, 65), (320, 50), (200, 35))
 """Longer side [px] and quality of images: the first at which all of them fit."""
 
 _ROWS_SHOWN = 30
@@ -66,6 +64,9 @@ _FIGURES = {
     "requirements_start": "From above: points that have to be seen, and how many cameras of the start see enough there",
     "requirements_by_hand": "The same of the rig by hand",
     "requirements_optimised": "The same of the rig that was found",
+    "recall": "Recall of every rig by distance, sector and class; the table holds the numbers",
+    "differences": "Differences of recall and AP50 to the other rigs with 95 % intervals; the table holds the numbers",
+    "blind_ground": "From above: share of the scenes in which no camera of a rig sees someone of a height",
     "further_cameras": "From above: what each camera of the pool would add to the rig that was found",
 }
 """Figures of a run in the order of the report; others follow by name."""
@@ -75,8 +76,14 @@ _ELSEWHERE = (*_FITTING, *(name for name in _FIGURES if name not in (*_FITTING, 
 """Figures that have places of their own."""
 
 
+SHOWN_SCENES = {
+    "first_scene": "The first test scene",
+    "hardest_scene": "Of the other test scenes that with most objects not detected at the end",
+}
+"""Whose images every camera has a figure of: how the names of these figures begin."""
+
+
 class _PageImage(NamedTuple):
-    name: str
     caption: str
     address: str
     size_px: tuple[int, int]
@@ -87,9 +94,9 @@ def write_report(folder: RunFolder, run: RunContent | None = None) -> Path:
     run = read_content(folder) if run is None else run
     page = _template().render(_content(folder, run))
     page = page.encode("utf-8", "backslashreplace").decode()  # of paths that are not UTF-8
-    if len(page.encode()) > MAX_BYTES:
+    if len(page.encode()) > _MAX_BYTES:
         raise InputError(
-            f"{folder.path}: report: expected at most {MAX_BYTES / 1e6:g} MB, got {len(page.encode()) / 1e6:.1f}; "
+            f"{folder.path}: report: expected at most {_MAX_BYTES / 1e6:g} MB, got {len(page.encode()) / 1e6:.1f}; "
             "move images out of its figures folder"
         )
     return folder.write_report(page)
@@ -118,24 +125,35 @@ def _template() -> Template:
 def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
     evaluation = run.evaluation
     outages = evaluation and evaluation.camera_outage.get(evaluation.first)
-    images = {file.stem: (file, _FIGURES.get(file.stem, file.stem)) for file in folder.figures()}
-    if run.views:
-        images.pop("detections", None)
+    files: dict[str, Path | io.BytesIO] = {file.stem: file for file in folder.figures()}
+    curves = "loss_curves" if run.certificate is None else "search"
+    if curves not in files and not _draws_nothing(run):
+        figure = _curves(run)
+        files |= {} if figure is None else {curves: io.BytesIO(figure_bytes(figure, ".png"))}
+    if any(name.startswith(tuple(SHOWN_SCENES)) for name in files):
+        files.pop("detections", None)
     order = list(_FIGURES)
-    named = sorted(images, key=lambda name: (order.index(name) if name in order else len(order), name))
-    files = [*(images[name][0] for name in named), *(folder.view_path(view.image) for view in run.views)]
-    encoded = iter(_images(files))
-    shown = {name: _PageImage(name, images[name][1], *next(encoded)) for name in named}
+    named = sorted(files, key=lambda name: (order.index(name) if name in order else len(order), name))
+    shown = {
+        name: _PageImage(_FIGURES.get(name, name.partition("_scene_")[2] or name), *image)
+        for name, image in zip(named, _images([files[name] for name in named]), strict=True)
+    }
     objects = words.objects_name(run)
     return {
         "run": run,
         "evaluation": evaluation,
         "pictures": lambda *names: [shown[name] for name in names if name in shown],
         "fitting": [shown[name] for name in _FITTING if name in shown],
-        "images": [image for name, image in shown.items() if name not in _ELSEWHERE],
+        "images": [
+            image
+            for name, image in shown.items()
+            if name not in _ELSEWHERE and not name.startswith(tuple(SHOWN_SCENES))
+        ],
         "draws_nothing": _draws_nothing(run),
-        "plots": _plots(run, images),
-        "views": _views(run.views, [next(encoded) for _ in run.views], objects),
+        "views": {
+            scene: [image for name, image in shown.items() if name.startswith(which)]
+            for which, scene in SHOWN_SCENES.items()
+        },
         "lead": _lead(run),
         "headline": words.headline(run),
         "statements": words.summary(run),
@@ -161,12 +179,7 @@ def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
         "command": run.environment.get("command"),
         "again": _command(run),
         "options": _flat(run.options),
-        "colours": {
-            "found": hex_colour(TRUE_POSITIVE_RGB),
-            "missed": hex_colour(MISS_RGB),
-            "false": hex_colour(FALSE_POSITIVE_RGB),
-            **{outcome.replace(" ", "-"): hex_colour(rgb) for outcome, rgb in OUTCOME_RGB.items()},
-        },
+        "colours": {outcome.replace(" ", "-"): hex_colour(rgb) for outcome, rgb in OUTCOME_RGB.items()},
     }
 
 
@@ -254,78 +267,16 @@ def _draws_nothing(run: RunContent) -> bool:
     return run.config is not None and run.config.run.pictures == "none"
 
 
-def _plots(run: RunContent, drawn: Collection[str]) -> dict[str, list[_PageImage]]:
-    """The plots of every section that are drawn with the page: those of a full report, and curves that no file has."""
-    evaluation = run.evaluation
-    found: dict[str, list[_PageImage]] = {name: [] for name in ("convergence", "metrics", "recall", "ground")}
-    curves = "loss_curves" if run.certificate is None else "search"
-    if curves not in drawn and not _draws_nothing(run):
-        found["convergence"] = _convergence(run)
-    if evaluation is None or run.ground is None:
-        return found
-    rows = _differences(evaluation, {"tp_detection_rate": "recall", "ap50_pooled": "AP50"})
-    if rows:
-        caption = "Differences of recall and AP50 to the other rigs with 95 % intervals; the table holds the numbers"
-        found["metrics"].append(_plot("differences", caption, differences(rows, evaluation.first)))
-    for by, title in (("distance_m", "Recall by distance"), ("sector", "Recall by sector")):
-        tables = {
-            name: arm.recall_by[by] for name, arm in evaluation.arms.items() if arm.recall_by and by in arm.recall_by
-        }
-        if len(tables) < len(evaluation.arms):
-            continue
-        svg = recall_by_group(tables, title, unit=RECALL_GROUPS.get(by, ""))
-        if svg is not None:
-            found["recall"].append(_plot(by, f"{title} of every rig; the table holds the numbers", svg))
-    rigs = {evaluation.start: run.start, evaluation.first: run.result}
-    for height, height_m in enumerate(run.ground.heights_m):
-        for arm in (name for name in rigs if name in run.ground.blind_share):
-            svg = blind_ground(
-                run.ground.blind_share[arm][height],
-                f"{arm}: {height_m:g} m tall",
-                cell_m=run.ground.cell_m,
-                ego_bounds_m=run.ground.ego_bounds_m,
-                rig=rigs[arm],
-            )
-            caption = (
-                f"Ground from above, front up: share of the scenes in which no camera of the {arm} rig sees "
-                f"someone {height_m:g} m tall"
-            )
-            found["ground"].append(_plot(f"ground {arm} {height_m:g}", caption, svg))
-    return found
-
-
-def _convergence(run: RunContent) -> list[_PageImage]:
-    """The course of the search, or loss, loss terms, multipliers and camera distance; none for events without them."""
+def _curves(run: RunContent) -> Any:  # noqa: ANN401 (matplotlib)
+    """The course of a search or of a descent; None for events that know neither."""
     records = [event.model_dump() for event in run.events]
-    search = search_panel(records)
-    if search is not None:
-        return [_plot("search", _FIGURES["search"], svg_text(search, 3.4))]
-    if not records or not all({"terms", "multipliers"} <= event.model_fields_set for event in run.events):
-        return []
-    records = [{**record, "loss": math.nan if record["loss"] is None else record["loss"]} for record in records]
-    panels = convergence_panels(records, None if run.config is None else run.config.rig.min_spacing_m)
-    return [_plot(name, f"{name} over the iterations", svg_text(draw, 2.9)) for name, draw in panels.items()]
+    if all({"terms", "multipliers"} <= event.model_fields_set for event in run.events):
+        spacing_m = None if run.config is None else run.config.rig.min_spacing_m
+        return search_figure(records) or loss_figure(records, min_distance_m=spacing_m)
+    return search_figure(records)
 
 
-def _differences(evaluation: RigEvaluation, metrics: Mapping[str, str]) -> list[MetricDifference]:
-    """Differences with an interval, of metrics by their names and what they are called."""
-    rows = []
-    for metric, heading in metrics.items():
-        for name, found in evaluation.paired.items():
-            each = found.get(metric)
-            if each is not None and each.mean is not None and each.low is not None and each.high is not None:
-                rows.append(MetricDifference(heading, name, each.mean, each.low, each.high))
-    return rows
-
-
-def _plot(name: str, caption: str, svg: str) -> _PageImage:
-    address = "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
-    opening = svg[svg.index("<svg") :].partition(">")[0]
-    width, height = (float(opening.partition(f'{side}="')[2].partition("pt")[0]) for side in ("width", "height"))
-    return _PageImage(name, caption, address, (round(width), round(height)))
-
-
-def _images(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
+def _images(files: Sequence[Path | io.BytesIO]) -> list[tuple[str, tuple[int, int]]]:
     """Images as ``data:`` addresses with their sizes [px], made smaller until all of them fit."""
     from PIL import Image, UnidentifiedImageError
 
@@ -338,7 +289,7 @@ def _images(files: Sequence[Path]) -> list[tuple[str, tuple[int, int]]]:
             text = " ".join(str(error).split())
             raise InputError(f"{file}: expected an image, got: {text}; was the file changed?") from None
     found: list[tuple[bytes, tuple[int, int]]] = []
-    for side_px, quality in SIZES:
+    for side_px, quality in _SIZES:
         found = []
         for original in originals:
             image, encoded = original.copy(), io.BytesIO()
@@ -420,47 +371,6 @@ def _pitches(run: RunContent) -> str:
         for (low_rad, high_rad), names in named.items()
     ]
     return f": pitch {'; '.join(told)}" if told else ""
-
-
-def _views(
-    views: Sequence[View], encoded: Sequence[tuple[str, tuple[int, int]]], objects: str
-) -> list[tuple[str, dict[str, Any]]]:
-    """What cameras see by camera, every rig one behind the other, of every scene, which is named."""
-    scenes: dict[tuple[int, str], dict[str, Any]] = {}
-    for view, (address, _) in zip(views, encoded, strict=True):
-        boxes = list(_boxes(view))
-        kinds = [kind for kind, _ in boxes]
-        found, missed, false = (kinds.count(kind) for kind in ("found", "missed", "false"))
-        stage = {"start": "before", "optimised": "after"}.get(view.rig)
-        caption = view.rig if stage is None else f"{stage} ({view.rig})"
-        caption += f": {found} of {found + missed} {objects} found" if found + missed else f": no {objects} to find"
-        if false:
-            caption += f", {false} false alarm" + ("" if false == 1 else "s")
-        scenes.setdefault((view.scene_number, view.scene), {}).setdefault(view.camera, []).append(
-            {"rig": view.rig, "caption": caption, "address": address, "size_px": view.size_px, "boxes": boxes}
-        )
-    return [(name, cameras) for (_, name), cameras in scenes.items()]
-
-
-def _boxes(view: View) -> Iterable[tuple[str, list[float]]]:
-    """Kind, corner and size [px] of the boxes of a view, in the order in which they are drawn."""
-
-    def box(kind: str, box_px: Sequence[float]) -> tuple[str, list[float]]:
-        x0, y0, x1, y1 = (round(value, 1) for value in box_px)
-        return kind, [x0, y0, round(x1 - x0, 1), round(y1 - y0, 1)]
-
-    found = {match for truth, match in zip(view.truth_box_px, view.detection_of_truth, strict=False) if truth}
-    for index, each in enumerate(view.detection_box_px):
-        if index not in found:
-            yield box("false", each)
-    for truth, match in zip(view.truth_box_px, view.detection_of_truth, strict=False):
-        if truth is None:
-            continue
-        if 0 <= match < len(view.detection_box_px):
-            yield box("truth", truth)
-            yield box("found", view.detection_box_px[match])
-        else:
-            yield box("missed", truth)
 
 
 def _ground(evaluation: RigEvaluation) -> list[dict[str, Any]]:

@@ -400,7 +400,7 @@ def _objective(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
     search = "descent" if run.certificate is None else "search"
     text = f"What the {search} lowers {_change(training.start, training.optimised)} on the {search_scenes(run)} scenes"
     if evaluation.robust is not None:
-        return Statement("Objective", f"{text}: {robust_text(evaluation.robust)}.")
+        return Statement("Objective", f"{text}: {_robust_text(evaluation.robust)}.")
     if _counts_points(run):
         text += ", expected misses and points of the requirements that are not met together"
     broken = sum(not margin.is_kept for margin in (evaluation.rules or {}).get(evaluation.start, ()))
@@ -430,7 +430,7 @@ def _objective(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
     return Statement("Objective", text, tone)
 
 
-def robust_text(robust: Robust) -> str:
+def _robust_text(robust: Robust) -> str:
     """What a robust objective is made of at the start and at the end, in a sentence without its full stop."""
 
     def change(name: str) -> str:

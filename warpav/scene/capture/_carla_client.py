@@ -17,7 +17,6 @@ from scipy.spatial import KDTree
 from warpav.core.errors import InputError, install_text
 from warpav.core.frames import (
     EGO_FROM_CARLA,
-    FLU_FROM_RDF,
     carla_from_ego_pose,
     ego_from_carla_pose,
     rotation_from_yaw_pitch_roll,
@@ -25,7 +24,7 @@ from warpav.core.frames import (
 )
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
-from warpav.scene.capture.capture import CaptureView, rigid_pose
+from warpav.scene.capture.capture import rigid_pose
 from warpav.scene.scene import Box, outline_gap_m
 
 Remote: TypeAlias = Any  # something that the optional package ``carla`` defines; its types cannot be named here
@@ -36,7 +35,6 @@ _CATEGORY_OF_BASE_TYPE = {"car": "car", "van": "van", "truck": "lorry", "bus": "
 
 
 def import_carla() -> ModuleType:
-    """The client package."""
     try:
         return importlib.import_module("carla")
     except ImportError as error:
@@ -77,12 +75,6 @@ def release_of(version: str) -> str:
     return match.group() if match else version
 
 
-def clear_noon(carla: ModuleType) -> Remote:
-    """Clear and windless, the sun overhead; shadows lie below what casts them."""
-    calm = ("cloudiness", "precipitation", "precipitation_deposits", "wind_intensity", "fog_density", "wetness")
-    return carla.WeatherParameters(**dict.fromkeys(calm, 0.0), sun_altitude_angle=90.0)
-
-
 def set_attributes(blueprint: Remote, values: Mapping[str, str | None]) -> None:
     """Those that the blueprint has and lets be changed."""
     for name, value in values.items():
@@ -91,7 +83,6 @@ def set_attributes(blueprint: Remote, values: Mapping[str, str | None]) -> None:
 
 
 def colours_of(blueprint: Remote) -> list[str]:
-    """The colours that a blueprint recommends."""
     return list(blueprint.get_attribute("color").recommended_values) if blueprint.has_attribute("color") else []
 
 
@@ -111,18 +102,15 @@ _SKY_M = 0.999 * _DEPTH_RANGE_M  # the sky's dome is drawn somewhere beyond the 
 
 def depth_from_bgra(bgra: np.ndarray) -> np.ndarray:
     """Metres from what CARLA's depth camera sends, [row, column, 4]: 24 bits, red lowest, over the range of 1 km."""
-    blue, green, red = (bgra[..., channel].astype(np.int64) for channel in range(3))
-    depth_m = (red + 256 * green + 65536 * blue) * (_DEPTH_RANGE_M / (2**24 - 1))
+    depth_m = code_from_bgra(bgra) * (_DEPTH_RANGE_M / (2**24 - 1))
     return np.where(depth_m < _SKY_M, depth_m, np.inf).astype(np.float32)
 
 
 def code_from_bgra(bgra: np.ndarray) -> np.ndarray:
-    """One number per pixel from what CARLA's instance camera sends: semantic tag + 256 G + 65536 B.
+    """One number per pixel [row, column] from what CARLA's instance camera sends: semantic tag + 256 G + 65536 B.
 
     Green and blue are the low and the high byte of a number that the server gives the object. That is the actor's id
     on small maps and the engine's own number on large ones, so only the whole colour is compared.
-
-    Shapes: ``bgra`` [row, column, 4], returns [row, column].
     """
     blue, green, red = (bgra[..., channel].astype(np.int32) for channel in range(3))
     return red + 256 * green + 65536 * blue
@@ -139,12 +127,9 @@ def check_pinhole(model: CameraModel) -> None:
 
 
 _SAME_PLACE_M = 2.5  # below the distance between the centres of neighbouring lanes
-RDF_FROM_FLU = np.eye(4)
-RDF_FROM_FLU[:3, :3] = FLU_FROM_RDF.T
 
 
 def inverse_pose(pose: np.ndarray) -> np.ndarray:
-    """The inverse of a pose [4, 4]."""
     return rigid_pose(pose[:3, :3].T, -pose[:3, :3].T @ pose[:3, 3])
 
 
@@ -198,18 +183,6 @@ def ego_pose_of_wheels(wheel_m: np.ndarray, radius_m: np.ndarray) -> np.ndarray 
     if min(turn[0, 0], turn[2, 2]) < math.cos(math.radians(5.0)):
         return None
     return rigid_pose(turn, rear_m.mean(axis=0))
-
-
-def ego_rays(view: CaptureView, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """Rays through pixels of a view, in the ego frame's axes [pixel, 3]."""
-    return view.model.rays(np.stack([column + 0.5, row + 0.5], -1)) @ view.ego_from_camera[:3, :3].T
-
-
-def is_inside(box: Box, point_m: np.ndarray) -> np.ndarray:
-    """Which points lie in a box, its lowest part left out: there the road is as near as the vehicle."""
-    along_m, half_m = box.local_m(point_m), 0.5 * box.size_m
-    is_within = np.all(np.abs(along_m) <= half_m + 0.1, axis=-1)
-    return is_within & (along_m[:, 2] > -half_m[2] + 0.2 * box.size_m[2])
 
 
 def meets_box(box: Box, origin_m: np.ndarray, ray: np.ndarray, *, margin_m: float) -> np.ndarray:

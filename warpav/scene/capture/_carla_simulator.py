@@ -14,8 +14,7 @@ import re
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -26,20 +25,16 @@ from warpav.core.frames import (
 )
 from warpav.raster.camera import CameraModel
 from warpav.scene.capture._carla_client import (
-    RDF_FROM_FLU,
     Remote,
     boxes_overlap,
     category_of,
     check_pinhole,
-    clear_noon,
     code_from_bgra,
     colours_of,
     depth_from_bgra,
     ego_pose_of_wheels,
-    ego_rays,
     import_carla,
     inverse_pose,
-    is_inside,
     lane_places,
     meets_box,
     point_of,
@@ -54,6 +49,7 @@ from warpav.scene.capture.capture import (
     CapturedImage,
     CapturedVehicle,
     CaptureView,
+    Simulator,
     SpawnPoint,
     rigid_pose,
 )
@@ -72,12 +68,11 @@ _LOOK_FROM = ((0.0, 90.0), (0.0, 40.0), (90.0, 40.0), (180.0, 40.0), (270.0, 40.
 _IDENTIFY_SIDE_PX, _MIN_INSIDE_PX = 128, 20
 _INSTANCE_MARGIN_M = 0.5  # CARLA's boxes come from collision shapes: mirrors and aerials may exceed them
 _CAMERAS = {"rgb": "sensor.camera.rgb", "depth": "sensor.camera.depth", "code": "sensor.camera.instance_segmentation"}
+_CALM = ("cloudiness", "precipitation", "precipitation_deposits", "wind_intensity", "fog_density", "wetness")
 _PLAIN_IMAGE = {
-    "lens_flare_intensity": "0.0",
-    "bloom_intensity": "0.0",
-    "motion_blur_intensity": "0.0",
-    "motion_blur_max_distortion": "0.0",
-    "chromatic_aberration_intensity": "0.0",
+    "exposure_mode": "histogram",
+    **dict.fromkeys(("lens_flare_intensity", "bloom_intensity", "chromatic_aberration_intensity"), "0.0"),
+    **dict.fromkeys(("motion_blur_intensity", "motion_blur_max_distortion"), "0.0"),
 }
 """What is switched off in colour images. The ``lens_*`` distortion stays at its defaults: they are a pinhole's, and
 zeros spoil depth images."""
@@ -103,8 +98,8 @@ class _Situation:
     next_id: int = 1
 
 
-class CarlaSimulator:
-    """A CARLA server as a `warpav.scene.capture.capture.Simulator`.
+class CarlaSimulator(Simulator):
+    """A CARLA server.
 
     Use it in a ``with`` statement: entering connects, makes the server synchronous and prepares the world; leaving, for
     whatever reason, destroys every actor that was made and restores weather, vegetation, lights and settings.
@@ -151,11 +146,8 @@ class CarlaSimulator:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
-        """Destroy all spawned actors and restore everything that was changed, even after an error."""
-        self._leave(error)
+    def __exit__(self, *failure: Any) -> None:  # noqa: ANN401
+        self._leave(failure[1])
 
     def _connect(self) -> None:
         self._carla = import_carla()
@@ -210,7 +202,9 @@ class CarlaSimulator:
             manager = world.get_lightmanager()
             self._change("lights", lambda: (manager.turn_on(lights), self._tick()), lambda: manager.turn_off(lights))
         weather = world.get_weather()
-        self._change("weather", lambda: world.set_weather(weather), lambda: world.set_weather(clear_noon(carla)))
+        # clear and windless, the sun overhead; shadows lie below what casts them
+        noon = carla.WeatherParameters(**dict.fromkeys(_CALM, 0.0), sun_altitude_angle=90.0)
+        self._change("weather", lambda: world.set_weather(weather), lambda: world.set_weather(noon))
         signals = list(actors.filter("traffic.traffic_light*"))
         if signals and not signals[0].is_frozen():
             self._change(
@@ -290,11 +284,17 @@ class CarlaSimulator:
         """As in `Simulator`; the seed chooses the ego vehicle's spawn point."""
         if seed < 0:
             raise ValueError(f"seed must not be negative, got {seed}")
-        self._entered()
+        if self._world is None:
+            raise RuntimeError("a CarlaSimulator is used inside a with statement")
         self._situation = None
         self._destroy(list(self._made))
         self._tick()
-        blueprint = self._find_ego()
+        known = sorted(blueprint.id for blueprint in self._blueprints.filter("vehicle.*"))
+        cars = [name for name in known if category_of(self._blueprints.find(name)) == "car"]
+        name = next((name for name in (*_EGO_BLUEPRINTS, *cars) if name in known), None)
+        if name is None:
+            raise InputError(f"CARLA: expected cars in the server at {self._host}:{self._port}, got none")
+        blueprint = self._blueprints.find(name)
         set_attributes(blueprint, {"role_name": _EGO_ROLE, "color": next(iter(colours_of(blueprint)), None)})
         order = np.random.default_rng([seed, 0]).permutation(len(self._place_m))
         for place in order[:_MAX_EGO_PLACES]:
@@ -364,7 +364,6 @@ class CarlaSimulator:
         )
 
     def remove(self, vehicle: CapturedVehicle) -> None:
-        """As in `Simulator`."""
         standing = self._begun().standing.get(vehicle.instance_id)
         if standing is None or vehicle.instance_id == EGO_INSTANCE:
             raise ValueError(f"there is no vehicle with instance id {vehicle.instance_id}")
@@ -372,14 +371,13 @@ class CarlaSimulator:
         del self._begun().standing[vehicle.instance_id]
 
     def capture(self, view: CaptureView) -> CapturedImage:
-        """As in `Simulator`."""
         situation = self._begun()
         image = self._shoot(view.ego_from_camera, view.model, tuple(_CAMERAS), self._warm_up_ticks)
         code = code_from_bgra(image["code"])
         instance = np.zeros(code.shape, np.uint16)
         for instance_id, standing in situation.standing.items():
             row, column = np.nonzero(np.isin(code, list(standing.codes)))
-            ray = ego_rays(view, row, column)
+            ray = view.model.rays(np.stack([column + 0.5, row + 0.5], -1)) @ view.ego_from_camera[:3, :3].T
             meets = meets_box(standing.box, view.ego_from_camera[:3, 3], ray, margin_m=_INSTANCE_MARGIN_M)
             instance[row[meets], column[meets]] = instance_id
         return CapturedImage(
@@ -389,23 +387,10 @@ class CarlaSimulator:
             instance=instance,
         )
 
-    def _entered(self) -> None:
-        if self._world is None:
-            raise RuntimeError("a CarlaSimulator is used inside a with statement")
-
     def _begun(self) -> _Situation:
-        self._entered()
         if self._situation is None:
-            raise RuntimeError("begin(seed) comes first")
+            raise RuntimeError("a CarlaSimulator is used inside a with statement, and begin(seed) comes first")
         return self._situation
-
-    def _find_ego(self) -> Remote:
-        known = sorted(blueprint.id for blueprint in self._blueprints.filter("vehicle.*"))
-        cars = [name for name in known if category_of(self._blueprints.find(name)) == "car"]
-        for name in (*_EGO_BLUEPRINTS, *cars):
-            if name in known:
-                return self._blueprints.find(name)
-        raise InputError(f"CARLA: expected cars in the server at {self._host}:{self._port}, got none")
 
     def _put(self, blueprint: Remote, position_m: np.ndarray, yaw_rad: float) -> Remote | None:
         """A vehicle at rest, lamps and physics off; None if it does not come to rest."""
@@ -481,7 +466,9 @@ class CarlaSimulator:
             row, column = np.nonzero(np.isfinite(depth_m) & (code != 0))
             ray = model.rays(np.stack([column + 0.5, row + 0.5], -1)) @ view[:3, :3].T
             point_m = view[:3, 3] + depth_m[row, column, None] * ray
-            inside = is_inside(box, point_m)
+            # but for its lowest part, where the road is as near as the vehicle
+            is_high = box.local_m(point_m)[:, 2] > -0.3 * box.size_m[2]
+            inside = is_high & box.contains(point_m, margin_m=0.1)
             found, where, total = np.unique(code[row, column], return_inverse=True, return_counts=True)
             count = np.bincount(where, weights=inside, minlength=len(found))
             mine = (count >= _MIN_INSIDE_PX) & (count > 0.5 * total)
@@ -538,7 +525,7 @@ class CarlaSimulator:
     ) -> dict[str, np.ndarray]:
         """Images of one simulation step from cameras that exist only for it: BGRA, uint8 [row, column, 4] by kind."""
         check_pinhole(model)
-        world_from_link = self._begun().world_from_ego @ ego_from_camera @ RDF_FROM_FLU
+        world_from_link = self._begun().world_from_ego @ ego_from_camera @ rigid_pose(FLU_FROM_RDF.T, np.zeros(3))
         size = {"image_size_x": str(model.width_px), "image_size_y": str(model.height_px)}
         size |= {"fov": repr(math.degrees(model.fov_rad)), "sensor_tick": "0.0", "role_name": _ROLE}
         sensor_ids: list[int] = []
@@ -546,7 +533,12 @@ class CarlaSimulator:
         try:
             for kind in kinds:
                 blueprint = self._blueprints.find(_CAMERAS[kind])
-                set_attributes(blueprint, size | (self._plain_image(blueprint) if kind == "rgb" else {}))
+                set_attributes(blueprint, size)
+                if kind == "rgb":  # consistent between views: no lens effects, fixed exposure
+                    ends = [blueprint.get_attribute(f"exposure_{end}_bright") for end in ("min", "max")]
+                    exposure = repr(0.5 * sum(end.as_float() for end in ends))
+                    held = {"exposure_min_bright": exposure, "exposure_max_bright": exposure}
+                    set_attributes(blueprint, _PLAIN_IMAGE | held)
                 sensor = self._spawn(blueprint, world_from_link)
                 if sensor is None:
                     raise RuntimeError(f"CARLA does not spawn {_CAMERAS[kind]}")
@@ -582,10 +574,3 @@ class CarlaSimulator:
                 f"{model.height_px} were asked for"
             )
         return np.frombuffer(bytes(image.raw_data), np.uint8).reshape(image.height, image.width, 4)
-
-    def _plain_image(self, blueprint: Remote) -> dict[str, str]:
-        """Attributes for colour images that are consistent between views: no lens effects, fixed exposure."""
-        ends = [blueprint.get_attribute(f"exposure_{end}_bright") for end in ("min", "max")]
-        exposure = 0.5 * sum(end.as_float() for end in ends)
-        held = {"exposure_min_bright": repr(exposure), "exposure_max_bright": repr(exposure)}
-        return _PLAIN_IMAGE | {"exposure_mode": "histogram"} | held

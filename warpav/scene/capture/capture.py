@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import enum
 import math
+from abc import abstractmethod
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Protocol, Self
+from typing import Any
 
 import numpy as np
 
@@ -91,7 +92,7 @@ class SpawnPoint:
     yaw_rad: float  # heading [rad]
 
 
-class Simulator(Protocol):
+class Simulator(AbstractContextManager["Simulator"]):
     """A simulator with a static world; a context manager that restores its state on exit.
 
     All poses and boxes are in the ego frame of the situation that was begun last.
@@ -101,35 +102,28 @@ class Simulator(Protocol):
     source: str  # where it comes from, such as ``town seed 7``
     world: str  # fingerprint of its world: captures of another world are recorded again
 
+    @abstractmethod
     def begin(self, seed: int) -> Box:
         """Begin a situation: the ego vehicle alone, in clear weather, the sun overhead, no vegetation."""
-        ...
 
+    @abstractmethod
     def spawn_points(self, radius_m: float) -> Sequence[SpawnPoint]:
         """Places for other vehicles within a radius of the ego vehicle, in an order that the seed chooses."""
-        ...
 
+    @abstractmethod
     def spawn(self, point: SpawnPoint) -> CapturedVehicle | None:
         """Spawn a randomly chosen and coloured vehicle; None if the simulator rejects it, for example if occupied."""
-        ...
 
+    @abstractmethod
     def remove(self, vehicle: CapturedVehicle) -> None:
         """Take a vehicle out again."""
-        ...
 
+    @abstractmethod
     def capture(self, view: CaptureView) -> CapturedImage:
         """Take the three images of a view."""
-        ...
 
-    def __enter__(self) -> Self:
-        """The simulator itself."""
-        ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
+    def __exit__(self, *failure: Any) -> None:  # noqa: ANN401
         """Destroy all actors of this simulator and restore everything it changed, even after an error."""
-        ...
 
 
 _TOP_FOV_RAD = math.radians(90.0)
@@ -157,7 +151,7 @@ class PlanSettings:
 
 def capture_plan(ego_box: Box, vehicles: Sequence[CapturedVehicle], settings: PlanSettings) -> list[CaptureView]:
     """The views in the order of the thesis's figure 14, then the sides of the ego vehicle."""
-    eye_m = eye_position_m(ego_box, settings)
+    eye_m = _eye_position_m(ego_box, settings)
     named = [(f"{vehicle.instance_id:03d}", vehicle.box) for vehicle in vehicles]
     views = [_top(settings, "ego_top", ViewKind.EGO_TOP, ego_box)]
     views += [_towards(settings, f"towards_vehicle_{n}", ViewKind.TOWARDS_VEHICLE, eye_m, box) for n, box in named]
@@ -185,7 +179,7 @@ def capture_plan(ego_box: Box, vehicles: Sequence[CapturedVehicle], settings: Pl
     return views
 
 
-def eye_position_m(ego_box: Box, settings: PlanSettings) -> np.ndarray:
+def _eye_position_m(ego_box: Box, settings: PlanSettings) -> np.ndarray:
     """Where the images from the ego vehicle are taken [m], shape [3]."""
     return ego_box.center_m + np.array([0.0, 0.0, 0.5 * ego_box.size_m[2] + settings.eye_above_roof_m])
 
@@ -200,7 +194,7 @@ def record(simulator: Simulator, seed: int, settings: PlanSettings) -> Capture:
 
 def spawn_visible_traffic(simulator: Simulator, ego_box: Box, settings: PlanSettings) -> tuple[CapturedVehicle, ...]:
     """Spawn vehicles one after the other; one stays only if an instance image shows a new instance after it."""
-    eye_m = eye_position_m(ego_box, settings)
+    eye_m = _eye_position_m(ego_box, settings)
     visible: list[CapturedVehicle] = []
     for point in simulator.spawn_points(settings.radius_m):
         if len(visible) == settings.vehicle_count:

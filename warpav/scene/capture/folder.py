@@ -44,7 +44,7 @@ from warpav.core.bounded_files import (
 )
 from warpav.core.cache import digest
 from warpav.core.errors import InputError
-from warpav.core.files import atomic_write
+from warpav.core.files import atomic_write, writing
 from warpav.core.records import Point2, Point3, Record, read_record
 from warpav.raster.camera import CameraModel
 from warpav.scene.capture.capture import (
@@ -118,7 +118,6 @@ class _BoxRecord(_Described):
 
     @property
     def box(self) -> Box:
-        """The same as a `Box`."""
         return Box(np.array(self.box_center_m), np.array(self.box_size_m), math.radians(self.box_yaw_deg))
 
 
@@ -250,8 +249,30 @@ def record_capture(
             "source": simulator.source,
             "recipe": made_with,
             "ego": _box_fields(ego_box),
-            "vehicles": [_vehicle_fields(one) for one in vehicles],
-            "images": [_image_fields(view) for view in views],
+            "vehicles": [
+                {
+                    "instance_id": one.instance_id,
+                    "class": one.category,
+                    **_box_fields(one.box),
+                    "spawn_m": np.asarray(one.spawn_m, float).tolist(),
+                    "spawn_yaw_deg": math.degrees(one.spawn_yaw_rad),
+                    "instance_rgb": np.asarray(one.instance_rgb).tolist(),
+                    "velocity_ego_m_s": None if one.velocity_ego_m_s is None else one.velocity_ego_m_s.tolist(),
+                }
+                for one in vehicles
+            ],
+            "images": [
+                {
+                    "name": view.name,
+                    "kind": view.kind,
+                    "width_px": view.model.width_px,
+                    "height_px": view.model.height_px,
+                    "intrinsics": view.model.intrinsics.tolist(),
+                    "ego_from_camera": view.ego_from_camera.tolist(),
+                    **{kind: f"images/{view.name}_{kind}.png" for kind in ("rgb", "depth", "instance")},
+                }
+                for view in views
+            ],
         }
     )
     planned = record.model_dump_json(by_alias=True, indent=1)
@@ -313,10 +334,14 @@ class _Images(Sequence[CapturedImage]):
                 )
         return CapturedImage(view, np.ascontiguousarray(rgb), depth_m, instance)
 
-    def _read(self, name: str, dtype: type, shape: tuple[int, ...]) -> np.ndarray:
+    def _there(self, name: str, what: str) -> Path:
         file = self._folder / name
         if not file.is_file():
-            raise InputError(f"{file}: expected an image, got no such file; take or copy it again")
+            raise InputError(f"{file}: expected {what}, got no such file; take or copy it again")
+        return file
+
+    def _read(self, name: str, dtype: type, shape: tuple[int, ...]) -> np.ndarray:
+        file = self._there(name, "an image")
         data = read_bytes(file, "a PNG image", bytes_max=ARRAY_BYTES_MAX)
         size_px = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")  # stated before all pixels
         if data.startswith(PNG_SIGNATURE) and size_px != shape[1::-1]:
@@ -334,12 +359,10 @@ class _Images(Sequence[CapturedImage]):
         return image
 
     def _depth_m(self, name: str, size: tuple[int, int]) -> np.ndarray:
-        file = self._folder / name
+        file = self._there(name, "depths")
         if file.suffix != ".npz":
             step = self._read(name, np.uint16, size)
             return np.where(step > 0, np.float32(self._record.depth_step_m) * step, np.inf).astype(np.float32)
-        if not file.is_file():
-            raise InputError(f"{file}: expected depths, got no such file; take or copy it again")
         arrays = read_arrays(file, "an .npz with the array depth_m", names=("depth_m",))
         if "depth_m" not in arrays:
             raise InputError(f"{file}: expected an .npz with the array depth_m, got none of that name")
@@ -356,30 +379,6 @@ class _Images(Sequence[CapturedImage]):
 def _box_fields(box: Box) -> dict[str, Any]:
     center_m, size_m = (np.asarray(each, float).tolist() for each in (box.center_m, box.size_m))
     return {"box_center_m": center_m, "box_size_m": size_m, "box_yaw_deg": math.degrees(box.yaw_rad)}
-
-
-def _vehicle_fields(one: CapturedVehicle) -> dict[str, Any]:
-    return {
-        "instance_id": one.instance_id,
-        "class": one.category,
-        **_box_fields(one.box),
-        "spawn_m": np.asarray(one.spawn_m, float).tolist(),
-        "spawn_yaw_deg": math.degrees(one.spawn_yaw_rad),
-        "instance_rgb": np.asarray(one.instance_rgb).tolist(),
-        "velocity_ego_m_s": None if one.velocity_ego_m_s is None else one.velocity_ego_m_s.tolist(),
-    }
-
-
-def _image_fields(view: CaptureView) -> dict[str, Any]:
-    return {
-        "name": view.name,
-        "kind": view.kind,
-        "width_px": view.model.width_px,
-        "height_px": view.model.height_px,
-        "intrinsics": view.model.intrinsics.tolist(),
-        "ego_from_camera": view.ego_from_camera.tolist(),
-        **{kind: f"images/{view.name}_{kind}.png" for kind in ("rgb", "depth", "instance")},
-    }
 
 
 def _read_record(file: Path) -> _CaptureRecord:
@@ -422,8 +421,5 @@ def _has_files(folder: Path, one: _ImageRecord) -> bool:
 
 def _write(file: Path, data: bytes) -> None:
     """Write a file that appears whole or not at all."""
-    try:
-        with atomic_write(file) as draft:
-            draft.write_bytes(data)
-    except OSError as error:
-        raise InputError(f"{file}: expected to write here, got: {error.strerror}") from None
+    with writing(file), atomic_write(file) as draft:
+        draft.write_bytes(data)

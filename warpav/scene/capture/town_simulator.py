@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from types import TracebackType
-from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -16,22 +14,21 @@ from warpav.scene.capture.capture import (
     CapturedImage,
     CapturedVehicle,
     CaptureView,
+    Simulator,
     SpawnPoint,
 )
-from warpav.scene.scene import Box
+from warpav.scene.scene import Box, triangle_caster
 from warpav.scene.town.town import TownWorld, town_world
+from warpav.scene.town.vehicle_shapes import ego_glass
 
-if TYPE_CHECKING:
-    from embreex.rtcore_scene import EmbreeScene
-
-PANE_OPACITY = 0.6  # share of a pixel's colour that a window pane gives; the rest is what lies behind it
+_PANE_OPACITY = 0.6  # share of a pixel's colour that a window pane gives; the rest is what lies behind it
 _INSIDE_SHADE = 0.3  # surfaces seen from inside a vehicle are this bright
 _MAX_PANES = 8
 _PAST_PANE_M = 1e-4
 _VEHICLE_TAG = 14  # CARLA's semantic tag of cars; the other two channels hold the instance id
 
 
-class TownSimulator:
+class TownSimulator(Simulator):
     """The procedural town of `town_scene`; seed, vehicles and instance ids are the same as there.
 
     Spawn points are the poses of the scene's vehicles, each for its own vehicle. Colours have one sample
@@ -39,14 +36,12 @@ class TownSimulator:
     """
 
     def __init__(self) -> None:
-        """No situation yet."""
         self.name, self.source, self.world = "", "", fingerprint("town", code=(__name__,))
         self._world: TownWorld | None = None
         self._spawned: set[int] = set()
         self._caster: _Caster | None = None
 
     def begin(self, seed: int) -> Box:
-        """As in `Simulator`."""
         self._world = town_world(seed)
         self.name, self.source = self._world.scene.name, self._world.scene.source
         self._spawned, self._caster = set(), None
@@ -81,24 +76,13 @@ class TownSimulator:
         return None
 
     def remove(self, vehicle: CapturedVehicle) -> None:
-        """As in `Simulator`."""
         self._spawned.discard(vehicle.instance_id)
         self._caster = None
 
     def capture(self, view: CaptureView) -> CapturedImage:
-        """As in `Simulator`."""
         if self._caster is None:
             self._caster = _Caster(self._begun(), self._spawned)
         return self._caster.capture(view)
-
-    def __enter__(self) -> Self:
-        """The simulator itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
-        """Nothing runs outside this process, so there is nothing to clean up."""
 
     def _begun(self) -> TownWorld:
         if self._world is None:
@@ -110,27 +94,22 @@ class _Caster:
     """All surfaces of a situation, ready for rays."""
 
     def __init__(self, world: TownWorld, spawned: set[int]) -> None:
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-
         scene = world.scene
         there = [k for k, vehicle in enumerate(scene.vehicles) if vehicle.instance_id in spawned]
         around = merge([scene.environment, *(other.mesh for other in scene.others)])
         meshes = [around, scene.ego, *(scene.vehicles[k].mesh for k in there)]
         counts = [len(mesh.triangle) for mesh in meshes]
         whole = merge(meshes)
-        self._corner_m = whole.vertex_m[whole.triangle]
         self._corner_rgb = whole.vertex_rgb[whole.triangle].astype(np.float32)
         self._instance = np.repeat(
             np.array([ENVIRONMENT_INSTANCE, EGO_INSTANCE, *(scene.vehicles[k].instance_id for k in there)], np.uint16),
             counts,
         )
         self._is_pane = np.concatenate(
-            [np.zeros(counts[0], bool), world.ego_glass, *(world.vehicle_glass[k] for k in there)]
+            [np.zeros(counts[0], bool), ego_glass(), *(world.vehicle_glass[k] for k in there)]
         )
         self._sky = scene.sky
-        self._embree: EmbreeScene = EmbreeScene()
-        TriangleMesh(self._embree, self._corner_m)
+        self._embree = triangle_caster(whole.vertex_m[whole.triangle])
 
     def capture(self, view: CaptureView) -> CapturedImage:
         # rays have z = 1 along the optical axis, so distances along them are depths
@@ -164,13 +143,13 @@ class _Caster:
                 instance[waiting] = self._instance[triangle]
             passed_m[waiting] += distance
             pane = self._is_pane[triangle] & (layer < _MAX_PANES - 1)
-            opacity = through[waiting] * np.where(pane, np.float32(PANE_OPACITY), np.float32(1.0))
+            opacity = through[waiting] * np.where(pane, np.float32(_PANE_OPACITY), np.float32(1.0))
             rgb[waiting] += opacity[:, None] * colour
             depth_m[waiting[~pane]] = passed_m[waiting[~pane]]
             waiting = waiting[pane]
             if not len(waiting):
                 break
-            through[waiting] *= 1.0 - PANE_OPACITY
+            through[waiting] *= 1.0 - _PANE_OPACITY
             passed_m[waiting] += _PAST_PANE_M
             origin[waiting] = view.ego_from_camera[:3, 3] + passed_m[waiting, None] * direction[waiting]
         return CapturedImage(

@@ -27,7 +27,7 @@ from warpav.scene.reconstruction.surface import (
     trimmed,
     vertex_normals,
 )
-from warpav.scene.scene import BLACK_SKY, Scene, Sky, Vehicle
+from warpav.scene.scene import BLACK_SKY, Scene, Sky, Vehicle, triangle_caster
 
 _MIN_POINTS = 200  # a vehicle of fewer points is no vehicle
 _MOST_RAYS = 40_000  # of more rays to where an object has surface without points, a part is enough
@@ -115,13 +115,9 @@ def object_mesh(
 
 def _unseen_points(vertex_m: np.ndarray, triangle: np.ndarray, one: ObjectCloud) -> np.ndarray:
     """Where the rays to surface without points meet it first [m]."""
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-
     if len(one.ray_origin_m) == 0 or len(triangle) == 0:
         return np.zeros((0, 3), np.float32)
-    caster = EmbreeScene()
-    TriangleMesh(caster, vertex_m[triangle].astype(np.float32))
+    caster = triangle_caster(vertex_m[triangle])
     step = -(-len(one.ray_origin_m) // _MOST_RAYS)
     origin = np.ascontiguousarray(one.ray_origin_m[::step], np.float32)
     direction = np.ascontiguousarray(one.ray_direction[::step], np.float32)

@@ -8,7 +8,7 @@ import numpy as np
 
 from warpav.raster.mesh import Mesh
 from warpav.scene.town._surface_builder import StreetGround
-from warpav.scene.town._town_layout import Block, Footprint, Layout, Marking, Rectangle
+from warpav.scene.town._town_layout import Block, Footprint, Layout, Marking, Rectangle, sides_of
 
 KERB_HEIGHT_M = 0.13
 KERB_WIDTH_M = 0.16
@@ -38,7 +38,6 @@ class SceneryBuilder:
     def __init__(
         self, rng: np.random.Generator, ground: StreetGround, *, detailed_within_m: float | None = None
     ) -> None:
-        """Nothing yet."""
         self._detailed_within_m = detailed_within_m
         self._rng = rng
         self._ground = ground
@@ -120,11 +119,9 @@ class SceneryBuilder:
             self.add_block(block)
 
     def add_asphalt(self, rectangle_m: Rectangle, cell_m: float = _GROUND_CELL_M) -> None:
-        """Add road surface."""
         self.add_ground(rectangle_m, 0.0, self.asphalt_rgb, 0.006, cell_m)
 
     def add_marking(self, marking: Marking) -> None:
-        """Add a painted rectangle."""
         x_low, y_low, x_high, y_high = marking.rectangle_m
         along = self._columns(x_low, x_high, max(1, round((x_high - x_low) / 16.0)))
         x, y = np.meshgrid(along, [y_low, y_high], indexing="ij")
@@ -195,16 +192,10 @@ class SceneryBuilder:
         x_low, y_low, x_high, y_high = x_low + gap, y_low + gap, x_high - gap, y_high - gap
         self.add_ground((x_low, y_low, x_high, y_high), KERB_HEIGHT_M, pavement * 0.8, 0.0, cell_m=_YARD_CELL_M)
         # A side that faces no road has no pavement: houses reach the edge.
-        along_x = {"south": ((x_low, y_low), (1.0, 0.0)), "north": ((x_high, y_high), (-1.0, 0.0))}
-        along_y = {"east": ((x_high, y_low), (0.0, 1.0)), "west": ((x_low, y_high), (0.0, -1.0))}
+        sides = sides_of((x_low, y_low, x_high, y_high))
+        crossed = not {"south", "north"}.isdisjoint(block.fronts)
         for front in block.fronts:
-            if front in along_x:
-                start, direction = along_x[front]
-                self._add_row(np.array(start), np.array(direction), x_high - x_low, 0.0)
-            else:
-                start, direction = along_y[front]
-                crossed = any(name in along_x for name in block.fronts)
-                self._add_row(np.array(start), np.array(direction), y_high - y_low, HOUSE_DEPTH_M if crossed else 0.0)
+            self._add_row(*sides[front], HOUSE_DEPTH_M if crossed and front in ("east", "west") else 0.0)
 
     def _add_row(self, start: np.ndarray, direction: np.ndarray, length: float, inset: float) -> None:
         """A row of houses along a street, from the left end as seen from the street."""

@@ -37,11 +37,10 @@ class LevelWorld:
         rng: np.random.Generator,
         free_m_s: tuple[float, float] | None = None,
     ) -> None:
-        """Everything that stands, around the ego vehicle, and nobody else."""
         self._rng = rng
         self._ego = ego_vehicle()
         self._vehicles: list[PlacedVehicle] = []
-        self._lines: list[Footprint] = []
+        self.lines: list[Footprint] = []  # where drivers wait now
         low, high = self._ego.bounds_m().astype(np.float64)
         self._scenery, self._ground, self._pieces, self._obstacles = scenery, ground, list(pieces), list(taken)
         self._origin_m = np.array([ego.x_m - 0.5 * (low[0] + high[0]), ego.y_m, 0.0])
@@ -86,16 +85,12 @@ class LevelWorld:
         mesh = person_mesh(category, self._rng, height_m=height_m, coarse=self._is_far(room))
         return self._crowd.add(category, mesh, place_m, yaw_rad, pavement_share)
 
-    def set_lines(self, lines: Sequence[Footprint]) -> None:
-        """Where drivers wait now."""
-        self._lines = list(lines)
-
     def finish(self, name: str, source: str, exchange: Exchange | None = None) -> Scene:
         """The scene in the ego frame, without those whom nobody on the ego vehicle could see."""
         to_ego = -self._origin_m
         users = [*self._vehicles, *self._crowd.persons]
         meshes = [one.standing(self._ground) for one in users]
-        velocity = velocities_m_s([self._own, *users], [*self._obstacles, *self._lines], self._rng)
+        velocity = velocities_m_s([self._own, *users], [*self._obstacles, *self.lines], self._rng)
         pieces = merge([self._scenery.finish(), *self._pieces])
         seen = self._seen([pieces, self._ego.transformed(np.eye(3), self._origin_m)], meshes)
         found: list[Vehicle] = []

@@ -166,7 +166,6 @@ def add_wheel_pair(
     twin: bool,
     coarse: bool = False,
 ) -> None:
-    """Add the wheels of one axle."""
     width = _WIDTH_SHARE * radius_m * (2.0 if twin else 1.0)
     profile = np.array(_COARSE_PROFILE if coarse else _PROFILE)
     profile[:, 0] *= radius_m

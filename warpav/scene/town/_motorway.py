@@ -77,7 +77,6 @@ class _Section:
 
 
 def motorway_world(rng: np.random.Generator, users_rng: np.random.Generator) -> LevelWorld:
-    """A motorway and its traffic."""
     section = _Section(rng.uniform(1.2, 2.2), rng.uniform(3.5, 3.75), int(rng.integers(2, 5)), rng.uniform(2.4, 3.2))
     side = 1.0 if rng.random() < 0.5 else -1.0  # of the carriageway of the ego vehicle
     ahead, behind = rng.uniform(*_GRADE, 2) * rng.choice([-1.0, 1.0], 2)
@@ -159,7 +158,11 @@ class _Builder:
             self._add_rail(sign * (section.edge_m + 0.9), sign)
             if self._rng.random() < 0.45:
                 self._add_noise_barrier(sign)
-            self._add_trees(sign)
+            for _ in range(int(self._rng.integers(12, 45))):  # bushes and trees of a few triangles in the fields
+                x = float(self._rng.uniform(-reach + 5.0, reach - 5.0))
+                y = sign * (section.edge_m + _VERGE_M + 3.0 + float(self._rng.exponential(22.0)))
+                if abs(y) < _FIELD_M - 6.0:
+                    self._add_tree(x, y, float(self._rng.uniform(2.5, 11.0)))
         if section.median_m > 1.6:
             for sign in (-1.0, 1.0):
                 self._add_rail(sign * 0.7, -sign)
@@ -242,15 +245,6 @@ class _Builder:
                 length = half * float(rng.uniform(0.5, 0.85))
                 text_low, text_high = sorted((front - faces * 0.02, front))
                 add((text_low, y - length, z), (text_high, y + length * 0.6, z + 0.3), np.full(3, 0.9))
-
-    def _add_trees(self, sign: float) -> None:
-        """Bushes and trees of a few triangles in the fields."""
-        rng = self._rng
-        for _ in range(int(rng.integers(12, 45))):
-            x = float(rng.uniform(-_MOTORWAY_REACH_M + 5.0, _MOTORWAY_REACH_M - 5.0))
-            y = sign * (self._section.edge_m + _VERGE_M + 3.0 + float(rng.exponential(22.0)))
-            if abs(y) < _FIELD_M - 6.0:
-                self._add_tree(x, y, float(rng.uniform(2.5, 11.0)))
 
     def _add_tree(self, x_m: float, y_m: float, height_m: float) -> None:
         angle = np.linspace(0.0, 2.0 * np.pi, 8)

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Mapping
-from functools import cache
 
 import numpy as np
 
 from warpav.raster.mesh import Mesh
+from warpav.scene.scene import triangle_caster
 from warpav.scene.town._surface_builder import Surface
 
 
@@ -65,7 +65,7 @@ class Material(enum.IntEnum):
 
 _ALBEDO = np.array([material.albedo for material in Material])
 _MIRROR = np.array([material.mirror for material in Material])
-PAINT_COLOURS = np.array(
+_PAINT_COLOURS = np.array(
     [(0.70, 0.70, 0.70), (0.64, 0.65, 0.67), (0.52, 0.53, 0.55), (0.34, 0.35, 0.37), (0.19, 0.21, 0.23),
      (0.080, 0.085, 0.095), (0.035, 0.035, 0.040), (0.030, 0.065, 0.21), (0.10, 0.21, 0.40), (0.40, 0.025, 0.025),
      (0.26, 0.03, 0.04), (0.05, 0.15, 0.10), (0.68, 0.65, 0.58), (0.55, 0.25, 0.05)]
@@ -77,7 +77,11 @@ _BUS_COLOURS = np.array(
 _PAINT_SHARES = np.array([20, 8, 14, 10, 9, 7, 11, 6, 5, 5, 2, 2, 3, 1]) / 103.0
 _SKY_LIGHT, _SUN_LIGHT, _BOUNCE_LIGHT = 0.62, 0.34, 0.04
 _GROUND_ALBEDO = 0.18  # an occlusion ray that ends on the road still brings this share of the light
-_OCCLUSION_RAYS = 64
+_TURN = np.arange(64)
+_Z = 1.0 - (2.0 * _TURN + 1.0) / 64
+_AZIMUTH = _TURN * np.pi * (3.0 - np.sqrt(5.0))
+_DIRECTIONS = np.stack([np.sqrt(1.0 - _Z * _Z) * np.cos(_AZIMUTH), np.sqrt(1.0 - _Z * _Z) * np.sin(_AZIMUTH), _Z], 1)
+"""Directions of rays for ambient occlusion, spread evenly over the sphere along a spiral."""
 _OCCLUSION_STEPS = 64  # occlusion is kept on this grid, so that the last bit of a ray caster does not matter
 _RAY_OFFSET_M = 0.03
 _GAMMA = 2.2
@@ -89,7 +93,7 @@ _ENVIRONMENT_LIGHT = [0.10, 0.13, 0.16, 0.22, 0.45, 0.95, 1.0]
 
 def drawn_paint(kind: str, rng: np.random.Generator) -> np.ndarray:
     """A random paint of a kind of vehicle, linear albedo, shape [3]."""
-    paint = PAINT_COLOURS[int(rng.choice(len(PAINT_COLOURS), p=_PAINT_SHARES))] * rng.uniform(0.9, 1.1)
+    paint = _PAINT_COLOURS[int(rng.choice(len(_PAINT_COLOURS), p=_PAINT_SHARES))] * rng.uniform(0.9, 1.1)
     return _BUS_COLOURS[int(rng.integers(len(_BUS_COLOURS)))] if kind == "bus" else paint
 
 
@@ -105,15 +109,11 @@ def sky_share_at(corner_m: np.ndarray, point_m: np.ndarray, normal: np.ndarray) 
 
     Shapes: ``corner_m`` [triangle, 3, 3], ``point_m`` [point, 3], ``normal`` [point, 3].
     """
-    from embreex.mesh_construction import TriangleMesh
-    from embreex.rtcore_scene import EmbreeScene
-
-    caster = EmbreeScene()
-    TriangleMesh(caster, corner_m.astype(np.float32))
+    caster = triangle_caster(corner_m)
     origin = (point_m + _RAY_OFFSET_M * normal).astype(np.float32)
     light = np.zeros(len(origin))
     weight = np.zeros(len(origin))
-    for direction in _sphere_directions(_OCCLUSION_RAYS):
+    for direction in _DIRECTIONS:
         cosine = normal[:, 0] * direction[0]
         cosine += normal[:, 1] * direction[1] + normal[:, 2] * direction[2]
         lit = np.nonzero(cosine > 0.02)[0]
@@ -143,13 +143,3 @@ def lit_rgb(normal: np.ndarray, sky: np.ndarray, albedo: np.ndarray, mirror: np.
     linear = albedo * irradiance[:, None]
     linear += mirror[:, None] * reflected[:, None] * _REFLECTED_TINT
     return np.round(255.0 * np.clip(linear, 0.0, 1.0) ** (1.0 / _GAMMA)).astype(np.uint8)
-
-
-@cache
-def _sphere_directions(count: int) -> np.ndarray:
-    """Unit vectors spread evenly over the sphere along a spiral, shape [count, 3]."""
-    index = np.arange(count)
-    z = 1.0 - (2.0 * index + 1.0) / count
-    azimuth = index * np.pi * (3.0 - np.sqrt(5.0))
-    radius = np.sqrt(1.0 - z * z)
-    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), z], axis=1)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from warpav.raster.mesh import Mesh, merge
+from warpav.scene.scene import triangle_caster
 from warpav.scene.town._paint import drawn_paint
 from warpav.scene.town._street_life import RoadUser
 from warpav.scene.town._surface_builder import StreetGround
@@ -42,7 +43,6 @@ class DrawnVehicle:
         return vehicle_size_m(self.kind, self.variant) * self.scale
 
     def mesh(self, *, coarse: bool = False) -> Mesh:
-        """Its mesh in the vehicle frame."""
         return vehicle_mesh(self.kind, self.paint, variant=self.variant, scale=self.scale, coarse=coarse)
 
 
@@ -76,7 +76,6 @@ class PlacedVehicle(RoadUser):
         return replace(self, mesh=found.transformed(np.eye(3), middle_m))
 
     def standing(self, ground: StreetGround) -> Mesh:
-        """The vehicle's mesh in the town frame."""
         place = self.footprint
         return self.mesh.transformed(*ground.stand(place.x_m, place.y_m, place.yaw_rad, self.size_m))
 
@@ -89,9 +88,6 @@ class Sight:
 
     def __init__(self, blockers: Sequence[Mesh], targets: Sequence[Mesh], samples: int = _SAMPLES) -> None:
         """Everything, in one frame; so many rays go to each target."""
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-
         meshes = [*blockers, *targets]
         whole = merge(meshes)
         self._owner = np.repeat(np.arange(len(meshes)), [len(mesh.triangle) for mesh in meshes])
@@ -100,8 +96,7 @@ class Sight:
         self._point_m = [
             mesh.vertex_m[mesh.triangle[:: max(1, len(mesh.triangle) // samples)]].mean(axis=1) for mesh in targets
         ]
-        self._caster = EmbreeScene()
-        TriangleMesh(self._caster, whole.vertex_m, whole.triangle)
+        self._caster = triangle_caster(whole.vertex_m[whole.triangle])
 
     def shares(self, eye_m: np.ndarray, some: np.ndarray | None = None) -> np.ndarray:
         """Share of triangles whose middle can be seen from a point, [3], of each target or of some by number."""
@@ -169,8 +164,8 @@ def lane_vehicles(
         yield drawn[-1], Footprint.at(lane.at(middle_m, left_m), yaw, (length_m, drawn[-1].size_m[1]))
 
 
-HEADWAY_S = 1.5  # time in which a driver reaches what is ahead in its lane now, at least
-STREET_KM_H = (30.0, 50.0)
+_HEADWAY_S = 1.5  # time in which a driver reaches what is ahead in its lane now, at least
+_STREET_KM_H = (30.0, 50.0)
 _CAR_PARK_KM_H = (5.0, 15.0)
 _CYCLIST_M_S = (4.0, 6.0)
 _PEDESTRIAN_M_S = (1.1, 1.7)
@@ -182,7 +177,7 @@ def velocities_m_s(
     users: Sequence[RoadUser], obstacles: Sequence[Footprint], rng: np.random.Generator, *, in_car_park: bool = False
 ) -> np.ndarray:
     """Random velocities over ground in the town frame [m/s], float64 [user, 2]."""
-    limit_m_s = np.multiply(_CAR_PARK_KM_H if in_car_park else STREET_KM_H, _M_S_PER_KM_H)
+    limit_m_s = np.multiply(_CAR_PARK_KM_H if in_car_park else _STREET_KM_H, _M_S_PER_KM_H)
     things = [*(user.footprint for user in users), *obstacles]
     centre_m = np.array([(thing.x_m, thing.y_m) for thing in things])
     radius_m = np.array([thing.radius_m for thing in things])
@@ -196,7 +191,7 @@ def velocities_m_s(
         if user.category != "pedestrian":
             # what it reaches later than that does not slow it down
             far_m = np.hypot(*(centre_m - centre_m[k]).T) - radius_m - radius_m[k]
-            near = np.flatnonzero(far_m <= HEADWAY_S * speed_m_s)
+            near = np.flatnonzero(far_m <= _HEADWAY_S * speed_m_s)
             # free way ahead of the rectangle as it moves in a direction
             c, s = np.cos(user.heading_rad), np.sin(user.heading_rad)
             way_m = np.inf
@@ -208,7 +203,7 @@ def velocities_m_s(
                 )
                 if not is_beside and along_m.mean() > 0.0:
                     way_m = min(way_m, max(along_m.min() - 0.5 * user.footprint.length_m, 0.0))
-            speed_m_s = min(speed_m_s, way_m / HEADWAY_S)
+            speed_m_s = min(speed_m_s, way_m / _HEADWAY_S)
         velocity[k] = speed_m_s * np.array([np.cos(user.heading_rad), np.sin(user.heading_rad)])
     return velocity
 

@@ -12,7 +12,7 @@ from warpav.scene.scene import Box, yaw_rotation
 from warpav.scene.town._furniture import FOOTPRINT_M, furniture_mesh
 from warpav.scene.town._houses import KERB_HEIGHT_M
 from warpav.scene.town._surface_builder import StreetGround
-from warpav.scene.town._town_layout import Footprint, Layout, Marking, Occupied
+from warpav.scene.town._town_layout import Footprint, Layout, Marking, Occupied, sides_of
 from warpav.scene.town.people import person_mesh
 
 _REACH_M = 40.0  # furniture stands no farther from the ego vehicle
@@ -46,9 +46,8 @@ class Person(RoadUser):
     mesh: Mesh  # town frame
     pavement_share: float  # how far from the kerb to the houses, 0..1; below 0 on the road
 
-    def standing(self, ground: StreetGround) -> Mesh:
+    def standing(self, _: StreetGround) -> Mesh:
         """The person's mesh in the town frame, which knows the ground already."""
-        del ground
         return self.mesh
 
 
@@ -97,19 +96,11 @@ class Strip:
 
 def strips(layout: Layout) -> list[Strip]:
     """The pavements of a plan that lie in front of houses."""
-    found = []
-    for block in layout.blocks:
-        x_low, y_low, x_high, y_high = block.rectangle_m
-        sides = {
-            "south": ((x_low, y_low), (1.0, 0.0), x_high - x_low),
-            "north": ((x_high, y_high), (-1.0, 0.0), x_high - x_low),
-            "east": ((x_high, y_low), (0.0, 1.0), y_high - y_low),
-            "west": ((x_low, y_high), (0.0, -1.0), y_high - y_low),
-        }
-        for front in block.fronts:
-            start, along, length = sides[front]
-            found.append(Strip(np.array(start), np.array(along), length, block.pavement_m))
-    return found
+    return [
+        Strip(*sides_of(block.rectangle_m)[front], block.pavement_m)
+        for block in layout.blocks
+        for front in block.fronts
+    ]
 
 
 class _Furnishing:
@@ -247,7 +238,6 @@ class Crowd:
     """Collects people who stand on the ground and in nothing else."""
 
     def __init__(self, ground: StreetGround, taken: Occupied, ego_m: np.ndarray, *, clear_m: float) -> None:
-        """Nobody yet; ``ego_m`` [2]."""
         self.persons: list[Person] = []
         self._ground, self._taken, self._ego_m, self._clear_m = ground, taken, ego_m, clear_m
 

@@ -26,6 +26,7 @@ from warpav.scene.town._town_layout import (
     Rectangle,
     Slot,
     dashes,
+    ends,
     line,
     side_street_markings,
     stripes,
@@ -82,7 +83,6 @@ class _Plan:
     """A plan as it grows."""
 
     def __init__(self, traffic: Traffic, rng: np.random.Generator) -> None:
-        """A random plan."""
         self._traffic, self._rng = traffic, rng
         self._markings: list[Marking] = []
         self._slots: list[Slot] = []  # parking bays, and places in lanes for road works
@@ -244,10 +244,7 @@ class _Plan:
             for arm in arms:
                 low, high = sorted((side * depth, side * (depth + _BLOCK_DEPTH_M)))
                 self._blocks.append(Block((arm.west_m - 10.0, low, arm.east_m + 10.0, high), 2.5, (facing,)))
-        end = half + 10.0
-        for sign, front in ((1.0, "west"), (-1.0, "east")):
-            low, high = sorted((sign * _REACH_M, sign * (_REACH_M + _BLOCK_DEPTH_M)))
-            self._blocks.append(Block((low, -end, high, end), 2.5, (front,)))
+        self._blocks += ends(half, _REACH_M)
 
 
 _USERS_REACH_M = 80.0  # road users are no farther from the ego vehicle
@@ -292,7 +289,6 @@ _TRAFFIC = {
 
 
 def street_world(level: str, rng: np.random.Generator, users_rng: np.random.Generator) -> LevelWorld:
-    """A street of a level and its traffic."""
     traffic = _TRAFFIC[level]
     plan = _Plan(traffic, rng).layout
     ahead, behind = rng.uniform(*_GRADE, 2) * rng.choice([-1.0, 1.0], 2)
@@ -309,7 +305,7 @@ def street_world(level: str, rng: np.random.Generator, users_rng: np.random.Gene
     life.cross()
     life.drive()
     life.walk()
-    world.set_lines([each for lane in (*plan.lanes, *plan.cycle_lanes) for each in lane.lines()])
+    world.lines = [each for lane in (*plan.lanes, *plan.cycle_lanes) for each in lane.lines()]
     return world
 
 
@@ -422,7 +418,6 @@ class _Life:
                     self._person("cyclist", place, lane.yaw_rad + rng.normal(0.0, 0.03))
 
     def walk(self) -> None:
-        """People on pavements."""
         rng = self._rng
         for strip in strips(self._plan):
             span = strip.span_m(np.zeros(2), _USERS_REACH_M)

@@ -213,7 +213,6 @@ class StreetGround:
         reach_m: float = _REACH_M,
         only_bends: bool = False,
     ) -> None:
-        """StreetGround through height 0."""
         self.is_level = ahead == 0.0 and behind == 0.0
         self._knot = np.arange(-reach_m, reach_m + 0.5 * _KNOT_SPACING_M, _KNOT_SPACING_M)
         beyond = np.maximum(np.abs(self._knot - centre_x_m) - _LEVEL_REACH_M, 0.0)

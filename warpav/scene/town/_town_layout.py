@@ -75,14 +75,12 @@ class Occupied:
     """What is taken already: quickly asked whether a rectangle comes near any of it."""
 
     def __init__(self, footprints: Iterable[Footprint] = ()) -> None:
-        """These are taken."""
         self._footprints: list[Footprint] = []
         self._circle: list[tuple[float, float, float]] = []
         for each in footprints:
             self.add(each)
 
     def add(self, footprint: Footprint) -> None:
-        """Take a rectangle."""
         self._footprints.append(footprint)
         self._circle.append((footprint.x_m, footprint.y_m, footprint.radius_m))
 
@@ -112,6 +110,17 @@ class Block:
     pavement_m: float  # width of the pavement in front of the houses [m]
     fronts: tuple[str, ...]  # the sides that houses face: any of ``south``, ``north``, ``west``, ``east``
     corner_m: float = 0.0  # radius of the kerb at its corners [m]
+
+
+def sides_of(rectangle_m: Rectangle) -> dict[str, tuple[np.ndarray, np.ndarray, float]]:
+    """Sides of a block, counter-clockwise: where each starts, its direction, and how long it is [m]."""
+    x_low, y_low, x_high, y_high = rectangle_m
+    return {
+        "south": (np.array((x_low, y_low)), np.array((1.0, 0.0)), x_high - x_low),
+        "north": (np.array((x_high, y_high)), np.array((-1.0, 0.0)), x_high - x_low),
+        "east": (np.array((x_high, y_low)), np.array((0.0, 1.0)), y_high - y_low),
+        "west": (np.array((x_low, y_high)), np.array((0.0, -1.0)), y_high - y_low),
+    }
 
 
 @dataclass(frozen=True)
@@ -154,8 +163,6 @@ class Lane:
 
 @dataclass(frozen=True)
 class Layout:
-    """One town plan."""
-
     template: str  # name of the road template
     asphalt_m: tuple[Rectangle, ...]  # rectangles of road, not overlapping
     blocks: tuple[Block, ...]  # blocks of houses
@@ -176,25 +183,25 @@ class Layout:
         """The plan with left and right exchanged."""
         opposite = {"south": "north", "north": "south"}
 
-        def rectangles(each: Iterable[Rectangle]) -> tuple[Rectangle, ...]:
-            return tuple((x_low, -y_high, x_high, -y_low) for x_low, y_low, x_high, y_high in each)
+        def flipped(rectangle: Rectangle) -> Rectangle:
+            x_low, y_low, x_high, y_high = rectangle
+            return x_low, -y_high, x_high, -y_low
 
         def lanes(each: Iterable[Lane]) -> tuple[Lane, ...]:
             return tuple(replace(one, start_m=(one.start_m[0], -one.start_m[1]), yaw_rad=-one.yaw_rad) for one in each)
 
-        blocks, places = (rectangles(each.rectangle_m for each in some) for some in (self.blocks, self.markings))
+        blocks = [
+            replace(each, fronts=tuple(opposite.get(front, front) for front in each.fronts)) for each in self.blocks
+        ]
         return Layout(
             self.template,
-            rectangles(self.asphalt_m),
-            tuple(
-                replace(block, rectangle_m=place, fronts=tuple(opposite.get(front, front) for front in block.fronts))
-                for block, place in zip(self.blocks, blocks, strict=True)
-            ),
-            tuple(replace(each, rectangle_m=place) for each, place in zip(self.markings, places, strict=True)),
+            tuple(map(flipped, self.asphalt_m)),
+            tuple(replace(each, rectangle_m=flipped(each.rectangle_m)) for each in blocks),
+            tuple(replace(each, rectangle_m=flipped(each.rectangle_m)) for each in self.markings),
             tuple(replace(slot, y_m=-slot.y_m, yaw_rad=-slot.yaw_rad) for slot in self.slots),
             replace(self.ego, y_m=-self.ego.y_m),
-            rectangles(self.crossings_m),
-            rectangles(self.open_crossings_m),
+            tuple(map(flipped, self.crossings_m)),
+            tuple(map(flipped, self.open_crossings_m)),
             lanes(self.lanes),
             lanes(self.cycle_lanes),
         )
@@ -249,12 +256,12 @@ def _cross_slots(rng: np.random.Generator, x: float, yaw: float, low: float, hig
     return [Slot(x, float(y), yaw, 12.0) for y in np.arange(low + phase, high, rng.uniform(6.6, 8.5))]
 
 
-def _ends(half_width: float) -> tuple[Block, Block]:
+def ends(half_width: float, reach_m: float = REACH_M) -> tuple[Block, Block]:
     """Houses that close the street at both ends."""
-    half = half_width + 10.0
+    half, far_m = half_width + 10.0, reach_m + _BLOCK_DEPTH_M
     return (
-        Block((REACH_M, -half, REACH_M + _BLOCK_DEPTH_M, half), 2.5, ("west",)),
-        Block((-REACH_M - _BLOCK_DEPTH_M, -half, -REACH_M, half), 2.5, ("east",)),
+        Block((reach_m, -half, far_m, half), 2.5, ("west",)),
+        Block((-far_m, -half, -reach_m, half), 2.5, ("east",)),
     )
 
 
@@ -266,7 +273,7 @@ def _street(
     blocks = (
         Block((-REACH_M, half, REACH_M, depth), pavement, ("south",)),
         Block((-REACH_M, -depth, REACH_M, -half), pavement, ("north",)),
-        *_ends(half),
+        *ends(half),
     )
     road = ((-REACH_M, -half, REACH_M, half),)
     return Layout(name, road, blocks, tuple(markings), tuple(slots), Slot(0.0, ego_y, 0.0, 5.0))
@@ -294,7 +301,6 @@ def _parking_street(rng: np.random.Generator) -> Layout:
 
 
 def _avenue(rng: np.random.Generator) -> Layout:
-    """Two lanes in either direction."""
     lane, pavement = rng.uniform(3.1, 3.5), rng.uniform(3.5, 5.5)
     half = 2.0 * lane + 0.4
     markings = [line(0.11), line(-0.11), line(half - 0.25), line(-half + 0.25)]
@@ -317,7 +323,7 @@ def _junction(rng: np.random.Generator, arms: tuple[float, ...]) -> Layout:
     west, east = centre - side_half, centre + side_half
     markings = dashes(0.0, dash=3.0, gap=3.0, holes=[(west - 6.5, east + 6.5)])
     asphalt: list[Rectangle] = [(-REACH_M, -half, REACH_M, half)]
-    blocks: list[Block] = list(_ends(half))
+    blocks: list[Block] = list(ends(half))
     slots = _lane_slots(rng, -lane / 2, 0.0, spacing=rng.uniform(7.5, 10.0), clear=7.5)
     slots += _lane_slots(rng, lane / 2, np.pi, spacing=rng.uniform(7.5, 10.0))
     depth = REACH_M * 0.75
@@ -399,7 +405,6 @@ _TEMPLATES = (
 
 
 def town_layout(rng: np.random.Generator) -> Layout:
-    """A random plan, mirrored half of the time."""
     make = _TEMPLATES[int(rng.choice(len(_TEMPLATES), p=[share for _, share in _TEMPLATES]))][0]
     layout = make(rng)
     return layout.mirrored() if rng.random() < 0.5 else layout

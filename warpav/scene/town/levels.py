@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
 
 from warpav.core.cache import fingerprint
 from warpav.core.errors import ArgumentError
+from warpav.core.records import nearest
 from warpav.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -49,13 +49,10 @@ def level_scene(seed: int, level: Level = "easy", fleet: Fleet | None = None) ->
 
 
 def checked_level(level: str) -> Level:
-    """A level by its name."""
-    found: Level | None = next((each for each in LEVELS if each == level), None)
-    if found is None:
-        near = difflib.get_close_matches(str(level), LEVELS, 1, 0.5)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise ArgumentError("level", f"expected one of {', '.join(LEVELS)}, got {level!r}{hint}")
-    return found
+    if level not in LEVELS:
+        text = f"expected one of {', '.join(LEVELS)}, got {level!r}{nearest(level, LEVELS)}"
+        raise ArgumentError("level", text)
+    return cast("Level", level)
 
 
 @dataclass(frozen=True)
@@ -67,7 +64,6 @@ class TownSource:
     fleet: Fleet | None = None  # vehicles of other makers, in the places of some of the town's; None: none
 
     def scene(self) -> Scene:
-        """The scene; as of `level_scene`."""
         return level_scene(self.seed, self.level, self.fleet)
 
     @property
@@ -85,5 +81,4 @@ def level_of(source: str) -> tuple[Level, int] | None:
     match = re.fullmatch(rf"town (?:({'|'.join(LEVELS[1:])}) )?seed (\d+)", source)
     if match is None:
         return None
-    level: Level = next(each for each in LEVELS if each == (match[1] or "easy"))
-    return level, int(match[2])
+    return checked_level(match[1] or "easy"), int(match[2])

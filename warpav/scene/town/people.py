@@ -245,7 +245,6 @@ class _CoarseBuilder(SurfaceBuilder):
     def add_tube(
         self, centre_m: ArrayLike, radius_m: ArrayLike, material: np.ndarray | int, *, sides: int, cap: float = 0.45
     ) -> None:
-        """As `SurfaceBuilder.add_tube`."""
         super().add_tube(centre_m, radius_m, material, sides=max(3, sides // 2 + 1), cap=cap)
 
 

@@ -8,7 +8,7 @@ into vertex colours. The same seed gives the same bytes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from warpav.scene.town._placed_vehicle import (
 from warpav.scene.town._street_life import Person, RoadUser, furnish, people, upright_box
 from warpav.scene.town._surface_builder import StreetGround
 from warpav.scene.town._town_layout import SPAWN_REACH_M, Footprint, Layout, Slot, town_layout
-from warpav.scene.town.vehicle_shapes import ego_glass, ego_mesh, vehicle_glass
+from warpav.scene.town.vehicle_shapes import ego_mesh, vehicle_glass
 
 _VISIBLE_COUNT_MIN, _VISIBLE_COUNT_MAX = 5, 15
 EYE_HEIGHT_M = 1.8  # traffic must be visible from here, above the centre of the ego vehicle
@@ -39,28 +39,18 @@ _FILL_ROUNDS = 4
 _SECTOR_COUNT = 8
 # Beside the ego vehicle, where its own body hides much of them, only this share of the vehicles that could stand do.
 _BESIDE_M, _BESIDE_LONG_M, _BESIDE_SHARE = 2.4, 4.0, 0.08
-_KIND_SHARES = {
-    "hatchback": 0.25,
-    "saloon": 0.18,
-    "estate": 0.14,
-    "suv": 0.17,
-    "van": 0.11,
-    "lorry": 0.08,
-    "bus": 0.07,
-}
+_KIND_SHARES = {"hatchback": 0.25, "saloon": 0.18, "estate": 0.14, "suv": 0.17, "van": 0.11, "lorry": 0.08, "bus": 0.07}
 _LATERAL_JITTER_M, _YAW_JITTER_RAD = 0.10, 0.020
 _GRADE_SHARE = 0.4  # of the streets are on a grade
 _GRADE_MIN, _GRADE_MAX = 0.02, 0.06
 _TOWN_STREAM = 0x70F3  # keeps the town's random numbers apart from other uses of the same seed
 
 
-@dataclass(frozen=True)
-class TownWorld:
-    """A scene and what a simulator knows beyond it."""
+class TownWorld(NamedTuple):
+    """A scene, and which triangles of every vehicle but the ego vehicle are window panes, bool [triangle]."""
 
-    scene: Scene  # the scene
-    ego_glass: np.ndarray  # which triangles of the ego vehicle are window panes, bool [triangle]
-    vehicle_glass: tuple[np.ndarray, ...]  # the same of every other vehicle
+    scene: Scene
+    vehicle_glass: tuple[np.ndarray, ...]
 
 
 def ego_vehicle() -> Mesh:
@@ -148,7 +138,6 @@ def _try_world(seed: int, attempt: int, exchange: Exchange | None) -> TownWorld 
     vehicles, others = tuple(users[: len(placed)]), tuple(users[len(placed) :])
     return TownWorld(
         Scene(name, environment, ego, vehicles, drawn_sky(rng), source, others),
-        ego_glass(),
         tuple(vehicle_glass(one.category, one.variant) for one in placed),
     )
 
@@ -212,7 +201,6 @@ def _park(slot: Slot, rng: np.random.Generator) -> PlacedVehicle | None:
 
 
 def drawn_sky(rng: np.random.Generator) -> Sky:
-    """A random overcast or blue sky."""
     horizon = rng.uniform(0.80, 0.92) * np.array([0.97, 0.99, 1.0])
     zenith = rng.uniform(0.50, 0.72) * np.array([0.72, 0.92, 1.22])
     return Sky(*(np.round(255.0 * np.minimum(colour, 1.0)).astype(np.uint8) for colour in (horizon, zenith)))

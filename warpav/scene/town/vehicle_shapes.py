@@ -164,20 +164,12 @@ def _midpoints(lines: np.ndarray) -> np.ndarray:
     return 0.5 * (lines[1:] + lines[:-1])
 
 
-class _Row(enum.IntEnum):
-    """Horizontal grid lines of the body, upwards."""
-
-    BOTTOM = 0
-    TRIM = 1
-    INTAKE_LOW = 2
-    INTAKE_HIGH = 3
-    WAIST_LOW = 4
-    WAIST_HIGH = 5
-    LAMP_LOW = 6
-    LAMP_MIDDLE = 7
-    LAMP_HIGH = 8
-    SHOULDER = 9
-    DECK = 10
+_Row = enum.IntEnum(
+    "_Row",
+    "BOTTOM TRIM INTAKE_LOW INTAKE_HIGH WAIST_LOW WAIST_HIGH LAMP_LOW LAMP_MIDDLE LAMP_HIGH SHOULDER DECK",
+    start=0,
+)
+"""Horizontal grid lines of the body, upwards."""
 
 
 def _body_rows(spec: VehicleSpec) -> tuple[np.ndarray, np.ndarray]:

@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warpav.view._labels import Labels, around
+from warpav.view.figures.style import text_width_mm
+
 if TYPE_CHECKING:
     from warpav.view.drawing._mounts import Mount
 
@@ -107,15 +110,6 @@ class Sheet:
     marks: list[Mark] = field(default_factory=list)
 
 
-def text_width_mm(text: str, height_mm: float, *, is_bold: bool = False) -> float:
-    """How wide a text is whose capital letters are so high."""
-    from matplotlib.font_manager import FontProperties
-    from matplotlib.textpath import text_to_path
-
-    font = FontProperties(weight="bold" if is_bold else "normal", size=text_points(height_mm))
-    return text_to_path.get_text_width_height_descent(text, font, ismath=False)[0] / 72.0 * 25.4
-
-
 def circle_mm(centre_mm: np.ndarray, radius_mm: float = _MARK_MM, count: int = 49) -> np.ndarray:
     """Points around a place on the page, [point, 2]; the last is the first again."""
     turn_rad = np.linspace(0.0, 2.0 * math.pi, count)
@@ -128,11 +122,6 @@ def box_mm(low_mm: Sequence[float] | np.ndarray, high_mm: Sequence[float] | np.n
     return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
 
 
-def text_points(height_mm: float) -> float:
-    """The size of a font whose capital letters are so high, in points."""
-    return height_mm / 0.72 / 25.4 * 72.0
-
-
 _NUMBER_MM = 2.5
 """Height of the digits."""
 
@@ -140,8 +129,7 @@ _CLEAR_MM = 0.6
 """Between a number and anything else."""
 
 _AWAY_MM = (3.0, 4.0, 5.5, 7.0, 9.0, 11.0)
-_TURN_COUNT = 24
-_SYMBOL_COST, _LINE_COST, _LEADER_COST, _TURN_COST = 1000.0, 10.0, 20.0, 1.0
+_SYMBOL_COST, _LINE_COST, _LEADER_COST = 1000.0, 1.0, 100.0
 _STEP_MM = 0.4
 
 
@@ -151,55 +139,31 @@ def add_numbers(sheet: Sheet) -> None:
     A number stays off marks, arrows and other numbers, and where it can off lines. It is near its mark, behind the
     arrow rather than beside it. Marks that lie on each other and look the same way share a line of numbers.
     """
-    symbol_mm = np.concatenate([_mark_points_mm(mark) for mark in sheet.marks])
+    symbols = [circle_mm(mark.place_mm, 1.6 * _MARK_MM, 17) for mark in sheet.marks]
+    symbols += [_points_mm(np.stack([mark.place_mm, mark.tip_mm])) for mark in sheet.marks]
+    symbol_mm, labels = np.concatenate(symbols), Labels()
     lines = [_points_mm(stroke.point_mm, is_closed=stroke.is_closed) for stroke in sheet.strokes]
     lines += [_points_mm(ordinate.line_mm) for ordinate in sheet.ordinates]
-    line_mm = np.concatenate(lines)
+    for point_mm, weight in ((symbol_mm, _SYMBOL_COST), (np.concatenate(lines), _LINE_COST)):
+        labels.take(np.hstack([point_mm, point_mm]), weight)
     for view in sheet.views:
         for group in _groups([mark for mark in sheet.marks if mark.view is view]):
             text = ", ".join(str(mark.camera + 1) for mark in group)
             size_mm = np.array([text_width_mm(text, _NUMBER_MM, is_bold=True), _NUMBER_MM])
             place_mm = np.mean([mark.place_mm for mark in group], axis=0)
             ahead_mm = np.mean([mark.tip_mm for mark in group], axis=0) - place_mm
-            middle_mm = _free_place_mm(place_mm, ahead_mm, size_mm, symbol_mm, line_mm)
-            leader_mm = _leader_mm(place_mm, middle_mm, size_mm)
+            back_rad = math.atan2(-ahead_mm[1], -ahead_mm[0]) if np.linalg.norm(ahead_mm) > 3.0 else 0.25 * math.pi
+            tried_mm = around(place_mm, size_mm, _AWAY_MM, back_rad)
+            leaders_mm = [_leader_mm(place_mm, each_mm, size_mm) for each_mm in tried_mm]
+            beyond_mm = np.array([np.linspace(start_mm, end_mm, 12) for start_mm, end_mm in leaders_mm])[:, 3:, None]
+            is_crossed = (np.linalg.norm(beyond_mm - symbol_mm, axis=-1) < 0.5 * _CLEAR_MM).any(axis=(1, 2))
+            best = labels.put(tried_mm, size_mm + 2.0 * _CLEAR_MM, cost=_LEADER_COST * is_crossed, weight=_SYMBOL_COST)
             camera = group[0].camera
-            sheet.notes.append(Note("CAMERAS", tuple(middle_mm.tolist()), text, _NUMBER_MM, "middle", camera))
-            sheet.strokes.append(Stroke("CAMERAS", leader_mm, camera=camera))
-            taken_mm = box_mm(middle_mm - 0.5 * size_mm, middle_mm + 0.5 * size_mm)
-            symbol_mm = np.concatenate([symbol_mm, _points_mm(taken_mm, is_closed=True), _points_mm(leader_mm)])
-
-
-def _free_place_mm(
-    place_mm: np.ndarray, ahead_mm: np.ndarray, size_mm: np.ndarray, symbol_mm: np.ndarray, line_mm: np.ndarray
-) -> np.ndarray:
-    """Where the middle of a number is best."""
-    back_rad = math.atan2(-ahead_mm[1], -ahead_mm[0]) if np.linalg.norm(ahead_mm) > 3.0 else 0.25 * math.pi
-    reach_mm = _AWAY_MM[-1] + float(size_mm.max()) + 2.0
-    symbol_mm, line_mm = (each[(np.abs(each - place_mm) < reach_mm).all(axis=1)] for each in (symbol_mm, line_mm))
-    turns_rad = np.linspace(-math.pi, math.pi, _TURN_COUNT, endpoint=False)
-    tried = sorted((away_mm + _TURN_COST * abs(turn), away_mm, turn) for away_mm in _AWAY_MM for turn in turns_rad)
-    best_mm, least = place_mm, math.inf
-    for distance_cost, away_mm, turn_rad in tried:
-        if distance_cost >= least:
-            break
-        angle_rad = back_rad + turn_rad
-        middle_mm = place_mm + (away_mm + 0.5 * size_mm) * (math.cos(angle_rad), math.sin(angle_rad))
-        cost = distance_cost + _SYMBOL_COST * _is_on(symbol_mm, middle_mm, size_mm)
-        cost += _LINE_COST * _is_on(line_mm, middle_mm, size_mm)
-        if cost < least:
-            leader_mm = _points_mm(_leader_mm(place_mm, middle_mm, size_mm))
-            leader_mm = leader_mm[np.linalg.norm(leader_mm - place_mm, axis=1) > 2.0 * _MARK_MM]
-            apart_mm = np.linalg.norm(leader_mm[:, None] - symbol_mm, axis=-1)
-            cost += _LEADER_COST * bool((apart_mm < 0.5 * _CLEAR_MM).any())
-        if cost < least:
-            best_mm, least = middle_mm, cost
-    return best_mm
-
-
-def _is_on(point_mm: np.ndarray, middle_mm: np.ndarray, size_mm: np.ndarray) -> bool:
-    """Whether a number comes too near to one of some points."""
-    return bool((np.abs(point_mm - middle_mm) < 0.5 * size_mm + _CLEAR_MM).all(axis=1).any())
+            sheet.notes.append(Note("CAMERAS", tuple(tried_mm[best].tolist()), text, _NUMBER_MM, "middle", camera))
+            sheet.strokes.append(Stroke("CAMERAS", leaders_mm[best], camera=camera))
+            leader_mm = _points_mm(leaders_mm[best])
+            labels.take(np.hstack([leader_mm, leader_mm]), _SYMBOL_COST)
+            symbol_mm = np.concatenate([symbol_mm, leader_mm])
 
 
 def _leader_mm(place_mm: np.ndarray, middle_mm: np.ndarray, size_mm: np.ndarray) -> np.ndarray:
@@ -208,12 +172,6 @@ def _leader_mm(place_mm: np.ndarray, middle_mm: np.ndarray, size_mm: np.ndarray)
     end_mm = np.clip(place_mm, middle_mm - half_mm, middle_mm + half_mm)
     towards = (end_mm - place_mm) / np.linalg.norm(end_mm - place_mm)
     return np.stack([place_mm + _MARK_MM * towards, end_mm])
-
-
-def _mark_points_mm(mark: Mark) -> np.ndarray:
-    """Points of a mark and its arrow, near enough to each other that no number fits between them."""
-    round_mm = circle_mm(mark.place_mm, 1.6 * _MARK_MM, 17)
-    return np.concatenate([round_mm, _points_mm(np.stack([mark.place_mm, mark.tip_mm]))])
 
 
 def _points_mm(line_mm: np.ndarray, *, is_closed: bool = False) -> np.ndarray:

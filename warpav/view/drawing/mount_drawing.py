@@ -35,11 +35,19 @@ from warpav.view.drawing._sheet import (
     add_numbers,
     box_mm,
     circle_mm,
+)
+from warpav.view.figures.style import (
+    FIGURE_SUFFIXES,
+    SCALES,
+    Page,
+    camera_cells,
+    closed,
+    figure_style,
+    save_figure,
     text_points,
     text_width_mm,
 )
-from warpav.view.figures.style import FIGURE_SUFFIXES, SCALES, Page, camera_cells, closed, figure_style, save_figure
-from warpav.view.output import write_whole
+from warpav.view.output import write_bytes
 from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
@@ -47,7 +55,7 @@ if TYPE_CHECKING:
     from warpav.rig.module import Module
     from warpav.rig.rig import Rig
 
-PAGE_MM = (420.0, 297.0)
+_PAGE_MM = (420.0, 297.0)
 """A3, landscape."""
 
 _SUFFIXES = (*FIGURE_SUFFIXES[::-1], ".dxf", ".csv", ".glb")
@@ -90,9 +98,9 @@ class _MountDrawing(Sheet):
     def figure(self) -> Any:  # noqa: ANN401 (matplotlib)
         """The drawing as a ``matplotlib.figure.Figure`` in the size of the page."""
         with figure_style():
-            page = Page(*PAGE_MM)
-            axis = page.panel(0.0, 0.0, *PAGE_MM)
-            axis.set(xlim=(0.0, PAGE_MM[0]), ylim=(0.0, PAGE_MM[1]))
+            page = Page(*_PAGE_MM)
+            axis = page.panel(0.0, 0.0, *_PAGE_MM)
+            axis.set(xlim=(0.0, _PAGE_MM[0]), ylim=(0.0, _PAGE_MM[1]))
             for stroke in self.strokes:
                 _draw_stroke(axis, stroke)
             for ordinate in self.ordinates:
@@ -127,11 +135,11 @@ class _MountDrawing(Sheet):
             return [file for end in ends for file in self.save(path / f"mounts{end}")]
         match path.suffix.lower():
             case ".dxf":
-                return [write_whole(path, drawing_dxf(self, place=path))]
+                return [write_bytes(path, drawing_dxf(self, place=path))]
             case ".csv":
-                return [write_whole(path, mount_csv(self.mounts).encode())]
+                return [write_bytes(path, mount_csv(self.mounts).encode())]
             case ".glb":
-                return [write_whole(path, mount_glb(self.mounts, self.ego, self.modules))]
+                return [write_bytes(path, mount_glb(self.mounts, self.ego, self.modules))]
             case _:
                 return [save_figure(self.figure(), path)]
 

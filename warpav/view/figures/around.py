@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from warpav.detection.probability import DetectionProbability
 from warpav.evaluation.detection_range import LEAST_HEIGHT_PX, DetectionRange
 from warpav.sight.around import CAR_HEIGHT_M, PIXELS, NearField, SectorCounts
 from warpav.sight.requirement import Body
+from warpav.view._labels import Labels
 from warpav.view.figures.from_above import (
     RING,
     RINGS,
@@ -137,10 +138,9 @@ def _draw_dimensions(axis: Any, field: NearField) -> None:  # noqa: ANN401 (matp
     if field.distance_m[0, worst] > max(field.distance_m[0, k] for k in places):  # of equal ones, the side says it
         places[worst] = "worst "
     renderer = axis.figure.canvas.get_renderer()
-    taken = [text.get_window_extent(renderer).extents for text in axis.texts]
     body_px = axis.transData.transform(field.border_m[:, ::-1])
-    taken.append(np.concatenate([body_px.min(axis=0), body_px.max(axis=0)]))
-    panel = axis.get_window_extent(renderer).extents
+    labels = Labels([*body_px.min(axis=0), *body_px.max(axis=0)], within=axis.get_window_extent(renderer).extents)
+    labels.take([text.get_window_extent(renderer).extents for text in axis.texts])
     bold = {"ha": "center", "va": "center", "fontsize": 8, "fontweight": "bold", "bbox": paper(0.8, 0.8), "zorder": 10}
     for k, word in places.items():
         if field.distance_m[0, k] < 0.005:
@@ -155,8 +155,8 @@ def _draw_dimensions(axis: Any, field: NearField) -> None:  # noqa: ANN401 (matp
         text.set_in_layout(False)
         low_px, high_px = text.get_window_extent(renderer).extents.reshape(2, 2)
         half_px = 0.5 * (high_px - low_px) + 2.0 * per_pt
-        middle_px = _free_place(start_px, end_px, half_px, taken, panel)
-        taken.append(np.concatenate([middle_px - half_px, middle_px + half_px]))
+        tried_px = _beyond_end(start_px, end_px, 2.0 * half_px)
+        middle_px = tried_px[labels.put(tried_px, 2.0 * half_px)]
         text.xyann = tuple((middle_px - end_px) / per_pt)
         near_px = np.clip(end_px, middle_px - half_px, middle_px + half_px)
         is_on_line = (np.abs(middle_px - 0.5 * (start_px + end_px)) < half_px).all()
@@ -165,26 +165,15 @@ def _draw_dimensions(axis: Any, field: NearField) -> None:  # noqa: ANN401 (matp
             axis.plot(*np.stack([ends[1], place]).T, color=hex_colour(INK_RGB), linewidth=0.5, zorder=9)
 
 
-def _free_place(
-    start_px: np.ndarray, end_px: np.ndarray, half_px: np.ndarray, taken: Sequence[np.ndarray], panel: np.ndarray
-) -> np.ndarray:
-    """Middle of a text nearest to the end of its line [px], within the panel and clear of boxes that are taken.
-
-    Beyond the end comes first; the middle of a line that ends at the border of the panel does as well.
-    """
+def _beyond_end(start_px: np.ndarray, end_px: np.ndarray, size_px: np.ndarray) -> np.ndarray:
+    """Places for a text of a size at a line [px], the best first, [place, 2]: beyond its end; its middle comes last."""
     outwards = (end_px - start_px) / max(float(np.linalg.norm(end_px - start_px)), 1e-9)
     aside = np.array([-outwards[1], outwards[0]])
-    usual = end_px + float(np.abs(outwards) @ half_px) * outwards
-    step = 0.5 * half_px[1]
     out, shift = np.meshgrid(np.arange(12), np.arange(-11, 12), indexing="ij")
-    tried = usual + step * (out.reshape(-1, 1) * outwards + shift.reshape(-1, 1) * aside)
-    tried = tried[np.argsort(np.linalg.norm(tried - usual, axis=1).round(6), kind="stable")]
-    for place in (*tried, 0.5 * (start_px + end_px)):
-        low, high = place - half_px, place + half_px
-        inside = (low >= panel[:2]).all() and (high <= panel[2:]).all()
-        if inside and all((high <= box[:2]).any() or (low >= box[2:]).any() for box in taken):
-            return np.asarray(place)
-    return 0.5 * (start_px + end_px)
+    step = 0.25 * size_px[1] * (out.reshape(-1, 1) * outwards + shift.reshape(-1, 1) * aside)
+    step = step[np.argsort(np.linalg.norm(step, axis=1).round(6), kind="stable")]
+    usual = end_px + 0.5 * float(np.abs(outwards) @ size_px) * outwards
+    return np.vstack([usual + step, 0.5 * (start_px + end_px)])
 
 
 def _metres(distance_m: float, reach_m: float) -> str:

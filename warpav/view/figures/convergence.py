@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.view.figures.style import SVG_WIDTH_INCH, WIDTH_INCH, figure_style, new_figure
+from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure
 from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, camera_rgb, hex_colour
 
 
@@ -17,14 +17,14 @@ def loss_figure(records: Sequence[Mapping[str, Any]], *, min_distance_m: float |
     """Draw loss, loss terms, multipliers and the smallest camera distance over the iterations.
 
     Of inequalities, whose terms are negative where there is room to spare, those that were broken are drawn, and by how
-    much. Panels that would say nothing are left out, see `convergence_panels`.
+    much. Panels that would say nothing are left out, see `_panels`.
     """
     if not records:
         raise InputError("run: expected an iteration to draw, got none; run at least one")
     missing = [key for key in ("iteration", "loss", "terms", "multipliers", "positions_m") if key not in records[0]]
     if missing:
         raise InputError(f"run: expected records with the keys {', '.join(missing)}, which are missing")
-    panels = list(convergence_panels(records, min_distance_m).values())
+    panels = list(_panels(records, min_distance_m).values())
     with figure_style():
         rows, columns = -(-len(panels) // 2), min(2, len(panels))
         figure = new_figure(WIDTH_INCH, 0.4 + 2.6 * rows)
@@ -36,17 +36,6 @@ def loss_figure(records: Sequence[Mapping[str, Any]], *, min_distance_m: float |
         return figure
 
 
-def search_figure(records: Sequence[Mapping[str, Any]]) -> Any:  # noqa: ANN401 (matplotlib)
-    """Draw what `search_panel` draws; None where there is nothing to draw."""
-    draw = search_panel(records)
-    if draw is None:
-        return None
-    with figure_style():
-        figure = new_figure(WIDTH_INCH, 4.2)
-        draw(figure.subplots())
-        return figure
-
-
 _POOL = ("pool", "#e4e8ee")
 """What camera renders up to the first selection are spent on, and the colour of the band."""
 
@@ -54,8 +43,8 @@ _SPENT_ON = {"polish": ("polish", "#e3eefc"), "pricing": ("pricing", "#fbeedd")}
 """Likewise after it, by the stage of the state that follows; selections need none."""
 
 
-def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] | None:
-    """What draws the best rig and the bound of a search by a pool over its camera renders.
+def search_figure(records: Sequence[Mapping[str, Any]]) -> Any:  # noqa: ANN401 (matplotlib)
+    """Draw the best rig and the bound of a search by a pool over its camera renders; None where there is no bound.
 
     Bands say what the renders were spent on. A start that is far above all that follows is written at the upper edge.
     """
@@ -74,7 +63,9 @@ def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] 
     later = [*objective[first_selection:], *bound]
     room = max(max(later) - min(later), 0.02 * max(later))
 
-    def draw(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 4.2)
+        axis = figure.subplots()
         axis.set(title="Best rig and bound", xlabel="camera renders (one camera in one scene)", ylabel="objective")
         named: set[str] = set()
         for k, until in enumerate(spent):
@@ -100,12 +91,11 @@ def search_panel(records: Sequence[Mapping[str, Any]]) -> Callable[[Any], None] 
         elif stage[0] == "start":
             axis.plot(spent[:1], objective[:1], "D", label="start", markersize=6.5, zorder=4, **marks)
         axis.set(ylim=(min(later) - 0.1 * room, top), xlim=(0, end))
-        axis.figure.legend(loc="outside lower center", ncols=7 if axis.figure.get_figwidth() > SVG_WIDTH_INCH else 3)
+        figure.legend(loc="outside lower center", ncols=7)
+        return figure
 
-    return draw
 
-
-def convergence_panels(
+def _panels(
     records: Sequence[Mapping[str, Any]], min_distance_m: float | None = None
 ) -> dict[str, Callable[[Any], None]]:
     """What draws loss, loss terms, multipliers and the smallest camera distance, each into an axis, by its title.
@@ -114,8 +104,13 @@ def convergence_panels(
     broken; the distance of a single camera.
     """
     iteration = np.array([record["iteration"] for record in records])
-    terms = {name: _over_time(records, "terms", name) for name in records[0]["terms"]}
-    kept = {name for name in records[0]["multipliers"] if name in terms and _is_always_kept(terms[name])}
+    terms = {  # NaN where a record has none of that name
+        name: np.array([record["terms"].get(name, math.nan) for record in records], dtype=np.float64)
+        for name in records[0]["terms"]
+    }
+    limits = {name: term for name, term in terms.items() if name in records[0]["multipliers"]}
+    # inequalities that no record breaks
+    kept = {name for name, term in limits.items() if np.nanmin(term, initial=0.0) < 0.0 >= np.nanmax(term)}
     terms = {name: term for name, term in terms.items() if name not in kept}
     multiplier = {  # of several under one name the highest; NaN where it was not finite
         name: [float(np.max(np.array(record["multipliers"].get(name, 0.0), float), initial=0.0)) for record in records]
@@ -134,7 +129,7 @@ def convergence_panels(
         begin(axis, "Loss")
         value = np.array([record["loss"] for record in records], dtype=np.float64)
         axis.plot(iteration, value, color=hex_colour(INK_RGB), alpha=0.28, linewidth=1.2, label="batch")
-        axis.plot(iteration, running_mean(value), color=hex_colour(INK_RGB), label="mean of batches")
+        axis.plot(iteration, _running_mean(value), color=hex_colour(INK_RGB), label="mean of batches")
         compared = np.array([record.get("training_objective") for record in records], dtype=np.float64)
         if np.isfinite(compared).any():
             at = np.isfinite(compared)
@@ -146,7 +141,7 @@ def convergence_panels(
             drawn = np.maximum(term, 0.0) if name in multiplier else term
             colour = hex_colour(camera_rgb(index))
             axis.plot(iteration, drawn, color=colour, alpha=0.25, linewidth=1.2)
-            axis.plot(iteration, running_mean(drawn), color=colour, label=name)
+            axis.plot(iteration, _running_mean(drawn), color=colour, label=name)
         begin(axis, "Loss terms", terms)
 
     def multipliers(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
@@ -176,12 +171,7 @@ def convergence_panels(
     return shown
 
 
-def _over_time(records: Sequence[Mapping[str, Any]], key: str, name: str) -> np.ndarray:
-    """One of the numbers under a key, float64 [record]; NaN where a record has none of that name."""
-    return np.array([record[key].get(name, math.nan) for record in records], dtype=np.float64)
-
-
-def running_mean(value: np.ndarray, *, window: int = 9) -> np.ndarray:
+def _running_mean(value: np.ndarray, *, window: int = 9) -> np.ndarray:
     """Mean over the ``window`` entries around each one, fewer at the ends; NaN entries do not count."""
     value = np.asarray(value, dtype=np.float64)
     half = window // 2
@@ -189,11 +179,6 @@ def running_mean(value: np.ndarray, *, window: int = 9) -> np.ndarray:
     total = np.convolve(np.pad(np.where(valid, value, 0.0), half), np.ones(2 * half + 1), mode="valid")
     count = np.convolve(np.pad(valid.astype(np.float64), half), np.ones(2 * half + 1), mode="valid")
     return np.where(count > 0, total / np.maximum(count, 1.0), math.nan)
-
-
-def _is_always_kept(term: np.ndarray) -> bool:
-    """Whether a constraint is an inequality that no record breaks."""
-    return bool(np.nanmin(term, initial=0.0) < 0.0 and np.nanmax(term, initial=0.0) <= 0.0)
 
 
 def _smallest_distance_m(position_m: object) -> float:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.view._labels import Labels
 from warpav.view._outlines import sector_polygon_m, silhouette_m
 from warpav.view.figures.style import (
     PALE,
@@ -23,7 +24,6 @@ from warpav.view.figures.style import (
     metre_axes,
     new_figure,
     paper,
-    svg_text,
 )
 from warpav.view.palette import COVERAGE_RGB, GRID_RGB, INK_RGB, MUTED_RGB, Rgb, camera_rgb, further_map, hex_colour
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from warpav.raster.mesh import Mesh
     from warpav.rig.mount_surface import MountSurface
     from warpav.rig.rig import Rig
+    from warpav.sight.ground import BlindGround
 
 RINGS = "Rings: distance from the middle of the vehicle."
 RING: Any = {"edgecolor": hex_colour(MUTED_RGB), "linewidth": 0.6, "linestyle": (0, (5, 3)), "fill": False}
@@ -308,15 +309,13 @@ def _set_apart(figure: Any, axis: Any) -> None:  # noqa: ANN401 (matplotlib)
         low_m[0] = min(low_m[0], *(box[0, 0] for box in boxes_m))
         high_m[0] = max(high_m[0], *(box[1, 0] for box in boxes_m))
         axis.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]))
-    middle_m, taken = 0.5 * (low_m[1] + high_m[1]), []
+    middle_m, labels = 0.5 * (low_m[1] + high_m[1]), Labels()
     for text, box in zip(axis.texts, _text_boxes_m(figure, axis), strict=True):
-        outwards = math.copysign(1.1 * float(np.ptp(box, axis=0)[1]), float(box[:, 1].mean()) - middle_m)
-        tried = [box + np.array([0.0, step * outwards]) for step in (0, 1, -1, 2, -2, 3, -3, 4)]
-        free = (each for each in tried if not any(_overlap(each, other) for other in taken))
-        taken.append(next(free, tried[0]))
-        text.set_position(np.array(text.get_position()) + taken[-1][0] - box[0])
-    low_m = np.min([low_m, *(box[0] for box in taken)], axis=0) - 0.05
-    high_m = np.max([high_m, *(box[1] for box in taken)], axis=0) + 0.05
+        size_m, outwards = np.ptp(box, axis=0), math.copysign(1.1, float(box[:, 1].mean()) - middle_m)
+        step_m = np.outer([0, 1, -1, 2, -2, 3, -3, 4], [0.0, outwards * size_m[1]])
+        moved_m = step_m[labels.put(box.mean(axis=0) + step_m, size_m)]
+        text.set_position(np.array(text.get_position()) + moved_m)
+        low_m, high_m = np.minimum(low_m, box[0] + moved_m - 0.05), np.maximum(high_m, box[1] + moved_m + 0.05)
     axis.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]))
     ratio = (high_m - low_m)[1] / (high_m - low_m)[0]
     figure.set_figheight(float(np.clip(_ROOM_INCH[1] + (WIDTH_INCH - _ROOM_INCH[0]) * ratio, 3.6, 7.5)))
@@ -327,10 +326,6 @@ def _text_boxes_m(figure: Any, axis: Any) -> list[np.ndarray]:  # noqa: ANN401 (
     figure.draw_without_rendering()
     from_px = axis.transData.inverted()
     return [from_px.transform(text.get_window_extent().get_points()) for text in axis.texts]
-
-
-def _overlap(one: np.ndarray, other: np.ndarray) -> bool:
-    return bool((one[0] < other[1]).all() and (other[0] < one[1]).all())
 
 
 def further_figure(
@@ -381,40 +376,27 @@ def further_figure(
         return figure
 
 
-def blind_ground(
-    blind_share: np.ndarray, title: str, *, cell_m: float, ego_bounds_m: np.ndarray, rig: Rig | None
-) -> str:
-    """Where no camera sees somebody, seen from above with the front up, as SVG.
+def blind_ground_figure(ground: BlindGround, rigs: Mapping[str, Rig], ego: Mesh) -> Any:  # noqa: ANN401 (matplotlib)
+    """Of the scenes in which somebody can stand on a cell, the share in which no camera of a rig sees him there.
 
-    Shares of the scenes, 0..1, NaN where nobody can stand: rows run along x, columns along y, around the middle of the
-    vehicle, whose lowest and highest corner are the bounds [m].
+    A row for every height, a column for every rig. Cells on which nobody can stand in any scene are white.
     """
-    from matplotlib.patches import FancyBboxPatch
-
     colours = colour_map("blind", "#eaf1f8", (240, 170, 150), COVERAGE_RGB[0], (120, 16, 20))
-    low_m, high_m = ego_bounds_m
-    middle_m, (length_m, width_m) = 0.5 * (low_m + high_m), (high_m - low_m)[:2]
-    reach_m = 0.5 * cell_m * len(blind_share)
-    ink = hex_colour(INK_RGB)
-
-    def draw(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
-        # rows are forward and shall point up, columns are left
-        style = {"cmap": colours, "vmin": 0.0, "vmax": 1.0, "interpolation": "nearest"}
-        image = axis.imshow(blind_share[::-1, ::-1], extent=(reach_m, -reach_m, -reach_m, reach_m), **style)
-        corner, size = (-width_m / 2 + 0.4, -length_m / 2 + 0.4), (width_m - 0.8, length_m - 0.8)
-        body = {"boxstyle": "round,pad=0.4", "facecolor": "#c9d1db", "edgecolor": ink, "linewidth": 0.8}
-        axis.add_patch(FancyBboxPatch(corner, *size, **body))
-        axis.plot([0.0, 0.0], [0.0, 0.5 * length_m], color=ink, linewidth=0.8)
-        for index, camera in enumerate(rig.cameras if rig else ()):
-            forward_m, left_m = camera.position_m[:2] - middle_m[:2]
-            axis.plot(left_m, forward_m, "o", color=hex_colour(camera_rgb(index)), markersize=3.0)
-        turn = np.linspace(0.0, 2.0 * math.pi, 181)
-        for radius_m in (5, 10, 15, 20):
-            axis.plot(radius_m * np.cos(turn), radius_m * np.sin(turn), color="#8a94a0", linewidth=0.5, alpha=0.7)
-            axis.text(0.0, -radius_m, f"{radius_m} m", fontsize=6.5, ha="center", va="bottom", color="#4a5360")
-        empty_panel(axis)
-        axis.spines[:].set_visible(False)
-        axis.set_title(title)
-        colour_bar(axis.figure, image, axis, shrink=0.8, aspect=26, format="{x:.0%}")
-
-    return svg_text(draw, 3.7)
+    x_m, y_m = middle_of(ego)
+    reach_m, rows = 0.5 * ground.cell_m * ground.open_count.shape[1], len(ground.heights_m)
+    place = {"origin": "lower", "extent": (y_m - reach_m, y_m + reach_m, x_m - reach_m, x_m + reach_m)}
+    style = {"cmap": colours, "vmin": 0.0, "vmax": 1.0, "interpolation": "nearest", "zorder": 1}
+    image = None
+    with figure_style():
+        figure = new_figure(WIDTH_INCH, 4.4 * rows)
+        axes = figure.subplots(rows, len(rigs), squeeze=False)
+        for (height, _), axis, (name, rig) in zip(
+            np.ndindex(axes.shape), axes.flat, [*rigs.items()] * rows, strict=True
+        ):
+            blind, opened = ground.blind_count[name][height], ground.open_count[height]
+            image = axis.imshow(np.where(opened > 0, blind / np.maximum(opened, 1), np.nan), **place, **style)
+            draw_surroundings(axis, ego, rig, reach_m=reach_m)
+            axis.set_title(f"{name}: {ground.heights_m[height]:g} m tall")
+        colour_bar(figure, image, axes, "scenes in which no camera sees somebody there", shrink=0.6, format="{x:.0%}")
+        caption(figure, RINGS)
+    return figure

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +37,7 @@ from warpav.view.palette import (
 )
 
 if TYPE_CHECKING:
+    from warpav.evaluation.metrics import CameraObservation
     from warpav.rig.rig import Rig, RigCamera
     from warpav.scene.scene import Scene
 
@@ -274,44 +274,26 @@ _LONG_TITLE = 14
 """Titles of more letters stand in a line of their own."""
 
 
-@dataclass(frozen=True)
-class DetectionPanel:
-    """One camera image, uint8 [row, column, 3], with what is there and what was found.
-
-    Attributes:
-        truth_box_px: Ground-truth boxes (x0, y0, x1, y1) [px], shape [vehicle, 4]; NaN where a vehicle has none.
-        detection_of_truth: Index of the detection that found each vehicle, -1 for none, shape [vehicle].
-    """
-
-    title: str
-    image_rgb: np.ndarray
-    truth_box_px: np.ndarray
-    detection_box_px: np.ndarray
-    detection_of_truth: np.ndarray
-
-
-def detections_sheet(rows: Mapping[str, Sequence[DetectionPanel]], path: Path | str) -> Path:
+def detections_sheet(rows: Mapping[str, Mapping[str, CameraObservation]], path: Path | str) -> Path:
     """Draw camera images in a grid with what was there, what was found and what was not.
 
     Ground truth is thin white, true positives green, false positives red, misses dashed orange.
     """
-    column_count = max((len(panels) for panels in rows.values()), default=0)
-    if column_count == 0:
-        raise InputError(f"{path}: there is no image to draw")
-    sample = next(panels[0].image_rgb for panels in rows.values() if panels)
+    titles, seen = zip(*(each for panels in rows.values() for each in panels.items()), strict=True)
+    column_count, sample = max(map(len, rows.values())), seen[0].image_rgb
     edge_inch = min((WIDTH_INCH - 0.3) / column_count, 4.0)
-    is_long = any(len(panel.title) > _LONG_TITLE for panels in rows.values() for panel in panels)
+    is_long = max(map(len, titles)) > _LONG_TITLE
     row_inch = edge_inch * sample.shape[0] / sample.shape[1] + (0.5 if is_long else 0.3)
     with figure_style():
         figure = new_figure(edge_inch * column_count + 0.3, row_inch * len(rows) + 0.4)
         grid = figure.subplots(len(rows), column_count, squeeze=False)
         for (heading, panels), axes in zip(rows.items(), grid, strict=True):
-            for column, axis in enumerate(axes):
+            for axis in axes:
                 axis.set(xticks=[], yticks=[], frame_on=False)
-                if column < len(panels):
-                    draw_detections(axis, panels[column])
+            for axis, (text, observed) in zip(axes, panels.items(), strict=False):
+                draw_detections(axis, text, observed)
             axes[0].set_ylabel(heading, fontweight="bold", fontsize=11)
-        figure.legend(handles=detection_handles(), loc="outside lower center", ncols=4)
+        figure.legend(handles=detection_handles(), loc="outside lower center", ncols=min(4, 2 * column_count))
         return save_figure(figure, path)
 
 
@@ -327,13 +309,11 @@ def detection_handles() -> list[Any]:
     ]
 
 
-def draw_detections(axis: Any, panel: DetectionPanel) -> None:  # noqa: ANN401 (matplotlib)
-    """Draw an image with its boxes, in the colours of `detections_sheet`."""
-    height, width = panel.image_rgb.shape[:2]
-    axis.imshow(panel.image_rgb, extent=(0, width, height, 0), interpolation="antialiased")
-    match = np.asarray(panel.detection_of_truth, dtype=int)
-    truth = np.asarray(panel.truth_box_px, dtype=np.float64).reshape(-1, 4)
-    detection = np.asarray(panel.detection_box_px, dtype=np.float64).reshape(-1, 4)
+def draw_detections(axis: Any, text: str, seen: CameraObservation) -> None:  # noqa: ANN401 (matplotlib)
+    """Draw an image with its boxes, in the colours of `detections_sheet`, under a title."""
+    height, width = seen.image_rgb.shape[:2]
+    axis.imshow(seen.image_rgb, extent=(0, width, height, 0), interpolation="antialiased")
+    match, truth, detection = seen.match, seen.truth_box_px, seen.detections.box_px
     present = np.isfinite(truth).all(axis=1)
     found_index = set(match[present & (match >= 0)].tolist())
     for index, box in enumerate(detection):
@@ -347,11 +327,10 @@ def draw_detections(axis: Any, panel: DetectionPanel) -> None:  # noqa: ANN401 (
         else:
             _draw_box(axis, box, MISS_RGB, linewidth=1.6, linestyle=(0, (3, 2)), zorder=5)
     axis.set(xlim=(0, width), ylim=(height, 0))
-    found = f"{len(found_index)} of {int(present.sum())} found"
-    is_long = len(panel.title) > _LONG_TITLE
-    axis.set_title(
-        f"{panel.title}\n{found}" if is_long else f"{panel.title}: {found}", fontsize=9.5, fontweight="normal", pad=4
-    )
+    found, false = f"{len(found_index)} of {int(present.sum())} found", len(detection) - len(found_index)
+    found += f", {false} false alarm{'' if false == 1 else 's'}" if false else ""
+    is_long = len(text) > _LONG_TITLE
+    axis.set_title(f"{text}\n{found}" if is_long else f"{text}: {found}", fontsize=9.5, fontweight="normal", pad=4)
 
 
 def _draw_box(axis: Any, box_px: np.ndarray, colour: tuple[int, int, int], **line: Any) -> None:  # noqa: ANN401

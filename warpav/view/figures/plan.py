@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.sight.around import CAR_HEIGHT_M, PIXELS, VisibleGround, px_per_degree, size_ranges_m
+from warpav.view._labels import Labels
 from warpav.view._outlines import fan_outlines_m
 from warpav.view.figures.from_above import (
     RINGS,
@@ -27,7 +28,7 @@ from warpav.view.figures.style import (
     closed,
     colour_bar,
     figure_style,
-    halo,
+    mark_cameras,
     new_figure,
     title,
 )
@@ -46,6 +47,8 @@ _FARTHEST_M = 200.0
 _AZIMUTH_RAD = np.linspace(-math.pi, math.pi, 720, endpoint=False)
 _ACROSS = np.stack([np.cos(_AZIMUTH_RAD), np.sin(_AZIMUTH_RAD)], axis=-1)
 _SIZE_NAMES = {40.0: "easily recognised", 20.0: "recognised", 12.0: "limit of detectors"}
+_PANEL_PT = 310.0
+"""Side of a panel, about."""
 _NUMBER_REACH = 0.74
 """How far out numbers of cameras stand, as a share of the panel: below the arrow to the front."""
 _SHADE = (0.30, 0.17, 0.10)  # of 40, 20 and 12 px; each lies on the next one
@@ -92,9 +95,10 @@ def plan_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None = Non
             title(far, f"{prefix}how far a car is large enough")
             cut = f", drawn up to {far_m:g} m" if farthest_m[name] > far_m else ""
             far.set_xlabel(f"farthest with {PIXELS[-1]:g} px: {farthest_m[name]:.0f} m{cut}", fontsize=8)
-            draw_surroundings(near, ego, rig, reach_m=near_m)
+            draw_surroundings(near, ego, rig, reach_m=near_m, camera_size=0.0)
             _draw_ground(near, VisibleGround.of(rig, ego, margin_m=near_m), middle_of(ego), near_m)
-            _number_cameras(near, rig)
+            place_m = np.array([camera.position_m[1::-1] for camera in rig.cameras])
+            mark_cameras(near, place_m, per_pt=2.0 * near_m / _PANEL_PT)
             title(near, f"{prefix}ground near the vehicle")
         shades = 1.0 - np.cumprod(1.0 - np.array(_SHADE)[::-1])[::-1]
         labels = [": ".join(filter(None, (f"≥ {least:g} px", _SIZE_NAMES.get(least)))) for least in PIXELS]
@@ -111,7 +115,7 @@ def _draw_fans(axis: Any, rig: Rig, ranges_m: Sequence[np.ndarray], reach_m: flo
 
     A number stands on the outermost outline, in the direction in which its camera looks.
     """
-    placed_m: list[np.ndarray] = []
+    labels = Labels()
     for index, (camera, of_camera) in enumerate(zip(rig.cameras, ranges_m, strict=True)):
         colour, centre_m = hex_colour(camera_rgb(index)), camera.position_m[:2]
         for of_size, alpha in zip(of_camera, _SHADE, strict=False):
@@ -123,29 +127,11 @@ def _draw_fans(axis: Any, rig: Rig, ranges_m: Sequence[np.ndarray], reach_m: flo
             continue
         ahead = camera.ego_from_camera[:2, 2]
         nearest = np.nanargmax(np.where(np.isfinite(far_m), _ACROSS @ ahead, np.nan))
-        range_m = min(float(far_m[nearest]), _NUMBER_REACH * reach_m)
-        place_m = centre_m + range_m * _ACROSS[nearest]
-        while any(np.linalg.norm(place_m - other_m) < 0.06 * reach_m for other_m in placed_m) and range_m > 1.0:
-            range_m *= 0.9
-            place_m = centre_m + range_m * _ACROSS[nearest]
-        placed_m.append(place_m)
+        range_m = min(float(far_m[nearest]), _NUMBER_REACH * reach_m) * 0.9 ** np.arange(20)
+        tried_m = centre_m + range_m[:, None] * _ACROSS[nearest]
+        place_m = tried_m[labels.put(tried_m, np.full(2, 0.055 * reach_m))]
         axis.plot(*place_m[::-1], **camera_mark(colour) | {"markersize": 9.0}, zorder=9)
         axis.text(*place_m[::-1], str(index + 1), **camera_digit() | {"fontsize": 6}, zorder=10)
-
-
-def _number_cameras(axis: Any, rig: Rig) -> None:  # noqa: ANN401 (matplotlib)
-    """Write the numbers of cameras beside their marks: outwards, and away from marks nearby."""
-    position_m = np.array([camera.position_m[:2] for camera in rig.cameras])
-    for index, (camera, place_m) in enumerate(zip(rig.cameras, position_m, strict=True)):
-        forward = camera.ego_from_camera[0, 2]
-        near_m = position_m[np.linalg.norm(position_m - place_m, axis=1) < 0.35]
-        away_m = place_m - near_m.mean(axis=0)
-        outwards = (0.0, np.sign(place_m[1])) if abs(place_m[1]) > 0.2 else (0.3 * np.sign(forward), 0.01)
-        towards = outwards + 0.4 * away_m / max(float(np.linalg.norm(away_m)), 0.01)
-        ahead_pt, left_pt = 8.0 * towards / np.linalg.norm(towards)
-        style = camera_digit() | {"fontsize": 6.5, "color": hex_colour(camera_rgb(index)), "path_effects": halo(1.8)}
-        offset = {"xytext": (-left_pt, ahead_pt), "textcoords": "offset points"}
-        axis.annotate(str(index + 1), place_m[::-1], **offset, **style, zorder=8)
 
 
 def _draw_ground(axis: Any, ground: VisibleGround, middle_m: np.ndarray, reach_m: float) -> None:  # noqa: ANN401

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -10,9 +9,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import ArgumentError
+from warpav.view._labels import Labels
 from warpav.view._outlines import seen_arcs_rad, seen_ground_m
 from warpav.view.figures.from_above import RING, X, Y, Z, draw_vehicle
-from warpav.view.figures.style import SCALES, Page, camera_cells, camera_digit, camera_mark, closed, figure_style, paper
+from warpav.view.figures.style import (
+    SCALES,
+    Page,
+    camera_cells,
+    closed,
+    figure_style,
+    mark_cameras,
+    paper,
+    text_points,
+    text_width_mm,
+)
 from warpav.view.palette import INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
@@ -23,10 +33,8 @@ _PAGE_MM = (210.0, 297.0)
 """A4; rigs of many cameras make it longer."""
 
 _MARGIN_MM, _HEAD_MM, _ROW_MM, _NOTE_MM, _GAP_MM = 12.0, 17.0, 4.6, 17.0, 9.0
-_MARK_MM = 2.3
-"""Diameter of a camera's mark: nearer ones have their numbers beside them."""
-_LETTER_MM = 1.9
-"""Width of a letter of their names."""
+_NAME_MM = 1.9
+"""Height of the capital letters of names."""
 _UPRIGHT_COSINE = 0.9
 """Beside the drawing there is no room for a level name."""
 _ARC_STEP_RAD = math.radians(1.0)
@@ -41,12 +49,12 @@ _NOTE = (
 )
 
 
-def horizontal_arcs_rad(camera: RigCamera) -> list[tuple[float, float]]:
+def _horizontal_arcs_rad(camera: RigCamera) -> list[tuple[float, float]]:
     """Azimuths at which the camera sees the horizon, in the ego frame, see `seen_arcs_rad`."""
     return seen_arcs_rad(camera, X, Y)
 
 
-def vertical_arcs_rad(camera: RigCamera) -> list[tuple[float, float]]:
+def _vertical_arcs_rad(camera: RigCamera) -> list[tuple[float, float]]:
     """Elevations that the camera sees in the upright plane of its optical axis, see `seen_arcs_rad`.
 
     0 is the horizon where the camera looks, pi / 2 up, -pi / 2 down; beyond them it is behind. Of a camera that looks
@@ -55,7 +63,7 @@ def vertical_arcs_rad(camera: RigCamera) -> list[tuple[float, float]]:
     return seen_arcs_rad(camera, _forward(camera), Z)
 
 
-def field_of_view_rad(camera: RigCamera) -> tuple[float, float]:
+def _field_of_view_rad(camera: RigCamera) -> tuple[float, float]:
     """The lens's own field of view across and down the image, through the optical axis; however the camera is turned.
 
     A fisheye of 190 degrees has 190 here also where it is pitched, and so sees more of the horizon than that.
@@ -82,11 +90,11 @@ def rig_sheet(
 
     What is drawn follows from the lens and the rotation of each camera, not from its angles alone:
 
-    - From above, a fan over the azimuths at which the camera sees the horizon (`horizontal_arcs_rad`). A camera that
+    - From above, a fan over the azimuths at which the camera sees the horizon (`_horizontal_arcs_rad`). A camera that
       sees none of it has the level ground that it sees instead, from the nearest to the farthest point at each azimuth,
       hatched; one that looks up has nothing.
     - From the side, a fan over the elevations that it sees in the upright plane of its optical axis
-      (`vertical_arcs_rad`), turned about the camera's vertical into the page, to the front or the rear, whichever is
+      (`_vertical_arcs_rad`), turned about the camera's vertical into the page, to the front or the rear, whichever is
       nearer to where it looks. It ends at the ground.
 
     Fans end at the outermost range ring, and from the side where the page has no more room, which is said there.
@@ -137,10 +145,15 @@ def rig_sheet(
         _draw_rings(above, side, ring_m, middle_m)
         _draw_from_above(above, rig, middle_m, reach_m, 0.001 * scale)
         _draw_from_side(side, rig, middle_m, reach_m)
-        if top_m < reach_m:
-            _draw_cut(side, top_m)
+        if top_m < reach_m:  # what the view from the side shows does not end there
+            grey = hex_colour(MUTED_RGB)
+            side.axhline(top_m, color=grey, linewidth=0.8, linestyle=(0, (1, 2)), zorder=9, clip_on=False)
+            style = {"ha": "right", "va": "bottom", "fontsize": 6.5, "color": grey, "annotation_clip": False}
+            place = {"xycoords": ("axes fraction", "data"), "xytext": (0, 3), "textcoords": "offset points"}
+            side.annotate(f"cut {top_m:.1f} m above the ground", (1.0, top_m), **place, **style)
         for axis, across in ((above, [0, 1]), (side, [0, 2])):
-            _draw_marks(axis, np.array([camera.position_m[across] for camera in rig.cameras]), 0.001 * scale)
+            place_m = np.array([camera.position_m[across] for camera in rig.cameras])
+            mark_cameras(axis, place_m, per_pt=25.4 / 72.0 * 0.001 * scale)
         below_mm += side_mm + _GAP_MM
         rows = [_HEADINGS, *(_row(index, camera) for index, camera in enumerate(rig.cameras))]
         names_mm = min(max(38.0, 1.65 * max(len(row[0]) for row in rows)), 54.0)
@@ -179,7 +192,7 @@ def _draw_from_above(
     bearing_rad = []
     for index, camera in enumerate(rig.cameras):
         colour, centre_m = hex_colour(camera_rgb(index)), camera.position_m[:2]
-        arcs = horizontal_arcs_rad(camera)
+        arcs = _horizontal_arcs_rad(camera)
         for outline_m in (_fan_m(arc, centre_m, middle_m, reach_m) for arc in arcs):
             _draw_fan(axis, outline_m, colour, alpha=0.14)
         if not arcs:
@@ -193,20 +206,35 @@ def _draw_from_above(
             forward = np.array([math.cos(middle_rad), math.sin(middle_rad)])
         end_m = centre_m + _distance_m(centre_m, forward, middle_m, reach_m) * forward - middle_m
         bearing_rad.append(math.atan2(end_m[1], end_m[0]))
-    names = [f"{index + 1} {camera.name}" for index, camera in enumerate(rig.cameras)]
-    long_rad = [_LETTER_MM * len(name) * m_per_mm / reach_m for name in names]
-    for index, place_rad in enumerate(_apart(bearing_rad, long_rad)):
-        outwards = np.array([math.cos(place_rad), math.sin(place_rad)])
-        is_upright = abs(outwards[0]) > _UPRIGHT_COSINE
-        across = "left" if outwards[0] > 0.0 else "right"
-        # an upright name lies along the ring
-        place_m = middle_m + (1.05 if is_upright else 1.02) * reach_m * outwards
-        turn_rad = (place_rad if outwards[0] < 0.0 else place_rad - math.pi) + 0.5 * math.pi
-        style = {"fontsize": 7.5, "fontweight": "bold", "rotation_mode": "anchor", "zorder": 10}
-        style |= {"ha": "center" if is_upright or abs(outwards[0]) < 0.2 else across}
-        style |= {"va": "center" if is_upright else "bottom" if outwards[1] > 0.0 else "top"}
-        style |= {"rotation": math.degrees(turn_rad) if is_upright else 0.0}
-        axis.text(*place_m, names[index], color=hex_colour(camera_rgb(index)), **style)
+    _name_cameras(axis, rig, bearing_rad, middle_m, reach_m, m_per_mm)
+
+
+def _name_cameras(
+    axis: Any,  # noqa: ANN401 (matplotlib)
+    rig: Rig,
+    bearing_rad: Sequence[float],
+    middle_m: np.ndarray,
+    reach_m: float,
+    m_per_mm: float,
+) -> None:
+    """Names outside of the outermost ring, along it where there is no room for level ones."""
+    half_m = np.array([0.5 * _PAGE_MM[0] - 0.5 * _MARGIN_MM, 0.5 * _PAGE_MM[1]]) * m_per_mm
+    labels = Labels(within=[*(middle_m - half_m), *(middle_m + half_m)])
+    for index, (camera, wish_rad) in enumerate(zip(rig.cameras, bearing_rad, strict=True)):
+        name = f"{index + 1} {camera.name}"
+        size_m = m_per_mm * np.array([text_width_mm(name, _NAME_MM, is_bold=True) + 1.0, 2.0 * _NAME_MM])
+        angle_rad = wish_rad + math.radians(1.5) * np.array(sorted(range(-119, 121), key=abs))
+        outwards = np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=1)
+        is_upright = np.abs(outwards[:, :1]) > _UPRIGHT_COSINE
+        along, across = np.abs(outwards[:, ::-1]), np.abs(outwards)
+        extent_m = np.where(is_upright, size_m[0] * along + size_m[1] * across, size_m)
+        beside_m = 0.5 * size_m * np.sign(outwards) * (across > [0.2, 0.0])
+        tried_m = middle_m + np.where(is_upright, 1.05, 1.02) * reach_m * outwards + np.where(is_upright, 0.0, beside_m)
+        best = labels.put(tried_m, extent_m)
+        turn_rad = (angle_rad[best] if outwards[best, 0] < 0.0 else angle_rad[best] - math.pi) + 0.5 * math.pi
+        style = {"fontsize": text_points(_NAME_MM), "fontweight": "bold", "rotation_mode": "anchor", "zorder": 10}
+        style |= {"ha": "center", "va": "center", "rotation": math.degrees(turn_rad) if is_upright[best] else 0.0}
+        axis.text(*tried_m[best], name, color=hex_colour(camera_rgb(index)), **style)
 
 
 def _draw_from_side(axis: Any, rig: Rig, middle_m: np.ndarray, reach_m: float) -> None:  # noqa: ANN401 (matplotlib)
@@ -215,53 +243,9 @@ def _draw_from_side(axis: Any, rig: Rig, middle_m: np.ndarray, reach_m: float) -
         colour = hex_colour(camera_rgb(index))
         centre_m = camera.position_m[[0, 2]]
         sign = 1.0 if _forward(camera)[0] > -_ANGLE_EPSILON else -1.0
-        for arc in vertical_arcs_rad(camera):
+        for arc in _vertical_arcs_rad(camera):
             outline_m = _fan_m(arc, centre_m, ground_m, reach_m, sign=sign, on_ground=True)
             _draw_fan(axis, outline_m, colour, alpha=0.05)  # many lie on each other
-
-
-def _draw_cut(axis: Any, top_m: float) -> None:  # noqa: ANN401 (matplotlib)
-    """Say at the upper edge of the view from the side that it ends there, and what it shows does not."""
-    grey = hex_colour(MUTED_RGB)
-    axis.axhline(top_m, color=grey, linewidth=0.8, linestyle=(0, (1, 2)), zorder=9, clip_on=False)
-    text = f"cut {top_m:.1f} m above the ground"
-    style = {"ha": "right", "va": "bottom", "fontsize": 6.5, "color": grey, "annotation_clip": False}
-    place = {"xycoords": ("axes fraction", "data"), "xytext": (0, 3), "textcoords": "offset points"}
-    axis.annotate(text, (1.0, top_m), **place, **style)
-
-
-def _draw_marks(axis: Any, place_m: np.ndarray, m_per_mm: float) -> None:  # noqa: ANN401 (matplotlib)
-    """Draw the places of cameras [camera, 2]; those that lie on each other have their numbers above them."""
-    for index, each_m in enumerate(place_m):
-        axis.plot(*each_m, **camera_mark(hex_colour(camera_rgb(index))), zorder=7)
-    taken: list[tuple[np.ndarray, float]] = []
-    for group in _near_each_other(place_m, _MARK_MM * m_per_mm):
-        if len(group) == 1:
-            axis.text(*place_m[group[0]], str(group[0] + 1), **camera_digit(), zorder=8)
-            continue
-        text = ", ".join(str(index + 1) for index in group)
-        foot_m = np.array([place_m[group, 0].mean(), place_m[group, 1].max()])
-        half_m = 0.6 * len(text) * m_per_mm
-        middle_m = foot_m + np.array([0.0, 2.6 * m_per_mm])
-        while any(
-            abs(middle_m[0] - other_m[0]) < half_m + other_half_m and abs(middle_m[1] - other_m[1]) < 2.4 * m_per_mm
-            for other_m, other_half_m in taken
-        ):
-            middle_m[1] += 2.5 * m_per_mm
-        taken.append((middle_m, half_m))
-        ink = hex_colour(INK_RGB)
-        axis.plot(*np.stack([foot_m, middle_m]).T, color=ink, linewidth=0.5, zorder=6)
-        bold = {"fontsize": 5.5, "fontweight": "bold", "color": ink, "bbox": paper(0.6, 0.85), "zorder": 11}
-        axis.text(*middle_m, text, **bold, ha="center", va="center_baseline")
-
-
-def _near_each_other(place_m: np.ndarray, least_m: float) -> list[list[int]]:
-    """Places in groups: whoever is nearer to one of a group belongs to it."""
-    from scipy.sparse.csgraph import connected_components
-
-    apart_m = np.linalg.norm(place_m[:, None] - place_m, axis=-1)
-    count, group = connected_components(apart_m < least_m, directed=False)
-    return [np.flatnonzero(group == k).tolist() for k in range(count)]
 
 
 def _fan_m(
@@ -277,21 +261,19 @@ def _fan_m(
     first, last = arc_rad
     angle_rad = np.linspace(first, last, 2 + math.ceil((last - first) / _ARC_STEP_RAD))
     direction = np.stack([sign * np.cos(angle_rad), np.sin(angle_rad)], axis=-1)
-    distance_m = np.array([_distance_m(centre_m, each, middle_m, reach_m) for each in direction])
+    distance_m = _distance_m(centre_m, direction, middle_m, reach_m)
     if on_ground:
-        down = -direction[:, 1]
-        to_ground_m = np.full(len(down), np.inf)
-        np.divide(max(centre_m[1], 0.0), down, out=to_ground_m, where=down > _ANGLE_EPSILON)
-        distance_m = np.minimum(distance_m, to_ground_m)
+        down = np.maximum(-direction[:, 1], _ANGLE_EPSILON)
+        distance_m = np.minimum(distance_m, max(centre_m[1], 0.0) / down)
     return np.vstack([centre_m, centre_m + distance_m[:, None] * direction])
 
 
-def _distance_m(start_m: np.ndarray, direction: np.ndarray, middle_m: np.ndarray, radius_m: float) -> float:
-    """How far it is from a point to a circle around it along a unit direction; 0 for a point outside."""
+def _distance_m(start_m: np.ndarray, direction: np.ndarray, middle_m: np.ndarray, radius_m: float) -> np.ndarray:
+    """How far it is from a point to a circle around it along unit directions [..., 2]; 0 for a point outside."""
     offset_m = start_m - middle_m
-    along = float(offset_m @ direction)
+    along = direction @ offset_m
     square = along * along - float(offset_m @ offset_m) + radius_m * radius_m
-    return max(-along + math.sqrt(square), 0.0) if square > 0.0 else 0.0
+    return np.where(square > 0.0, np.maximum(np.sqrt(np.maximum(square, 0.0)) - along, 0.0), 0.0)
 
 
 def _draw_fan(axis: Any, outline_m: np.ndarray, colour: str, *, alpha: float) -> None:  # noqa: ANN401 (matplotlib)
@@ -299,30 +281,11 @@ def _draw_fan(axis: Any, outline_m: np.ndarray, colour: str, *, alpha: float) ->
     axis.plot(*closed(outline_m).T, color=colour, linewidth=0.9, zorder=4)
 
 
-def _apart(bearing_rad: Sequence[float], long_rad: Sequence[float]) -> list[float]:
-    """Bearings moved apart where names would lie on each other; upright ones are as long as stated."""
-    place, length = np.array(bearing_rad), np.array(long_rad)
-    usual_rad = math.radians(min(20.0, 300.0 / len(place)))
-    room = min(1.0, math.radians(300.0) / max(float(length.sum()), 1e-9))
-    for _ in range(200):
-        moved = False
-        for i, j in itertools.combinations(range(len(place)), 2):
-            gap = math.remainder(place[j] - place[i], 2.0 * math.pi)
-            both_upright = min(abs(math.cos(place[i])), abs(math.cos(place[j]))) > _UPRIGHT_COSINE
-            least_rad = max(usual_rad, 0.5 * room * (length[i] + length[j])) if both_upright else usual_rad
-            if abs(gap) < least_rad - 1e-3:
-                push = 0.5 * (least_rad - abs(gap)) * (1.0 if gap >= 0.0 else -1.0)
-                place[i], place[j], moved = place[i] - push, place[j] + push, True
-        if not moved:
-            break
-    return [float(each) for each in place]
-
-
 _HEADINGS = ("camera", "module or lens", "image [px]", "field [°]", "x, y, z [m]", "yaw, pitch, roll [°]")
 
 
 def _row(index: int, camera: RigCamera) -> tuple[str, ...]:
-    seen = [f"{math.degrees(each):.0f}" for each in field_of_view_rad(camera)]
+    seen = [f"{math.degrees(each):.0f}" for each in _field_of_view_rad(camera)]
     angles_deg = np.degrees([camera.yaw_rad, camera.pitch_rad, camera.roll_rad]) + 0.0
     place, angles = (", ".join(f"{x:.{k}f}" for x in each) for each, k in ((camera.position_m, 2), (angles_deg, 0)))
     return (*camera_cells(index, camera), " x ".join(seen), place, angles)

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from warpav.view.figures.from_above import (
     draw_zone_border,
     start_and_end_handles,
 )
-from warpav.view.figures.images import DetectionPanel, detection_handles, draw_detections
+from warpav.view.figures.images import detection_handles, draw_detections
 from warpav.view.figures.style import (
     PALE,
     WIDTH_INCH,
@@ -50,10 +50,13 @@ from warpav.view.layers import SQUARE
 from warpav.view.palette import INK_RGB, MISS_RGB, MUTED_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
+    from warpav.evaluation.metrics import RigObservation
     from warpav.optimisation.constraints import Constraints
     from warpav.scene.scene import Scene
 
 _IMAGES_A_ROW = 4
+_SceneView: TypeAlias = "tuple[Scene, RigObservation]"
+"""A scene, and what the cameras of a rig and the detector make of it."""
 _HEAT = ("heat", "#2c4fa3", "#4fa3d1", "#f3e38a", "#ee7b35", "#a3121f", "#6b0612")
 """From blue, where vehicles are rare, to dark red, where most are; the thesis's colours."""
 
@@ -65,15 +68,6 @@ class OptimisedRig:
     start: Rig
     trajectory_m: np.ndarray
     end: Rig
-
-
-@dataclass(frozen=True, eq=False)
-class SceneViews:
-    """What a rig's cameras and detector make of a scene."""
-
-    scene: Scene
-    is_found: np.ndarray
-    panels: Sequence[DetectionPanel]
 
 
 def without_and_with_constraints(
@@ -116,7 +110,7 @@ def without_and_with_constraints(
         return save_figure(figure, path)
 
 
-def before_and_after(rows: Mapping[str, tuple[Rig, Sequence[SceneViews]]], path: Path | str) -> Path:
+def before_and_after(rows: Mapping[str, tuple[Rig, Sequence[_SceneView]]], path: Path | str) -> Path:
     """Figure 11: what rigs see of scenes: all road users from above, and the fullest scene through every camera."""
     columns = 1 + max(len(rig.cameras) for rig, _ in rows.values())
     with figure_style():
@@ -126,16 +120,16 @@ def before_and_after(rows: Mapping[str, tuple[Rig, Sequence[SceneViews]]], path:
         for (heading, (rig, views)), axes in zip(rows.items(), grid, strict=True):
             _draw_plan(axes[0], rig, views)
             axes[0].set_ylabel(heading, fontweight="bold", fontsize=11)
-            _draw_images(axes[1:], _fullest(views))
+            _draw_images(axes[1:], rig, views)
         text = "Left: all vehicles of the scenes from above, and the cameras' fields of view. "
         text += "Right: the one of these scenes with most vehicles, through every camera."
         _legend(figure, detection_handles(), text)
         return save_figure(figure, path)
 
 
-def highest_rig(rig: Rig, views: Sequence[SceneViews], path: Path | str, *, surface: MountSurface) -> Path:
+def highest_rig(rig: Rig, views: Sequence[_SceneView], path: Path | str, *, surface: MountSurface) -> Path:
     """Figure 12: the rig around the vehicle's highest point, its sectors, and what it finds in scenes."""
-    ego = views[0].scene.ego
+    ego = views[0][0].ego
     image_rows = math.ceil(len(rig.cameras) / _IMAGES_A_ROW)
     with figure_style():
         figure = new_figure(WIDTH_INCH, 5.0 + 2.35 * image_rows)
@@ -152,7 +146,7 @@ def highest_rig(rig: Rig, views: Sequence[SceneViews], path: Path | str, *, surf
         axes = lower.subplots(image_rows, _IMAGES_A_ROW, squeeze=False).flat
         for axis in axes[len(rig.cameras) :]:
             axis.set_axis_off()
-        _draw_images(axes[: len(rig.cameras)], _fullest(views))
+        _draw_images(axes[: len(rig.cameras)], rig, views)
         covered_deg = math.degrees(covered_rad(rig))
         _legend(
             figure,
@@ -177,26 +171,24 @@ def covered_rad(rig: Rig) -> float:
     return covered
 
 
-def _fullest(views: Sequence[SceneViews]) -> SceneViews:
-    return max(views, key=lambda view: len(view.scene.vehicles))
-
-
-def _draw_images(axes: Sequence[Any], view: SceneViews) -> None:
-    for k, (axis, panel) in enumerate(zip(axes, view.panels, strict=True)):
-        draw_detections(axis, panel)
+def _draw_images(axes: Sequence[Any], rig: Rig, views: Sequence[_SceneView]) -> None:
+    """Draw the fullest of some scenes through every camera."""
+    _, observation = max(views, key=lambda view: len(view[0].vehicles))
+    for k, (axis, camera, seen) in enumerate(zip(axes, rig.cameras, observation.cameras, strict=True)):
+        draw_detections(axis, camera.name, seen)
         axis.set(xticks=[], yticks=[])
         axis.grid(visible=False)
         for spine in axis.spines.values():
             spine.set(visible=True, color=hex_colour(camera_rgb(k)), linewidth=2.0)
 
 
-def _draw_plan(axis: Any, rig: Rig, views: Sequence[SceneViews]) -> None:  # noqa: ANN401 (matplotlib)
+def _draw_plan(axis: Any, rig: Rig, views: Sequence[_SceneView]) -> None:  # noqa: ANN401 (matplotlib)
     """Draw from above who is found and who is not in some scenes, x pointing right, and the rig's sectors."""
-    boxes = [vehicle.box for view in views for vehicle in view.scene.vehicles]
-    is_found = np.concatenate([view.is_found for view in views])
+    boxes = [vehicle.box for scene, _ in views for vehicle in scene.vehicles]
+    is_found = np.concatenate([observation.detected for _, observation in views])
     reach_m = max((np.abs(box.corners_m()[:, :2]).max() for box in boxes), default=20.0)
     reach_m = 5.0 * math.ceil(reach_m / 5.0)
-    draw_vehicle(axis, views[0].scene.ego)
+    draw_vehicle(axis, views[0][0].ego)
     for index, camera in enumerate(rig.cameras):
         outline = sector_polygon_m(camera, radius_m=1.5 * reach_m)  # to the corners of the panel
         axis.fill(*outline.T, color=hex_colour(camera_rgb(index)), alpha=0.13, linewidth=0, zorder=0)

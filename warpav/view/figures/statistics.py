@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +17,6 @@ from warpav.view.figures.style import (
     figure_style,
     new_figure,
     save_figure,
-    svg_text,
     title,
 )
 from warpav.view.palette import (
@@ -38,6 +36,7 @@ if TYPE_CHECKING:
     from warpav.detection.probability import DetectionProbability
     from warpav.detection.probability_fit import CalibrationBin
     from warpav.evaluation.perturbations import CameraOutages, MountTolerance
+    from warpav.evaluation.statistics import Difference
 
 
 def reliability_diagram(
@@ -90,51 +89,26 @@ def detection_curves(model: DetectionProbability, feature: np.ndarray, path: Pat
         return save_figure(figure, path)
 
 
-@dataclass(frozen=True)
-class MetricDifference:
-    """A difference of two rigs in a metric, the first minus the other."""
-
-    metric: str
-    other: str
-    mean: float
-    low: float
-    high: float
-
-
 _Groups = Mapping[str, Any]
 """Objects of about one distance, sector or kind, by its name, as `warpav.evaluation` counts them."""
 
 
-def differences(rows: Sequence[MetricDifference], first: str) -> str:
-    """Differences of one rig to others with their intervals, as SVG."""
-
-    def draw(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
+def differences_figure(rows: Mapping[str, Difference], first: str) -> Any:  # noqa: ANN401 (matplotlib)
+    """Differences of one rig to others with their intervals, by what they are called."""
+    with figure_style():
+        figure = new_figure(0.5 * WIDTH_INCH, 0.9 + 0.42 * len(rows))
+        axis = figure.subplots()
         axis.axvline(0.0, color=hex_colour(INK_RGB), linewidth=1.2)
-        for line, row in enumerate(rows):
-            colour = hex_colour(BASELINE_RGB.get(row.other, INK_RGB))
+        for line, (name, row) in enumerate(rows.items()):
+            colour = hex_colour(BASELINE_RGB.get(name.rpartition(" ")[2], INK_RGB))
             axis.plot([row.low, row.high], [line, line], color=colour, linewidth=2.4)
             axis.plot(row.mean, line, "o", color=colour, markersize=7)
-        axis.set_yticks(range(len(rows)), [f"{row.metric}\nagainst {row.other}" for row in rows])
+        axis.set_yticks(range(len(rows)), list(rows))
         axis.set(ylim=(len(rows) - 0.4, -0.6), title="Differences with 95 % intervals")
         axis.locator_params(axis="x", nbins=5)
         axis.set_xlabel(f"← worse    {first} minus other    better →")
         axis.grid(visible=False, axis="y")
-
-    return svg_text(draw, 0.9 + 0.42 * len(rows))
-
-
-def recall_by_group(tables: Mapping[str, _Groups], title: str, *, unit: str = "") -> str | None:
-    """Recall by group, a dot for every rig and the first one's 95 % interval, as SVG; None without objects."""
-    groups = _groups(tables)
-    if not groups:
-        return None
-
-    def draw(axis: Any) -> None:  # noqa: ANN401 (matplotlib)
-        handles, names = _draw_recall(axis, tables, title, unit=unit)
-        below = (0.4, -0.55 / (0.3 * len(groups) + 0.6))
-        axis.legend(handles[::-1], names[::-1], loc="upper center", bbox_to_anchor=below, ncols=4)
-
-    return svg_text(draw, 1.45 + 0.3 * len(groups))
+    return figure
 
 
 def recall_figure(groupings: Mapping[str, Mapping[str, _Groups]], *, title: str) -> Any:  # noqa: ANN401
@@ -157,13 +131,7 @@ def _groups(tables: Mapping[str, _Groups]) -> list[str]:
     return [name for name, group in next(iter(tables.values())).items() if group.objects]
 
 
-def _draw_recall(
-    axis: Any,  # noqa: ANN401 (matplotlib)
-    tables: Mapping[str, _Groups],
-    title: str,
-    *,
-    unit: str = "",
-) -> tuple[list[Any], list[str]]:
+def _draw_recall(axis: Any, tables: Mapping[str, _Groups], title: str) -> tuple[list[Any], list[str]]:  # noqa: ANN401
     """Draw recall by group; returns what a legend needs."""
     first, *others = tables
     groups = _groups(tables)
@@ -178,7 +146,7 @@ def _draw_recall(
     values = np.array([tables[first][group].recall for group in groups], np.float64)
     axis.plot(values, range(len(groups)), "o", color=colour, markersize=6, clip_on=False, zorder=5, label=first)
     handles, names = axis.get_legend_handles_labels()
-    axis.set_yticks(range(len(groups)), [f"{group}{unit}  ({tables[first][group].objects})" for group in groups])
+    axis.set_yticks(range(len(groups)), [f"{group}  ({tables[first][group].objects})" for group in groups])
     axis.set(ylim=(len(groups) - 0.4, -0.6), xlim=(0.0, 1.02), title=title, xlabel="recall (number of objects)")
     return handles, names
 

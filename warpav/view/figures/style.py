@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warpav.core.errors import ArgumentError
-from warpav.view.output import write_whole
+from warpav.view._labels import Labels, around
+from warpav.view.output import write_bytes
 from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, PAPER_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
@@ -19,9 +20,6 @@ if TYPE_CHECKING:
 
 WIDTH_INCH = 9.0
 DOTS_PER_INCH = 150
-SVG_WIDTH_INCH = 4.5
-"""Of panels as SVG: a phone shows one below the other, and every letter can be read."""
-
 _METADATA: dict[str, Any] = {
     ".png": {"Software": None},
     ".pdf": {"Creator": None, "Producer": None, "CreationDate": None},
@@ -95,35 +93,14 @@ def figure_bytes(figure: Any, suffix: str) -> bytes:  # noqa: ANN401 (matplotlib
 def save_figure(figure: Any, path: Path | str) -> Path:  # noqa: ANN401 (matplotlib)
     """Write a figure as a file that appears whole or not at all, the same every time; missing folders are made."""
     path = Path(path)
-    return write_whole(path, figure_bytes(figure, path.suffix.lower()))
+    return write_bytes(path, figure_bytes(figure, path.suffix.lower()))
 
 
-def svg_text(draw: Callable[[Any], None], height_inch: float) -> str:
-    """What a function draws into an axis, as SVG; the same every time."""
-    import matplotlib
-
-    clear: Any = {"svg.hashsalt": "warpav", "figure.facecolor": "none", "axes.facecolor": "none"}
-    with figure_style(), matplotlib.rc_context(clear):
-        figure = new_figure(SVG_WIDTH_INCH, height_inch)
-        draw(figure.subplots())
-        text = io.StringIO()
-        figure.savefig(text, format="svg", metadata=_METADATA[".svg"])
-    return text.getvalue()
-
-
-def checked_png(path: Path | str) -> Path:
-    """The path of a PNG file to write."""
+def checked_figure(path: Path | str, suffixes: Sequence[str] = FIGURE_SUFFIXES) -> Path:
+    """The path of a figure to write, which has one of these suffixes."""
     path = Path(path)
-    if path.suffix.lower() != ".png":
-        raise ArgumentError("out", f"expected a name that ends in .png, got {path.suffix!r}", place=path)
-    return path
-
-
-def checked_figure(path: Path | str) -> Path:
-    """The path of a figure to write."""
-    path = Path(path)
-    if path.suffix.lower() not in FIGURE_SUFFIXES:
-        expected = ", ".join(FIGURE_SUFFIXES)
+    if path.suffix.lower() not in suffixes:
+        expected = ", ".join(suffixes)
         raise ArgumentError("out", f"expected a name that ends in {expected}, got {path.suffix!r}", place=path)
     return path
 
@@ -275,3 +252,39 @@ def camera_mark(colour: str) -> dict[str, Any]:
 def camera_digit() -> dict[str, Any]:
     """How its number is written on that, for ``text`` of an axis."""
     return {"fontsize": 5, "color": "white", "fontweight": "bold", "ha": "center", "va": "center_baseline"}
+
+
+def mark_cameras(axis: Any, place: np.ndarray, *, per_pt: float) -> None:  # noqa: ANN401 (matplotlib)
+    """Mark places of cameras [camera, 2] with their numbers, beside the marks where these lie on each other.
+
+    So many units of the axis are a point.
+    """
+    half = 3.6 * per_pt
+    labels = Labels(np.hstack([place - half, place + half]))
+    for index, at in enumerate(place):
+        text, colour = str(index + 1), hex_colour(camera_rgb(index))
+        is_alone = (np.abs(place - at).max(axis=1) < 2.0 * half).sum() == 1
+        axis.plot(*at, **camera_mark(colour) | ({} if is_alone else {"markersize": 4.0}), zorder=7)
+        if is_alone:
+            axis.text(*at, text, **camera_digit(), zorder=8)
+            continue
+        size, away = per_pt * np.array([4.4 * len(text) + 1.0, 6.0]), [per_pt * k for k in (5.0, 8.0, 12.0, 17.0, 23.0)]
+        tried = around(at, size, away, math.atan2(*(at - place.mean(axis=0))[::-1]))
+        beside = tried[labels.put(tried, size)]
+        axis.plot(*np.stack([at, beside]).T, color=colour, linewidth=0.5, zorder=6)
+        style = {"fontsize": 6.5, "color": colour, "path_effects": halo(1.8), "zorder": 11}
+        axis.text(*beside, text, **camera_digit() | style)
+
+
+def text_points(height_mm: float) -> float:
+    """The size of a font whose capital letters are so high, in points."""
+    return height_mm / 0.72 / 25.4 * 72.0
+
+
+def text_width_mm(text: str, height_mm: float, *, is_bold: bool = False) -> float:
+    """How wide a text is whose capital letters are so high."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    font = FontProperties(weight="bold" if is_bold else "normal", size=text_points(height_mm))
+    return text_to_path.get_text_width_height_descent(text, font, ismath=False)[0] / 72.0 * 25.4
