@@ -47,16 +47,18 @@ from warpav.runs.networks import Networks, load_networks
 from warpav.runs.rig_source import read_baselines, read_start, with_added_cameras
 from warpav.runs.scene_set import (
     SceneSet,
+    are_town,
     check_zones,
+    checked_scenes,
     checked_vehicle,
     known_vehicle,
     load_scene_set,
     own_vehicle,
     pack_scenes,
+    scene_options,
 )
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
-from warpav.scene.town.levels import level_of
 from warpav.sight.read import read_requirements
 from warpav.sight.requirement import Requirement
 
@@ -127,7 +129,7 @@ class Parts:
     @property
     def has_own_scenes(self) -> bool:
         """Whether no configuration can name its scenes."""
-        return self.scenes is not None and (self.ego is not None or not all(map(_are_town, self.scenes)))
+        return self.scenes is not None and (self.ego is not None or not all(map(are_town, self.scenes)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +220,7 @@ class Placement:
         for name in options.keys() - known.keys():
             near = difflib.get_close_matches(name, known, 1)
             raise TypeError(f"{name}: expected one of {', '.join(known)}" + (f"; did you mean {near[0]}?" * bool(near)))
-        scenes = _checked_scenes("train", train), _checked_scenes("validation", validation, least=0)
+        scenes = checked_scenes("train", train), checked_scenes("validation", validation, least=0)
         own_detector = None if detector is None or isinstance(detector, (str, Path)) else detector
         if own_detector is not None and not callable(getattr(own_detector, "detect", None)):
             raise TypeError(
@@ -248,7 +250,7 @@ class Placement:
             **{f"rig.{name}": value for name, value in (_section(options.get("rig")) or {}).items()},
         }
         given = {name: value for name, value in given.items() if value is not None}
-        self.config = base.replace({**given, **_scene_options(*scenes, base)})
+        self.config = base.replace({**given, **scene_options(*scenes, base)})
         freeze = options.get("freeze", ())
         names = (freeze,) if isinstance(freeze, str) else tuple(freeze)
         self.parts = Parts(
@@ -496,7 +498,7 @@ class Placement:
     def observed(self, scenes: Sequence[Scene], *, progress: Progress | None = None) -> list[AssignedScene]:
         """Other scenes as this placement sees them: around its vehicle, with its targets, assigned, on its device."""
         progress = progress or NullProgress()
-        scenes = _checked_scenes("scenes", scenes)
+        scenes = checked_scenes("scenes", scenes)
         self.prepare(progress)
         known = self._ready.scenes
         packed = []
@@ -760,19 +762,6 @@ def _camera_probabilities(
     return [each for name in modules if (each := of_module[name]) is not None]
 
 
-def _checked_scenes(name: str, scenes: Sequence[Scene], *, least: int = 1) -> list[Scene]:
-    """Scenes of an argument, as a list."""
-    if isinstance(scenes, Scene):
-        raise TypeError(f"{name}: expected a list of scenes, got one Scene; write [scene]")
-    found = list(scenes)
-    for scene in found:
-        if not isinstance(scene, Scene):
-            raise TypeError(f"{name}: expected scenes, such as town([0, 1]) gives, got {type(scene).__name__}")
-    if len(found) < least:
-        raise ArgumentError(name, "expected at least one scene, got none")
-    return found
-
-
 def _checked_losses(losses: Sequence[tuple[float, Loss | LossFunction]]) -> tuple[tuple[float, Loss], ...]:
     """The losses of an argument, functions among them."""
     found = []
@@ -786,34 +775,6 @@ def _checked_losses(losses: Sequence[tuple[float, Loss | LossFunction]]) -> tupl
             raise TypeError(f"losses: expected pairs of a weight and a loss, such as (0.1, my_loss), got {each!r}")
         found.append((float(each[0]), each[1] if isinstance(each[1], Loss) else UserLoss.of(each[1])))
     return tuple(found)
-
-
-def _are_town(scenes: Sequence[Scene]) -> bool:
-    """Whether these are embedded scenes of one level as they are made."""
-    found = [level_of(scene.source) for scene in scenes]
-    return None not in found and len({one[0] for one in found if one is not None}) <= 1
-
-
-def _scene_options(train: Sequence[Scene], validation: Sequence[Scene], base: Config) -> dict[str, object]:
-    """What a configuration can say of scenes: the seeds of embedded ones, and no batch larger than they are many."""
-    options: dict[str, object] = {"run.batch_size": min(base.run.batch_size, len(train))}
-    if not _are_town([*train, *validation]):
-        return options
-    known = [[one for scene in each if (one := level_of(scene.source)) is not None] for each in (train, validation)]
-    seeds = [[seed for _, seed in each] for each in known]
-    level = known[0][0][0]
-    used = {*seeds[0], *seeds[1]}
-    test = [seed for seed in base.scenes.test_seeds if seed not in used] or [max(used) + 1]
-    return {
-        **options,
-        "scenes.source": "town",
-        "scenes.level": None if level == "easy" else level,
-        "scenes.recordings": None,
-        "scenes.test_recordings": None,
-        "scenes.train_seeds": list(dict.fromkeys(seeds[0])),
-        "scenes.validation_seeds": list(dict.fromkeys(seeds[1])) or None,
-        "scenes.test_seeds": test,
-    }
 
 
 def _named(source: object) -> str | None:

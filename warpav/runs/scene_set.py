@@ -30,7 +30,7 @@ from warpav.scene.files import CaptureTask, SceneTask, capture_path, capture_sce
 from warpav.scene.reconstruction.settings import METHOD_PACKAGES, ReconstructionSettings
 from warpav.scene.scene import ROAD_USERS, Scene
 from warpav.scene.stored_scene import SceneRecipe, StoredScene, scenes_of, stored_scenes
-from warpav.scene.town.levels import Level, TownSource, level_scene
+from warpav.scene.town.levels import Level, TownSource, level_of, level_scene
 from warpav.scene.town.town import ego_vehicle
 from warpav.scene.traffic.files import content_digest
 from warpav.scene.traffic.moments import moment_of, search_and_test, traffic_of
@@ -488,3 +488,44 @@ def _is_same_size(one_bounds_m: np.ndarray, other_bounds_m: np.ndarray) -> bool:
 def _check_same_vehicle(name: str, bounds_m: np.ndarray, first_bounds_m: np.ndarray) -> None:
     if not _is_same_size(bounds_m, first_bounds_m):
         raise InputError(f"{name}: ego: expected the same vehicle as in the first scene, got another")
+
+
+def checked_scenes(name: str, scenes: Sequence[Scene], *, least: int = 1) -> list[Scene]:
+    """Scenes of an argument, as a list."""
+    if isinstance(scenes, Scene):
+        raise TypeError(f"{name}: expected a list of scenes, got one Scene; write [scene]")
+    found = list(scenes)
+    for scene in found:
+        if not isinstance(scene, Scene):
+            raise TypeError(f"{name}: expected scenes, such as town([0, 1]) gives, got {type(scene).__name__}")
+    if len(found) < least:
+        raise ArgumentError(name, "expected at least one scene, got none")
+    return found
+
+
+def are_town(scenes: Sequence[Scene]) -> bool:
+    """Whether these are embedded scenes of one level as they are made."""
+    found = [level_of(scene.source) for scene in scenes]
+    return None not in found and len({one[0] for one in found if one is not None}) <= 1
+
+
+def scene_options(train: Sequence[Scene], validation: Sequence[Scene], base: Config) -> dict[str, object]:
+    """What a configuration can say of scenes: the seeds of embedded ones, and no batch larger than they are many."""
+    options: dict[str, object] = {"run.batch_size": min(base.run.batch_size, len(train))}
+    if not are_town([*train, *validation]):
+        return options
+    known = [[one for scene in each if (one := level_of(scene.source)) is not None] for each in (train, validation)]
+    seeds = [[seed for _, seed in each] for each in known]
+    level = known[0][0][0]
+    used = {*seeds[0], *seeds[1]}
+    test = [seed for seed in base.scenes.test_seeds if seed not in used] or [max(used) + 1]
+    return {
+        **options,
+        "scenes.source": "town",
+        "scenes.level": None if level == "easy" else level,
+        "scenes.recordings": None,
+        "scenes.test_recordings": None,
+        "scenes.train_seeds": list(dict.fromkeys(seeds[0])),
+        "scenes.validation_seeds": list(dict.fromkeys(seeds[1])) or None,
+        "scenes.test_seeds": test,
+    }
