@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from warpav.core.frames import wrap_angle_rad
-from warpav.evaluation.metrics import ObjectOutcome
+from warpav.evaluation.metrics import REDUNDANT_WITHIN_M, ObjectOutcome
 from warpav.evaluation.statistics import Difference
 from warpav.optimisation.constraints import Margin
 from warpav.optimisation.mount_errors import ANGLES
@@ -290,7 +290,8 @@ def _why(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
         text += f" Its widest gap of directions is {gaps[0]:.0f} degrees ({gaps[1]:.0f})."
     shares = [evaluation.arms[name].redundant_rate for name in (first, start)]
     if None not in shares:
-        text += f" Two cameras see {percent(shares[0], 0)} of those within 30{SPACE}m ({percent(shares[1], 0)})."
+        near = f"within {REDUNDANT_WITHIN_M:g}{SPACE}m"
+        text += f" Two cameras see {percent(shares[0], 0)} of those {near} ({percent(shares[1], 0)})."
     if run.start is not None and run.result is not None:
         heights = [[camera.position_m[2] for camera in rig.cameras] for rig in (run.result, run.start)]
         low, high = ([pick(each) for each in heights] for pick in (min, max))
