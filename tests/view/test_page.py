@@ -94,7 +94,7 @@ def test_the_page_is_one_file_that_asks_for_nothing(file):
 
 def test_without_the_extra_it_says_what_to_install(monkeypatch, plotters, tmp_path):
     monkeypatch.setitem(__import__("sys").modules, "k3d", None)
-    with pytest.raises(InputError, match=r'expected the extra web, .* pip install "warpav\[web\]"'):
+    with pytest.raises(InputError, match=r'needs the module k3d, .*pip install "warpav\[web\]"'):
         save_page(plotters, tmp_path / "rig.html", title="rig")
     assert list(tmp_path.iterdir()) == []
 

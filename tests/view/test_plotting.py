@@ -163,7 +163,7 @@ def test_a_registered_class_is_drawn(registered, tmp_path):
     plot(registered(), out=tmp_path / "ramp.png")
     assert pixels(tmp_path / "ramp.png").shape == (150, 300, 3)
     assert plot(registered(), off_screen=True).size == (300, 150)
-    refused = r"ramp\.html: out: expected a name that ends in \.png, \.pdf, \.svg, got|expected the extra web"
+    refused = r"ramp\.html: out: expected a name that ends in \.png, \.pdf, \.svg, got|needs the module k3d"
     with pytest.raises(InputError, match=refused):
         plot(registered(), out=tmp_path / "ramp.html")
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from warpav.core.errors import ArgumentError, InputError
+from warpav.core.errors import ArgumentError
 from warpav.core.files import atomic_write, writing
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import checked_device
@@ -91,7 +91,7 @@ def _drawing(evaluation: RigEvaluation, canvas: Canvas) -> Any:  # noqa: ANN401 
     from warpav.view.figures.statistics import recall_figure
 
     if not evaluation.objects:
-        raise InputError("plot: expected an evaluation with objects, got none")
+        raise ArgumentError("kind", "expected an evaluation with objects, got none")
     headings = {"distance_m": "Recall by distance [m]", "sector": "Recall by sector", "category": "Recall by category"}
     groupings = {
         heading: {name: metrics.recall_by[by] for name, metrics in evaluation.metrics.items()}
@@ -112,7 +112,7 @@ def _differences_drawing(evaluation: RigEvaluation, _canvas: Canvas) -> Any:  # 
         if metric in found and None not in (found[metric].low, found[metric].high)
     }
     if not rows:
-        raise InputError("plot: expected rigs to compare on several scenes, got none")
+        raise ArgumentError("kind", "expected rigs to compare on several scenes, got none")
     return differences_figure(rows, evaluation.first)
 
 

@@ -281,10 +281,9 @@ def write_inspector_page(
 
 def _modules(config: Config) -> tuple[Module, ...]:
     """What cameras may be changed for: the modules of a run, or those of its catalogue."""
-    from warpav.rig.catalogue import builtin_modules, read_modules
+    from warpav.rig.catalogue import BUILTIN, read_modules
 
-    catalogue = builtin_modules() if config.rig.catalogue is None else read_modules(config.rig.catalogue)
-    return rig_modules(config) or tuple(catalogue.values())
+    return rig_modules(config) or tuple(read_modules(config.rig.catalogue or BUILTIN).values())
 
 
 def _check(requirements: str, config: Config) -> Callable[[Rig, Mesh], RequirementResult]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.errors import InputError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import Progress
 from warpav.evaluation.metrics import ObjectOutcome
 from warpav.rig.rig import Rig
@@ -25,6 +25,7 @@ from warpav.runs.report.report import SHOWN_SCENES
 from warpav.runs.rig_evaluation import RigEvaluation
 from warpav.runs.run_folder import RunFolder
 from warpav.view import Canvas, drawing_of, plot
+from warpav.view.opengl import opengl_problem
 
 if TYPE_CHECKING:
     from warpav.detection.probability import DetectionProbability
@@ -74,8 +75,10 @@ class RunPictures:
         self._draw_few()
         if full:
             self._draw_further()
-        problem = self._draw_rig()
-        if problem is not None:
+        problem = opengl_problem()
+        if problem is None:
+            self._draw_rig()
+        else:
             progress.say(f"no picture of the rig in three dimensions: {problem}")
 
     def _draw_few(self) -> None:
@@ -115,9 +118,13 @@ class RunPictures:
         blind = blind_ground_figure(BlindGround.of(self.rigs, scenes), self.rigs, placement.ego)
         save_figure(blind, self.folder.figure_path("blind_ground"))
         for kind in ("recall", "differences"):
-            with contextlib.suppress(InputError):  # too few objects or scenes
+            with contextlib.suppress(ArgumentError):  # too few objects or scenes
                 self._plot(self.evaluation, kind)
-        for which, shown in zip(SHOWN_SCENES, _shown_scenes(self.test, self.evaluation), strict=False):
+        objects = self.evaluation.objects
+        left = Counter(each.scene for each in objects if each.outcome["optimised"] != ObjectOutcome.DETECTED)
+        first, *others = self.test
+        hardest = sorted((each for each in others if left[each.scene.name]), key=lambda each: -left[each.scene.name])
+        for which, shown in zip(SHOWN_SCENES, (first, *hardest), strict=False):
             seen = {name: self._seen(rig, shown) for name, rig in self.rigs.items()}
             for camera in dict.fromkeys(camera for of_rig in seen.values() for camera in of_rig):
                 row = {name: of_rig[camera] for name, of_rig in seen.items() if camera in of_rig}
@@ -139,13 +146,8 @@ class RunPictures:
     def _plot(self, shown: object, kind: str, name: str | None = None, **options: Any) -> None:  # noqa: ANN401
         plot(shown, kind=kind, out=self.folder.figure_path(name or kind), **options)
 
-    def _draw_rig(self) -> str | None:
+    def _draw_rig(self) -> None:
         """Start and result on the vehicle in the first test scene, side by side."""
-        from warpav.view.opengl import opengl_problem
-
-        problem = opengl_problem()
-        if problem is not None:
-            return problem
         from warpav.view.output import render_rgb, save_rgb
 
         path_m = {"optimised": trajectory(self.folder.events())}
@@ -158,7 +160,6 @@ class RunPictures:
             finally:
                 plotter.close()
         save_rgb(np.hstack(images), self.folder.figure_path("rig"))
-        return None
 
     def _seen(self, rig: Rig, assigned: AssignedScene) -> dict[str, CameraObservation]:
         """What the cameras of a rig see of a scene, by their names; the own body is tinted."""
@@ -181,10 +182,3 @@ class RunPictures:
         size = model.width_px, model.height_px
         alike = [each for camera, each in known if (camera.width_px, camera.height_px) == size]
         return [*same, *alike][0]
-
-
-def _shown_scenes(scenes: Sequence[AssignedScene], evaluation: RigEvaluation) -> list[AssignedScene]:
-    """The first scene, and of the others that in which the result leaves most objects undetected, if it leaves any."""
-    left = Counter(each.scene for each in evaluation.objects if each.outcome["optimised"] != ObjectOutcome.DETECTED)
-    others = [each for each in scenes[1:] if left[each.scene.name]]
-    return [scenes[0], *sorted(others, key=lambda each: -left[each.scene.name])[:1]]

@@ -163,13 +163,18 @@ class RunFolder:
 
     def write_checkpoint(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Write the state from which the run can go on to ``checkpoints/last.npz``."""
+        import numpy as np
+
         with writing(self.path / "events.jsonl"):
             sync(self.path / "events.jsonl")
-        _write_arrays(self.path / "checkpoints" / "last.npz", arrays, is_durable=True)
+        file = self.path / "checkpoints" / "last.npz"
+        with writing(file), atomic_write(file, is_durable=True) as draft, draft.open("wb") as stream:
+            np.savez(stream, allow_pickle=False, **arrays)
 
     def checkpoint(self) -> dict[str, np.ndarray] | None:
         """The content of ``checkpoints/last.npz``, or None where the run was stopped before it had any."""
-        return _read_arrays(self.path / "checkpoints" / "last.npz")
+        file = self.path / "checkpoints" / "last.npz"
+        return read_arrays(file, "arrays in NumPy's format (.npz)") if file.exists() else None
 
     def note_resumed(self, iteration: int) -> None:
         """Write into ``env.json`` that the run goes on after so many iterations, and by which command."""
@@ -443,18 +448,6 @@ def _numbered_folder(name: str) -> Path:
             number += 1
         else:
             return path
-
-
-def _write_arrays(file: Path, arrays: Mapping[str, np.ndarray], *, is_durable: bool = False) -> None:
-    import numpy as np
-
-    with writing(file), atomic_write(file, is_durable=is_durable) as draft, draft.open("wb") as stream:
-        save = np.savez if is_durable else np.savez_compressed  # states are written after every step
-        save(stream, allow_pickle=False, **arrays)
-
-
-def _read_arrays(file: Path) -> dict[str, np.ndarray] | None:
-    return read_arrays(file, "arrays in NumPy's format (.npz)") if file.exists() else None
 
 
 def _event_line(event: Mapping[str, Any]) -> str:

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from warpav.core.errors import InputError, install_text
-from warpav.view.opengl import load_pyvista
+from warpav.view.opengl import load_pyvista, optional_module
 from warpav.view.palette import INK_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
@@ -51,8 +50,10 @@ class _Control:
 class _Page:
     """A page that is being made."""
 
-    def __init__(self, title: str, *, controls: Sequence[_Control] = (), lines: Sequence[str] = ()) -> None:
-        """An empty page."""
+    def __init__(
+        self, title: str, view_of: Plotter, *, controls: Sequence[_Control] = (), lines: Sequence[str] = ()
+    ) -> None:
+        """An empty page that begins with the view of a plotter."""
         self._k3d, self._title, self._controls, self._lines = load_k3d(), title, controls, lines
         self._plot = self._k3d.plot(
             grid_visible=False,
@@ -65,14 +66,9 @@ class _Page:
             lighting=1.8,
         )
         self._tags: list[dict[str, str]] = []
-        self._camera: list[float] = []
-
-    def look_as(self, plotter: Plotter) -> None:
-        """Begin with the view of a plotter."""
-        camera = plotter.camera
+        camera = view_of.camera
         self._camera = [float(each) for each in (*camera.position, *camera.focal_point, *camera.up)]
-        self._plot.camera = self._camera
-        self._plot.camera_fov = float(camera.view_angle)
+        self._plot.camera, self._plot.camera_fov = self._camera, float(camera.view_angle)
 
     def add(self, plotter: Plotter, tags_by_name: Mapping[str, _Tags]) -> None:
         """Add what a plotter shows: surfaces, lines and names in space, not what lies in the plane of its window."""
@@ -201,8 +197,7 @@ def page_of(plotters: Mapping[str, Plotter], *, title: str, lines: Sequence[str]
     if cameras:
         colours = [hex_colour(camera_rgb(k)) for k in range(len(cameras))]
         controls.append(_Control("camera", "cameras", "any", cameras, cameras, colours))
-    page = _Page(title, controls=controls, lines=lines)
-    page.look_as(plotters[first])
+    page = _Page(title, plotters[first], controls=controls, lines=lines)
     for scene, plotter in plotters.items():
         page.add(plotter, tagged[scene])
     return page
@@ -243,8 +238,4 @@ def _packed(colour: Any) -> int:  # noqa: ANN401 (a pyvista.Color)
 
 def load_k3d() -> Any:  # noqa: ANN401 (a module)
     """The module k3d, which makes pages."""
-    try:
-        import k3d
-    except ImportError as error:
-        raise InputError(f"an interactive page: expected the extra web, got: {error}; {install_text('web')}") from None
-    return k3d
+    return optional_module("k3d", purpose="an interactive page", extra="web")

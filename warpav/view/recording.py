@@ -153,7 +153,10 @@ def run_animation(
             add_rig(plotter, rig, sectors=False)
             if surface is not None:
                 add_descent(plotter, rig, steepest, surface)
-            text = "\n".join(filter(None, (line, _objective_text(shown))))
+            best, loss = shown[-1].get("best_training_objective"), shown[-1]["loss"]
+            reached = "" if loss is None else f"loss {loss:.4f}"  # of the last batch
+            reached = reached if best is None else f"best objective so far {best:.4f}"
+            text = "\n".join(filter(None, (line, reached)))
             add_text(plotter, text, (0.02, 0.88), size=9, name="iteration", font="courier")
 
         try:
@@ -178,9 +181,3 @@ def run_animation(
 def _shown_iterations(count: int) -> list[int]:
     """Which of so many iterations are shown: the first, the last, and evenly spread ones between them."""
     return sorted({round(float(k)) for k in np.linspace(0, count - 1, min(count, _MAX_FRAMES))})
-
-
-def _objective_text(events: Sequence[Mapping[str, Any]]) -> str:
-    """The best objective so far on the scenes that rigs are compared on, else the loss of the last batch."""
-    best, loss = events[-1].get("best_training_objective"), events[-1]["loss"]
-    return f"best objective so far {best:.4f}" if best is not None else "" if loss is None else f"loss {loss:.4f}"

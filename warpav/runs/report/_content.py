@@ -57,6 +57,9 @@ def read_content(folder: RunFolder) -> RunContent:
     if not events and evaluation is None:
         raise InputError(f"{folder.path}: run folder: expected at least one iteration to report on, got none")
     scenes = None if config is None else config.scenes.search_scene_count
+    is_best = config is None or config.optimiser.keep == "best"
+    roles: Sequence[Literal["best", "final"]] = ("best", "final") if is_best else ("final", "best")
+    kept: list[Literal["best", "final"]] = [role for role in roles if folder.rig_path(role).is_file()]
     return RunContent(
         name=folder.path.resolve().name,
         options=options,
@@ -66,7 +69,7 @@ def read_content(folder: RunFolder) -> RunContent:
         events=events,
         evaluation=evaluation,
         start=folder.rig("initial") if (folder.path / "rig_initial.yaml").is_file() else None,
-        result=_result(folder, config),
+        result=folder.rig(kept[0]) if kept else None,
         certificate=Certificate.of([event.model_dump() for event in events], scenes=scenes),
         further=folder.further_cameras(),
         zones=() if config is None or config.mount.zones is None else read_zones(config.mount.zones),
@@ -91,13 +94,3 @@ def _checked(form: type[Content], data: object, folder: RunFolder, name: str) ->
             f"{folder.path / name}: {place}expected what warpav optimise writes, got {mistake['input']!r:.40} "
             f"({text[0].lower() + text[1:]}); was the file changed?"
         ) from None
-
-
-def _result(folder: RunFolder, config: Config | None) -> Rig | None:
-    roles: Sequence[Literal["best", "final"]] = ("best", "final")
-    if config is not None and config.optimiser.keep != "best":
-        roles = ("final", "best")
-    for role in roles:
-        if (folder.path / f"rig_{role}.yaml").is_file():
-            return folder.rig(role)
-    return None

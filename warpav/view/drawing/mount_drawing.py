@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import itertools
 import math
 import os
 import time
@@ -181,7 +182,11 @@ def mount_drawing(
     drawing = _MountDrawing(scale=scale, views=views, mounts=found, title=title, ego=ego, modules=catalogue)
     _add_bodies(drawing)
     _add_datums(drawing, low_m, high_m)
-    _add_cameras(drawing)
+    for view, (index, mount) in itertools.product(views, enumerate(found)):
+        place_mm = view.place_mm(mount.camera.position_m)
+        ahead = mount.camera.ego_from_camera[:3, 2] @ np.stack([view.right, view.up], axis=1)
+        arrow_mm = _ARROW_MM * ahead if np.linalg.norm(ahead) > 0.1 else np.zeros(2)
+        drawing.marks.append(Mark(view, index, place_mm, place_mm + arrow_mm))
     _add_ordinates(drawing)
     add_numbers(drawing)
     _add_table(drawing, row_mm)
@@ -244,17 +249,6 @@ def _add_datums(drawing: _MountDrawing, low_m: np.ndarray, high_m: np.ndarray) -
             middle_mm = end_mm[1] + np.array([2.2, 0.0]) if is_across else end_mm[0] - np.array([0.0, 2.2])
             drawing.strokes.append(Stroke("DATUMS", box_mm(middle_mm - 2.2, middle_mm + 2.2), is_closed=True))
             drawing.notes.append(Note("DATUMS", tuple(middle_mm.tolist()), name, 2.5, "middle"))
-
-
-def _add_cameras(drawing: _MountDrawing) -> None:
-    """The place and the optical axis of every camera in every view."""
-    for view in drawing.views:
-        for index, mount in enumerate(drawing.mounts):
-            camera = mount.camera
-            place_mm = view.place_mm(camera.position_m)
-            ahead = camera.ego_from_camera[:3, 2] @ np.stack([view.right, view.up], axis=1)
-            arrow_mm = _ARROW_MM * ahead if np.linalg.norm(ahead) > 0.1 else np.zeros(2)
-            drawing.marks.append(Mark(view, index, place_mm, place_mm + arrow_mm))
 
 
 def _add_ordinates(drawing: _MountDrawing) -> None:

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
-from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture, CapturedImage
+from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture
 from warpav.scene.reconstruction.point_cloud import PointCloud, first_in_cells, fuse, joined, split_at_radius, unproject
 from warpav.scene.reconstruction.reconstruct import reconstruct
 from warpav.scene.reconstruction.settings import CloudSettings, ReconstructionSettings
@@ -162,7 +162,12 @@ def stages(capture: Capture, path: Path | str, *, settings: ReconstructionSettin
     settings = settings or ReconstructionSettings()
     capture = dataclasses.replace(capture, images=list(capture.images))
     how = settings.cloud
-    everything = joined([_with_sky(image, how.far_depth_m) for image in capture.images])
+    sky_m = np.float32(max(_SKY_DEPTH_M, how.far_depth_m))
+    whole = (
+        dataclasses.replace(image, depth_m=np.where(np.isfinite(image.depth_m), image.depth_m, sky_m))
+        for image in capture.images
+    )
+    everything = joined([unproject(image, far_depth_m=math.inf)[0] for image in whole])
     nearer = joined([unproject(image, far_depth_m=how.far_depth_m)[0] for image in capture.images])
     environment, objects = _without_limits(capture, how)
     near, moved = split_at_radius(environment, how.radius_m)
@@ -366,13 +371,6 @@ def _in_any(boxes: Iterable[Box], cloud: PointCloud, margin_m: float) -> np.ndar
     return np.any(
         [np.zeros(len(cloud), bool), *(box.contains(cloud.point_m, margin_m=margin_m) for box in boxes)], axis=0
     )
-
-
-def _with_sky(image: CapturedImage, far_depth_m: float) -> PointCloud:
-    """All pixels of an image as points, those that show nothing where CARLA's depth images put the sky."""
-    sky_m = max(_SKY_DEPTH_M, far_depth_m)
-    depth_m = np.where(np.isfinite(image.depth_m), image.depth_m, np.float32(sky_m))
-    return unproject(dataclasses.replace(image, depth_m=depth_m), far_depth_m=math.inf)[0]
 
 
 def _behind(ego_box: Box, around: PointCloud) -> Viewpoint:

@@ -38,7 +38,7 @@ from warpav.view.palette import (
 
 if TYPE_CHECKING:
     from warpav.evaluation.metrics import CameraObservation
-    from warpav.rig.rig import Rig, RigCamera
+    from warpav.rig.rig import Rig
     from warpav.scene.scene import Scene
 
 KIND_RGB: Mapping[ViewKind, Rgb] = {
@@ -236,7 +236,11 @@ def contact_figure(rig: Rig, scene: Scene, *, heading: str | None = None) -> Any
     """
     images = render(rig, scene, supersampling=2)
     share = body_shares(rig, DeviceScene.pack(scene))
-    order = sorted(range(len(rig.cameras)), key=lambda k: _turn_from_left_rad(rig.cameras[k]))
+    ahead = np.array([camera.ego_from_camera[:2, 2] for camera in rig.cameras])
+    # from the left rear to the right
+    order = np.argsort(
+        (0.75 * math.pi - np.arctan2(ahead[:, 1], ahead[:, 0])) % (2.0 * math.pi), kind="stable"
+    ).tolist()
     columns = min(3, len(order)) if len(order) != 4 else 2
     rows = -(-len(order) // columns)
     with figure_style():
@@ -262,12 +266,6 @@ def contact_figure(rig: Rig, scene: Scene, *, heading: str | None = None) -> Any
         text = f"Scene {scene.name}. Yaw: 0 ahead, positive to the left. Pitch: positive nose down. Own body: violet."
         caption(figure, text, heading)
         return figure
-
-
-def _turn_from_left_rad(camera: RigCamera) -> float:
-    """How far to the right of the left rear a camera looks [rad], so that a row goes from left to right."""
-    forward = camera.ego_from_camera[:2, 2]
-    return (0.75 * math.pi - math.atan2(forward[1], forward[0])) % (2.0 * math.pi)
 
 
 _LONG_TITLE = 14

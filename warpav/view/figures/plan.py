@@ -164,7 +164,12 @@ def resolution_figure(rigs: Mapping[str, Rig], *, heading: str | None = None) ->
     """
     azimuth_deg = np.arange(-180.0, 180.0 + _STEP_DEG, _STEP_DEG)
     elevation_deg = np.arange(-_ELEVATION_DEG, _ELEVATION_DEG + _STEP_DEG, _STEP_DEG)
-    best = {name: _best(rig, azimuth_deg, elevation_deg) for name, rig in rigs.items()}
+    elevation_rad, azimuth_rad = np.meshgrid(np.radians(elevation_deg), np.radians(azimuth_deg), indexing="ij")
+    across = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1) * np.cos(elevation_rad)[..., None]
+    direction = np.concatenate([across, np.sin(elevation_rad)[..., None]], axis=-1)
+    best = {
+        name: np.max([px_per_degree(camera, direction) for camera in rig.cameras], axis=0) for name, rig in rigs.items()
+    }
     horizon = len(elevation_deg) // 2
     most = max(float(each.max()) for each in best.values())
     with figure_style():
@@ -198,11 +203,3 @@ def resolution_figure(rigs: Mapping[str, Rig], *, heading: str | None = None) ->
         colour_bar(figure, image, list(axes[1:]), "pixels per degree", pad=0.01, aspect=14 * len(rigs))
         caption(figure, "Grey: in no image. Dashed: horizon. The own body is left out of account.", heading)
         return figure
-
-
-def _best(rig: Rig, azimuth_deg: np.ndarray, elevation_deg: np.ndarray) -> np.ndarray:
-    """Pixels per degree of the best camera, float64 [elevation, azimuth]; 0 where a direction is in no image."""
-    elevation_rad, azimuth_rad = np.meshgrid(np.radians(elevation_deg), np.radians(azimuth_deg), indexing="ij")
-    level = np.cos(elevation_rad)
-    direction = np.stack([level * np.cos(azimuth_rad), level * np.sin(azimuth_rad), np.sin(elevation_rad)], axis=-1)
-    return np.max([px_per_degree(camera, direction) for camera in rig.cameras], axis=0)

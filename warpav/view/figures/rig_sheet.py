@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -158,7 +159,10 @@ def rig_sheet(
         rows = [_HEADINGS, *(_row(index, camera) for index, camera in enumerate(rig.cameras))]
         names_mm = min(max(38.0, 1.65 * max(len(row[0]) for row in rows)), 54.0)
         column_mm = (0.0, names_mm, 82.0, 107.0, 127.0, 158.0)
-        page.camera_table(rows, column_mm, left_mm=_MARGIN_MM, top_mm=below_mm, row_mm=_ROW_MM)
+        for (line, row), column in itertools.product(enumerate(rows), range(len(column_mm))):
+            colour = hex_colour(camera_rgb(line - 1) if line and not column else INK_RGB)
+            style = {"fontsize": 7.0, "color": colour, "fontweight": "normal" if line and column else "bold"}
+            page.text(_MARGIN_MM + column_mm[column], below_mm + line * _ROW_MM, row[column], **style)
         grey = hex_colour(MUTED_RGB)
         page.text(_MARGIN_MM, page_mm - _MARGIN_MM, _NOTE, va="bottom", fontsize=6.5, color=grey)
         return page.figure

@@ -213,28 +213,6 @@ class Page:
         """Write a text; its upper edge is so far below the page's."""
         self.figure.text(left_mm / self.width_mm, 1.0 - top_mm / self.height_mm, text, va=va, **style)
 
-    def camera_table(
-        self,
-        rows: Sequence[Sequence[str]],
-        column_mm: Sequence[float],
-        *,
-        left_mm: float,
-        top_mm: float,
-        row_mm: float,
-        fontsize: float = 7.0,
-    ) -> None:
-        """Write a table: a heading, then a row for each camera, whose first cell is in its colour."""
-        for line, row in enumerate(rows):
-            for column, text in enumerate(row):
-                self.text(
-                    left_mm + column_mm[column],
-                    top_mm + line * row_mm,
-                    text,
-                    fontsize=fontsize,
-                    color=hex_colour(camera_rgb(line - 1)) if line and not column else hex_colour(INK_RGB),
-                    fontweight="bold" if not line or not column else "normal",
-                )
-
 
 def camera_cells(index: int, camera: RigCamera) -> tuple[str, str, str]:
     """The first cells of a camera in a table: number and name, module or lens, size of the image."""
