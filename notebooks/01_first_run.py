@@ -78,8 +78,8 @@ run.rig()
 #   table *seen near the vehicle* shows.
 # - **AP50** and **false alarms** count boxes in single images, not vehicles around the car.
 #
-# The columns are the *optimised* rig, the random rig of the *start*, four cameras around the *highest* point of the
-# roof, and the best of 20 *random* rigs.
+# The columns are the *optimised* rig, the best rig *by hand* that the search began with, and four cameras around the
+# *highest* point of the roof.
 #
 # ## How far from the best?
 #
@@ -96,8 +96,8 @@ for k, each in enumerate(certificate["bounds"], start=1):
 print(f"found: {certificate['objective']:.4f} on the {certificate['scenes']} scenes of the search")
 
 # %% [markdown]
-# The polish goes below the first bound, because it moves cameras to where the pool has none. All cameras that it has
-# tried join the pool, so the second bound is over more cameras, and lower. It holds for these cameras and these scenes,
+# The polish may go below a bound, because it moves cameras to where the pool has none. All cameras that it has
+# tried join the pool, so the next bound is over more cameras, and lower. It holds for these cameras and these scenes,
 # not for all places on the roof, and not for other traffic: compare the objective in the table of the test scenes.
 #
 # ## A question of your own, in Python

@@ -117,10 +117,10 @@ for kind in ("vehicle", "pedestrian", "cyclist"):
 # %%
 placement = wa.Placement(train, config=config)
 result = wa.optimise(placement)
-print(f"start {result.start_objective:.4f}, optimised {result.objective:.4f}, bound of the pool {result.bound:.4f}")
+print(f"by hand {result.start_objective:.4f}, optimised {result.objective:.4f}, bound of the pool {result.bound:.4f}")
 
 # %% [markdown]
-# The rig in the moment above, which it was not searched for; lines lead from the random start to where the cameras are:
+# The rig in the moment above, which it was not searched for:
 
 # %%
 wa.plot(result, scene=moment)

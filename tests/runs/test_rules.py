@@ -46,7 +46,7 @@ def test_limits_are_in_radians_and_kept_where_a_search_can():
         (["method=thesis", "rig.symmetric=true"], r"rig\.symmetric: expected auto, as only the search by a pool"),
         (
             ["rig.symmetric=true", "rig.free.fov_deg=[60, 100]"],
-            r"rig\.free\.fov_deg: expected null with rig\.symmetric",
+            r"rig\.free\.fov_deg: expected null, as the cameras of a pair have one lens",
         ),
     ],
 )
