@@ -1,7 +1,6 @@
 """The configuration: strict reading, messages with their place, round trips, the shipped files."""
 
 import math
-from pathlib import Path
 
 import pytest
 
@@ -52,15 +51,6 @@ def test_shipped_configurations_load_by_name_and_round_trip(name, tmp_path):
     file = tmp_path / "resolved.yaml"
     file.write_text(dump_config(config))
     assert load_config(file) == config
-
-
-RESOLVED = Path(__file__).parent / "resolved"
-"""What the shipped configurations meant before defaults came from quick, by the present names."""
-
-
-@pytest.mark.parametrize("name", config_names())
-def test_shipped_configurations_mean_what_they_meant(name):
-    assert load_config(RESOLVED / f"{name}.yaml") == load_config(name)
 
 
 def test_the_defaults_are_those_of_quick():
