@@ -15,7 +15,7 @@ ELSEWHERE = ("pip ", "python3 ", "warpav doctor", "warpav optimise rig.")
 LEFT_OUT = re.compile(
     r"(?:scenes|scenes seen by the start|scenes seen by the pool): \d+/|iteration |[│├┃┡└┏]|recall of the rig|"
     r"optimised without one camera|"
-    r"(?:Traffic|Expected misses|Significant\?|What moved|Not detected|Seen near the vehicle|Blind ground|Limits|Why it ended): "
+    r"(?:Traffic|Expected misses|Significant\?|Not detected|Seen near the vehicle|Blind ground|Limits|Why it ended): "
 )
 """Lines that the tutorial says it leaves out, or some of."""
 
