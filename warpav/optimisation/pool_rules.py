@@ -83,12 +83,12 @@ class PoolRules:
 
     @property
     def settled(self) -> Rules:
-        """The rules with the limits that a search has settled on."""
-        gap_rad = None if self.gap_steps is None else self.gap_steps * AZIMUTH_STEP_RAD
+        """The rules with the limits of a search; those that it dropped allow anything, but are measured."""
+        gap_rad = self.rules.azimuth_gap_rad
+        if gap_rad is not None:
+            gap_rad = 2.0 * math.pi if self.gap_steps is None else self.gap_steps * AZIMUTH_STEP_RAD
         near_m = None if self.near_level is None else NEAR_M[self.near_level]
-        return dataclasses.replace(
-            self.rules, azimuth_gap_rad=gap_rad, near_m=near_m, near_ground=self.near_level is not None
-        )
+        return dataclasses.replace(self.rules, azimuth_gap_rad=gap_rad, near_m=near_m)
 
     # ------------------------------------------------------------------------------------------- single cameras
 

@@ -206,7 +206,7 @@ def check_rig(
 def rule_margins(
     rigs: Mapping[str, Rig], placement: Placement, searched: PoolRules | None = None
 ) -> dict[str, list[RuleMargin]] | None:
-    """How far rigs are from breaking the design rules of a placement, or those that a search has settled on.
+    """How far rigs are from breaking the design rules of a placement, or those of a search.
 
     None where it keeps none.
     """

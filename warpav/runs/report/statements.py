@@ -646,6 +646,9 @@ def _rules(evaluation: RigEvaluation) -> Statement | None:
     for margin in margins:
         if margin.asked is not None and margin.price is None:
             further += f" No rig of these cameras keeps the {margin.asked:.0f} degrees of gap that were asked."
+        elif margin.rule == "near_ground" and margin.limit is None:
+            seen = "nowhere up to 6" if margin.value is None else f"from {margin.value:g}"
+            further += f" The ground is seen all round {seen}{SPACE}m off the body; no limit was kept."
         elif margin.asked is not None:
             further += (
                 f" The {margin.asked:.0f} degrees of gap that were asked would cost {percent(margin.price)} more."
