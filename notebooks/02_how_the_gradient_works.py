@@ -257,7 +257,7 @@ plt.show()
 # objective at every angle:
 
 # %%
-placement = wa.Placement(wa.town(range(3)), cameras=4)
+placement = wa.Placement(wa.town(range(3)), cameras=4, rig={"symmetric": False})
 around = [
     wa.Camera(name, np.array([x, y, 1.8]), math.radians(yaw), pitch_rad=0.0, roll_rad=0.0, model=wa.CameraModel())
     for name, x, y, yaw in [

@@ -439,7 +439,7 @@ class CameraMount:
                 return
         raise InputError(
             f"camera {camera.name!r}: expected its mirror image at {np.round(wanted.position_m, 3).tolist()} m, as "
-            "rig.symmetric asks for, got none"
+            "rig.symmetric asks for, got none; set rig.symmetric=false"
         )
 
     def _module_of_camera(self, camera: RigCamera) -> int:
