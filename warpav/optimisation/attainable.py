@@ -14,7 +14,7 @@ import numpy as np
 
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.objective import RigObjective, single_cameras_of
-from warpav.optimisation.pool import spread_mount_poses
+from warpav.optimisation.pool import CameraPool, Drawing, spread_mount_poses
 
 CAMERAS = 128
 """Cameras that are spread over the mount."""
@@ -23,12 +23,16 @@ _LIKELY = 0.5
 
 
 def attainable_objects(
-    objective: RigObjective, scenes: Sequence[AssignedScene], *, cameras: int = CAMERAS
+    objective: RigObjective, scenes: Sequence[AssignedScene], *, cameras: int = CAMERAS, drawing: Drawing | None = None
 ) -> list[np.ndarray] | None:
     """Which objects of each scene some camera on the mount is likely to detect, bool [object] each."""
     single = single_cameras_of(objective)
     if single is None:
         return None
+    packed = [assigned.scene for assigned in scenes]
+    if not any(scene.vehicle_count for scene in packed):
+        return [np.zeros(0, bool) for _ in packed]
     pose = spread_mount_poses(single.mount, objective.constraints.of_single_cameras, cameras, seed=0)
-    found = [single.detection_probability(pose, assigned.scene) for assigned in scenes]
-    return [np.asarray(each.max(axis=0, initial=0.0) >= _LIKELY) for each in found]
+    pool = CameraPool.empty(packed, single, drawing).extended(pose, may_see_nothing=True)
+    is_likely = pool.detection_probability.max(axis=0, initial=0.0) >= _LIKELY
+    return np.split(is_likely, np.cumsum([scene.vehicle_count for scene in packed])[:-1])

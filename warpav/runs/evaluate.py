@@ -22,6 +22,7 @@ from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.constraints import Constraints
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import CameraMount
+from warpav.optimisation.pool import Drawing, pool_cache_folder
 from warpav.optimisation.pool_rules import PoolRules
 from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig
@@ -136,7 +137,7 @@ def evaluate_on(
     names = {name: [camera.name for camera in rig.cameras] for name, rig in rigs.items()}
     weight = weights_on(packed, placement)
     found = {name: observed.detection_probability for name, observed in observations.items()}
-    attainable = attainable_objects(placement.objective, scenes)
+    attainable = attainable_objects(placement.objective, scenes, drawing=Drawing(cache=pool_cache_folder()))
     return RigEvaluation.of(
         rigs,
         {
