@@ -440,7 +440,7 @@ def score_detectors(
         return
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-    source = {"source": config.scenes.source, "level": config.scenes.level, "seeds": list(seeds)}
+    source = {"source": config.scenes.source, "level": config.scenes.model_dump()["level"], "seeds": list(seeds)}
     detectors = [each.data for each in found]
     content = {"schema": _SCORES_SCHEMA, "scenes": source, "fitted_on": fitted_on, "detectors": detectors}
     write_json(out / "scores.json", content)

@@ -30,7 +30,7 @@ from warpav.scene.files import CaptureTask, SceneTask, capture_path, capture_sce
 from warpav.scene.reconstruction.settings import METHOD_PACKAGES, ReconstructionSettings
 from warpav.scene.scene import ROAD_USERS, Scene
 from warpav.scene.stored_scene import SceneRecipe, StoredScene, scenes_of, stored_scenes
-from warpav.scene.town.levels import Level, TownSource, level_of, level_scene
+from warpav.scene.town.levels import Level, TownSource, level_of, level_of_seed, level_scene
 from warpav.scene.town.town import ego_vehicle
 from warpav.scene.traffic.files import content_digest
 from warpav.scene.traffic.moments import moment_of, search_and_test, traffic_of
@@ -191,7 +191,7 @@ def scene_recipes(
         sources = _moments(config, seeds, ego)
     elif config.scenes.source == "town":
         fleet = _traffic_fleet(config)
-        sources = [TownSource(seed, config.scenes.level or "easy", fleet) for seed in seeds]
+        sources = [TownSource(seed, level_of_seed(config.scenes.level, seed), fleet) for seed in seeds]
     else:
         sources = _files_of(config, seeds)
     return [SceneRecipe(source, ego, targets) for source in sources]
@@ -249,10 +249,9 @@ def first_scene(config: Config) -> Scene:
 def load_scene(source: str, config: Config | None = None, *, fleet: Fleet | None = None) -> Scene:
     """The scene that ``source`` means: a GLB file, or the embedded scene of a seed."""
     ego = None if config is None else own_vehicle(config)
-    level: Level = "easy"
-    if config is not None:
-        level, fleet = config.scenes.level or "easy", _traffic_fleet(config) if fleet is None else fleet
-    scene = _scene_of(source, level, fleet)
+    if config is not None and fleet is None:
+        fleet = _traffic_fleet(config)
+    scene = _scene_of(source, None if config is None else config.scenes.level, fleet)
     return scene if ego is None else scene.around(ego)
 
 
@@ -450,11 +449,11 @@ def _captured(config: Config, seeds: Sequence[int]) -> Iterator[Path]:
         yield scene.file
 
 
-def _scene_of(source: str, level: Level, fleet: Fleet | None) -> Scene:
+def _scene_of(source: str, levels: Sequence[Level] | None, fleet: Fleet | None) -> Scene:
     from warpav.scene.glb import read_scene
 
     if source.isdecimal() and not Path(source).exists():
-        return level_scene(int(source), level, fleet)
+        return level_scene(int(source), level_of_seed(levels, int(source)), fleet)
     if not Path(source).is_file():
         raise InputError(f"{source}: scene: expected a GLB file or the seed of an embedded scene, got {source!r}")
     return read_scene(source)

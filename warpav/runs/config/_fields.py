@@ -25,6 +25,7 @@ from warpav.core.section import (
 from warpav.core.yaml_file import read_yaml
 from warpav.rig.presets import HAND_RIGS, preset_names
 from warpav.scene.scene import ROAD_USERS
+from warpav.scene.town.levels import LEVELS, Level
 from warpav.scene.vehicles import SHIPPED, vehicle_file, vehicle_names
 from warpav.sight.templates import template_names
 
@@ -219,6 +220,24 @@ def _read_targets(value: object) -> tuple[str, ...]:
 
 _TARGETS_SCHEMA = {"type": "array", "items": {"enum": list(ROAD_USERS)}, "minItems": 1}
 Targets = Annotated[tuple[str, ...], *_option(_TARGETS_TEXT, _read_targets, list, _TARGETS_SCHEMA)]
+
+
+_LEVELS_TEXT = f"one of {', '.join(LEVELS)}, or a list of these"
+
+
+def _read_levels(value: object) -> tuple[Any, ...]:
+    levels = tuple(value) if isinstance(value, (list, tuple)) else (value,)
+    _check_words(levels or (value,), LEVELS, _LEVELS_TEXT)
+    return levels
+
+
+def _shown_levels(levels: tuple[str, ...]) -> str | list[str]:
+    return levels[0] if len(levels) == 1 else list(levels)
+
+
+_LEVEL_SCHEMA = {"enum": list(LEVELS)}
+_LEVELS_SCHEMA = {"anyOf": [_LEVEL_SCHEMA, {"type": "array", "items": _LEVEL_SCHEMA, "minItems": 1}]}
+Levels = Annotated[tuple[Level, ...], *_option(_LEVELS_TEXT, _read_levels, _shown_levels, _LEVELS_SCHEMA)]
 
 
 def _read_presets(value: object) -> object:

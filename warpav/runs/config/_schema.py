@@ -46,6 +46,7 @@ from warpav.runs.config._fields import (
     Heights,
     Labels,
     LabelsOrFile,
+    Levels,
     MeshFile,
     ModuleCounts,
     PitchRange,
@@ -60,7 +61,6 @@ from warpav.runs.config._fields import (
     read_count,
 )
 from warpav.scene.scene import ROAD_USERS, road_user_of
-from warpav.scene.town.levels import Level
 from warpav.sight.templates import template_names
 
 EXTENDS = "extends"
@@ -166,11 +166,11 @@ class SceneConfig(Section):
         description="town builds the embedded street scenes; traffic builds scenes of recorded traffic; captured takes "
         "images of embedded ones and makes meshes of these; folder reads scene_<seed>.glb files",
     )
-    level: Level | None = Field(
+    level: Levels | None = Field(
         default=None,
         description="of the embedded street scenes: easy, where everything is near and can be seen from the roof; "
         "urban, as long and busy as real streets; dense, full of people and of what hides them; motorway, fast and "
-        "far; null: easy",
+        "far; of a list, seeds take turns; null: easy",
     )
     train_seeds: Seeds = Field(default=tuple(range(60)), description="scenes that the optimiser sees")
     validation_seeds: Seeds | None = Field(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, cast
 
@@ -46,6 +47,11 @@ def level_scene(seed: int, level: Level = "easy", fleet: Fleet | None = None) ->
 
         world = street_world(level, rng, users_rng)
     return world.finish(f"{level}_{seed:04d}", f"town {level} seed {seed}", exchange)
+
+
+def level_of_seed(levels: Sequence[Level] | None, seed: int) -> Level:
+    """The level of a seed's scene: of several, seeds take turns; ``easy`` by default."""
+    return levels[seed % len(levels)] if levels else "easy"
 
 
 def checked_level(level: str) -> Level:
