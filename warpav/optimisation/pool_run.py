@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import math
 import time
@@ -26,6 +27,8 @@ from warpav.optimisation.rounding import roundings
 from warpav.optimisation.selection._relaxation import Price
 
 _WORDS = ("todo", "objective", "bound", "round", "rng", "rules", "iteration", "proven")
+_ROUNDINGS_AT_ONCE = 4
+"""Roundings of a camera of which the best is taken."""
 
 
 class PoolRun(PoolSearch):
@@ -49,6 +52,7 @@ class PoolRun(PoolSearch):
         self._proven: tuple[float, int] | None = None  # the bound of the last selection, and the cameras of its pool
         self._final_states = 0
         self.rounding: Candidate | None = None  # the best rig, rounded
+        self.unrounded = list[int]()  # its cameras that fit no rounded place
         super().__init__(task, settings, seed=seed, drawing=drawing, progress=progress, pool=pool)
 
     @property
@@ -106,23 +110,38 @@ class PoolRun(PoolSearch):
         return self.best if self.rounding is None else self.rounding
 
     def _round(self, best: Candidate) -> None:
-        """The best of the nearest roundings of a rig that keeps what it keeps."""
-        held, mount = self.assembly.is_held(len(best.mount_pose)), self.cameras.mount
-        rigs = list(roundings(best.mount_pose, mount, held, self._fits))
-        cameras = np.unique(np.concatenate([best.mount_pose, *rigs]), axis=0)
-        if self._affordable(len(cameras)) < len(cameras):
-            return
-        self.pool = self.pool.extended(cameras)
-        for value, number in sorted((self._value_of(pose), number) for number, pose in enumerate(rigs)):
-            pose = rigs[number]
-            found = self.pool.detection_probability[rows_of(pose, self.pool.mount_pose)]
-            is_kept = self._meets_requirements(found) and self._keeps_rules(pose)
-            if is_kept and not self.task.constraints.violation_m(mount.rig(pose)) > 0.0:
-                self.rounding = Candidate(pose, value, best.iteration, 0)
-                break
-        if self.rounding is not None and self._progress is not None:
+        """Round camera after camera, each as it costs least with the others as they are."""
+        pose, held = best.mount_pose.copy(), self.assembly.is_held(len(best.mount_pose))
+        left = np.flatnonzero(~held).tolist()
+        for _ in range(2):  # what does not fit beside cameras that are not rounded may fit then
+            left = [camera for camera in left if not self._rounds(pose, camera)]
+        self.unrounded = left
+        self.rounding = Candidate(pose, self._value_of(pose), best.iteration, 0)
+        if self._progress is not None:
+            but = f" but for {len(left)} of {len(pose)} that fit nowhere else" if left else ""
             values = f"objective {best.training_objective:.4f} -> {self.rounding.training_objective:.4f}"
-            self._progress.say(f"rounded to 5 mm and 0.5 degrees: {values}")
+            self._progress.say(f"rounded to 5 mm and 0.5 degrees{but}: {values}")
+
+    def _rounds(self, pose: np.ndarray, camera: int) -> bool:
+        """Round a camera of a rig, [camera, 7], where some of its roundings keeps what the rig keeps."""
+        near = roundings(pose[camera], self.cameras.mount.of_single_cameras, self._fits)
+        while tried := list(itertools.islice(near, _ROUNDINGS_AT_ONCE)):
+            if self._affordable(len(tried)) < len(tried):
+                return False
+            rigs = np.repeat(pose[None], len(tried), axis=0)
+            rigs[:, camera] = tried
+            self.pool = self.pool.extended(np.array(tried))
+            kept = [rig for rig in rigs if self._stands(rig)]
+            if kept:
+                pose[:] = min(kept, key=self._value_of)
+                return True
+        return False
+
+    def _stands(self, rig: np.ndarray) -> bool:
+        """Whether a rig of the pool, [camera, 7], keeps constraints, requirements and rules."""
+        if self.task.constraints.violation_m(self.cameras.mount.rig(rig)) > 0.0:
+            return False
+        return self._is_allowed(rig, self.pool.detection_probability[rows_of(rig, self.pool.mount_pose)])
 
     def _fits(self, mount_pose: np.ndarray) -> bool:
         mount, constraints = self.cameras.mount.of_single_cameras, self.constraints.of_single_cameras

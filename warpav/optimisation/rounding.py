@@ -13,13 +13,11 @@ from warpav.optimisation.mount import CameraMount, mirror_image
 from warpav.rig.rig import Rig, RigCamera
 
 _STEP_M, _STEP_DEG = 0.005, 0.5
-_OF_CAMERA, _OF_RIG = 4, 256
-"""Roundings of a camera that a rig is made of, and rigs of these, at most."""
 
 
-def workshop_rig(rig: Rig, frozen: Collection[str] = ()) -> Rig:
-    """A rig with all numbers rounded, in the ego frame; cameras of the names ``frozen`` stay."""
-    return Rig(each if each.name in frozen else _rounded(each) for each in rig.cameras)
+def workshop_rig(rig: Rig, staying: Collection[str] = ()) -> Rig:
+    """A rig with all numbers rounded, in the ego frame; cameras of the names ``staying`` stay as they are."""
+    return Rig(each if each.name in staying else _rounded(each) for each in rig.cameras)
 
 
 def _rounded(camera: RigCamera, ways: tuple[bool, ...] = (False,) * 4) -> RigCamera:
@@ -36,27 +34,14 @@ def _rounded(camera: RigCamera, ways: tuple[bool, ...] = (False,) * 4) -> RigCam
     )
 
 
-def roundings(
-    mount_pose: np.ndarray, mount: CameraMount, is_held: np.ndarray, fits: Callable[[np.ndarray], bool]
-) -> Iterator[np.ndarray]:
-    """Mount poses [camera, 7] of a rig with rounded numbers, the nearest first.
+def roundings(pose: np.ndarray, mount: CameraMount, fits: Callable[[np.ndarray], bool]) -> Iterator[np.ndarray]:
+    """Mount poses [7] of a camera, or a pair, with rounded numbers, the nearest first.
 
     Args:
-        mount_pose: Of the rig as it is.
-        mount: What they are on.
-        is_held: Which cameras stay as they are, bool [camera].
+        pose: As it is.
+        mount: What it is on, of single cameras.
         fits: Whether a camera, [1, 7], keeps what it must keep alone.
     """
-    choices = [
-        [pose] if held else list(itertools.islice(_of_camera(pose, mount.of_single_cameras, fits), _OF_CAMERA))
-        for pose, held in zip(mount_pose, is_held, strict=True)
-    ]
-    chosen = sorted(itertools.islice(itertools.product(*(range(len(each)) for each in choices)), 4**8), key=sum)
-    for numbers in chosen[:_OF_RIG]:
-        yield np.array([each[k] for each, k in zip(choices, numbers, strict=True)], np.float32)
-
-
-def _of_camera(pose: np.ndarray, mount: CameraMount, fits: Callable[[np.ndarray], bool]) -> Iterator[np.ndarray]:
     cameras = mount.rig(pose[None]).cameras
     is_in_the_middle = mount.is_symmetric and len(cameras) == 1
     for ways in sorted(itertools.product((False, True), repeat=4), key=sum):

@@ -11,6 +11,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from warpav.core.errors import ArgumentError
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import device_name
@@ -90,9 +92,13 @@ class Result:
 
         Of a search by a pool its numbers are rounded as a workshop takes them, unless that breaks a rule.
         """
-        rig, descent = self.placement.mount.rig(self._kept.mount_pose), self._descent
-        is_rounded = isinstance(descent, PoolRun) and descent.rounding is not None
-        return workshop_rig(rig, self.placement.parts.freeze) if is_rounded else rig
+        mount, pose, descent = self.placement.mount, self._kept.mount_pose, self._descent
+        rig = mount.rig(pose)
+        if not isinstance(descent, PoolRun) or descent.rounding is None:
+            return rig
+        off = np.isin(mount.rows_of_cameras(pose), descent.unrounded)
+        names = [camera.name for camera, stays in zip(rig.cameras, off, strict=True) if stays]
+        return workshop_rig(rig, [*self.placement.parts.freeze, *names])
 
     @property
     def start_name(self) -> str:
