@@ -8,7 +8,7 @@ import json
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,11 @@ from warpav.core.errors import InputError
 from warpav.core.progress import Progress
 from warpav.detection.miss_rate import expected_miss_rate, shares_of
 from warpav.optimisation._camera_loss import RobustValue
+from warpav.optimisation._replacements import within_half_a_turn
 from warpav.optimisation.further_camera import FurtherCameras, further_cameras
 from warpav.optimisation.hand_rigs import HandRig
+from warpav.optimisation.mount import LOG_ZOOM
+from warpav.optimisation.mount_errors import COLUMNS
 from warpav.optimisation.pool import CameraPool, Drawing
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import Found, PoolSearch, PoolSearchSettings, PoolTask
@@ -29,6 +32,29 @@ from warpav.optimisation.selection._relaxation import Price
 _WORDS = ("todo", "objective", "bound", "round", "rng", "rules", "iteration", "proven")
 _ROUNDINGS_AT_ONCE = 4
 """Roundings of a camera of which the best is taken."""
+
+
+_ROUNDED_BY = np.array([0.005, 0.005, math.radians(0.5), math.radians(0.5), math.radians(0.5), 0.005, 0.001])
+_NUMBERS = {column: name for name, column in COLUMNS.items()} | {LOG_ZOOM: "field of view"}
+_SIMPLER = 0.002
+"""What the simpler rig may miss more."""
+
+
+@dataclass(frozen=True)
+class SimplerRig:
+    """A rig some of whose numbers are those of the rig by hand."""
+
+    mount_pose: np.ndarray  # float32 [camera, 7]
+    objective: float
+    by_hand: dict[int, list[str]]  # the numbers that are by hand, by the camera of the mount pose
+    differing: int  # numbers in which the rig that was found differs from the one by hand
+
+
+def _with_number(rig: np.ndarray, other: np.ndarray, number: tuple[int, int]) -> np.ndarray:
+    """A rig with one number of another."""
+    changed = rig.copy()
+    changed[number] = other[number]
+    return changed
 
 
 class PoolRun(PoolSearch):
@@ -148,6 +174,37 @@ class PoolRun(PoolSearch):
         if constraints.violation_m(mount.rig(mount_pose)) > 0.0:
             return False
         return self.rules is None or bool(self.rules.allowed(mount_pose).all())
+
+    def simplified(self) -> SimplerRig | None:
+        """The rig that is kept with as many numbers as by hand as cost at most `_SIMPLER` together.
+
+        Each number is judged alone, then they go back one after the other, the cheapest first, as long as what is
+        missed and all that must be kept allow it. None: there is no rig by hand, or nothing can go back.
+        """
+        best = self.rounding
+        if best is None or not self.hand_rigs or len(self.start) != len(best.mount_pose):
+            return None
+        mount, pose = self.cameras.mount, best.mount_pose.copy()
+        hand = self.assembly.rig(self.assembly.in_order(self.start), like=pose)
+        alike = (mount.is_pair(pose) == mount.is_pair(hand)) & (mount.module_of(pose) == mount.module_of(hand))
+        differs = np.abs(within_half_a_turn(pose.astype(np.float64) - hand)) > 1.1 * _ROUNDED_BY
+        numbers = [tuple(each) for each in np.argwhere(differs & (alike & ~self.assembly.is_held(len(pose)))[:, None])]
+        moved = {number: _with_number(pose, hand, number) for number in numbers}
+        most, reverted = best.training_objective + _SIMPLER, dict[int, list[str]]()
+        values = {number: self._value_if_it_stands(rig, number[0]) for number, rig in moved.items()}
+        for number in sorted(numbers, key=lambda each: values[each]):
+            tried = _with_number(pose, hand, number)
+            if values[number] <= most and self._value_if_it_stands(tried, number[0]) <= most:
+                pose = tried
+                reverted.setdefault(int(number[0]), []).append(_NUMBERS[number[1]])
+        return SimplerRig(pose, self._value_of(pose), reverted, len(numbers)) if reverted else None
+
+    def _value_if_it_stands(self, rig: np.ndarray, camera: int) -> float:
+        """The objective of a rig one of whose cameras is not in the pool yet; infinite where it may not stand so."""
+        if not self._fits(rig[camera][None]) or self._affordable(1) < 1:
+            return math.inf
+        self.pool = self.pool.extended(rig[camera][None], may_see_nothing=True)
+        return self._value_of(rig) if self._stands(rig) else math.inf
 
     def further_cameras(self) -> FurtherCameras | None:
         """What traffic each camera of the pool would add to the best rig, which is in it; None before it is drawn."""

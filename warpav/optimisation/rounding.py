@@ -20,12 +20,11 @@ def workshop_rig(rig: Rig, staying: Collection[str] = ()) -> Rig:
     return Rig(each if each.name in staying else _rounded(each) for each in rig.cameras)
 
 
-def _rounded(camera: RigCamera, ways: tuple[bool, ...] = (False,) * 4) -> RigCamera:
-    """A camera with rounded numbers; ``ways``: whether x, y, yaw, pitch are rounded to the other side."""
+def _rounded(camera: RigCamera, ways: tuple[bool, ...] = (False,) * 5) -> RigCamera:
+    """A camera with rounded numbers; ``ways``: whether x, y, z, yaw, pitch are rounded to the other side."""
     numbers = np.append(camera.position_m / _STEP_M, np.degrees([camera.yaw_rad, camera.pitch_rad]) / _STEP_DEG)
     steps = np.round(numbers)
-    other = np.insert(ways, 2, False)
-    steps += np.where(other, np.where(numbers >= steps, 1.0, -1.0), 0.0)
+    steps += np.where(ways, np.where(numbers >= steps, 1.0, -1.0), 0.0)
     yaw_rad, pitch_rad = np.radians(steps[3:] * _STEP_DEG)
     roll_rad = math.radians(round(math.degrees(camera.roll_rad) / _STEP_DEG) * _STEP_DEG)
     position_m = np.round(steps[:3] * _STEP_M, 6)
@@ -44,12 +43,14 @@ def roundings(pose: np.ndarray, mount: CameraMount, fits: Callable[[np.ndarray],
     """
     cameras = mount.rig(pose[None]).cameras
     is_in_the_middle = mount.is_symmetric and len(cameras) == 1
-    for ways in sorted(itertools.product((False, True), repeat=4), key=sum):
-        if is_in_the_middle and (ways[1] or ways[2]):
+    known = set[bytes]()
+    for ways in sorted(itertools.product((False, True), repeat=5), key=sum):
+        if is_in_the_middle and (ways[1] or ways[3]):
             continue
         rounded = _rounded(cameras[0], ways)
         pair = [rounded] if len(cameras) == 1 else [rounded, mirror_image(rounded)]
         rig = Rig(dataclasses.replace(camera, name=f"side_{k}") for k, camera in enumerate(pair))
         found = mount.mount_pose_of_rig(rig)
-        if fits(found):
+        if found.tobytes() not in known and fits(found):
             yield found[0]
+        known.add(found.tobytes())

@@ -33,7 +33,7 @@ from warpav.runs.events import Certificate
 from warpav.runs.mounts import preset_for
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.progress import shown_progress
-from warpav.runs.rig_evaluation import GroundTable, Robust, SearchEnd, StartAndEnd, ToleranceTable
+from warpav.runs.rig_evaluation import GroundTable, Robust, SearchEnd, Simpler, StartAndEnd, ToleranceTable
 from warpav.runs.rig_source import read_baselines
 from warpav.runs.robustness import tolerance_on
 from warpav.runs.run_folder import RunFolder
@@ -205,6 +205,25 @@ class Result:
         return self._descent.further_cameras() if isinstance(self._descent, PoolRun) else None
 
     @cached_property
+    def simpler(self) -> tuple[Rig, Simpler] | None:
+        """The rig that was found with numbers by hand wherever that costs little; see `PoolRun.simplified`."""
+        known = self._descent.simplified() if isinstance(self._descent, PoolRun) else None
+        if known is None:
+            return None
+        mount = self.placement.mount
+        rig, rows = mount.rig(known.mount_pose), mount.rows_of_cameras(known.mount_pose)
+        names = {row: rig.cameras[int(np.flatnonzero(rows == row)[0])].name for row in known.by_hand}
+        by_hand = {names[row]: numbers for row, numbers in known.by_hand.items()}
+        rig = workshop_rig(
+            rig,
+            [
+                *self.placement.parts.freeze,
+                *(rig.cameras[k].name for k in np.flatnonzero(np.isin(rows, [*known.by_hand]))),
+            ],
+        )
+        return rig, Simpler(objective=known.objective, differing=known.differing, by_hand=by_hand)
+
+    @cached_property
     def requirements(self) -> RequirementResult | None:
         """What `rig` meets of what the placement requires near the vehicle; None where it requires nothing."""
         return requirements_of({"rig": self.rig}, self.placement).get("rig")
@@ -353,6 +372,8 @@ def complete_folder(
     write_rig(result.start, folder.rig_path("initial"))
     write_rig(result.rig, folder.rig_path("best"))
     write_rig(placement.mount.rig(descent.candidates[-1].mount_pose), folder.rig_path("final"))
+    if result.simpler is not None:
+        write_rig(result.simpler[0], folder.rig_path("simpler"))
     if result.further_cameras is not None:
         folder.write_further_cameras(result.further_cameras)
 
@@ -378,6 +399,7 @@ def complete_folder(
             ended=result.ended,
             kept=result._kept.iteration,
         ),
+        "simpler": None if result.simpler is None else result.simpler[1],
         "certificate": None if result.certificate is None else result.certificate.to_json(),
         **({} if result.robust is None else {"robust": Robust(**result.robust)}),
         "constraints": {name: constraints.margins(rig) for name, rig in rigs.items()},

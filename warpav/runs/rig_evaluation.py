@@ -111,6 +111,14 @@ class StartAndEnd(_Part):
     optimised: float | None
 
 
+class Simpler(_Part):
+    """The rig that was found with as many numbers as by hand as cost little: its objective, and these by camera."""
+
+    objective: float
+    differing: int  # numbers in which the rig that was found differs from the one by hand
+    by_hand: dict[str, list[str]]
+
+
 class SearchEnd(_Part):
     """How a search ended: its steps, why it took no more (None: it took all), and those after which the rig stood."""
 
@@ -243,6 +251,7 @@ class RigEvaluation(_Part):
     rig_of_run: str | None = None
     training_objective: StartAndEnd | None = None
     descent: SearchEnd | None = None
+    simpler: Simpler | None = None
     certificate: dict[str, Any] | None = None
     robust: Robust | None = None
     constraints: dict[str, list[Margin]] | None = None

@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
     MultiBlock = Any
 
-_RigRole = Literal["start", "initial", "best", "final"]
+_RigRole = Literal["start", "initial", "best", "final", "simpler"]
 RUNS_FOLDER = Path("runs")
 EVALUATION_SCHEMA = 1
 _FURTHER_COLUMNS = ("gain", "x_m", "y_m", "z_m", "yaw_deg", "pitch_deg", "fov_deg")

@@ -211,7 +211,12 @@ def summary(run: RunContent) -> list[Statement]:
     """The run in a few statements, the most important first."""
     found: list[Statement | None] = []
     if run.evaluation is not None:
-        found += [_traffic(run, run.evaluation), _why(run, run.evaluation), _misses(run, run.evaluation)]
+        found += [
+            _traffic(run, run.evaluation),
+            _why(run, run.evaluation),
+            _simpler(run.evaluation),
+            _misses(run, run.evaluation),
+        ]
         found += [_differences(run, run.evaluation), _objective(run, run.evaluation)]
     is_by_hand = run.evaluation is not None and run.evaluation.start == "by_hand"  # another rig, not one that moved
     found += [_bound(run), None if is_by_hand else _moves(run)]
@@ -297,6 +302,21 @@ def _why(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
         low, high = ([pick(each) for each in heights] for pick in (min, max))
         text += f" Its cameras stand {low[0]:.2f} to {high[0]:.2f}{SPACE}m high ({low[1]:.2f} to {high[1]:.2f})."
     return Statement("Why", text)
+
+
+def _simpler(evaluation: RigEvaluation) -> Statement | None:
+    """In which numbers the rig may stay as it would be drawn by hand."""
+    known, training = evaluation.simpler, evaluation.training_objective
+    if known is None or training is None or training.optimised is None:
+        return None
+    count = sum(map(len, known.by_hand.values()))
+    parts = [f"{_listed(numbers)} of {camera}" for camera, numbers in known.by_hand.items()]
+    text = (
+        f"Of its {known.differing} differences to the best rig by hand {count} may be left out: {_listed(parts)} as "
+        f"by hand, objective {number(known.objective, 4)} instead of {number(training.optimised, 4)} "
+        "(rig_simpler.yaml)."
+    )
+    return Statement("Simpler", text)
 
 
 def _detected(run: RunContent, evaluation: RigEvaluation) -> str:
