@@ -52,6 +52,16 @@ def draw_run(folder: Path) -> None:
         shutil.copyfile(run / "figures" / f"{name}.png", folder / f"{name}.png")
 
 
+def draw_rules(folder: Path) -> None:
+    """rules: what the first command finds without the design rules, and with them."""
+    halves = []
+    for name, options in {"free": ["rules=none", "rig.symmetric=false"], "ruled": []}.items():
+        _warpav("optimise", *options, f"run.out={folder / name}")
+        with Image.open(folder / name / "figures" / "rig.png") as image:
+            halves.append(np.asarray(image.convert("RGB"))[:, image.width // 2 :])
+    Image.fromarray(np.hstack(halves)).save(folder / "rules.png")
+
+
 def draw_coverage(folder: Path) -> None:
     """coverage: where the cameras of nuScenes see a child."""
     _warpav("inspect", "nuscenes", "--show", "coverage", "--out", str(folder / "coverage.png"))
@@ -402,6 +412,7 @@ def draw_traffic(folder: Path) -> None:
 DRAWN: dict[str, Callable[[Path], None]] = {
     "rig": draw_run,
     "detections": draw_run,
+    "rules": draw_rules,
     "coverage": draw_coverage,
     "sheet": draw_sheet,
     "mount_drawing": draw_mount_drawing,
