@@ -146,7 +146,7 @@ result = wa.optimise(placement)
 wa.plot(result, scene=test[0])
 
 # %%
-evaluation = wa.evaluate({"optimised": result.rig, "start": result.start}, test, placement)
+evaluation = wa.evaluate({"optimised": result.rig, "by_hand": result.start}, test, placement)
 evaluation.table()
 
 # %% [markdown]

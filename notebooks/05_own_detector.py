@@ -137,7 +137,7 @@ print(f"area under the curve {fitted.scores.auc:.3f}, calibration error {fitted.
 train, test = wa.town(train_seeds), wa.town(test_seeds)
 placement = wa.Placement(train, detector="mine.onnx", probability=fitted.model)
 result = wa.optimise(placement)
-evaluation = wa.evaluate({"optimised": result.rig, "start": result.start}, test, placement)
+evaluation = wa.evaluate({"optimised": result.rig, "by_hand": result.start}, test, placement)
 wa.plot(evaluation)
 
 # %%

@@ -107,7 +107,7 @@ result = wa.optimise(placement)
 result
 
 # %%
-print(f"start      {result.start_objective:.4f}")
+print(f"by hand    {result.start_objective:.4f}")
 print(f"optimised  {result.objective:.4f}")
 print(f"bound      {result.bound:.4f}  no rig of the pool's {result.pool_cameras} cameras is below")
 
@@ -132,10 +132,10 @@ print(result.requirements.shortfall or "as much is seen as was asked for")
 wa.plot(result.rig, ego=car, requirements=result.requirements)
 
 # %% [markdown]
-# In traffic that the search has not seen, beside the random rig of the same modules that it began with:
+# In traffic that the search has not seen, beside the best rig by hand of the same modules:
 
 # %%
-evaluation = wa.evaluate({"optimised": result.rig, "start": result.start}, test, placement)
+evaluation = wa.evaluate({"optimised": result.rig, "by_hand": result.start}, test, placement)
 evaluation.table()
 
 # %% [markdown]

@@ -9,11 +9,17 @@ import pytest
 from tests.driving_scene import flat_surface
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, streets
+from warpav.core.progress import NullProgress
 from warpav.detection.miss_rate import expected_miss_rate
+from warpav.optimisation import hand_rigs
 from warpav.optimisation.hand_rigs import by_hand, directions_rad, rig_by_hand
 from warpav.optimisation.mount import PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
+from warpav.optimisation.pool import Drawing
 from warpav.optimisation.pool_search import PoolSearch, PoolSearchSettings, PoolTask
 from warpav.raster.camera import CameraModel
+from warpav.runs.config import load_config
+from warpav.runs.optimise import Optimisation
+from warpav.runs.placement import Placement
 
 MODEL = CameraModel(64, 64, math.radians(100.0), near_m=0.05)
 
@@ -75,3 +81,28 @@ def test_a_search_is_never_behind_a_rig_by_hand():
         found = np.concatenate([cameras.detection_probability(each.mount_pose, scene) for scene in streets()], axis=1)
         assert each.value == pytest.approx(expected_miss_rate(found, share), abs=1e-6)
         assert objectives[-1] <= each.value
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cameras", [4, 6])
+@pytest.mark.parametrize(
+    "traffic",
+    [[], ["scenes.ego=panel_van"], ["scenes.ego=bus"], ["scenes.level=dense"], ["scenes.source=traffic"]],
+    ids=["car", "van", "bus", "dense", "sind"],
+)
+def test_the_rig_of_the_trial_polished_is_never_ahead(traffic, cameras):
+    """Four corners at 42 degrees, pitch 18, the front pair .5 m set back, and one ahead and one behind of six."""
+    small = ["scenes.train_seeds=0..11", "scenes.test_seeds=[5000]", "optimiser.pool_cameras=48", *traffic]
+    config = load_config("quick", [*small, f"rig.cameras={cameras}", "camera.width_px=128", "camera.height_px=128"])
+    placement = Placement.from_config(config).prepare(NullProgress())
+    run = Optimisation.begin(placement, drawing=Drawing()).descent
+    while run.stop_reason is None:
+        run.step()
+    found, mount = run.objective, run.cameras.mount
+    layout = hand_rigs._layout("corners", mount, run.task.constraints, cameras, 42.0)
+    pose = hand_rigs._hand_mount_pose(mount, run.task.constraints, layout, set_back_m=0.5, pitch_deg=18.0)
+    run.pool = run.pool.extended(pose)
+    assert found <= min(run._value_of(pose), max(each.value for each in run.hand_rigs[:1]))
+    run.objective = np.inf
+    list(run._polish(pose.tolist(), 12, 1.0))
+    assert found <= run.objective

@@ -232,16 +232,17 @@ def by_hand(
     count: int,
     values_of: Callable[[Sequence[np.ndarray]], Sequence[float]],
 ) -> list[HandRig]:
-    """Rigs by hand, the best first: of each kind the best of what a hand would try.
+    """Rigs by hand, the best first: all that a hand would try of each kind, one number varied after the other.
 
     ``values_of`` gives the objective of rigs, each float32 [camera, 7].
     """
 
     def rated(rigs: list[HandRig]) -> list[HandRig]:
         values = values_of([rig.mount_pose for rig in rigs])
-        return [replace(rig, value=float(value)) for rig, value in zip(rigs, values, strict=True)]
+        found.extend(replace(rig, value=float(value)) for rig, value in zip(rigs, values, strict=True))
+        return found[-len(rigs) :]
 
-    of_surface = constraints
+    found, of_surface = list[HandRig](), constraints
     constraints = constraints.of_any_modules if _are_alike(mount) else constraints
     is_pitched = bool(mount.is_free[PITCH_RAD])
     pitches = PITCH_DEG if is_pitched else (0,)
@@ -252,21 +253,22 @@ def by_hand(
         pitch_deg = _ground_pitch_deg(mount, constraints) if is_pitched else 0
         as_built = {"corner": CORNER_DEG[:1], "back": (0.0,), "pitch": (pitch_deg,)}
         kinds += [(name, as_built) for name in AS_BUILT if len(_as_built(name).yaw_rad) == count]
-    found = [best for name, tried in kinds if (best := _best_of_kind(mount, constraints, name, count, tried, rated))]
+    for name, tried in kinds:
+        _try_kind(mount, constraints, name, count, tried, rated)
     if not mount.is_symmetric:
-        found += rated([HandRig(name, "", rig_by_hand(name, mount, of_surface, count)) for name in _OF_SURFACE])
+        rated([HandRig(name, "", rig_by_hand(name, mount, of_surface, count)) for name in _OF_SURFACE])
     return sorted(found, key=lambda rig: rig.value)
 
 
-def _best_of_kind(
+def _try_kind(
     mount: CameraMount,
     constraints: Constraints,
     name: str,
     count: int,
     tried: Mapping[str, Sequence[float]],
     rated: Callable[[list[HandRig]], list[HandRig]],
-) -> HandRig | None:
-    """The best rig of a kind: one number is varied after the other; None where the mount has no place for it."""
+) -> None:
+    """Rate rigs of a kind: one number is varied after the other; until the mount has no place for one."""
     now = {key: values[0] for key, values in tried.items()}
     best: HandRig | None = None
     for key, values in tried.items():
@@ -276,7 +278,7 @@ def _best_of_kind(
             layout = _layout(name, mount, constraints, count, each["corner"])
             pose = _hand_mount_pose(mount, constraints, layout, set_back_m=each["back"], pitch_deg=each["pitch"])
             if pose is None:
-                return None
+                return
             front = f"{each['corner']:g} deg, front pair {each['back']:g} m back, " if name == "corners" else ""
             several.append((value, HandRig(name, f"{front}pitch {each['pitch']:g} deg", pose)))
         if not several:
@@ -284,4 +286,3 @@ def _best_of_kind(
         for (value, _), rig in zip(several, rated([rig for _, rig in several]), strict=True):
             if best is None or rig.value < best.value:
                 best, now = rig, {**now, key: value}
-    return best

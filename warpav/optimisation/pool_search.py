@@ -341,15 +341,15 @@ class PoolSearch:
         self.hand_rigs = [replace(each, mount_pose=self.assembly.rig(each.mount_pose)) for each in found]
 
     def _best_by_hand(self) -> list[np.ndarray]:
-        """The best of those rigs that keep the rules, and stand apart."""
-        kept = []
+        """Of every kind the best of those rigs that keeps the rules, and whose cameras stand apart."""
+        kept = dict[str, np.ndarray]()
         for each in self.hand_rigs:
-            rig = each.mount_pose
-            stands = each.value < np.inf and not too_near(rig, self.constraints).nnz
-            if stands and self._keeps_rules(rig):
-                kept.append(rig)
-                self._is_better(rig, each.value)
-        return kept[:_POLISHED_BY_HAND]
+            rig, is_known = each.mount_pose, each.name in kept
+            if is_known or each.value == np.inf or too_near(rig, self.constraints).nnz or not self._keeps_rules(rig):
+                continue
+            kept[each.name] = rig
+            self._is_better(rig, each.value)
+        return list(kept.values())[:_POLISHED_BY_HAND]
 
     def _value_of(self, rig: np.ndarray) -> float:
         """The objective of a rig of the pool, float32 [camera, 7]."""
