@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import street
+from tests.optimisation.test_numbers_that_break import Said
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, streets
 from tests.optimisation.test_pool_rules import RULES, kept_by, mount, rules_of
-from warpav.core.progress import NullProgress
 from warpav.optimisation.pool import spread_mount_poses
 from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.pool_search import PoolSearchSettings, PoolTask
@@ -22,14 +22,6 @@ FOUR = zone_of(mount(), 4)
 WEIGHT = np.array([1.0, 5.0, 0.5, 1.0, 2.0, 1.0, 3.0, 1.0, 0.2, 1.0])
 NUMBERS = {"x": 0, "y": 1, "yaw": 2, "pitch": 3}
 TOLERANCE = 1.1 * np.array([0.005, 0.005, *[math.radians(0.5)] * 3, 0.005, 0.001])
-
-
-class Said(NullProgress):
-    def __init__(self):
-        self.text = []
-
-    def say(self, text):
-        self.text.append(text)
 
 
 @functools.cache
@@ -86,7 +78,7 @@ def test_each_camera_is_rounded_as_costs_least_with_the_others_as_they_are(seed)
     assert found.finish().training_objective == pytest.approx(missed(rig), abs=1e-6)
     assert found.unrounded == []
     before, after = missed(found.best.mount_pose), missed(rig)
-    assert found._progress.text[-1] == f"rounded to 5 mm and 0.5 degrees: objective {before:.4f} -> {after:.4f}"
+    assert found._progress.lines[-1] == f"rounded to 5 mm and 0.5 degrees: objective {before:.4f} -> {after:.4f}"
 
 
 def test_what_may_not_be_rendered_stays_as_it_is():
@@ -95,7 +87,7 @@ def test_what_may_not_be_rendered_stays_as_it_is():
     assert (found.found.camera_renders, found.pool.drawn_count, found.unrounded) == (231, 255, [2, 3])
     np.testing.assert_array_equal(found.rounding.mount_pose[:2], run().rounding.mount_pose[:2])
     np.testing.assert_array_equal(found.rounding.mount_pose[2:], found.best.mount_pose[2:])
-    assert "but for 2 of 4 that fit nowhere else" in found._progress.text[-1]
+    assert "but for 2 of 4 that fit nowhere else" in found._progress.lines[-1]
     assert found.simplified() is None
 
 
