@@ -39,7 +39,7 @@ MUTATED = (
 )
 TESTS = (
     *("tests/optimisation", "tests/thesis", "tests/raster", "tests/rig", "tests/sight", "tests/evaluation"),
-    *("tests/golden", "tests/core/test_frames.py"),
+    *("tests/golden", "tests/core/test_frames.py", "tests/runs/test_rules.py", "tests/runs/test_config.py"),
 )
 COPIED = (
     *("configs", "docs", "kernels", "notebooks", "tests", "warpav"),
@@ -235,7 +235,7 @@ def tests_of(mutant: Mutant, found: dict[str, dict]) -> list[str]:
     tests = {test for each in executed for test in each}
     files = {test.partition("::")[0] for test in tests}
     candidates = [test for test in seconds if test.partition("::")[0] in files]
-    own = f"/test_{Path(mutant.module).stem}.py"
+    own = f"/test_{Path(mutant.module).stem.lstrip('_')}.py"
     chosen, left_s = [], BUDGET_S
     for test in sorted(candidates, key=lambda test: (test not in tests, own not in test, seconds[test], test)):
         if seconds[test] <= left_s:

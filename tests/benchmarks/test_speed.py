@@ -28,9 +28,6 @@ from warpav.runs.config import Config
 from warpav.runs.detector_fit import ensure_fit
 from warpav.scene.device_scene import DeviceScene
 from warpav.sight.read import read_requirements
-from warpav.sight.requirement import Ghosts
-from warpav.sight.visibility import GhostWorld, poses_of
-from warpav.thesis.descent import AdamW
 
 CAMERA = CameraModel(256, 256, math.radians(90.0))
 LENSES = {
@@ -96,21 +93,6 @@ def test_step(benchmark, device, occlusion):
     assert not steps.renderer.grew()
 
 
-@pytest.mark.gpu
-@pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device")
-def test_four_scenes_a_hundred_times(benchmark):
-    steps = Steps("cuda:0", scenes=4)
-    rate = np.float32([1e-3, 1e-3, 1e-3, 0.0, 0.0, 0.0, 0.0]) * np.ones_like(steps.start)
-
-    def descend():
-        adam = AdamW(steps.start, weight_decay=1e-3)
-        for _ in range(100):
-            adam.step(steps.gradient(adam.value), rate)
-
-    benchmark.pedantic(descend, rounds=3, warmup_rounds=1)
-    assert not steps.renderer.grew()
-
-
 @pytest.mark.parametrize("content", [Content.IMAGES, Content.COVERAGE, Content.ALL], ids=lambda each: each.value)
 @pytest.mark.parametrize("lens", LENSES)
 def test_view(benchmark, device, lens, content):
@@ -128,36 +110,12 @@ def test_view(benchmark, device, lens, content):
     benchmark.extra_info["ms_per_view"] = 1e3 * benchmark.stats.stats.min / count
 
 
-@pytest.mark.parametrize("thread_count", [1, None], ids=["one_thread", "all_cores"])
-@pytest.mark.parametrize("seed", [150, 151, 152])
-def test_pool(benchmark, device, seed, thread_count):
-    """Detection probabilities of all objects of a scene in 256 cameras."""
-    cameras, pose, (scene,) = town_cameras(256, seeds=(seed,), device=device, thread_count=thread_count)
-    benchmark.pedantic(lambda: cameras.detection_probability(pose, scene), rounds=5, warmup_rounds=1)
-    benchmark.extra_info["ms_per_camera_render"] = 1e3 * benchmark.stats.stats.min / len(pose)
-
-
 @pytest.mark.parametrize("template", ["r158_like", "near_field"])
 @pytest.mark.parametrize("count", [4, 10])
 def test_requirements(benchmark, ego, template, count):
     rig, wanted = wa.Rig(wa.preset("edgar").cameras[-count:]), read_requirements(template)
     result = benchmark.pedantic(lambda: wa.check_requirements(rig, ego, wanted).is_point_met, rounds=5, warmup_rounds=1)
     benchmark.extra_info["points"] = len(result)
-
-
-def test_jacobians_of_requirements(benchmark, ego):
-    points = Ghosts.of(read_requirements("r158_like"), ego)
-    pose, models = poses_of(wa.Rig(wa.preset("edgar").cameras[-4:]))
-    benchmark.pedantic(lambda: GhostWorld(points, ego).jacobians(pose, models), rounds=3, warmup_rounds=1)
-
-
-def test_requirements_of_a_pool(benchmark, ego):
-    model = CameraModel(640, 480, math.radians(90.0))
-    cameras, mount_pose, _ = town_cameras(256, camera=model)
-    pose = np.stack([each.ego_from_camera for each in cameras.mount.rig(mount_pose).cameras])
-    points = Ghosts.of(read_requirements("near_field"), ego)
-    benchmark.pedantic(lambda: GhostWorld(points, ego).visibility(pose, [model] * len(pose)), rounds=3, warmup_rounds=1)
-    benchmark.extra_info["ms_per_camera"] = 1e3 * benchmark.stats.stats.min / len(pose)
 
 
 @pytest.mark.parametrize(

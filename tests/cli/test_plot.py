@@ -30,16 +30,6 @@ def test_a_preset_is_plotted(working_directory, capsys):
         assert image.width == 1350
 
 
-@pytest.mark.slow
-def test_all_kinds_of_a_run_are_plotted_into_a_folder(run_folder, capsys):
-    assert main(["plot", str(run_folder.path), "--kind", "all", "--out", "plots"]) == 0
-    out = capsys.readouterr().out
-    figures = [name for name, kind in kinds_of(RunFolder).items() if kind.is_figure]
-    assert set(FITTING_KINDS) < set(figures)
-    assert sorted(os.listdir("plots")) == sorted(f"{name}.png" for name in figures if name != "further")
-    assert "no further: kind: expected the folder of a run with optimiser.search=pool" in out
-
-
 @pytest.mark.parametrize(
     ("argv", "words"),
     [

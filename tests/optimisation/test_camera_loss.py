@@ -13,6 +13,7 @@ from tests.optimisation.test_modules import symmetric_cameras, symmetric_chart, 
 from tests.optimisation.test_polish import polished, zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from tests.optimisation.test_pool_search import SMALL
+from warpav.core.errors import InputError
 from warpav.optimisation._camera_loss import RobustObjective
 from warpav.optimisation._replacements import Replacements
 from warpav.optimisation.baselines import highest_mount_pose
@@ -114,6 +115,49 @@ def test_the_bound_is_the_sum_of_the_best_of_all_cameras_and_of_one_less():
     assert chosen.bound == pytest.approx(0.5 * sum(least), abs=1e-8)
     assert chosen.objective > chosen.bound
     assert chosen.ended == "exchange"
+
+
+@pytest.mark.parametrize(("count", "required"), [(1, []), (2, [4]), (3, [2, 6])])
+def test_of_rigs_within_rows_the_best_is_found_and_others_apart(count, required):
+    """Against all rigs, of as many cameras and of one less: what is kept with all need not be kept without one."""
+    found, weight = pool(12)
+    rows = [Row("few", np.arange(9.0) % 3, high=3.0), Row("some", np.arange(9.0) - 2.0, low=1.0)]
+    size, share = np.ones(9, int), weight / weight.sum()
+    options = {"required": required, "rows": rows, "weight": weight, "objective": WORST, "size": size, "gap": 0.0}
+    chosen = select_robust(found, count, **options)
+
+    def is_kept(rig):
+        return set(required) <= set(rig) and all(r.low <= r.coefficient[list(rig)].sum() <= r.high for r in rows)
+
+    value = {
+        rig: by_hand(WORST, found[list(rig)], share, (1,) * count)
+        for rig in itertools.combinations(range(9), count)
+        if is_kept(rig)
+    }
+    assert chosen.objective == pytest.approx(min(value.values()), abs=1e-9)
+    assert value[tuple(chosen.cameras)] == min(value.values())
+    nominal = min(float(np.prod(1.0 - found[list(rig)], axis=0) @ share) for rig in value)
+    fewer = [np.delete(rig, k) for rig in value for k in range(count)]
+    without = min(float(np.prod(1.0 - found[rig], axis=0) @ share) for rig in fewer)
+    assert (1.0 - WORST.weight) * nominal <= chosen.bound + 1e-9
+    assert chosen.bound <= (1.0 - WORST.weight) * nominal + WORST.weight * without + 1e-9
+    for one, other in itertools.combinations([chosen.cameras, *chosen.others], 2):
+        assert len(set(one) - set(other)) > 1
+        assert tuple(sorted(other)) in value
+
+
+def test_what_is_no_robust_objective_is_refused():
+    for given, message in (
+        (("median",), "camera_loss: expected mean or worst"),
+        (("mean", 0.0), "weight: expected more"),
+    ):
+        with pytest.raises(InputError, match=message):
+            RobustObjective(*given)
+    assert RobustObjective("mean", 1.0).weight == 1.0
+    with pytest.raises(InputError, match=r"weight: expected more than 0, at most 1, got 1\.5"):
+        RobustObjective("worst", 1.5)
+    alike = MEAN.of_rig(pool(4)[0][:3])
+    assert alike.objective == pytest.approx(by_hand(MEAN, pool(4)[0][:3], np.full(14, 1 / 14), (1, 1, 1)))
 
 
 def test_every_replacement_is_a_rig_put_together():

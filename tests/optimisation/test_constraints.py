@@ -66,24 +66,6 @@ def test_projection_refuses_what_does_not_fit(camera_count):
         BoundsAndSpacing(SURFACE, min_spacing_m=3.0).project(np.zeros((camera_count, 2)))
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"camera_count": 0}, "camera_count must be at least 1, got 0"),
-        ({"margin_m": -0.1}, r"margin_m must be at least 0, got -0\.1"),
-        ({"margin_m": math.nan}, "margin_m must be at least 0, got nan"),
-        ({"min_spacing_m": 0.0}, r"min_spacing_m must be positive, got 0\.0"),
-        (
-            {"frozen": FrozenCameras((), np.zeros(3, bool), np.zeros((3, 7)))},
-            "frozen must be of a rig of 4 cameras, got 3",
-        ),
-    ],
-)
-def test_limits_that_are_none_are_refused(options, message):
-    with pytest.raises(ValueError, match=message):
-        ZoneAndSpacing(SURFACE, **{"camera_count": 4, "min_spacing_m": 0.3, "margin_m": 0.0} | options)
-
-
 def test_violation_adds_excess_and_missing_spacing():
     assert BoundsAndSpacing(SURFACE, min_spacing_m=0.3).violation_m(rig_at([[0, 0], [1, 0]], SURFACE)) == 0.0
     # 0.1 m beyond x, 0.2 m beyond -y, and a pair 0.2 m apart instead of 0.3 m

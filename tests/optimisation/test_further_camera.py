@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from tests.optimisation.calls import draw
 from tests.optimisation.test_polish import zone_of
@@ -92,3 +93,20 @@ def test_the_best_of_every_place():
     assert found.best_places(0.1).tolist() == [0, 1, 2]  # two of them stand at one place
     assert found[found.best_places(0.2)].gain.tolist() == [0.4, 0.2]
     assert cameras_at(np.zeros((0, 3)), []).best_places().tolist() == []
+
+
+def test_the_best_ten_are_told_in_numbers(rng):
+    angles = rng.uniform(-1.5, 1.5, (3, 12))
+    found = FurtherCameras(rng.uniform(-3.0, 3.0, (12, 3)), *angles, np.sort(rng.random(12))[::-1])
+    ahead = Rotation.from_euler("ZY", angles[:2].T).apply([1.0, 0.0, 0.0])
+    np.testing.assert_allclose(found.direction, ahead, atol=1e-12)
+    table = np.c_[100.0 * found.gain, found.position_m, np.degrees(angles.T)][:10]
+    np.testing.assert_allclose([list(row.values()) for row in found.rows()], table)
+    heading, *lines = str(found).splitlines()
+    assert heading.split() == " ".join(found.rows()[0]).split()
+    assert len({len(line) for line in (heading, *lines)}) == 1
+    np.testing.assert_allclose([list(map(float, line.split())) for line in lines], table, atol=0.005)
+    for value in table.ravel():
+        assert f"<td>{value:.2f}</td>" in found._repr_html_()
+    assert repr(found) == f"FurtherCameras(12, the best finds {100 * found.gain[0]:.2f} more of 100 objects)"
+    assert repr(found[:0]) == "FurtherCameras(0)"

@@ -17,7 +17,7 @@ from warpav.detection.probability import (
 )
 from warpav.optimisation.losses.loss import LossSchedule
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
-from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
+from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, YAW_RAD, CameraMount, FreeRanges
 from warpav.optimisation.settings import LossSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
@@ -146,53 +146,6 @@ def test_a_share_of_the_box_may_stand_for_the_probability(device, rng, name):
     result = objective.evaluate(POSE, [scene], gradient=True)
     assert result.terms["expected_miss_rate"] == pytest.approx(np.prod(1.0 - share, axis=0).mean(), rel=1e-5)
     assert np.abs(result.gradient).max() > 1e-4
-
-
-# Differences of single renders are as rough as their samples; the mean over a few poses beside each other is not.
-def mean_gradients(rng, schedule, device, *, numbers, spread, pose=POSE, free=None):
-    """Our gradient and that of finer renders to some numbers with their steps, mean over jittered poses."""
-    scenes = scenes_of(device, 10)
-    objective, fine = (objective_of(device, supersampling=n, free=free) for n in (2, TRUTH_SAMPLES))
-    ours, truth = np.zeros((2, 3)), np.zeros((2, 3))
-    for _ in range(JITTERS):
-        at = pose + rng.uniform(-1.0, 1.0, pose.shape).astype(np.float32) * spread
-        gradient = objective.evaluate(at, scenes, gradient=True, schedule=schedule).gradient
-        ours += gradient[:, [number for number, _ in numbers]] / JITTERS
-        for camera in range(2):
-            for column, (number, step) in enumerate(numbers):
-                values = []
-                for sign in (1.0, -1.0):
-                    moved = at.copy()
-                    moved[camera, number] += sign * step
-                    values.append(fine.evaluate(moved, scenes, schedule=schedule).terms["expected_miss_rate"])
-                truth[camera, column] += (values[0] - values[1]) / (2.0 * step) / JITTERS
-    return ours, truth
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("schedule", [END, PANORAMA, LossSchedule(0.5)], ids=["end", "panorama", "between"])
-def test_gradient_matches_differences_of_finer_renders(device, rng, schedule):
-    numbers, spread = ((X_M, 0.03), (Y_M, 0.03), (YAW_RAD, 0.006)), [0.05, 0.05, 0.01, 0.01, 0.0, 0.0, 0.0]
-    ours, truth = mean_gradients(rng, schedule, device, numbers=numbers, spread=spread)
-    ours, truth = ours * [1.0, 1.0, 0.2], truth * [1.0, 1.0, 0.2]
-    # seen .994, .999, .998
-    assert (ours * truth).sum() > 0.99 * np.linalg.norm(ours) * np.linalg.norm(truth)
-
-
-# Cameras that look up, so that the lower border of the image cuts cars; near the roof, which hides some from low ones.
-@pytest.mark.slow
-@pytest.mark.parametrize(("schedule", "height_delta_m"), [(END, -0.1), (PANORAMA, -0.05)], ids=["end", "panorama"])
-def test_gradient_to_pitch_height_and_zoom_matches_differences_of_finer_renders(device, rng, schedule, height_delta_m):
-    pose = POSE + np.array([0.0, 0.0, 0.0, -0.3, 0.0, height_delta_m, 0.3], np.float32)
-    numbers, spread = (
-        ((PITCH_RAD, 0.01), (HEIGHT_DELTA_M, 0.02), (LOG_ZOOM, 0.03)),
-        [0.05, 0.05, 0.01, 0.05, 0.0, 0.03, 0.1],
-    )
-    ours, truth = mean_gradients(rng, schedule, device, pose=pose, numbers=numbers, spread=spread, free=FREE)
-    error = np.linalg.norm(ours - truth, axis=0) / np.linalg.norm(truth, axis=0)
-    # seen .04, .11, .03 at the end, .002, .04, .003 over the panorama
-    assert (error < [0.1, 0.25, 0.1]).all()
-    assert (np.linalg.norm(truth, axis=0) > 0.02).all()
 
 
 def test_what_lies_outside_the_image_pulls_over_the_panorama_alone(device):

@@ -9,21 +9,26 @@ import numpy as np
 import pytest
 
 from tests.detection.test_probability import model_of
-from tests.driving_scene import street
+from tests.driving_scene import ConstantDetector, street
 from tests.optimisation.calls import pool_search, select
 from tests.optimisation.test_pool import streets
 from tests.optimisation.test_zones import zones
 from warpav.core.errors import InputError
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.losses.scene_on_tape import CameraProbability
+from warpav.optimisation.importance import Importance
+from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
+from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
 from warpav.optimisation.mount import PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount, views_of_rig
+from warpav.optimisation.objective import ObjectiveOptions, RigObjective
 from warpav.optimisation.pool import spread_mount_poses
 from warpav.optimisation.pool_search import PoolSearchSettings
 from warpav.optimisation.rig_limits import RigLimits
+from warpav.optimisation.settings import ImportanceSettings
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.optimisation.space import SearchSpace
 from warpav.raster.camera import CameraModel
+from warpav.raster.decide import Occlusion
 from warpav.raster.lens import Lens
 from warpav.raster.renderer import Renderer
 from warpav.rig.chart import chart_of
@@ -158,6 +163,49 @@ def test_the_jacobian_is_that_of_each_module():
     assert np.abs(jacobian[..., [X_M, Y_M]]).max() > 0.01
 
 
+@pytest.mark.parametrize("is_frozen", [False, True])
+def test_the_objective_of_modules_is_that_of_single_cameras_with_its_gradient(is_frozen):
+    pose, scenes = spread()[[0, 4, 2]].astype(np.float32), [*streets(), DeviceScene.pack(street(0))]
+    mount = mount_of()
+    if is_frozen:
+        rig = mount.rig(pose)
+        mount = mount.freezing(rig, [rig.cameras[1].name])
+    importance = Importance(ImportanceSettings(distance_m={0: 3.0, 9: 1.0}))
+    objective = RigObjective(
+        mount,
+        ConstantDetector.silent(3),
+        camera_count=3,
+        losses=[(2.0, ExpectedMissRate())],
+        camera_probability=probabilities(),
+        constraints=constraints_of([0, 1, 2]),
+        importance=importance,
+        options=ObjectiveOptions(occlusion=Occlusion.EXACT),
+    )
+    assigned = [AssignedScene(scene, np.full(scene.vehicle_count, -1, np.int32)) for scene in scenes]
+    probability, jacobian = cameras_of().with_jacobian(pose, scenes)
+    missed = 1.0 - np.minimum(probability, 0.9999)
+    share = importance.weights_of(scenes) / importance.weights_of(scenes).sum()
+    expected = float(missed.prod(axis=0) @ share)
+    slope = np.stack([-(np.delete(missed, k, axis=0).prod(axis=0) * share) @ jacobian[k] for k in range(3)])
+    slope[1] *= not is_frozen
+    found = objective.evaluate(pose, assigned, gradient=True, detection_probability=True)
+    assert (found.total, found.objective, found.terms["expected_miss_rate"]) == pytest.approx(
+        (2 * expected,) * 2 + (expected,), rel=1e-5
+    )
+    np.testing.assert_allclose(found.gradient, 2.0 * slope, rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(found.detection_probability, probability, atol=1e-6)
+    assert found.multiplier_gradient is None
+    assert 0.0 < found.seconds["render"] == found.seconds["total"] < 60.0
+    plain = objective.evaluate(pose, assigned)
+    assert plain.objective == pytest.approx(2.0 * expected, abs=2e-3)
+    assert plain.gradient is None
+    one = probability[:, :6]
+    alone = float(missed[:, :6].prod(axis=0) @ share[:6] / share[:6].sum())
+    assert objective.value_of(one, assigned[0]) == pytest.approx(2.0 * alone, rel=1e-5)
+    assert objective.value_of(probability[:, :0], assigned[1]) == 0.0
+    assert objective.evaluate(pose, assigned[1:2]).objective == 0.0
+
+
 def test_rigs_keep_their_modules_through_files(tmp_path):
     mount = mount_of()
     rig = mount.rig(spread()[:5])
@@ -222,29 +270,59 @@ def test_the_selection_is_the_best_of_all_rigs_within_the_limits(count, cost_max
     assert tuple(chosen) == best[1]
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"count": (6, 7)}, r"^rig.cameras: expected 1 to 5, as many as rig.modules allows, got 6..7; change one"),
-        ({"count": (3, 3), "cost_max": 3.5}, r"^rig.max_cost: expected at least 4, what the cheapest rig .* got 3.5"),
-    ],
-)
-def test_limits_that_no_rig_satisfies(options, message):
-    with pytest.raises(InputError, match=message):
-        RigLimits.of(LIMITS, price=PRICES, **options)
+@pytest.mark.parametrize("seed", range(40))
+def test_limits_are_those_of_all_rigs_counted_one_by_one(seed):
+    """Random limits of two modules, the first in pairs or single where rigs are symmetric, the other in pairs."""
+    rng = np.random.default_rng(seed)
+    low = rng.integers(0, 3, 2)
+    of_module = {name: (int(a), int(a + rng.integers(0, 4))) for name, a in zip("ab", low, strict=True)}
+    count = tuple(np.sort(rng.integers(1, 7, 2)).tolist()) if seed % 3 else None
+    price = {"a": float(rng.integers(1, 4)), "b": float(rng.integers(0, 4))}
+    kinds = [("a", 2), ("a", 1), ("b", 2)] if seed % 2 else [("a", 1), ("b", 1)]
+    cost_max = float(rng.integers(4, 12)) if seed % 4 > 1 else None
+    low, high = count or (max(low.sum(), 1), sum(most for _, most in of_module.values()))
 
+    def is_whole(a, b):
+        inside = all(least <= n <= most for n, (least, most) in zip((a, b), of_module.values(), strict=True))
+        return inside and low <= a + b <= high
 
-def test_which_rigs_are_within_the_limits():
-    limits = RigLimits.of(LIMITS, count=(2, 4), price=PRICES, cost_max=6.0)
-    kinds = len(limits.kinds)
-    for size in range(6):
-        for kind in itertools.combinations_with_replacement(range(kinds), size):
-            names = [limits.kinds[k][0] for k in kind]
-            fits = all(names.count(name) <= high for name, (_, high) in LIMITS.items())
-            fits = fits and size <= 4 and sum(PRICES[name] for name in names) <= 6.0
-            is_whole = size >= 2 and all(names.count(name) >= low for name, (low, _) in LIMITS.items())
-            assert limits.holds(np.array(kind, int), is_whole=False) == fits
-            assert limits.holds(np.array(kind, int)) == (fits and is_whole)
+    rigs = {n: n[0] * price["a"] + n[1] * price["b"] for n in itertools.product(range(7), repeat=2) if is_whole(*n)}
+    if not rigs or (cost_max is not None and min(rigs.values()) > cost_max):
+        with pytest.raises(InputError, match=r"rig\.(max_cost|cameras|modules): expected"):
+            RigLimits.of(of_module, count=count, price=price, cost_max=cost_max, kinds=kinds)
+        return
+    limits = RigLimits.of(of_module, count=count, price=price, cost_max=cost_max, kinds=kinds)
+    dearest = max(rigs.values())
+    assert limits.cost_range() == (min(rigs.values()), dearest if cost_max is None else min(dearest, cost_max))
+    assert limits.count == (min(map(sum, rigs)), max(map(sum, rigs)))
+    fewest = min(n for n, cost in rigs.items() if cost == min(rigs.values()) and sum(n) == limits.count[0])
+    if seed % 2 and any(n[1] % 2 for n, cost in rigs.items() if sum(n) == limits.count[0]):
+        return  # an odd number of the one that is there in pairs alone
+    first = limits.first_kinds()
+    assert limits.size(first) == sum(fewest)
+    assert limits.cost([kinds[k][0] for k in first for _ in range(kinds[k][1])]) == min(rigs.values())
+    column = np.repeat([*range(len(kinds)), -1], [4] * len(kinds) + [1])
+    assert limits.size(column) == 4 * sum(size for _, size in kinds)
+    rows = limits.rows(column)
+    for taken in itertools.product(range(4), repeat=len(kinds)):
+        kind = np.repeat(np.arange(len(kinds)), taken)
+        number = tuple(sum(n * size for n, (m, size) in zip(taken, kinds, strict=True) if m == name) for name in "ab")
+        cost = number[0] * price["a"] + number[1] * price["b"]
+        cheap = cost_max is None or cost <= cost_max
+        fits = cheap and sum(number) <= limits.count[1]
+        fits = fits and all(n <= most for n, (_, most) in zip(number, of_module.values(), strict=True))
+        assert limits.holds(kind) == (number in rigs and cheap)
+        assert limits.holds(kind, is_whole=False) == fits
+        chosen = np.concatenate([4 * k + np.arange(n) for k, n in enumerate(taken)]).astype(int)
+        sums = [(row.low, row.coefficient[chosen].sum(), row.high) for row in rows]
+        is_kept = all(least <= value <= most for least, value, most in sums)
+        if seed % 2 or limits.count[0] <= len(kind) <= limits.count[1]:  # what the selection counts itself
+            assert is_kept == (number in rigs and cheap)
+    most_absent = limits.count[1] - -(-limits.count[0] // max(size for _, size in kinds))
+    assert limits.absent == most_absent
+    fewer = limits.within(count=(limits.count[0],) * 2)
+    assert (fewer.count, fewer.cost_max, fewer.kinds) == ((limits.count[0],) * 2, cost_max, tuple(kinds))
+    assert limits.within(cost_max=99.0).cost_range() == (min(rigs.values()), min(dearest, 99.0))
 
 
 @pytest.mark.parametrize("cost_max", [None, 4.0])

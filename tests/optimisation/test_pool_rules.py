@@ -1,5 +1,6 @@
 """Design rules of pools and polishes: every rig that is found keeps them, and none that keeps them is better."""
 
+import dataclasses
 import functools
 import itertools
 import math
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import street
+from tests.optimisation.test_modules import columns, symmetric_cameras, symmetric_mount
 from tests.optimisation.test_polish import zone_of
 from tests.optimisation.test_pool import cameras_of, mount_of, streets
 from warpav.detection.miss_rate import expected_miss_rate
@@ -18,8 +20,12 @@ from warpav.optimisation.pool_rules import ALONE, PoolRules
 from warpav.optimisation.pool_search import PoolSearch, PoolSearchSettings, PoolTask
 from warpav.optimisation.selection._problem import SelectionProblem
 from warpav.optimisation.selection.select import select
+from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.camera import CameraModel
-from warpav.sight.rules import RuleCheck, Rules
+from warpav.rig.rig import Rig
+from warpav.sight.around import level_ground
+from warpav.sight.rules import NEAR_M, RuleCheck, Rules, housing_shares, near_ring_m, ring_m
+from warpav.sight.sight import sight
 
 MODEL = CameraModel(64, 64, math.radians(100.0), near_m=0.05)
 RULES = Rules(own_body=0.35, azimuth_gap_rad=None, near_ground=False, housing=0.004)
@@ -147,3 +153,103 @@ def test_a_step_that_would_bring_a_housing_into_view_is_told_before():
     turned = pose.copy()
     turned[0, 2] = 0.4
     assert rules.conflict(turned).nnz > 0
+
+
+# --- pairs of a symmetric mount, against their single cameras -----------------------------------------------------
+
+
+ALL = Rules(own_body=0.3, own_body_wide=0.41, horizon=0.1, azimuth_gap_rad=0.5, housing=0.002, crossing_rad=0.6)
+
+
+@functools.cache
+def apart():
+    """The single cameras of the columns, and the column that each is of."""
+    return symmetric_mount().rig(columns()).cameras, symmetric_mount().rows_of_cameras(columns())
+
+
+def by_column(of_camera):
+    """Whether any camera of each column is so, bool [column, ...]."""
+    return np.array([of_camera[apart()[1] == column].any(axis=0) for column in range(len(columns()))])
+
+
+@functools.cache
+def housings_in_the_way():
+    """Whether the cameras of two columns, or the two of a pair, are in each other's way, bool [column, column]."""
+    cameras, _ = apart()
+    pose = np.stack([camera.ego_from_camera for camera in cameras])
+    share, meets = housing_shares(pose, [each.model for each in cameras], [each.housing for each in cameras])
+    found = by_column(by_column((share > ALL.housing) | meets).T)
+    return found | found.T
+
+
+def test_a_pair_keeps_alone_what_both_of_its_cameras_keep():
+    found = PoolRules(ALL, symmetric_cameras(), street().ego).allowed(columns())
+    lone = dataclasses.replace(ALL, housing=None, azimuth_gap_rad=None, near_ground=False)
+    margins = [RuleCheck(Rig([camera]), street().ego, lone).margins for camera in apart()[0]]
+    breaks = by_column(np.array([[not margin.is_kept for margin in each] for each in margins]))
+    blocked = np.diag(housings_in_the_way()) & symmetric_mount().is_pair(columns())
+    np.testing.assert_array_equal(found, ~(breaks.any(axis=1) | blocked))
+    assert 3 < found.sum() < len(found) - 3
+    assert (breaks.sum(axis=0) > 0).all()
+
+
+def test_columns_conflict_where_any_two_of_their_cameras_do():
+    expected = housings_in_the_way() & ~np.eye(len(columns()), dtype=bool)
+    found = PoolRules(ALL, symmetric_cameras(), street().ego).conflict(columns(), absent=2).toarray()
+    np.testing.assert_array_equal(found, np.pad(expected, (0, 2)))
+    assert expected.any()
+
+
+@pytest.mark.parametrize(("gap_steps", "near_level"), [(1, 0), (4, 3), (60, 5)])
+def test_rows_say_which_columns_see_each_direction_and_place(gap_steps, near_level):
+    rules, ego = PoolRules(ALL, symmetric_cameras(), street().ego), street().ego
+    assert {row.name for row in rules.rows(columns())} <= {f"rules.{name}" for name in ALONE}
+    rules.gap_steps, rules.near_level = gap_steps, near_level
+    near_m = near_ring_m(ego, NEAR_M[near_level])
+    seen = by_column(sight(apart()[0], np.concatenate([ring_m(ego), near_m]), level_ground(ego)).seen)
+    ring, near = seen[:, :120], seen[:, 120:]
+    wanted = {}
+    for k in range(120):
+        window = [(k + step) % 120 for step in range(gap_steps)]
+        azimuth = 3 * k if k < 60 else 3 * k - 360
+        wanted[f"rules.azimuth_gap at {azimuth} deg"] = ring[:, window].any(axis=1)
+    wanted |= {f"rules.near_ground at ({x:.1f}, {y:.1f}) m": near[:, k] for k, (x, y, _) in enumerate(near_m)}
+    rows = {row.name: row for row in rules.rows(columns(), absent=1, free_from=2)}
+    told = {np.append(each, 0.0).tobytes() for each in wanted.values()}
+    assert told == {row.coefficient.tobytes() for name, row in rows.items() if name in wanted}
+    for name, row in rows.items():
+        if name in wanted:
+            np.testing.assert_array_equal(row.coefficient, np.append(wanted[name], 0.0))
+            assert (row.low, row.high) == (1.0, math.inf)
+        else:
+            alone = rules._measured(columns()).breaks[:, ALONE.index(name.removeprefix("rules."))]
+            np.testing.assert_array_equal(row.coefficient, np.concatenate([[0.0, 0.0], alone[2:], [0.0]]))
+            assert row.high == 0.0
+    names = list(wanted)[::17]
+    np.testing.assert_array_equal(rules.coefficients(columns(), names), [wanted[name] for name in names])
+    allowed = np.flatnonzero(rules.allowed(columns()))
+    for rig in itertools.combinations(allowed[:6], 3):
+        kept = all(each[list(rig)].any() for each in wanted.values())
+        kept &= not housings_in_the_way()[np.ix_(rig, rig)][~np.eye(3, dtype=bool)].any()
+        assert rules.keeps(columns()[list(rig)]) == kept
+
+
+@pytest.mark.parametrize(("gap_steps", "share"), [(1, 0.98), (5, 0.85)])  # a window may have several points as far in
+def test_margins_of_a_pair_are_the_worse_alone_and_the_better_together(gap_steps, share):
+    """Its right camera is the left one in a world that is mirrored, where directions run the other way round."""
+    pair = columns()[symmetric_mount().is_pair(columns())][:10]
+    own = SingleCameras(symmetric_mount(), symmetric_cameras().probability, is_mirrored=True)
+    found, left, image = (PoolRules(ALL, each, street().ego) for each in (symmetric_cameras(), own, own))
+    for rules in (found, left, image):
+        rules.gap_steps, rules.near_level = gap_steps, 4
+    (value, slope), (one, one_slope), (two, two_slope) = (rules.margins(pair) for rules in (found, left, image))
+    turned = (1 - gap_steps - np.arange(120)) % 120
+    order = np.concatenate([[0, 1, 2], 3 + turned, 123 + (2 - np.arange(24)) % 24])
+    two, two_slope = two[:, order], two_slope[:, order]
+    alone = np.arange(len(order)) < 3
+    np.testing.assert_allclose(value, np.where(alone, np.minimum(one, two), np.maximum(one, two)), atol=2e-3)
+    assert found.needed.tolist() == [10**6] * 3 + [1] * 144
+    clear = (np.abs(one - two) > 0.01) & ~alone
+    expected = np.where((two > one)[..., None], two_slope, one_slope)
+    assert (np.abs(slope - expected).max(axis=2)[clear] < 0.05).mean() > share
+    assert clear.sum() > 500

@@ -83,20 +83,6 @@ def whole():
     return records, states, run
 
 
-def test_a_run_goes_from_its_start_to_a_verdict():
-    descent, records = begun(), []
-    while descent.stop_reason is None:
-        records.append(descent.step())
-    assert records[0].stage == "start"
-    assert records[-1].stage == "settled"
-    assert [record.iteration for record in records] == list(range(len(records)))
-    assert records[-1].training_objective == descent.finish().training_objective
-    assert records[-1].training_objective < 0.9 * records[0].training_objective
-    renders = [record.camera_renders for record in records]
-    assert renders == sorted(renders)
-    assert "camera renders" in descent.stop_reason
-
-
 def test_objectives_are_those_of_the_objective():
     objective = objective_of()
     descent = begun(objective=objective)

@@ -1,6 +1,7 @@
 """Rigs as a workshop takes them: names by direction, rounded numbers, roles, pairs of symmetric vehicles."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,13 +9,14 @@ import pytest
 import warpav as wa
 from tests.optimisation.test_hand_rigs import flat
 from warpav.core.errors import InputError
-from warpav.optimisation.mount import named_by_direction
-from warpav.optimisation.rig_limits import RigLimits
+from warpav.optimisation.constraints import ZoneAndSpacing
+from warpav.optimisation.hand_rigs import rig_by_hand
+from warpav.optimisation.mount import CameraMount, named_by_direction
 from warpav.optimisation.rounding import roundings, workshop_rig
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.rig.chart import chart_of, with_middles
-from warpav.rig.module import Housing, Module, Price
+from warpav.rig.module import Housing, Module, Price, Role
 from warpav.rig.rig import RigCamera
 from warpav.rig.zone import NORMALS, Zone
 from warpav.runs.config import load_config
@@ -48,7 +50,7 @@ def test_numbers_are_rounded_and_the_nearest_comes_first():
     first = workshop_rig(flat().rig(found[0][None])).cameras[0]
     assert first.position_m[0] == pytest.approx(0.125, abs=1e-12)
     assert math.degrees(first.yaw_rad) == pytest.approx(35.0, abs=1e-12)
-    assert len(found) == 16
+    assert len(found) == 32  # x, y, z, yaw and pitch to either side
     for each in found:
         steps = np.degrees(each[[2, 3]]) / 0.5
         np.testing.assert_allclose(steps, np.round(steps), atol=1e-4)
@@ -94,12 +96,48 @@ def test_rigs_are_symmetric_where_the_vehicle_is():
     assert with_middles([Zone("back", NORMALS["rear"])])[1].is_centred
 
 
-def test_limits_fill_up_with_the_cheapest():
-    limits = RigLimits.of({"a": (1, 3), "b": (0, 2)}, count=(3, 4), price={"a": 2.0, "b": 1.0})
-    np.testing.assert_array_equal(limits.first_kinds(), [0, 1, 1])
-    assert limits.cost_range() == (4.0, 7.0)
-    assert limits.within(count=(4, 4)).cost_range()[0] == 6.0
-    assert limits.within(cost_max=5.0).cost_max == 5.0
-    assert [row.name for row in limits.rows(np.array([0, 1]))] == ["rig.modules.a = 1..3", "rig.modules.b = 0..2"]
-    pairs = RigLimits.of({"a": (2, 2)}, kinds=[("a", 2), ("a", 1)])
-    assert pairs.rows(np.array([0, 1]))[0].name == "rig.cameras = 2"
+@pytest.mark.parametrize(
+    ("role", "is_pair", "count", "expected_deg"),
+    [
+        ("front", None, 1, [0]),
+        ("front", None, 2, [-7.5, 7.5]),
+        ("front", True, 2, [-11.25, -3.75, 3.75, 11.25]),
+        ("front", False, 2, [0, 0]),
+        ("rear", None, 3, [-170, 170, 180]),
+        ("rear", False, 1, [180]),
+        ("side", None, 2, [-90, 90]),
+        ("side", None, 5, [-135, -45, 30, 90, 150]),
+        ("side", True, 2, [-136, -44, 44, 136]),
+        ("surround", None, 4, [-136, -44, 44, 136]),
+        ("surround", True, 3, [-120, 0, 120]),
+        ("surround", False, 2, [0, 180]),
+    ],
+)
+def test_modules_stand_and_look_by_hand_where_their_role_has_them(role, is_pair, count, expected_deg):
+    """On the roof of a car, asymmetric or in pairs or in the middle: each at the edge or corner to which it looks."""
+    roof = Zone("roof", NORMALS["up"], pitch_rad=(-0.5, 0.5))
+    turns = {} if is_pair is None else {"ahead": 0.0, "back": math.pi}
+    middles = [replace(roof, name=name, is_centred=True, yaw_rad=(yaw, yaw)) for name, yaw in turns.items()]
+    options = {"modules": [module(role)], "cell_m": 0.05}
+    surface = chart_of([roof, *middles], CAR, pair_spacing_m=None if is_pair is None else 0.2, **options)
+    cameras = [CameraModel(64, 64, 1.0)] * len(surface.modules)
+    mount = CameraMount(surface, camera=cameras, height_offset_m=0.0, roles=[Role(role)] * len(cameras))
+    kinds = np.full(count, 0 if is_pair is None else surface.pairs.index(is_pair))
+    constraints = ZoneAndSpacing(surface, camera_count=count, min_spacing_m=0.05, margin_m=0.0, module=kinds)
+    pose = rig_by_hand("corners", mount, constraints, count)
+    rig = mount.rig(pose)
+    yaw_deg = [round(math.degrees(each.yaw_rad) % 360.0, 3) % 360.0 for each in rig.cameras]
+    assert sorted(yaw_deg) == pytest.approx(sorted(each % 360 for each in expected_deg), abs=2e-3)
+    assert constraints.violation_m(rig) == 0.0
+    place_m = surface.place_m[surface.inside]
+    point_m = surface.point_m(place_m, surface.height_at_m(place_m))
+    if role == "surround":  # those that may look anywhere stand on the top
+        point_m = point_m[point_m[:, 2] >= point_m[:, 2].max() - 0.25]
+    low_m, high_m = point_m.min(axis=0), point_m.max(axis=0)
+    for each in rig.cameras:
+        x, y = math.cos(each.yaw_rad), math.sin(each.yaw_rad)
+        edge_m = high_m[0] - 0.3 if x > 0.0 else low_m[0]  # the front row is set back
+        if abs(x) > 0.35:
+            assert each.position_m[0] == pytest.approx(edge_m, abs=0.3), each
+        if abs(y) > 0.35:
+            assert each.position_m[1] * math.copysign(1.0, y) == pytest.approx(high_m[1], abs=0.3), each

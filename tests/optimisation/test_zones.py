@@ -2,7 +2,6 @@
 
 import functools
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -12,13 +11,10 @@ from tests.driving_scene import street
 from tests.optimisation.calls import polish
 from tests.optimisation.test_pool import cameras_of
 from warpav.core.errors import InputError
-from warpav.optimisation._camera_jacobians import placing_slope
 from warpav.optimisation.constraints import ZoneAndSpacing
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, ROLL_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.pool import spread_mount_poses
-from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
-from warpav.raster.renderer import Renderer
 from warpav.rig.chart import chart_of
 from warpav.rig.rig import Rig, RigCamera
 from warpav.rig.zone import NORMALS, Zone
@@ -136,61 +132,6 @@ def test_a_rig_in_all_zones_is_polished_within_them():
     assert constraints_of(4).violation_m(cameras.mount.rig(last.mount_pose)) == 0.0
 
 
-def areas_of(pose, mount, supersampling):
-    """Visible areas of all objects [px^2], [camera, object], and their Jacobian to the views' poses."""
-    scene = DeviceScene.pack(street(), device="cpu")
-    renderer = Renderer([mount.camera] * len(pose), supersampling=supersampling)
-    views = mount.place(wp.array(pose.astype(np.float32), dtype=float), 1)
-    frame = renderer.render(
-        scene.raster, views.position_ego_m, views.camera_from_ego, log_focal=views.log_zoom, content=Content.ALL
-    )
-    return frame.areas()
-
-
-WEIGHT = {X_M: 1.0, Y_M: 1.0, YAW_RAD: 0.1, PITCH_RAD: 0.1, ROLL_RAD: 0.1, HEIGHT_DELTA_M: 1.0}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [*NORMALS, "slant"])
-def test_jacobians_match_differences_of_supersampled_renders(name):
-    """All six degrees of freedom of a flush camera in every kind of zone; areas at x4 and x8."""
-    number = [zone.name for zone in zones()].index(name)
-    pose = spread(1024)[chart().zone_at(spread(1024)[:, [X_M, Y_M]]) == number][:12].astype(np.float64)
-    # away from the kinks of the height field between cells
-    origin_m, cell_m = chart().origin_m, chart().cell_m
-    pose[:, [X_M, Y_M]] = origin_m + (np.floor((pose[:, [X_M, Y_M]] - origin_m) / cell_m) + 0.5) * cell_m
-    # the body is nearer to a flush camera than most near planes are
-    mount = mount_of(model=CameraModel(512, 512, math.pi / 2, near_m=0.005))
-    found = areas_of(pose, mount, 4)
-    jacobian = found.jacobian.numpy().astype(np.float64)
-    slope = placing_slope(mount, pose.astype(np.float32))
-    ours = np.einsum("cok,ckn->con", jacobian[..., :3], slope.position)
-    ours += np.einsum("cok,ckn->con", jacobian[..., 3:6], slope.rotation)
-    numbers = list(WEIGHT)
-    truth = np.zeros((*ours.shape[:2], len(numbers)))
-    for k, column in enumerate(numbers):
-        step = 0.003 * (1.0 if WEIGHT[column] == 1.0 else 0.5)
-        ends = []
-        for sign in (1.0, -1.0):
-            moved = pose.copy()
-            moved[:, column] += sign * step
-            ends.append(areas_of(moved, mount, 8).visible.numpy().astype(np.float64))
-        truth[..., k] = (ends[0] - ends[1]) / (2.0 * step)
-    # of all objects together, as an objective has them, with weights of either sign
-    share = np.random.default_rng(0).normal(size=(ours.shape[1], 4))
-    mine, truth = (
-        np.einsum("con,ow->cwn", each, share).reshape(-1, len(numbers)) * [*WEIGHT.values()]
-        for each in (ours[..., numbers], truth)
-    )
-    for count, least in ((3, 0.999), (6, 0.99)):
-        size = np.linalg.norm(truth[:, :count], axis=1) * np.linalg.norm(mine[:, :count], axis=1)
-        seen = size > 1.0
-        assert seen.sum() >= 24
-        cosine = (mine * truth)[seen, :count].sum(axis=1) / size[seen]
-        sys.stdout.write(f"{name}, {count} numbers: {np.median(cosine):.5f}\n")
-        assert np.median(cosine) >= least
-
-
 def test_cameras_that_stay_are_where_they_were_or_are_refused():
     """Far away a place of the chart may belong to another zone than the point was laid out in."""
     mount = mount_of()
@@ -210,6 +151,65 @@ def test_cameras_that_stay_are_where_they_were_or_are_refused():
         kept += 1
     assert kept > 5
     assert refused > 5
-    place_m, rise_m = chart().place_of(np.random.default_rng(1).uniform(-40.0, 40.0, (60, 3)))
-    assert np.isfinite(place_m).all()
-    assert np.isfinite(rise_m).all()
+
+
+def place_by_hand(surface, point_m, modules):
+    """The zone whose surface and stand-off are nearest, of those of a module the deepest; else the nearest cell."""
+    best = None
+    for number, zone in enumerate(surface.zones):
+        module = surface.module_of_zone[number] if surface.modules else 0
+        local_m = zone.axes @ (point_m - surface.plane_m[number])
+        if surface.zone_at(local_m[:2]) != number or not modules[module]:
+            continue
+        above_m = local_m[2] - float(surface.height_at_m(local_m[:2]))
+        inside_m = float(surface.zone_distance_m(local_m[:2]))
+        beyond_m = max(zone.rise_m[0] - above_m, above_m - zone.rise_m[1], 0.0)
+        away_m = round(max(-inside_m, 0.0) + beyond_m, 6)
+        if best is None or away_m < best[0] or (away_m == best[0] and module == best[1] and inside_m > best[2]):
+            best = away_m, module, inside_m, local_m[:2], above_m
+    if best is not None:
+        return best[3], best[4]
+    place_m = surface.place_m[surface.inside]
+    place_m = place_m[np.array(modules)[surface.module_at(place_m)]]
+    cell_m = surface.point_m(place_m, surface.height_at_m(place_m))
+    near = np.linalg.norm(cell_m - point_m, axis=1).argmin()
+    return place_m[near], (point_m - cell_m[near]) @ surface.axes[surface.zone_at(place_m[near]), 2]
+
+
+@pytest.mark.parametrize("has_modules", [False, True])
+def test_any_point_has_the_place_of_the_nearest_zone_that_carries_its_module(has_modules):
+    from tests.optimisation.test_modules import chart as chart_of_modules
+
+    surface = chart_of_modules() if has_modules else chart()
+    rng = np.random.default_rng(4)
+    point_m = np.concatenate([rng.uniform([-1.5, -1.5, 0.0], [4.0, 1.5, 2.0], (80, 3)), rng.uniform(-30, 30, (40, 3))])
+    carriers = rng.random((len(point_m), 3)) < 0.6 if has_modules else None
+    if has_modules:
+        carriers[~carriers.any(axis=1)] = True
+    place_m, rise_m = surface.place_of(point_m, carriers)
+    for k, point in enumerate(point_m):
+        expected_m, above_m = place_by_hand(surface, point, [True] if carriers is None else carriers[k])
+        np.testing.assert_allclose(place_m[k], expected_m, atol=1e-6)
+        assert rise_m[k] == pytest.approx(above_m, abs=1e-6)
+    one_m, one_rise_m = surface.place_of(point_m[90], None if carriers is None else carriers[90])
+    np.testing.assert_allclose(one_m, place_m[90])
+    assert float(one_rise_m) == pytest.approx(rise_m[90])
+
+
+def test_seen_from_above_a_chart_is_the_highest_of_its_cells():
+    surface = chart()
+    place_m = surface.place_m[surface.inside]
+    point_m = surface.point_m(place_m, surface.height_m[surface.inside])
+    above = surface.over_ground
+    assert above.over_ground is above
+    for centre_m, height_m in zip(above.place_m.reshape(-1, 2), above.height_m.ravel(), strict=True):
+        away = np.abs(point_m[:, :2] - centre_m).max(axis=1) / surface.cell_m
+        surely, maybe = point_m[away < 0.499, 2], point_m[away < 0.501, 2]  # those on an edge are of either cell
+        if math.isnan(height_m):
+            assert not len(surely)
+        else:
+            assert surely.max(initial=-math.inf) <= height_m + 1e-6
+            assert np.abs(maybe - height_m).min() < 1e-6
+    np.testing.assert_array_equal(above.inside, np.isfinite(above.height_m))
+    assert not above.inside[[0, -1]].any()
+    assert not above.inside[:, [0, -1]].any()

@@ -258,3 +258,10 @@ def test_a_zoom_makes_focal_lengths_longer_and_nothing_else(model):
 def test_a_zoom_that_the_lens_cannot_see_is_refused():
     with pytest.raises(ValueError, match="panorama"):
         CameraModel(640, 480, 6.0, lens="panorama").zoomed(-0.5)
+
+
+def test_the_jacobian_of_brown_conrady_is_that_of_differences(rng):
+    shape = LensShape(Lens.BROWN_CONRADY, (-0.2, 0.06, 0.02, -0.03, -0.01, 0.1, 0.02, 0.01))
+    at, step = rng.uniform(-0.6, 0.6, (20, 2)), 1e-5 * np.eye(2)
+    ends = [(shape._moved(at + each)[0] - shape._moved(at - each)[0]) / 2e-5 for each in step]
+    np.testing.assert_allclose(shape._moved(at)[1], np.stack(ends, axis=-1), atol=1e-8)

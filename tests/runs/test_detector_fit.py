@@ -78,14 +78,6 @@ def test_bad_words_are_refused(capsys, words, message):
     assert re.search(message, line), line
 
 
-@pytest.mark.slow
-def test_too_few_objects_are_refused(capsys, monkeypatch):
-    monkeypatch.setattr(detector_samples, "VIEWS_PER_SCENE", 2)
-    line = refused(capsys, "--scenes", "1", "--held-out", "2", "camera.width_px=64", "camera.height_px=64")
-    assert "detection probability: --scenes: expected at least 200 visible objects" in line
-    assert line.endswith("give more --scenes, or other sizes of image")
-
-
 @pytest.fixture
 def small_fit(monkeypatch):
     monkeypatch.setattr(detector_samples, "VIEWS_PER_SCENE", 6)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import time
 
 import numpy as np
 import pytest
@@ -97,34 +96,6 @@ def test_training_objective_falls_and_result_is_feasible(finished):
     # what is claimed is what the objective says of that rig
     again = descent.objective.evaluate(result.mount_pose, descent.scenes).objective
     assert again == pytest.approx(result.training_objective, rel=1e-6)
-
-
-def test_stages_of_an_evaluation_take_less_time_than_all_of_it():
-    began = time.perf_counter()
-    seconds = street_objective().evaluate(START, street_scenes()).seconds
-    assert 0.0 < seconds["render"] + seconds["detect"] + seconds["backward"] <= seconds["total"]
-    assert seconds["total"] <= time.perf_counter() - began
-    assert min(seconds.values()) >= 0.0
-
-
-def test_records_hold_what_happened(finished):
-    _, records, _ = finished
-    assert [r.iteration for r in records] == list(range(25))
-    np.testing.assert_allclose(np.array(records[0].positions_m)[:, :2], START[:, :2], atol=1e-6)
-    np.testing.assert_allclose(records[0].yaw_deg, np.degrees(START[:, YAW_RAD]), rtol=1e-5)
-    height = roof().height_at_m(START[:, :2]) + 0.25
-    np.testing.assert_allclose(np.array(records[0].positions_m)[:, 2], height, atol=1e-5)
-    for record in records:
-        assert set(record.terms) == {"in_frame_rotation", "detected_area", "out_of_bounds", "camera_spacing"}
-        assert set(record.multipliers) == {"out_of_bounds", "camera_spacing"}
-        a, b = record.positions_m
-        assert record.min_camera_distance_m == pytest.approx(math.dist(a, b))
-        assert record.gradient_norm["rotation"] >= 0.0
-        for kind, field in (("position", "position_per_m"), ("rotation", "yaw_per_rad")):
-            assert np.linalg.norm(record.gradient[field]) == pytest.approx(record.gradient_norm[kind], rel=1e-5)
-        assert np.shape(record.gradient["position_per_m"]) == (2, 2)
-    assert records[0].multipliers == {"out_of_bounds": 0.0, "camera_spacing": 0.0}
-    assert sum(r.gradient_norm["position"] for r in records) > 0.0
 
 
 def test_same_seed_same_result_other_seed_other_batches(finished):

@@ -72,8 +72,6 @@ class Exchange:
         host_weight: Sequence[float] = (),
     ) -> None:
         """Begin a step: one copy to the device, and gradients and sums of 0."""
-        if np.shape(mount_pose) != self._shape:
-            raise ValueError(f"expected mount poses of shape {self._shape}, got {np.shape(mount_pose)}")
         self.host_weight = tuple(host_weight)
         numbers = [
             np.ravel(mount_pose),

@@ -64,8 +64,6 @@ class Constraints(ABC):
         module: np.ndarray | None = None,
     ) -> None:
         """Constraints on a surface. ``module`` int [camera]."""
-        if not min_spacing_m > 0.0:
-            raise ValueError(f"min_spacing_m must be positive, got {min_spacing_m}")
         self.surface = surface  # what the cameras stand on
         self.min_spacing_m = min_spacing_m  # least distance between two camera centres [m]
         self.margin_m = 0.0  # least distance of a camera's centre to the border of where it may stand [m]
@@ -240,8 +238,6 @@ class Constraints(ABC):
         frozen = self.frozen
         if frozen is None:
             return np.zeros(len(place), bool)
-        if len(place) != len(frozen.is_frozen):
-            raise ValueError(f"expected {len(frozen.is_frozen)} cameras, some of them frozen, got {len(place)}")
         place[frozen.is_frozen] = frozen.mount_pose[frozen.is_frozen][:, [X_M, Y_M]]
         height_delta[frozen.is_frozen] = frozen.mount_pose[frozen.is_frozen, HEIGHT_DELTA_M]
         return frozen.is_frozen
@@ -283,12 +279,6 @@ class ZoneAndSpacing(Constraints):
     ) -> None:
         """Constraints for rigs of ``camera_count`` cameras."""
         super().__init__(surface, min_spacing_m=min_spacing_m, frozen=frozen, module=module)
-        if frozen is not None and len(frozen.is_frozen) != camera_count:
-            raise ValueError(f"frozen must be of a rig of {camera_count} cameras, got {len(frozen.is_frozen)}")
-        if camera_count < 1:
-            raise ValueError(f"camera_count must be at least 1, got {camera_count}")
-        if not margin_m >= 0.0:
-            raise ValueError(f"margin_m must be at least 0, got {margin_m}")
         self.camera_count = camera_count
         self.margin_m = margin_m
         widest_m = float(surface.border_distance_m.max())
@@ -327,8 +317,6 @@ class ZoneAndSpacing(Constraints):
 
     def losses_of(self, views: PlacedViews, rotation_count: int) -> wp.array:
         """Inequalities g <= 0 [m], as in `Constraints`: how far outside the zone, how much too close."""
-        if views.mount_pose.shape[0] != self.camera_count:
-            raise ValueError(f"expected {self.camera_count} cameras, got {views.mount_pose.shape[0]}")
         device = views.mount_pose.device
         border_distance_m, kept = self._on_device(device)
         count = self.camera_count * (self.camera_count + 1) // 2

@@ -147,8 +147,8 @@ def _directions_of_role(role: Role, name: str, count: int, corner_deg: float, *,
     if is_pair is False:  # in the middle
         return np.where(np.arange(count) % 2 == 0, 0.0, math.pi)
     if role is Role.SIDE:
-        left, right = math.pi * between[::2], -math.pi * between[1::2]
-        return np.ravel(np.column_stack([left[: len(right)], right])).tolist() + left[len(right) :].tolist()
+        sides = (math.pi, count - count // 2), (-math.pi, count // 2)
+        return np.concatenate([turn * (np.arange(own) + 0.5) / max(own, 1) for turn, own in sides])
     return directions_rad(name, count, corner_deg)
 
 

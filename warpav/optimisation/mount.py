@@ -113,8 +113,6 @@ class CameraMount:
         """Mount for cameras of one model, or of the models of several modules."""
         self.surface = surface
         self.cameras = (camera,) if isinstance(camera, CameraModel) else tuple(camera)
-        if len(self.cameras) != (count := max(len(surface.modules), 1)):
-            raise ValueError(f"camera must be one model for each of {count}, got {len(self.cameras)}")
         self.housings = tuple(housings) or (PLAIN_HOUSING,) * len(self.cameras)
         self.roles = tuple(roles) or (Role.ANY,) * len(self.cameras)
         self.height_offset_m = height_offset_m
@@ -317,8 +315,6 @@ class CameraMount:
         self, mount_pose: wp.array, rotation_count: int | None = None, *, into: PlacedViews | None = None
     ) -> PlacedViews:
         """Poses of all views; recorded on the active tape, gradients flow to ``mount_pose``."""
-        if mount_pose.ndim != 2 or mount_pose.shape[1] != MOUNT_POSE_SIZE:
-            raise ValueError(f"mount poses must be [camera, {MOUNT_POSE_SIZE}], got {mount_pose.shape}")
         camera_count = mount_pose.shape[0]
         rotation_count = self.rotation_count if rotation_count is None else rotation_count
         views = PlacedViews.zeros(mount_pose, rotation_count) if into is None else into

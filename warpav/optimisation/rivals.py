@@ -68,8 +68,8 @@ def selected_search(
     single: SingleCameraValues,
     gap: float,
     time_limit_s: float,
-    seed: int = 0,
-    on_selection: Callable[[Selection], None] | None = None,
+    seed: int,
+    on_selection: Callable[[Selection], None],
 ) -> None:
     """The best rig of the cameras of as many drawn rigs as the budget allows, chosen by `select` without a render."""
     space = value.space
@@ -94,8 +94,7 @@ def selected_search(
     rig = pose[: space.camera_count].copy()
     rig[~space.is_frozen] = pose[row][np.setdiff1d(selection.cameras, np.arange(held))]
     value.record(rig, single.weight * selection.objective)
-    if on_selection is not None:
-        on_selection(selection)
+    on_selection(selection)
 
 
 def differential_evolution(value: BudgetedValue, rng: np.random.Generator) -> None:

@@ -70,10 +70,6 @@ class SingleCameras:
     _renderers: KeptRenderers = field(default_factory=KeptRenderers, kw_only=True, repr=False)
     _at_once: dict[int, ViewsAtOnce] = field(default_factory=dict, init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        if len(self.probabilities) != len(self.mount.cameras):
-            raise ValueError(f"probability must be one for each of {len(self.mount.cameras)} modules")
-
     @property
     def probabilities(self) -> tuple[CameraProbability, ...]:
         """How likely a camera of each of the mount's models is to detect."""

@@ -48,14 +48,6 @@ class SearchSpace:
             low[is_frozen] = high[is_frozen] = mount.frozen.mount_pose[is_frozen]
         return cls(mount, constraints, low, high)
 
-    def __post_init__(self) -> None:
-        if self.low.shape != self.high.shape or self.low.shape[1:] != (MOUNT_POSE_SIZE,) or not len(self.low):
-            raise ValueError(
-                f"low and high must be [camera, {MOUNT_POSE_SIZE}], got {self.low.shape} and {self.high.shape}"
-            )
-        if not (self.low <= self.high).all():
-            raise ValueError("low must not exceed high")
-
     @property
     def camera_count(self) -> int:
         """Number of cameras."""

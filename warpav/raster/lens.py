@@ -303,8 +303,7 @@ def _polynomial(coefficient: Sequence[float] | np.ndarray) -> np.polynomial.Poly
 
 
 @cache
-@cache
-def image_table(shape: LensShape, reach_rad: float = math.pi) -> np.ndarray:
+def image_table(shape: LensShape, reach_rad: float) -> np.ndarray:
     """Where the image of a direction lies, roughly, and how a radial lens bends great circles, over the whole sphere.
 
     The radius over the sine of the angle t from the axis [focal lengths], and the greatest curvature of the image of a

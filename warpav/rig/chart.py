@@ -259,7 +259,7 @@ def _roomy(
 
 
 def _with_room(
-    module: Module, zone: Zone, surface: MountSurface, *, pitch_rad: tuple[float, float] = (0.0, 0.0)
+    module: Module, zone: Zone, surface: MountSurface, *, pitch_rad: tuple[float, float]
 ) -> tuple[Zone, MountSurface] | float:
     """A zone and its surface as a module may stand there; or the stand-off that it would need, beyond the greatest [m].
 

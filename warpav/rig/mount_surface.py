@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 _SAMPLES_PER_CELL = 2
 """Surface points per cell and axis."""
 
+_MIN_UPWARD_NORMAL = 0.9
+
 _MIN_PATCH_FRACTION = 0.1
 """A patch of fewer cells than this share of the largest one's is a mirror, a sill or a handle, not roof or bonnet."""
 
@@ -269,7 +271,7 @@ def mount_surface_from_mesh(
     mesh: Mesh,
     *,
     cell_m: float = 0.02,
-    min_upward_normal: float = 0.9,
+    min_upward_normal: float = _MIN_UPWARD_NORMAL,
     min_zone_normal: float = 0.9,
     min_height_m: float = 0.0,
     smoothing_tolerance_m: float = 1e-4,
@@ -284,10 +286,6 @@ def mount_surface_from_mesh(
     """
     from scipy import ndimage
 
-    if not smoothing_tolerance_m > 0.0:
-        raise ValueError(f"smoothing_tolerance_m must be positive, got {smoothing_tolerance_m}")
-    if not 0.0 < min_zone_normal <= 1.0:
-        raise ValueError(f"min_zone_normal must lie in (0, 1], got {min_zone_normal}")
     measured_m, upward, origin_m = _measured(mesh, cell_m, min_upward_normal, min_height_m, keeps)
     is_measured = np.isfinite(measured_m)
     filled_m = _filled(np.where(is_measured, measured_m, 0.0), is_measured, smoothing_tolerance_m)
@@ -301,11 +299,9 @@ def mount_surface_from_mesh(
     return MountSurface(np.ascontiguousarray(filled_m, np.float32), origin_m, float(cell_m), is_mountable)
 
 
-def measured_surface(
-    mesh: Mesh, *, cell_m: float = 0.02, min_upward_normal: float = 0.9, min_height_m: float = 0.0
-) -> MountSurface:
+def measured_surface(mesh: Mesh, *, cell_m: float) -> MountSurface:
     """As `mount_surface_from_mesh` before holes are filled: NaN where nothing was measured."""
-    measured_m, _, origin_m = _measured(mesh, cell_m, min_upward_normal, min_height_m)
+    measured_m, _, origin_m = _measured(mesh, cell_m, _MIN_UPWARD_NORMAL, 0.0)
     return MountSurface(np.ascontiguousarray(measured_m, np.float32), origin_m, float(cell_m))
 
 
@@ -319,10 +315,6 @@ def _measured(
     """Heights [m] (NaN: none) and z of the flattest face's normal, [row, column]; centre of cell (0, 0) [m]."""
     from scipy import ndimage
 
-    if not cell_m > 0.0:
-        raise ValueError(f"cell_m must be positive, got {cell_m}")
-    if not 0.0 < min_upward_normal <= 1.0:
-        raise ValueError(f"min_upward_normal must lie in (0, 1], got {min_upward_normal}")
     low_m, high_m = mesh.bounds_m().astype(np.float64)[:, :2]
     extent_m = high_m - low_m
     if extent_m.max() > _MAX_EXTENT_M:

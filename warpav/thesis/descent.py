@@ -139,10 +139,6 @@ class Descent:
     further_starts: Sequence[np.ndarray] = ()  # where to begin again, each as ``start``
 
     def __post_init__(self) -> None:
-        if len(self.further_starts) != self.settings.descents - 1:
-            raise ValueError(
-                f"{self.settings.descents} descents need as many starts, got {1 + len(self.further_starts)}"
-            )
         self.candidates: list[Candidate] = []  # rigs that were evaluated on all validation scenes, in order
         self._failure: str | None = None
         self.iteration = 0  # steps so far

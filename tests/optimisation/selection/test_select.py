@@ -221,11 +221,3 @@ def test_four_of_204_rendered_cameras(pool_folder):
     assert found.ended == "optimal"
     assert found.cameras.tolist() == [55, 64, 119, 166]
     assert found.objective == pytest.approx(0.05435933, abs=1e-8)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("count", "best"), [(4, 0.063910), (5, 0.051206), (6, 0.042729), (7, 0.0375), (8, 0.0326)])
-def test_of_2496_rendered_cameras(pool_folder, count, best):
-    found = select(pool_of(pool_folder, "pool_150"), count, gap=1e-3, time_limit_s=300.0)
-    assert found.ended == "gap"
-    assert found.objective <= best

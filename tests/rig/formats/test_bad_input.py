@@ -323,23 +323,3 @@ def test_the_command_checks_rigs(tmp_path, capsys):
     assert main(["rig", "check", str(mirrored)]) == 2
     assert "expected it on the left" in capsys.readouterr().err
     assert main(["rig", "check", str(mirrored), "--accept-mirrored"]) == 0
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["import", "no.json", "--format", "nuscenes"], "no.json: expected a file or folder of the format nuscenes"),
-        (["import", "no.json", "--format", "carla"], "(--format): expected carla-ros-bridge"),
-        (["import", "no.json"], "--format"),
-        (["export", "nuscene", "--format", "kitti", "--out", "o"], "did you mean nuscenes?"),
-        (["export", "nuscenes", "--format", "kitty", "--out", "o"], "did you mean kitti?"),
-        (["check", "no.yaml"], "no.yaml: rig: expected a rig YAML"),
-    ],
-)
-def test_the_command_refuses_in_one_line(tmp_path, monkeypatch, capsys, words, message):
-    monkeypatch.chdir(tmp_path)
-    assert main(["rig", *words]) == 2
-    captured = capsys.readouterr()
-    assert len(captured.err.splitlines()) == 1
-    assert message in captured.err
-    assert list(tmp_path.iterdir()) == []
