@@ -52,7 +52,7 @@ _POOL_SHARE = 0.45
 """Of a budget, the share of the first pool; more where less than the rest is enough for a round with its polishes."""
 _PRICED_STEPS = 3
 """Steps of the ascent of the prices."""
-_FIRST_POLISH, _FURTHER_POLISH, _LAST_POLISH = (16, 0.4), (10, 0.4), (6, 0.2)
+_FIRST_POLISH, _FURTHER_POLISH, _LAST_POLISH = (16, 1.0), (10, 0.4), (6, 0.2)
 """Steps and first radius of a polish: of the first selected rig, in a round of pricing, and at the end."""
 _GAP_ON_THE_WAY = 3e-3
 """Objective less bound at which a selection ends whose rig is polished next: about what the relaxation alone proves."""

@@ -673,7 +673,7 @@ class ConfigTree(Section):
         return (
             rig.symmetric == "auto"
             and self._is_by_pool
-            and rig.camera_range[0] > 1
+            and 1 < rig.camera_range[0] == rig.camera_range[1]
             and not rig.freeze
             and rig.free.fov_deg is None
         )
