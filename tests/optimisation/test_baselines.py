@@ -48,11 +48,11 @@ def test_highest_cameras_at_the_edge_are_pushed_in():
 
 @pytest.mark.parametrize("camera_count", [1, 4])
 def test_cameras_at_the_edge_face_outwards_from_it(camera_count):
-    surface = flat_surface([-1.0, -0.5], [1.0, 0.5])
+    surface = flat_surface([3.0, 1.5], [5.0, 2.5])
     pose = edge_mount_pose(BoundsAndSpacing(surface), camera_count)
     yaw = 2 * math.pi * np.arange(camera_count) / camera_count
     np.testing.assert_allclose(pose[:, YAW_RAD], yaw)
-    edge = np.array([[1.0, 0.0], [0.0, 0.5], [-1.0, 0.0], [0.0, -0.5]])[:camera_count]
+    edge = np.array([[5.0, 2.0], [4.0, 2.5], [3.0, 2.0], [4.0, 1.5]])[:camera_count]
     np.testing.assert_allclose(pose[:, [X_M, Y_M]], edge, atol=surface.cell_m)
 
 

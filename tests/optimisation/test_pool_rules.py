@@ -63,6 +63,9 @@ def test_pairs_in_conflict_are_those_of_all_pairs():
         assert conflict[one, other] == conflict[other, one]
         assert conflict[one, other] != kept_by(spread()[[one, other]], alone)
     assert conflict.any()
+    pair = spread()[np.argwhere(conflict)[0]]
+    for frozen in itertools.product([False, True], repeat=2):  # only two that stay may be in each other's way
+        assert rules_of(alone).keeps(pair, frozen=np.array(frozen)) == all(frozen)
 
 
 def test_the_selection_is_the_best_of_all_rigs_that_keep_the_rules():

@@ -75,6 +75,10 @@ def test_what_was_not_rendered_is_not_measured(device):
     images = renderer.render(scene, *on_device(POSES, device), content=Content.IMAGES)
     with pytest.raises(InputError, match="with content objects, got one that holds images only"):
         images.measure()
+    alone = renderer.render(scene, *on_device(POSES, device), content=Content.OBJECTS)
+    alone.window_area(visible=False)
+    with pytest.raises(InputError, match="with content measures, got one that holds objects only"):
+        alone.window_area(visible=True)
 
 
 def test_arrays_of_another_shape_are_refused(device):

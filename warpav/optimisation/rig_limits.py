@@ -47,12 +47,9 @@ class RigLimits:
         if high < 1:
             raise OptionError("rig.modules", "expected at least one camera, got none")
         least, greatest = (max(low, 1), high) if count is None else (max(low, count[0]), min(high, count[1]))
-        if least > greatest:
-            given = "none" if count is None else range_text(count)
-            raise OptionError(
-                "rig.cameras",
-                f"expected {max(low, 1)} to {high}, as many as rig.modules allows, got {given}; change one of the two",
-            )
+        if count is not None and least > greatest:
+            expected = f"expected {max(low, 1)} to {high}, as many as rig.modules allows"
+            raise OptionError("rig.cameras", f"{expected}, got {range_text(count)}; change one of the two")
         every = tuple((name, 1) for name in of_module) if kinds is None else tuple(kinds)
         limits = cls((least, greatest), dict(of_module), dict(price or {}), cost_max, every)
         cheapest = limits.cost_range()[0]
