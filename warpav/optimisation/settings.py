@@ -486,7 +486,7 @@ class OptimiserSettings(Section):
         "else descent",
     )
     pool_cameras: int = Field(default=112, ge=16, le=1_000_000, description="search=pool: single cameras at first")
-    pool_rounds: int = Field(default=1, ge=0, le=1000, description="search=pool: rounds of pricing further cameras")
+    pool_rounds: int = Field(default=0, ge=0, le=1000, description="search=pool: rounds of pricing further cameras")
     pool_refinements: int = Field(
         default=0,
         ge=0,

@@ -129,7 +129,7 @@ def show_scene(source: str, out: Path | None, level: Level | None = None, fleet:
     from warpav.view import plot
     from warpav.view.opengl import has_display
 
-    scene = load_scene(source, Config(scenes=SceneConfig(level=level)), fleet=fleet)
+    scene = load_scene(source, Config(scenes=SceneConfig(level=None if level is None else (level,))), fleet=fleet)
     meshes = [scene.surroundings(), scene.ego, *(vehicle.mesh for vehicle in scene.vehicles)]
     triangle_count = sum(len(mesh.triangle) for mesh in meshes)
     people = f", {len(scene.others)} people" if scene.others else ""
