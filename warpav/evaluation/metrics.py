@@ -592,7 +592,7 @@ class _Boxes:
             {name: _mean(whole[:, k, : len(COCO_IOU)].mean(axis=1)) for k, name in enumerate(COCO_AREA_PX2)},
         )
 
-    def _confidence_at(self, false_alarms_per_frame: float) -> float:
+    def confidence_at(self, false_alarms_per_frame: float) -> float:
         """The lowest confidence, from the configured one on, that leaves at most so many false alarms per image."""
         images = self.false_alarms.size
         return _confidence_at(self._alarm_confidence, images, false_alarms_per_frame, least=self._confidence_min)
