@@ -438,7 +438,7 @@ def _carrying(rig: Rig, scenes: Sequence[AssignedScene]) -> Iterator[AssignedSce
         yield AssignedScene(assigned.scene.carrying(bodies[vehicle]), partial(getattr, assigned, "assigned_camera"))
 
 
-def confidence_at(
+def _confidence_at(
     false_alarm_confidence: np.ndarray, images: int, false_alarms_per_image: float, *, least: float
 ) -> float:
     """The lowest confidence, from ``least`` on, that leaves at most so many false alarms per image."""
@@ -595,7 +595,7 @@ class _Boxes:
     def confidence_at(self, false_alarms_per_frame: float) -> float:
         """The lowest confidence, from the configured one on, that leaves at most so many false alarms per image."""
         images = self.false_alarms.size
-        return confidence_at(self._alarm_confidence, images, false_alarms_per_frame, least=self._confidence_min)
+        return _confidence_at(self._alarm_confidence, images, false_alarms_per_frame, least=self._confidence_min)
 
     def ap50_of_scenes(self) -> list[float | None]:
         """AP50 over the images of each scene."""

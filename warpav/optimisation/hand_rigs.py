@@ -21,13 +21,13 @@ from warpav.optimisation.mount import MOUNT_POSE_SIZE, PITCH_RAD, X_M, Y_M, YAW_
 from warpav.rig.module import Role
 from warpav.rig.presets import AS_BUILT, preset_rig
 
-CORNER_DEG = (44, 40, 42, 46, 48)
+_CORNER_DEG = (44, 40, 42, 46, 48)
 """Half the angle between the cameras of a pair at the front, and at the rear [deg]; the first is tried first."""
 
-SET_BACK_M = (0.3, 0.0, 0.6)
+_SET_BACK_M = (0.3, 0.0, 0.6)
 """How far behind the front edge the front pair stands [m]."""
 
-PITCH_DEG = (12, 0, 6, 18)
+_PITCH_DEG = (12, 0, 6, 18)
 """Pitches, nose down [deg]."""
 
 _GROUND_FROM_M = 2.0
@@ -215,9 +215,9 @@ def rig_by_hand(name: str, mount: CameraMount, constraints: Constraints, count: 
         rows = count if constraints.module is None else len(constraints.module)
         return _placed(mount, constraints, _OF_SURFACE[name](constraints, rows))
     constraints = constraints.of_any_modules if _are_alike(mount) else constraints
-    set_back_m = SET_BACK_M[0] if name == "corners" else 0.0
-    layout = _layout(name, mount, constraints, count, CORNER_DEG[0])
-    pose = _hand_mount_pose(mount, constraints, layout, set_back_m=set_back_m, pitch_deg=PITCH_DEG[0])
+    set_back_m = _SET_BACK_M[0] if name == "corners" else 0.0
+    layout = _layout(name, mount, constraints, count, _CORNER_DEG[0])
+    pose = _hand_mount_pose(mount, constraints, layout, set_back_m=set_back_m, pitch_deg=_PITCH_DEG[0])
     if pose is None:
         raise InputError(f"{name}: expected zones in which cameras may look so, got none for one of them")
     return pose
@@ -245,13 +245,13 @@ def by_hand(
     found, of_surface = list[HandRig](), constraints
     constraints = constraints.of_any_modules if _are_alike(mount) else constraints
     is_pitched = bool(mount.is_free[PITCH_RAD])
-    pitches = PITCH_DEG if is_pitched else (0,)
-    kinds = [("cross", {"corner": CORNER_DEG[:1], "back": (0.0,), "pitch": pitches})]
+    pitches = _PITCH_DEG if is_pitched else (0,)
+    kinds = [("cross", {"corner": _CORNER_DEG[:1], "back": (0.0,), "pitch": pitches})]
     if count >= 4:
-        kinds.append(("corners", {"corner": CORNER_DEG, "back": SET_BACK_M, "pitch": pitches}))
+        kinds.append(("corners", {"corner": _CORNER_DEG, "back": _SET_BACK_M, "pitch": pitches}))
     if _are_alike(mount):
         pitch_deg = _ground_pitch_deg(mount, constraints) if is_pitched else 0
-        as_built = {"corner": CORNER_DEG[:1], "back": (0.0,), "pitch": (pitch_deg,)}
+        as_built = {"corner": _CORNER_DEG[:1], "back": (0.0,), "pitch": (pitch_deg,)}
         kinds += [(name, as_built) for name in AS_BUILT if len(_as_built(name).yaw_rad) == count]
     for name, tried in kinds:
         _try_kind(mount, constraints, name, count, tried, rated)

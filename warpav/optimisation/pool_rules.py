@@ -44,7 +44,7 @@ from warpav.sight.sight import sight
 ALONE = ("own_body", "horizon", "crossing", "housing")
 """Rules that a camera, or a pair that mirrors itself, keeps or breaks alone."""
 
-MARGIN_SCALE = 5.0
+_MARGIN_SCALE = 5.0
 """Of a margin: a share of .01 of an image, or .01 rad, are .05 of it, what a polish keeps back."""
 
 _CLEAR = 0.01
@@ -351,8 +351,8 @@ class PoolRules:
         point_m = self._points_m()
         limit = np.array([own_body_limit(rules, model) for model in models])
         share, by_view = self._body_shares(side, pose, views, models)
-        body = 1.0 + MARGIN_SCALE * (limit - share)
-        body_slope = placing_slope(cameras.mount, pose).chained(-MARGIN_SCALE * by_view[:, None])
+        body = 1.0 + _MARGIN_SCALE * (limit - share)
+        body_slope = placing_slope(cameras.mount, pose).chained(-_MARGIN_SCALE * by_view[:, None])
 
         def closed_forms(views: np.ndarray, models: Sequence[CameraModel]) -> np.ndarray:
             horizon = horizon_margin(views, models) - (-math.inf if rules.horizon is None else rules.horizon)
@@ -360,7 +360,7 @@ class PoolRules:
                 -math.inf if rules.crossing_rad is None else rules.crossing_rad
             )
             border = border_margin(views, models, point_m)
-            return 1.0 + MARGIN_SCALE * np.c_[np.minimum(horizon, 10.0), np.minimum(crossing, 10.0), border]
+            return 1.0 + _MARGIN_SCALE * np.c_[np.minimum(horizon, 10.0), np.minimum(crossing, 10.0), border]
 
         value = closed_forms(views, models)
         slope = np.zeros((*value.shape, MOUNT_POSE_SIZE))

@@ -41,7 +41,7 @@ _SIMPLER = 0.002
 
 
 @dataclass(frozen=True)
-class SimplerRig:
+class _SimplerRig:
     """A rig some of whose numbers are those of the rig by hand."""
 
     mount_pose: np.ndarray  # float32 [camera, 7]
@@ -175,7 +175,7 @@ class PoolRun(PoolSearch):
             return False
         return self.rules is None or bool(self.rules.allowed(mount_pose).all())
 
-    def simplified(self) -> SimplerRig | None:
+    def simplified(self) -> _SimplerRig | None:
         """The rig that is kept with as many numbers as by hand as cost at most `_SIMPLER` together.
 
         Each number is judged alone, then they go back one after the other, the cheapest first, as long as what is
@@ -197,7 +197,7 @@ class PoolRun(PoolSearch):
             if values[number] <= most and self._value_if_it_stands(tried, number[0]) <= most:
                 pose = tried
                 reverted.setdefault(int(number[0]), []).append(_NUMBERS[number[1]])
-        return SimplerRig(pose, self._value_of(pose), reverted, len(numbers)) if reverted else None
+        return _SimplerRig(pose, self._value_of(pose), reverted, len(numbers)) if reverted else None
 
     def _value_if_it_stands(self, rig: np.ndarray, camera: int) -> float:
         """The objective of a rig one of whose cameras is not in the pool yet; infinite where it may not stand so."""

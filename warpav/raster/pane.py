@@ -13,7 +13,7 @@ from warpav.raster.mesh import Mesh
 _MIN_FACING = math.cos(math.radians(30.0))
 """Least cosine between a triangle of the pane and the pane's normal: what only ends at the pane stays, as a scuttle."""
 
-SAME_M = 0.02
+_SAME_M = 0.02
 """A pane whose corners are so near to those of its mirror image is its own mirror image [m]."""
 
 _STEPS = 6  # a triangle is cut into so many squared parts
@@ -110,7 +110,7 @@ class Pane:
         x, y, z = self.normal
         outline = tuple((a, -b, c) for a, b, c in reversed(self.outline_m))
         away = np.linalg.norm(np.asarray(outline)[:, None] - np.asarray(self.outline_m)[None], axis=-1)
-        if abs(y) < SAME_M and away.min(axis=1).max() <= SAME_M and away.min(axis=0).max() <= SAME_M:
+        if abs(y) < _SAME_M and away.min(axis=1).max() <= _SAME_M and away.min(axis=0).max() <= _SAME_M:
             return self
         name = self.name.removesuffix("_mirrored") if self.name.endswith("_mirrored") else f"{self.name}_mirrored"
         return replace(self, name=name, normal=(x, -y, z), outline_m=outline)

@@ -17,10 +17,10 @@ from warpav.core.records import nearest
 from warpav.raster.camera import MAX_IMAGE_PX, CameraModel
 from warpav.raster.lens import COEFFICIENT_COUNTS, Lens, LensShape
 
-MIN_IMAGE_PX = 8
+_MIN_IMAGE_PX = 8
 """Minimum image width and height [px], that of a `CameraModel`."""
 
-MAX_HOUSING_M = 1.0
+_MAX_HOUSING_M = 1.0
 """Maximum size of a housing [m]: a larger number is one of millimetres."""
 
 _VERTICAL_TOLERANCE_DEG = 1.0
@@ -265,7 +265,7 @@ def _size_problems(module: Module) -> Iterator[_Problem]:
     for name, size in sizes.items():
         if not (len(size) == 2 and all(_is_size(pixels) for pixels in size)):
             are_sizes = False
-            expected = f"columns and rows from {MIN_IMAGE_PX} to {MAX_IMAGE_PX} px"
+            expected = f"columns and rows from {_MIN_IMAGE_PX} to {MAX_IMAGE_PX} px"
             yield _Problem(name, expected, f"{list(size)}", "write whole pixels, such as [1920, 1080]")
     if module.network_by not in list(Fitting):
         hint = _suggestion(module.network_by, list(Fitting))
@@ -355,8 +355,8 @@ def _housing_problems(housing: Housing) -> Iterator[_Problem]:
             got = f"{list(values)}"
             yield _Problem(f"housing.{name}", "three finite numbers of metres", got, "write x right, y down, z forward")
             return
-    if not all(0.0 < value <= MAX_HOUSING_M for value in housing.size_m):
-        expected = f"positive metres up to {MAX_HOUSING_M:g}"
+    if not all(0.0 < value <= _MAX_HOUSING_M for value in housing.size_m):
+        expected = f"positive metres up to {_MAX_HOUSING_M:g}"
         yield _Problem("housing.size_m", expected, f"{list(housing.size_m)}", "write metres: 0.03 for 30 mm")
     elif any(abs(at) > 0.5 * size for at, size in zip(housing.offset_m, housing.size_m, strict=True)):
         expected = "an offset of at most half the size: the box holds the optical centre"
@@ -372,7 +372,7 @@ def _is_number(value: object, least: float = -math.inf) -> bool:
 def _is_size(value: object) -> bool:
     if not isinstance(value, (int, np.integer)) or isinstance(value, bool):
         return False
-    return MIN_IMAGE_PX <= int(value) <= MAX_IMAGE_PX
+    return _MIN_IMAGE_PX <= int(value) <= MAX_IMAGE_PX
 
 
 def _degrees(angle_rad: float | None) -> str:

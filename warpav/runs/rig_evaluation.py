@@ -76,7 +76,7 @@ LOWER_IS_BETTER = frozenset(
 
 _CAPTION = "Recalls pool the objects of all scenes; difference() is a mean over scenes, each counting alike."
 
-RECALL_GROUPS = {"road_user": "", "distance_m": " m", "sector": "", "category": ""}
+_RECALL_GROUPS = {"road_user": "", "distance_m": " m", "sector": "", "category": ""}
 """Groupings of the objects in ``recall_by``, in the order in which they are shown, and the unit of their names."""
 
 
@@ -415,7 +415,7 @@ class RigEvaluation(_Part):
         if len(tables) < len(self.arms):
             return None
         rows: list[tuple[str, ...]] = []
-        for by, unit in RECALL_GROUPS.items():
+        for by, unit in _RECALL_GROUPS.items():
             block = [
                 (f"{name}{unit}", str(group.objects), *(f"{table[by][name].recall:.3f}" for table in tables))
                 for name, group in tables[0].get(by, {}).items()

@@ -28,16 +28,16 @@ from warpav.sight.around import level_ground
 from warpav.sight.requirement import Body
 from warpav.sight.sight import seen_by_any
 
-WIDE_RAD = math.radians(150.0)
+_WIDE_RAD = math.radians(150.0)
 """From this field of view on a camera is one for the near field, and may see more of the own body."""
 
 AZIMUTH_STEP_RAD = math.radians(3.0)
 """Between the directions that are looked at."""
 
-RING_M = 15.0
+_RING_M = 15.0
 """How far from the middle of the vehicle a road user must be in some image, whatever its direction [m]."""
 
-RING_HEIGHT_M = 0.75
+_RING_HEIGHT_M = 0.75
 """Half the height of a car [m]."""
 
 NEAR_M = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
@@ -56,9 +56,9 @@ class Rules:
     """Limits; None: no such rule."""
 
     own_body: float | None = 0.3  # largest share of an image that the own body may fill
-    own_body_wide: float | None = 0.6  # the same for cameras of `WIDE_RAD` and more
+    own_body_wide: float | None = 0.6  # the same for cameras of `_WIDE_RAD` and more
     horizon: float | None = 0.1  # how far the horizon is below the top edge at least, as a share of the image's height
-    # Widest gap of directions in which no camera sees a road user at `RING_M` [rad]; of rigs with fields of view of
+    # Widest gap of directions in which no camera sees a road user at `_RING_M` [rad]; of rigs with fields of view of
     # a whole turn together
     azimuth_gap_rad: float | None = AZIMUTH_STEP_RAD
     near_ground: bool = True  # whether the ground must be seen from as near to the body as the cameras can
@@ -240,7 +240,7 @@ class RuleCheck:
             names = (self._names[int(seer)], self._names[int(other)])
             value = float(share.max())
             found.append(RuleMargin("housing", names, value, rules.housing, "of the image", value <= rules.housing))
-        if rules.azimuth_gap_rad is not None and has_whole_turn(self._models):
+        if rules.azimuth_gap_rad is not None and _has_whole_turn(self._models):
             gap = math.degrees(self.azimuth_gap_rad)
             limit = math.degrees(rules.azimuth_gap_rad)
             found.append(RuleMargin("azimuth_gap", (), gap, limit, "deg", gap <= limit + 1e-9))
@@ -282,11 +282,11 @@ class RuleCheck:
 
 def own_body_limit(rules: Rules, model: CameraModel) -> float:
     """The share of the own body that a camera may see."""
-    limit = rules.own_body_wide if model.fov_rad >= WIDE_RAD else rules.own_body
+    limit = rules.own_body_wide if model.fov_rad >= _WIDE_RAD else rules.own_body
     return 1.0 if limit is None else limit
 
 
-def has_whole_turn(models: Sequence[CameraModel]) -> bool:
+def _has_whole_turn(models: Sequence[CameraModel]) -> bool:
     """Whether fields of view together go all round."""
     return sum(model.fov_rad for model in models) >= 2.0 * math.pi - 1e-6
 
@@ -308,9 +308,9 @@ def ring_m(vehicle: Mesh) -> np.ndarray:
     x_m, y_m = Body.of(vehicle).centre_m
     return np.stack(
         [
-            x_m + RING_M * np.cos(azimuth_rad),
-            y_m + RING_M * np.sin(azimuth_rad),
-            np.full(len(azimuth_rad), RING_HEIGHT_M),
+            x_m + _RING_M * np.cos(azimuth_rad),
+            y_m + _RING_M * np.sin(azimuth_rad),
+            np.full(len(azimuth_rad), _RING_HEIGHT_M),
         ],
         axis=1,
     )
