@@ -21,7 +21,7 @@ import platformdirs
 from warpav.core.cores import available_cores
 from warpav.core.files import DRAFT
 
-Item = TypeVar("Item")
+_Item = TypeVar("_Item")
 
 IN_USE_S = 3600.0
 """Other runs may still be using a file that was used so short a time ago; nobody writes one for so long."""
@@ -41,12 +41,12 @@ def user_cache_folder(name: str) -> Path:
 
 
 def made_files(
-    make: Callable[[tuple[Item, Path]], object],
-    items: Sequence[Item],
+    make: Callable[[tuple[_Item, Path]], object],
+    items: Sequence[_Item],
     files: Sequence[Path],
     *,
     worker_count: int | None = None,
-) -> Iterator[tuple[Item, Path]]:
+) -> Iterator[tuple[_Item, Path]]:
     """Items with their files, in order, each once the processes that make what is missing are done with it.
 
     Where few are missing, or one could not be made, the file is not there: its reader makes it.

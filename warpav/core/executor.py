@@ -25,8 +25,8 @@ from typing import Any, Generic, Literal, Protocol, TypeVar, cast
 from warpav.core.cores import Share, available_cores, own_share, take_share
 from warpav.core.errors import InputError, OptionError, install_text, is_out_of_memory
 
-Task = TypeVar("Task")
-Result = TypeVar("Result")
+_Task = TypeVar("_Task")
+_Result = TypeVar("_Result")
 
 _CONNECT_S = 5.0
 """How long a Ray cluster may take to accept a connection [s]."""
@@ -34,7 +34,7 @@ ANSWER_S = 20.0
 """How long a Ray cluster may take to let this program in, the import of ray included [s]; two are usual."""
 _KNOCK_S = 2.0
 """How often the head is knocked at while tasks run [s]."""
-GONE_S = 20.0
+_GONE_S = 20.0
 """A head that has not opened for so long is gone [s]; Ray would end this process after 60 s, without a word to it."""
 _JOB_MIN = 240
 """How long a Slurm job may take unless ``timeout_min`` says so [min]."""
@@ -46,11 +46,11 @@ _EXTRA = {"ray": "ray", "submitit": "slurm"}
 
 
 @dataclass(frozen=True)
-class Outcome(Generic[Task, Result]):
+class Outcome(Generic[_Task, _Result]):
     """What became of a task."""
 
-    task: Task  # the task
-    result: Result | None = None  # its result; None if it failed
+    task: _Task  # the task
+    result: _Result | None = None  # its result; None if it failed
     error: str | None = None  # why it failed; None if it did not
     lacks_memory: bool = False  # whether it failed for want of memory, which it may find when fewer run
 
@@ -59,7 +59,7 @@ class WorkerKilledError(Exception):
     """The process that ran a task ended without an outcome."""
 
 
-class Workers(Protocol):
+class _Workers(Protocol):
     """Where tasks run; a handle stands for a task that was started."""
 
     def start(self, tasks: Sequence[Any]) -> Sequence[Any]:
@@ -79,7 +79,7 @@ class Workers(Protocol):
         ...
 
 
-def outcome_of(function: Callable[[Task], Result], task: Task) -> Outcome[Task, Result]:
+def outcome_of(function: Callable[[_Task], _Result], task: _Task) -> Outcome[_Task, _Result]:
     """Run a task here; an error becomes part of the outcome."""
     try:
         return Outcome(task, function(task))
@@ -205,7 +205,7 @@ def _main_module_hidden() -> Iterator[None]:
         main.update(hidden)
 
 
-class RayCluster:
+class _RayCluster:
     """Ray workers; each takes one task at a time, and one that is killed takes only its own task along."""
 
     def __init__(
@@ -263,7 +263,7 @@ class RayCluster:
 
     def wait(self, handles: Collection[Any]) -> Collection[Any]:
         problem, last_seen = None, time.monotonic()
-        while problem is None or time.monotonic() - last_seen < GONE_S:
+        while problem is None or time.monotonic() - last_seen < _GONE_S:
             try:
                 ended = self._ray.wait(list(handles), timeout=_KNOCK_S)[0]
             except ConnectionError as error:  # by ray://, Ray itself has waited
@@ -344,7 +344,7 @@ def _why_closed(address: str) -> str | None:
     return None
 
 
-class SlurmJobs:
+class _SlurmJobs:
     """One job a task; those that start together make one job array."""
 
     def __init__(
@@ -416,7 +416,7 @@ class Executor:
     folder: Path | str = "slurm_jobs"
     gpu_count: int = 1
 
-    def map(self, function: Callable[[Task], Result], tasks: Sequence[Task]) -> Iterator[Outcome[Task, Result]]:
+    def map(self, function: Callable[[_Task], _Result], tasks: Sequence[_Task]) -> Iterator[Outcome[_Task, _Result]]:
         """Call a function with every task; one that fails keeps no other from running. All executors agree."""
         if self.gpu_count > 1 and self.name != "process":
             raise OptionError(
@@ -440,21 +440,21 @@ class Executor:
             failed = yield from _run_once(self._workers(function, count), again, count)
         yield from failed
 
-    def _workers(self, function: Callable[[Any], Any], count: int | None) -> Workers:
+    def _workers(self, function: Callable[[Any], Any], count: int | None) -> _Workers:
         if self.name == "ray":
-            return RayCluster(function, self.address, self.options, count)
+            return _RayCluster(function, self.address, self.options, count)
         if self.name == "slurm":
-            return SlurmJobs(function, self.address, self.options, self.folder)
+            return _SlurmJobs(function, self.address, self.options, self.folder)
         return Processes(function, count or 1, self.gpu_count)
 
 
 def _run_once(
-    workers: Workers, tasks: Sequence[Task], worker_count: int | None
-) -> Generator[Outcome[Task, Any], None, list[Outcome[Task, Any]]]:
+    workers: _Workers, tasks: Sequence[_Task], worker_count: int | None
+) -> Generator[Outcome[_Task, Any], None, list[Outcome[_Task, Any]]]:
     """Yield the outcomes of tasks; returns those of tasks whose workers were killed or had not the memory."""
     waiting = deque(tasks)
-    running: dict[Any, Task] = {}
-    failed: list[Outcome[Task, Any]] = []
+    running: dict[Any, _Task] = {}
+    failed: list[Outcome[_Task, Any]] = []
     try:
         while waiting or running:
             room = len(waiting) if worker_count is None else min(worker_count - len(running), len(waiting))

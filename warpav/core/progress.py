@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any, Protocol, TypeVar
 
-Item = TypeVar("Item")
-Record = TypeVar("Record")
+_Item = TypeVar("_Item")
+_Record = TypeVar("_Record")
 
 
 class Progress(Protocol):
@@ -27,11 +27,11 @@ class Progress(Protocol):
         """Something without countable steps begins."""
         ...
 
-    def steps(self, description: str, items: Iterable[Item], *, count: int) -> Iterator[Item]:
+    def steps(self, description: str, items: Iterable[_Item], *, count: int) -> Iterator[_Item]:
         """Something of ``count`` steps begins; one item for each."""
         ...
 
-    def iterations(self, records: Iterable[Record], *, count: int | None, min_spacing_m: float) -> Iterator[Record]:
+    def iterations(self, records: Iterable[_Record], *, count: int | None, min_spacing_m: float) -> Iterator[_Record]:
         """An optimisation begins.
 
         Args:
@@ -57,12 +57,12 @@ class NullProgress:
         """Nothing."""
         del description
 
-    def steps(self, description: str, items: Iterable[Item], *, count: int) -> Iterator[Item]:
+    def steps(self, description: str, items: Iterable[_Item], *, count: int) -> Iterator[_Item]:
         """Pass the items on."""
         del description, count
         yield from items
 
-    def iterations(self, records: Iterable[Record], *, count: int | None, min_spacing_m: float) -> Iterator[Record]:
+    def iterations(self, records: Iterable[_Record], *, count: int | None, min_spacing_m: float) -> Iterator[_Record]:
         """Pass the records on."""
         del count, min_spacing_m
         yield from records

@@ -64,7 +64,7 @@ class Form(BaseModel):
 LEFT_OUT: Any = None
 """Default of a field that may be left out, but not be null."""
 
-Content = TypeVar("Content", bound=BaseModel)
+_Content = TypeVar("_Content", bound=BaseModel)
 Number = Annotated[float, Field(gt=-1e9, lt=1e9)]
 """Finite, and of a size that can mean something."""
 Positive = Annotated[float, Field(gt=0.0, lt=1e9)]
@@ -104,7 +104,7 @@ def place_of(place: str, location: Location, line_of: Mapping[Location, int] | N
     return ": ".join(part for part in (place if line is None else f"{place}:{line}", dotted(location)) if part)
 
 
-class Mistakes:
+class _Mistakes:
     """What is wrong with a file beside its form, each with its place."""
 
     def __init__(self, place: str, line_of: Mapping[Location, int]) -> None:
@@ -130,15 +130,15 @@ class Mistakes:
             raise InputError(*self._lines)
 
 
-def read_form(form: type[Content], file: Path, *, context: object = None) -> tuple[Content, Mistakes]:
+def read_form(form: type[_Content], file: Path, *, context: object = None) -> tuple[_Content, _Mistakes]:
     """The content of a YAML file, and what takes further mistakes in it."""
     data, line_of = read_yaml(file)
     content = read_record(form, data, str(file), most=_MOST, line_of=line_of, context=context)
-    return content, Mistakes(str(file), line_of)
+    return content, _Mistakes(str(file), line_of)
 
 
 def read_record(
-    form: type[Content],
+    form: type[_Content],
     data: object,
     place: str,
     *,
@@ -146,7 +146,7 @@ def read_record(
     line_of: Mapping[Location, int] | None = None,
     name_of: Callable[[Location], tuple[str, int]] | None = None,
     context: object = None,
-) -> Content:
+) -> _Content:
     """The data as a model.
 
     Args:

@@ -15,7 +15,7 @@ from typing import Any
 from warpav.core.cores import available_cores
 from warpav.core.errors import InputError, OptionError
 
-KERNELS = "warpav_kernels"
+_KERNELS = "warpav_kernels"
 
 
 @cache
@@ -42,7 +42,7 @@ def load_warp() -> Any:  # noqa: ANN401 (the module)
 def compiling(device: str, *, but: Sequence[str] = ()) -> Iterator[None]:
     """Compile the kernels imported so far while the block does something else; it must not launch them."""
     warp = load_warp()
-    own, left_out = f"{KERNELS}.", tuple(f"{KERNELS}.{name}" for name in but)
+    own, left_out = f"{_KERNELS}.", tuple(f"{_KERNELS}.{name}" for name in but)
     names = [name for name in sys.modules if name.startswith(own) and not name.startswith(left_out)]
     sizes = {name: len(Path(file).read_bytes()) for name in names if (file := sys.modules[name].__file__)}
     # the longest first, as the others then fill the time of the cores that are done

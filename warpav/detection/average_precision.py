@@ -49,7 +49,7 @@ class ImageScore:
 
 
 @dataclass(frozen=True)
-class Scores:
+class _Scores:
     """How the detections of many images fared, in several size ranges and at several thresholds."""
 
     image: np.ndarray  # image of every detection, ascending, int64 [detection]
@@ -87,7 +87,7 @@ def score_images(
     iou_min: Sequence[float] = COCO_IOU,
     area_px2: Sequence[tuple[float, float]] = tuple(COCO_AREA_PX2.values()),
     detection_max: int = 100,
-) -> Scores:
+) -> _Scores:
     """Match the detections of images to their objects, as COCO does.
 
     From the most confident on, each detection takes the free object of highest IoU, an ignored one only where no
@@ -108,7 +108,7 @@ def score_images(
         ignored.append(waived)
         object_count.append(count)
     true_positive, ignored = np.concatenate(true_positive, axis=2), np.concatenate(ignored, axis=2)
-    return Scores(
+    return _Scores(
         image,
         np.concatenate([np.zeros(0), *(each.confidence for each in held)]),
         true_positive,

@@ -26,12 +26,12 @@ _WINDOWS_PX = ((256, 256, 24), (512, 384, 8), (960, 544, 5), (1600, 896, 1))
 _ASPECTS = (1.0, 4.0 / 3.0, 16.0 / 9.0)
 _WIDEST_IMAGE_PX = 2048
 _PIXELS_PER_SCENE = 7e6
-VIEWS_PER_SCENE = 24
+_VIEWS_PER_SCENE = 24
 
 _PINHOLE_FOV_DEG = (40.0, 130.0)
 _FISHEYE_FOV_DEG = (100.0, 200.0)
 _FISHEYE_SHARE = 0.25
-PITCH_DEG = (-15.0, 30.0)
+_PITCH_DEG = (-15.0, 30.0)
 _LEVEL_SHARE = 0.4
 _ROOF_SHARE = 0.5
 _ROOF_OFFSET_M = (0.05, 2.0)
@@ -72,7 +72,7 @@ def windows_of(detector: ScalingDetector) -> tuple[Window, ...]:
     if all(detector.network_scale(height, width) == (1.0, 1.0) for width, height, _ in _WINDOWS_PX):
         return tuple(Window(*window, is_cut=True) for window in _WINDOWS_PX)
     rows, columns = detector.input_size_px(256, 256)
-    count = max(1, round(min(VIEWS_PER_SCENE, _PIXELS_PER_SCENE / (rows * columns)) / len(_ASPECTS)))
+    count = max(1, round(min(_VIEWS_PER_SCENE, _PIXELS_PER_SCENE / (rows * columns)) / len(_ASPECTS)))
     return tuple(Window(columns, max(8, round(columns / aspect)), count, is_cut=False) for aspect in _ASPECTS)
 
 
@@ -119,7 +119,7 @@ def _any_model(rng: np.random.Generator, window: Window, near_m: float) -> Camer
 def _any_place(
     rng: np.random.Generator, surface: MountSurface, ego_bounds_m: np.ndarray, model: CameraModel, name: str
 ) -> RigCamera:
-    pitch_rad = 0.0 if rng.random() < _LEVEL_SHARE else math.radians(rng.uniform(*PITCH_DEG))
+    pitch_rad = 0.0 if rng.random() < _LEVEL_SHARE else math.radians(rng.uniform(*_PITCH_DEG))
     if rng.random() < _ROOF_SHARE:
         position_m = rng.uniform(*surface.bounds_m)
         offset_m = math.exp(rng.uniform(*np.log(_ROOF_OFFSET_M)))

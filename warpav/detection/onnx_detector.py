@@ -76,7 +76,7 @@ def suppress(
 
 
 @dataclass(frozen=True)
-class DetectorOptions:
+class _DetectorOptions:
     """How a network is read.
 
     Attributes:
@@ -110,8 +110,8 @@ class OnnxDetector:
     """
 
     def __init__(self, model: str | Path, **options: Any) -> None:  # noqa: ANN401
-        """The detector in a file, or ``builtin``; ``options`` are the fields of `DetectorOptions`."""
-        self._options = given = DetectorOptions(**options)
+        """The detector in a file, or ``builtin``; ``options`` are the fields of `_DetectorOptions`."""
+        self._options = given = _DetectorOptions(**options)
         targets, input_px = given.targets, given.input_px
         if targets is not None and (not targets or not set(targets) <= set(ROAD_USERS)):
             raise ValueError(f"targets must be some of {ROAD_USERS}, got {targets}")

@@ -29,7 +29,7 @@ from warpav.raster.frame import Frame
 from warpav.scene.device_scene import DeviceScene, UprightBoxes
 from warpav_kernels.detection import detection_probability as kernels
 
-SCHEMA = 1
+_SCHEMA = 1
 FEATURE_COUNT = int(kernels.FEATURE_COUNT)
 
 
@@ -104,9 +104,9 @@ class DetectorUse:
 
     @cached_property
     def identity(self) -> str:
-        """SHA-256 of file, settings, features and `SCHEMA`; equal means that a fit can be used again."""
+        """SHA-256 of file, settings, features and `_SCHEMA`; equal means that a fit can be used again."""
         content = {
-            "schema": SCHEMA,
+            "schema": _SCHEMA,
             "model": self.model_sha256,
             "settings": self.settings,
             "features": [[each.name, each.unit] for each in FEATURES],
@@ -309,8 +309,8 @@ class DetectionProbability:
         except InputError as error:
             raise InputError(f"{error}; {again}") from None
         schema = data.get("schema") if isinstance(data, dict) else None
-        if schema != SCHEMA:
-            raise InputError(f"{file}: schema: expected {SCHEMA}, got {schema!r}; {again}")
+        if schema != _SCHEMA:
+            raise InputError(f"{file}: schema: expected {_SCHEMA}, got {schema!r}; {again}")
         if use is not None and data.get("identity") != use.identity:
             raise InputError(f"{file}: identity: expected {use.identity[:12]}, got another detector or camera; {again}")
         try:
@@ -336,7 +336,7 @@ class DetectionProbability:
     def write(self, folder: Path, use: DetectorUse) -> Path:
         """Write the model and its record as JSON into a folder, under the name that `find` expects."""
         data = {
-            "schema": SCHEMA,
+            "schema": _SCHEMA,
             "identity": use.identity,
             "model": {"file": use.model.name, "sha256": use.model_sha256},
             "settings": use.settings,

@@ -21,7 +21,7 @@ from warpav.scene.town.people import person_mesh
 from warpav.scene.town.vehicle_shapes import vehicle_mesh
 from warpav.sight.sight import is_in_image
 
-CATEGORIES = ("saloon", "van", "bus", "pedestrian", "cyclist")
+_CATEGORIES = ("saloon", "van", "bus", "pedestrian", "cyclist")
 """Road users that are asked for, as far as the detector's fit knows their kind."""
 
 _DISTANCES_M = tuple(float(each) for each in np.geomspace(5.0, 500.0, 18))
@@ -80,7 +80,7 @@ class DetectionRange:
         """
         models = {model: probability(model) for model in dict.fromkeys(camera.model for camera in rig.cameras)}
         targets = _targets(models[rig.cameras[0].model])
-        asked = [name for name in CATEGORIES if road_user_of(name) in targets] if categories is None else categories
+        asked = [name for name in _CATEGORIES if road_user_of(name) in targets] if categories is None else categories
         azimuth_rad = np.arange(azimuth_count) * 2.0 * math.pi / azimuth_count
         middle_m = np.asarray(ego.bounds_m(), np.float64)[:, :2].mean(axis=0)
         across = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=-1)

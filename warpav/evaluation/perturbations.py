@@ -1,7 +1,7 @@
 """What perturbations cost a rig in expected misses: a lost camera, errors of mounting, dirt before a lens, loads.
 
 Cameras err independently, so a rig misses object o with the probability m_o, the product over its cameras of 1 - p_io.
-Whatever befalls a rig changes rows of its matrix of probabilities; `perturb` is the cost of that. Each camera is
+Whatever befalls a rig changes rows of its matrix of probabilities; `_perturb` is the cost of that. Each camera is
 rendered by itself, as a pool is, and only where it is changed: a lost one is a row of zeros; one that is off stands
 elsewhere, inwards up to the skin of the body; dirt is an opaque sheet before the lens; under a load it is the world
 that moves in the ego frame.
@@ -32,7 +32,7 @@ from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Box, Scene, Vehicle
 
 
-def perturb(
+def _perturb(
     probability: np.ndarray, changed: Mapping[int, np.ndarray] | None = None, share: np.ndarray | None = None
 ) -> float:
     """Expected misses per 100 objects of a rig of which some cameras detect otherwise.
@@ -74,7 +74,7 @@ class PosedRig:
 
 
 @dataclass(frozen=True)
-class CameraOutage:
+class _CameraOutage:
     """A rig without one of its cameras."""
 
     camera: str
@@ -90,7 +90,7 @@ class CameraOutages:
 
     expected_misses_per_100: float
     weighted_expected_misses_per_100: float | None = None
-    cameras: tuple[CameraOutage, ...] = ()
+    cameras: tuple[_CameraOutage, ...] = ()
 
     def __post_init__(self) -> None:
         weighted = [self.weighted_expected_misses_per_100]
@@ -112,19 +112,20 @@ class CameraOutages:
             return None
         share = None if weight is None or not weight.any() else shares_of(weight)
         lost: list[dict[int, Any]] = [{}, *({k: 0.0} for k in range(len(camera)))]
-        plain, *without = (perturb(detection_probability, each) for each in lost)
+        plain, *without = (_perturb(detection_probability, each) for each in lost)
         if share is None:
-            outages = (CameraOutage(name, rate, rate - plain) for name, rate in zip(camera, without, strict=True))
+            outages = (_CameraOutage(name, rate, rate - plain) for name, rate in zip(camera, without, strict=True))
             return cls(plain, None, tuple(outages))
-        weighted, *weighted_without = (perturb(detection_probability, each, share) for each in lost)
+        weighted, *weighted_without = (_perturb(detection_probability, each, share) for each in lost)
         numbers = zip(camera, without, weighted_without, strict=True)
         outages = (
-            CameraOutage(name, rate, rate - plain, by_weight, by_weight - weighted) for name, rate, by_weight in numbers
+            _CameraOutage(name, rate, rate - plain, by_weight, by_weight - weighted)
+            for name, rate, by_weight in numbers
         )
         return cls(plain, weighted, tuple(outages))
 
     @property
-    def worst(self) -> CameraOutage:
+    def worst(self) -> _CameraOutage:
         """The outage with most expected misses, by their weights where these are set; of equal ones the first."""
         is_weighted = self.weighted_expected_misses_per_100 is not None
         name = "weighted_expected_misses_per_100" if is_weighted else "expected_misses_per_100"
@@ -263,15 +264,15 @@ class MountTolerance:
         found = np.concatenate([_detected(cameras, every, side, scene) for scene in steps], axis=-1)
         share = shares_of(rig.weight)
         plain, single, together = found[0], found[1 : 1 + 2 * len(columns)], found[1 + 2 * len(columns) :]
-        nominal = perturb(plain, share=share)
+        nominal = _perturb(plain, share=share)
         single = single.reshape(2, len(columns), count, -1)
         slope = _slopes(cameras, pose.astype(np.float32), side, scenes, share)
         effects = []
         for c, name in enumerate(rig.names):
             for k, degree in enumerate(COLUMNS):
-                below, above = (perturb(plain, {c: ends[k, c]}, share) - nominal for ends in single)
+                below, above = (_perturb(plain, {c: ends[k, c]}, share) - nominal for ends in single)
                 effects.append(MountEffect(name, degree, float(slope[c, columns[k]]), below, above))
-        samples = np.array([perturb(each, share=share) for each in together])
+        samples = np.array([_perturb(each, share=share) for each in together])
         return cls(errors.position_m, errors.angle_rad, nominal, samples, tuple(effects))
 
 
@@ -449,10 +450,10 @@ class Soiling:
             clean.append(_detected(cameras, pose, side, _packed(scene, cameras)))
             soiled.append([detected(k, soiled_scene(scene, each, part)) for k, each in enumerate(standing)])
         plain, dirty = np.concatenate(clean, axis=1), np.concatenate(soiled, axis=1)
-        nominal = perturb(plain, share=share)
+        nominal = _perturb(plain, share=share)
         found = []
         for k, (name, each) in enumerate(zip(rig.names, standing, strict=True)):
-            missed = perturb(plain, {k: dirty[k]}, share)
+            missed = _perturb(plain, {k: dirty[k]}, share)
             found.append(_SoiledCamera(name, part.covered_share(each.model), missed, missed - nominal))
         return cls(part, nominal, tuple(found))
 
@@ -573,7 +574,7 @@ class LoadStates:
                 found, [scene, *(loaded_scene(scene, state) for state in states.values())], strict=True
             ):
                 rows.append(cameras.detection_probability(pose, _packed(changed, cameras)))
-        nominal, *loaded = (perturb(np.concatenate(rows, axis=1), share=share) for rows in found)
+        nominal, *loaded = (_perturb(np.concatenate(rows, axis=1), share=share) for rows in found)
         return cls(
             nominal,
             tuple(

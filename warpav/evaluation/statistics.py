@@ -23,7 +23,7 @@ LEVEL = 0.95
 
 _BATCH = 1000  # resamples at a time, for memory
 
-Numbers = Sequence[float | None] | Sequence[Sequence[float | None]] | np.ndarray
+_Numbers = Sequence[float | None] | Sequence[Sequence[float | None]] | np.ndarray
 """A metric by scene, shape [scene], or by run and scene, [run, scene]; None or NaN where it is not defined."""
 
 
@@ -53,8 +53,8 @@ class Difference:
 
 
 def paired_difference(
-    one: Numbers,
-    other: Numbers,
+    one: _Numbers,
+    other: _Numbers,
     *,
     weight: Sequence[float] | np.ndarray | None = None,
     seed: int = 0,

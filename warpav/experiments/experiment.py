@@ -61,7 +61,7 @@ from warpav.runs.scene_set import (
 )
 from warpav.runs.terminal import drawn
 
-Task = TypeVar("Task")
+_Task = TypeVar("_Task")
 
 
 @dataclass(frozen=True)
@@ -374,8 +374,8 @@ def _check_places(arms: Sequence[Arm], config: Config, ego: Mesh) -> None:
 
 
 def outcomes(
-    function: Callable[[Task], dict[str, Any]], tasks: Sequence[Task], config: Config, folder: Path
-) -> Iterator[Outcome[Task, dict[str, Any]]]:
+    function: Callable[[_Task], dict[str, Any]], tasks: Sequence[_Task], config: Config, folder: Path
+) -> Iterator[Outcome[_Task, dict[str, Any]]]:
     """Run tasks with the configured executor; yields their outcomes as they finish."""
     of = config.executor
     jobs = folder / "slurm_jobs"

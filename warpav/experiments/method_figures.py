@@ -47,20 +47,20 @@ def draw_method_figure(
     path = checked_figure(path, (".png",))
     match number:
         case 10:
-            return unconstrained(config, path, run=run, progress=progress)
+            return _unconstrained(config, path, run=run, progress=progress)
         case 11:
-            return before_and_after(config, path, run=run, progress=progress)
+            return _before_and_after(config, path, run=run, progress=progress)
         case 12:
             if run is not None:
                 raise InputError("figure 12: expected a configuration, got a run; the highest rig needs none")
-            return highest(config, path, progress=progress)
+            return _highest(config, path, progress=progress)
     raise InputError(f"figure: expected one of {', '.join(map(str, RIG_NUMBERS))}, got {number}")
 
 
 # ------------------------------------------------------------------------------------------------ without constraints
 
 
-def unconstrained(config: Config, path: Path, *, run: RunFolder | None, progress: Progress) -> Path:
+def _unconstrained(config: Config, path: Path, *, run: RunFolder | None, progress: Progress) -> Path:
     """Figure 10: the trajectories of the cameras from one start, with all multipliers at 0 and without that."""
     # which iterate is kept and how often rigs are compared changes no trajectory
     config = load_config(config, ["optimiser.keep=last", "optimiser.patience=null", "optimiser.descents=1"])
@@ -125,7 +125,7 @@ def _observer(config: Config, progress: Progress) -> Callable[[Rig, Sequence[Sce
     return observe
 
 
-def before_and_after(config: Config, path: Path, *, run: RunFolder | None, progress: Progress) -> Path:
+def _before_and_after(config: Config, path: Path, *, run: RunFolder | None, progress: Progress) -> Path:
     """Figure 11: what a rig sees at the start and once optimised, on training scenes and on all test scenes."""
     if run is None:
         placement = Placement.from_config(config).prepare(progress)
@@ -149,7 +149,7 @@ def before_and_after(config: Config, path: Path, *, run: RunFolder | None, progr
     return rigs.before_and_after(rows, path)
 
 
-def highest(config: Config, path: Path, *, progress: Progress) -> Path:
+def _highest(config: Config, path: Path, *, progress: Progress) -> Path:
     """Figure 12: the rig around the vehicle's highest point, its sectors, and what it finds in all test scenes."""
     scenes = list(
         progress.steps("scenes", load_scenes(config, config.scenes.test_seeds), count=len(config.scenes.test_seeds))

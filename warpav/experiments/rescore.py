@@ -41,7 +41,7 @@ from warpav.runs.environment import environment, git_commit
 from warpav.runs.networks import load_networks, networks_in
 from warpav.runs.placement import placement_on
 
-SCHEMA = 2
+_SCHEMA = 2
 _RESCORED_SECTIONS = ("detector", "scenes", "capture", "reconstruction", "visibility", "device", "executor")
 """Sections of options that affect the evaluation of rigs."""
 
@@ -110,7 +110,7 @@ def folder_name(name: str | None, overrides: Sequence[str]) -> str:
 
 
 @dataclass(frozen=True)
-class Rescoring:
+class _Rescoring:
     """All rigs of an experiment, to be rescored by one evaluation."""
 
     described: Mapping[str, Any]
@@ -125,7 +125,7 @@ class Rescoring:
         return [task for task in self.tasks if not task.is_done()]
 
 
-def plan_rescore(folder: Path, config: Config, *, name: str, judge: str | None = None) -> Rescoring:
+def plan_rescore(folder: Path, config: Config, *, name: str, judge: str | None = None) -> _Rescoring:
     """What there is to do to rescore all rigs of an experiment."""
     described = read_description(folder)
     before = _read_rigs(folder)
@@ -144,14 +144,14 @@ def plan_rescore(folder: Path, config: Config, *, name: str, judge: str | None =
     network = () if config.detector.model == "builtin" else (digest(Path(config.detector.model).read_bytes()),)
     tasks = []
     for run in (run for runs in before.values() for run in runs):
-        made_with = digest(SCHEMA, run["made_with"], json.dumps(run["rig"]), unseeded(config), *network)
+        made_with = digest(_SCHEMA, run["made_with"], json.dumps(run["rig"]), unseeded(config), *network)
         knows_attainable = is_same and ATTAINABLE in run
         named = f"{run['arm']}_{run['seed']}"
         tasks.append(_RescoreTask(named, config, folder.absolute(), out, made_with, knows_attainable))
-    return Rescoring(described, before, judge or name, config, out, tasks)
+    return _Rescoring(described, before, judge or name, config, out, tasks)
 
 
-def run_rescores(planned: Sequence[Rescoring], *, progress: Progress) -> list[Finished]:
+def run_rescores(planned: Sequence[_Rescoring], *, progress: Progress) -> list[Finished]:
     """Rescore the rigs of a study by one or several judges; show the table of each.
 
     All are rescored by one set of processes, which keep the scenes from one evaluation to the next.
@@ -189,7 +189,7 @@ def run_rescores(planned: Sequence[Rescoring], *, progress: Progress) -> list[Fi
     return finished
 
 
-def plan_panel(folder: Path, config: Config, panel: Path, *, name: str, progress: Progress) -> list[Rescoring]:
+def plan_panel(folder: Path, config: Config, panel: Path, *, name: str, progress: Progress) -> list[_Rescoring]:
     """What there is to do to let every network of a folder judge the rigs of a study, at its own image size."""
     planned = []
     for network, judged in networks_in(panel, config).items():
@@ -226,7 +226,7 @@ def _rescore_rig(task: _RescoreTask) -> dict[str, Any]:
     for name in ("constraint_violation", "min_camera_distance_m"):  # of the rig, independent of the evaluation
         metrics[name] = old["metrics"][name]
     result = {
-        "schema": SCHEMA,
+        "schema": _SCHEMA,
         "made_with": task.made_with,
         "commit": git_commit(),
         **{name: old.get(name) for name in ("arm", "seed", "camera_renders", "rig")},

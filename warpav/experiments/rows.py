@@ -24,7 +24,7 @@ from warpav.experiments._gradient_magnitude import LOSS_OF
 from warpav.experiments._result_folder import objective_of_tests, objective_on_tests
 from warpav.thesis.tables import WARNING, thesis_table
 
-Row = dict[str, str]
+_Row = dict[str, str]
 
 ROWS = "rows.csv"
 """The file of rows in the folder of a study."""
@@ -32,7 +32,7 @@ OWN_JUDGE = "builtin"
 """The judge of rows that come from the study itself: its own detector, or its objective."""
 MARK = re.compile(r"(<!-- rows: ([\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 """What stands between such marks on a page is a table: its kind, and of which study and judge."""
-COLUMNS = (
+_COLUMNS = (
     *("study", "judge", "arm", "seed", "objective", "objective_seen", "gap", "misses_per_100"),
     *("recall_at_equal_false_alarms", "false_alarms_per_image", "ap50", "attainable_misses_per_100"),
     *("map50_average", "map50_min_camera", "map50_max_camera", "detection_rate", "in_frame_rate", "confidence"),
@@ -40,7 +40,7 @@ COLUMNS = (
     *("positional", "rotational", "of", "reference", "more", "low", "high"),
 )
 _METRICS = {
-    **{name: name for name in COLUMNS if name.startswith("map50_")},
+    **{name: name for name in _COLUMNS if name.startswith("map50_")},
     **{name: name for name in ("misses_per_100", "recall_at_equal_false_alarms", "attainable_misses_per_100")},
     "false_alarms_per_frame": "false_alarms_per_image",
     "ap50_pooled": "ap50",
@@ -89,7 +89,7 @@ def rows_of(
     references: Mapping[str, str],
     *,
     resamples: int = RESAMPLES,
-) -> list[Row]:
+) -> list[_Row]:
     """The rows of a study's results, by arm: every run, and differences from the arms of reference."""
     rows = [row for runs in results.values() for run in runs for row in _run_rows(run, study, judge)]
     for arm, reference in references.items():
@@ -115,7 +115,7 @@ def rows_of(
     return rows
 
 
-def _run_rows(run: Mapping[str, Any], study: str, judge: str) -> list[Row]:
+def _run_rows(run: Mapping[str, Any], study: str, judge: str) -> list[_Row]:
     which = {"study": study, "judge": judge, "arm": run["arm"], "seed": str(run["seed"])}
     renders = {"camera_renders": _text(run["camera_renders"])}
     if "gradients" in run:
@@ -154,60 +154,60 @@ def _text(value: float | None, scale: float = 1.0) -> str:
     return "" if value is None else f"{scale * value:.6g}"
 
 
-def write_rows(rows: Sequence[Row], path: Path) -> None:
-    lines = [",".join(COLUMNS), *(",".join(row.get(column, "") for column in COLUMNS) for row in rows)]
+def write_rows(rows: Sequence[_Row], path: Path) -> None:
+    lines = [",".join(_COLUMNS), *(",".join(row.get(column, "") for column in _COLUMNS) for row in rows)]
     write_text(path, "\n".join([*lines, ""]))
 
 
-def read_rows(path: Path) -> list[Row]:
+def read_rows(path: Path) -> list[_Row]:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: expected rows of studies as CSV, got: {error}") from None
-    lacking = [column for column in COLUMNS if not rows or column not in rows[0]]
+    lacking = [column for column in _COLUMNS if not rows or column not in rows[0]]
     if lacking:
         raise InputError(f"{path}: expected rows of studies with the column {lacking[0]}, got none")
     return rows
 
 
-def filled_page(text: str, rows: Sequence[Row]) -> str:
+def filled_page(text: str, rows: Sequence[_Row]) -> str:
     """A page whose marked tables are computed from the rows."""
     return MARK.sub(lambda found: f"{found[1]}\n{table_of(found[2], rows).markdown()}\n{found[3]}", text)
 
 
-def table_of(marked: str, rows: Sequence[Row]) -> Table:
+def table_of(marked: str, rows: Sequence[_Row]) -> Table:
     """A table by its kind, the study and the judge, such as ``arms open builtin``, ``thesis II table2 builtin``."""
     kind, *words = marked.split()
     return _KINDS[kind](rows, *words)
 
 
-def _values(rows: Sequence[Row], column: str, scale: float = 1.0) -> list[float]:
+def _values(rows: Sequence[_Row], column: str, scale: float = 1.0) -> list[float]:
     return [scale * float(row[column]) for row in rows if row.get(column)]
 
 
-def _mean(rows: Sequence[Row], column: str, scale: float, digits: int) -> str:
+def _mean(rows: Sequence[_Row], column: str, scale: float, digits: int) -> str:
     values = _values(rows, column, scale)
     return f"{fmean(values):.{digits}f}" if values else ""
 
 
-def _spread(rows: Sequence[Row], column: str, digits: int = 3) -> str:
+def _spread(rows: Sequence[_Row], column: str, digits: int = 3) -> str:
     values = _values(rows, column)
     if not values:
         return ""
     return f"{fmean(values):.{digits}f}" + (f" ±{stdev(values):.{digits}f}" if len(values) > 1 else "")
 
 
-def _runs(rows: Sequence[Row], study: str, judge: str) -> dict[str, list[Row]]:
+def _runs(rows: Sequence[_Row], study: str, judge: str) -> dict[str, list[_Row]]:
     """The rows of runs by arm, in the order of the file."""
-    arms: dict[str, list[Row]] = {}
+    arms: dict[str, list[_Row]] = {}
     for row in rows:
         if (row["study"], row["judge"]) == (study, judge) and row.get("seed"):
             arms.setdefault(row["arm"], []).append(row)
     return arms
 
 
-def _difference(rows: Sequence[Row], study: str, judge: str, arm: str) -> str:
+def _difference(rows: Sequence[_Row], study: str, judge: str, arm: str) -> str:
     for row in rows:
         if (row["study"], row["judge"], row["arm"]) == (study, judge, arm) and row.get("of"):
             ends = f" [{float(row['low']):+.1f}, {float(row['high']):+.1f}]" if row["low"] else ""
@@ -215,7 +215,7 @@ def _difference(rows: Sequence[Row], study: str, judge: str, arm: str) -> str:
     return ""
 
 
-def _arms(rows: Sequence[Row], study: str, judge: str = OWN_JUDGE) -> Table:
+def _arms(rows: Sequence[_Row], study: str, judge: str = OWN_JUDGE) -> Table:
     """Every arm of a study: means over runs, and how many more it misses than its reference."""
     arms = _runs(rows, study, judge)
     has = {row[0]: any(_values(runs, row[0]) for runs in arms.values()) for row in _ARM_COLUMNS.values()}
@@ -235,7 +235,7 @@ def _arms(rows: Sequence[Row], study: str, judge: str = OWN_JUDGE) -> Table:
     return Table.of(["arm", "runs", first, *([more] if any(differences.values()) else []), *others], lines)
 
 
-def _settings(rows: Sequence[Row]) -> Table:
+def _settings(rows: Sequence[_Row]) -> Table:
     """The search beside rigs by hand in all settings of hard and recorded traffic."""
     found = "recall_at_equal_false_alarms"
     hands = ("default", "roof_edge", "highest_raised", "random_selected")
@@ -249,7 +249,7 @@ def _settings(rows: Sequence[Row]) -> Table:
     return Table.of(["traffic, cameras, mount", *heads, "higher up", "random, our selection"], lines)
 
 
-def _networks(rows: Sequence[Row], study: str = "") -> Table:
+def _networks(rows: Sequence[_Row], study: str = "") -> Table:
     """What other networks find of the same rigs, at equal false alarms, by study."""
     pairs = dict.fromkeys(
         (row["study"], row["judge"])
@@ -265,7 +265,7 @@ def _networks(rows: Sequence[Row], study: str = "") -> Table:
     return Table.of(["study and network", *arms, "roof_edge misses more [95 %]"], lines)
 
 
-def _thesis(rows: Sequence[Row], number: str, study: str, judge: str = OWN_JUDGE) -> Table:
+def _thesis(rows: Sequence[_Row], number: str, study: str, judge: str = OWN_JUDGE) -> Table:
     """A table of the thesis: ours above what it prints."""
     printed = thesis_table(number)["rows"]
     columns = [key for key in _THESIS_COLUMNS if any(key in row for row in printed)]
@@ -292,7 +292,7 @@ def _printed(cell: Mapping[str, float] | None) -> str:
     return f"{cell['mean']:.3f}" + (f" ±{cell['std']:.3f}" if cell["std"] is not None else "")
 
 
-def _gradients(rows: Sequence[Row], study: str, judge: str = OWN_JUDGE) -> Table:
+def _gradients(rows: Sequence[_Row], study: str, judge: str = OWN_JUDGE) -> Table:
     """Mean magnitudes of the gradients of every loss, and those that the thesis prints in tables I and V."""
     printed = {row["loss"]: row for number in ("I", "V") for row in thesis_table(number)["rows"]}
     of_loss = {loss: printed[name] for name, loss in LOSS_OF.items() if name in printed}
@@ -305,7 +305,7 @@ def _gradients(rows: Sequence[Row], study: str, judge: str = OWN_JUDGE) -> Table
     return Table.of(heads, lines)
 
 
-def _correlation(rows: Sequence[Row], study: str = "correlation", judge: str = OWN_JUDGE) -> Table:
+def _correlation(rows: Sequence[_Row], study: str = "correlation", judge: str = OWN_JUDGE) -> Table:
     """Spearman's rank correlation of the objective with what the detector finds on unseen scenes, over random rigs."""
     from warpav.evaluation.statistics import rank_correlation
 

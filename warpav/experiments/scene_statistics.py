@@ -1,7 +1,7 @@
 """What is in scenes: road users by kind, by distance and by how much of them can be seen.
 
 Distances are those of the centres of boxes from the middle of the ego vehicle, seen from above. The visible share is
-that of the pixels that a road user would have alone, in images all round from `EYE_HEIGHT_M` above the middle of the
+that of the pixels that a road user would have alone, in images all round from `_EYE_HEIGHT_M` above the middle of the
 ego vehicle, the shares of nuScenes. It takes any `Scene`: of the town, of files, of recordings.
 """
 
@@ -20,10 +20,10 @@ from warpav.raster.camera import CameraModel
 from warpav.rig.rig import RigCamera
 from warpav.scene.scene import ROAD_USERS, Scene
 
-DISTANCE_EDGES_M = (0.0, 10.0, 20.0, 40.0, 80.0, 200.0)
+_DISTANCE_EDGES_M = (0.0, 10.0, 20.0, 40.0, 80.0, 200.0)
 _VISIBLE_EDGES = (0.0, 0.4, 0.6, 0.8, 1.0)
 """Edges of the shares of nuScenes: to 40 %, to 60 %, to 80 %, to all."""
-EYE_HEIGHT_M = 1.8
+_EYE_HEIGHT_M = 1.8
 _SIZE_PX = 768
 _VIEWS = 4
 
@@ -47,7 +47,7 @@ class _SceneStatistics:
     def by_distance(self, kind: str | None = None) -> dict[str, float]:
         """Share of the road users, 0..1, by distance; of all kinds, or of one."""
         chosen = [d for d, each in zip(self.distance_m, self.road_user, strict=True) if kind in (None, each)]
-        return _shares(chosen, (*DISTANCE_EDGES_M, math.inf), "m")
+        return _shares(chosen, (*_DISTANCE_EDGES_M, math.inf), "m")
 
     def by_visible_share(self) -> dict[str, float]:
         """Share of the road users, 0..1, by visible share; those without a pixel count as not visible at all."""
@@ -96,7 +96,7 @@ def _visible_shares_of(scene: Scene, *, device: str = "cpu") -> np.ndarray:
     centre_m = scene.ego.bounds_m()[:, :2].astype(np.float64).mean(axis=0)
     model = CameraModel(_SIZE_PX, _SIZE_PX, math.radians(360.0 / _VIEWS))
     cameras = [
-        RigCamera(f"view_{k}", np.array([*centre_m, EYE_HEIGHT_M]), 2.0 * math.pi * k / _VIEWS, 0.0, 0.0, model)
+        RigCamera(f"view_{k}", np.array([*centre_m, _EYE_HEIGHT_M]), 2.0 * math.pi * k / _VIEWS, 0.0, 0.0, model)
         for k in range(_VIEWS)
     ]
     views = render_images(scene, cameras, device=device)

@@ -16,14 +16,14 @@ from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.objective import RigObjective, single_cameras_of
 from warpav.optimisation.pool import CameraPool, Drawing, spread_mount_poses
 
-CAMERAS = 128
+_CAMERAS = 128
 """Cameras that are spread over the mount."""
 _LIKELY = 0.5
 """Probability from which on a camera rather detects an object than not."""
 
 
 def attainable_objects(
-    objective: RigObjective, scenes: Sequence[AssignedScene], *, cameras: int = CAMERAS, drawing: Drawing | None = None
+    objective: RigObjective, scenes: Sequence[AssignedScene], *, cameras: int = _CAMERAS, drawing: Drawing | None = None
 ) -> list[np.ndarray] | None:
     """Which objects of each scene some camera on the mount is likely to detect, bool [object] each."""
     single = single_cameras_of(objective)

@@ -27,7 +27,7 @@ _CORNER_DEG = (44, 40, 42, 46, 48)
 _SET_BACK_M = (0.3, 0.0, 0.6)
 """How far behind the front edge the front pair stands [m]."""
 
-PITCH_DEG = (12, 0, 6, 18)
+_PITCH_DEG = (12, 0, 6, 18)
 """Pitches, nose down [deg]."""
 
 _GROUND_FROM_M = 2.0
@@ -217,7 +217,7 @@ def rig_by_hand(name: str, mount: CameraMount, constraints: Constraints, count: 
     constraints = constraints.of_any_modules if _are_alike(mount) else constraints
     set_back_m = _SET_BACK_M[0] if name == "corners" else 0.0
     layout = _layout(name, mount, constraints, count, _CORNER_DEG[0])
-    pose = _hand_mount_pose(mount, constraints, layout, set_back_m=set_back_m, pitch_deg=PITCH_DEG[0])
+    pose = _hand_mount_pose(mount, constraints, layout, set_back_m=set_back_m, pitch_deg=_PITCH_DEG[0])
     if pose is None:
         raise InputError(f"{name}: expected zones in which cameras may look so, got none for one of them")
     return pose
@@ -245,7 +245,7 @@ def by_hand(
     found, of_surface = list[HandRig](), constraints
     constraints = constraints.of_any_modules if _are_alike(mount) else constraints
     is_pitched = bool(mount.is_free[PITCH_RAD])
-    pitches = PITCH_DEG if is_pitched else (0,)
+    pitches = _PITCH_DEG if is_pitched else (0,)
     kinds = [("cross", {"corner": _CORNER_DEG[:1], "back": (0.0,), "pitch": pitches})]
     if count >= 4:
         kinds.append(("corners", {"corner": _CORNER_DEG, "back": _SET_BACK_M, "pitch": pitches}))

@@ -31,7 +31,7 @@ from warpav.optimisation.mount import HEIGHT_DELTA_M, LOG_ZOOM, PITCH_RAD, X_M, 
 Detected = tuple[np.ndarray, np.ndarray]
 """The probability that each camera detects each object [camera, object], and its Jacobian [camera, object, 7]."""
 
-Inequalities = tuple[np.ndarray, np.ndarray]
+_Inequalities = tuple[np.ndarray, np.ndarray]
 """``spare + slope . move >= 0``: float [row] and [row, camera, 7]."""
 
 _STEP_UNIT = {X_M: 0.2, Y_M: 0.2, YAW_RAD: 0.2, PITCH_RAD: 0.1, HEIGHT_DELTA_M: 0.1, LOG_ZOOM: 0.1}
@@ -65,7 +65,7 @@ class PolishTask:
     robust: RobustObjective | None = None  # what is minimised; None: the expected miss rate
     hard_points: HardPoints | None = None  # points that steps keep met as far as tangents tell
     # what a step of some reach [camera, 7] must leave between the cameras of a rig [camera, 7]
-    pair_edges: Callable[[np.ndarray, np.ndarray], Inequalities] | None = None
+    pair_edges: Callable[[np.ndarray, np.ndarray], _Inequalities] | None = None
     # whether a rig [camera, 7] whose cameras detect so much [camera, object] is one
     is_allowed: Callable[[np.ndarray, np.ndarray], bool] | None = None
 
@@ -120,7 +120,7 @@ def polish(
         model = TangentModel(
             here, shares, earlier=rendered, reach=REACH * length * step_unit(mount), rig_value=rig_value
         )
-        edges = list[Inequalities]()
+        edges = list[_Inequalities]()
         if hard_points is not None and here.margins is not None:
             found = hard_points.edges(here.mount_pose, here.margins, problem.reach(length), refused)
             edges.append((found.spare, found.slope(len(pose))))
@@ -211,7 +211,7 @@ class _Problem:
 
     @threadpool_limits.wrap(limits=1, user_api="blas")  # more threads only wait for one another, the longer the busier
     def minimised(
-        self, model: TangentModel, pose: np.ndarray, radius: float, edges: Sequence[Inequalities] = ()
+        self, model: TangentModel, pose: np.ndarray, radius: float, edges: Sequence[_Inequalities] = ()
     ) -> np.ndarray:
         """The rig with the lowest modelled objective within a radius of a rig, constraints and edges, [camera, 7]."""
         from scipy.optimize import minimize

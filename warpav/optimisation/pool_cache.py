@@ -117,7 +117,7 @@ class PoolCache:
         """Where the cameras stand in a chunk, -1 where they do not, int [camera]."""
         if file not in self._pose:
             arrays, identity = read_arrays(file)
-            check_identity(file, identity, {**self._identity, "scenes": [scene]})
+            _check_identity(file, identity, {**self._identity, "scenes": [scene]})
             self._pose[file] = arrays["mount_pose"]
         return rows_of(mount_pose, self._pose[file])
 
@@ -157,7 +157,7 @@ def read_arrays(file: Path) -> tuple[dict[str, np.ndarray], _Identity]:
     return arrays, words["identity"]
 
 
-def check_identity(file: Path, found: _Identity, expected: _Identity) -> None:
+def _check_identity(file: Path, found: _Identity, expected: _Identity) -> None:
     """Make sure that a file was drawn with what is expected."""
     for name, text in _MEANING.items():
         if found.get(name) != expected[name]:

@@ -298,7 +298,7 @@ class Buffers:
         self._rays_of, self._are_rays_placed = rays_of, False
         self.generation += 1
         of_view = [each[1:] for each in rays_of]
-        tables_of = [(model.shape, reach_rad(model, each) if is_known else math.pi) for model, each in of_view]
+        tables_of = [(model.shape, _reach_rad(model, each) if is_known else math.pi) for model, each in of_view]
         sets, tables = list(dict.fromkeys(of_view)), list(dict.fromkeys(tables_of))
         set_of_view, table_of_view = np.full((2, self.view_count), -1, np.int32)
         set_of_view[self.bent] = [sets.index(each) for each in of_view]
@@ -423,7 +423,7 @@ class Buffers:
         return groups
 
 
-def reach_rad(model: CameraModel, log_zoom: float) -> float:
+def _reach_rad(model: CameraModel, log_zoom: float) -> float:
     """Angle from the axis beyond which a zoomed Brown-Conrady lens has no image, in steps [rad]; of others pi."""
     if model.lens is not Lens.BROWN_CONRADY:
         return math.pi

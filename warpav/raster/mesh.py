@@ -10,7 +10,7 @@ import numpy as np
 
 from warpav.core.errors import InputError
 
-GREY = (128, 128, 128)
+_GREY = (128, 128, 128)
 """Colour of a mesh that was given none."""
 
 MAX_COUNT = 2**31 - 1
@@ -27,7 +27,7 @@ class Mesh:
     Attributes:
         vertex_m: Vertex positions [m], float32, shape [vertex, 3], in the frame that the owner states.
         triangle: Vertex indices, int32, shape [triangle, 3], counter-clockwise seen from outside.
-        vertex_rgb: sRGB colour per vertex, uint8, shape [vertex, 3]; `GREY` where left out.
+        vertex_rgb: sRGB colour per vertex, uint8, shape [vertex, 3]; `_GREY` where left out.
 
     Raises:
         InputError: Indices that are not whole or need more than 32 bits, or colours outside 0..255. Whether the mesh
@@ -37,7 +37,7 @@ class Mesh:
 
     vertex_m: np.ndarray
     triangle: np.ndarray
-    vertex_rgb: np.ndarray = cast("np.ndarray", GREY)  # noqa: RUF009 (a constant)
+    vertex_rgb: np.ndarray = cast("np.ndarray", _GREY)  # noqa: RUF009 (a constant)
 
     def __post_init__(self) -> None:
         """Give the arrays their types; those that have them already are kept as they are."""
@@ -51,7 +51,7 @@ class Mesh:
             object.__setattr__(self, name, array)
 
     @classmethod
-    def create(cls, vertex_m: object, triangle: object, vertex_rgb: object = GREY, *, name: str = "mesh") -> Mesh:
+    def create(cls, vertex_m: object, triangle: object, vertex_rgb: object = _GREY, *, name: str = "mesh") -> Mesh:
         """Mesh from anything array-like, checked.
 
         Args:

@@ -69,7 +69,7 @@ def _morton_order(centre_m: np.ndarray, body: np.ndarray) -> np.ndarray:
     return np.lexsort((code, body))
 
 
-def planes(corner_m: np.ndarray) -> np.ndarray:
+def _planes(corner_m: np.ndarray) -> np.ndarray:
     """Unit normals and their products with a point of the plane [m], float32 [triangle, 4].
 
     ``corner_m`` is [triangle, corner, axis].
@@ -80,7 +80,7 @@ def planes(corner_m: np.ndarray) -> np.ndarray:
     return np.c_[normal, np.einsum("ij,ij->i", normal, corner_m[:, 0])].astype(np.float32)
 
 
-def neighbours(vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+def _neighbours(vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
     """Triangles across the sides (0, 1), (1, 2) and (2, 0), int32 [triangle, 3].
 
     -1 where a side has no neighbour, several, or one of the other winding. Vertices at one place count as one.
@@ -250,7 +250,7 @@ class Scene:
         layer_of_body[layer_body] = np.arange(len(layer_body))
         bounds_m = np.array([meshes[i].bounds_m() for i in layer_body], np.float32).reshape(-1, 2, 3)
 
-        neighbour = neighbours(whole.vertex_m, triangle)
+        neighbour = _neighbours(whole.vertex_m, triangle)
         closed_low, closed_high = _closed_bounds(corner_m.reshape(-1, 3, 3), neighbour)
         closed = np.stack(
             [np.minimum.reduceat(closed_low, first, axis=0), np.maximum.reduceat(closed_high, first, axis=0)], axis=1
@@ -266,7 +266,7 @@ class Scene:
             "vertex_world_m": whole.vertex_m[source_vertex],
             "triangle": triangle.astype(np.int32),
             "triangle_body": body,
-            "triangle_plane": planes(corner_m.reshape(-1, 3, 3)),
+            "triangle_plane": _planes(corner_m.reshape(-1, 3, 3)),
             "neighbour": neighbour,
             "body_layer": layer_of_body,
             "cluster_first": first.astype(np.int32),

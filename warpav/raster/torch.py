@@ -29,7 +29,7 @@ from warpav.raster.poses import ViewPoses, check_rigid
 from warpav.raster.renderer import render
 from warpav.raster.scene import Scene
 
-Draw = Callable[[Frame, ViewPoses], wp.array]
+_Draw = Callable[[Frame, ViewPoses], wp.array]
 
 
 def visible_area(
@@ -114,7 +114,7 @@ def rgb(
 
 
 def _rendered(
-    scene: Scene, cameras: Cameras, pose: torch.Tensor, log_focal: torch.Tensor | None, samples: int, draw: Draw
+    scene: Scene, cameras: Cameras, pose: torch.Tensor, log_focal: torch.Tensor | None, samples: int, draw: _Draw
 ) -> torch.Tensor:
     for name, value, kind in (("scene", scene, Scene), ("cameras", cameras, Cameras)):
         if not isinstance(value, kind):

@@ -18,7 +18,7 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.warp_setup import load_warp
 from warpav.runs.environment import package_versions, required_packages
 
-Status = Literal["ok", "warning", "failed"]
+_Status = Literal["ok", "warning", "failed"]
 _OPENGL_TIMEOUT_S = 120
 _SELF_TEST_MIN_COSINE = 0.99
 _SELF_TEST_STEP_M = 0.02
@@ -30,7 +30,7 @@ class Finding:
     """What one check found."""
 
     name: str
-    status: Status
+    status: _Status
     text: str
     details: dict[str, Any] = field(default_factory=dict)
 
@@ -165,7 +165,7 @@ def check_opengl() -> Finding:
     return Finding("opengl", "warning", f"{reason}; warpav inspect and the picture of the rig in a run will not work")
 
 
-def check_detector() -> Finding:
+def _check_detector() -> Finding:
     """Whether the shipped detector is there and answers."""
     import numpy as np
 
@@ -249,7 +249,7 @@ CHECKS: dict[str, Callable[[], Finding]] = {
     "devices": _check_devices,
     "cache": _check_cache,
     "providers": check_providers,
-    "detector": check_detector,
+    "detector": _check_detector,
     "opengl": check_opengl,
     "renderer": _check_renderer,
 }

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 _MEND_EVENTS = "remove the line, or the file to go without the iterations"
 
-Number = float | None
-Place = tuple[float, float, float]
+_Number = float | None
+_Place = tuple[float, float, float]
 
 
 class Event(BaseModel):
@@ -28,17 +28,17 @@ class Event(BaseModel):
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
     iteration: int
-    loss: Number
-    positions_m: Annotated[list[Place], Field(min_length=1)]
+    loss: _Number
+    positions_m: Annotated[list[_Place], Field(min_length=1)]
     yaw_deg: list[float]
-    terms: dict[str, Number] = {}
-    multipliers: dict[str, Number | list[Number]] = {}
+    terms: dict[str, _Number] = {}
+    multipliers: dict[str, _Number | list[_Number]] = {}
     gradient: dict[str, list[float] | list[tuple[float, float]]] = {}
     free: dict[str, list[float]] = {}
-    training_objective: Number = None
+    training_objective: _Number = None
     seconds: dict[str, float] = {}
     stage: str | None = None
-    bound: Number = None
+    bound: _Number = None
     camera_renders: int | None = None
     pool_cameras: int | None = None
     modules: list[str] = []

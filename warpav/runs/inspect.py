@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from warpav.sight.check import RequirementResult
     from warpav.view.inspector import BEGINNINGS, Inspector
 
-Shown = Literal["rig", "coverage", "redundancy", "outcomes", "visibility", "further", "zones", "gain", "sheet"]
+_Shown = Literal["rig", "coverage", "redundancy", "outcomes", "visibility", "further", "zones", "gain", "sheet"]
 """What an image of a rig shows besides: the ground by how many cameras see somebody there, or see the ground itself;
 traffic by what becomes of it; what every camera sees; what one more camera would bring, as arrows, or painted on the
 body; the zones of the body; or, instead, a page to print."""
@@ -57,7 +57,7 @@ def inspect_rig(
     config: Config,
     out: Path | None,
     *,
-    shown: Shown = "rig",
+    shown: _Shown = "rig",
     requirements: str | None = None,
     progress: Progress | None = None,
 ) -> Path | None:
@@ -116,7 +116,7 @@ def inspect_rig(
     )
 
 
-def _write_recording(source: str, config: Config, out: Path, shown: Shown, requirements: str | None) -> Path:
+def _write_recording(source: str, config: Config, out: Path, shown: _Shown, requirements: str | None) -> Path:
     """Write the rig in the first test scene as a recording for Rerun, of a run with all its iterations."""
     from warpav.view.recording import load_rerun, write_recording
 

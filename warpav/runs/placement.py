@@ -97,7 +97,7 @@ class Stream(IntEnum):
     STARTS = 4
 
 
-class PlacementOptions(TypedDict, total=False):
+class _PlacementOptions(TypedDict, total=False):
     """Further arguments of `Placement`, which says what they mean."""
 
     fov_deg: float | None
@@ -114,7 +114,7 @@ class PlacementOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True, eq=False)
-class Parts:
+class _Parts:
     """What a placement was given as objects; None: as its configuration says."""
 
     start: Rig | None = None  # the rig that the optimiser starts from, as it was given
@@ -166,7 +166,7 @@ class Placement:
         device: str | None = None,
         start: str | Path | Rig | None = None,
         config: Config | None = None,
-        **options: Unpack[PlacementOptions],
+        **options: Unpack[_PlacementOptions],
     ) -> None:
         """A placement from objects.
 
@@ -216,7 +216,7 @@ class Placement:
             InputError: An argument cannot be used; the text names it.
             TypeError: An argument is of another type, or there is none of that name.
         """
-        known = PlacementOptions.__annotations__
+        known = _PlacementOptions.__annotations__
         for name in options.keys() - known.keys():
             near = difflib.get_close_matches(name, known, 1)
             raise TypeError(f"{name}: expected one of {', '.join(known)}" + (f"; did you mean {near[0]}?" * bool(near)))
@@ -253,7 +253,7 @@ class Placement:
         self.config = base.replace({**given, **scene_options(*scenes, base)})
         freeze = options.get("freeze", ())
         names = (freeze,) if isinstance(freeze, str) else tuple(freeze)
-        self.parts = Parts(
+        self.parts = _Parts(
             _checked_start(self.config, start_rig, names),
             names or self.config.rig.freeze,
             scenes,
@@ -292,10 +292,10 @@ class Placement:
         start = read_start(config) if start is None else start
         if config.may_be_symmetric and (ego := known_vehicle(config)) is not None:
             config = made_symmetric(config, ego, start)
-        return cls._of(config, Parts(start, config.rig.freeze))
+        return cls._of(config, _Parts(start, config.rig.freeze))
 
     @classmethod
-    def _of(cls, config: Config, parts: Parts) -> Placement:
+    def _of(cls, config: Config, parts: _Parts) -> Placement:
         placement = cls.__new__(cls)
         placement.config, placement.parts, placement._prepared = config, parts, None
         return placement
@@ -624,7 +624,7 @@ def placement_on(
     scenes: SceneSet, config: Config, networks: Networks, probability: _DetectionProbabilities | None
 ) -> Placement:
     """A placement on scenes that are on the device already."""
-    placement = Placement._of(config, Parts(read_start(config), config.rig.freeze, probability=probability))
+    placement = Placement._of(config, _Parts(read_start(config), config.rig.freeze, probability=probability))
     placement._prepared = _assembled(placement, scenes, networks, probability)
     return placement
 

@@ -20,8 +20,8 @@ from warpav.runs.terminal import Group, RenderableType, Terminal, shown
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-Item = TypeVar("Item")
-Record = TypeVar("Record")
+_Item = TypeVar("_Item")
+_Record = TypeVar("_Record")
 
 _ONLY_LIVE = ("multiplier ", "gradient ")  # rows that plain lines leave out; events.jsonl has them
 REFRESH_PER_SECOND = 4
@@ -78,7 +78,7 @@ class RunDisplay:
         """Show that something without countable steps begins."""
         self._start(description, None)
 
-    def steps(self, description: str, items: Iterable[Item], *, count: int) -> Iterator[Item]:
+    def steps(self, description: str, items: Iterable[_Item], *, count: int) -> Iterator[_Item]:
         """Pass ``items`` on and show how many of ``count`` have come."""
         self._start(description, count)
         every = max(1, count // _PLAIN_LINES_PER_STAGE) if count > _PLAIN_LINES_PER_STAGE else count
@@ -89,7 +89,7 @@ class RunDisplay:
                 self.say(f"{description}: {number}/{count}")
             yield item
 
-    def iterations(self, records: Iterable[Record], *, count: int | None, min_spacing_m: float) -> Iterator[Record]:
+    def iterations(self, records: Iterable[_Record], *, count: int | None, min_spacing_m: float) -> Iterator[_Record]:
         """Pass the records of an optimisation on and show their numbers."""
         if count is None:
             yield from self._states(records, min_spacing_m)
@@ -110,7 +110,7 @@ class RunDisplay:
             yield record
         self._numbers = None
 
-    def _states(self, records: Iterable[Record], min_spacing_m: float) -> Iterator[Record]:
+    def _states(self, records: Iterable[_Record], min_spacing_m: float) -> Iterator[_Record]:
         """Those of a search by a pool; plain lines have the last state of each stage."""
         self._start("searching", None)
         last: dict[str, str] = {}

@@ -51,7 +51,7 @@ def is_run_folder(source: str) -> bool:
 def check_rig_source(source: str) -> None:
     """Reject early what :func:`find_rig` would reject after the scenes have been built."""
     if source not in HAND_RIGS:
-        read_rig(rig_file(source))
+        read_rig(_rig_file(source))
 
 
 def is_shipped(source: str) -> bool:
@@ -66,7 +66,7 @@ def find_rig(source: str, config: Config, ego: Mesh, *, say: Callable[[str], obj
             config = config.replace({"rig.symmetric": False})  # cameras one by one
         mount = camera_mount(config, ego)
         return mount.rig(rig_by_hand(source, mount, constraints_of(config, mount.surface), config.rig.cameras))
-    rig = with_shared_model(read_rig(rig_file(source)), config)
+    rig = with_shared_model(read_rig(_rig_file(source)), config)
     away = off_vehicle(rig, ego)
     if is_shipped(source) and (away or config.scenes.ego is not None):
         say(f"{source}: put on the body of this vehicle, as warpav evaluate measures it")
@@ -107,14 +107,14 @@ def arm_names(source: str, beside: Sequence[str] = ()) -> dict[str, str]:
 def rig_to_export(source: str) -> Rig:
     """The rig that ``source`` means; one by hand stands on the embedded vehicle, with the cameras of ``quick``."""
     if source not in HAND_RIGS:
-        return read_rig(rig_file(source))
+        return read_rig(_rig_file(source))
     from warpav.scene.town.town import town_scene
 
     with placed_config("quick", ()) as config:
         return find_rig(source, config, town_scene(0).ego)
 
 
-def rig_file(source: str) -> Path:
+def _rig_file(source: str) -> Path:
     """The file of the rig that a rig YAML, a preset or a run folder means."""
     return RunFolder.open(source).rig_file() if is_run_folder(source) else find_rig_file(source)
 
@@ -129,7 +129,7 @@ def read_baselines(config: Config) -> dict[str, Rig]:
                 "baselines.rigs",
                 f"expected names unlike those of the other rigs, got {path.stem!r}; rename {path.name}",
             )
-        rigs[path.stem] = with_shared_model(read_rig(rig_file(str(path))), config)
+        rigs[path.stem] = with_shared_model(read_rig(_rig_file(str(path))), config)
     return rigs
 
 
@@ -143,7 +143,7 @@ def read_start(config: Config, freeze: Collection[str] = ()) -> Rig | None:
         hint = f"did you mean {near[0]}?" if near else "no such file"
         raise OptionError("rig.start", f"expected {START_TEXT}, got {start!r}; {hint}")
     freeze = freeze or config.rig.freeze
-    rig = read_rig(rig_file(start))
+    rig = read_rig(_rig_file(start))
     found = len(with_added_cameras(rig, config, freeze).cameras)
     if found != config.rig.cameras:
         asked, hint = "rig.cameras says", f"set rig.cameras={found}"

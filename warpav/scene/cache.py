@@ -18,7 +18,7 @@ from warpav.scene.scene import Box, Scene, Sky, Vehicle
 from warpav.scene.town.levels import TownSource
 from warpav.scene.traffic.traffic_scene import TrafficSource
 
-CAPACITY_BYTES = 512 * 2**20  # what the cache holds at most: about 300 scenes of 1.8 MB
+_CAPACITY_BYTES = 512 * 2**20  # what the cache holds at most: about 300 scenes of 1.8 MB
 _FORMAT = 2
 UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 BuiltSource = TownSource | TrafficSource
@@ -45,7 +45,7 @@ def built_scenes(
                 file.parent.mkdir(parents=True, exist_ok=True)
                 _write(scene, file)
         yield scene
-    remove_oldest(folder, "*.npz", capacity_bytes=CAPACITY_BYTES)
+    remove_oldest(folder, "*.npz", capacity_bytes=_CAPACITY_BYTES)
 
 
 def scene_file(source: BuiltSource, folder: Path) -> Path:

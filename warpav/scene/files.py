@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from warpav.scene.capture.capture import PlanSettings, Simulator
     from warpav.scene.reconstruction.settings import ReconstructionSettings
 
-MAX_SEED = 2**31 - 1
-SCHEMA = "warpav-collection/1"
+_MAX_SEED = 2**31 - 1
+_SCHEMA = "warpav-collection/1"
 _INDEX = "collection.json"
 
 
@@ -65,8 +65,8 @@ def town(
     for seed in numbers:
         if isinstance(seed, bool) or not hasattr(seed, "__index__"):
             raise TypeError(f"seeds: expected whole numbers such as range(30), got {seed!r}")
-        if not 0 <= int(seed) <= MAX_SEED:
-            raise ArgumentError("seeds", f"expected 0 to {MAX_SEED}, got {seed}")
+        if not 0 <= int(seed) <= _MAX_SEED:
+            raise ArgumentError("seeds", f"expected 0 to {_MAX_SEED}, got {seed}")
     if not numbers:
         raise ArgumentError("seeds", "expected at least one seed such as [0], got none")
     if not 0.0 < vehicles_share <= 1.0:
@@ -332,7 +332,7 @@ def _note(task: SceneTask, made_with: str) -> None:
     entries[task.file.name] = {"seed": task.seed, "recipe": made_with, "sha256": _sha256(task.file)}
     entries = dict(sorted(entries.items(), key=lambda item: item[1].get("seed", 0)))
     with atomic_write(task.file.parent / _INDEX) as draft:
-        draft.write_text(json.dumps({"schema": SCHEMA, "scenes": entries}, indent=1) + "\n", encoding="utf-8")
+        draft.write_text(json.dumps({"schema": _SCHEMA, "scenes": entries}, indent=1) + "\n", encoding="utf-8")
 
 
 def _index(folder: Path) -> dict[str, Any]:
@@ -340,7 +340,9 @@ def _index(folder: Path) -> dict[str, Any]:
     try:
         content = json.loads((folder / _INDEX).read_text(encoding="utf-8"))
         entries = content["scenes"]
-        return entries if content["schema"] == SCHEMA and all(isinstance(one, dict) for one in entries.values()) else {}
+        return (
+            entries if content["schema"] == _SCHEMA and all(isinstance(one, dict) for one in entries.values()) else {}
+        )
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return {}
 

@@ -35,7 +35,7 @@ from warpav.scene.vehicles import SHIPPED, vehicle_folder
 CATEGORIES = tuple(VEHICLE_SPECS)  # vehicles in whose places others can stand
 USUAL_SHARE = 0.5  # of the vehicles in whose places others could stand, those that others do stand in
 _STRETCH = (0.8, 1.25)  # how much more or less than a vehicle as a whole its length, width or height may grow
-TRIANGLES_MAX = (4_300, 1_200)
+_TRIANGLES_MAX = (4_300, 1_200)
 """Triangles of a mesh near the ego vehicle, and of one that stands for a coarse mesh: no more than the town's own."""
 
 _ALIKE = (0.8, 1.25)  # of length, width and height of a category's own vehicles, without a word about the category
@@ -191,7 +191,7 @@ def _body(path: Path, _stamp: tuple[int, int] | None, _stated_stamp: tuple[int, 
     point_m = points_on(mesh)
     size_m = np.array([high[0] - low[0], body_width_m(point_m), high[2] - low[2]])
     categories = tuple(dict.fromkeys(stated.category or _categories_of(path, size_m)))
-    fine, coarse = (decimated(mesh, count) for count in TRIANGLES_MAX)
+    fine, coarse = (decimated(mesh, count) for count in _TRIANGLES_MAX)
     look = _look(fine)
     arrays = [array.tobytes() for array in (mesh.vertex_m, mesh.triangle, mesh.vertex_rgb)]
     looks = (look, look if coarse is fine else _look(coarse))

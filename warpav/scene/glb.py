@@ -36,7 +36,7 @@ from warpav.scene.scene import BLACK_SKY, Box, Scene, Sky, Vehicle
 if TYPE_CHECKING:
     import trimesh
 
-SCHEMA = "warpav-scene/1"
+_SCHEMA = "warpav-scene/1"
 _ROOT_NODE, ENVIRONMENT_NODE, EGO_NODE = "ego_frame", "environment", "ego"
 _VEHICLE_PREFIX, _OTHER_PREFIX = "vehicle_", "other_"
 _EGO_FRAME = "ego: ISO 8855, x forward, y left, z up, origin on the ground below the rear axle's centre"
@@ -70,7 +70,7 @@ def write_scene(scene: Scene, path: str | Path) -> None:
         if user.velocity_ego_m_s is not None:
             extras["velocity_ego_m_s"] = [float(value) for value in user.velocity_ego_m_s]
         nodes.append((f"{prefix}{user.instance_id}", user.mesh, extras))
-    write_nodes(Path(path), SCHEMA, about, nodes)
+    write_nodes(Path(path), _SCHEMA, about, nodes)
 
 
 Node = tuple[str, Mesh, dict[str, Any]]

@@ -118,7 +118,7 @@ class FileFinder:
                 yield folder / each / last
 
 
-def corner_rgb(uv: np.ndarray, image: Image) -> np.ndarray:
+def _corner_rgb(uv: np.ndarray, image: Image) -> np.ndarray:
     """Colours of a texture at positions, [corner, 2], of the nearest texel, the texture repeated beyond its borders."""
     texel_rgb = np.asarray(image.convert("RGB"), np.uint8)
     size = np.array([texel_rgb.shape[1], texel_rgb.shape[0]])
@@ -146,8 +146,8 @@ class Texture:
         return self.image.size
 
     def rgb(self, uv: np.ndarray) -> np.ndarray:
-        """Colours at positions, see `corner_rgb`, uint8 [corner, 3]."""
-        found = corner_rgb(uv, self.image)
+        """Colours at positions, see `_corner_rgb`, uint8 [corner, 3]."""
+        found = _corner_rgb(uv, self.image)
         if self.linear_factor is None:
             return found
         value = found.astype(np.float64) / 255.0
@@ -270,7 +270,7 @@ def simulator_model(mesh: Path) -> _SimulatorModel | None:
 
 
 VERTICES_MAX = 20_000  # vertices of a vehicle up to which triangles are split
-TOLERANCE = 6.0  # rms difference of colour and texture over a triangle, of 255, up to which it stays whole
+_TOLERANCE = 6.0  # rms difference of colour and texture over a triangle, of 255, up to which it stays whole
 _LEAST_TEXELS = 1.0
 _ROUNDS_MAX = 200
 _LATTICES = (4, 8, 16, 32)
@@ -302,7 +302,7 @@ def follow_textures(
         left = vertices_max - len(mesh.vertex)
         texels = _edge_texels(mesh, size_px)
         longest = texels.max(axis=1)
-        weight = np.where((error > TOLERANCE) & (longest > _LEAST_TEXELS), error**2 * _areas(mesh), 0.0)
+        weight = np.where((error > _TOLERANCE) & (longest > _LEAST_TEXELS), error**2 * _areas(mesh), 0.0)
         worst = np.argsort(-weight, kind="stable")[: np.count_nonzero(weight)]
         if left < 1 or not len(worst):
             break

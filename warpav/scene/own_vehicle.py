@@ -35,7 +35,7 @@ from warpav.scene.vehicles import file_of, nearest_name, vehicle_names
 if TYPE_CHECKING:
     import trimesh
 
-SCHEMA = "warpav-vehicle/1"
+_SCHEMA = "warpav-vehicle/1"
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 FORMATS = ("glb", "gltf", "obj", "dae", "ply", "stl", "off")
 _USUAL_LENGTH_M = (3.0, 7.0)
@@ -215,7 +215,7 @@ def read_vehicle_file(path: str | Path, *, vertices_max: int | None = VERTICES_M
         file = trimesh.load_scene(path, process=False, resolver=finder)  # pyright: ignore[reportArgumentType]
         nodes = [str(name) for name in file.graph.nodes_geometry]
         is_scene = EGO_NODE in nodes and ENVIRONMENT_NODE in nodes
-        is_own = (file.metadata or {}).get("schema") == SCHEMA
+        is_own = (file.metadata or {}).get("schema") == _SCHEMA
         names = [name for name in nodes if not is_scene or name == EGO_NODE]
         count = sum(len(getattr(file.geometry[file.graph.get(name)[1]], "faces", ())) for name in names)
         if count > TRIANGLES_MAX:
@@ -256,7 +256,7 @@ def write_vehicle(mesh: Mesh, path: str | Path, *, source: str = "") -> None:
     path = Path(path)
     if path.suffix.lower() != ".glb":
         raise InputError(f"{path}: vehicle: expected a name that ends in .glb, got {path.name!r}")
-    write_nodes(path, SCHEMA, {"source": source}, [(EGO_NODE, mesh, {"role": "ego"})])
+    write_nodes(path, _SCHEMA, {"source": source}, [(EGO_NODE, mesh, {"role": "ego"})])
 
 
 def examine(

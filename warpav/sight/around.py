@@ -32,7 +32,7 @@ CAR_HEIGHT_M = 1.5
 PIXELS = (40.0, 20.0, 12.0)
 """Heights of its image [px]: easily recognised, recognised, at the limit of most detectors."""
 
-HEIGHTS_M = (0.0, 0.6, 1.1)
+_HEIGHTS_M = (0.0, 0.6, 1.1)
 """Of what has to be seen near the vehicle [m]: the ground, something small, the top of a child's head."""
 
 _BAND_EDGES_M = (3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 150.0, 200.0)
@@ -130,7 +130,7 @@ class NearField:
         rig: Rig,
         ego: Mesh,
         *,
-        heights_m: Sequence[float] = HEIGHTS_M,
+        heights_m: Sequence[float] = _HEIGHTS_M,
         reach_m: float = 10.0,
         direction_count: int = 240,
         device: str = "cpu",

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _WORST_COUNT = 5
 """Points of a requirement that a table and JSON name."""
 
-SCHEMA = "warpav-requirements/1"
+_SCHEMA = "warpav-requirements/1"
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ class RequirementResult:
     def to_json(self) -> dict[str, Any]:
         """As a JSON file has it: outcomes, and for every point its position and how many cameras see it."""
         return {
-            "schema": SCHEMA,
+            "schema": _SCHEMA,
             "met": self.is_met,
             "cost": self.cost,
             "cameras": list(self.camera_names),

@@ -25,13 +25,13 @@ HEIGHTS_M = (1.1, 1.7)
 PATCH_M = 0.05
 """Of a patch of the ground itself: so high above it that the ground does not hide it [m]."""
 
-RADIUS_M = 25.0
-CELL_M = 0.5
-STEP_M = 0.3
+_RADIUS_M = 25.0
+_CELL_M = 0.5
+_STEP_M = 0.3
 """Surfaces up to this height above the lowest surface count as ground [m]: kerbs, but no walls or benches."""
 
 
-DISTANCE_EDGES_M = (0.0, 5.0, 10.0, 15.0, 20.0, RADIUS_M)
+DISTANCE_EDGES_M = (0.0, 5.0, 10.0, 15.0, 20.0, _RADIUS_M)
 """Bands of the distance from the centre of the ego vehicle [m]; a band includes its lower edge, the last one both."""
 
 
@@ -40,8 +40,8 @@ def coverage(
     scene: Scene,
     *,
     heights_m: Sequence[float] = HEIGHTS_M,
-    radius_m: float = RADIUS_M,
-    cell_m: float = CELL_M,
+    radius_m: float = _RADIUS_M,
+    cell_m: float = _CELL_M,
     device: str = "cpu",
 ) -> Coverage:
     """Where around the vehicle the cameras of a rig see a person, with occlusion by everything in the scene.
@@ -84,7 +84,7 @@ class Ground:
     radius_m: float
 
     @classmethod
-    def around(cls, scene: DeviceScene, *, radius_m: float = RADIUS_M, cell_m: float = CELL_M) -> Ground:
+    def around(cls, scene: DeviceScene, *, radius_m: float = _RADIUS_M, cell_m: float = _CELL_M) -> Ground:
         """The ground around the ego vehicle of a scene."""
         if not (radius_m > 0.0 and cell_m > 0.0):
             raise ValueError(f"radius_m and cell_m must be positive, got {radius_m} and {cell_m}")
@@ -108,7 +108,7 @@ class Ground:
                 wp.array(position_m.reshape(-1, 2).astype(np.float32), dtype=wp.vec2, device=device),
                 -_DEPTH_M,
                 wp.array(highest_m.ravel(), dtype=float, device=device),
-                STEP_M,
+                _STEP_M,
             ],
             outputs=[ground_m, headroom_m],
             device=device,
@@ -232,8 +232,8 @@ class BlindGround:
     # Of these, scenes in which no camera sees the person, same shape, for every rig by name
     blind_count: dict[str, np.ndarray]
     heights_m: tuple[float, ...] = HEIGHTS_M
-    cell_m: float = CELL_M
-    radius_m: float = RADIUS_M
+    cell_m: float = _CELL_M
+    radius_m: float = _RADIUS_M
 
     @classmethod
     def of(cls, rigs: Mapping[str, Rig], scenes: Iterable[DeviceScene]) -> BlindGround:

@@ -22,7 +22,7 @@ from warpav_kernels.sight import ground as kernels
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class _Sight:
     """Which cameras have points in their images, and which of these see them past all that is in the way."""
 
     in_image: np.ndarray  # bool [camera, ...]
@@ -34,7 +34,7 @@ class Sight:
         return self.seen.sum(axis=0)
 
 
-def sight(rig: Rig | Sequence[RigCamera], point_m: np.ndarray, scene: DeviceScene) -> Sight:
+def sight(rig: Rig | Sequence[RigCamera], point_m: np.ndarray, scene: DeviceScene) -> _Sight:
     """What each camera sees of points of the ego frame [m], [..., 3], in a scene."""
     cameras = rig.cameras if isinstance(rig, Rig) else rig
     flat_m = point_m.reshape(-1, 3)
@@ -51,7 +51,7 @@ def sight(rig: Rig | Sequence[RigCamera], point_m: np.ndarray, scene: DeviceScen
         )
         seen[row, asked] = share == 1.0
     shape = len(cameras), *point_m.shape[:-1]
-    return Sight(in_image.reshape(shape), seen.reshape(shape))
+    return _Sight(in_image.reshape(shape), seen.reshape(shape))
 
 
 def seen_by_any(rig: Rig, point_m: np.ndarray, scene: DeviceScene) -> np.ndarray:
@@ -112,7 +112,7 @@ def _threads(count: int) -> ThreadPoolExecutor:
 
 
 @dataclass(frozen=True)
-class Redundancy:
+class _Redundancy:
     """How often enough cameras see a road user."""
 
     radius_m: float
@@ -137,7 +137,7 @@ def probability_of_at_least(cameras: int, probability: np.ndarray) -> np.ndarray
 
 def redundancy(
     sees: Sequence[np.ndarray], scenes: Sequence[DeviceScene], *, radius_m: float, cameras: int
-) -> Redundancy:
+) -> _Redundancy:
     """Share of the road users within a radius that enough cameras see, by flags or probabilities [camera, object]."""
     if not radius_m > 0.0 or cameras < 1:
         raise ValueError(f"radius_m must be positive and cameras at least 1, got {radius_m} and {cameras}")
@@ -148,4 +148,4 @@ def redundancy(
         is_near = np.hypot(*scene.from_ego_m.T) <= radius_m
         found.append(probability_of_at_least(cameras, seen)[is_near])
     share = np.concatenate(found)
-    return Redundancy(radius_m, cameras, len(share), float(share.mean()) if len(share) else None)
+    return _Redundancy(radius_m, cameras, len(share), float(share.mean()) if len(share) else None)

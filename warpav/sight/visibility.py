@@ -73,7 +73,7 @@ def poses_of(rig: Rig) -> tuple[np.ndarray, list[CameraModel]]:
     return np.stack([each.ego_from_camera for each in rig.cameras]), [each.model for each in rig.cameras]
 
 
-VIEWS_AT_ONCE = 8
+_VIEWS_AT_ONCE = 8
 """With as many ghosts as one scene holds a view of 640 x 480 pixels takes up to 50 MB."""
 
 
@@ -153,7 +153,7 @@ class GhostWorld:
         rotation = pose[:, :3, :3].transpose(0, 2, 1).astype(np.float32)
         for size in dict.fromkeys((model.width_px, model.height_px) for model in drawn):
             group = np.flatnonzero([(model.width_px, model.height_px) == size for model in drawn])
-            most = min(chunk_view_count(drawn[group[0]], supersampling=self.supersampling), VIEWS_AT_ONCE, len(group))
+            most = min(chunk_view_count(drawn[group[0]], supersampling=self.supersampling), _VIEWS_AT_ONCE, len(group))
             for first in range(0, len(group), most):
                 cameras = group[first : first + most]
                 # a last chunk that is not full is filled up with its last camera

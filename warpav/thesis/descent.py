@@ -190,7 +190,7 @@ class Descent:
     @property
     def best(self) -> Candidate:
         """The candidate with the lowest training objective."""
-        return lowest(self.candidates)
+        return _lowest(self.candidates)
 
     @property
     def start_objective(self) -> float:
@@ -204,7 +204,7 @@ class Descent:
     def _stale_evaluations(self) -> int:
         """Evaluations of this descent since its best rig."""
         own = self._of_descent(self.descent)
-        return len(own) - 1 - own.index(lowest(own))
+        return len(own) - 1 - own.index(_lowest(own))
 
     @property
     def stop_reason(self) -> str | None:
@@ -213,7 +213,7 @@ class Descent:
             return self._failure
         if self.descent < len(self.further_starts) or not self._out_of_patience:
             return None
-        best, count = lowest(self._of_descent(self.descent)), self._stale_evaluations
+        best, count = _lowest(self._of_descent(self.descent)), self._stale_evaluations
         return f"no better rig in {count} evaluations on the validation scenes since iteration {best.iteration}"
 
     def step(self) -> IterationRecord:
@@ -345,12 +345,12 @@ class Descent:
 
     def _check_mixture(self) -> None:
         """Exchange cameras of the best rig for those of the best rigs of the descents."""
-        best = [lowest(self._of_descent(k)) for k in range(self.descent + 1)]
+        best = [_lowest(self._of_descent(k)) for k in range(self.descent + 1)]
         probability = [each.detection_probability for each in best if each.detection_probability is not None]
         if len(probability) < len(best):
             return
         count = len(self.start)
-        first = best.index(lowest(best)) * count + np.arange(count)
+        first = best.index(_lowest(best)) * count + np.arange(count)
         frozen = self._mount.frozen
         chosen = exchange_cameras(
             np.concatenate(probability),
@@ -412,7 +412,7 @@ class _ShuffledBatches:
         return batch
 
 
-def lowest(candidates: Sequence[Candidate]) -> Candidate:
+def _lowest(candidates: Sequence[Candidate]) -> Candidate:
     """The one with the lowest objective, of equal ones the first; what is not finite is never it beside others."""
     return min(
         candidates,

@@ -39,7 +39,7 @@ def _first_rigs(space: SearchSpace, rng: np.random.Generator) -> Iterator[np.nda
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class _Start:
     """A rig that was evaluated."""
 
     mount_pose: np.ndarray  # it satisfies all constraints, float32 [camera, 7]
@@ -54,7 +54,7 @@ def evaluate_starts(
     rng: np.random.Generator,
     *,
     known: np.ndarray,
-) -> list[Start]:
+) -> list[_Start]:
     """Evaluate a known rig, `_first_rigs`, and one made of the best cameras of all of them; the best come first.
 
     ``known`` float [camera, 7].
@@ -63,13 +63,13 @@ def evaluate_starts(
     those of other rigs as long as that lowers the expected number of missed objects (`exchange_cameras`). It costs no
     more renders than its own evaluation.
     """
-    starts: list[Start] = []
+    starts: list[_Start] = []
     probability: list[np.ndarray] = []
 
     def evaluate(mount_pose: np.ndarray) -> None:
         pose = space.feasible(space.in_order(mount_pose))
         found = objective.evaluate(pose, scenes, detection_probability=True)
-        starts.append(Start(pose, found.objective))
+        starts.append(_Start(pose, found.objective))
         if found.detection_probability is not None:
             probability.append(found.detection_probability)
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     Plotter = Any
 
-SUFFIXES = (".png", ".html", ".gif", ".mp4")
+_SUFFIXES = (".png", ".html", ".gif", ".mp4")
 _ANIMATION_SUFFIXES = (".gif", ".mp4")
 ANIMATION_PX = (800, 500)
 """Window of animations, so that a GIF stays below 5 MB."""
@@ -180,10 +180,10 @@ def _mp4(images: Iterable[np.ndarray], *, frame_s: float, last_s: float) -> byte
 
 
 def check_suffix(path: Path, *, further: tuple[str, ...] = ()) -> None:
-    """Check that an image file has a suffix out of `SUFFIXES`, or one of further ones, and that it can be made here."""
+    """Check that an image file has a suffix of `_SUFFIXES` or a further one, and that it can be made here."""
     suffix = path.suffix.lower()
-    if suffix not in (*SUFFIXES, *further):
-        expected = ", ".join(dict.fromkeys((*SUFFIXES, *further)))
+    if suffix not in (*_SUFFIXES, *further):
+        expected = ", ".join(dict.fromkeys((*_SUFFIXES, *further)))
         raise InputError(f"{path}: expected a name that ends in {expected}, got {path.suffix!r}")
     if suffix == ".html":
         from warpav.view.page import load_k3d

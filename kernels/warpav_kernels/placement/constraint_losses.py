@@ -6,7 +6,7 @@ from warpav_kernels.placement.mount_pose import X_M, Y_M, bilinear_m
 
 
 @wp.func
-def zone_distance_m(
+def _zone_distance_m(
     x_m: float, y_m: float, border_distance_m: wp.array2d[float], origin_m: wp.vec2, cell_m: float
 ) -> float:
     """Signed distance to the border of the mountable zone [m], positive inside.
@@ -43,7 +43,7 @@ def zone_excess_kernel(
     camera = wp.tid()
     x_m = mount_pose[camera, X_M]
     y_m = mount_pose[camera, Y_M]
-    excess_m[camera] = margin_m - zone_distance_m(x_m, y_m, border_distance_m, origin_m, cell_m)
+    excess_m[camera] = margin_m - _zone_distance_m(x_m, y_m, border_distance_m, origin_m, cell_m)
 
 
 @wp.kernel

@@ -8,7 +8,7 @@ import warp as wp
 
 from warpav_kernels.detection.detection_probability import IN_FRAME_SHARE, VISIBLE_SHARE
 
-SUREST = wp.constant(0.9999)
+_SUREST = wp.constant(0.9999)
 """Greatest probability that counts, so that an object that one camera surely finds still has a gradient."""
 
 
@@ -158,7 +158,7 @@ def log_missed_kernel(
     for camera in range(found.shape[0]):
         p = (1.0 - detector_share[0]) * found[camera, k] + detector_share[0] * detected[camera, k]
         if counted_camera[k] < 0 or counted_camera[k] == camera:
-            total += wp.log(1.0 - wp.min(p, SUREST))
+            total += wp.log(1.0 - wp.min(p, _SUREST))
     log_missed[k] = total
 
 

@@ -50,7 +50,7 @@ MOUNT_POSE_SIZE = wp.constant(7)
 
 
 @wp.func
-def zone_at(x_m: float, y_m: float, zone_of_cell: wp.array2d[wp.int32], origin_m: wp.vec2, cell_m: float) -> int:
+def _zone_at(x_m: float, y_m: float, zone_of_cell: wp.array2d[wp.int32], origin_m: wp.vec2, cell_m: float) -> int:
     """Number of the zone at a place of the chart: that of the nearest cell; 0 where there is one zone."""
     if zone_of_cell.shape[0] == 0:
         return 0
@@ -93,7 +93,7 @@ def place_on_surface_kernel(
     x_m = mount_pose[camera, X_M]
     y_m = mount_pose[camera, Y_M]
     z_m = bilinear_m(x_m, y_m, height_m, origin_m, cell_m) + height_offset_m + mount_pose[camera, HEIGHT_DELTA_M]
-    zone = zone_at(x_m, y_m, zone_of_cell, origin_m, cell_m)
+    zone = _zone_at(x_m, y_m, zone_of_cell, origin_m, cell_m)
     point_m = plane_m[zone] + wp.transpose(axes[zone]) * wp.vec3(x_m, y_m, z_m)
     for rotation in range(rotation_count):
         v = camera * rotation_count + rotation

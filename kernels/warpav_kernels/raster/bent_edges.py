@@ -34,7 +34,7 @@ _END_SLACK = wp.constant(2.0e-6)  # by which an edge may reach beyond its ends [
 
 
 @wp.struct
-class Corner:
+class _Corner:
     """The direction of an end of an edge, or of a piece of one, as a view with a bent lens sees it."""
 
     direction: wp.vec3  # direction, of unit length
@@ -53,9 +53,9 @@ def _squared_secant(cosine: float) -> float:
 
 
 @wp.func
-def _corner_of(camera: View, rays: Rays, table: int, point: wp.vec3) -> Corner:
+def _corner_of(camera: View, rays: Rays, table: int, point: wp.vec3) -> _Corner:
     """A point in camera coordinates, at any distance, as the view sees it."""
-    corner = Corner()
+    corner = _Corner()
     direction = wp.normalize(point)
     corner.direction = direction
     if camera.lens.kind == PANORAMA:
@@ -77,7 +77,7 @@ def _corner_of(camera: View, rays: Rays, table: int, point: wp.vec3) -> Corner:
 
 
 @wp.func
-def _short_bounds(camera: View, widest_cosine: float, a: Corner, b: Corner, c: Corner) -> wp.vec4:
+def _short_bounds(camera: View, widest_cosine: float, a: _Corner, b: _Corner, c: _Corner) -> wp.vec4:
     """Bounds (left, top, right, bottom) in focal lengths of the image of a small triangle, or of an arc where b is c.
 
     As `find_candidates` bounds them. Columns of a panorama may lie a turn or two beside its image.
@@ -220,8 +220,8 @@ def _cross_bent_edge(
     rays: Rays,
     table: int,
     widest_cosine: float,
-    p: Corner,
-    q: Corner,
+    p: _Corner,
+    q: _Corner,
     edge: wp.vec3,
     inverse_depth: wp.vec3,
     rectangle: wp.vec4i,

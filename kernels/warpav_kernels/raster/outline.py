@@ -17,7 +17,7 @@ wp.set_module_options({"enable_backward": False})
 
 _SPAN_SLACK = wp.constant(1.0e-3)  # a sample on a triangle's edge is covered by it [samples]
 
-NEAR_TOLERANCE = wp.constant(1.0e-4)  # of 1/z, by which a surface ends at the near plane
+_NEAR_TOLERANCE = wp.constant(1.0e-4)  # of 1/z, by which a surface ends at the near plane
 
 # what a mask is
 ALONE = wp.constant(0)  # the samples that the object covers
@@ -196,7 +196,7 @@ def _triangle_crossing(
                 edge.inverse_depth = w + w_per_step * (end - here)
     if edge.offset <= 0.0 or edge.offset >= 1.0:
         return _edge_crossing_from(wp.int64(0), bits, camera.near_m)
-    if not part.is_whole and edge.inverse_depth > (1.0 - NEAR_TOLERANCE) / camera.near_m:
+    if not part.is_whole and edge.inverse_depth > (1.0 - _NEAR_TOLERANCE) / camera.near_m:
         edge.cut_triangle = triangle
     return edge
 
@@ -329,7 +329,7 @@ def _outline_crossing(
 
 
 @wp.struct
-class Cell:
+class _Cell:
     """Four neighbouring samples: which of them are of the mask."""
 
     row: int  # row of the upper left sample in the grid
@@ -362,9 +362,9 @@ def unhidden_corners(pair: _Pair, row: int, column: int, hiding: Hiding) -> int:
 
 
 @wp.func
-def cell_of(camera: View, pair: _Pair, row: int, column: int, mask: int) -> Cell:
+def cell_of(camera: View, pair: _Pair, row: int, column: int, mask: int) -> _Cell:
     """The cell at a place of the pair's rectangle."""
-    cell = Cell()
+    cell = _Cell()
     cell.row = pair.rectangle[1] + row
     cell.column = pair.rectangle[0] + column
     cell.mask = mask
@@ -419,7 +419,7 @@ def _side_from(mask: int, first: int, leaving: bool) -> int:
 
 @wp.func
 def _side_crossing(
-    cell: Cell,
+    cell: _Cell,
     side: int,
     pair: _Pair,
     kind: int,
@@ -466,7 +466,7 @@ class Segment:
 
 @wp.func
 def cell_segment(
-    cell: Cell,
+    cell: _Cell,
     index: int,
     pair: _Pair,
     kind: int,

@@ -256,7 +256,7 @@ def raise_crossing(layers: Layers, direction: int, place: int, offset: float, in
 
 
 @wp.func
-def fill_rows(
+def _fill_rows(
     image: ImageTriangle,
     first_row: int,
     last_row: int,
@@ -348,7 +348,7 @@ def _cross_edge(
 
 
 @wp.func
-def is_outside(centre_m: wp.vec3, radius_m: float, view: View, scissor: wp.vec4i) -> bool:
+def _is_outside(centre_m: wp.vec3, radius_m: float, view: View, scissor: wp.vec4i) -> bool:
     """Whether a sphere (camera coordinates) misses the pyramid of a view's scissor."""
     if centre_m[2] + radius_m < view.near_m:
         return True
@@ -435,7 +435,7 @@ def scatter_triangles_kernel(
         return
     sphere = scene.cluster_sphere_world_m[cluster]
     centre_m = point_in_camera(camera, wp.vec3(sphere[0], sphere[1], sphere[2]))
-    if is_outside(centre_m, sphere[3], camera, frame):
+    if _is_outside(centre_m, sphere[3], camera, frame):
         return
     rectangle = wp.vec4i(0, 0, 0, 0)
     offset = int(-1)
@@ -508,7 +508,7 @@ def scatter_triangles_kernel(
                     if room + strips > strip.shape[0]:
                         room = -1
                 if room < 0:
-                    fill_rows(
+                    _fill_rows(
                         image,
                         image.first_row,
                         image.last_row,
@@ -564,7 +564,7 @@ def fill_strips_kernel(
                 offset = -1
         image = image_triangle(camera, front_part(camera, scene, triangle), entry[2], False, frame)
         last_row = wp.min(image.last_row, entry[3] + _STRIP_ROWS - 1)
-        fill_rows(
+        _fill_rows(
             image,
             entry[3],
             last_row,

@@ -122,7 +122,7 @@ def resolve_silhouettes_kernel(
 
 
 @wp.func
-def sky_rgb(horizon_rgb: wp.vec3, zenith_rgb: wp.vec3, elevation_sine: float) -> wp.vec3:
+def _sky_rgb(horizon_rgb: wp.vec3, zenith_rgb: wp.vec3, elevation_sine: float) -> wp.vec3:
     """Colour of the sky in a direction: the horizon's below and at the horizon, the zenith's overhead."""
     t = wp.clamp(elevation_sine, 0.0, 1.0)
     share = 1.0 - (1.0 - t) * (1.0 - t)
@@ -191,7 +191,7 @@ def rgb_along(
     if nearest == wp.int64(0):
         r = camera.camera_from_world
         up = r[0, 2] * ray[0] + r[1, 2] * ray[1] + r[2, 2] * ray[2]
-        return sky_rgb(horizon_rgb, zenith_rgb, up / wp.length(ray))
+        return _sky_rgb(horizon_rgb, zenith_rgb, up / wp.length(ray))
     return _patch_rgb(patch, ray)
 
 

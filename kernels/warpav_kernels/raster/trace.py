@@ -13,7 +13,7 @@ from warpav_kernels.raster.view import View, sample_ray
 
 wp.set_module_options({"enable_backward": False})
 
-FARTHEST_M = wp.constant(1.0e6)
+_FARTHEST_M = wp.constant(1.0e6)
 _WHOLE_SCENE = wp.constant(-1)  # root of the whole mesh
 
 
@@ -35,7 +35,7 @@ def first_hit(camera: View, mesh: wp.uint64, root: int, ray: wp.vec3) -> _Hit:
         direction = wp.transpose(camera.camera_from_world) * ray
         # what is nearer is cut away
         start_world_m = camera.position_world_m + camera.near_m * direction
-        query = wp.mesh_query_ray(mesh, start_world_m, direction, FARTHEST_M, root)
+        query = wp.mesh_query_ray(mesh, start_world_m, direction, _FARTHEST_M, root)
         if query.result:
             hit.inverse_depth = wp.max(1.0 / (camera.near_m + query.t), LEAST_INVERSE_DEPTH)
             hit.triangle = query.face

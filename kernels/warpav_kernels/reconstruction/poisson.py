@@ -18,7 +18,7 @@ _HALF_JUMP = wp.constant(0.5)
 
 
 @wp.func
-def mirrored(index: int, count: int) -> int:
+def _mirrored(index: int, count: int) -> int:
     """An index at most one step outside a row of nodes, mirrored at the row's end."""
     if index < 0:
         return 1
@@ -157,14 +157,14 @@ def state_equation_kernel(
     Writes: every element of ``source`` and ``screen``, added to, times ``scale``.
     """
     i, j, lane = wp.tid()
-    before_i = mirrored(i - 1, area.shape[0])
-    after_i = mirrored(i + 1, area.shape[0])
-    before_j = mirrored(j - 1, area.shape[1])
-    after_j = mirrored(j + 1, area.shape[1])
+    before_i = _mirrored(i - 1, area.shape[0])
+    after_i = _mirrored(i + 1, area.shape[0])
+    before_j = _mirrored(j - 1, area.shape[1])
+    after_j = _mirrored(j + 1, area.shape[1])
     for k in range(lane, area.shape[2], lanes):
         x = flux[after_i, j, k][0] - flux[before_i, j, k][0]
         y = flux[i, after_j, k][1] - flux[i, before_j, k][1]
-        z = flux[i, j, mirrored(k + 1, area.shape[2])][2] - flux[i, j, mirrored(k - 1, area.shape[2])][2]
+        z = flux[i, j, _mirrored(k + 1, area.shape[2])][2] - flux[i, j, _mirrored(k - 1, area.shape[2])][2]
         weight = screening * area[i, j, k]
         wanted = float(0.0)
         if weight > 0.0:
@@ -192,14 +192,14 @@ def relax_field_kernel(
     Writes: the nodes of one colour of ``field``, whose neighbours have the other.
     """
     i, j, lane = wp.tid()
-    before_i = mirrored(i - 1, field.shape[0])
-    after_i = mirrored(i + 1, field.shape[0])
-    before_j = mirrored(j - 1, field.shape[1])
-    after_j = mirrored(j + 1, field.shape[1])
+    before_i = _mirrored(i - 1, field.shape[0])
+    after_i = _mirrored(i + 1, field.shape[0])
+    before_j = _mirrored(j - 1, field.shape[1])
+    after_j = _mirrored(j + 1, field.shape[1])
     squared = cell * cell
     for k in range(((i + j + colour) & 1) + 2 * lane, field.shape[2], 2 * lanes):
         around = field[before_i, j, k] + field[after_i, j, k] + field[i, before_j, k] + field[i, after_j, k]
-        around += field[i, j, mirrored(k - 1, field.shape[2])] + field[i, j, mirrored(k + 1, field.shape[2])]
+        around += field[i, j, _mirrored(k - 1, field.shape[2])] + field[i, j, _mirrored(k + 1, field.shape[2])]
         field[i, j, k] = (around + squared * source[i, j, k]) / (6.0 + squared * screen[i, j, k])
 
 
@@ -220,13 +220,13 @@ def find_residual_kernel(
     Writes: every element of ``residual``.
     """
     i, j, lane = wp.tid()
-    before_i = mirrored(i - 1, field.shape[0])
-    after_i = mirrored(i + 1, field.shape[0])
-    before_j = mirrored(j - 1, field.shape[1])
-    after_j = mirrored(j + 1, field.shape[1])
+    before_i = _mirrored(i - 1, field.shape[0])
+    after_i = _mirrored(i + 1, field.shape[0])
+    before_j = _mirrored(j - 1, field.shape[1])
+    after_j = _mirrored(j + 1, field.shape[1])
     for k in range(lane, field.shape[2], lanes):
         around = field[before_i, j, k] + field[after_i, j, k] + field[i, before_j, k] + field[i, after_j, k]
-        around += field[i, j, mirrored(k - 1, field.shape[2])] + field[i, j, mirrored(k + 1, field.shape[2])]
+        around += field[i, j, _mirrored(k - 1, field.shape[2])] + field[i, j, _mirrored(k + 1, field.shape[2])]
         here = field[i, j, k]
         residual[i, j, k] = source[i, j, k] - screen[i, j, k] * here + (around - 6.0 * here) / (cell * cell)
 
@@ -249,11 +249,11 @@ def restrict_field_kernel(
     for k in range(lane, coarse.shape[2], lanes):
         total = float(0.0)
         for a in range(-1, 2):
-            x = mirrored(2 * i + a, fine.shape[0])
+            x = _mirrored(2 * i + a, fine.shape[0])
             for b in range(-1, 2):
-                y = mirrored(2 * j + b, fine.shape[1])
+                y = _mirrored(2 * j + b, fine.shape[1])
                 row = 2.0 * fine[x, y, 2 * k]
-                row += fine[x, y, mirrored(2 * k - 1, fine.shape[2])] + fine[x, y, mirrored(2 * k + 1, fine.shape[2])]
+                row += fine[x, y, _mirrored(2 * k - 1, fine.shape[2])] + fine[x, y, _mirrored(2 * k + 1, fine.shape[2])]
                 total += float((2 - wp.abs(a)) * (2 - wp.abs(b))) * row
         coarse[i, j, k] = factor * total / 64.0
 

@@ -5,9 +5,9 @@ import warp as wp
 wp.set_module_options({"enable_backward": False})
 
 _MAX_SURFACES = wp.constant(64)  # one above the other
-STEP_M = wp.constant(1.0e-3)  # from a surface to beyond it
+_STEP_M = wp.constant(1.0e-3)  # from a surface to beyond it
 _ABOVE_GROUND_M = wp.constant(0.05)  # where looking up from the ground begins
-FARTHEST_M = wp.constant(1.0e4)
+_FARTHEST_M = wp.constant(1.0e4)
 
 
 @wp.func
@@ -47,7 +47,7 @@ def ground_kernel(
     found_m = float(wp.nan)
     z_m = lowest_m
     for _ in range(_MAX_SURFACES):
-        query = wp.mesh_query_ray(mesh, wp.vec3(place[0], place[1], z_m), up, FARTHEST_M, root)
+        query = wp.mesh_query_ray(mesh, wp.vec3(place[0], place[1], z_m), up, _FARTHEST_M, root)
         if not query.result:
             break
         z_m += query.t
@@ -56,10 +56,10 @@ def ground_kernel(
         if _is_seen_from_inside(query.normal, up):
             found_m = z_m
             top_m = wp.min(top_m, z_m + step_m)
-        z_m += STEP_M
+        z_m += _STEP_M
     room_m = float(0.0)
     if wp.isfinite(found_m):
-        above = wp.mesh_query_ray(mesh, wp.vec3(place[0], place[1], found_m + _ABOVE_GROUND_M), up, FARTHEST_M)
+        above = wp.mesh_query_ray(mesh, wp.vec3(place[0], place[1], found_m + _ABOVE_GROUND_M), up, _FARTHEST_M)
         if not above.result:
             room_m = wp.inf
         elif not _is_seen_from_inside(above.normal, up):

@@ -41,7 +41,7 @@ from warpav.experiments.bench._workload import (
 if TYPE_CHECKING:
     from warpav.experiments.bench._items import Bench, Timing
 
-SCHEMA = "warpav-bench-1"
+_SCHEMA = "warpav-bench-1"
 _ITEMS = ("w1", "w2", "w3")
 _SWEEP = (1, 2, 4, 8)
 # Above these sizes, embree's minutes are not worth the comparison.
@@ -124,7 +124,7 @@ def _described(bench: Bench, options: BenchOptions) -> dict[str, Any]:
     """What the JSON file says of a run before anything is measured."""
     workload = bench.workload
     return {
-        "schema": SCHEMA,
+        "schema": _SCHEMA,
         "versions": {
             "warpav": metadata.version("warpav"),
             "warp": metadata.version("warp-lang"),

@@ -67,7 +67,7 @@ class ImportOptions:
 
 
 @dataclass(frozen=True)
-class ExportOptions:
+class _ExportOptions:
     """Where the file's origin lies, and what may be lost; see `export_rig`."""
 
     origin_m: tuple[float, float, float] | None = None
@@ -152,7 +152,7 @@ def import_rig_with_notes(
         raise InputError(f"{file}: expected a file or folder of the format {form.name}, got no such file")
     if options.part is not None and form.parts is None:
         raise ArgumentError("part", f"{form.name} files hold one rig, got {options.part!r}; leave it out")
-    ego_from_file = placement(options.origin_m, options.origin_rpy_deg)
+    ego_from_file = _placement(options.origin_m, options.origin_rpy_deg)
     found = form.found(file, options.part)
     lenses = _lenses(file, options)
     models = [_model(camera, lenses, options, file) for camera in found.cameras]
@@ -219,7 +219,7 @@ def export_rig_with_notes(
     **keywords: Any,  # noqa: ANN401
 ) -> tuple[list[Path], list[str]]:
     """Write a rig for another tool; ``keywords`` are those of `export_rig`."""
-    options = ExportOptions(**keywords)
+    options = _ExportOptions(**keywords)
     form = find_format(format_name)
     losses = Losses(form.name, options.approximate)
     files = _content_of(rig, form, Path(target).expanduser(), losses, options)
@@ -244,12 +244,12 @@ def check_target(file: Path, *, overwrite: bool) -> None:
             raise InputError(f"{folder}: expected a folder to write to, got a file; choose another path")
 
 
-def _content_of(rig: Rig, form: RigFormat, target: Path, losses: Losses, options: ExportOptions) -> dict[Path, bytes]:
+def _content_of(rig: Rig, form: RigFormat, target: Path, losses: Losses, options: _ExportOptions) -> dict[Path, bytes]:
     """The files that hold a rig, unwritten."""
     if form.write is None:
         names = ", ".join(name for name in FORMAT_NAMES if find_format(name).write is not None)
         raise ArgumentError("format_name", f"expected one of {names}; {form.name} is for import only")
-    file_from_ego = np.linalg.inv(placement(options.origin_m, options.origin_rpy_deg))
+    file_from_ego = np.linalg.inv(_placement(options.origin_m, options.origin_rpy_deg))
     placed = [PlacedCamera(camera.name, file_from_ego @ camera.ego_from_camera, camera.model) for camera in rig.cameras]
     return form.written(placed, target, losses)
 
@@ -262,14 +262,14 @@ def formats_for(rig: Rig) -> tuple[list[str], dict[str, str]]:
         if form.write is None:
             continue
         try:
-            _content_of(rig, form, Path("rig"), Losses(name), ExportOptions())
+            _content_of(rig, form, Path("rig"), Losses(name), _ExportOptions())
             fit.append(name)
         except InputError as error:
             unfit[name] = str(error).removeprefix(f"{name}: ")
     return fit, unfit
 
 
-def placement(origin_m: tuple[float, float, float] | None, origin_rpy_deg: tuple[float, float, float]) -> np.ndarray:
+def _placement(origin_m: tuple[float, float, float] | None, origin_rpy_deg: tuple[float, float, float]) -> np.ndarray:
     """The transform from a file's coordinates to the ego frame, [4, 4]."""
     for name, numbers in (("origin_m", origin_m or ()), ("origin_rpy_deg", origin_rpy_deg)):
         if not all(map(math.isfinite, numbers)):

@@ -65,7 +65,7 @@ def _preset_file(name: str) -> Path:
 
 
 @dataclass(frozen=True)
-class PresetAbout:
+class _PresetAbout:
     """Information in the comment at the top of a preset file."""
 
     title: str
@@ -73,7 +73,7 @@ class PresetAbout:
     licence: str
 
 
-def preset_about(name: str) -> PresetAbout:
+def preset_about(name: str) -> _PresetAbout:
     """What is known of a shipped rig; ``name`` is one of :func:`preset_names`."""
     head: dict[str, str] = {}
     key = "title"
@@ -85,7 +85,7 @@ def preset_about(name: str) -> PresetAbout:
         if colon and word in ("Source", "Licence", "Notes"):
             key, text = word.lower(), rest
         head[key] = f"{head[key]} {text}" if key in head else text
-    return PresetAbout(head["title"], head["source"], head["licence"])
+    return _PresetAbout(head["title"], head["source"], head["licence"])
 
 
 def is_preset(source: str) -> bool:

@@ -62,7 +62,7 @@ from warpav.scene.capture.capture import (
 )
 from warpav.scene.scene import Box
 
-SCHEMA = "warpav-capture/1"
+_SCHEMA = "warpav-capture/1"
 DESCRIPTION = "capture.json"
 _DEPTH_STEP_M = 0.002  # metres per unit of the depth images that are written here: 131 m fit into 16 bits
 UNFINISHED = "capture.part.json"  # what an unfinished capture is going to hold
@@ -244,7 +244,7 @@ def record_capture(
     views = capture_plan(ego_box, vehicles, settings)
     record = _CaptureRecord.model_validate(
         {
-            "schema": SCHEMA,
+            "schema": _SCHEMA,
             "name": simulator.name,
             "source": simulator.source,
             "recipe": made_with,

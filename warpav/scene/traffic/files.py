@@ -21,13 +21,13 @@ from warpav.core.yaml_file import Location
 from warpav.scene.traffic._argoverse2 import ANNOTATIONS, read_log
 from warpav.scene.traffic.recording import Lanelet, RecordedUser, Recording, check_step
 
-SUFFIXES = (".json", ".json.gz", ".xml", ".xml.gz")
-SHIPPED = Path(__file__).parent / "sind"  # SinD, CC0; its README says more
+_SUFFIXES = (".json", ".json.gz", ".xml", ".xml.gz")
+_SHIPPED = Path(__file__).parent / "sind"  # SinD, CC0; its README says more
 
 
 def is_recording(path: Path) -> bool:
     """Whether a path looks like a recording: a file of these suffixes, or the folder of a log."""
-    return (path.is_file() and path.name.endswith(SUFFIXES)) or (path / ANNOTATIONS).is_file()
+    return (path.is_file() and path.name.endswith(_SUFFIXES)) or (path / ANNOTATIONS).is_file()
 
 
 def recordings_in(paths: Iterable[Path]) -> list[Path]:
@@ -39,7 +39,7 @@ def recordings_in(paths: Iterable[Path]) -> list[Path]:
             continue
         if path.is_file():
             raise InputError(
-                f"{path}: expected recorded traffic ({', '.join(SUFFIXES)}, or the folder of an Argoverse 2 log), got "
+                f"{path}: expected recorded traffic ({', '.join(_SUFFIXES)}, or the folder of an Argoverse 2 log), got "
                 f"another file"
             )
         inside = [each for each in path.rglob("*") if is_recording(each)] if path.is_dir() else []
@@ -47,14 +47,16 @@ def recordings_in(paths: Iterable[Path]) -> list[Path]:
         inside = [each for each in inside if logs.isdisjoint(each.parents)]
         if not inside:
             text = "a folder without any" if path.is_dir() else "no such file"
-            raise InputError(f"{path}: expected recorded traffic ({', '.join(SUFFIXES)}, Argoverse 2 logs), got {text}")
+            raise InputError(
+                f"{path}: expected recorded traffic ({', '.join(_SUFFIXES)}, Argoverse 2 logs), got {text}"
+            )
         found.update(dict.fromkeys(each.absolute() for each in inside))
     return sorted(found, key=natural_order)
 
 
 def shipped_recordings() -> list[Path]:
     """The recordings that ship with warpav, in the order of time."""
-    return recordings_in([SHIPPED])
+    return recordings_in([_SHIPPED])
 
 
 def content_digest(path: Path) -> str:

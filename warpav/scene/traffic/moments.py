@@ -38,7 +38,7 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class Traffic:
+class _Traffic:
     """Recordings for the search, and others for the test."""
 
     # Moments that training and validation scenes come from, in the order in which seeds take them.
@@ -48,10 +48,10 @@ class Traffic:
 
 def traffic_of(
     recordings: Sequence[Path] | None, test_recordings: Sequence[Path] | None, ego_bounds_m: np.ndarray
-) -> Traffic:
+) -> _Traffic:
     """The moments of recordings; ``ego_bounds_m`` [2, 3]."""
     search, test = search_and_test(recordings, test_recordings)
-    return Traffic(moments_of(search, ego_bounds_m), moments_of(test, ego_bounds_m))
+    return _Traffic(moments_of(search, ego_bounds_m), moments_of(test, ego_bounds_m))
 
 
 def search_and_test(
