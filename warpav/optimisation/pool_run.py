@@ -26,15 +26,13 @@ from warpav.optimisation.pool import CameraPool, Drawing
 from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_search import Found, PoolSearch, PoolSearchSettings, PoolTask
 from warpav.optimisation.records import Candidate, IterationRecord, named_part, part_of, rig_fields
-from warpav.optimisation.rounding import roundings
+from warpav.optimisation.rounding import STEP_DEG, STEP_M, roundings
 from warpav.optimisation.selection._relaxation import Price
 
 _WORDS = ("todo", "objective", "bound", "round", "rng", "rules", "iteration", "proven")
 _ROUNDINGS_AT_ONCE = 4
 """Roundings of a camera of which the best is taken."""
-
-
-_ROUNDED_BY = np.array([0.005, 0.005, math.radians(0.5), math.radians(0.5), math.radians(0.5), 0.005, 0.001])
+_ROUNDED_BY = np.array([STEP_M, STEP_M, *3 * [math.radians(STEP_DEG)], STEP_M, 0.001])  # numbers of a mount pose
 _NUMBERS = {column: name for name, column in COLUMNS.items()} | {LOG_ZOOM: "field of view"}
 _SIMPLER = 0.002
 """What the simpler rig may miss more."""

@@ -12,7 +12,7 @@ import numpy as np
 from warpav.optimisation.mount import CameraMount, mirror_image
 from warpav.rig.rig import Rig, RigCamera
 
-_STEP_M, _STEP_DEG = 0.005, 0.5
+STEP_M, STEP_DEG = 0.005, 0.5
 
 
 def workshop_rig(rig: Rig, staying: Collection[str] = ()) -> Rig:
@@ -22,12 +22,12 @@ def workshop_rig(rig: Rig, staying: Collection[str] = ()) -> Rig:
 
 def _rounded(camera: RigCamera, ways: tuple[bool, ...] = (False,) * 5) -> RigCamera:
     """A camera with rounded numbers; ``ways``: whether x, y, z, yaw, pitch are rounded to the other side."""
-    numbers = np.append(camera.position_m / _STEP_M, np.degrees([camera.yaw_rad, camera.pitch_rad]) / _STEP_DEG)
+    numbers = np.append(camera.position_m / STEP_M, np.degrees([camera.yaw_rad, camera.pitch_rad]) / STEP_DEG)
     steps = np.round(numbers)
     steps += np.where(ways, np.where(numbers >= steps, 1.0, -1.0), 0.0)
-    yaw_rad, pitch_rad = np.radians(steps[3:] * _STEP_DEG)
-    roll_rad = math.radians(round(math.degrees(camera.roll_rad) / _STEP_DEG) * _STEP_DEG)
-    position_m = np.round(steps[:3] * _STEP_M, 6)
+    yaw_rad, pitch_rad = np.radians(steps[3:] * STEP_DEG)
+    roll_rad = math.radians(round(math.degrees(camera.roll_rad) / STEP_DEG) * STEP_DEG)
+    position_m = np.round(steps[:3] * STEP_M, 6)
     return dataclasses.replace(
         camera, position_m=position_m, yaw_rad=float(yaw_rad), pitch_rad=float(pitch_rad), roll_rad=roll_rad
     )

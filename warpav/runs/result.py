@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -92,12 +92,16 @@ class Result:
 
         Of a search by a pool its numbers are rounded as a workshop takes them, unless that breaks a rule.
         """
-        mount, pose, descent = self.placement.mount, self._kept.mount_pose, self._descent
-        rig = mount.rig(pose)
+        pose, descent = self._kept.mount_pose, self._descent
         if not isinstance(descent, PoolRun) or descent.rounding is None:
-            return rig
-        off = np.isin(mount.rows_of_cameras(pose), descent.unrounded)
-        names = [camera.name for camera, stays in zip(rig.cameras, off, strict=True) if stays]
+            return self.placement.mount.rig(pose)
+        return self._workshop_rig(pose, descent.unrounded)
+
+    def _workshop_rig(self, pose: np.ndarray, staying: Collection[int]) -> Rig:
+        """The rig of mount poses, float32 [camera, 7], rounded but for frozen cameras and those of some rows."""
+        mount = self.placement.mount
+        rig, stays = mount.rig(pose), np.isin(mount.rows_of_cameras(pose), list(staying))
+        names = [camera.name for camera, each in zip(rig.cameras, stays, strict=True) if each]
         return workshop_rig(rig, [*self.placement.parts.freeze, *names])
 
     @property
@@ -210,17 +214,9 @@ class Result:
         known = self._descent.simplified() if isinstance(self._descent, PoolRun) else None
         if known is None:
             return None
-        mount = self.placement.mount
-        rig, rows = mount.rig(known.mount_pose), mount.rows_of_cameras(known.mount_pose)
-        names = {row: rig.cameras[int(np.flatnonzero(rows == row)[0])].name for row in known.by_hand}
-        by_hand = {names[row]: numbers for row, numbers in known.by_hand.items()}
-        rig = workshop_rig(
-            rig,
-            [
-                *self.placement.parts.freeze,
-                *(rig.cameras[k].name for k in np.flatnonzero(np.isin(rows, [*known.by_hand]))),
-            ],
-        )
+        rig = self._workshop_rig(known.mount_pose, known.by_hand)
+        rows = self.placement.mount.rows_of_cameras(known.mount_pose).tolist()
+        by_hand = {rig.cameras[rows.index(row)].name: numbers for row, numbers in known.by_hand.items()}
         return rig, Simpler(objective=known.objective, differing=known.differing, by_hand=by_hand)
 
     @cached_property

@@ -3,7 +3,7 @@
 ::
 
     runs/<name>/  config.yaml  env.json  events.jsonl  metrics.csv  rig_initial.yaml  rig_best.yaml  rig_final.yaml
-                  rig_start.yaml (where rig.start names a rig)
+                  rig_simpler.yaml  rig_start.yaml (where rig.start names a rig)
                   evaluation.json  checkpoints/last.npz  report.html  figures/*.png
                   further_cameras.csv (where optimiser.search is pool)
 
