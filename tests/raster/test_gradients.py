@@ -23,7 +23,7 @@ MODEL = CameraModel(256, 256, math.radians(80.0), 0.1)
 POSE_COUNT = 50
 # Differences of 1024 samples: smaller steps drown in the samples' grain, larger ones meet the kinks at the box's edges.
 TRUTH_SUPERSAMPLING, STEP_M, STEP_RAD, VIEWS_AT_ONCE = 4, 0.06, 0.006, 10
-X, Y, Z, SPIN_X, SPIN_Y, SPIN_Z = range(6)
+X, Y, Z, SPIN_X, SPIN_Y, SPIN_Z, YAW = range(7)
 SIX, SIX_WEIGHT = (X, Y, Z, SPIN_X, SPIN_Y, SPIN_Z), (1.0, 1.0, 1.0, 0.1, 0.1, 0.1)
 
 
@@ -49,10 +49,12 @@ def poses_round_the_car():
 
 
 def moved(poses, direction, step):
-    """Poses moved in ego x, y, z [m] or spun about a camera axis [rad]."""
+    """Poses moved in ego x, y, z [m], spun about a camera axis, or turned about the vertical [rad]."""
     result = poses.copy()
     if direction <= Z:
         result[:, direction, 3] += step
+    elif direction == YAW:
+        result[:, :3, :3] = Rotation.from_rotvec([0.0, 0.0, step]).as_matrix() @ poses[:, :3, :3]
     else:
         # the camera's own axes seen from the ego frame: a left rotation of camera_from_ego
         spin = Rotation.from_rotvec(step * np.eye(3)[direction - SPIN_X]).as_matrix()
