@@ -19,7 +19,7 @@ from warpav.runs.inspect import inspector
 from warpav.runs.rig_source import find_rig
 from warpav.scene.glb import write_scene
 from warpav.scene.town.town import town_scene
-from warpav.view.picture import project_px
+from warpav.view._picture import project_px
 
 pytestmark = needs_opengl
 

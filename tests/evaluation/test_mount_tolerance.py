@@ -15,7 +15,7 @@ from warpav.evaluation.perturbations import COLUMNS, CameraOutages, MountToleran
 from warpav.optimisation.mount import HEIGHT_DELTA_M
 from warpav.optimisation.mount_errors import MountErrors
 from warpav.raster.camera import CameraModel
-from warpav.view.figures.statistics import sensitivity_figure
+from warpav.view.figures import sensitivity_figure
 
 MODEL = CameraModel(128, 128, math.pi / 2)
 NAMES = ("front", "left", "rear")

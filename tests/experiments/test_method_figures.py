@@ -19,9 +19,9 @@ from warpav.runs.progress import RunDisplay
 from warpav.runs.rig_source import find_rig
 from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scenes
-from warpav.view.figures import rigs
-from warpav.view.figures.rigs import covered_rad
-from warpav.view.palette import MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb
+from warpav.view._palette import MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb
+from warpav.view.figures import _rigs as rigs
+from warpav.view.figures._rigs import covered_rad
 
 WIDE_STEPS = "optimiser.learning_rate_position_m=4"  # the surface is 2 m wide
 # large enough, and asking for little enough, that something is found
@@ -72,7 +72,7 @@ def count(image, rgb, tolerance=12.0):
 
 def lines(axis, colour_index):
     """x and y of the lines in a camera's colour, those of more than one point."""
-    from warpav.view.palette import hex_colour
+    from warpav.view import hex_colour
 
     colour = hex_colour(camera_rgb(colour_index))
     return [line.get_xydata() for line in axis.lines if line.get_color() == colour and len(line.get_xydata()) > 1]

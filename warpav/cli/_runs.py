@@ -221,7 +221,7 @@ def inspect(
     with of_rig(run_or_rig, config, overrides) as settings, RunDisplay() as display:
         file = inspect_rig(run_or_rig, settings, out, shown=show, requirements=requirements, progress=display)
     if file is not None and out is None and show != "sheet":
-        from warpav.view.opengl import display_text
+        from warpav.view import display_text
 
         say(f"no window here, as {display_text()}: wrote {file}")
     elif file is not None:

@@ -30,9 +30,8 @@ from warpav.runs.run_folder import RunFolder
 from warpav.runs.scene_set import load_scene_set, load_scenes
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
-from warpav.view.figures import rigs
-from warpav.view.figures.rigs import OptimisedRig
-from warpav.view.figures.style import checked_figure
+from warpav.view import figures
+from warpav.view.figures import OptimisedRig, checked_figure
 
 if TYPE_CHECKING:
     from warpav.optimisation.pool_run import PoolRun
@@ -83,7 +82,7 @@ def _unconstrained(config: Config, path: Path, *, run: RunFolder | None, progres
     free = _optimised(loose, freed.descent, progress, "without constraints")
 
     steps = len(free.trajectory_m) - 1
-    return rigs.without_and_with_constraints(
+    return figures.without_and_with_constraints(
         free,
         kept,
         path,
@@ -146,7 +145,7 @@ def _before_and_after(config: Config, path: Path, *, run: RunFolder | None, prog
         "Optimised": (result, observe(result, train, "optimised")),
         "On test scenes": (result, observe(result, test, "test scenes")),
     }
-    return rigs.before_and_after(rows, path)
+    return figures.before_and_after(rows, path)
 
 
 def _highest(config: Config, path: Path, *, progress: Progress) -> Path:
@@ -158,4 +157,4 @@ def _highest(config: Config, path: Path, *, progress: Progress) -> Path:
     rig = find_rig(HIGHEST, config, ego)
     surface = camera_mount(config, ego).surface
     views = _observer(config, progress)(rig, scenes, "test scenes")
-    return rigs.highest_rig(rig, views, path, surface=surface)
+    return figures.highest_rig(rig, views, path, surface=surface)

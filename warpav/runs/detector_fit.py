@@ -251,7 +251,7 @@ def fit_detector(
     progress: Progress,
 ) -> Path:
     """Fit the detection probability of a detector, or take the stored fit, and show how good it is."""
-    from warpav.view.figures.statistics import detection_curves
+    from warpav.view.figures import detection_curves
 
     if any_camera:
         config = any_camera_config(config)
@@ -523,7 +523,7 @@ def _draw_reliability(
     scores: ProbabilityScores, probability: np.ndarray, is_detected: np.ndarray, stem: Path, name: str = ""
 ) -> None:
     """Draw a reliability diagram to a file whose name begins so."""
-    from warpav.view.figures.statistics import reliability_diagram
+    from warpav.view.figures import reliability_diagram
 
     text = f"AUC {scores.auc:.3f}, Brier {scores.brier:.3f}, calibration error {scores.calibration_error:.3f}"
     file = stem.with_name(f"{stem.name}_reliability.png")

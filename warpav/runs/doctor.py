@@ -136,7 +136,7 @@ def check_providers() -> Finding:
 
 _DRAW = """
 import sys
-from warpav.view.opengl import load_pyvista, opengl_problem
+from warpav.view import load_pyvista, opengl_problem
 problem = opengl_problem()
 if problem:
     sys.exit(problem)

@@ -82,14 +82,14 @@ def _outages_drawing(outages: CameraOutages, canvas: Canvas) -> Any:  # noqa: AN
 def _tolerance_drawing(
     tolerance: MountTolerance | None, canvas: Canvas, *, outages: CameraOutages | None = None
 ) -> Any:  # noqa: ANN401 (as above)
-    from warpav.view.figures.statistics import sensitivity_figure
+    from warpav.view.figures import sensitivity_figure
 
     return sensitivity_figure(tolerance, outages, heading=canvas.title)
 
 
 @draws(RigEvaluation, "recall", is_figure=True)
 def _drawing(evaluation: RigEvaluation, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view._plotting.Kind)
-    from warpav.view.figures.statistics import recall_figure
+    from warpav.view.figures import recall_figure
 
     if not evaluation.objects:
         raise ArgumentError("kind", "expected an evaluation with objects, got none")
@@ -104,7 +104,7 @@ def _drawing(evaluation: RigEvaluation, canvas: Canvas) -> Any:  # noqa: ANN401 
 
 @draws(RigEvaluation, "differences", is_figure=True)
 def _differences_drawing(evaluation: RigEvaluation, _canvas: Canvas) -> Any:  # noqa: ANN401 (as above)
-    from warpav.view.figures.statistics import differences_figure
+    from warpav.view.figures import differences_figure
 
     rows = {
         f"{heading}\nagainst {other}": found[metric]
@@ -176,8 +176,8 @@ def check_rig(
     image: Path | None = None,
 ) -> Iterator[str]:
     """Check a rig against requirements; lines that say what it meets."""
+    from warpav.view.figures import checked_figure
     from warpav.view.figures.around import requirement_map
-    from warpav.view.figures.style import checked_figure
 
     if image is not None:
         checked_figure(image, (".png",))

@@ -306,6 +306,6 @@ def _without_dominated(points: Sequence[_FrontPoint]) -> tuple[_FrontPoint, ...]
 
 @draws(Front, "front", is_figure=True)
 def _drawing(found: Front, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view._plotting.Kind)
-    from warpav.view.figures.statistics import front_figure
+    from warpav.view.figures import front_figure
 
     return front_figure([each.to_json() for each in found.points], by=found.by, title=canvas.title)

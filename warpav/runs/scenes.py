@@ -126,8 +126,7 @@ def chosen_fleet(paths: Sequence[str] | None, share: float | None) -> Fleet | No
 
 def show_scene(source: str, out: Path | None, level: Level | None = None, fleet: Fleet | None = None) -> Iterator[str]:
     """Show a scene, in a window when there is a display, else in ``<scene>.png``; yields lines about it."""
-    from warpav.view import plot
-    from warpav.view.opengl import has_display
+    from warpav.view import has_display, plot
 
     scene = load_scene(source, Config(scenes=SceneConfig(level=None if level is None else (level,))), fleet=fleet)
     meshes = [scene.surroundings(), scene.ego, *(vehicle.mesh for vehicle in scene.vehicles)]

@@ -252,8 +252,7 @@ def _row(name: str, text: str) -> str:
 
 def propose(path: Path, config: Config, *, out: Path, image: Path | None = None) -> Iterator[str]:
     """Propose zones of a vehicle, write them, draw them; lines that say what there is."""
-    from warpav.view.output import check_suffix, save_rgb
-    from warpav.view.picture import zones_image_rgb
+    from warpav.view import check_suffix, save_rgb, zones_image_rgb
 
     if image is not None:
         check_suffix(image)

@@ -24,9 +24,8 @@ from warpav.runs.report._content import RunContent, read_content
 from warpav.runs.rig_evaluation import LOWER_IS_BETTER, TABLE_ROWS, RigEvaluation
 from warpav.runs.run_folder import RunFolder
 from warpav.sight.requirement import SECTORS, sectors_of
-from warpav.view.figures.convergence import loss_figure, search_figure
-from warpav.view.figures.style import figure_bytes
-from warpav.view.palette import OUTCOME_RGB, hex_colour
+from warpav.view import OUTCOME_RGB, hex_colour
+from warpav.view.figures import figure_bytes, loss_figure, search_figure
 
 if TYPE_CHECKING:
     from jinja2 import Template

@@ -14,7 +14,8 @@ from warpav.evaluation.detection_range import LEAST_HEIGHT_PX, DetectionRange
 from warpav.sight.around import CAR_HEIGHT_M, PIXELS, NearField, SectorCounts
 from warpav.sight.requirement import Body
 from warpav.view._labels import Labels
-from warpav.view.figures.from_above import (
+from warpav.view._palette import COVERAGE_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
+from warpav.view.figures._from_above import (
     RING,
     RINGS,
     draw_cameras,
@@ -27,7 +28,7 @@ from warpav.view.figures.from_above import (
     write_distance,
     write_key,
 )
-from warpav.view.figures.style import (
+from warpav.view.figures._style import (
     WIDTH_INCH,
     closed,
     figure_style,
@@ -37,7 +38,6 @@ from warpav.view.figures.style import (
     save_figure,
     title,
 )
-from warpav.view.palette import COVERAGE_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
     from warpav.raster.camera import CameraModel

@@ -14,16 +14,7 @@ from warpav.detection.images import render
 from warpav.scene.capture.capture import EGO_INSTANCE, ENVIRONMENT_INSTANCE, Capture, CapturedImage, ViewKind
 from warpav.scene.device_scene import EGO, DeviceScene
 from warpav.sight.around import body_shares
-from warpav.view.figures.style import (
-    WIDTH_INCH,
-    caption,
-    empty_panel,
-    figure_style,
-    new_figure,
-    save_figure,
-    title,
-)
-from warpav.view.palette import (
+from warpav.view._palette import (
     FALSE_POSITIVE_RGB,
     INK_RGB,
     MISS_RGB,
@@ -34,6 +25,15 @@ from warpav.view.palette import (
     Rgb,
     camera_rgb,
     hex_colour,
+)
+from warpav.view.figures._style import (
+    WIDTH_INCH,
+    caption,
+    empty_panel,
+    figure_style,
+    new_figure,
+    save_figure,
+    title,
 )
 
 if TYPE_CHECKING:

@@ -20,17 +20,19 @@ from warpav.scene.reconstruction.point_cloud import fuse
 from warpav.scene.reconstruction.reconstruct import object_mesh
 from warpav.scene.reconstruction.settings import ReconstructionSettings
 from warpav.scene.scene import Box
+from warpav.view._layers import SQUARE
 from warpav.view._outlines import bearing_sector_rad, sector_polygon_m
-from warpav.view.figures.clouds import BACKGROUND_RGB, cloud_image, towards, view_of
-from warpav.view.figures.from_above import (
+from warpav.view._palette import INK_RGB, MISS_RGB, MUTED_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
+from warpav.view.figures._clouds import BACKGROUND_RGB, cloud_image, towards, view_of
+from warpav.view.figures._from_above import (
     draw_cameras,
     draw_height_map,
     draw_vehicle,
     draw_zone_border,
     start_and_end_handles,
 )
-from warpav.view.figures.images import detection_handles, draw_detections
-from warpav.view.figures.style import (
+from warpav.view.figures._images import detection_handles, draw_detections
+from warpav.view.figures._style import (
     PALE,
     WIDTH_INCH,
     caption,
@@ -46,8 +48,6 @@ from warpav.view.figures.style import (
     show_image,
     title,
 )
-from warpav.view.layers import SQUARE
-from warpav.view.palette import INK_RGB, MISS_RGB, MUTED_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
     from warpav.evaluation.metrics import RigObservation

@@ -12,8 +12,9 @@ import numpy as np
 from warpav.core.errors import ArgumentError
 from warpav.view._labels import Labels
 from warpav.view._outlines import seen_arcs_rad, seen_ground_m
-from warpav.view.figures.from_above import RING, X, Y, Z, draw_vehicle
-from warpav.view.figures.style import (
+from warpav.view._palette import INK_RGB, MUTED_RGB, camera_rgb, hex_colour
+from warpav.view.figures._from_above import RING, X, Y, Z, draw_vehicle
+from warpav.view.figures._style import (
     SCALES,
     Page,
     camera_cells,
@@ -24,7 +25,6 @@ from warpav.view.figures.style import (
     text_points,
     text_width_mm,
 )
-from warpav.view.palette import INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
     from warpav.raster.mesh import Mesh

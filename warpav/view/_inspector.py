@@ -14,8 +14,8 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.sight.ground import HEIGHTS_M, PATCH_M
-from warpav.view.inspected import NEAR_M
-from warpav.view.layers import (
+from warpav.view._inspected import NEAR_M
+from warpav.view._layers import (
     RAYS_PX,
     add_coverage,
     add_descent,
@@ -30,10 +30,10 @@ from warpav.view.layers import (
     patch_words,
     remove,
 )
-from warpav.view.opengl import load_pyvista, tell_vtk_where_to_draw
-from warpav.view.output import Canvas
-from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
-from warpav.view.picture import (
+from warpav.view._opengl import load_pyvista, tell_vtk_where_to_draw
+from warpav.view._output import Canvas
+from warpav.view._palette import FALSE_POSITIVE_RGB, INK_RGB, MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb, hex_colour
+from warpav.view._picture import (
     WIDE_ZOOM,
     WINDOW_PX,
     Picture,
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
     from warpav.evaluation.metrics import CameraObservation
     from warpav.sight.ground import Coverage, Ground
-    from warpav.view.inspected import InspectedRig
+    from warpav.view._inspected import InspectedRig
 
     Plotter = Any
 
@@ -477,7 +477,7 @@ class Inspector:
     def view_rgb(self) -> np.ndarray:
         """The image of the chosen camera: green boxes are found, orange ones missed, red ones false; uint8."""
         from warpav.detection.images import render_images
-        from warpav.view.figures.images import own_body_tinted
+        from warpav.view.figures._images import own_body_tinted
 
         assert self.chosen is not None
         observed, packed = self.state.observation.cameras[self.chosen], self.state.packed

@@ -14,14 +14,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from warpav.core.errors import ArgumentError, InputError, install_text
-from warpav.view.inspector import SHOWN_HEIGHTS_M, SWITCHES, TURN_DEG
-from warpav.view.layers import patch_words
-from warpav.view.palette import camera_rgb, hex_colour
+from warpav.view._inspector import SHOWN_HEIGHTS_M, SWITCHES, TURN_DEG
+from warpav.view._layers import patch_words
+from warpav.view._palette import camera_rgb, hex_colour
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from warpav.view.inspector import Inspector
+    from warpav.view._inspector import Inspector
 
     Server = Any
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.view.figures.style import WIDTH_INCH, figure_style, new_figure
-from warpav.view.palette import FALSE_POSITIVE_RGB, INK_RGB, camera_rgb, hex_colour
+from warpav.view._palette import FALSE_POSITIVE_RGB, INK_RGB, camera_rgb, hex_colour
+from warpav.view.figures._style import WIDTH_INCH, figure_style, new_figure
 
 
 def loss_figure(records: Sequence[Mapping[str, Any]], *, min_distance_m: float | None = None) -> Any:  # noqa: ANN401

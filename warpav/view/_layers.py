@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.view.opengl import load_pyvista, load_pyvista_data
-from warpav.view.palette import (
+from warpav.view._opengl import load_pyvista, load_pyvista_data
+from warpav.view._palette import (
     COVERAGE_RGB,
     DESCENT_RGB,
     INK_RGB,

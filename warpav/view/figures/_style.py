@@ -12,8 +12,8 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError
 from warpav.view._labels import Labels, around
-from warpav.view.output import write_bytes
-from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, PAPER_RGB, camera_rgb, hex_colour
+from warpav.view._output import write_bytes
+from warpav.view._palette import GRID_RGB, INK_RGB, MUTED_RGB, PAPER_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
     from warpav.rig.rig import RigCamera

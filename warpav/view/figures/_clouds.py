@@ -20,7 +20,10 @@ from warpav.scene.reconstruction.reconstruct import reconstruct
 from warpav.scene.reconstruction.settings import CloudSettings, ReconstructionSettings
 from warpav.scene.reconstruction.surface import thin_out
 from warpav.scene.scene import Box
-from warpav.view.figures.style import (
+from warpav.view._layers import mesh_to_pyvista
+from warpav.view._opengl import load_pyvista
+from warpav.view._palette import PAPER_RGB, Rgb, camera_rgb, hex_colour
+from warpav.view.figures._style import (
     DOTS_PER_INCH,
     WIDTH_INCH,
     caption,
@@ -33,9 +36,6 @@ from warpav.view.figures.style import (
     show_image,
     title,
 )
-from warpav.view.layers import mesh_to_pyvista
-from warpav.view.opengl import load_pyvista
-from warpav.view.palette import PAPER_RGB, Rgb, camera_rgb, hex_colour
 
 BACKGROUND_RGB: Rgb = (214, 205, 230)
 """Where an image shows nothing: not the colour of a vehicle, a road or the sky."""

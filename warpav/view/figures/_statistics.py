@@ -10,16 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.core.errors import InputError
-from warpav.view.figures.style import (
-    WIDTH_INCH,
-    caption,
-    colour_map,
-    figure_style,
-    new_figure,
-    save_figure,
-    title,
-)
-from warpav.view.palette import (
+from warpav.view._palette import (
     BASELINE_RGB,
     FALSE_POSITIVE_RGB,
     FURTHER_RGB,
@@ -30,6 +21,15 @@ from warpav.view.palette import (
     TRUE_POSITIVE_RGB,
     camera_rgb,
     hex_colour,
+)
+from warpav.view.figures._style import (
+    WIDTH_INCH,
+    caption,
+    colour_map,
+    figure_style,
+    new_figure,
+    save_figure,
+    title,
 )
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.files import atomic_write, writing
-from warpav.view.layers import no_render
-from warpav.view.opengl import optional_module
-from warpav.view.palette import CAMERA_RGB, DESCENT_RGB
+from warpav.view._layers import no_render
+from warpav.view._opengl import optional_module
+from warpav.view._palette import CAMERA_RGB, DESCENT_RGB
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -81,8 +81,8 @@ def save_image(plotter: Plotter, path: Path | str, *, progress: Progress | None 
 
 
 def save_page(plotters: Mapping[str, Plotter], path: Path | str, *, title: str, lines: Sequence[str] = ()) -> Path:
-    """Write a page that stands alone: a rig and one or more scenes, see `warpav.view.page.page_of`."""
-    from warpav.view.page import page_of
+    """Write a page that stands alone: a rig and one or more scenes, see `warpav.view._page.page_of`."""
+    from warpav.view._page import page_of
 
     page = page_of(plotters, title=title, lines=lines)
     return write_bytes(Path(path), page.html().encode())
@@ -186,7 +186,7 @@ def check_suffix(path: Path, *, further: tuple[str, ...] = ()) -> None:
         expected = ", ".join(dict.fromkeys((*_SUFFIXES, *further)))
         raise InputError(f"{path}: expected a name that ends in {expected}, got {path.suffix!r}")
     if suffix == ".html":
-        from warpav.view.page import load_k3d
+        from warpav.view._page import load_k3d
 
         load_k3d()
     if suffix == ".mp4":

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from warpav.view.opengl import load_pyvista, optional_module
-from warpav.view.palette import INK_RGB, camera_rgb, hex_colour
+from warpav.view._opengl import load_pyvista, optional_module
+from warpav.view._palette import INK_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
     Plotter = Any

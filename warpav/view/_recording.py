@@ -10,11 +10,10 @@ import numpy as np
 
 from warpav.detection.images import render
 from warpav.raster.lens import Lens
+from warpav.view._layers import Steepest, add_descent, add_legend, add_text, no_render
+from warpav.view._opengl import optional_module
 from warpav.view._outlines import image_corners
-from warpav.view.figures.images import own_body_tinted
-from warpav.view.layers import Steepest, add_descent, add_legend, add_text, no_render
-from warpav.view.opengl import optional_module
-from warpav.view.output import (
+from warpav.view._output import (
     ANIMATION_FRAME_S,
     ANIMATION_LAST_S,
     ANIMATION_PX,
@@ -23,8 +22,9 @@ from warpav.view.output import (
     render_rgb,
     write_bytes,
 )
-from warpav.view.palette import TRUTH_RGB, camera_rgb
-from warpav.view.picture import Picture, add_rig, add_trajectory, rig_plotter
+from warpav.view._palette import TRUTH_RGB, camera_rgb
+from warpav.view._picture import Picture, add_rig, add_trajectory, rig_plotter
+from warpav.view.figures._images import own_body_tinted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

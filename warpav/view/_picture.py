@@ -15,8 +15,7 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.view._labels import Labels
-from warpav.view._outlines import bearing_sector_rad, frustum_points
-from warpav.view.layers import (
+from warpav.view._layers import (
     add_coverage,
     add_further_cameras,
     add_gain,
@@ -30,9 +29,10 @@ from warpav.view.layers import (
     paint,
     remove,
 )
-from warpav.view.opengl import has_display, load_pyvista, load_pyvista_data
-from warpav.view.output import Canvas, render_rgb
-from warpav.view.palette import GROUND_RGB, INK_RGB, PAPER_RGB, Rgb, camera_rgb, hex_colour
+from warpav.view._opengl import has_display, load_pyvista, load_pyvista_data
+from warpav.view._outlines import bearing_sector_rad, frustum_points
+from warpav.view._output import Canvas, render_rgb
+from warpav.view._palette import GROUND_RGB, INK_RGB, PAPER_RGB, Rgb, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,6 +1,6 @@
 """A rig under inspection: scenes to show, iterations to go through, cameras to move, and what follows from it.
 
-Nothing here draws; `warpav.view.inspector` does.
+Nothing here draws; `warpav.view._inspector` does.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from warpav.scene.scene import Scene
     from warpav.sight.check import RequirementResult
     from warpav.sight.ground import Coverage
-    from warpav.view.layers import Steepest
+    from warpav.view._layers import Steepest
 
 NEAR_M = 20.0
 """Ground of which the lines say how much several cameras see is this near to the vehicle's centre [m]."""

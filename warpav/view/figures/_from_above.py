@@ -11,7 +11,8 @@ import numpy as np
 
 from warpav.view._labels import Labels
 from warpav.view._outlines import sector_polygon_m, silhouette_m
-from warpav.view.figures.style import (
+from warpav.view._palette import COVERAGE_RGB, GRID_RGB, INK_RGB, MUTED_RGB, Rgb, camera_rgb, further_map, hex_colour
+from warpav.view.figures._style import (
     PALE,
     WIDTH_INCH,
     caption,
@@ -25,7 +26,6 @@ from warpav.view.figures.style import (
     new_figure,
     paper,
 )
-from warpav.view.palette import COVERAGE_RGB, GRID_RGB, INK_RGB, MUTED_RGB, Rgb, camera_rgb, further_map, hex_colour
 
 if TYPE_CHECKING:
     from warpav.optimisation.further_camera import FurtherCameras
