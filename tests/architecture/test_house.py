@@ -102,12 +102,12 @@ def test_only_thin_methods_are_exempt(graph, line):
 
 MOST_LINES = {
     "warpav/cli": 1_640,
-    "warpav/core": 2_120,
+    "warpav/core": 2_143,
     "warpav/detection": 4_600,
     "warpav/evaluation": 1_720,
     "warpav/experiments": 3_600,
     "warpav/optimisation": 9_700,
-    "warpav/raster": 3_790,
+    "warpav/raster": 3_762,
     "warpav/rig": 5_525,
     "warpav/runs": 11_600,
     "warpav/scene": 11_652,
@@ -118,7 +118,7 @@ MOST_LINES = {
     "tests": 45_960,
 }
 """Lines of Python by folder; what grows here shrinks there, so these only ever fall."""
-MOST_FILES, MOST_NAMES, MOST_DOCUMENT_BYTES, MOST_FILE_LINES = 325, 1_415, 299_000, 810
+MOST_FILES, MOST_NAMES, MOST_DOCUMENT_BYTES, MOST_FILE_LINES = 325, 1_240, 299_000, 810
 
 
 def lines_below(folder):
