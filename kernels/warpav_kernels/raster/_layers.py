@@ -8,8 +8,8 @@ lie one behind the other.
 
 import warp as wp
 
-from warpav_kernels.raster.lens import PANORAMA, PINHOLE, cone_bounds
-from warpav_kernels.raster.view import View, point_in_camera
+from warpav_kernels.raster._lens import PANORAMA, PINHOLE, cone_bounds
+from warpav_kernels.raster._view import View, point_in_camera
 
 wp.set_module_options({"enable_backward": False})
 

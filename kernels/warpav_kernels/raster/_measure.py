@@ -17,8 +17,8 @@ same bit for bit from run to run.
 
 import warp as wp
 
-from warpav_kernels.raster.layers import Layers
-from warpav_kernels.raster.outline import (
+from warpav_kernels.raster._layers import Layers
+from warpav_kernels.raster._outline import (
     ALONE,
     VISIBLE,
     Hiding,
@@ -32,8 +32,8 @@ from warpav_kernels.raster.outline import (
     segment_cuts,
     unhidden_corners,
 )
-from warpav_kernels.raster.triangles import Triangles
-from warpav_kernels.raster.view import GUARD, View, column_gradient, depth_gradient, ray_in_camera, row_gradient
+from warpav_kernels.raster._triangles import Triangles
+from warpav_kernels.raster._view import GUARD, View, column_gradient, depth_gradient, ray_in_camera, row_gradient
 
 wp.set_module_options({"enable_backward": False})
 

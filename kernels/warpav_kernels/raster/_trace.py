@@ -7,9 +7,9 @@ between their samples `bent_edges` finds.
 
 import warp as wp
 
-from warpav_kernels.raster.layers import LEAST_INVERSE_DEPTH, Layers
-from warpav_kernels.raster.triangles import Triangles
-from warpav_kernels.raster.view import View, sample_ray
+from warpav_kernels.raster._layers import LEAST_INVERSE_DEPTH, Layers
+from warpav_kernels.raster._triangles import Triangles
+from warpav_kernels.raster._view import View, sample_ray
 
 wp.set_module_options({"enable_backward": False})
 

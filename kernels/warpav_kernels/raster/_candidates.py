@@ -7,11 +7,11 @@ uses its vectors.
 
 import warp as wp
 
-from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, SPHERE, cone_bounds
-from warpav_kernels.raster.rasterise import line_after
-from warpav_kernels.raster.rays import Rays
-from warpav_kernels.raster.triangles import Triangles
-from warpav_kernels.raster.view import View
+from warpav_kernels.raster._lens import BROWN_CONRADY, PANORAMA, SPHERE, cone_bounds
+from warpav_kernels.raster._rasterise import line_after
+from warpav_kernels.raster._rays import Rays
+from warpav_kernels.raster._triangles import Triangles
+from warpav_kernels.raster._view import View
 
 wp.set_module_options({"enable_backward": False})
 

@@ -2,11 +2,11 @@
 
 import warp as wp
 
-from warpav_kernels.raster.layers import SURROUNDINGS_PX, SURROUNDINGS_SHARE, Layers
-from warpav_kernels.raster.measure import BOTTOM, LEFT, RIGHT, TOP, VISIBLE_AREA
-from warpav_kernels.raster.outline import Hiding, is_in_mask, pair_of
-from warpav_kernels.raster.triangles import Triangles
-from warpav_kernels.raster.view import GUARD, View, point_in_camera, sample_ray
+from warpav_kernels.raster._layers import SURROUNDINGS_PX, SURROUNDINGS_SHARE, Layers
+from warpav_kernels.raster._measure import BOTTOM, LEFT, RIGHT, TOP, VISIBLE_AREA
+from warpav_kernels.raster._outline import Hiding, is_in_mask, pair_of
+from warpav_kernels.raster._triangles import Triangles
+from warpav_kernels.raster._view import GUARD, View, point_in_camera, sample_ray
 
 wp.set_module_options({"enable_backward": False})
 

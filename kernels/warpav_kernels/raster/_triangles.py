@@ -2,8 +2,8 @@
 
 import warp as wp
 
-from warpav_kernels.raster.lens import BROWN_CONRADY, PINHOLE
-from warpav_kernels.raster.view import View
+from warpav_kernels.raster._lens import BROWN_CONRADY, PINHOLE
+from warpav_kernels.raster._view import View
 
 wp.set_module_options({"enable_backward": False})
 

@@ -8,13 +8,13 @@ are kept (see `rays`), and blocks of them are passed over whole.
 
 import warp as wp
 
-from warpav_kernels.raster.bent_edges import cross_outline
-from warpav_kernels.raster.candidates import Candidate, Question, bound_wide, find_candidates
-from warpav_kernels.raster.layers import LEAST_INVERSE_DEPTH, Layers
-from warpav_kernels.raster.lens import PANORAMA, cone_bounds
-from warpav_kernels.raster.rays import Rays
-from warpav_kernels.raster.triangles import Triangles, behind_m, shows_no_back
-from warpav_kernels.raster.view import View, point_in_camera
+from warpav_kernels.raster._bent_edges import cross_outline
+from warpav_kernels.raster._candidates import Candidate, Question, bound_wide, find_candidates
+from warpav_kernels.raster._layers import LEAST_INVERSE_DEPTH, Layers
+from warpav_kernels.raster._lens import PANORAMA, cone_bounds
+from warpav_kernels.raster._rays import Rays
+from warpav_kernels.raster._triangles import Triangles, behind_m, shows_no_back
+from warpav_kernels.raster._view import View, point_in_camera
 
 wp.set_module_options({"enable_backward": False})
 

@@ -5,7 +5,7 @@ Inverting a lens takes Newton's steps, so the rays are found once for each lens 
 
 import warp as wp
 
-from warpav_kernels.raster.view import View, ray_in_camera
+from warpav_kernels.raster._view import View, ray_in_camera
 
 wp.set_module_options({"enable_backward": False})
 

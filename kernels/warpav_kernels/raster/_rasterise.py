@@ -13,7 +13,7 @@ crossing. Columns are swept as well, for the edge crossings alone.
 
 import warp as wp
 
-from warpav_kernels.raster.layers import (
+from warpav_kernels.raster._layers import (
     LEAST_INVERSE_DEPTH,
     NEAR_CUT,
     TO_BOTTOM,
@@ -23,8 +23,8 @@ from warpav_kernels.raster.layers import (
     Layers,
     point_on_near_plane,
 )
-from warpav_kernels.raster.lens import PINHOLE
-from warpav_kernels.raster.triangles import (
+from warpav_kernels.raster._lens import PINHOLE
+from warpav_kernels.raster._triangles import (
     Triangles,
     behind_m,
     faces,
@@ -32,7 +32,7 @@ from warpav_kernels.raster.triangles import (
     may_be_outline,
     shows_no_back,
 )
-from warpav_kernels.raster.view import View, point_in_camera
+from warpav_kernels.raster._view import View, point_in_camera
 
 wp.set_module_options({"enable_backward": False})
 
@@ -388,8 +388,8 @@ def clear_keys_kernel(
 
 
 # What `front_part`, `image_triangle` and `_fill_rows` compute, to the last bit, so that triangles drawn here and there
-# leave no hole between them. It is C++, as vertices, triangles and samples lie in one piece here (Warp's arrays may have
-# any strides): so a compiler uses its vectors.
+# leave no hole between them. It is C++, as vertices, triangles and samples lie in one piece here (Warp arrays may
+# have any strides): so a compiler uses its vectors.
 _DRAW_CLUSTER = """
 #ifdef __CUDACC__
     return 0;  // a GPU has a thread for every few triangles

@@ -6,7 +6,7 @@ solved, not searched for.
 
 import warp as wp
 
-from warpav_kernels.raster.candidates import (
+from warpav_kernels.raster._candidates import (
     LEAST_DISTANCE_M,
     LEAST_VOLUME,
     STEEP,
@@ -17,12 +17,12 @@ from warpav_kernels.raster.candidates import (
     wide_bounds,
     with_bounds,
 )
-from warpav_kernels.raster.layers import TO_BOTTOM, TO_LEFT, TO_RIGHT, Layers, place_in, step_of
-from warpav_kernels.raster.lens import BROWN_CONRADY, PANORAMA, SPHERE, moved_place
-from warpav_kernels.raster.rasterise import line_after, raise_crossing
-from warpav_kernels.raster.rays import SPARE_RAD, Rays, table_entry
-from warpav_kernels.raster.triangles import Triangles, faces, is_behind, may_be_outline, shows_no_back
-from warpav_kernels.raster.view import View, point_in_camera, ray_between, sample_ray
+from warpav_kernels.raster._layers import TO_BOTTOM, TO_LEFT, TO_RIGHT, Layers, place_in, step_of
+from warpav_kernels.raster._lens import BROWN_CONRADY, PANORAMA, SPHERE, moved_place
+from warpav_kernels.raster._rasterise import line_after, raise_crossing
+from warpav_kernels.raster._rays import SPARE_RAD, Rays, table_entry
+from warpav_kernels.raster._triangles import Triangles, faces, is_behind, may_be_outline, shows_no_back
+from warpav_kernels.raster._view import View, point_in_camera, ray_between, sample_ray
 
 wp.set_module_options({"enable_backward": False})
 

@@ -7,11 +7,11 @@ segment between two such crossings (the rule of marching squares), so the outlin
 
 import warp as wp
 
-from warpav_kernels.raster.layers import NEAR_CUT, TO_BOTTOM, TO_LEFT, TO_RIGHT, TO_TOP, Layers, place_in, step_of
-from warpav_kernels.raster.lens import PINHOLE
-from warpav_kernels.raster.rasterise import ImageTriangle, front_part, image_triangle, narrowed, slope_of
-from warpav_kernels.raster.triangles import Triangles
-from warpav_kernels.raster.view import View, inverse_depth_of, point_in_camera, sample_ray, sees
+from warpav_kernels.raster._layers import NEAR_CUT, TO_BOTTOM, TO_LEFT, TO_RIGHT, TO_TOP, Layers, place_in, step_of
+from warpav_kernels.raster._lens import PINHOLE
+from warpav_kernels.raster._rasterise import ImageTriangle, front_part, image_triangle, narrowed, slope_of
+from warpav_kernels.raster._triangles import Triangles
+from warpav_kernels.raster._view import View, inverse_depth_of, point_in_camera, sample_ray, sees
 
 wp.set_module_options({"enable_backward": False})
 

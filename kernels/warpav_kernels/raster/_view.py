@@ -9,7 +9,7 @@ guard sample on every side. Sample (row, column) has its centre at (column + 0.5
 
 import warp as wp
 
-from warpav_kernels.raster.lens import (
+from warpav_kernels.raster._lens import (
     BROWN_CONRADY,
     FISHEYE,
     PANORAMA,
