@@ -24,7 +24,7 @@ from warpav.optimisation.settings import ImportanceSettings
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig, RigCamera
-from warpav.runs.rig_evaluation import RigEvaluation
+from warpav.runs import RigEvaluation
 from warpav.thesis.constraints import BoundsAndSpacing
 
 NEAR = ImportanceSettings(sector_deg=[{"from": -60, "to": 60, "weight": 3.0}, {"from": 60, "to": 120, "weight": 0.5}])

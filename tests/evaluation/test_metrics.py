@@ -27,7 +27,7 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
 from warpav.rig.rig import Rig, RigCamera
-from warpav.runs.rig_evaluation import RigEvaluation
+from warpav.runs import RigEvaluation
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.sight.around import body_shares

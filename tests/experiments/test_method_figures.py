@@ -14,11 +14,8 @@ from warpav.core.errors import InputError
 from warpav.evaluation.metrics import evaluate_rig
 from warpav.experiments.method_figures import draw_method_figure
 from warpav.rig.rig import Rig
+from warpav.runs import RunDisplay, RunFolder, find_rig, load_scenes
 from warpav.runs.placement import Placement
-from warpav.runs.progress import RunDisplay
-from warpav.runs.rig_source import find_rig
-from warpav.runs.run_folder import RunFolder
-from warpav.runs.scene_set import load_scenes
 from warpav.view._palette import MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb
 from warpav.view.figures import _rigs as rigs
 from warpav.view.figures._rigs import covered_rad

@@ -42,14 +42,14 @@ from warpav.optimisation.budget import rig_values_of
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import write_rig
-from warpav.runs.config import AUTO, Config, load_config, with_absolute_paths
-from warpav.runs.environment import git_commit
-from warpav.runs.mounts import camera_mount, constraints_of
-from warpav.runs.networks import load_networks
-from warpav.runs.placement import Placement, needed_fit, placement_on
-from warpav.runs.run_folder import RUNS_FOLDER
-from warpav.runs.scene_set import (
+from warpav.runs import (
+    RUNS_FOLDER,
     SceneSet,
+    camera_mount,
+    constraints_of,
+    drawn,
+    git_commit,
+    load_networks,
     load_scene_set,
     load_scenes,
     own_vehicle_digest,
@@ -59,7 +59,8 @@ from warpav.runs.scene_set import (
     scene_part,
     traffic_fleet_digest,
 )
-from warpav.runs.terminal import drawn
+from warpav.runs.config import AUTO, Config, load_config, with_absolute_paths
+from warpav.runs.placement import Placement, needed_fit, placement_on
 
 _Task = TypeVar("_Task")
 

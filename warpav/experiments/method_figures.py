@@ -19,15 +19,20 @@ from warpav.experiments.scene_figures import RIG_NUMBERS
 from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M
 from warpav.rig.presets import HIGHEST
 from warpav.rig.rig import Rig
+from warpav.runs import (
+    RunFolder,
+    camera_mount,
+    find_rig,
+    load_detector,
+    load_networks,
+    load_scene_set,
+    load_scenes,
+    objective_options,
+    trajectory,
+)
 from warpav.runs.config import Config, load_config
-from warpav.runs.events import trajectory
-from warpav.runs.mounts import camera_mount, objective_options
-from warpav.runs.networks import load_detector, load_networks
 from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement, needed_fit, placement_on
-from warpav.runs.rig_source import find_rig
-from warpav.runs.run_folder import RunFolder
-from warpav.runs.scene_set import load_scene_set, load_scenes
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.view import figures

@@ -36,9 +36,8 @@ from warpav.experiments.experiment import Finished, make_scenes_ready, outcomes,
 from warpav.experiments.rows import ROWS, read_rows
 from warpav.optimisation.settings import LOSSES
 from warpav.rig.rig import read_rig
+from warpav.runs import environment, git_commit, load_networks, networks_in
 from warpav.runs.config import Config, load_config, overridden_option, with_absolute_paths
-from warpav.runs.environment import environment, git_commit
-from warpav.runs.networks import load_networks, networks_in
 from warpav.runs.placement import placement_on
 
 _SCHEMA = 2

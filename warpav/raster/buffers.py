@@ -244,9 +244,7 @@ class Buffers:
             on_gpu = (kernels.trace_keys_kernel, kernels.scatter_bent_crossings_kernel)
             drawing = (kernels.scatter_bent_triangles_kernel,) if self.device.is_cpu else on_gpu
             for kernel in (kernels.place_rays_kernel, *drawing):  # takes seconds, so only where it is needed
-                wp.load_module(
-                    kernel.module, device=self.device
-                )  # takes seconds to compile, so only where it is needed
+                wp.load_module(kernel.module, device=self.device)  # pyright: ignore[reportFunctionMemberAccess]
             self.bent = bent
             self.bent_view = wp.array(bent, dtype=wp.int32, device=self.device)
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.rig.rig import Rig
+from warpav.runs._events import of_modules, trajectory
 from warpav.runs.config import BY_HAND, Config
-from warpav.runs.events import of_modules, trajectory
 from warpav.view import ANIMATION_PX, Canvas, drawing_of, draws
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from warpav.core.errors import ArgumentError
 from warpav.core.files import writing
 from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.onnx_detector import OnnxDetector
+from warpav.runs._networks import load_detector
 from warpav.runs.config import Config
-from warpav.runs.networks import load_detector
 from warpav.view import CAMERA_RGB, PAPER_RGB
 from warpav.view.figures import checked_figure
 

@@ -40,9 +40,8 @@ from warpav.runs._detector_samples import (
     samples_folder,
     say_or_warn,
 )
-from warpav.runs.config import Config
-from warpav.runs.mounts import camera_model, camera_models
-from warpav.runs.networks import (
+from warpav.runs._mounts import camera_model, camera_models
+from warpav.runs._networks import (
     any_camera_config,
     any_camera_use,
     detector_use,
@@ -50,7 +49,8 @@ from warpav.runs.networks import (
     networks_in,
     opened_detector,
 )
-from warpav.runs.terminal import drawn
+from warpav.runs._terminal import drawn
+from warpav.runs.config import Config
 from warpav.scene.traffic.files import content_digest
 from warpav.scene.traffic.moments import search_and_test
 

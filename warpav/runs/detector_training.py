@@ -15,8 +15,8 @@ from warpav.detection.detector import ROAD_USERS
 from warpav.detection.training import TrainingOptions
 from warpav.detection.training.data import TEST_SUBSETS, load_images, write_images
 from warpav.detection.training.evaluate import evaluate
+from warpav.runs._networks import load_detector
 from warpav.runs.config import Config
-from warpav.runs.networks import load_detector
 
 _MIN_CONFIDENCE = 0.01
 """Detections from here on take part in the average precision."""

@@ -26,13 +26,13 @@ from warpav.optimisation.pool import Drawing, pool_cache_folder
 from warpav.optimisation.pool_rules import PoolRules
 from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig
+from warpav.runs._mounts import camera_mount, constraints_of
+from warpav.runs._progress import shown_progress
+from warpav.runs._rig_evaluation import RigEvaluation, seen_objects
+from warpav.runs._rig_source import check_rig_source, find_rig
+from warpav.runs._scene_set import first_scene
 from warpav.runs.config import Config
-from warpav.runs.mounts import camera_mount, constraints_of
 from warpav.runs.placement import Placement
-from warpav.runs.progress import shown_progress
-from warpav.runs.rig_evaluation import RigEvaluation, seen_objects
-from warpav.runs.rig_source import check_rig_source, find_rig
-from warpav.runs.scene_set import first_scene
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.sight.check import RequirementResult, check_requirements, check_rigs

@@ -20,13 +20,13 @@ from warpav.core.warp_setup import checked_device
 from warpav.raster.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
 from warpav.runs._drawn_run import fitting
+from warpav.runs._events import trajectory
+from warpav.runs._mounts import camera_mount, constraints_of, mount_surface, objective_options, rig_modules
+from warpav.runs._networks import load_detector
+from warpav.runs._rig_source import arm_names, find_rig, is_run_folder
+from warpav.runs._run_folder import RunFolder
+from warpav.runs._scene_set import first_scene, load_scene, load_scenes
 from warpav.runs.config import Config
-from warpav.runs.events import trajectory
-from warpav.runs.mounts import camera_mount, constraints_of, mount_surface, objective_options, rig_modules
-from warpav.runs.networks import load_detector
-from warpav.runs.rig_source import arm_names, find_rig, is_run_folder
-from warpav.runs.run_folder import RunFolder
-from warpav.runs.scene_set import first_scene, load_scene, load_scenes
 from warpav.scene.glb import read_scene
 from warpav.view import check_suffix, kinds_of, plot
 from warpav.view.figures import checked_figure

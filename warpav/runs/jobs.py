@@ -18,18 +18,18 @@ from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.records import IterationRecord
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs._checkpoint import check_options
+from warpav.runs._mounts import preset_for
+from warpav.runs._progress import shown_progress
+from warpav.runs._result import Result, StageTimer, complete_folder
+from warpav.runs._rig_source import arm_names, find_rig, is_run_folder, is_shipped
+from warpav.runs._run_folder import EVALUATION_SCHEMA, RunFolder, held_run, new_run_folder
+from warpav.runs._scene_set import load_scenes
 from warpav.runs.config import Config, flow_text, placed_config
 from warpav.runs.evaluate import evaluate_on, rule_margins
-from warpav.runs.mounts import preset_for
 from warpav.runs.optimise import Optimisation, kept_drawing
 from warpav.runs.placement import Placement
-from warpav.runs.progress import shown_progress
 from warpav.runs.report._content import RunContent, read_content
-from warpav.runs.result import Result, StageTimer, complete_folder
-from warpav.runs.rig_source import arm_names, find_rig, is_run_folder, is_shipped
 from warpav.runs.robustness import load_states_of, soiling_of
-from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, held_run, new_run_folder
-from warpav.runs.scene_set import load_scenes
 
 _CHECKPOINT_EVERY = 10
 """Steps of a descent after which its state is written."""

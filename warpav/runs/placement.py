@@ -32,10 +32,7 @@ from warpav.optimisation.rig_limits import RigLimits, range_text
 from warpav.optimisation.settings import LOSSES, ImportanceSettings, RobustSettings
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig
-from warpav.runs.config import AUTO, BY_HAND, Config, RigConfig
-from warpav.runs.config._schema import NO_REQUIREMENTS
-from warpav.runs.detector_fit import ensure_fit, fit_config
-from warpav.runs.mounts import (
+from warpav.runs._mounts import (
     camera_models,
     checked_frozen,
     constraints_of,
@@ -43,9 +40,9 @@ from warpav.runs.mounts import (
     objective_options,
     rig_limits,
 )
-from warpav.runs.networks import Networks, load_networks
-from warpav.runs.rig_source import read_baselines, read_start, with_added_cameras
-from warpav.runs.scene_set import (
+from warpav.runs._networks import Networks, load_networks
+from warpav.runs._rig_source import read_baselines, read_start, with_added_cameras
+from warpav.runs._scene_set import (
     SceneSet,
     are_town,
     check_zones,
@@ -57,6 +54,9 @@ from warpav.runs.scene_set import (
     pack_scenes,
     scene_options,
 )
+from warpav.runs.config import AUTO, BY_HAND, Config, RigConfig
+from warpav.runs.config._schema import NO_REQUIREMENTS
+from warpav.runs.detector_fit import ensure_fit, fit_config
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.sight.read import read_requirements

@@ -17,13 +17,13 @@ from warpav.core.progress import Progress
 from warpav.evaluation.metrics import ObjectOutcome
 from warpav.rig.rig import Rig
 from warpav.runs._drawn_run import DrawnRun
+from warpav.runs._events import trajectory
+from warpav.runs._rig_evaluation import RigEvaluation
+from warpav.runs._run_folder import RunFolder
 from warpav.runs.evaluate import requirements_of
-from warpav.runs.events import trajectory
 from warpav.runs.placement import Placement
 from warpav.runs.report._content import read_evaluation
 from warpav.runs.report.report import SHOWN_SCENES
-from warpav.runs.rig_evaluation import RigEvaluation
-from warpav.runs.run_folder import RunFolder
 from warpav.view import Canvas, drawing_of, opengl_problem, plot
 
 if TYPE_CHECKING:

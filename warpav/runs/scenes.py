@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 from warpav.core.errors import ArgumentError
 from warpav.core.executor import Executor, Outcome
 from warpav.core.files import check_folder
+from warpav.runs._progress import RunDisplay
+from warpav.runs._scene_set import load_scene, plan_settings, reconstruction_settings
 from warpav.runs.config import Config, SceneConfig
-from warpav.runs.progress import RunDisplay
-from warpav.runs.scene_set import load_scene, plan_settings, reconstruction_settings
 from warpav.scene.files import (
     CaptureTask,
     SceneTask,

@@ -16,8 +16,8 @@ from warpav.rig.chart import chart_of, propose_zones
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.proposals import kinds_of_names, parts_of
 from warpav.rig.zone import write_zones
+from warpav.runs._mounts import mount_surface
 from warpav.runs.config import Config
-from warpav.runs.mounts import mount_surface
 from warpav.scene.own_vehicle import (
     Examination,
     Reading,

@@ -21,8 +21,8 @@ from warpav.optimisation.settings import RuleSettings
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.rig.zone import read_zones
+from warpav.runs._mounts import camera_mount, has_zones, mount_surface, rig_modules
 from warpav.runs.config import Config, RigConfig, RunConfig
-from warpav.runs.mounts import camera_mount, has_zones, mount_surface, rig_modules
 from warpav.scene.cache import BuiltSource
 from warpav.scene.capture.capture import PlanSettings
 from warpav.scene.device_scene import DeviceScene

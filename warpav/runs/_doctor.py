@@ -16,7 +16,7 @@ from typing import Any, Literal
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.warp_setup import load_warp
-from warpav.runs.environment import package_versions, required_packages
+from warpav.runs._environment import package_versions, required_packages
 
 _Status = Literal["ok", "warning", "failed"]
 _OPENGL_TIMEOUT_S = 120
@@ -37,7 +37,7 @@ class Finding:
 
 def examine(json_file: Path | None = None) -> int:
     """Run all checks, print each as it ends, and return the exit status: 1 when one failed, else 0."""
-    from warpav.runs.terminal import Terminal, shown
+    from warpav.runs._terminal import Terminal, shown
 
     if json_file is not None and not json_file.absolute().parent.is_dir():
         raise ArgumentError(

@@ -27,17 +27,17 @@ from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs._checkpoint import identity_of
 from warpav.runs._drawn_run import DrawnRun, draws_runs
+from warpav.runs._events import Certificate
+from warpav.runs._mounts import preset_for
+from warpav.runs._progress import shown_progress
+from warpav.runs._rig_evaluation import GroundTable, Robust, SearchEnd, Simpler, StartAndEnd, ToleranceTable
+from warpav.runs._rig_source import read_baselines
+from warpav.runs._run_folder import RunFolder
+from warpav.runs._scene_set import load_scenes
 from warpav.runs.config import BY_HAND, Config
 from warpav.runs.evaluate import evaluate_on, highest_rig, requirements_of, rule_margins
-from warpav.runs.events import Certificate
-from warpav.runs.mounts import preset_for
 from warpav.runs.placement import Placement, Stream
-from warpav.runs.progress import shown_progress
-from warpav.runs.rig_evaluation import GroundTable, Robust, SearchEnd, Simpler, StartAndEnd, ToleranceTable
-from warpav.runs.rig_source import read_baselines
 from warpav.runs.robustness import tolerance_on
-from warpav.runs.run_folder import RunFolder
-from warpav.runs.scene_set import load_scenes
 from warpav.scene.files import scene_path
 from warpav.scene.glb import write_scene
 from warpav.scene.scene import Scene

@@ -16,9 +16,9 @@ from warpav.core.cache import digest
 from warpav.core.errors import InputError, OptionError, install_text
 from warpav.core.records import Form, read_form
 from warpav.core.warp_setup import checked_device
+from warpav.runs._mounts import camera_model
+from warpav.runs._scene_set import own_vehicle_digest, recordings_digest
 from warpav.runs.config import Config, with_absolute_paths
-from warpav.runs.mounts import camera_model
-from warpav.runs.scene_set import own_vehicle_digest, recordings_digest
 
 if TYPE_CHECKING:
     from warpav.detection.detector import Detector

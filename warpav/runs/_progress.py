@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, SpinnerColumn, TextColu
 from rich.table import Table
 
 from warpav.core.progress import NullProgress, Progress
-from warpav.runs.terminal import Group, RenderableType, Terminal, shown
+from warpav.runs._terminal import Group, RenderableType, Terminal, shown
 
 if TYPE_CHECKING:
     from rich.progress import TaskID

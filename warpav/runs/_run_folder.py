@@ -43,9 +43,9 @@ from warpav.rig.presets import preset_names
 from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.zone import read_zones, write_zones
 from warpav.runs._drawn_run import DrawnRun, draws_runs
+from warpav.runs._environment import command_line, environment
+from warpav.runs._events import Certificate, flat_numbers, read_events
 from warpav.runs.config import BY_HAND, KEPT_FILES, Config, dump_config, load_config, with_absolute_paths
-from warpav.runs.environment import command_line, environment
-from warpav.runs.events import Certificate, flat_numbers, read_events
 from warpav.sight.read import copy_requirements
 from warpav.view import plot
 
@@ -296,8 +296,8 @@ class RunFolder:
 
     def drawn(self, config: Config | None = None, *, scene: Scene | None = None) -> DrawnRun:
         """The run as its plots show it; ``scene`` by default the first test scene."""
-        from warpav.runs.mounts import mount_surface, with_shared_model
-        from warpav.runs.scene_set import first_scene
+        from warpav.runs._mounts import mount_surface, with_shared_model
+        from warpav.runs._scene_set import first_scene
 
         known = self.config() if config is None else config
 

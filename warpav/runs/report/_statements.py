@@ -16,8 +16,8 @@ from warpav.evaluation.statistics import Difference
 from warpav.optimisation.constraints import Margin
 from warpav.optimisation.mount_errors import ANGLES
 from warpav.rig.rig import Rig
+from warpav.runs._rig_evaluation import RigEvaluation, Robust
 from warpav.runs.report._content import RunContent
-from warpav.runs.rig_evaluation import RigEvaluation, Robust
 from warpav.sight.requirement import SECTORS
 from warpav.sight.rules import RuleMargin
 

@@ -18,8 +18,7 @@ from warpav.optimisation.hand_rigs import rig_by_hand
 from warpav.rig.check import off_vehicle
 from warpav.rig.presets import HAND_RIGS, find_rig_file, is_preset, preset_names
 from warpav.rig.rig import Rig, RigCamera, read_rig
-from warpav.runs.config import BY_HAND, NAMED_STARTS, START_TEXT, Config, placed_config
-from warpav.runs.mounts import (
+from warpav.runs._mounts import (
     camera_model,
     camera_mount,
     checked_frozen,
@@ -27,7 +26,8 @@ from warpav.runs.mounts import (
     preset_for,
     with_shared_model,
 )
-from warpav.runs.run_folder import RunFolder
+from warpav.runs._run_folder import RunFolder
+from warpav.runs.config import BY_HAND, NAMED_STARTS, START_TEXT, Config, placed_config
 
 if TYPE_CHECKING:
     from warpav.raster.camera import CameraModel
