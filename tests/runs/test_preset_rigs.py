@@ -12,7 +12,7 @@ import pytest
 import warpav as wa
 from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
-from warpav.evaluation.metrics import observe_scenes
+from warpav.optimisation.evaluation.metrics import observe_scenes
 from warpav.rig.check import off_vehicle
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs import find_rig, preset_for

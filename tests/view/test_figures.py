@@ -8,7 +8,7 @@ import pytest
 from tests.view.stand_ins import ego, near, pixels, rig
 from warpav.core.errors import InputError
 from warpav.detection.detector import Detections
-from warpav.evaluation.metrics import CameraObservation
+from warpav.optimisation.evaluation.metrics import CameraObservation
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import Rig

@@ -8,7 +8,7 @@ import pytest
 
 from tests.driving_scene import ConstantDetector, flat_surface
 from tests.view.stand_ins import rig, scene, vehicle
-from warpav.evaluation.metrics import RigObserver
+from warpav.optimisation.evaluation.metrics import RigObserver
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.optimisation.objective import ObjectiveOptions
 from warpav.raster.decide import Occlusion

@@ -8,7 +8,7 @@ import pytest
 
 from tests.driving_scene import flat_surface
 from tests.view.stand_ins import block, ego, needs_opengl, rig, scene, vehicle
-from warpav.evaluation.metrics import ObjectOutcome
+from warpav.optimisation.evaluation.metrics import ObjectOutcome
 from warpav.optimisation.further_camera import PLACE_M, FurtherCameras
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens

@@ -132,8 +132,7 @@ def _detector_train(
     stop_after_minutes: Annotated[float, Parameter(help="Stop earlier; the same command continues.")] = float("inf"),
 ) -> None:
     """Train the shipped detector on images of town scenes; the same command resumes an interrupted training."""
-    from warpav.detection.training import TrainingOptions
     from warpav.runs.detector_training import train_detector
 
-    options = TrainingOptions(device, processes, steps, batch_size, seed, stop_after_minutes)
-    train_detector(out, options, image_folder=image_folder, say=say)
+    options = {"device": device, "processes": processes, "steps": steps, "batch_size": batch_size, "seed": seed}
+    train_detector(out, image_folder=image_folder, say=say, stop_after_minutes=stop_after_minutes, **options)

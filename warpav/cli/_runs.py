@@ -138,20 +138,11 @@ def evaluate(
     ] = None,
 ) -> None:
     """Measure a rig on the test scenes."""
-    from warpav.core.errors import ArgumentError
-    from warpav.evaluation.perturbations import LoadState, SoiledPart
     from warpav.runs import RunDisplay
-    from warpav.runs.jobs import measure_rig
+    from warpav.runs.jobs import measure_rig, posed_otherwise
     from warpav.runs.report.tables import show_run
 
-    try:
-        part = SoiledPart(soiling[0], soiling[1:3], soiling[3]) if soiling else None
-    except ArgumentError as error:
-        raise ArgumentError("soiling", error.text) from None
-    try:
-        loads = {f"load {number}": LoadState(*each) for number, each in enumerate(load or (), 1)}
-    except ArgumentError as error:
-        raise ArgumentError("load", error.text) from None
+    part, loads = posed_otherwise(soiling, load)
     with of_rig(rig, config, overrides) as settings, RunDisplay() as display:
         found = measure_rig(
             rig, settings, beside=beside or (), json_file=json, soiled=part, loads=loads, progress=display
@@ -216,14 +207,12 @@ def inspect(
 ) -> None:
     """Inspect a rig on its vehicle: interactively when there is a display, else in a file."""
     from warpav.runs import RunDisplay
-    from warpav.runs.inspect import inspect_rig
+    from warpav.runs.inspect import inspect_rig, no_window_text
 
     with of_rig(run_or_rig, config, overrides) as settings, RunDisplay() as display:
         file = inspect_rig(run_or_rig, settings, out, shown=show, requirements=requirements, progress=display)
     if file is not None and out is None and show != "sheet":
-        from warpav.view import display_text
-
-        say(f"no window here, as {display_text()}: wrote {file}")
+        say(f"{no_window_text()}: wrote {file}")
     elif file is not None:
         say(f"wrote {file}")
 

@@ -146,11 +146,10 @@ def _scenes_reconstruct(
 @scenes_app.command(name="check")
 def _scenes_check(captures: Annotated[Path, Parameter(help="Capture, or folder of captures.")], /) -> int:
     """Check captures, also those of other simulators and cameras, and name everything that is wrong with them."""
-    from warpav.scene.files import captures_in, check_captures
+    from warpav.runs.scenes import check_captures_of
 
-    found = list(captures_in(captures).values())
-    bad = check_captures(found, complain)
-    say(f"{len(found) - bad} of {len(found)} captures are valid")
+    count, bad = check_captures_of(captures, complain)
+    say(f"{count - bad} of {count} captures are valid")
     return 2 if bad else 0
 
 

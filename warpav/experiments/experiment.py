@@ -21,7 +21,6 @@ from warpav.core.errors import ArgumentError
 from warpav.core.executor import Executor, Outcome
 from warpav.core.files import write_json, write_text
 from warpav.core.progress import NullProgress, Progress
-from warpav.evaluation.metrics import metrics_of, observe_scenes
 from warpav.experiments._arms import Arm, FoundRig, constraint_loss, find_rig_of, resized
 from warpav.experiments._gradient_magnitude import measure_gradient_magnitudes
 from warpav.experiments._result_folder import (
@@ -39,6 +38,7 @@ from warpav.experiments.study import GRADIENTS, Judge, Study
 from warpav.optimisation.attainable import attainable_objects
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.budget import rig_values_of
+from warpav.optimisation.evaluation.metrics import metrics_of, observe_scenes
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import write_rig

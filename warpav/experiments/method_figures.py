@@ -14,8 +14,8 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import checked_device
-from warpav.evaluation.metrics import RigObservation, RigObserver
 from warpav.experiments.scene_figures import RIG_NUMBERS
+from warpav.optimisation.evaluation.metrics import RigObservation, RigObserver
 from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M
 from warpav.rig.presets import HIGHEST
 from warpav.rig.rig import Rig

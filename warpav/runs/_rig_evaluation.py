@@ -12,7 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, PrivateAttr,
 
 from warpav.core.errors import ArgumentError
 from warpav.core.table import Table, data_frame
-from warpav.evaluation.metrics import (
+from warpav.optimisation.constraints import Margin
+from warpav.optimisation.evaluation.metrics import (
     EQUAL_FALSE_ALARMS_PER_FRAME,
     OPTIONAL_METRICS,
     PAIRED_METRICS,
@@ -22,9 +23,8 @@ from warpav.evaluation.metrics import (
     ObjectOutcome,
     SceneObservations,
 )
-from warpav.evaluation.perturbations import CameraOutages, LoadStates, MountEffect, MountTolerance, Soiling
-from warpav.evaluation.statistics import Difference, paired_difference, paired_differences
-from warpav.optimisation.constraints import Margin
+from warpav.optimisation.evaluation.perturbations import CameraOutages, LoadStates, MountEffect, MountTolerance, Soiling
+from warpav.optimisation.evaluation.statistics import Difference, paired_difference, paired_differences
 from warpav.rig.rig import Rig
 from warpav.scene.device_scene import DeviceScene
 from warpav.sight.check import Gap, RequirementResult, WorstPoint
@@ -370,7 +370,7 @@ class RigEvaluation(_Part):
         Args:
             one: Name of a rig.
             other: Name of another.
-            metric: One of `warpav.evaluation.metrics.PAIRED_METRICS`, or of `OPTIONAL_METRICS` where they are known.
+            metric: One of `PAIRED_METRICS`, or of `OPTIONAL_METRICS` where they are known.
 
         Raises:
             InputError: There is no rig or metric of a name.

@@ -93,7 +93,7 @@ class SceneSet:
         from warpav.thesis.segregation import areas_around
 
         return areas_around(
-            scenes,
+            [scene.raster for scene in scenes],
             np.arange(rotation_count) * (2.0 * math.pi / rotation_count),
             np.append(self.ego.bounds_m()[:, :2].mean(axis=0), 0.0),
             CameraModel() if self.mount.is_mixed else self.mount.camera,

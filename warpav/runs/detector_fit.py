@@ -29,7 +29,7 @@ from warpav.detection.probability_fit import (
     fit_probability,
     score,
 )
-from warpav.evaluation.statistics import LEVEL, Estimate
+from warpav.optimisation.evaluation.statistics import LEVEL, Estimate
 from warpav.raster.camera import CameraModel
 from warpav.runs._detector_samples import (
     FOLDS,

@@ -41,13 +41,13 @@ _TABLES = {
 }
 
 
-def train_detector(
-    out: Path, options: TrainingOptions, *, image_folder: Path | None, say: Callable[[str], None]
-) -> None:
+def train_detector(out: Path, *, image_folder: Path | None, say: Callable[[str], None], **given: Any) -> None:  # noqa: ANN401
     """Make the images, train, write ``detector.onnx``; an interrupted training continues from its checkpoint.
 
-    The images are in ``images`` in ``out``, or in ``image_folder``, and made where they are missing.
+    The images are in ``images`` in ``out``, or in ``image_folder``, and made where they are missing; what else is given
+    is of `TrainingOptions`.
     """
+    options = TrainingOptions(**given)
     missing = [name for name in ("torch", "onnx") if importlib.util.find_spec(name) is None]
     if missing:
         raise InputError(

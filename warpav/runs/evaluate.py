@@ -15,11 +15,11 @@ from warpav.core.errors import ArgumentError
 from warpav.core.files import atomic_write, writing
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import checked_device
-from warpav.evaluation.metrics import metrics_of, observe_scenes
-from warpav.evaluation.perturbations import CameraOutages, MountTolerance
 from warpav.optimisation.attainable import attainable_objects
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.constraints import Constraints
+from warpav.optimisation.evaluation.metrics import metrics_of, observe_scenes
+from warpav.optimisation.evaluation.perturbations import CameraOutages, MountTolerance
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import CameraMount
 from warpav.optimisation.pool import Drawing, pool_cache_folder

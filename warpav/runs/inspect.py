@@ -51,6 +51,13 @@ _PAGE_SCENES = 3
 """Scenes that a page holds at most; each takes a megabyte."""
 
 
+def no_window_text() -> str:
+    """Why a file is written rather than a window opened."""
+    from warpav.view import display_text
+
+    return f"no window here, as {display_text()}"
+
+
 def inspect_rig(
     source: str,
     config: Config,
@@ -61,7 +68,7 @@ def inspect_rig(
     progress: Progress | None = None,
 ) -> Path | None:
     """Show a rig on its vehicle in traffic: in the interactive inspector if there is a display, else in a file."""
-    from warpav.evaluation.metrics import RigObserver
+    from warpav.optimisation.evaluation.metrics import RigObserver
     from warpav.scene.device_scene import DeviceScene
     from warpav.sight.ground import HEIGHTS_M, PATCH_M, Ground
     from warpav.view import has_display
@@ -161,7 +168,7 @@ def inspector(
     Args:
         requirements: YAML file, or a template's name; None: there are none.
     """
-    from warpav.evaluation.metrics import RigObserver
+    from warpav.optimisation.evaluation.metrics import RigObserver
     from warpav.view import Canvas, InspectedRig, Inspector, Steepest
 
     check = None if requirements is None else _check(requirements, config)

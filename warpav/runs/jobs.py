@@ -12,7 +12,7 @@ from warpav.core.executor import Executor
 from warpav.core.files import json_ready, write_json
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import device_name
-from warpav.evaluation.perturbations import LoadState, SoiledPart
+from warpav.optimisation.evaluation.perturbations import LoadState, SoiledPart
 from warpav.optimisation.pool import Drawing, pool_cache_folder
 from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.records import IterationRecord
@@ -199,6 +199,20 @@ def _keep_reached(folder: RunFolder, optimisation: Optimisation) -> None:
     further = descent.further_cameras() if isinstance(descent, PoolRun) else None
     if further is not None:
         folder.write_further_cameras(further)
+
+
+def posed_otherwise(
+    soiling: tuple[Any, float, float, float] | None, load: Sequence[tuple[float, float]] | None
+) -> tuple[SoiledPart | None, dict[str, LoadState]]:
+    """What the command line gives as soiling (shape, place, share) and as states of load (pitch, height)."""
+    try:
+        part = SoiledPart(soiling[0], soiling[1:3], soiling[3]) if soiling else None
+    except ArgumentError as error:
+        raise ArgumentError("soiling", error.text) from None
+    try:
+        return part, {f"load {number}": LoadState(*each) for number, each in enumerate(load or (), 1)}
+    except ArgumentError as error:
+        raise ArgumentError("load", error.text) from None
 
 
 def measure_rig(

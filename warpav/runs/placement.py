@@ -506,9 +506,10 @@ class Placement:
             known.check_vehicle(scene)
             packed.append(DeviceScene.pack(scene, device=self.mount.device))
         areas = known.areas_of(packed, self.config.thesis.rotations)
-        from warpav.thesis.segregation import assign_vehicles
+        from warpav.thesis.segregation import cameras_of
 
-        return assign_vehicles(packed, [area[:, self.segregation.rotation] for area in areas])
+        of_scene = [cameras_of(area[:, self.segregation.rotation]) for area in areas]
+        return [AssignedScene(*each) for each in zip(packed, of_scene, strict=True)]
 
     def value_and_grad(
         self, rig: Rig, scenes: Sequence[Scene] | None = None

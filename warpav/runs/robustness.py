@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from warpav.core.errors import InputError
 from warpav.core.progress import Progress
-from warpav.evaluation.perturbations import (
+from warpav.optimisation.evaluation.perturbations import (
     LoadState,
     LoadStates,
     MountTolerance,

@@ -14,7 +14,7 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import Progress
-from warpav.evaluation.metrics import ObjectOutcome
+from warpav.optimisation.evaluation.metrics import ObjectOutcome
 from warpav.rig.rig import Rig
 from warpav.runs._drawn_run import DrawnRun
 from warpav.runs._events import trajectory
@@ -28,7 +28,7 @@ from warpav.view import Canvas, drawing_of, opengl_problem, plot
 
 if TYPE_CHECKING:
     from warpav.detection.probability import DetectionProbability
-    from warpav.evaluation.metrics import CameraObservation
+    from warpav.optimisation.evaluation.metrics import CameraObservation
     from warpav.optimisation.losses.scene_on_tape import AssignedScene
     from warpav.raster.camera import CameraModel
     from warpav.scene.scene import Scene
@@ -161,7 +161,7 @@ class RunPictures:
     def _seen(self, rig: Rig, assigned: AssignedScene) -> dict[str, CameraObservation]:
         """What the cameras of a rig see of a scene, by their names; the own body is tinted."""
         from warpav.detection.images import render_images
-        from warpav.evaluation.metrics import observe_scenes
+        from warpav.optimisation.evaluation.metrics import observe_scenes
         from warpav.view.figures import own_body_tinted
 
         objective = self.placement.objective

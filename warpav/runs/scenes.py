@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +19,7 @@ from warpav.scene.files import (
     capture_path,
     capture_scenes,
     captures_in,
+    check_captures,
     make_scenes,
     scene_path,
     split_seeds,
@@ -122,6 +123,12 @@ def chosen_fleet(paths: Sequence[str] | None, share: float | None) -> Fleet | No
     from warpav.scene.fleet import USUAL_SHARE, fleet_of
 
     return fleet_of(paths, share or USUAL_SHARE)
+
+
+def check_captures_of(path: Path, say: Callable[[str], None]) -> tuple[int, int]:
+    """How many captures there are, and how many of them are wrong, each of which is told."""
+    found = list(captures_in(path).values())
+    return len(found), check_captures(found, say)
 
 
 def show_scene(source: str, out: Path | None, level: Level | None = None, fleet: Fleet | None = None) -> Iterator[str]:

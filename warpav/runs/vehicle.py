@@ -28,7 +28,7 @@ from warpav.scene.own_vehicle import (
     read_vehicle_file,
     write_vehicle,
 )
-from warpav.scene.vehicles import file_of
+from warpav.scene.vehicles import file_of, vehicle_about, vehicle_names
 from warpav.view import plot
 
 _BONNET_BELOW = 0.07
@@ -64,6 +64,16 @@ class _ZonePart:
     name: str  # ``roof``, ``windscreen``, ``bonnet``, ``front`` (such as a lorry's cab) or ``rear``
     area_m2: float  # its area seen from above [m2]
     height_m: float  # mean height above the ground [m]
+
+
+def shipped_vehicles() -> Iterator[str]:
+    """The vehicles that ship with warpav, in words."""
+    for name in vehicle_names():
+        about = vehicle_about(name)
+        length, width, height = np.ptp(read_vehicle(name).bounds_m(), axis=0)
+        yield f"{name}: {about.title}, {length:.2f} x {width:.2f} x {height:.2f} m (length, width, height)"
+        yield f"  source: {about.source}"
+        yield f"  licence: {about.licence}"
 
 
 def check_vehicle(

@@ -20,8 +20,8 @@ from warpav.scene.device_scene import DeviceScene
 from warpav.sight.ground import HEIGHTS_M, PATCH_M, Ground
 
 if TYPE_CHECKING:
-    from warpav.evaluation.metrics import RigObservation, RigObserver
     from warpav.optimisation.constraints import Constraints
+    from warpav.optimisation.evaluation.metrics import RigObservation, RigObserver
     from warpav.optimisation.further_camera import FurtherCameras
     from warpav.raster.mesh import Mesh
     from warpav.rig.module import Module

@@ -47,7 +47,7 @@ from warpav.view._picture import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from warpav.evaluation.metrics import CameraObservation
+    from warpav.optimisation.evaluation.metrics import CameraObservation
     from warpav.sight.ground import Coverage, Ground
     from warpav.view._inspected import InspectedRig
 

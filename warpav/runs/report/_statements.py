@@ -11,9 +11,9 @@ from typing import Literal
 import numpy as np
 
 from warpav.core.frames import wrap_angle_rad
-from warpav.evaluation.metrics import REDUNDANT_WITHIN_M, ObjectOutcome
-from warpav.evaluation.statistics import Difference
 from warpav.optimisation.constraints import Margin
+from warpav.optimisation.evaluation.metrics import REDUNDANT_WITHIN_M, ObjectOutcome
+from warpav.optimisation.evaluation.statistics import Difference
 from warpav.optimisation.mount_errors import ANGLES
 from warpav.rig.rig import Rig
 from warpav.runs._rig_evaluation import RigEvaluation, Robust

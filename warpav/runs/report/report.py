@@ -15,8 +15,8 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.table import Table
-from warpav.evaluation.metrics import ObjectOutcome
-from warpav.evaluation.statistics import Difference
+from warpav.optimisation.evaluation.metrics import ObjectOutcome
+from warpav.optimisation.evaluation.statistics import Difference
 from warpav.runs._mounts import free_ranges, has_zones
 from warpav.runs._rig_evaluation import LOWER_IS_BETTER, TABLE_ROWS, RigEvaluation
 from warpav.runs._run_folder import RunFolder

@@ -37,7 +37,7 @@ from warpav.view.figures._style import (
 )
 
 if TYPE_CHECKING:
-    from warpav.evaluation.metrics import CameraObservation
+    from warpav.optimisation.evaluation.metrics import CameraObservation
     from warpav.rig.rig import Rig
     from warpav.scene.scene import Scene
 

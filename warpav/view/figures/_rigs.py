@@ -50,8 +50,8 @@ from warpav.view.figures._style import (
 )
 
 if TYPE_CHECKING:
-    from warpav.evaluation.metrics import RigObservation
     from warpav.optimisation.constraints import Constraints
+    from warpav.optimisation.evaluation.metrics import RigObservation
     from warpav.scene.scene import Scene
 
 _IMAGES_A_ROW = 4

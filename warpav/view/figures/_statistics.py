@@ -35,8 +35,8 @@ from warpav.view.figures._style import (
 if TYPE_CHECKING:
     from warpav.detection.probability import DetectionProbability
     from warpav.detection.probability_fit import CalibrationBin
-    from warpav.evaluation.perturbations import CameraOutages, MountTolerance
-    from warpav.evaluation.statistics import Difference
+    from warpav.optimisation.evaluation.perturbations import CameraOutages, MountTolerance
+    from warpav.optimisation.evaluation.statistics import Difference
 
 
 def reliability_diagram(
@@ -90,7 +90,7 @@ def detection_curves(model: DetectionProbability, feature: np.ndarray, path: Pat
 
 
 _Groups = Mapping[str, Any]
-"""Objects of about one distance, sector or kind, by its name, as `warpav.evaluation` counts them."""
+"""Objects of about one distance, sector or kind, by its name, as `warpav.optimisation.evaluation` counts them."""
 
 
 def differences_figure(rows: Mapping[str, Difference], first: str) -> Any:  # noqa: ANN401 (matplotlib)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.detection.probability import DetectionProbability
-from warpav.evaluation.detection_range import LEAST_HEIGHT_PX, DetectionRange
+from warpav.optimisation.evaluation.detection_range import LEAST_HEIGHT_PX, DetectionRange
 from warpav.sight.around import CAR_HEIGHT_M, PIXELS, NearField, SectorCounts
 from warpav.sight.requirement import Body
 from warpav.view._labels import Labels
@@ -291,7 +291,7 @@ def range_figure(
     The probability is that of the fitted model (`warpav.detection.probability`), from what a render shows of the road
     user alone: area, shape, distance from the image's border. It heads as the own vehicle does, has the contrast of an
     average object, and stands every 5 degrees at 18 distances from 5 to 500 m; see
-    `warpav.evaluation.detection_range`. Lines end where the image becomes smaller than the model speaks for
+    `detection_range`. Lines end where the image becomes smaller than the model speaks for
     (`DetectionRange.limit_m`) and have ticks outwards there: the road user is found up to there, and nothing is known
     of what is farther. The model knows neither haze nor blur: it says what the detector makes of so many clean pixels.
     """

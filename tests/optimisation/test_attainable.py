@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import SKY, ConstantDetector, block, car, vehicle
-from tests.evaluation.test_camera_outage import objective_of
-from tests.evaluation.test_metrics import SCENES as PLACES
-from tests.evaluation.test_metrics import ScriptedDetector, answers, rig_of, scene_of
+from tests.optimisation.evaluation.test_camera_outage import objective_of
+from tests.optimisation.evaluation.test_metrics import SCENES as PLACES
+from tests.optimisation.evaluation.test_metrics import ScriptedDetector, answers, rig_of, scene_of
 from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.detector import ROAD_USERS
-from warpav.evaluation.metrics import metrics_of, observe_scenes
-from warpav.evaluation.statistics import paired_differences
 from warpav.optimisation.attainable import _LIKELY, attainable_objects
+from warpav.optimisation.evaluation.metrics import metrics_of, observe_scenes
+from warpav.optimisation.evaluation.statistics import paired_differences
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.pool import spread_mount_poses
 from warpav.scene.device_scene import DeviceScene

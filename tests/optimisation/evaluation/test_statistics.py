@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from warpav.evaluation.metrics import PAIRED_METRICS, ArmMetrics
-from warpav.evaluation.statistics import (
+from warpav.optimisation.evaluation.metrics import PAIRED_METRICS, ArmMetrics
+from warpav.optimisation.evaluation.statistics import (
     Difference,
     Estimate,
     paired_difference,

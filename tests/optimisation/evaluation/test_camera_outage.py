@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import ConstantDetector, roof
-from tests.evaluation.test_metrics import MODEL, WIDE, ScriptedDetector, answers, rig_of, scene_of
-from tests.evaluation.test_metrics import SCENES as PLACES
+from tests.optimisation.evaluation.test_metrics import MODEL, WIDE, ScriptedDetector, answers, rig_of, scene_of
+from tests.optimisation.evaluation.test_metrics import SCENES as PLACES
 from tests.optimisation.test_missed import probability_model
 from warpav.core.errors import InputError
 from warpav.detection.probability import Appearance
-from warpav.evaluation.metrics import OPTIONAL_METRICS, ArmMetrics, metrics_of, observe_scenes
-from warpav.evaluation.perturbations import CameraOutages
-from warpav.evaluation.statistics import paired_differences
+from warpav.optimisation.evaluation.metrics import OPTIONAL_METRICS, ArmMetrics, metrics_of, observe_scenes
+from warpav.optimisation.evaluation.perturbations import CameraOutages
+from warpav.optimisation.evaluation.statistics import paired_differences
 from warpav.optimisation.importance import Importance
 from warpav.optimisation.losses.expected_miss_rate import ExpectedMissRate
 from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability

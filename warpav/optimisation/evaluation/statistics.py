@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from warpav.evaluation.metrics import OPTIONAL_METRICS, PAIRED_METRICS, ArmMetrics
+from warpav.optimisation.evaluation.metrics import OPTIONAL_METRICS, PAIRED_METRICS, ArmMetrics
 
 RESAMPLES = 9999
 LEVEL = 0.95

@@ -11,7 +11,7 @@ from tests.optimisation.objectives import rig_objective, thesis_losses
 from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
 from warpav.detection.probability import DetectionProbability
-from warpav.evaluation.metrics import (
+from warpav.optimisation.evaluation.metrics import (
     PAIRED_METRICS,
     GroupRecall,
     ObjectOutcome,

@@ -11,7 +11,7 @@ from tests.optimisation.test_modules import cameras_of as mixed_cameras
 from tests.optimisation.test_modules import columns, spread, symmetric_cameras
 from tests.optimisation.test_pool import cameras_of, mount_of, poses_of, streets
 from warpav.core.errors import InputError
-from warpav.evaluation.perturbations import COLUMNS, CameraOutages, MountTolerance, PosedRig
+from warpav.optimisation.evaluation.perturbations import COLUMNS, CameraOutages, MountTolerance, PosedRig
 from warpav.optimisation.mount import HEIGHT_DELTA_M
 from warpav.optimisation.mount_errors import MountErrors
 from warpav.raster.camera import CameraModel

@@ -10,7 +10,7 @@ import warpav as wa
 from tests.driving_scene import street
 from tests.optimisation.test_modules import columns, models, probabilities, symmetric_cameras
 from warpav.core.errors import InputError
-from warpav.evaluation.perturbations import (
+from warpav.optimisation.evaluation.perturbations import (
     LoadState,
     PosedRig,
     SoiledPart,

@@ -9,7 +9,7 @@ import warp as wp
 from tests.view.stand_ins import ego
 from warpav.detection.images import render_images
 from warpav.detection.probability import DetectionProbability, whole_solid_angle
-from warpav.evaluation.detection_range import LEAST_HEIGHT_PX, DetectionRange, _alone, average_contrast
+from warpav.optimisation.evaluation.detection_range import LEAST_HEIGHT_PX, DetectionRange, _alone, average_contrast
 from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
 
@@ -70,7 +70,7 @@ def test_wide_images_are_drawn_with_fewer_pixels_to_the_same_numbers(monkeypatch
     asked = {"categories": ("saloon",), "azimuth_count": 8, "distances_m": (8.0, 30.0, 80.0)}
     wide = rig(0.0, model=CameraModel(800, 600, math.radians(70.0)))
     small = DetectionRange.of(wide, ego(), **asked)
-    monkeypatch.setattr("warpav.evaluation.detection_range._WIDTH_PX_MAX", 800)
+    monkeypatch.setattr("warpav.optimisation.evaluation.detection_range._WIDTH_PX_MAX", 800)
     whole = DetectionRange.of(wide, ego(), **asked)
     assert small.probability == pytest.approx(whole.probability, abs=0.02)  # worst seen 0.0013
 

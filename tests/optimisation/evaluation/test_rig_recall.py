@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import SKY, ConstantDetector, car, vehicle
-from tests.evaluation.test_metrics import MODEL, ScriptedDetector, objective_of, rig_of, truth_boxes
+from tests.optimisation.evaluation.test_metrics import MODEL, ScriptedDetector, objective_of, rig_of, truth_boxes
 from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
-from warpav.evaluation.metrics import DISTANCE_EDGES_M, EQUAL_FALSE_ALARMS_PER_FRAME, GroupRecall, evaluate_rig
-from warpav.evaluation.statistics import paired_differences
+from warpav.optimisation.evaluation.metrics import (
+    DISTANCE_EDGES_M,
+    EQUAL_FALSE_ALARMS_PER_FRAME,
+    GroupRecall,
+    evaluate_rig,
+)
+from warpav.optimisation.evaluation.statistics import paired_differences
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import views_of_rig
 from warpav.raster.decide import Occlusion
