@@ -8,11 +8,11 @@ import pytest
 from PIL import Image
 
 from tests.experiments import small_experiment
+from tests.optimisation.objectives import evaluate_rig
 from tests.view.stand_ins import rig
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.experiments.method_figures import draw_method_figure
-from warpav.optimisation.evaluation.metrics import evaluate_rig
 from warpav.rig.rig import Rig
 from warpav.runs import RunDisplay, RunFolder, find_rig, load_scenes
 from warpav.runs.placement import Placement

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.driving_scene import SKY, ConstantDetector, block, car, ego_mesh, roof, vehicle
-from tests.optimisation.objectives import rig_objective, thesis_losses
+from tests.optimisation.objectives import evaluate_rig, rig_objective, thesis_losses
 from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
 from warpav.detection.probability import DetectionProbability
@@ -16,7 +16,6 @@ from warpav.optimisation.evaluation.metrics import (
     GroupRecall,
     ObjectOutcome,
     RigObserver,
-    evaluate_rig,
     observe_scenes,
 )
 from warpav.optimisation.losses.scene_on_tape import AssignedScene

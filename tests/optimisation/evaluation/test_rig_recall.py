@@ -9,13 +9,13 @@ import pytest
 
 from tests.driving_scene import SKY, ConstantDetector, car, vehicle
 from tests.optimisation.evaluation.test_metrics import MODEL, ScriptedDetector, objective_of, rig_of, truth_boxes
+from tests.optimisation.objectives import evaluate_rig
 from tests.raster.test_renderer import FAR_AWAY
 from warpav.detection.observe import observe
 from warpav.optimisation.evaluation.metrics import (
     DISTANCE_EDGES_M,
     EQUAL_FALSE_ALARMS_PER_FRAME,
     GroupRecall,
-    evaluate_rig,
 )
 from warpav.optimisation.evaluation.statistics import paired_differences
 from warpav.optimisation.losses.scene_on_tape import AssignedScene

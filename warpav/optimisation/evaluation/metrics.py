@@ -347,17 +347,6 @@ def _is_in_frame(area_px: np.ndarray) -> np.ndarray:
     return area_px.max(axis=0, initial=0.0) > 0.0
 
 
-def evaluate_rig(
-    rig: Rig,
-    scenes: Sequence[AssignedScene],
-    objective: RigObjective,
-    *,
-    with_objective: bool = True,
-) -> ArmMetrics:
-    """Metrics of a rig on scenes; the arguments are those of `observe_scenes`."""
-    return metrics_of(observe_scenes(rig, scenes, objective, with_objective=with_objective), objective)
-
-
 @dataclass(frozen=True)
 class SceneObservations:
     """Observations of several scenes by one rig."""
