@@ -23,7 +23,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import warpav as wa
-from warpav.runs.scene_set import load_scenes
+from warpav.runs import load_scenes
 from warpav.scene.traffic.files import read_recording, shipped_recordings
 
 colour = {

@@ -118,7 +118,7 @@ def test_the_page_of_names_lists_every_public_name():
 
 
 def test_written_scenes_are_read_in_the_same_order(tmp_path):
-    from warpav.runs.scene_set import load_scenes
+    from warpav.runs import load_scenes
 
     scenes = wa.town([3, 1]) * 6  # twelve files: scene_10 comes after scene_2
     files = wa.write_scenes(scenes, tmp_path / "new" / "folder")
@@ -181,7 +181,7 @@ def test_coverage_is_that_of_the_ground_around_the_vehicle():
 
 
 def test_a_detector_is_read_as_a_placement_reads_it():
-    from warpav.runs.networks import load_detector
+    from warpav.runs import load_detector
 
     (scene,) = wa.town([3])
     rig = wa.Rig((wa.Camera("front", np.array([1.2, 0.0, 1.8]), 0.0, 0.0, 0.0, wa.CameraModel(256, 256, 1.6)),))

@@ -15,16 +15,16 @@ from warpav.rig.presets import preset_rig as preset
 from warpav.rig.rig import Rig, read_rig, write_rig
 from warpav.rig.rig import RigCamera as Camera
 from warpav.runs import losses, robustness
+from warpav.runs._networks import read_detector
+from warpav.runs._result import Result
+from warpav.runs._rig_evaluation import RigEvaluation
+from warpav.runs._run_folder import RunFolder, read_run
 from warpav.runs.config import Config
 from warpav.runs.evaluate import evaluate, highest_rig, random_rig
 from warpav.runs.front import front
 from warpav.runs.jobs import resume
-from warpav.runs.networks import read_detector
 from warpav.runs.optimise import optimise
 from warpav.runs.placement import Placement
-from warpav.runs.result import Result
-from warpav.runs.rig_evaluation import RigEvaluation
-from warpav.runs.run_folder import RunFolder, read_run
 from warpav.scene.files import read_scenes, town, write_scenes
 from warpav.scene.own_vehicle import read_vehicle
 from warpav.scene.scene import Scene

@@ -56,6 +56,6 @@ def test_module_compiles_for_cuda(module, architecture):
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_the_nearest_surface_is_kept_by_native_atomics(architecture):
     # the keys of depth buffers have 64 bits; without the instruction it would be a loop of compare and swap
-    text = ptx("warpav_kernels.raster.rasterise", architecture)
+    text = ptx("warpav_kernels.raster._rasterise", architecture)
     assert re.search(r"\b(atom|red)(\.\w+)*\.max\.s64\b", text)
     assert not re.search(r"\b(atom|red)(\.\w+)*\.cas\.b64\b", text)

@@ -38,7 +38,7 @@ MUTATED = (
     *(f"warpav/rig/{name}.py" for name in ("mount_surface", "chart", "zone", "rig")),
 )
 TESTS = (
-    *("tests/optimisation", "tests/thesis", "tests/raster", "tests/rig", "tests/sight", "tests/evaluation"),
+    *("tests/optimisation", "tests/thesis", "tests/raster", "tests/rig", "tests/sight"),
     *("tests/golden", "tests/core/test_frames.py", "tests/runs/test_rules.py", "tests/runs/test_config.py"),
 )
 COPIED = (

@@ -14,12 +14,12 @@ import trimesh
 from tests.view.stand_ins import needs_opengl
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import write_rig
+from warpav.runs import find_rig
 from warpav.runs.config import load_config
 from warpav.runs.inspect import inspector
-from warpav.runs.rig_source import find_rig
 from warpav.scene.glb import write_scene
 from warpav.scene.town.town import town_scene
-from warpav.view.picture import project_px
+from warpav.view._picture import project_px
 
 pytestmark = needs_opengl
 
@@ -28,7 +28,7 @@ SCENES = ["scenes.source=folder", "scenes.train_seeds=2..5", "scenes.test_seeds=
 OPEN = """
 import sys
 from warpav.runs.inspect import inspector
-from warpav.runs.rig_source import config_for
+from warpav.runs import config_for
 with config_for(sys.argv[1], None, sys.argv[2:], default="quick") as config:
     inspector(sys.argv[1], config, off_screen=True).plotter.show(auto_close=False, interactive=False)
 """

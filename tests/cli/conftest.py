@@ -4,7 +4,7 @@ import pytest
 
 from tests.cli.small_run import RUNS, SMALL
 from warpav.cli.app import main
-from warpav.runs.run_folder import RunFolder
+from warpav.runs import RunFolder
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,7 @@ from tests.cli.small_run import RESUMED_POOL as POOL
 from tests.cli.test_resume import check_same
 from warpav.cli.app import main
 from warpav.core.warp_setup import load_warp
-from warpav.runs.run_folder import RunFolder
+from warpav.runs import RunFolder
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 

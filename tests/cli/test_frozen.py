@@ -8,7 +8,7 @@ import pytest
 from tests.cli.small_run import SMALL, complaint
 from warpav.cli.app import main
 from warpav.rig.rig import read_rig
-from warpav.runs.run_folder import RunFolder
+from warpav.runs import RunFolder
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 

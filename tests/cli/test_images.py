@@ -17,9 +17,8 @@ from tests.view.stand_ins import needs_opengl
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.rig.rig import rig_text
+from warpav.runs import RunFolder, config_for
 from warpav.runs.inspect import inspector
-from warpav.runs.rig_source import config_for
-from warpav.runs.run_folder import RunFolder
 from warpav.scene.town.town import town_scene
 from warpav.view import Canvas, drawing_of
 

@@ -16,7 +16,7 @@ import pytest
 from tests.cli.small_run import SMALL
 from warpav.cli.app import main
 from warpav.core.warp_setup import load_warp
-from warpav.runs.run_folder import RunFolder
+from warpav.runs import RunFolder
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 

@@ -11,9 +11,9 @@ from tests.cli.small_run import complaint
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.rig.rig import Rig
+from warpav.runs import RunFolder
 from warpav.runs._drawn_run import COMPARED_KINDS, FITTING_KINDS, fitting
 from warpav.runs.inspect import asked_plots
-from warpav.runs.run_folder import RunFolder
 from warpav.scene.town.town import town_scene
 from warpav.view import Canvas, drawing_of, kinds_of
 

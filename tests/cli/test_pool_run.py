@@ -10,7 +10,7 @@ from tests.cli.small_run import SMALL, complaint
 from warpav.cli.app import main
 from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.selection.select import BranchAndBound
-from warpav.runs.run_folder import RunFolder
+from warpav.runs import RunFolder
 from warpav.scene.glb import write_scene
 from warpav.scene.town.town import town_scene
 

@@ -7,7 +7,7 @@ import pytest
 from tests.cli.small_run import complaint
 from tests.cli.test_pool_run import POOL
 from warpav.cli.app import main
-from warpav.runs.run_folder import RunFolder
+from warpav.runs import RunFolder
 
 pytestmark = pytest.mark.usefixtures("working_directory", "short_polish")
 

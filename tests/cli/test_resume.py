@@ -19,7 +19,7 @@ from tests.cli.small_run import RESUMED_POOL as POOL
 from tests.cli.small_run import RUNS, complaint
 from warpav.cli.app import main
 from warpav.core.files import DRAFT
-from warpav.runs.run_folder import RunFolder
+from warpav.runs import RunFolder
 
 pytestmark = pytest.mark.usefixtures("working_directory")
 

@@ -10,9 +10,9 @@ import pytest
 
 from tests.cli.small_run import SMALL
 from warpav.cli.app import main
-from warpav.evaluation.metrics import OPTIONAL_METRICS
-from warpav.runs.rig_evaluation import TABLE_ROWS
-from warpav.runs.run_folder import RunFolder
+from warpav.optimisation.evaluation.metrics import OPTIONAL_METRICS
+from warpav.runs import RunFolder
+from warpav.runs._rig_evaluation import TABLE_ROWS
 from warpav.thesis.descent import Descent
 
 pytestmark = pytest.mark.usefixtures("working_directory")

@@ -9,8 +9,8 @@ from tests.scene.traffic.recordings import street, track, write
 from tests.scene.traffic.test_files import BOMB, scenario
 from warpav.cli.app import main
 from warpav.core.errors import InputError
+from warpav.runs import load_scenes
 from warpav.runs.config import load_config
-from warpav.runs.scene_set import load_scenes
 from warpav.scene.files import read_scenes
 
 

@@ -11,7 +11,7 @@ from tests.cli.test_pool_run import POOL
 from warpav.cli.app import main
 from warpav.rig.chart import chart_of
 from warpav.rig.zone import read_zones
-from warpav.runs.run_folder import RunFolder
+from warpav.runs import RunFolder
 from warpav.scene.own_vehicle import write_vehicle
 from warpav.scene.town.town import ego_vehicle
 

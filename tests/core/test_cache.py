@@ -90,7 +90,7 @@ def test_changed_code_gives_another_fingerprint(copied_code, code, file):
         "warpav/scene/design.md",
         "warpav/scene/capture/folder.py",
         "warpav/rig/rig.py",
-        "warpav/view/picture.py",
+        "warpav/view/_picture.py",
         "warpav_kernels/raster/measure.py",
     ],
 )

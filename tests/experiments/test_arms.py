@@ -17,9 +17,9 @@ from warpav.optimisation.settings import LOSSES
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import write_rig
+from warpav.runs import RunDisplay
 from warpav.runs.config import load_config, option_values
 from warpav.runs.placement import Placement
-from warpav.runs.progress import RunDisplay
 from warpav.thesis.descent import descent_camera_renders
 
 needs_cma = pytest.mark.skipif(importlib.util.find_spec("cma") is None, reason="cma is not installed")

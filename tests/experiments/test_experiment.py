@@ -13,10 +13,9 @@ from warpav.experiments import experiment as module
 from warpav.experiments._arms import Arm, Method
 from warpav.experiments.experiment import run_study
 from warpav.rig.rig import read_rig
-from warpav.runs.environment import git_commit
+from warpav.runs import RunDisplay, git_commit
 from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement
-from warpav.runs.progress import RunDisplay
 
 
 @pytest.fixture(scope="module")

@@ -8,20 +8,17 @@ import pytest
 from PIL import Image
 
 from tests.experiments import small_experiment
+from tests.optimisation.objectives import evaluate_rig
 from tests.view.stand_ins import rig
 from warpav.cli.app import main
 from warpav.core.errors import InputError
-from warpav.evaluation.metrics import evaluate_rig
 from warpav.experiments.method_figures import draw_method_figure
 from warpav.rig.rig import Rig
+from warpav.runs import RunDisplay, RunFolder, find_rig, load_scenes
 from warpav.runs.placement import Placement
-from warpav.runs.progress import RunDisplay
-from warpav.runs.rig_source import find_rig
-from warpav.runs.run_folder import RunFolder
-from warpav.runs.scene_set import load_scenes
-from warpav.view.figures import rigs
-from warpav.view.figures.rigs import covered_rad
-from warpav.view.palette import MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb
+from warpav.view._palette import MISS_RGB, TRUE_POSITIVE_RGB, camera_rgb
+from warpav.view.figures import _rigs as rigs
+from warpav.view.figures._rigs import covered_rad
 
 WIDE_STEPS = "optimiser.learning_rate_position_m=4"  # the surface is 2 m wide
 # large enough, and asking for little enough, that something is found
@@ -72,7 +69,7 @@ def count(image, rgb, tolerance=12.0):
 
 def lines(axis, colour_index):
     """x and y of the lines in a camera's colour, those of more than one point."""
-    from warpav.view.palette import hex_colour
+    from warpav.view import hex_colour
 
     colour = hex_colour(camera_rgb(colour_index))
     return [line.get_xydata() for line in axis.lines if line.get_color() == colour and len(line.get_xydata()) > 1]

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from warpav.core.errors import InputError
-from warpav.evaluation.statistics import paired_difference
 from warpav.experiments.rows import MARK, filled_page, read_rows, rows_of, table_of, write_rows
+from warpav.optimisation.evaluation.statistics import paired_difference
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "docs" / "results.csv"

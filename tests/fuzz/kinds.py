@@ -29,10 +29,10 @@ from warpav.rig.catalogue import read_modules
 from warpav.rig.formats.convert import ImportOptions, export_rig, import_rig_with_notes
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
 from warpav.rig.zone import read_zones
+from warpav.runs import RunFolder
+from warpav.runs._networks import _description
 from warpav.runs.config import load_config
-from warpav.runs.networks import _description
 from warpav.runs.report._content import read_content
-from warpav.runs.run_folder import RunFolder
 from warpav.scene.capture.folder import read_capture, record_capture
 from warpav.scene.fleet import _Stated
 from warpav.scene.glb import read_scene, write_scene

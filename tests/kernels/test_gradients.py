@@ -14,7 +14,8 @@ from warpav.raster.camera import CameraModel
 from warpav_kernels.detection import detection_probability
 from warpav_kernels.experiments import benchmark
 from warpav_kernels.placement import constraint_losses, expected_misses, lagrangian, mount_pose
-from warpav_kernels.raster import linearise, measure
+from warpav_kernels.raster import _measure as measure
+from warpav_kernels.raster import linearise
 from warpav_kernels.thesis import losses as thesis
 
 VIEWS, CAMERAS, VEHICLES, ROTATIONS = 4, 2, 3, 2

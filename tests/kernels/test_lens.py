@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 from warpav.raster.lens import Lens, LensShape
-from warpav_kernels.raster import lens
+from warpav_kernels.raster import _lens as lens
 
 KINDS = {
     Lens.PINHOLE: int(lens.PINHOLE),

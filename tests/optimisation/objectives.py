@@ -8,6 +8,7 @@ import warp as wp
 
 from warpav.detection.detector import Detector
 from warpav.optimisation._scene_step import Exchange, Objective, RigViews, SceneStep
+from warpav.optimisation.evaluation.metrics import metrics_of, observe_scenes
 from warpav.optimisation.losses.loss import LossOptions, LossSchedule, Reference, losses_of
 from warpav.optimisation.losses.scene_on_tape import AssignedScene, CameraProbability
 from warpav.optimisation.mount import CameraMount
@@ -78,3 +79,8 @@ class OneScene:
         loss = self.step.losses.value.numpy().copy()
         tape.backward()
         return loss, self.exchange.pose.grad.numpy().copy()
+
+
+def evaluate_rig(rig, scenes, objective, **options):
+    """Metrics of a rig on scenes; the arguments are those of `observe_scenes`."""
+    return metrics_of(observe_scenes(rig, scenes, objective, **options), objective)

@@ -12,9 +12,9 @@ import warpav as wa
 from tests.driving_scene import SilentDetector, packed_street, street
 from tests.optimisation.test_pool import cameras_of
 from warpav.core.errors import InputError
-from warpav.evaluation.metrics import RigObserver
 from warpav.optimisation._camera_jacobians import placing_slope
 from warpav.optimisation.constraints import ZoneAndSpacing
+from warpav.optimisation.evaluation.metrics import RigObserver
 from warpav.optimisation.mount import HEIGHT_DELTA_M, PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount
 from warpav.optimisation.objective import ObjectiveOptions
 from warpav.optimisation.pool import spread_mount_poses

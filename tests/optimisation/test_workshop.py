@@ -19,8 +19,8 @@ from warpav.rig.chart import chart_of, with_middles
 from warpav.rig.module import Housing, Module, Price, Role
 from warpav.rig.rig import RigCamera
 from warpav.rig.zone import NORMALS, Zone
+from warpav.runs._mounts import made_symmetric
 from warpav.runs.config import load_config
-from warpav.runs.mounts import made_symmetric
 
 CAR = wa.town([0])[0].ego
 

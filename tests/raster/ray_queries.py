@@ -8,10 +8,10 @@ import warp as wp
 
 from warpav.raster.buffers import Buffers
 from warpav.raster.scene import Scene
-from warpav_kernels.raster.layers import NEAR_CUT, Layers, place_in, step_of
-from warpav_kernels.raster.rasterise import LEAST_OFFSET
-from warpav_kernels.raster.trace import first_hit
-from warpav_kernels.raster.view import View, inverse_depth_of, ray_between, sample_ray
+from warpav_kernels.raster._layers import NEAR_CUT, Layers, place_in, step_of
+from warpav_kernels.raster._rasterise import LEAST_OFFSET
+from warpav_kernels.raster._trace import first_hit
+from warpav_kernels.raster._view import View, inverse_depth_of, ray_between, sample_ray
 
 wp.set_module_options({"enable_backward": False})
 

@@ -9,9 +9,9 @@ import warpav as wa
 from tests.cli.small_run import SMALL
 from tests.detection.test_probability import model_of
 from warpav.rig.rig import Rig, RigCamera
-from warpav.runs.events import Certificate
+from warpav.runs._events import Certificate
 from warpav.runs.report.report import write_report
-from warpav.view.opengl import opengl_problem
+from warpav.view import opengl_problem
 
 BASE = [
     *(each for each in SMALL if not each.startswith(("losses", "run.pictures"))),

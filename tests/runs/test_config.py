@@ -6,6 +6,7 @@ import pytest
 
 from warpav.core.errors import InputError, OptionError
 from warpav.optimisation.mount import FreeRanges
+from warpav.runs._mounts import camera_model, free_ranges
 from warpav.runs.config import (
     Config,
     config_names,
@@ -16,7 +17,6 @@ from warpav.runs.config import (
     overrides_from,
     placed_config,
 )
-from warpav.runs.mounts import camera_model, free_ranges
 
 
 @pytest.fixture

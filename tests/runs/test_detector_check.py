@@ -6,8 +6,8 @@ import pytest
 
 from warpav.cli.app import main
 from warpav.runs import detector_check
+from warpav.runs._networks import detector_use, load_detector
 from warpav.runs.config import load_config
-from warpav.runs.networks import detector_use, load_detector
 
 pytest.importorskip("onnx")
 

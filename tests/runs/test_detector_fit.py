@@ -17,9 +17,9 @@ from warpav.detection.probability_fit import DetectionSamples, score
 from warpav.raster.camera import CameraModel
 from warpav.runs import _detector_samples as detector_samples
 from warpav.runs import detector_fit
+from warpav.runs._networks import any_camera_config, any_camera_use, detector_use
 from warpav.runs.config import load_config
 from warpav.runs.detector_fit import chosen_seeds
-from warpav.runs.networks import any_camera_config, any_camera_use, detector_use
 from warpav.scene.traffic.moments import search_and_test
 
 

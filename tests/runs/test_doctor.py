@@ -5,7 +5,7 @@ import json
 import pytest
 
 from warpav.core.errors import InputError
-from warpav.runs import doctor
+from warpav.runs import _doctor as doctor
 
 
 def test_a_healthy_machine_passes_every_check(tmp_path, capsys):

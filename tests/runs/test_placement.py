@@ -7,9 +7,9 @@ import warpav as wa
 from warpav.cli.app import main
 from warpav.detection.detector import Detections
 from warpav.rig.rig import write_rig
+from warpav.runs import RunFolder
 from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement
-from warpav.runs.run_folder import RunFolder
 from warpav.scene.town.town import ego_vehicle
 
 SMALL = [

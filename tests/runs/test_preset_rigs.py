@@ -12,13 +12,12 @@ import pytest
 import warpav as wa
 from warpav.core.errors import InputError
 from warpav.core.progress import NullProgress
-from warpav.evaluation.metrics import observe_scenes
+from warpav.optimisation.evaluation.metrics import observe_scenes
 from warpav.rig.check import off_vehicle
 from warpav.rig.rig import Rig, write_rig
+from warpav.runs import find_rig, preset_for
 from warpav.runs.config import load_config
 from warpav.runs.evaluate import evaluate_on, highest_rig
-from warpav.runs.mounts import preset_for
-from warpav.runs.rig_source import find_rig
 from warpav.scene.own_vehicle import read_vehicle
 from warpav.scene.town.town import ego_vehicle
 from warpav.scene.vehicles import file_of

@@ -13,9 +13,9 @@ from warpav.optimisation._camera_loss import RobustObjective
 from warpav.optimisation.mount_errors import MountErrors
 from warpav.optimisation.objective import single_cameras_of
 from warpav.optimisation.single_cameras import MisplacedCameras
+from warpav.runs._rig_evaluation import Robust
 from warpav.runs.config import Config, dump_config, load_config
-from warpav.runs.report.statements import _robust_text
-from warpav.runs.rig_evaluation import Robust
+from warpav.runs.report._statements import _robust_text
 
 MEAN = ["robust.camera_loss=mean", "robust.weight=0.3"]
 ERRORS = ["robust.mount_error_m=5 cm", "robust.mount_error_deg=3"]

@@ -9,9 +9,9 @@ import warpav as wa
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.rig.module import PLAIN
+from warpav.runs import find_rig
+from warpav.runs._mounts import camera_mount, rig_limits
 from warpav.runs.config import Config, load_config
-from warpav.runs.mounts import camera_mount, rig_limits
-from warpav.runs.rig_source import find_rig
 from warpav.sight.rules import Rules
 
 

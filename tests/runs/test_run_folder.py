@@ -16,8 +16,8 @@ from warpav.raster.camera import CameraModel
 from warpav.rig.presets import preset_rig
 from warpav.rig.rig import Rig, RigCamera, read_rig, write_rig
 from warpav.runs._checkpoint import check_options
+from warpav.runs._run_folder import RunFolder, check_new_run, held_run, new_run_folder
 from warpav.runs.config import load_config
-from warpav.runs.run_folder import RunFolder, check_new_run, held_run, new_run_folder
 
 
 @dataclasses.dataclass
@@ -230,7 +230,7 @@ def test_a_folder_of_which_no_run_was_made_goes_again(tmp_path):
 
 
 def test_one_process_at_a_time_holds_a_folder(folder):
-    held = "import time; from warpav.runs.run_folder import RunFolder, held_run\n"
+    held = "import time; from warpav.runs._run_folder import RunFolder, held_run\n"
     held += "with held_run(RunFolder.open('runs/quick')): print(1, flush=True); time.sleep(60)"
     with subprocess.Popen([sys.executable, "-c", held], stdout=subprocess.PIPE) as other:
         assert other.stdout.readline() == b"1\n"

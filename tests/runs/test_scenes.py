@@ -10,11 +10,9 @@ import pytest
 from tests.scene.test_files import bytes_of, content, remove, shorten
 from warpav.cli.app import main
 from warpav.raster.mesh import Mesh
+from warpav.runs import RunDisplay, RunFolder, load_scenes
 from warpav.runs.config import load_config
 from warpav.runs.placement import Placement
-from warpav.runs.progress import RunDisplay
-from warpav.runs.run_folder import RunFolder
-from warpav.runs.scene_set import load_scenes
 from warpav.scene.scene import Box, Scene, Vehicle
 
 pytestmark = pytest.mark.usefixtures("working_directory")

@@ -14,8 +14,8 @@ from warpav.detection.images import render_images
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import RigCamera
+from warpav.runs import load_scenes
 from warpav.runs.config import load_config
-from warpav.runs.scene_set import load_scenes
 from warpav.scene.glb import write_scene
 from warpav.scene.scene import ROAD_USERS, Box, Scene, Vehicle
 from warpav.scene.town.town import town_scene

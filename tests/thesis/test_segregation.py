@@ -9,7 +9,7 @@ import pytest
 from tests.driving_scene import packed_street
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.raster.camera import CameraModel
-from warpav.thesis.segregation import BatchChooser, areas_around, assign_vehicles, choose_orientations
+from warpav.thesis.segregation import BatchChooser, areas_around, cameras_of, choose_orientations
 
 MODEL = CameraModel(48, 48, math.pi / 2)
 ORIGIN = np.array([1.2, 0.0, 1.0])
@@ -44,14 +44,14 @@ def test_orientations_equal_brute_force(rng, camera_count, rotation_count):
 def test_areas_around_look_the_way_they_say(device):
     scene = packed_street(device)
     yaw = np.array([0.0, 0.5, 1.0, -0.5]) * math.pi
-    area = areas_around([scene], yaw, ORIGIN, MODEL, device=device)[0]
+    area = areas_around([scene.raster], yaw, ORIGIN, MODEL, device=device)[0]
     assert area.shape == (10, 4)
     # the cars of the street: ahead (0), to the left (6), behind (5), to the right (7)
     assert area[[0, 6, 5, 7]].argmax(axis=1).tolist() == [0, 1, 2, 3]
 
 
 def test_segregation_and_assignment_of_rendered_scenes(device):
-    scenes = [packed_street(device), packed_street(device, 4, 1), packed_street(device, 2, 2)]
+    scenes = [packed_street(device, *which).raster for which in ((), (4, 1), (2, 2))]
     areas = areas_around(scenes, np.arange(8) * math.pi / 4, ORIGIN, MODEL, device=device)
     result = choose_orientations(areas, 3, 8, np.random.default_rng(0))
     seen, duplicates, winners = brute_force(areas, 3, 8)
@@ -59,18 +59,17 @@ def test_segregation_and_assignment_of_rendered_scenes(device):
     chosen = tuple(np.round(result.yaw_rad / (math.pi / 4)).astype(int))
     assert chosen in winners
     assert tuple(result.rotation) == chosen
-    assigned = assign_vehicles(scenes, [area[:, result.rotation] for area in areas])
+    assigned = [cameras_of(area[:, result.rotation]) for area in areas]
     # what cameras in these directions alone would see
     alone = areas_around(scenes, result.yaw_rad, ORIGIN, MODEL, device=device)
-    for one, other in zip(assigned, assign_vehicles(scenes, alone), strict=True):
-        np.testing.assert_array_equal(one.assigned_camera, other.assigned_camera)
-    for area, scene, item in zip(areas, scenes, assigned, strict=True):
-        assert item.scene is scene
+    for one, area in zip(assigned, alone, strict=True):
+        np.testing.assert_array_equal(one, cameras_of(area))
+    for area, camera in zip(areas, assigned, strict=True):
         mine = area[:, chosen]
         expected = [int(row.argmax()) if row.any() else -1 for row in mine]
-        assert item.assigned_camera.tolist() == expected
-        assert item.assigned_camera.dtype == np.int32
-    everyone = np.concatenate([item.assigned_camera for item in assigned])
+        assert camera.tolist() == expected
+        assert camera.dtype == np.int32
+    everyone = np.concatenate(assigned)
     assert np.count_nonzero(everyone >= 0) == seen
 
 

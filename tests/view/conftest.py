@@ -2,8 +2,7 @@
 
 import pytest
 
-from warpav.view import Canvas
-from warpav.view.picture import Picture, rig_plotter
+from warpav.view import Canvas, Picture, rig_plotter
 
 WINDOW_PX = (480, 300)
 

@@ -21,9 +21,9 @@ from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.rig.rig import read_rig, write_rig
 from warpav.scene.glb import write_scene
-from warpav.view import browser as module
-from warpav.view.inspector import TURN_DEG
-from warpav.view.palette import camera_rgb
+from warpav.view import _browser as module
+from warpav.view._inspector import TURN_DEG
+from warpav.view._palette import camera_rgb
 
 pytest.importorskip("trame.app")
 CHROMIUM = find_chromium()

@@ -8,8 +8,8 @@ import pytest
 from tests.view.stand_ins import block, needs_opengl
 from warpav.scene.reconstruction.point_cloud import PointCloud
 from warpav.scene.scene import Box
-from warpav.view.figures.clouds import Viewpoint, cloud_image
-from warpav.view.palette import camera_rgb
+from warpav.view._palette import camera_rgb
+from warpav.view.figures._clouds import Viewpoint, cloud_image
 
 pytestmark = needs_opengl
 

@@ -8,15 +8,11 @@ import pytest
 from tests.view.stand_ins import ego, near, pixels, rig
 from warpav.core.errors import InputError
 from warpav.detection.detector import Detections
-from warpav.evaluation.metrics import CameraObservation
+from warpav.optimisation.evaluation.metrics import CameraObservation
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import Rig
-from warpav.view.figures.convergence import _running_mean, loss_figure, search_figure
-from warpav.view.figures.from_above import further_figure, top_view_figure
-from warpav.view.figures.images import detections_sheet
-from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH, save_figure
-from warpav.view.palette import (
+from warpav.view._palette import (
     FALSE_POSITIVE_RGB,
     FURTHER_RGB,
     MISS_RGB,
@@ -24,6 +20,9 @@ from warpav.view.palette import (
     camera_rgb,
     further_map,
 )
+from warpav.view.figures import detections_sheet, further_figure, top_view_figure
+from warpav.view.figures._convergence import _running_mean, loss_figure, search_figure
+from warpav.view.figures._style import DOTS_PER_INCH, WIDTH_INCH, save_figure
 
 
 def surface():

@@ -15,8 +15,8 @@ from warpav.rig.rig import Rig, RigCamera
 from warpav.scene.scene import Scene
 from warpav.view import Canvas, drawing_of, kinds_of, plot
 from warpav.view.figures import around
-from warpav.view.figures.from_above import camera_handles, ring_radii_m
-from warpav.view.figures.style import new_figure
+from warpav.view.figures._from_above import camera_handles, ring_radii_m
+from warpav.view.figures._style import new_figure
 
 KINDS = ("plan", "range", "near_field", "redundancy", "resolution", "contact")
 

@@ -8,7 +8,7 @@ import pytest
 
 from tests.driving_scene import ConstantDetector, flat_surface
 from tests.view.stand_ins import rig, scene, vehicle
-from warpav.evaluation.metrics import RigObserver
+from warpav.optimisation.evaluation.metrics import RigObserver
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.optimisation.objective import ObjectiveOptions
 from warpav.raster.decide import Occlusion
@@ -18,13 +18,10 @@ from warpav.sight.check import check_requirements
 from warpav.sight.ground import PATCH_M, Ground
 from warpav.sight.requirement import SIZES_M, Band, Requirement, TestObject
 from warpav.thesis.constraints import BoundsAndSpacing
-from warpav.view import Canvas
-from warpav.view.inspected import InspectedRig
-from warpav.view.inspector import Inspector
-from warpav.view.layers import _ARROW_M, _GAIN_TITLE, Steepest
-from warpav.view.opengl import opengl_problem
-from warpav.view.palette import COVERAGE_RGB, FALSE_POSITIVE_RGB, MISS_RGB, camera_rgb
-from warpav.view.picture import project_px
+from warpav.view import Canvas, InspectedRig, Inspector, opengl_problem
+from warpav.view._layers import _ARROW_M, _GAIN_TITLE, Steepest
+from warpav.view._palette import COVERAGE_RGB, FALSE_POSITIVE_RGB, MISS_RGB, camera_rgb
+from warpav.view._picture import project_px
 
 CAR = vehicle(1, 9.0, 0.5)
 SCENES = [scene(CAR), scene(vehicle(1, -8.0, -2.0), vehicle(2, 12.0, 3.0))]

@@ -8,7 +8,7 @@ import pytest
 
 from tests.driving_scene import flat_surface
 from tests.view.stand_ins import block, ego, needs_opengl, rig, scene, vehicle
-from warpav.evaluation.metrics import ObjectOutcome
+from warpav.optimisation.evaluation.metrics import ObjectOutcome
 from warpav.optimisation.further_camera import PLACE_M, FurtherCameras
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens
@@ -21,8 +21,9 @@ from warpav.scene.device_scene import DeviceScene
 from warpav.sight.check import check_requirements
 from warpav.sight.ground import Ground
 from warpav.sight.requirement import SIZES_M, Band, Requirement, TestObject
-from warpav.view import layers, plot
-from warpav.view.layers import (
+from warpav.view import _layers as layers
+from warpav.view import plot, render_rgb
+from warpav.view._layers import (
     _GAIN_TITLE,
     _LONGEST_M,
     _WIDEST_RAD,
@@ -32,10 +33,9 @@ from warpav.view.layers import (
     gain_to_pyvista,
     zones_to_pyvista,
 )
-from warpav.view.opengl import load_pyvista
-from warpav.view.output import render_rgb
-from warpav.view.palette import COVERAGE_RGB, OUTCOME_RGB, zone_rgb
-from warpav.view.picture import project_px
+from warpav.view._opengl import load_pyvista
+from warpav.view._palette import COVERAGE_RGB, OUTCOME_RGB, zone_rgb
+from warpav.view._picture import project_px
 
 STREET = scene(vehicle(1, 9.0, 2.5), vehicle(2, -8.0, -2.5))
 BOX = block((-1.0, -0.8, 0.2), (3.0, 0.8, 1.4), (90, 95, 100))

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from warpav.core.errors import InputError
-from warpav.view import opengl
+from warpav.view import _opengl as opengl
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ def test_data_needs_no_opengl(tmp_path):
     code = (
         "from tests.view.stand_ins import ego, rig, scene\n"
         "from warpav.view import accessor, blocks\n"
-        "from warpav.view.opengl import opengl_problem\n"
+        "from warpav.view import opengl_problem\n"
         "assert opengl_problem() is not None\n"
         "street = scene().to_pyvista()\n"
         "car = blocks.mesh_to_pyvista(ego())\n"
@@ -143,7 +143,7 @@ def test_optional_module_says_how_to_get_it():
 
 def test_importing_the_views_imports_neither_pyvista_nor_matplotlib():
     code = (
-        "import sys, warpav.view.figures, warpav.view.output; "
+        "import sys, warpav.view.figures, warpav.view._output; "
         "print([name for name in ('pyvista', 'vtkmodules', 'matplotlib', 'warp') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -12,11 +12,8 @@ from tests.view.stand_ins import needs_opengl, rig, scene, vehicle
 from warpav.core.errors import InputError
 from warpav.scene.device_scene import DeviceScene
 from warpav.sight.ground import Ground
-from warpav.view import Canvas
-from warpav.view import page as module
-from warpav.view.layers import add_coverage, patch_words
-from warpav.view.output import save_page
-from warpav.view.picture import Picture, add_range_rings, rig_plotter
+from warpav.view import Canvas, Picture, add_coverage, add_range_rings, patch_words, rig_plotter, save_page
+from warpav.view import _page as module
 
 pytest.importorskip("k3d")
 pytestmark = needs_opengl

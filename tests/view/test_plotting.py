@@ -14,8 +14,8 @@ from warpav.rig.mount_surface import mount_surface_from_mesh
 from warpav.rig.rig import Rig
 from warpav.scene.scene import Scene
 from warpav.view import Canvas, drawing_of, draws, kinds_of, plot
-from warpav.view.output import ANIMATION_PX, Animation
-from warpav.view.picture import Picture, project_px, rig_plotter
+from warpav.view._output import ANIMATION_PX, Animation
+from warpav.view._picture import Picture, project_px, rig_plotter
 
 SMALL = (160, 100)
 
@@ -68,7 +68,7 @@ def test_without_a_file_it_is_shown(tmp_path, monkeypatch):
     assert shown.shape == (100, 160, 3)
     assert (tmp_path / "shot.png").is_file()
     monkeypatch.setattr("warpav.view._plotting.has_display", lambda: False)
-    monkeypatch.setattr("warpav.view.picture.has_display", lambda: False)
+    monkeypatch.setattr("warpav.view._picture.has_display", lambda: False)
     monkeypatch.setattr("pyvista.OFF_SCREEN", False)
     with pytest.raises(InputError, match=r"plot: expected a display .* write a file instead, such as plot"):
         rig().plot()
@@ -140,7 +140,7 @@ def registered():
         if canvas.is_animation:
             images = (np.full((20, 30, 3), 60 * k, np.uint8) for k in range(count))
             return Animation(images, count, frame_s=0.1)
-        from warpav.view.figures.style import new_figure
+        from warpav.view.figures._style import new_figure
 
         figure = new_figure(2.0, 1.0)
         figure.subplots().plot(range(count))

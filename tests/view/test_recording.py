@@ -20,9 +20,9 @@ from warpav.core.errors import InputError
 from warpav.detection.images import render
 from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
-from warpav.view.figures.images import own_body_tinted
-from warpav.view.palette import camera_rgb
-from warpav.view.recording import _TIMELINE, _shown_iterations, run_animation, write_recording
+from warpav.view._palette import camera_rgb
+from warpav.view._recording import _TIMELINE, _shown_iterations, run_animation, write_recording
+from warpav.view.figures import own_body_tinted
 
 FISHEYE = RigCamera(
     "wide", np.array([1.0, 1.0, 1.0]), 1.5, 0.3, 0.0, CameraModel(128, 96, math.radians(190.0), lens="fisheye")
@@ -90,7 +90,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, str(Path({root!r})))
 from tests.view.stand_ins import rig, scene
-from warpav.view.recording import write_recording
+from warpav.view import write_recording
 import os
 write_recording({path!r}, rig(1), scene())
 handles = {{os.readlink(each) for each in Path("/proc/self/fd").iterdir() if each.is_symlink()}}

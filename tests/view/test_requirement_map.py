@@ -10,8 +10,8 @@ import warpav as wa
 from tests.sight.test_area import box
 from warpav.raster.camera import CameraModel
 from warpav.sight.requirement import SIZES_M, Band, Polygon, Requirement, TestObject
+from warpav.view._palette import COVERAGE_RGB
 from warpav.view.figures.around import requirement_map
-from warpav.view.palette import COVERAGE_RGB
 
 
 def count_of(image, rgb):

@@ -12,13 +12,13 @@ from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera
 from warpav.view import plot
 from warpav.view._outlines import seen_ground_m
-from warpav.view.figures.rig_sheet import (
+from warpav.view._palette import camera_rgb, hex_colour
+from warpav.view.figures._rig_sheet import (
     _field_of_view_rad,
     _horizontal_arcs_rad,
     _vertical_arcs_rad,
     rig_sheet,
 )
-from warpav.view.palette import camera_rgb, hex_colour
 
 EXACT_RAD = 1e-7  # worst seen 3e-9: a quarter of a degree halved thirty times, and float64
 

@@ -16,10 +16,12 @@ from warpav.scene.glb import write_scene
 from warpav.scene.reconstruction.point_cloud import fuse
 from warpav.scene.reconstruction.settings import CloudSettings, MeshSettings, ReconstructionSettings
 from warpav.scene.scene import Box
-from warpav.view.figures import clouds, images, rigs
-from warpav.view.figures.clouds import BACKGROUND_RGB
-from warpav.view.figures.style import DOTS_PER_INCH, WIDTH_INCH, count_text
-from warpav.view.palette import camera_rgb
+from warpav.view._palette import camera_rgb
+from warpav.view.figures import _clouds as clouds
+from warpav.view.figures import _images as images
+from warpav.view.figures import _rigs as rigs
+from warpav.view.figures._clouds import BACKGROUND_RGB
+from warpav.view.figures._style import DOTS_PER_INCH, WIDTH_INCH, count_text
 
 WIDTH_PX = WIDTH_INCH * DOTS_PER_INCH
 COARSE = ReconstructionSettings(

@@ -103,7 +103,7 @@ def loaded(config: str, overrides: Sequence[str]) -> Settings:
 
 def of_rig(rig: str, config: str | None, overrides: Sequence[str]) -> AbstractContextManager[Settings]:
     """The same of a command about a rig: the given one, else that of the run folder, else the default."""
-    from warpav.runs.rig_source import config_for
+    from warpav.runs import config_for
 
     return config_for(rig, config, overrides, default=DEFAULT_CONFIG)
 

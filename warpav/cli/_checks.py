@@ -110,7 +110,7 @@ def _modules_check(file: Annotated[Path, Parameter(help="Catalogue, YAML.")], /)
 
 def doctor(*, json: Annotated[Path | None, Parameter(help="File to write the findings to.")] = None) -> int:
     """Check this machine: versions, devices, OpenGL, cache, a self-test of the renderer."""
-    from warpav.runs.doctor import examine
+    from warpav.runs import examine
 
     return examine(json_file=json)
 
@@ -135,7 +135,7 @@ def bench(
 ) -> None:
     """Measure the renderer on a benchmark, score its gradient, and set it beside other renderers."""
     from warpav.experiments.bench.run import BenchOptions, run_bench
-    from warpav.runs.progress import RunDisplay
+    from warpav.runs import RunDisplay
 
     with RunDisplay() as display:
         options = BenchOptions(device, lens, items, supersample, repeat, embree, sweep)

@@ -52,9 +52,9 @@ def detector_fit(
     ] = False,
 ) -> None:
     """Fit the probability that the detector finds an object to what a view shows of it; a stored fit is used again."""
+    from warpav.runs import RunDisplay
     from warpav.runs.config import read_seeds
     from warpav.runs.detector_fit import fit_detector
-    from warpav.runs.progress import RunDisplay
 
     chosen = [
         None if seeds is None else read_seeds(seeds, place=f"command line (--{name})")
@@ -92,10 +92,9 @@ def _detector_score(
     out: Annotated[Path | None, Parameter(help="Folder for scores.json, scores.md and reliability diagrams.")] = None,
 ) -> None:
     """Measure how well the fitted detection probability holds on other scenes, of any level or source."""
+    from warpav.runs import RunDisplay, check_panel_options
     from warpav.runs.config import read_seeds
     from warpav.runs.detector_fit import score_detectors
-    from warpav.runs.networks import check_panel_options
-    from warpav.runs.progress import RunDisplay
 
     if panel is not None:
         check_panel_options(overrides)
@@ -133,8 +132,7 @@ def _detector_train(
     stop_after_minutes: Annotated[float, Parameter(help="Stop earlier; the same command continues.")] = float("inf"),
 ) -> None:
     """Train the shipped detector on images of town scenes; the same command resumes an interrupted training."""
-    from warpav.detection.training import TrainingOptions
     from warpav.runs.detector_training import train_detector
 
-    options = TrainingOptions(device, processes, steps, batch_size, seed, stop_after_minutes)
-    train_detector(out, options, image_folder=image_folder, say=say)
+    options = {"device": device, "processes": processes, "steps": steps, "batch_size": batch_size, "seed": seed}
+    train_detector(out, image_folder=image_folder, say=say, stop_after_minutes=stop_after_minutes, **options)

@@ -77,8 +77,8 @@ def experiment(
     from warpav.core.errors import ArgumentError
     from warpav.experiments.experiment import run_study
     from warpav.experiments.study import find_study
+    from warpav.runs import RunDisplay
     from warpav.runs.config import placed_config
-    from warpav.runs.progress import RunDisplay
 
     if config is not None and "=" in config:
         config, overrides = None, (config, *overrides)
@@ -120,9 +120,8 @@ def _experiment_rescore(
         plan_rescore,
         run_rescores,
     )
+    from warpav.runs import RunDisplay, check_panel_options
     from warpav.runs.config import placed_config
-    from warpav.runs.networks import check_panel_options
-    from warpav.runs.progress import RunDisplay
 
     given = executor_overrides(executor, workers, address)
     check_rescored_options(overrides, needs_some=panel is None)

@@ -90,7 +90,7 @@ def _rig_export(
 ) -> None:
     """Write a rig for another tool."""
     from warpav.rig.formats.convert import export_rig_with_notes
-    from warpav.runs.rig_source import rig_to_export
+    from warpav.runs import rig_to_export
 
     files, notes = export_rig_with_notes(
         rig_to_export(rig),
@@ -117,7 +117,7 @@ def _rig_check(
     """List the cameras of a rig, what is wrong or odd about them, and the formats that hold them all."""
     from warpav.rig.check import description, mirrored_cameras, oddities
     from warpav.rig.formats.convert import formats_for
-    from warpav.runs.rig_source import is_run_folder, rig_to_export
+    from warpav.runs import is_run_folder, rig_to_export
 
     found = rig_to_export(rig)
     for camera in found.cameras:

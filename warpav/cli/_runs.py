@@ -42,14 +42,14 @@ def optimise(
     ] = None,
 ) -> None:
     """Find where the cameras of a rig see traffic best, and compare the result with baselines."""
+    from warpav.runs import RunDisplay
     from warpav.runs.config import find_config, placed_config
-    from warpav.runs.progress import RunDisplay
 
     if "=" in config:
         config, overrides = DEFAULT_CONFIG, (config, *overrides)
     folder = None
     if resume is not None:
-        from warpav.runs.run_folder import RunFolder
+        from warpav.runs import RunFolder
 
         folder = RunFolder.open(resume)
     if folder is not None and config != DEFAULT_CONFIG:
@@ -69,8 +69,8 @@ def optimise(
             f"{find_config(config).name}: {scenes.search_scene_count} scenes to search on, {len(scenes.test_seeds)} to "
             f"compare on, {settings.device}"
         )
+        from warpav.runs import worse_than_start
         from warpav.runs.jobs import optimise_rig, resume_rig  # a second of imports, after the first line
-        from warpav.runs.report.statements import worse_than_start
         from warpav.runs.report.tables import show_run
 
         if folder is None:
@@ -97,10 +97,10 @@ def front(
 ) -> None:
     """Find the best rig of every number of cameras (rig.cameras=2..8) or of every cost."""
     from warpav.core.errors import ArgumentError
+    from warpav.runs import RunDisplay
     from warpav.runs.front import FRONT_FILE
     from warpav.runs.front import front as find_front
     from warpav.runs.placement import Placement
-    from warpav.runs.progress import RunDisplay
 
     if (out / FRONT_FILE).exists():  # before anything takes long
         raise ArgumentError("out", f"expected a folder without {FRONT_FILE}, got one that has it", place=out)
@@ -138,20 +138,11 @@ def evaluate(
     ] = None,
 ) -> None:
     """Measure a rig on the test scenes."""
-    from warpav.core.errors import ArgumentError
-    from warpav.evaluation.perturbations import LoadState, SoiledPart
-    from warpav.runs.jobs import measure_rig
-    from warpav.runs.progress import RunDisplay
+    from warpav.runs import RunDisplay
+    from warpav.runs.jobs import measure_rig, posed_otherwise
     from warpav.runs.report.tables import show_run
 
-    try:
-        part = SoiledPart(soiling[0], soiling[1:3], soiling[3]) if soiling else None
-    except ArgumentError as error:
-        raise ArgumentError("soiling", error.text) from None
-    try:
-        loads = {f"load {number}": LoadState(*each) for number, each in enumerate(load or (), 1)}
-    except ArgumentError as error:
-        raise ArgumentError("load", error.text) from None
+    part, loads = posed_otherwise(soiling, load)
     with of_rig(rig, config, overrides) as settings, RunDisplay() as display:
         found = measure_rig(
             rig, settings, beside=beside or (), json_file=json, soiled=part, loads=loads, progress=display
@@ -215,15 +206,13 @@ def inspect(
     config: RigConfig = None,
 ) -> None:
     """Inspect a rig on its vehicle: interactively when there is a display, else in a file."""
-    from warpav.runs.inspect import inspect_rig
-    from warpav.runs.progress import RunDisplay
+    from warpav.runs import RunDisplay
+    from warpav.runs.inspect import inspect_rig, no_window_text
 
     with of_rig(run_or_rig, config, overrides) as settings, RunDisplay() as display:
         file = inspect_rig(run_or_rig, settings, out, shown=show, requirements=requirements, progress=display)
     if file is not None and out is None and show != "sheet":
-        from warpav.view.opengl import display_text
-
-        say(f"no window here, as {display_text()}: wrote {file}")
+        say(f"{no_window_text()}: wrote {file}")
     elif file is not None:
         say(f"wrote {file}")
 
@@ -284,8 +273,8 @@ def plot(
     config: RigConfig = None,
 ) -> None:
     """Draw a plot of a rig or a run to scale, for an engineer who fits it to a vehicle."""
+    from warpav.runs import RunDisplay
     from warpav.runs.inspect import asked_plots, draw_plots
-    from warpav.runs.progress import RunDisplay
 
     asked = asked_plots(rig_or_run, kind=kind, out=out, beside=beside or ())
     with of_rig(rig_or_run, config, overrides) as settings, RunDisplay() as display:
@@ -303,12 +292,12 @@ def report(
     full: Annotated[bool, Parameter(negative=(), help="Draw all pictures first, not only those of a run.")] = False,
 ) -> None:
     """Write the HTML report of a run again."""
+    from warpav.runs import RunFolder
     from warpav.runs.report.report import write_report
-    from warpav.runs.run_folder import RunFolder
 
     folder = RunFolder.open(run)
     if full:
-        from warpav.runs.progress import RunDisplay
+        from warpav.runs import RunDisplay
         from warpav.runs.run_figures import RunPictures
 
         with RunDisplay() as display:

@@ -146,11 +146,10 @@ def _scenes_reconstruct(
 @scenes_app.command(name="check")
 def _scenes_check(captures: Annotated[Path, Parameter(help="Capture, or folder of captures.")], /) -> int:
     """Check captures, also those of other simulators and cameras, and name everything that is wrong with them."""
-    from warpav.scene.files import captures_in, check_captures
+    from warpav.runs.scenes import check_captures_of
 
-    found = list(captures_in(captures).values())
-    bad = check_captures(found, complain)
-    say(f"{len(found) - bad} of {len(found)} captures are valid")
+    count, bad = check_captures_of(captures, complain)
+    say(f"{count - bad} of {count} captures are valid")
     return 2 if bad else 0
 
 
@@ -184,9 +183,8 @@ def _scenes_statistics(
     Such as scenes.level=dense --seeds 0..39, or scenes.source=folder scenes.folder=FOLDER --seeds 0..9.
     """
     from warpav.experiments.scene_statistics import scene_statistics
+    from warpav.runs import RunDisplay, load_scenes
     from warpav.runs.config import placed_config, read_seeds
-    from warpav.runs.progress import RunDisplay
-    from warpav.runs.scene_set import load_scenes
 
     with placed_config(config, overrides) as settings:
         chosen = settings.scenes.train_seeds if seeds is None else read_seeds(seeds, place="command line (--seeds)")
@@ -230,9 +228,7 @@ def _scenes_figure(
         raise InputError(f"figure {number}: expected --run, --config or key=value, got --seed, --capture or --scenes")
     from warpav.experiments.method_figures import draw_method_figure
     from warpav.rig.presets import HIGHEST
-    from warpav.runs.progress import RunDisplay
-    from warpav.runs.rig_source import config_for
-    from warpav.runs.run_folder import RunFolder
+    from warpav.runs import RunDisplay, RunFolder, config_for
 
     folder = None if run is None else RunFolder.open(run)
     with config_for(run or HIGHEST, config, overrides, default=DEFAULT_CONFIG) as settings, RunDisplay() as display:

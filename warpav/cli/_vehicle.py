@@ -24,17 +24,10 @@ vehicle_app = App(name="vehicle", help="Your own vehicle.")
 @vehicle_app.command(name="list")
 def _vehicle_list() -> None:
     """List the vehicles that ship with warpav, which scenes.ego takes by name, with their sources."""
-    import numpy as np
+    from warpav.runs.vehicle import shipped_vehicles
 
-    from warpav.scene.own_vehicle import read_vehicle
-    from warpav.scene.vehicles import vehicle_about, vehicle_names
-
-    for name in vehicle_names():
-        about = vehicle_about(name)
-        length, width, height = np.ptp(read_vehicle(name).bounds_m(), axis=0)
-        say(f"{name}: {about.title}, {length:.2f} x {width:.2f} x {height:.2f} m (length, width, height)")
-        say(f"  source: {about.source}")
-        say(f"  licence: {about.licence}")
+    for line in shipped_vehicles():
+        say(line)
     say("null: the scene's own vehicle, which in the town is a saloon of 4.70 x 2.22 x 1.55 m")
 
 

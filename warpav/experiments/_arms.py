@@ -51,11 +51,10 @@ from warpav.optimisation.space import SearchSpace
 from warpav.raster.camera import CameraModel
 from warpav.rig.presets import preset_names, preset_rig
 from warpav.rig.rig import Rig
+from warpav.runs import camera_mount, constraints_of, preset_for, read_start
 from warpav.runs.config import Config, load_config, option_values
-from warpav.runs.mounts import camera_mount, constraints_of, preset_for
 from warpav.runs.optimise import Optimisation, pool_search_settings, searches_by_pool
 from warpav.runs.placement import Placement, Stream
-from warpav.runs.rig_source import read_start
 from warpav.thesis.descent import Descent, affordable_iterations, descent_camera_renders
 from warpav.thesis.segregation import BatchChooser
 

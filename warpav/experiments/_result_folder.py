@@ -18,9 +18,8 @@ from warpav.core.cache import digest
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json
 from warpav.core.warp_setup import device_name
+from warpav.runs import environment, own_vehicle_digest, recordings_digest, traffic_fleet_digest
 from warpav.runs.config import KEPT_FILES, Config, dump_config, option_values
-from warpav.runs.environment import environment
-from warpav.runs.scene_set import own_vehicle_digest, recordings_digest, traffic_fleet_digest
 
 SCHEMA = 3
 DESCRIPTION = "experiment.json"

@@ -21,7 +21,6 @@ from warpav.core.errors import ArgumentError
 from warpav.core.executor import Executor, Outcome
 from warpav.core.files import write_json, write_text
 from warpav.core.progress import NullProgress, Progress
-from warpav.evaluation.metrics import metrics_of, observe_scenes
 from warpav.experiments._arms import Arm, FoundRig, constraint_loss, find_rig_of, resized
 from warpav.experiments._gradient_magnitude import measure_gradient_magnitudes
 from warpav.experiments._result_folder import (
@@ -39,17 +38,18 @@ from warpav.experiments.study import GRADIENTS, Judge, Study
 from warpav.optimisation.attainable import attainable_objects
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.budget import rig_values_of
+from warpav.optimisation.evaluation.metrics import metrics_of, observe_scenes
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import write_rig
-from warpav.runs.config import AUTO, Config, load_config, with_absolute_paths
-from warpav.runs.environment import git_commit
-from warpav.runs.mounts import camera_mount, constraints_of
-from warpav.runs.networks import load_networks
-from warpav.runs.placement import Placement, needed_fit, placement_on
-from warpav.runs.run_folder import RUNS_FOLDER
-from warpav.runs.scene_set import (
+from warpav.runs import (
+    RUNS_FOLDER,
     SceneSet,
+    camera_mount,
+    constraints_of,
+    drawn,
+    git_commit,
+    load_networks,
     load_scene_set,
     load_scenes,
     own_vehicle_digest,
@@ -59,7 +59,8 @@ from warpav.runs.scene_set import (
     scene_part,
     traffic_fleet_digest,
 )
-from warpav.runs.terminal import drawn
+from warpav.runs.config import AUTO, Config, load_config, with_absolute_paths
+from warpav.runs.placement import Placement, needed_fit, placement_on
 
 _Task = TypeVar("_Task")
 

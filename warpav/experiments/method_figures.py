@@ -14,25 +14,29 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import checked_device
-from warpav.evaluation.metrics import RigObservation, RigObserver
 from warpav.experiments.scene_figures import RIG_NUMBERS
+from warpav.optimisation.evaluation.metrics import RigObservation, RigObserver
 from warpav.optimisation.mount import HEIGHT_DELTA_M, X_M, Y_M
 from warpav.rig.presets import HIGHEST
 from warpav.rig.rig import Rig
+from warpav.runs import (
+    RunFolder,
+    camera_mount,
+    find_rig,
+    load_detector,
+    load_networks,
+    load_scene_set,
+    load_scenes,
+    objective_options,
+    trajectory,
+)
 from warpav.runs.config import Config, load_config
-from warpav.runs.events import trajectory
-from warpav.runs.mounts import camera_mount, objective_options
-from warpav.runs.networks import load_detector, load_networks
 from warpav.runs.optimise import Optimisation
 from warpav.runs.placement import Placement, needed_fit, placement_on
-from warpav.runs.rig_source import find_rig
-from warpav.runs.run_folder import RunFolder
-from warpav.runs.scene_set import load_scene_set, load_scenes
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
-from warpav.view.figures import rigs
-from warpav.view.figures.rigs import OptimisedRig
-from warpav.view.figures.style import checked_figure
+from warpav.view import figures
+from warpav.view.figures import OptimisedRig, checked_figure
 
 if TYPE_CHECKING:
     from warpav.optimisation.pool_run import PoolRun
@@ -83,7 +87,7 @@ def _unconstrained(config: Config, path: Path, *, run: RunFolder | None, progres
     free = _optimised(loose, freed.descent, progress, "without constraints")
 
     steps = len(free.trajectory_m) - 1
-    return rigs.without_and_with_constraints(
+    return figures.without_and_with_constraints(
         free,
         kept,
         path,
@@ -146,7 +150,7 @@ def _before_and_after(config: Config, path: Path, *, run: RunFolder | None, prog
         "Optimised": (result, observe(result, train, "optimised")),
         "On test scenes": (result, observe(result, test, "test scenes")),
     }
-    return rigs.before_and_after(rows, path)
+    return figures.before_and_after(rows, path)
 
 
 def _highest(config: Config, path: Path, *, progress: Progress) -> Path:
@@ -158,4 +162,4 @@ def _highest(config: Config, path: Path, *, progress: Progress) -> Path:
     rig = find_rig(HIGHEST, config, ego)
     surface = camera_mount(config, ego).surface
     views = _observer(config, progress)(rig, scenes, "test scenes")
-    return rigs.highest_rig(rig, views, path, surface=surface)
+    return figures.highest_rig(rig, views, path, surface=surface)

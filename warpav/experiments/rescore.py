@@ -21,7 +21,6 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.files import write_json
 from warpav.core.progress import NullProgress, Progress
 from warpav.core.warp_setup import device_name
-from warpav.evaluation.metrics import metrics_of, observe_scenes
 from warpav.experiments._arms import resized
 from warpav.experiments._result_folder import (
     ATTAINABLE,
@@ -34,11 +33,11 @@ from warpav.experiments._result_folder import (
 )
 from warpav.experiments.experiment import Finished, make_scenes_ready, outcomes, show_rows, traffic_of_process
 from warpav.experiments.rows import ROWS, read_rows
+from warpav.optimisation.evaluation.metrics import metrics_of, observe_scenes
 from warpav.optimisation.settings import LOSSES
 from warpav.rig.rig import read_rig
+from warpav.runs import environment, git_commit, load_networks, networks_in
 from warpav.runs.config import Config, load_config, overridden_option, with_absolute_paths
-from warpav.runs.environment import environment, git_commit
-from warpav.runs.networks import load_networks, networks_in
 from warpav.runs.placement import placement_on
 
 _SCHEMA = 2

@@ -19,9 +19,9 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.core.files import write_text
 from warpav.core.table import Table
-from warpav.evaluation.statistics import RESAMPLES, paired_difference
 from warpav.experiments._gradient_magnitude import LOSS_OF
 from warpav.experiments._result_folder import objective_of_tests, objective_on_tests
+from warpav.optimisation.evaluation.statistics import RESAMPLES, paired_difference
 from warpav.thesis.tables import WARNING, thesis_table
 
 _Row = dict[str, str]
@@ -307,7 +307,7 @@ def _gradients(rows: Sequence[_Row], study: str, judge: str = OWN_JUDGE) -> Tabl
 
 def _correlation(rows: Sequence[_Row], study: str = "correlation", judge: str = OWN_JUDGE) -> Table:
     """Spearman's rank correlation of the objective with what the detector finds on unseen scenes, over random rigs."""
-    from warpav.evaluation.statistics import rank_correlation
+    from warpav.optimisation.evaluation.statistics import rank_correlation
 
     drawn = {arm: runs for arm, runs in _runs(rows, study, judge).items() if arm.startswith("random")}
     drawn["all of these"] = [run for runs in drawn.values() for run in runs]

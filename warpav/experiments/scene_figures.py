@@ -16,10 +16,16 @@ from warpav.scene.capture.town_simulator import TownSimulator
 from warpav.scene.files import scene_path, split_seeds
 from warpav.scene.glb import read_scene
 from warpav.scene.scene import Box
-from warpav.view.figures.clouds import sphere, stages, window_filter
-from warpav.view.figures.images import contact_sheet, image_types
-from warpav.view.figures.rigs import heat_maps, mount_surface_stages
-from warpav.view.figures.style import checked_figure
+from warpav.view.figures import (
+    checked_figure,
+    contact_sheet,
+    heat_maps,
+    image_types,
+    mount_surface_stages,
+    sphere,
+    stages,
+    window_filter,
+)
 
 _OF_CAPTURES = {
     4: image_types,

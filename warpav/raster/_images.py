@@ -13,14 +13,15 @@ from warpav.raster.areas import checked_weight, measure_weighted
 from warpav.raster.buffers import FIRST, GUARD, Buffers
 from warpav.raster.poses import ViewPoses
 from warpav.raster.scene import Scene
-from warpav_kernels.raster import image_flow, linearise, measure, shade
+from warpav_kernels import raster as kernels
+from warpav_kernels.raster import image_flow, linearise
 
 
 def draw_colours(buffers: Buffers, scene: Scene, shown: wp.array, into: wp.array | None) -> wp.array:
     """Colours 0..1 of the shown views, vec3 [image, row, column]."""
     image = buffers.image(len(shown), wp.vec3, into)
     buffers.launch_views(
-        shade.resolve_rgb_kernel,
+        kernels.resolve_rgb_kernel,
         (len(shown), buffers.height_px, buffers.row_lanes),
         inputs=[
             buffers.view, scene.triangles, scene.vertex_rgb, *scene.background_rgb, buffers.key, shown,
@@ -38,7 +39,7 @@ def draw_depths(
     depth_m = buffers.image(buffers.view_count, float, into[0] if into else None)
     object_id = buffers.image(buffers.view_count, wp.int32, into[1] if into else None)
     buffers.launch_views(
-        shade.resolve_depth_kernel,
+        kernels.resolve_depth_kernel,
         (buffers.view_count, buffers.height_px, buffers.row_lanes),
         inputs=[
             buffers.key, scene.triangles, background_m, scene.occluder_count, buffers.supersampling, FIRST,
@@ -53,7 +54,7 @@ def draw_silhouettes(buffers: Buffers, scene: Scene, kind: int) -> wp.array:
     """Share of every pixel that each object covers, float [view, object, row, column]."""
     silhouette = buffers.zeros((buffers.view_count, scene.object_count, buffers.height_px, buffers.width_px), float)
     buffers.launch_views(
-        shade.resolve_silhouettes_kernel,
+        kernels.resolve_silhouettes_kernel,
         (buffers.view_count, scene.object_count, buffers.row_lanes),
         inputs=[buffers.layers, buffers.hiding, kind, buffers.supersampling, FIRST, buffers.row_lanes],
         outputs=[silhouette],
@@ -112,7 +113,7 @@ def flow_of_silhouettes(buffers: Buffers, scene: Scene, silhouette: wp.array, ki
 def _flows(buffers: Buffers, shown: wp.array) -> wp.array:
     """Room for what flows through each image."""
     shape = (len(shown), 1, 1, math.prod(buffers.flow_lanes))
-    return buffers.kept("image derivative", shape, measure.BoundaryDerivative)
+    return buffers.kept("image derivative", shape, kernels.BoundaryDerivative)
 
 
 def _add_flow(buffers: Buffers, shown: wp.array, derivative: wp.array, into: list[wp.array]) -> None:

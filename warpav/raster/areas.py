@@ -11,15 +11,16 @@ from warpav.core.errors import InputError
 from warpav.raster.buffers import FIRST, Buffers
 from warpav.raster.poses import ViewPoses
 from warpav.raster.scene import Scene
-from warpav_kernels.raster import calibration, coverage, extent, linearise, measure, outline, shade, window
+from warpav_kernels import raster as kernels
+from warpav_kernels.raster import calibration, coverage, extent, linearise, window
 
-VISIBLE_AREA = int(measure.VISIBLE_AREA)
-AMODAL_AREA = int(measure.AMODAL_AREA)
-BOX_AREA = int(measure.BOX_AREA)
-LEFT, RIGHT = int(measure.LEFT), int(measure.RIGHT)
-TOP, BOTTOM = int(measure.TOP), int(measure.BOTTOM)
-MEASURE_COUNT = int(measure.MEASURE_COUNT)
-AREA_COUNT, EXTENT_COUNT = int(measure.AREA_COUNT), int(measure.EXTENT_COUNT)
+VISIBLE_AREA = int(kernels.VISIBLE_AREA)
+AMODAL_AREA = int(kernels.AMODAL_AREA)
+BOX_AREA = int(kernels.BOX_AREA)
+LEFT, RIGHT = int(kernels.LEFT), int(kernels.RIGHT)
+TOP, BOTTOM = int(kernels.TOP), int(kernels.BOTTOM)
+MEASURE_COUNT = int(kernels.MEASURE_COUNT)
+AREA_COUNT, EXTENT_COUNT = int(kernels.AREA_COUNT), int(kernels.EXTENT_COUNT)
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class Measures:
     def _jacobian(self, first: int, count: int) -> wp.array:
         result = wp.empty((*self.value.shape[:2], count, 7), dtype=float, device=self.value.device)
         wp.launch(
-            measure.gather_jacobian_kernel,
+            kernels.gather_jacobian_kernel,
             dim=result.shape[:3],
             inputs=[self.jac_translation, self.jac_rotation, self.jac_log_focal, first],
             outputs=[result],
@@ -224,7 +225,7 @@ def measure_coverage(buffers: Buffers, scene: Scene) -> Coverage:
 def measure_calibration(buffers: Buffers, scene: Scene) -> wp.array:
     """See `Frame.calibration_jacobian`."""
     size = int(calibration.CALIBRATION_SIZE)
-    kind = wp.array([int(outline.VISIBLE), int(outline.ALONE)], dtype=wp.int32, device=buffers.device)
+    kind = wp.array([int(kernels.VISIBLE), int(kernels.ALONE)], dtype=wp.int32, device=buffers.device)
     jacobian = buffers.zeros((buffers.view_count, scene.object_count, len(kind), size), float)
     buffers.launch_views(
         calibration.measure_calibration_kernel,
@@ -245,7 +246,7 @@ def measure_contrast(buffers: Buffers, scene: Scene, value: wp.array) -> wp.arra
         raise InputError(f"value: expected measures of shape {(*pairs, MEASURE_COUNT)}, got {value.shape}")
     contrast = buffers.zeros(pairs, float)
     buffers.launch_views(
-        shade.measure_contrast_kernel,
+        kernels.measure_contrast_kernel,
         (buffers.view_count, scene.object_count),
         inputs=[
             buffers.view, scene.triangles, scene.vertex_rgb, *scene.background_rgb, buffers.key, scene.layer_body,
@@ -267,9 +268,9 @@ def measure_all(buffers: Buffers, scene: Scene, box_px: wp.array | None, into: M
     farthest = buffers.kept("farthest", (*pairs, EXTENT_COUNT), wp.int32)
     farthest.zero_()
     rows, columns = buffers.lanes
-    derivative = buffers.kept("derivative", (*pairs, AREA_COUNT, rows * columns), measure.BoundaryDerivative)
+    derivative = buffers.kept("derivative", (*pairs, AREA_COUNT, rows * columns), kernels.BoundaryDerivative)
     buffers.launch_views(
-        measure.measure_areas_kernel,
+        kernels.measure_areas_kernel,
         (buffers.view_count, scene.object_count, rows * columns),
         inputs=[
             buffers.view, scene.triangles, buffers.layers, buffers.hiding, box_px, buffers.width, buffers.height,
@@ -317,10 +318,10 @@ def measure_weighted(
     result = _measures(buffers, scene, 1, into)
     rows, columns = buffers.lanes
     derivative = buffers.kept(
-        "weighted derivative", (buffers.view_count, scene.object_count, 1, rows * columns), measure.BoundaryDerivative
+        "weighted derivative", (buffers.view_count, scene.object_count, 1, rows * columns), kernels.BoundaryDerivative
     )
     buffers.launch_views(
-        measure.measure_weighted_area_kernel,
+        kernels.measure_weighted_area_kernel,
         (buffers.view_count, scene.object_count, rows * columns),
         inputs=[
             buffers.view, scene.triangles, buffers.layers, hiding, *weight, kind, buffers.width, buffers.height,
@@ -361,7 +362,7 @@ def measure_window(
         _measures(buffers, scene, 1, into)
         wp.copy(into.window_rad, window_rad)
     rows, columns = buffers.lanes
-    derivative = buffers.kept("weighted derivative", (*pairs, 1, rows * columns), measure.BoundaryDerivative)
+    derivative = buffers.kept("weighted derivative", (*pairs, 1, rows * columns), kernels.BoundaryDerivative)
     window_derivative = buffers.kept("window derivative", (*pairs, rows * columns), wp.vec4)
     buffers.launch_views(
         window.measure_window_kernel,
@@ -402,7 +403,7 @@ def _sum(buffers: Buffers, scene: Scene, derivative: wp.array, result: Measures,
     """Sum what the lanes have measured into the first measures of ``result``; ``is_in_px``: from samples."""
     derivative = buffers.grouped(derivative)
     buffers.launch(
-        measure.sum_derivatives_kernel,
+        kernels.sum_derivatives_kernel,
         (buffers.view_count, scene.object_count, derivative.shape[2]),
         inputs=[buffers.view, derivative, buffers.supersampling if is_in_px else 1],
         outputs=[result.value, result.jac_translation, result.jac_rotation, result.jac_log_focal],

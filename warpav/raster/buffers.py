@@ -18,21 +18,20 @@ from warpav.core.errors import InputError
 from warpav.raster.camera import CameraModel
 from warpav.raster.lens import Lens, image_table
 from warpav.raster.scene import Scene
-from warpav_kernels.raster import bent_edges, layers, lens, measure, outline, ray_space, trace, view
-from warpav_kernels.raster import rays as ray_kernels
+from warpav_kernels import raster as kernels
 
 _LENS_KINDS = {
-    Lens.PINHOLE: (int(lens.PINHOLE), 0),
-    Lens.BROWN_CONRADY: (int(lens.BROWN_CONRADY), 0),
-    Lens.FISHEYE: (int(lens.FISHEYE), 0),
-    Lens.EUCM: (int(lens.FISHEYE), int(lens.EUCM)),
-    Lens.DOUBLE_SPHERE: (int(lens.FISHEYE), int(lens.DOUBLE_SPHERE)),
-    Lens.PANORAMA: (int(lens.PANORAMA), 0),
-    Lens.EQUIRECTANGULAR: (int(lens.PANORAMA), int(lens.SPHERE)),
+    Lens.PINHOLE: (int(kernels.PINHOLE), 0),
+    Lens.BROWN_CONRADY: (int(kernels.BROWN_CONRADY), 0),
+    Lens.FISHEYE: (int(kernels.FISHEYE), 0),
+    Lens.EUCM: (int(kernels.FISHEYE), int(kernels.EUCM)),
+    Lens.DOUBLE_SPHERE: (int(kernels.FISHEYE), int(kernels.DOUBLE_SPHERE)),
+    Lens.PANORAMA: (int(kernels.PANORAMA), 0),
+    Lens.EQUIRECTANGULAR: (int(kernels.PANORAMA), int(kernels.SPHERE)),
 }
 """Kind and formula of every lens in the kernels."""
 
-GUARD = int(view.GUARD)
+GUARD = int(kernels.GUARD)
 
 # How a launch is spread over threads: on the CPU it is one loop, where more threads would only cost.
 _CUDA_CLUSTER_LANES = 32  # share one cluster of triangles
@@ -121,12 +120,12 @@ class Buffers:
         )
         self._intrinsics_px = self.zeros(self.view_count, wp.vec4)
         self._near_m = self.zeros(self.view_count, float)
-        self._lens = self.zeros(self.view_count, lens.Lens)
+        self._lens = self.zeros(self.view_count, kernels.Lens)
         self._models: list[CameraModel] = []
         self._kept: dict[tuple[str, tuple[int, ...]], wp.array] = {}
         self._shown: dict[tuple[int, ...], wp.array] = {}
         self.bent: list[int] = []  # the views whose lenses are no pinholes
-        self.rays = ray_kernels.Rays()
+        self.rays = kernels.Rays()
         self.rays.ray = self.zeros((0, 3, self.height, self.width), float)
         self.rays.set_of_view = self._no_set = wp.full(self.view_count, -1, dtype=wp.int32, device=self.device)
         self._rays_of: list[tuple[int, CameraModel, float]] = []
@@ -135,7 +134,7 @@ class Buffers:
         self.is_recordable = True  # the last render: on the CPU the host looks at zooms of bent lenses
         self.generation = 0  # grows when arrays that recorded launches refer to have moved
         self.set_lenses(models)
-        self.view = self.zeros(self.view_count, view.View)  # of the last render, as the following
+        self.view = self.zeros(self.view_count, kernels.View)  # of the last render, as the following
         self.position_world_m = self.zeros(self.view_count, wp.vec3)
         self.camera_from_world = self.zeros(self.view_count, wp.mat33)
         self.log_focal = self.zeros(self.view_count, float)
@@ -150,8 +149,8 @@ class Buffers:
         # queue of the large triangles' parts; empty on the CPU
         self.strip = self.zeros(0 if self.device.is_cpu else strips, wp.vec4i)
         self.strip_count = self.zeros(1, wp.int32)
-        self.layers = layers.Layers()
-        self.hiding, self.foreground_hiding = outline.Hiding(), outline.Hiding()
+        self.layers = kernels.Layers()
+        self.hiding, self.foreground_hiding = kernels.Hiding(), kernels.Hiding()
         self.reserve_samples(0)
         self._state: RenderState | None = None
         self.lanes = (1, 1) if self.device.is_cpu else _CUDA_MEASURE_LANES
@@ -240,10 +239,12 @@ class Buffers:
         intrinsics_px = [model.intrinsics[[0, 1, 0, 1], [0, 1, 2, 2]] for model in models]
         self._intrinsics_px.assign(np.array(intrinsics_px, np.float32))
         self._near_m.assign(np.array([model.near_m for model in models], np.float32))
-        wp.copy(self._lens, wp.array([lens_of(model) for model in models], dtype=lens.Lens, device=self.device))
+        wp.copy(self._lens, wp.array([lens_of(model) for model in models], dtype=kernels.Lens, device=self.device))
         if bent != self.bent:
-            for module in (ray_kernels, *((ray_space,) if self.device.is_cpu else (trace, bent_edges))):
-                wp.load_module(module, device=self.device)  # takes seconds to compile, so only where it is needed
+            on_gpu = (kernels.trace_keys_kernel, kernels.scatter_bent_crossings_kernel)
+            drawing = (kernels.scatter_bent_triangles_kernel,) if self.device.is_cpu else on_gpu
+            for kernel in (kernels.place_rays_kernel, *drawing):  # takes seconds, so only where it is needed
+                wp.load_module(kernel.module, device=self.device)  # pyright: ignore[reportFunctionMemberAccess]
             self.bent = bent
             self.bent_view = wp.array(bent, dtype=wp.int32, device=self.device)
 
@@ -270,7 +271,7 @@ class Buffers:
         if self.bent:
             self._reserve_rays(is_zoomed=is_zoomed)
         self.launch(
-            view.place_views_kernel,
+            kernels.place_views_kernel,
             self.view_count,
             inputs=[
                 self.position_world_m, self.camera_from_world, self._intrinsics_px, self._near_m, self._lens,
@@ -303,7 +304,7 @@ class Buffers:
         set_of_view, table_of_view = np.full((2, self.view_count), -1, np.int32)
         set_of_view[self.bent] = [sets.index(each) for each in of_view]
         table_of_view[self.bent] = [tables.index(each) for each in tables_of]
-        rays, count, block = self.rays, len(sets), int(ray_kernels.BLOCK)
+        rays, count, block = self.rays, len(sets), int(kernels.BLOCK)
         rays.set_of_view = wp.array(set_of_view, dtype=wp.int32, device=self.device)
         rays.table_of_view = wp.array(table_of_view, dtype=wp.int32, device=self.device)
         rays.table = wp.array([image_table(*each) for each in tables], dtype=wp.vec2, device=self.device)
@@ -328,19 +329,19 @@ class Buffers:
         rays.widest_cosine.fill_(1.0)
         rays.is_flat.fill_(1)
         self.launch(
-            ray_kernels.place_rays_kernel,
+            kernels.place_rays_kernel,
             (count, self.height, self.width),
             inputs=[self.view, view_of_set],
             outputs=[rays.ray],
         )
         self.launch(
-            ray_kernels.bound_rays_kernel,
+            kernels.bound_rays_kernel,
             (count, self.height),
             inputs=[rays.ray],
             outputs=[rays.widest_cosine, rays.is_flat],
         )
         self.launch(
-            ray_kernels.place_blocks_kernel,
+            kernels.place_blocks_kernel,
             (count, rows, columns),
             inputs=[rays.ray],
             outputs=[rays.block, rays.block_row],
@@ -368,7 +369,7 @@ class Buffers:
         for _ in range(2):
             self._sample_count.zero_()
             self.launch(
-                layers.place_layers_kernel,
+                kernels.place_layers_kernel,
                 shape,
                 inputs=[self.view, scene.layer_bounds_world_m, self.width, self.height, self._capacity],
                 outputs=[self.layers.rectangle, self.layers.offset, self._sample_count, self.needed_samples],
@@ -377,7 +378,7 @@ class Buffers:
             if self.device.is_capturing or not self.grew():
                 break
         self.launch(
-            layers.place_scissors_kernel,
+            kernels.place_scissors_kernel,
             self.view_count,
             inputs=[
                 self.layers.rectangle, scene.object_count, int(is_whole), self.width, self.height, self.supersampling,
@@ -418,8 +419,8 @@ class Buffers:
         *sums, lanes = derivative.shape
         if lanes <= _CUDA_SUM_LANES:
             return derivative
-        groups = self.kept("group derivative", (*sums, lanes // _CUDA_SUM_LANES), measure.BoundaryDerivative)
-        self.launch(measure.sum_lanes_kernel, groups.shape, inputs=[derivative, _CUDA_SUM_LANES], outputs=[groups])
+        groups = self.kept("group derivative", (*sums, lanes // _CUDA_SUM_LANES), kernels.BoundaryDerivative)
+        self.launch(kernels.sum_lanes_kernel, groups.shape, inputs=[derivative, _CUDA_SUM_LANES], outputs=[groups])
         return groups
 
 
@@ -437,8 +438,8 @@ def _reach_rad(model: CameraModel, log_zoom: float) -> float:
 
 def lens_of(model: CameraModel) -> Any:  # noqa: ANN401 (a struct, which is no type to a checker)
     """The model's lens as the kernels take it."""
-    result = lens.Lens()
+    result = kernels.Lens()
     result.kind, result.formula = _LENS_KINDS[model.lens]
     result.limit, result.edge = model.shape.limit, model.shape.edge
-    result.distortion = lens.vec8(*model.shape.coefficients)
+    result.distortion = kernels.vec8(*model.shape.coefficients)
     return result

@@ -9,7 +9,8 @@ import warp as wp
 
 from warpav.raster.buffers import CUDA_STRIP_GROUPS, CUDA_STRIP_LANES, FIRST, Buffers, Content, RenderState
 from warpav.raster.scene import CLUSTER_SIZE, Scene
-from warpav_kernels.raster import bent_edges, hide, rasterise, ray_space, trace
+from warpav_kernels import raster as kernels
+from warpav_kernels.raster import hide
 
 
 class Occlusion(Enum):
@@ -42,7 +43,7 @@ def decide(buffers: Buffers, scene: Scene, content: Content, occlusion: Occlusio
             buffers.over_views(buffers.view_count, lambda first, count: buffers.key[first : first + count].zero_())
         else:
             buffers.launch_views(
-                rasterise.clear_keys_kernel,
+                kernels.clear_keys_kernel,
                 (buffers.view_count, buffers.row_lanes),
                 inputs=[buffers.scissor, FIRST, buffers.row_lanes],
                 outputs=[buffers.key],
@@ -85,7 +86,7 @@ def _scatter(
         return
     buffers.strip_count.zero_()
     buffers.launch_views(
-        rasterise.scatter_triangles_kernel,
+        kernels.scatter_triangles_kernel,
         (buffers.view_count, cluster_count, buffers.cluster_lanes),
         inputs=[
             buffers.view, scene.triangles, layer_count, buffers.scissor, FIRST, int(has_key), int(has_outlines),
@@ -95,7 +96,7 @@ def _scatter(
     )  # fmt: skip
     if buffers.strip.size:
         buffers.launch(
-            rasterise.fill_strips_kernel,
+            kernels.fill_strips_kernel,
             (CUDA_STRIP_GROUPS, CUDA_STRIP_LANES),
             inputs=[
                 buffers.view, scene.triangles, layer_count, buffers.scissor, int(has_key), buffers.strip,
@@ -109,9 +110,9 @@ def _scatter_bent(
     buffers: Buffers, scene: Scene, layer_count: int, cluster_count: int, *, has_key: bool, has_outlines: bool
 ) -> None:
     """The keys, layers and edge crossings of the views whose lenses are no pinholes, in the space of rays."""
-    candidate = buffers.kept("candidate", (buffers.view_count, CLUSTER_SIZE), ray_space.Candidate)
+    candidate = buffers.kept("candidate", (buffers.view_count, CLUSTER_SIZE), kernels.Candidate)
     buffers.launch_views(
-        ray_space.scatter_bent_triangles_kernel,
+        kernels.scatter_bent_triangles_kernel,
         (len(buffers.bent), cluster_count),
         inputs=[
             buffers.view, scene.triangles, buffers.rays, buffers.bent_view, layer_count, buffers.scissor, FIRST,
@@ -128,14 +129,14 @@ def _trace(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool, i
     if has_key and not (is_ghostly and scene.occluder_count == 0):
         solid = scene.occluder_mesh.id if is_ghostly else mesh
         buffers.launch_views(
-            trace.trace_keys_kernel,
+            kernels.trace_keys_kernel,
             (count, buffers.height, buffers.width),
             inputs=[buffers.view, solid, bent, buffers.scissor, FIRST],
             outputs=[buffers.key],
         )
     if layer_count:
         buffers.launch_views(
-            trace.trace_layers_kernel,
+            kernels.trace_layers_kernel,
             (count, layer_count, rows * columns),
             inputs=[
                 buffers.view, scene.triangles, mesh, scene.layer_body, bent, buffers.key,
@@ -148,7 +149,7 @@ def _trace(buffers: Buffers, scene: Scene, layer_count: int, *, has_key: bool, i
 def _cross_bent(buffers: Buffers, scene: Scene, layer_count: int) -> None:
     """The edge crossings of the layers in the views whose lenses are no pinholes, on a GPU."""
     buffers.launch(
-        bent_edges.scatter_bent_crossings_kernel,
+        kernels.scatter_bent_crossings_kernel,
         (len(buffers.bent), scene.cluster_count, buffers.cluster_lanes),
         inputs=[
             buffers.view, scene.triangles, buffers.rays, buffers.bent_view, layer_count, buffers.scissor,

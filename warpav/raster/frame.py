@@ -18,7 +18,7 @@ from warpav.raster.buffers import Buffers, Content, RenderState
 from warpav.raster.decide import hide_by_foreground
 from warpav.raster.poses import ViewPoses, view_poses
 from warpav.raster.scene import Scene
-from warpav_kernels.raster import outline
+from warpav_kernels import raster as kernels
 
 _OF_MEASURES = (Content.OBJECTS, Content.COVERAGE)
 """What a render with all measures holds as well."""
@@ -254,7 +254,7 @@ class Frame:
             self._buffers,
             self.scene,
             (self._buffers.ones, 0, 0),
-            kind=int(outline.VISIBLE),
+            kind=int(kernels.VISIBLE),
             hiding=self._buffers.foreground_hiding,
             into=into,
         )
@@ -427,4 +427,4 @@ class Frame:
 
 
 def _kind(*, visible: bool) -> int:
-    return int(outline.VISIBLE if visible else outline.ALONE)
+    return int(kernels.VISIBLE if visible else kernels.ALONE)

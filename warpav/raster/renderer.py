@@ -15,7 +15,8 @@ from warpav.raster.decide import Occlusion, decide
 from warpav.raster.frame import Frame
 from warpav.raster.poses import view_poses
 from warpav.raster.scene import Scene
-from warpav_kernels.raster import coverage, extent, hide, image_flow, layers, measure, rasterise, shade, view, window
+from warpav_kernels import raster as kernels
+from warpav_kernels.raster import coverage, extent, hide, image_flow, window
 
 
 class Renderer(Buffers):
@@ -44,7 +45,10 @@ class Renderer(Buffers):
         )
         self.occlusion = occlusion
         # load before threads launch, so that no two of them compile the same module
-        for module in (view, layers, rasterise, hide, coverage, measure, extent, window, shade, image_flow):
+        drawing = (kernels.place_views_kernel, kernels.place_layers_kernel, kernels.scatter_triangles_kernel)
+        for kernel in (*drawing, kernels.measure_areas_kernel, kernels.resolve_depth_kernel):
+            wp.load_module(kernel.module, device=self.device)  # pyright: ignore[reportFunctionMemberAccess]
+        for module in (hide, coverage, extent, window, image_flow):
             wp.load_module(module, device=self.device)
 
     def render(

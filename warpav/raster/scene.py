@@ -15,7 +15,7 @@ from warpav.core.errors import InputError
 from warpav.core.warp_setup import load_warp
 from warpav.raster.mesh import Mesh, merge
 from warpav.raster.pane import Pane
-from warpav_kernels.raster.triangles import Triangles
+from warpav_kernels.raster import Triangles
 
 CLUSTER_SIZE = 64
 

@@ -1,1 +1,5 @@
 """Jobs from a configuration: objects, run folder, report, progress."""
+
+from warpav.core.face import face_of
+
+__all__, __getattr__ = face_of(__name__)  # pyright: ignore[reportUnsupportedDunderAll]

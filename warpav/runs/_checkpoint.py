@@ -12,8 +12,8 @@ import warp as wp
 from warpav.core.cache import digest, fingerprint
 from warpav.core.errors import InputError
 from warpav.optimisation.objective import single_cameras_of
+from warpav.runs._networks import model_path
 from warpav.runs.config import Config, option_values
-from warpav.runs.networks import model_path
 from warpav.runs.placement import Placement
 
 _MAY_CHANGE = (

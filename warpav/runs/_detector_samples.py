@@ -30,10 +30,10 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import KeptRenderers, ViewsAtOnce, chunk_view_count, equal_chunks, gpu_view_count
 from warpav.raster.decide import Occlusion
 from warpav.raster.renderer import Renderer
+from warpav.runs._mounts import camera_model, free_ranges, roof_surface
+from warpav.runs._networks import load_detector, opened_detector
+from warpav.runs._scene_set import load_scenes, scene_recipes
 from warpav.runs.config import Config
-from warpav.runs.mounts import camera_model, free_ranges, roof_surface
-from warpav.runs.networks import load_detector, opened_detector
-from warpav.runs.scene_set import load_scenes, scene_recipes
 from warpav.scene.stored_scene import SceneRecipe, StoredScene
 
 if TYPE_CHECKING:

@@ -12,10 +12,9 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.rig.rig import Rig
+from warpav.runs._events import of_modules, trajectory
 from warpav.runs.config import BY_HAND, Config
-from warpav.runs.events import of_modules, trajectory
-from warpav.view import Canvas, drawing_of, draws
-from warpav.view.output import ANIMATION_PX
+from warpav.view import ANIMATION_PX, Canvas, drawing_of, draws
 
 if TYPE_CHECKING:
     from warpav.optimisation.further_camera import FurtherCameras
@@ -140,8 +139,7 @@ class DrawnRun:
 
     def view(self, canvas: Canvas, *, iteration: int | None, arrows: bool, visibility: bool) -> Any:  # noqa: ANN401
         """The result in space, or the rig before the step of an iteration, with its trajectory and arrows."""
-        from warpav.view.layers import Steepest, add_descent
-        from warpav.view.recording import run_animation
+        from warpav.view import Steepest, add_descent, run_animation
 
         frames = self.frames
         if canvas.is_animation and iteration is None:  # the cameras move, and their trajectories grow
@@ -191,7 +189,7 @@ def _fitting(kind: str, run: _Run, canvas: Canvas, *, scene: Scene | None = None
 
 def _top_view(run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
     """Where the cameras started, how they moved, and where they ended, from above."""
-    from warpav.view.figures.from_above import top_view_figure
+    from warpav.view.figures import top_view_figure
 
     drawn = run.drawn(scene=scene)
     return top_view_figure(
@@ -207,7 +205,7 @@ def _top_view(run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any: 
 
 def _search(run: _Run, _canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
     """Best rig and bound of a search by a pool over its renders; of a descent its losses over its iterations."""
-    from warpav.view.figures.convergence import loss_figure, search_figure
+    from warpav.view.figures import loss_figure, search_figure
 
     drawn = run.drawn(scene=scene)
     found = search_figure(drawn.all_events)
@@ -216,7 +214,7 @@ def _search(run: _Run, _canvas: Canvas, *, scene: Scene | None = None) -> Any:  
 
 def _further(run: _Run, _canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
     """From above, what each camera of the pool would add to the rig that was found."""
-    from warpav.view.figures.from_above import further_figure
+    from warpav.view.figures import further_figure
 
     drawn = run.drawn(scene=scene)
     return further_figure(

@@ -13,10 +13,10 @@ from warpav.core.errors import ArgumentError
 from warpav.core.files import writing
 from warpav.detection.detector import ROAD_USERS, Detections
 from warpav.detection.onnx_detector import OnnxDetector
+from warpav.runs._networks import load_detector
 from warpav.runs.config import Config
-from warpav.runs.networks import load_detector
-from warpav.view.figures.style import checked_figure
-from warpav.view.palette import CAMERA_RGB, PAPER_RGB
+from warpav.view import CAMERA_RGB, PAPER_RGB
+from warpav.view.figures import checked_figure
 
 _SMALL_PX = 256
 _OWN_SIZE_PX = 640

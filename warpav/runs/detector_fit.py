@@ -29,7 +29,7 @@ from warpav.detection.probability_fit import (
     fit_probability,
     score,
 )
-from warpav.evaluation.statistics import LEVEL, Estimate
+from warpav.optimisation.evaluation.statistics import LEVEL, Estimate
 from warpav.raster.camera import CameraModel
 from warpav.runs._detector_samples import (
     FOLDS,
@@ -40,9 +40,8 @@ from warpav.runs._detector_samples import (
     samples_folder,
     say_or_warn,
 )
-from warpav.runs.config import Config
-from warpav.runs.mounts import camera_model, camera_models
-from warpav.runs.networks import (
+from warpav.runs._mounts import camera_model, camera_models
+from warpav.runs._networks import (
     any_camera_config,
     any_camera_use,
     detector_use,
@@ -50,7 +49,8 @@ from warpav.runs.networks import (
     networks_in,
     opened_detector,
 )
-from warpav.runs.terminal import drawn
+from warpav.runs._terminal import drawn
+from warpav.runs.config import Config
 from warpav.scene.traffic.files import content_digest
 from warpav.scene.traffic.moments import search_and_test
 
@@ -251,7 +251,7 @@ def fit_detector(
     progress: Progress,
 ) -> Path:
     """Fit the detection probability of a detector, or take the stored fit, and show how good it is."""
-    from warpav.view.figures.statistics import detection_curves
+    from warpav.view.figures import detection_curves
 
     if any_camera:
         config = any_camera_config(config)
@@ -523,7 +523,7 @@ def _draw_reliability(
     scores: ProbabilityScores, probability: np.ndarray, is_detected: np.ndarray, stem: Path, name: str = ""
 ) -> None:
     """Draw a reliability diagram to a file whose name begins so."""
-    from warpav.view.figures.statistics import reliability_diagram
+    from warpav.view.figures import reliability_diagram
 
     text = f"AUC {scores.auc:.3f}, Brier {scores.brier:.3f}, calibration error {scores.calibration_error:.3f}"
     file = stem.with_name(f"{stem.name}_reliability.png")

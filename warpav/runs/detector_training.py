@@ -15,8 +15,8 @@ from warpav.detection.detector import ROAD_USERS
 from warpav.detection.training import TrainingOptions
 from warpav.detection.training.data import TEST_SUBSETS, load_images, write_images
 from warpav.detection.training.evaluate import evaluate
+from warpav.runs._networks import load_detector
 from warpav.runs.config import Config
-from warpav.runs.networks import load_detector
 
 _MIN_CONFIDENCE = 0.01
 """Detections from here on take part in the average precision."""
@@ -41,13 +41,13 @@ _TABLES = {
 }
 
 
-def train_detector(
-    out: Path, options: TrainingOptions, *, image_folder: Path | None, say: Callable[[str], None]
-) -> None:
+def train_detector(out: Path, *, image_folder: Path | None, say: Callable[[str], None], **given: Any) -> None:  # noqa: ANN401
     """Make the images, train, write ``detector.onnx``; an interrupted training continues from its checkpoint.
 
-    The images are in ``images`` in ``out``, or in ``image_folder``, and made where they are missing.
+    The images are in ``images`` in ``out``, or in ``image_folder``, and made where they are missing; what else is given
+    is of `TrainingOptions`.
     """
+    options = TrainingOptions(**given)
     missing = [name for name in ("torch", "onnx") if importlib.util.find_spec(name) is None]
     if missing:
         raise InputError(

@@ -15,24 +15,24 @@ from warpav.core.errors import ArgumentError
 from warpav.core.files import atomic_write, writing
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import checked_device
-from warpav.evaluation.metrics import metrics_of, observe_scenes
-from warpav.evaluation.perturbations import CameraOutages, MountTolerance
 from warpav.optimisation.attainable import attainable_objects
 from warpav.optimisation.baselines import highest_mount_pose
 from warpav.optimisation.constraints import Constraints
+from warpav.optimisation.evaluation.metrics import metrics_of, observe_scenes
+from warpav.optimisation.evaluation.perturbations import CameraOutages, MountTolerance
 from warpav.optimisation.losses.scene_on_tape import AssignedScene
 from warpav.optimisation.mount import CameraMount
 from warpav.optimisation.pool import Drawing, pool_cache_folder
 from warpav.optimisation.pool_rules import PoolRules
 from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig
+from warpav.runs._mounts import camera_mount, constraints_of
+from warpav.runs._progress import shown_progress
+from warpav.runs._rig_evaluation import RigEvaluation, seen_objects
+from warpav.runs._rig_source import check_rig_source, find_rig
+from warpav.runs._scene_set import first_scene
 from warpav.runs.config import Config
-from warpav.runs.mounts import camera_mount, constraints_of
 from warpav.runs.placement import Placement
-from warpav.runs.progress import shown_progress
-from warpav.runs.rig_evaluation import RigEvaluation, seen_objects
-from warpav.runs.rig_source import check_rig_source, find_rig
-from warpav.runs.scene_set import first_scene
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.sight.check import RequirementResult, check_requirements, check_rigs
@@ -82,14 +82,14 @@ def _outages_drawing(outages: CameraOutages, canvas: Canvas) -> Any:  # noqa: AN
 def _tolerance_drawing(
     tolerance: MountTolerance | None, canvas: Canvas, *, outages: CameraOutages | None = None
 ) -> Any:  # noqa: ANN401 (as above)
-    from warpav.view.figures.statistics import sensitivity_figure
+    from warpav.view.figures import sensitivity_figure
 
     return sensitivity_figure(tolerance, outages, heading=canvas.title)
 
 
 @draws(RigEvaluation, "recall", is_figure=True)
 def _drawing(evaluation: RigEvaluation, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view._plotting.Kind)
-    from warpav.view.figures.statistics import recall_figure
+    from warpav.view.figures import recall_figure
 
     if not evaluation.objects:
         raise ArgumentError("kind", "expected an evaluation with objects, got none")
@@ -104,7 +104,7 @@ def _drawing(evaluation: RigEvaluation, canvas: Canvas) -> Any:  # noqa: ANN401 
 
 @draws(RigEvaluation, "differences", is_figure=True)
 def _differences_drawing(evaluation: RigEvaluation, _canvas: Canvas) -> Any:  # noqa: ANN401 (as above)
-    from warpav.view.figures.statistics import differences_figure
+    from warpav.view.figures import differences_figure
 
     rows = {
         f"{heading}\nagainst {other}": found[metric]
@@ -176,8 +176,8 @@ def check_rig(
     image: Path | None = None,
 ) -> Iterator[str]:
     """Check a rig against requirements; lines that say what it meets."""
+    from warpav.view.figures import checked_figure
     from warpav.view.figures.around import requirement_map
-    from warpav.view.figures.style import checked_figure
 
     if image is not None:
         checked_figure(image, (".png",))

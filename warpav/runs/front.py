@@ -20,13 +20,13 @@ from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.pool_search import too_near
 from warpav.optimisation.rig_limits import RigLimits, range_text
 from warpav.rig.rig import Rig, write_rig
+from warpav.runs._mounts import check_one_unit, rig_modules
+from warpav.runs._progress import shown_progress
+from warpav.runs._rig_evaluation import RigEvaluation
 from warpav.runs.config import AUTO
 from warpav.runs.evaluate import evaluate_on
-from warpav.runs.mounts import check_one_unit, rig_modules
 from warpav.runs.optimise import Optimisation, kept_drawing, pool_search_settings, searches_by_pool
 from warpav.runs.placement import Placement
-from warpav.runs.progress import shown_progress
-from warpav.runs.rig_evaluation import RigEvaluation
 from warpav.scene.scene import Scene
 from warpav.view import Canvas, draws, plot
 
@@ -306,6 +306,6 @@ def _without_dominated(points: Sequence[_FrontPoint]) -> tuple[_FrontPoint, ...]
 
 @draws(Front, "front", is_figure=True)
 def _drawing(found: Front, canvas: Canvas) -> Any:  # noqa: ANN401 (see warpav.view._plotting.Kind)
-    from warpav.view.figures.statistics import front_figure
+    from warpav.view.figures import front_figure
 
     return front_figure([each.to_json() for each in found.points], by=found.by, title=canvas.title)

@@ -20,17 +20,16 @@ from warpav.core.warp_setup import checked_device
 from warpav.raster.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
 from warpav.runs._drawn_run import fitting
+from warpav.runs._events import trajectory
+from warpav.runs._mounts import camera_mount, constraints_of, mount_surface, objective_options, rig_modules
+from warpav.runs._networks import load_detector
+from warpav.runs._rig_source import arm_names, find_rig, is_run_folder
+from warpav.runs._run_folder import RunFolder
+from warpav.runs._scene_set import first_scene, load_scene, load_scenes
 from warpav.runs.config import Config
-from warpav.runs.events import trajectory
-from warpav.runs.mounts import camera_mount, constraints_of, mount_surface, objective_options, rig_modules
-from warpav.runs.networks import load_detector
-from warpav.runs.rig_source import arm_names, find_rig, is_run_folder
-from warpav.runs.run_folder import RunFolder
-from warpav.runs.scene_set import first_scene, load_scene, load_scenes
 from warpav.scene.glb import read_scene
-from warpav.view import kinds_of, plot
-from warpav.view.figures.style import checked_figure
-from warpav.view.output import check_suffix
+from warpav.view import check_suffix, kinds_of, plot
+from warpav.view.figures import checked_figure
 
 if TYPE_CHECKING:
     from warpav.core.progress import Progress
@@ -40,7 +39,7 @@ if TYPE_CHECKING:
     from warpav.rig.module import Module
     from warpav.scene.scene import Scene
     from warpav.sight.check import RequirementResult
-    from warpav.view.inspector import BEGINNINGS, Inspector
+    from warpav.view import BEGINNINGS, Inspector
 
 _Shown = Literal["rig", "coverage", "redundancy", "outcomes", "visibility", "further", "zones", "gain", "sheet"]
 """What an image of a rig shows besides: the ground by how many cameras see somebody there, or see the ground itself;
@@ -50,6 +49,13 @@ body; the zones of the body; or, instead, a page to print."""
 
 _PAGE_SCENES = 3
 """Scenes that a page holds at most; each takes a megabyte."""
+
+
+def no_window_text() -> str:
+    """Why a file is written rather than a window opened."""
+    from warpav.view import display_text
+
+    return f"no window here, as {display_text()}"
 
 
 def inspect_rig(
@@ -62,10 +68,10 @@ def inspect_rig(
     progress: Progress | None = None,
 ) -> Path | None:
     """Show a rig on its vehicle in traffic: in the interactive inspector if there is a display, else in a file."""
-    from warpav.evaluation.metrics import RigObserver
+    from warpav.optimisation.evaluation.metrics import RigObserver
     from warpav.scene.device_scene import DeviceScene
     from warpav.sight.ground import HEIGHTS_M, PATCH_M, Ground
-    from warpav.view.opengl import has_display
+    from warpav.view import has_display
 
     if requirements is not None and shown != "rig":
         raise ArgumentError(
@@ -118,7 +124,7 @@ def inspect_rig(
 
 def _write_recording(source: str, config: Config, out: Path, shown: _Shown, requirements: str | None) -> Path:
     """Write the rig in the first test scene as a recording for Rerun, of a run with all its iterations."""
-    from warpav.view.recording import load_rerun, write_recording
+    from warpav.view import load_rerun, write_recording
 
     if shown != "rig" or requirements is not None:
         option, value = ("requirements", requirements) if requirements is not None else ("show", shown)
@@ -162,11 +168,8 @@ def inspector(
     Args:
         requirements: YAML file, or a template's name; None: there are none.
     """
-    from warpav.evaluation.metrics import RigObserver
-    from warpav.view import Canvas
-    from warpav.view.inspected import InspectedRig
-    from warpav.view.inspector import Inspector
-    from warpav.view.layers import Steepest
+    from warpav.optimisation.evaluation.metrics import RigObserver
+    from warpav.view import Canvas, InspectedRig, Inspector, Steepest
 
     check = None if requirements is None else _check(requirements, config)
     further = _further(source, begin_with) if begin_with in ("further", "gain") else None
@@ -226,9 +229,9 @@ def serve_inspector(
     """Serve the inspector to browsers of this machine until it is interrupted.
 
     Args:
-        port: Where to listen, 0 for any that is free; None: `warpav.view.browser.DEFAULT_PORT`.
+        port: Where to listen, 0 for any that is free; None: `warpav.view.DEFAULT_PORT`.
     """
-    from warpav.view.browser import DEFAULT_PORT, BrowserInspector, new_token
+    from warpav.view import DEFAULT_PORT, BrowserInspector, new_token
 
     scenes = None if scene is None else [read_scene(scene)]
     shown = BrowserInspector(
@@ -248,11 +251,17 @@ def write_inspector_page(
     """Write a page that stands alone: a rig in some scenes, what its cameras see of the ground, switches for all."""
     from warpav.scene.device_scene import DeviceScene
     from warpav.sight.ground import HEIGHTS_M, PATCH_M, Ground
-    from warpav.view import Canvas
-    from warpav.view.layers import add_coverage, patch_words
-    from warpav.view.output import save_page
-    from warpav.view.page import load_k3d
-    from warpav.view.picture import WIDE_ZOOM, Picture, add_range_rings, rig_plotter
+    from warpav.view import (
+        WIDE_ZOOM,
+        Canvas,
+        Picture,
+        add_coverage,
+        add_range_rings,
+        load_k3d,
+        patch_words,
+        rig_plotter,
+        save_page,
+    )
 
     if out.suffix.lower() != ".html":
         raise ArgumentError("out", f"expected a name that ends in .html, got {str(out)!r}")

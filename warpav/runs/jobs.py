@@ -12,24 +12,24 @@ from warpav.core.executor import Executor
 from warpav.core.files import json_ready, write_json
 from warpav.core.progress import Progress
 from warpav.core.warp_setup import device_name
-from warpav.evaluation.perturbations import LoadState, SoiledPart
+from warpav.optimisation.evaluation.perturbations import LoadState, SoiledPart
 from warpav.optimisation.pool import Drawing, pool_cache_folder
 from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.records import IterationRecord
 from warpav.rig.rig import Rig, write_rig
 from warpav.runs._checkpoint import check_options
+from warpav.runs._mounts import preset_for
+from warpav.runs._progress import shown_progress
+from warpav.runs._result import Result, StageTimer, complete_folder
+from warpav.runs._rig_source import arm_names, find_rig, is_run_folder, is_shipped
+from warpav.runs._run_folder import EVALUATION_SCHEMA, RunFolder, held_run, new_run_folder
+from warpav.runs._scene_set import load_scenes
 from warpav.runs.config import Config, flow_text, placed_config
 from warpav.runs.evaluate import evaluate_on, rule_margins
-from warpav.runs.mounts import preset_for
 from warpav.runs.optimise import Optimisation, kept_drawing
 from warpav.runs.placement import Placement
-from warpav.runs.progress import shown_progress
 from warpav.runs.report._content import RunContent, read_content
-from warpav.runs.result import Result, StageTimer, complete_folder
-from warpav.runs.rig_source import arm_names, find_rig, is_run_folder, is_shipped
 from warpav.runs.robustness import load_states_of, soiling_of
-from warpav.runs.run_folder import EVALUATION_SCHEMA, RunFolder, held_run, new_run_folder
-from warpav.runs.scene_set import load_scenes
 
 _CHECKPOINT_EVERY = 10
 """Steps of a descent after which its state is written."""
@@ -199,6 +199,20 @@ def _keep_reached(folder: RunFolder, optimisation: Optimisation) -> None:
     further = descent.further_cameras() if isinstance(descent, PoolRun) else None
     if further is not None:
         folder.write_further_cameras(further)
+
+
+def posed_otherwise(
+    soiling: tuple[Any, float, float, float] | None, load: Sequence[tuple[float, float]] | None
+) -> tuple[SoiledPart | None, dict[str, LoadState]]:
+    """What the command line gives as soiling (shape, place, share) and as states of load (pitch, height)."""
+    try:
+        part = SoiledPart(soiling[0], soiling[1:3], soiling[3]) if soiling else None
+    except ArgumentError as error:
+        raise ArgumentError("soiling", error.text) from None
+    try:
+        return part, {f"load {number}": LoadState(*each) for number, each in enumerate(load or (), 1)}
+    except ArgumentError as error:
+        raise ArgumentError("load", error.text) from None
 
 
 def measure_rig(

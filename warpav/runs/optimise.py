@@ -23,11 +23,11 @@ from warpav.optimisation.records import IterationRecord, NotFiniteError, named_p
 from warpav.optimisation.space import SearchSpace
 from warpav.rig.rig import Rig
 from warpav.runs._checkpoint import check_identity, identity_of
+from warpav.runs._progress import shown_progress
+from warpav.runs._result import Result
+from warpav.runs._rig_source import start_changes
 from warpav.runs.config import BY_HAND, Config
 from warpav.runs.placement import Placement, Stream
-from warpav.runs.progress import shown_progress
-from warpav.runs.result import Result
-from warpav.runs.rig_source import start_changes
 
 if TYPE_CHECKING:
     from warpav.thesis.descent import Descent

@@ -32,10 +32,7 @@ from warpav.optimisation.rig_limits import RigLimits, range_text
 from warpav.optimisation.settings import LOSSES, ImportanceSettings, RobustSettings
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig
-from warpav.runs.config import AUTO, BY_HAND, Config, RigConfig
-from warpav.runs.config._schema import NO_REQUIREMENTS
-from warpav.runs.detector_fit import ensure_fit, fit_config
-from warpav.runs.mounts import (
+from warpav.runs._mounts import (
     camera_models,
     checked_frozen,
     constraints_of,
@@ -43,9 +40,9 @@ from warpav.runs.mounts import (
     objective_options,
     rig_limits,
 )
-from warpav.runs.networks import Networks, load_networks
-from warpav.runs.rig_source import read_baselines, read_start, with_added_cameras
-from warpav.runs.scene_set import (
+from warpav.runs._networks import Networks, load_networks
+from warpav.runs._rig_source import read_baselines, read_start, with_added_cameras
+from warpav.runs._scene_set import (
     SceneSet,
     are_town,
     check_zones,
@@ -57,6 +54,9 @@ from warpav.runs.scene_set import (
     pack_scenes,
     scene_options,
 )
+from warpav.runs.config import AUTO, BY_HAND, Config, RigConfig
+from warpav.runs.config._schema import NO_REQUIREMENTS
+from warpav.runs.detector_fit import ensure_fit, fit_config
 from warpav.scene.device_scene import DeviceScene
 from warpav.scene.scene import Scene
 from warpav.sight.read import read_requirements
@@ -506,9 +506,10 @@ class Placement:
             known.check_vehicle(scene)
             packed.append(DeviceScene.pack(scene, device=self.mount.device))
         areas = known.areas_of(packed, self.config.thesis.rotations)
-        from warpav.thesis.segregation import assign_vehicles
+        from warpav.thesis.segregation import cameras_of
 
-        return assign_vehicles(packed, [area[:, self.segregation.rotation] for area in areas])
+        of_scene = [cameras_of(area[:, self.segregation.rotation]) for area in areas]
+        return [AssignedScene(*each) for each in zip(packed, of_scene, strict=True)]
 
     def value_and_grad(
         self, rig: Rig, scenes: Sequence[Scene] | None = None

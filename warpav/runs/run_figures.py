@@ -14,22 +14,21 @@ import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError
 from warpav.core.progress import Progress
-from warpav.evaluation.metrics import ObjectOutcome
+from warpav.optimisation.evaluation.metrics import ObjectOutcome
 from warpav.rig.rig import Rig
 from warpav.runs._drawn_run import DrawnRun
+from warpav.runs._events import trajectory
+from warpav.runs._rig_evaluation import RigEvaluation
+from warpav.runs._run_folder import RunFolder
 from warpav.runs.evaluate import requirements_of
-from warpav.runs.events import trajectory
 from warpav.runs.placement import Placement
 from warpav.runs.report._content import read_evaluation
 from warpav.runs.report.report import SHOWN_SCENES
-from warpav.runs.rig_evaluation import RigEvaluation
-from warpav.runs.run_folder import RunFolder
-from warpav.view import Canvas, drawing_of, plot
-from warpav.view.opengl import opengl_problem
+from warpav.view import Canvas, drawing_of, opengl_problem, plot
 
 if TYPE_CHECKING:
     from warpav.detection.probability import DetectionProbability
-    from warpav.evaluation.metrics import CameraObservation
+    from warpav.optimisation.evaluation.metrics import CameraObservation
     from warpav.optimisation.losses.scene_on_tape import AssignedScene
     from warpav.raster.camera import CameraModel
     from warpav.scene.scene import Scene
@@ -83,7 +82,7 @@ class RunPictures:
 
     def _draw_few(self) -> None:
         """The pictures of the first page, but for the rig."""
-        from warpav.view.figures.images import detections_sheet
+        from warpav.view.figures import detections_sheet
 
         drawn = self._drawn
         has_search = any(event.get("stage") == "selection" for event in drawn.all_events)
@@ -99,10 +98,8 @@ class RunPictures:
     def _draw_further(self) -> None:
         """All other pictures."""
         from warpav.sight.ground import BlindGround
+        from warpav.view.figures import blind_ground_figure, detections_sheet, save_figure
         from warpav.view.figures.around import requirement_map
-        from warpav.view.figures.from_above import blind_ground_figure
-        from warpav.view.figures.images import detections_sheet
-        from warpav.view.figures.style import save_figure
 
         placement, drawn = self.placement, self._drawn
         self._plot(drawn, "top_view", "rig_top_view")
@@ -148,7 +145,7 @@ class RunPictures:
 
     def _draw_rig(self) -> None:
         """Start and result on the vehicle in the first test scene, side by side."""
-        from warpav.view.output import render_rgb, save_rgb
+        from warpav.view import render_rgb, save_rgb
 
         path_m = {"optimised": trajectory(self.folder.events())}
         images = []
@@ -164,8 +161,8 @@ class RunPictures:
     def _seen(self, rig: Rig, assigned: AssignedScene) -> dict[str, CameraObservation]:
         """What the cameras of a rig see of a scene, by their names; the own body is tinted."""
         from warpav.detection.images import render_images
-        from warpav.evaluation.metrics import observe_scenes
-        from warpav.view.figures.images import own_body_tinted
+        from warpav.optimisation.evaluation.metrics import observe_scenes
+        from warpav.view.figures import own_body_tinted
 
         objective = self.placement.objective
         [seen] = observe_scenes(rig, [assigned], objective, with_objective=False).observations

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from warpav.core.errors import ArgumentError
 from warpav.core.executor import Executor, Outcome
 from warpav.core.files import check_folder
+from warpav.runs._progress import RunDisplay
+from warpav.runs._scene_set import load_scene, plan_settings, reconstruction_settings
 from warpav.runs.config import Config, SceneConfig
-from warpav.runs.progress import RunDisplay
-from warpav.runs.scene_set import load_scene, plan_settings, reconstruction_settings
 from warpav.scene.files import (
     CaptureTask,
     SceneTask,
     capture_path,
     capture_scenes,
     captures_in,
+    check_captures,
     make_scenes,
     scene_path,
     split_seeds,
@@ -124,10 +125,15 @@ def chosen_fleet(paths: Sequence[str] | None, share: float | None) -> Fleet | No
     return fleet_of(paths, share or USUAL_SHARE)
 
 
+def check_captures_of(path: Path, say: Callable[[str], None]) -> tuple[int, int]:
+    """How many captures there are, and how many of them are wrong, each of which is told."""
+    found = list(captures_in(path).values())
+    return len(found), check_captures(found, say)
+
+
 def show_scene(source: str, out: Path | None, level: Level | None = None, fleet: Fleet | None = None) -> Iterator[str]:
     """Show a scene, in a window when there is a display, else in ``<scene>.png``; yields lines about it."""
-    from warpav.view import plot
-    from warpav.view.opengl import has_display
+    from warpav.view import has_display, plot
 
     scene = load_scene(source, Config(scenes=SceneConfig(level=None if level is None else (level,))), fleet=fleet)
     meshes = [scene.surroundings(), scene.ego, *(vehicle.mesh for vehicle in scene.vehicles)]

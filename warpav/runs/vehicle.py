@@ -16,8 +16,8 @@ from warpav.rig.chart import chart_of, propose_zones
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.proposals import kinds_of_names, parts_of
 from warpav.rig.zone import write_zones
+from warpav.runs._mounts import mount_surface
 from warpav.runs.config import Config
-from warpav.runs.mounts import mount_surface
 from warpav.scene.own_vehicle import (
     Examination,
     Reading,
@@ -28,7 +28,7 @@ from warpav.scene.own_vehicle import (
     read_vehicle_file,
     write_vehicle,
 )
-from warpav.scene.vehicles import file_of
+from warpav.scene.vehicles import file_of, vehicle_about, vehicle_names
 from warpav.view import plot
 
 _BONNET_BELOW = 0.07
@@ -64,6 +64,16 @@ class _ZonePart:
     name: str  # ``roof``, ``windscreen``, ``bonnet``, ``front`` (such as a lorry's cab) or ``rear``
     area_m2: float  # its area seen from above [m2]
     height_m: float  # mean height above the ground [m]
+
+
+def shipped_vehicles() -> Iterator[str]:
+    """The vehicles that ship with warpav, in words."""
+    for name in vehicle_names():
+        about = vehicle_about(name)
+        length, width, height = np.ptp(read_vehicle(name).bounds_m(), axis=0)
+        yield f"{name}: {about.title}, {length:.2f} x {width:.2f} x {height:.2f} m (length, width, height)"
+        yield f"  source: {about.source}"
+        yield f"  licence: {about.licence}"
 
 
 def check_vehicle(
@@ -252,8 +262,7 @@ def _row(name: str, text: str) -> str:
 
 def propose(path: Path, config: Config, *, out: Path, image: Path | None = None) -> Iterator[str]:
     """Propose zones of a vehicle, write them, draw them; lines that say what there is."""
-    from warpav.view.output import check_suffix, save_rgb
-    from warpav.view.picture import zones_image_rgb
+    from warpav.view import check_suffix, save_rgb, zones_image_rgb
 
     if image is not None:
         check_suffix(image)

@@ -17,8 +17,8 @@ from warpav.raster.areas import AMODAL_AREA
 from warpav.raster.buffers import Content
 from warpav.raster.camera import CameraModel
 from warpav.raster.renderer import Renderer
+from warpav.raster.scene import Scene
 from warpav.rig.rig import Rig
-from warpav.scene.device_scene import DeviceScene
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Segregation:
 
 
 def areas_around(
-    scenes: Sequence[DeviceScene], yaw_rad: np.ndarray, viewpoint_ego_m: np.ndarray, camera: CameraModel, *, device: str
+    scenes: Sequence[Scene], yaw_rad: np.ndarray, viewpoint_ego_m: np.ndarray, camera: CameraModel, *, device: str
 ) -> list[np.ndarray]:
     """Area of every vehicle alone [px^2] from one point in several directions, one [vehicle, direction] per scene."""
     renderer = Renderer([camera] * len(yaw_rad), device=device)
@@ -42,7 +42,7 @@ def areas_around(
     position_ego_m = wp.array(place, dtype=wp.vec3, device=device)
     areas = []
     for scene in scenes:
-        frame = renderer.render(scene.raster, position_ego_m, camera_from_ego, content=Content.OBJECTS)
+        frame = renderer.render(scene, position_ego_m, camera_from_ego, content=Content.OBJECTS)
         areas.append(frame.measure().value.numpy()[:, :, AMODAL_AREA].T)
     return areas
 
@@ -100,14 +100,6 @@ class BatchChooser:
         while len(cameras) < batch_size:
             cameras.append(self._cameras[self._rng.integers(len(self._cameras))])
         return [int(self._rng.choice(self._scenes_of_camera[camera])) for camera in cameras]
-
-
-def assign_vehicles(scenes: Sequence[DeviceScene], areas: Sequence[np.ndarray]) -> list[AssignedScene]:
-    """Give every vehicle to the camera whose orientation sees most of it; to none where no orientation sees it.
-
-    ``areas`` [vehicle, camera].
-    """
-    return [AssignedScene(scene, cameras_of(area)) for scene, area in zip(scenes, areas, strict=True)]
 
 
 def cameras_of(area: np.ndarray) -> np.ndarray:

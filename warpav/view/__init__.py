@@ -1,6 +1,5 @@
 """All that draws, in 2D and 3D; `plot` is its front door."""
 
-from warpav.view._plotting import drawing_of, draws, kinds_of, plot
-from warpav.view.output import Canvas
+from warpav.core.face import face_of
 
-__all__ = ["Canvas", "drawing_of", "draws", "kinds_of", "plot"]
+__all__, __getattr__ = face_of(__name__)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -19,10 +19,10 @@ from warpav.raster.mesh import Mesh
 from warpav.rig.mount_surface import MountSurface
 from warpav.rig.rig import Rig
 from warpav.scene.scene import Scene
-from warpav.view.figures.style import FIGURE_SUFFIXES, checked_figure, figure_bytes, save_figure
-from warpav.view.opengl import display_text, has_display, load_pyvista
-from warpav.view.output import Animation, Canvas, check_suffix, save_animation, save_image
-from warpav.view.picture import Picture, rig_plotter, vehicle_plotter
+from warpav.view._opengl import display_text, has_display, load_pyvista
+from warpav.view._output import Animation, Canvas, check_suffix, save_animation, save_image
+from warpav.view._picture import Picture, rig_plotter, vehicle_plotter
+from warpav.view.figures._style import FIGURE_SUFFIXES, checked_figure, figure_bytes, save_figure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -297,7 +297,7 @@ def _draw_sheet(
     scene: Scene | None = None,
     range_m: Sequence[float] | None = None,
 ) -> Drawing:
-    from warpav.view.figures.rig_sheet import rig_sheet
+    from warpav.view.figures._rig_sheet import rig_sheet
 
     return rig_sheet(rig, ego=Picture(ego=ego, scene=scene).vehicle, range_m=range_m, title=canvas.title)
 
@@ -330,7 +330,7 @@ def _draw_resolution(rig: Any, canvas: Canvas, *, ego: Mesh | None = None, scene
 
 @draws(Rig, "contact", is_figure=True)
 def _draw_contact(rig: Rig, canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None) -> Drawing:
-    from warpav.view.figures.images import contact_figure
+    from warpav.view.figures._images import contact_figure
 
     if scene is None:
         raise ArgumentError("scene", "expected the scene for kind='contact', got none; give scene=wa.town([0])[0]")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from warpav.view.opengl import load_pyvista_data
+from warpav.view._opengl import load_pyvista_data
 
 if TYPE_CHECKING:
     from warpav.raster.mesh import Mesh
@@ -36,7 +36,7 @@ class SurfaceAccessor:
     def mount_surface(self, *, cell_m: float = 0.02, min_upward_normal: float = 0.9) -> PolyData:
         """Where cameras may stand on this vehicle: one square for each cell that can carry one."""
         from warpav.rig.mount_surface import mount_surface_from_mesh
-        from warpav.view.layers import zones_to_pyvista
+        from warpav.view._layers import zones_to_pyvista
 
         normals: Any = {"min_upward_normal": min_upward_normal, "min_zone_normal": min_upward_normal}
         return zones_to_pyvista(mount_surface_from_mesh(self.as_mesh(), cell_m=cell_m, **normals))

@@ -15,9 +15,9 @@ from warpav.core.errors import InputError
 from warpav.raster.mesh import Mesh
 from warpav.rig.rig import Rig
 from warpav.scene.scene import BLACK_SKY, Box, Scene, Sky, Vehicle
-from warpav.view.layers import mesh_to_pyvista
-from warpav.view.opengl import load_pyvista_data
-from warpav.view.picture import FRUSTUM_DEPTH_M, camera_body, frustum_to_pyvista
+from warpav.view._layers import mesh_to_pyvista
+from warpav.view._opengl import load_pyvista_data
+from warpav.view._picture import FRUSTUM_DEPTH_M, camera_body, frustum_to_pyvista
 
 if TYPE_CHECKING:
     MultiBlock = Any

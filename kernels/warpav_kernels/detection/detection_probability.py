@@ -7,7 +7,7 @@ differentiable everywhere, and straight outside the range that it was fitted on.
 
 import warp as wp
 
-from warpav_kernels.raster.measure import AMODAL_AREA, BOTTOM, LEFT, RIGHT, TOP, VISIBLE_AREA
+from warpav_kernels.raster import AMODAL_AREA, BOTTOM, LEFT, RIGHT, TOP, VISIBLE_AREA
 
 # the features of an object in a view, in this order
 VISIBLE_SIZE = wp.constant(0)  # ln(1 + visible area / px^2)

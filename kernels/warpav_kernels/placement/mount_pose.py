@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warpav_kernels.raster.lens import BROWN_CONRADY, FISHEYE, PANORAMA, SPHERE, Lens, angle_at, radius_and_growth
+from warpav_kernels.raster import BROWN_CONRADY, FISHEYE, PANORAMA, SPHERE, Lens, angle_at, radius_and_growth
 
 
 @wp.func

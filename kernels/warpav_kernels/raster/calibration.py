@@ -6,12 +6,12 @@ segments of its outline, see `measure`; only the flow is another. It is asked fo
 
 import warp as wp
 
-from warpav_kernels.raster.layers import Layers
-from warpav_kernels.raster.lens import BROWN_CONRADY, EUCM, FISHEYE, Lens, radial_factor, sphere_terms
-from warpav_kernels.raster.measure import frame_weight
-from warpav_kernels.raster.outline import Hiding, cell_of, cell_segment, mask_corners, pair_of, segment_cuts
-from warpav_kernels.raster.triangles import Triangles
-from warpav_kernels.raster.view import View, ray_in_camera
+from warpav_kernels.raster._layers import Layers
+from warpav_kernels.raster._lens import BROWN_CONRADY, EUCM, FISHEYE, Lens, radial_factor, sphere_terms
+from warpav_kernels.raster._measure import frame_weight
+from warpav_kernels.raster._outline import Hiding, cell_of, cell_segment, mask_corners, pair_of, segment_cuts
+from warpav_kernels.raster._triangles import Triangles
+from warpav_kernels.raster._view import View, ray_in_camera
 
 wp.set_module_options({"enable_backward": False})
 

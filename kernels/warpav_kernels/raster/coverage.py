@@ -5,8 +5,8 @@ What only the samples say needs no outline, and so no edge crossings.
 
 import warp as wp
 
-from warpav_kernels.raster.layers import Layers
-from warpav_kernels.raster.measure import (
+from warpav_kernels.raster._layers import Layers
+from warpav_kernels.raster._measure import (
     AMODAL_AREA,
     BOTTOM,
     BOX_AREA,
@@ -16,8 +16,8 @@ from warpav_kernels.raster.measure import (
     VISIBLE_AREA,
     frame_weight,
 )
-from warpav_kernels.raster.outline import Hiding, pair_of
-from warpav_kernels.raster.view import GUARD, View, sample_ray, solid_angle
+from warpav_kernels.raster._outline import Hiding, pair_of
+from warpav_kernels.raster._view import GUARD, View, sample_ray, solid_angle
 
 wp.set_module_options({"enable_backward": False})
 

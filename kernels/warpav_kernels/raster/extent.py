@@ -8,9 +8,9 @@ which takes ``slope x motion across`` off its motion. The same holds at the uppe
 
 import warp as wp
 
-from warpav_kernels.raster.layers import Layers, place_in
-from warpav_kernels.raster.measure import BOTTOM, LEFT, RIGHT, TOP
-from warpav_kernels.raster.view import GUARD, View, column_gradient, inverse_depth_of, row_gradient, sample_ray, sees
+from warpav_kernels.raster._layers import Layers, place_in
+from warpav_kernels.raster._measure import BOTTOM, LEFT, RIGHT, TOP
+from warpav_kernels.raster._view import GUARD, View, column_gradient, inverse_depth_of, row_gradient, sample_ray, sees
 
 wp.set_module_options({"enable_backward": False})
 

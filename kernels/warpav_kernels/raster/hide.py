@@ -7,9 +7,9 @@ because a boundary needs the surfaces on both of its sides.
 
 import warp as wp
 
-from warpav_kernels.raster.layers import Layers, place_in
-from warpav_kernels.raster.triangles import Triangles
-from warpav_kernels.raster.view import inverse_depth_of
+from warpav_kernels.raster._layers import Layers, place_in
+from warpav_kernels.raster._triangles import Triangles
+from warpav_kernels.raster._view import inverse_depth_of
 
 wp.set_module_options({"enable_backward": False})
 

@@ -19,10 +19,10 @@ Perturbations, Jacobians and sums in a fixed order are those of `measure`.
 
 import warp as wp
 
-from warpav_kernels.raster.measure import BoundaryDerivative, derivative_of_lanes
-from warpav_kernels.raster.shade import Patch, patch_under, rgb_along
-from warpav_kernels.raster.triangles import Triangles
-from warpav_kernels.raster.view import (
+from warpav_kernels.raster._measure import BoundaryDerivative, derivative_of_lanes
+from warpav_kernels.raster._shade import Patch, patch_under, rgb_along
+from warpav_kernels.raster._triangles import Triangles
+from warpav_kernels.raster._view import (
     GUARD,
     View,
     column_gradient,

@@ -17,11 +17,19 @@ what the border sweeps.
 
 import warp as wp
 
-from warpav_kernels.raster.layers import Layers
-from warpav_kernels.raster.measure import BoundaryDerivative, frame_weight, with_step
-from warpav_kernels.raster.outline import Hiding, cell_of, cell_segment, is_in_mask, mask_corners, pair_of, segment_cuts
-from warpav_kernels.raster.triangles import Triangles
-from warpav_kernels.raster.view import GUARD, View, ray_in_camera, solid_angle
+from warpav_kernels.raster._layers import Layers
+from warpav_kernels.raster._measure import BoundaryDerivative, frame_weight, with_step
+from warpav_kernels.raster._outline import (
+    Hiding,
+    cell_of,
+    cell_segment,
+    is_in_mask,
+    mask_corners,
+    pair_of,
+    segment_cuts,
+)
+from warpav_kernels.raster._triangles import Triangles
+from warpav_kernels.raster._view import GUARD, View, ray_in_camera, solid_angle
 
 wp.set_module_options({"enable_backward": False})
 

@@ -7,7 +7,7 @@ the camera turned by the rotational addition a; a = 0 is where it really looks.
 import warp as wp
 
 from warpav_kernels.placement.mount_pose import X_M, Y_M, YAW_RAD
-from warpav_kernels.raster.measure import AMODAL_AREA, BOX_AREA, LEFT, RIGHT, VISIBLE_AREA
+from warpav_kernels.raster import AMODAL_AREA, BOX_AREA, LEFT, RIGHT, VISIBLE_AREA
 
 _ALIGNED_RAD = wp.constant(1.0e-6)  # ranges whose ends are this close touch: neither overlap nor gap, no gradient
 

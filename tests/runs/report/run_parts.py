@@ -5,9 +5,9 @@ from PIL import Image
 
 from warpav.raster.camera import CameraModel
 from warpav.rig.rig import Rig, RigCamera, write_rig
+from warpav.runs import RunFolder
+from warpav.runs._rig_evaluation import TABLE_ROWS
 from warpav.runs.config import load_config
-from warpav.runs.rig_evaluation import TABLE_ROWS
-from warpav.runs.run_folder import RunFolder
 
 ARMS = ("optimised", "start", "highest")
 SECTORS = ("front", "rear")

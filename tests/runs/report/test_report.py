@@ -25,15 +25,15 @@ from tests.runs.report.run_parts import (
 from warpav.cli.app import main
 from warpav.core.errors import InputError
 from warpav.rig.rig import Rig, write_rig
+from warpav.runs import RunFolder
+from warpav.runs._events import Bound, Certificate
+from warpav.runs._rig_evaluation import TABLE_ROWS, RigEvaluation
+from warpav.runs._terminal import Terminal
 from warpav.runs.config import load_config
-from warpav.runs.events import Bound, Certificate
 from warpav.runs.report._content import RunContent, read_content
+from warpav.runs.report._statements import headline, summary
 from warpav.runs.report.report import write_report
-from warpav.runs.report.statements import headline, summary
 from warpav.runs.report.tables import show_run
-from warpav.runs.rig_evaluation import TABLE_ROWS, RigEvaluation
-from warpav.runs.run_folder import RunFolder
-from warpav.runs.terminal import Terminal
 
 
 class Page(HTMLParser):

@@ -15,7 +15,7 @@ from warpav.core.errors import InputError
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import Rig, RigCamera
 from warpav.view.drawing.mount_drawing import _PAGE_MM, mount_drawing
-from warpav.view.figures.style import text_width_mm
+from warpav.view.figures._style import text_width_mm
 
 
 def drawing_of(some=None, **options):

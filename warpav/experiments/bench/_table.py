@@ -9,7 +9,7 @@ from typing import Any
 
 from warpav.experiments.bench._scores import gradient_scores
 from warpav.experiments.bench._workload import Truth
-from warpav.runs.terminal import TerminalTable
+from warpav.runs import TerminalTable
 
 _TITLES = {"w1": "W1 gradient", "w2": "W2 depth, object", "w3": "W3 colour"}
 _ERROR_HEADING = "error of x, z, yaw"

@@ -13,10 +13,10 @@ from warpav.core.yaml_file import read_yaml
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.rig import Rig
 from warpav.rig.zone import Zone, read_zones
+from warpav.runs._events import Certificate, Event
+from warpav.runs._rig_evaluation import RigEvaluation
+from warpav.runs._run_folder import RunFolder
 from warpav.runs.config import Config
-from warpav.runs.events import Certificate, Event
-from warpav.runs.rig_evaluation import RigEvaluation
-from warpav.runs.run_folder import RunFolder
 
 Content = TypeVar("Content")
 

@@ -15,18 +15,17 @@ import numpy as np
 
 from warpav.core.errors import InputError
 from warpav.core.table import Table
-from warpav.evaluation.metrics import ObjectOutcome
-from warpav.evaluation.statistics import Difference
+from warpav.optimisation.evaluation.metrics import ObjectOutcome
+from warpav.optimisation.evaluation.statistics import Difference
+from warpav.runs._mounts import free_ranges, has_zones
+from warpav.runs._rig_evaluation import LOWER_IS_BETTER, TABLE_ROWS, RigEvaluation
+from warpav.runs._run_folder import RunFolder
 from warpav.runs.config import config_names, load_config, overrides_from
-from warpav.runs.mounts import free_ranges, has_zones
-from warpav.runs.report import statements as words
+from warpav.runs.report import _statements as words
 from warpav.runs.report._content import RunContent, read_content
-from warpav.runs.rig_evaluation import LOWER_IS_BETTER, TABLE_ROWS, RigEvaluation
-from warpav.runs.run_folder import RunFolder
 from warpav.sight.requirement import SECTORS, sectors_of
-from warpav.view.figures.convergence import loss_figure, search_figure
-from warpav.view.figures.style import figure_bytes
-from warpav.view.palette import OUTCOME_RGB, hex_colour
+from warpav.view import OUTCOME_RGB, hex_colour
+from warpav.view.figures import figure_bytes, loss_figure, search_figure
 
 if TYPE_CHECKING:
     from jinja2 import Template

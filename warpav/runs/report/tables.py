@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from warpav.core.table import Table
+from warpav.runs._terminal import Group, Terminal, drawn, shown
 from warpav.runs.report._content import RunContent
-from warpav.runs.report.statements import (
+from warpav.runs.report._statements import (
     MINUS,
     NONE,
     SPACE,
@@ -13,7 +14,6 @@ from warpav.runs.report.statements import (
     summary,
     warnings,
 )
-from warpav.runs.terminal import Group, Terminal, drawn, shown
 
 _STYLE = {"good": "green", "bad": "red", "open": ""}
 

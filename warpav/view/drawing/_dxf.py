@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warpav.view._opengl import optional_module
+from warpav.view._palette import camera_rgb
 from warpav.view.drawing._mounts import angles_deg, plain
-from warpav.view.opengl import optional_module
-from warpav.view.palette import camera_rgb
 
 if TYPE_CHECKING:
     from warpav.view.drawing._sheet import Mark, Sheet

@@ -15,7 +15,7 @@ import numpy as np
 from warpav.raster.mesh import Mesh
 from warpav.scene.glb import Node, glb_bytes
 from warpav.view._outlines import frustum_points
-from warpav.view.palette import camera_rgb
+from warpav.view._palette import camera_rgb
 
 if TYPE_CHECKING:
     from warpav.rig.module import Housing, Module

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpav.view._labels import Labels, around
-from warpav.view.figures.style import text_width_mm
+from warpav.view.figures._style import text_width_mm
 
 if TYPE_CHECKING:
     from warpav.view.drawing._mounts import Mount

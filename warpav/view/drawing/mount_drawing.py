@@ -23,6 +23,8 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import rig_text
 from warpav.view._outlines import silhouette_m
+from warpav.view._output import write_bytes
+from warpav.view._palette import GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 from warpav.view.drawing._dxf import drawing_dxf, load_ezdxf
 from warpav.view.drawing._mounts import Mount, angles_deg, housing_corners_m, mount_csv, mount_glb, mounts, plain
 from warpav.view.drawing._sheet import (
@@ -37,7 +39,7 @@ from warpav.view.drawing._sheet import (
     box_mm,
     circle_mm,
 )
-from warpav.view.figures.style import (
+from warpav.view.figures._style import (
     FIGURE_SUFFIXES,
     SCALES,
     Page,
@@ -48,8 +50,6 @@ from warpav.view.figures.style import (
     text_points,
     text_width_mm,
 )
-from warpav.view.output import write_bytes
-from warpav.view.palette import GRID_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
     from warpav.raster.mesh import Mesh

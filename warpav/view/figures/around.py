@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warpav.detection.probability import DetectionProbability
-from warpav.evaluation.detection_range import LEAST_HEIGHT_PX, DetectionRange
+from warpav.optimisation.evaluation.detection_range import LEAST_HEIGHT_PX, DetectionRange
 from warpav.sight.around import CAR_HEIGHT_M, PIXELS, NearField, SectorCounts
 from warpav.sight.requirement import Body
 from warpav.view._labels import Labels
-from warpav.view.figures.from_above import (
+from warpav.view._palette import COVERAGE_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
+from warpav.view.figures._from_above import (
     RING,
     RINGS,
     draw_cameras,
@@ -27,7 +28,7 @@ from warpav.view.figures.from_above import (
     write_distance,
     write_key,
 )
-from warpav.view.figures.style import (
+from warpav.view.figures._style import (
     WIDTH_INCH,
     closed,
     figure_style,
@@ -37,7 +38,6 @@ from warpav.view.figures.style import (
     save_figure,
     title,
 )
-from warpav.view.palette import COVERAGE_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
     from warpav.raster.camera import CameraModel
@@ -291,7 +291,7 @@ def range_figure(
     The probability is that of the fitted model (`warpav.detection.probability`), from what a render shows of the road
     user alone: area, shape, distance from the image's border. It heads as the own vehicle does, has the contrast of an
     average object, and stands every 5 degrees at 18 distances from 5 to 500 m; see
-    `warpav.evaluation.detection_range`. Lines end where the image becomes smaller than the model speaks for
+    `detection_range`. Lines end where the image becomes smaller than the model speaks for
     (`DetectionRange.limit_m`) and have ticks outwards there: the road user is found up to there, and nothing is known
     of what is farther. The model knows neither haze nor blur: it says what the detector makes of so many clean pixels.
     """

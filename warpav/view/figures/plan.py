@@ -11,7 +11,8 @@ import numpy as np
 from warpav.sight.around import CAR_HEIGHT_M, PIXELS, VisibleGround, px_per_degree, size_ranges_m
 from warpav.view._labels import Labels
 from warpav.view._outlines import fan_outlines_m
-from warpav.view.figures.from_above import (
+from warpav.view._palette import COVERAGE_RGB, GROUND_RGB, camera_rgb, hex_colour
+from warpav.view.figures._from_above import (
     RINGS,
     camera_handles,
     draw_surroundings,
@@ -20,7 +21,7 @@ from warpav.view.figures.from_above import (
     panels_with_key,
     write_key,
 )
-from warpav.view.figures.style import (
+from warpav.view.figures._style import (
     WIDTH_INCH,
     camera_digit,
     camera_mark,
@@ -32,7 +33,6 @@ from warpav.view.figures.style import (
     new_figure,
     title,
 )
-from warpav.view.palette import COVERAGE_RGB, GROUND_RGB, camera_rgb, hex_colour
 
 if TYPE_CHECKING:
     from warpav.raster.mesh import Mesh

@@ -1,0 +1,794 @@
+"""What a run has come to in words, for terminal and page alike: what was reached, what was not, what is still open."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from warpav.core.frames import wrap_angle_rad
+from warpav.optimisation.constraints import Margin
+from warpav.optimisation.evaluation.metrics import REDUNDANT_WITHIN_M, ObjectOutcome
+from warpav.optimisation.evaluation.statistics import Difference
+from warpav.optimisation.mount_errors import ANGLES
+from warpav.rig.rig import Rig
+from warpav.runs._rig_evaluation import RigEvaluation, Robust
+from warpav.runs.report._content import RunContent
+from warpav.sight.requirement import SECTORS
+from warpav.sight.rules import RuleMargin
+
+_Tone = Literal["good", "bad", "open"]
+
+MINUS, NONE, SPACE = "\N{MINUS SIGN}", "\N{EN DASH}", "\N{NO-BREAK SPACE}"
+
+_MIN_SCENES = 6
+"""With fewer, no difference can have a p-value below 0.05: all scenes agree by chance in 2^(1 - scenes) of cases."""
+
+_FEW_SCENES = 30
+_FAR_PER_100 = 5.0  # detected misses that exceed the expected ones by so many, and twofold, are warned of
+_HIDING_BODY = 0.5  # share of an image from which on the own body is named as why a rig detects nothing
+_BASELINES = {
+    "by_hand": "the best rig by hand",
+    "start": "the start",
+    "highest": "the highest rig",
+    "random": "the best random rig",
+}
+_ALSO_COMPARED = {
+    "ap50_pooled": ("AP50", False),
+    "false_alarms_per_frame": ("false alarms", True),
+    "tp_in_frame_rate": ("in frame", False),
+}
+"""Metrics that are named besides recall where their difference is significant, and whether less is better."""
+_WORTH_NAMING_M, _WORTH_NAMING_DEG = 0.005, 0.5  # smaller moves are none
+
+
+@dataclass(frozen=True)
+class Statement:
+    """A sentence or some, under a catchword; ``tone`` says whether that is good or bad news, or neither."""
+
+    about: str
+    text: str
+    tone: _Tone = "open"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number with so many decimals, a dash where there is none."""
+    return NONE if value is None else f"{value:z.{digits}f}".replace("-", MINUS)
+
+
+def signed(value: float | None, digits: int = 3) -> str:
+    """The same with its sign."""
+    return NONE if value is None else f"{value:+z.{digits}f}".replace("-", MINUS)
+
+
+def percent(value: float | None, digits: int = 1) -> str:
+    """A share in percent, a dash where there is none."""
+    return NONE if value is None else f"{100.0 * value:.{digits}f}{SPACE}%"
+
+
+def interval(difference: Difference, factor: float = 1.0, digits: int = 3) -> str:
+    """A difference with its 95 % interval, times a factor."""
+    mean, low, high = (
+        signed(None if each is None else factor * each, digits)
+        for each in (difference.mean, difference.low, difference.high)
+    )
+    return mean if NONE in (low, high) else f"{mean} [{low}, {high}]"
+
+
+def tone_of(difference: Difference, *, lower_is_better: bool = False) -> _Tone:
+    """In whose favour a difference is, where it is significant: its interval excludes 0, and the scenes are enough."""
+    low, high = difference.low, difference.high
+    if low is None or high is None or difference.scenes < _MIN_SCENES or low <= 0.0 <= high:
+        return "open"
+    return "good" if (high < 0.0) == lower_is_better else "bad"
+
+
+def warnings(evaluation: RigEvaluation) -> list[Statement]:
+    """What is wrong with the rig that was found: worse than its start, requirements not met, the own body in the way.
+
+    Its objective is higher on the scenes where rigs are compared: then the rig of the run is the start. Or its recall
+    on the test scenes is significantly lower: these choose no rig, so it stays the rig of the run.
+    """
+    found = [Statement("WORSE THAN ITS START", text, "bad") for text in worse_than_start(evaluation)]
+    for each in evaluation.met.get(evaluation.first, []):
+        if each.is_met:
+            continue
+        text = f"{each.name} at {percent(each.share)} of {each.points} points"
+        text += f", asked {percent(each.need.share, 0)}" if each.need.share not in (None, 1.0) else ""
+        if each.worst:
+            x, y = each.worst[0].position_m
+            text += f"; worst at x = {x:.1f} m, y = {y:.1f} m"
+        if each.gap:
+            text += f"; largest gap: {each.gap.area_m2:.2f} m², {each.gap.sector}"
+        found.append(Statement("REQUIREMENT NOT MET", text, "bad"))
+    for name, arm in evaluation.arms.items():
+        share = arm.body_share_max or 0.0
+        if arm.tp_detection_rate == 0.0 and share >= _HIDING_BODY:
+            text = f"the vehicle's own body covers up to {share:.0%} of an image"
+            found.append(Statement(f"{name} detects nothing", text, "bad"))
+    return found
+
+
+def worse_than_start(evaluation: RigEvaluation) -> list[str]:
+    """In what the rig that a run has found is worse than its start, a sentence each."""
+    found = []
+    training = evaluation.training_objective
+    if training is not None and _is_worse_than_start(evaluation):
+        end = "no number" if training.optimised is None else f"{training.optimised:.4g}"
+        found.append(
+            f"the optimised rig has objective {end}, its start {training.start:.4g}; the rig of the run, "
+            "rig_best.yaml, is the start"
+        )
+    recall = evaluation.paired.get(evaluation.start, {}).get("tp_detection_rate")
+    if recall is not None and recall.high is not None and recall.high < 0.0 and evaluation.start in evaluation.arms:
+        before, after = (
+            number(evaluation.arms[evaluation.start].tp_detection_rate, 4),
+            number(evaluation.best.tp_detection_rate, 4),
+        )
+        found.append(f"the {evaluation.first} rig has recall {after} on the test scenes, its start {before}")
+    return found
+
+
+def headline(run: RunContent) -> Statement:
+    """The run in one sentence."""
+    evaluation = run.evaluation
+    if evaluation is None:
+        return Statement("", f"Stopped after {_counted(len(run.events), 'iteration')}, before any rig was compared.")
+    compared = {
+        name: tone_of(found["tp_detection_rate"])
+        for name, found in evaluation.paired.items()
+        if "tp_detection_rate" in found
+    }
+    if not compared:
+        return Statement("", f"Recall of the rig on the test scenes: {number(evaluation.best.tp_detection_rate)}.")
+    counted = max(evaluation.paired[name]["tp_detection_rate"].scenes for name in compared)
+    named = {tone: [_arm(name) for name in compared if compared[name] == tone] for tone in ("good", "bad", "open")}
+    parts = []
+    if named["good"]:
+        parts.append(f"detects more than {_listed(named['good'])}")
+    if named["bad"]:
+        parts.append(f"detects fewer than {_listed(named['bad'])}")
+    if named["open"]:
+        alternatives = _listed(named["open"], "or")
+        parts.append(f"cannot be distinguished from {alternatives} by what it detects")
+    tone: _Tone = "bad" if named["bad"] else "good" if named["good"] else "open"
+    text = f"The {evaluation.first} rig {_listed(parts)}."
+    if counted < _MIN_SCENES:
+        text = f"{_few(counted)} too few to show a difference"
+        found = _detected(run, evaluation)
+        text += f"; there the {found}." if found else "."
+    expected = _expected(run, evaluation)
+    if expected is not None and tone != "bad":
+        more = f" It detects more than {_listed(named['good'])}." if named["good"] else ""
+        text = expected.text + more
+        if named["open"]:
+            text += f" What the detector finds there cannot tell it from {_listed(named['open'], 'or')}."
+        tone = expected.tone if tone == "open" else tone
+    if _is_worse_than_start(evaluation):
+        return Statement("", f"Worse than its start, so the rig of this run is the start. {text}", "bad")
+    return Statement("", text, tone)
+
+
+def _expected(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
+    """What is expected to be missed on the test scenes, where that is the objective; it varies less than recall."""
+    first = evaluation.best.objective
+    if run.certificate is None or evaluation.robust is not None or first is None:
+        return None
+    compared = {name: found["objective"] for name, found in evaluation.paired.items() if "objective" in found}
+    better = [name for name, each in compared.items() if tone_of(each, lower_is_better=True) == "good"]
+    if not better:
+        return None
+    rest = [
+        f"{_arm(name)} ({number(100.0 * value, 1)})"
+        for name in better
+        if (value := evaluation.arms[name].objective) is not None
+    ]
+    scenes = _counted(evaluation.scene_count, "scene")
+    return Statement(
+        "",
+        f"In {scenes} that no search has seen, the {evaluation.first} rig is expected to miss "
+        f"{number(100.0 * first, 1)} of 100 {objects_name(run)}, significantly fewer than {_listed(rest)}.",
+        "good",
+    )
+
+
+def _is_worse_than_start(evaluation: RigEvaluation) -> bool:
+    """Whether the objective of the rig that was found is higher than that of its start, or no number.
+
+    Then the start is the rig of the run, unless it breaks rules that the other keeps.
+    """
+    training = evaluation.training_objective
+    if training is None or training.start is None or evaluation.rules is not None:
+        return False
+    return training.optimised is None or training.optimised > training.start
+
+
+def summary(run: RunContent) -> list[Statement]:
+    """The run in a few statements, the most important first."""
+    found: list[Statement | None] = []
+    if run.evaluation is not None:
+        found += [
+            _traffic(run, run.evaluation),
+            _why(run, run.evaluation),
+            _simpler(run.evaluation),
+            _misses(run, run.evaluation),
+        ]
+        found += [_differences(run, run.evaluation), _objective(run, run.evaluation)]
+    is_by_hand = run.evaluation is not None and run.evaluation.start == "by_hand"  # another rig, not one that moved
+    found += [_bound(run), None if is_by_hand else _moves(run)]
+    if run.evaluation is not None:
+        found += [_left(run, run.evaluation), _requirements(run.evaluation)]
+        found += [_ground(run.evaluation), _constraints(run.evaluation), _rules(run.evaluation), _pitch_limits(run)]
+    found.append(_end(run))
+    if run.evaluation is not None:
+        found.append(_caution(run.evaluation))
+    if run.config_mistake:
+        text = f"It cannot be used here, and what follows from it is left out: {run.config_mistake}"
+        found.append(Statement("Configuration", text))
+    return [statement for statement in found if statement is not None]
+
+
+def moves(start: Rig, result: Rig) -> list[tuple[str, float, float]]:
+    """How far every camera has moved: its name, the distance [m] and the turn in yaw [deg], left positive."""
+    return [
+        (
+            end.name,
+            float(np.linalg.norm(end.position_m - begun.position_m)),
+            math.degrees(float(wrap_angle_rad(end.yaw_rad - begun.yaw_rad))),
+        )
+        for begun, end in zip(start.cameras, result.cameras, strict=True)
+    ]
+
+
+def objects_name(run: RunContent, count: int = 2) -> str:
+    """What the objects of a run are called."""
+    is_vehicles = run.config is None or run.config.scenes.targets == ("vehicle",)
+    return ("vehicle" if is_vehicles else "road user") + ("" if count == 1 else "s")
+
+
+def _traffic(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
+    found = _detected(run, evaluation)
+    if not found:
+        return None
+    text = f"In {_counted(evaluation.scene_count, 'scene')} that no search has seen, the {found}."
+    return Statement("Traffic", text)
+
+
+_UNSEEN_THERE = {
+    ObjectOutcome.OUT_OF_FRAME: "in no image there",
+    ObjectOutcome.HIDDEN: "hidden there",
+    ObjectOutcome.MISSED: "seen but missed there",
+}
+
+
+def _why(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
+    """What the first rig finds and loses against its start, in terms of road users, seams and heights."""
+    first, start = evaluation.first, evaluation.start
+    if evaluation.outcomes is None or start not in evaluation.arms or first == start:
+        return None
+    is_found = {
+        name: np.array([seen.outcome[name] == ObjectOutcome.DETECTED for seen in evaluation.outcomes])
+        for name in (first, start)
+    }
+    parts = []
+    for verb, one, other in (("finds", first, start), ("loses", start, first)):
+        gained = [evaluation.outcomes[k] for k in np.flatnonzero(is_found[one] & ~is_found[other])]
+        text = f"{verb} {_counted(len(gained), objects_name(run, 1))}" + (" more" if verb == "finds" else "")
+        reasons = Counter(seen.outcome[other] for seen in gained)
+        told = [f"{reasons[each]} {words}" for each, words in _UNSEEN_THERE.items() if reasons[each]]
+        if verb == "loses":
+            told = [each.replace(" there", " now") for each in told]
+        sectors = Counter(SECTORS[round(seen.bearing_deg / 45.0) % len(SECTORS)] for seen in gained)
+        if gained:
+            near_m, far_m = (pick(seen.distance_m for seen in gained) for pick in (min, max))
+            most = [f"{name} {count}" for name, count in sectors.most_common(3)]
+            text += f" ({', '.join(told)}; {', '.join(most)}; {near_m:.0f} to {far_m:.0f} m away)"
+        parts.append(text)
+    text = f"Against {_arm(start)} it {_listed(parts)}."
+    margins = {name: {each.rule: each for each in (evaluation.rules or {}).get(name, ())} for name in (first, start)}
+    gaps = [margins[name]["azimuth_gap"].value for name in (first, start) if "azimuth_gap" in margins[name]]
+    if len(gaps) == len(margins):
+        text += f" Its widest gap of directions is {gaps[0]:.0f} degrees ({gaps[1]:.0f})."
+    shares = [evaluation.arms[name].redundant_rate for name in (first, start)]
+    if None not in shares:
+        near = f"within {REDUNDANT_WITHIN_M:g}{SPACE}m"
+        text += f" Two cameras see {percent(shares[0], 0)} of those {near} ({percent(shares[1], 0)})."
+    if run.start is not None and run.result is not None:
+        heights = [[camera.position_m[2] for camera in rig.cameras] for rig in (run.result, run.start)]
+        low, high = ([pick(each) for each in heights] for pick in (min, max))
+        text += f" Its cameras stand {low[0]:.2f} to {high[0]:.2f}{SPACE}m high ({low[1]:.2f} to {high[1]:.2f})."
+    return Statement("Why", text)
+
+
+def _simpler(evaluation: RigEvaluation) -> Statement | None:
+    """In which numbers the rig may stay as it would be drawn by hand."""
+    known, training = evaluation.simpler, evaluation.training_objective
+    if known is None or training is None or training.optimised is None:
+        return None
+    count = sum(map(len, known.by_hand.values()))
+    parts = [f"{_listed(numbers)} of {camera}" for camera, numbers in known.by_hand.items()]
+    text = (
+        f"Of its {known.differing} differences to the best rig by hand {count} may be left out: {_listed(parts)} as "
+        f"by hand, objective {number(known.objective, 4)} instead of {number(training.optimised, 4)} "
+        "(rig_simpler.yaml)."
+    )
+    return Statement("Simpler", text)
+
+
+def _detected(run: RunContent, evaluation: RigEvaluation) -> str:
+    """How many objects every rig detects; empty where that is not known."""
+    first, *others = evaluation.arms
+    arm = evaluation.arms[first]
+    if arm.detected is None:
+        return ""
+    recall = number(arm.tp_detection_rate)
+    text = f"{first} rig detects {arm.detected} of {arm.objects} {objects_name(run)} (recall {recall})"
+    rest = [f"{_arm(other)} {evaluation.arms[other].detected}" for other in others]
+    return f"{text}; {_listed(rest)}" if rest else text
+
+
+def _misses(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
+    """What every rig is expected to miss beside what the detector misses, where both are known."""
+    pairs = {
+        name: (outage.expected_misses_per_100, 100.0 * (1.0 - arm.tp_detection_rate))
+        for name, arm in evaluation.arms.items()
+        if (outage := evaluation.camera_outage.get(name)) is not None and arm.tp_detection_rate is not None
+    }
+    first = evaluation.first
+    if first not in pairs:
+        return None
+    expected, missed = pairs.pop(first)
+    text = (
+        f"Of 100 {objects_name(run)} of the test scenes the {first} rig is expected to miss {number(expected, 1)}, and "
+        f"its detector misses {number(missed, 1)}"
+    )
+    rest = [f"{_arm(name)} {number(pair[0], 1)} and {number(pair[1], 1)}" for name, pair in pairs.items()]
+    text += f"; {', '.join(rest)}." if rest else "."
+    if missed <= 2.0 * expected or missed < expected + _FAR_PER_100:
+        return Statement("Expected misses", text)
+    text += " The detector misses far more than the model expects, so do not rely on the expected misses of this run."
+    return Statement("Expected misses", text, "bad")
+
+
+def _differences(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
+    """Differences of recall and of expected misses, and whether they are significant; of others those that are."""
+    recall, tones = _differences_of(evaluation, "tp_detection_rate")
+    if not recall:
+        return None
+    text = f"Difference of recall, mean of the scenes with 95{SPACE}% interval: {recall}."
+    if run.certificate is not None and evaluation.robust is None:  # then the objective is what is expected to be missed
+        misses, more = _differences_of(evaluation, "objective", factor=100.0, digits=2, lower_is_better=True)
+        text += f" Of expected misses per 100: {misses}." if misses else ""
+        tones += more
+    overall: _Tone = "bad" if "bad" in tones else "good" if "good" in tones else "open"
+    beyond = [
+        f"{heading} against {_arm(name)} ({'better' if tone == 'good' else 'worse'})"
+        for name, differences in evaluation.paired.items()
+        for metric, (heading, lower_is_better) in _ALSO_COMPARED.items()
+        if metric in differences and (tone := tone_of(differences[metric], lower_is_better=lower_is_better)) != "open"
+    ]
+    if beyond:
+        text += f" Significant as well: {_listed(beyond)}."
+    return Statement("Significant?", text, overall)
+
+
+def _differences_of(
+    evaluation: RigEvaluation, metric: str, *, factor: float = 1.0, digits: int = 3, lower_is_better: bool = False
+) -> tuple[str, list[_Tone]]:
+    """Differences of a metric to the other arms in words, and in whose favour they are."""
+    sentences, tones = [], list[_Tone]()
+    for name, differences in evaluation.paired.items():
+        found = differences.get(metric)
+        if found is None or found.mean is None:
+            continue
+        tone = tone_of(found, lower_is_better=lower_is_better)
+        tones.append(tone)
+        if found.low is None or found.high is None:
+            verdict = "one scene has no interval"
+        elif found.low == found.high == 0.0:
+            verdict = "the same in every scene"
+        elif tone != "open":
+            verdict = "significant: better" if tone == "good" else "significant: worse"
+        elif found.low <= 0.0 <= found.high:
+            verdict = "not significant"
+        else:
+            verdict = f"not significant with {_counted(found.scenes, 'scene')}"
+        sentences.append(f"{interval(found, factor, digits)} against {_arm(name)} ({verdict})")
+    return "; ".join(sentences), tones
+
+
+def search_scenes(run: RunContent) -> str:
+    """The scenes on which a run compares its rigs before it ends."""
+    validation = run.config is not None and bool(run.config.scenes.validation_seeds)
+    if run.certificate is not None:
+        return "training and validation" if validation else "training"
+    return "validation" if validation else "training"
+
+
+def _objective(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
+    training = evaluation.training_objective
+    if training is None or training.optimised is None:
+        return None
+    if training.start is None:
+        outcomes = evaluation.met.get(evaluation.start, [])
+        unmet = [each.name for each in outcomes if each.hard and not each.is_met]
+        reason = f", as it does not meet {_listed(unmet)}" if unmet else ""
+        return Statement("Objective", f"{number(training.optimised, 4)} at the end; the start is not allowed{reason}.")
+    search = "descent" if run.certificate is None else "search"
+    text = f"What the {search} lowers {_change(training.start, training.optimised)} on the {search_scenes(run)} scenes"
+    if evaluation.robust is not None:
+        return Statement("Objective", f"{text}: {_robust_text(evaluation.robust)}.")
+    if _counts_points(run):
+        text += ", expected misses and points of the requirements that are not met together"
+    broken = sum(not margin.is_kept for margin in (evaluation.rules or {}).get(evaluation.start, ()))
+    if broken:
+        rules = "a rule" if broken == 1 else f"{broken} rules"
+        text += f" ({_arm(evaluation.start)} breaks {rules} that the other keeps)"
+    before = evaluation.arms[evaluation.start].objective if evaluation.start in evaluation.arms else None
+    after = evaluation.best.objective
+    if before is None or after is None:
+        return Statement("Objective", f"{text}.")
+    what = "what is expected to be missed" if _counts_points(run) else "it"
+    text += f"; on the test scenes {what} {_change(before, after)}"
+    found = evaluation.paired.get(evaluation.start, {}).get("objective")
+    if found is not None and found.low is not None:
+        text += f", a difference of {interval(found)} a scene"
+    tone = "open" if found is None else tone_of(found, lower_is_better=True)
+    if tone == "good":
+        text += ": the gain holds on new scenes."
+    elif tone == "bad":
+        text += ": on new scenes the rig is worse by it."
+    elif after < before:
+        text += ": that the gain holds on new scenes is likely at best, not significant."
+    elif training.optimised < training.start:
+        text += ": of the gain nothing is seen on new scenes."
+    else:
+        text += ": there was no gain."
+    return Statement("Objective", text, tone)
+
+
+def _robust_text(robust: Robust) -> str:
+    """What a robust objective is made of at the start and at the end, in a sentence without its full stop."""
+
+    def change(name: str) -> str:
+        ends = (robust.start, robust.optimised)
+        return " -> ".join("-" if each is None else f"{100.0 * each[name]:.2f}" for each in ends)
+
+    errors = _mount_errors(robust)
+    if robust.camera_loss is None:
+        return (
+            f"the objective is the expected misses in the mean over errors of mounting of {errors}; per 100, start -> "
+            f"end: {change('expected_miss_rate')} with errors, {change('as_designed')} as designed"
+        )
+    lost = "the camera that is worst to lose" if robust.camera_loss == "worst" else "one camera, in the mean"
+    weight = robust.weight or 0.0
+    text = (
+        f"the objective is {1.0 - weight:g} x expected misses + {weight:g} x those without {lost}; per 100, start -> "
+        f"end: {change('expected_miss_rate')} with all cameras, {change('without_camera')} without {lost}"
+    )
+    if not errors:
+        return text
+    return f"{text}; all in the mean over errors of mounting of {errors}, as designed {change('as_designed')}"
+
+
+def _mount_errors(robust: Robust) -> str:
+    """The errors of mounting that an objective is the mean over, such as ``+-2 cm and +-1 deg``."""
+    parts = [] if robust.mount_error_m is None else [f"+-{100.0 * robust.mount_error_m:g} cm"]
+    parts += [] if robust.mount_error_deg is None else [f"+-{robust.mount_error_deg:g} deg"]
+    return " and ".join(parts)
+
+
+def _counts_points(run: RunContent) -> bool:
+    """Whether requirements are part of what the search lowers."""
+    return bool(run.events and "requirements" in (run.events[-1].terms or {}))
+
+
+def _bound(run: RunContent) -> Statement | None:
+    """How low the objective can be at most: over the cameras of the pool, on the scenes of the search, nowhere else."""
+    found = run.certificate
+    if found is None:
+        return None
+    evaluation = run.evaluation
+    robust = None if evaluation is None else evaluation.robust
+    scenes = "the scenes" if found.scenes is None else f"the {_counted(found.scenes, 'scene')}"
+    text = f"On {scenes} of the search no rig of the pool's {found.pool_cameras} cameras"
+    bound, reached = number(found.bound, 4), f"the rig that was found has {number(found.objective, 4)}"
+    covers = " The bound covers the rendered candidates and the scenes of the search only."
+    if robust is not None and robust.camera_loss is None:
+        errors = f"an objective, which counts the errors of mounting of {_mount_errors(robust)} that were drawn,"
+        return Statement("Bound", f"{text} has {errors} below {bound}; {reached}.{covers}")
+    if robust is not None:
+        text += f" has a robust objective below {bound}, which is not tight; {reached}.{covers}"
+        return Statement("Bound", text)
+    if _counts_points(run):
+        what = "an objective, of expected misses and points of the requirements together,"
+        return Statement("Bound", f"{text} has {what} below {bound}; {reached}.{covers}")
+    beyond = "more" if found.gap >= 0.0 else "less, as its cameras were polished to where the pool has none"
+    text += (
+        f" is expected to miss less than {percent(found.bound, 2)} of the {objects_name(run)}; the rig that was found "
+        f"misses {percent(found.objective, 2)}, {number(100.0 * abs(found.gap), 2)} points {beyond}."
+    )
+    before = found.bounds[:-1]
+    if before:
+        text += (
+            f" As the pool grew from {before[0].pool_cameras} to {found.pool_cameras} cameras, the bound moved from "
+            f"{percent(before[0].bound, 2)} to {percent(found.bound, 2)}, in the last round by "
+            f"{number(100.0 * abs(found.bound - before[-1].bound), 2)} points."
+        )
+    unseen = None if evaluation is None else evaluation.best.objective
+    if unseen is not None:
+        covers += f" On the test scenes the rig is expected to miss {percent(unseen, 2)}."
+    return Statement("Bound", f"{text}{covers}")
+
+
+def _moves(run: RunContent) -> Statement | None:
+    if run.start is None or run.result is None or len(run.start.cameras) != len(run.result.cameras):
+        return None
+    found = moves(run.start, run.result)
+    moved = [each for each in found if each[1] >= _WORTH_NAMING_M or abs(each[2]) >= _WORTH_NAMING_DEG]
+    if not moved:
+        return Statement("What moved", "Nothing: the rig is the one at the start.")
+    parts = [
+        f"{name} by {100.0 * moved_m:.0f} cm (turned {abs(turn_deg):.0f}° to the {'left' if turn_deg > 0 else 'right'})"
+        for name, moved_m, turn_deg in moved
+    ]
+    still = len(found) - len(moved)
+    text = f"{_listed(parts)}" + (f"; {_counted(still, 'camera')} stayed." if still else ".")
+    return Statement("What moved", text)
+
+
+def _left(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
+    if evaluation.outcomes is None:
+        return None
+    count = Counter(seen.outcome[evaluation.first] for seen in evaluation.outcomes)
+    left = len(evaluation.outcomes) - count[ObjectOutcome.DETECTED]
+    if left == 0:
+        return Statement("Not detected", f"No {objects_name(run, 1)}.", "good")
+    reasons = [
+        f"{count[outcome]} {text}"
+        for outcome, text in (
+            (ObjectOutcome.MISSED, "visible to a camera but missed by the detector"),
+            (ObjectOutcome.HIDDEN, "hidden behind something"),
+            (ObjectOutcome.OUT_OF_FRAME, "in no camera's image"),
+        )
+        if count[outcome]
+    ]
+    nearest = min(
+        (seen for seen in evaluation.outcomes if seen.outcome[evaluation.first] != ObjectOutcome.DETECTED),
+        key=lambda seen: seen.distance_m,
+    )
+    if left == 1:
+        text = f"1 {objects_name(run, 1)}, {reasons[0].partition(' ')[2]}, {nearest.distance_m:.0f} m away."
+    else:
+        text = f"{left} {objects_name(run)}: {_listed(reasons)}. The nearest is {nearest.distance_m:.0f} m away."
+    return Statement("Not detected", text)
+
+
+def _requirements(evaluation: RigEvaluation) -> Statement | None:
+    """Which requirements the rig that was found meets, and where not."""
+    outcomes = evaluation.met.get(evaluation.first)
+    if not outcomes:
+        return None
+    parts = []
+    for each in outcomes:
+        share = each.need.share
+        asked = "" if share in (None, 1.0) else f" ({percent(share, 0)} asked)"
+        text = f"{each.name} is met at {percent(each.share)} of {each.points} points{asked}"
+        if (not each.is_met or share is None) and each.worst:
+            x, y = each.worst[0].position_m
+            text += f", least at ({number(x, 1)}, {number(y, 1)}){SPACE}m"
+        parts.append(text)
+    is_met = all(each.is_met for each in outcomes)
+    if all(each.need.share is None for each in outcomes):  # terms of the objective that ask for nothing
+        return Statement("Seen near the vehicle", f"{_listed(parts)}.", "open")
+    lead = "Met: " if is_met else "Not met: "
+    parts = parts if is_met else [text for text, each in zip(parts, outcomes, strict=True) if not each.is_met]
+    return Statement("Seen near the vehicle", f"{lead}{_listed(parts)}.", "good" if is_met else "bad")
+
+
+def _ground(evaluation: RigEvaluation) -> Statement | None:
+    ground = evaluation.ground
+    if ground is None:
+        return None
+    first = evaluation.first
+    parts = []
+    for height, height_m in enumerate(ground.heights_m):
+        others = [f"{name} {percent(ground.share(name, height))}" for name in ground.blind if name != first]
+        text = f"{percent(ground.share(first, height))} of the ground for someone {height_m:g} m tall"
+        parts.append(text + (f" ({', '.join(others)})" if others else ""))
+    text = f"Within {ground.radius_m:g} m no camera sees {_listed(parts)}."
+    before, after = (
+        ground.share(evaluation.start, 0) if evaluation.start in ground.blind else None,
+        ground.share(first, 0),
+    )
+    if before is not None and after is not None and after > before + 0.005:
+        what = "points of the requirements, not all the ground" if evaluation.met else "traffic, not ground"
+        text += f" That is more than at the start: the objective counts {what}."
+    near = [
+        (ground.share(first, 0, sector, band) or 0.0, -band, ground.sectors[sector], ground.bands_m[band])
+        for sector in range(len(ground.sectors))
+        for band in range(min(2, len(ground.bands_m)))
+    ]
+    share, _, sector, band = max(near)
+    if share > 0.0:
+        where = f"in the sector {sector}, {band.replace('-', ' to ')} m from its centre"
+        text += f" Near the vehicle it is worst {where}: no camera sees a child on {percent(share, 0)} of it."
+    return Statement("Blind ground", text, "bad" if share > 0.5 else "open")
+
+
+def _constraints(evaluation: RigEvaluation) -> Statement | None:
+    violation_m = evaluation.best.constraint_violation
+    margins = None if evaluation.constraints is None else evaluation.constraints[evaluation.first]
+    if not margins:
+        if violation_m is None:
+            return None
+        is_kept = violation_m == 0.0
+        text = "All hold." if is_kept else f"Broken by {number(violation_m)} m in all."
+        return Statement("Constraints", text, "good" if is_kept else "bad")
+    broken = [margin for margin in margins if not margin.is_kept]
+    tightest = min(margins, key=lambda margin: margin.slack_m)
+    name = margin_name(tightest)
+    if broken:
+        worst = f"{name} is {_length(-tightest.slack_m)} too short"
+        return Statement("Constraints", f"{len(broken)} of {len(margins)} are broken; {worst}.", "bad")
+    text = f"All {len(margins)} hold; the tightest is {name}, with {_length(tightest.slack_m)} to spare."
+    return Statement("Constraints", text, "good")
+
+
+_RULE_WORDS = {
+    "own_body": ("the own body fills {value:.0%} of the image of {camera}", "at most {limit:.0%}"),
+    "horizon": ("the horizon of {camera} is {value:.0%} of the image's height below its top", "at least {limit:.0%}"),
+    "crossing": ("{camera} looks {value:.0f} degrees away from straight across the vehicle", "at least {limit:.0f}"),
+    "housing": ("the housing of another camera fills {value:.1%} of the image of {camera}", "at most {limit:.1%}"),
+    "azimuth_gap": ("at 15 m a gap of {value:.0f} degrees is in no image", "at most {limit:.0f}"),
+    "near_ground": ("the ground is seen all round from {value:g} m off the body on", "at most {limit:g}"),
+}
+
+
+def _rules(evaluation: RigEvaluation) -> Statement | None:
+    """The design rules that the first rig keeps, or how far it breaks them; None where none is asked for."""
+    margins = None if evaluation.rules is None else evaluation.rules.get(evaluation.first)
+    if not margins:
+        return None
+
+    def told(margin: RuleMargin) -> str:
+        value, limit = _RULE_WORDS[margin.rule]
+        camera = margin.cameras[0] if margin.cameras else ""
+        if margin.value is None:
+            return "the ground is nowhere seen all round"
+        return f"{value.format(value=margin.value, camera=camera)}, {limit.format(limit=margin.limit)} is asked"
+
+    further = ""
+    for margin in margins:
+        if margin.asked is not None and margin.price is None:
+            further += f" No rig of these cameras keeps the {margin.asked:.0f} degrees of gap that were asked."
+        elif margin.rule == "near_ground" and margin.limit is None:
+            seen = "nowhere up to 6" if margin.value is None else f"from {margin.value:g}"
+            further += f" The ground is seen all round {seen}{SPACE}m off the body; no limit was kept."
+        elif margin.asked is not None:
+            further += (
+                f" The {margin.asked:.0f} degrees of gap that were asked would cost {percent(margin.price)} more."
+            )
+    broken = [margin for margin in margins if not margin.is_kept]
+    if broken:
+        text = f"{len(broken)} of {len(margins)} are broken: {'; '.join(map(told, broken))}."
+        return Statement("Rules", f"{text}{further}", "bad")
+    limited = [(margin, margin.value, margin.limit) for margin in margins if margin.value is not None and margin.limit]
+    closest = min(limited, key=lambda each: abs(each[1] - each[2]) / each[2], default=None)
+    text = f"All {len(margins)} are kept" + (f"; nearest to its limit: {told(closest[0])}." if closest else ".")
+    return Statement("Rules", f"{text}{further}", "good")
+
+
+def _pitch_limits(run: RunContent) -> Statement | None:
+    """Which cameras would pitch farther if they might; None where none would, or zones have limits of their own."""
+    if run.config is None or run.result is None or run.config.mount.zones is not None:
+        return None
+    limits_deg = run.config.rig.free.pitch_deg
+    if limits_deg is None:
+        return None
+    free = [camera for camera in run.result.cameras if camera.name not in run.config.rig.freeze]
+    pitch_deg = np.rad2deg([camera.pitch_rad for camera in free])
+    at_limit = [
+        camera.name for camera, each in zip(free, pitch_deg, strict=True) if np.abs(each - limits_deg).min() < 0.1
+    ]
+    if not at_limit:
+        return None
+    low, high = limits_deg
+    verb = "pitches as far as it may" if len(at_limit) == 1 else "pitch as far as they may"
+    text = f"{_listed(at_limit)} {verb} ({low:g} to {high:g} degrees): a wider rig.free.pitch_deg may find more."
+    return Statement("Limits", text)
+
+
+def _end(run: RunContent) -> Statement | None:
+    end = None if run.evaluation is None else run.evaluation.descent
+    if end is None and not run.events:
+        return None
+    if end is None:
+        planned = None if run.config is None else run.config.run.iterations
+        text = f"after {_counted(len(run.events), 'iteration')}"
+        text += f" of {planned}" if planned is not None else ""
+        return Statement("Why it ended", f"It ended {text}; this folder does not say why.")
+    why = (
+        f"all {end.planned} iterations were taken"
+        if end.ended is None
+        else f"{end.ended}, after {end.iterations} of {end.planned} iterations"
+    )
+    kept = "the rig at the start is kept: none was better" if end.kept == 0 else f"the rig after {end.kept} is kept"
+    return Statement("Why it ended", f"{why[0].upper()}{why[1:]}; {kept}.")
+
+
+def sensitivity(run: RunContent) -> str:
+    """Which error of mounting and the loss of which camera cost most, in a sentence; empty where that is not known."""
+    evaluation = run.evaluation
+    tolerance = None if evaluation is None else evaluation.mount_tolerance
+    if evaluation is None or tolerance is None:
+        return ""
+    worst, objects = tolerance.worst, objects_name(run)
+    is_angle = worst.degree in ANGLES
+    angle_deg = f"{math.degrees(tolerance.angle_rad):g}"
+    angle = f"{angle_deg} degree{'' if angle_deg == '1' else 's'}"
+    off = angle if is_angle else f"{100.0 * tolerance.position_m:g} cm"
+    text = (
+        f"Most sensitive is {worst.camera} in {worst.degree}: off by {off}, the rig is expected to miss "
+        f"{number(worst.change_per_100, 2)} more of 100 {objects} ({_counted(tolerance.scenes, 'scene')})"
+        if round(worst.change_per_100, 2) > 0.0
+        else f"No camera that is off by {100.0 * tolerance.position_m:g} cm or {angle} in one direction costs anything "
+        f"({_counted(tolerance.scenes, 'scene')})"
+    )
+    outage = evaluation.camera_outage.get(evaluation.first)
+    if outage is None:
+        return f"{text}."
+    lost = outage.worst
+    more = lost.difference_per_100 if lost.weighted_difference_per_100 is None else lost.weighted_difference_per_100
+    return f"{text}; in traffic the loss of {lost.camera} costs most, {number(more, 1)} more misses of 100."
+
+
+def _caution(evaluation: RigEvaluation) -> Statement | None:
+    count = evaluation.scene_count
+    if count >= _FEW_SCENES:
+        return None
+    text = f"{_few(count)} few"
+    if count < _MIN_SCENES:
+        text += f": with fewer than {_MIN_SCENES}, no difference can be significant at 5 %"
+    else:
+        text += ", and the intervals of so few tend to be too short"
+    return Statement("Caution", f"{text}. For more scenes: scenes.test_seeds=5000..5049.")
+
+
+def margin_name(margin: Margin) -> str:
+    """What a constraint is about, in words."""
+    if margin.kind == "border":
+        return f"the distance from {margin.cameras[0]} to the border of where it may stand"
+    return f"the distance between {' and '.join(margin.cameras)}"
+
+
+def _length(length_m: float) -> str:
+    return f"{1000.0 * length_m:.0f} mm" if length_m < 0.1 else f"{length_m:.2f} m"
+
+
+def _change(before: float, after: float) -> str:
+    if round(before, 4) == round(after, 4):
+        return f"stayed at {number(after, 4)}"
+    share = f" by {percent(abs(after - before) / before)}" if before > 0.0 else ""
+    return f"{'fell' if after < before else 'rose'}{share} ({number(before, 4)} to {number(after, 4)})"
+
+
+def _arm(name: str) -> str:
+    return _BASELINES.get(name, name)
+
+
+def _few(count: int) -> str:
+    return f"{_counted(count, 'test scene')} {'is' if count == 1 else 'are'}"
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def _listed(parts: Iterable[str], word: str = "and") -> str:
+    words: Sequence[str] = list(parts)
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {word} {words[-1]}"
