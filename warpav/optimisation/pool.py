@@ -103,11 +103,12 @@ def _spread(
         pose[:, others] = low[:, others] + share[:, 2:] * (high - low)[:, others]
         pose = mount.clipped(pose)
         is_kept = constraints.contains(pose[:, [X_M, Y_M]]) & (mount.module_of(pose) == module)
-        pose = pose[is_kept][: 4 * count]
-        kept = np.concatenate([kept, pose if allowed is None else pose[allowed(pose)]])
-        looked_at += len(pose)
-        if len(kept) >= count or (allowed is not None and looked_at > _RULES_TRIES * count):
-            return kept[:count]
+        pose, step = pose[is_kept][: 4 * count], max(count // 2, 1)
+        for few in (pose[first : first + step] for first in range(0, len(pose), step)):
+            kept = np.concatenate([kept, few if allowed is None else few[allowed(few)]])
+            looked_at += len(few)
+            if len(kept) >= count or (allowed is not None and looked_at > _RULES_TRIES * count):
+                return kept[:count]
     raise constraints.do_not_fit(1)
 
 

@@ -22,7 +22,6 @@ from warpav.optimisation.selection._problem import Row
 from warpav.optimisation.single_cameras import SingleCameras
 from warpav.raster.camera import CameraModel
 from warpav.raster.mesh import Mesh
-from warpav.raster.pane import Pane
 from warpav.rig.camera_body import boxes_meet, corners_m, hidden_share, least_cosine
 from warpav.rig.rig import RigCamera
 from warpav.sight.around import level_ground
@@ -30,12 +29,12 @@ from warpav.sight.requirement import Body
 from warpav.sight.rules import (
     AZIMUTH_STEP_RAD,
     NEAR_M,
-    OwnBody,
     Rules,
     border_margin,
     crossing_angle_rad,
     horizon_margin,
     near_ring_m,
+    own_body,
     own_body_limit,
     ring_m,
 )
@@ -77,7 +76,6 @@ class PoolRules:
         self._ring_m = ring_m(vehicle)
         self._near_m = np.stack([near_ring_m(vehicle, distance_m) for distance_m in NEAR_M])
         self._ground = level_ground(vehicle, device=cameras.mount.device)
-        self._bodies: dict[Pane | None, OwnBody] = {None: OwnBody(vehicle, device=cameras.mount.device)}
         self._conflicting = b"", np.zeros(0, int), np.zeros(0, int)
         self._known: dict[bytes, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
 
@@ -139,7 +137,7 @@ class PoolRules:
             result.ring[row] |= seen[:, : len(self._ring_m)]
             result.near[row] |= seen[:, len(self._ring_m) :].reshape(len(row), *self._near_m.shape[:2])
         if rules.housing is not None and self.cameras.mount.is_symmetric:
-            for row in np.flatnonzero(self.cameras.mount.is_pair(pose)):
+            for row in np.flatnonzero(self.cameras.mount.is_pair(pose) & ~result.breaks.any(axis=1)):
                 result.breaks[row, 3] = self._conflicts(pose[row : row + 1], pose[row : row + 1])[0, 0]
         return result
 
@@ -164,9 +162,8 @@ class PoolRules:
         panes = self.cameras.sides[side].mount.panes_of(pose)
         for pane in dict.fromkeys(panes):
             row = [k for k, each in enumerate(panes) if each == pane]
-            if pane is not None and pane not in self._bodies:
-                self._bodies[pane] = OwnBody(pane.opened(self.vehicle), device=self.cameras.mount.device)
-            share[row], jacobian[row] = self._bodies[pane].shares(views[row], [models[k] for k in row])
+            body = own_body(self.vehicle, pane, self.cameras.mount.device)
+            share[row], jacobian[row] = body.shares(views[row], [models[k] for k in row])
         return share, jacobian
 
     # --------------------------------------------------------------------------------------------------- pairs

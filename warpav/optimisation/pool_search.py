@@ -38,13 +38,14 @@ from warpav.optimisation.pool_cache import rows_of
 from warpav.optimisation.pool_rules import PoolRules
 from warpav.optimisation.required_points import RequiredPoints
 from warpav.optimisation.rig_limits import RigLimits
-from warpav.optimisation.selection._problem import Row, SelectionProblem, exchange
+from warpav.optimisation.selection._problem import Row, SelectionProblem, exchange, feasible_rig
 from warpav.optimisation.selection._relaxation import Price
 from warpav.optimisation.selection.select import Selection, select
 from warpav.optimisation.single_cameras import MisplacedCameras, SingleCameras, hard_points
 from warpav.scene.device_scene import DeviceScene
 from warpav.sight.rules import AZIMUTH_STEP_RAD, NEAR_M
 
+_Known = tuple[np.ndarray, float]  # cameras of a rig of the pool, int [camera], and its objective
 _Stage = Literal["start", "selection", "polish", "pricing", "settled"]
 _START_NAME = "scenes seen by the start"
 """What progress calls them."""
@@ -362,27 +363,29 @@ class PoolSearch:
         """The strictest levels of what a rig must see together that the cameras of the pool can keep."""
         most = self.camera_count if self.limits is None else self.limits.count[1]
         widest_rad = max(model.fov_rad for model in self.cameras.mount.cameras)
-        free = self._selection(self._level_gap).objective
+        free = self._selection(self._level_gap)
+        known = [(free.cameras, free.objective)]
         if rules.rules.azimuth_gap_rad is not None and most * widest_rad >= 2.0 * np.pi - 1e-6:
             first = round(rules.rules.azimuth_gap_rad / AZIMUTH_STEP_RAD)
             levels = [first + k for k in range(20)]
-            rules.gap_steps, rules.price_of_gap = self._kept_level("gap_steps", levels, free)
+            rules.gap_steps, rules.price_of_gap = self._kept_level("gap_steps", levels, known)
         if rules.rules.near_ground:
-            rules.near_level, _ = self._kept_level("near_level", list(range(len(NEAR_M))), free)
+            rules.near_level, _ = self._kept_level("near_level", list(range(len(NEAR_M))), known)
 
-    def _kept_level(self, name: str, levels: list[int], free: float) -> tuple[int | None, float]:
+    def _kept_level(self, name: str, levels: list[int], known: list[_Known]) -> tuple[int | None, float]:
         """The strictest level of a rule, of ever looser ones, that costs at most `_PRICE` of the objective.
 
         Nor more than the lead over the best rig by hand. None: no rule. And the share that the first would cost,
-        infinite where no rig keeps it. ``free``: the objective without such rules.
+        infinite where no rig keeps it. ``known``: rigs that were selected, the first without such rules; others join.
         """
-        first = self._selected_at(name, levels[0])
+        free = known[0][1]
+        first = self._selected_at(name, levels[0], known)
         price, most = first / max(free, _SAME) - 1.0, (1.0 + _PRICE) * free
         most = min([most, *(max(each.value, free) for each in self.hand_rigs[:1])])
         low, high = 0 if first <= most else 1, 0 if first <= most else len(levels)
         while low < high:
             middle = (low + high) // 2
-            is_kept = self._selected_at(name, levels[middle]) <= most
+            is_kept = self._selected_at(name, levels[middle], known, enough=most) <= most
             low, high = (low, middle) if is_kept else (middle + 1, high)
         return levels[low] if low < len(levels) else None, price
 
@@ -390,12 +393,24 @@ class PoolSearch:
     def _level_gap(self) -> float:
         return max(self.settings.gap, _GAP_ON_THE_WAY)
 
-    def _selected_at(self, name: str, level: int | None) -> float:
-        """The objective of the rig that would be selected at a level of a rule; inf where none keeps it."""
+    def _selected_at(self, name: str, level: int | None, known: list[_Known], enough: float = -np.inf) -> float:
+        """The objective of the rig that would be selected at a level of a rule; inf where none keeps it.
+
+        Of a known rig that keeps the level and is good ``enough`` it is that rig's.
+        """
         setattr(self.rules, name, level)
         try:
-            return self._selection(self._level_gap).objective
-        except InputError:
+            problem = self._problem()
+            kept = [(rig, value) for rig, value in known if problem.is_feasible(rig)]
+            rig, value = min(kept, key=lambda each: each[1], default=(None, np.inf))
+            if value <= enough:
+                return value
+            if rig is None and (rig := feasible_rig(problem, time_limit_s=self.settings.selection_time_s)) is None:
+                return np.inf
+            found = self._selection(self._level_gap, problem, rig)
+            known.append((found.cameras, found.objective))
+            return found.objective
+        except (InputError, TimeoutError):
             return np.inf
         finally:
             setattr(self.rules, name, None)
@@ -535,14 +550,16 @@ class PoolSearch:
         index = housing.row[kept], housing.col[kept]
         return sparse.csr_array(near + sparse.csr_array((np.ones(kept.sum(), bool), index), shape=near.shape))
 
-    def _selection(self, gap: float) -> Selection:
-        """Choose the best rig of the pool."""
-        pool, known = self.pool, None
+    def _selection(
+        self, gap: float, problem: SelectionProblem | None = None, known: np.ndarray | None = None
+    ) -> Selection:
+        """Choose the best rig of the pool, or of a problem of its cameras of which a rig is known, int [camera]."""
+        pool = self.pool
         absent = 0 if self.limits is None else self.limits.absent
-        if self.rig is not None:
+        if self.rig is not None and known is None:
             missing = np.arange(self.camera_count - len(self.rig))
             known = np.concatenate([self._rows_of_best(), len(pool.mount_pose) + missing])
-        problem = self._problem()
+        problem = problem or self._problem()
         options = {"gap": gap, "time_limit_s": self.settings.selection_time_s, "seed": self.seed}
         if self.robust is None:
             return select(problem, start=known, **options)

@@ -17,7 +17,7 @@ MAX_COUNT = 2**31 - 1
 """Indices of vertices and triangles are 32-bit integers."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mesh:
     """A triangle mesh on the host: ``Mesh(vertices, faces, rgb)``.
 

@@ -164,7 +164,7 @@ def mount_surface(config: Config, ego: Mesh) -> MountSurface:
     """Where cameras may stand on the ego vehicle: in the zones of ``mount.zones``, or on roof and bonnet."""
     paths = [path for path in (config.mount.zones, config.rig.catalogue) if path is not None and path.is_file()]
     files = [(str(path), path.stat().st_mtime_ns) for path in paths]
-    settings = [section.model_dump_json() for section in (config.mount, config.rig)]
+    settings = config.mount.model_dump_json(), config.rig.model_dump_json(exclude={"symmetric"})
     made_of = digest(ego.vertex_m.tobytes(), ego.triangle.tobytes(), config.rig.is_symmetric, *files, *settings)
     if made_of not in _SURFACES:
         surface = _zones_chart(config, ego) if has_zones(config) else roof_surface(config, ego)

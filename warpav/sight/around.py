@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import warp as wp
@@ -38,12 +38,13 @@ _HEIGHTS_M = (0.0, 0.6, 1.1)
 _BAND_EDGES_M = (3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 150.0, 200.0)
 _SECTOR_COUNT = 36
 
-_NEAREST_M, _FARTHEST_M, _DISTANCE_COUNT = 0.2, 1000.0, 240
-_BISECTIONS = 20
+_NEAREST_M, _FARTHEST_M, _DISTANCE_COUNT = 0.2, 1000.0, 96
+_BISECTIONS = 14
 _BELOW_M = 1.0  # of the ground that stands there for the rays, so that points at height 0 are free
 _TURN_RAD = 1e-4
 
 
+@lru_cache(maxsize=4)
 def level_ground(ego: Mesh, *, device: str = "cpu") -> DeviceScene:
     """The vehicle with nothing around it, in which points from the height of the ground upwards are free."""
     side_m, below_m = 1e3, -_BELOW_M

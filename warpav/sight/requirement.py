@@ -55,12 +55,14 @@ class Body:
         offset = point_m[..., None, :] - start
         share = np.clip((offset * along).sum(axis=-1) / (along**2).sum(axis=-1), 0.0, 1.0)
         distance = np.linalg.norm(offset - share[..., None] * along, axis=-1).min(axis=-1)
-        left = along[:, 0] * offset[..., 1] - along[:, 1] * offset[..., 0]
-        return np.where((left >= 0.0).all(axis=-1), 0.0, distance)
+        return np.where(self.contains(point_m), 0.0, distance)
 
     def contains(self, point_m: np.ndarray) -> np.ndarray:
         """Whether points [..., 2] are within it or on its border, bool [...]."""
-        return self.distance_m(point_m) <= 0.0
+        along_x, along_y = (np.roll(self.outline_m, -1, axis=0) - self.outline_m).T  # it runs to the left
+        return (
+            along_x * (point_m[..., 1:] - self.outline_m[:, 1]) >= along_y * (point_m[..., :1] - self.outline_m[:, 0])
+        ).all(axis=-1)
 
     def border_m(self, azimuth_rad: np.ndarray) -> np.ndarray:
         """Points of the border by azimuth from the centre [m], float64 [direction, 2]."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import warp as wp
@@ -19,6 +19,7 @@ from warpav.raster.camera import CameraModel
 from warpav.raster.chunks import KeptRenderers
 from warpav.raster.frame import Frame
 from warpav.raster.mesh import Mesh
+from warpav.raster.pane import Pane
 from warpav.raster.renderer import Renderer
 from warpav.raster.scene import Scene as RasterScene
 from warpav.rig.camera_body import boxes_meet, corners_m, hidden_share
@@ -184,6 +185,12 @@ class OwnBody:
         )
 
 
+@lru_cache(maxsize=8)
+def own_body(vehicle: Mesh, pane: Pane | None, device: str) -> OwnBody:
+    """A vehicle as cameras behind a pane see it; None: not behind glass."""
+    return OwnBody(vehicle if pane is None else pane.opened(vehicle), device=device)
+
+
 @dataclass(frozen=True)
 class RuleMargin:
     """How far a rig is from breaking a rule."""
@@ -257,8 +264,8 @@ class RuleCheck:
         return RuleMargin(rule, (self._names[k],), float(value[k]), float(limit[k]), unit, bool(slack[k] >= -1e-4))
 
     def _body_share(self, camera: RigCamera) -> float:
-        vehicle = self.vehicle if camera.behind_glass is None else camera.behind_glass.opened(self.vehicle)
-        return float(OwnBody(vehicle, device=self.device).shares(camera.ego_from_camera[None], [camera.model])[0][0])
+        body = own_body(self.vehicle, camera.behind_glass, self.device)
+        return float(body.shares(camera.ego_from_camera[None], [camera.model])[0][0])
 
     @cached_property
     def azimuth_gap_rad(self) -> float:

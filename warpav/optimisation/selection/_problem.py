@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -110,6 +111,13 @@ class SelectionProblem:
     def object_count(self) -> int:
         """Objects that some camera of the pool sees."""
         return self.missed.shape[0]
+
+    @cached_property
+    def counting_rows(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Of the rows that no camera lowers those with a least sum and those with a greatest: coefficients, limits."""
+        counts = (self.coefficient >= 0.0).all(axis=1)
+        limited = (counts & np.isfinite(limit) for limit in (self.low, self.high))
+        return [(self.coefficient[row], limit[row]) for row, limit in zip(limited, (self.low, self.high), strict=True)]
 
     def excluded_by(self, camera: Sequence[int] | np.ndarray) -> np.ndarray:
         """Which cameras conflict with one of these, bool [camera]."""
@@ -268,14 +276,12 @@ def random_rig(
     can_be = np.ones(problem.camera_count, bool)
     can_be[rig] = False
     can_be &= ~problem.excluded_by(rig)
-    counts = (problem.coefficient >= 0.0).all(axis=1)
-    coefficients, low, high = problem.coefficient[counts], problem.low[counts], problem.high[counts]
-    helps = coefficients > 0.0
+    (asked, low), (limited, high) = problem.counting_rows
     while len(rig) < problem.count:
-        total = coefficients[:, rig].sum(axis=1)
-        wanted = can_be & (total[:, None] + coefficients <= high[:, None] + _ROW_TOLERANCE).all(axis=0)
-        for row in np.flatnonzero(total < low - _ROW_TOLERANCE):
-            fewer = wanted & helps[row]
+        left = high + _ROW_TOLERANCE - limited[:, rig].sum(axis=1)
+        wanted = can_be & (limited <= left[:, None]).all(axis=0)
+        for row in np.flatnonzero(asked[:, rig].sum(axis=1) < low - _ROW_TOLERANCE):
+            fewer = wanted & (asked[row] > 0.0)
             wanted = fewer if fewer.any() else wanted
         choice = np.flatnonzero(wanted)
         if not len(choice):

@@ -31,10 +31,10 @@ _LEAST_FRACTION = 0.02
 """How far the cameras that the relaxation takes from a group must be from a whole number, for it to be tried."""
 _ROUNDED_RIGS, _ROUNDING_EVERY = 16, 8
 """Rigs that are drawn from a fractional choice and exchanged, and nodes from one such draw to the next."""
-STARTS, _DRAWS = 64, 256
-"""Random rigs that are exchanged first, and draws for them: with tight constraints most get stuck."""
+STARTS, _DRAWS, _VAIN_DRAWS = 64, 256, 32
+"""Random rigs that are exchanged first, draws for them, and draws in vain after which none more is made."""
 
-_FEWEST_STARTS, _FURTHER_STARTS_TIME = 8, 0.1
+_FEWEST_STARTS, _FURTHER_STARTS_TIME = 4, 0.1
 """Rigs that an integer programme finds where too few random ones satisfy the constraints, and the share of the time
 left that it may take for each but the first."""
 
@@ -297,8 +297,12 @@ def _first_rigs(
 ) -> np.ndarray:
     """Rigs that no exchange of a single camera makes better, from random ones or a programme, the best first."""
     rigs = [] if start is None else [_checked_start(problem, start)]
-    drawn = (random_rig(problem, rng) for _ in range(_DRAWS))
-    rigs += itertools.islice((rig for rig in drawn if rig is not None), STARTS)
+    first = len(rigs)
+    for draw in range(_DRAWS):
+        if len(rigs) == first + STARTS or draw >= _VAIN_DRAWS * (1 + len(rigs) - first):
+            break
+        rig = random_rig(problem, rng)
+        rigs += [] if rig is None else [rig]
     cost = np.zeros(problem.camera_count)
     while len(rigs) < _FEWEST_STARTS:
         left_s = deadline_s - time.perf_counter()
