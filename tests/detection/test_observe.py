@@ -112,17 +112,17 @@ def test_what_is_found_up_to_a_confidence_is_found_at_all_lower_ones(device, box
     assert np.isfinite(up_to).any()
     assert (np.isfinite(up_to) == (observation.match >= 0)).all()
     for threshold in np.r_[0.1, np.concatenate(confidence).astype(np.float32), 0.99]:
-        np.testing.assert_array_equal(up_to >= threshold, observation.is_detected_at(float(threshold), 0.5))
+        np.testing.assert_array_equal(up_to >= threshold, observation.at(float(threshold), 0.5).match >= 0)
 
 
 def test_a_detector_that_drops_more_says_the_same_of_the_rest(device, boxes_at_pixels):
     boxes = [each[np.isfinite(each[:, 0])] for each in boxes_at_pixels]
     confidence = [np.linspace(0.9, 0.3, len(each)) for each in boxes]
     observation = observed(ConstantDetector(boxes, confidence), device, confidence_min=0.6)
-    fewer = observation.from_confidence(0.6)
+    fewer = observation.at(0.6, 0.5)
     assert sum(map(len, fewer.detections)) < sum(map(len, observation.detections))
     assert min(found.confidence.min() for found in fewer.detections if len(found)) >= 0.6
-    np.testing.assert_array_equal(fewer.is_detected_at(0.6, 0.5), observation.match >= 0)
+    np.testing.assert_array_equal(fewer.match, observation.match)
     np.testing.assert_array_equal(fewer.matched_confidence(), observation.matched_confidence())
 
 

@@ -48,6 +48,7 @@ TaskExecutor = Annotated[
     Literal["serial", "process", "ray", "slurm"] | None, Parameter(help="Where the runs take place.")
 ]
 FileAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
+Verbose = Annotated[bool, Parameter(help="Every stage, table and statement.", negative="")]
 SceneSource = Annotated[str, Parameter(help="Scene GLB, or the seed of an embedded scene.")]
 
 

@@ -14,6 +14,7 @@ from warpav.cli._arguments import (
     RigConfig,
     RigSource,
     SceneSource,
+    Verbose,
     complain,
     configured,
     executor_overrides,
@@ -40,6 +41,7 @@ def optimise(
             "that change nothing of what was computed, such as run.iterations and optimiser.pool_rounds."
         ),
     ] = None,
+    verbose: Verbose = False,
 ) -> None:
     """Find where the cameras of a rig see traffic best, and compare the result with baselines."""
     from warpav.runs import RunDisplay
@@ -57,7 +59,7 @@ def optimise(
     if folder is not None:
         config = str(folder.path / "config.yaml")
     given = executor_overrides(executor, workers, address)
-    with placed_config(config, [*overrides, *given]) as settings, RunDisplay() as display:
+    with placed_config(config, [*overrides, *given]) as settings, RunDisplay(verbose=verbose) as display:
         if given and settings.optimiser.search == "descent":
             raise OptionError(
                 "executor.name",
@@ -71,13 +73,16 @@ def optimise(
         )
         from warpav.runs import worse_than_start
         from warpav.runs.jobs import optimise_rig, resume_rig  # a second of imports, after the first line
-        from warpav.runs.report.tables import show_run
+        from warpav.runs.report.tables import show_everything, show_run
 
         if folder is None:
-            _, run = optimise_rig(settings, name=find_config(config).stem, progress=display)
+            folder, run = optimise_rig(settings, name=find_config(config).stem, progress=display)
         else:
             _, run = resume_rig(folder, settings, progress=display)
-        show_run(display.console, run)
+        (show_everything if verbose else show_run)(display.console, run)
+        easier = settings.scenes.source == "town" and settings.scenes.level == "easy"
+        say(f"next: warpav view {folder.path}" + (" | warpav optimise scenes.level=dense" if easier else ""))
+        say(f"report: {folder.path / 'report.html'}")
     for text in worse_than_start(run.evaluation) if run.evaluation else ():
         complain(f"warning: WORSE THAN ITS START: {text}")
 
@@ -136,18 +141,19 @@ def evaluate(
             "so many metres, such as -1 -0.05. May be given several times.",
         ),
     ] = None,
+    verbose: Verbose = False,
 ) -> None:
     """Measure a rig on the test scenes."""
     from warpav.runs import RunDisplay
     from warpav.runs.jobs import measure_rig, posed_otherwise
-    from warpav.runs.report.tables import show_run
+    from warpav.runs.report.tables import show_everything, show_run
 
     part, loads = posed_otherwise(soiling, load)
-    with of_rig(rig, config, overrides) as settings, RunDisplay() as display:
+    with of_rig(rig, config, overrides) as settings, RunDisplay(verbose=verbose) as display:
         found = measure_rig(
             rig, settings, beside=beside or (), json_file=json, soiled=part, loads=loads, progress=display
         )
-        show_run(display.console, found)
+        (show_everything if verbose else show_run)(display.console, found)
 
 
 def render(

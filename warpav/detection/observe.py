@@ -14,8 +14,11 @@ import warp as wp
 from warpav.detection.detector import Detections, Detector, TensorDetector
 from warpav.detection.matching import iou_matrix, largest_component_box, match_detections
 from warpav.raster.frame import Frame
-from warpav.scene.device_scene import DeviceScene
+from warpav.scene.device_scene import EGO, DeviceScene, object_index_of
 from warpav_kernels.detection import network_input as network_input_kernels
+
+_BODY_SHARE = 0.5
+"""Share of a box from which on it is the own body's."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +71,6 @@ class Observation:
         """Rendered images, uint8 [camera, row, column, 3]; a copy on the host."""
         return (self.image.numpy() * 255.0 + 0.5).astype(np.uint8)
 
-    def is_detected_at(self, confidence_min: float, iou_min: float) -> np.ndarray:
-        """Whether a detection matches a vehicle at other thresholds than those of `match`, bool [camera, vehicle]."""
-        match = _matched(
-            self.truth_box_px, self.detections, self.may_match, confidence_min=confidence_min, iou_min=iou_min
-        )
-        return match >= 0
-
     def detected_up_to(self, iou_min: float) -> np.ndarray:
         """Highest minimum confidence at which a vehicle still has a match, -inf: none; float64 [camera, vehicle].
 
@@ -96,12 +92,13 @@ class Observation:
                 up_to[camera, match >= 0] = confidence
         return up_to
 
-    def from_confidence(self, confidence_min: float) -> Observation:
-        """The same by a detector that drops what is less confident; matches below are to be none."""
+    def at(self, confidence_min: float, iou_min: float) -> Observation:
+        """The same by a detector that drops what is less confident."""
         counts = [int((found.confidence >= confidence_min).sum()) for found in self.detections]
         kept = [found.only(slice(count)) for found, count in zip(self.detections, counts, strict=True)]
         may = [each[:, :count] for each, count in zip(self.may_match, counts, strict=True)]
-        return replace(self, detections=kept, may_match=may)
+        match = _matched(self.truth_box_px, kept, may, confidence_min=confidence_min, iou_min=iou_min)
+        return replace(self, detections=kept, may_match=may, match=match)
 
     def matched_box_px(self) -> np.ndarray:
         """Box of the detection matched to every vehicle [px], 0 where none is, float32 [camera, vehicle, 4]."""
@@ -210,15 +207,28 @@ def observe(
 ) -> Observation:
     """Run the detector on a render, and match its boxes to the ground truth of the same kind of road user.
 
+    Boxes on the own body are left out, as a mask of it would in a vehicle.
+
     ``image``: rendered forward views, 0..1, vec3 [camera, row, column]; None: they are rendered here.
     """
     if image is None:
         image = frame.colours(views=forward_view)
-    detections = detections_in(network_input_of([image], detector), detector)
+    is_body = object_index_of(frame.object_id.numpy()[list(forward_view)]) == EGO
+    found = detections_in(network_input_of([image], detector), detector)
+    detections = [_off_the_body(each, mask) for each, mask in zip(found, is_body, strict=True)]
     visible = visible_objects(frame, scene, forward_view=forward_view, min_area_px=min_area_px)
     may = visible.may_match(detections)
     match = _matched(visible.truth_box_px, detections, may, confidence_min=confidence_min, iou_min=iou_min)
     return Observation(image, detections, visible.truth_box_px, visible.too_small_box_px, match, may)
+
+
+def _off_the_body(found: Detections, is_body: np.ndarray) -> Detections:
+    """Detections of whose box less than half shows the own body; ``is_body`` bool [row, column]."""
+    if not is_body.any():
+        return found
+    corners = [np.r_[np.floor(box[:2]), np.ceil(box[2:])].astype(int) for box in found.box_px]
+    share = [is_body[y0 : max(y1, y0 + 1), x0 : max(x1, x0 + 1)] for x0, y0, x1, y1 in corners]
+    return found.only(np.array([each.size == 0 or each.mean() < _BODY_SHARE for each in share], bool))
 
 
 @dataclass(frozen=True)

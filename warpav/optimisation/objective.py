@@ -75,6 +75,7 @@ class ObjectiveOptions:
 
     confidence_min: float = 0.1  # least confidence of a true positive
     iou_min: float = 0.5  # least intersection over union of a true positive
+    false_alarms_per_image: float = 0.5  # at which rigs are compared, see `evaluation.metrics.ArmMetrics`
     occlusion: Occlusion = Occlusion.PAIRWISE  # what hides a vehicle
     supersampling: int = 1  # samples per pixel along each axis
     multiplier_damping: float = 0.0  # damping of the multipliers, at least 0; 0 as in the thesis

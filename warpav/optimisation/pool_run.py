@@ -143,8 +143,8 @@ class PoolRun(PoolSearch):
         self.rounding = Candidate(pose, self._value_of(pose), best.iteration, 0)
         if self._progress is not None:
             but = f" but for {len(left)} of {len(pose)} that fit nowhere else" if left else ""
-            values = f"objective {best.training_objective:.4f} -> {self.rounding.training_objective:.4f}"
-            self._progress.say(f"rounded to 5 mm and 0.5 degrees{but}: {values}")
+            value = f"objective {self.rounding.training_objective:.4f}"
+            self._progress.say(f"{'rounded':<12} {value}  to 5 mm and 0.5 degrees{but}")
 
     def _rounds(self, pose: np.ndarray, camera: int) -> bool:
         """Round a camera of a rig, [camera, 7], where some of its roundings keeps what the rig keeps."""

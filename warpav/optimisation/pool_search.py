@@ -338,7 +338,7 @@ class PoolSearch:
             self._progress.stage("rigs by hand")
         found = by_hand(self.cameras.mount, self.task.constraints, self.camera_count, values_of)
         if self._progress is not None and found:
-            self._progress.say(f"by hand: {found[0]}: objective {found[0].value:.4f}")
+            self._progress.say(f"{'by hand':<12} objective {found[0].value:.4f}  {found[0]}")
         self.hand_rigs = [replace(each, mount_pose=self.assembly.rig(each.mount_pose)) for each in found]
 
     def _best_by_hand(self) -> list[np.ndarray]:

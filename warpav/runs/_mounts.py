@@ -323,6 +323,7 @@ def objective_options(config: Config) -> ObjectiveOptions:
     return ObjectiveOptions(
         confidence_min=config.detector.confidence_min,
         iou_min=config.detector.iou_min,
+        false_alarms_per_image=config.evaluation.false_alarms_per_image,
         occlusion=Occlusion(config.visibility.occlusion),
         supersampling=config.camera.supersampling,
         multiplier_damping=config.optimiser.damping(are_inequalities=config.method != "thesis"),

@@ -25,13 +25,18 @@ _Record = TypeVar("_Record")
 
 _ONLY_LIVE = ("multiplier ", "gradient ")  # rows that plain lines leave out; events.jsonl has them
 REFRESH_PER_SECOND = 4
-_PLAIN_LINES_PER_STAGE = 10
+_PLAIN_LINES_PER_STAGE, _BRIEF_LINES = 10, 4
+_BRIEF_STAGES = {"start": "start", "selection": "selected", "settled": "polished"}
 
 
 class RunDisplay:
-    """Shows the stages of a run and its iterations; a context manager."""
+    """Shows the stages of a run and its iterations; a context manager.
 
-    def __init__(self, console: Terminal | None = None) -> None:
+    Unless ``verbose`` a pipe gets what was found alone, with the time, as a terminal does below its bars.
+    """
+
+    def __init__(self, console: Terminal | None = None, *, verbose: bool = True) -> None:
+        self._verbose, self._began = verbose, time.perf_counter()
         # in a notebook, and below one, which sets FORCE_COLOR, nothing can be redrawn either
         self.console = console or Terminal(soft_wrap=True, force_terminal=sys.stdout.isatty())
         self._bar = progress_bar.Progress(
@@ -63,7 +68,8 @@ class RunDisplay:
 
     def say(self, text: str) -> None:
         """Print a line above the table."""
-        self.console.print(shown(text))
+        when = "" if self._verbose else f"[{time.perf_counter() - self._began:4.0f} s] "
+        self.console.print(shown(f"{when}{text}"))
 
     def show(self, content: RenderableType) -> None:
         """Print tables and text within the terminal's width, or where output is piped as wide as they are."""
@@ -85,7 +91,7 @@ class RunDisplay:
         began = time.perf_counter()
         for number, item in enumerate(items, start=1):
             self._advance(number, (time.perf_counter() - began) / number)
-            if not self.console.is_terminal and number % every == 0 and number < count:
+            if self._is_told and number % every == 0 and number < count:
                 self.say(f"{description}: {number}/{count}")
             yield item
 
@@ -95,7 +101,7 @@ class RunDisplay:
             yield from self._states(records, min_spacing_m)
             return
         self._start("optimising", count)
-        every = max(1, count // _PLAIN_LINES_PER_STAGE)
+        every = max(1, count // (_PLAIN_LINES_PER_STAGE if self._verbose else _BRIEF_LINES))
         began = time.perf_counter()
         for taken, record in enumerate(records, start=1):
             speed = (time.perf_counter() - began) / taken
@@ -111,28 +117,41 @@ class RunDisplay:
         self._numbers = None
 
     def _states(self, records: Iterable[_Record], min_spacing_m: float) -> Iterator[_Record]:
-        """Those of a search by a pool; plain lines have the last state of each stage."""
+        """Those of a search by a pool; lines have the last state of each stage, or briefly the first and the last."""
         self._start("searching", None)
         last: dict[str, str] = {}
+        told = set[str]()
+
+        def tell(rows: dict[str, str], *, is_last: bool = False) -> None:
+            stage = rows["done"]
+            if self._verbose and not self.console.is_terminal:
+                self.say("  ".join(f"{name} {value}" for name, value in rows.items()))
+            elif not self._verbose and (is_last or (stage in _BRIEF_STAGES and stage not in told)):
+                bound = f"  bound {rows['bound']}" if stage == "selection" else ""
+                words = _BRIEF_STAGES.get("settled" if is_last else stage, stage)
+                self.say(f"{words:<12} objective {rows['objective']}{bound}")
+            told.add(stage)
+
         try:
             for number, record in enumerate(records, start=1):
                 rows = iteration_rows(record, min_spacing_m=min_spacing_m)
                 self._replace_task("searching", None, completed=number)
                 if last and rows["done"] != last["done"]:
-                    self._say_plainly(last)
+                    tell(last)
                 last, self._numbers = rows, _grid(rows)
                 if rows["done"] == "start":  # there is but one, and the pool is drawn next, which takes long
-                    self._say_plainly(rows)
+                    tell(rows)
                     last = {}
                 yield record
         finally:  # an interrupted search has come to something, too
             self._numbers = None
             if last:
-                self._say_plainly(last)
+                tell(last, is_last=True)
 
-    def _say_plainly(self, rows: Mapping[str, str]) -> None:
-        if not self.console.is_terminal:
-            self.say("  ".join(f"{name} {value}" for name, value in rows.items()))
+    @property
+    def _is_told(self) -> bool:
+        """Whether lines say what bars show elsewhere."""
+        return self._verbose and not self.console.is_terminal
 
     def _replace_task(self, description: str, count: int | None, *, completed: int = 0) -> None:
         if self._task is not None:
@@ -141,7 +160,7 @@ class RunDisplay:
 
     def _start(self, description: str, count: int | None) -> None:
         self._replace_task(description, count)
-        if not self.console.is_terminal:
+        if self._is_told:
             self.say(description if count is None else f"{description}: {count}")
 
     def _advance(self, number: int, speed: float) -> None:
@@ -175,7 +194,7 @@ def iteration_rows(record: object, *, min_spacing_m: float) -> dict[str, str]:
         return {
             "done": str(getattr(record, "stage", None)),
             "objective": _number(getattr(record, "best_training_objective", None)),
-            "bound": "-" if bound is None else f"{_number(bound)} (of any rig of {pool_cameras} cameras)",
+            "bound": "-" if bound is None else f"{_number(bound)} (of any rig of the {pool_cameras} candidate cameras)",
             "camera renders": str(getattr(record, "camera_renders", None)),
             **closest,
         }

@@ -412,7 +412,7 @@ def complete_folder(
     evaluation = evaluation.model_copy(update={"seconds": timer.seconds})
     folder.write_evaluation(evaluation.to_json(with_objects=True))
     run = read_content(folder)
-    progress.say(f"report: {write_report(folder, run)}   took {timer.total_s():.0f} s")
+    write_report(folder, run)
     return run
 
 

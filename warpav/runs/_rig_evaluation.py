@@ -14,7 +14,6 @@ from warpav.core.errors import ArgumentError
 from warpav.core.table import Table, data_frame
 from warpav.optimisation.constraints import Margin
 from warpav.optimisation.evaluation.metrics import (
-    EQUAL_FALSE_ALARMS_PER_FRAME,
     OPTIONAL_METRICS,
     PAIRED_METRICS,
     REDUNDANT_CAMERAS,
@@ -34,29 +33,28 @@ if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingImports]
 
 TABLE_ROWS = {
-    "tp_detection_rate": "recall of the rig",
-    "weighted_recall": "weighted recall",
-    "misses_per_100": "misses per 100",
-    "weighted_misses_per_100": "weighted misses per 100",
-    "attainable_rate": "attainable by any camera",
-    "attainable_recall": "recall of the attainable",
-    "attainable_misses_per_100": "attainable misses per 100",
-    "recall_at_equal_false_alarms": f"recall at {EQUAL_FALSE_ALARMS_PER_FRAME:g} false alarms",
+    "misses_at_equal_false_alarms": "missed per 100 at equal false alarms",
+    "weighted_misses_per_100": "the same, weighted",
+    "attainable_misses_per_100": "the same, of what any camera could see",
+    "attainable_rate": "share that any camera could see",
+    "objective": "objective",
+    "log_average_miss_rate": "log-average miss rate",
+    "ap50_rig": "AP50 of the rig",
+    "misses_per_100": "missed per 100 at the detector's threshold",
+    "false_alarms_per_frame": "false alarms an image there",
     "visible_rate": "visible to the rig",
     "rig_recall_visible": "recall of the visible",
     "redundant_rate": f"seen by {REDUNDANT_CAMERAS} cameras within {REDUNDANT_WITHIN_M:g} m",
     "map50_average": "AP50, mean of the cameras",
     "map50_min_camera": "AP50, worst camera",
     "map50_max_camera": "AP50, best camera",
-    "ap50_pooled": "AP50, all images",
+    "ap50_pooled": "AP50, image by image",
     "ap50_small": "AP50, up to 32 x 32 px",
     "ap50_medium": "AP50, to 96 x 96 px",
     "ap50_large": "AP50, larger",
     "ap50_95_pooled": "AP50:95, all images",
-    "false_alarms_per_frame": "false alarms a frame",
-    "tp_in_frame_rate": "in frame",
+    "tp_in_frame_rate": "in an image",
     "detection_confidence": "confidence",
-    "objective": "objective",
     "constraint_violation": "violation [m]",
     "min_camera_distance_m": "closest cameras [m]",
     "body_share_max": "own body, largest share",
@@ -65,6 +63,8 @@ TABLE_ROWS = {
 
 LOWER_IS_BETTER = frozenset(
     (
+        "misses_at_equal_false_alarms",
+        "log_average_miss_rate",
         "misses_per_100",
         "weighted_misses_per_100",
         "attainable_misses_per_100",
@@ -74,7 +74,7 @@ LOWER_IS_BETTER = frozenset(
 )
 """Metrics of which less is better."""
 
-_CAPTION = "Recalls pool the objects of all scenes; difference() is a mean over scenes, each counting alike."
+_CAPTION = "Each rig at the confidence that leaves as many false alarms an image; difference() has intervals."
 
 _RECALL_GROUPS = {"road_user": "", "distance_m": " m", "sector": "", "category": ""}
 """Groupings of the objects in ``recall_by``, in the order in which they are shown, and the unit of their names."""
@@ -154,6 +154,15 @@ class GroundTable(_Part):
         place = (height, slice(None) if sector is None else sector, slice(None) if band is None else band)
         cells = int(np.array(self.cells)[place].sum())
         return int(np.array(self.blind[arm])[place].sum()) / cells if cells else None
+
+    def worst_near(self, arm: str) -> tuple[float, str, str]:
+        """Where near the vehicle no camera of an arm sees most of someone of the least height: share, sector, band."""
+        share, _, sector, band = max(
+            (self.share(arm, 0, sector, band) or 0.0, -band, name, self.bands_m[band])
+            for sector, name in enumerate(self.sectors)
+            for band in range(min(2, len(self.bands_m)))
+        )
+        return share, sector, band
 
     def area_m2(self, arm: str, height: int) -> float:
         """Area that no camera of an arm sees, mean of the scenes [m^2]."""
@@ -355,17 +364,21 @@ class RigEvaluation(_Part):
         return self._requirements
 
     @property
+    def misses(self) -> dict[str, float | None]:
+        """Of 100 objects those that no camera detects, at equal false alarms, by rig; None where there is no object."""
+        return {name: metrics.misses_at_equal_false_alarms for name, metrics in self.arms.items()}
+
+    @property
     def recall(self) -> dict[str, float | None]:
-        """Share of all objects that some camera detects, by rig; None where there is no object."""
+        """Share of all objects that some camera detects at the detector's own threshold, by rig; None: no object."""
         return {name: metrics.rig_recall for name, metrics in self.arms.items()}
 
-    def difference(self, one: str, other: str, metric: str = "rig_recall") -> Difference:
+    def difference(self, one: str, other: str, metric: str = "misses_at_equal_false_alarms") -> Difference:
         """How a rig differs from another on the same scenes, one - other, with a 95 % interval.
 
-        It is the mean over scenes of the difference within each scene, and every scene counts alike. The recalls of
-        `table` pool the objects of all scenes, so a scene with many counts more there, and the difference of two
-        recalls is another number than this. The scenes are resampled, together for both rigs, so the interval speaks
-        of other scenes like these.
+        Of misses, recalls and the objective it is the difference of what `table` shows; of average precisions and false
+        alarms the mean over scenes. The scenes are resampled, together for both rigs, so the interval speaks of other
+        scenes like these.
 
         Args:
             one: Name of a rig.
@@ -381,7 +394,9 @@ class RigEvaluation(_Part):
         metrics = [*PAIRED_METRICS, *(name for name in OPTIONAL_METRICS if name in self.arms[one].per_scene)]
         if metric not in metrics:
             raise ArgumentError("metric", f"expected one of {', '.join(metrics)}, got {metric!r}")
-        return paired_difference(self.arms[one].per_scene[metric], self.arms[other].per_scene[metric])
+        first, second = self.arms[one], self.arms[other]
+        weight = first.scene_weights(metric)
+        return paired_difference(first.per_scene[metric], second.per_scene[metric], weight=weight)
 
     def table(self) -> Table:
         """Metrics by rig: text when printed, HTML in a notebook.
@@ -478,8 +493,8 @@ class RigEvaluation(_Part):
         return whole.model_dump(by_alias=True, exclude_unset=True, exclude=exclude)
 
     def __repr__(self) -> str:
-        found = ", ".join(f"{name} {_cell(recall)}" for name, recall in self.recall.items())
-        return f"RigEvaluation({len(self.scenes)} scenes, {len(self.objects)} objects; recall: {found})"
+        found = ", ".join(f"{name} {_cell(misses)}" for name, misses in self.misses.items())
+        return f"RigEvaluation({len(self.scenes)} scenes, {len(self.objects)} objects; missed per 100: {found})"
 
     def _repr_html_(self) -> str:
         return self.table()._repr_html_()

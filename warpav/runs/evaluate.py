@@ -138,14 +138,20 @@ def evaluate_on(
     weight = weights_on(packed, placement)
     found = {name: observed.detection_probability for name, observed in observations.items()}
     attainable = attainable_objects(placement.objective, scenes, drawing=Drawing(cache=pool_cache_folder()))
+    iou_min = placement.objective.options.iou_min
+    metrics = {
+        name: metrics_of(observed, placement.objective, attainable=attainable)
+        for name, observed in observations.items()
+    }
+    counted = {
+        name: observed.at(metrics[name].confidence_at_equal_false_alarms or 0.0, iou_min)
+        for name, observed in observations.items()
+    }
     return RigEvaluation.of(
         rigs,
-        {
-            name: metrics_of(observed, placement.objective, attainable=attainable)
-            for name, observed in observations.items()
-        },
+        metrics,
         [scene.name for scene in packed],
-        seen_objects(observations, packed, rigs),
+        seen_objects(counted, packed, rigs),
         camera_outage={
             name: None if each is None else CameraOutages.of(names[name], each, weight) for name, each in found.items()
         },

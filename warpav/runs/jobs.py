@@ -56,7 +56,7 @@ def optimise_rig(config: Config, *, name: str, progress: Progress) -> tuple[RunF
         )
         if config.run.out is None:
             held.enter_context(held_run(folder))
-        progress.say(f"run folder: {folder.path}")
+        progress.say(f"{'run folder':<12} {folder.path}")
         _, run = _run_to_the_end(folder, optimisation, timer, progress)
     return folder, run
 

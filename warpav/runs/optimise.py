@@ -263,8 +263,6 @@ class Optimisation:
             for record in progress.iterations(self._steps(), count=count, min_spacing_m=config.rig.min_spacing_m):
                 if on_step is not None:
                     on_step(record)
-        if descent.stop_reason is not None:
-            progress.say(f"ended after {descent.iteration} iterations: {descent.stop_reason}")
 
     def _steps(self) -> Iterator[IterationRecord]:
         """The steps that are left; each is known before anybody is told of it."""

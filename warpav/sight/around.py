@@ -39,7 +39,7 @@ _BAND_EDGES_M = (3.0, 5.0, 7.5, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 
 _SECTOR_COUNT = 36
 
 _NEAREST_M, _FARTHEST_M, _DISTANCE_COUNT = 0.2, 1000.0, 96
-_BISECTIONS = 14
+_BISECTIONS = 20
 _BELOW_M = 1.0  # of the ground that stands there for the rays, so that points at height 0 are free
 _TURN_RAD = 1e-4
 

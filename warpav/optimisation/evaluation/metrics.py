@@ -16,6 +16,7 @@ from warpav.detection.average_precision import (
     COCO_AREA_PX2,
     COCO_IOU,
     ImageBoxes,
+    ImageScore,
     average_precision,
     mean_image_average_precision,
     score_images,
@@ -41,6 +42,7 @@ from warpav.sight.sight import redundancy
 
 # metrics defined per scene, so that rigs can be compared scene by scene
 PAIRED_METRICS = (
+    "misses_at_equal_false_alarms",
     "tp_detection_rate",
     "rig_recall",
     "rig_recall_visible",
@@ -65,14 +67,27 @@ OPTIONAL_METRICS = (
 which of them are attainable (`warpav.optimisation.attainable`), and where some are near; defined per scene as well, but
 for the attainable rate."""
 
+_OF_OBJECTS = frozenset(
+    (
+        "misses_at_equal_false_alarms",
+        "tp_detection_rate",
+        "rig_recall",
+        "misses_per_100",
+        "recall_at_equal_false_alarms",
+        "tp_in_frame_rate",
+        "objective",
+    )
+)
+"""Metrics of which that of all scenes is the mean over scenes, weighted by their objects."""
+
 REDUNDANT_WITHIN_M = 20.0
 """Distance within which road users count for `ArmMetrics.redundant_rate` [m]."""
 
 REDUNDANT_CAMERAS = 2
 """Cameras that have to see them there."""
 
-EQUAL_FALSE_ALARMS_PER_FRAME = 0.5
-"""False alarms per image at which the recalls of rigs are compared (`ArmMetrics.recall_at_equal_false_alarms`)."""
+_LOG_AVERAGE_RATES = np.logspace(-2.0, 0.0, 9)
+"""False alarms an image at which misses are averaged (Dollar et al. 2012, Pedestrian detection)."""
 
 DISTANCE_EDGES_M = (0.0, 10.0, 20.0, 30.0, 40.0, math.inf)
 """Bins of the horizontal distance from the centre of the ego vehicle to the centre of an object's box [m]; a bin
@@ -108,7 +123,16 @@ class ArmMetrics:
     of its own kind. Objects that an image shows too little of for a ground-truth box are ignored there, as in COCO:
     they need not be detected, and a box that matches one is no false alarm.
 
+    Rigs are compared at equal false alarms, ``evaluation.false_alarms_per_image``: each at the confidence of its own
+    that leaves so many, ``confidence_at_equal_false_alarms``. So count what has it in its name, what is weighted or
+    attainable, and the groups of ``recall_by``; the other recalls and misses are those at ``detector.confidence_min``.
+
     Attributes:
+        misses_at_equal_false_alarms: Of 100 objects, those that no camera of the rig detects.
+        log_average_miss_rate: Geometric mean of the share that is missed at nine rates of false alarms an image from
+            .01 to 1, as the benchmarks of pedestrians have it.
+        ap50_rig: Average precision at IoU .5 of the rig as one detector: an object counts once, with the confidence of
+            the best camera; false alarms are those of all cameras.
         constraint_violation: Distance outside the mount zone plus missing camera spacing [m].
     """
 
@@ -128,6 +152,9 @@ class ArmMetrics:
     rig_recall: float | None = None
     rig_recall_visible: float | None = None
     misses_per_100: float | None = None
+    misses_at_equal_false_alarms: float | None = None
+    log_average_miss_rate: float | None = None
+    ap50_rig: float | None = None
     recall_at_equal_false_alarms: float | None = None
     confidence_at_equal_false_alarms: float | None = None
     visible_rate: float | None = None
@@ -155,6 +182,12 @@ class ArmMetrics:
         if self.objects is None or self.tp_detection_rate is None:
             return None
         return round(self.tp_detection_rate * self.objects)
+
+    def scene_weights(self, metric: str) -> list[float | None] | None:
+        """What each scene counts in a difference of a metric, so that it is that of all objects; None: all alike."""
+        if metric.startswith("weighted") or metric == "objective":
+            return self.per_scene.get("object_weight", self.per_scene.get("objects"))
+        return self.per_scene.get("objects") if metric in _OF_OBJECTS else None
 
     def to_json(self) -> dict[str, Any]:
         """As ``evaluation.json`` has them; of `OPTIONAL_METRICS` those that are known."""
@@ -226,11 +259,6 @@ class RigObservation:
     def detected(self) -> np.ndarray:
         """Whether some camera detects an object, bool [object]."""
         return np.isfinite(self._best_confidence)
-
-    def is_detected_at(self, confidence_min: float, iou_min: float) -> np.ndarray:
-        """Whether some camera detects an object at other thresholds, bool [object]; see `Observation`."""
-        detected = [each.is_detected_at(confidence_min, iou_min) for each in self.observations]
-        return np.asarray(np.concatenate(detected).any(axis=0))
 
     def detected_up_to(self, iou_min: float) -> np.ndarray:
         """Highest minimum confidence at which some camera detects an object, -inf without, float64 [object]."""
@@ -364,10 +392,10 @@ class SceneObservations:
             return None
         return np.concatenate(found, axis=1)
 
-    def from_confidence(self, confidence_min: float) -> SceneObservations:
-        """The same by a detector that drops what is less confident; see `Observation.from_confidence`."""
+    def at(self, confidence_min: float, iou_min: float) -> SceneObservations:
+        """The same by a detector that drops what is less confident."""
         observations = [
-            replace(each, observations=[seen.from_confidence(confidence_min) for seen in each.observations])
+            replace(each, observations=[seen.at(confidence_min, iou_min) for seen in each.observations])
             for each in self.observations
         ]
         return replace(self, observations=observations)
@@ -450,21 +478,23 @@ def metrics_of(
     position_m = np.array([camera.position_m for camera in rig.cameras])
     flags = np.concatenate(visible), np.concatenate(detected)
     whole = GroupRecall.of(*flags)
-    threshold = boxes.confidence_at(EQUAL_FALSE_ALARMS_PER_FRAME)
-    detected_there = [each.is_detected_at(threshold, objective.options.iou_min) for each in observations]
+    up_to = [each.detected_up_to(objective.options.iou_min) for each in observations]
+    threshold = boxes.confidence_at(objective.options.false_alarms_per_image)
+    found = [each >= threshold for each in up_to]
+    found_all = np.concatenate(found)
     of_scene = [GroupRecall.of(*both) for both in zip(visible, detected, strict=True)]
     body_share = body_shares(rig, scenes[0]) if scenes else {}  # all scenes are around the same vehicle
     weights = None if objective.importance is None else [objective.importance.weights(scene) for scene in scenes]
     weighted_recall, weighted_of_scene = None, {}
     if weights is not None:
-        weighted_recall = _weighted_mean(flags[1], np.concatenate([np.zeros(0), *weights]))
-        recalls = [_weighted_mean(*both) for both in zip(detected, weights, strict=True)]
+        weighted_recall = _weighted_mean(found_all, np.concatenate([np.zeros(0), *weights]))
+        recalls = [_weighted_mean(*both) for both in zip(found, weights, strict=True)]
         weighted_of_scene = {"weighted_recall": recalls, "weighted_misses_per_100": [_misses(each) for each in recalls]}
     can_be, attainable_recall, attainable_of_scene = None, None, {}
     if attainable is not None:
         can_be = np.concatenate([np.zeros(0, bool), *attainable])
-        attainable_recall = _mean(flags[1][can_be])
-        recalls = [_mean(found[which]) for found, which in zip(detected, attainable, strict=True)]
+        attainable_recall = _mean(found_all[can_be])
+        recalls = [_mean(each[which]) for each, which in zip(found, attainable, strict=True)]
         attainable_of_scene = {
             "attainable_recall": recalls,
             "attainable_misses_per_100": [_misses(each) for each in recalls],
@@ -488,30 +518,36 @@ def metrics_of(
         rig_recall=whole.recall,
         rig_recall_visible=whole.recall_visible,
         misses_per_100=_misses(whole.recall),
-        recall_at_equal_false_alarms=_mean(np.concatenate(detected_there)),
+        misses_at_equal_false_alarms=_misses(_mean(found_all)),
+        log_average_miss_rate=boxes.log_average_miss_rate(np.concatenate(up_to)),
+        ap50_rig=boxes.ap50_of_rig(np.concatenate([each.detected_up_to(COCO_IOU[0]) for each in observations])),
+        recall_at_equal_false_alarms=_mean(found_all),
         confidence_at_equal_false_alarms=threshold,
         visible_rate=_mean(flags[0]),
         detection_confidence=_mean(np.concatenate(confidence)),
         false_alarms_per_frame=_mean(boxes.false_alarms),
-        objective=_mean(np.array(losses)),
+        objective=_objective_of(losses, weights or in_frame, objective),
         constraint_violation=objective.constraints.violation_m(rig),
         min_camera_distance_m=_number(min_camera_distance_m(position_m)),
         body_share=body_share,
         body_share_max=max(body_share.values(), default=None),
         objects=whole.objects,
         frames=boxes.false_alarms.size,
-        recall_by=_recall_by(scenes, np.concatenate(visible), np.concatenate(detected)),
+        recall_by=_recall_by(scenes, flags[0], found_all),
         per_scene={
             "tp_detection_rate": [each.recall for each in of_scene],
             "rig_recall": [each.recall for each in of_scene],
             "rig_recall_visible": [each.recall_visible for each in of_scene],
             "misses_per_100": [_misses(each.recall) for each in of_scene],
-            "recall_at_equal_false_alarms": [_mean(each) for each in detected_there],
+            "misses_at_equal_false_alarms": [_misses(_mean(each)) for each in found],
+            "recall_at_equal_false_alarms": [_mean(each) for each in found],
             "tp_in_frame_rate": [_mean(each) for each in in_frame],
             "detection_confidence": [_mean(values) for values in confidence],
             "ap50_pooled": boxes.ap50_of_scenes(),
             "false_alarms_per_frame": [_mean(counts) for counts in boxes.false_alarms],
             "objective": [_number(loss) for loss in losses] or [None] * len(scenes),
+            "objects": [float(len(each)) for each in detected],
+            **({} if weights is None else {"object_weight": [float(each.sum()) for each in weights]}),
             **weighted_of_scene,
             **attainable_of_scene,
             "redundant_rate": [redundant([sees], [scene]).share for sees, scene in zip(seen_by, scenes, strict=True)],
@@ -523,6 +559,17 @@ def metrics_of(
         attainable_misses_per_100=_misses(attainable_recall),
         redundant_rate=redundant(seen_by, scenes).share,
     )
+
+
+def _objective_of(losses: Sequence[float], objects: Sequence[np.ndarray], objective: RigObjective) -> float | None:
+    """Of all scenes together: expected misses of all objects; of other losses the mean over scenes.
+
+    ``objects``: weights of the objects of every scene, or as many flags.
+    """
+    if not losses or not objective.is_by_single_cameras:
+        return _mean(np.array(losses))
+    share = np.array([each.sum() if each.dtype != bool else len(each) for each in objects], np.float64)
+    return float(np.average(losses, weights=share)) if share.any() else _mean(np.array(losses))
 
 
 def _image_boxes(
@@ -562,14 +609,14 @@ class _Boxes:
         scores = [score_images(each, iou_min=(*COCO_IOU, objective.options.iou_min)) for each in images]
         self.false_alarms = np.zeros(shape, np.int64)
         self._confidence_min = objective.options.confidence_min
-        alarms = [np.zeros(0)]
+        alarms: dict[int, list[np.ndarray]] = {0: [np.zeros(0)], -1: [np.zeros(0)]}
         for each in scores:
-            is_false = (
-                each.counts[0, -1] & ~each.true_positive[0, -1] & (each.confidence >= objective.options.confidence_min)
-            )
-            alarms.append(each.confidence[is_false])
+            for k, confidence in alarms.items():
+                is_false = each.counts[0, k] & ~each.true_positive[0, k]
+                confidence.append(each.confidence[is_false])
+            is_false &= each.confidence >= self._confidence_min
             self.false_alarms += np.bincount(each.image[is_false], minlength=self.false_alarms.size).reshape(shape)
-        self._alarm_confidence = np.sort(np.concatenate(alarms))[::-1]
+        self._alarm_confidence, self._alarm_confidence_ap = (np.sort(np.concatenate(alarms[k]))[::-1] for k in (-1, 0))
         self._average_precision = np.array([each.average_precision() for each in scores])  # [kind, size, threshold]
         self._images = [each.image_scores() for each in scores]  # at IoU 0.5, [kind][image]
 
@@ -585,6 +632,19 @@ class _Boxes:
         """The lowest confidence, from the configured one on, that leaves at most so many false alarms per image."""
         images = self.false_alarms.size
         return _confidence_at(self._alarm_confidence, images, false_alarms_per_frame, least=self._confidence_min)
+
+    def log_average_miss_rate(self, up_to: np.ndarray) -> float | None:
+        """See `ArmMetrics`; ``up_to``: minimum confidence up to which the rig detects each object, float [object]."""
+        missed = [_mean(up_to < self.confidence_at(rate)) for rate in _LOG_AVERAGE_RATES]
+        shares = [each for each in missed if each is not None]
+        return float(np.exp(np.log(np.maximum(shares, 1e-10)).mean())) if shares else None
+
+    def ap50_of_rig(self, up_to: np.ndarray) -> float | None:
+        """See `ArmMetrics`; ``up_to`` as above, at an IoU of 0.5."""
+        found = up_to[np.isfinite(up_to)]
+        confidence = np.concatenate([found, self._alarm_confidence_ap])
+        hits = np.arange(len(confidence)) < len(found)
+        return _number(average_precision([ImageScore(confidence, hits, len(up_to))]))
 
     def ap50_of_scenes(self) -> list[float | None]:
         """AP50 over the images of each scene."""

@@ -56,7 +56,7 @@ def paired_difference(
     one: _Numbers,
     other: _Numbers,
     *,
-    weight: Sequence[float] | np.ndarray | None = None,
+    weight: Sequence[float | None] | np.ndarray | None = None,
     seed: int = 0,
     resamples: int = RESAMPLES,
 ) -> Difference:
@@ -109,10 +109,12 @@ def paired_difference(
 
 
 def paired_differences(optimised: ArmMetrics, other: ArmMetrics, *, seed: int = 0) -> dict[str, Difference]:
-    """`paired_difference` of the metrics of two rigs on the same scenes, all scenes alike."""
+    """`paired_difference` of the metrics of two rigs on the same scenes, weighted as `ArmMetrics.scene_weights`."""
     one, two = optimised.per_scene, other.per_scene
     names = (*PAIRED_METRICS, *(name for name in OPTIONAL_METRICS if name in one and name in two))
-    return {name: paired_difference(one[name], two[name], seed=seed) for name in names}
+    return {
+        name: paired_difference(one[name], two[name], weight=optimised.scene_weights(name), seed=seed) for name in names
+    }
 
 
 def rank_correlation(

@@ -506,6 +506,16 @@ class DetectorConfig(Section):
     provider: Literal["cpu", "cuda", "tensorrt"] = Field(default="cpu", description="what the network runs on")
 
 
+class _EvaluationConfig(Section):
+    """How rigs are compared."""
+
+    false_alarms_per_image: float = Field(
+        default=0.5,
+        gt=0.0,
+        description="rate at which rigs are compared, each at the confidence that leaves it so many",
+    )
+
+
 class _BaselineConfig(Section):
     """The rigs that the result is compared with."""
 
@@ -624,6 +634,7 @@ class ConfigTree(Section):
     rules: RuleSettings = Field(default=RuleSettings(), description="design rules, so that a rig can be mounted")
     visibility: VisibilitySettings = Field(default=VisibilitySettings(), description="what hides a vehicle")
     optimiser: OptimiserSettings = Field(default=OptimiserSettings(), description="steps and multipliers")
+    evaluation: _EvaluationConfig = Field(default=_EvaluationConfig(), description="how rigs are compared")
     baselines: _BaselineConfig = Field(default=_BaselineConfig(), description="rigs to compare with")
     executor: _ExecutorConfig = Field(default=_ExecutorConfig(), description="where the tasks of an experiment run")
 

@@ -30,19 +30,15 @@ _MIN_SCENES = 6
 
 _FEW_SCENES = 30
 _FAR_PER_100 = 5.0  # detected misses that exceed the expected ones by so many, and twofold, are warned of
+_EASY_PER_100 = 2.0  # misses below which scenes do not tell rigs apart
 _HIDING_BODY = 0.5  # share of an image from which on the own body is named as why a rig detects nothing
 _BASELINES = {
+    "optimised": "the rig that was found",
     "by_hand": "the best rig by hand",
     "start": "the start",
     "highest": "the highest rig",
     "random": "the best random rig",
 }
-_ALSO_COMPARED = {
-    "ap50_pooled": ("AP50", False),
-    "false_alarms_per_frame": ("false alarms", True),
-    "tp_in_frame_rate": ("in frame", False),
-}
-"""Metrics that are named besides recall where their difference is significant, and whether less is better."""
 _WORTH_NAMING_M, _WORTH_NAMING_DEG = 0.005, 0.5  # smaller moves are none
 
 
@@ -80,7 +76,7 @@ def interval(difference: Difference, factor: float = 1.0, digits: int = 3) -> st
 
 
 def tone_of(difference: Difference, *, lower_is_better: bool = False) -> _Tone:
-    """In whose favour a difference is, where it is significant: its interval excludes 0, and the scenes are enough."""
+    """In whose favour a difference is, where its interval excludes 0, and the scenes are enough."""
     low, high = difference.low, difference.high
     if low is None or high is None or difference.scenes < _MIN_SCENES or low <= 0.0 <= high:
         return "open"
@@ -90,8 +86,8 @@ def tone_of(difference: Difference, *, lower_is_better: bool = False) -> _Tone:
 def warnings(evaluation: RigEvaluation) -> list[Statement]:
     """What is wrong with the rig that was found: worse than its start, requirements not met, the own body in the way.
 
-    Its objective is higher on the scenes where rigs are compared: then the rig of the run is the start. Or its recall
-    on the test scenes is significantly lower: these choose no rig, so it stays the rig of the run.
+    Its objective is higher on the scenes where rigs are compared: then the rig of the run is the start. Or it misses
+    more on the test scenes, beyond the interval: these choose no rig, so it stays the rig of the run.
     """
     found = [Statement("WORSE THAN ITS START", text, "bad") for text in worse_than_start(evaluation)]
     for each in evaluation.met.get(evaluation.first, []):
@@ -123,77 +119,102 @@ def worse_than_start(evaluation: RigEvaluation) -> list[str]:
             f"the optimised rig has objective {end}, its start {training.start:.4g}; the rig of the run, "
             "rig_best.yaml, is the start"
         )
-    recall = evaluation.paired.get(evaluation.start, {}).get("tp_detection_rate")
-    if recall is not None and recall.high is not None and recall.high < 0.0 and evaluation.start in evaluation.arms:
-        before, after = (
-            number(evaluation.arms[evaluation.start].tp_detection_rate, 4),
-            number(evaluation.best.tp_detection_rate, 4),
-        )
-        found.append(f"the {evaluation.first} rig has recall {after} on the test scenes, its start {before}")
+    missed = evaluation.paired.get(evaluation.start, {}).get("misses_at_equal_false_alarms")
+    if missed is not None and tone_of(missed, lower_is_better=True) == "bad" and evaluation.start in evaluation.arms:
+        before, after = (number(evaluation.misses[name], 1) for name in (evaluation.start, evaluation.first))
+        found.append(f"of 100 road users of the test scenes it misses {after}, {_arm(evaluation.start)} {before}")
     return found
 
 
 def headline(run: RunContent) -> Statement:
-    """The run in one sentence."""
+    """The run in one sentence: what its rig misses at equal false alarms, and the one that it is compared with."""
     evaluation = run.evaluation
     if evaluation is None:
         return Statement("", f"Stopped after {_counted(len(run.events), 'iteration')}, before any rig was compared.")
-    compared = {
-        name: tone_of(found["tp_detection_rate"])
-        for name, found in evaluation.paired.items()
-        if "tp_detection_rate" in found
-    }
-    if not compared:
-        return Statement("", f"Recall of the rig on the test scenes: {number(evaluation.best.tp_detection_rate)}.")
-    counted = max(evaluation.paired[name]["tp_detection_rate"].scenes for name in compared)
-    named = {tone: [_arm(name) for name in compared if compared[name] == tone] for tone in ("good", "bad", "open")}
-    parts = []
-    if named["good"]:
-        parts.append(f"detects more than {_listed(named['good'])}")
-    if named["bad"]:
-        parts.append(f"detects fewer than {_listed(named['bad'])}")
-    if named["open"]:
-        alternatives = _listed(named["open"], "or")
-        parts.append(f"cannot be distinguished from {alternatives} by what it detects")
-    tone: _Tone = "bad" if named["bad"] else "good" if named["good"] else "open"
-    text = f"The {evaluation.first} rig {_listed(parts)}."
-    if counted < _MIN_SCENES:
-        text = f"{_few(counted)} too few to show a difference"
-        found = _detected(run, evaluation)
-        text += f"; there the {found}." if found else "."
-    expected = _expected(run, evaluation)
-    if expected is not None and tone != "bad":
-        more = f" It detects more than {_listed(named['good'])}." if named["good"] else ""
-        text = expected.text + more
-        if named["open"]:
-            text += f" What the detector finds there cannot tell it from {_listed(named['open'], 'or')}."
-        tone = expected.tone if tone == "open" else tone
+    missed, objects = evaluation.misses, objects_name(run)
+    first, other = evaluation.first, compared_with(evaluation)
+    if missed[first] is None:
+        return Statement("", f"No {objects_name(run, 1)} in {_counted(evaluation.scene_count, 'test scene')}.", "bad")
+    unseen = " that no search has seen" if evaluation.training_objective is not None else ""
+    rate = 0.5 if run.config is None else run.config.evaluation.false_alarms_per_image
+    text = (
+        f"In {_counted(evaluation.scene_count, 'scene')}{unseen}, {_arm(first)} misses {number(missed[first], 1)} of "
+        f"100 {objects} at {rate:g} false alarms an image"
+    )
+    tone: _Tone = "open"
+    found = None if other is None else evaluation.paired.get(other, {}).get("misses_at_equal_false_alarms")
+    if other is not None and found is not None and found.mean is not None:
+        tone = tone_of(found, lower_is_better=True)
+        text += f", {_arm(other)} {number(missed[other], 1)}: a difference of {interval(found, digits=1)}"
+        if found.low is None or found.scenes < _MIN_SCENES:
+            text += f"; {_few(found.scenes)} too few to tell them apart"
+        elif tone == "open":
+            text += ", which these scenes cannot tell from none"
+    text = f"{text}."
     if _is_worse_than_start(evaluation):
         return Statement("", f"Worse than its start, so the rig of this run is the start. {text}", "bad")
     return Statement("", text, tone)
 
 
-def _expected(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
-    """What is expected to be missed on the test scenes, where that is the objective; it varies less than recall."""
-    first = evaluation.best.objective
-    if run.certificate is None or evaluation.robust is not None or first is None:
+def compared_with(evaluation: RigEvaluation) -> str | None:
+    """The rig that the first is compared with before all others: the start, else the second."""
+    if evaluation.start in evaluation.arms and evaluation.start != evaluation.first:
+        return evaluation.start
+    return next((name for name in evaluation.arms if name != evaluation.first), None)
+
+
+def cautions(run: RunContent) -> list[Statement]:
+    """What a reader should know before he builds on the rig, the gravest first."""
+    evaluation = run.evaluation
+    if evaluation is None:
+        return []
+    found = [*warnings(evaluation), _broken_rules(evaluation), _unexpected(evaluation), _told_apart(run, evaluation)]
+    found += [_false_alarms(run, evaluation), _caution(evaluation), _pitch_limits(run)]
+    return [each for each in found if each is not None]
+
+
+def _unexpected(evaluation: RigEvaluation) -> Statement | None:
+    """A detector that misses far more than the model expects."""
+    outage, missed = evaluation.camera_outage.get(evaluation.first), evaluation.best.misses_per_100
+    if outage is None or missed is None:
         return None
-    compared = {name: found["objective"] for name, found in evaluation.paired.items() if "objective" in found}
-    better = [name for name, each in compared.items() if tone_of(each, lower_is_better=True) == "good"]
-    if not better:
+    expected = outage.expected_misses_per_100
+    if missed <= 2.0 * expected or missed < expected + _FAR_PER_100:
         return None
-    rest = [
-        f"{_arm(name)} ({number(100.0 * value, 1)})"
-        for name in better
-        if (value := evaluation.arms[name].objective) is not None
-    ]
-    scenes = _counted(evaluation.scene_count, "scene")
-    return Statement(
-        "",
-        f"In {scenes} that no search has seen, the {evaluation.first} rig is expected to miss "
-        f"{number(100.0 * first, 1)} of 100 {objects_name(run)}, significantly fewer than {_listed(rest)}.",
-        "good",
+    text = (
+        f"the detector misses {number(missed, 1)} of 100 at its own threshold, where {number(expected, 1)} are "
+        "expected: do not rely on the expected misses of this run."
     )
+    return Statement("Expected misses", text, "bad")
+
+
+def _broken_rules(evaluation: RigEvaluation) -> Statement | None:
+    rules = _rules(evaluation)
+    return rules if rules is not None and rules.tone == "bad" else None
+
+
+def _told_apart(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
+    """Scenes in which every rig finds nearly everything."""
+    missed = [each for each in evaluation.misses.values() if each is not None]
+    if len(missed) < 2 or max(missed) >= _EASY_PER_100:
+        return None
+    text = f"all rigs miss fewer than {_EASY_PER_100:g} of 100 {objects_name(run)}, so these scenes do not tell them "
+    level = "" if run.config is None or run.config.scenes.source != "town" else ": try scenes.level=dense"
+    return Statement("Too easy", f"{text}apart{level}.")
+
+
+def _false_alarms(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
+    """Rigs whose detector never raises as many false alarms as rigs are compared at."""
+    rate = None if run.config is None else run.config.evaluation.false_alarms_per_image
+    own = {name: arm.false_alarms_per_frame for name, arm in evaluation.arms.items()}
+    fewer = [name for name, each in own.items() if rate is not None and each is not None and each < rate]
+    if not fewer:
+        return None
+    text = (
+        f"{_listed(map(_arm, fewer))} {'has' if len(fewer) == 1 else 'have'} fewer than {rate:g} an image at all, and "
+        "is judged at the detector's own threshold."
+    )
+    return Statement("False alarms", text)
 
 
 def _is_worse_than_start(evaluation: RigEvaluation) -> bool:
@@ -211,13 +232,7 @@ def summary(run: RunContent) -> list[Statement]:
     """The run in a few statements, the most important first."""
     found: list[Statement | None] = []
     if run.evaluation is not None:
-        found += [
-            _traffic(run, run.evaluation),
-            _why(run, run.evaluation),
-            _simpler(run.evaluation),
-            _misses(run, run.evaluation),
-        ]
-        found += [_differences(run, run.evaluation), _objective(run, run.evaluation)]
+        found += [_why(run, run.evaluation), _simpler(run.evaluation), _objective(run, run.evaluation)]
     is_by_hand = run.evaluation is not None and run.evaluation.start == "by_hand"  # another rig, not one that moved
     found += [_bound(run), None if is_by_hand else _moves(run)]
     if run.evaluation is not None:
@@ -248,14 +263,6 @@ def objects_name(run: RunContent, count: int = 2) -> str:
     """What the objects of a run are called."""
     is_vehicles = run.config is None or run.config.scenes.targets == ("vehicle",)
     return ("vehicle" if is_vehicles else "road user") + ("" if count == 1 else "s")
-
-
-def _traffic(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
-    found = _detected(run, evaluation)
-    if not found:
-        return None
-    text = f"In {_counted(evaluation.scene_count, 'scene')} that no search has seen, the {found}."
-    return Statement("Traffic", text)
 
 
 _UNSEEN_THERE = {
@@ -319,88 +326,6 @@ def _simpler(evaluation: RigEvaluation) -> Statement | None:
     return Statement("Simpler", text)
 
 
-def _detected(run: RunContent, evaluation: RigEvaluation) -> str:
-    """How many objects every rig detects; empty where that is not known."""
-    first, *others = evaluation.arms
-    arm = evaluation.arms[first]
-    if arm.detected is None:
-        return ""
-    recall = number(arm.tp_detection_rate)
-    text = f"{first} rig detects {arm.detected} of {arm.objects} {objects_name(run)} (recall {recall})"
-    rest = [f"{_arm(other)} {evaluation.arms[other].detected}" for other in others]
-    return f"{text}; {_listed(rest)}" if rest else text
-
-
-def _misses(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
-    """What every rig is expected to miss beside what the detector misses, where both are known."""
-    pairs = {
-        name: (outage.expected_misses_per_100, 100.0 * (1.0 - arm.tp_detection_rate))
-        for name, arm in evaluation.arms.items()
-        if (outage := evaluation.camera_outage.get(name)) is not None and arm.tp_detection_rate is not None
-    }
-    first = evaluation.first
-    if first not in pairs:
-        return None
-    expected, missed = pairs.pop(first)
-    text = (
-        f"Of 100 {objects_name(run)} of the test scenes the {first} rig is expected to miss {number(expected, 1)}, and "
-        f"its detector misses {number(missed, 1)}"
-    )
-    rest = [f"{_arm(name)} {number(pair[0], 1)} and {number(pair[1], 1)}" for name, pair in pairs.items()]
-    text += f"; {', '.join(rest)}." if rest else "."
-    if missed <= 2.0 * expected or missed < expected + _FAR_PER_100:
-        return Statement("Expected misses", text)
-    text += " The detector misses far more than the model expects, so do not rely on the expected misses of this run."
-    return Statement("Expected misses", text, "bad")
-
-
-def _differences(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
-    """Differences of recall and of expected misses, and whether they are significant; of others those that are."""
-    recall, tones = _differences_of(evaluation, "tp_detection_rate")
-    if not recall:
-        return None
-    text = f"Difference of recall, mean of the scenes with 95{SPACE}% interval: {recall}."
-    if run.certificate is not None and evaluation.robust is None:  # then the objective is what is expected to be missed
-        misses, more = _differences_of(evaluation, "objective", factor=100.0, digits=2, lower_is_better=True)
-        text += f" Of expected misses per 100: {misses}." if misses else ""
-        tones += more
-    overall: _Tone = "bad" if "bad" in tones else "good" if "good" in tones else "open"
-    beyond = [
-        f"{heading} against {_arm(name)} ({'better' if tone == 'good' else 'worse'})"
-        for name, differences in evaluation.paired.items()
-        for metric, (heading, lower_is_better) in _ALSO_COMPARED.items()
-        if metric in differences and (tone := tone_of(differences[metric], lower_is_better=lower_is_better)) != "open"
-    ]
-    if beyond:
-        text += f" Significant as well: {_listed(beyond)}."
-    return Statement("Significant?", text, overall)
-
-
-def _differences_of(
-    evaluation: RigEvaluation, metric: str, *, factor: float = 1.0, digits: int = 3, lower_is_better: bool = False
-) -> tuple[str, list[_Tone]]:
-    """Differences of a metric to the other arms in words, and in whose favour they are."""
-    sentences, tones = [], list[_Tone]()
-    for name, differences in evaluation.paired.items():
-        found = differences.get(metric)
-        if found is None or found.mean is None:
-            continue
-        tone = tone_of(found, lower_is_better=lower_is_better)
-        tones.append(tone)
-        if found.low is None or found.high is None:
-            verdict = "one scene has no interval"
-        elif found.low == found.high == 0.0:
-            verdict = "the same in every scene"
-        elif tone != "open":
-            verdict = "significant: better" if tone == "good" else "significant: worse"
-        elif found.low <= 0.0 <= found.high:
-            verdict = "not significant"
-        else:
-            verdict = f"not significant with {_counted(found.scenes, 'scene')}"
-        sentences.append(f"{interval(found, factor, digits)} against {_arm(name)} ({verdict})")
-    return "; ".join(sentences), tones
-
-
 def search_scenes(run: RunContent) -> str:
     """The scenes on which a run compares its rigs before it ends."""
     validation = run.config is not None and bool(run.config.scenes.validation_seeds)
@@ -436,19 +361,8 @@ def _objective(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
     text += f"; on the test scenes {what} {_change(before, after)}"
     found = evaluation.paired.get(evaluation.start, {}).get("objective")
     if found is not None and found.low is not None:
-        text += f", a difference of {interval(found)} a scene"
-    tone = "open" if found is None else tone_of(found, lower_is_better=True)
-    if tone == "good":
-        text += ": the gain holds on new scenes."
-    elif tone == "bad":
-        text += ": on new scenes the rig is worse by it."
-    elif after < before:
-        text += ": that the gain holds on new scenes is likely at best, not significant."
-    elif training.optimised < training.start:
-        text += ": of the gain nothing is seen on new scenes."
-    else:
-        text += ": there was no gain."
-    return Statement("Objective", text, tone)
+        text += f", a difference of {interval(found)}"
+    return Statement("Objective", f"{text}.", "open" if found is None else tone_of(found, lower_is_better=True))
 
 
 def _robust_text(robust: Robust) -> str:
@@ -608,12 +522,7 @@ def _ground(evaluation: RigEvaluation) -> Statement | None:
     if before is not None and after is not None and after > before + 0.005:
         what = "points of the requirements, not all the ground" if evaluation.met else "traffic, not ground"
         text += f" That is more than at the start: the objective counts {what}."
-    near = [
-        (ground.share(first, 0, sector, band) or 0.0, -band, ground.sectors[sector], ground.bands_m[band])
-        for sector in range(len(ground.sectors))
-        for band in range(min(2, len(ground.bands_m)))
-    ]
-    share, _, sector, band = max(near)
+    share, sector, band = ground.worst_near(first)
     if share > 0.0:
         where = f"in the sector {sector}, {band.replace('-', ' to ')} m from its centre"
         text += f" Near the vehicle it is worst {where}: no camera sees a child on {percent(share, 0)} of it."
@@ -751,12 +660,12 @@ def _caution(evaluation: RigEvaluation) -> Statement | None:
     count = evaluation.scene_count
     if count >= _FEW_SCENES:
         return None
-    text = f"{_few(count)} few"
-    if count < _MIN_SCENES:
-        text += f": with fewer than {_MIN_SCENES}, no difference can be significant at 5 %"
-    else:
-        text += ", and the intervals of so few tend to be too short"
-    return Statement("Caution", f"{text}. For more scenes: scenes.test_seeds=5000..5049.")
+    text = (
+        f"with fewer than {_MIN_SCENES}, no interval can exclude 0"
+        if count < _MIN_SCENES
+        else (f"the intervals of {count} tend to be too short")
+    )
+    return Statement("Few scenes", f"{text}; for more: scenes.test_seeds=5000..5049.")
 
 
 def margin_name(margin: Margin) -> str:

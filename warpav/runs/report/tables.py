@@ -1,6 +1,8 @@
-"""What the terminal shows of a run: warnings, tables, statements."""
+"""What the terminal shows of a run: what was found, and on request every table and statement."""
 
 from __future__ import annotations
+
+import math
 
 from warpav.core.table import Table
 from warpav.runs._terminal import Group, Terminal, drawn, shown
@@ -10,20 +12,87 @@ from warpav.runs.report._statements import (
     NONE,
     SPACE,
     Statement,
+    cautions,
+    compared_with,
     headline,
+    interval,
+    number,
+    percent,
     summary,
-    warnings,
 )
 
 _STYLE = {"good": "green", "bad": "red", "open": ""}
 
 
+_MOST_CAMERAS, _MOST_CAUTIONS, _MOST_ARMS = 6, 2, 4
+"""Of a rig, of what a reader should know, and of rigs beside each other, what is shown at most."""
+
+
 def show_run(console: Terminal, run: RunContent) -> None:
-    """Print what a run, or a comparison of rigs, has come to: warnings, tables, statements."""
+    """Print what a run, or a comparison of rigs, has come to: a table, a sentence, the rig, and what to know of it."""
     evaluation = run.evaluation
     assert evaluation is not None
-    for statement in warnings(evaluation):
-        _show(console, statement)
+    for line in str(_compared(run)).splitlines():
+        console.print(shown(line))
+    _show(console, headline(run))
+    if run.result is not None:
+        for camera in run.result.cameras[:_MOST_CAMERAS]:
+            x_m, y_m, z_m = camera.position_m
+            angles = (math.degrees(each) for each in (camera.yaw_rad, camera.pitch_rad))
+            yaw_deg, pitch_deg = (round(each, 2) + 0.0 for each in angles)
+            place = f"x {x_m:6.3f}  y {y_m:6.3f}  z {z_m:6.3f} m   yaw {yaw_deg:6.1f}  pitch {pitch_deg:5.1f} deg"
+            console.print(shown(f"  {camera.name:<16} {place}"))
+        if len(run.result.cameras) > _MOST_CAMERAS:
+            console.print(shown(f"  and {len(run.result.cameras) - _MOST_CAMERAS} more, see the rig's file"))
+    for asked in (evaluation.soiling, evaluation.load_states):
+        if asked is not None:
+            console.print(drawn(asked.table()))
+    for statement in cautions(run)[:_MOST_CAUTIONS]:
+        _show(console, statement, before="! ")
+
+
+def _compared(run: RunContent) -> Table:
+    """What rigs miss, and what they do not see near the vehicle; the difference is that to the start."""
+    evaluation = run.evaluation
+    assert evaluation is not None
+    arms, other = list(evaluation.arms)[:_MOST_ARMS], compared_with(evaluation)
+    heads = {"optimised": "found", "by_hand": "by hand"}
+    columns = [heads.get(name, name) for name in arms]
+    rows: list[tuple[str, ...]] = []
+
+    def add(metric: str, text: str, factor: float = 1.0, digits: int = 1) -> None:
+        values = [getattr(evaluation.arms[name], metric) for name in arms]
+        if values[0] is None:
+            return
+        found = None if other is None else evaluation.paired.get(other, {}).get(metric)
+        difference = [] if other is None else ["" if found is None else interval(found, factor, digits)]
+        cells = (number(None if each is None else factor * each, digits) for each in values)
+        rows.append((text, *cells, *difference))
+
+    add("misses_at_equal_false_alarms", "missed per 100, equal false alarms")
+    add("weighted_misses_per_100", "the same, weighted")
+    if run.certificate is not None and evaluation.robust is None:
+        add("objective", "expected misses per 100", 100.0)
+    else:
+        add("objective", "objective", digits=4)
+    ground = evaluation.ground
+    if ground is not None:
+        cells = (percent(ground.worst_near(name)[0], 0) for name in arms)
+        rows.append(("near ground blind for a child, worst", *cells, *([] if other is None else [""])))
+    for k, each in enumerate(evaluation.met.get(evaluation.first, [])):
+        met = [evaluation.met[name][k] for name in arms]
+        rows.append(
+            (f"points of {each.name} seen", *(percent(one.share, 0) for one in met), *([] if other is None else [""]))
+        )
+    last = [] if other is None else [f"{columns[0]} - {heads.get(other, other)} [95 %]"]
+    counted = f"{evaluation.scene_count} " + ("unseen scenes" if evaluation.training_objective else "scenes")
+    return Table((counted, *columns, *last), tuple(tuple(map(_plain, row)) for row in rows))
+
+
+def show_everything(console: Terminal, run: RunContent) -> None:
+    """Print every table and every statement of a run, or of a comparison of rigs."""
+    evaluation = run.evaluation
+    assert evaluation is not None
     _print_arms(console, evaluation.metric_table(), 1)
     for table, fixed in ((evaluation.recall_table(), 2), (evaluation.requirement_table(), 1)):
         if table is not None:
@@ -33,14 +102,18 @@ def show_run(console: Terminal, run: RunContent) -> None:
     for table in (outages and outages.table(evaluation.first), *robustness):
         if table is not None:
             console.print(drawn(table, has_frame=True))
-    for statement in (headline(run), *summary(run)):
+    for statement in (headline(run), *summary(run), *cautions(run)):
         _show(console, statement)
 
 
-def _show(console: Terminal, statement: Statement) -> None:
-    about = f"{statement.about}: " if statement.about else ""
-    text = statement.text.replace(MINUS, "-").replace(NONE, "-").replace(SPACE, " ").replace("°", " deg")
-    console.print(shown(about, _STYLE[statement.tone] or "bold").append(shown(text, "default")))
+def _show(console: Terminal, statement: Statement, before: str = "") -> None:
+    about = f"{before}{statement.about}: " if statement.about else before
+    console.print(shown(about, _STYLE[statement.tone] or "bold").append(shown(_plain(statement.text), "default")))
+
+
+def _plain(text: str) -> str:
+    """A text with the signs that every terminal has."""
+    return text.replace(MINUS, "-").replace(NONE, "-").replace(SPACE, " ").replace("°", " deg")
 
 
 def _print_arms(console: Terminal, table: Table, fixed: int) -> None:
