@@ -106,7 +106,7 @@ CASES = {
             *("evaluate", _rig(f"{NAME}.yaml"), *EVALUATE),
             f"requirements={_write('r.yaml', {'requirements': {MARKUP: REQUIREMENT}})}",
         ],
-        f"┃ {VISIBLE} ┃",
+        f"  {VISIBLE}\n---",
     ),
 }
 

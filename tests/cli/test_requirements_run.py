@@ -21,7 +21,7 @@ def test_a_run_sees_more_of_what_it_has_to_see(working_directory, capsys):
     assert main(["optimise", *POOL, "requirements=mine.yaml", "run.out=near"]) == 0
     shown = capsys.readouterr().out
     assert "REQUIREMENT NOT MET: near at " in shown
-    assert "points met near the vehicle" in shown
+    assert "points of near seen" in shown
     folder = RunFolder.open("near")
     assert folder.config().requirements == str((working_directory / "near" / "requirements.yaml").absolute())
     (working_directory / "mine.yaml").unlink()
@@ -51,7 +51,7 @@ def test_a_run_sees_more_of_what_it_has_to_see(working_directory, capsys):
 def test_the_near_field_counts_by_default_and_asks_for_nothing(working_directory, capsys):
     assert main(["optimise", *POOL, "run.out=default"]) == 0
     shown = capsys.readouterr().out
-    assert "near_field, " in shown
+    assert "points of near_field seen" in shown
     assert "NOT MET" not in shown
     folder = RunFolder.open("default")
     assert folder.config().requirements == "auto"

@@ -180,14 +180,14 @@ def test_an_evaluation_says_which_camera_sees_what(placement, result, test_scene
     assert len(found.objects) == sum(len(scene.vehicles) for scene in test_scenes)
     for name in ("start", "optimised"):
         detected = sum(bool(seen.detected_by[name]) for seen in found.objects)
-        assert found.recall[name] == pytest.approx(detected / len(found.objects))
+        assert found.misses[name] == pytest.approx(100.0 * (1.0 - detected / len(found.objects)))
         visible = sum(bool(seen.seen_by[name]) for seen in found.objects)
         assert found.metrics[name].visible_rate == pytest.approx(visible / len(found.objects))
         assert all(set(seen.detected_by[name]) <= set(seen.seen_by[name]) for seen in found.objects)
     same = found.difference("start", "start")
     assert (same.mean, same.low, same.high) == (0.0, 0.0, 0.0)
-    assert "recall of the rig" in str(found.table())
-    assert str(found.table()).splitlines()[-1].endswith("difference() is a mean over scenes, each counting alike.")
+    assert "missed per 100 at equal false alarms" in str(found.table())
+    assert str(found.table()).splitlines()[-1].endswith("difference() has intervals.")
     assert "<caption" in found._repr_html_()
     assert found._repr_html_().startswith("<table>")
     with pytest.raises(wa.InputError, match="other: expected one of start, optimised, got 'best'"):
@@ -299,7 +299,7 @@ def test_what_is_optimised_is_what_is_reported_with_weights(train):
     assert [each.camera for each in outages.cameras] == [camera.name for camera in rig.cameras]
     detected = np.array([bool(seen.detected_by["rig"]) for seen in found.objects])
     assert found.metrics["rig"].weighted_recall == pytest.approx(weight @ detected / weight.sum())
-    assert "weighted recall" in str(found.table())
+    assert "the same, weighted" in str(found.table())
     assert "(worst)" in str(found.outage_table())
     with pytest.raises(wa.InputError, match=r"importance\.category: .* got 'buss'; did you mean bus\?"):
         wa.Placement(train[:1], importance={"category": {"buss": 2.0}}).prepare()

@@ -79,8 +79,10 @@ def test_piped_output_of_a_search_by_a_pool_is_a_line_for_every_stage():
     assert first == "searching"
     assert [line.split()[1] for line in lines] == ["start", "selection", "polish", "pricing", "selection", "settled"]
     assert "bound -" in lines[0]
-    assert "objective 0.17  bound 0.15 (of any rig of 40 cameras)  camera renders 300" in lines[2]  # the last of two
-    assert "objective 0.16  bound 0.15 (of any rig of 40 cameras)  camera renders 400" in lines[3]
+    assert (
+        "objective 0.17  bound 0.15 (of any rig of the 40 candidate cameras)  camera renders 300" in lines[2]
+    )  # the last of two
+    assert "objective 0.16  bound 0.15 (of any rig of the 40 candidate cameras)  camera renders 400" in lines[3]
 
 
 def test_an_interrupted_search_by_a_pool_says_what_it_has_come_to():

@@ -134,6 +134,11 @@ def check(metrics, *, has_objective):
     assert (metrics.redundant_rate, metrics.per_scene["redundant_rate"]) == (0.0, [0.0, 0.0])  # each by one camera
     # one false alarm in four images is fewer than half a one per image: the threshold stays
     assert metrics.recall_at_equal_false_alarms == pytest.approx(3 / 6)
+    assert metrics.misses_at_equal_false_alarms == pytest.approx(100 * 3 / 6)
+    # the false alarm has the highest confidence: nothing is found below .25 an image, three of six from there on
+    assert metrics.log_average_miss_rate == pytest.approx(0.5 ** (3 / 9))
+    # of the rig: false, true, true, true over 6 objects
+    assert metrics.ap50_rig == pytest.approx(51 / 101 * 0.75)
     assert metrics.per_scene["false_alarms_per_frame"] == [1 / 2, 0.0]
     assert metrics.recall_by["category"]["hatchback"] == GroupRecall(6, 5, 3, 3 / 6, 3 / 5)
     # camera 0: the false alarm comes first, so AP 0.5 in scene 0; one of two cars in scene 1: 51 of 101 recall points
@@ -151,7 +156,8 @@ def check(metrics, *, has_objective):
     assert metrics.per_scene["detection_confidence"] == pytest.approx([0.7, 0.7])
     # false, true, true over 2 objects; then one true of 3 objects
     assert metrics.per_scene["ap50_pooled"] == pytest.approx([2 / 3, 34 / 101])
-    assert set(metrics.per_scene) == {*PAIRED_METRICS, "redundant_rate"}
+    assert metrics.per_scene["objects"] == [3, 3]
+    assert set(metrics.per_scene) - {"object_weight"} == {*PAIRED_METRICS, "redundant_rate", "objects"}
     if has_objective:
         assert metrics.objective == pytest.approx(np.mean(metrics.per_scene["objective"]))
     else:

@@ -186,7 +186,7 @@ class ArmMetrics:
     def scene_weights(self, metric: str) -> list[float | None] | None:
         """What each scene counts in a difference of a metric, so that it is that of all objects; None: all alike."""
         if metric.startswith("weighted") or metric == "objective":
-            return self.per_scene.get("object_weight", self.per_scene.get("objects"))
+            return self.per_scene.get("object_weight")
         return self.per_scene.get("objects") if metric in _OF_OBJECTS else None
 
     def to_json(self) -> dict[str, Any]:
@@ -486,6 +486,7 @@ def metrics_of(
     body_share = body_shares(rig, scenes[0]) if scenes else {}  # all scenes are around the same vehicle
     weights = None if objective.importance is None else [objective.importance.weights(scene) for scene in scenes]
     weighted_recall, weighted_of_scene = None, {}
+    weight = np.array([len(each) for each in detected] if weights is None else [each.sum() for each in weights], float)
     if weights is not None:
         weighted_recall = _weighted_mean(found_all, np.concatenate([np.zeros(0), *weights]))
         recalls = [_weighted_mean(*both) for both in zip(found, weights, strict=True)]
@@ -526,7 +527,7 @@ def metrics_of(
         visible_rate=_mean(flags[0]),
         detection_confidence=_mean(np.concatenate(confidence)),
         false_alarms_per_frame=_mean(boxes.false_alarms),
-        objective=_objective_of(losses, weights or in_frame, objective),
+        objective=_objective_of(losses, weight) if objective.is_by_single_cameras else _mean(np.array(losses)),
         constraint_violation=objective.constraints.violation_m(rig),
         min_camera_distance_m=_number(min_camera_distance_m(position_m)),
         body_share=body_share,
@@ -547,7 +548,7 @@ def metrics_of(
             "false_alarms_per_frame": [_mean(counts) for counts in boxes.false_alarms],
             "objective": [_number(loss) for loss in losses] or [None] * len(scenes),
             "objects": [float(len(each)) for each in detected],
-            **({} if weights is None else {"object_weight": [float(each.sum()) for each in weights]}),
+            **({"object_weight": weight.tolist()} if objective.is_by_single_cameras else {}),
             **weighted_of_scene,
             **attainable_of_scene,
             "redundant_rate": [redundant([sees], [scene]).share for sees, scene in zip(seen_by, scenes, strict=True)],
@@ -561,15 +562,9 @@ def metrics_of(
     )
 
 
-def _objective_of(losses: Sequence[float], objects: Sequence[np.ndarray], objective: RigObjective) -> float | None:
-    """Of all scenes together: expected misses of all objects; of other losses the mean over scenes.
-
-    ``objects``: weights of the objects of every scene, or as many flags.
-    """
-    if not losses or not objective.is_by_single_cameras:
-        return _mean(np.array(losses))
-    share = np.array([each.sum() if each.dtype != bool else len(each) for each in objects], np.float64)
-    return float(np.average(losses, weights=share)) if share.any() else _mean(np.array(losses))
+def _objective_of(losses: Sequence[float], weight: np.ndarray) -> float | None:
+    """The expected misses of all objects from those of every scene; ``weight``: of its objects together."""
+    return float(np.average(losses, weights=weight)) if len(losses) and weight.any() else _mean(np.array(losses))
 
 
 def _image_boxes(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from warpav.core.errors import one_line
 from warpav.core.table import Table
 from warpav.runs._terminal import Group, Terminal, drawn, shown
 from warpav.runs.report._content import RunContent
@@ -86,7 +87,8 @@ def _compared(run: RunContent) -> Table:
         )
     last = [] if other is None else [f"{columns[0]} - {heads.get(other, other)} [95 %]"]
     counted = f"{evaluation.scene_count} " + ("unseen scenes" if evaluation.training_objective else "scenes")
-    return Table((counted, *columns, *last), tuple(tuple(map(_plain, row)) for row in rows))
+    first, *others = (tuple(map(_plain, row)) for row in ((counted, *columns, *last), *rows))
+    return Table(first, tuple(others))
 
 
 def show_everything(console: Terminal, run: RunContent) -> None:
@@ -113,7 +115,7 @@ def _show(console: Terminal, statement: Statement, before: str = "") -> None:
 
 def _plain(text: str) -> str:
     """A text with the signs that every terminal has."""
-    return text.replace(MINUS, "-").replace(NONE, "-").replace(SPACE, " ").replace("°", " deg")
+    return one_line(text).replace(MINUS, "-").replace(NONE, "-").replace(SPACE, " ").replace("°", " deg")
 
 
 def _print_arms(console: Terminal, table: Table, fixed: int) -> None:
