@@ -91,7 +91,7 @@ def directions_rad(name: str, count: int, first_deg: float) -> np.ndarray:
     """
     if name != "corners" or count < 4:
         first = 0.0 if name == "corners" else math.radians(first_deg)
-        return np.angle(np.exp(1j * (first + 2.0 * math.pi * np.arange(count) / count)))
+        return np.angle(np.exp(2j * math.pi * np.arange(count) / count + 1j * first))
     corner = math.radians(first_deg)
     four = [corner, -corner, math.pi - corner, corner - math.pi]
     axes = [0.0, math.pi, 0.5 * math.pi, -0.5 * math.pi]
