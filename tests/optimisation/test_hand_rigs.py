@@ -30,17 +30,19 @@ def flat(free=FreeRanges(pitch_rad=(-0.2, 0.5))):  # noqa: B008 (frozen)
 
 
 @pytest.mark.parametrize(
-    ("name", "count", "expected_deg"),
+    ("name", "count", "first_deg", "expected_deg"),
     [
-        ("corners", 4, [42, -42, 138, -138]),
-        ("corners", 6, [42, -42, 138, -138, 0, 180]),
-        ("corners", 8, [42, -42, 138, -138, 0, 180, 90, -90]),
-        ("corners", 3, [0, 120, -120]),
-        ("cross", 4, [0, 90, 180, -90]),
+        ("corners", 4, 42, [42, -42, 138, -138]),
+        ("corners", 6, 42, [42, -42, 138, -138, 0, 180]),
+        ("corners", 8, 42, [42, -42, 138, -138, 0, 180, 90, -90]),
+        ("corners", 3, 42, [0, 120, -120]),
+        ("cross", 4, 0, [0, 90, 180, -90]),
+        ("cross", 6, 30, [30, 90, 150, -150, -90, -30]),
     ],
 )
-def test_where_they_look(name, count, expected_deg):
-    np.testing.assert_allclose(np.exp(1j * directions_rad(name, count, 42.0)), np.exp(1j * np.radians(expected_deg)))
+def test_where_they_look(name, count, first_deg, expected_deg):
+    turn = directions_rad(name, count, first_deg) - np.radians(expected_deg)
+    np.testing.assert_allclose(np.exp(1j * turn), 1.0, atol=1e-9)
 
 
 def test_corners_stand_at_the_corners_and_the_front_pair_is_set_back():
@@ -67,6 +69,8 @@ def test_the_best_by_hand_is_the_best_of_what_was_tried():
     assert [rig.value for rig in found] == sorted(rig.value for rig in found)
     assert {rig.name for rig in found} == {"corners", "cross", "edge", "highest"}
     assert len(tried) <= 20
+    six = by_hand(flat(), zone_of(flat(), 6), 6, lambda rigs: [1.0] * len(rigs))
+    assert {"pitch 12 deg", "30 deg, pitch 12 deg"} <= {rig.numbers for rig in six if rig.name == "cross"}
 
 
 def test_a_search_is_never_behind_a_rig_by_hand():
@@ -91,7 +95,7 @@ def test_a_search_is_never_behind_a_rig_by_hand():
     ids=["car", "van", "bus", "dense", "sind"],
 )
 def test_the_rig_of_the_trial_polished_is_never_ahead(traffic, cameras):
-    """Four corners at 42 degrees, pitch 18, the front pair .5 m set back, and one ahead and one behind of six."""
+    """Four corners at 42 degrees, of six pairs at 30, 90 and 150, pitch 18, those at the front .5 m set back."""
     small = ["scenes.train_seeds=0..11", "scenes.test_seeds=[5000]", "optimiser.pool_cameras=48", *traffic]
     config = load_config("quick", [*small, f"rig.cameras={cameras}", "camera.width_px=128", "camera.height_px=128"])
     placement = Placement.from_config(config).prepare(NullProgress())

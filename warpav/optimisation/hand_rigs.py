@@ -83,26 +83,27 @@ def _looking_outwards(yaw_rad: np.ndarray, module: np.ndarray | None = None) -> 
     return _Layout(yaw_rad, np.where(np.abs(look) > math.sin(_ALONG_RAD), np.sign(look), 0.0), module)
 
 
-def directions_rad(name: str, count: int, corner_deg: float) -> np.ndarray:
+def directions_rad(name: str, count: int, first_deg: float) -> np.ndarray:
     """Yaws of the cameras of a rig by hand [rad], float64 [camera].
 
-    ``corners``: pairs at the corners, then one ahead, one behind, left and right. ``cross``: evenly round, the first
-    ahead.
+    ``corners``: pairs at the corners, then one ahead, one behind, left and right. ``cross``: evenly round, from
+    ``first_deg``.
     """
     if name != "corners" or count < 4:
-        return np.angle(np.exp(2j * math.pi * np.arange(count) / count))
-    corner = math.radians(corner_deg)
+        first = 0.0 if name == "corners" else math.radians(first_deg)
+        return np.angle(np.exp(2j * math.pi * np.arange(count) / count + 1j * first))
+    corner = math.radians(first_deg)
     four = [corner, -corner, math.pi - corner, corner - math.pi]
     axes = [0.0, math.pi, 0.5 * math.pi, -0.5 * math.pi]
     more = np.angle(np.exp(2j * math.pi * (np.arange(max(count - 8, 0)) + 0.25) / max(count - 8, 1)))
     return np.array([*four, *axes, *more])[:count]
 
 
-def _layout(name: str, mount: CameraMount, constraints: Constraints, count: int, corner_deg: float) -> _Layout:
+def _layout(name: str, mount: CameraMount, constraints: Constraints, count: int, first_deg: float) -> _Layout:
     """Where the cameras of ``corners``, ``cross`` or a known vehicle look and stand."""
     if constraints.module is not None:
-        return _of_modules(name, mount, constraints.module, corner_deg)
-    found = _as_built(name) if name in AS_BUILT else _looking_outwards(directions_rad(name, count, corner_deg))
+        return _of_modules(name, mount, constraints.module, first_deg)
+    found = _as_built(name) if name in AS_BUILT else _looking_outwards(directions_rad(name, count, first_deg))
     return found.of_pairs() if mount.is_symmetric else found
 
 
@@ -124,17 +125,17 @@ def _as_built(name: str) -> _Layout:
     return _Layout(np.where(ahead, np.where(np.cos(yaw_rad) > 0.0, 0.0, math.pi), yaw_rad), side)
 
 
-def _of_modules(name: str, mount: CameraMount, kinds: np.ndarray, corner_deg: float) -> _Layout:
+def _of_modules(name: str, mount: CameraMount, kinds: np.ndarray, first_deg: float) -> _Layout:
     """Modules where their role has them, each kind by itself; of symmetric mounts pairs and single ones apart."""
     yaw_rad = np.zeros(len(kinds))
     for kind in np.unique(kinds):
         own = np.flatnonzero(kinds == kind)
         is_pair = mount.surface.pairs[kind] if mount.is_symmetric else None
-        yaw_rad[own] = _directions_of_role(mount.roles[kind], name, len(own), corner_deg, is_pair=is_pair)
+        yaw_rad[own] = _directions_of_role(mount.roles[kind], name, len(own), first_deg, is_pair=is_pair)
     return _looking_outwards(yaw_rad, kinds)
 
 
-def _directions_of_role(role: Role, name: str, count: int, corner_deg: float, *, is_pair: bool | None) -> np.ndarray:
+def _directions_of_role(role: Role, name: str, count: int, first_deg: float, *, is_pair: bool | None) -> np.ndarray:
     """Yaws of so many modules of a kind [rad], of pairs those on the left."""
     between = (np.arange(count) + 0.5) / count  # 0..1
     if role in (Role.FRONT, Role.REAR):
@@ -142,14 +143,14 @@ def _directions_of_role(role: Role, name: str, count: int, corner_deg: float, *,
         aside = np.zeros(count) if is_pair is False else aside
         return aside if role is Role.FRONT else math.pi - aside
     if is_pair:
-        corner = math.radians(corner_deg)
+        corner = math.radians(first_deg)
         return np.array([corner, math.pi - corner]) if count == 2 and name == "corners" else math.pi * between
     if is_pair is False:  # in the middle
         return np.where(np.arange(count) % 2 == 0, 0.0, math.pi)
     if role is Role.SIDE:
         sides = (math.pi, count - count // 2), (-math.pi, count // 2)
         return np.concatenate([turn * (np.arange(own) + 0.5) / max(own, 1) for turn, own in sides])
-    return directions_rad(name, count, corner_deg)
+    return directions_rad(name, count, first_deg)
 
 
 def _hand_mount_pose(
@@ -216,7 +217,7 @@ def rig_by_hand(name: str, mount: CameraMount, constraints: Constraints, count: 
         return _placed(mount, constraints, _OF_SURFACE[name](constraints, rows))
     constraints = constraints.of_any_modules if _are_alike(mount) else constraints
     set_back_m = _SET_BACK_M[0] if name == "corners" else 0.0
-    layout = _layout(name, mount, constraints, count, _CORNER_DEG[0])
+    layout = _layout(name, mount, constraints, count, _CORNER_DEG[0] if name == "corners" else 0.0)
     pose = _hand_mount_pose(mount, constraints, layout, set_back_m=set_back_m, pitch_deg=_PITCH_DEG[0])
     if pose is None:
         raise InputError(f"{name}: expected zones in which cameras may look so, got none for one of them")
@@ -246,12 +247,13 @@ def by_hand(
     constraints = constraints.of_any_modules if _are_alike(mount) else constraints
     is_pitched = bool(mount.is_free[PITCH_RAD])
     pitches = _PITCH_DEG if is_pitched else (0,)
-    kinds = [("cross", {"corner": _CORNER_DEG[:1], "back": (0.0,), "pitch": pitches})]
+    rounds = (0.0, 180.0 / count) if _are_alike(mount) and count != 4 else (0.0,)  # of four the other is `corners`
+    kinds = [("cross", {"first": rounds, "back": (0.0,), "pitch": pitches})]
     if count >= 4:
-        kinds.append(("corners", {"corner": _CORNER_DEG, "back": _SET_BACK_M, "pitch": pitches}))
+        kinds.append(("corners", {"first": _CORNER_DEG, "back": _SET_BACK_M, "pitch": pitches}))
     if _are_alike(mount):
         pitch_deg = _ground_pitch_deg(mount, constraints) if is_pitched else 0
-        as_built = {"corner": _CORNER_DEG[:1], "back": (0.0,), "pitch": (pitch_deg,)}
+        as_built = {"first": (0.0,), "back": (0.0,), "pitch": (pitch_deg,)}
         kinds += [(name, as_built) for name in AS_BUILT if len(_as_built(name).yaw_rad) == count]
     for name, tried in kinds:
         _try_kind(mount, constraints, name, count, tried, rated)
@@ -268,19 +270,19 @@ def _try_kind(
     tried: Mapping[str, Sequence[float]],
     rated: Callable[[list[HandRig]], list[HandRig]],
 ) -> None:
-    """Rate rigs of a kind: one number is varied after the other; until the mount has no place for one."""
+    """Rate rigs of a kind: one number is varied after the other, where the mount has a place for them."""
     now = {key: values[0] for key, values in tried.items()}
     best: HandRig | None = None
     for key, values in tried.items():
         several = []
         for value in values if best is None else values[1:]:
             each = {**now, key: value}
-            layout = _layout(name, mount, constraints, count, each["corner"])
+            layout = _layout(name, mount, constraints, count, each["first"])
             pose = _hand_mount_pose(mount, constraints, layout, set_back_m=each["back"], pitch_deg=each["pitch"])
-            if pose is None:
-                return
-            front = f"{each['corner']:g} deg, front pair {each['back']:g} m back, " if name == "corners" else ""
-            several.append((value, HandRig(name, f"{front}pitch {each['pitch']:g} deg", pose)))
+            if pose is not None:
+                first = f"{each['first']:g} deg, " if each["first"] else ""
+                back = f"front pair {each['back']:g} m back, " if name == "corners" else ""
+                several.append((value, HandRig(name, f"{first}{back}pitch {each['pitch']:g} deg", pose)))
         if not several:
             continue
         for (value, _), rig in zip(several, rated([rig for _, rig in several]), strict=True):

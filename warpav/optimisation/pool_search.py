@@ -605,7 +605,8 @@ class PoolSearch:
         if is_first:
             cameras = len(self.pool.mount_pose)
             rigs += [self.assembly.rig(self.pool.mount_pose[rig[rig < cameras]]) for rig in self._others]
-        self._todo[:0] = [("polish", rig.tolist(), step_count, radius) for rig in rigs]
+        polishes = [("polish", rig.tolist(), step_count, radius) for rig in rigs]
+        self._todo = [*polishes, *(stage for stage in self._todo if stage not in polishes)]
 
     def _polish(self, rig: list[list[float]], step_count: int, radius: float) -> Iterator[Found]:
         if self._affordable(len(rig)) < len(rig):
