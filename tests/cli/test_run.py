@@ -54,7 +54,6 @@ def test_the_evaluation_has_the_documented_fields(run_folder):
     for metrics in evaluation["arms"].values():
         size_aps = {f"ap50_95_{size}" for size in ("small", "medium", "large")}
         assert set(TABLE_ROWS) - set(OPTIONAL_METRICS) | size_aps | {
-            "rig_recall",
             "objects",
             "frames",
             "recall_by",
@@ -67,7 +66,6 @@ def test_the_evaluation_has_the_documented_fields(run_folder):
             "redundant_rate",
         } == set(metrics)
         assert all(len(values) == 2 for values in metrics["per_scene"].values())
-        assert metrics["rig_recall"] == metrics["tp_detection_rate"]
         for by in ("distance_m", "sector", "category", "road_user"):
             assert sum(group["objects"] for group in metrics["recall_by"][by].values()) == metrics["objects"]
         assert metrics["constraint_violation"] == 0.0

@@ -121,7 +121,7 @@ def found_of(config, rig_shown, scenes):
         problem = Placement.from_config(config).prepare(display)
     chosen = problem.train if scenes == "train" else problem.test
     metrics = evaluate_rig(rig_shown, chosen, problem.objective)
-    return f"{round(metrics.rig_recall * metrics.objects)} of {metrics.objects} found in {len(chosen)} scenes"
+    return f"{round(metrics.tp_detection_rate * metrics.objects)} of {metrics.objects} found in {len(chosen)} scenes"
 
 
 def test_views_before_and_after_count_what_the_evaluation_counts(run, tmp_path, drawn):

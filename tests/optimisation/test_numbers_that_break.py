@@ -149,4 +149,4 @@ def test_a_detector_that_finds_nothing_is_run_and_measured():
     result = wa.optimise(placement)
     assert np.isfinite(result.history["loss"]).all()
     found = wa.evaluate(result.rig, wa.town([1000]), placement)
-    assert found.metrics["rig"].rig_recall == 0.0
+    assert found.metrics["rig"].tp_detection_rate == 0.0

@@ -195,7 +195,7 @@ def test_an_evaluation_says_which_camera_sees_what(placement, result, test_scene
     pandas = pytest.importorskip("pandas")
     frame = found.to_pandas()
     assert isinstance(frame, pandas.DataFrame)
-    assert frame.loc["start", "rig_recall"] == found.recall["start"]
+    assert frame.loc["start", "tp_detection_rate"] == found.recall["start"]
 
 
 def test_a_run_of_own_scenes_is_saved_with_them(config, train, test_scenes, tmp_path):
@@ -298,7 +298,8 @@ def test_what_is_optimised_is_what_is_reported_with_weights(train):
     assert outages.expected_misses_per_100 == pytest.approx(100.0 * missed.mean(), rel=1e-4)
     assert [each.camera for each in outages.cameras] == [camera.name for camera in rig.cameras]
     detected = np.array([bool(seen.detected_by["rig"]) for seen in found.objects])
-    assert found.metrics["rig"].weighted_recall == pytest.approx(weight @ detected / weight.sum())
+    missed = 100.0 * (1.0 - weight @ detected / weight.sum())
+    assert found.metrics["rig"].weighted_misses_per_100 == pytest.approx(missed)
     assert "the same, weighted" in str(found.table())
     assert "(worst)" in str(found.outage_table())
     with pytest.raises(wa.InputError, match=r"importance\.category: .* got 'buss'; did you mean bus\?"):

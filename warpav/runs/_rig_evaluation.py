@@ -371,7 +371,7 @@ class RigEvaluation(_Part):
     @property
     def recall(self) -> dict[str, float | None]:
         """Share of all objects that some camera detects at the detector's own threshold, by rig; None: no object."""
-        return {name: metrics.rig_recall for name, metrics in self.arms.items()}
+        return {name: metrics.tp_detection_rate for name, metrics in self.arms.items()}
 
     def difference(self, one: str, other: str, metric: str = "misses_at_equal_false_alarms") -> Difference:
         """How a rig differs from another on the same scenes, one - other, with a 95 % interval.

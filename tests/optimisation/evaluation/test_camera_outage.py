@@ -136,24 +136,24 @@ def metrics(scenes, importance):
     return metrics_of(observe_scenes(rig, scenes, objective), objective)
 
 
-def test_weighted_recall_stands_beside_the_plain_one(scenes):
+def test_weighted_misses_stand_beside_the_plain_ones(scenes):
     """Found are the cars ahead and behind in the first scene, that ahead in the second; see `test_metrics`."""
     plain, weighted = metrics(scenes, None), metrics(scenes, Importance(NEAR))
     # weights: ahead 3, behind 1, to the left 0.5; ahead 3, ahead on the left 3, behind 1
-    assert weighted.weighted_recall == pytest.approx((3.0 + 1.0 + 3.0) / (4.5 + 7.0))
     assert weighted.weighted_misses_per_100 == pytest.approx(100.0 * (1.0 - 7.0 / 11.5))
-    assert weighted.per_scene["weighted_recall"] == [pytest.approx(4.0 / 4.5), pytest.approx(3.0 / 7.0), None]
-    assert weighted.rig_recall == plain.rig_recall == pytest.approx(3 / 6)
+    of_scenes = weighted.per_scene["weighted_misses_per_100"]
+    assert of_scenes == [pytest.approx(100.0 * 0.5 / 4.5), pytest.approx(100.0 * 4.0 / 7.0), None]
+    assert weighted.tp_detection_rate == plain.tp_detection_rate == pytest.approx(3 / 6)
     # all the rest is as without weights, but the objective that takes them
     kept = {name for name in plain.to_json() if name not in ("objective", "per_scene")}
     assert {name: weighted.to_json()[name] for name in kept} == {name: plain.to_json()[name] for name in kept}
-    of_weights = {"weighted_recall", "weighted_misses_per_100"}
+    of_weights = {"weighted_misses_per_100"}
     assert set(weighted.to_json()) - set(plain.to_json()) == of_weights
     assert set(weighted.per_scene) - set(plain.per_scene) == of_weights
     assert weighted.objective != pytest.approx(plain.objective, abs=1e-3)
-    assert plain.weighted_recall is None
-    assert "weighted_recall" in paired_differences(weighted, weighted)
-    assert "weighted_recall" not in paired_differences(weighted, plain)
+    assert plain.weighted_misses_per_100 is None
+    assert "weighted_misses_per_100" in paired_differences(weighted, weighted)
+    assert "weighted_misses_per_100" not in paired_differences(weighted, plain)
 
 
 def evaluation_of(weighted=False):

@@ -126,7 +126,7 @@ def check(metrics, *, has_objective):
     assert metrics.tp_detection_rate == pytest.approx(3 / 6)
     assert metrics.tp_in_frame_rate == pytest.approx(5 / 6)
     assert metrics.detection_confidence == pytest.approx((0.8 + 0.6 + 0.7) / 3)
-    assert (metrics.rig_recall, metrics.visible_rate) == (3 / 6, 5 / 6)
+    assert (metrics.tp_detection_rate, metrics.visible_rate) == (3 / 6, 5 / 6)
     assert metrics.rig_recall_visible == pytest.approx(3 / 5)
     assert (metrics.frames, metrics.false_alarms_per_frame) == (4, 1 / 4)
     assert metrics.misses_per_100 == pytest.approx(100 * 3 / 6)

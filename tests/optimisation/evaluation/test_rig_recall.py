@@ -61,7 +61,7 @@ def test_an_object_that_two_cameras_see_counts_once():
     one = measured(rig, [scene], ([boxes[0, :1], []], [[0.5], []]))
     for metrics in (both, one):
         assert (metrics.objects, metrics.frames) == (2, 2)
-        assert (metrics.rig_recall, metrics.tp_detection_rate) == (0.5, 0.5)
+        assert metrics.tp_detection_rate == 0.5
         assert (metrics.visible_rate, metrics.rig_recall_visible) == (0.5, 1.0)
         assert metrics.false_alarms_per_frame == 0.0
         assert metrics.recall_by["category"] == {"lorry": group(1, 1, 1), "van": group(1, 0, 0)}
@@ -78,18 +78,15 @@ def test_recall_is_the_visible_share_times_the_recall_of_the_visible():
     scenes = [world(AHEAD, ASIDE), world(AHEAD), world(ASIDE), world()]
     box = truth_boxes(rig, scenes[0].scene)[0, :1]
     metrics = measured(rig, scenes, ([box, []], [[0.5], []]), NOTHING, NOTHING, NOTHING)
-    assert metrics.rig_recall == pytest.approx(1 / 4)
+    assert metrics.tp_detection_rate == pytest.approx(1 / 4)
     assert (metrics.visible_rate, metrics.rig_recall_visible) == (0.5, 0.5)
-    assert metrics.per_scene["rig_recall"] == [0.5, 0.0, 0.0, None]
+    assert metrics.per_scene["tp_detection_rate"] == [0.5, 0.0, 0.0, None]
     assert metrics.per_scene["rig_recall_visible"] == [1.0, 0.0, None, None]
     assert metrics.per_scene["false_alarms_per_frame"] == [0.0] * 4
     blind = measured(rig, scenes, *[NOTHING] * 4)
     difference = paired_differences(metrics, blind)
-    assert difference["rig_recall"] == difference["tp_detection_rate"]
-    assert (difference["rig_recall"].mean, difference["rig_recall"].scenes) == (
-        pytest.approx(1 / 4),
-        3,
-    )
+    found = difference["tp_detection_rate"]
+    assert (found.mean, found.scenes) == (pytest.approx(1 / 4), 3)
     assert (difference["rig_recall_visible"].mean, difference["rig_recall_visible"].scenes) == (0.5, 2)
 
 
@@ -133,7 +130,7 @@ def test_a_false_alarm_on_the_ego_vehicle_and_a_second_box_count():
     bonnet = [20.0, 70.0, 110.0, 96.0]
     metrics = measured(rig, [scene], ([[bonnet, boxes[0, 0], boxes[0, 0]], [boxes[1, 0]]], [[0.4, 0.9, 0.3], [0.8]]))
     assert metrics.false_alarms_per_frame == 2 / 2
-    assert metrics.rig_recall == 1.0
+    assert metrics.tp_detection_rate == 1.0
     assert metrics.ap50_pooled == 1.0  # both come after every hit
     # a confidence that is too low for a true positive is too low for a false alarm
     weak = measured(rig, [scene], ([[bonnet, boxes[0, 0]], []], [[0.05, 0.9], []]))
@@ -165,8 +162,8 @@ def test_recall_at_equal_false_alarms_is_that_of_the_lowest_threshold_that_is_qu
     said = np.concatenate([each for _, confidence in answers for each in confidence]).astype(np.float32)
     thresholds = [0.1, *np.nextafter(np.unique(said).astype(np.float64), 2.0)]
     quiet = [found for found in map(at, thresholds) if found.false_alarms_per_frame <= 0.5]
-    assert metrics.recall_at_equal_false_alarms == quiet[0].rig_recall
-    assert metrics.per_scene["recall_at_equal_false_alarms"] == quiet[0].per_scene["rig_recall"]
+    assert metrics.recall_at_equal_false_alarms == quiet[0].tp_detection_rate
+    assert metrics.per_scene["recall_at_equal_false_alarms"] == quiet[0].per_scene["tp_detection_rate"]
     assert metrics.false_alarms_per_frame > 0.5  # else there would be nothing to see
 
 
@@ -185,7 +182,7 @@ def test_what_is_too_small_need_not_be_found_and_is_no_false_alarm():
     box = too_small_box(rig, scene.scene)
     assert 0.0 < np.prod(box[2:] - box[:2]) < 16.0
     metrics = measured(rig, [scene], ([[box], []], [[0.9], []]))
-    assert (metrics.rig_recall, metrics.visible_rate, metrics.tp_in_frame_rate) == (0.0, 0.0, 1.0)
+    assert (metrics.tp_detection_rate, metrics.visible_rate, metrics.tp_in_frame_rate) == (0.0, 0.0, 1.0)
     assert metrics.rig_recall_visible is None
     assert metrics.ap50_pooled is None
     assert metrics.false_alarms_per_frame == 0.0

@@ -44,7 +44,6 @@ from warpav.sight.sight import redundancy
 PAIRED_METRICS = (
     "misses_at_equal_false_alarms",
     "tp_detection_rate",
-    "rig_recall",
     "rig_recall_visible",
     "misses_per_100",
     "recall_at_equal_false_alarms",
@@ -56,10 +55,8 @@ PAIRED_METRICS = (
 )
 
 OPTIONAL_METRICS = (
-    "weighted_recall",
     "weighted_misses_per_100",
     "attainable_rate",
-    "attainable_recall",
     "attainable_misses_per_100",
     "redundant_rate",
 )
@@ -71,7 +68,6 @@ _OF_OBJECTS = frozenset(
     (
         "misses_at_equal_false_alarms",
         "tp_detection_rate",
-        "rig_recall",
         "misses_per_100",
         "recall_at_equal_false_alarms",
         "tp_in_frame_rate",
@@ -149,7 +145,6 @@ class ArmMetrics:
     ap50_95_large: float | None = None
     tp_detection_rate: float | None = None
     tp_in_frame_rate: float | None = None
-    rig_recall: float | None = None
     rig_recall_visible: float | None = None
     misses_per_100: float | None = None
     misses_at_equal_false_alarms: float | None = None
@@ -169,10 +164,8 @@ class ArmMetrics:
     frames: int | None = None
     recall_by: dict[str, dict[str, GroupRecall]] = field(default_factory=dict)
     per_scene: dict[str, list[float | None]] = field(default_factory=dict)
-    weighted_recall: float | None = None
     weighted_misses_per_100: float | None = None
     attainable_rate: float | None = None
-    attainable_recall: float | None = None
     attainable_misses_per_100: float | None = None
     redundant_rate: float | None = None
 
@@ -485,21 +478,18 @@ def metrics_of(
     of_scene = [GroupRecall.of(*both) for both in zip(visible, detected, strict=True)]
     body_share = body_shares(rig, scenes[0]) if scenes else {}  # all scenes are around the same vehicle
     weights = None if objective.importance is None else [objective.importance.weights(scene) for scene in scenes]
-    weighted_recall, weighted_of_scene = None, {}
     weight = np.array([len(each) for each in detected] if weights is None else [each.sum() for each in weights], float)
+    optional: dict[str, list[float | None]] = {}
+    weighted, can_be, attained = None, None, None
     if weights is not None:
-        weighted_recall = _weighted_mean(found_all, np.concatenate([np.zeros(0), *weights]))
-        recalls = [_weighted_mean(*both) for both in zip(found, weights, strict=True)]
-        weighted_of_scene = {"weighted_recall": recalls, "weighted_misses_per_100": [_misses(each) for each in recalls]}
-    can_be, attainable_recall, attainable_of_scene = None, None, {}
+        weighted = _misses(_weighted_mean(found_all, np.concatenate([np.zeros(0), *weights])))
+        recalls = (_weighted_mean(*both) for both in zip(found, weights, strict=True))
+        optional["weighted_misses_per_100"] = [_misses(each) for each in recalls]
     if attainable is not None:
         can_be = np.concatenate([np.zeros(0, bool), *attainable])
-        attainable_recall = _mean(found_all[can_be])
-        recalls = [_mean(each[which]) for each, which in zip(found, attainable, strict=True)]
-        attainable_of_scene = {
-            "attainable_recall": recalls,
-            "attainable_misses_per_100": [_misses(each) for each in recalls],
-        }
+        attained = _misses(_mean(found_all[can_be]))
+        recalls = (_mean(each[which]) for each, which in zip(found, attainable, strict=True))
+        optional["attainable_misses_per_100"] = [_misses(each) for each in recalls]
     redundant = partial(redundancy, radius_m=REDUNDANT_WITHIN_M, cameras=REDUNDANT_CAMERAS)
     seen_by = [each.visible_to_camera for each in observations]
     return ArmMetrics(
@@ -516,7 +506,6 @@ def metrics_of(
         ap50_95_large=ap50_95["large"],
         tp_detection_rate=whole.recall,
         tp_in_frame_rate=_mean(np.concatenate(in_frame)),
-        rig_recall=whole.recall,
         rig_recall_visible=whole.recall_visible,
         misses_per_100=_misses(whole.recall),
         misses_at_equal_false_alarms=_misses(_mean(found_all)),
@@ -537,7 +526,6 @@ def metrics_of(
         recall_by=_recall_by(scenes, flags[0], found_all),
         per_scene={
             "tp_detection_rate": [each.recall for each in of_scene],
-            "rig_recall": [each.recall for each in of_scene],
             "rig_recall_visible": [each.recall_visible for each in of_scene],
             "misses_per_100": [_misses(each.recall) for each in of_scene],
             "misses_at_equal_false_alarms": [_misses(_mean(each)) for each in found],
@@ -549,15 +537,12 @@ def metrics_of(
             "objective": [_number(loss) for loss in losses] or [None] * len(scenes),
             "objects": [float(len(each)) for each in detected],
             **({"object_weight": weight.tolist()} if objective.is_by_single_cameras else {}),
-            **weighted_of_scene,
-            **attainable_of_scene,
+            **optional,
             "redundant_rate": [redundant([sees], [scene]).share for sees, scene in zip(seen_by, scenes, strict=True)],
         },
-        weighted_recall=weighted_recall,
-        weighted_misses_per_100=_misses(weighted_recall),
+        weighted_misses_per_100=weighted,
         attainable_rate=None if can_be is None else _mean(can_be),
-        attainable_recall=attainable_recall,
-        attainable_misses_per_100=_misses(attainable_recall),
+        attainable_misses_per_100=attained,
         redundant_rate=redundant(seen_by, scenes).share,
     )
 
@@ -604,14 +589,15 @@ class _Boxes:
         scores = [score_images(each, iou_min=(*COCO_IOU, objective.options.iou_min)) for each in images]
         self.false_alarms = np.zeros(shape, np.int64)
         self._confidence_min = objective.options.confidence_min
-        alarms: dict[int, list[np.ndarray]] = {0: [np.zeros(0)], -1: [np.zeros(0)]}
+        alarms, alarms_at_50 = [np.zeros(0)], [np.zeros(0)]
         for each in scores:
-            for k, confidence in alarms.items():
-                is_false = each.counts[0, k] & ~each.true_positive[0, k]
-                confidence.append(each.confidence[is_false])
+            is_false, is_false_at_50 = (each.counts[0, k] & ~each.true_positive[0, k] for k in (-1, 0))
+            alarms.append(each.confidence[is_false])
+            alarms_at_50.append(each.confidence[is_false_at_50])
             is_false &= each.confidence >= self._confidence_min
             self.false_alarms += np.bincount(each.image[is_false], minlength=self.false_alarms.size).reshape(shape)
-        self._alarm_confidence, self._alarm_confidence_ap = (np.sort(np.concatenate(alarms[k]))[::-1] for k in (-1, 0))
+        self._alarm_confidence = np.sort(np.concatenate(alarms))[::-1]
+        self._alarm_confidence_at_50 = np.concatenate(alarms_at_50)
         self._average_precision = np.array([each.average_precision() for each in scores])  # [kind, size, threshold]
         self._images = [each.image_scores() for each in scores]  # at IoU 0.5, [kind][image]
 
@@ -637,7 +623,7 @@ class _Boxes:
     def ap50_of_rig(self, up_to: np.ndarray) -> float | None:
         """See `ArmMetrics`; ``up_to`` as above, at an IoU of 0.5."""
         found = up_to[np.isfinite(up_to)]
-        confidence = np.concatenate([found, self._alarm_confidence_ap])
+        confidence = np.concatenate([found, self._alarm_confidence_at_50])
         hits = np.arange(len(confidence)) < len(found)
         return _number(average_precision([ImageScore(confidence, hits, len(up_to))]))
 
