@@ -215,6 +215,30 @@ def test_rigs_to_compare_with_need_no_search():
         assert placement.objective.constraints.violation_m(rig) <= 1e-5
 
 
+def test_a_search_begins_with_the_best_rig_by_hand_and_says_what_it_finds_more():
+    placement = wa.Placement(wa.town([0]), cameras=4, config=wa.Config.load("quick", *SMALL))
+    corners = wa.rig_by_hand("corners", placement, angle_deg=40)
+    np.testing.assert_allclose(sorted(np.degrees([camera.yaw_rad for camera in corners.cameras])), [-140, -40, 40, 140])
+    result, best = wa.optimise(placement), wa.rig_by_hand("best", placement)
+    for one, other in zip(result.start.cameras, best.cameras, strict=True):
+        np.testing.assert_allclose([*one.position_m, one.yaw_rad], [*other.position_m, other.yaw_rad])
+    said = result.why(wa.town([5000]))
+    assert re.match(r"Against the best rig by hand it finds .* more.* and loses .*Its cameras stand", said)
+    with pytest.raises(wa.InputError, match="angle_deg: expected 0 to 90 with corners, none with others, got 40"):
+        wa.rig_by_hand("cross", placement, angle_deg=40)
+    with pytest.raises(wa.InputError, match="name: expected one of best, corners, cross, edge, highest, got 'by eye'"):
+        wa.rig_by_hand("by eye", placement)
+
+
+def test_scenes_of_a_configuration_come_by_split():
+    config = wa.Config.load("quick", "scenes.source=traffic", "scenes.train_seeds=[3]", "scenes.test_seeds=[4]")
+    recordings = [[scene.source for scene in wa.load_scenes(config, split)] for split in ("train", "test")]
+    assert recordings[0] != recordings[1]
+    assert list(wa.load_scenes(config, "validation")) == []
+    with pytest.raises(wa.InputError, match="seeds: expected numbers or one of train, validation, test, got 'all'"):
+        next(wa.load_scenes(config, "all"))
+
+
 def test_a_vehicle_is_read_into_the_ego_frame(tmp_path):
     import trimesh
 

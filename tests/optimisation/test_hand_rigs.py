@@ -12,7 +12,7 @@ from tests.optimisation.test_pool import cameras_of, mount_of, streets
 from warpav.core.progress import NullProgress
 from warpav.detection.miss_rate import expected_miss_rate
 from warpav.optimisation import hand_rigs
-from warpav.optimisation.hand_rigs import by_hand, directions_rad, rig_by_hand
+from warpav.optimisation.hand_rigs import by_hand, directions_rad, mount_pose_by_hand
 from warpav.optimisation.mount import PITCH_RAD, X_M, Y_M, YAW_RAD, CameraMount, FreeRanges
 from warpav.optimisation.pool import Drawing
 from warpav.optimisation.pool_search import PoolSearch, PoolSearchSettings, PoolTask
@@ -46,7 +46,7 @@ def test_where_they_look(name, count, first_deg, expected_deg):
 
 
 def test_corners_stand_at_the_corners_and_the_front_pair_is_set_back():
-    pose = rig_by_hand("corners", flat(), zone_of(flat(), 4), 4)
+    pose = mount_pose_by_hand("corners", flat(), zone_of(flat(), 4), 4)
     corner_m = [[0.7, 0.6], [0.7, -0.6], [-1.0, 0.6], [-1.0, -0.6]]
     np.testing.assert_allclose(pose[:, [X_M, Y_M]], corner_m, atol=0.08)  # cells, and the border's margin
     np.testing.assert_allclose(np.degrees(pose[:, YAW_RAD]), [44, -44, 136, -136], rtol=1e-5)

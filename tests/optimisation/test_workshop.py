@@ -10,7 +10,7 @@ import warpav as wa
 from tests.optimisation.test_hand_rigs import flat
 from warpav.core.errors import InputError
 from warpav.optimisation.constraints import ZoneAndSpacing
-from warpav.optimisation.hand_rigs import rig_by_hand
+from warpav.optimisation.hand_rigs import mount_pose_by_hand
 from warpav.optimisation.mount import CameraMount, named_by_direction
 from warpav.optimisation.rounding import roundings, workshop_rig
 from warpav.raster.camera import CameraModel
@@ -124,7 +124,7 @@ def test_modules_stand_and_look_by_hand_where_their_role_has_them(role, is_pair,
     mount = CameraMount(surface, camera=cameras, height_offset_m=0.0, roles=[Role(role)] * len(cameras))
     kinds = np.full(count, 0 if is_pair is None else surface.pairs.index(is_pair))
     constraints = ZoneAndSpacing(surface, camera_count=count, min_spacing_m=0.05, margin_m=0.0, module=kinds)
-    pose = rig_by_hand("corners", mount, constraints, count)
+    pose = mount_pose_by_hand("corners", mount, constraints, count)
     rig = mount.rig(pose)
     yaw_deg = [round(math.degrees(each.yaw_rad) % 360.0, 3) % 360.0 for each in rig.cameras]
     assert sorted(yaw_deg) == pytest.approx(sorted(each % 360 for each in expected_deg), abs=2e-3)

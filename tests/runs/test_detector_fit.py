@@ -39,15 +39,15 @@ def refused(capsys, *words):
 
 def test_scenes_of_files_are_shared_out(tmp_path):
     config = load_config("quick", ["scenes.source=folder", f"scenes.folder={tmp_path}", "scenes.train_seeds=0..9"])
-    seeds = chosen_seeds(config, None, None)
-    assert sorted((*seeds.fit, *seeds.held_out)) == list(range(10))
-    assert len(seeds.fit) == 6
+    fit, held_out = chosen_seeds(config)
+    assert sorted((*fit, *held_out)) == list(range(10))
+    assert len(fit) == 6
     few = load_config(
         "quick",
         ["scenes.source=folder", f"scenes.folder={tmp_path}", "scenes.train_seeds=[1]", "run.batch_size=1"],
     )
     with pytest.raises(InputError, match=r"scenes\.train_seeds: expected at least 4"):
-        chosen_seeds(few, None, None)
+        chosen_seeds(few)
 
 
 @pytest.mark.parametrize("words", [["quick"], ["quick", "rig.free.pitch_deg=null"], ["default"]])

@@ -207,7 +207,9 @@ def _ground_pitch_deg(mount: CameraMount, constraints: Constraints) -> int:
     return round(math.degrees(max(math.atan2(height_m, _GROUND_FROM_M) - half_rad, 0.0)))
 
 
-def rig_by_hand(name: str, mount: CameraMount, constraints: Constraints, count: int) -> np.ndarray:
+def mount_pose_by_hand(
+    name: str, mount: CameraMount, constraints: Constraints, count: int, corner_deg: float | None = None
+) -> np.ndarray:
     """The rig by hand of a name, with the numbers that are tried first, float32 [camera, 7].
 
     ``name``: ``corners``, ``cross``, ``edge`` or ``highest``.
@@ -217,7 +219,7 @@ def rig_by_hand(name: str, mount: CameraMount, constraints: Constraints, count: 
         return _placed(mount, constraints, _OF_SURFACE[name](constraints, rows))
     constraints = constraints.of_any_modules if _are_alike(mount) else constraints
     set_back_m = _SET_BACK_M[0] if name == "corners" else 0.0
-    layout = _layout(name, mount, constraints, count, _CORNER_DEG[0] if name == "corners" else 0.0)
+    layout = _layout(name, mount, constraints, count, (corner_deg or _CORNER_DEG[0]) if name == "corners" else 0.0)
     pose = _hand_mount_pose(mount, constraints, layout, set_back_m=set_back_m, pitch_deg=_PITCH_DEG[0])
     if pose is None:
         raise InputError(f"{name}: expected zones in which cameras may look so, got none for one of them")
@@ -258,7 +260,7 @@ def by_hand(
     for name, tried in kinds:
         _try_kind(mount, constraints, name, count, tried, rated)
     if not mount.is_symmetric:
-        rated([HandRig(name, "", rig_by_hand(name, mount, of_surface, count)) for name in _OF_SURFACE])
+        rated([HandRig(name, "", mount_pose_by_hand(name, mount, of_surface, count)) for name in _OF_SURFACE])
     return sorted(found, key=lambda rig: rig.value)
 
 

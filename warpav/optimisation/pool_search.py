@@ -305,7 +305,7 @@ class PoolSearch:
             seen = partial(self.cameras.visibility, self.pool.mount_pose, self.points)
             self.points.check(found, seen, self.camera_count)
         if self.task.starts_by_hand:
-            self._try_by_hand()
+            self.try_by_hand()
         if self.rules is not None:
             self._settle_rules(self.rules)
             if start is not None and not self.task.starts_by_hand:
@@ -324,7 +324,7 @@ class PoolSearch:
         if self.rig is not None:
             yield self._found("start")
 
-    def _try_by_hand(self) -> None:
+    def try_by_hand(self) -> None:
         """Try rigs by hand, whose cameras join the pool."""
 
         def values_of(rigs: Sequence[np.ndarray]) -> list[float]:

@@ -417,12 +417,12 @@ def _words(normal: np.ndarray) -> str:
 
 
 def propose_zones(mesh: Mesh, parts: BodyParts | None = None) -> tuple[Zone, ...]:
-    """Zones of a vehicle for a person to edit: roof and bonnet, sides, front and rear, windscreen, rear window.
+    """Zones of a vehicle (in the ego frame [m]) for a person to edit: roof, bonnet, sides, front and rear, panes.
 
     The roof is what faces upwards in the upper third behind the windscreen, the bonnet what does ahead of it. Sides
     keep out of the lowest third (wheels, sills), front and rear out of what bumpers touch, all out of panes and of
     what else carries no camera (``parts``; None: as far as the mesh tells), so no two share any skin. A zone of which
-    the body has nothing is left out.
+    the body has nothing is left out. `write_zones` writes them, for ``Placement(..., zones=file)``.
     """
     parts = parts_of(mesh) if parts is None else parts
     pane_m = {pane: cell_m for pane in parts.panes if len(cell_m := _cells_m(pane, mesh, cell_m=0.02))}

@@ -225,14 +225,14 @@ class ZonesForm(Form):
 
 
 def read_zones(path: Path | str) -> tuple[Zone, ...]:
-    """Read a file of zones: ``zones``, a mapping from names to what they are.
+    """Read a file of zones, in the ego frame [m]: ``zones``, a mapping from names to what they are.
 
     A zone has a ``normal`` (up, left, right, front, rear, or three numbers), and may have ``kind`` (a name or a list of
     them, as the ``zones`` of modules name them), ``centred``, ``origin_m``, ``box_m`` and
     ``keep_out_m`` (boxes as [lowest corner, highest corner]), ``outline_m`` (corners of a convex polygon),
     ``behind_glass`` (cameras stand inside and look through), ``stand_off_m``, ``yaw_deg``, ``pitch_deg`` and
     ``roll_deg`` (a number, or [least, greatest]); see `Zone`. Beside it, ``mirror: true`` adds its mirror image on the
-    other side of the vehicle, called ``<name>_mirrored``.
+    other side of the vehicle, called ``<name>_mirrored``. `InputError` says what is wrong with a file.
     """
     form, mistakes = read_form(ZonesForm, Path(path).expanduser())
     zones: list[Zone] = []
@@ -282,7 +282,7 @@ def mirrored(zone: Zone) -> Zone:
 
 
 def write_zones(zones: Sequence[Zone], path: Path | str) -> None:
-    """Write zones into a YAML file that `read_zones` reads, for a person to edit."""
+    """Write zones into a YAML file that `read_zones` reads, for a person to edit; `InputError` where that cannot be."""
     names: dict[tuple[float, ...], str] = {normal: name for name, normal in NORMALS.items()}
     row = partial(yaml_row, decimals=3)
 

@@ -35,7 +35,7 @@ from warpav.runs._rig_source import read_baselines
 from warpav.runs._run_folder import RunFolder
 from warpav.runs._scene_set import load_scenes
 from warpav.runs.config import BY_HAND, Config
-from warpav.runs.evaluate import evaluate_on, highest_rig, requirements_of, rule_margins
+from warpav.runs.evaluate import evaluate, evaluate_on, highest_rig, requirements_of, rule_margins
 from warpav.runs.placement import Placement, Stream
 from warpav.runs.robustness import tolerance_on
 from warpav.scene.files import scene_path
@@ -263,8 +263,7 @@ class Result:
         """
         timer = StageTimer()
         placement = self.placement
-        if test is None and placement.parts.has_own_scenes:
-            raise ArgumentError("test", "expected scenes to compare rigs on, as the placement's are objects, got none")
+        self._check_test(test)
         path = Path(folder).expanduser()
         config = placement.config.replace({"run.out": str(path)})
         with shown_progress(progress) as shown:
@@ -284,12 +283,35 @@ class Result:
                 scenes = placement.test
                 first = placement.shown
             else:
-                given = list(load_scenes(config, config.scenes.test_seeds)) if test is None else list(test)
+                given = list(load_scenes(config, "test") if test is None else test)
                 scenes, first = placement.observed(given, progress=shown), given[0]
                 if test is not None:
                     written.write_config(_with_scenes(config, placement, given, written), freeze=placement.parts.freeze)
             complete_folder(written, self, scenes, first, timer=timer, progress=shown)
         return written.path
+
+    def _check_test(self, test: Sequence[Scene] | None) -> None:
+        if test is None and self.placement.parts.has_own_scenes:
+            raise ArgumentError("test", "expected scenes to compare rigs on, as the placement's are objects, got none")
+
+    def why(self, test: Sequence[Scene] | None = None) -> str:
+        """What the rig that was found sees that its start, the best rig by hand, does not, and what it loses; in words.
+
+        Args:
+            test: As of `save`.
+
+        Raises:
+            InputError: There are no scenes to compare on.
+        """
+        from warpav.runs.report._content import RunContent
+        from warpav.runs.report._statements import why
+
+        self._check_test(test)
+        config, rigs = self.placement.config, {OPTIMISED: self.found, self.start_name: self.start}
+        evaluation = evaluate(rigs, list(load_scenes(config, "test") if test is None else test), self.placement)
+        said = why(RunContent(config=config, start=self.start, result=self.found), evaluation)
+        assert said is not None
+        return said.text
 
     def drawn(self, *, scene: Scene | None = None) -> DrawnRun:
         """The result as its plots show it; ``scene`` by default the first test scene."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpav.core.errors import ArgumentError, InputError, OptionError
-from warpav.optimisation.hand_rigs import rig_by_hand
+from warpav.optimisation.hand_rigs import mount_pose_by_hand
 from warpav.rig.check import off_vehicle
 from warpav.rig.presets import HAND_RIGS, find_rig_file, is_preset, preset_names
 from warpav.rig.rig import Rig, RigCamera, read_rig
@@ -59,13 +59,21 @@ def is_shipped(source: str) -> bool:
     return is_preset(source) and not is_run_folder(source) and not Path(source).exists()
 
 
-def find_rig(source: str, config: Config, ego: Mesh, *, say: Callable[[str], object] = _logger.warning) -> Rig:
+def find_rig(
+    source: str,
+    config: Config,
+    ego: Mesh,
+    *,
+    say: Callable[[str], object] = _logger.warning,
+    corner_deg: float | None = None,
+) -> Rig:
     """The rig that ``source`` means: a rig YAML, a preset, a run folder, or one by hand (`HAND_RIGS`)."""
     if source in HAND_RIGS:
         if config.rig.symmetric == "auto" and config.rig.modules is None:
             config = config.replace({"rig.symmetric": False})  # cameras one by one
         mount = camera_mount(config, ego)
-        return mount.rig(rig_by_hand(source, mount, constraints_of(config, mount.surface), config.rig.cameras))
+        constraints = constraints_of(config, mount.surface)
+        return mount.rig(mount_pose_by_hand(source, mount, constraints, config.rig.cameras, corner_deg))
     rig = with_shared_model(read_rig(_rig_file(source)), config)
     away = off_vehicle(rig, ego)
     if is_shipped(source) and (away or config.scenes.ego is not None):

@@ -226,14 +226,27 @@ def pack_scenes(scenes: Iterable[Scene], counts: tuple[int, int], config: Config
 
 
 def load_scenes(
-    config: Config, seeds: Sequence[int], *, ego: Mesh | None = None, say: Callable[[str], None] | None = None
+    config: Config, seeds: str | Sequence[int], *, ego: Mesh | None = None, say: Callable[[str], None] | None = None
 ) -> Iterator[Scene]:
-    """The scenes of ``seeds``, one after the other: built, captured and reconstructed, or read.
+    """The scenes of a configuration, one after the other, in the ego frame [m]: built, recorded, reconstructed or read.
 
     Their vehicles are the road users that ``scenes.targets`` names. Scenes that went through images hold people and
     cyclists as part of the environment, so there only vehicles can be targets. With ``scenes.ego`` all are around that
     vehicle, without the road users at whose places it stands.
+
+    Args:
+        config: Its section ``scenes`` says where they are from; of recorded traffic the test has recordings of its own.
+        seeds: Their numbers, or the split whose they are: ``train``, ``validation`` or ``test``.
+        ego: The vehicle instead of ``scenes.ego``.
+        say: Is told which road users were left out.
+
+    Raises:
+        InputError: Scenes, recordings or the vehicle cannot be used.
     """
+    if isinstance(seeds, str):
+        if seeds not in (splits := dict(zip(("train", "validation", "test"), _seeds(config), strict=True))):
+            raise ArgumentError("seeds", f"expected numbers or one of {', '.join(splits)}, got {seeds!r}")
+        seeds = splits[seeds]
     recipes = scene_recipes(config, seeds, NullProgress(), ego=ego)
     for scene, left_out in scenes_of(recipes):
         if left_out and say is not None:

@@ -26,9 +26,20 @@ _REPEAT_WITHIN_S = 1.0
 
 
 def check_detector(
-    model: str, config: Config, *, image_file: Path | None = None, out: Path | None = None
+    model: str, config: Config | None = None, *, image_file: Path | None = None, out: Path | None = None
 ) -> Iterator[str]:
-    """Describe a detector, time it, and try it on an image."""
+    """Describe in lines how an ONNX detector is read (sizes [px], labels), time it, and try it on an image.
+
+    Args:
+        model: Path of the file, or ``builtin``.
+        config: Options of the section ``detector``; None: the shipped configuration ``quick``.
+        image_file: An image to find road users in; None: none.
+        out: PNG to draw them into; None: ``<image>_boxes.png``.
+
+    Raises:
+        InputError: The file, an option or the image cannot be used.
+    """
+    config = Config() if config is None else config
     if out is not None and image_file is None:
         raise ArgumentError("out", "expected `image` beside it, as boxes are drawn on an image")
     image_rgb = None if image_file is None else _read_image(image_file)

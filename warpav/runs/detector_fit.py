@@ -69,45 +69,35 @@ _FITS: weakref.WeakKeyDictionary[Any, dict[str, DetectionProbability]] = weakref
 """What was fitted for detectors that are objects, by what it was fitted for."""
 
 
-@dataclass(frozen=True)
-class FitSeeds:
-    """Which scenes the curves are fitted on, and which the scores come from."""
-
-    fit: tuple[int, ...]
-    held_out: tuple[int, ...]
-
-
-def chosen_seeds(config: Config, fit: tuple[int, ...] | None, held_out: tuple[int, ...] | None) -> FitSeeds:
-    """The scenes to use: the given ones, else embedded ones of their own, else three to two of the training scenes."""
-    if config.scenes.source == "town":
-        usual = FitSeeds(_TOWN_SEEDS, _TOWN_HELD_OUT)
-    else:
-        train = config.scenes.train_seeds
-        usual = FitSeeds(
-            tuple(seed for k, seed in enumerate(train) if k % 5 < 3),
-            tuple(seed for k, seed in enumerate(train) if k % 5 >= 3),
-        )
-    seeds = FitSeeds(usual.fit if fit is None else fit, usual.held_out if held_out is None else held_out)
-    shared = sorted(set(seeds.fit) & set(seeds.held_out))
+def chosen_seeds(
+    config: Config, fit: Sequence[int] | None = None, held_out: Sequence[int] | None = None
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """The scenes to fit on, and to score on: those given, else embedded ones, else three to two of the training's."""
+    usual = [_TOWN_SEEDS, _TOWN_HELD_OUT]
+    if config.scenes.source != "town":
+        train = list(enumerate(config.scenes.train_seeds))
+        usual = [tuple(seed for k, seed in train if (k % 5 < 3) == is_fit) for is_fit in (True, False)]
+    fit, held_out = (tuple(own if given is None else given) for own, given in zip(usual, (fit, held_out), strict=True))
+    shared = sorted(set(fit) & set(held_out))
     if shared:
         raise ArgumentError(
             "held_out",
             f"expected scenes that the curves are not fitted on, got {len(shared)} of them, such as {shared[0]}; "
             "change `scenes` or `held_out`",
         )
-    tested = sorted(set(seeds.fit) & set(config.scenes.test_seeds))
+    tested = sorted(set(fit) & set(config.scenes.test_seeds))
     if tested:
         raise ArgumentError(
             "scenes",
             f"expected other scenes than scenes.test_seeds, got {len(tested)} of them, such as {tested[0]}; change "
             "`scenes` or scenes.test_seeds",
         )
-    if not seeds.held_out:
+    if not held_out:
         raise ArgumentError(
             "scenes.train_seeds",
-            f"expected at least 4 scenes to fit and to evaluate, got {len(seeds.fit)}; give `scenes` and `held_out`",
+            f"expected at least 4 scenes to fit and to evaluate, got {len(fit)}; give `scenes` and `held_out`",
         )
-    return seeds
+    return fit, held_out
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,17 +144,16 @@ def ensure_fit(
     kept = _FITS.setdefault(detector, {}) if _is_weak(detector) else {}
     if use.identity in kept:
         return kept[use.identity]
-    seeds = chosen_seeds(config, None, None)
     lasting = "kept as long as the detector object"
     if not isinstance(detector, ScalingDetector):
-        _announce(seeds, "detector and camera", lasting, progress)
-        found = fit(config, seeds, detector=detector, ego=ego, camera=camera, progress=progress)
+        _announce(config, "detector and camera", lasting, progress)
+        found = fit(config, detector=detector, ego=ego, camera=camera, progress=progress)
         return kept.setdefault(use.identity, found.model)
     scale = network_scale_of(detector, camera or camera_model(config))
     any_use = any_camera_use(config)
     if any_use.identity not in kept:
-        _announce(seeds, "detector", lasting, progress)
-        found = fit(config, seeds, detector=detector, any_camera=True, progress=progress)
+        _announce(config, "detector", lasting, progress)
+        found = fit(config, detector=detector, any_camera=True, progress=progress)
         kept[any_use.identity] = found.model
     return replace(kept[any_use.identity], network_scale=scale)
 
@@ -222,19 +211,18 @@ def _ensure_for_any_camera(config: Config, progress: Progress) -> DetectionProba
     """The stored fit for any camera, which is made first if there is none."""
     use = any_camera_use(config)
     if stored_file(use) is None:
-        seeds = chosen_seeds(config, None, None)
-        _announce(seeds, "detector", "stored for later runs, with any camera", progress)
-        found = fit(config, seeds, any_camera=True, use=use, progress=progress)
+        _announce(config, "detector", "stored for later runs, with any camera", progress)
+        found = fit(config, any_camera=True, use=use, progress=progress)
         _write(found.model, use, None)
         _show(found.model.record, progress)
     return DetectionProbability.find(use, unseen=_unseen(config))
 
 
-def _announce(seeds: FitSeeds, of: str, kept: str, progress: Progress) -> None:
+def _announce(config: Config, of: str, kept: str, progress: Progress) -> None:
     """Say that a fit begins, which takes long, even where progress is off."""
     text = (
         f"detection probability has not been fitted for this {of} yet: fitting it once, in "
-        f"{len(seeds.fit) + len(seeds.held_out)} scenes; the fit is {kept}"
+        f"{sum(map(len, chosen_seeds(config)))} scenes; the fit is {kept}"
     )
     say_or_warn(text, "progress=True shows how far it is", progress)
 
@@ -273,7 +261,7 @@ def fit_detector(
             progress.say(f"{stored} fits this {of} and source of scenes already and is used as it is")
             _show(model.record, progress)
             return stored
-    found = fit(config, seeds, any_camera=any_camera, use=use, progress=progress)
+    found = fit(config, *seeds, any_camera=any_camera, use=use, progress=progress)
     model = replace(found.model, record={**found.model.record, "command": shlex.join(words)})
     file = _write(model, use, out)
     _draw_reliability(found.scores, found.probability, found.unseen.is_detected, file.with_name(file.stem))
@@ -284,17 +272,36 @@ def fit_detector(
 
 def fit(
     config: Config,
-    seeds: FitSeeds,
+    scenes: Sequence[int] | None = None,
+    held_out: Sequence[int] | None = None,
     *,
     detector: Detector | None = None,
     ego: Mesh | None = None,
     camera: CameraModel | None = None,
     any_camera: bool = False,
     use: DetectorUse | None = None,
-    progress: Progress,
+    progress: Progress | None = None,
 ) -> Fit:
-    """Fit the detection probability of a detector; no model is written, samples are kept for its ``use``."""
-    began = time.perf_counter()
+    """Fit how probably a detector finds what a view shows, for ``Placement(..., probability=fitted.model)``.
+
+    Args:
+        config: Gives the detector (``detector.model``), the camera and the source of the scenes.
+        scenes: Seeds of the scenes to fit on; None: 50 embedded ones, of another source 3/5 of ``scenes.train_seeds``.
+        held_out: Seeds of others to evaluate the fit on; None: 30 embedded ones, or the rest.
+        detector: An object instead of ``detector.model``; ``ego``, ``camera`` likewise, the vehicle in its frame [m].
+        any_camera: Whether to fit for cameras of all sizes and fields of view.
+        use: What the fit is for, for which samples are kept; ``progress`` shows them.
+
+    Returns:
+        ``model``, a function of six features of a view; ``known`` and ``unseen``, the objects that it was fitted and
+        evaluated on, with ``feature`` [object, 6] and ``is_detected`` [object]; ``probability`` of the unseen, 0..1;
+        ``scores``: ``auc``, ``calibration_error``, ``bins``.
+
+    Raises:
+        InputError: Scenes are too few, serve two purposes or are those of the test, or the detector finds none or all.
+    """
+    began, progress = time.perf_counter(), progress or NullProgress()
+    seeds, unseen_seeds = chosen_seeds(config, scenes, held_out)
     name = config.detector.model if detector is None else type(detector).__name__
     used = load_detector(config) if detector is None else detector
     if any_camera:
@@ -303,9 +310,9 @@ def fit(
     else:
         sources = [Source.of_camera(camera or camera_model(config))]
     usual = config.replace({f"scenes.{name}": None for name in _NOT_FITTED})
-    samples = sample_scenes(usual, (*seeds.fit, *seeds.held_out), detector, ego, sources, progress, use=use)
+    samples = sample_scenes(usual, (*seeds, *unseen_seeds), detector, ego, sources, progress, use=use)
     progress.stage("fitting")
-    known, unseen = samples.of_seeds(seeds.fit), samples.of_seeds(seeds.held_out)
+    known, unseen = samples.of_seeds(seeds), samples.of_seeds(unseen_seeds)
     try:
         model, penalty = fit_probability(
             known,
@@ -325,12 +332,12 @@ def fit(
         "command": "warpav detector fit" + " --any-camera" * any_camera,
         "seconds": round(time.perf_counter() - began, 1),
         "fit": {
-            "seeds": list(seeds.fit),
+            "seeds": list(seeds),
             "views_per_scene": sum(each.count for each in sources),
             **_counts(known),
             "penalty": penalty,
         },
-        "held_out": {"seeds": list(seeds.held_out), **_counts(unseen), **asdict(scores)},
+        "held_out": {"seeds": list(unseen_seeds), **_counts(unseen), **asdict(scores)},
     }
     return Fit(replace(model, record=record), known, unseen, probability, scores)
 

@@ -241,7 +241,12 @@ def measure_rig(
     placement = Placement.from_config(config).prepare(progress)
     rig = _rig_to_measure(source, placement, progress)
     if soiled or loads:
-        _check_posed(rig, placement, "load" if soiled is None else "soiling")  # before anything takes long
+        try:  # before anything takes long
+            placement.mount_pose_of(rig)
+        except ArgumentError as error:
+            remedy = "set rig.cameras and camera.* to the rig's, or evaluate a run folder"
+            option = "load" if soiled is None else "soiling"
+            raise ArgumentError(option, f"{error.text}; {remedy}") from None
     name, *others = names
     rigs = {name: rig, **{other: _rig_to_measure(names[other], placement, progress) for other in others}}
     pairing_rig: dict[str, Rig | None] = dict(rigs)  # that of a run is the rig its search began with
@@ -278,12 +283,3 @@ def _rig_to_measure(source: str, placement: Placement, progress: Progress) -> Ri
         f"{moved.moved_m.max():.2f} m off"
     )
     return moved.rig
-
-
-def _check_posed(rig: Rig, placement: Placement, option: str) -> None:
-    try:
-        placement.mount_pose_of(rig)
-    except ArgumentError as error:
-        raise ArgumentError(
-            option, f"{error.text}; set rig.cameras and camera.* to the rig's, or evaluate a run folder"
-        ) from None

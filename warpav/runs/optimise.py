@@ -14,18 +14,19 @@ from warpav.core.errors import ArgumentError, InputError
 from warpav.core.executor import Executor
 from warpav.core.progress import Progress
 from warpav.optimisation.baselines import highest_mount_pose, random_mount_pose
-from warpav.optimisation.hand_rigs import by_hand, rig_by_hand
+from warpav.optimisation.hand_rigs import by_hand, mount_pose_by_hand
 from warpav.optimisation.objective import single_cameras_of
 from warpav.optimisation.pool import CameraPool, Drawing, pool_cache_folder
 from warpav.optimisation.pool_run import PoolRun
 from warpav.optimisation.pool_search import PoolSearchSettings, PoolTask
 from warpav.optimisation.records import IterationRecord, NotFiniteError, named_part, part_of
 from warpav.optimisation.space import SearchSpace
+from warpav.rig.presets import HAND_RIGS
 from warpav.rig.rig import Rig
 from warpav.runs._checkpoint import check_identity, identity_of
 from warpav.runs._progress import shown_progress
 from warpav.runs._result import Result
-from warpav.runs._rig_source import start_changes
+from warpav.runs._rig_source import find_rig, start_changes
 from warpav.runs.config import BY_HAND, Config
 from warpav.runs.placement import Placement, Stream
 
@@ -74,6 +75,35 @@ def optimise(
         return optimisation.result()
 
 
+def rig_by_hand(name: str, placement: Placement, *, angle_deg: float | None = None) -> Rig:
+    """A rig of a placement's cameras as an engineer would draw it by hand, in the ego frame.
+
+    Args:
+        name: ``corners``: pairs at the corners, then cameras ahead, behind, left and right; ``cross``: evenly round;
+            ``edge``: at the edge of the mount surface; ``highest``: around its highest point. ``best``: the best of
+            all that a hand would try, these with several angles, pitches and places and those of known vehicles, on
+            the scenes of the placement; a search begins with it.
+        placement: Gives number and model of the cameras, vehicle and constraints.
+        angle_deg: Of ``corners``: half the angle between the cameras of a pair [deg], 0..90; None: 44.
+
+    Raises:
+        InputError: There is no such rig, an angle that it does not have, or no place for one of its cameras.
+    """
+    if name not in (names := ("best", *HAND_RIGS)):
+        raise ArgumentError("name", f"expected one of {', '.join(names)}, got {name!r}")
+    if angle_deg is not None and not (name == "corners" and 0.0 < angle_deg < 90.0):
+        raise ArgumentError("angle_deg", f"expected 0 to 90 with corners, none with others, got {angle_deg:g}")
+    if name != "best":
+        return find_rig(name, placement.config, placement.ego, corner_deg=angle_deg)
+    if not searches_by_pool(placement):
+        placement = placement.with_config(placement.config.replace({"rig.start": BY_HAND}))
+        return placement.mount.rig(_named_start(placement, by_pool=False))
+    search = Optimisation.begin(placement).descent
+    assert isinstance(search, PoolRun)
+    search.try_by_hand()
+    return placement.mount.rig(search.hand_rigs[0].mount_pose)
+
+
 def searches_by_pool(placement: Placement) -> bool:
     """Whether the search of a placement is the one by a pool, as ``optimiser.search`` says."""
     search = placement.config.optimiser.search
@@ -113,7 +143,7 @@ def _named_start(placement: Placement, *, by_pool: bool) -> np.ndarray:
             first = "corners" if count >= 4 else "cross"
             if name == "highest":
                 return highest_mount_pose(constraints, placement.objective.camera_count)
-            return rig_by_hand(first if name == BY_HAND else name, mount, constraints, count)
+            return mount_pose_by_hand(first if name == BY_HAND else name, mount, constraints, count)
     rng = placement.random_numbers(Stream.START)
     return random_mount_pose(constraints, placement.segregation.yaw_rad, rng=rng)
 

@@ -42,9 +42,6 @@ _BONNET_SHARE = 0.8
 _LEAST_PANE_M2 = 0.1
 """Less of a windscreen is its curved upper edge."""
 
-_ZONE_NORMALS = (0.92, 0.94, 0.95, 0.96, 0.97, 0.98)
-"""Values of mount.min_zone_normal that may leave out a windscreen: slopes of 23 to 11 degrees."""
-
 
 @dataclass(frozen=True)
 class _VehicleReport:
@@ -117,7 +114,7 @@ def check_vehicle(
         problems.append(VehicleProblem(f"mount surface: {str(error).removeprefix('ego mesh: ')}", None))
     lines += _shape_lines(shown)
     if surface is not None:
-        lines += _mount_lines(surface, shown.corrected, config)
+        lines += _mount_lines(surface, shown.corrected)
     lines += [f"  {'note':9} {hint}" for hint in dict.fromkeys((*found.hints, *shown.hints))]
     is_as_read = reading == file.usual and rear_axle_m is None
     needs_writing = not is_as_read or bool(found.problems)
@@ -214,7 +211,7 @@ def _shape_lines(found: Examination) -> Iterator[str]:
     yield _row("wheels", f"axles at x = {axles} m of the file; the origin belongs below the rear one, as --out has it")
 
 
-def _mount_lines(surface: MountSurface, vehicle: Mesh, config: Config) -> Iterator[str]:
+def _mount_lines(surface: MountSurface, vehicle: Mesh) -> Iterator[str]:
     panes = {pane.name: pane.outline_m for pane in parts_of(vehicle).panes}
     x_m = np.asarray(panes.get("windscreen", np.full((1, 3), np.inf)))[:, 0]
     pane_x_m = float(x_m.min()), float(x_m.max())
@@ -226,34 +223,9 @@ def _mount_lines(surface: MountSurface, vehicle: Mesh, config: Config) -> Iterat
     if "bonnet" not in names:
         yield _row("", "no bonnet was found: a van, a bus, or a bonnet steeper than mount.min_zone_normal allows")
     if "windscreen" in names:
-        normal = _normal_without_windscreen(parts, vehicle, config, pane_x_m)
-        option = "no mount.min_zone_normal" if normal is None else f"mount.min_zone_normal={normal:g}"
-        yield _row("", f"the windscreen is flat enough to carry cameras; {option} leaves it out")
+        yield _row("", "the windscreen is flat enough to carry cameras; warpav vehicle zones leaves it out")
     x, y, z = surface.highest_point_m()
     yield _row("highest", f"{z:.2f} m, at x {x:.2f}, y {y:.2f}")
-
-
-def _normal_without_windscreen(
-    parts: Sequence[_ZonePart], vehicle: Mesh, config: Config, pane_x_m: Sequence[float]
-) -> float | None:
-    """The least ``mount.min_zone_normal`` of those tried that keeps the bonnet and not the windscreen; None: none."""
-
-    def area_m2(parts: Sequence[_ZonePart], *names: str) -> float:
-        return sum(part.area_m2 for part in parts if part.name in names)
-
-    for normal in _ZONE_NORMALS:
-        if normal <= config.mount.min_zone_normal:
-            continue
-        try:
-            changed = config.replace({"mount.min_zone_normal": normal})
-            kept = _zone_parts(mount_surface(changed, vehicle), vehicle, pane_x_m)
-        except InputError:  # nothing is left
-            return None
-        roof, bonnet = (area_m2(kept, name) / area_m2(parts, name) for name in ("roof", "bonnet"))
-        # its upper and lower ends are parts of neither
-        if not area_m2(kept, "windscreen", "front") and roof < 1.05 and 0.5 < bonnet < 1.15:
-            return normal
-    return None
 
 
 def _row(name: str, text: str) -> str:

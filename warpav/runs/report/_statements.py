@@ -232,7 +232,7 @@ def summary(run: RunContent) -> list[Statement]:
     """The run in a few statements, the most important first."""
     found: list[Statement | None] = []
     if run.evaluation is not None:
-        found += [_why(run, run.evaluation), _simpler(run.evaluation), _objective(run, run.evaluation)]
+        found += [why(run, run.evaluation), _simpler(run.evaluation), _objective(run, run.evaluation)]
     is_by_hand = run.evaluation is not None and run.evaluation.start == "by_hand"  # another rig, not one that moved
     found += [_bound(run), None if is_by_hand else _moves(run)]
     if run.evaluation is not None:
@@ -272,7 +272,7 @@ _UNSEEN_THERE = {
 }
 
 
-def _why(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
+def why(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
     """What the first rig finds and loses against its start, in terms of road users, seams and heights."""
     first, start = evaluation.first, evaluation.start
     if evaluation.outcomes is None or start not in evaluation.arms or first == start:
