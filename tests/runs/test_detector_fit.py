@@ -326,7 +326,7 @@ class PlainObject:
 def test_a_detector_object_that_tells_its_scale_is_fitted_once(monkeypatch):
     fitted = []
 
-    def fit(config, seeds, *, any_camera=False, camera=None, **_):
+    def fit(config, *, any_camera=False, camera=None, **_):
         fitted.append((any_camera, camera))
         return SimpleNamespace(model=DetectionProbability.unfitted())
 
