@@ -77,7 +77,7 @@ def test_the_ten_lines_run_as_printed(tmp_path, monkeypatch, capsys):
     names = {"SMALL": load_config(wa.Config(), SMALL, origin=None)}
     exec(program, names)
     result, out = names["result"], capsys.readouterr().out
-    assert "recall of the rig" in out
+    assert "missed per 100, equal false alarms" in out
     assert (tmp_path / "rig.png").stat().st_size > 10_000
     assert any((tmp_path / "sensor_kit").iterdir())
     run = wa.read_run("runs/mine")

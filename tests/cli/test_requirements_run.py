@@ -35,9 +35,9 @@ def test_a_run_sees_more_of_what_it_has_to_see(working_directory, capsys):
     )
     page = (working_directory / "near" / "report.html").read_text(encoding="utf-8")
     assert "Seen near the vehicle" in page
-    assert "Requirements near the vehicle" in page
-    assert "of expected misses and points of the requirements together, below" in page
-    assert "is expected to miss less than" not in page  # that is not what the bound is over
+    assert "points met near the vehicle" in page
+    assert "expected misses and unmet points near the vehicle together" in page
+    assert "is expected to miss fewer than" not in page  # that is not what the bound is over
     assert main(["optimise", *POOL, "requirements=null", "run.out=plain"]) == 0
     capsys.readouterr()
     assert main(["rig", "requirements", "plain", "--requirements", "near/requirements.yaml", "--json", "out.json"]) == 0

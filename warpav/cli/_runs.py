@@ -73,15 +73,14 @@ def optimise(
         )
         from warpav.runs import worse_than_start
         from warpav.runs.jobs import optimise_rig, resume_rig  # a second of imports, after the first line
-        from warpav.runs.report.tables import show_everything, show_run
+        from warpav.runs.report.tables import next_commands, show_everything, show_run
 
         if folder is None:
             folder, run = optimise_rig(settings, name=find_config(config).stem, progress=display)
         else:
             _, run = resume_rig(folder, settings, progress=display)
         (show_everything if verbose else show_run)(display.console, run)
-        easier = settings.scenes.source == "town" and settings.scenes.level == "easy"
-        say(f"next: warpav view {folder.path}" + (" | warpav optimise scenes.level=dense" if easier else ""))
+        say(f"next: {' | '.join(next_commands(run, str(folder.path)))}")
         say(f"report: {folder.path / 'report.html'}")
     for text in worse_than_start(run.evaluation) if run.evaluation else ():
         complain(f"warning: WORSE THAN ITS START: {text}")

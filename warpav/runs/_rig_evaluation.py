@@ -33,33 +33,22 @@ if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingImports]
 
 TABLE_ROWS = {
-    "misses_at_equal_false_alarms": "missed per 100 at equal false alarms",
-    "weighted_misses_per_100": "the same, weighted",
-    "attainable_misses_per_100": "the same, of what any camera could see",
-    "attainable_rate": "share that any camera could see",
-    "objective": "objective",
-    "log_average_miss_rate": "log-average miss rate",
-    "ap50_rig": "AP50 of the rig",
-    "misses_per_100": "missed per 100 at the detector's threshold",
-    "false_alarms_per_frame": "false alarms an image there",
-    "visible_rate": "visible to the rig",
-    "rig_recall_visible": "recall of the visible",
-    "redundant_rate": f"seen by {REDUNDANT_CAMERAS} cameras within {REDUNDANT_WITHIN_M:g} m",
-    "map50_average": "AP50, mean of the cameras",
-    "map50_min_camera": "AP50, worst camera",
-    "map50_max_camera": "AP50, best camera",
-    "ap50_pooled": "AP50, image by image",
-    "ap50_small": "AP50, up to 32 x 32 px",
-    "ap50_medium": "AP50, to 96 x 96 px",
-    "ap50_large": "AP50, larger",
-    "ap50_95_pooled": "AP50:95, all images",
-    "tp_in_frame_rate": "in an image",
-    "detection_confidence": "confidence",
-    "constraint_violation": "violation [m]",
-    "min_camera_distance_m": "closest cameras [m]",
-    "body_share_max": "own body, largest share",
+    "misses_at_equal_false_alarms": ("missed per 100, equal false alarms", 1.0, 1),
+    "weighted_misses_per_100": ("the same, weighted", 1.0, 1),
+    "attainable_misses_per_100": ("the same, of what any camera could see", 1.0, 1),
+    "objective": ("objective", 1.0, 4),
+    "log_average_miss_rate": ("log-average miss rate [%]", 100.0, 1),
+    "ap50_rig": ("AP50 of the rig [%]", 100.0, 1),
+    "ap50_pooled": ("AP50, image by image [%]", 100.0, 1),
+    "map50_average": ("AP50, mean of the cameras [%]", 100.0, 1),
+    "misses_per_100": ("missed per 100, detector's threshold", 1.0, 1),
+    "false_alarms_per_frame": ("false alarms an image, detector's threshold", 1.0, 2),
+    "visible_rate": ("visible to a camera [%]", 100.0, 1),
+    "redundant_rate": (f"of those within {REDUNDANT_WITHIN_M:g} m, to {REDUNDANT_CAMERAS} cameras [%]", 100.0, 1),
+    "body_share_max": ("own body, largest share of an image [%]", 100.0, 0),
+    "min_camera_distance_m": ("closest cameras [m]", 1.0, 2),
 }
-"""Metrics that every table shows, and their headings; those of `OPTIONAL_METRICS` where they are known."""
+"""Metrics that every table shows: heading, factor and decimals; those of `OPTIONAL_METRICS` where they are known."""
 
 LOWER_IS_BETTER = frozenset(
     (
@@ -399,10 +388,7 @@ class RigEvaluation(_Part):
         return paired_difference(first.per_scene[metric], second.per_scene[metric], weight=weight)
 
     def table(self) -> Table:
-        """Metrics by rig: text when printed, HTML in a notebook.
-
-        The recalls pool the objects of all scenes; `difference` is a mean over scenes.
-        """
+        """Metrics by rig: text when printed, HTML in a notebook."""
         outcomes = list(self.met.values())
         rows = [
             (f"points met: {each.name}", *(of_rig[k].text for of_rig in outcomes))
@@ -413,16 +399,15 @@ class RigEvaluation(_Part):
 
     def metric_table(self) -> Table:
         """The metrics of `TABLE_ROWS` that are known of some rig."""
-        known = {name: [getattr(arm, name) for arm in self.arms.values()] for name in TABLE_ROWS}
         rows = [
-            (TABLE_ROWS[name], *map(_cell, values))
-            for name, values in known.items()
-            if any(each is not None for each in values)
+            (heading, *(_cell(getattr(arm, name), factor, digits) for arm in self.arms.values()))
+            for name, (heading, factor, digits) in TABLE_ROWS.items()
+            if any(getattr(arm, name) is not None for arm in self.arms.values())
         ]
         return Table((f"{self.scene_count} test scenes", *self.arms), tuple(rows))
 
-    def recall_table(self) -> Table | None:
-        """Recall by road user, distance, sector and class; None where it is not known of all rigs.
+    def group_table(self) -> Table | None:
+        """Misses at equal false alarms by road user, distance, sector and class; None where not known of all rigs.
 
         Groups without objects, and road users where there is only one kind of them, are left out.
         """
@@ -432,12 +417,12 @@ class RigEvaluation(_Part):
         rows: list[tuple[str, ...]] = []
         for by, unit in _RECALL_GROUPS.items():
             block = [
-                (f"{name}{unit}", str(group.objects), *(f"{table[by][name].recall:.3f}" for table in tables))
+                (f"{name}{unit}", str(group.objects), *(_missed(table[by][name].recall) for table in tables))
                 for name, group in tables[0].get(by, {}).items()
                 if group.objects
             ]
             rows += block if len(block) > (by == "road_user") else []
-        return Table(("recall of the rig", "objects", *self.arms), tuple(rows)) if rows else None
+        return Table(("missed per 100", "objects", *self.arms), tuple(rows)) if rows else None
 
     def requirement_table(self) -> Table | None:
         """What every rig meets of what has to be seen near the vehicle; None where nothing has to."""
@@ -500,8 +485,12 @@ class RigEvaluation(_Part):
         return self.table()._repr_html_()
 
 
-def _cell(value: float | None) -> str:
-    return "-" if value is None or not math.isfinite(value) else f"{value:z.4f}"
+def _cell(value: float | None, factor: float = 1.0, digits: int = 1) -> str:
+    return "-" if value is None or not math.isfinite(value) else f"{factor * value:z.{digits}f}"
+
+
+def _missed(recall: float | None) -> str:
+    return _cell(1.0 - (recall or 0.0), 100.0, 0)
 
 
 def seen_objects(

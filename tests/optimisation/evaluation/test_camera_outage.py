@@ -168,9 +168,9 @@ def evaluation_of(weighted=False):
 def test_outages_are_a_table_and_part_of_the_file():
     found = evaluation_of()
     assert [line.split() for line in str(found.outage_table()).splitlines()[2:]] == [
-        ["no", "camera", "30.00"],
-        ["left", "55.00", "+25.00"],
-        ["right", "(worst)", "75.00", "+45.00"],
+        ["no", "camera", "30.0"],
+        ["left", "55.0", "+25.0"],
+        ["right", "(worst)", "75.0", "+45.0"],
     ]
     assert found.to_json()["camera_outage"]["a"] == {
         "expected_misses_per_100": pytest.approx(30.0),

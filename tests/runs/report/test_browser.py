@@ -56,10 +56,9 @@ def test_links_and_wide_tables_are_reached_by_keyboard(browser, report):
     broken = """[...document.querySelectorAll('a[href^="#"]')].filter(
         each => !document.getElementById(each.getAttribute('href').slice(1))).length"""
     assert browser.evaluate(broken) == 0
-    for key in range(2):
-        browser.ask("Input.dispatchKeyEvent", type="keyDown", key="Tab", windowsVirtualKeyCode=9)
-        browser.ask("Input.dispatchKeyEvent", type="keyUp", key="Tab", windowsVirtualKeyCode=9)
-        assert browser.evaluate("document.activeElement.getAttribute('href')") == ["#summary", "#summary"][key]
+    browser.ask("Input.dispatchKeyEvent", type="keyDown", key="Tab", windowsVirtualKeyCode=9)
+    browser.ask("Input.dispatchKeyEvent", type="keyUp", key="Tab", windowsVirtualKeyCode=9)
+    assert browser.evaluate("document.activeElement.getAttribute('href')") == "#built"
 
 
 def test_the_page_is_dark_where_that_is_wanted(browser, report):

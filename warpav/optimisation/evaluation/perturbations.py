@@ -138,11 +138,11 @@ class CameraOutages:
         if self.weighted_expected_misses_per_100 is not None:
             names += [f"weighted_{name}" for name in names]
             columns += [f"weighted {column}" for column in columns]
-        whole = ("no camera", *("" if "difference" in name else f"{getattr(self, name):.2f}" for name in names))
+        whole = ("no camera", *("" if "difference" in name else f"{getattr(self, name):.1f}" for name in names))
         rows = [
             (
                 each.camera + (" (worst)" if each.camera == self.worst.camera else ""),
-                *(f"{getattr(each, name):{'+' if 'difference' in name else ''}z.2f}" for name in names),
+                *(f"{getattr(each, name):{'+' if 'difference' in name else ''}z.1f}" for name in names),
             )
             for each in self.cameras
         ]

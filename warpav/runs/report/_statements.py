@@ -11,12 +11,13 @@ from typing import Literal
 import numpy as np
 
 from warpav.core.frames import wrap_angle_rad
+from warpav.core.table import Table
 from warpav.optimisation.constraints import Margin
 from warpav.optimisation.evaluation.metrics import REDUNDANT_WITHIN_M, ObjectOutcome
 from warpav.optimisation.evaluation.statistics import Difference
 from warpav.optimisation.mount_errors import ANGLES
 from warpav.rig.rig import Rig
-from warpav.runs._rig_evaluation import RigEvaluation, Robust
+from warpav.runs._rig_evaluation import LOWER_IS_BETTER, TABLE_ROWS, RigEvaluation, Robust
 from warpav.runs.report._content import RunContent
 from warpav.sight.requirement import SECTORS
 from warpav.sight.rules import RuleMargin
@@ -31,6 +32,7 @@ _MIN_SCENES = 6
 _FEW_SCENES = 30
 _FAR_PER_100 = 5.0  # detected misses that exceed the expected ones by so many, and twofold, are warned of
 _EASY_PER_100 = 2.0  # misses below which scenes do not tell rigs apart
+_MORE_BLIND = 0.05  # share by which a part of the near ground is worse, so that it is told
 _HIDING_BODY = 0.5  # share of an image from which on the own body is named as why a rig detects nothing
 _BASELINES = {
     "optimised": "the rig that was found",
@@ -135,11 +137,11 @@ def headline(run: RunContent) -> Statement:
     first, other = evaluation.first, compared_with(evaluation)
     if missed[first] is None:
         return Statement("", f"No {objects_name(run, 1)} in {_counted(evaluation.scene_count, 'test scene')}.", "bad")
-    unseen = " that no search has seen" if evaluation.training_objective is not None else ""
+    unseen = "unseen scene" if evaluation.training_objective is not None else "scene"
     rate = 0.5 if run.config is None else run.config.evaluation.false_alarms_per_image
     text = (
-        f"In {_counted(evaluation.scene_count, 'scene')}{unseen}, {_arm(first)} misses {number(missed[first], 1)} of "
-        f"100 {objects} at {rate:g} false alarms an image"
+        f"In {_counted(evaluation.scene_count, unseen)} {_arm(first)} misses {number(missed[first], 1)} of 100 "
+        f"{objects} at {rate:g} false alarms an image"
     )
     tone: _Tone = "open"
     found = None if other is None else evaluation.paired.get(other, {}).get("misses_at_equal_false_alarms")
@@ -147,13 +149,12 @@ def headline(run: RunContent) -> Statement:
         tone = tone_of(found, lower_is_better=True)
         text += f", {_arm(other)} {number(missed[other], 1)}: a difference of {interval(found, digits=1)}"
         if found.low is None or found.scenes < _MIN_SCENES:
-            text += f"; {_few(found.scenes)} too few to tell them apart"
-        elif tone == "open":
-            text += ", which these scenes cannot tell from none"
-    text = f"{text}."
+            text += f"; {_counted(found.scenes, 'scene')} cannot tell them apart"
+        else:
+            text += f"; the 95{SPACE}% interval {'includes' if tone == 'open' else 'excludes'} 0"
     if _is_worse_than_start(evaluation):
-        return Statement("", f"Worse than its start, so the rig of this run is the start. {text}", "bad")
-    return Statement("", text, tone)
+        return Statement("", f"Worse than its start, so the rig of this run is the start. {text}.", "bad")
+    return Statement("", f"{text}.", tone)
 
 
 def compared_with(evaluation: RigEvaluation) -> str | None:
@@ -163,14 +164,50 @@ def compared_with(evaluation: RigEvaluation) -> str | None:
     return next((name for name in evaluation.arms if name != evaluation.first), None)
 
 
+def metric_rows(run: RunContent, names: Iterable[str] = TABLE_ROWS) -> dict[str, tuple[str, float, int]]:
+    """The rows of `TABLE_ROWS` that are known of the first rig; a search's objective is its expected misses."""
+    evaluation = run.evaluation
+    if evaluation is None:
+        return {}
+    rows = {name: TABLE_ROWS[name] for name in names if getattr(evaluation.best, name) is not None}
+    if "objective" in rows and run.certificate is not None and evaluation.robust is None:
+        is_weighted = evaluation.best.weighted_misses_per_100 is not None
+        rows["objective"] = "expected misses per 100" + (", weighted" if is_weighted else ""), 100.0, 1
+    return rows
+
+
 def cautions(run: RunContent) -> list[Statement]:
     """What a reader should know before he builds on the rig, the gravest first."""
     evaluation = run.evaluation
     if evaluation is None:
         return []
-    found = [*warnings(evaluation), _broken_rules(evaluation), _unexpected(evaluation), _told_apart(run, evaluation)]
-    found += [_false_alarms(run, evaluation), _caution(evaluation), _pitch_limits(run)]
+    found = [*warnings(evaluation), _broken_rules(evaluation), _unexpected(evaluation), _worse(run, evaluation)]
+    found += [_told_apart(run, evaluation), _false_alarms(run, evaluation), _caution(evaluation), _pitch_limits(run)]
     return [each for each in found if each is not None]
+
+
+def _worse(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
+    """In what the first rig is worse than others, where the interval excludes 0, or which ground is."""
+    other, first, parts = compared_with(evaluation), evaluation.first, []
+    for name, differences in evaluation.paired.items():
+        rows = metric_rows(run, TABLE_ROWS if name == other else ("misses_at_equal_false_alarms",))
+        for metric, (heading, factor, digits) in rows.items():
+            found = differences.get(metric)
+            if found is not None and tone_of(found, lower_is_better=metric in LOWER_IS_BETTER) == "bad":
+                after, before = (getattr(evaluation.arms[each], metric) * factor for each in (first, name))
+                parts.append(f"{heading} {number(after, digits)} ({heading_of(name)} {number(before, digits)})")
+    ground = evaluation.ground
+    if ground is not None and other in ground.blind:
+        more, sector, band = max(
+            ((ground.share(first, 0, k, band) or 0.0) - (ground.share(other, 0, k, band) or 0.0), k, band)
+            for k, _ in enumerate(ground.sectors)
+            for band, _ in enumerate(ground.bands_m[:2])
+        )
+        if more > _MORE_BLIND:
+            after, before = (percent(ground.share(name, 0, sector, band), 0) for name in (first, other))
+            place = f"{ground.sectors[sector]}, {ground.bands_m[band].replace('-', ' to ')}{SPACE}m"
+            parts.append(f"ground {place}, blind for a child on {after} ({heading_of(other)} {before})")
+    return Statement("Worse", f"{'; '.join(parts)}.", "bad") if parts else None
 
 
 def _unexpected(evaluation: RigEvaluation) -> Statement | None:
@@ -237,17 +274,15 @@ def summary(run: RunContent) -> list[Statement]:
     found += [_bound(run), None if is_by_hand else _moves(run)]
     if run.evaluation is not None:
         found += [_left(run, run.evaluation), _requirements(run.evaluation)]
-        found += [_ground(run.evaluation), _constraints(run.evaluation), _rules(run.evaluation), _pitch_limits(run)]
+        found += [_ground(run.evaluation), _rules(run.evaluation), _constraints(run.evaluation)]
     found.append(_end(run))
-    if run.evaluation is not None:
-        found.append(_caution(run.evaluation))
     if run.config_mistake:
         text = f"It cannot be used here, and what follows from it is left out: {run.config_mistake}"
         found.append(Statement("Configuration", text))
     return [statement for statement in found if statement is not None]
 
 
-def moves(start: Rig, result: Rig) -> list[tuple[str, float, float]]:
+def _moves_of(start: Rig, result: Rig) -> list[tuple[str, float, float]]:
     """How far every camera has moved: its name, the distance [m] and the turn in yaw [deg], left positive."""
     return [
         (
@@ -265,13 +300,6 @@ def objects_name(run: RunContent, count: int = 2) -> str:
     return ("vehicle" if is_vehicles else "road user") + ("" if count == 1 else "s")
 
 
-_UNSEEN_THERE = {
-    ObjectOutcome.OUT_OF_FRAME: "in no image there",
-    ObjectOutcome.HIDDEN: "hidden there",
-    ObjectOutcome.MISSED: "seen but missed there",
-}
-
-
 def why(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
     """What the first rig finds and loses against its start, in terms of road users, seams and heights."""
     first, start = evaluation.first, evaluation.start
@@ -281,33 +309,29 @@ def why(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
         name: np.array([seen.outcome[name] == ObjectOutcome.DETECTED for seen in evaluation.outcomes])
         for name in (first, start)
     }
-    parts = []
-    for verb, one, other in (("finds", first, start), ("loses", start, first)):
+    parts, objects = [], objects_name(run)
+    for verb, one, other, where in (("It finds", first, start, "there"), ("It loses", start, first, "here")):
         gained = [evaluation.outcomes[k] for k in np.flatnonzero(is_found[one] & ~is_found[other])]
-        text = f"{verb} {_counted(len(gained), objects_name(run, 1))}" + (" more" if verb == "finds" else "")
-        reasons = Counter(seen.outcome[other] for seen in gained)
-        told = [f"{reasons[each]} {words}" for each, words in _UNSEEN_THERE.items() if reasons[each]]
-        if verb == "loses":
-            told = [each.replace(" there", " now") for each in told]
-        sectors = Counter(SECTORS[round(seen.bearing_deg / 45.0) % len(SECTORS)] for seen in gained)
+        text = f"{verb} {_counted(len(gained), objects_name(run, 1))} that {_arm(start)} "
+        text += "does not detect" if other == start else "detects"
         if gained:
+            reasons = Counter(seen.outcome[other] for seen in gained)
+            sectors = Counter(SECTORS[round(seen.bearing_deg / 45.0) % len(SECTORS)] for seen in gained)
             near_m, far_m = (pick(seen.distance_m for seen in gained) for pick in (min, max))
-            most = [f"{name} {count}" for name, count in sectors.most_common(3)]
-            text += f" ({', '.join(told)}; {', '.join(most)}; {near_m:.0f} to {far_m:.0f} m away)"
-        parts.append(text)
-    text = f"Against {_arm(start)} it {_listed(parts)}."
-    margins = {name: {each.rule: each for each in (evaluation.rules or {}).get(name, ())} for name in (first, start)}
-    gaps = [margins[name]["azimuth_gap"].value for name in (first, start) if "azimuth_gap" in margins[name]]
-    if len(gaps) == len(margins):
-        text += f" Its widest gap of directions is {gaps[0]:.0f} degrees ({gaps[1]:.0f})."
+            sides = ", ".join(f"{name} {count}" for name, count in sectors.most_common(3))
+            why = ", ".join(f"{count} {each}" for each, count in reasons.most_common())
+            text += f" ({sides}; {near_m:.0f} to {far_m:.0f}{SPACE}m; {where} {why})"
+        parts.append(f"{text}.")
+    text = " ".join(parts)
     shares = [evaluation.arms[name].redundant_rate for name in (first, start)]
     if None not in shares:
-        near = f"within {REDUNDANT_WITHIN_M:g}{SPACE}m"
-        text += f" Two cameras see {percent(shares[0], 0)} of those {near} ({percent(shares[1], 0)})."
+        text += f" Two cameras see {percent(shares[0], 0)} of the {objects} within {REDUNDANT_WITHIN_M:g}{SPACE}m"
+        text += f" ({heading_of(start)} {percent(shares[1], 0)})."
     if run.start is not None and run.result is not None:
         heights = [[camera.position_m[2] for camera in rig.cameras] for rig in (run.result, run.start)]
         low, high = ([pick(each) for each in heights] for pick in (min, max))
-        text += f" Its cameras stand {low[0]:.2f} to {high[0]:.2f}{SPACE}m high ({low[1]:.2f} to {high[1]:.2f})."
+        text += f" Its cameras stand {low[0]:.2f} to {high[0]:.2f}{SPACE}m high ({heading_of(start)} {low[1]:.2f} to "
+        text += f"{high[1]:.2f})."
     return Statement("Why", text)
 
 
@@ -316,17 +340,15 @@ def _simpler(evaluation: RigEvaluation) -> Statement | None:
     known, training = evaluation.simpler, evaluation.training_objective
     if known is None or training is None or training.optimised is None:
         return None
-    count = sum(map(len, known.by_hand.values()))
     parts = [f"{_listed(numbers)} of {camera}" for camera, numbers in known.by_hand.items()]
     text = (
-        f"Of its {known.differing} differences to the best rig by hand {count} may be left out: {_listed(parts)} as "
-        f"by hand, objective {number(known.objective, 4)} instead of {number(training.optimised, 4)} "
-        "(rig_simpler.yaml)."
+        f"{_listed(parts)} may stay as by hand, {sum(map(len, known.by_hand.values()))} of {known.differing} "
+        f"differences: objective {number(known.objective, 4)}, not {number(training.optimised, 4)} (rig_simpler.yaml)."
     )
     return Statement("Simpler", text)
 
 
-def search_scenes(run: RunContent) -> str:
+def _search_scenes(run: RunContent) -> str:
     """The scenes on which a run compares its rigs before it ends."""
     validation = run.config is not None and bool(run.config.scenes.validation_seeds)
     if run.certificate is not None:
@@ -343,26 +365,15 @@ def _objective(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
         unmet = [each.name for each in outcomes if each.hard and not each.is_met]
         reason = f", as it does not meet {_listed(unmet)}" if unmet else ""
         return Statement("Objective", f"{number(training.optimised, 4)} at the end; the start is not allowed{reason}.")
-    search = "descent" if run.certificate is None else "search"
-    text = f"What the {search} lowers {_change(training.start, training.optimised)} on the {search_scenes(run)} scenes"
+    change = _change(training.start, training.optimised)
+    text = f"On the {_search_scenes(run)} scenes it {change}"
     if evaluation.robust is not None:
         return Statement("Objective", f"{text}: {_robust_text(evaluation.robust)}.")
-    if _counts_points(run):
-        text += ", expected misses and points of the requirements that are not met together"
+    text += ": expected misses and unmet points near the vehicle together" if _counts_points(run) else ""
     broken = sum(not margin.is_kept for margin in (evaluation.rules or {}).get(evaluation.start, ()))
     if broken:
-        rules = "a rule" if broken == 1 else f"{broken} rules"
-        text += f" ({_arm(evaluation.start)} breaks {rules} that the other keeps)"
-    before = evaluation.arms[evaluation.start].objective if evaluation.start in evaluation.arms else None
-    after = evaluation.best.objective
-    if before is None or after is None:
-        return Statement("Objective", f"{text}.")
-    what = "what is expected to be missed" if _counts_points(run) else "it"
-    text += f"; on the test scenes {what} {_change(before, after)}"
-    found = evaluation.paired.get(evaluation.start, {}).get("objective")
-    if found is not None and found.low is not None:
-        text += f", a difference of {interval(found)}"
-    return Statement("Objective", f"{text}.", "open" if found is None else tone_of(found, lower_is_better=True))
+        text += f"; {_arm(evaluation.start)} breaks {_counted(broken, 'rule')}"
+    return Statement("Objective", f"{text}.")
 
 
 def _robust_text(robust: Robust) -> str:
@@ -406,43 +417,28 @@ def _bound(run: RunContent) -> Statement | None:
     found = run.certificate
     if found is None:
         return None
-    evaluation = run.evaluation
-    robust = None if evaluation is None else evaluation.robust
-    scenes = "the scenes" if found.scenes is None else f"the {_counted(found.scenes, 'scene')}"
-    text = f"On {scenes} of the search no rig of the pool's {found.pool_cameras} cameras"
-    bound, reached = number(found.bound, 4), f"the rig that was found has {number(found.objective, 4)}"
-    covers = " The bound covers the rendered candidates and the scenes of the search only."
-    if robust is not None and robust.camera_loss is None:
-        errors = f"an objective, which counts the errors of mounting of {_mount_errors(robust)} that were drawn,"
-        return Statement("Bound", f"{text} has {errors} below {bound}; {reached}.{covers}")
-    if robust is not None:
-        text += f" has a robust objective below {bound}, which is not tight; {reached}.{covers}"
-        return Statement("Bound", text)
-    if _counts_points(run):
-        what = "an objective, of expected misses and points of the requirements together,"
-        return Statement("Bound", f"{text} has {what} below {bound}; {reached}.{covers}")
-    beyond = "more" if found.gap >= 0.0 else "less, as its cameras were polished to where the pool has none"
-    text += (
-        f" is expected to miss less than {percent(found.bound, 2)} of the {objects_name(run)}; the rig that was found "
-        f"misses {percent(found.objective, 2)}, {number(100.0 * abs(found.gap), 2)} points {beyond}."
+    robust = None if run.evaluation is None else run.evaluation.robust
+    config = run.config
+    has_rules = config.keeps_rules if config is not None else bool(run.evaluation and run.evaluation.rules)
+    if robust is not None or _counts_points(run):
+        bound, reached = f"has an objective below {number(found.bound, 4)}", number(found.objective, 4)
+    else:
+        bound = f"is expected to miss fewer than {number(100.0 * found.bound, 2)} of 100 {objects_name(run)}"
+        reached = number(100.0 * found.objective, 2)
+    text = (
+        f"Proven: no rig of the {found.pool_cameras} rendered candidate cameras{' that keeps the rules' * has_rules} "
+        f"{bound}, by the fitted probability of detection, on the "
+        f"{'scenes' if found.scenes is None else _counted(found.scenes, 'scene')} of the search. The rig has {reached}"
     )
-    before = found.bounds[:-1]
-    if before:
-        text += (
-            f" As the pool grew from {before[0].pool_cameras} to {found.pool_cameras} cameras, the bound moved from "
-            f"{percent(before[0].bound, 2)} to {percent(found.bound, 2)}, in the last round by "
-            f"{number(100.0 * abs(found.bound - before[-1].bound), 2)} points."
-        )
-    unseen = None if evaluation is None else evaluation.best.objective
-    if unseen is not None:
-        covers += f" On the test scenes the rig is expected to miss {percent(unseen, 2)}."
-    return Statement("Bound", f"{text}{covers}")
+    text += ", below it, as its cameras were moved between the candidates." if found.gap < 0.0 else "."
+    loose = " This bound is loose." if robust is not None and robust.camera_loss is not None else ""
+    return Statement("Bound", f"{text}{loose} Of other poses and scenes it says nothing.")
 
 
 def _moves(run: RunContent) -> Statement | None:
     if run.start is None or run.result is None or len(run.start.cameras) != len(run.result.cameras):
         return None
-    found = moves(run.start, run.result)
+    found = _moves_of(run.start, run.result)
     moved = [each for each in found if each[1] >= _WORTH_NAMING_M or abs(each[2]) >= _WORTH_NAMING_DEG]
     if not moved:
         return Statement("What moved", "Nothing: the rig is the one at the start.")
@@ -505,27 +501,20 @@ def _requirements(evaluation: RigEvaluation) -> Statement | None:
 
 
 def _ground(evaluation: RigEvaluation) -> Statement | None:
-    ground = evaluation.ground
+    ground, first = evaluation.ground, evaluation.first
     if ground is None:
         return None
-    first = evaluation.first
     parts = []
     for height, height_m in enumerate(ground.heights_m):
-        others = [f"{name} {percent(ground.share(name, height))}" for name in ground.blind if name != first]
-        text = f"{percent(ground.share(first, height))} of the ground for someone {height_m:g} m tall"
+        others = [
+            f"{heading_of(name)} {percent(ground.share(name, height), 0)}" for name in ground.blind if name != first
+        ]
+        text = f"someone {height_m:g}{SPACE}m tall on {percent(ground.share(first, height), 0)} of the ground"
         parts.append(text + (f" ({', '.join(others)})" if others else ""))
-    text = f"Within {ground.radius_m:g} m no camera sees {_listed(parts)}."
-    before, after = (
-        ground.share(evaluation.start, 0) if evaluation.start in ground.blind else None,
-        ground.share(first, 0),
-    )
-    if before is not None and after is not None and after > before + 0.005:
-        what = "points of the requirements, not all the ground" if evaluation.met else "traffic, not ground"
-        text += f" That is more than at the start: the objective counts {what}."
+    text = f"Within {ground.radius_m:g}{SPACE}m of the vehicle no camera sees {_listed(parts)}."
     share, sector, band = ground.worst_near(first)
     if share > 0.0:
-        where = f"in the sector {sector}, {band.replace('-', ' to ')} m from its centre"
-        text += f" Near the vehicle it is worst {where}: no camera sees a child on {percent(share, 0)} of it."
+        text += f" Worst nearby: {sector}, {band.replace('-', ' to ')}{SPACE}m from its middle, {percent(share, 0)}."
     return Statement("Blind ground", text, "bad" if share > 0.5 else "open")
 
 
@@ -548,48 +537,55 @@ def _constraints(evaluation: RigEvaluation) -> Statement | None:
     return Statement("Constraints", text, "good")
 
 
-_RULE_WORDS = {
-    "own_body": ("the own body fills {value:.0%} of the image of {camera}", "at most {limit:.0%}"),
-    "horizon": ("the horizon of {camera} is {value:.0%} of the image's height below its top", "at least {limit:.0%}"),
-    "crossing": ("{camera} looks {value:.0f} degrees away from straight across the vehicle", "at least {limit:.0f}"),
-    "housing": ("the housing of another camera fills {value:.1%} of the image of {camera}", "at most {limit:.1%}"),
-    "azimuth_gap": ("at 15 m a gap of {value:.0f} degrees is in no image", "at most {limit:.0f}"),
-    "near_ground": ("the ground is seen all round from {value:g} m off the body on", "at most {limit:g}"),
+_RULES = {
+    "own_body": ("own body in the image", "at most", "{:.0%}"),
+    "horizon": ("horizon below the top edge of the image", "at least", "{:.0%}"),
+    "crossing": ("angle to the line across the vehicle", "at least", "{:.0f}°"),
+    "housing": ("another camera's housing in the image", "at most", "{:.1%}"),
+    "azimuth_gap": ("widest gap of directions at 15 m", "at most", "{:.0f}°"),
+    "near_ground": ("from how far off the body on the ground is seen all round", "at most", "{:g} m"),
 }
+
+
+def rule_table(evaluation: RigEvaluation) -> Table | None:
+    """What the rules ask for, and what the rigs have whose margins are known; the broken ones are marked."""
+    known = {name: margins for name, margins in (evaluation.rules or {}).items() if margins}
+    if evaluation.first not in known:
+        return None
+
+    def told(margin: RuleMargin) -> str:
+        shown = "nowhere" if margin.value is None else _RULES[margin.rule][2].format(margin.value)
+        camera = f", {margin.cameras[0]}" if margin.cameras and margin.value else ""
+        return f"{shown}{camera}{'' if margin.is_kept else ' (broken)'}"
+
+    rows = []
+    for margin in known[evaluation.first]:
+        heading, way, form = _RULES[margin.rule]
+        limit = NONE if margin.limit is None else f"{way} {form.format(margin.limit)}"
+        of_rigs = ({each.rule: told(each) for each in margins} for margins in known.values())
+        rows.append((heading, limit, *(each.get(margin.rule, NONE) for each in of_rigs)))
+    return Table(("rule, worst camera", "asked", *known), tuple(rows))
 
 
 def _rules(evaluation: RigEvaluation) -> Statement | None:
     """The design rules that the first rig keeps, or how far it breaks them; None where none is asked for."""
-    margins = None if evaluation.rules is None else evaluation.rules.get(evaluation.first)
-    if not margins:
+    table, margins = rule_table(evaluation), (evaluation.rules or {}).get(evaluation.first, ())
+    if table is None:
         return None
-
-    def told(margin: RuleMargin) -> str:
-        value, limit = _RULE_WORDS[margin.rule]
-        camera = margin.cameras[0] if margin.cameras else ""
-        if margin.value is None:
-            return "the ground is nowhere seen all round"
-        return f"{value.format(value=margin.value, camera=camera)}, {limit.format(limit=margin.limit)} is asked"
-
     further = ""
     for margin in margins:
         if margin.asked is not None and margin.price is None:
             further += f" No rig of these cameras keeps the {margin.asked:.0f} degrees of gap that were asked."
+        elif margin.asked is not None:
+            further += f" A gap of {margin.asked:.0f} degrees, as asked, would cost {percent(margin.price)} more."
         elif margin.rule == "near_ground" and margin.limit is None:
             seen = "nowhere up to 6" if margin.value is None else f"from {margin.value:g}"
             further += f" The ground is seen all round {seen}{SPACE}m off the body; no limit was kept."
-        elif margin.asked is not None:
-            further += (
-                f" The {margin.asked:.0f} degrees of gap that were asked would cost {percent(margin.price)} more."
-            )
-    broken = [margin for margin in margins if not margin.is_kept]
+    broken = [row for row, margin in zip(table.rows, margins, strict=True) if not margin.is_kept]
     if broken:
-        text = f"{len(broken)} of {len(margins)} are broken: {'; '.join(map(told, broken))}."
-        return Statement("Rules", f"{text}{further}", "bad")
-    limited = [(margin, margin.value, margin.limit) for margin in margins if margin.value is not None and margin.limit]
-    closest = min(limited, key=lambda each: abs(each[1] - each[2]) / each[2], default=None)
-    text = f"All {len(margins)} are kept" + (f"; nearest to its limit: {told(closest[0])}." if closest else ".")
-    return Statement("Rules", f"{text}{further}", "good")
+        told = [f"{heading} {value.removesuffix(' (broken)')}, {asked} asked" for heading, asked, value, *_ in broken]
+        return Statement("Rules", f"{len(broken)} of {len(margins)} broken: {'; '.join(told)}.{further}", "bad")
+    return Statement("Rules", f"All {len(margins)} kept.{further}", "good")
 
 
 def _pitch_limits(run: RunContent) -> Statement | None:
@@ -606,28 +602,23 @@ def _pitch_limits(run: RunContent) -> Statement | None:
     ]
     if not at_limit:
         return None
-    low, high = limits_deg
+    limits = " to ".join(f"{each:g}" for each in limits_deg).replace("-", MINUS)
     verb = "pitches as far as it may" if len(at_limit) == 1 else "pitch as far as they may"
-    text = f"{_listed(at_limit)} {verb} ({low:g} to {high:g} degrees): a wider rig.free.pitch_deg may find more."
+    text = f"{_listed(at_limit)} {verb} ({limits} degrees): a wider rig.free.pitch_deg may find more."
     return Statement("Limits", text)
 
 
 def _end(run: RunContent) -> Statement | None:
     end = None if run.evaluation is None else run.evaluation.descent
-    if end is None and not run.events:
-        return None
     if end is None:
-        planned = None if run.config is None else run.config.run.iterations
-        text = f"after {_counted(len(run.events), 'iteration')}"
-        text += f" of {planned}" if planned is not None else ""
-        return Statement("Why it ended", f"It ended {text}; this folder does not say why.")
-    why = (
-        f"all {end.planned} iterations were taken"
-        if end.ended is None
-        else f"{end.ended}, after {end.iterations} of {end.planned} iterations"
-    )
-    kept = "the rig at the start is kept: none was better" if end.kept == 0 else f"the rig after {end.kept} is kept"
-    return Statement("Why it ended", f"{why[0].upper()}{why[1:]}; {kept}.")
+        if not run.events:
+            return None
+        planned = "" if run.config is None else f" of {run.config.run.iterations}"
+        text = f"After {_counted(len(run.events), 'iteration')}{planned}; this folder does not say why."
+        return Statement("Why it ended", text)
+    why = "all were taken" if end.ended is None else end.ended
+    kept = "the start is kept: none was better" if end.kept == 0 else f"the rig after {end.kept} is kept"
+    return Statement("Why it ended", f"After {end.iterations} of {end.planned} iterations: {why}; {kept}.")
 
 
 def sensitivity(run: RunContent) -> str:
@@ -690,8 +681,9 @@ def _arm(name: str) -> str:
     return _BASELINES.get(name, name)
 
 
-def _few(count: int) -> str:
-    return f"{_counted(count, 'test scene')} {'is' if count == 1 else 'are'}"
+def heading_of(name: str) -> str:
+    """A rig's name above a column."""
+    return {"optimised": "found", "by_hand": "by hand"}.get(name, name)
 
 
 def _counted(count: int, noun: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import math
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -16,64 +17,55 @@ import numpy as np
 from warpav.core.errors import InputError
 from warpav.core.table import Table
 from warpav.optimisation.evaluation.metrics import ObjectOutcome
-from warpav.optimisation.evaluation.statistics import Difference
+from warpav.rig.rig import Rig
 from warpav.runs._mounts import free_ranges, has_zones
-from warpav.runs._rig_evaluation import LOWER_IS_BETTER, TABLE_ROWS, RigEvaluation
+from warpav.runs._rig_evaluation import LOWER_IS_BETTER, RigEvaluation
 from warpav.runs._run_folder import RunFolder
 from warpav.runs.config import config_names, load_config, overrides_from
 from warpav.runs.report import _statements as words
 from warpav.runs.report._content import RunContent, read_content
+from warpav.runs.report.tables import next_commands
 from warpav.sight.requirement import SECTORS, sectors_of
-from warpav.view import OUTCOME_RGB, hex_colour
 from warpav.view.figures import figure_bytes, loss_figure, search_figure
 
 if TYPE_CHECKING:
     from jinja2 import Template
 
-_MAX_BYTES = 5_000_000
+_MAX_BYTES = 2_000_000
 """No report is larger."""
 
-_IMAGE_BYTES = 3_200_000
+_IMAGE_BYTES = 1_250_000
 """All images together, before they are written as text."""
 
 _SIZES: Sequence[tuple[int, int]] = ((1280, 84), (960, 80), (640, 75), (480, 65), (320, 50), (200, 35))
 """Longer side [px] and quality of images: the first at which all of them fit."""
 
-_ROWS_SHOWN = 30
-"""Vehicles that are listed at once; the others follow folded."""
-
-_MOST_ROWS = 1000
-"""Vehicles that are listed at all."""
+_MOST_ROWS = 200
+"""Road users that are listed at most."""
 
 _FURTHER_SHOWN = 5
 """Places of a further camera that are listed, as many as carry ranks in the figure."""
 
 _FIGURES = {
-    "rig": "The rig at the start and the one that was found, in a test scene",
-    "plan": "How far each camera's image of a car is large enough, and the ground that the own body hides",
-    "range": "Up to which distance road users of each class are detected, by direction",
-    "near_field": "How far from the body the first visible point is, by direction and height",
-    "redundancy": "How many cameras see a road user, by direction and distance, and without the camera whose loss "
-    "leaves most ground to no camera, whatever traffic is there",
-    "rig_top_view": "From above: where the cameras started, how they moved, where they ended",
-    "detections": "A test scene through the cameras, before and after",
-    "loss_curves": "Loss, loss terms, multipliers and the smallest camera distance over the iterations",
-    "sensitivity": "What it costs to mount a camera off its place, by degree of freedom, and to lose it",
-    "search": "Best rig and bound over the camera renders",
-    "requirements_start": "From above: points that have to be seen, and how many cameras of the start see enough there",
+    "rig": "Right the rig that was found, left the one that it is compared with, in a test scene",
+    "recall": "Recall by distance, sector and class",
+    "differences": "Differences to the other rigs with 95 % intervals",
+    "plan": "How far a car is large enough in an image, and the ground near the vehicle",
+    "near_field": "How far from the body the first visible point is, by height",
+    "requirements_start": "Points that have to be seen, and how many cameras of the start see them",
     "requirements_by_hand": "The same of the rig by hand",
     "requirements_optimised": "The same of the rig that was found",
-    "recall": "Recall of every rig by distance, sector and class; the table holds the numbers",
-    "differences": "Differences of recall and AP50 to the other rigs with 95 % intervals; the table holds the numbers",
-    "blind_ground": "From above: share of the scenes in which no camera of a rig sees someone of a height",
-    "further_cameras": "From above: what each camera of the pool would add to the rig that was found",
+    "blind_ground": "Share of the scenes in which no camera sees someone of a height",
+    "detections": "A test scene, with boxes at the detector's own threshold",
+    "range": "Up to which distance road users are detected",
+    "redundancy": "How many cameras see a road user, and without the worst camera to lose",
+    "sensitivity": "What errors of mounting and the loss of a camera cost",
+    "further_cameras": "What each further camera would add",
+    "rig_top_view": "Where the cameras started, moved and ended",
+    "search": "The best rig so far, and the bound (dashed), over camera renders",
+    "loss_curves": "Loss, terms, multipliers and closest cameras over the iterations",
 }
-"""Figures of a run in the order of the report; others follow by name."""
-
-_FITTING = ("plan", "range", "near_field", "redundancy")
-_ELSEWHERE = (*_FITTING, *(name for name in _FIGURES if name not in (*_FITTING, "rig_top_view")))
-"""Figures that have places of their own."""
-
+"""Figures of a run and their captions; others come last, by name."""
 
 SHOWN_SCENES = {
     "first_scene": "The first test scene",
@@ -112,158 +104,102 @@ def _template() -> Template:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {
-        "number": words.number,
-        "signed": words.signed,
-        "percent": words.percent,
-        "interval": words.interval,
-    }
     return environment.get_template("page.html.jinja")
 
 
 def _content(folder: RunFolder, run: RunContent) -> dict[str, Any]:
     evaluation = run.evaluation
-    outages = evaluation and evaluation.camera_outage.get(evaluation.first)
     files: dict[str, Path | io.BytesIO] = {file.stem: file for file in folder.figures()}
     curves = "loss_curves" if run.certificate is None else "search"
-    if curves not in files and not _draws_nothing(run):
+    draws_nothing = run.config is not None and run.config.run.pictures == "none"
+    if curves not in files and not draws_nothing:
         figure = _curves(run)
         files |= {} if figure is None else {curves: io.BytesIO(figure_bytes(figure, ".png"))}
-    if any(name.startswith(tuple(SHOWN_SCENES)) for name in files):
+    views = {name for name in files if name.startswith(tuple(SHOWN_SCENES))}
+    if views:
         files.pop("detections", None)
-    order = list(_FIGURES)
-    named = sorted(files, key=lambda name: (order.index(name) if name in order else len(order), name))
     shown = {
         name: _PageImage(_FIGURES.get(name, name.partition("_scene_")[2] or name), *image)
-        for name, image in zip(named, _images([files[name] for name in named]), strict=True)
+        for name, image in zip(sorted(files), _images([files[name] for name in sorted(files)]), strict=True)
     }
-    objects = words.objects_name(run)
+    statements = words.summary(run)
     return {
         "run": run,
         "evaluation": evaluation,
         "pictures": lambda *names: [shown[name] for name in names if name in shown],
-        "fitting": [shown[name] for name in _FITTING if name in shown],
-        "images": [
-            image
-            for name, image in shown.items()
-            if name not in _ELSEWHERE and not name.startswith(tuple(SHOWN_SCENES))
-        ],
-        "draws_nothing": _draws_nothing(run),
+        "others": [image for name, image in shown.items() if name not in _FIGURES and name not in views],
         "views": {
             scene: [image for name, image in shown.items() if name.startswith(which)]
             for which, scene in SHOWN_SCENES.items()
         },
-        "lead": _lead(run),
         "headline": words.headline(run),
-        "statements": words.summary(run),
-        "sensitivity": words.sensitivity(run),
+        "cautions": words.cautions(run),
+        "next": next_commands(run, str(folder.path)),
+        "told": lambda *abouts: [each for each in statements if each.about in abouts],
+        "heading_of": words.heading_of,
+        "poses": _poses(run.result),
+        "start_poses": _poses(run.start),
         "free": _free(run),
-        "cards": _cards(run),
-        "objects": objects,
-        "is_weighted": run.config is not None and run.config.importance.is_set,
-        "metrics": _typeset(evaluation and evaluation.metric_table()),
-        "paired": _paired(evaluation) if evaluation else [],
-        "cameras": _cameras(run),
-        "outage": _typeset(outages.table(evaluation.first) if evaluation and outages else None),
-        "further": _further(run, objects),
-        "near": _typeset(evaluation and evaluation.requirement_table()),
-        "recall": _typeset(evaluation and evaluation.recall_table()),
-        "ground": _ground(evaluation) if evaluation and evaluation.ground else [],
-        "left": _left(evaluation) if evaluation and evaluation.outcomes is not None else None,
-        "rows_shown": _ROWS_SHOWN,
-        "most_rows": _MOST_ROWS,
-        "margin_name": words.margin_name,
-        "seconds": _seconds(run),
-        "versions": _versions(run.environment),
-        "command": run.environment.get("command"),
+        "metrics": _metrics(run),
+        "sensitivity": words.sensitivity(run),
+        **{name: _typeset(table) for name, table in _tables(run).items()},
         "again": _command(run),
-        "options": _flat(run.options),
-        "colours": {outcome.replace(" ", "-"): hex_colour(rgb) for outcome, rgb in OUTCOME_RGB.items()},
+        "command": run.environment.get("command"),
+        "options": Table(("option", "value"), tuple(_flat(run.options).items())),
     }
 
 
-def _lead(run: RunContent) -> str:
-    environment = run.environment
-    parts = [
-        f"{run.options['method']} method" if "method" in run.options else "",
-        f"{len(run.events)} iterations" if run.events else "",
-        f"on {environment['device']}" if environment.get("device") else "",
-        f"warpav {environment['warpav']}" if environment.get("warpav") else "",
-        f"started {environment['started']}" if environment.get("started") else "",
-    ]
-    lead = ", ".join(part for part in parts if part)
-    return lead if run.evaluation else f"{lead} (stopped before the evaluation)"
-
-
-def _cards(run: RunContent) -> list[words.Statement]:
-    """Numbers to see at once: label, value, tone."""
+def _tables(run: RunContent) -> dict[str, Table | None]:
+    """The tables that are the same for terminal and page, and those of the page alone."""
     evaluation = run.evaluation
+    found: dict[str, Table | None] = {"further": _further(run), "seconds": _seconds(run)}
+    found["versions"] = _versions(run.environment)
+    names = ("groups", "near", "ground", "left", "rules", "constraints", "outage")
     if evaluation is None:
-        return [words.Statement("last loss", words.number(run.events[-1].loss, 4))]
-    first, arm = evaluation.first, evaluation.best
-    before = evaluation.arms[evaluation.start].tp_detection_rate if evaluation.start in evaluation.arms else None
-    cards = [
-        words.Statement(
-            f"recall of the rig, {first}"
-            + ("" if before is None else f" ({evaluation.start.replace('_', ' ')} {words.number(before)})"),
-            words.number(arm.tp_detection_rate),
-        ),
-        words.Statement(f"AP50 of all images, {first}", words.number(arm.ap50_pooled)),
-    ]
-    training = evaluation.training_objective
-    if training is not None and training.start and training.optimised is not None:
-        change = round(100.0 * (training.optimised - training.start) / abs(training.start), 1)
-        text = f"{words.signed(change, 1)}{words.SPACE}%" if change else words.percent(0.0)
-        tone = "good" if change < 0.0 else "bad" if change > 0.0 else "open"
-        cards.append(words.Statement(f"objective, {words.search_scenes(run)} scenes", text, tone))
-    if evaluation.ground is not None:
-        text = f"of the ground is blind for {evaluation.ground.heights_m[0]:g} m (a child)"
-        cards.append(words.Statement(text, words.percent(evaluation.ground.share(first, 0))))
-    for each in evaluation.met.get(first, []):
-        text = f"of the points of {each.name} are met" + ("" if each.is_met else ", too few")
-        cards.append(words.Statement(text, words.percent(each.share), "good" if each.is_met else "bad"))
-    violation_m = arm.constraint_violation
-    if violation_m is not None:
-        is_kept = violation_m == 0.0
-        cards.append(
-            words.Statement("constraints of spacing and mount met", "yes", "good")
-            if is_kept
-            else words.Statement("constraint violation", f"{words.number(violation_m, 4)} m", "bad")
-        )
-    return cards
+        return found | dict.fromkeys(names)
+    outages = evaluation.camera_outage.get(evaluation.first)
+    return found | {
+        "groups": evaluation.group_table(),
+        "near": evaluation.requirement_table(),
+        "ground": _ground(evaluation),
+        "left": _left(evaluation),
+        "rules": words.rule_table(evaluation),
+        "constraints": _constraints(evaluation),
+        "outage": None if outages is None else outages.table(words.heading_of(evaluation.first)),
+    }
 
 
 def _typeset(table: Table | None) -> Table | None:
-    """A table with the signs that pages have for minus and for nothing."""
+    """A table with the signs that pages have for minus and for nothing, and the headings of rigs."""
     if table is None:
         return None
-    rows = (
-        (first, *(words.NONE if each == "-" else each.replace("-", words.MINUS) for each in cells))
-        for first, *cells in table.rows
-    )
-    return Table(table.columns, tuple(rows))
+    minus = re.compile(r"(?<![\w.])-(?=[\d.])")
+
+    def cell(text: str) -> str:
+        return words.NONE if text == "-" else minus.sub(words.MINUS, re.sub(r"(?<=\d)%", f"{words.SPACE}%", text))
+
+    rows = tuple((first, *map(cell, cells)) for first, *cells in table.rows)
+    return Table(tuple(map(words.heading_of, table.columns)), rows)
 
 
-def _paired(evaluation: RigEvaluation) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Rows of differences with intervals: a metric, and for every other arm the text and its tone."""
-
-    def cell(found: Mapping[str, Difference], name: str) -> tuple[str, str]:
-        if name not in found:
-            return words.NONE, "open"
-        return words.interval(found[name]), words.tone_of(found[name], lower_is_better=name in LOWER_IS_BETTER)
-
-    return [
-        (
-            heading + (" (lower is better)" if name in LOWER_IS_BETTER else ""),
-            [cell(found, name) for found in evaluation.paired.values()],
-        )
-        for name, heading in TABLE_ROWS.items()
-        if any(name in found for found in evaluation.paired.values())
-    ]
-
-
-def _draws_nothing(run: RunContent) -> bool:
-    return run.config is not None and run.config.run.pictures == "none"
+def _metrics(run: RunContent) -> list[tuple[str, list[tuple[str, str, str]]]]:
+    """Rows of a metric: for every rig the number, the difference of the first to it with its interval, and a tone."""
+    evaluation = run.evaluation
+    if evaluation is None:
+        return []
+    rows = []
+    for metric, (heading, factor, digits) in words.metric_rows(run).items():
+        cells = []
+        for name, arm in evaluation.arms.items():
+            value, found = getattr(arm, metric), evaluation.paired.get(name, {}).get(metric)
+            text = words.number(None if value is None else factor * value, digits)
+            if found is None or found.mean is None:
+                cells.append((text, "", "open"))
+            else:
+                tone = words.tone_of(found, lower_is_better=metric in LOWER_IS_BETTER)
+                cells.append((text, words.interval(found, factor, digits), tone))
+        rows.append((heading, cells))
+    return rows
 
 
 def _curves(run: RunContent) -> Any:  # noqa: ANN401 (matplotlib)
@@ -300,43 +236,38 @@ def _images(files: Sequence[Path | io.BytesIO]) -> list[tuple[str, tuple[int, in
     return [("data:image/webp;base64," + base64.b64encode(encoded).decode(), size) for encoded, size in found]
 
 
-def _further(run: RunContent, objects: str) -> Table | None:
+def _further(run: RunContent) -> Table | None:
     """The best places of a further camera: rank, gain, place and direction."""
     if run.further is None:
         return None
     best = run.further[run.further.best_places()[:_FURTHER_SHOWN]].rows()
     rows = [
-        (str(rank), *(words.number(value, 1 if "[deg]" in name else 2) for name, value in row.items()))
+        (
+            str(rank),
+            *(words.number(value, 1 if "[deg]" in name or name == "gain" else 2) for name, value in row.items()),
+        )
         for rank, row in enumerate(best, 1)
     ]
     weighted = ", weighted" if run.config is not None and run.config.importance.is_set else ""
     places = ("x [m]", "y [m]", "z [m]", "yaw [deg]", "pitch [deg]", "fov [deg]")
-    return Table(("place", f"further {objects} of 100{weighted}", *places), tuple(rows)) if rows else None
+    return Table(("place", f"found in addition per 100{weighted}", *places), tuple(rows)) if rows else None
 
 
-def _cameras(run: RunContent) -> Table | None:
-    """Start and end of every camera, and how far it has moved."""
-    if run.result is None:
+def _poses(rig: Rig | None) -> Table | None:
+    """Where the cameras of a rig stand, and where they look."""
+    if rig is None:
         return None
-    start = run.start if run.start and len(run.start.cameras) == len(run.result.cameras) else None
-    moved = words.moves(start, run.result) if start else []
-    rows = []
-    for k, camera in enumerate(run.result.cameras):
-        for stage, each in {"start": start.cameras[k], "end": camera}.items() if start else [("end", camera)]:
-            angles = (each.yaw_rad, each.pitch_rad, each.roll_rad, each.model.fov_rad)
-            rows.append(
-                (
-                    "" if start and stage == "end" else camera.name,
-                    stage,
-                    *(words.number(float(value)) for value in each.position_m),
-                    *(words.number(math.degrees(value), 1) for value in angles),
-                )
-            )
-            if start:
-                text = f"{words.number(moved[k][1])} m, {words.signed(moved[k][2], 1)} deg"
-                rows[-1] += (text if stage == "end" else "",)
-    places = ("x [m]", "y [m]", "z [m]", "yaw [deg]", "pitch [deg]", "roll [deg]", "fov [deg]")
-    return Table(("camera", "", *places, *(["moved"] if start else [])), tuple(rows))
+    rows = [
+        (
+            camera.name,
+            *(words.number(float(value)) for value in camera.position_m),
+            *(words.number(math.degrees(angle_rad), 1) for angle_rad in (camera.yaw_rad, camera.pitch_rad)),
+            camera.module or f"{math.degrees(camera.model.fov_rad):.0f}°",
+        )
+        for camera in rig.cameras
+    ]
+    lens = "module" if any(camera.module for camera in rig.cameras) else "view"
+    return Table(("camera", "x [m]", "y [m]", "z [m]", "yaw [°]", "pitch [°]", lens), tuple(rows))
 
 
 def _free(run: RunContent) -> str:
@@ -354,7 +285,7 @@ def _free(run: RunContent) -> str:
     if has_zones(run.config):
         text += f" Each zone gives its own ranges of yaw, pitch and distance from the surface{_pitches(run)}."
     frozen = run.config.rig.freeze
-    return text + (f" Frozen: {', '.join(frozen)}." if frozen else "")
+    return text.replace(" -", f" {words.MINUS}") + (f" Frozen: {', '.join(frozen)}." if frozen else "")
 
 
 def _pitches(run: RunContent) -> str:
@@ -372,52 +303,45 @@ def _pitches(run: RunContent) -> str:
     return f": pitch {'; '.join(told)}" if told else ""
 
 
-def _ground(evaluation: RigEvaluation) -> list[dict[str, Any]]:
-    """For every height the share of the ground that no camera sees, by sector and band, and the start's."""
-    ground = evaluation.ground
-    assert ground is not None
-    first = evaluation.first
-    has_start = evaluation.start in ground.blind and first != evaluation.start
-    return [
-        {
-            "height_m": height_m,
-            "arms": [(arm, ground.share(arm, height), ground.area_m2(arm, height)) for arm in ground.blind],
-            "rows": [
-                (
-                    sector,
-                    [
-                        (
-                            ground.share(first, height, s, b),
-                            ground.share(evaluation.start, height, s, b) if has_start else None,
-                        )
-                        for b in range(len(ground.bands_m))
-                    ],
-                )
-                for s, sector in enumerate(ground.sectors)
-            ],
-        }
-        for height, height_m in enumerate(ground.heights_m)
-    ]
+def _ground(evaluation: RigEvaluation) -> Table | None:
+    """The share of the ground on which no camera of the first rig sees a child, by sector and band, and the other's."""
+    ground, other = evaluation.ground, words.compared_with(evaluation)
+    if ground is None:
+        return None
+    names = [evaluation.first, *([other] if other in ground.blind else [])]
+
+    def cell(sector: int, band: int) -> str:
+        shares = [words.percent(ground.share(name, 0, sector, band), 0) for name in names]
+        return shares[0] if len(shares) == 1 else f"{shares[0]} ({shares[1]})"
+
+    bands = range(len(ground.bands_m))
+    rows = tuple((name, *(cell(k, band) for band in bands)) for k, name in enumerate(ground.sectors))
+    return Table(("ground blind for a child", *(f"{band} m" for band in ground.bands_m)), rows)
 
 
-def _left(evaluation: RigEvaluation) -> list[dict[str, Any]]:
-    """The objects that the first arm does not detect, the nearest first."""
+def _constraints(evaluation: RigEvaluation) -> Table | None:
+    """By how much the first rig keeps each constraint, the tightest first."""
+    margins = None if evaluation.constraints is None else evaluation.constraints[evaluation.first]
+    if not margins:
+        return None
+    rows = tuple(
+        (words.margin_name(each), *(words.number(value) for value in (each.value_m, each.limit_m, each.slack_m)))
+        for each in sorted(margins, key=lambda each: each.slack_m)
+    )
+    return Table(("constraint", "value [m]", "at least [m]", "to spare [m]"), rows)
+
+
+def _left(evaluation: RigEvaluation) -> Table | None:
+    """The road users that the first rig does not detect, the nearest first."""
     left = [seen for seen in evaluation.outcomes or () if seen.outcome[evaluation.first] != ObjectOutcome.DETECTED]
     rows = []
-    for seen in sorted(left, key=lambda seen: seen.distance_m):
+    for seen in sorted(left, key=lambda seen: seen.distance_m)[:_MOST_ROWS]:
         bearing_rad = math.radians(seen.bearing_deg)
         sector = SECTORS[int(sectors_of(np.array([math.cos(bearing_rad), math.sin(bearing_rad)])))]
-        rows.append(
-            {
-                "scene": seen.scene,
-                "category": seen.category,
-                "distance_m": seen.distance_m,
-                "bearing_deg": seen.bearing_deg,
-                "sector": sector,
-                "outcomes": [str(seen.outcome[arm]) for arm in evaluation.arms],
-            }
-        )
-    return rows
+        place = words.number(seen.distance_m, 1), words.signed(seen.bearing_deg, 0), sector
+        rows.append((seen.scene, seen.category, *place, *(str(seen.outcome[arm]) for arm in evaluation.arms)))
+    columns = ("scene", "class", "distance [m]", "bearing [°]", "sector", *evaluation.arms)
+    return Table(columns, tuple(rows)) if rows else None
 
 
 def _seconds(run: RunContent) -> Table | None:
@@ -433,12 +357,12 @@ def _seconds(run: RunContent) -> Table | None:
     return Table(("stage", "seconds"), rows) if rows else None
 
 
-def _versions(environment: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _versions(environment: Mapping[str, Any]) -> Table | None:
     flat = _flat(environment)
     known = ("warpav", "git_commit", "python", "platform", "device", "cpu_count")
-    named = {name: flat[name] for name in known if name in flat}
-    packages = {name.partition(".")[2]: value for name, value in flat.items() if name.startswith("packages.")}
-    return [*named.items(), *packages.items()]
+    rows = [(name, flat[name]) for name in known if name in flat]
+    rows += [(name.partition(".")[2], value) for name, value in flat.items() if name.startswith("packages.")]
+    return Table(("", "version"), tuple(rows)) if rows else None
 
 
 def _command(run: RunContent) -> list[str]:

@@ -15,8 +15,10 @@ from warpav.runs.report._statements import (
     Statement,
     cautions,
     compared_with,
+    heading_of,
     headline,
     interval,
+    metric_rows,
     number,
     percent,
     summary,
@@ -25,6 +27,7 @@ from warpav.runs.report._statements import (
 _STYLE = {"good": "green", "bad": "red", "open": ""}
 
 
+_METRICS = ("misses_at_equal_false_alarms", "weighted_misses_per_100", "objective")
 _MOST_CAMERAS, _MOST_CAUTIONS, _MOST_ARMS = 6, 2, 4
 """Of a rig, of what a reader should know, and of rigs beside each other, what is shown at most."""
 
@@ -57,25 +60,14 @@ def _compared(run: RunContent) -> Table:
     evaluation = run.evaluation
     assert evaluation is not None
     arms, other = list(evaluation.arms)[:_MOST_ARMS], compared_with(evaluation)
-    heads = {"optimised": "found", "by_hand": "by hand"}
-    columns = [heads.get(name, name) for name in arms]
+    columns = [heading_of(name) for name in arms]
     rows: list[tuple[str, ...]] = []
-
-    def add(metric: str, text: str, factor: float = 1.0, digits: int = 1) -> None:
+    for metric, (text, factor, digits) in metric_rows(run, _METRICS).items():
         values = [getattr(evaluation.arms[name], metric) for name in arms]
-        if values[0] is None:
-            return
         found = None if other is None else evaluation.paired.get(other, {}).get(metric)
         difference = [] if other is None else ["" if found is None else interval(found, factor, digits)]
         cells = (number(None if each is None else factor * each, digits) for each in values)
         rows.append((text, *cells, *difference))
-
-    add("misses_at_equal_false_alarms", "missed per 100, equal false alarms")
-    add("weighted_misses_per_100", "the same, weighted")
-    if run.certificate is not None and evaluation.robust is None:
-        add("objective", "expected misses per 100", 100.0)
-    else:
-        add("objective", "objective", digits=4)
     ground = evaluation.ground
     if ground is not None:
         cells = (percent(ground.worst_near(name)[0], 0) for name in arms)
@@ -85,10 +77,19 @@ def _compared(run: RunContent) -> Table:
         rows.append(
             (f"points of {each.name} seen", *(percent(one.share, 0) for one in met), *([] if other is None else [""]))
         )
-    last = [] if other is None else [f"{columns[0]} - {heads.get(other, other)} [95 %]"]
+    last = [] if other is None else [f"{columns[0]} - {heading_of(other)} [95 %]"]
     counted = f"{evaluation.scene_count} " + ("unseen scenes" if evaluation.training_objective else "scenes")
     first, *others = (tuple(map(_plain, row)) for row in ((counted, *columns, *last), *rows))
     return Table(first, tuple(others))
+
+
+def next_commands(run: RunContent, folder: str) -> list[str]:
+    """What to do with a run, and after it."""
+    if run.evaluation is None:
+        return [f"warpav optimise --resume {folder}", f"warpav evaluate {folder}"]
+    scenes = None if run.config is None else run.config.scenes
+    is_easy = scenes is not None and scenes.source == "town" and scenes.level in (None, ("easy",))
+    return [f"warpav view {folder}", *(["warpav optimise scenes.level=dense"] if is_easy else [])]
 
 
 def show_everything(console: Terminal, run: RunContent) -> None:
@@ -96,7 +97,7 @@ def show_everything(console: Terminal, run: RunContent) -> None:
     evaluation = run.evaluation
     assert evaluation is not None
     _print_arms(console, evaluation.metric_table(), 1)
-    for table, fixed in ((evaluation.recall_table(), 2), (evaluation.requirement_table(), 1)):
+    for table, fixed in ((evaluation.group_table(), 2), (evaluation.requirement_table(), 1)):
         if table is not None:
             _print_arms(console, table, fixed)
     robustness = (each and each.table() for each in (evaluation.soiling, evaluation.load_states))
