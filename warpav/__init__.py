@@ -1,4 +1,4 @@
-"""warpav: which cameras a vehicle should carry and where, by exact gradients and by search with a proven bound.
+"""warpav: which cameras a vehicle should carry and where, by search with a bound and by gradients.
 
 This is the public API; every name is imported when it is first used. ``warpav.raster`` is the rasteriser on its own.
 

@@ -21,8 +21,8 @@ def made_run(arm, seed, misses, renders=100):
     of_scene = [float(each) for each in np.broadcast_to(misses, SCENES)]
     metrics = {
         "objective": float(np.mean(of_scene)) / 100.0,
-        "misses_per_100": float(np.mean(of_scene)),
-        "per_scene": {"misses_per_100": of_scene, "objective": [each / 100.0 for each in of_scene]},
+        "misses_at_equal_false_alarms": float(np.mean(of_scene)),
+        "per_scene": {"misses_at_equal_false_alarms": of_scene, "objective": [each / 100.0 for each in of_scene]},
     }
     return {
         **{"arm": arm, "seed": seed, "metrics": metrics, "objects_of_scene": [10] * SCENES},
@@ -45,10 +45,13 @@ def test_rows_are_runs_and_differences_over_scenes_and_runs(results, tmp_path):
         *(("default", str(seed)) for seed in range(3)),
         *(("highest", "0"), ("highest", None)),
     ]
-    tables = [np.array([run["metrics"]["per_scene"]["misses_per_100"] for run in results[arm]]) for arm in results]
+    tables = [
+        np.array([run["metrics"]["per_scene"]["misses_at_equal_false_alarms"] for run in results[arm]])
+        for arm in results
+    ]
     expected = paired_difference(*tables[::-1], weight=[10] * SCENES, resamples=199)
     found = rows[-1]
-    assert (found["of"], found["reference"]) == ("misses_per_100", "default")
+    assert (found["of"], found["reference"]) == ("misses_at_equal_false_alarms", "default")
     assert [float(found[each]) for each in ("more", "low", "high")] == pytest.approx(
         [expected.mean, expected.low, expected.high], rel=1e-5
     )
@@ -56,7 +59,7 @@ def test_rows_are_runs_and_differences_over_scenes_and_runs(results, tmp_path):
     again = read_rows(tmp_path / "rows.csv")
     table = table_of("arms made", again).markdown()
     assert table == table_of("arms made", rows).markdown()
-    mean = np.mean([run["metrics"]["misses_per_100"] for run in results["default"]])
+    mean = np.mean([run["metrics"]["misses_at_equal_false_alarms"] for run in results["default"]])
     assert f"| default | 3 | {mean:.1f} |  |" in table
     assert f"{expected.mean:+.1f} [{expected.low:+.1f}, {expected.high:+.1f}]" in table
 

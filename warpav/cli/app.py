@@ -39,7 +39,7 @@ atexit.register(gc.freeze)  # what is held goes with the process: a last search 
 app = App(
     name="warpav",
     version=__version__,
-    help="Find which cameras a vehicle should carry and where, by exact gradients and by search with a proven bound.",
+    help="Find which cameras a vehicle should carry and where, by search with a bound and by gradients.",
     help_epilogue="Options are key=value, such as rig.cameras=6 camera.fov_deg='80 deg'; 'warpav config show' lists "
     "them, with --all every one. --debug shows where an error was raised.",
     result_action="return_value",

@@ -34,14 +34,14 @@ MARK = re.compile(r"(<!-- rows: ([\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 """What stands between such marks on a page is a table: its kind, and of which study and judge."""
 _COLUMNS = (
     *("study", "judge", "arm", "seed", "objective", "objective_seen", "gap", "misses_per_100"),
-    *("recall_at_equal_false_alarms", "false_alarms_per_image", "ap50", "attainable_misses_per_100"),
+    *("misses_at_equal_false_alarms", "false_alarms_per_image", "ap50", "attainable_misses_per_100"),
     *("map50_average", "map50_min_camera", "map50_max_camera", "detection_rate", "in_frame_rate", "confidence"),
     *("constraint_violation_m", "constraint_loss", "min_camera_distance_m", "camera_renders", "search_seconds"),
     *("positional", "rotational", "of", "reference", "more", "low", "high"),
 )
 _METRICS = {
     **{name: name for name in _COLUMNS if name.startswith("map50_")},
-    **{name: name for name in ("misses_per_100", "recall_at_equal_false_alarms", "attainable_misses_per_100")},
+    **{name: name for name in ("misses_per_100", "misses_at_equal_false_alarms", "attainable_misses_per_100")},
     "false_alarms_per_frame": "false_alarms_per_image",
     "ap50_pooled": "ap50",
     "tp_detection_rate": "detection_rate",
@@ -53,10 +53,10 @@ _METRICS = {
 """Metrics of a rig by the column that has them."""
 
 _ARM_COLUMNS = {
-    "missed per 100": ("misses_per_100", 1.0, 1),
+    "missed per 100, equal false alarms": ("misses_at_equal_false_alarms", 1.0, 1),
+    "missed, own threshold": ("misses_per_100", 1.0, 1),
     "expected misses per 100": ("objective", 100.0, 2),
-    "found per 100, equal false alarms": ("recall_at_equal_false_alarms", 100.0, 1),
-    "false alarms": ("false_alarms_per_image", 1.0, 1),
+    "false alarms there": ("false_alarms_per_image", 1.0, 1),
     "AP50": ("ap50", 100.0, 1),
     "attainable missed": ("attainable_misses_per_100", 1.0, 1),
     "on the scenes of the search": ("objective_seen", 100.0, 2),
@@ -64,8 +64,11 @@ _ARM_COLUMNS = {
     "renders": ("camera_renders", 1.0, 0),
     "search [s]": ("search_seconds", 1.0, 1),
 }
-_COMPARED = {"misses_per_100": 1.0, "objective": 100.0}
+_COMPARED = {"misses_at_equal_false_alarms": 1.0, "objective": 100.0}
 """What is compared with the reference, per 100 road users: the detector's misses where there are any."""
+_MISSED = "misses_at_equal_false_alarms"
+_BY_HAND = {"highest", "roof_edge", "nuscenes_as_built"}
+_PARTS = {"dense": "dense streets", "ngsim": "NGSIM motorway", "sind": "SinD crossing", "all": "all road users"}
 _OBJECTIVE_COLUMNS = ("objective", "objective_seen")
 """Shown only where no detector judged."""
 _THESIS_COLUMNS = {
@@ -101,16 +104,9 @@ def rows_of(
             if one is None or other is None:
                 continue
             found = paired_difference(one, other, weight=ours[0]["objects_of_scene"], resamples=resamples)
-            rows.append(
-                {
-                    **{"study": study, "judge": judge, "arm": arm, "of": of, "reference": reference},
-                    **{
-                        "more": _text(found.mean, scale),
-                        "low": _text(found.low, scale),
-                        "high": _text(found.high, scale),
-                    },
-                }
-            )
+            ends = {"more": found.mean, "low": found.low, "high": found.high}
+            which = {"study": study, "judge": judge, "arm": arm, "of": of, "reference": reference}
+            rows.append({**which, **{name: _text(end, scale) for name, end in ends.items()}})
             break
     return rows
 
@@ -119,13 +115,9 @@ def _run_rows(run: Mapping[str, Any], study: str, judge: str) -> list[_Row]:
     which = {"study": study, "judge": judge, "arm": run["arm"], "seed": str(run["seed"])}
     renders = {"camera_renders": _text(run["camera_renders"])}
     if "gradients" in run:
-        return [
-            {
-                **{**which, "arm": loss, **renders},
-                **{each: _text(found[each]) for each in ("positional", "rotational")},
-            }
-            for loss, found in run["gradients"].items()
-        ]
+        kinds = ("positional", "rotational")
+        found = run["gradients"].items()
+        return [{**which, "arm": loss, **renders, **{each: _text(of[each]) for each in kinds}} for loss, of in found]
     metrics = run.get("metrics", {"constraint_violation": run.get("constraint_violation_m")})
     return [
         {
@@ -235,34 +227,40 @@ def _arms(rows: Sequence[_Row], study: str, judge: str = OWN_JUDGE) -> Table:
     return Table.of(["arm", "runs", first, *([more] if any(differences.values()) else []), *others], lines)
 
 
-def _settings(rows: Sequence[_Row]) -> Table:
-    """The search beside rigs by hand in all settings of hard and recorded traffic."""
-    found = "recall_at_equal_false_alarms"
-    hands = ("default", "roof_edge", "highest_raised", "random_selected")
+def _best_by_hand(arms: Mapping[str, list[_Row]]) -> str:
+    return min(arms.keys() & _BY_HAND, key=lambda arm: fmean(_values(arms[arm], _MISSED)))
+
+
+def _settings(rows: Sequence[_Row], *shown: str) -> Table:
+    """The search beside the best rig by hand, in some settings of hard and recorded traffic or in all."""
     lines = []
-    for study in dict.fromkeys(row["study"] for row in rows if row["arm"] == "roof_edge"):
+    for study in shown or dict.fromkeys(row["study"] for row in rows if row["arm"] == "roof_edge"):
         arms = _runs(rows, study, OWN_JUDGE)
-        missed = [_mean(arms[arm], "misses_per_100", 1.0, 1) for arm in ("default", "roof_edge")]
-        more = _difference(rows, study, OWN_JUDGE, "roof_edge")
-        lines.append([study, *missed, more, *(_mean(arms.get(arm, []), found, 100.0, 1) for arm in hands)])
-    heads = ["missed of 100", "edge of the roof", "more [95 %]", "found at equal false alarms", "edge of the roof"]
-    return Table.of(["traffic, cameras, mount", *heads, "higher up", "random, our selection"], lines)
+        missed = {arm: _mean(runs, _MISSED, 1.0, 1) for arm, runs in arms.items()}
+        cells = [missed[arm] for arm in (_best_by_hand(arms), "random_selected", "default")]
+        name = ", ".join(_PARTS.get(part, part) for part in study.split("_"))
+        fewer = _difference(rows, study, OWN_JUDGE, _best_by_hand(arms))
+        lines.append([name, *cells, fewer, missed.get("highest_raised", "")])
+    heads = ["best by hand", "random, our selection", "warpav", "fewer by warpav [95 %]", "by hand +25 cm"]
+    return Table.of(["traffic, cameras, mount", *heads], lines)
 
 
-def _networks(rows: Sequence[_Row], study: str = "") -> Table:
-    """What other networks find of the same rigs, at equal false alarms, by study."""
-    pairs = dict.fromkeys(
-        (row["study"], row["judge"])
-        for row in rows
-        if row["judge"] not in ("", OWN_JUDGE) and row["arm"] == "roof_edge" and study in ("", row["study"])
-    )
-    arms = ("default", "random_selected", "highest", "roof_edge", "highest_raised")
-    lines = []
-    for pair in pairs:
-        found = _runs(rows, *pair)
-        cells = [_mean(found.get(arm, []), "recall_at_equal_false_alarms", 100.0, 1) for arm in arms]
-        lines.append([f"{pair[0]}, {pair[1]}", *cells, _difference(rows, *pair, "roof_edge")])
-    return Table.of(["study and network", *arms, "roof_edge misses more [95 %]"], lines)
+def _rivals(rows: Sequence[_Row], *studies: str) -> Table:
+    """How many more every arm misses than the search, by study."""
+    arms = dict.fromkeys(row["arm"] for row in rows if row["study"] in studies and row.get("of"))
+    lines = [[study, *(_difference(rows, study, OWN_JUDGE, arm) for arm in arms)] for study in studies]
+    return Table.of(["setting", *arms], lines)
+
+
+def _networks(rows: Sequence[_Row]) -> Table:
+    """What other networks miss at equal false alarms: of the search, and of the best rig by hand."""
+    pairs = [(row["study"], row["judge"]) for row in rows if row["arm"] == "roof_edge" and row["judge"] != OWN_JUDGE]
+    studies, judges = (dict.fromkeys(each) for each in zip(*pairs, strict=True))
+    found = {pair: _runs(rows, *pair) for pair in pairs}
+    arms = {pair: ("default", _best_by_hand(runs)) for pair, runs in found.items()}
+    cells = {pair: " / ".join(_mean(runs[arm], _MISSED, 1.0, 1) for arm in arms[pair]) for pair, runs in found.items()}
+    lines = [[study, *(cells.get((study, judge), "") for judge in judges)] for study in studies]
+    return Table.of(["setting", *judges], lines)
 
 
 def _thesis(rows: Sequence[_Row], number: str, study: str, judge: str = OWN_JUDGE) -> Table:
@@ -323,6 +321,7 @@ def _correlation(rows: Sequence[_Row], study: str = "correlation", judge: str = 
 _KINDS: dict[str, Callable[..., Table]] = {
     "arms": _arms,
     "settings": _settings,
+    "rivals": _rivals,
     "networks": _networks,
     "thesis": _thesis,
     "gradients": _gradients,
