@@ -68,9 +68,6 @@ def test_a_free_plane_is_seen_all_round_but_for_the_vehicle_itself(device, rng):
     assert found.covered_share[1] > 0.97
     assert found.covered_share[0] <= found.covered_share[1]
     np.testing.assert_allclose(found.blind_area_m2, (found.count == 0).sum(axis=(1, 2)) * 0.16)
-    rings = found.covered_share_by_distance([0.0, 6.0, 30.0])
-    assert rings.shape == (2, 2)
-    assert rings[1, 1] == 1.0
 
 
 def test_slopes_and_steps_are_ground_and_roofs_are_not(device, rng):

@@ -225,11 +225,6 @@ class Result:
         return requirements_of({"rig": self.rig}, self.placement).get("rig")
 
     @property
-    def is_better_than_start(self) -> bool:
-        """Whether the objective of the rig that was found is lower than that of the start."""
-        return self.found_objective < self.start_objective
-
-    @property
     def is_worse_than_start(self) -> bool:
         """Whether it is higher, or no number; then `rig` is the start. A search by a pool keeps the rules instead."""
         return not isinstance(self._descent, PoolRun) and not self.found_objective <= self.start_objective
@@ -359,10 +354,6 @@ class StageTimer:
         now = time.perf_counter()
         self._seconds[stage] = now - self._last
         self._last = now
-
-    def total_s(self) -> float:
-        """Since the beginning [s]."""
-        return time.perf_counter() - self._began
 
     @property
     def seconds(self) -> dict[str, float]:

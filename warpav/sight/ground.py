@@ -193,19 +193,6 @@ class Coverage:
         """Share of the open cells near the vehicle that so many cameras see, or more."""
         return self._share(self.count >= cameras, self._distance_m < radius_m)
 
-    def covered_share_by_distance(self, edges_m: Sequence[float]) -> np.ndarray:
-        """`covered_share` in rings around the ego vehicle's centre.
-
-        Returns:
-            float64 [height, ring]; NaN where nobody can stand in a ring.
-        """
-        distance_m = self._distance_m
-        rings = [
-            self._share(self.count > 0, (low <= distance_m) & (distance_m < high))
-            for low, high in itertools.pairwise(edges_m)
-        ]
-        return np.stack(rings, axis=1)
-
     @property
     def _distance_m(self) -> np.ndarray:
         """Of every cell from the ego vehicle's centre [m], float64 [row, column]."""

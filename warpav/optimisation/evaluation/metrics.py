@@ -137,9 +137,6 @@ class ArmMetrics:
     map50_max_camera: float | None = None
     ap50_pooled: float | None = None
     ap50_95_pooled: float | None = None
-    ap50_small: float | None = None
-    ap50_medium: float | None = None
-    ap50_large: float | None = None
     ap50_95_small: float | None = None
     ap50_95_medium: float | None = None
     ap50_95_large: float | None = None
@@ -496,11 +493,8 @@ def metrics_of(
         map50_average=_mean(np.array(camera_map)),
         map50_min_camera=min(camera_map, default=None),
         map50_max_camera=max(camera_map, default=None),
-        ap50_pooled=ap50["all"],
+        ap50_pooled=ap50,
         ap50_95_pooled=ap50_95["all"],
-        ap50_small=ap50["small"],
-        ap50_medium=ap50["medium"],
-        ap50_large=ap50["large"],
         ap50_95_small=ap50_95["small"],
         ap50_95_medium=ap50_95["medium"],
         ap50_95_large=ap50_95["large"],
@@ -601,13 +595,11 @@ class _Boxes:
         self._average_precision = np.array([each.average_precision() for each in scores])  # [kind, size, threshold]
         self._images = [each.image_scores() for each in scores]  # at IoU 0.5, [kind][image]
 
-    def average_precision(self) -> tuple[dict[str, float | None], dict[str, float | None]]:
-        """AP50 and AP50:95 by size."""
+    def average_precision(self) -> tuple[float | None, dict[str, float | None]]:
+        """AP50 of all sizes, and AP50:95 by size."""
         whole = self._average_precision
-        return (
-            {name: _mean(whole[:, k, 0]) for k, name in enumerate(COCO_AREA_PX2)},
-            {name: _mean(whole[:, k, : len(COCO_IOU)].mean(axis=1)) for k, name in enumerate(COCO_AREA_PX2)},
-        )
+        mean = whole[:, :, : len(COCO_IOU)].mean(axis=2)
+        return _mean(whole[:, 0, 0]), {name: _mean(mean[:, k]) for k, name in enumerate(COCO_AREA_PX2)}
 
     def confidence_at(self, false_alarms_per_frame: float) -> float:
         """The lowest confidence, from the configured one on, that leaves at most so many false alarms per image."""
