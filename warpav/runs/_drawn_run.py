@@ -30,9 +30,8 @@ FITTING_KINDS = (*COMPARED_KINDS, "contact", "sheet")
 
 def vehicle_name(config: Config) -> str:
     """What a drawing calls the vehicle of a configuration."""
-    if config.scenes.ego is not None:
-        return config.scenes.ego.name
-    return f"of scene_{config.scenes.test_seeds[0]}.glb" if config.scenes.source == "folder" else "embedded car"
+    known = f"of scene_{config.scenes.test_seeds[0]}.glb" if config.scenes.source == "folder" else "embedded car"
+    return known if config.scenes.ego is None else config.scenes.ego.name
 
 
 def fitting(kind: str, rigs: Mapping[str, Rig], scene: Scene, config: Config) -> tuple[Any, dict[str, Any]]:

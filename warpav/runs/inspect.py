@@ -363,11 +363,10 @@ def draw_plots(
     title = None if beside else Path(source).name if is_run else Path(source).stem
     written, left_out = [], {}
     rigs = {name: find_rig(each, config, scene.ego) for name, each in arm_names(source, beside).items()}
-    evaluation = read_evaluation(RunFolder.open(source)) if is_run and "ground" in files else None
     for kind, file in files.items():
         try:
             of_run: tuple[Any, dict[str, Any]] | None = (RunFolder.open(source), {"scene": scene}) if is_run else None
-            if of_run and kind == "ground" and evaluation is not None:
+            if of_run and kind == "ground" and (evaluation := read_evaluation(RunFolder.open(source))):
                 of_run[1]["misses_per_100"] = evaluation.misses
             shown, options = of_run or fitting(kind, rigs, scene, config)
             written.append(plot(shown, kind=kind, out=file, title=title, progress=progress, **options))

@@ -222,10 +222,6 @@ class Page:
         self.figure.text(left_mm / self.width_mm, 1.0 - top_mm / self.height_mm, text, va=va, **style)
 
 
-_SHORT = 5
-"""Letters of a word that stands whole on a badge."""
-
-
 def short_names(cameras: Sequence[RigCamera]) -> list[str]:
     """The name of every camera in a few letters, unique: whole, else initials, such as FL of front_left, else numbers.
 
@@ -233,7 +229,7 @@ def short_names(cameras: Sequence[RigCamera]) -> list[str]:
     and camera_1 they are 0 and 1.
     """
     names = [camera.name for camera in cameras]
-    if all(len(name) <= _SHORT and name.isalnum() for name in names):
+    if all(len(name) <= 5 and name.isalnum() for name in names):
         return names
     words = [re.split(r"[\W_]+", name) for name in names]
     shared = set.intersection(*map(set, words)) if len(names) > 1 else set()
