@@ -161,7 +161,7 @@ def draw_series_car(folder: Path) -> None:
 
 def draw_sensitivity(folder: Path) -> None:
     """sensitivity: what errors of mounting and the loss of each camera of the series car cost."""
-    _warpav("optimise", "surround", f"run.out={folder / 'run'}")
+    _warpav("optimise", "surround", f"run.out={folder / 'run'}", "run.pictures=all")
     shutil.copyfile(folder / "run" / "figures" / "sensitivity.png", folder / "sensitivity.png")
 
 

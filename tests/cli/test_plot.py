@@ -35,7 +35,7 @@ def test_a_preset_is_plotted(working_directory, capsys):
     [
         (
             ["nuscenes", "--kind", "plann"],
-            "--kind): expected all, or a plot of a rig (view, sheet, plan, range, near_field",
+            "--kind): expected all, or a plot of a rig (view, sheet, plan, ground, range, near_field",
         ),
         (["nuscenes", "--kind", "plann"], "got 'plann'; did you mean plan?"),
         (["nuscenes", "--kind", "search"], "got 'search'; search is a plot of a run"),
@@ -46,7 +46,7 @@ def test_a_preset_is_plotted(working_directory, capsys):
         (["nuscenes", "--kind", "all", "--out", "plan.png"], "plan.png: --out: expected a folder for kind all"),
         (
             ["nuscenes", "--kind", "contact", "--beside", "edgar"],
-            "expected all, or a plot of a comparison (plan, range",
+            "expected all, or a plot of a comparison (plan, ground, range",
         ),
     ],
 )

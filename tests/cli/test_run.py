@@ -37,8 +37,7 @@ def test_the_run_folder_is_complete(run_folder):
         "checkpoints/last.npz",
         "report.html",
         "figures/loss_curves.png",
-        "figures/plan.png",
-        "figures/near_field.png",
+        "figures/ground.png",
         "figures/detections.png",
     }
     assert len([name for name in found if name.startswith("figures/")]) <= 6

@@ -161,10 +161,10 @@ def test_one_more_camera_is_drawn_at_its_place_in_the_colour_of_its_gain(tmp_pat
     best, second = where(body, FURTHER_RGB[-1]), where(body, [round(255 * each) for each in further_map()(0.5)[:3]])
     assert len(best[0]) > 100
     assert len(second[0]) > 100
-    assert best[1].mean() < second[1].mean()  # x points right
-    assert best[0].mean() < second[0].mean()  # y points up
-    assert np.ptp(best[0]) > np.ptp(best[1])  # its arrow points to the left of the vehicle
-    assert np.ptp(second[1]) > np.ptp(second[0])
+    assert best[0].mean() > second[0].mean()  # x points up
+    assert best[1].mean() < second[1].mean()  # y points left
+    assert np.ptp(best[1]) > np.ptp(best[0])  # its arrow points to the left of the vehicle
+    assert np.ptp(second[0]) > np.ptp(second[1])
     none = FurtherCameras(np.zeros((0, 3)), *np.zeros((4, 0)))
     assert further_figure(further=none, **arguments) is None
     assert not (tmp_path / "none.png").exists()
@@ -174,10 +174,11 @@ def test_top_view_shows_cameras_on_their_side(tmp_path):
     path = np.linspace(0.0, 1.0, 5)[:, None, None] * np.array([c.position_m for c in rig().cameras])
     figure = top_view_figure(rig=rig(), rig_initial=rig(), ego=ego(), mount_surface=surface(), trajectory_m=path)
     image = pixels(save_figure(figure, tmp_path / "top.png"))
+    image = image[: int(0.9 * len(image))]  # without the key
     middle = [np.mean(where(image, camera_rgb(index), 5.0), axis=1) for index in range(4)]
-    ahead, left, behind, right = middle  # row, column; x points right in the figure and y up
-    assert ahead[1] > left[1] > behind[1]
-    assert left[0] < ahead[0] < right[0]
+    ahead, left, behind, right = middle  # row, column; x points up in the figure and y left
+    assert ahead[0] < left[0] < behind[0]
+    assert left[1] < ahead[1] < right[1]
 
 
 def test_names_in_the_top_view_keep_apart():
@@ -205,7 +206,7 @@ def test_top_view_shows_the_zone_on_request(tmp_path):
     )
     rows, columns = np.nonzero(np.abs(bordered - plain).max(axis=-1) > 40.0)
     # 1.5 m long and 0.9 m wide
-    assert np.ptp(columns) / np.ptp(rows) == pytest.approx(1.5 / 0.9, rel=0.1)
+    assert np.ptp(rows) / np.ptp(columns) == pytest.approx(1.5 / 0.9, rel=0.1)
 
 
 def test_detections_have_their_colours_and_sizes(tmp_path):

@@ -108,7 +108,9 @@ def test_kinds_are_named_before_anything_is_drawn(tmp_path, registered):
         drawing_of(registered(), Canvas(), kind="sheet")
     with pytest.raises(InputError, match=r"x\.gif: out: expected a name that ends in \.png, \.pdf, \.svg, got"):
         plot(rig(), kind="sheet", out=tmp_path / "x.gif")
-    with pytest.raises(TypeError, match=r"plot: visibility: expected an option of a Rig \(ego, scene, range_m\)"):
+    with pytest.raises(
+        TypeError, match=r"plot: visibility: expected an option of a Rig \(ego, scene, range_m, vehicle\)"
+    ):
         plot(rig(), kind="sheet", visibility=True, out=tmp_path / "x.png")
 
 

@@ -282,11 +282,11 @@ def test_mount_surface_is_measured_filled_and_smoothed(tmp_path, drawn):
     image = pixels(rigs.mount_surface_stages(capture(), tmp_path / "9.png", settings=COARSE, cell_m=0.05))
     assert image.shape[1] == WIDTH_PX
     shown = remarks(drawn[0])
-    assert list(shown)[:4] == ["Map and points", "Measured", "Filled", "Smoothed"]
     fused = fuse(capture(), capture().images, CloudSettings())
-    assert shown["Map and points"] == count_text(len(fused.ego.cloud))
+    assert drawn[0].axes[0].get_xlabel() == count_text(len(fused.ego.cloud))
     measured, filled, smoothed = (np.ma.filled(axis.images[0].get_array(), np.nan) for axis in drawn[0].axes[1:4])
-    assert shown["Measured"] == f"{100.0 * np.isfinite(measured).mean():.0f} % of the cells"
+    share = f"{100.0 * np.isfinite(measured).mean():.0f} %"
+    assert list(shown)[:4] == ["Map and points", f"Measured, {share}", "Filled", "Smoothed"]
     assert np.isfinite(measured).mean() < 0.95
     assert filled[np.isfinite(measured)] == pytest.approx(measured[np.isfinite(measured)])
     assert np.isin(filled, measured).all()  # each unmeasured cell has a measured height

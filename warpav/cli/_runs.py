@@ -261,11 +261,11 @@ def plot(
     kind: Annotated[
         str,
         Parameter(
-            help="plan, how far each camera's image of a car is large enough, and the ground that the own body hides; "
-            "range, how far road users are detected; near_field, how far from the body the first visible point is; "
-            "redundancy, how many cameras see a road user where; resolution, pixels per degree; contact, the images of "
-            "all cameras; sheet, a page to print; view, in space; of a run also top_view, search, further and gain; or "
-            "all."
+            help="plan, how far each camera's image of a car is large enough; ground, what near the vehicle no camera "
+            "sees; range, how far road users are detected; near_field, how far from the body the first visible point "
+            "is; redundancy, how many cameras see a road user where; resolution, pixels per degree; contact, images "
+            "of all cameras; sheet, a page to print; view, in space; of a run also top_view, search, further and gain; "
+            "or all."
         ),
     ],
     out: Annotated[

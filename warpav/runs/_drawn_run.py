@@ -21,11 +21,17 @@ if TYPE_CHECKING:
     from warpav.rig.mount_surface import MountSurface
     from warpav.scene.scene import Scene
 
-COMPARED_KINDS = ("plan", "range", "near_field", "redundancy", "resolution")
+COMPARED_KINDS = ("plan", "ground", "range", "near_field", "redundancy", "resolution")
 """Kinds that take several rigs."""
 
 FITTING_KINDS = (*COMPARED_KINDS, "contact", "sheet")
 """Kinds of rigs that runs have as well: start and result side by side, of the last two the result."""
+
+
+def vehicle_name(config: Config) -> str:
+    """What a drawing calls the vehicle of a configuration."""
+    known = f"of scene_{config.scenes.test_seeds[0]}.glb" if config.scenes.source == "folder" else "embedded car"
+    return known if config.scenes.ego is None else config.scenes.ego.name
 
 
 def fitting(kind: str, rigs: Mapping[str, Rig], scene: Scene, config: Config) -> tuple[Any, dict[str, Any]]:
@@ -41,6 +47,8 @@ def fitting(kind: str, rigs: Mapping[str, Rig], scene: Scene, config: Config) ->
                 "range is unknown without a fitted model",
             )
         options["probability"] = lambda model: ensure_fit(config, camera=model)
+    if kind == "sheet":
+        options["vehicle"] = vehicle_name(config)
     is_comparison = kind in COMPARED_KINDS and len(rigs) > 1
     return rigs if is_comparison else list(rigs.values())[-1], options
 
@@ -181,10 +189,10 @@ def _view(
     return run.drawn(scene=scene).view(canvas, iteration=iteration, arrows=arrows, visibility=visibility)
 
 
-def _fitting(kind: str, run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
+def _fitting(kind: str, run: _Run, canvas: Canvas, *, scene: Scene | None = None, **parts: Any) -> Any:  # noqa: ANN401
     drawn = run.drawn(scene=scene)
     shown, options = fitting(kind, drawn.rigs, drawn.scene, drawn.config)
-    return drawing_of(shown, canvas, kind=kind, **options)
+    return drawing_of(shown, canvas, kind=kind, **options, **parts)
 
 
 def _top_view(run: _Run, canvas: Canvas, *, scene: Scene | None = None) -> Any:  # noqa: ANN401
@@ -237,7 +245,8 @@ def draws_runs(cls: type) -> None:
     """Register the kinds of plots of runs for a class with a method ``drawn``."""
     draws(cls, "view")(_view)
     for kind in FITTING_KINDS:
-        draws(cls, kind, is_figure=True)(partial(_fitting, kind))
+        takes = ("scene", "misses_per_100") if kind == "ground" else ("scene",)
+        draws(cls, kind, is_figure=True, options=takes)(partial(_fitting, kind))
     for kind, draw in (("top_view", _top_view), ("search", _search), ("further", _further)):
         draws(cls, kind, is_figure=True)(draw)
     draws(cls, "gain")(_gain)

@@ -19,7 +19,7 @@ from warpav.core.files import check_folder
 from warpav.core.warp_setup import checked_device
 from warpav.raster.lens import Lens
 from warpav.rig.rig import Rig, RigCamera
-from warpav.runs._drawn_run import fitting
+from warpav.runs._drawn_run import fitting, vehicle_name
 from warpav.runs._events import trajectory
 from warpav.runs._mounts import camera_mount, constraints_of, mount_surface, objective_options, rig_modules
 from warpav.runs._networks import load_detector
@@ -27,6 +27,7 @@ from warpav.runs._rig_source import arm_names, find_rig, is_run_folder
 from warpav.runs._run_folder import RunFolder
 from warpav.runs._scene_set import first_scene, load_scene, load_scenes
 from warpav.runs.config import Config
+from warpav.runs.report._content import read_evaluation
 from warpav.scene.glb import read_scene
 from warpav.view import check_suffix, kinds_of, plot
 from warpav.view.figures import checked_figure
@@ -81,7 +82,8 @@ def inspect_rig(
     if shown == "sheet":
         out = out or (Path(source) / "sheet.pdf" if is_run else Path("sheet.pdf"))
         ego = first_scene(config).ego
-        return plot(find_rig(source, config, ego), kind="sheet", ego=ego, title=Path(source).name, out=out)
+        name, rig = Path(source).name, find_rig(source, config, ego)
+        return plot(rig, kind="sheet", ego=ego, vehicle=vehicle_name(config), title=name, out=out)
     if out is not None and out.suffix.lower() == ".rrd":
         return _write_recording(source, config, out, shown, requirements)
     if out is not None:
@@ -148,9 +150,8 @@ def write_mount_drawing(source: str, config: Config, out: Path) -> list[Path]:
     ego = first_scene(config).ego
     rig = find_rig(source, config, ego)
     modules = read_modules(config.rig.catalogue or BUILTIN)
-    vehicle = f"of scene_{config.scenes.test_seeds[0]}.glb" if config.scenes.source == "folder" else "embedded car"
-    vehicle = vehicle if config.scenes.ego is None else config.scenes.ego.name
-    return mount_drawing(rig, ego=ego, title=Path(source).name, vehicle=vehicle, modules=modules).save(out)
+    named = {"title": Path(source).name, "vehicle": vehicle_name(config)}
+    return mount_drawing(rig, ego=ego, modules=modules, **named).save(out)
 
 
 def inspector(
@@ -365,6 +366,8 @@ def draw_plots(
     for kind, file in files.items():
         try:
             of_run: tuple[Any, dict[str, Any]] | None = (RunFolder.open(source), {"scene": scene}) if is_run else None
+            if of_run and kind == "ground" and (evaluation := read_evaluation(RunFolder.open(source))):
+                of_run[1]["misses_per_100"] = evaluation.misses
             shown, options = of_run or fitting(kind, rigs, scene, config)
             written.append(plot(shown, kind=kind, out=file, title=title, progress=progress, **options))
         except InputError as error:

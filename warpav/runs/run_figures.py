@@ -87,33 +87,29 @@ class RunPictures:
         drawn = self._drawn
         has_search = any(event.get("stage") == "selection" for event in drawn.all_events)
         self._plot(drawn, "search", "search" if has_search else "loss_curves")
-        if self.evaluation.mount_tolerance is not None:
-            outages = self.evaluation.camera_outage.get("optimised")
-            self._plot(self.evaluation.mount_tolerance.tolerance(), "tolerance", "sensitivity", outages=outages)
-        for kind in ("plan", "near_field"):
-            self._plot(drawn, kind)
+        self._plot(drawn, "ground", misses_per_100=self.evaluation.misses)
         seen = {name: self._seen(rig, self.test[0]) for name, rig in self.rigs.items()}
         detections_sheet(seen, self.folder.figure_path("detections"))
 
     def _draw_further(self) -> None:
         """All other pictures."""
-        from warpav.sight.ground import BlindGround
-        from warpav.view.figures import blind_ground_figure, detections_sheet, save_figure
+        from warpav.view.figures import detections_sheet
         from warpav.view.figures.around import requirement_map
 
         placement, drawn = self.placement, self._drawn
+        if self.evaluation.mount_tolerance is not None:
+            outages = self.evaluation.camera_outage.get("optimised")
+            self._plot(self.evaluation.mount_tolerance.tolerance(), "tolerance", "sensitivity", outages=outages)
         self._plot(drawn, "top_view", "rig_top_view")
         if drawn.further is not None and len(drawn.further):
             self._plot(drawn, "further", "further_cameras")
-        self._plot(drawn, "redundancy")
+        for kind in ("plan", "near_field", "redundancy"):
+            self._plot(drawn, kind)
         if placement.fitted_probabilities:
             self._plot(self.rigs, "range", ego=self.scene.ego, probability=self._probability)
         for name, met in requirements_of(self.rigs, placement).items():
             file = self.folder.figure_path(f"requirements_{name}")
             requirement_map(file, result=met, rig=self.rigs[name], ego=placement.ego)
-        scenes = [assigned.scene for assigned in self.test[:GROUND_SCENES]]
-        blind = blind_ground_figure(BlindGround.of(self.rigs, scenes), self.rigs, placement.ego)
-        save_figure(blind, self.folder.figure_path("blind_ground"))
         for kind in ("recall", "differences"):
             with contextlib.suppress(ArgumentError):  # too few objects or scenes
                 self._plot(self.evaluation, kind)

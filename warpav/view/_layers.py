@@ -16,8 +16,10 @@ import numpy as np
 from warpav.view._opengl import load_pyvista, load_pyvista_data
 from warpav.view._palette import (
     COVERAGE_RGB,
+    COVERAGE_WORDS,
     DESCENT_RGB,
     INK_RGB,
+    MUTED_RGB,
     OUTCOME_RGB,
     Rgb,
     camera_rgb,
@@ -120,7 +122,7 @@ def _add_gains(
     if surface is None or not surface.n_cells:
         return
     size = max(9, round(16 * min(1.0, plotter.window_size[0] / 1280)))
-    scale = {"title": _GAIN_TITLE, "color": hex_colour(INK_RGB), "fmt": "%.1f", "n_labels": 3}
+    scale = {"title": _GAIN_TITLE, "color": hex_colour(INK_RGB), "fmt": "%.2g", "n_labels": 3}
     scale |= {"position_x": at[0], "position_y": at[1], "width": 0.35, "height": 0.115}
     scale |= {"title_font_size": size, "label_font_size": size}
     colours = {"scalars": "gain_of_100", "cmap": further_map(), "clim": (0.0, max(most, 1e-9))}
@@ -268,9 +270,8 @@ def add_coverage(
     colour_coverage(surface, coverage, height_m)
     paint(plotter, surface, colours="RGBA", name=name)
     if legend:
-        words = ("no camera", "one camera", "two cameras", "more cameras")
         who = patch_words(height_m)
-        add_legend(plotter, {f"{who}: {word}": rgb for word, rgb in zip(words, COVERAGE_RGB, strict=True)})
+        add_legend(plotter, {f"{who}: {word}": rgb for word, rgb in zip(COVERAGE_WORDS, COVERAGE_RGB, strict=True)})
     return surface
 
 
@@ -325,6 +326,8 @@ def add_requirements(plotter: Plotter, result: RequirementResult | None) -> None
     remove(plotter, "requirements")
     if result is not None:
         paint(plotter, requirements_to_pyvista(result), name="requirements")
+        labels = {f"seen enough by {word}": rgb for word, rgb in zip(COVERAGE_WORDS, COVERAGE_RGB, strict=True)}
+        add_legend(plotter, labels | {"cross: not met": MUTED_RGB}, name="requirements/legend")
 
 
 # --------------------------------------------------------------------------------------------------- on the body
@@ -400,6 +403,8 @@ def add_mount_surface(plotter: Plotter, surface: MountSurface, *, scale: Mapping
     squares = zones_to_pyvista(surface, lift_m=_ZONE_LIFT_M)
     style = {"scalars": "height_m", "cmap": "viridis", "lighting": False, "name": "mount_surface"}
     plotter.add_mesh(squares, **style, show_scalar_bar=scale is not None, scalar_bar_args=scale)
+    if scale is not None:
+        plotter.scalar_bars[scale["title"]].SetTitle(f"{scale['title']}\n ")  # as of gains
 
 
 def gain_to_pyvista(surface: MountSurface, further: FurtherCameras, *, lift_m: float = 0.0) -> PolyData:

@@ -41,8 +41,8 @@ OUTCOME_RGB: dict[str, Rgb] = {
 """Of every `warpav.optimisation.evaluation.metrics.ObjectOutcome`."""
 
 COVERAGE_RGB: tuple[Rgb, ...] = ((226, 74, 66), (190, 218, 242), (104, 166, 222), (38, 102, 180))
-"""Of ground that no, one, two, or more cameras see."""
-
+COVERAGE_WORDS = ("no camera", "one camera", "two cameras", "three or more")
+"""Of ground by how many cameras see it."""
 
 _ZONE_RGB: tuple[Rgb, ...] = (
     (86, 180, 233),

@@ -207,7 +207,7 @@ def vehicle_plotter(
     if surface is not None:
         size = max(11, round(18 * min(1.0, plotter.window_size[0] / _VEHICLE_PX[0])))
         scale = {"title": "height above ground [m]", "color": hex_colour(INK_RGB), "fmt": "%.2f"}
-        scale |= {"n_labels": 2, "title_font_size": size, "label_font_size": size}  # one between would meet the title
+        scale |= {"n_labels": 3, "title_font_size": size, "label_font_size": size}
         scale |= {"position_x": 0.66, "position_y": 0.04, "width": 0.3, "height": 0.08}
         add_mount_surface(plotter, surface, scale=scale)
     low, high = bounds_m

@@ -113,9 +113,11 @@ def plot(
     by name, such as ``{"start": start, "optimised": result.rig}``.
 
     - ``view``: in space, on the vehicle and in traffic; its options are below.
-    - ``sheet``: a page to print, to scale: from above, from the side, a table. ``range_m``: radii of the rings [m].
-    - ``plan`` +: to scale from above, how far a car is 40, 20 and 12 px high in each image, and the ground near
-      the vehicle that the own body hides.
+    - ``sheet``: a page to print, to scale: from above, from the side, a table. ``range_m``: radii of the rings [m],
+      ``vehicle``: its name.
+    - ``plan`` +: to scale from above, how far a car is 40, 20 and 12 px high in each image.
+    - ``ground`` +: to scale from above, the ground near the vehicle that is in no image or that the own body hides.
+      ``misses_per_100`` of the rigs by name stand below, of a run those of its test scenes.
     - ``range`` +: by azimuth, up to which distance road users of each class are detected. ``probability`` gives the
       model for a camera; by default that of the detector that ships with warpav.
     - ``near_field`` +: how far from the body the first visible point is at three heights, with dimensions.
@@ -296,10 +298,12 @@ def _draw_sheet(
     ego: Mesh | None = None,
     scene: Scene | None = None,
     range_m: Sequence[float] | None = None,
+    vehicle: str | None = None,
 ) -> Drawing:
     from warpav.view.figures._rig_sheet import rig_sheet
 
-    return rig_sheet(rig, ego=Picture(ego=ego, scene=scene).vehicle, range_m=range_m, title=canvas.title)
+    carrier = Picture(ego=ego, scene=scene).vehicle
+    return rig_sheet(rig, ego=carrier, range_m=range_m, title=canvas.title, vehicle=vehicle)
 
 
 def _figure_of_rigs(module: str, kind: str, *further: str) -> None:
@@ -307,25 +311,20 @@ def _figure_of_rigs(module: str, kind: str, *further: str) -> None:
 
     def draw(rig: Any, canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None, **parts: Any) -> Drawing:  # noqa: ANN401
         figure = getattr(importlib.import_module(f"warpav.view.figures.{module}"), f"{kind}_figure")
-        return figure(_by_name(rig), _vehicle(ego, scene, kind), **parts, heading=canvas.title)
+        rigs = _by_name(rig) if kind == "ground" else _with_widths(_by_name(rig))
+        vehicle = () if kind == "resolution" else (_vehicle(ego, scene, kind),)  # there the body is left out of account
+        return figure(rigs, *vehicle, **parts, heading=canvas.title)
 
     for cls in (Rig, Mapping):
         draws(cls, kind, is_figure=True, options=("ego", "scene", *further))(draw)
 
 
 _figure_of_rigs("plan", "plan")
+_figure_of_rigs("plan", "ground", "misses_per_100")
 _figure_of_rigs("around", "range", "probability")
 _figure_of_rigs("around", "near_field")
 _figure_of_rigs("around", "redundancy")
-
-
-@draws(Mapping, "resolution", is_figure=True)
-@draws(Rig, "resolution", is_figure=True)
-def _draw_resolution(rig: Any, canvas: Canvas, *, ego: Mesh | None = None, scene: Scene | None = None) -> Drawing:  # noqa: ANN401
-    from warpav.view.figures.plan import resolution_figure
-
-    del ego, scene  # the body is left out of account
-    return resolution_figure(_by_name(rig), heading=canvas.title)
+_figure_of_rigs("plan", "resolution")
 
 
 @draws(Rig, "contact", is_figure=True)
@@ -347,6 +346,15 @@ def _by_name(rig: Rig | Mapping[str, Rig]) -> dict[str, Rig]:
         if not isinstance(each, Rig):
             raise TypeError(f"plot: expected rigs by name, got {type(each).__name__} as {name!r}")
     return dict(rig)
+
+
+def _with_widths(rigs: Mapping[str, Rig]) -> dict[str, Rig]:
+    """Rigs by name, with the width of their images where these differ: what is seen far away depends on it."""
+    widths = {name: sorted({camera.model.width_px for camera in rig.cameras}) for name, rig in rigs.items()}
+    if len(rigs) == 1 or len({tuple(each) for each in widths.values()}) == 1:
+        return dict(rigs)
+    said = {name: " to ".join(str(each) for each in dict.fromkeys((low[0], low[-1]))) for name, low in widths.items()}
+    return {f"{name}, {said[name]} px wide": rig for name, rig in rigs.items()}
 
 
 def _vehicle(ego: Mesh | None, scene: Scene | None, kind: str) -> Mesh:

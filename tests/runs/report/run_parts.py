@@ -166,6 +166,6 @@ def fill(folder, content=None):
     write_rig(rig(shift_m=0.75), folder.rig_path("final"))
     for name in ("rig", "rig_top_view", "detections", "loss_curves", "another"):
         picture(folder.figure_path(name))
-    for name in ("recall", "differences", "blind_ground", "first_scene_left", "hardest_scene_left"):
+    for name in ("recall", "differences", "ground", "first_scene_left", "hardest_scene_left"):
         picture(folder.figure_path(name))
     return folder

@@ -1,4 +1,4 @@
-"""A sheet to print: views, strokes, notes, dimensions and marks in millimetres of paper, and numbers clear of them."""
+"""A sheet to print: views, strokes, notes, dimensions and marks in millimetres of paper, and names clear of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warpav.view._labels import Labels, around
-from warpav.view.figures._style import text_width_mm
+from warpav.view.figures._style import short_names, text_width_mm
 
 if TYPE_CHECKING:
     from warpav.view.drawing._mounts import Mount
@@ -122,34 +122,34 @@ def box_mm(low_mm: Sequence[float] | np.ndarray, high_mm: Sequence[float] | np.n
     return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
 
 
-_NUMBER_MM = 2.5
-"""Height of the digits."""
+_NAME_MM = 2.5
+"""Height of the capital letters of a name."""
 
 _CLEAR_MM = 0.6
-"""Between a number and anything else."""
+"""Between a name and anything else."""
 
 _AWAY_MM = (3.0, 4.0, 5.5, 7.0, 9.0, 11.0)
 _SYMBOL_COST, _LINE_COST, _LEADER_COST = 1000.0, 1.0, 100.0
 _STEP_MM = 0.4
 
 
-def add_numbers(sheet: Sheet) -> None:
-    """Number the marks of a sheet, after everything else in its views is there.
+def add_names(sheet: Sheet) -> None:
+    """Name the marks of a sheet, after everything else in its views is there.
 
-    A number stays off marks, arrows and other numbers, and where it can off lines. It is near its mark, behind the
-    arrow rather than beside it. Marks that lie on each other and look the same way share a line of numbers.
+    A name stays off marks, arrows and other names, and where it can off lines. It is near its mark, behind the
+    arrow rather than beside it. Marks that lie on each other and look the same way share a line of names.
     """
     symbols = [circle_mm(mark.place_mm, 1.6 * _MARK_MM, 17) for mark in sheet.marks]
     symbols += [_points_mm(np.stack([mark.place_mm, mark.tip_mm])) for mark in sheet.marks]
-    symbol_mm, labels = np.concatenate(symbols), Labels()
+    symbol_mm, labels, names = np.concatenate(symbols), Labels(), short_names([mount.camera for mount in sheet.mounts])
     lines = [_points_mm(stroke.point_mm, is_closed=stroke.is_closed) for stroke in sheet.strokes]
     lines += [_points_mm(ordinate.line_mm) for ordinate in sheet.ordinates]
     for point_mm, weight in ((symbol_mm, _SYMBOL_COST), (np.concatenate(lines), _LINE_COST)):
         labels.take(np.hstack([point_mm, point_mm]), weight)
     for view in sheet.views:
         for group in _groups([mark for mark in sheet.marks if mark.view is view]):
-            text = ", ".join(str(mark.camera + 1) for mark in group)
-            size_mm = np.array([text_width_mm(text, _NUMBER_MM, is_bold=True), _NUMBER_MM])
+            text = ", ".join(names[mark.camera] for mark in group)
+            size_mm = np.array([text_width_mm(text, _NAME_MM, is_bold=True), _NAME_MM])
             place_mm = np.mean([mark.place_mm for mark in group], axis=0)
             ahead_mm = np.mean([mark.tip_mm for mark in group], axis=0) - place_mm
             back_rad = math.atan2(-ahead_mm[1], -ahead_mm[0]) if np.linalg.norm(ahead_mm) > 3.0 else 0.25 * math.pi
@@ -159,7 +159,7 @@ def add_numbers(sheet: Sheet) -> None:
             is_crossed = (np.linalg.norm(beyond_mm - symbol_mm, axis=-1) < 0.5 * _CLEAR_MM).any(axis=(1, 2))
             best = labels.put(tried_mm, size_mm + 2.0 * _CLEAR_MM, cost=_LEADER_COST * is_crossed, weight=_SYMBOL_COST)
             camera = group[0].camera
-            sheet.notes.append(Note("CAMERAS", tuple(tried_mm[best].tolist()), text, _NUMBER_MM, "middle", camera))
+            sheet.notes.append(Note("CAMERAS", tuple(tried_mm[best].tolist()), text, _NAME_MM, "middle", camera))
             sheet.strokes.append(Stroke("CAMERAS", leaders_mm[best], camera=camera))
             leader_mm = _points_mm(leaders_mm[best])
             labels.take(np.hstack([leader_mm, leader_mm]), _SYMBOL_COST)
@@ -167,7 +167,7 @@ def add_numbers(sheet: Sheet) -> None:
 
 
 def _leader_mm(place_mm: np.ndarray, middle_mm: np.ndarray, size_mm: np.ndarray) -> np.ndarray:
-    """From the circle of a mark to just before its number, [2, 2]."""
+    """From the circle of a mark to just before its name, [2, 2]."""
     half_mm = 0.5 * size_mm + 0.5 * _CLEAR_MM
     end_mm = np.clip(place_mm, middle_mm - half_mm, middle_mm + half_mm)
     towards = (end_mm - place_mm) / np.linalg.norm(end_mm - place_mm)
@@ -185,7 +185,7 @@ def _points_mm(line_mm: np.ndarray, *, is_closed: bool = False) -> np.ndarray:
 
 
 def _groups(marks: Sequence[Mark]) -> list[list[Mark]]:
-    """Marks that overlap and look the same way share a place for their numbers, others stand alone."""
+    """Marks that overlap and look the same way share a place for their names, others stand alone."""
     groups: list[list[Mark]] = []
     for mark in marks:
         for group in groups:

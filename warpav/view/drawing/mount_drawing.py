@@ -10,8 +10,6 @@ import hashlib
 import importlib.util
 import itertools
 import math
-import os
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.errors import ArgumentError, InputError
+from warpav.core.errors import ArgumentError
 from warpav.rig.catalogue import builtin_modules
 from warpav.rig.rig import rig_text
 from warpav.view._outlines import silhouette_m
@@ -35,7 +33,7 @@ from warpav.view.drawing._sheet import (
     Sheet,
     Stroke,
     View,
-    add_numbers,
+    add_names,
     box_mm,
     circle_mm,
 )
@@ -45,8 +43,11 @@ from warpav.view.figures._style import (
     Page,
     camera_cells,
     closed,
+    date_text,
     figure_style,
+    long_names,
     save_figure,
+    short_names,
     text_points,
     text_width_mm,
 )
@@ -63,7 +64,7 @@ _SUFFIXES = (*FIGURE_SUFFIXES[::-1], ".dxf", ".csv", ".glb")
 """Of files that `MountDrawing.save` writes."""
 
 _FRAME_MM = (20.0, 10.0, 410.0, 287.0)  # ISO 5457: 20 mm to the left, 10 mm to the others
-_LABEL_MM, _ABOVE_MM, _GAP_MM = 30.0, 33.0, 17.0
+_LABEL_MM, _ABOVE_MM, _GAP_MM = 33.0, 33.0, 17.0
 _BESIDE_MM = 31.0
 _TITLE_MM = (180.0, 36.0)
 _ROW_MM, _APART_MM = 4.3, 3.2
@@ -188,7 +189,7 @@ def mount_drawing(
         arrow_mm = _ARROW_MM * ahead if np.linalg.norm(ahead) > 0.1 else np.zeros(2)
         drawing.marks.append(Mark(view, index, place_mm, place_mm + arrow_mm))
     _add_ordinates(drawing)
-    add_numbers(drawing)
+    add_names(drawing)
     _add_table(drawing, row_mm)
     _add_title_block(drawing, vehicle, hashlib.sha256(rig_text(rig).encode()).hexdigest()[:12])
     return drawing
@@ -249,6 +250,9 @@ def _add_datums(drawing: _MountDrawing, low_m: np.ndarray, high_m: np.ndarray) -
             middle_mm = end_mm[1] + np.array([2.2, 0.0]) if is_across else end_mm[0] - np.array([0.0, 2.2])
             drawing.strokes.append(Stroke("DATUMS", box_mm(middle_mm - 2.2, middle_mm + 2.2), is_closed=True))
             drawing.notes.append(Note("DATUMS", tuple(middle_mm.tolist()), name, 2.5, "middle"))
+    tip_mm = drawing.views[2].place_mm(high_m) - np.array([0.0, 6.0])  # below the left end of the view from the top
+    drawing.strokes.append(Stroke("FRAME", tip_mm + np.array([[10, 0], [0, 0], [3, 0.8], [3, -0.8], [0, 0]])))
+    drawing.notes.append(Note("FRAME", (float(tip_mm[0]) + 11.5, float(tip_mm[1])), "front"))
 
 
 def _add_ordinates(drawing: _MountDrawing) -> None:
@@ -256,7 +260,8 @@ def _add_ordinates(drawing: _MountDrawing) -> None:
     side, _, top = drawing.views
     edge_mm = _FRAME_MM[0] + _LABEL_MM - 9.0
     head_mm = _FRAME_MM[3] - _ABOVE_MM + 9.0
-    named = [(str(index + 1), mount.camera.position_m) for index, mount in enumerate(drawing.mounts)]
+    cameras = [mount.camera for mount in drawing.mounts]
+    named = [(name, each.position_m) for name, each in zip(short_names(cameras), cameras, strict=True)]
     for view, axis in ((side, 0), (side, 2), (top, 1)):
         of_value: dict[int, list[str]] = {}
         at_mm: dict[int, np.ndarray] = {}
@@ -278,8 +283,9 @@ def _add_ordinates(drawing: _MountDrawing) -> None:
         wanted_mm = np.array([at_mm[value][0 if is_across else 1] for value in values])
         for value_mm, label_mm in zip(values, _spread(wanted_mm, _APART_MM), strict=True):
             end_mm = np.array([label_mm, head_mm] if is_across else [edge_mm, label_mm])
-            names = ", ".join(name for name in of_value[value_mm] if name != "end")
-            names = names if len(names) <= 5 else f"{names.partition(',')[0]}, .."
+            first, *others = [name for name in of_value[value_mm] if name != "end"] or [""]
+            names = ", ".join([first, *others])
+            names = names if len(names) <= 7 or not others else f"{first}.."
             text = f"{value_mm:+d}" if value_mm else "0"
             text = f"{names}: {text}" if names else text
             drawing.ordinates.append(Ordinate(view, at_mm[value_mm], end_mm, is_across, float(value_mm), text))
@@ -300,7 +306,8 @@ def _add_table(drawing: _MountDrawing, row_mm: float) -> None:
     """All numbers of the cameras, at the foot of the page."""
     left_mm, bottom_mm = _FRAME_MM[0] + 3.0, _FRAME_MM[1] + 2.0
     height_mm = min(TEXT_MM, 0.55 * row_mm)
-    rows = [_TABLE_HEAD, *(_row(index, mount) for index, mount in enumerate(drawing.mounts))]
+    names = long_names([mount.camera for mount in drawing.mounts])
+    rows = [_TABLE_HEAD, *((name, *_row(mount)) for name, mount in zip(names, drawing.mounts, strict=True))]
     rows, edges_mm = _columns_mm(rows, height_mm)
     for line, row in enumerate(rows):
         at_mm = bottom_mm + (len(rows) - line - 0.5) * row_mm
@@ -314,10 +321,10 @@ def _add_table(drawing: _MountDrawing, row_mm: float) -> None:
     drawing.strokes.append(Stroke("FRAME", np.stack([across_mm, np.full(2, rule_mm)], axis=1)))
 
 
-def _row(index: int, mount: Mount) -> tuple[str, ...]:
+def _row(mount: Mount) -> tuple[str, ...]:
     camera = mount.camera
     return (
-        *camera_cells(index, camera),
+        *camera_cells(camera),
         plain(math.degrees(camera.model.fov_rad), 1),
         *(plain(1000.0 * value, 0) for value in camera.position_m),
         *(plain(each, 1) for each in angles_deg(camera)),
@@ -328,7 +335,7 @@ def _row(index: int, mount: Mount) -> tuple[str, ...]:
 def _columns_mm(rows: Sequence[tuple[str, ...]], height_mm: float) -> tuple[list[tuple[str, ...]], list[float]]:
     """A table as it fits its room, and the edges of its columns: left ones of text, right ones of numbers.
 
-    Columns are as wide as what they hold; where there is no room for that, names are cut.
+    Columns are as wide as what they hold; where there is no room for that, names are cut in the middle.
     """
 
     def widths_mm() -> np.ndarray:
@@ -342,26 +349,14 @@ def _columns_mm(rows: Sequence[tuple[str, ...]], height_mm: float) -> tuple[list
     gaps = len(rows[0]) - 1
     while widths_mm().sum() + gaps * _COLUMN_GAP_LEAST_MM > _TABLE_MM and longest > 10:
         longest -= 1
-        kept = [
-            (*(text if len(text) <= longest else f"{text[: longest - 2]}.." for text in row[:2]), *row[2:])
-            for row in rows
-        ]
+        cut = ((text, f"{text[: (longest - 2) // 2]}..{text[-(longest // 2) :]}") for row in rows for text in row[:2])
+        short = {text: text if len(text) <= longest else less for text, less in cut}
+        kept = [(*(short[text] for text in row[:2]), *row[2:]) for row in rows]
     width_mm = widths_mm()
     gap_mm = min(_COLUMN_GAP_MM, (_TABLE_MM - float(width_mm.sum())) / gaps)
     start_mm = np.concatenate([[0.0], np.cumsum(width_mm + gap_mm)[:-1]])
     is_number = np.arange(len(width_mm)) >= _TEXT_COLUMNS
     return kept, (start_mm + np.where(is_number, width_mm, 0.0)).tolist()
-
-
-def _date_text() -> str:
-    """The date of a drawing, such as 2026-11-27."""
-    seconds = os.environ.get("SOURCE_DATE_EPOCH")
-    if not seconds:
-        return time.strftime("%Y-%m-%d")
-    try:
-        return time.strftime("%Y-%m-%d", time.gmtime(int(seconds)))
-    except (ValueError, OverflowError, OSError):
-        raise InputError(f"SOURCE_DATE_EPOCH: expected seconds since 1970, got {seconds!r}") from None
 
 
 def _add_title_block(drawing: _MountDrawing, vehicle: str, fingerprint: str) -> None:
@@ -382,7 +377,7 @@ def _add_title_block(drawing: _MountDrawing, vehicle: str, fingerprint: str) -> 
         (0.0, 12.0, 40.0, "scale", f"1 : {drawing.scale:g}", 3.5),
         (40.0, 12.0, 30.0, "sheet", "A3", 3.0),
         (70.0, 12.0, 60.0, "units", "mm, degrees", 3.0),
-        (130.0, 12.0, 50.0, "date", _date_text(), 3.0),
+        (130.0, 12.0, 50.0, "date", date_text(), 3.0),
         (0.0, 0.0, 80.0, "datums", "A ground, B rear axle, C middle plane", 2.4),
         (80.0, 0.0, 100.0, "rig file, SHA-256 begins", fingerprint, 3.0),
     )

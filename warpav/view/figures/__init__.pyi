@@ -5,7 +5,6 @@ from warpav.view.figures._clouds import stages as stages
 from warpav.view.figures._clouds import window_filter as window_filter
 from warpav.view.figures._convergence import loss_figure as loss_figure
 from warpav.view.figures._convergence import search_figure as search_figure
-from warpav.view.figures._from_above import blind_ground_figure as blind_ground_figure
 from warpav.view.figures._from_above import further_figure as further_figure
 from warpav.view.figures._from_above import top_view_figure as top_view_figure
 from warpav.view.figures._images import contact_sheet as contact_sheet

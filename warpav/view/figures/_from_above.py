@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.view._labels import Labels
 from warpav.view._outlines import sector_polygon_m, silhouette_m
-from warpav.view._palette import COVERAGE_RGB, GRID_RGB, INK_RGB, MUTED_RGB, Rgb, camera_rgb, further_map, hex_colour
+from warpav.view._palette import GRID_RGB, INK_RGB, MUTED_RGB, Rgb, camera_rgb, further_map, hex_colour
 from warpav.view.figures._style import (
     PALE,
     WIDTH_INCH,
@@ -22,6 +21,8 @@ from warpav.view.figures._style import (
     empty_panel,
     figure_style,
     halo,
+    long_names,
+    mark_cameras,
     metre_axes,
     new_figure,
     paper,
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from warpav.raster.mesh import Mesh
     from warpav.rig.mount_surface import MountSurface
     from warpav.rig.rig import Rig
-    from warpav.sight.ground import BlindGround
 
 RINGS = "Rings: distance from the middle of the vehicle."
 RING: Any = {"edgecolor": hex_colour(MUTED_RGB), "linewidth": 0.6, "linestyle": (0, (5, 3)), "fill": False}
@@ -42,16 +42,21 @@ _KEY_LINE_INCH = 0.185
 X, Y, Z = np.eye(3)
 
 
+def front_up(point_m: np.ndarray) -> np.ndarray:
+    """Points of the ego frame [..., 2 or 3] from above with the front at the top, [..., 2]."""
+    return np.stack([-point_m[..., 1], point_m[..., 0]], axis=-1)
+
+
 def draw_vehicle(
     axis: Any,  # noqa: ANN401 (matplotlib)
     ego: Mesh,
-    right: np.ndarray = X,
-    up: np.ndarray = Y,
+    right: np.ndarray = Y,
+    up: np.ndarray = X,
     *,
     edge_rgb: Rgb = MUTED_RGB,
     zorder: float = 1.0,
 ) -> None:
-    """Draw a vehicle as a silhouette in one flat colour with a border, seen from above with x pointing right."""
+    """Draw a vehicle as a silhouette in one flat colour with a border, from above at (y, x)."""
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
 
@@ -62,22 +67,22 @@ def draw_vehicle(
 
 
 def draw_height_map(axis: Any, mount_surface: MountSurface, *, colours: Any) -> Any:  # noqa: ANN401 (matplotlib)
-    """Draw a height map from above, x pointing right; cells that are NaN stay empty. Returns matplotlib's image."""
+    """Draw a height map from above at (y, x); cells that are NaN stay empty. Returns matplotlib's image."""
     low, high = np.asarray(mount_surface.bounds_m, dtype=np.float64)
     half = mount_surface.cell_m / 2.0
-    extent = (low[0] - half, high[0] + half, low[1] - half, high[1] + half)
-    height_m = np.asarray(mount_surface.height_m).T
-    return axis.imshow(height_m, origin="lower", extent=extent, cmap=colours, zorder=2, interpolation="nearest")
+    extent = (low[1] - half, high[1] + half, low[0] - half, high[0] + half)
+    style = {"origin": "lower", "extent": extent, "cmap": colours, "zorder": 2, "interpolation": "nearest"}
+    return axis.imshow(mount_surface.height_m, **style)
 
 
 def draw_zone_border(axis: Any, mount_surface: MountSurface) -> None:  # noqa: ANN401 (matplotlib)
-    """Draw the border of the mountable zone from above, x pointing right."""
+    """Draw the border of the mountable zone from above at (y, x)."""
     x_m, y_m = (
         start + mount_surface.cell_m * np.arange(-1, n + 1)
         for start, n in zip(mount_surface.origin_m, mount_surface.height_m.shape, strict=True)
     )
-    distance_m = mount_surface.zone_distance_m(np.stack(np.meshgrid(x_m, y_m, indexing="xy"), axis=-1))
-    axis.contour(x_m, y_m, distance_m, levels=[0.0], colors=hex_colour(INK_RGB), linewidths=1.0, zorder=3)
+    distance_m = mount_surface.zone_distance_m(np.stack(np.meshgrid(x_m, y_m, indexing="ij"), axis=-1))
+    axis.contour(y_m, x_m, distance_m, levels=[0.0], colors=hex_colour(INK_RGB), linewidths=1.0, zorder=3)
 
 
 def draw_cameras(
@@ -87,34 +92,23 @@ def draw_cameras(
     rig_initial: Rig | None = None,
     trajectory_m: np.ndarray | None = None,
     sector_radius_m: float | None = None,
-    has_names: bool = False,
 ) -> None:
-    """Draw cameras from above, x pointing right, each in its colour; paths [m] are [iteration, camera, 2 or 3]."""
+    """Draw cameras from above at (y, x), each in its colour; paths [m] are [iteration, camera, 2 or 3]."""
     for index in range(0 if trajectory_m is None else np.shape(trajectory_m)[1]):
-        path_m = np.asarray(trajectory_m, dtype=np.float64)[:, index, :2].T
+        path_m = np.asarray(trajectory_m, dtype=np.float64)[:, index, 1::-1].T
         axis.plot(*path_m, color="white", linewidth=4.0, zorder=5)
         axis.plot(*path_m, color=hex_colour(camera_rgb(index)), linewidth=1.8, zorder=6)
     for index, camera in enumerate(rig.cameras):
         colour = hex_colour(camera_rgb(index))
         if rig_initial is not None and index < len(rig_initial.cameras):
             hollow = {"markerfacecolor": "white", "markeredgecolor": colour, "markeredgewidth": 1.8}
-            axis.plot(*rig_initial.cameras[index].position_m[:2], "o", markersize=8, zorder=7, **hollow)
+            axis.plot(*rig_initial.cameras[index].position_m[1::-1], "o", markersize=8, zorder=7, **hollow)
         solid = {"markerfacecolor": colour, "markeredgecolor": "white", "markeredgewidth": 1.5}
-        axis.plot(*camera.position_m[:2], "o", markersize=10, zorder=8, **solid)
-        if sector_radius_m is None:
-            continue
-        outline = sector_polygon_m(camera, radius_m=sector_radius_m)
-        axis.fill(*outline.T, color=colour, alpha=0.22, linewidth=0, zorder=3)
-        axis.plot(*closed(outline).T, color=colour, linewidth=1.2, alpha=0.8, zorder=4)
-        if not has_names:
-            continue
-        arc_middle = outline[1:][(len(outline) - 1) // 2]
-        direction = (arc_middle - outline[0]) / np.linalg.norm(arc_middle - outline[0])
-        label = outline[0] + (sector_radius_m + 0.08 + 0.09 * np.abs(direction[1])) * direction
-        side = "center" if abs(direction[0]) < 0.4 else "left" if direction[0] > 0 else "right"
-        style = {"color": colour, "fontweight": "bold", "path_effects": halo(), "zorder": 9}
-        axis.text(*label, camera.name, ha=side, va="center", **style)
-        axis.update_datalim([label + np.array([math.copysign(0.09 * len(camera.name), direction[0]), 0.0])])
+        axis.plot(*camera.position_m[1::-1], "o", markersize=10, zorder=8, **solid)
+        if sector_radius_m is not None:
+            outline = sector_polygon_m(camera, radius_m=sector_radius_m)[:, ::-1]
+            axis.fill(*outline.T, color=colour, alpha=0.22, linewidth=0, zorder=3)
+            axis.plot(*closed(outline).T, color=colour, linewidth=1.2, alpha=0.8, zorder=4)
 
 
 def start_and_end_handles() -> list[Any]:
@@ -154,16 +148,8 @@ def write_distance(axis: Any, place_m: Sequence[float], distance_m: float, **sty
     axis.text(*place_m, f"{distance_m:g} m", ha="center", va="center", **style)
 
 
-def draw_surroundings(
-    axis: Any,  # noqa: ANN401 (matplotlib)
-    ego: Mesh,
-    rig: Rig,
-    *,
-    reach_m: float,
-    has_rings: bool = True,
-    camera_size: float = 4.0,
-) -> None:
-    """Prepare a panel from above, x upwards and y to the left: the vehicle, its cameras, rings, an arrow to the front.
+def draw_surroundings(axis: Any, ego: Mesh, *, reach_m: float, has_rings: bool = True) -> None:  # noqa: ANN401
+    """Prepare a panel from above, x upwards and y to the left: the vehicle, rings, an arrow to the front.
 
     What is drawn into it is drawn at (y, x).
     """
@@ -172,10 +158,7 @@ def draw_surroundings(
     empty_panel(axis)
     x_m, y_m = middle_of(ego)
     axis.set(xlim=(y_m + reach_m, y_m - reach_m), ylim=(x_m - reach_m, x_m + reach_m), aspect="equal")
-    draw_vehicle(axis, ego, Y, X, edge_rgb=INK_RGB, zorder=5.0)
-    for index, camera in enumerate(rig.cameras if camera_size else ()):
-        mark = {"color": hex_colour(camera_rgb(index)), "markeredgecolor": "white", "markeredgewidth": 0.5}
-        axis.plot(camera.position_m[1], camera.position_m[0], "o", markersize=camera_size, zorder=7, **mark)
+    draw_vehicle(axis, ego, edge_rgb=INK_RGB, zorder=5.0)
     for radius_m in ring_radii_m(reach_m) if has_rings else ():
         if radius_m >= half_length_m(ego):
             axis.add_patch(Circle((y_m, x_m), radius_m, zorder=6, **RING))
@@ -235,24 +218,20 @@ def write_key(
 
 
 def camera_handles(rigs: Mapping[str, Rig]) -> dict[str, list[Any]]:
-    """Handles of a key for cameras, numbers and names; where rigs do not share the names, each rig's are apart."""
+    """Handles of a key for cameras; where rigs do not share the names, each rig's are apart."""
     from matplotlib.patches import Patch
 
     def named(rig: Rig) -> list[Any]:
-        numbered = enumerate(rig.cameras)
-        return [Patch(color=hex_colour(camera_rgb(k)), label=f"{k + 1} {camera.name}") for k, camera in numbered]
+        return [Patch(color=hex_colour(camera_rgb(k)), label=name) for k, name in enumerate(long_names(rig.cameras))]
 
     largest = max(rigs.values(), key=lambda rig: len(rig.cameras))
     name = [camera.name for camera in largest.cameras]
     if all([camera.name for camera in rig.cameras] == name[: len(rig.cameras)] for rig in rigs.values()):
-        return {"cameras": named(largest)}
-    return {f"cameras of {key}": named(rig) for key, rig in rigs.items()}
+        return {"Cameras": named(largest)}
+    return {f"Cameras of {key}": named(rig) for key, rig in rigs.items()}
 
 
 # ------------------------------------------------------------------------------------------------- of runs
-
-_ROOM_INCH = 1.9, 1.5
-"""Beside the panel for labels and the bar, and above and below it for the key, the title and labels."""
 
 _SECTOR_M = 1.6
 """How long fields of view are drawn [m]."""
@@ -273,14 +252,14 @@ def top_view_figure(
     from matplotlib.patches import Patch
 
     with figure_style():
-        figure = new_figure(WIDTH_INCH, 6.0)
+        figure = new_figure(WIDTH_INCH, 7.5)
         axis = figure.subplots()
         draw_vehicle(axis, ego)
         image = draw_height_map(axis, mount_surface, colours=colour_map(*PALE))
         if shows_zone:
             draw_zone_border(axis, mount_surface)
         moved = {"rig_initial": rig_initial, "trajectory_m": trajectory_m}
-        draw_cameras(axis, rig, **moved, sector_radius_m=_SECTOR_M, has_names=True)
+        draw_cameras(axis, rig, **moved, sector_radius_m=_SECTOR_M)
         if heading:
             axis.set_title(heading)
         handles, grey = start_and_end_handles() if rig_initial is not None else [], hex_colour(MUTED_RGB)
@@ -288,44 +267,19 @@ def top_view_figure(
             handles.append(Line2D([], [], color=grey, linewidth=1.8, label="path of a camera"))
         handles.append(Patch(color=grey, alpha=0.3, label=f"horizontal field of view, drawn {_SECTOR_M:g} m long"))
         figure.legend(handles=handles, loc="outside upper left", ncols=4)
-        _finish(axis, 0.04)
+        figure.legend(handles=camera_handles({"rig": rig})["Cameras"], loc="outside lower left", ncols=4)
+        name_cameras(axis, rig)
         colour_bar(figure, image, axis, "height of the mount surface [m]", shrink=0.7)
-        _set_apart(figure, axis)
         return figure
 
 
-def _finish(axis: Any, margin: float) -> None:  # noqa: ANN401 (matplotlib)
+def name_cameras(axis: Any, rig: Rig) -> None:  # noqa: ANN401 (matplotlib)
+    """Mark cameras with their short names in a panel to scale, and fit its limits to all that is drawn."""
     metre_axes(axis)
     axis.use_sticky_edges = False
-    axis.margins(margin)
+    axis.margins(0.04)
     axis.autoscale_view()
-
-
-def _set_apart(figure: Any, axis: Any) -> None:  # noqa: ANN401 (matplotlib)
-    """Make room for the texts of a panel, move them up or down off each other, and fit the figure's height to it."""
-    low_m, high_m = np.array([axis.get_xlim(), axis.get_ylim()]).T
-    for _ in range(3):  # a wider panel has a smaller scale, and there texts are longer
-        boxes_m = _text_boxes_m(figure, axis)
-        low_m[0] = min(low_m[0], *(box[0, 0] for box in boxes_m))
-        high_m[0] = max(high_m[0], *(box[1, 0] for box in boxes_m))
-        axis.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]))
-    middle_m, labels = 0.5 * (low_m[1] + high_m[1]), Labels()
-    for text, box in zip(axis.texts, _text_boxes_m(figure, axis), strict=True):
-        size_m, outwards = np.ptp(box, axis=0), math.copysign(1.1, float(box[:, 1].mean()) - middle_m)
-        step_m = np.outer([0, 1, -1, 2, -2, 3, -3, 4], [0.0, outwards * size_m[1]])
-        moved_m = step_m[labels.put(box.mean(axis=0) + step_m, size_m)]
-        text.set_position(np.array(text.get_position()) + moved_m)
-        low_m, high_m = np.minimum(low_m, box[0] + moved_m - 0.05), np.maximum(high_m, box[1] + moved_m + 0.05)
-    axis.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]))
-    ratio = (high_m - low_m)[1] / (high_m - low_m)[0]
-    figure.set_figheight(float(np.clip(_ROOM_INCH[1] + (WIDTH_INCH - _ROOM_INCH[0]) * ratio, 3.6, 7.5)))
-
-
-def _text_boxes_m(figure: Any, axis: Any) -> list[np.ndarray]:  # noqa: ANN401 (matplotlib)
-    """Lowest and highest corners of the texts of a panel in its own units, [2, 2] each."""
-    figure.draw_without_rendering()
-    from_px = axis.transData.inverted()
-    return [from_px.transform(text.get_window_extent().get_points()) for text in axis.texts]
+    mark_cameras(axis, rig.cameras)
 
 
 def further_figure(
@@ -347,56 +301,28 @@ def further_figure(
     scale = {"cmap": further_map(), "clim": (0.0, most)}
     best = further[further.best_places()]
     with figure_style():
-        figure = new_figure(WIDTH_INCH, 4.7)
+        figure = new_figure(0.75 * WIDTH_INCH, 9.0)
         axis = figure.subplots()
         draw_vehicle(axis, ego)
         draw_height_map(axis, mount_surface, colours=colour_map(*PALE))
         for shown, size, order in ((further, 9.0, 4), (best, 22.0, 6)):
-            place_m, gain = shown.position_m[::-1, :2], 100.0 * shown.gain[::-1]  # the best last, on top of the others
+            # the best last, on top of the others
+            place_m, gain = shown.position_m[::-1, 1::-1], 100.0 * shown.gain[::-1]
             dots = axis.scatter(*place_m.T, c=gain, s=size, edgecolors=ink, linewidths=0.4, zorder=order, **scale)
         arrow = {"width": 0.025, "headwidth": 3.8, "headlength": 4.2, "headaxislength": 3.8, "edgecolor": ink}
         arrow |= {"linewidth": 0.5, "angles": "xy", "scale_units": "xy", "units": "xy", "scale": 1.0, "zorder": 5}
-        ahead_m = 0.2 * best.direction[::-1, :2]
-        axis.quiver(*best.position_m[::-1, :2].T, *ahead_m.T, 100.0 * best.gain[::-1], **scale, **arrow)
+        ahead_m = 0.2 * best.direction[::-1, 1::-1]
+        axis.quiver(*best.position_m[::-1, 1::-1].T, *ahead_m.T, 100.0 * best.gain[::-1], **scale, **arrow)
         bold = {"ha": "center", "va": "center", "fontweight": "bold", "zorder": 9, "path_effects": halo()}
         for rank, (place_m, ahead) in enumerate(zip(best.position_m[:5], best.direction[:5, :2], strict=True), 1):
             behind_m = place_m[:2] - 0.09 * ahead / max(float(np.linalg.norm(ahead)), 1e-9)
-            axis.annotate(str(rank), behind_m, **bold)
-        mark: Any = {"markerfacecolor": "white", "markeredgecolor": ink, "markeredgewidth": 1.5, "markersize": 8}
+            axis.annotate(str(rank), behind_m[::-1], **bold)
         for camera in rig.cameras:
             outline = sector_polygon_m(camera, radius_m=0.45)
-            axis.fill(*outline.T, facecolor="white", edgecolor=ink, alpha=0.55, linewidth=0.8, zorder=3)
-            axis.plot(*camera.position_m[:2], "o", zorder=7, **mark)
-        axis.plot([], [], "o", label="camera of the rig, and what it covers", **mark)
-        arrow = {"linestyle": "", "marker": r"$\rightarrow$", "color": ink, "markersize": 13}
+            axis.fill(*outline.T[::-1], facecolor="white", edgecolor=ink, alpha=0.55, linewidth=0.8, zorder=3)
+        arrow = {"linestyle": "", "marker": ">", "color": ink, "markersize": 7}
         axis.plot([], [], label="one more camera: the best at its place", **arrow)
-        figure.legend(loc="outside upper left", ncols=2)
-        _finish(axis, 0.03)
+        figure.legend(loc="outside upper left")
+        name_cameras(axis, rig)
         colour_bar(figure, dots, axis, f"further {objects} found of 100", shrink=0.75)
         return figure
-
-
-def blind_ground_figure(ground: BlindGround, rigs: Mapping[str, Rig], ego: Mesh) -> Any:  # noqa: ANN401 (matplotlib)
-    """Of the scenes in which somebody can stand on a cell, the share in which no camera of a rig sees him there.
-
-    A row for every height, a column for every rig. Cells on which nobody can stand in any scene are white.
-    """
-    colours = colour_map("blind", "#eaf1f8", (240, 170, 150), COVERAGE_RGB[0], (120, 16, 20))
-    x_m, y_m = middle_of(ego)
-    reach_m, rows = 0.5 * ground.cell_m * ground.open_count.shape[1], len(ground.heights_m)
-    place = {"origin": "lower", "extent": (y_m - reach_m, y_m + reach_m, x_m - reach_m, x_m + reach_m)}
-    style = {"cmap": colours, "vmin": 0.0, "vmax": 1.0, "interpolation": "nearest", "zorder": 1}
-    image = None
-    with figure_style():
-        figure = new_figure(WIDTH_INCH, 4.4 * rows)
-        axes = figure.subplots(rows, len(rigs), squeeze=False)
-        for (height, _), axis, (name, rig) in zip(
-            np.ndindex(axes.shape), axes.flat, [*rigs.items()] * rows, strict=True
-        ):
-            blind, opened = ground.blind_count[name][height], ground.open_count[height]
-            image = axis.imshow(np.where(opened > 0, blind / np.maximum(opened, 1), np.nan), **place, **style)
-            draw_surroundings(axis, ego, rig, reach_m=reach_m)
-            axis.set_title(f"{name}: {ground.heights_m[height]:g} m tall")
-        colour_bar(figure, image, axes, "scenes in which no camera sees somebody there", shrink=0.6, format="{x:.0%}")
-        caption(figure, RINGS)
-    return figure

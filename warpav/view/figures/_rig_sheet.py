@@ -13,17 +13,22 @@ from warpav.core.errors import ArgumentError
 from warpav.view._labels import Labels
 from warpav.view._outlines import seen_arcs_rad, seen_ground_m
 from warpav.view._palette import INK_RGB, MUTED_RGB, camera_rgb, hex_colour
-from warpav.view.figures._from_above import RING, X, Y, Z, draw_vehicle
+from warpav.view.figures._from_above import RING, X, Y, Z, draw_vehicle, front_up
 from warpav.view.figures._style import (
     SCALES,
     Page,
+    badge_pt,
     camera_cells,
     closed,
+    date_text,
+    draw_badge,
     figure_style,
+    long_names,
     mark_cameras,
     paper,
-    text_points,
+    short_names,
     text_width_mm,
+    unit_per_pt,
 )
 
 if TYPE_CHECKING:
@@ -34,10 +39,6 @@ _PAGE_MM = (210.0, 297.0)
 """A4; rigs of many cameras make it longer."""
 
 _MARGIN_MM, _HEAD_MM, _ROW_MM, _NOTE_MM, _GAP_MM = 12.0, 17.0, 4.6, 17.0, 9.0
-_NAME_MM = 1.9
-"""Height of the capital letters of names."""
-_UPRIGHT_COSINE = 0.9
-"""Beside the drawing there is no room for a level name."""
 _ARC_STEP_RAD = math.radians(1.0)
 _ANGLE_EPSILON = 1e-6
 
@@ -85,7 +86,12 @@ def _forward(camera: RigCamera) -> np.ndarray:
 
 
 def rig_sheet(
-    rig: Rig, *, ego: Mesh | None = None, range_m: Sequence[float] | None = None, title: str | None = None
+    rig: Rig,
+    *,
+    ego: Mesh | None = None,
+    range_m: Sequence[float] | None = None,
+    title: str | None = None,
+    vehicle: str | None = None,
 ) -> Any:  # noqa: ANN401 (matplotlib)
     """A rig on a page of A4: from above and from the side, in a scale that the page states, and a table.
 
@@ -132,19 +138,23 @@ def rig_sheet(
         heading = title or f"Rig of {count} camera{'' if count == 1 else 's'}"
         page.text(_MARGIN_MM, below_mm, heading, fontsize=13, fontweight="bold")
         page.text(width_mm - _MARGIN_MM, below_mm, f"1 : {scale}", ha="right", fontsize=10)
+        length_m, across_m, up_m = high_m - low_m
+        size = "no vehicle" if ego is None else f"vehicle {length_m:.2f} x {across_m:.2f} x {up_m:.2f} m"
+        about = ", ".join(filter(None, (vehicle, size, date_text())))
+        page.text(_MARGIN_MM, below_mm + 6.5, about, fontsize=8, color=hex_colour(MUTED_RGB))
         below_mm += 0.5 * _HEAD_MM
         above = page.panel(left_mm, below_mm, drawing_mm, drawing_mm)
-        limits_m = middle_m[:, None] + half_m * np.array([-1, 1])
+        limits_m = middle_m[0] + half_m * np.array([-1, 1])
         below_mm += drawing_mm + _GAP_MM
         side_mm = 1000.0 * top_m / scale
         side = page.panel(left_mm, below_mm, drawing_mm, side_mm)
         if ego is not None:
-            draw_vehicle(above, ego)
+            draw_vehicle(above, ego, -Y, X)
             draw_vehicle(side, ego, X, Z)
-        above.set(xlim=limits_m[0], ylim=limits_m[1])
-        side.set(xlim=limits_m[0], ylim=(0.0, top_m))
+        above.set(xlim=limits_m - middle_m[0] - middle_m[1], ylim=limits_m)
+        side.set(xlim=limits_m, ylim=(0.0, top_m))
         _draw_rings(above, side, ring_m, middle_m)
-        _draw_from_above(above, rig, middle_m, reach_m, 0.001 * scale)
+        _draw_from_above(above, rig, middle_m, reach_m)
         _draw_from_side(side, rig, middle_m, reach_m)
         if top_m < reach_m:  # what the view from the side shows does not end there
             grey = hex_colour(MUTED_RGB)
@@ -152,16 +162,21 @@ def rig_sheet(
             style = {"ha": "right", "va": "bottom", "fontsize": 6.5, "color": grey, "annotation_clip": False}
             place = {"xycoords": ("axes fraction", "data"), "xytext": (0, 3), "textcoords": "offset points"}
             side.annotate(f"cut {top_m:.1f} m above the ground", (1.0, top_m), **place, **style)
-        for axis, across in ((above, [0, 1]), (side, [0, 2])):
-            place_m = np.array([camera.position_m[across] for camera in rig.cameras])
-            mark_cameras(axis, place_m, per_pt=25.4 / 72.0 * 0.001 * scale)
+        place_m = np.array([camera.position_m for camera in rig.cameras])
+        for axis, across_m in ((above, front_up(place_m)), (side, place_m[:, [0, 2]])):
+            mark_cameras(axis, rig.cameras, across_m)
         below_mm += side_mm + _GAP_MM
-        rows = [_HEADINGS, *(_row(index, camera) for index, camera in enumerate(rig.cameras))]
+        rows = [
+            _HEADINGS,
+            *((name, *_row(camera)) for name, camera in zip(long_names(rig.cameras), rig.cameras, strict=True)),
+        ]
         names_mm = min(max(38.0, 1.65 * max(len(row[0]) for row in rows)), 54.0)
         column_mm = (0.0, names_mm, 82.0, 107.0, 127.0, 158.0)
         for (line, row), column in itertools.product(enumerate(rows), range(len(column_mm))):
             colour = hex_colour(camera_rgb(line - 1) if line and not column else INK_RGB)
-            style = {"fontsize": 7.0, "color": colour, "fontweight": "normal" if line and column else "bold"}
+            room = (names_mm - 1.5) / text_width_mm(row[column], 1.78, is_bold=True) if not column else 1.0
+            style = {"fontsize": 7.0 * min(1.0, room), "color": colour}
+            style["fontweight"] = "normal" if line and column else "bold"
             page.text(_MARGIN_MM + column_mm[column], below_mm + line * _ROW_MM, row[column], **style)
         grey = hex_colour(MUTED_RGB)
         page.text(_MARGIN_MM, page_mm - _MARGIN_MM, _NOTE, va="bottom", fontsize=6.5, color=grey)
@@ -174,71 +189,38 @@ def _draw_rings(above: Any, side: Any, ring_m: Sequence[float], middle_m: np.nda
     label = {"fontsize": 7, "color": hex_colour(MUTED_RGB), "ha": "center", "zorder": 10}
     below = {"xytext": (0, -3), "textcoords": "offset points", "va": "top", "annotation_clip": False}
     for radius_m in ring_m:
-        above.add_patch(Circle(tuple(middle_m), radius_m, zorder=2, **RING))
+        above.add_patch(Circle(tuple(front_up(middle_m)), radius_m, zorder=2, **RING))
         side.add_patch(Circle((middle_m[0], 0.0), radius_m, zorder=2, **RING))
         for sign in (-1.0, 1.0):
-            place_m = middle_m + radius_m * math.sqrt(0.5) * np.array([sign, -1.0])
+            place_m = front_up(middle_m) + radius_m * math.sqrt(0.5) * np.array([sign, -1.0])
             above.text(*place_m, f"{radius_m:g} m", va="center", bbox=paper(0.8, 0.8), **label)
             side.annotate(f"{radius_m:g} m", (middle_m[0] + sign * radius_m, 0.0), **below, **label)
     side.axhline(0.0, color=hex_colour(INK_RGB), linewidth=1.2, zorder=9, clip_on=False)
 
 
-def _draw_from_above(
-    axis: Any,  # noqa: ANN401 (matplotlib)
-    rig: Rig,
-    middle_m: np.ndarray,
-    reach_m: float,
-    m_per_mm: float,
-) -> None:
+def _draw_from_above(axis: Any, rig: Rig, middle_m: np.ndarray, reach_m: float) -> None:  # noqa: ANN401 (matplotlib)
+    """Draw fans, and short names outside of the outermost ring, off the labels of rings."""
     from matplotlib.patches import Circle
 
-    border = Circle(tuple(middle_m), reach_m, transform=axis.transData)
-    bearing_rad = []
-    for index, camera in enumerate(rig.cameras):
+    border = Circle(tuple(front_up(middle_m)), reach_m, transform=axis.transData)
+    ring_m, per_pt = np.array([text.get_position() for text in axis.texts]), unit_per_pt(axis)
+    half_m = per_pt * np.array([14.0, 6.0])
+    labels = Labels(np.hstack([ring_m - half_m, ring_m + half_m]))
+    for index, (camera, name) in enumerate(zip(rig.cameras, short_names(rig.cameras), strict=True)):
         colour, centre_m = hex_colour(camera_rgb(index)), camera.position_m[:2]
         arcs = _horizontal_arcs_rad(camera)
         for outline_m in (_fan_m(arc, centre_m, middle_m, reach_m) for arc in arcs):
-            _draw_fan(axis, outline_m, colour, alpha=0.14)
+            _draw_fan(axis, front_up(outline_m), colour, alpha=0.14)
         if not arcs:
             for outline_m in seen_ground_m(camera, reach_m=2.0 * reach_m):
-                fan = axis.fill(*outline_m.T, facecolor="none", edgecolor=colour, hatch="////", linewidth=0.9, zorder=4)
+                style = {"facecolor": "none", "edgecolor": colour, "hatch": "////", "linewidth": 0.9, "zorder": 4}
+                fan = axis.fill(*front_up(outline_m).T, **style)
                 fan[0].set_clip_path(border)
         forward = _forward(camera)[:2]
-        largest = max(arcs, key=lambda arc: arc[1] - arc[0], default=None)
-        if largest is not None and largest[1] - largest[0] < 2.0 * math.pi - _ANGLE_EPSILON:
-            middle_rad = 0.5 * sum(largest)
-            forward = np.array([math.cos(middle_rad), math.sin(middle_rad)])
-        end_m = centre_m + _distance_m(centre_m, forward, middle_m, reach_m) * forward - middle_m
-        bearing_rad.append(math.atan2(end_m[1], end_m[0]))
-    _name_cameras(axis, rig, bearing_rad, middle_m, reach_m, m_per_mm)
-
-
-def _name_cameras(
-    axis: Any,  # noqa: ANN401 (matplotlib)
-    rig: Rig,
-    bearing_rad: Sequence[float],
-    middle_m: np.ndarray,
-    reach_m: float,
-    m_per_mm: float,
-) -> None:
-    """Names outside of the outermost ring, along it where there is no room for level ones."""
-    half_m = np.array([0.5 * _PAGE_MM[0] - 0.5 * _MARGIN_MM, 0.5 * _PAGE_MM[1]]) * m_per_mm
-    labels = Labels(within=[*(middle_m - half_m), *(middle_m + half_m)])
-    for index, (camera, wish_rad) in enumerate(zip(rig.cameras, bearing_rad, strict=True)):
-        name = f"{index + 1} {camera.name}"
-        size_m = m_per_mm * np.array([text_width_mm(name, _NAME_MM, is_bold=True) + 1.0, 2.0 * _NAME_MM])
-        angle_rad = wish_rad + math.radians(1.5) * np.array(sorted(range(-119, 121), key=abs))
-        outwards = np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=1)
-        is_upright = np.abs(outwards[:, :1]) > _UPRIGHT_COSINE
-        along, across = np.abs(outwards[:, ::-1]), np.abs(outwards)
-        extent_m = np.where(is_upright, size_m[0] * along + size_m[1] * across, size_m)
-        beside_m = 0.5 * size_m * np.sign(outwards) * (across > [0.2, 0.0])
-        tried_m = middle_m + np.where(is_upright, 1.05, 1.02) * reach_m * outwards + np.where(is_upright, 0.0, beside_m)
-        best = labels.put(tried_m, extent_m)
-        turn_rad = (angle_rad[best] if outwards[best, 0] < 0.0 else angle_rad[best] - math.pi) + 0.5 * math.pi
-        style = {"fontsize": text_points(_NAME_MM), "fontweight": "bold", "rotation_mode": "anchor", "zorder": 10}
-        style |= {"ha": "center", "va": "center", "rotation": math.degrees(turn_rad) if is_upright[best] else 0.0}
-        axis.text(*tried_m[best], name, color=hex_colour(camera_rgb(index)), **style)
+        ahead_m = front_up(centre_m + _distance_m(centre_m, forward, middle_m, reach_m) * forward - middle_m)
+        angle_rad = math.atan2(*ahead_m[::-1]) + math.radians(1.5) * np.array(sorted(range(-119, 121), key=abs))
+        tried_m = front_up(middle_m) + 1.04 * reach_m * np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=1)
+        draw_badge(axis, tried_m[labels.put(tried_m, per_pt * (badge_pt(name) + 1.0))], name, colour)
 
 
 def _draw_from_side(axis: Any, rig: Rig, middle_m: np.ndarray, reach_m: float) -> None:  # noqa: ANN401 (matplotlib)
@@ -288,8 +270,8 @@ def _draw_fan(axis: Any, outline_m: np.ndarray, colour: str, *, alpha: float) ->
 _HEADINGS = ("camera", "module or lens", "image [px]", "field [°]", "x, y, z [m]", "yaw, pitch, roll [°]")
 
 
-def _row(index: int, camera: RigCamera) -> tuple[str, ...]:
+def _row(camera: RigCamera) -> tuple[str, ...]:
     seen = [f"{math.degrees(each):.0f}" for each in _field_of_view_rad(camera)]
     angles_deg = np.degrees([camera.yaw_rad, camera.pitch_rad, camera.roll_rad]) + 0.0
     place, angles = (", ".join(f"{x:.{k}f}" for x in each) for each, k in ((camera.position_m, 2), (angles_deg, 0)))
-    return (*camera_cells(index, camera), " x ".join(seen), place, angles)
+    return (*camera_cells(camera), " x ".join(seen), place, angles)

@@ -29,6 +29,7 @@ from warpav.view.figures._from_above import (
     draw_height_map,
     draw_vehicle,
     draw_zone_border,
+    name_cameras,
     start_and_end_handles,
 )
 from warpav.view.figures._images import detection_handles, draw_detections
@@ -86,8 +87,8 @@ def without_and_with_constraints(
     point_m = np.concatenate([ego.bounds_m(), *(run.trajectory_m.reshape(-1, 3) for run in (free, kept))])
     length_m, width_m = np.ptp(point_m[:, :2], axis=0)
     with figure_style():
-        figure = new_figure(WIDTH_INCH, 1.9 + 2.0 * min(0.8 * WIDTH_INCH * width_m / length_m, 5.0))
-        axes, image = figure.subplots(2, 1, sharex=True, sharey=True), None
+        figure = new_figure(WIDTH_INCH, 1.9 + min(0.4 * WIDTH_INCH * length_m / width_m, 9.0))
+        axes, image = figure.subplots(1, 2, sharex=True, sharey=True), None
         for axis, heading, run in zip(axes, ("Without constraints", "With constraints"), (free, kept), strict=True):
             draw_vehicle(axis, ego)
             image = draw_height_map(axis, surface, colours=colour_map(*PALE))
@@ -96,13 +97,14 @@ def without_and_with_constraints(
             else:
                 low, high = surface.bounds_m
                 style = {"fill": False, "edgecolor": hex_colour(INK_RGB), "linewidth": 1.0, "zorder": 3}
-                axis.add_patch(Rectangle(low, *(high - low), **style))
+                axis.add_patch(Rectangle(low[::-1], *(high - low)[::-1], **style))
             draw_cameras(axis, run.end, rig_initial=run.start, trajectory_m=run.trajectory_m)
             excess_m = [constraints.violation_m(Rig([camera])) for camera in run.end.cameras]
             outside = int(np.count_nonzero(excess_m))
             result = f"{outside} of {len(excess_m)} cameras end outside"
-            title(axis, heading, f"{result}, by up to {max(excess_m):.2f} m" if outside else result)
-            metre_axes(axis, across=axis is axes[1])
+            axis.set_title(heading)
+            metre_axes(axis, up=axis is axes[0])
+            axis.set_xlabel(f"y, left [m]\n{result}{f', by up to {max(excess_m):.2f} m' if outside else ''}")
         colour_bar(figure, image, axes, "height of the mount surface [m]", shrink=0.6)
         border = "border of the mountable zone" if constraints.are_inequalities else "bounds of the mount surface"
         text = f"{remark} Black: {border}. Without: all multipliers stay 0."
@@ -137,10 +139,8 @@ def highest_rig(rig: Rig, views: Sequence[_SceneView], path: Path | str, *, surf
         near, around = upper.subplots(1, 2, width_ratios=[1.15, 1.0])
         draw_vehicle(near, ego)
         draw_height_map(near, surface, colours=colour_map(*PALE))
-        draw_cameras(near, rig, sector_radius_m=1.2, has_names=True)
-        metre_axes(near)
-        near.margins(0.1)
-        near.autoscale_view()
+        draw_cameras(near, rig, sector_radius_m=1.2)
+        name_cameras(near, rig)
         title(near, "Cameras around the highest point")
         _draw_plan(around, rig, views)
         axes = lower.subplots(image_rows, _IMAGES_A_ROW, squeeze=False).flat
@@ -183,7 +183,7 @@ def _draw_images(axes: Sequence[Any], rig: Rig, views: Sequence[_SceneView]) -> 
 
 
 def _draw_plan(axis: Any, rig: Rig, views: Sequence[_SceneView]) -> None:  # noqa: ANN401 (matplotlib)
-    """Draw from above who is found and who is not in some scenes, x pointing right, and the rig's sectors."""
+    """Draw from above who is found and who is not in some scenes, the front up, and the rig's sectors."""
     boxes = [vehicle.box for scene, _ in views for vehicle in scene.vehicles]
     is_found = np.concatenate([observation.detected for _, observation in views])
     reach_m = max((np.abs(box.corners_m()[:, :2]).max() for box in boxes), default=20.0)
@@ -191,18 +191,18 @@ def _draw_plan(axis: Any, rig: Rig, views: Sequence[_SceneView]) -> None:  # noq
     draw_vehicle(axis, views[0][0].ego)
     for index, camera in enumerate(rig.cameras):
         outline = sector_polygon_m(camera, radius_m=1.5 * reach_m)  # to the corners of the panel
-        axis.fill(*outline.T, color=hex_colour(camera_rgb(index)), alpha=0.13, linewidth=0, zorder=0)
+        axis.fill(*outline.T[::-1], color=hex_colour(camera_rgb(index)), alpha=0.13, linewidth=0, zorder=0)
     for box, found in zip(boxes, is_found, strict=True):
         colour = hex_colour(TRUE_POSITIVE_RGB if found else MISS_RGB)
-        outline = box.corners_m()[[0, 4, 6, 2], :2]
+        outline = box.corners_m()[[0, 4, 6, 2], 1::-1]
         axis.fill(*outline.T, facecolor=colour, alpha=0.35, linewidth=0, zorder=3)
         line = {"linestyle": "-", "zorder": 4} if found else {"linestyle": (0, (3, 2)), "zorder": 5}
         axis.fill(*outline.T, facecolor="none", edgecolor=colour, linewidth=0.9 if found else 1.3, **line)
-    axis.set(xlim=(-reach_m, reach_m), ylim=(-reach_m, reach_m), aspect="equal")
+    axis.set(xlim=(reach_m, -reach_m), ylim=(-reach_m, reach_m), aspect="equal")
     axis.grid(visible=False)
     axis.locator_params(nbins=4)
     axis.tick_params(labelsize=8)
-    axis.set_xlabel("x, forward [m]", fontsize=8)
+    axis.set_xlabel("y, left [m]", fontsize=8)
     text = f"{int(is_found.sum())} of {len(is_found)} found in {count_text(len(views), 'scenes')}"
     axis.set_title(text, fontsize=9.5, fontweight="normal", pad=4)
 
@@ -232,31 +232,32 @@ def mount_surface_stages(
     limits_m = float(surface.height_m.min()), float(surface.height_m.max())
     with figure_style():
         figure = new_figure(WIDTH_INCH, 5.5)
-        axes = figure.subplots(2, 2)
-        title(axes[0, 0], "Map and points", count_text(len(cloud.cloud)))
-        empty_panel(axes[0, 0])
+        axes = figure.subplots(1, 4)
+        axes[0].set_title("Map and points")
+        axes[0].set_xlabel(count_text(len(cloud.cloud)))
+        empty_panel(axes[0])
         low_m, high_m = ego.bounds_m()[:, :2] + np.array([[-0.15], [0.15]])
-        axes[0, 0].set_box_aspect((high_m[1] - low_m[1]) / (high_m[0] - low_m[0]))
+        axes[0].set_box_aspect((high_m[0] - low_m[0]) / (high_m[1] - low_m[1]))
         image = None
-        for axis, (text, one) in zip(axes.flat[1:], maps.items(), strict=True):
+        for axis, (text, one) in zip(axes[1:], maps.items(), strict=True):
             draw_vehicle(axis, ego)
             image = draw_height_map(axis, one, colours="viridis")
             image.set_clim(*limits_m)
             share = float(np.isfinite(one.height_m).mean())
-            title(axis, text, f"{100.0 * share:.0f} % of the cells" if share < 1.0 else "")
-            axis.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]))
-            metre_axes(axis)
+            axis.set_title(f"{text}, {100.0 * share:.0f} %" if share < 1.0 else text)
+            axis.set(xlim=(low_m[1], high_m[1]), ylim=(low_m[0], high_m[0]))
+            metre_axes(axis, up=axis is axes[1])
         colour_bar(figure, image, axes, "height of the mount surface [m]", shrink=0.7)
         caption(
             figure,
             f"{capture.name}. Measured: what looks upwards, seen from above, in cells of {100.0 * cell_m:g} cm. "
             "Filled: other cells have the height of the nearest.\nSmoothed: until they no longer change.",
         )
-        (size_px,) = panel_sizes_px(figure, axes[:1, 0])
+        (size_px,) = panel_sizes_px(figure, axes[:1])
         viewpoint = view_of(cloud.cloud.point_m, towards(math.radians(38.0), math.radians(40.0)), size_px)
         parts = [cloud.cloud, _coloured(surface, limits_m)]
         style = {"size_px": size_px, "point_px": 1.6, "cover": 1.0, "background_rgb": BACKGROUND_RGB}
-        show_image(axes[0, 0], cloud_image(parts, viewpoint, **style))
+        show_image(axes[0], cloud_image(parts, viewpoint, **style))
         return save_figure(figure, path)
 
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import io
 import math
+import os
+import re
+import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warpav.core.errors import ArgumentError
+from warpav.core.errors import ArgumentError, InputError
 from warpav.view._labels import Labels, around
 from warpav.view._output import write_bytes
 from warpav.view._palette import GRID_RGB, INK_RGB, MUTED_RGB, PAPER_RGB, camera_rgb, hex_colour
@@ -143,6 +146,10 @@ def caption(figure: Any, text: str, heading: str | None = None) -> None:  # noqa
 def colour_bar(figure: Any, image: Any, axes: Any, label: str = "", **style: Any) -> None:  # noqa: ANN401 (matplotlib)
     """A bar that says what the colours of an image mean, without a frame."""
     bar = figure.colorbar(image, ax=axes, **{"pad": 0.02, "aspect": 28} | style)
+    low, high = image.get_clim()
+    ticks = np.linspace(low, high, 3)
+    decimals = max(0, 1 - math.floor(math.log10(max(np.ptp(ticks) / 2.0, 1e-9))))
+    bar.set_ticks(ticks, labels=None if "format" in style else [f"{each:.{decimals}f}" for each in ticks])
     bar.set_label(label)
     bar.outline.set_visible(False)
 
@@ -155,12 +162,13 @@ def colour_map(name: str, *stops: Any) -> Any:  # noqa: ANN401 (matplotlib)
 
 
 def metre_axes(axis: Any, *, across: bool = True, up: bool = True) -> None:  # noqa: ANN401 (matplotlib)
-    """A panel from above to scale, x pointing right."""
+    """A panel from above to scale that is drawn at (y, x): the front is up."""
     axis.set_aspect("equal")
+    axis.xaxis.set_inverted(True)
     if across:
-        axis.set_xlabel("x, forward [m]")
+        axis.set_xlabel("y, left [m]")
     if up:
-        axis.set_ylabel("y, left [m]")
+        axis.set_ylabel("x, forward [m]")
 
 
 def closed(line: np.ndarray) -> np.ndarray:
@@ -214,44 +222,88 @@ class Page:
         self.figure.text(left_mm / self.width_mm, 1.0 - top_mm / self.height_mm, text, va=va, **style)
 
 
-def camera_cells(index: int, camera: RigCamera) -> tuple[str, str, str]:
-    """The first cells of a camera in a table: number and name, module or lens, size of the image."""
+def short_names(cameras: Sequence[RigCamera]) -> list[str]:
+    """The name of every camera in a few letters, unique: whole, else initials, such as FL of front_left, else numbers.
+
+    What all names share, and words with digits, say nothing: of CAM_FRONT and CAM_BACK they are F and B, of camera_0
+    and camera_1 they are 0 and 1.
+    """
+    names = [camera.name for camera in cameras]
+    if all(len(name) <= 5 and name.isalnum() for name in names):
+        return names
+    words = [re.split(r"[\W_]+", name) for name in names]
+    shared = set.intersection(*map(set, words)) if len(names) > 1 else set()
+    for letters in (1, 2, 3):
+        short = [
+            "".join(word[:letters].title() for word in each if word.isalpha() and word not in shared)
+            + (each[-1] if each[-1].isdigit() else "")
+            for each in words
+        ]
+        if all(short) and len(set(short)) == len(short):
+            return short
+    return [str(index + 1) for index in range(len(names))]
+
+
+def long_names(cameras: Sequence[RigCamera]) -> list[str]:
+    """The name of every camera behind its short form, where this is another."""
+    pairs = zip(short_names(cameras), cameras, strict=True)
+    return [camera.name if short == camera.name else f"{short} {camera.name}" for short, camera in pairs]
+
+
+def date_text() -> str:
+    """The date of a drawing, such as 2026-11-27: today's, or that of ``SOURCE_DATE_EPOCH``."""
+    seconds = os.environ.get("SOURCE_DATE_EPOCH")
+    if not seconds:
+        return time.strftime("%Y-%m-%d")
+    try:
+        return time.strftime("%Y-%m-%d", time.gmtime(int(seconds)))
+    except (ValueError, OverflowError, OSError):
+        raise InputError(f"SOURCE_DATE_EPOCH: expected seconds since 1970, got {seconds!r}") from None
+
+
+def camera_cells(camera: RigCamera) -> tuple[str, str]:
+    """Cells of a camera in a table: module or lens, size of the image."""
     model = camera.model
     lens = "" if model.lens == "pinhole" else f" {model.lens}"
-    kind = camera.module or f"{math.degrees(model.fov_rad):.0f}°{lens}"
-    return f"{index + 1} {camera.name}", kind, f"{model.width_px} x {model.height_px}"
+    return camera.module or f"{math.degrees(model.fov_rad):.0f}°{lens}", f"{model.width_px} x {model.height_px}"
 
 
-def camera_mark(colour: str) -> dict[str, Any]:
-    """How the place of a camera is drawn, for ``plot`` of an axis."""
-    return {"marker": "o", "markersize": 6.5, "color": colour, "markeredgecolor": "white", "markeredgewidth": 0.6}
+def badge_pt(text: str) -> np.ndarray:
+    """Width and height of a badge [pt]."""
+    return np.array([3.9 * len(text) + 3.5, 7.6])
 
 
-def camera_digit() -> dict[str, Any]:
-    """How its number is written on that, for ``text`` of an axis."""
-    return {"fontsize": 5, "color": "white", "fontweight": "bold", "ha": "center", "va": "center_baseline"}
+def draw_badge(axis: Any, at: np.ndarray, text: str, colour: str) -> None:  # noqa: ANN401 (matplotlib)
+    """Write the name of a camera in white on its colour."""
+    box = {"boxstyle": "round,pad=0.25", "facecolor": colour, "edgecolor": "white", "linewidth": 0.6}
+    style = {"fontsize": 5.5, "color": "white", "fontweight": "bold", "ha": "center", "va": "center_baseline"}
+    axis.text(*at, text, bbox=box, zorder=10, **style)
 
 
-def mark_cameras(axis: Any, place: np.ndarray, *, per_pt: float) -> None:  # noqa: ANN401 (matplotlib)
-    """Mark places of cameras [camera, 2] with their numbers, beside the marks where these lie on each other.
+def unit_per_pt(axis: Any) -> float:  # noqa: ANN401 (matplotlib)
+    """How many units of a panel to scale are a point, about: the layout may still change it."""
+    box, ranges = axis.get_window_extent(), np.ptp([axis.get_xlim(), axis.get_ylim()], axis=1)
+    return float((ranges / [box.width, box.height]).max()) * axis.figure.dpi / 72.0
 
-    So many units of the axis are a point.
-    """
-    half = 3.6 * per_pt
+
+def mark_cameras(axis: Any, cameras: Sequence[RigCamera], place: np.ndarray | None = None) -> None:  # noqa: ANN401
+    """Mark places of cameras, by default (y, x), with their short names; beside the marks where these are close."""
+    place = np.array([each.position_m[1::-1] for each in cameras]) if place is None else place
+    names, per_pt = short_names(cameras), unit_per_pt(axis)
+    half = 2.2 * per_pt
     labels = Labels(np.hstack([place - half, place + half]))
-    for index, at in enumerate(place):
-        text, colour = str(index + 1), hex_colour(camera_rgb(index))
-        is_alone = (np.abs(place - at).max(axis=1) < 2.0 * half).sum() == 1
-        axis.plot(*at, **camera_mark(colour) | ({} if is_alone else {"markersize": 4.0}), zorder=7)
-        if is_alone:
-            axis.text(*at, text, **camera_digit(), zorder=8)
-            continue
-        size, away = per_pt * np.array([4.4 * len(text) + 1.0, 6.0]), [per_pt * k for k in (5.0, 8.0, 12.0, 17.0, 23.0)]
+    dot = {"marker": "o", "markersize": 4.0, "markeredgecolor": "white", "markeredgewidth": 0.6, "zorder": 7}
+    size = per_pt * (badge_pt(max(names, key=len)) + 1.0)
+    for index, (at, text) in enumerate(zip(place, names, strict=True)):
+        colour = hex_colour(camera_rgb(index))
+        axis.plot(*at, color=colour, **dot)
+        away = [per_pt * k for k in (3.0, 6.0, 10.0, 15.0, 21.0)]
         tried = around(at, size, away, math.atan2(*(at - place.mean(axis=0))[::-1]))
+        if (np.abs(place - at) < size).all(axis=1).sum() == 1:
+            tried = at[None]
         beside = tried[labels.put(tried, size)]
         axis.plot(*np.stack([at, beside]).T, color=colour, linewidth=0.5, zorder=6)
-        style = {"fontsize": 6.5, "color": colour, "path_effects": halo(1.8), "zorder": 11}
-        axis.text(*beside, text, **camera_digit() | style)
+        draw_badge(axis, beside, text, colour)
 
 
 def text_points(height_mm: float) -> float:

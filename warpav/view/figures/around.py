@@ -14,7 +14,7 @@ from warpav.optimisation.evaluation.detection_range import LEAST_HEIGHT_PX, Dete
 from warpav.sight.around import CAR_HEIGHT_M, PIXELS, NearField, SectorCounts
 from warpav.sight.requirement import Body
 from warpav.view._labels import Labels
-from warpav.view._palette import COVERAGE_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
+from warpav.view._palette import COVERAGE_RGB, COVERAGE_WORDS, FURTHER_RGB, INK_RGB, MUTED_RGB, camera_rgb, hex_colour
 from warpav.view.figures._from_above import (
     RING,
     RINGS,
@@ -32,6 +32,7 @@ from warpav.view.figures._style import (
     WIDTH_INCH,
     closed,
     figure_style,
+    mark_cameras,
     metre_axes,
     new_figure,
     paper,
@@ -45,7 +46,8 @@ if TYPE_CHECKING:
     from warpav.rig.rig import Rig
     from warpav.sight.check import RequirementResult
 
-_RGB = (camera_rgb(0), camera_rgb(1), camera_rgb(3))
+_RGB = FURTHER_RGB[:0:-1]
+"""Of heights: no colours of cameras, which are drawn as well."""
 _RINGS_M = (0.5, 1.0, 2.0, 5.0, 10.0)
 _SHORT_PT = 16.0
 """Shorter dimensions have bars at their ends: two heads would hide them."""
@@ -56,7 +58,7 @@ _SIDES = {"front": 0.0, "left": 90.0, "rear": 180.0, "right": 270.0}
 _MEANINGS = {0.0: ", the ground", 1.1: ", the top of a child's head"}
 _TEXT = """Rings: distance from the outline of the body, its hull with the mirrors. Dimensions: from there to the
 first visible ground, in directions from the middle of the vehicle. Farther out, ground may be unseen
-again: see the plan."""
+again: see the picture of the ground."""
 
 
 def near_field_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None = None) -> Any:  # noqa: ANN401
@@ -78,8 +80,9 @@ def near_field_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None
     size: Any = {"panel_inch": 4.65 if columns == 2 else 6.4, "key_lines": lines, "text": _TEXT, "heading": heading}
     with panels_with_key(len(rigs), columns, **size) as (_, panels, key):
         for axis, (name, field) in zip(panels, fields.items(), strict=True):
-            draw_surroundings(axis, ego, rigs[name], reach_m=reach_m, has_rings=False)
+            draw_surroundings(axis, ego, reach_m=reach_m, has_rings=False)
             _draw_rings(axis, ego, reach_m)
+            mark_cameras(axis, rigs[name].cameras)
             for row, rgb in enumerate(_RGB[: len(field.heights_m)]):
                 _draw_line(axis, field, row, hex_colour(rgb))
             title(axis, name if len(rigs) > 1 else "What is too near to be seen")
@@ -139,7 +142,8 @@ def _draw_dimensions(axis: Any, field: NearField) -> None:  # noqa: ANN401 (matp
         places[worst] = "worst "
     renderer = axis.figure.canvas.get_renderer()
     body_px = axis.transData.transform(field.border_m[:, ::-1])
-    labels = Labels([*body_px.min(axis=0), *body_px.max(axis=0)], within=axis.get_window_extent(renderer).extents)
+    panel_px = axis.get_window_extent(renderer).extents
+    labels = Labels([*body_px.min(axis=0), *body_px.max(axis=0)], within=panel_px)
     labels.take([text.get_window_extent(renderer).extents for text in axis.texts])
     bold = {"ha": "center", "va": "center", "fontsize": 8, "fontweight": "bold", "bbox": paper(0.8, 0.8), "zorder": 10}
     for k, word in places.items():
@@ -155,7 +159,9 @@ def _draw_dimensions(axis: Any, field: NearField) -> None:  # noqa: ANN401 (matp
         text.set_in_layout(False)
         low_px, high_px = text.get_window_extent(renderer).extents.reshape(2, 2)
         half_px = 0.5 * (high_px - low_px) + 2.0 * per_pt
-        tried_px = _beyond_end(start_px, end_px, 2.0 * half_px)
+        tried_px = _beyond_end(start_px, end_px, 2.0 * half_px).clip(
+            panel_px[:2] + half_px + 1.0, panel_px[2:] - half_px - 1.0
+        )
         middle_px = tried_px[labels.put(tried_px, 2.0 * half_px)]
         text.xyann = tuple((middle_px - end_px) / per_pt)
         near_px = np.clip(end_px, middle_px - half_px, middle_px + half_px)
@@ -193,7 +199,7 @@ def _write_table(axis: Any, fields: Mapping[str, NearField], lines: int) -> None
             where = {0.0: "ahead", 180.0: "behind"}.get(round(abs(turn_deg), 3), side)
             label = short if row == 0 and len(fields) > 1 else ""
             rows.append([label, f"{height_m:g} m", *at, f"{_metres(distance_m[worst], field.reach_m)}, {where}"])
-    widths = [0.21, 0.1, 0.11, 0.11, 0.11, 0.11, 0.25] if len(fields) > 1 else [0.13, 0.1, *[0.13] * 4, 0.25]
+    widths = [0.19, 0.1, 0.115, 0.115, 0.115, 0.115, 0.25] if len(fields) > 1 else [0.13, 0.1, *[0.13] * 4, 0.25]
     high = (len(rows) + 1) / lines
     style = {"cellLoc": "left", "colLoc": "left", "edges": "open", "bbox": (0.36, 1.0 - high, 0.64, high)}
     heads = ["", "height", *_SIDES, "worst, direction"]
@@ -205,14 +211,8 @@ def _write_table(axis: Any, fields: Mapping[str, NearField], lines: int) -> None
             cell.get_text().set_fontweight("bold")
 
 
-_LEFT_INCH, _RIGHT_INCH, _BELOW_INCH, _ABOVE_INCH = 0.7, 0.15, 0.95, 0.42
-"""Around the panel, for labels, the key and the title."""
-
-_COUNTS = ("no camera", "1 camera", "2 cameras", "3 or more")
-
-
 def requirement_map(path: Path | str, *, result: RequirementResult, rig: Rig, ego: Mesh) -> Path:
-    """Draw every point of the requirements from above, x pointing right.
+    """Draw every point of the requirements from above, the front up.
 
     Its colour says how many cameras see enough of the test object there; what is not met has a cross. Points that
     several requirements share are drawn on top of each other, those not met last.
@@ -224,21 +224,18 @@ def requirement_map(path: Path | str, *, result: RequirementResult, rig: Rig, eg
     corner_m, spacing = np.concatenate([*outlines, body.bounds_m]), ghosts.of_each("grid_m")
     margin_m = 0.3 + 0.5 * float(spacing.max())
     low_m, high_m = corner_m.min(axis=0) - margin_m, corner_m.max(axis=0) + margin_m
-    across, up = WIDTH_INCH - _LEFT_INCH - _RIGHT_INCH, _BELOW_INCH + _ABOVE_INCH
-    height = float(np.clip(up + across * (high_m - low_m)[1] / (high_m - low_m)[0], 2.6, 9.0))
+    length_m, width_m = high_m - low_m
     ink, grey = hex_colour(INK_RGB), hex_colour(MUTED_RGB)
     with figure_style():
-        figure = new_figure(WIDTH_INCH, height)
-        figure.set_layout_engine("none")
-        room = (_LEFT_INCH / WIDTH_INCH, _BELOW_INCH / height, across / WIDTH_INCH, 1.0 - up / height)
-        axis = figure.add_axes(room)
+        figure = new_figure(WIDTH_INCH, float(np.clip(1.4 + 8.0 * length_m / width_m, 2.6, 11.0)))
+        axis = figure.subplots()
         draw_vehicle(axis, ego)
         for line in outlines:
-            axis.plot(*closed(line).T, color=grey, linewidth=1.0, zorder=2)
-        axis.set(xlim=(low_m[0], high_m[0]), ylim=(low_m[1], high_m[1]))
+            axis.plot(*closed(line).T[::-1], color=grey, linewidth=1.0, zorder=2)
+        axis.set(xlim=(low_m[1], high_m[1]), ylim=(low_m[0], high_m[0]))
         metre_axes(axis)
         figure.draw_without_rendering()
-        pt_per_m = 72.0 / figure.dpi * axis.get_window_extent().width / (high_m[0] - low_m[0])
+        pt_per_m = 72.0 / figure.dpi * axis.get_window_extent().width / width_m
         size = np.clip(0.8 * spacing * pt_per_m, 2.5, 14.0) ** 2
         is_met, count = result.is_point_met, np.minimum(result.camera_count, 3)
         for k, rgb in enumerate(COVERAGE_RGB):
@@ -246,13 +243,14 @@ def requirement_map(path: Path | str, *, result: RequirementResult, rig: Rig, eg
                 shown = (count == k) & (is_met == met)
                 if shown.any():
                     style = {"marker": marker, "edgecolors": ink, "linewidths": 0.3, "zorder": order}
-                    axis.scatter(*ghosts.position_m[shown].T, s=size[shown], c=hex_colour(rgb), **style)
+                    axis.scatter(*ghosts.position_m[shown, 1::-1].T, s=size[shown], c=hex_colour(rgb), **style)
         draw_cameras(axis, rig, sector_radius_m=0.7)
         dot = {"linestyle": "", "markersize": 8, "markeredgecolor": ink, "markeredgewidth": 0.4}
-        named = zip(_COUNTS, COVERAGE_RGB, strict=True)
+        named = zip(COVERAGE_WORDS, COVERAGE_RGB, strict=True)
         handles = [Line2D([], [], marker="o", color=hex_colour(rgb), label=text, **dot) for text, rgb in named]
         handles.append(Line2D([], [], marker="X", color=grey, label="not met", **dot))
-        figure.legend(handles=handles, loc="lower center", ncols=6)
+        figure.legend(handles=handles, loc="outside lower center", ncols=6)
+        figure.get_layout_engine().set(h_pad=0.1)
         names = ", ".join(each.name for each in ghosts.requirements)
         names = names if len(names) <= 60 else f"{len(ghosts.requirements)} requirements"
         title(axis, names, f"{float(is_met.mean()):.1%} of points")
@@ -383,7 +381,6 @@ def _prepare(axis: Any, reach_m: float, *, is_large: bool) -> None:  # noqa: ANN
 
 
 _SECTOR_SHARE = 0.5
-_NAMES = ("no camera", "one camera", "two cameras", "three or more")
 
 
 def redundancy_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None = None) -> Any:  # noqa: ANN401
@@ -403,18 +400,20 @@ def redundancy_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None
     text = f"{RINGS} Level ground, nothing but the own body in the way."
     size: Any = {"panel_inch": 4.65, "key_lines": 5, "text": text, "heading": heading}
     with panels_with_key(2 * len(rigs), 2, **size) as (figure, panels, key):
-        for (name, rig), whole, less in zip(rigs.items(), panels[::2], panels[1::2], strict=True):
+        for name, whole, less in zip(rigs, panels[::2], panels[1::2], strict=True):
             counts, beyond = counts_of[name].within(bands), _beyond(counts_of[name], bands)
             prefix, lost = f"{name}: " if len(rigs) > 1 else "", counts.costliest
             without = f"without {counts.camera[lost]}"
             for axis, count, words in ((whole, counts.count, "all cameras"), (less, counts.without(lost), without)):
-                draw_surroundings(axis, ego, rig, reach_m=1.02 * counts.edges_m[-1], camera_size=0.0)
+                draw_surroundings(axis, ego, reach_m=1.02 * counts.edges_m[-1])
                 _draw_cells(axis, count, np.array(counts.edges_m), middle_of(ego))
                 title(axis, f"{prefix}{words}")
                 share = 100.0 * counts.blind_share(count)
                 label = f"no camera on {share:.0f} % of the area within {counts.edges_m[-1]:g} m"
                 axis.set_xlabel(f"{label}\n{beyond}" if axis is whole and beyond else label, fontsize=8)
-        seen = [Patch(facecolor=hex_colour(rgb), label=name) for rgb, name in zip(COVERAGE_RGB, _NAMES, strict=True)]
+        seen = [
+            Patch(facecolor=hex_colour(rgb), label=name) for rgb, name in zip(COVERAGE_RGB, COVERAGE_WORDS, strict=True)
+        ]
         rule = [
             f"its middle, {0.5 * CAR_HEIGHT_M:g} m above ground, is in the image,",
             "the own body does not hide it, and the image of",

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,15 +24,17 @@ from warpav.view.figures._from_above import (
 )
 from warpav.view.figures._style import (
     WIDTH_INCH,
-    camera_digit,
-    camera_mark,
+    badge_pt,
     caption,
     closed,
     colour_bar,
+    draw_badge,
     figure_style,
     mark_cameras,
     new_figure,
+    short_names,
     title,
+    unit_per_pt,
 )
 
 if TYPE_CHECKING:
@@ -47,8 +50,6 @@ _FARTHEST_M = 200.0
 _AZIMUTH_RAD = np.linspace(-math.pi, math.pi, 720, endpoint=False)
 _ACROSS = np.stack([np.cos(_AZIMUTH_RAD), np.sin(_AZIMUTH_RAD)], axis=-1)
 _SIZE_NAMES = {40.0: "easily recognised", 20.0: "recognised", 12.0: "limit of detectors"}
-_PANEL_PT = 310.0
-"""Side of a panel, about."""
 _NUMBER_REACH = 0.74
 """How far out numbers of cameras stand, as a share of the panel: below the arrow to the front."""
 _SHADE = (0.30, 0.17, 0.10)  # of 40, 20 and 12 px; each lies on the next one
@@ -62,61 +63,88 @@ _GROUND_OF = {
 
 
 def plan_figure(rigs: Mapping[str, Rig], ego: Mesh, *, heading: str | None = None) -> Any:  # noqa: ANN401 (matplotlib)
-    """Every camera's field of view on the ground, and beside it the ground near the vehicle; one row for each rig.
+    """Every camera's field of view on the ground, one panel for each rig.
 
-    On the left, the fan of a camera covers the places at which it sees the middle of a car 1.5 m high, out to where the
-    car's image is still 40, 20 and 12 px high: the distance in the image between the car's foot and its top, both
-    through the lens (`CameraModel.project`), so that distortion and the edges of wide lenses count. Of a level pinhole
-    with the focal length f that is where the depth is ``f 1.5 m / 12 px``. Nothing stands in the way. Fans end at
-    200 m.
-
-    On the right, level ground in cells of 0.1 m: whether it is in some image, and whether the straight line from that
-    camera to it is free of the own body (rays against the vehicle's mesh).
+    The fan of a camera covers the places at which it sees the middle of a car 1.5 m high, out to where the car's image
+    is still 40, 20 and 12 px high: the distance in the image between the car's foot and its top, both through the lens
+    (`CameraModel.project`), so that distortion and the edges of wide lenses count. Of a level pinhole with the focal
+    length f that is where the depth is ``f 1.5 m / 12 px``. Nothing stands in the way. Fans end at 200 m.
     """
     from matplotlib.patches import Patch
 
     ranges = {name: [size_ranges_m(camera, _AZIMUTH_RAD) for camera in rig.cameras] for name, rig in rigs.items()}
-    near_m = half_length_m(ego) + _MARGIN_M
     farthest_m = {name: max(float(np.nanmax(each[..., 1], initial=0.0)) for each in ranges[name]) for name in rigs}
-    far_m = max(near_m, min(1.06 * max(farthest_m.values()) + 2.0, _FARTHEST_M))
-    text = (
-        f"The darker a fan, the larger in that camera's image is a car {CAR_HEIGHT_M:g} m high.\n"
-        f"{RINGS} Within a panel, vehicle and rings have one scale."
-    )
+    far_m = max(half_length_m(ego) + _MARGIN_M, min(1.06 * max(farthest_m.values()) + 2.0, _FARTHEST_M))
+    text = f"The darker a fan, the larger in that camera's image is a car {CAR_HEIGHT_M:g} m high.\n{RINGS}"
+    shades = 1.0 - np.cumprod(1.0 - np.array(_SHADE)[::-1])[::-1]
+    labels = [": ".join(filter(None, (f"≥ {least:g} px", _SIZE_NAMES.get(least)))) for least in PIXELS]
+    sizes = [Patch(color=str(1.0 - 0.8 * shade), label=each) for each, shade in zip(labels, shades, strict=True)]
+    with _panels(rigs, {"Height of a car's image": sizes}, text, heading) as panels:
+        for (name, rig), axis in zip(rigs.items(), panels, strict=True):
+            draw_surroundings(axis, ego, reach_m=far_m)
+            _draw_fans(axis, rig, ranges[name], far_m)
+            title(axis, name if len(rigs) > 1 else "How far a car is large enough")
+            cut = f", drawn up to {far_m:g} m" if farthest_m[name] > far_m else ""
+            axis.set_xlabel(f"farthest with {PIXELS[-1]:g} px: {farthest_m[name]:.0f} m{cut}", fontsize=8)
+    return panels[0].figure
+
+
+def ground_figure(
+    rigs: Mapping[str, Rig],
+    ego: Mesh,
+    *,
+    misses_per_100: Mapping[str, float | None] | None = None,
+    heading: str | None = None,
+) -> Any:  # noqa: ANN401 (matplotlib)
+    """The level ground near the vehicle by what cameras see of it, one panel for each rig.
+
+    In cells of 0.1 m: whether one is in some image, and whether the straight line from that camera to it is free of the
+    own body (rays against the vehicle's mesh). Below stand the share that no camera sees and, where it is known, how
+    many road users the rig misses.
+    """
+    from matplotlib.patches import Patch
+
+    reach_m = half_length_m(ego) + _MARGIN_M
+    grounds = [Patch(facecolor=hex_colour(rgb), label=name) for name, rgb in _GROUND_OF.items() if name]
+    misses = {name: each for name, each in (misses_per_100 or {}).items() if each is not None}
+    text = f"Misses of 100 road users in the test scenes, at equal false alarms.\n{RINGS}" if misses else RINGS
+    with _panels(rigs, {"Ground that is": grounds}, text, heading) as panels:
+        for (name, rig), axis in zip(rigs.items(), panels, strict=True):
+            draw_surroundings(axis, ego, reach_m=reach_m)
+            said = _draw_ground(axis, VisibleGround.of(rig, ego, margin_m=reach_m), middle_of(ego), reach_m)
+            said = f"{misses[name]:.1f} misses per 100\n{said}" if name in misses else said
+            axis.set_xlabel(said, fontsize=11, fontweight="bold")
+            mark_cameras(axis, rig.cameras)
+            title(axis, name if len(rigs) > 1 else "Ground near the vehicle")
+    return panels[0].figure
+
+
+@contextmanager
+def _panels(
+    rigs: Mapping[str, Rig], meaning: Mapping[str, Sequence[Any]], text: str, heading: str | None
+) -> Iterator[list[Any]]:
+    """Panels of rigs above a key of colours and cameras."""
     cameras = camera_handles(rigs)
     columns = [-(-len(each) // 6) if len(cameras) == 1 else 1 for each in cameras.values()]
     lines = max(-(-len(each) // count) for each, count in zip(cameras.values(), columns, strict=True))
-    size: Any = {"panel_inch": 4.65, "key_lines": 1 + max(4, lines), "text": text, "heading": heading}
-    with panels_with_key(2 * len(rigs), 2, **size) as (figure, panels, key):
-        for (name, rig), far, near in zip(rigs.items(), panels[::2], panels[1::2], strict=True):
-            prefix = f"{name}: " if len(rigs) > 1 else ""
-            draw_surroundings(far, ego, rig, reach_m=far_m, camera_size=0.0)
-            _draw_fans(far, rig, ranges[name], far_m)
-            title(far, f"{prefix}how far a car is large enough")
-            cut = f", drawn up to {far_m:g} m" if farthest_m[name] > far_m else ""
-            far.set_xlabel(f"farthest with {PIXELS[-1]:g} px: {farthest_m[name]:.0f} m{cut}", fontsize=8)
-            draw_surroundings(near, ego, rig, reach_m=near_m, camera_size=0.0)
-            _draw_ground(near, VisibleGround.of(rig, ego, margin_m=near_m), middle_of(ego), near_m)
-            place_m = np.array([camera.position_m[1::-1] for camera in rig.cameras])
-            mark_cameras(near, place_m, per_pt=2.0 * near_m / _PANEL_PT)
-            title(near, f"{prefix}ground near the vehicle")
-        shades = 1.0 - np.cumprod(1.0 - np.array(_SHADE)[::-1])[::-1]
-        labels = [": ".join(filter(None, (f"≥ {least:g} px", _SIZE_NAMES.get(least)))) for least in PIXELS]
-        sizes = [Patch(color=str(1.0 - 0.8 * shade), label=each) for each, shade in zip(labels, shades, strict=True)]
-        grounds = [Patch(facecolor=hex_colour(rgb), label=name) for name, rgb in _GROUND_OF.items() if name]
-        groups = {f"Both: {name}": each for name, each in cameras.items()}
-        groups = {"Left: height of a car's image": sizes, **groups, "Right: ground that is": grounds}
-        write_key(key, groups, columns=(1, *columns, 1))
-    return figure
+    across = min(2, len(rigs))
+    size: Any = {"panel_inch": 4.65 if across == 2 else 6.4, "key_lines": 1 + max(4, lines)}
+    with panels_with_key(len(rigs), across, **size, text=text, heading=heading) as (_, panels, key):
+        yield panels
+        write_key(key, {**meaning, **cameras}, columns=(1, *columns))
 
 
 def _draw_fans(axis: Any, rig: Rig, ranges_m: Sequence[np.ndarray], reach_m: float) -> None:  # noqa: ANN401 (matplotlib)
-    """Draw the fans of all cameras, one for every size, and number them.
+    """Draw the fans of all cameras, one for every size, and name them.
 
-    A number stands on the outermost outline, in the direction in which its camera looks.
+    A name stands on the outermost outline, in the direction in which its camera looks, off the labels of rings.
     """
-    labels = Labels()
-    for index, (camera, of_camera) in enumerate(zip(rig.cameras, ranges_m, strict=True)):
+    per_pt, ring_m = unit_per_pt(axis), np.array([text.get_position()[::-1] for text in axis.texts])
+    half_m = per_pt * np.array([6.0, 14.0])
+    labels = Labels(np.hstack([ring_m - half_m, ring_m + half_m]))
+    for index, (camera, of_camera, name) in enumerate(
+        zip(rig.cameras, ranges_m, short_names(rig.cameras), strict=True)
+    ):
         colour, centre_m = hex_colour(camera_rgb(index)), camera.position_m[:2]
         for of_size, alpha in zip(of_camera, _SHADE, strict=False):
             for outline_m in fan_outlines_m(centre_m, _AZIMUTH_RAD, of_size):
@@ -129,13 +157,12 @@ def _draw_fans(axis: Any, rig: Rig, ranges_m: Sequence[np.ndarray], reach_m: flo
         nearest = np.nanargmax(np.where(np.isfinite(far_m), _ACROSS @ ahead, np.nan))
         range_m = min(float(far_m[nearest]), _NUMBER_REACH * reach_m) * 0.9 ** np.arange(20)
         tried_m = centre_m + range_m[:, None] * _ACROSS[nearest]
-        place_m = tried_m[labels.put(tried_m, np.full(2, 0.055 * reach_m))]
-        axis.plot(*place_m[::-1], **camera_mark(colour) | {"markersize": 9.0}, zorder=9)
-        axis.text(*place_m[::-1], str(index + 1), **camera_digit() | {"fontsize": 6}, zorder=10)
+        place_m = tried_m[labels.put(tried_m, per_pt * badge_pt(name)[::-1])]
+        draw_badge(axis, place_m[::-1], name, colour)
 
 
-def _draw_ground(axis: Any, ground: VisibleGround, middle_m: np.ndarray, reach_m: float) -> None:  # noqa: ANN401
-    """Paint the ground by what cameras see of it, and write how much of it they do not."""
+def _draw_ground(axis: Any, ground: VisibleGround, middle_m: np.ndarray, reach_m: float) -> str:  # noqa: ANN401
+    """Paint the ground by what cameras see of it; says how much of it they do not."""
     from matplotlib.colors import ListedColormap
 
     limits = axis.get_xlim(), axis.get_ylim()
@@ -147,9 +174,8 @@ def _draw_ground(axis: Any, ground: VisibleGround, middle_m: np.ndarray, reach_m
     axis.imshow(state, origin="lower", extent=extent, **style)
     axis.set(xlim=limits[0], ylim=limits[1])
     is_near = np.hypot(ground.x_m[:, None] - middle_m[0], ground.y_m[None] - middle_m[1]) <= reach_m
-    hidden_m2, outside_m2 = (ground.area_m2(flag & is_near) for flag in (ground.is_shadow, ground.is_outside))
-    text = f"up to {reach_m:.1f} m: {hidden_m2:.0f} m² hidden by the own body, {outside_m2:.0f} m² in no image"
-    axis.set_xlabel(text, fontsize=8)
+    share = float((ground.seen == 0)[is_near & ~ground.is_body].mean())
+    return f"{100.0 * share:.0f} % of the ground within {reach_m:.0f} m unseen"
 
 
 _STEP_DEG, _ELEVATION_DEG = 0.5, 60.0
