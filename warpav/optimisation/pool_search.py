@@ -419,7 +419,7 @@ class PoolSearch:
         """Camera renders that the first pool may take of so many."""
         if not self.settings.polishes:
             return limit
-        polishes = (_FIRST_POLISH, _FURTHER_POLISH, _LAST_POLISH, *(_FIRST_POLISH,) * (OTHERS if self.robust else 0))
+        polishes = (_FURTHER_POLISH, _LAST_POLISH, *(_FIRST_POLISH,) * (2 + 2 * (OTHERS if self.robust else 0)))
         steps = sum(1 + count for count, _ in polishes)
         of_a_round = steps * self.camera_count + _PRICED_STEPS * self.settings.priced_cameras
         rest = limit - of_a_round * len(self.scenes)
@@ -605,7 +605,8 @@ class PoolSearch:
         if is_first:
             cameras = len(self.pool.mount_pose)
             rigs += [self.assembly.rig(self.pool.mount_pose[rig[rig < cameras]]) for rig in self._others]
-        polishes = [("polish", rig.tolist(), step_count, radius) for rig in rigs]
+        radii = (radius, _FURTHER_POLISH[1]) if is_first else (radius,)  # neither is better everywhere
+        polishes = [("polish", rig.tolist(), step_count, each) for rig in rigs for each in radii]
         self._todo = [*polishes, *(stage for stage in self._todo if stage not in polishes)]
 
     def _polish(self, rig: list[list[float]], step_count: int, radius: float) -> Iterator[Found]:
