@@ -74,7 +74,6 @@ def draw_sheet(folder: Path) -> None:
 
 def draw_mount_drawing(folder: Path) -> None:
     """mount_drawing: where the cameras of nuScenes are mounted on the town's car."""
-    os.environ["SOURCE_DATE_EPOCH"] = "1790000000"  # the date on the sheet, the same in every picture
     _warpav("rig", "drawing", "nuscenes", "--out", str(folder / "mount_drawing.png"))
 
 
@@ -437,6 +436,7 @@ DRAWN: dict[str, Callable[[Path], None]] = {
 
 
 if __name__ == "__main__":
+    os.environ["SOURCE_DATE_EPOCH"] = "1790000000"  # the date on sheets, the same in every picture
     wanted = sys.argv[1:] or list(DRAWN)
     unknown = sorted(set(wanted) - set(DRAWN))
     if unknown:

@@ -16,7 +16,7 @@ from warpav.scene.scene import Scene
 from warpav.view import Canvas, drawing_of, kinds_of, plot
 from warpav.view.figures import around
 from warpav.view.figures._from_above import camera_handles, ring_radii_m
-from warpav.view.figures._style import new_figure
+from warpav.view.figures._style import new_figure, short_names
 
 KINDS = ("plan", "ground", "range", "near_field", "redundancy", "resolution", "contact")
 
@@ -141,6 +141,21 @@ def test_cameras_have_their_names_of_several_rigs_under_the_names_of_these():
         "Cameras of a": ["0 cam_0", "1 cam_1"],
         "Cameras of b": ["0 other_cam_0", "1 other_cam_1"],
     }
+
+
+@pytest.mark.parametrize(
+    ("names", "short"),
+    [
+        ("left front", "left front"),
+        ("CAM_FRONT CAM_BACK_LEFT", "F BL"),
+        ("camera_0 camera_1", "0 1"),
+        ("front_8mp_120_right fisheye_1_3mp_190_rear", "FrRi FiRe"),
+        ("side_x side_y_x", "1 2"),
+    ],
+)
+def test_short_names_are_unique(names, short):
+    cameras = [replace(rig(1).cameras[0], name=name) for name in names.split()]
+    assert short_names(cameras) == short.split()
 
 
 def test_one_narrow_camera_does_not_make_the_others_small(street):
