@@ -12,7 +12,6 @@ from warpav.core.errors import InputError
 from warpav.core.yaml_file import read_yaml
 from warpav.optimisation.further_camera import FurtherCameras
 from warpav.rig.rig import Rig
-from warpav.rig.zone import Zone, read_zones
 from warpav.runs._events import Certificate, Event
 from warpav.runs._rig_evaluation import RigEvaluation
 from warpav.runs._run_folder import RunFolder
@@ -36,7 +35,6 @@ class RunContent:
     result: Rig | None = None
     certificate: Certificate | None = None
     further: FurtherCameras | None = None
-    zones: tuple[Zone, ...] = ()
 
 
 def read_content(folder: RunFolder) -> RunContent:
@@ -72,7 +70,6 @@ def read_content(folder: RunFolder) -> RunContent:
         result=folder.rig(kept[0]) if kept else None,
         certificate=Certificate.of([event.model_dump() for event in events], scenes=scenes),
         further=folder.further_cameras(),
-        zones=() if config is None or config.mount.zones is None else read_zones(config.mount.zones),
     )
 
 

@@ -420,17 +420,20 @@ def _bound(run: RunContent) -> Statement | None:
     robust = None if run.evaluation is None else run.evaluation.robust
     config = run.config
     has_rules = config.keeps_rules if config is not None else bool(run.evaluation and run.evaluation.rules)
+    training = None if run.evaluation is None else run.evaluation.training_objective
+    handed_over = None if training is None else training.optimised
+    objective = found.objective if handed_over is None else handed_over
     if robust is not None or _counts_points(run):
-        bound, reached = f"has an objective below {number(found.bound, 4)}", number(found.objective, 4)
+        bound, reached = f"has an objective below {number(found.bound, 4)}", number(objective, 4)
     else:
         bound = f"is expected to miss fewer than {number(100.0 * found.bound, 2)} of 100 {objects_name(run)}"
-        reached = number(100.0 * found.objective, 2)
+        reached = number(100.0 * objective, 2)
     text = (
         f"Proven: no rig of the {found.pool_cameras} rendered candidate cameras{' that keeps the rules' * has_rules} "
         f"{bound}, by the fitted probability of detection, on the "
         f"{'scenes' if found.scenes is None else _counted(found.scenes, 'scene')} of the search. The rig has {reached}"
     )
-    text += ", below it, as its cameras were moved between the candidates." if found.gap < 0.0 else "."
+    text += ", below it, as its cameras were moved between the candidates." if objective < found.bound else "."
     loose = " This bound is loose." if robust is not None and robust.camera_loss is not None else ""
     return Statement("Bound", f"{text}{loose} Of other poses and scenes it says nothing.")
 
@@ -471,10 +474,9 @@ def _left(run: RunContent, evaluation: RigEvaluation) -> Statement | None:
         (seen for seen in evaluation.outcomes if seen.outcome[evaluation.first] != ObjectOutcome.DETECTED),
         key=lambda seen: seen.distance_m,
     )
-    if left == 1:
-        text = f"1 {objects_name(run, 1)}, {reasons[0].partition(' ')[2]}, {nearest.distance_m:.0f} m away."
-    else:
-        text = f"{left} {objects_name(run)}: {_listed(reasons)}. The nearest is {nearest.distance_m:.0f} m away."
+    text = (
+        f"{_counted(left, objects_name(run, 1))}: {_listed(reasons)}. The nearest is {nearest.distance_m:.0f} m away."
+    )
     return Statement("Not detected", text)
 
 
@@ -548,8 +550,9 @@ _RULES = {
 
 
 def rule_table(evaluation: RigEvaluation) -> Table | None:
-    """What the rules ask for, and what the rigs have whose margins are known; the broken ones are marked."""
-    known = {name: margins for name, margins in (evaluation.rules or {}).items() if margins}
+    """What the rules ask for, and what the first rig and the one that it is compared with have."""
+    names, rules = (evaluation.first, compared_with(evaluation)), evaluation.rules or {}
+    known = {name: rules[name] for name in names if name is not None and rules.get(name)}
     if evaluation.first not in known:
         return None
 
@@ -667,7 +670,7 @@ def margin_name(margin: Margin) -> str:
 
 
 def _length(length_m: float) -> str:
-    return f"{1000.0 * length_m:.0f} mm" if length_m < 0.1 else f"{length_m:.2f} m"
+    return f"{1000.0 * length_m:z.0f} mm" if length_m < 0.1 else f"{length_m:.2f} m"
 
 
 def _change(before: float, after: float) -> str:

@@ -18,7 +18,7 @@ from warpav.core.errors import InputError
 from warpav.core.table import Table
 from warpav.optimisation.evaluation.metrics import ObjectOutcome
 from warpav.rig.rig import Rig
-from warpav.runs._mounts import free_ranges, has_zones
+from warpav.runs._mounts import has_zones
 from warpav.runs._rig_evaluation import LOWER_IS_BETTER, RigEvaluation
 from warpav.runs._run_folder import RunFolder
 from warpav.runs.config import config_names, load_config, overrides_from
@@ -53,9 +53,9 @@ _FIGURES = {
     "ground": "Ground near the vehicle that cameras see, that the body hides, and that is in no image",
     "plan": "How far a car is large enough in an image",
     "near_field": "How far from the body the first visible point is, by height",
-    "requirements_start": "Points that have to be seen, and how many cameras of the start see them",
-    "requirements_by_hand": "The same of the rig by hand",
-    "requirements_optimised": "The same of the rig that was found",
+    "requirements_start": "Points that have to be seen, and how many cameras see them: at the start",
+    "requirements_by_hand": "Points that have to be seen, and how many cameras see them: by hand",
+    "requirements_optimised": "Points that have to be seen, and how many cameras see them: found",
     "detections": "A test scene, with boxes at the detector's own threshold",
     "range": "Up to which distance road users are detected",
     "redundancy": "How many cameras see a road user, and without the worst camera to lose",
@@ -283,24 +283,9 @@ def _free(run: RunContent) -> str:
     given = [f", {name} from {pair[0]:g} to {pair[1]:g} {unit}" for name, pair, unit in ranges if pair is not None]
     text = f"Free were x, y, yaw{''.join(given)}."
     if has_zones(run.config):
-        text += f" Each zone gives its own ranges of yaw, pitch and distance from the surface{_pitches(run)}."
+        text += " Each zone gives its own ranges of yaw, pitch and distance from the surface."
     frozen = run.config.rig.freeze
     return text.replace(" -", f" {words.MINUS}") + (f" Frozen: {', '.join(frozen)}." if frozen else "")
-
-
-def _pitches(run: RunContent) -> str:
-    """The ranges of pitch of the zones of a file, in words."""
-    usual_rad = None if run.config is None else free_ranges(run.config).pitch_rad
-    named: dict[tuple[float, float], list[str]] = {}
-    for zone in run.zones:
-        pitch_rad = zone.pitch_rad or usual_rad
-        if pitch_rad is not None:
-            named.setdefault(pitch_rad, []).append(zone.name)
-    told = [
-        f"{math.degrees(low_rad):g} to {math.degrees(high_rad):g} deg in {', '.join(names)}"
-        for (low_rad, high_rad), names in named.items()
-    ]
-    return f": pitch {'; '.join(told)}" if told else ""
 
 
 def _ground(evaluation: RigEvaluation) -> Table | None:
@@ -312,7 +297,7 @@ def _ground(evaluation: RigEvaluation) -> Table | None:
 
     def cell(sector: int, band: int) -> str:
         shares = [words.percent(ground.share(name, 0, sector, band), 0) for name in names]
-        return shares[0] if len(shares) == 1 else f"{shares[0]} ({shares[1]})"
+        return shares[0] if len(shares) == 1 or words.NONE in shares else f"{shares[0]} ({shares[1]})"
 
     bands = range(len(ground.bands_m))
     rows = tuple((name, *(cell(k, band) for band in bands)) for k, name in enumerate(ground.sectors))
