@@ -396,7 +396,7 @@ def test_the_bound_is_told_with_what_it_is_over(folder):
     assert any(caption.startswith("The best rig so far, and the bound") for caption in page.alt)
     assert (
         "Proven: no rig of the 60 rendered candidate cameras that keeps the rules is expected to miss fewer than 7.75 "
-        "of 100 vehicles, by the fitted probability of detection, on the 60 scenes of the search. The rig has "
+        "of 100 vehicles, by the modelled probability of detection, on the 60 scenes of the search. The rig has "
         "7.60, below it, as its cameras were moved between the candidates. Of other poses and scenes it says nothing."
     ) in page.words
     assert page.words.lower().count("proven") == 1

@@ -430,7 +430,7 @@ def _bound(run: RunContent) -> Statement | None:
         reached = number(100.0 * objective, 2)
     text = (
         f"Proven: no rig of the {found.pool_cameras} rendered candidate cameras{' that keeps the rules' * has_rules} "
-        f"{bound}, by the fitted probability of detection, on the "
+        f"{bound}, by the modelled probability of detection, on the "
         f"{'scenes' if found.scenes is None else _counted(found.scenes, 'scene')} of the search. The rig has {reached}"
     )
     text += ", below it, as its cameras were moved between the candidates." if objective < found.bound else "."
