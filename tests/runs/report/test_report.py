@@ -67,10 +67,6 @@ class Page(HTMLParser):
         if tag not in self.VOID:
             self.open.append(tag)
 
-    def handle_startendtag(self, tag, attrs):
-        self.handle_starttag(tag, attrs)
-        self.handle_endtag(tag)
-
     def handle_endtag(self, tag):
         assert self.open.pop() == tag
 
@@ -104,13 +100,12 @@ def numbers(text):
     return [float(each) for each in re.findall(r"[-+]?\d+\.?\d*", text.replace("\N{MINUS SIGN}", "-"))]
 
 
-_IS_REPORT = shutil.ignore_patterns("report.html")
-
-
 @pytest.fixture
 def folder(tmp_path, finished):
     """The run folder of a finished run, with a tag in its name."""
-    return RunFolder.open(shutil.copytree(finished[0].path, tmp_path / "<run>", ignore=_IS_REPORT))
+    return RunFolder.open(
+        shutil.copytree(finished[0].path, tmp_path / "<run>", ignore=shutil.ignore_patterns("report.html"))
+    )
 
 
 @pytest.fixture(scope="module")
