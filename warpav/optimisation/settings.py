@@ -495,7 +495,7 @@ class OptimiserSettings(Section):
         "once rounds bring nothing more",
     )
     pool_gap: float = Field(
-        default=5e-4, ge=0.0, le=1.0, description="search=pool: expected miss rate to which a selection is proven"
+        default=5e-4, ge=0.0, le=1.0, description="search=pool: expected miss rate to which a selection is solved"
     )
     selection_time_s: float = Field(
         default=20.0, gt=0.0, description="search=pool: seconds after which a selection ends at the latest"
