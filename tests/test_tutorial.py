@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-TUTORIAL = Path(__file__).parents[1] / "docs" / "tutorial.md"
+ROOT = Path(__file__).parents[1]
+TUTORIAL = ROOT / "docs" / "tutorial.md"
 ELSEWHERE = ("pip ", "python3 ", "warpav doctor", "warpav optimise rig.")
 """Commands that are not run here: an installation, what differs from machine to machine, a second run, a mistake."""
 
@@ -27,6 +28,21 @@ def console_of(page):
             else:
                 shown[-1][1].append(line)
     return shown
+
+
+def test_the_readme_shows_some_of_what_the_tutorial_does():
+    told = without_numbers(TUTORIAL.read_text())
+    shown = [line for _, lines in console_of((ROOT / "README.md").read_text()) for line in lines]
+    assert len(shown) == 8
+    assert [line for line in shown if without_numbers(line) not in told] == []
+
+
+@pytest.mark.slow
+def test_the_code_of_the_readme_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    [code] = re.findall(r"^```python\n(.*?)^```$", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)
+    exec(code.replace("range(60)", "range(4)").replace("5040", "5006"), {})
+    assert (tmp_path / "rig.png").stat().st_size
 
 
 @pytest.mark.slow

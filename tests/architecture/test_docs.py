@@ -190,6 +190,10 @@ def test_documents_stay_short():
     generated = ROOT / "docs" / "results.md"
     assert sum(page.stat().st_size for page in DOCS if page != generated) <= 290_000
     assert len([page for page in DOCS if page.parent.name == "guide"]) <= 12
+    readme = PAGES[0].read_text()
+    assert len(readme.split()) <= 900
+    assert [line for line in readme.splitlines()[120:] if line] == []
+    assert max(map(len, readme.splitlines())) <= 120
 
 
 def test_every_record_is_a_page_of_the_site():
