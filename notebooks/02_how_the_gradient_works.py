@@ -25,10 +25,8 @@ pose_count, truth_samples, step_count = 50, 4, 25
 import dataclasses
 import math
 
-import contourpy
 import matplotlib.pyplot as plt
 import numpy as np
-from scipy.ndimage import minimum_filter
 
 import warpav as wa
 from warpav import raster
@@ -69,10 +67,11 @@ def render(lens, ego_from_camera, samples=1):
 
 def outline(silhouette, depth_m):
     """Ends of the segments of the outline [px], silhouette on their right, and depth of what is in front there [m]."""
-    lines = contourpy.contour_generator(z=silhouette.astype(float)).lines(0.5)
+    lines = plt.Figure().subplots().contour(silhouette.astype(float), [0.5]).allsegs[0]
     start, end = (np.concatenate([line[which] for line in lines]) for which in (slice(-1), slice(1, None)))
     column, row = np.rint((start + end) / 2).astype(int).T
-    nearest_m = minimum_filter(depth_m, size=3)  # of the surfaces that meet there
+    around_m = np.lib.stride_tricks.sliding_window_view(np.pad(depth_m, 1, mode="edge"), (3, 3))
+    nearest_m = around_m.min(axis=(2, 3))  # of the surfaces that meet there
     return start + 0.5, end + 0.5, nearest_m[row, column]  # pixel centres lie at +0.5
 
 
@@ -98,7 +97,12 @@ axes[1].imshow(np.where(silhouette, 0.82, 1.0), cmap="gray", vmin=0, vmax=1)
 arrow = slice(None, None, 7)  # not all of them
 drawn = {"angles": "xy", "scale_units": "xy", "scale": 1, "cmap": "viridis", "width": 0.005}
 arrows = axes[1].quiver(*middle[arrow].T, *to_the_left[arrow].T, depth_m[arrow], **drawn)
-axes[1].set_title("the lorry, and how its outline moves\nwhen the camera moves 0.3 m to the left")
+areas = frame.areas()
+per_m = areas.jacobian.numpy()[0, lorry, 1]  # to the position: x forward, y left, z up
+axes[1].set_title(
+    "how the lorry's outline moves when the camera moves\n"
+    f"0.3 m to the left: its visible area changes by {per_m:+.0f} px² a metre"
+)
 figure.colorbar(arrows, label="depth of the surface in front [m]", shrink=0.8)
 low, high = middle.min(axis=0) - 30, middle.max(axis=0) + 30
 for axis in axes:
@@ -106,7 +110,6 @@ for axis in axes:
     axis.axis("off")
 plt.show()
 
-areas = frame.areas()
 visible_px, alone_px = areas.visible.numpy()[0, lorry], areas.amodal.numpy()[0, lorry]
 print(f"the lorry shows {visible_px:.0f} px², alone it would show {alone_px:.0f} px²")
 

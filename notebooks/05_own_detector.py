@@ -11,9 +11,9 @@
 # %% [markdown]
 # # Bring your own detector
 #
-# **What does your detector find, how does that depend on what a camera sees, and which rig suits it?** Cameras
-# are placed for a detector, so it should be yours. warpav takes an ONNX file as its exporter left it (YOLOv8 to YOLO26
-# and RT-DETR of ultralytics, YOLOX, torchvision, RT-DETR, D-FINE), or any Python object that finds boxes in images.
+# **Which rig suits my detector, and how does warpav know what it finds?** Cameras are placed for a
+# detector, so it should be yours: an ONNX file as its exporter left it (YOLOv8 to YOLO26 and RT-DETR of ultralytics,
+# YOLOX, torchvision, RT-DETR, D-FINE), or any Python object that finds boxes in images.
 #
 # So that nothing has to be downloaded, *your* detector is a copy of the shipped one under another name. Put the path of
 # your own file in its place, such as `yolo11n.onnx` from `yolo export model=yolo11n.pt format=onnx`.
@@ -32,25 +32,48 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import warpav as wa
-from warpav.detection.images import render_images
-from warpav.detection.onnx_detector import BUILTIN_MODEL_PATH, OnnxDetector
 
 folder = tempfile.TemporaryDirectory()
-shutil.copy(BUILTIN_MODEL_PATH, f"{folder.name}/mine.onnx")  # your own goes here
 os.chdir(folder.name)
+_ = shutil.copy(wa.read_detector().file.path, "mine.onnx")  # your own goes here
 
 # %% [markdown]
-# ## What does it find?
+# ## The rig
+#
+# The optimiser needs a smooth answer to a simple question: how probably does the detector find an object of which a
+# view shows so and so much? The answer is fitted to what *your* detector finds in rendered scenes. An optimisation does
+# this once by itself, on 80 scenes. Here fewer have to do:
+
+# %%
+config = wa.Config.load("quick", "detector.model=mine.onnx")
+fitted = wa.fit(config, fit_seeds, held_out_seeds)
+train, test = wa.town(train_seeds), wa.town(test_seeds)
+placement = wa.Placement(train, detector="mine.onnx", probability=fitted.model)
+result = wa.optimise(placement)
+wa.plot(result, scene=test[0])
+
+# %%
+evaluation = wa.evaluate({"optimised": result.rig, "by_hand": result.start}, test, placement)
+wa.plot(evaluation)
+
+# %%
+evaluation.table()
+
+# %% [markdown]
+# The *recall of the rig* counts every vehicle once, whichever camera detects it. The table separates the limits of the
+# detector from those of the rig: a vehicle that is *visible to the rig* and not detected is a miss of the detector;
+# one that is not visible no detector can find.
+#
+# ## Is the detector read as it should be?
 #
 # A street, seen by a camera on the roof, and the boxes of the detector:
 
 # %%
-detector = OnnxDetector("mine.onnx")
+detector = wa.read_detector("mine.onnx")
 lens = wa.CameraModel(width_px=640, height_px=480, fov_rad=math.radians(70))
 camera = wa.Camera("front", np.array([1.0, 0.0, 1.75]), yaw_rad=0.0, pitch_rad=0.05, roll_rad=0.0, model=lens)
-image_rgb = render_images(wa.town([5])[0], [camera])[0].rgb
+image_rgb = wa.render(wa.Rig((camera,)), wa.town([5])[0])["front"].rgb
 (found,) = detector.detect(image_rgb[None])
-
 
 figure, axis = plt.subplots(figsize=(8, 6), layout="constrained")
 axis.imshow(image_rgb)
@@ -67,9 +90,7 @@ plt.show()
 # corners or centres, which number is which class. This is what warpav took them for:
 
 # %%
-from warpav.runs.detector_check import check_detector
-
-print(*check_detector("mine.onnx", wa.Config()), sep="\n")  # times are those of this machine, now
+print(*wa.check_detector("mine.onnx"), sep="\n")  # times are those of this machine, now
 
 # %% [markdown]
 # When the image is not right:
@@ -86,20 +107,9 @@ print(*check_detector("mine.onnx", wa.Config()), sep="\n")  # times are those of
 #
 # ## How probable is a detection?
 #
-# The optimiser needs a smooth answer to a simple question: how probably does the detector find an object of which a
-# view shows so and so much? The answer is fitted to what *your* detector finds in rendered scenes. An optimisation does
-# this once by itself, on 80 scenes. Here fewer have to do:
+# What the fit from above has learned, and whether it is right:
 
 # %%
-from warpav.core.progress import NullProgress
-from warpav.runs.detector_fit import FitSeeds, fit
-
-config = wa.Config.load("quick", "detector.model=mine.onnx")
-fitted = fit(config, FitSeeds(tuple(fit_seeds), tuple(held_out_seeds)), progress=NullProgress())
-
-# %%
-from warpav.detection.probability import FEATURES
-
 predicted, detected, low, high = np.array(
     [[each.predicted, each.detected, each.low, each.high] for each in fitted.scores.bins]
 ).T
@@ -109,7 +119,7 @@ for axis, index, label in zip(
 ):
     feature = fitted.known.feature[:, index]
     value = np.linspace(*np.quantile(feature, [0.002, 0.998]), 100)
-    shown = np.exp(value) - 1 if FEATURES[index].name == "visible_size" else value
+    shown = value if index else np.expm1(value)  # the area is fitted by its logarithm
     axis.plot(shown, fitted.model.curve(index, value))
     axis.set(xlabel=label, ylabel="" if index else "added to the logit")
     axis.grid(alpha=0.3)
@@ -130,23 +140,6 @@ print(f"area under the curve {fitted.scores.auc:.3f}, calibration error {fitted.
 # On the right the check on scenes that the fit has not seen. The area under the curve says how well the probabilities
 # put what is found before what is not: 1 is perfect, 0.5 is chance. The calibration error is their mean distance from
 # the diagonal.
-#
-# ## Which rig suits it?
-
-# %%
-train, test = wa.town(train_seeds), wa.town(test_seeds)
-placement = wa.Placement(train, detector="mine.onnx", probability=fitted.model)
-result = wa.optimise(placement)
-evaluation = wa.evaluate({"optimised": result.rig, "by_hand": result.start}, test, placement)
-wa.plot(evaluation)
-
-# %%
-evaluation.table()
-
-# %% [markdown]
-# The *recall of the rig* counts every vehicle once, whichever camera detects it. The table separates the limits of the
-# detector from those of the rig: a vehicle that is *visible to the rig* and not detected is a miss of the detector;
-# one that is not visible no detector can find.
 #
 # ## A detector that is no ONNX file
 #

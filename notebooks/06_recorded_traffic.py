@@ -23,40 +23,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import warpav as wa
-from warpav.runs import load_scenes
-from warpav.scene.traffic.files import read_recording, shipped_recordings
-
-colour = {
-    "car": "tab:blue",
-    "truck": "tab:purple",
-    "bus": "tab:orange",
-    "motorcycle": "tab:red",
-    "bicycle": "tab:green",
-    "pedestrian": "black",
-}
-recording = read_recording(shipped_recordings()[10])
-_, axes = plt.subplots(figsize=(9.5, 6.0))
-for lanelet in recording.lanelets:
-    axes.fill(*lanelet.outline_m.T, color="0.85", linewidth=0)
-for user in recording.users:
-    axes.plot(*user.pose[:, :2].T, color=colour[user.category], linewidth=1.0)
-    axes.plot(*user.pose[-1, :2], "o", markersize=4, color=colour[user.category])
-for name, value in colour.items():
-    axes.plot([], [], "o-", color=value, label=name)
-axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
-axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
-duration_s = recording.step_s * recording.last_step
-axes.set_title(f"{len(recording.users)} road users in {duration_s:.0f} s")
-plt.show()
 
 # %% [markdown]
-# Lines are the ways of everybody, dots where everybody is at the end, grey is lane.
+# ## The answer
 #
-# ## Moments become scenes
-#
-# A scene is one moment, seen from one of the cars, whose place the ego vehicle takes. A seed chooses moment and car,
-# and draws what no drone records: bodies, paint, clothes, houses, cars that are parked on plots. Seeds of the search
-# have moments of the first ten recordings, those of the test moments of the other five, so no moment is in both.
+# A scene is one moment, seen from one of the cars, whose place the ego vehicle takes. Four cameras of 90 degrees may
+# stand anywhere on roof and bonnet. The obvious rig stands on the highest point and looks all round. Both before the
+# detector, in recordings that the search has not seen:
 
 # %%
 config = wa.Config.load(
@@ -66,7 +39,43 @@ config = wa.Config.load(
     f"scenes.test_seeds={test_seeds}",
     f"optimiser.pool_cameras={pool_cameras}",
 )
-train, test = (list(load_scenes(config, seeds)) for seeds in (config.scenes.train_seeds, config.scenes.test_seeds))
+train, test = (list(wa.load_scenes(config, split)) for split in ("train", "test"))
+placement = wa.Placement(train, config=config)
+result = wa.optimise(placement)
+rigs = {"optimised": result.rig, "highest": wa.highest_rig(placement), "by hand": result.start}
+evaluation = wa.evaluate(rigs, test, placement)
+wa.plot(evaluation)
+
+# %% [markdown]
+# Dots are the recall in each group of vehicles; bars are 95 % intervals of the first rig. Most of what all miss is far
+# away. How many they miss, of everything, whatever hides it and however far away it is, and of what is *attainable*:
+# what at least one of 128 cameras, spread over roof and bonnet, is likely to detect. The differences have 95 %
+# intervals over the scenes:
+
+# %%
+texts = {"misses_per_100": "of all vehicles", "attainable_misses_per_100": "of attainable ones"}
+for metric, text in texts.items():
+    missed = {name: getattr(metrics, metric) for name, metrics in evaluation.metrics.items()}
+    print(f"misses per 100 {text:18}: " + ", ".join(f"{name} {value:.1f}" for name, value in missed.items()))
+    for other in ("highest", "by hand"):
+        less = evaluation.difference("optimised", other, metric)
+        print(f"    optimised - {other:8} {less.mean:+.1f} ({less.low:+.1f} to {less.high:+.1f})")
+
+# %% [markdown]
+# An interval below 0 says that the search was worth it on this crossing, one that holds 0 that these scenes cannot tell
+# the two rigs apart. Of other crossings neither says anything, for all scenes are of one. All metrics:
+
+# %%
+evaluation.table()
+
+# %% [markdown]
+# ## Moments become scenes
+#
+# A seed chooses moment and car, and draws what no drone records: bodies, paint, clothes, houses, cars that are parked
+# on plots. Seeds of the search have moments of the first ten recordings, those of the test moments of the other five,
+# so no moment is in both.
+
+# %%
 moment = test[0]
 
 
@@ -107,70 +116,28 @@ for kind in ("vehicle", "pedestrian", "cyclist"):
 # Many stand behind each other, and many so far away that an image of 256 x 256 pixels has little of them: no rig finds
 # them all. We search for vehicles, motorcycles among them; `scenes.targets` takes the others too.
 #
-# ## A search
+# ## The search
 #
-# Four cameras of 90 degrees, anywhere on roof and bonnet. The search draws a pool of cameras, selects the best four,
-# and polishes them along the gradient. What it lowers is the expected share of vehicles that no camera detects, and
-# with a tenth of its weight what is not seen on the ground near the car. How likely the shipped detector is to find a
-# vehicle of such traffic is known from a fit that ships with warpav.
+# It draws a pool of cameras, selects the best four, and polishes them along the gradient. What it lowers is the
+# expected share of vehicles that no camera detects, and with a tenth of its weight what is not seen near the car.
+# How likely the shipped detector is to find a vehicle of such traffic is known from a fit that ships with warpav.
 
 # %%
-placement = wa.Placement(train, config=config)
-result = wa.optimise(placement)
 print(f"by hand {result.start_objective:.4f}, optimised {result.objective:.4f}, bound of the pool {result.bound:.4f}")
 
 # %% [markdown]
-# The rig in the moment above, which it was not searched for:
-
-# %%
-wa.plot(result, scene=moment)
-
-# %%
-show(wa.render(result.rig, moment, supersampling=2))
-
-# %% [markdown]
-# ## Against the highest point of the roof
-#
-# The obvious rig stands on the highest point and looks all round. Both before the detector, in recordings that neither
-# has seen:
-
-# %%
-evaluation = wa.evaluate({"optimised": result.rig, "highest": wa.highest_rig(placement)}, test, placement)
-evaluation.table()
-
-# %% [markdown]
-# Two rows are what this is about. *Misses per 100* are of everything, whatever hides it and however far away it is.
-# *Attainable* is what at least one of 128 cameras, spread over roof and bonnet, is likely to detect, so *attainable
-# misses* are those that other places could have avoided. The difference of the two rigs, with its 95 % interval over
-# the scenes:
-
-# %%
-texts = {"misses_per_100": "of all vehicles", "attainable_misses_per_100": "of attainable ones"}
-for metric, text in texts.items():
-    missed = {name: getattr(metrics, metric) for name, metrics in evaluation.metrics.items()}
-    less = evaluation.difference("optimised", "highest", metric)
-    print(
-        f"misses per 100 {text:18}: optimised {missed['optimised']:.1f}, highest {missed['highest']:.1f}; "
-        f"difference {less.mean:+.1f} ({less.low:+.1f} to {less.high:+.1f})"
-    )
-
-# %% [markdown]
-# An interval below 0 says that the search was worth it on this crossing, one that holds 0 that these scenes cannot tell
-# the two rigs apart. Both of ours are, and of what other places could find the search misses a quarter less. Of
-# other crossings neither says anything, for all scenes are of one. Where the difference comes from:
-
-# %%
-wa.plot(evaluation)
-
-# %% [markdown]
-# Most of what both miss is far away. One moment again:
+# The rig in the moment above, which it was not searched for. Green is detected, orange is seen and missed, violet is
+# hidden from all four cameras:
 
 # %%
 outcomes = [seen.outcome["optimised"] for seen in evaluation.objects if seen.scene == moment.name]
 wa.plot(result.rig, scene=moment, outcomes=outcomes, zoom=0.28)
 
+# %%
+show(wa.render(result.rig, moment, supersampling=2))
+
 # %% [markdown]
-# Green is detected, orange is seen and missed, violet is hidden from all four cameras.
+# The same moment through the cameras of the rig: what is far away is a few pixels high.
 #
 # ## What to do next
 #

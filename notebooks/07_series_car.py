@@ -27,12 +27,7 @@ import tempfile
 from itertools import pairwise
 from pathlib import Path
 
-import trimesh
-from IPython.display import Image
-
 import warpav as wa
-from warpav.rig.zone import read_zones
-from warpav.runs.vehicle import propose
 
 folder = tempfile.TemporaryDirectory()  # for the files of this notebook
 os.chdir(folder.name)
@@ -40,30 +35,61 @@ train, test = wa.town(train_seeds), wa.town(test_seeds)
 car = train[0].ego
 
 # %% [markdown]
-# ## Where cameras may stand
+# ## One rig
 #
-# A *zone* is a part of the body on which a camera can be mounted. You have the car as a file; ours is the town's,
-# written as one. The next cell does what `warpav vehicle zones car.ply --out zones.yaml --image zones.png` does: it
-# proposes zones, keeps them off wheels, lamps and plates, and draws them.
+# One wide camera, two at the sides, four fisheyes. A *zone* is a part of the body on which a camera can be mounted;
+# `symmetric` makes mirrored pairs of cameras, and single ones stand in the middle. `requirements` says what has to be
+# seen near the body, wherever traffic happens to be: `near_field` puts a post as high as a child of four on every half
+# metre of the ground within 5 m, and asks that 99 % of the posts are seen. The search draws a pool of cameras in the
+# zones, selects the best rig of them, polishes it along the gradient, and asks for the cameras that would help it more.
 
 # %%
-body = trimesh.Trimesh(car.vertex_m, car.triangle, vertex_colors=car.vertex_rgb, process=False)
-_ = body.export("car.ply")
-for line in propose(Path("car.ply"), wa.Config(), out=Path("zones.yaml"), image=Path("zones.png")):
-    print(line)
-
-# %%
-Image("zones.png", width=700)
+zones = wa.propose_zones(car)
+wa.write_zones(zones, "zones.yaml")
+config = wa.Config.load("quick", f"optimiser.pool_cameras={pool_cameras}", f"run.iterations={steps}")
+placement = wa.Placement(
+    train,
+    zones="zones.yaml",
+    modules={"front_8mp_120": 1, "side_2mp_100": 2, "fisheye_1_3mp_190": 4},
+    rig={"symmetric": True},
+    requirements="near_field",
+    config=config,
+)
+result = wa.optimise(placement)
+wa.plot(result.rig, ego=car, requirements=result.requirements)
 
 # %% [markdown]
-# The proposal is a text file to be edited: your designers know where a housing fits. What it says of each zone:
+# A disc is a post that is seen, the bluer the more cameras see it, and a cross is one that is not. In words, with the
+# objective, which joins what is expected to be missed in traffic with what is missed near the body:
 
 # %%
-for zone in read_zones("zones.yaml"):
+print(result.requirements.table())
+print(result.requirements.shortfall or "as much is seen as was asked for")
+print(f"by hand {result.start_objective:.4f}, optimised {result.objective:.4f}")
+print(f"bound {result.bound:.4f}: no rig of the pool's {result.pool_cameras} cameras is below")
+
+# %% [markdown]
+# The bound holds for these scenes and for cameras of this pool. Of other cameras and other scenes it says nothing; a
+# polished rig may even be below it, for its cameras have left the pool. In traffic that the search has not seen, beside
+# the best rig by hand of the same modules:
+
+# %%
+evaluation = wa.evaluate({"optimised": result.rig, "by_hand": result.start}, test, placement)
+evaluation.table()
+
+# %% [markdown]
+# ## Where cameras may stand
+#
+# `wa.propose_zones` keeps zones off wheels, lamps and plates (`warpav vehicle zones car.glb` does the same). What it
+# wrote is a text file to be edited: your designers know where a housing fits.
+
+# %%
+for zone in wa.read_zones("zones.yaml"):
     low_mm, high_mm = (round(1000 * end) for end in zone.stand_off_m)
     place = "behind the glass" if zone.is_behind_glass else "off the skin"
     kinds, kept_out = ", ".join(zone.kinds or [zone.name]), len(zone.keep_out_m)
     print(f"{zone.name:11} {low_mm:2} to {high_mm:3} mm {place:17} boxes kept out: {kept_out}  kinds: {kinds}")
+wa.plot(car, mount_surface=placement.mount.surface)
 
 # %% [markdown]
 # A camera behind the glass stands in the cabin and looks through the pane; pillars, scuttle and roof hide from it what
@@ -85,60 +111,6 @@ for name in ("front_8mp_120", "side_2mp_100", "fisheye_1_3mp_190"):
     )
 
 # %% [markdown]
-# ## One rig
-#
-# One wide camera, two at the sides, four fisheyes. `symmetric` makes mirrored pairs of them, and single ones stand in
-# the middle. `requirements` says what has to be seen near the body, wherever traffic happens to be: `near_field` puts
-# a post as high as a child of four on every half metre of the ground within 5 m, and asks that 99 % of the posts are
-# seen. The search draws a pool of cameras in the zones, selects the best rig of them, polishes it along the gradient,
-# and asks for the cameras that would help it more.
-
-# %%
-config = wa.Config.load("quick", f"optimiser.pool_cameras={pool_cameras}", f"run.iterations={steps}")
-placement = wa.Placement(
-    train,
-    zones="zones.yaml",
-    modules={"front_8mp_120": 1, "side_2mp_100": 2, "fisheye_1_3mp_190": 4},
-    rig={"symmetric": True},
-    requirements="near_field",
-    config=config,
-)
-result = wa.optimise(placement)
-result
-
-# %%
-print(f"by hand    {result.start_objective:.4f}")
-print(f"optimised  {result.objective:.4f}")
-print(f"bound      {result.bound:.4f}  no rig of the pool's {result.pool_cameras} cameras is below")
-
-# %% [markdown]
-# The bound is proven for these scenes and for cameras of this pool. Of other cameras and other scenes it says nothing;
-# a polished rig may even be below it, for its cameras have left the pool. Where they stand, with a white dot where each
-# began:
-
-# %%
-wa.plot(result, scene=test[0])
-
-# %% [markdown]
-# The objective joins what is expected to be missed in traffic with what is missed near the body. Of the second alone,
-# first in words, then on the ground: a disc is a post that is seen, the bluer the more cameras see it, and a cross is
-# one that is not.
-
-# %%
-print(result.requirements.table())
-print(result.requirements.shortfall or "as much is seen as was asked for")
-
-# %%
-wa.plot(result.rig, ego=car, requirements=result.requirements)
-
-# %% [markdown]
-# In traffic that the search has not seen, beside the best rig by hand of the same modules:
-
-# %%
-evaluation = wa.evaluate({"optimised": result.rig, "by_hand": result.start}, test, placement)
-evaluation.table()
-
-# %% [markdown]
 # ## How many, at what cost
 #
 # `wa.front` finds the best rig of every number of cameras, all out of one pool, and judges each on the unseen scenes.
@@ -149,18 +121,11 @@ evaluation.table()
 choice = {"side_2mp_100": "0..4", "fisheye_1_3mp_190": "0..4"}
 numbers = wa.Placement(train, cameras=front_cameras, zones="zones.yaml", modules=choice, config=config)
 front = wa.front(numbers, test)
-front.table()
-
-# %%
-front.plot()
-
-# %% [markdown]
-# What does the next camera bring, and what does it cost?
-
-# %%
+print(front.table())
 for fewer, more in pairwise(front.points):
     count, change = len(more.rig.cameras), more.expected_misses_per_100 - fewer.expected_misses_per_100
     print(f"{count} cameras: {change:+.2f} expected misses per 100, price {more.cost - fewer.cost:+.1f}")
+front.plot()
 
 # %% [markdown]
 # With a `max_cost` and `by="cost"` the front goes along the price instead.
@@ -173,22 +138,18 @@ for fewer, more in pairwise(front.points):
 # %%
 outage = evaluation.camera_outage["optimised"]
 tolerance = wa.robustness.mount_tolerance(result.rig, test, placement, sample_count=8)
-wa.plot(tolerance, outages=outage)
-
-# %%
 without, off = outage.worst, tolerance.worst
 print(f"worst to lose: {without.camera}, {without.difference_per_100:+.2f} misses per 100")
 print(f"worst error of mounting: {off.degree} of {off.camera}, {off.worst:+.2f}")
+wa.plot(tolerance, outages=outage)
 
 # %% [markdown]
 # Dirt that covers a tenth of an image, around its middle, on one camera after the other; and a boot full of luggage,
 # which turns the nose up by a degree and lowers the car by 5 cm:
 
 # %%
-wa.robustness.soiling(result.rig, test, placement, shape="disc", place=(0.5, 0.5), share=0.1).table()
-
-# %%
-wa.robustness.load_states(result.rig, test, placement, states={"luggage": (-1.0, -0.05)}).table()
+print(wa.robustness.soiling(result.rig, test, placement, shape="disc", place=(0.5, 0.5), share=0.1).table())
+print(wa.robustness.load_states(result.rig, test, placement, states={"luggage": (-1.0, -0.05)}).table())
 
 # %% [markdown]
 # Too much? `wa.Placement(..., robust={"camera_loss": "worst"})` lets the search
@@ -202,7 +163,8 @@ wa.robustness.load_states(result.rig, test, placement, states={"luggage": (-1.0,
 wa.plot(result.rig, ego=car, kind="sheet")
 
 # %% [markdown]
-# And the files: the rig with its modules and the pane that they look through, and the same for Autoware.
+# And the files: the rig with its modules and the pane that they look through, and the same for Autoware. A rig file
+# says which module each camera is, so it can be evaluated, inspected and exported wherever it is read.
 
 # %%
 wa.write_rig(result.rig, "series_car.yaml")
@@ -211,7 +173,7 @@ for file in sorted(path for path in Path().rglob("*") if path.is_file()):
     print(file.as_posix())
 
 # %% [markdown]
-# A rig file says which module each camera is, so it can be evaluated, inspected and exported wherever it is read.
+# The zones are among the files: a rig is as good as they are.
 #
 # ## What to do next
 #

@@ -28,9 +28,7 @@ PNG_MAX_BYTES = 60_000
 IMAGE_MAX_PX = 1000
 
 SMALL = {
-    "01_first_run": "os.environ['OPTIONS'] = 'run.batch_size=2 optimiser.pool_cameras=16 scenes.train_seeds=0..1 "
-    "scenes.test_seeds=[5000] baselines.random_samples=2'\n"
-    "train_seeds, test_seeds = range(2), range(5000, 5002)",
+    "01_first_run": "train_seeds, test_seeds, pool_cameras = range(2), range(5000, 5002), 16",
     "02_how_the_gradient_works": "pose_count, truth_samples, step_count = 10, 2, 5",
     "03_rasteriser": "step_count = 5",
     "04_own_vehicle_and_scenes": "train_seeds, test_seeds = range(3), range(18, 19)\n"
@@ -40,8 +38,7 @@ SMALL = {
     "06_recorded_traffic": "train_seeds, test_seeds, pool_cameras = '0..2', '5000..5001', 16",
     "07_series_car": "train_seeds, test_seeds = range(2), range(5000, 5002)\n"
     "pool_cameras, steps, front_cameras = 16, 4, '2..3'",
-    "08_reproduce_table_two": "arms, runs = 'random_ifr_doa,highest_ifr_doa', 1\n"
-    "train_seeds, test_seeds, iterations = '0..3', '[1000]', 2",
+    "08_reproduce_table_two": "train_seeds, test_seeds, iterations, runs, samples = '0..3', '[1000]', 2, 1, 2",
 }
 """Settings for tests, by notebook: they follow the cell that is tagged ``parameters``."""
 

@@ -5,6 +5,7 @@ import base64
 import itertools
 import json
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -115,21 +116,34 @@ def test_opens_with_its_question_and_ends_with_what_to_do_next(source):
     assert read_source(source).cells[-1].cell_type == "markdown"
 
 
-def shell_cells(source):
-    """Cells and lines that hand something to a shell or another program."""
-    cells = [cell for cell in read_source(source).cells if cell.cell_type == "code"]
-    handed_over = r"^\s*(?:%%|%|!)|\b(?:subprocess|os\.system|popen|get_ipython)\b|= *!"
-    return [cell.source for cell in cells if re.search(handed_over, cell.source, re.MULTILINE)]
+PUBLIC = {"warpav", "warpav.raster", "numpy", "matplotlib.pyplot", "IPython.display"}
+FRAMEWORKS = {"warp", "torch", "warpav.raster.torch"}  # whose tapes and tensors the rasteriser takes
+
+
+def beyond_the_public_api(code):
+    """Imports of more than the public API, numpy and what draws; and what reaches for a shell or the environment."""
+    found = re.findall(r"^\s*[%!].*|\b(?:subprocess|environ|getenv|popen|get_ipython|os\.system)\b", code, re.MULTILINE)
+    for node in ast.walk(ast.parse("" if found else code)):
+        names = [each.name for each in node.names] if isinstance(node, ast.Import | ast.ImportFrom) else []
+        if isinstance(node, ast.ImportFrom):
+            names = [f"{node.module}.{name}" for name in names] if node.module.startswith("warpav") else [node.module]
+        found += [name for name in names if name not in PUBLIC and name.split(".")[0] not in sys.stdlib_module_names]
+    return set(found)
 
 
 @each_notebook
-def test_only_the_first_command_of_the_first_notebook_is_a_shell_cell(source):
-    found = shell_cells(source)
-    if source.stem.startswith("01"):
-        (command,) = found
-        assert command.startswith("%%bash\nwarpav optimise ")
-    else:
-        assert not found
+def test_uses_the_public_api_alone_in_few_cells(source):
+    cells = read_source(source).cells
+    found = set().union(*(beyond_the_public_api(cell.source) for cell in cells if cell.cell_type == "code"))
+    assert found <= (FRAMEWORKS if source.stem == "03_rasteriser" else set())
+    assert len(cells) < 25
+
+
+@pytest.mark.parametrize(
+    "code", ["from warpav.runs import fit", "import scipy.ndimage", "!ls", "%%bash\nls", "os.environ"]
+)
+def test_what_is_not_public_would_be_found(code):
+    assert beyond_the_public_api(code)
 
 
 def assigned_names(code):
