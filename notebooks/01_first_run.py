@@ -119,7 +119,8 @@ wa.plot(evaluation)
 
 # %% [markdown]
 # Dots are the recall in each group of vehicles; the number of vehicles stands beside its name. The bars are 95 %
-# intervals of the first rig: with few vehicles they are wide. All metrics, side by side:
+# intervals of the first rig: with few vehicles they are wide. All metrics, side by side; the first counts at the
+# confidence at which each rig raises as many false alarms:
 
 # %%
 evaluation.table()
@@ -128,8 +129,8 @@ evaluation.table()
 for other in ("three", "four by hand"):
     difference = evaluation.difference("four", other)
     print(
-        f"recall, four cameras - {other}: {difference.mean:+.3f} "
-        f"(95 % interval over {difference.scenes} scenes: {difference.low:+.3f} to {difference.high:+.3f})"
+        f"missed per 100, four cameras - {other}: {difference.mean:+.1f} "
+        f"(95 % interval over {difference.scenes} scenes: {difference.low:+.1f} to {difference.high:+.1f})"
     )
 
 # %% [markdown]

@@ -60,9 +60,10 @@ wa.plot(evaluation)
 evaluation.table()
 
 # %% [markdown]
-# The *recall of the rig* counts every vehicle once, whichever camera detects it. The table separates the limits of the
-# detector from those of the rig: a vehicle that is *visible to the rig* and not detected is a miss of the detector;
-# one that is not visible no detector can find.
+# A vehicle counts once, whichever camera detects it. The first row compares the rigs at as many false alarms, the row
+# *at the detector's threshold* as it is used. The table separates the limits of the detector from those of the rig: a
+# vehicle that is *visible to the rig* and not detected is a miss of the detector; one that is not visible no detector
+# can find.
 #
 # ## Is the detector read as it should be?
 #

@@ -56,7 +56,7 @@ placement = wa.Placement(
     config=config,
 )
 result = wa.optimise(placement)
-wa.plot(result.rig, ego=car, requirements=result.requirements)
+wa.plot(result.rig, ego=car, requirements=result.requirements, zoom=1.6)
 
 # %% [markdown]
 # A disc is a post that is seen, the bluer the more cameras see it, and a cross is one that is not. In words, with the
