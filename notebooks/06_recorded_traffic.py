@@ -49,8 +49,8 @@ wa.plot(evaluation)
 # %% [markdown]
 # Dots are the recall in each group of vehicles; bars are 95 % intervals of the first rig. Most of what all miss is far
 # away. How many they miss at equal false alarms, of everything, whatever hides it and however far away it is, and of
-# what is *attainable*: what at least one of 128 cameras, spread over roof and bonnet, is likely to detect. The differences
-# have 95 % intervals over the scenes:
+# what is *attainable*: what at least one of 128 cameras, spread over roof and bonnet, is likely to detect. The
+# differences have 95 % intervals over the scenes:
 
 # %%
 texts = {"misses_at_equal_false_alarms": "of all vehicles", "attainable_misses_per_100": "of attainable ones"}

@@ -17,8 +17,8 @@
 # alike.
 
 # %% tags=["parameters"]
-train_seeds, test_seeds = range(16), range(5000, 5010)
-pool_cameras, steps, front_cameras = 64, 60, "2..5"
+train_seeds, test_seeds = range(12), range(5000, 5010)
+pool_cameras, steps, front_cameras = 48, 40, "2..4"
 
 # %%
 import math

@@ -49,6 +49,7 @@ from warpav.runs._networks import (
     networks_in,
     opened_detector,
 )
+from warpav.runs._progress import shown_progress
 from warpav.runs._terminal import drawn
 from warpav.runs.config import Config
 from warpav.scene.traffic.files import content_digest
@@ -280,7 +281,7 @@ def fit(
     camera: CameraModel | None = None,
     any_camera: bool = False,
     use: DetectorUse | None = None,
-    progress: Progress | None = None,
+    progress: bool | Progress | None = None,
 ) -> Fit:
     """Fit how probably a detector finds what a view shows, for ``Placement(..., probability=fitted.model)``.
 
@@ -290,7 +291,8 @@ def fit(
         held_out: Seeds of others to evaluate the fit on; None: 30 embedded ones, or the rest.
         detector: An object instead of ``detector.model``; ``ego``, ``camera`` likewise, the vehicle in its frame [m].
         any_camera: Whether to fit for cameras of all sizes and fields of view.
-        use: What the fit is for, for which samples are kept; ``progress`` shows them.
+        use: What the fit is for, for which samples are kept.
+        progress: As of `warpav.optimise`.
 
     Returns:
         ``model``, a function of six features of a view; ``known`` and ``unseen``, the objects that it was fitted and
@@ -300,7 +302,7 @@ def fit(
     Raises:
         InputError: Scenes are too few, serve two purposes or are those of the test, or the detector finds none or all.
     """
-    began, progress = time.perf_counter(), progress or NullProgress()
+    began = time.perf_counter()
     seeds, unseen_seeds = chosen_seeds(config, scenes, held_out)
     name = config.detector.model if detector is None else type(detector).__name__
     used = load_detector(config) if detector is None else detector
@@ -310,8 +312,9 @@ def fit(
     else:
         sources = [Source.of_camera(camera or camera_model(config))]
     usual = config.replace({f"scenes.{name}": None for name in _NOT_FITTED})
-    samples = sample_scenes(usual, (*seeds, *unseen_seeds), detector, ego, sources, progress, use=use)
-    progress.stage("fitting")
+    with shown_progress(progress) as shown:
+        samples = sample_scenes(usual, (*seeds, *unseen_seeds), detector, ego, sources, shown, use=use)
+        shown.stage("fitting")
     known, unseen = samples.of_seeds(seeds), samples.of_seeds(unseen_seeds)
     try:
         model, penalty = fit_probability(
