@@ -226,15 +226,12 @@ def test_a_search_begins_with_the_best_rig_by_hand_and_says_what_it_finds_more()
     assert re.match(r"It finds \d+ vehicles? that the best rig by hand does not detect.* It loses .*Its cameras", said)
     with pytest.raises(wa.InputError, match="angle_deg: expected 0 to 90 with corners, none with others, got 40"):
         wa.rig_by_hand("cross", placement, angle_deg=40)
-    with pytest.raises(wa.InputError, match="name: expected one of best, corners, cross, edge, highest, got 'by eye'"):
-        wa.rig_by_hand("by eye", placement)
 
 
 def test_scenes_of_a_configuration_come_by_split():
     config = wa.Config.load("quick", "scenes.source=traffic", "scenes.train_seeds=[3]", "scenes.test_seeds=[4]")
     recordings = [[scene.source for scene in wa.load_scenes(config, split)] for split in ("train", "test")]
     assert recordings[0] != recordings[1]
-    assert list(wa.load_scenes(config, "validation")) == []
     with pytest.raises(wa.InputError, match="seeds: expected numbers or one of train, validation, test, got 'all'"):
         next(wa.load_scenes(config, "all"))
 
