@@ -210,10 +210,7 @@ def _ground_pitch_deg(mount: CameraMount, constraints: Constraints) -> int:
 def mount_pose_by_hand(
     name: str, mount: CameraMount, constraints: Constraints, count: int, corner_deg: float | None = None
 ) -> np.ndarray:
-    """The rig by hand of a name, with the numbers that are tried first, float32 [camera, 7].
-
-    ``name``: ``corners``, ``cross``, ``edge`` or ``highest``.
-    """
+    """The rig ``corners``, ``cross``, ``edge`` or ``highest``, with the numbers tried first, float32 [camera, 7]."""
     if name in _OF_SURFACE:
         rows = count if constraints.module is None else len(constraints.module)
         return _placed(mount, constraints, _OF_SURFACE[name](constraints, rows))
