@@ -117,7 +117,7 @@ MOST_LINES = {
     "tests": 45_935,
 }
 """Lines of Python by folder; what grows here shrinks there, so these only ever fall."""
-MOST_FILES, MOST_NAMES, MOST_DOCUMENT_BYTES, MOST_FILE_LINES = 325, 995, 290_000, 813
+MOST_FILES, MOST_NAMES, MOST_DOCUMENT_BYTES, MOST_FILE_LINES = 325, 995, 285_000, 812
 
 
 def lines_below(folder):

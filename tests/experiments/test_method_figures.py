@@ -82,10 +82,10 @@ def test_without_constraints_cameras_leave_the_surface_and_with_them_they_do_not
     draw(10, tmp_path / "10.png", small_experiment.config(folder, WIDE_STEPS, "run.iterations=3"))
     free, kept = drawn[0].axes[:2]
     assert free.get_title("left") == "Without constraints"
-    told = re.fullmatch(r"([12]) of 2 cameras end outside, by up to ([0-9.]+) m", free.get_title("right"))
+    told = re.fullmatch(r"([12]) of 2 cameras end outside, by up to ([0-9.]+) m", free.get_xlabel().splitlines()[1])
     assert told
     assert float(told[2]) > 1.0  # steps of metres
-    assert kept.get_title("right") == "0 of 2 cameras end outside"
+    assert kept.get_xlabel().endswith("\n0 of 2 cameras end outside")
     for index in range(2):
         ways = [lines(axis, index) for axis in (free, kept)]
         assert all(len(way[0]) == 4 for way in ways)  # three steps
@@ -96,7 +96,7 @@ def test_the_way_with_constraints_is_that_of_the_run(run, tmp_path, drawn):
     draw(10, tmp_path / "10.png", run.config(), run)
     kept = drawn[0].axes[1]
     for index in range(2):
-        expected = [event["positions_m"][index][:2] for event in run.events()]
+        expected = [event["positions_m"][index][1::-1] for event in run.events()]  # the front is up
         assert lines(kept, index)[0] == pytest.approx(np.array(expected))
         assert lines(drawn[0].axes[0], index)[0][0] == pytest.approx(np.array(expected[0]), abs=1e-5)
 

@@ -185,7 +185,7 @@ def test_an_evaluation_says_which_camera_sees_what(placement, result, test_scene
         assert all(set(seen.detected_by[name]) <= set(seen.seen_by[name]) for seen in found.objects)
     same = found.difference("start", "start")
     assert (same.mean, same.low, same.high) == (0.0, 0.0, 0.0)
-    assert "missed per 100 at equal false alarms" in str(found.table())
+    assert "per 100" in str(found.table())
     assert str(found.table()).splitlines()[-1].endswith("difference() has intervals.")
     assert "<caption" in found._repr_html_()
     assert found._repr_html_().startswith("<table>")

@@ -80,7 +80,7 @@ def test_what_a_rig_breaks_is_said(capsys, tmp_path):
     small = ["scenes.test_seeds=5000..5000", "camera.width_px=64", "camera.height_px=64"]
     assert main(["evaluate", "highest", "rules=default", *small, "--json", str(file)]) == 0
     said = capsys.readouterr().out
-    assert "Rules: 2 of 6 are broken: the own body fills 32% of the image of front, at most 30% is asked" in said
+    assert "Rules: 2 of 6 broken: own body in the image 32%, front, at most 30% asked" in said
     found = {each["rule"]: each for each in json.loads(file.read_text())["rules"]["highest"]}
     assert not found["crossing"]["is_kept"]
     assert found["azimuth_gap"]["value"] <= 3.0

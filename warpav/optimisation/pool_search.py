@@ -363,7 +363,7 @@ class PoolSearch:
         """The strictest levels of what a rig must see together that the cameras of the pool can keep."""
         most = self.camera_count if self.limits is None else self.limits.count[1]
         widest_rad = max(model.fov_rad for model in self.cameras.mount.cameras)
-        free = self._selection(self._level_gap)
+        free = self._selection(_GAP_ON_THE_WAY)
         known = [(free.cameras, free.objective)]
         if rules.rules.azimuth_gap_rad is not None and most * widest_rad >= 2.0 * np.pi - 1e-6:
             first = round(rules.rules.azimuth_gap_rad / AZIMUTH_STEP_RAD)
@@ -389,10 +389,6 @@ class PoolSearch:
             low, high = (low, middle) if is_kept else (middle + 1, high)
         return levels[low] if low < len(levels) else None, price
 
-    @property
-    def _level_gap(self) -> float:
-        return max(self.settings.gap, _GAP_ON_THE_WAY)
-
     def _selected_at(self, name: str, level: int | None, known: list[_Known], enough: float = -np.inf) -> float:
         """The objective of the rig that would be selected at a level of a rule; inf where none keeps it.
 
@@ -407,7 +403,7 @@ class PoolSearch:
                 return value
             if rig is None and (rig := feasible_rig(problem, time_limit_s=self.settings.selection_time_s)) is None:
                 return np.inf
-            found = self._selection(self._level_gap, problem, rig)
+            found = self._selection(_GAP_ON_THE_WAY, problem, rig)
             known.append((found.cameras, found.objective))
             return found.objective
         except (InputError, TimeoutError):
@@ -514,9 +510,8 @@ class PoolSearch:
 
     def _select(self, least_gap: float = 0.0) -> Generator[Found, None, tuple[np.ndarray, bool]]:
         """The best rig of the pool, and whether it is better than what was known."""
-        gap = max(self.settings.gap, least_gap)
         cameras = len(self.pool.mount_pose)
-        selection = self._selection(gap)
+        selection = self._selection(least_gap)
         self.bound, self.price, self._others = selection.bound, selection.price, selection.others
         chosen = selection.cameras[selection.cameras < cameras]
         chosen = self.assembly.rig(self.pool.mount_pose[chosen], like=self.rig)
@@ -551,7 +546,7 @@ class PoolSearch:
         return sparse.csr_array(near + sparse.csr_array((np.ones(kept.sum(), bool), index), shape=near.shape))
 
     def _selection(
-        self, gap: float, problem: SelectionProblem | None = None, known: np.ndarray | None = None
+        self, least_gap: float, problem: SelectionProblem | None = None, known: np.ndarray | None = None
     ) -> Selection:
         """Choose the best rig of the pool, or of a problem of its cameras of which a rig is known, int [camera]."""
         pool = self.pool
@@ -560,6 +555,7 @@ class PoolSearch:
             missing = np.arange(self.camera_count - len(self.rig))
             known = np.concatenate([self._rows_of_best(), len(pool.mount_pose) + missing])
         problem = problem or self._problem()
+        gap = max(self.settings.gap, least_gap)
         options = {"gap": gap, "time_limit_s": self.settings.selection_time_s, "seed": self.seed}
         if self.robust is None:
             return select(problem, start=known, **options)

@@ -289,10 +289,12 @@ class Optimisation:
         """Take all steps, or as many as are of use."""
         config, descent = self.placement.config, self.descent
         count = None if isinstance(descent, PoolRun) else config.run.iterations
-        with contextlib.suppress(NotFiniteError):  # the stop reason says so
+        try:
             for record in progress.iterations(self._steps(), count=count, min_spacing_m=config.rig.min_spacing_m):
                 if on_step is not None:
                     on_step(record)
+        except NotFiniteError:
+            progress.say(f"ended after {descent.iteration} iterations: {descent.stop_reason}")
 
     def _steps(self) -> Iterator[IterationRecord]:
         """The steps that are left; each is known before anybody is told of it."""
