@@ -143,6 +143,6 @@ def test_the_report_shows_both_and_says_of_what(folder, result):
     assert ("rig" in names) == (opengl_problem() is None)
     page = write_report(folder).read_text(encoding="utf-8")
     assert page.count("<img") == len(names)
-    assert "Best rig and bound over the camera renders" in page
+    assert "The best rig so far, and the bound (dashed), over camera renders" in page
     assert f"no rig of the {result.pool_cameras} rendered candidate cameras" in page
     assert "On the training scenes" in page

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -54,9 +55,8 @@ def optimise(
         from warpav.runs import RunFolder
 
         folder = RunFolder.open(resume)
-    if folder is not None and config != DEFAULT_CONFIG:
-        raise ArgumentError("resume", f"expected no configuration, as the run has its own, got {config}")
-    if folder is not None:
+        if config != DEFAULT_CONFIG:
+            raise ArgumentError("resume", f"expected no configuration, as the run has its own, got {config}")
         config = str(folder.path / "config.yaml")
     given = executor_overrides(executor, workers, address)
     with placed_config(config, [*overrides, *given]) as settings, RunDisplay(verbose=verbose) as display:
@@ -75,6 +75,7 @@ def optimise(
         from warpav.runs.jobs import optimise_rig, resume_rig  # a second of imports, after the first line
         from warpav.runs.report.tables import next_commands, show_everything, show_run
 
+        gc.freeze()  # what was imported stays: collections need not look at it again
         if folder is None:
             folder, run = optimise_rig(settings, name=find_config(config).stem, progress=display)
         else:
@@ -100,7 +101,6 @@ def front(
     ] = None,
 ) -> None:
     """Find the best rig of every number of cameras (rig.cameras=2..8) or of every cost."""
-    from warpav.core.errors import ArgumentError
     from warpav.runs import RunDisplay
     from warpav.runs.front import FRONT_FILE
     from warpav.runs.front import front as find_front

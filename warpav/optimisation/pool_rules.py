@@ -174,10 +174,17 @@ class PoolRules:
         size = len(pose) + absent
         if self.rules.housing is None:
             return sparse.csr_array((size, size), dtype=bool)
-        if pose.tobytes() != self._conflicting[0]:  # a search asks often about the same pool
-            one, other = self._conflicts(pose, pose).nonzero()
-            self._conflicting = pose.tobytes(), one[one != other], other[one != other]
-        _, one, other = self._conflicting
+        known, one, other = self._conflicting  # a search asks often about a pool, which grows at its end
+        if not pose.tobytes().startswith(known):
+            known, one, other = b"", one[:0], other[:0]
+        first = len(known) // max(pose[:1].nbytes, 1)
+        if first < len(pose):
+            seers, seen = self._conflicts(pose[first:], pose).nonzero()
+            others, by = self._conflicts(pose[:first], pose[first:]).nonzero()
+            new = np.concatenate([seers + first, others]), np.concatenate([seen, by + first])
+            pairs = np.unique(np.stack([[*one, *new[0], *new[1]], [*other, *new[1], *new[0]]]), axis=1)
+            one, other = pairs[:, pairs[0] != pairs[1]].astype(int)
+            self._conflicting = pose.tobytes(), one, other
         return sparse.csr_array((np.ones(len(one), bool), (one, other)), shape=(size, size))
 
     def _conflicts(self, pose: np.ndarray, others: np.ndarray) -> sparse.csr_array:
@@ -185,7 +192,6 @@ class PoolRules:
         assert self.rules.housing is not None
         row, view, model, corner_m = self._expanded(pose)
         other_row, _, _, other_corner_m = self._expanded(others)
-        same = pose is others
         centre_m, radius_m = (
             other_corner_m.mean(axis=1),
             0.5 * np.linalg.norm(other_corner_m[:, 7] - other_corner_m[:, 0], axis=1),
@@ -206,8 +212,6 @@ class PoolRules:
             if len(meet):
                 pairs = np.repeat(corner_m[k][None], len(meet), axis=0)
                 found |= {(int(row[k]), int(other_row[w])) for w in meet[boxes_meet(pairs, other_corner_m[meet])]}
-        if same:
-            found |= {(b, a) for a, b in found}
         index = np.array(sorted(found), int).reshape(-1, 2)
         return sparse.csr_array((np.ones(len(index), bool), index.T), shape=(len(pose), len(others)))
 

@@ -146,7 +146,9 @@ class RunPictures:
         path_m = {"optimised": trajectory(self.folder.events())}
         images = []
         for name, rig in self.rigs.items():
-            canvas = Canvas(title=name, window_size=_RIG_PX, off_screen=True)
+            canvas = Canvas(
+                title={"by_hand": "by hand", "optimised": "found"}.get(name, name), window_size=_RIG_PX, off_screen=True
+            )
             plotter = drawing_of(rig, canvas, scene=self.scene, trajectory_m=path_m.get(name))
             try:
                 images.append(render_rgb(plotter))
