@@ -45,10 +45,10 @@ def keep(name: str, drawn: Path) -> None:
 
 
 def draw_run(folder: Path) -> None:
-    """``rig`` and ``detections``: of the run of README's table."""
+    """``rig``, ``ground`` and ``detections``: of the first command's run."""
     run = folder / "run"
     _warpav("optimise", f"run.out={run}")
-    for name in ("rig", "detections"):
+    for name in ("rig", "ground", "detections"):
         shutil.copyfile(run / "figures" / f"{name}.png", folder / f"{name}.png")
 
 
@@ -410,6 +410,7 @@ def draw_traffic(folder: Path) -> None:
 
 DRAWN: dict[str, Callable[[Path], None]] = {
     "rig": draw_run,
+    "ground": draw_run,
     "detections": draw_run,
     "rules": draw_rules,
     "coverage": draw_coverage,
