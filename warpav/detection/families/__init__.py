@@ -22,7 +22,7 @@ RT-DETR and D-FINE are trained, evaluated and deployed on images that are stretc
 shape, and so is ultralytics' RT-DETR; none of them is letterboxed here. torchvision pads its own batches at the right
 and the bottom with what is the mean colour, a grey, after its normalisation.
 
-A new family is one class in `layouts` and its row in `FAMILIES`.
+A new family is one class in `_layouts` and its row in `FAMILIES`.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Rigs in the files of other tools: one module a format; `formats` knows them all, imports and exports."""
+"""Rigs in the files of other tools: `convert` knows all formats, imports and exports."""
