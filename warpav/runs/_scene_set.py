@@ -238,7 +238,7 @@ def load_scenes(
         config: Its section ``scenes`` says where they are from; of recorded traffic the test has recordings of its own.
         seeds: Their numbers, or the split whose they are: ``train``, ``validation`` or ``test``.
         ego: The vehicle instead of ``scenes.ego``.
-        say: Is told which road users were left out.
+        say: Gets a line about the road users that were left out.
 
     Raises:
         InputError: Scenes, recordings or the vehicle cannot be used.

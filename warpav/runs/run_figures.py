@@ -141,14 +141,13 @@ class RunPictures:
 
     def _draw_rig(self) -> None:
         """Start and result on the vehicle in the first test scene, side by side."""
+        from warpav.runs.report._statements import heading_of
         from warpav.view import render_rgb, save_rgb
 
         path_m = {"optimised": trajectory(self.folder.events())}
         images = []
         for name, rig in self.rigs.items():
-            canvas = Canvas(
-                title={"by_hand": "by hand", "optimised": "found"}.get(name, name), window_size=_RIG_PX, off_screen=True
-            )
+            canvas = Canvas(title=heading_of(name), window_size=_RIG_PX, off_screen=True)
             plotter = drawing_of(rig, canvas, scene=self.scene, trajectory_m=path_m.get(name))
             try:
                 images.append(render_rgb(plotter))

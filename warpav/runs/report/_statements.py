@@ -32,7 +32,7 @@ _MIN_SCENES = 6
 _FEW_SCENES = 30
 _FAR_PER_100 = 5.0  # detected misses that exceed the expected ones by so many, and twofold, are warned of
 _EASY_PER_100 = 2.0  # misses below which scenes do not tell rigs apart
-_MORE_BLIND = 0.05  # share by which a part of the near ground is worse, so that it is told
+_MORE_BLIND = 0.05  # share of the near ground that must be blind besides to be named
 _HIDING_BODY = 0.5  # share of an image from which on the own body is named as why a rig detects nothing
 _BASELINES = {
     "optimised": "the rig that was found",

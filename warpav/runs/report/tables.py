@@ -60,7 +60,7 @@ def _compared(run: RunContent) -> Table:
     evaluation = run.evaluation
     assert evaluation is not None
     arms, other = list(evaluation.arms)[:_MOST_ARMS], compared_with(evaluation)
-    columns = [heading_of(name) for name in arms]
+    columns, blank = [heading_of(name) for name in arms], [] if other is None else [""]
     rows: list[tuple[str, ...]] = []
     for metric, (text, factor, digits) in metric_rows(run, _METRICS).items():
         values = [getattr(evaluation.arms[name], metric) for name in arms]
@@ -71,12 +71,10 @@ def _compared(run: RunContent) -> Table:
     ground = evaluation.ground
     if ground is not None:
         cells = (percent(ground.worst_near(name)[0], 0) for name in arms)
-        rows.append(("near ground blind for a child, worst", *cells, *([] if other is None else [""])))
+        rows.append(("near ground blind for a child, worst", *cells, *blank))
     for k, each in enumerate(evaluation.met.get(evaluation.first, [])):
         met = [evaluation.met[name][k] for name in arms]
-        rows.append(
-            (f"points of {each.name} seen", *(percent(one.share, 0) for one in met), *([] if other is None else [""]))
-        )
+        rows.append((f"points of {each.name} seen", *(percent(one.share, 0) for one in met), *blank))
     last = [] if other is None else [f"{columns[0]} - {heading_of(other)} [95 %]"]
     counted = f"{evaluation.scene_count} " + ("unseen scenes" if evaluation.training_objective else "scenes")
     first, *others = (tuple(map(_plain, row)) for row in ((counted, *columns, *last), *rows))
