@@ -25,8 +25,8 @@ from warpav.scene.town.town import drawn_sky, ego_vehicle
 from warpav.scene.traffic._road import Body, Road, Roadside, pavement_width_m, road_of, subdivided
 from warpav.scene.traffic._road_users import body_mesh, drawn_kind
 from warpav.scene.traffic.files import content_digest, read_recording
-from warpav.scene.traffic.moments import REACH_M, Moment
-from warpav.scene.traffic.recording import Lanelet, RecordedState, Recording
+from warpav.scene.traffic.moments import OVERLAP_MAX_M, REACH_M, Moment
+from warpav.scene.traffic.recording import Lanelet, RecordedState, Recording, without_overlaps
 
 if TYPE_CHECKING:
     from warpav.scene.fleet import Fleet
@@ -72,7 +72,7 @@ def traffic_scene(
     """The scene of a moment, in the ego frame, and how many road users are left out."""
     if seed < 0:
         raise ValueError(f"seed must be 0 or more, got {seed}")
-    states = recording.states_at(moment.step)
+    states, overlapping = without_overlaps(recording.states_at(moment.step), OVERLAP_MAX_M)
     own = next((state for state in states if state.user.user_id == moment.ego_id), None)
     if own is None:
         raise ValueError(f"no road user {moment.ego_id!r} at step {moment.step}")
@@ -117,6 +117,10 @@ def traffic_scene(
     environment = merge([ground, builder.finish(), *roadside.furniture])
     name = f"traffic_{seed:04d}"
     source = f"{recording.recording_id} step {moment.step} ego {moment.ego_id} seed {seed}"
+    if overlapping:
+        source += f"; left out for overlaps: {', '.join(state.user.user_id for state in overlapping)}"
+    if recording.account:
+        source += f"; {recording.account}"
     scene = Scene(name, environment, ego, tuple(users), drawn_sky(rng), source)
     around = scene.targeting(("vehicle",)).around(ego)
     return around, len(users) - len(around.road_users)
