@@ -94,7 +94,7 @@ def read(folder: Path) -> Recording:
 def _seat(rows: dict[str, np.ndarray]) -> None:
     """Make riders as large as they and the two-wheelers below them at their first moment."""
     for row in grouped(rows["id"], rows["step"]):
-        ridden = _RIDDEN.get(rows["type"][row[0]])
+        ridden = _RIDDEN.get(str(rows["type"][row[0]]))
         if ridden is None:
             continue
         same = np.flatnonzero((rows["step"] == rows["step"][row[0]]) & (rows["type"] == ridden))
