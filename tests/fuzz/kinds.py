@@ -19,6 +19,7 @@ from tests.scene.capture.test_folder import SETTINGS, PaintingSimulator
 from tests.scene.test_mesh_colours import write_dae, write_gltf, write_obj
 from tests.scene.traffic.recordings import street
 from tests.scene.traffic.test_files import scenario, write_log
+from tests.scene.traffic.test_formats import write_forecast, write_nuscenes, write_waymo
 from warpav.core.bounded_files import read_text
 from warpav.core.records import read_form
 from warpav.detection.onnx_detector import OnnxDetector
@@ -38,7 +39,7 @@ from warpav.scene.fleet import _Stated
 from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.own_vehicle import examine, read_vehicle_file
 from warpav.scene.scene import Box, Scene, Vehicle
-from warpav.scene.traffic.files import read_recording
+from warpav.scene.traffic.files import read_recording, recordings_in
 from warpav.sight.read import read_requirements
 
 ZONES = """
@@ -333,6 +334,9 @@ LARGE = [
     ),
     Kind("CommonRoad", _text("street.xml", scenario("2020a")), read_recording),
     Kind("log", lambda folder: write_log(folder / "log"), read_recording),
+    Kind("forecast", write_forecast, read_recording),
+    Kind("nuScenes", write_nuscenes, lambda folder: [read_recording(each) for each in recordings_in([folder])]),
+    Kind("Waymo", write_waymo, read_recording),
     Kind("network", _network, OnnxDetector, 3),
     Kind("run", _run, lambda path: read_content(RunFolder.open(path)), 4),
     Kind("workload", _workload, read_workload, inner=(_stored, _archived)),

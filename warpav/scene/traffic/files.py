@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 import re
 from collections.abc import Iterable
 from functools import lru_cache
@@ -10,6 +12,7 @@ from pathlib import Path
 from warpav.core.cache import digest
 from warpav.core.errors import InputError
 from warpav.scene.traffic.formats import FORMATS, TrafficFormat
+from warpav.scene.traffic.formats._rows import stamp_of
 from warpav.scene.traffic.recording import Recording
 
 SHIPPED = {"sind": Path(__file__).parent / "sind"}
@@ -66,7 +69,7 @@ def shipped_recordings() -> list[Path]:
 
 def content_digest(path: Path) -> str:
     """Hash of what a recording is made of."""
-    return _digest_of(path.name, tuple((file, _stamp(file)) for file in _files_of(path)))
+    return _digest_of(path.name, tuple((file, stamp_of(file)) for file in _files_of(path)))
 
 
 def _files_of(path: Path) -> list[Path]:
@@ -76,13 +79,22 @@ def _files_of(path: Path) -> list[Path]:
 
 @lru_cache(maxsize=1024)
 def _digest_of(name: str, files: tuple[tuple[Path, tuple[int, int]], ...]) -> str:
-    content = [file.read_bytes() for file, _ in files]
-    return digest(*content) if len(files) == 1 else digest(name, *content)
+    if len(files) == 1:
+        return digest(files[0][0].read_bytes())
+    return digest(name, *(_hash_of(*each) for each in files))
+
+
+@lru_cache(maxsize=1024)
+def _hash_of(file: Path, stamp: tuple[int, int]) -> str:
+    """Hash of a file that several recordings may be made of, and which may be long."""
+    del stamp
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def read_recording(path: Path) -> Recording:
     """The recording of a file or a log's folder, checked; kept while its files stay as they are."""
-    return _read(path, tuple(_stamp(file) for file in _files_of(path)))
+    return _read(path, tuple(stamp_of(file) for file in _files_of(path)))
 
 
 @lru_cache(maxsize=256)
@@ -94,15 +106,8 @@ def _read(path: Path, stamps: tuple[tuple[int, int], ...]) -> Recording:
     try:
         return found.read(path)
     except InputError as error:
-        raise InputError(*(line if line.startswith(str(path)) else f"{path}: {line}" for line in error.args)) from None
-
-
-def _stamp(path: Path) -> tuple[int, int]:
-    try:
-        about = path.stat()
-    except OSError as error:
-        raise InputError(f"{path}: expected recorded traffic, got: {error.strerror}") from None
-    return about.st_mtime_ns, about.st_size
+        known = str(path), f"{path.parent}{os.sep}"
+        raise InputError(*(line if line.startswith(known) else f"{path}: {line}" for line in error.args)) from None
 
 
 def natural_order(path: Path) -> list[tuple[str, int]]:

@@ -107,6 +107,13 @@ class Fault:
     field: str  # what it is counted by
     text: str  # who, what was expected, what came
 
+    @classmethod
+    def of(cls, error: InputError, place: str) -> Fault:
+        """What an error says of the road user at a place, counted by the field that follows the place."""
+        text = error.args[0]
+        field, *rest = text.removeprefix(f"{place}: ").split(":")
+        return cls(field if rest else "form", text)
+
 
 @dataclass(frozen=True, eq=False)
 class Recording:

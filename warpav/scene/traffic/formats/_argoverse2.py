@@ -8,7 +8,7 @@ have boxes of their own there besides their riders': the rider's counts. Whoever
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,8 @@ from warpav.scene.traffic.recording import Lanelet, RecordedUser, Recording, rec
 
 _ANNOTATIONS, _POSES = "annotations.feather", "city_SE3_egovehicle.feather"
 _EGO = "ego"
-_EGO_SIZE_M = (4.87, 1.85, 1.48)  # the Ford Fusion that carries the sensors
+EGO_SIZE_M = (4.87, 1.85, 1.48)
+"""Length, width and height of the Ford Fusion that carries the sensors [m]."""
 EGO_CENTRE_M = 1.42
 """How far its centre lies ahead of the origin of its frame, which is the middle of its rear axle [m]."""
 
@@ -75,7 +76,7 @@ def read(folder: Path) -> Recording:
     heading = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
     ahead_m = EGO_CENTRE_M * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     first = np.unique(step, return_index=True)[1]
-    ego = RecordedUser(_EGO, "car", _EGO_SIZE_M, step[first], np.c_[origin_m + ahead_m, heading][first])
+    ego = RecordedUser(_EGO, "car", EGO_SIZE_M, step[first], np.c_[origin_m + ahead_m, heading][first])
     place_m = np.stack([boxes["tx_m"], boxes["ty_m"], boxes["tz_m"]], axis=1)
     centre_m = np.einsum("ijk,ik->ij", rotation, place_m)[:, :2] + origin_m
     turned = rotation @ _rotations(boxes)
@@ -86,9 +87,8 @@ def read(folder: Path) -> Recording:
     }  # fmt: skip
     _seat(rows)
     users, others = users_of(rows, _CLASS_OF_CATEGORY)
-    return recording_of(
-        folder.name, "Argoverse 2", step_s, _lanelets(folder, shift_m), [ego, *users], _EGO, passed_over=others
-    )
+    lanelets = lanelets_of(folder.glob("map/log_map_archive_*.json"), shift_m)
+    return recording_of(folder.name, "Argoverse 2", step_s, lanelets, [ego, *users], _EGO, passed_over=others)
 
 
 def _seat(rows: dict[str, np.ndarray]) -> None:
@@ -104,11 +104,12 @@ def _seat(rows: dict[str, np.ndarray]) -> None:
             rows[name][row] = max(np.median(rows[name][row]), np.median(rows[name][below]))
 
 
-def _lanelets(folder: Path, shift_m: np.ndarray) -> tuple[Lanelet, ...]:
-    files = sorted(folder.glob("map/log_map_archive_*.json"))
-    if not files:  # then the road follows the tracks
+def lanelets_of(maps: Iterable[Path], shift_m: np.ndarray) -> tuple[Lanelet, ...]:
+    """Lanes and crossings of the first map of Argoverse 2, less ``shift_m`` [2]; none without a map."""
+    file = min(maps, default=None)
+    if file is None:  # then the road follows the tracks
         return ()
-    data = read_json(files[0], "Argoverse 2's map", nodes_max=DATA_SET_NODES_MAX)
+    data = read_json(file, "Argoverse 2's map", nodes_max=DATA_SET_NODES_MAX)
     try:
         lanelets = [
             Lanelet(
@@ -124,7 +125,7 @@ def _lanelets(folder: Path, shift_m: np.ndarray) -> tuple[Lanelet, ...]:
         ]
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
-            f"{files[0].name}: expected lane_segments with boundaries, got: {type(error).__name__}: {error}"
+            f"{file.name}: expected lane_segments with boundaries, got: {type(error).__name__}: {error}"
         ) from None
     return tuple(lanelets)
 

@@ -45,8 +45,7 @@ def read(file: Path) -> Recording:
         try:
             users.append(_obstacle(element, name, _CLASS_OF_TYPE[kind]))
         except InputError as error:
-            text = str(error)
-            faults.append(Fault(text.removeprefix(f"obstacle {name}: ").split(":")[0], text))
+            faults.append(Fault.of(error, f"obstacle {name}"))
     last = max((int(user.step[-1]) for user in users), default=0)
     static_ids = {
         each.get("id", "")

@@ -79,9 +79,7 @@ def read(file: Path) -> Recording:
         try:
             users.append(_user(each, name))
         except InputError as error:
-            text = str(error)
-            parts = text.removeprefix(f"road user {name}: ").split(":")
-            faults.append(Fault(parts[0] if len(parts) > 1 else "form", text))
+            faults.append(Fault.of(error, f"road user {name}"))
     ego = found.ego.get("id") if isinstance(found.ego, dict) else found.ego
     return recording_of(
         found.id, found.source, found.dt_s, lanelets, users, None if ego is None else str(ego), faults=faults

@@ -13,6 +13,15 @@ from warpav.core.bounded_files import DATA_SET_BYTES_MAX, DATA_SET_NODES_MAX, re
 from warpav.core.errors import InputError
 from warpav.scene.traffic.recording import RecordedUser
 
+USUAL_SIZE_M = {
+    "car": (4.7, 1.9, 1.6),
+    "bus": (12.0, 2.6, 3.1),
+    "motorcycle": (2.2, 0.8, 1.6),
+    "bicycle": (1.8, 0.6, 1.7),
+    "pedestrian": (0.6, 0.6, 1.7),
+}
+"""Length, width and height of a class [m], where none were recorded; riders are on their machines."""
+
 
 def read_columns(
     file: Path, numbers: Sequence[str], texts: Sequence[str] = (), *, optional: Sequence[str] = ()
@@ -79,14 +88,16 @@ def steps_of(time_s: np.ndarray, place: str) -> tuple[np.ndarray, float]:
     if len(times) < 2 or not np.isfinite(times).all():
         raise InputError(f"{place}: expected finite times of two moments or more, got {len(times)}")
     step_s = float(np.median(np.diff(times)))
-    return np.round((time_s - times[0]) / step_s).astype(np.int64), step_s
+    # gap by gap, as the steps of real sensors are not all alike, and what they are off by would add up
+    step = np.r_[0, np.round(np.diff(times) / step_s).cumsum()].astype(np.int64)
+    return step[np.searchsorted(times, time_s)], step_s
 
 
 def grouped(key: np.ndarray, step: np.ndarray) -> Iterator[np.ndarray]:
     """The rows of every key, each in the order of its steps."""
     _, number = np.unique(key, return_inverse=True)
     order = np.lexsort((step, number))
-    yield from np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
+    yield from np.split(order, np.flatnonzero(np.diff(number[order])) + 1) if len(order) else ()
 
 
 def users_of(
@@ -117,3 +128,18 @@ def users_of(
             )
         )  # fmt: skip
     return users, others
+
+
+def speed_along(yaw_rad: np.ndarray, velocity_m_s: np.ndarray) -> np.ndarray:
+    """Speed of velocities [row, 2], negative backwards; its size tells nothing of a wrong yaw, which others find."""
+    x, y = velocity_m_s.T
+    return np.copysign(np.hypot(x, y), x * np.cos(yaw_rad) + y * np.sin(yaw_rad))
+
+
+def stamp_of(file: Path) -> tuple[int, int]:
+    """Time of change and size of a file, while which its content is the same."""
+    try:
+        about = file.stat()
+    except OSError as error:
+        raise InputError(f"{file}: expected recorded traffic, got: {error.strerror}") from None
+    return about.st_mtime_ns, about.st_size
