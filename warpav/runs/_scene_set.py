@@ -188,7 +188,7 @@ def scene_recipes(
     if config.scenes.source == "captured":
         sources = list(progress.steps("captured scenes", _captured(config, seeds), count=len(seeds)))
     elif config.scenes.source == "traffic":
-        sources = _moments(config, seeds, ego)
+        sources = _moments(config, seeds, ego, progress)
     elif config.scenes.source == "town":
         fleet = _traffic_fleet(config)
         sources = [TownSource(seed, level_of_seed(config.scenes.level, seed), fleet) for seed in seeds]
@@ -422,11 +422,15 @@ def reconstruction_settings(config: Config) -> ReconstructionSettings:
     )
 
 
-def _moments(config: Config, seeds: Sequence[int], ego: Mesh | None) -> list[TrafficSource]:
+def _moments(config: Config, seeds: Sequence[int], ego: Mesh | None, progress: Progress) -> list[TrafficSource]:
     """Moments of recordings: seeds of the test take them from other recordings than those of the search."""
     scenes = config.scenes
     bounds_m = (ego_vehicle() if ego is None else ego).bounds_m()
-    traffic = traffic_of(scenes.recordings, scenes.test_recordings, bounds_m)
+    lines: list[str] = []
+    traffic = traffic_of(scenes.recordings, scenes.test_recordings, bounds_m, say=lines.append)
+    if lines and scenes.recordings is not None:
+        more = f", and {len(lines) - 1} recordings more; warpav scenes traffic names them" * (len(lines) > 1)
+        progress.say(f"{lines[0]}{more}")
     tested = set(scenes.test_seeds)
     fleet = _traffic_fleet(config)
     return [

@@ -48,11 +48,15 @@ class _Traffic:
 
 
 def traffic_of(
-    recordings: Sequence[Path] | None, test_recordings: Sequence[Path] | None, ego_bounds_m: np.ndarray
+    recordings: Sequence[Path] | None,
+    test_recordings: Sequence[Path] | None,
+    ego_bounds_m: np.ndarray,
+    *,
+    say: Callable[[str], None] | None = None,
 ) -> _Traffic:
-    """The moments of recordings; ``ego_bounds_m`` [2, 3]."""
-    search, test = search_and_test(recordings, test_recordings)
-    return _Traffic(moments_of(search, ego_bounds_m), moments_of(test, ego_bounds_m))
+    """The moments of recordings; ``ego_bounds_m`` [2, 3]; ``say`` as of `moments_of`."""
+    parts = search_and_test(recordings, test_recordings)
+    return _Traffic(*(moments_of(part, ego_bounds_m, say=say) for part in parts))
 
 
 def search_and_test(
