@@ -117,8 +117,8 @@ def test_what_is_left_out_is_one_line_a_recording(tmp_path, capsys):
     line = capsys.readouterr().out.splitlines()[0]
     assert line == (
         f"{file}: 1 of 6 road users left out (length_m 1), such as road user c: length_m: expected 2.5 to 30 m for a "
-        "truck, got 400; sizes and positions must be in metres; 1 of 5 road users left out where they overlap others by "
-        "more than 0.3 m, and 6 moments with such an overlap at the ego vehicle"
+        "truck, got 400; sizes and positions must be in metres; 1 of 5 road users left out where they overlap others "
+        "by more than 0.3 m, and 6 moments with such an overlap at the ego vehicle"
     )
     [scene] = read_scenes(tmp_path / "out")
     assert "left out for overlaps: twin; 1 of 6 road users left out (length_m 1)" in scene.source
