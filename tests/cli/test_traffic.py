@@ -121,7 +121,7 @@ def test_what_is_left_out_is_one_line_a_recording(tmp_path, capsys):
         "by more than 0.3 m, and 6 moments with such an overlap at the ego vehicle"
     )
     [scene] = read_scenes(tmp_path / "out")
-    assert "left out for overlaps: twin; 1 of 6 road users left out (length_m 1)" in scene.source
+    assert "left out for overlaps: a; 1 of 6 road users left out (length_m 1)" in scene.source
 
 
 def test_archives_that_unpack_without_end_are_refused(tmp_path, capsys, monkeypatch):
