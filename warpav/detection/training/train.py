@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from warpav.core.errors import InputError
-from warpav.detection.training import CLASS_NAMES, TrainingOptions
+from warpav.detection.training import TrainingOptions
 from warpav.detection.training._loss import MIN_SIDE_PX, TargetBoxes, augment, detection_loss
 from warpav.detection.training._network import TownNetwork, export_network
 from warpav.detection.training.data import (
@@ -30,8 +30,6 @@ from warpav.detection.training.data import (
 # Relative frequency of batches by image side [px].
 _SIZE_PROBABILITY = {256: 0.4, 384: 0.2, 640: 0.25, 1280: 0.15}
 
-_RARE, _RARE_WEIGHT = ("motorcycle", "pedestrian", "cyclist"), 2.0
-"""Labels that few images show, and how often such an image is drawn for one without."""
 _LEARNING_RATE = 2e-3
 _LAST_LEARNING_RATE_FRACTION = 0.01
 _WEIGHT_DECAY = 0.02
@@ -50,7 +48,6 @@ class DeviceData:
 
     images_rgb: Tensor
     truth: TargetBoxes
-    weight: Tensor  # how often an image is drawn, float32 [image]
 
     @classmethod
     def load(cls, labelled: Iterable[LabelledImages], device: torch.device) -> DeviceData:
@@ -69,7 +66,6 @@ class DeviceData:
         ignored = np.concatenate([each.labels.ignored for each in labelled])
         side_px = (box_px[..., 2:] - box_px[..., :2]).min(axis=-1)
         ignored |= side_px < MIN_SIDE_PX
-        is_rare = np.isin(class_index, [CLASS_NAMES.index(name) for name in _RARE]) & ~ignored
         return cls(
             images_rgb,
             TargetBoxes(
@@ -77,7 +73,6 @@ class DeviceData:
                 torch.from_numpy(class_index.astype(np.int64)).to(device),
                 torch.from_numpy(ignored).to(device),
             ),
-            torch.from_numpy(np.where(is_rare.any(axis=1), _RARE_WEIGHT, 1.0).astype(np.float32)).to(device),
         )
 
     def batch(self, index: Tensor) -> tuple[Tensor, TargetBoxes]:
@@ -147,7 +142,7 @@ class Training:
         for group in self.optimiser.param_groups:
             group["lr"] = self.learning_rate * warm_up * max(cosine, _LAST_LEARNING_RATE_FRACTION)
         # Drawn on the device: a copy would wait for all that the device has yet to do.
-        index = torch.multinomial(data.weight, batch_size, replacement=True, generator=self.generator)
+        index = torch.randint(len(data.images_rgb), (batch_size,), generator=self.generator, device=self.device)
         images, truth = augment(*data.batch(index), self.generator)
         images = images.contiguous(memory_format=torch.channels_last)
         # A CPU gains nothing from half precision.
