@@ -130,9 +130,13 @@ def _detector_train(
     batch_size: Annotated[int, Parameter(help="Images of 256 px a step.")] = 192,
     seed: Annotated[int, Parameter(help="Of the weights and of the batches.")] = 0,
     stop_after_minutes: Annotated[float, Parameter(help="Stop earlier; the same command continues.")] = float("inf"),
+    recordings: Annotated[
+        tuple[Path, ...], Parameter(help="Recorded traffic of your own, besides what ships.", negative=())
+    ] = (),
 ) -> None:
     """Train the shipped detector on images of town scenes; the same command resumes an interrupted training."""
     from warpav.runs.detector_training import train_detector
 
     options = {"device": device, "processes": processes, "steps": steps, "batch_size": batch_size, "seed": seed}
-    train_detector(out, image_folder=image_folder, say=say, stop_after_minutes=stop_after_minutes, **options)
+    options |= {"stop_after_minutes": stop_after_minutes, "recordings": recordings}
+    train_detector(out, image_folder=image_folder, say=say, **options)

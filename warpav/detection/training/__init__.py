@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 CLASS_NAMES = ("car", "van", "lorry", "bus", "motorcycle", "pedestrian", "cyclist")
 """Labels of the shipped detector, in the order of its output."""
@@ -17,3 +18,4 @@ class TrainingOptions:
     batch_size: int = 192  # images of 256 px a step; of larger ones as many as have the same number of pixels
     seed: int = 0  # of the weights and of the batches
     stop_after_minutes: float = math.inf  # stop before the schedule's end
+    recordings: tuple[Path, ...] = ()  # recorded traffic of one's own, besides what ships with warpav

@@ -25,8 +25,9 @@ from warpav.raster.mesh import Mesh
 from warpav.rig.mount_surface import MountSurface, mount_surface_from_mesh
 from warpav.rig.rig import RigCamera
 from warpav.scene.scene import Scene
-from warpav.scene.town.levels import Level, TownSource
+from warpav.scene.town.levels import LEVELS, Level, TownSource
 from warpav.scene.town.town import ego_vehicle
+from warpav.scene.traffic.files import recordings_in
 from warpav.scene.traffic.moments import moment_of, moments_of, search_and_test
 from warpav.scene.traffic.traffic_scene import TrafficSource
 
@@ -36,8 +37,8 @@ class Subset:
     """Scenes that serve one purpose."""
 
     # A level of the town; ``reconstructed``: scenes of the level easy that are recorded by cameras and made of their
-    # images again; or recordings that ship with warpav, those of the search or those of the test
-    made_of: Level | Literal["reconstructed", "search recordings", "test recordings"]
+    # images again; recordings that ship with warpav, those of the search or those of the test; or paths of others
+    made_of: Level | Literal["reconstructed", "search recordings", "test recordings"] | tuple[Path, ...]
     first_seed: int  # seeds count up from here; those below a million belong to experiments
     scene_count: int  # number of scenes
     views_per_scene: dict[int, int]  # images per scene, by their side [px]
@@ -50,11 +51,13 @@ class Subset:
         """What the scenes are built of; those that are reconstructed, before that."""
         if self.made_of == "reconstructed":
             return [TownSource(seed) for seed in self.seeds]
-        if self.made_of in ("search recordings", "test recordings"):
-            search, test = search_and_test(None, None)
-            moments = moments_of(test if self.made_of == "test recordings" else search, ego_vehicle().bounds_m())
-            return [TrafficSource(moment_of(moments, seed), seed) for seed in self.seeds]
-        return [TownSource(seed, self.made_of) for seed in self.seeds]
+        if self.made_of in LEVELS:
+            return [TownSource(seed, self.made_of) for seed in self.seeds]
+        search, test = search_and_test(None, None)
+        shipped = test if self.made_of == "test recordings" else search
+        files = recordings_in(self.made_of) if isinstance(self.made_of, tuple) else shipped
+        moments = moments_of(files, ego_vehicle().bounds_m())
+        return [TrafficSource(moment_of(moments, seed), seed) for seed in self.seeds]
 
 
 _TRAIN_VIEWS, _TEST_VIEWS = {256: 10, 384: 4, 640: 3, 1280: 1}, {256: 10, 384: 4, 640: 3, 1280: 2}
@@ -67,6 +70,13 @@ TRAIN_SUBSETS = {
     "train_reconstructed": Subset("reconstructed", 1_500_000, 45, {256: 50, 384: 20, 640: 15, 1280: 5}),
 }
 """Scenes of the training, by the name of their folder; none is a scene of a test."""
+
+
+def own_subset(recordings: Sequence[Path]) -> Subset:
+    """Scenes of recordings of the user's own, for the training."""
+    return Subset(tuple(recordings), 1_600_000, 600, _TRAIN_VIEWS)
+
+
 TEST_SUBSETS = {
     "test_easy": Subset("easy", 3_000_000, 60, _TEST_VIEWS),
     "test_dense": Subset("dense", 3_200_000, 60, _TEST_VIEWS),
@@ -169,6 +179,7 @@ def render_scene(
     views_per_scene: dict[int, int],
     ignored_ids: Sequence[int] = (),
     thread_count: int | None = None,
+    device: str = "cpu",
 ) -> dict[int, LabelledImages]:
     """Images of one scene by random cameras, by their side [px]."""
     from warpav.detection.images import render_images
@@ -176,7 +187,7 @@ def render_scene(
 
     rng = np.random.default_rng([seed, 1])
     scene = replace(scene, vehicles=scene.vehicles + scene.others, others=())
-    packed = DeviceScene.pack(scene)
+    packed = DeviceScene.pack(scene, device=device)
     center_m = np.array([vehicle.box.center_m for vehicle in scene.vehicles]).reshape(-1, 3)
     label = np.array([CLASS_NAMES.index(_CLASS_OF_CATEGORY[vehicle.category]) for vehicle in scene.vehicles], np.int8)
     is_ignored = np.isin([vehicle.instance_id for vehicle in scene.vehicles], ignored_ids)
@@ -184,7 +195,7 @@ def render_scene(
     for side_px, count in views_per_scene.items():
         cameras = sample_cameras(rng, surface, scene.ego.bounds_m(), side_px=side_px, count=count)
         supersampling = int(rng.integers(1, 3))
-        rendered = render_images(packed, cameras, supersampling=supersampling, thread_count=thread_count)
+        rendered = render_images(packed, cameras, supersampling=supersampling, thread_count=thread_count, device=device)
         labels = empty_labels(count)
         for image, (camera, render) in enumerate(zip(cameras, rendered, strict=True)):
             box_px = visible_boxes(render.object_index, len(scene.vehicles), min_area_px=1)
@@ -257,7 +268,12 @@ _town_surface = functools.cache(lambda: mount_surface_from_mesh(ego_vehicle()))
 
 
 def _write_scene(
-    numbered: tuple[int, TownSource | TrafficSource], *, subset: Subset, folder: Path, thread_count: int | None
+    numbered: tuple[int, TownSource | TrafficSource],
+    *,
+    subset: Subset,
+    folder: Path,
+    thread_count: int | None,
+    device: str,
 ) -> dict[int, np.recarray]:
     """Render one scene, with its index in the files of its subset, into these files, and return its labels."""
     load_warp()  # without its start-up messages, in every process
@@ -271,6 +287,7 @@ def _write_scene(
         views_per_scene=subset.views_per_scene,
         ignored_ids=[other.instance_id for other in scene.others] if is_reconstructed else (),
         thread_count=thread_count,
+        device=device,
     )
     for side_px, count in subset.views_per_scene.items():
         images_rgb = np.load(folder / f"images_{side_px}.npy", mmap_mode="r+")
@@ -278,7 +295,7 @@ def _write_scene(
     return {side_px: each.labels for side_px, each in labelled.items()}
 
 
-def write_images(subset: Subset, folder: Path, *, processes: int) -> None:
+def write_images(subset: Subset, folder: Path, *, processes: int, device: str = "cpu") -> None:
     """Render scenes into ``images_<side>.npy`` and ``labels_<side>.npy``, unless the same are there already."""
     made_with = fingerprint(subset, CLASS_NAMES, code=(__name__,))
     note = folder / "made_with.txt"
@@ -296,7 +313,8 @@ def write_images(subset: Subset, folder: Path, *, processes: int) -> None:
         np.lib.format.open_memmap(folder / f"images_{side_px}.npy", mode="w+", dtype=np.uint8, shape=shape).flush()
         labels[side_px] = [empty_labels(count)] * subset.scene_count
 
-    write = functools.partial(_write_scene, subset=subset, folder=folder, thread_count=None if processes == 1 else 1)
+    threads = None if processes == 1 else 1
+    write = functools.partial(_write_scene, subset=subset, folder=folder, thread_count=threads, device=device)
     jobs = list(enumerate(subset.sources()))
     start_s = time.perf_counter()
     # The first scene fills the kernel cache, which processes would otherwise all compile at once.

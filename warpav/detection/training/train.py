@@ -19,7 +19,13 @@ from warpav.core.errors import InputError
 from warpav.detection.training import TrainingOptions
 from warpav.detection.training._loss import MIN_SIDE_PX, TargetBoxes, augment, detection_loss
 from warpav.detection.training._network import TownNetwork, export_network
-from warpav.detection.training.data import TRAIN_SUBSETS, LabelledImages, load_images, write_images
+from warpav.detection.training.data import (
+    TRAIN_SUBSETS,
+    LabelledImages,
+    load_images,
+    own_subset,
+    write_images,
+)
 
 # Relative frequency of batches by image side [px].
 _SIZE_PROBABILITY = {256: 0.4, 384: 0.2, 640: 0.25, 1280: 0.15}
@@ -59,12 +65,13 @@ class DeviceData:
         class_index = np.concatenate([each.labels.class_index for each in labelled])
         ignored = np.concatenate([each.labels.ignored for each in labelled])
         side_px = (box_px[..., 2:] - box_px[..., :2]).min(axis=-1)
+        ignored |= side_px < MIN_SIDE_PX
         return cls(
             images_rgb,
             TargetBoxes(
                 torch.from_numpy(box_px).to(device),
                 torch.from_numpy(class_index.astype(np.int64)).to(device),
-                torch.from_numpy(ignored | (side_px < MIN_SIDE_PX)).to(device),
+                torch.from_numpy(ignored).to(device),
             ),
         )
 
@@ -195,11 +202,12 @@ def train_detector(folder: Path, options: TrainingOptions, *, image_folder: Path
     if checkpoint.exists():
         training.load(checkpoint)
         _logger.info("going on from step %d of %d", training.step, training.step_count)
-    for name, subset in TRAIN_SUBSETS.items():
-        write_images(subset, image_folder / name, processes=options.processes)
+    subsets = TRAIN_SUBSETS | ({"train_own": own_subset(options.recordings)} if options.recordings else {})
+    for name, subset in subsets.items():
+        write_images(subset, image_folder / name, processes=options.processes, device=options.device)
     if training.step < training.step_count:
         start_s = time.perf_counter()
-        loaded = [load_images(image_folder / name) for name in TRAIN_SUBSETS]
+        loaded = [load_images(image_folder / name) for name in subsets]
         data = {
             side_px: DeviceData.load([each[side_px] for each in loaded], training.device)
             for side_px in _SIZE_PROBABILITY
