@@ -17,7 +17,7 @@ from warpav.core.errors import InputError
 from warpav.core.records import nearest
 from warpav.scene.cache import BuiltSource
 from warpav.scene.town.levels import LEVELS, Level, TownSource
-from warpav.scene.traffic.files import SHIPPED, content_digest, recordings_in
+from warpav.scene.traffic.files import SHIPPED, content_digest, is_recording, recordings_in
 from warpav.scene.traffic.moments import Moment, moment_of, moments_of
 from warpav.scene.traffic.traffic_scene import TrafficSource
 
@@ -34,10 +34,11 @@ def recordings_of(place: str) -> list[Path]:
     """The recordings of a place; none of a town. Raises `InputError` where a path has none."""
     if place in _TOWN:
         return []
-    if place not in SHIPPED and not Path(place).expanduser().exists():
+    path = Path(place).expanduser()
+    if place not in SHIPPED and not path.exists() and not is_recording(path):  # a scene in tables does not exist
         known = f"{', '.join(KNOWN_PLACES)}, or the path of recorded traffic"
         raise InputError(f"expected {known}, got {place!r}{nearest(place, KNOWN_PLACES)}")
-    return recordings_in([Path(place).expanduser()])
+    return recordings_in([path])
 
 
 def parts_of(

@@ -235,9 +235,8 @@ def write_log(folder, *, boxes=None):
     feather = pytest.importorskip("pyarrow.feather")
     stamp = np.arange(5, dtype=np.int64) * 100_000_000 + 315_967_000_000_000_000
     half = math.sqrt(0.5)  # the vehicle looks along y of the city
-    poses = {name: np.full(5, half if name in ("qw", "qz") else 0.0) for name in ("qw", "qx", "qy", "qz")}
+    poses = {"timestamp_ns": stamp} | {f"q{axis}": np.full(5, half * (axis in "wz")) for axis in "wxyz"}
     poses |= {"tx_m": np.full(5, 1000.0), "ty_m": 2000.0 + 0.8 * np.arange(5), "tz_m": np.full(5, 17.0)}
-    poses["timestamp_ns"] = stamp
     rows = []
     for each in stamp:
         rows.append((each, "car-1", "REGULAR_VEHICLE", 4.6, 1.8, 1.5, 1.0, 0.0, 10.0, 0.5))

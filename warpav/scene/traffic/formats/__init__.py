@@ -10,7 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from warpav.scene.traffic.formats import _argoverse2, _argoverse2_motion, _commonroad, _json, _nuscenes, _waymo
+from warpav.scene.traffic.formats import _argoverse2, _commonroad, _json, _nuscenes, _waymo
+from warpav.scene.traffic.formats import _argoverse2_motion as _motion
 from warpav.scene.traffic.recording import Recording
 
 
@@ -36,20 +37,9 @@ def _is_file(*suffixes: str) -> Callable[[Path], bool]:
 
 FORMATS = (
     TrafficFormat("folders of Argoverse 2 logs", _argoverse2.is_log, _argoverse2.read, _argoverse2.files_of),
-    TrafficFormat(
-        "folders of Argoverse 2 motion forecasting",
-        _argoverse2_motion.is_scenario,
-        _argoverse2_motion.read,
-        _argoverse2_motion.files_of,
-    ),
+    TrafficFormat("folders of Argoverse 2 motion forecasting", _motion.is_scenario, _motion.read, _motion.files_of),
     TrafficFormat("CommonRoad XML", _is_file(".xml", ".xml.gz"), _commonroad.read),
-    TrafficFormat(
-        "scenes in a folder of nuScenes",
-        _nuscenes.is_scene,
-        _nuscenes.read,
-        _nuscenes.files_of,
-        _nuscenes.recordings_of,
-    ),
+    TrafficFormat("nuScenes tables", _nuscenes.is_scene, _nuscenes.read, _nuscenes.files_of, _nuscenes.recordings_of),
     TrafficFormat("Waymo scenes as JSON of GPUDrive and Nocturne", _waymo.is_scene, _waymo.read),
     TrafficFormat("JSON", _is_file(".json", ".json.gz"), _json.read),
 )

@@ -18,6 +18,7 @@ from warpav.scene.traffic.formats._rows import USUAL_SIZE_M, read_columns, speed
 from warpav.scene.traffic.recording import Recording, recording_of
 
 _STEP_S = 0.1
+_MAPS = "log_map_archive_*.json"
 _EGO = "AV"  # the track of the vehicle that carried the sensors
 _CLASS_OF_TYPE = {
     "vehicle": "car",
@@ -35,11 +36,7 @@ def is_scenario(path: Path) -> bool:
 
 def files_of(folder: Path) -> list[Path]:
     """What a scenario is read from."""
-    return sorted([*folder.glob("scenario_*.parquet"), *_maps(folder)])
-
-
-def _maps(folder: Path) -> list[Path]:
-    return sorted(folder.glob("log_map_archive_*.json"))
+    return sorted([*folder.glob("scenario_*.parquet"), *folder.glob(_MAPS)])
 
 
 def read(folder: Path) -> Recording:
@@ -68,7 +65,5 @@ def read(folder: Path) -> Recording:
     speed_m_s = speed_along(columns["heading"], np.stack([columns["velocity_x"], columns["velocity_y"]], axis=1))
     users, others = users_of(rows, _CLASS_OF_TYPE, speed_m_s)
     ego_id = _EGO if any(user.user_id == _EGO for user in users) else None
-    return recording_of(
-        folder.name, "Argoverse 2 motion forecasting", _STEP_S, lanelets_of(_maps(folder), shift_m), users, ego_id,
-        passed_over=others,
-    )  # fmt: skip
+    source, lanelets = "Argoverse 2 motion forecasting", lanelets_of(folder.glob(_MAPS), shift_m)
+    return recording_of(folder.name, source, _STEP_S, lanelets, users, ego_id, passed_over=others)

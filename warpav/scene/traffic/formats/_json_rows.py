@@ -32,9 +32,7 @@ def json_rows(file: Path, pick: Callable[[dict[str, Any]], _T]) -> Iterator[list
                 if count > DATA_SET_NODES_MAX:
                     refuse_nodes(str(file), DATA_SET_NODES_MAX)
                 if size > TABLE_BYTES_MAX or len(rest) > _BLOCK_BYTES:
-                    raise InputError(
-                        f"{file}: expected a table of at most {TABLE_BYTES_MAX // 10**6} MB, got another file"
-                    )
+                    raise InputError(f"{file}: expected a table of at most {TABLE_BYTES_MAX // 10**6} MB, got more")
                 yield [pick(row) for row in found]
     except InputError:
         raise

@@ -14,12 +14,9 @@ from warpav.core.errors import InputError
 from warpav.scene.traffic.recording import RecordedUser
 
 USUAL_SIZE_M = {
-    "car": (4.7, 1.9, 1.6),
-    "bus": (12.0, 2.6, 3.1),
-    "motorcycle": (2.2, 0.8, 1.6),
-    "bicycle": (1.8, 0.6, 1.7),
+    "car": (4.7, 1.9, 1.6), "bus": (12.0, 2.6, 3.1), "motorcycle": (2.2, 0.8, 1.6), "bicycle": (1.8, 0.6, 1.7),
     "pedestrian": (0.6, 0.6, 1.7),
-}
+}  # fmt: skip
 """Length, width and height of a class [m], where none were recorded; riders are on their machines."""
 
 
