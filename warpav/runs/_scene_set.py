@@ -192,7 +192,13 @@ def scene_recipes(
         sources = _traffic(config, seeds, ego, progress)
     elif config.scenes.source == "town":
         fleet = _traffic_fleet(config)
-        sources = [TownSource(seed, level_of_seed(config.scenes.level, seed), fleet) for seed in seeds]
+        of_street = config.scenes.moments_per_street
+        sources = [
+            TownSource(
+                seed, level_of_seed(config.scenes.level, seed), fleet, seed // of_street if of_street > 1 else None
+            )
+            for seed in seeds
+        ]
     else:
         sources = _files_of(config, seeds)
     return [SceneRecipe(source, ego, targets) for source in sources]

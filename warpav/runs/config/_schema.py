@@ -177,6 +177,12 @@ class SceneConfig(Section):
         "urban, as long and busy as real streets; dense, full of people and of what hides them; motorway, fast and "
         "far; of a list, seeds take turns; null: easy",
     )
+    moments_per_street: int = Field(
+        default=1,
+        ge=1,
+        le=1_000_000,
+        description="of the levels urban and dense so many consecutive seeds show one street, with other traffic each",
+    )
     train_seeds: Seeds = Field(default=tuple(range(60)), description="scenes that the optimiser sees")
     validation_seeds: Seeds | None = Field(
         default=None, description="scenes on which rigs of a run are compared; null: the training scenes"
@@ -257,6 +263,9 @@ class SceneConfig(Section):
             mistake(f"{text}; say which vehicles there are", "vehicles_share", "vehicles")
         if self.source == "places":
             self._check_places()
+        if self.moments_per_street > 1 and (self.source != "town" or set(self.level or ("easy",)) - {"urban", "dense"}):
+            text = f"expected 1 but for embedded streets of level urban or dense, got {self.moments_per_street}"
+            mistake(text, "moments_per_street", "level")
         if self.source == "folder" and self.folder is None:
             mistake("expected a folder of scenes because scenes.source is folder, got none", "folder", "source")
         if self.source == "folder" and self.folder and not self.folder.is_dir():

@@ -289,7 +289,9 @@ _TRAFFIC = {
 }
 
 
-def street_world(level: str, rng: np.random.Generator, users_rng: np.random.Generator) -> LevelWorld:
+def street_world(
+    level: str, rng: np.random.Generator, users_rng: np.random.Generator, life_rng: np.random.Generator | None = None
+) -> LevelWorld:
     traffic = _TRAFFIC[level]
     plan = _Plan(traffic, rng).layout
     ahead, behind = rng.uniform(*_GRADE, 2) * rng.choice([-1.0, 1.0], 2)
@@ -299,7 +301,7 @@ def street_world(level: str, rng: np.random.Generator, users_rng: np.random.Gene
     scenery = SceneryBuilder(rng, ground, detailed_within_m=FRAMES_WITHIN_M)
     scenery.add_plan(plan, furnishing.markings)
     world = LevelWorld(scenery, ground, plan.ego, furnishing.meshes, furnishing.footprints, users_rng)
-    life = _Life(plan, traffic, world, rng)
+    life = _Life(plan, traffic, world, life_rng or rng)
     life.park()
     life.go_beside()
     life.step_out()

@@ -25,8 +25,11 @@ FLEET_CODE = ("warpav.scene.fleet", "warpav.scene.reconstruction.surface")
 _LEVEL_STREAM = 0x1E7E1  # keeps the random numbers of levels apart from other uses of the same seed
 
 
-def level_scene(seed: int, level: Level = "easy", fleet: Fleet | None = None) -> Scene:
-    """The scene of a seed and a level, around the same ego vehicle."""
+def level_scene(seed: int, level: Level = "easy", fleet: Fleet | None = None, street: int | None = None) -> Scene:
+    """The scene of a seed and a level, around the same ego vehicle.
+
+    ``street`` is the seed whose street it is, of the levels urban and dense; None: its own.
+    """
     if level not in LEVELS:
         raise ValueError(f"level must be out of {', '.join(LEVELS)}, got {level!r}")
     if seed < 0:
@@ -38,6 +41,7 @@ def level_scene(seed: int, level: Level = "easy", fleet: Fleet | None = None) ->
         return town_scene(seed, exchange)
     stream = [_LEVEL_STREAM, LEVELS.index(level), seed]
     rng, users_rng = np.random.default_rng([*stream, 0]), np.random.default_rng([*stream, 1])
+    name, source = f"{level}_{seed:04d}", f"town {level} seed {seed}"
     if level == "motorway":
         from warpav.scene.town._motorway import motorway_world
 
@@ -45,8 +49,12 @@ def level_scene(seed: int, level: Level = "easy", fleet: Fleet | None = None) ->
     else:
         from warpav.scene.town._streets import street_world
 
-        world = street_world(level, rng, users_rng)
-    return world.finish(f"{level}_{seed:04d}", f"town {level} seed {seed}", exchange)
+        if street is None:
+            return street_world(level, rng, users_rng).finish(name, source, exchange)
+        street_rng = np.random.default_rng([_LEVEL_STREAM, LEVELS.index(level), street, 0])
+        world = street_world(level, street_rng, users_rng, rng)
+        source += f" street {street}"
+    return world.finish(name, source, exchange)
 
 
 def level_of_seed(levels: Sequence[Level] | None, seed: int) -> Level:
@@ -68,18 +76,20 @@ class TownSource:
     seed: int  # any integer from 0
     level: Level = "easy"  # of the town
     fleet: Fleet | None = None  # vehicles of other makers, in the places of some of the town's; None: none
+    street: int | None = None  # seed of another scene whose street it is, see `level_scene`
 
     def scene(self) -> Scene:
-        return level_scene(self.seed, self.level, self.fleet)
+        return level_scene(self.seed, self.level, self.fleet, self.street)
 
     @property
     def fingerprint(self) -> str:
         """Hash of all that the scene depends on; that of ``easy`` knows nothing of the code of other levels."""
         code = (f"warpav.scene.town.{_CODE[self.level]}",)
         code = code if self.level == "easy" else (*code, __name__)
+        made_of = (self.seed, self.level) if self.street is None else (self.seed, self.level, self.street)
         if self.fleet is None:
-            return fingerprint(self.seed, self.level, code=code)
-        return fingerprint(self.seed, self.level, self.fleet.share, self.fleet.content, code=(*code, *FLEET_CODE))
+            return fingerprint(*made_of, code=code)
+        return fingerprint(*made_of, self.fleet.share, self.fleet.content, code=(*code, *FLEET_CODE))
 
 
 def level_of(source: str) -> tuple[Level, int] | None:
