@@ -109,7 +109,7 @@ MOST_LINES = {
     "warpav/raster": 3_767,
     "warpav/rig": 5_521,
     "warpav/runs": 11_616,
-    "warpav/scene": 12_630,
+    "warpav/scene": 12_643,
     "warpav/sight": 2_205,
     "warpav/thesis": 1_172,
     "warpav/view": 7_818,

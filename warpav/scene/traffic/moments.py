@@ -96,8 +96,9 @@ def moments_of(
         lines += [f"{file}: {text}"] if text else []
     if not found:
         raise InputError(lines[0])
-    for line in lines if say is not None else ():
-        say(line)
+    if say is not None:
+        for line in lines:
+            say(line)
     order = np.random.default_rng([_STREAM, len(found)]).permutation(len(found))
     return tuple(found[k] for k in order)
 
