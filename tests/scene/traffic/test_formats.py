@@ -234,7 +234,7 @@ def refusal(path):
         (write_waymo, {"roads": [{"type": "lane", "geometry": line((0, 0), (1, 1))}]}, r"lanelets: expected the lanes"),
         (write_waymo, {"unit": 0.6}, r"yaw_rad: expected headings counter-clockwise from x along which road users"),
         (write_nuscenes, {"sample": [{"token": 1, "scene_token": 1}]}, r"sample.json: .* column 'timestamp', got none"),
-        (write_nuscenes, {"sample": []}, r"sample.json: expected finite times of two moments or more, got 0"),
+        (write_nuscenes, {"sample": []}, r"sample.json: expected .*times of two moments or more, got 0"),
         (write_nuscenes, {"sample_annotation": "[\n"}, r"expected a whole table, got one that is cut off"),
         (write_nuscenes, {"instance": "[{]}"}, r"instance.json \(after row 0\):1: expected valid JSON \(a table\)"),
         (write_nuscenes, {"ego_pose": []}, r"ego_pose.json: expected poses at the times of the key frames, got none"),
