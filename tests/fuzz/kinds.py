@@ -17,6 +17,7 @@ from tests.rig.formats.known_pose import write_sample
 from tests.runs.report.run_parts import fill, folder_at
 from tests.scene.capture.test_folder import SETTINGS, PaintingSimulator
 from tests.scene.test_mesh_colours import write_dae, write_gltf, write_obj
+from tests.scene.traffic import test_drone_formats as drones
 from tests.scene.traffic.recordings import street
 from tests.scene.traffic.test_files import scenario, write_log
 from warpav.core.bounded_files import read_text
@@ -38,7 +39,7 @@ from warpav.scene.fleet import _Stated
 from warpav.scene.glb import read_scene, write_scene
 from warpav.scene.own_vehicle import examine, read_vehicle_file
 from warpav.scene.scene import Box, Scene, Vehicle
-from warpav.scene.traffic.files import read_recording
+from warpav.scene.traffic.files import read_recording, recordings_in
 from warpav.sight.read import read_requirements
 
 ZONES = """
@@ -333,6 +334,10 @@ LARGE = [
     ),
     Kind("CommonRoad", _text("street.xml", scenario("2020a")), read_recording),
     Kind("log", lambda folder: write_log(folder / "log"), read_recording),
+    *(
+        Kind(name, write, lambda folder: [*map(read_recording, recordings_in([folder]))])
+        for name, write in drones.SAMPLES.items()
+    ),
     Kind("network", _network, OnnxDetector, 3),
     Kind("run", _run, lambda path: read_content(RunFolder.open(path)), 4),
     Kind("workload", _workload, read_workload, inner=(_stored, _archived)),
