@@ -8,7 +8,7 @@ import pytest
 
 from tests.scene.traffic.recordings import recording_of, street, track
 from warpav.core.errors import InputError
-from warpav.scene.traffic.recording import LANE_WIDTH_M, without_overlaps
+from warpav.scene.traffic.recording import without_overlaps
 
 
 def test_velocities_without_recorded_speeds_are_those_of_the_positions():
@@ -72,7 +72,7 @@ def test_without_lanes_the_road_follows_the_tracks():
     # the lorry comes towards cars a and b, of which one reaches farther; the cyclist gives none
     assert len(lanelets) == 3
     for lanelet, y in zip(lanelets, (1.75, -1.75, -1.75), strict=True):
-        assert np.linalg.norm(lanelet.left_m - lanelet.right_m, axis=1) == pytest.approx(LANE_WIDTH_M)
+        assert np.linalg.norm(lanelet.left_m - lanelet.right_m, axis=1) == pytest.approx(5.0)
         assert 0.5 * (lanelet.left_m + lanelet.right_m)[:, 1] == pytest.approx(y)
         assert np.ptp(lanelet.left_m[:, 0]) > 70.0
 

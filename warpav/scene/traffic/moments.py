@@ -48,11 +48,15 @@ class _Traffic:
 
 
 def traffic_of(
-    recordings: Sequence[Path] | None, test_recordings: Sequence[Path] | None, ego_bounds_m: np.ndarray
+    recordings: Sequence[Path] | None,
+    test_recordings: Sequence[Path] | None,
+    ego_bounds_m: np.ndarray,
+    *,
+    say: Callable[[str], None] | None = None,
 ) -> _Traffic:
-    """The moments of recordings; ``ego_bounds_m`` [2, 3]."""
-    search, test = search_and_test(recordings, test_recordings)
-    return _Traffic(moments_of(search, ego_bounds_m), moments_of(test, ego_bounds_m))
+    """The moments of recordings; ``ego_bounds_m`` [2, 3]; ``say`` as of `moments_of`."""
+    parts = search_and_test(recordings, test_recordings)
+    return _Traffic(*(moments_of(part, ego_bounds_m, say=say) for part in parts))
 
 
 def search_and_test(
@@ -85,15 +89,15 @@ def moments_of(
     """
     length, width = np.ptp(np.asarray(ego_bounds_m, np.float64)[:, :2], axis=0).tolist()
     found: list[Moment] = []
-    reasons: list[str] = []
+    lines: list[str] = []
     for file in files:
         candidates, text = _candidates(file, content_digest(file), round(length, 3), round(width, 3))
         found += [Moment(file, step, ego_id) for step, ego_id in candidates]
-        if text and say is not None:
-            say(f"{file}: {text}")
-        reasons += [] if candidates else [f"{file}: {text}"]
+        lines += [f"{file}: {text}"] if text else []
     if not found:
-        raise InputError(reasons[0])
+        raise InputError(lines[0])
+    for line in lines if say is not None else ():
+        say(line)
     order = np.random.default_rng([_STREAM, len(found)]).permutation(len(found))
     return tuple(found[k] for k in order)
 

@@ -42,7 +42,9 @@ _MOVING_M_S = 1.5
 _MOVING_SHARE_MIN = 20  # samples of moving road users that such a judgement takes
 _SPAN_S = 0.5  # over which positions give a speed
 _LANE_REACH_M = 60.0
+_CELL_M = 0.5  # ways that are nearer to one another are one
 _TRACK_STEP_M, _TRACK_MIN_M, _TRACK_AHEAD_M = 2.0, 8.0, 25.0  # of lanes along tracks: spacing, least way, beyond ends
+_TRACK_WIDTH_M, _STANDING_M = 5.0, 10.0  # their width, and what there is of them before and behind who stands
 _TRACK_CELL_M, _TRACK_NEW_SHARE = 1.5, 0.15  # a track gives a lane where so much of it lies beside the lanes before
 
 
@@ -131,6 +133,20 @@ class Recording:
     def _span(self) -> np.ndarray:
         """First and last step of everybody, int64 [2, user]."""
         return np.array([[user.step[0], user.step[-1]] for user in self.users]).T
+
+    @cached_property
+    def tracks(self) -> tuple[tuple[RecordedUser, np.ndarray], ...]:
+        """Every way that somebody took once: one of those who took it, and points along it [m], float64 [point, 2]."""
+        found: list[tuple[RecordedUser, np.ndarray]] = []
+        covered: dict[str, set[tuple[int, int]]] = {}
+        for user in self.users:
+            line = _thinned(user.pose[:, :2], _CELL_M)
+            seen = covered.setdefault(user.category, set())
+            cells = set(map(tuple, np.round(line / _CELL_M).astype(int).tolist()))
+            if len(line) > 1 and not cells <= seen:
+                seen.update((x + i, y + j) for x, y in cells for i in (-1, 0, 1) for j in (-1, 0, 1))
+                found.append((user, line))
+        return tuple(found)
 
     def states_at(self, step: int) -> list[RecordedState]:
         """Everybody who is there at a step, in the order of `users`."""
@@ -378,6 +394,13 @@ def _check_motion(recording: Recording) -> None:
         )
 
 
+def _thinned(line_m: np.ndarray, cell_m: float) -> np.ndarray:
+    """The points of a line [point, 2] at which it comes to another cell of a grid, and its ends."""
+    moves = (np.diff(np.round(line_m / cell_m), axis=0) != 0.0).any(axis=1)
+    moves[-1:] = True
+    return line_m[np.r_[True, moves]]
+
+
 def _lanes_along(users: Iterable[RecordedUser]) -> list[Lanelet]:
     """Lanes along the tracks of vehicles, one for those that follow one another; without lines, as where they cross."""
     found: list[Lanelet] = []
@@ -385,18 +408,19 @@ def _lanes_along(users: Iterable[RecordedUser]) -> list[Lanelet]:
     for user in sorted(users, key=lambda each: -float(np.ptp(each.pose[:, :2], axis=0).sum())):
         if user.category in ("pedestrian", "bicycle"):
             continue
-        line = [user.pose[0, :2]]
-        for point in user.pose[1:, :2]:
-            if np.linalg.norm(point - line[-1]) >= _TRACK_STEP_M:
-                line.append(point)
-        if (len(line) - 1) * _TRACK_STEP_M < _TRACK_MIN_M:
-            continue
-        track = np.array(line)
-        cells = [tuple(cell) for cell in np.round(track / _TRACK_CELL_M).astype(int).tolist()]
-        if sum(cell not in covered for cell in cells) < _TRACK_NEW_SHARE * len(cells):
-            continue
-        covered.update((x + i, y + j) for x, y in cells for i in (-1, 0, 1) for j in (-1, 0, 1))
-        ends = track[0] - track[min(3, len(track) - 1)], track[-1] - track[max(-4, -len(track))]
-        before, after = (_TRACK_AHEAD_M * end / max(float(np.linalg.norm(end)), 1e-9) for end in ends)
-        found.append(Lanelet.along(np.array([track[0] + before, *track, track[-1] + after]), kinds=("intersection",)))
+        way = [user.pose[0, :2]]
+        for point in _thinned(user.pose[:, :2], _CELL_M):
+            if np.hypot(*(point - way[-1])) >= _TRACK_STEP_M:
+                way.append(point)
+        if (len(way) - 1) * _TRACK_STEP_M >= _TRACK_MIN_M:
+            ends = way[0] - way[3], way[-1] - way[-4]
+            before, after = (_TRACK_AHEAD_M * end / max(float(np.linalg.norm(end)), 1e-9) for end in ends)
+            line = np.array([way[0] + before, *way, way[-1] + after])
+        else:  # who stands, stands on a piece of road
+            heading = np.array([math.cos(user.pose[0, 2]), math.sin(user.pose[0, 2])])
+            line = way[0] + np.arange(-_STANDING_M, _STANDING_M + 1e-9, _TRACK_STEP_M)[:, None] * heading
+        cells = list(map(tuple, np.round(line / _TRACK_CELL_M).astype(int).tolist()))
+        if sum(cell not in covered for cell in cells) >= _TRACK_NEW_SHARE * len(cells):
+            covered.update((x + i, y + j) for x, y in cells for i in (-1, 0, 1) for j in (-1, 0, 1))
+            found.append(Lanelet.along(line, _TRACK_WIDTH_M, ("intersection",)))
     return found
